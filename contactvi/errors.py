@@ -1,0 +1,123 @@
+"""The exceptions of contactvi: one root, few children, the data kept as fields.
+
+Every message says what was expected, what was got and how to remedy it.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+
+class ContactviError(Exception):
+    """Root of every error raised on purpose by contactvi.
+
+    Parameters
+    ----------
+    what : the fact, one sentence without a full stop.
+    expected, got, remedy : short texts, kept as fields and joined into the message
+        ``what: expected ..., got .... Remedy.``
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        expected: object | None = None,
+        got: object | None = None,
+        remedy: str | None = None,
+    ) -> None:
+        self.what = what
+        self.expected = expected
+        self.got = got
+        self.remedy = remedy
+        super().__init__(self._message())
+
+    def _message(self) -> str:
+        parts = []
+        if self.expected is not None:
+            parts.append(f"expected {self.expected}")
+        if self.got is not None:
+            parts.append(f"got {self.got}")
+        text = self.what.rstrip(".")
+        if parts:
+            text += ": " + ", ".join(parts)
+        text += "."
+        if self.remedy:
+            text += " " + self.remedy.rstrip(".") + "."
+        return text
+
+
+class InputError(ContactviError, ValueError):
+    """A bad argument: wrong shape, wrong range, not finite, unknown option. `name` is the argument."""
+
+    def __init__(self, what: str, *, name: str | None = None, **kwargs: Any) -> None:
+        self.name = name
+        super().__init__(what, **kwargs)
+
+
+class SceneError(ContactviError):
+    """A file or a model that cannot be used. `path`, `joint` and `body` say where, when known."""
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        path: object | None = None,
+        joint: str | None = None,
+        body: str | None = None,
+        **kwargs: Any,
+    ) -> None:
+        self.path = None if path is None else str(path)
+        self.joint = joint
+        self.body = body
+        super().__init__(what, **kwargs)
+
+
+class UnsupportedJointError(SceneError):
+    """A joint type that the engine refuses; `joint` is its name, `joint_type` its Pinocchio type."""
+
+    def __init__(self, what: str, *, joint_type: str | None = None, **kwargs: Any) -> None:
+        self.joint_type = joint_type
+        super().__init__(what, **kwargs)
+
+
+class PenetrationError(ContactviError):
+    """A start in penetration: `pair` (names), `depth` [m] > 0."""
+
+    def __init__(self, what: str, *, pair: tuple[str, str] | None = None, depth: float | None = None, **kw: Any) -> None:
+        self.pair = pair
+        self.depth = depth
+        super().__init__(what, **kw)
+
+
+class SimulationError(ContactviError):
+    """A run that ended before its time. `status` says why, `trajectory` is the part that was computed."""
+
+    def __init__(self, what: str, *, status: Any = None, trajectory: Any = None, **kwargs: Any) -> None:
+        self.status = status
+        self.trajectory = trajectory
+        super().__init__(what, **kwargs)
+
+
+def nearest(word: str, choices: Iterable[str]) -> str | None:
+    """Return the choice most like `word`, or None when nothing is near."""
+    names = [str(choice) for choice in choices]
+    found = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
+    if not found:
+        lower = {name.lower(): name for name in names}
+        found = [lower[key] for key in difflib.get_close_matches(word.lower(), list(lower), n=1, cutoff=0.5)]
+    return found[0] if found else None
+
+
+def did_you_mean(word: str, choices: Iterable[str]) -> str:
+    """Return a remedy sentence: the nearest choice if there is one, else the first few choices."""
+    names = [str(choice) for choice in choices]
+    near = nearest(word, names)
+    if near is not None:
+        return f"Did you mean {near!r}?"
+    if not names:
+        return "There is none."
+    shown = ", ".join(repr(name) for name in names[:12])
+    return f"Known: {shown}" + (", ..." if len(names) > 12 else "")
