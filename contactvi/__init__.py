@@ -1,0 +1,103 @@
+"""contactvi: accurate rigid contact for URDF and MJCF models with variational integrators.
+
+    import contactvi as cvi
+
+    scene = cvi.load_scene("models/allegro_ball.toml")
+    traj = cvi.simulate(scene)
+    traj.save("run.npz")
+    cvi.view(traj)
+
+Every public name is loaded on first use, so that `import contactvi` stays quick and needs neither meshcat nor
+matplotlib.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from contactvi import errors
+    from contactvi.errors import (
+        ContactviError,
+        InputError,
+        PenetrationError,
+        SceneError,
+        SimulationError,
+        UnsupportedJointError,
+    )
+    from contactvi.events import Event, EventLog
+    from contactvi.options import Options
+    from contactvi.plots import plot
+    from contactvi.scene import Scene
+    from contactvi.scene_file import load_scene
+    from contactvi.simulation import Simulator, simulate
+    from contactvi.trajectory import Stats, Status, StatusCode, Trajectory
+    from contactvi.viewer import view
+
+    __version__: str
+
+_HOME = {
+    "ContactviError": "errors",
+    "InputError": "errors",
+    "PenetrationError": "errors",
+    "SceneError": "errors",
+    "SimulationError": "errors",
+    "UnsupportedJointError": "errors",
+    "Event": "events",
+    "EventLog": "events",
+    "Options": "options",
+    "Scene": "scene",
+    "load_scene": "scene_file",
+    "simulate": "simulation",  # not "simulate": a submodule of that name would shadow the function
+    "Simulator": "simulation",
+    "Stats": "trajectory",
+    "Status": "trajectory",
+    "StatusCode": "trajectory",
+    "Trajectory": "trajectory",
+    "view": "viewer",
+    "plot": "plots",
+}
+
+__all__ = [
+    "ContactviError",
+    "Event",
+    "EventLog",
+    "InputError",
+    "Options",
+    "PenetrationError",
+    "Scene",
+    "SceneError",
+    "SimulationError",
+    "Simulator",
+    "Stats",
+    "Status",
+    "StatusCode",
+    "Trajectory",
+    "UnsupportedJointError",
+    "__version__",
+    "errors",
+    "load_scene",
+    "plot",
+    "simulate",
+    "view",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("contactvi")
+    elif name == "errors":
+        value = importlib.import_module("contactvi.errors")
+    elif name in _HOME:
+        value = getattr(importlib.import_module(f"contactvi.{_HOME[name]}"), name)
+    else:
+        raise AttributeError(f"module 'contactvi' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(__all__))

@@ -1,0 +1,181 @@
+"""Events: the impacts of a run, one `Event` each, kept as arrays in an `EventLog`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+KINDS = ("contact", "limit")
+
+# name -> (width, dtype) of one event's entry; width 0 is a scalar, "q" and "v" the size of the configuration and of
+# the velocity. The order is that of the file format.
+FIELDS: dict[str, tuple[int | str, type]] = {
+    "time": (0, float),
+    "step": (0, np.int64),
+    "kind": (0, np.int64),
+    "index": (0, np.int64),
+    "point": (3, float),
+    "normal": (3, float),
+    "impulse": (0, float),
+    "gamma_minus": (0, float),
+    "gamma_plus": (0, float),
+    "G_c": (0, float),
+    "gap": (0, float),
+    "restitution": (0, float),
+    "iterations": (0, np.int64),
+    "q": ("q", float),
+    "p_minus": ("v", float),
+    "p_plus": ("v", float),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """One impact.
+
+    time : [s]. step : index of the step in which it happened.
+    kind : "contact" between two shapes or "limit" of a joint.
+    pair : names of the two shapes; for a limit (joint, "lower limit") or (joint, "upper limit").
+    point : contact point [m], world frame, shape (3,); NaN for a limit.
+    normal : unit normal from the first shape to the second, world frame, shape (3,); NaN for a limit.
+    impulse : lambda >= 0 [N s; N m s for the limit of a revolute joint]; the second shape gets +impulse * normal.
+    gamma_minus, gamma_plus : normal speed W v before and after [m/s; rad/s].
+    G_c : inverse inertia W M^-1 W^T seen by the contact [1/kg].
+    gap : signed distance at the located configuration [m; rad].
+    restitution : coefficient used. method : impact map. fallback : the map used instead where it had no root.
+    iterations : iterations of the event location.
+    q : configuration at the impact, shape (nq,). p_minus, p_plus : momentum before and after, shape (nv,).
+    """
+
+    time: float
+    step: int
+    kind: str
+    pair: tuple[str, str]
+    point: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    impulse: float
+    gamma_minus: float
+    gamma_plus: float
+    G_c: float
+    gap: float
+    restitution: float
+    iterations: int
+    q: NDArray[np.float64]
+    p_minus: NDArray[np.float64]
+    p_plus: NDArray[np.float64]
+    method: str = "ctec"
+    fallback: str | None = None
+
+    @property
+    def energy_change(self) -> float:
+        """H(p_plus) - H(p_minus) [J] = (gamma_plus^2 - gamma_minus^2) / (2 G_c), <= 0 for restitution <= 1."""
+        return (self.gamma_plus**2 - self.gamma_minus**2) / (2.0 * self.G_c)
+
+    def __str__(self) -> str:
+        return (
+            f"t = {self.time:.9g} s  {self.pair[0]} | {self.pair[1]}  impulse {self.impulse:.6g}  "
+            f"gamma {self.gamma_minus:.6g} -> {self.gamma_plus:.6g}"
+        )
+
+
+class EventLog(Sequence[Event]):
+    """The events of a run in the order of time: a sequence of `Event`, and the same data as arrays.
+
+    `log[3]` is an Event, `log.array("impulse")` the array of all impulses, shape (n,).
+    """
+
+    def __init__(
+        self,
+        arrays: Mapping[str, NDArray[Any]],
+        pair_names: Sequence[tuple[str, str]],
+        joint_names: Sequence[str],
+        method: str = "ctec",
+    ) -> None:
+        self._arrays = {name: np.asarray(arrays[name]) for name in FIELDS}
+        self._pair_names = [(str(a), str(b)) for a, b in pair_names]
+        self._joint_names = list(joint_names)
+        self.method = method
+
+    def array(self, name: str) -> NDArray[Any]:
+        """Return one field of all events as an array, shape (n,) or (n, width)."""
+        return self._arrays[name]
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All fields as arrays (the dictionary is a copy, the arrays are not)."""
+        return dict(self._arrays)
+
+    def label(self, kind: int, index: int) -> tuple[str, str]:
+        """Return the names that belong to (kind, index) in the engine's numbering."""
+        return label(kind, index, self._pair_names, self._joint_names)
+
+    @property
+    def energy_change(self) -> NDArray[np.float64]:
+        """H(p_plus) - H(p_minus) of every event [J], shape (n,)."""
+        before, after = self._arrays["gamma_minus"], self._arrays["gamma_plus"]
+        return np.asarray((after**2 - before**2) / (2.0 * self._arrays["G_c"]))
+
+    def __len__(self) -> int:
+        return int(self._arrays["time"].shape[0])
+
+    @overload
+    def __getitem__(self, item: int) -> Event: ...
+    @overload
+    def __getitem__(self, item: slice) -> list[Event]: ...
+    def __getitem__(self, item: int | slice) -> Event | list[Event]:
+        if isinstance(item, slice):
+            return [self._event(i) for i in range(*item.indices(len(self)))]
+        i = item + len(self) if item < 0 else item
+        if not 0 <= i < len(self):
+            raise IndexError(f"event {item} of {len(self)}")
+        return self._event(i)
+
+    def __iter__(self) -> Iterator[Event]:
+        return (self._event(i) for i in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"<EventLog: {len(self)} events>"
+
+    def _event(self, i: int) -> Event:
+        values: dict[str, Any] = {}
+        for name, (width, kind) in FIELDS.items():
+            entry = self._arrays[name][i]
+            values[name] = entry if width else (float(entry) if kind is float else int(entry))
+        index = values.pop("index")
+        values["pair"] = self.label(values["kind"], index)
+        values["kind"] = KINDS[values["kind"]]
+        return Event(**values, method=self.method)
+
+
+def empty_arrays(nq: int, nv: int) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a log without events."""
+    widths = {"q": nq, "v": nv}
+    shapes = {
+        name: (0, widths[width]) if isinstance(width, str) else (0, width) if width else (0,)
+        for name, (width, _) in FIELDS.items()
+    }
+    return {name: np.zeros(shapes[name], dtype=kind) for name, (_, kind) in FIELDS.items()}
+
+
+def join(parts: Sequence[Mapping[str, NDArray[Any]]], nq: int, nv: int) -> dict[str, NDArray[Any]]:
+    """Return the arrays of several logs, one after the other."""
+    parts = [empty_arrays(nq, nv), *parts]
+    return {
+        name: np.concatenate([np.asarray(part[name]).reshape((-1, *parts[0][name].shape[1:])) for part in parts]).astype(
+            kind
+        )
+        for name, (_, kind) in FIELDS.items()
+    }
+
+
+def label(
+    kind: int, index: int, pair_names: Sequence[tuple[str, str]], joint_names: Sequence[str]
+) -> tuple[str, str]:
+    """Return the two names of a guard in the engine's numbering: pairs, or 2 * joint + {0 lower, 1 upper}."""
+    if kind == 0:
+        return pair_names[index]
+    return joint_names[index // 2], "upper limit" if index % 2 else "lower limit"
