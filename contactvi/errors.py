@@ -45,7 +45,7 @@ class ContactviError(Exception):
             text += ": " + ", ".join(parts)
         text += "."
         if self.remedy:
-            text += " " + self.remedy.rstrip(".") + "."
+            text += " " + self.remedy + ("" if self.remedy.endswith((".", "?", "!")) else ".")
         return text
 
 

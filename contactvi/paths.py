@@ -1,0 +1,176 @@
+"""Find model and mesh files without a hard-coded prefix.
+
+A file may be given as a plain path, as `file://...`, as `example-robot-data://robots/...` (the data package installed
+beside pin) or as `package://name/...`. A package is looked for, in this order, in the caller's `package_dirs`, in the
+ancestors of the file that mentions it, in ROS_PACKAGE_PATH, and in the share folder of example-robot-data.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from urllib.parse import unquote
+from xml.etree import ElementTree
+
+from contactvi.errors import InputError, SceneError, nearest
+
+ROBOT_DATA = "example-robot-data"
+
+
+@functools.lru_cache(maxsize=1)
+def example_robot_data_share() -> Path:
+    """Return the share folder that holds `example-robot-data/robots`, whatever the install layout.
+
+    Raises
+    ------
+    SceneError : the distribution example-robot-data is not installed or has no such folder.
+    """
+    remedy = "pip install example-robot-data"
+    try:
+        distribution = importlib.metadata.distribution(ROBOT_DATA)
+    except importlib.metadata.PackageNotFoundError:
+        raise SceneError("The robot models of example-robot-data are not installed", remedy=remedy) from None
+    for file in distribution.files or ():
+        if str(file).endswith(f"share/{ROBOT_DATA}/package.xml"):
+            return Path(str(distribution.locate_file(file))).resolve().parents[1]
+    raise SceneError("example-robot-data is installed without its robot models", remedy=remedy)
+
+
+def resolve_path(path: str | os.PathLike[str], base: Path | None = None, package_dirs: Sequence[object] = ()) -> Path:
+    """Return the absolute path of an existing file.
+
+    Parameters
+    ----------
+    path : plain path, `file://`, `example-robot-data://robots/...` or `package://name/...`.
+    base : folder to which a relative path belongs; the working directory when None.
+
+    Raises
+    ------
+    InputError : not a path.
+    SceneError : no such file, or a folder.
+    """
+    if not isinstance(path, (str, os.PathLike)) or not str(path):
+        raise InputError("Path of a file", name="path", expected="a non-empty str or Path", got=repr(path))
+    text = os.fspath(path)
+    scheme, _, rest = text.partition("://")
+    if scheme == ROBOT_DATA and rest:
+        found = example_robot_data_share() / ROBOT_DATA / rest
+    elif scheme in ("package", "model") and rest:
+        return resolve_resource(text, base or Path.cwd(), package_dirs)
+    elif scheme == "file" and rest:
+        found = Path(unquote(rest))
+    else:
+        found = (base or Path.cwd()) / Path(text).expanduser()
+    found = found.resolve()
+    check_is_file(found, text)
+    return found
+
+
+def check_is_file(found: Path, text: str) -> None:
+    """Raise a SceneError unless `found` is an existing file; `text` is how the user wrote it."""
+    if found.is_dir():
+        inside = sorted(p.name for p in found.iterdir() if p.suffix in (".urdf", ".xml", ".toml"))
+        hint = f"Files in it: {', '.join(inside[:8])}" if inside else "Name a file in it"
+        raise SceneError("Not a file", path=found, expected="a file", got=f"the folder {text}", remedy=hint)
+    if not found.is_file():
+        folder = next((p for p in found.parents if p.is_dir()), Path("/"))
+        names = [p.name for p in folder.iterdir()] if os.access(folder, os.R_OK) else []
+        missing = found.relative_to(folder).parts[0]
+        near = nearest(missing, names)
+        remedy = f"Did you mean {str(folder / near)!r}?" if near else f"The folder {folder} has nothing like it"
+        raise SceneError("No such file", path=found, expected="an existing file", got=text, remedy=remedy)
+
+
+def _package_name(folder: Path) -> str | None:
+    """Return the name in the package.xml of `folder`, if there is one."""
+    manifest = folder / "package.xml"
+    if not manifest.is_file():
+        return None
+    try:
+        return (ElementTree.parse(manifest).getroot().findtext("name") or "").strip() or None
+    except ElementTree.ParseError:
+        return None
+
+
+def _is_package(folder: Path, name: str) -> bool:
+    return folder.name == name or _package_name(folder) == name
+
+
+def package_candidates(name: str, start: Path, package_dirs: Sequence[object] = ()) -> Iterator[Path]:
+    """Yield existing folders that may be package `name`, the most trusted first. `start` is the mentioning file's folder."""
+    ros_path = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
+    given = [Path(str(p)).expanduser() for p in package_dirs]
+    ancestors = [start, *start.parents]
+    for folder in given + ancestors + ros_path:
+        if _is_package(folder, name):
+            yield folder
+        if (folder / name).is_dir():
+            yield folder / name
+    for folder in ros_path:  # a workspace may nest its packages one level deeper
+        yield from sorted(folder.glob(f"*/{name}")) if folder.is_dir() else ()
+    try:
+        share = example_robot_data_share()
+    except SceneError:
+        return
+    for folder in (share / name, share / ROBOT_DATA / "robots" / name):
+        if folder.is_dir():
+            yield folder
+
+
+def resolve_resource(url: str, start: Path, package_dirs: Sequence[object] = ()) -> Path:
+    """Return the file that a mesh (or other) reference inside a model file means.
+
+    Parameters
+    ----------
+    url : `package://`, `model://`, `file://`, `example-robot-data://`, absolute or relative path as written in the file.
+    start : folder of the file that mentions it.
+
+    Raises
+    ------
+    SceneError : no such file; the message lists the folders that were tried.
+    """
+    scheme, separator, rest = url.partition("://")
+    tried: list[Path] = []
+    if not separator:
+        folders = [start, *(Path(str(p)).expanduser() for p in package_dirs)]
+        candidates: Iterable[Path] = [folder / url for folder in folders]
+    elif scheme in ("package", "model"):
+        package, _, inside = rest.partition("/")
+        candidates = (folder / inside for folder in package_candidates(package, start, package_dirs))
+    elif scheme == "file":
+        candidates = [Path(rest)]
+    elif scheme == ROBOT_DATA:
+        candidates = [example_robot_data_share() / ROBOT_DATA / rest]
+    else:
+        raise SceneError(
+            f"Cannot read {url!r}",
+            path=url,
+            expected="package://, file://, example-robot-data:// or a path",
+            got=f"{scheme}://",
+            remedy="Download the file and name its path",
+        )
+    for candidate in candidates:
+        for path in (candidate, Path(unquote(str(candidate)))):
+            if path.is_file():
+                return path.resolve()
+        tried.append(candidate)
+    where = ", ".join(str(p) for p in tried) or f"no package folder of that name near {start} or in ROS_PACKAGE_PATH"
+    raise SceneError(
+        f"No such file: {url}",
+        path=url,
+        expected="an existing file",
+        got=f"nothing at {where}",
+        remedy="Pass package_dirs=[folder that holds the package]",
+    )
+
+
+def portable(path: str | os.PathLike[str]) -> str:
+    """Return `example-robot-data://...` for a file of that package, else the path unchanged: survives a move of machines."""
+    try:
+        inside = Path(path).resolve().relative_to(example_robot_data_share() / ROBOT_DATA)
+    except (ValueError, SceneError):
+        return os.fspath(path)
+    return f"{ROBOT_DATA}://{inside.as_posix()}"
