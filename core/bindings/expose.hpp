@@ -1,0 +1,11 @@
+// One expose_* per engine concept; module.cpp only calls them.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+namespace contactvi {
+
+void expose_scene(nanobind::module_& m);
+void expose_simulator(nanobind::module_& m);
+
+}  // namespace contactvi

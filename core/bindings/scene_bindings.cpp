@@ -1,0 +1,199 @@
+// Scene: energies, momenta, gaps and single steps, in public coordinates unless said otherwise.
+#include <nanobind/eigen/dense.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include "coordinates.hpp"
+#include "energy.hpp"
+#include "error.hpp"
+#include "expose.hpp"
+#include "guard.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace contactvi {
+
+using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+namespace {
+
+void need(bool condition, const char* what) {
+  if (!condition) throw Error(what);
+}
+
+void need_state(const Scene& s, const VecX& q, const VecX& w) {
+  need(q.size() == s.tree.nq && w.size() == s.tree.nv, "expected shapes (nq,) and (nv,)");
+}
+
+void need_states(const Scene& s, const Rows& q, const Rows& w) {
+  need(q.cols() == s.tree.nq && w.cols() == s.tree.nv && q.rows() == w.rows(), "expected shapes (N, nq) and (N, nv)");
+}
+
+Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness, const VecX& rest,
+                 const VecX& damping, const VecX& limits, const VecX& limit_restitution) {
+  return load_scene({model.c_str(), model.size()}, {geometry.c_str(), geometry.size()},
+                    {pair_restitution, stiffness, rest, damping, limits, limit_restitution});
+}
+
+Rows velocity(const Scene& s, const Rows& q, const Rows& p) {
+  need_states(s, q, p);
+  Integrator integrator(s.tree, 1e-12, 1);
+  Rows v(p.rows(), p.cols());
+  VecX w(s.tree.nv);
+  for (Eigen::Index i = 0; i < q.rows(); ++i) {
+    const VecX qi = q.row(i);
+    VecX pi = p.row(i);
+    public_to_engine(s.tree, qi, pi);
+    if (!integrator.node_velocity(qi, pi, w)) w.setConstant(std::numeric_limits<double>::quiet_NaN());
+    engine_to_public(s.tree, qi, w);
+    v.row(i) = w;
+  }
+  return v;
+}
+
+Rows momentum(const Scene& s, const Rows& q, const Rows& v) {
+  need_states(s, q, v);
+  StepWorkspace ws(s.tree);
+  Rows p(v.rows(), v.cols());
+  for (Eigen::Index i = 0; i < q.rows(); ++i) {
+    const VecX qi = q.row(i);
+    VecX vi = v.row(i);
+    public_to_engine(s.tree, qi, vi);
+    momentum_and_forces(s.tree, qi, vi, ws.kernel, ws.P, ws.dT, ws.dV);
+    engine_to_public(s.tree, qi, ws.P);
+    p.row(i) = ws.P;
+  }
+  return p;
+}
+
+Rows energies(const Scene& s, const Rows& q, const Rows& p) {
+  need_states(s, q, p);
+  Integrator integrator(s.tree, 1e-12, 1);
+  Rows result(q.rows(), 2);
+  for (Eigen::Index i = 0; i < q.rows(); ++i) {
+    const VecX qi = q.row(i);
+    VecX pi = p.row(i);
+    public_to_engine(s.tree, qi, pi);
+    const Energy e = energy(integrator, qi, pi);
+    result.row(i) << e.kinetic, e.potential;
+  }
+  return result;
+}
+
+VecX modified_energies(const Scene& s, const Rows& q, const Rows& p, double h) {
+  need_states(s, q, p);
+  Integrator integrator(s.tree, 1e-12, 1);
+  VecX result(q.rows());
+  for (Eigen::Index i = 0; i < q.rows(); ++i) {
+    const VecX qi = q.row(i);
+    VecX pi = p.row(i);
+    public_to_engine(s.tree, qi, pi);
+    result[i] = modified_hamiltonian(integrator, qi, pi, h);
+  }
+  return result;
+}
+
+auto dynamics(const Scene& s, const VecX& q, const VecX& v) {
+  need_state(s, q, v);
+  StepWorkspace ws(s.tree);
+  momentum_and_forces(s.tree, q, v, ws.kernel, ws.P, ws.dT, ws.dV);
+  return std::make_tuple(ws.P, ws.dT, ws.dV);
+}
+
+auto step(const Scene& s, const VecX& q, const VecX& p, double h, std::optional<VecX> tau, double tol) {
+  need_state(s, q, p);
+  Integrator integrator(s.tree, tol, 50);
+  VecX p0 = p, v(s.tree.nv), q1(s.tree.nq), p1(s.tree.nv);
+  public_to_engine(s.tree, q, p0);
+  need(integrator.node_velocity(q, p0, v), "the mass matrix is not positive definite");
+  if (!integrator.solve(q, p0, v, h, tau ? *tau : VecX())) throw Error(integrator.why());
+  integrator.finish(q, p0, h, q1, p1);
+  engine_to_public(s.tree, q1, p1);
+  return std::make_tuple(q1, p1, integrator.v(), integrator.iterations(), integrator.residual_norm());
+}
+
+auto gaps(const Scene& s, const VecX& q) {
+  need(q.size() == s.tree.nq, "expected shape (nq,)");
+  Guards guards(s);
+  guards.place(q);
+  const Eigen::Index n = static_cast<Eigen::Index>(s.pairs.size());
+  VecX gap(n);
+  Rows normal(n, 3), a(n, 3), b(n, 3);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    Contact c;
+    gap[i] = guards.evaluate(static_cast<int>(i), c);
+    normal.row(i) = c.normal;
+    a.row(i) = c.point_a;
+    b.row(i) = c.point_b;
+  }
+  return std::make_tuple(gap, normal, a, b);
+}
+
+Rows gap_gradients(const Scene& s, const VecX& q) {
+  need(q.size() == s.tree.nq, "expected shape (nq,)");
+  Guards guards(s);
+  guards.place(q);
+  Rows W(guards.count(), s.tree.nv);
+  VecX row(s.tree.nv);
+  for (int g = 0; g < guards.count(); ++g) {
+    Contact c;
+    guards.evaluate(g, c);
+    guards.gradient(g, c, row);
+    engine_to_public(s.tree, q, row);  // a covector, dual to v as a momentum is
+    W.row(g) = row;
+  }
+  return W;
+}
+
+template <void (*convert)(const Tree&, const VecCRef&, VecRef)>
+VecX converted(const Scene& s, const VecX& q, const VecX& w) {
+  need_state(s, q, w);
+  VecX result = w;
+  convert(s.tree, q, result);
+  return result;
+}
+
+}  // namespace
+
+void expose_scene(nb::module_& m) {
+  nb::class_<Scene>(m, "Scene")
+      .def("__init__",
+           [](Scene* self, nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
+              const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution) {
+             new (self) Scene(
+                 make_scene(model, geometry, pair_restitution, stiffness, rest, damping, limits, limit_restitution));
+           },
+           "model"_a, "geometry"_a, "pair_restitution"_a, "stiffness"_a, "rest"_a, "damping"_a, "limits"_a,
+           "limit_restitution"_a,
+           "From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data.")
+      .def_prop_ro("nq", [](const Scene& s) { return s.tree.nq; })
+      .def_prop_ro("nv", [](const Scene& s) { return s.tree.nv; })
+      .def_prop_ro("njoints", [](const Scene& s) { return s.tree.body_of_source.size(); })
+      .def_prop_ro("npairs", [](const Scene& s) { return s.pairs.size(); })
+      .def_prop_ro("rounding",
+                   [](const Scene& s) {
+                     std::vector<double> r;
+                     for (const Pair& pair : s.pairs)
+                       r.push_back(pair.rounded ? std::max(s.geometries[pair.a].rounding, s.geometries[pair.b].rounding) : 0.0);
+                     return r;
+                   },
+                   "Rounding radius [m] of each pair's shapes, 0 where they are sharp.")
+      .def("velocity", &velocity, "q"_a, "p"_a, "v = M(q)^-1 p, shapes (N, nq), (N, nv) -> (N, nv).")
+      .def("momentum", &momentum, "q"_a, "v"_a, "p = M(q) v, shapes (N, nq), (N, nv) -> (N, nv).")
+      .def("energy", &energies, "q"_a, "p"_a, "Kinetic and potential energy [J], (N, 2).")
+      .def("modified_energy", &modified_energies, "q"_a, "p"_a, "h"_a, "Modified Hamiltonian [J] for step h, (N,).")
+      .def("dynamics", &dynamics, "q"_a, "v"_a, "(M v, dT/dq, dV/dq of gravity) in engine coordinates.")
+      .def("step", &step, "q"_a, "p"_a, "h"_a, "tau"_a = nb::none(), "tol"_a = 1e-12,
+           "One smooth step without contact: (q1, p1, v_mid in engine coordinates, iterations, residual).")
+      .def("gaps", &gaps, "q"_a, "(gap (npairs,), normal, point_a, point_b (npairs, 3)), world frame.")
+      .def("gap_gradients", &gap_gradients, "q"_a, "d(gap)/dq of all guards, pairs then limits, (nguards, nv).")
+      .def("to_engine", &converted<public_to_engine>, "q"_a, "v"_a)
+      .def("to_public", &converted<engine_to_public>, "q"_a, "v"_a)
+      .def("momentum_to_engine", &converted<public_to_engine>, "q"_a, "p"_a)
+      .def("momentum_to_public", &converted<engine_to_public>, "q"_a, "p"_a);
+}
+
+}  // namespace contactvi

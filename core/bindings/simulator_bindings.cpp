@@ -1,0 +1,203 @@
+// Simulator: the event loop without the interpreter lock, results as arrays in public coordinates.
+#include <nanobind/eigen/dense.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/string.h>
+
+#include <chrono>
+
+#include "coordinates.hpp"
+#include "expose.hpp"
+#include "simulator.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace contactvi {
+
+namespace {
+
+using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using IntVec = Eigen::Matrix<std::int64_t, Eigen::Dynamic, 1>;
+
+VecX converted(const Tree& tree, const VecX& q, VecX p) {
+  engine_to_public(tree, q, p);
+  return p;
+}
+
+// The numbers of a guard on the Python side: kind 0 and the pair, or kind 1 and 2 * joint + upper.
+std::pair<int, int> public_guard(const Scene& s, int guard) {
+  if (guard < 0) return {-1, -1};
+  if (s.is_pair(guard)) return {0, guard};
+  const JointLimit& limit = s.tree.limits[guard - s.pairs.size()];
+  return {1, 2 * limit.source_joint + (limit.upper ? 1 : 0)};
+}
+
+nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
+  const Eigen::Index n = static_cast<Eigen::Index>(impacts.size());
+  VecX time(n), impulse(n), gamma_minus(n), gamma_plus(n), G_c(n), gap(n), restitution(n);
+  IntVec kind(n), index(n), iterations(n), step(n);
+  Rows point(n, 3), normal(n, 3), q(n, s.tree.nq), p_minus(n, s.tree.nv), p_plus(n, s.tree.nv);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const ImpactRecord& r = impacts[i];
+    std::tie(kind[i], index[i]) = public_guard(s, r.guard);
+    time[i] = r.time;
+    impulse[i] = r.impulse;
+    gamma_minus[i] = r.gamma_minus;
+    gamma_plus[i] = r.gamma_plus;
+    G_c[i] = r.G_c;
+    gap[i] = r.gap;
+    restitution[i] = r.restitution;
+    iterations[i] = r.iterations;
+    step[i] = r.step;
+    point.row(i) = r.point;
+    normal.row(i) = r.normal;
+    q.row(i) = r.q;
+    p_minus.row(i) = converted(s.tree, r.q, r.p_minus);
+    p_plus.row(i) = converted(s.tree, r.q, r.p_plus);
+  }
+  nb::dict d;
+  d["time"] = time;
+  d["kind"] = kind;
+  d["index"] = index;
+  d["point"] = point;
+  d["normal"] = normal;
+  d["impulse"] = impulse;
+  d["gamma_minus"] = gamma_minus;
+  d["gamma_plus"] = gamma_plus;
+  d["G_c"] = G_c;
+  d["gap"] = gap;
+  d["restitution"] = restitution;
+  d["iterations"] = iterations;
+  d["step"] = step;
+  d["q"] = q;
+  d["p_minus"] = p_minus;
+  d["p_plus"] = p_plus;
+  return d;
+}
+
+void add_status(const Scene& s, const Status& status, nb::dict& d) {
+  const auto [kind, index] = public_guard(s, status.guard);
+  d["code"] = static_cast<int>(status.code);
+  d["message"] = status.message;
+  d["time"] = status.time;
+  d["pair_kind"] = kind;
+  d["pair"] = index;
+  d["accumulation_time"] = status.accumulation_time;
+  d["depth"] = status.depth;
+}
+
+nb::dict stats(const Simulator& sim, double seconds) {
+  nb::dict d;
+  d["steps"] = sim.steps();
+  d["residuals"] = sim.step_counters().residuals;
+  d["iterations"] = sim.step_counters().residuals - sim.step_counters().steps;
+  d["factorizations"] = sim.step_counters().factorizations;
+  d["guards_evaluated"] = sim.guard_counters().evaluated;
+  d["guards_skipped"] = sim.guard_counters().skipped;
+  d["impacts"] = sim.impacts();
+  d["seconds"] = seconds;
+  return d;
+}
+
+Progress wrap(const nb::object& callback) {
+  if (callback.is_none()) {
+    return [](double, long) {
+      nb::gil_scoped_acquire gil;
+      return PyErr_CheckSignals() == 0;
+    };
+  }
+  return [&callback](double t, long impacts) {
+    nb::gil_scoped_acquire gil;
+    if (PyErr_CheckSignals() != 0) return false;
+    try {
+      callback(t, impacts);
+    } catch (nb::python_error& error) {
+      error.restore();  // re-raised or cleared by advance()
+      return false;
+    }
+    return true;
+  };
+}
+
+nb::dict advance(Simulator& sim, long steps, std::optional<Rows> tau, long record_every, nb::object progress) {
+  const Scene& s = sim.scene();
+  if (tau && (tau->rows() != steps || tau->cols() != s.tree.nv)) throw Error("tau: expected shape (steps, nv)");
+  if (steps < 0 || record_every < 1) throw Error("steps must be >= 0 and record_every >= 1");
+  Recording recording;
+  const MatX force = tau ? MatX(*tau) : MatX();
+  const Progress callback = wrap(progress);
+  const auto start = std::chrono::steady_clock::now();
+  Status status;
+  {
+    nb::gil_scoped_release release;
+    status = sim.advance(steps, force, record_every, callback, recording);
+  }
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  nb::dict d;
+  // The error that interrupted the run is handed over as data: the partial result must not be lost with it.
+  d["error"] = nb::none();
+  if (PyErr_Occurred() != nullptr) {
+    nb::python_error error;
+    d["error"] = error.value();
+  }
+  const Eigen::Index n = static_cast<Eigen::Index>(recording.t.size());
+  Rows q = Eigen::Map<const Rows>(recording.q.data(), n, s.tree.nq);
+  Rows p = Eigen::Map<const Rows>(recording.p.data(), n, s.tree.nv);
+  VecX qi(s.tree.nq), pi(s.tree.nv);
+  if (!s.tree.split.empty()) {
+    for (Eigen::Index i = 0; i < n; ++i) {
+      qi = q.row(i);
+      pi = p.row(i);
+      engine_to_public(s.tree, qi, pi);
+      p.row(i) = pi;
+    }
+  }
+  d["t"] = VecX(Eigen::Map<const VecX>(recording.t.data(), n));
+  d["q"] = std::move(q);
+  d["p"] = std::move(p);
+  d["events"] = events(s, recording.impacts);
+  d["stats"] = stats(sim, seconds);
+  add_status(s, status, d);
+  return d;
+}
+
+nb::dict reset(Simulator& sim, const VecX& q, const VecX& v, double t) {
+  const Scene& s = sim.scene();
+  if (q.size() != s.tree.nq || v.size() != s.tree.nv) throw Error("expected shapes (nq,) and (nv,)");
+  VecX w = v;
+  public_to_engine(s.tree, q, w);
+  nb::dict d;
+  add_status(s, sim.reset(q, w, t), d);
+  return d;
+}
+
+VecX current_velocity(Simulator& sim) {
+  const Tree& tree = sim.scene().tree;
+  Integrator integrator(tree, 1e-12, 1);
+  VecX v(tree.nv);
+  if (!integrator.node_velocity(sim.q(), sim.p(), v)) throw Error("the mass matrix is not positive definite");
+  return converted(tree, sim.q(), v);
+}
+
+}  // namespace
+
+void expose_simulator(nb::module_& m) {
+  nb::class_<Simulator>(m, "Simulator")
+      .def("__init__",
+           [](Simulator* self, const Scene& scene, double dt, double tol, int impact, long max_impacts_per_step,
+              int max_iterations) {
+             new (self) Simulator(scene, {dt, tol, impact, max_iterations, max_impacts_per_step});
+           },
+           "scene"_a, "dt"_a, "tol"_a = 1e-12, "impact"_a = 0, "max_impacts_per_step"_a = 100000, "max_iterations"_a = 30,
+           nb::keep_alive<1, 2>())
+      .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0, "Status fields as a dict.")
+      .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
+           "Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.")
+      .def_prop_ro("t", &Simulator::time)
+      .def_prop_ro("q", [](const Simulator& sim) { return VecX(sim.q()); })
+      .def_prop_ro("p", [](const Simulator& sim) { return converted(sim.scene().tree, sim.q(), sim.p()); })
+      .def_prop_ro("v", &current_velocity);
+}
+
+}  // namespace contactvi

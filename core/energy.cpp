@@ -1,0 +1,166 @@
+#include "energy.hpp"
+
+#include <limits>
+#include <vector>
+
+namespace contactvi {
+
+namespace {
+
+Twist cross(const Twist& a, const Twist& b) {
+  return {a.ang.cross(b.ang), a.ang.cross(b.lin) + a.lin.cross(b.ang)};
+}
+
+Twist operator+(const Twist& a, const Twist& b) { return {a.ang + b.ang, a.lin + b.lin}; }
+
+Twist to_child(const BodyState& body, const Twist& v) {
+  return {body.R.transpose() * v.ang, body.R.transpose() * (v.lin + v.ang.cross(body.r))};
+}
+
+Twist joint_twist(const Joint& joint, const VecCRef& w) {
+  const Vec3 zero = Vec3::Zero();
+  switch (joint.type) {
+    case JointType::kPrismatic:
+      return {zero, w[joint.iv] * Vec3::UnitZ()};
+    case JointType::kHelical:
+      return {w[joint.iv] * Vec3::UnitZ(), joint.pitch * w[joint.iv] * Vec3::UnitZ()};
+    case JointType::kTranslation:
+      return {zero, w.segment<3>(joint.iv)};
+    case JointType::kSpherical:
+      return {w.segment<3>(joint.iv), zero};
+    default:
+      return {w[joint.iv] * Vec3::UnitZ(), zero};
+  }
+}
+
+Wrench momentum(const Joint& joint, const Twist& v) {
+  return {joint.inertia * v.ang + joint.first_moment.cross(v.lin), joint.mass * v.lin - joint.first_moment.cross(v.ang)};
+}
+
+double dot(const Wrench& f, const Twist& v) { return f.ang.dot(v.ang) + f.lin.dot(v.lin); }
+
+double project(const Joint& joint, const Wrench& f, int d) {
+  switch (joint.type) {
+    case JointType::kPrismatic:
+      return f.lin.z();
+    case JointType::kHelical:
+      return f.ang.z() + joint.pitch * f.lin.z();
+    case JointType::kTranslation:
+      return f.lin[d];
+    case JointType::kSpherical:
+      return f.ang[d];
+    default:
+      return f.ang.z();
+  }
+}
+
+// Velocity-dependent accelerations of the bodies (no joint acceleration, no gravity), body frame, component derivatives.
+void bias_accelerations(const Tree& tree, const KernelWorkspace& kernel, const VecCRef& v, std::vector<Twist>& bias) {
+  for (std::size_t i = 0; i < tree.joints.size(); ++i) {
+    const BodyState& body = kernel.bodies[i];
+    bias[i] = cross(body.inherited, joint_twist(tree.joints[i], v));
+    if (tree.joints[i].parent >= 0) bias[i] = bias[i] + to_child(body, bias[tree.joints[i].parent]);
+  }
+}
+
+// a = M^-1 (-C v - g): backward pass of the recursive Newton-Euler algorithm. force: -dV/dq on entry, a on return.
+void free_acceleration(const Tree& tree, const KernelWorkspace& kernel, const std::vector<Twist>& bias, const VecCRef& v,
+                       const TreeLu& mass, const VecX& armature, VecRef force) {
+  std::vector<Wrench> f(tree.joints.size());
+  for (std::size_t i = 0; i < tree.joints.size(); ++i) {
+    const Wrench h = momentum(tree.joints[i], kernel.bodies[i].velocity), m = momentum(tree.joints[i], bias[i]);
+    const Twist& w = kernel.bodies[i].velocity;
+    f[i] = {m.ang + w.ang.cross(h.ang) + w.lin.cross(h.lin), m.lin + w.ang.cross(h.lin)};
+  }
+  for (int i = static_cast<int>(tree.joints.size()) - 1; i >= 0; --i) {
+    const Joint& joint = tree.joints[i];
+    const BodyState& body = kernel.bodies[i];
+    for (int d = 0; d < joint.nv; ++d) force[joint.iv + d] -= project(joint, f[i], d);
+    if (joint.type == JointType::kSpherical) {
+      const Vec3 omega = v.segment<3>(joint.iv);
+      force.segment<3>(joint.iv) -= omega.cross(armature.segment<3>(joint.iv).cwiseProduct(omega));
+    }
+    if (joint.parent < 0) continue;
+    const Vec3 lin = body.R * f[i].lin;
+    f[joint.parent].lin += lin;
+    f[joint.parent].ang += body.R * f[i].ang + body.r.cross(lin);
+  }
+  mass.solve(force);
+}
+
+// d/dt of v.dT/dq - dV_gravity/dt along q' = v, v' = a.
+double power_rate(const Tree& tree, const KernelWorkspace& kernel, const std::vector<Twist>& bias, const VecCRef& v,
+                  const VecCRef& a) {
+  const std::size_t n = tree.joints.size();
+  std::vector<Twist> rate(n), bias_rate(n);  // of the velocities and of the bias accelerations
+  double sum = 0;
+  for (std::size_t i = 0; i < n; ++i) {
+    const Joint& joint = tree.joints[i];
+    const BodyState& body = kernel.bodies[i];
+    const Twist sv = joint_twist(joint, v), sa = joint_twist(joint, a);
+    Twist inherited_rate = cross(body.inherited, sv);
+    bias_rate[i] = cross(body.inherited, sa);
+    if (joint.parent >= 0) {
+      inherited_rate = inherited_rate + to_child(body, rate[joint.parent]);
+      bias_rate[i] = bias_rate[i] + to_child(body, bias_rate[joint.parent]) + cross(to_child(body, bias[joint.parent]), sv);
+    }
+    bias_rate[i] = bias_rate[i] + cross(inherited_rate, sv);
+    rate[i] = inherited_rate + sa;
+    sum += dot(momentum(joint, bias[i]), rate[i]) + dot(momentum(joint, body.velocity), bias_rate[i]);
+    const Twist& w = body.velocity;
+    const Vec3 lin = rate[i].lin + w.ang.cross(w.lin);
+    sum += body.gravity.dot(joint.mass * lin + rate[i].ang.cross(joint.first_moment) +
+                            w.ang.cross(w.ang.cross(joint.first_moment)));
+  }
+  return sum;
+}
+
+double spring_power_rate(const Tree& tree, const VecCRef& q, const VecCRef& v, const VecCRef& a) {
+  double sum = 0;
+  for (const Joint& joint : tree.joints) {
+    if (joint.stiffness == 0) continue;
+    const Vec3 deflection = spring_deflection(tree, joint, q);
+    Vec3 w = Vec3::Zero(), wdot = Vec3::Zero();
+    w.head(joint.nv) = v.segment(joint.iv, joint.nv);
+    wdot.head(joint.nv) = a.segment(joint.iv, joint.nv);
+    const Vec3 rate = joint.type == JointType::kSpherical ? Vec3(so3_right_jacobian_inverse(deflection) * w) : w;
+    sum += joint.stiffness * (rate.dot(w) + deflection.dot(wdot));
+  }
+  return sum;
+}
+
+}  // namespace
+
+Energy energy(Integrator& integrator, const VecCRef& q, const VecCRef& p) {
+  const Tree& tree = integrator.tree();
+  VecX v(tree.nv), unused = VecX::Zero(tree.nv);
+  if (!integrator.node_velocity(q, p, v)) return {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::quiet_NaN()};
+  KernelWorkspace& kernel = integrator.workspace().kernel;
+  world_placements(tree, kernel);
+  return {0.5 * p.dot(v), gravity_potential(tree, kernel) + add_springs(tree, q, unused)};
+}
+
+double modified_hamiltonian(Integrator& integrator, const VecCRef& q, const VecCRef& p, double h) {
+  const Tree& tree = integrator.tree();
+  const Energy H = energy(integrator, q, p);
+  VecX v = p, P(tree.nv), dT(tree.nv), dV(tree.nv);
+  integrator.mass().solve(v);
+  KernelWorkspace& kernel = integrator.workspace().kernel;
+  momentum_and_forces(tree, q, v, kernel, P, dT, dV);
+  add_springs(tree, q, dV);
+  std::vector<Twist> bias(tree.joints.size());
+  bias_accelerations(tree, kernel, v, bias);
+  // The gravity part of -dV/dq enters the same way as springs: dV holds both.
+  VecX a = -dV;
+  free_acceleration(tree, kernel, bias, v, integrator.mass(), tree.armature, a);
+  const double G_a = (dT - dV).dot(a);
+  const double dG_v = power_rate(tree, kernel, bias, v, a) - spring_power_rate(tree, q, v, a) - G_a;
+  double bracket = 0;
+  for (const Joint& joint : tree.joints) {
+    if (joint.type != JointType::kSpherical) continue;
+    bracket += p.segment<3>(joint.iv).dot(v.segment<3>(joint.iv).cross(Vec3(a.segment<3>(joint.iv))));
+  }
+  return H.kinetic + H.potential - h * h / 24.0 * (G_a - dG_v + bracket);
+}
+
+}  // namespace contactvi

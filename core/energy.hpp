@@ -1,0 +1,20 @@
+// Energies of a state (q, p): kinetic and potential, and the modified Hamiltonian that the midpoint step really conserves.
+#pragma once
+
+#include "integrator.hpp"
+
+namespace contactvi {
+
+struct Energy {
+  double kinetic, potential;  // [J]; potential: gravity and springs
+};
+
+// Engine coordinates. NaN if the mass matrix is not positive.
+Energy energy(Integrator& integrator, const VecCRef& q, const VecCRef& p);
+
+// H~_h = H + h^2 H2 of the undamped, unforced system, H2 = -(G.a - dG.v + p.[v,a])/24 with a the free acceleration and
+// dG.v the derivative of G = dL/dq along the flow, against v (backward error analysis of the midpoint rule; on vector
+// spaces -H''(J dH, J dH)/24). It varies O(h^4) where H varies O(h^2).
+double modified_hamiltonian(Integrator& integrator, const VecCRef& q, const VecCRef& p, double h);
+
+}  // namespace contactvi

@@ -1,0 +1,37 @@
+// Outcome of a run and the one exception type of the engine.
+#pragma once
+
+#include <stdexcept>
+#include <string>
+
+namespace contactvi {
+
+// Numbers are part of the Python face (StatusCode) and of stored trajectories: append, never renumber.
+enum class StatusCode : int {
+  kSuccess = 0,
+  kZeno = 1,             // impacts accumulate, or a contact stays closed
+  kNewtonFailed = 2,     // the discrete Euler-Lagrange equation could not be solved
+  kNotFinite = 3,        // NaN or infinity in state or forces
+  kEventUnresolved = 4,  // a guard crossed zero but its root could not be located
+  kTooManyImpacts = 5,
+  kPenetration = 6,  // the start state has a negative gap
+  kInterrupted = 7,
+};
+
+struct Status {
+  StatusCode code = StatusCode::kSuccess;
+  std::string message;
+  double time = 0.0;                // time reached [s]
+  int guard = -1;                   // guard index (contact pairs first, then joint limits), -1: none
+  double accumulation_time = 0.0;   // Zeno time [s], NaN where it does not apply
+  double depth = 0.0;               // penetration depth [m] or [rad], NaN where it does not apply
+  bool ok() const { return code == StatusCode::kSuccess; }
+};
+
+// Wrong input that reached the engine, or an internal fault; the Python face turns it into its own errors.
+class Error : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+}  // namespace contactvi

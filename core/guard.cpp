@@ -1,0 +1,198 @@
+#include "guard.hpp"
+
+#include <coal/distance.h>
+#include <coal/shape/geometric_shapes.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace contactvi {
+
+struct Guards::Functors {
+  std::vector<coal::ComputeDistance> distance;
+  coal::DistanceRequest request;
+  coal::DistanceResult result;
+};
+
+Guards::Guards(const Scene& scene)
+    : scene_(&scene),
+      count_(scene.guard_count()),
+      pairs_(static_cast<int>(scene.pairs.size())),
+      kernel_(scene.tree),
+      q_(VecX::Zero(scene.tree.nq)),
+      functors_(new Functors),
+      angular_(scene.tree.joints.size()),
+      linear_(scene.tree.joints.size()),
+      motion_(scene.geometries.size()),
+      odometer_(scene.geometries.size()),
+      limit_motion_(scene.tree.limits.size()),
+      marks_(count_, -1.0) {
+  functors_->distance.reserve(pairs_);
+  for (const Pair& pair : scene.pairs) {
+    const Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
+    functors_->distance.emplace_back((pair.rounded ? a.rounded : a.sharp).get(), (pair.rounded ? b.rounded : b.sharp).get());
+  }
+  functors_->request.enable_signed_distance = true;
+  functors_->request.gjk_tolerance = 1e-10;  // the default 1e-6 is the error of the gap; EPA's default stays, below it NaN
+}
+
+Guards::~Guards() = default;
+
+void Guards::place(const VecCRef& q) {
+  q_ = q;
+  if (pairs_ == 0) return;
+  local_placements(scene_->tree, q, kernel_);
+  world_placements(scene_->tree, kernel_);
+}
+
+namespace {
+
+void geometry_pose(const Geometry& g, const KernelWorkspace& kernel, Mat3& R, Vec3& p) {
+  if (g.body < 0) {
+    R = g.R_BG;
+    p = g.p_BG;
+  } else {
+    R.noalias() = kernel.R_W[g.body] * g.R_BG;
+    p = kernel.p_W[g.body] + kernel.R_W[g.body] * g.p_BG;
+  }
+}
+
+Vec3 sphere_center(const Geometry& g, const KernelWorkspace& kernel) {
+  if (g.body < 0) return g.center_B;
+  return kernel.p_W[g.body] + kernel.R_W[g.body] * g.center_B;
+}
+
+}  // namespace
+
+double Guards::limit_gap(int guard, const VecCRef& q) const {
+  const JointLimit& limit = scene_->tree.limits[guard - pairs_];
+  const double value = q[scene_->tree.joints[limit.joint].iq];
+  return limit.upper ? limit.bound - value : value - limit.bound;
+}
+
+double Guards::evaluate(int guard, Contact& contact) {
+  ++counters.evaluated;
+  if (guard >= pairs_) {
+    const JointLimit& limit = scene_->tree.limits[guard - pairs_];
+    contact = {limit_gap(guard, q_), Vec3::Zero(), Vec3::Zero(), Vec3::Zero(), -1, limit.joint};
+    return contact.gap;
+  }
+  const Pair& pair = scene_->pairs[guard];
+  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  Mat3 R_a, R_b;
+  Vec3 p_a, p_b;
+  geometry_pose(a, kernel_, R_a, p_a);
+  geometry_pose(b, kernel_, R_b, p_b);
+  Functors& f = *functors_;
+  f.result.clear();
+  f.distance[guard](coal::Transform3s(R_a, p_a), coal::Transform3s(R_b, p_b), f.request, f.result);
+  contact = {f.result.min_distance, f.result.normal, f.result.nearest_points[0], f.result.nearest_points[1], a.body, b.body};
+  if (!contact.normal.allFinite()) contact.gap = std::numeric_limits<double>::quiet_NaN();
+  return contact.gap;
+}
+
+void Guards::gradient(int guard, const Contact& contact, VecRef W) const {
+  if (guard < pairs_) {
+    gap_gradient(scene_->tree, kernel_, contact, W);
+    return;
+  }
+  const JointLimit& limit = scene_->tree.limits[guard - pairs_];
+  W.setZero();
+  W[scene_->tree.joints[limit.joint].iv] = limit.upper ? -1.0 : 1.0;
+}
+
+double Guards::touch_tolerance(int guard) const {
+  return guard < pairs_ && scene_->pairs[guard].rounded ? 1e-9 : 1e-11;
+}
+
+void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) {
+  const Tree& tree = scene_->tree;
+  for (std::size_t k = 0; k < tree.limits.size(); ++k)
+    limit_motion_[k] = h * bound[tree.joints[tree.limits[k].joint].iv];
+  if (pairs_ == 0) return;
+  for (std::size_t i = 0; i < tree.joints.size(); ++i) {
+    const Joint& joint = tree.joints[i];
+    double angular = 0, linear = 0, arm = joint.p_PJ.norm();
+    const double speed = bound[joint.iv];
+    switch (joint.type) {
+      case JointType::kRevolute:
+      case JointType::kContinuous:
+        angular = speed;
+        break;
+      case JointType::kPrismatic:
+        linear = speed;
+        arm += std::abs(q[joint.iq]) + h * speed;
+        break;
+      case JointType::kHelical:
+        angular = speed;
+        linear = std::abs(joint.pitch) * speed;
+        arm += std::abs(joint.pitch) * (std::abs(q[joint.iq]) + h * speed);
+        break;
+      case JointType::kTranslation:
+        linear = bound.segment<3>(joint.iv).norm();
+        arm += q.segment<3>(joint.iq).norm() + h * linear;
+        break;
+      case JointType::kSpherical:
+        angular = bound.segment<3>(joint.iv).norm();
+        break;
+    }
+    if (joint.parent >= 0) {
+      linear += linear_[joint.parent] + angular_[joint.parent] * arm;
+      angular += angular_[joint.parent];
+    }
+    angular_[i] = angular;
+    linear_[i] = linear;
+  }
+  for (std::size_t g = 0; g < motion_.size(); ++g) {
+    const Geometry& geometry = scene_->geometries[g];
+    motion_[g] = geometry.body < 0 ? 0.0 : h * (linear_[geometry.body] + angular_[geometry.body] * geometry.reach);
+  }
+}
+
+double Guards::motion(int guard) const {
+  if (guard >= pairs_) return limit_motion_[guard - pairs_];
+  const Pair& pair = scene_->pairs[guard];
+  return motion_[pair.a] + motion_[pair.b];
+}
+
+bool Guards::skip(int guard) const {
+  if (guard >= pairs_) return false;  // one subtraction: nothing to save
+  const Pair& pair = scene_->pairs[guard];
+  return odometer_[pair.a] + odometer_[pair.b] + motion_[pair.a] + motion_[pair.b] < marks_[guard];
+}
+
+bool Guards::separated_at_end(int guard) {
+  if (guard >= pairs_) {
+    return limit_gap(guard, q_) > motion(guard);
+  }
+  const Pair& pair = scene_->pairs[guard];
+  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  double bound;
+  if (a.unbounded || b.unbounded) {
+    const Geometry &half = a.unbounded ? a : b, &other = a.unbounded ? b : a;
+    Mat3 R;
+    Vec3 p;
+    geometry_pose(half, kernel_, R, p);
+    bound = (R * half.halfspace_normal).dot(sphere_center(other, kernel_) - p) - half.halfspace_offset - other.radius;
+  } else {
+    bound = (sphere_center(a, kernel_) - sphere_center(b, kernel_)).norm() - a.radius - b.radius;
+  }
+  if (!(bound > motion(guard))) return false;
+  mark(guard, bound);
+  return true;
+}
+
+void Guards::mark(int guard, double gap_at_end) {
+  if (guard >= pairs_) return;
+  const Pair& pair = scene_->pairs[guard];
+  marks_[guard] = odometer_[pair.a] + odometer_[pair.b] + motion_[pair.a] + motion_[pair.b] + gap_at_end;
+}
+
+void Guards::unmark_all() { std::fill(marks_.begin(), marks_.end(), -1.0); }
+
+void Guards::commit() {
+  for (std::size_t g = 0; g < motion_.size(); ++g) odometer_[g] += motion_[g];
+}
+
+}  // namespace contactvi

@@ -1,0 +1,73 @@
+// Guards: one gap function per collision pair and one per joint limit, and the decision which of them a step may skip.
+//
+// Semantics. A guard that is > 0 at the start of a step and <= 0 at its end, or inside it, is an event in the half-open
+// interval (0, 1] of the step. A guard that was just hit, or starts at zero, is "touching": it is excluded until it has
+// separated, unless it closes again. A start below zero is an error, never projected away.
+//
+// Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was d when
+// it was last looked at stays skipped until the two odometers have advanced by d; only then its bounding spheres, and only
+// then its shapes, are looked at. Numbering: collision pairs first, then joint limits.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "contact.hpp"
+#include "scene.hpp"
+
+namespace contactvi {
+
+struct GuardCounters {
+  long evaluated = 0;  // exact gaps
+  long skipped = 0;    // guards of a step settled without one
+};
+
+class Guards {
+ public:
+  explicit Guards(const Scene& scene);
+  ~Guards();
+
+  int count() const { return count_; }
+  const Scene& scene() const { return *scene_; }
+
+  // Poses of all bodies at q; evaluate, lower_bound and gradient refer to the last call.
+  void place(const VecCRef& q);
+  const KernelWorkspace& kernel() const { return kernel_; }
+
+  // Exact gap [m] or [rad] at the placed configuration. Not finite if coal fails.
+  double evaluate(int guard, Contact& contact);
+  // W = d(gap)/dq, shape (nv,).
+  void gradient(int guard, const Contact& contact, VecRef W) const;
+  // How far from zero a gap may be and still count as touching: solver noise of GJK pairs is 1e-10.
+  double touch_tolerance(int guard) const;
+
+  // Bounds on the motion over a step of length h whose velocities stay within +-bound, shape (nv,), from q.
+  void bound_motion(const VecCRef& q, const VecX& bound, double h);
+  double motion(int guard) const;  // of the guard's two bodies together in that step
+  // True if the odometers say that the guard cannot reach zero in the step.
+  bool skip(int guard) const;
+  // True if the bounding spheres at the placed end of the step say so; then also moves the pair's mark.
+  bool separated_at_end(int guard);
+  void mark(int guard, double gap_at_end);  // gap at the end of the step
+  void unmark(int guard) { marks_[guard] = -1.0; }
+  void unmark_all();
+  void commit();  // the step is taken: odometers advance
+
+  GuardCounters counters;
+
+ private:
+  double limit_gap(int guard, const VecCRef& q) const;
+
+  const Scene* scene_;
+  int count_, pairs_;
+  KernelWorkspace kernel_;
+  VecX q_;
+  struct Functors;  // coal's, kept out of this header
+  std::unique_ptr<Functors> functors_;
+  std::vector<double> angular_, linear_;  // per body: bounds on |omega|, on the origin's speed
+  std::vector<double> motion_, odometer_;             // per geometry
+  std::vector<double> limit_motion_;                  // per joint limit
+  std::vector<double> marks_;                         // per guard: odometer sum up to which it may be skipped
+};
+
+}  // namespace contactvi

@@ -1,0 +1,254 @@
+#include "simulator.hpp"
+
+#include <chrono>
+#include <cmath>
+#include <limits>
+
+#include "impact_ctec.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kZenoFlight = 0.05;  // of a step: e times the last flight below it ends the bouncing
+constexpr int kZenoFlights = 4;       // flights in a row, each shorter than the one before
+constexpr double kSeparated = 1e-13;  // of the event's speeds: closing slower than this is rounding
+constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+}  // namespace
+
+Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
+    : scene_(&scene),
+      options_(options),
+      integrator_(scene.tree, options.tol, options.max_iterations),
+      guards_(scene),
+      finder_(scene, integrator_, guards_),
+      history_(scene.tree.nv),
+      q_(VecX::Zero(scene.tree.nq)),
+      p_(VecX::Zero(scene.tree.nv)),
+      q1_(scene.tree.nq),
+      p1_(scene.tree.nv),
+      v_(scene.tree.nv),
+      guess_(scene.tree.nv),
+      bouncing_(scene.guard_count()) {
+  if (options.impact != 0) throw Error("unknown impact map");
+}
+
+bool Simulator::end(StatusCode code, double time, std::string message, int guard) {
+  status_ = {code, std::move(message), time, guard, kNaN, kNaN};
+  return false;
+}
+
+Status Simulator::reset(const VecX& q, const VecX& v, double t) {
+  status_ = {StatusCode::kSuccess, "", t, -1, kNaN, kNaN};
+  q_ = q;
+  v_ = v;
+  t0_ = t;
+  step_ = impacts_ = 0;
+  speed_scale_ = 0.0;
+  history_.reset();
+  guards_.unmark_all();
+  bouncing_.assign(bouncing_.size(), Bouncing());
+  if (!q.allFinite() || !v.allFinite()) {
+    end(StatusCode::kNotFinite, t, "the start state is not finite");
+    return status_;
+  }
+  KernelWorkspace& kernel = integrator_.workspace().kernel;
+  momentum_and_forces(scene_->tree, q_, v_, kernel, p_, guess_, p1_);
+  guards_.place(q_);
+  for (int g = 0; g < guards_.count(); ++g) {
+    Contact contact;
+    const double gap = guards_.evaluate(g, contact), tolerance = guards_.touch_tolerance(g);
+    finder_.set_touching(g, gap <= tolerance);
+    if (!(gap >= -tolerance)) {
+      end(StatusCode::kPenetration, t, "the start state is in penetration", g);
+      status_.depth = -gap;
+      return status_;
+    }
+  }
+  return status_;
+}
+
+Status Simulator::advance(long steps, const MatX& tau, long record_every, const Progress& progress, Recording& recording) {
+  using Clock = std::chrono::steady_clock;
+  status_ = {StatusCode::kSuccess, "", time(), -1, kNaN, kNaN};
+  auto record = [&](double t) {
+    recording.t.push_back(t);
+    recording.q.insert(recording.q.end(), q_.data(), q_.data() + q_.size());
+    recording.p.insert(recording.p.end(), p_.data(), p_.data() + p_.size());
+  };
+  const VecX no_force;
+  VecX force = no_force;
+  if (recording.t.empty()) record(time());
+  Clock::time_point reported = Clock::now();
+  for (long k = 0; k < steps; ++k) {
+    if (tau.rows() > 0) force = tau.row(k).transpose();
+    if (!one_step(force, recording)) {
+      // The run ends inside of a step: its last node is the state there.
+      if (status_.code != StatusCode::kNotFinite && !recording.t.empty() && status_.time > recording.t.back())
+        record(status_.time);
+      return status_;
+    }
+    if (step_ % record_every == 0 || k + 1 == steps) record(time());
+    if (progress && k % 64 == 63 && Clock::now() - reported > std::chrono::milliseconds(100)) {
+      reported = Clock::now();
+      if (!progress(time(), impacts_)) {
+        end(StatusCode::kInterrupted, time(), "interrupted");
+        return status_;
+      }
+    }
+  }
+  status_.time = time();
+  return status_;
+}
+
+bool Simulator::one_step(const VecX& tau, Recording& recording) {
+  const double start = time();
+  double remaining = options_.dt, done = 0.0;
+  bool cut = false;
+  impacts_in_step_ = 0;
+  while (remaining > 0.0) {
+    const int known = history_.count(remaining);
+    if (known > 0) {
+      history_.guess(guess_);
+    } else {
+      if (!integrator_.node_velocity(q_, p_, guess_))
+        return end(StatusCode::kNewtonFailed, start + done, "the mass matrix is not positive definite");
+    }
+    if (!integrator_.solve(q_, p_, guess_, remaining, tau)) {
+      const bool finite = q_.allFinite() && p_.allFinite();
+      return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, start + done,
+                 std::string("the discrete Euler-Lagrange equation was not solved: ") + integrator_.why());
+    }
+    integrator_.finish(q_, p_, remaining, q1_, p1_);
+    Search found = Search::kNone;
+    if (guards_.count() > 0) {
+      v_ = integrator_.v();
+      found = finder_.search(q_, p_, v_, q1_, remaining, tau, known > 0 ? &history_.last() : nullptr);
+    }
+    if (found == Search::kNone) {
+      if (!cut) history_.push(guards_.count() > 0 ? v_ : integrator_.v(), remaining);
+      q_.swap(q1_);
+      p_.swap(p1_);
+      break;
+    }
+    if (found == Search::kNewtonFailed)
+      return end(StatusCode::kNewtonFailed, start + done,
+                 std::string("a partial step to an event was not solved: ") + integrator_.why(), finder_.failed_guard());
+    if (found == Search::kUnresolved) {
+      end(StatusCode::kEventUnresolved, start + done, "a guard crossed zero and its root was not found", finder_.failed_guard());
+      status_.depth = -finder_.failed_gap();
+      return false;
+    }
+    cut = true;
+    history_.reset();
+    done += finder_.event().alpha * remaining;
+    remaining = finder_.event().alpha >= 1.0 ? 0.0 : options_.dt - done;
+    q_ = finder_.event().q;
+    p_ = finder_.event().p;
+    if (!resolve_event(start + done, recording)) return false;
+  }
+  ++step_;
+  if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, time(), "the state is not finite");
+  return true;
+}
+
+bool Simulator::resolve_event(double time, Recording& recording) {
+  if (!collect_closed(time) || !hit_until_separate(time, recording)) return false;
+  for (int i = 0; i < closed_count_; ++i) finder_.set_touching(closed_[i].guard, true);
+  return judge_accumulation(time);
+}
+
+// Contacts that are closed at the event, with their gradients and inverse inertias.
+bool Simulator::collect_closed(double time) {
+  closed_count_ = 0;
+  guards_.place(q_);
+  if (!integrator_.node_velocity(q_, p_, v_))
+    return end(StatusCode::kNewtonFailed, time, "the mass matrix is not positive definite");
+  for (int g : finder_.active()) {
+    Contact contact;
+    const double gap = guards_.evaluate(g, contact);
+    if (g != finder_.event().guard && !(gap <= guards_.touch_tolerance(g))) continue;
+    if (closed_count_ == static_cast<int>(closed_.size()))
+      closed_.push_back({0, contact, VecX(scene_->tree.nv), VecX(scene_->tree.nv), 0.0, false});
+    Closed& c = closed_[closed_count_++];
+    c.guard = g;
+    c.contact = contact;
+    c.hit = false;
+    guards_.gradient(g, contact, c.W);
+    c.MinvW = c.W;
+    integrator_.mass().solve(c.MinvW);
+    c.G_c = c.W.dot(c.MinvW);
+  }
+  return true;
+}
+
+// Single impacts, always at the contact that closes fastest, until every closed contact separates.
+bool Simulator::hit_until_separate(double time, Recording& recording) {
+  double scale = 0.0;
+  for (int i = 0; i < closed_count_; ++i) scale = std::max(scale, std::abs(closed_[i].MinvW.dot(p_)));
+  speed_scale_ = std::max(speed_scale_, scale);
+  // A contact that never separated is not hit again by what rounding left of its speed.
+  if (finder_.event().persistent && scale <= kPlasticSpeed * speed_scale_) return true;
+  for (;;) {
+    Closed* worst = nullptr;
+    double gamma = -kSeparated * scale;
+    for (int i = 0; i < closed_count_; ++i) {
+      const double candidate = closed_[i].MinvW.dot(p_);
+      if (candidate < gamma) {
+        gamma = candidate;
+        worst = &closed_[i];
+      }
+    }
+    if (worst == nullptr) return true;
+    const double e = gamma > -kPlasticSpeed * scale ? 0.0 : scene_->restitution(worst->guard);
+    ImpactRecord record{time, worst->guard, Vec3::Zero(), worst->contact.normal, 0, gamma, 0, worst->G_c, worst->contact.gap, e,
+                        0, step_, q_, p_, p_};
+    record.point = 0.5 * (worst->contact.point_a + worst->contact.point_b);
+    const ImpactResult result = impact_ctec({integrator_.mass(), worst->W, worst->MinvW, gamma, worst->G_c, e}, p_);
+    if (!result.ok) return end(StatusCode::kNotFinite, time, "an impact has no finite impulse", worst->guard);
+    worst->hit = true;
+    record.impulse = result.impulse;
+    record.gamma_plus = worst->MinvW.dot(p_);
+    record.iterations = result.iterations;
+    record.p_plus = p_;
+    recording.impacts.push_back(std::move(record));
+    ++impacts_;
+    if (++impacts_in_step_ > options_.max_impacts_per_step)
+      return end(StatusCode::kTooManyImpacts, time, "too many impacts in one step", worst->guard);
+  }
+}
+
+bool Simulator::judge_accumulation(double time) {
+  const Event& event = finder_.event();
+  bool any = false;
+  for (int i = 0; i < closed_count_; ++i) {
+    if (!closed_[i].hit) continue;
+    any = true;
+    const int guard = closed_[i].guard;
+    Bouncing& b = bouncing_[guard];
+    const double flight = time - b.last_time;
+    if (b.hits > 0 && flight > 0.0) {
+      const bool shorter = b.hits > 1 && flight < b.last_flight;
+      b.contracting = shorter ? b.contracting + 1 : 0;
+      const double e = scene_->restitution(guard);
+      if (e < 1.0 && b.contracting >= kZenoFlights && e * flight < kZenoFlight * options_.dt) {
+        end(StatusCode::kZeno, time, "impacts accumulate", guard);
+        // Flights shrink geometrically; their measured ratio, not e, is right for articulated bodies too.
+        const double ratio = flight / b.last_flight;
+        status_.accumulation_time = time + flight * ratio / (1.0 - ratio);
+        return false;
+      }
+      b.last_flight = flight;
+    }
+    b.last_time = time;
+    ++b.hits;
+  }
+  if (!any && event.persistent) {
+    end(StatusCode::kZeno, time, "a contact stays closed", event.guard);
+    status_.accumulation_time = time;
+    return false;
+  }
+  return true;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,98 @@
+// The event loop: smooth steps, events, impacts, and the status a run ends with.
+#pragma once
+
+#include <functional>
+
+#include "error.hpp"
+#include "event.hpp"
+#include "impact.hpp"
+
+namespace contactvi {
+
+struct SimulatorOptions {
+  double dt = 1e-3;      // [s]
+  double tol = 1e-12;    // of the discrete Euler-Lagrange residual, relative
+  int impact = 0;        // map: 0 CTEC
+  int max_iterations = 30;
+  long max_impacts_per_step = 100000;
+};
+
+// One impact, engine coordinates.
+struct ImpactRecord {
+  double time;
+  int guard;
+  Vec3 point, normal;
+  double impulse, gamma_minus, gamma_plus, G_c, gap, restitution;
+  int iterations;
+  long step;
+  VecX q, p_minus, p_plus;
+};
+
+// Nodes and impacts of a run; grows as the run goes on.
+struct Recording {
+  std::vector<double> t, q, p;  // row-major (N, nq), (N, nv), engine coordinates
+  std::vector<ImpactRecord> impacts;
+};
+
+// Called now and then with (time, impacts so far); false asks the run to stop.
+using Progress = std::function<bool(double, long)>;
+
+class Simulator {
+ public:
+  Simulator(const Scene& scene, const SimulatorOptions& options);
+
+  // State in engine coordinates. Fails with kPenetration or kNotFinite.
+  Status reset(const VecX& q, const VecX& v, double t);
+  // steps steps of dt with the generalized force tau (steps x nv, public coordinates, or empty) constant over each; nodes are
+  // recorded every record_every steps. The run may end early: see the status.
+  Status advance(long steps, const MatX& tau, long record_every, const Progress& progress, Recording& recording);
+
+  double time() const { return t0_ + static_cast<double>(step_) * options_.dt; }
+  const VecX& q() const { return q_; }
+  const VecX& p() const { return p_; }
+  const Scene& scene() const { return *scene_; }
+  const SimulatorOptions& options() const { return options_; }
+  const StepCounters& step_counters() const { return integrator_.counters; }
+  const GuardCounters& guard_counters() const { return guards_.counters; }
+  long steps() const { return step_; }
+  long impacts() const { return impacts_; }
+
+ private:
+  // What is known of the bouncing of one guard, to tell accumulation from chatter.
+  struct Bouncing {
+    double last_time = 0, last_flight = 0;
+    int hits = 0, contracting = 0;
+  };
+  // One closed contact during the resolution of an event.
+  struct Closed {
+    int guard;
+    Contact contact;
+    VecX W, MinvW;
+    double G_c;
+    bool hit;
+  };
+
+  bool one_step(const VecX& tau, Recording& recording);
+  bool resolve_event(double time, Recording& recording);
+  bool collect_closed(double time);
+  bool hit_until_separate(double time, Recording& recording);
+  bool judge_accumulation(double time);
+  bool end(StatusCode code, double time, std::string message, int guard = -1);
+
+  const Scene* scene_;
+  SimulatorOptions options_;
+  Integrator integrator_;
+  Guards guards_;
+  EventFinder finder_;
+  Extrapolation history_;
+  VecX q_, p_, q1_, p1_, v_, guess_;
+  double t0_ = 0;
+  double speed_scale_ = 0;  // largest closing speed of a closed contact so far
+  long step_ = 0, impacts_ = 0, impacts_in_step_ = 0;
+  std::vector<Bouncing> bouncing_;
+  std::vector<Closed> closed_;
+  int closed_count_ = 0;
+  Status status_;
+};
+
+}  // namespace contactvi
