@@ -100,7 +100,10 @@ def _is_package(folder: Path, name: str) -> bool:
 
 
 def package_candidates(name: str, start: Path, package_dirs: Sequence[object] = ()) -> Iterator[Path]:
-    """Yield existing folders that may be package `name`, the most trusted first. `start` is the mentioning file's folder."""
+    """Yield existing folders that may be package `name`, the most trusted first.
+
+    `start` is the folder of the file that mentions the package.
+    """
     ros_path = [Path(p) for p in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if p]
     given = [Path(str(p)).expanduser() for p in package_dirs]
     ancestors = [start, *start.parents]
@@ -125,7 +128,7 @@ def resolve_resource(url: str, start: Path, package_dirs: Sequence[object] = ())
 
     Parameters
     ----------
-    url : `package://`, `model://`, `file://`, `example-robot-data://`, absolute or relative path as written in the file.
+    url : as written in the file: `package://`, `model://`, `file://`, `example-robot-data://`, or a path.
     start : folder of the file that mentions it.
 
     Raises
@@ -168,7 +171,7 @@ def resolve_resource(url: str, start: Path, package_dirs: Sequence[object] = ())
 
 
 def portable(path: str | os.PathLike[str]) -> str:
-    """Return `example-robot-data://...` for a file of that package, else the path unchanged: survives a move of machines."""
+    """Return `example-robot-data://...` for a file of that package (valid on every machine), else the path."""
     try:
         inside = Path(path).resolve().relative_to(example_robot_data_share() / ROBOT_DATA)
     except (ValueError, SceneError):

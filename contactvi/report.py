@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Container, Iterator
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 Use = Literal["used", "changed", "ignored", "refused", "suspicious"]
@@ -91,6 +91,11 @@ class PartReport:
         found = Note(use, topic, name, text)
         if found not in self.notes:
             self.notes.append(found)
+
+    def without(self, use: Use, names: Container[str], start: str) -> PartReport:
+        """Return a copy without the findings about `names` whose text begins with `start`: something replaced them."""
+        kept = [n for n in self.notes if not (n.use == use and n.name in names and n.text.startswith(start))]
+        return replace(self, notes=kept)
 
 
 @dataclass

@@ -1,0 +1,399 @@
+"""The scene: models, primitives, contact data and joint springs, assembled into one pin.Model."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from contactvi import parts as shapes
+from contactvi.assembly import Assembly, assemble, assemble_visual
+from contactvi.contact_rules import FRICTION, RESTITUTION, Rule
+from contactvi.errors import InputError
+from contactvi.importers import import_mjcf, import_pinocchio, import_urdf
+from contactvi.inputs import pose, real, vector
+from contactvi.joints import JointSettings, joint_settings, joint_value, joint_velocity
+from contactvi.parts import Part, check_new_names, shape_part
+from contactvi.report import ImportReport
+from contactvi.scene_build import Built, Edits, build, engine_scene, scene_report
+from contactvi.selection import BodyHandle, Names, PartHandle, Selector
+
+if TYPE_CHECKING:
+    from contactvi import _core
+
+GRAVITY = (0.0, 0.0, -9.81)
+
+
+class Scene:
+    """A set of rigid bodies with joints, contact geometry and contact data.
+
+    Parameters
+    ----------
+    gravity : acceleration of free fall [m/s^2], world frame, shape (3,).
+
+    Attributes
+    ----------
+    q0, v0 : start of a run, shapes (nq,), (nv,); None unless the scene comes from a file.
+    settings : settings of a run from the scene file (dt, duration, ...); empty otherwise.
+    """
+
+    def __init__(self, gravity: Sequence[float] = GRAVITY) -> None:
+        self.gravity = vector("gravity", gravity, 3)
+        self.q0: np.ndarray | None = None
+        self.v0: np.ndarray | None = None
+        self.settings: dict[str, Any] = {}
+        self._parts: list[Part] = []
+        self._groups: dict[str, PartHandle] = {}  # names that stand for several bodies
+        self._edits = Edits(Rule(RESTITUTION), Rule(FRICTION))
+        self._base: tuple[Assembly, Names] | None = None  # of the parts alone
+        self._built: Built | None = None  # of everything; dropped by every edit
+        self._visual: pin.GeometryModel | None = None
+
+    # -- adding ---------------------------------------------------------------------------------------------------
+
+    def add_urdf(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        base: str = "fixed",
+        placement: Any = None,
+        package_dirs: Sequence[str | os.PathLike[str]] = (),
+        srdf: str | os.PathLike[str] | None = None,
+        prefix: str = "",
+    ) -> PartHandle:
+        """Add a URDF model. Meshes become convex hulls, mimic joints become independent (see `report`).
+
+        Parameters
+        ----------
+        path : file, or `package://...`, `example-robot-data://robots/...`.
+        base : "fixed" to the world or "free" (a free-flyer named root_joint).
+        placement : of the base in the world: None, xyz [m], (xyz, rpy [rad]), 7 numbers (xyz, quaternion xyzw) or
+            pin.SE3. For a free base it is where neutral() puts it.
+        package_dirs : folders in which to look for packages first.
+        srdf : file whose disable_collisions are left out of the collision pairs.
+        prefix : put before all names, to add the same model twice.
+
+        Raises
+        ------
+        SceneError, UnsupportedJointError, InputError
+        """
+        dirs = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else list(package_dirs)
+        where = pose("placement", placement)
+        part = import_urdf(path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix)
+        return self._add(part)
+
+    def add_mjcf(self, path: str | os.PathLike[str], *, placement: Any = None, prefix: str = "") -> PartHandle:
+        """Add an MJCF model: bodies, joints, geometries; planes are halfspaces. Arguments and errors as in add_urdf."""
+        return self._add(import_mjcf(path, placement=pose("placement", placement), prefix=prefix))
+
+    def add_sphere(
+        self, name: str, radius: float, mass: float = 1.0, free: bool = True, placement: Any = None, color: Any = None
+    ) -> BodyHandle:
+        """Add a solid sphere: radius [m], mass [kg]. `free`: moves freely, else fixed to the world.
+
+        `placement` as in add_urdf (for a free body the pose that neutral() gives it), color rgba in 0..1.
+        """
+        return self._add_shape(name, shapes.sphere(name, radius, mass), free, placement, color)
+
+    def add_box(
+        self,
+        name: str,
+        size: Sequence[float],
+        mass: float = 1.0,
+        free: bool = True,
+        placement: Any = None,
+        color: Any = None,
+    ) -> BodyHandle:
+        """Add a solid box: full edge lengths [m], shape (3,). The rest as in add_sphere."""
+        return self._add_shape(name, shapes.box(name, size, mass), free, placement, color)
+
+    def add_capsule(
+        self,
+        name: str,
+        radius: float,
+        length: float,
+        mass: float = 1.0,
+        free: bool = True,
+        placement: Any = None,
+        color: Any = None,
+    ) -> BodyHandle:
+        """Add a solid capsule along z: radius, length without the caps [m]. The rest as in add_sphere."""
+        return self._add_shape(name, shapes.capsule(name, radius, length, mass), free, placement, color)
+
+    def add_cylinder(
+        self,
+        name: str,
+        radius: float,
+        length: float,
+        mass: float = 1.0,
+        free: bool = True,
+        placement: Any = None,
+        color: Any = None,
+    ) -> BodyHandle:
+        """Add a solid cylinder along z: radius, length [m]. The rest as in add_sphere."""
+        return self._add_shape(name, shapes.cylinder(name, radius, length, mass), free, placement, color)
+
+    def add_halfspace(
+        self, normal: Sequence[float] = (0.0, 0.0, 1.0), offset: float = 0.0, name: str = "ground", color: Any = None
+    ) -> BodyHandle:
+        """Add the solid halfspace n . x <= offset [m], fixed to the world; n is the normal made a unit vector."""
+        shape = shapes.halfspace(normal, offset, name)
+        return self._add(shape_part(name, shape, None, pin.SE3.Identity(), color), BodyHandle)
+
+    @classmethod
+    def from_pinocchio(
+        cls,
+        model: pin.Model,
+        collision_model: pin.GeometryModel | None = None,
+        visual_model: pin.GeometryModel | None = None,
+        name: str | None = None,
+    ) -> Scene:
+        """Return a scene with (a copy of) any pin.Model, with its gravity.
+
+        Collision pairs in `collision_model` are taken as they are; without any, the default choice is made.
+        """
+        part = import_pinocchio(model, collision_model, visual_model, name)
+        scene = cls(model.gravity.linear)
+        scene._add(part)
+        return scene
+
+    def _add_shape(self, name: str, body: Any, free: bool, placement: Any, color: Any) -> BodyHandle:
+        shape, inertia = body
+        where = pose("placement", placement)
+        return self._add(shape_part(name, shape, inertia if free else None, where, color), BodyHandle)
+
+    def _add(self, part: Part, handle_type: type = PartHandle) -> Any:
+        check_new_names(part, self._parts)
+        handle = handle_type(
+            part.name, tuple(part.joint_names()), tuple(part.body_names()), tuple(part.geometry_names())
+        )
+        self._parts.append(part)
+        self._groups[part.name] = handle
+        self._base = self._built = self._visual = None
+        return handle
+
+    # -- contact and joints ---------------------------------------------------------------------------------------
+
+    def set_contact(
+        self,
+        a: Selector | None = None,
+        b: Selector | None = None,
+        *,
+        restitution: float | None = None,
+        friction: float | None = None,
+    ) -> None:
+        """Set restitution in [0, 1] and Coulomb friction >= 0 (stored, not used yet) of contacts.
+
+        Without a and b: the scene's default (and that of joint limits). With a: of one body, part or geometry. With
+        a and b: of the contacts between them. A pair uses its own value, else the smaller one of its two sides' values,
+        else the default.
+        """
+        if a is None and b is not None:
+            a, b = b, None
+        first = None if a is None else self._geometries(a, "a")
+        second = None if b is None else self._geometries(b, "b")
+        checked = []
+        if restitution is not None:
+            checked.append((self._edits.restitution, real("restitution", restitution, 0.0, 1.0)))
+        if friction is not None:
+            checked.append((self._edits.friction, real("friction", friction, 0.0)))
+        for rule, value in checked:
+            if first is None:
+                rule.default = value
+            elif second is None:
+                rule.set_single(first, value)
+            else:
+                rule.set_pair(first, second, value)
+        self._built = None
+
+    def set_joint(
+        self,
+        joint: Selector,
+        *,
+        stiffness: float | None = None,
+        rest: Any = None,
+        damping: Any = None,
+        limits: bool | Sequence[float] | None = None,
+        restitution: float | None = None,
+    ) -> None:
+        """Set spring, damping and limits of a joint, of all joints that match a pattern, or of a part's joints.
+
+        Parameters
+        ----------
+        stiffness : [N m/rad or N/m]; for 1-dof, spherical and translation joints.
+        rest : value of the joint where the spring rests (as in `configuration`); neutral when not given.
+        damping : [N m s/rad or N s/m], replaces the file's; free and planar joints also take (linear, angular).
+        limits : whether the model's limits stop the joint, or new ones (lower, upper).
+        restitution : of impacts at the limits, in [0, 1]; the default contact restitution when not given.
+        """
+        assembly, names = self._assembled()
+        chosen = names.select_joints(joint)
+        values = (stiffness, rest, damping, limits, restitution)
+        new = {name: joint_settings(assembly.model, name, *values) for name in chosen}
+        for name, settings in new.items():
+            self._edits.joints.setdefault(name, JointSettings()).update(settings)
+        self._built = None
+
+    def disable_pair(self, a: Selector, b: Selector) -> None:
+        """Take all pairs between a and b out of the collision pairs."""
+        self._switch_pair(a, b, self._edits.disabled)
+
+    def enable_pair(self, a: Selector, b: Selector) -> None:
+        """Put all pairs between a and b into the collision pairs, whatever the default choice says."""
+        self._switch_pair(a, b, self._edits.enabled)
+
+    def _switch_pair(self, a: Selector, b: Selector, pairs: list[tuple[str, str]]) -> None:
+        others = self._geometries(b, "b")
+        new = [(x, y) for x in self._geometries(a, "a") for y in others if x != y]
+        for listed in (self._edits.disabled, self._edits.enabled):  # the last call wins
+            listed[:] = [pair for pair in listed if pair not in new and pair[::-1] not in new]
+        pairs += new
+        self._built = None
+
+    def _geometries(self, selector: Selector, argument: str) -> list[str]:
+        names = self._assembled()[1]
+        all_names = list(names.geometries)
+        return [all_names[index] for index in names.select_geometries(selector, argument)]
+
+    # -- the assembled scene --------------------------------------------------------------------------------------
+
+    def _assembled(self) -> tuple[Assembly, Names]:
+        if self._base is None:
+            assembly = assemble(self._parts, self.gravity)
+            self._base = assembly, Names(assembly.model, assembly.collision, self._groups)
+        return self._base
+
+    def _complete(self) -> Built:
+        if self._built is None:
+            assembly, names = self._assembled()
+            self._built = build(assembly, self._parts, names, self._edits)
+        return self._built
+
+    @property
+    def model(self) -> pin.Model:
+        """The assembled model, with the damping and the limits that are simulated. Treat it as constant."""
+        return self._complete().model
+
+    @property
+    def collision_model(self) -> pin.GeometryModel:
+        """The collision geometry (convex shapes) with the tested collision pairs."""
+        return self._complete().collision
+
+    @property
+    def visual_model(self) -> pin.GeometryModel:
+        """The pictures; loaded on first use. Halfspaces are plates."""
+        if self._visual is None:
+            self._visual = assemble_visual(self._parts, self._assembled()[0].model)
+        return self._visual
+
+    @property
+    def nq(self) -> int:
+        return int(self._assembled()[0].model.nq)
+
+    @property
+    def nv(self) -> int:
+        return int(self._assembled()[0].model.nv)
+
+    @property
+    def pair_names(self) -> list[tuple[str, str]]:
+        """The tested pairs (geometry, geometry), in the engine's order."""
+        return list(self._complete().pairs)
+
+    @property
+    def pair_restitution(self) -> np.ndarray:
+        """Restitution of each tested pair, shape (npairs,)."""
+        return self._complete().restitution.copy()
+
+    @property
+    def pair_friction(self) -> np.ndarray:
+        """Coulomb friction of each tested pair (stored, not used yet), shape (npairs,)."""
+        return self._complete().friction.copy()
+
+    @property
+    def parts(self) -> list[PartHandle]:
+        """Handles of what was added, in order."""
+        return list(self._groups.values())
+
+    @property
+    def report(self) -> ImportReport:
+        """What of the models is used, changed, ignored, suspicious; pairs that are not tested; rounded shapes."""
+        try:
+            rounding = list(self.core().rounding)
+        except ImportError:  # the package is used from its sources, without the engine
+            rounding = None
+        return scene_report(self._parts, self._complete(), self._edits.joints, rounding)
+
+    def core(self) -> _core.Scene:
+        """Return the engine's scene, built on first use and again after an edit."""
+        built = self._complete()
+        if built.core is None:
+            built.core = engine_scene(built)
+        return built.core
+
+    # -- states ---------------------------------------------------------------------------------------------------
+
+    def neutral(self) -> np.ndarray:
+        """Return the neutral configuration, shape (nq,): joints at zero or the nearest limit, free bodies as placed."""
+        return self._complete().start.copy()
+
+    def q_index(self, joint: Selector) -> slice:
+        """Return where a joint's numbers lie in q."""
+        model, name = self.model, self._one_joint(joint)
+        index = model.getJointId(name)
+        return slice(model.idx_qs[index], model.idx_qs[index] + model.nqs[index])
+
+    def v_index(self, joint: Selector) -> slice:
+        """Return where a joint's numbers lie in v."""
+        model, name = self.model, self._one_joint(joint)
+        index = model.getJointId(name)
+        return slice(model.idx_vs[index], model.idx_vs[index] + model.nvs[index])
+
+    def configuration(self, values: Mapping[Any, Any], base: np.ndarray | None = None) -> np.ndarray:
+        """Return `base` (neutral when None) with the values of some joints, shape (nq,).
+
+        Keys: joint names, patterns, handles. Values: rad or m; free body: xyz, (xyz, rpy), xyz + quaternion xyzw or
+        pin.SE3; spherical: quaternion xyzw; planar: x, y, angle; translation: x, y, z.
+        """
+        model = self.model
+        q = self.neutral() if base is None else vector("base", base, model.nq)
+        for selector, value in values.items():
+            for name in self._assembled()[1].select_joints(selector):
+                q[self.q_index(name)] = joint_value(model, name, value)
+        return q
+
+    def velocity(self, values: Mapping[Any, Any], q: np.ndarray | None = None) -> np.ndarray:
+        """Return the velocity of some joints, zero for the others, shape (nv,), Pinocchio coordinates.
+
+        Values: rad/s or m/s; free body: linear or (linear, angular) in world axes at configuration q; else 3 numbers.
+        """
+        model = self.model
+        q = self.neutral() if q is None else vector("q", q, model.nq)
+        v = np.zeros(model.nv)
+        for selector, value in values.items():
+            for name in self._assembled()[1].select_joints(selector):
+                v[self.v_index(name)] = joint_velocity(model, name, value, q)
+        return v
+
+    def _one_joint(self, joint: Selector) -> str:
+        found = self._assembled()[1].select_joints(joint)
+        if len(found) != 1:
+            raise InputError(f"Joint {str(joint)!r}", name="joint", expected="one joint", got=f"{len(found)}")
+        return found[0]
+
+    # -- plain data -----------------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a complete description in plain data (see scene_data.py); from_dict makes the same scene of it."""
+        from contactvi.scene_data import scene_to_dict
+
+        return scene_to_dict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Scene:
+        """Return the scene of to_dict. Raises SceneError when the data are not such a description."""
+        from contactvi.scene_data import scene_from_dict
+
+        return scene_from_dict(data)

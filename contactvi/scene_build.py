@@ -1,0 +1,129 @@
+"""What a scene becomes once it is complete: one model with its pairs, joint arrays, report and engine scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from contactvi.assembly import Assembly
+from contactvi.contact_rules import Rule
+from contactvi.errors import ContactviError
+from contactvi.joints import JointArrays, JointSettings, apply_settings
+from contactvi.pairs import choose_pairs
+from contactvi.parts import Part
+from contactvi.report import ImportReport, Note, RemovedPair, number
+from contactvi.selection import Names
+
+if TYPE_CHECKING:
+    from contactvi import _core
+
+
+@dataclass
+class Edits:
+    """What the user said beyond the parts: contact rules, joint settings, pairs switched off and on (by name)."""
+
+    restitution: Rule
+    friction: Rule
+    joints: dict[str, JointSettings] = field(default_factory=dict)
+    disabled: list[tuple[str, str]] = field(default_factory=list)
+    enabled: list[tuple[str, str]] = field(default_factory=list)
+
+
+@dataclass
+class Built:
+    """A complete scene. `start`: neutral configuration (nq,); `pairs`: names of the tested pairs, engine order."""
+
+    model: pin.Model
+    collision: pin.GeometryModel
+    start: np.ndarray
+    arrays: JointArrays
+    pairs: list[tuple[str, str]]
+    removed: list[RemovedPair]
+    restitution: np.ndarray
+    friction: np.ndarray
+    core: _core.Scene | None = None
+
+
+def build(base: Assembly, parts: Sequence[Part], names: Names, edits: Edits) -> Built:
+    """Return the complete scene; `base` is left as it is."""
+    model, start = base.model.copy(), base.start.copy()
+    arrays = apply_settings(model, start, edits.joints, edits.restitution.default)
+    collision = pin.GeometryModel(base.collision)
+    assembly = Assembly(
+        model, collision, start, base.part_of_joint, base.part_of_geometry, base.root_of_joint, base.placed
+    )
+    index = names.geometries
+    disabled = [(index[a], index[b]) for a, b in edits.disabled]
+    removed = choose_pairs(assembly, parts, disabled, [(index[a], index[b]) for a, b in edits.enabled])
+    geometry_names = list(index)
+    pairs = [(geometry_names[p.first], geometry_names[p.second]) for p in collision.collisionPairs]
+    return Built(
+        model,
+        collision,
+        start,
+        arrays,
+        pairs,
+        removed,
+        edits.restitution.values(pairs),
+        edits.friction.values(pairs),
+    )
+
+
+def engine_scene(built: Built) -> _core.Scene:
+    """Return the engine's constant scene; its internal faults become ContactviErrors."""
+    from contactvi import _core
+
+    try:
+        return _core.Scene(
+            to_bytes(built.model),
+            to_bytes(built.collision),
+            built.restitution,
+            built.arrays.stiffness,
+            built.arrays.rest,
+            np.asarray(built.model.damping),
+            built.arrays.limits,
+            built.arrays.limit_restitution,
+        )
+    except _core.CoreError as error:
+        raise ContactviError("The engine refuses the scene", got=str(error)) from error
+
+
+def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
+    """Return Pinocchio's own binary archive, the only form in which models cross to C++ (in one process)."""
+    buffer = pin.serialization.StreamBuffer()
+    item.saveToBinary(buffer)
+    return bytes(buffer.tobytes())
+
+
+def scene_report(
+    parts: Sequence[Part], built: Built, joints: Mapping[str, JointSettings], rounding: Sequence[float] | None
+) -> ImportReport:
+    """Return the report: what the parts found, joint settings that replace file data, pairs, rounding [m] per pair."""
+    damped = {name for name, settings in joints.items() if settings.damping is not None}
+    found = [part.report.without("suspicious", damped, "damping") for part in parts]
+    report = ImportReport(found, list(built.pairs), list(built.removed))
+    for name, settings in joints.items():
+        if settings.damping is not None:
+            text = f"damping set to {number(float(np.max(settings.damping)))}, whatever the file says"
+            report.notes.append(Note("changed", "joint", name, text))
+        if settings.limits is not None:
+            text = "limits not used" if settings.limits is False else "limits set"
+            report.notes.append(Note("changed", "joint", name, text))
+        if settings.stiffness:
+            text = f"spring of {number(settings.stiffness)} N m/rad or N/m"
+            report.notes.append(Note("used", "joint", name, text))
+    if rounding is not None and len(rounding):
+        rounded = [float(r) for r in rounding if r > 0.0]
+        if rounded:
+            text = f"edges rounded with radius {_range(rounded)} m inside the shape, for exact normals"
+            report.notes.append(Note("changed", "pairs", f"{len(rounded)} of {len(rounding)}", text))
+    return report
+
+
+def _range(values: Sequence[float]) -> str:
+    low, high = number(min(values)), number(max(values))
+    return low if low == high else f"{low} to {high}"

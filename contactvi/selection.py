@@ -1,0 +1,148 @@
+"""Names in a scene: handles, and what a name, a pattern or a handle selects."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import pinocchio as pin
+
+from contactvi.errors import InputError, did_you_mean
+
+_PATTERN = ("*", "?", "[")
+
+
+@dataclass(frozen=True)
+class PartHandle:
+    """What an added model consists of: names of its joints, bodies and collision geometries (with the prefix)."""
+
+    name: str
+    joints: tuple[str, ...] = ()
+    bodies: tuple[str, ...] = ()
+    geometries: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True)
+class BodyHandle(PartHandle):
+    """A single body: a primitive or a halfspace."""
+
+    @property
+    def joint(self) -> str | None:
+        """Name of its free joint, None when it is fixed to the world."""
+        return self.joints[0] if self.joints else None
+
+
+Selector = str | PartHandle
+
+
+class Names:
+    """The names of an assembled scene, and what selectors mean in it.
+
+    A selector is a handle, the name of a part, a body, a geometry or a joint (the first kind that has it), or a
+    pattern with * ? [] over these names.
+    """
+
+    def __init__(
+        self, model: pin.Model, collision: pin.GeometryModel, parts: Mapping[str, PartHandle] | None = None
+    ) -> None:
+        self.parts = dict(parts or {})
+        self.joints = list(model.names)[1:]
+        self.bodies: dict[str, list[int]] = {}
+        self.by_joint: dict[str, list[int]] = {name: [] for name in self.joints}
+        for frame in model.frames:
+            if frame.type == pin.FrameType.BODY:
+                self.bodies[frame.name] = []
+        self.geometries: dict[str, int] = {}
+        for index, geometry in enumerate(collision.geometryObjects):
+            self.geometries[geometry.name] = index
+            self.bodies.setdefault(model.frames[geometry.parentFrame].name, []).append(index)
+            if geometry.parentJoint:
+                self.by_joint[model.names[geometry.parentJoint]].append(index)
+
+    def select_geometries(self, selector: Selector, argument: str) -> list[int]:
+        """Return the indices of the selected collision geometries.
+
+        Raises
+        ------
+        InputError : unknown name, or nothing of it can touch anything.
+        """
+        found = self._geometries(selector)
+        if found is None:
+            known = [*self.parts, *self.bodies, *self.geometries, *self.joints]
+            raise InputError(
+                f"Unknown {argument}",
+                name=argument,
+                expected="a handle, or the name of a part, body, geometry or joint",
+                got=repr(selector if isinstance(selector, str) else getattr(selector, "name", selector)),
+                remedy=did_you_mean(str(selector), dict.fromkeys(known)),
+            )
+        if not found:
+            raise InputError(
+                f"{str(selector)!r} has no collision geometry",
+                name=argument,
+                expected="a body with a shape",
+                got="none",
+            )
+        return found
+
+    def _geometries(self, selector: Selector) -> list[int] | None:
+        if isinstance(selector, PartHandle):
+            if not all(name in self.geometries for name in selector.geometries):
+                return None
+            return [self.geometries[name] for name in selector.geometries]
+        if not isinstance(selector, str):
+            return None
+        if selector in self.parts:
+            return [self.geometries[name] for name in self.parts[selector].geometries]
+        if selector in self.bodies:
+            return list(self.bodies[selector])
+        if selector in self.geometries:
+            return [self.geometries[selector]]
+        if selector in self.by_joint:
+            return list(self.by_joint[selector])
+        if not is_pattern(selector):
+            return None
+        found = {index for name, index in self.geometries.items() if fnmatch.fnmatchcase(name, selector)}
+        for name in matching(selector, self.bodies):
+            found.update(self.bodies[name])
+        return sorted(found) or None
+
+    def select_joints(self, selector: Selector, argument: str = "joint") -> list[str]:
+        """Return the names of the selected joints: a joint name, a pattern over them, or a part (all its joints).
+
+        Raises
+        ------
+        InputError : unknown name, or a part without joints.
+        """
+        found: list[str] = []
+        if isinstance(selector, PartHandle):
+            found = [name for name in selector.joints if name in self.by_joint]
+        elif isinstance(selector, str) and selector in self.by_joint:
+            found = [selector]
+        elif isinstance(selector, str) and selector in self.parts:
+            found = list(self.parts[selector].joints)
+        elif isinstance(selector, str) and is_pattern(selector):
+            found = matching(selector, self.joints)
+        if not found:
+            raise InputError(
+                f"Unknown {argument}",
+                name=argument,
+                expected="the name of a joint, a pattern, or a part with joints",
+                got=repr(str(selector)),
+                remedy=did_you_mean(str(selector), [*self.joints, *self.parts]),
+            )
+        return found
+
+
+def is_pattern(text: str) -> bool:
+    """Return whether a name is a pattern such as joint_*."""
+    return any(mark in text for mark in _PATTERN)
+
+
+def matching(pattern: str, names: Iterable[str]) -> list[str]:
+    """Return the names that match a pattern, in their order."""
+    return [name for name in names if fnmatch.fnmatchcase(name, pattern)]

@@ -1,0 +1,100 @@
+"""Read an XML model file and check the numbers in it, before a parser that drops what it cannot read sees it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+
+from contactvi.errors import SceneError
+
+Element = ElementTree.Element
+
+
+def read_xml(path: Path, root_tag: str, kind: str) -> Element:
+    """Return the root element of an XML file.
+
+    Raises
+    ------
+    SceneError : not readable, broken XML (with the line), or the root is not `root_tag`.
+    """
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise SceneError(
+            f"Broken XML in {path.name}", path=path, expected="well-formed XML", got=str(error), remedy="Mend that line"
+        ) from None
+    except (OSError, UnicodeDecodeError, LookupError, ValueError) as error:
+        raise SceneError(f"Cannot read {path}", path=path, got=str(error)) from None
+    if root.tag != root_tag:
+        remedies = {
+            "robot": "This is a URDF: use add_urdf",
+            "mujoco": "This is an MJCF: use add_mjcf",
+            "sdf": "SDF is not supported: convert it to URDF",
+        }
+        raise SceneError(
+            f"{path.name} is not {kind}",
+            path=path,
+            expected=f"the root element <{root_tag}>",
+            got=f"<{root.tag}>",
+            remedy=remedies.get(root.tag),
+        )
+    return root
+
+
+def numbers(element: Element, key: str, path: Path, where: str, count: int | None = None) -> list[float] | None:
+    """Return the finite numbers of an attribute, None when it is absent.
+
+    Raises
+    ------
+    SceneError : not numbers, not finite, or not `count` of them.
+    """
+    text = element.get(key)
+    if text is None:
+        return None
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = [math.nan]
+    if not values or not all(math.isfinite(v) for v in values) or (count is not None and len(values) != count):
+        raise SceneError(
+            f"{path.name}: {key} of <{element.tag}> in {where}",
+            path=path,
+            expected=f"{count if count is not None else 'some'} finite number(s)",
+            got=repr(text),
+            remedy="Mend the file",
+        )
+    return values
+
+
+def check_positive(element: Element, key: str, path: Path, where: str, count: int) -> None:
+    """Raise a SceneError unless the attribute is there and all its numbers are > 0."""
+    values = numbers(element, key, path, where, count)
+    if values is None or min(values) <= 0.0:
+        raise SceneError(
+            f"{path.name}: {key} of <{element.tag}> in {where}",
+            path=path,
+            expected=f"{count} number(s) > 0",
+            got=repr(element.get(key)),
+            remedy="Mend the file",
+        )
+
+
+def named(elements: list[Element], path: Path, kind: str) -> dict[str, Element]:
+    """Return the elements by name.
+
+    Raises
+    ------
+    SceneError : one without a name, or two of the same name.
+    """
+    found: dict[str, Element] = {}
+    for element in elements:
+        name = element.get("name", "")
+        if not name:
+            raise SceneError(f"{path.name}: a {kind} without a name", path=path, expected="a name", got="none")
+        if name in found:
+            raise SceneError(
+                f"{path.name}: two {kind}s are called {name!r}", path=path, expected="distinct names", got=repr(name)
+            )
+        found[name] = element
+    return found
