@@ -34,13 +34,20 @@ class Integrator {
 
  private:
   bool refresh(double h);
+  bool refresh_pays(double rate, double digits) const;
+  // Newton with the exact matrix, by differences, and a line search: slow, for steps that the quick way cannot take.
+  bool solve_carefully(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  // Norms of the residual just evaluated; false if they are not finite.
+  bool measure(double h, double& error2, double& scale2);
 
   const Tree* tree_;
   double tol_;
   int max_iterations_;
   StepWorkspace ws_;
   TreeLu matrix_, mass_;
-  double matrix_h_ = -1.0;  // step that matrix_ was factored for, < 0: none
+  double matrix_h_ = -1.0;     // step that matrix_ was factored for, < 0: none
+  double fresh_rate_ = 1e-3;   // contraction seen just after a factorisation
+  double refresh_cost_ = 1.0;  // of a factorisation, in iterations
   VecX v_, dv_;
   double residual_norm_ = 0.0;
   int iterations_ = 0;

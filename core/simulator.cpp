@@ -45,6 +45,8 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   t0_ = t;
   step_ = impacts_ = 0;
   speed_scale_ = 0.0;
+  integrator_.counters = StepCounters();
+  guards_.counters = GuardCounters();
   history_.reset();
   guards_.unmark_all();
   bouncing_.assign(bouncing_.size(), Bouncing());

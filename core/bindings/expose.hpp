@@ -7,5 +7,6 @@ namespace contactvi {
 
 void expose_scene(nanobind::module_& m);
 void expose_simulator(nanobind::module_& m);
+void expose_reference(nanobind::module_& m);
 
 }  // namespace contactvi

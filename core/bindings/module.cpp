@@ -6,4 +6,5 @@ NB_MODULE(_core, m) {
   nanobind::exception<contactvi::Error>(m, "CoreError", PyExc_RuntimeError);
   contactvi::expose_scene(m);
   contactvi::expose_simulator(m);
+  contactvi::expose_reference(m);
 }

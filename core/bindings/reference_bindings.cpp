@@ -1,0 +1,49 @@
+// Yardstick for benchmarks/: Pinocchio's own recursive Newton-Euler algorithm, timed in C++ without Python in the loop.
+#include <boost/archive/binary_iarchive.hpp>
+#include <boost/iostreams/device/array.hpp>
+#include <boost/iostreams/stream_buffer.hpp>
+#include <pinocchio/algorithm/rnea.hpp>
+#include <pinocchio/multibody.hpp>
+#include <pinocchio/serialization.hpp>
+
+#include <nanobind/eigen/dense.h>
+
+#include <chrono>
+
+#include "error.hpp"
+#include "expose.hpp"
+#include "numerics.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace contactvi {
+
+namespace {
+
+// Seconds of the fastest of repeats blocks of calls calls.
+double rnea_seconds(nb::bytes archive, const VecX& q, const VecX& v, int calls, int repeats) {
+  pinocchio::Model model;
+  boost::iostreams::stream_buffer<boost::iostreams::basic_array_source<char>> stream(archive.c_str(), archive.size());
+  boost::archive::binary_iarchive in(stream);
+  in >> model;
+  if (q.size() != model.nq || v.size() != model.nv) throw Error("expected shapes (nq,) and (nv,)");
+  pinocchio::Data data(model);
+  const VecX a = VecX::Ones(model.nv);
+  double best = INFINITY;
+  for (int r = 0; r < repeats; ++r) {
+    const auto start = std::chrono::steady_clock::now();
+    for (int k = 0; k < calls; ++k) pinocchio::rnea(model, data, q, v, a);
+    best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / calls);
+  }
+  return best;
+}
+
+}  // namespace
+
+void expose_reference(nb::module_& m) {
+  m.def("rnea_seconds", &rnea_seconds, "model"_a, "q"_a, "v"_a, "calls"_a = 2000, "repeats"_a = 5,
+        "Seconds per pinocchio::rnea, fastest of several blocks; for benchmarks.");
+}
+
+}  // namespace contactvi
