@@ -14,31 +14,54 @@ from scipy.spatial import ConvexHull, QhullError
 from contactvi.errors import SceneError
 from contactvi.report import PartReport, number
 
+MOST_NEIGHBOURS = 100  # coal counts to 255; the engine rounds hulls, which may join the faces around a vertex
 PRIMITIVES = (coal.Sphere, coal.Box, coal.Capsule, coal.Cylinder, coal.Cone, coal.Ellipsoid)
 
 
-def hull_of_points(points: np.ndarray, name: str) -> coal.Convex:
-    """Return the convex hull of points (n, 3) [m].
+def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
+    """Return the convex hull of points (n, 3) [m], and the grid [m] to which it was thinned (0 = exact).
+
+    A hull with a vertex of more neighbours than coal can count (a finely divided disc) is thinned until it fits: of the
+    vertices in one cell of the grid the first is kept, so the result lies inside, at most a cell's diagonal away.
 
     Raises
     ------
     SceneError : not finite, fewer than 4 points, or all in a plane.
     """
     points = np.asarray(points, dtype=float).reshape(-1, 3)
+    outer = _outer_points(points, name)
+    size = float(np.max(np.ptp(outer, axis=0)))
+    for grid in (0.0, *(size * 1e-4 * 2.0**k for k in range(10))):
+        thin = outer
+        if grid > 0.0:
+            _, first = np.unique(np.round(outer / grid).astype(np.int64), axis=0, return_index=True)
+            thin = _outer_points(outer[np.sort(first)], name)
+        vertices = coal.StdVec_Vec3s()
+        for vertex in thin:
+            vertices.append(vertex)
+        try:
+            hull = coal.Convex.convexHull(vertices, True, "Qt")
+        except RuntimeError as error:
+            if "neighbors" not in str(error):
+                raise SceneError(f"Mesh of geometry {name!r}", body=name, got=str(error).splitlines()[-1]) from error
+            continue
+        if max(len(hull.neighbors(i)) for i in range(hull.num_points)) <= MOST_NEIGHBOURS:
+            return _finished(hull), grid
+    raise SceneError(f"Hull of geometry {name!r}", body=name, expected="few neighbours per vertex", got="too many")
+
+
+def _outer_points(points: np.ndarray, name: str) -> np.ndarray:
+    """Return the vertices of the hull of points (n, 3)."""
     remedy = "Replace the mesh by a box or mend it"
     if len(points) < 4 or not np.all(np.isfinite(points)):
         what = "fewer than 4 vertices" if len(points) < 4 else "vertices that are not finite"
         raise SceneError(f"Mesh of geometry {name!r}", body=name, expected="a solid", got=what, remedy=remedy)
     try:
-        outer = ConvexHull(points)
+        return points[ConvexHull(points).vertices]
     except (QhullError, ValueError):
         raise SceneError(
             f"Mesh of geometry {name!r}", body=name, expected="a solid", got="points in a plane", remedy=remedy
         ) from None
-    vertices = coal.StdVec_Vec3s()
-    for index in outer.vertices:
-        vertices.append(points[index])
-    return _finished(coal.Convex.convexHull(vertices, True, "Qt"))
 
 
 def hull_from_faces(vertices: np.ndarray, faces: np.ndarray) -> coal.Convex:
@@ -101,7 +124,7 @@ def prepare_geometry(geometry: pin.GeometryObject, report: PartReport) -> str:
 
 def _hull_mesh(geometry: pin.GeometryObject, report: PartReport) -> str:
     mesh = geometry.geometry
-    hull = hull_of_points(mesh.vertices(), geometry.name)
+    hull, grid = hull_of_points(mesh.vertices(), geometry.name)
     volume, filled = hull.computeVolume(), mesh.computeVolume()
     geometry.geometry = hull
     # An open or badly oriented surface encloses no volume worth a ratio.
@@ -109,6 +132,8 @@ def _hull_mesh(geometry: pin.GeometryObject, report: PartReport) -> str:
     text = f"mesh of {mesh.num_vertices} vertices -> hull of {hull.num_points}"
     if np.isfinite(ratio):
         text += f", volume x {number(ratio)}"
+    if grid > 0.0:
+        text += f", thinned to a grid of {number(grid)} m"
     report.note("changed", "mesh", geometry.name, "replaced by its convex hull")
     if np.isfinite(ratio) and ratio > 2.0:
         report.note("suspicious", "mesh", geometry.name, "the hull has more than twice the volume of the mesh")

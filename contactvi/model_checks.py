@@ -202,7 +202,7 @@ def describe_model(
     names = list(model.names)
     for body, joint, mass in body_masses(model):
         report.bodies.append(BodyRow(prefix + body, prefix + names[joint] if joint else names[0], mass))
-    diagonal = check_mass(model, q, report.title)
+    diagonal = check_mass(model, q, report.title.partition(":")[0])
     for i in range(1, model.njoints):
         _describe_joint(model, i, report, prefix, (mimics or {}).get(names[i], ""), diagonal)
         _describe_inertia(model, i, report, prefix)

@@ -339,6 +339,10 @@ class Scene:
         """Return the neutral configuration, shape (nq,): joints at zero or the nearest limit, free bodies as placed."""
         return self._complete().start.copy()
 
+    def spring_rest(self) -> np.ndarray:
+        """Return the configuration where every spring rests, neutral for joints without one, shape (nq,)."""
+        return self._complete().arrays.rest.copy()
+
     def q_index(self, joint: Selector) -> slice:
         """Return where a joint's numbers lie in q."""
         model, name = self.model, self._one_joint(joint)

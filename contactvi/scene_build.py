@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from contactvi.assembly import Assembly
 from contactvi.contact_rules import Rule
-from contactvi.errors import ContactviError
+from contactvi.errors import SceneError
 from contactvi.joints import JointArrays, JointSettings, apply_settings
 from contactvi.pairs import choose_pairs
 from contactvi.parts import Part
@@ -74,7 +74,7 @@ def build(base: Assembly, parts: Sequence[Part], names: Names, edits: Edits) -> 
 
 
 def engine_scene(built: Built) -> _core.Scene:
-    """Return the engine's constant scene; its internal faults become ContactviErrors."""
+    """Return the engine's constant scene; its faults become SceneErrors."""
     from contactvi import _core
 
     try:
@@ -88,8 +88,8 @@ def engine_scene(built: Built) -> _core.Scene:
             built.arrays.limits,
             built.arrays.limit_restitution,
         )
-    except _core.CoreError as error:
-        raise ContactviError("The engine refuses the scene", got=str(error)) from error
+    except RuntimeError as error:  # CoreError is one; Pinocchio and coal raise others
+        raise SceneError("The engine refuses the scene", got=str(error).strip().splitlines()[-1]) from error
 
 
 def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
