@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from contactvi.scene import Scene
     from contactvi.scene_file import load_scene
     from contactvi.simulation import Simulator, simulate
-    from contactvi.trajectory import Stats, Status, StatusCode, Trajectory
+    from contactvi.status import Stats, Status, StatusCode
+    from contactvi.trajectory import Trajectory
     from contactvi.viewer import view
 
     __version__: str
@@ -51,9 +52,9 @@ _HOME = {
     "load_scene": "scene_file",
     "simulate": "simulation",  # not "simulate": a submodule of that name would shadow the function
     "Simulator": "simulation",
-    "Stats": "trajectory",
-    "Status": "trajectory",
-    "StatusCode": "trajectory",
+    "Stats": "status",
+    "Status": "status",
+    "StatusCode": "status",
     "Trajectory": "trajectory",
     "view": "viewer",
     "plot": "plots",
@@ -86,9 +87,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from importlib.metadata import version
+        from contactvi.version import version
 
-        value: Any = version("contactvi")
+        value: Any = version()
     elif name == "errors":
         value = importlib.import_module("contactvi.errors")
     elif name in _HOME:

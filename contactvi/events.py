@@ -165,16 +165,14 @@ def join(parts: Sequence[Mapping[str, NDArray[Any]]], nq: int, nv: int) -> dict[
     """Return the arrays of several logs, one after the other."""
     parts = [empty_arrays(nq, nv), *parts]
     return {
-        name: np.concatenate([np.asarray(part[name]).reshape((-1, *parts[0][name].shape[1:])) for part in parts]).astype(
-            kind
-        )
+        name: np.concatenate(
+            [np.asarray(part[name]).reshape((-1, *parts[0][name].shape[1:])) for part in parts]
+        ).astype(kind)
         for name, (_, kind) in FIELDS.items()
     }
 
 
-def label(
-    kind: int, index: int, pair_names: Sequence[tuple[str, str]], joint_names: Sequence[str]
-) -> tuple[str, str]:
+def label(kind: int, index: int, pair_names: Sequence[tuple[str, str]], joint_names: Sequence[str]) -> tuple[str, str]:
     """Return the two names of a guard in the engine's numbering: pairs, or 2 * joint + {0 lower, 1 upper}."""
     if kind == 0:
         return pair_names[index]

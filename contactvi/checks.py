@@ -1,0 +1,112 @@
+"""Checks of what the user hands to a run: states and generalized forces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from contactvi.errors import InputError
+
+Array = NDArray[np.float64]
+_NORM_TOLERANCE = 1e-6  # a quaternion typed with seven digits passes and is normalised, a forgotten one does not
+
+
+def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: str | None = None) -> Array:
+    """Return `value` as a C-contiguous float array of this shape with finite numbers, or raise InputError."""
+    try:
+        result = np.array(value, dtype=float, order="C")
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{name} is not an array of numbers",
+            name=name,
+            expected=f"{meaning}, shape {shape}",
+            got=type(value).__name__,
+        ) from error
+    if result.shape != shape:
+        raise InputError(
+            f"{name} has the wrong shape",
+            name=name,
+            expected=f"{meaning}, shape {shape}",
+            got=f"shape {result.shape}",
+            remedy=remedy,
+        )
+    bad = np.argwhere(~np.isfinite(result))
+    if len(bad):
+        at = ", ".join(str(i) for i in bad[0])
+        raise InputError(
+            f"{name} is not finite",
+            name=name,
+            expected="finite numbers",
+            got=f"{result[tuple(bad[0])]} at index {at}" + (f" and {len(bad) - 1} more" if len(bad) > 1 else ""),
+        )
+    return result
+
+
+def configuration(model: pin.Model, q: Any, name: str = "q0") -> Array:
+    """Return q as an array of shape (nq,), unit complex numbers and quaternions normalised.
+
+    Raises InputError for a wrong shape, numbers that are not finite, and a norm further than 1e-6 from one.
+    """
+    remedy = "Start from scene.neutral() and set joints with scene.configuration({...}); a free body takes 7 numbers"
+    result = array(name, q, (model.nq,), "one configuration", remedy)
+    if model.nq == model.nv:
+        return result
+    for index in range(1, model.njoints):
+        part = _unit_part(model, index)
+        norm = float(np.linalg.norm(result[part]))
+        if part.stop > part.start and abs(norm - 1.0) > _NORM_TOLERANCE:
+            what = "quaternion (x, y, z, w)" if part.stop - part.start == 4 else "pair (cos, sin)"
+            raise InputError(
+                f"{name} holds a {what} of joint {model.names[index]!r} that is not a rotation",
+                name=name,
+                expected="norm 1",
+                got=f"{np.array2string(result[part], precision=6)} with norm {norm:.6g}",
+                remedy=f"Normalise {name}[{part.start}:{part.stop}], or start from scene.neutral()",
+            )
+    return np.ascontiguousarray(pin.normalize(model, result))
+
+
+def velocity(model: pin.Model, v: Any, name: str = "v0") -> Array:
+    """Return v as an array of shape (nv,); None is rest."""
+    if v is None:
+        return np.zeros(model.nv)
+    return array(name, v, (model.nv,), "one velocity (a free body takes 6 numbers: linear, angular, body frame)")
+
+
+def force(model: pin.Model, tau: Any, name: str = "tau") -> Array:
+    """Return one generalized force as an array of shape (nv,)."""
+    return array(name, tau, (model.nv,), "one generalized force")
+
+
+def forces(model: pin.Model, tau: Any, steps: int, name: str = "control") -> Array:
+    """Return the generalized forces of all steps as an array of shape (steps, nv)."""
+    return array(name, tau, (steps, model.nv), "one generalized force per step")
+
+
+def limit_violation(model: pin.Model, q: Array) -> tuple[str, str, float] | None:
+    """Return (joint, "lower limit" or "upper limit", depth) of the 1-dof joint furthest beyond its limits, or None."""
+    worst: tuple[str, str, float] | None = None
+    for index in range(1, model.njoints):
+        joint = model.joints[index]
+        if joint.nq != 1:
+            continue
+        low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+        for side, depth in (("lower limit", low - q[joint.idx_q]), ("upper limit", q[joint.idx_q] - high)):
+            if low < high and depth > 0 and (worst is None or depth > worst[2]):
+                worst = (model.names[index], side, float(depth))
+    return worst
+
+
+def _unit_part(model: pin.Model, index: int) -> slice:
+    """Return the entries of q that hold the unit quaternion or (cos, sin) of a joint (empty for other joints)."""
+    joint = model.joints[index]
+    start, offset = joint.idx_q, 0
+    count = {(7, 6): 4, (4, 3): 4, (2, 1): 2}.get((joint.nq, joint.nv), 0)
+    if joint.nq == 7:
+        offset = 3
+    if joint.shortname() == "JointModelPlanar":
+        offset, count = 2, 2
+    return slice(start + offset, start + offset + count)

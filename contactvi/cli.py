@@ -1,0 +1,234 @@
+"""The command line: `contactvi run`, `contactvi play`, `contactvi check`.
+
+Exit codes: 0 done; 2 wrong input, said as expected, got, remedy; 3 the run ended before its time (its files are there).
+"""
+
+from __future__ import annotations
+
+import time
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from contactvi.errors import ContactviError, InputError, SimulationError, did_you_mean
+from contactvi.version import version
+
+if TYPE_CHECKING:
+    from contactvi.scene import Scene
+    from contactvi.trajectory import Trajectory
+
+WRONG_INPUT, ENDED_EARLY = 2, 3
+_MODEL_ENDINGS = (".urdf", ".xml", ".mjcf", ".toml")
+_out = Console(highlight=False, soft_wrap=True)
+_err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+class _Commands(typer.core.TyperGroup):
+    """The commands; a ContactviError becomes a message and the exit code 2, never a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except ContactviError as error:
+            print_error(error)
+            raise typer.Exit(WRONG_INPUT) from error
+
+
+app = typer.Typer(
+    cls=_Commands,
+    help="Accurate rigid contact for URDF and MJCF models.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.callback()
+def main(
+    show_version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
+) -> None:
+    if show_version:
+        _out.print(f"contactvi {version()}")
+        raise typer.Exit()
+
+
+@app.command()
+def run(
+    scene_file: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.", show_default=False)],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results. [default: ./SCENE]")
+    ] = None,
+    dt: Annotated[float | None, typer.Option(help="Time step [s].")] = None,
+    duration: Annotated[float | None, typer.Option(help="Simulated time [s], a whole number of steps.")] = None,
+    impact: Annotated[str | None, typer.Option(help="Impact map: ctec.")] = None,
+    order: Annotated[int | None, typer.Option(help="Order of the integrator: 2.")] = None,
+    tol: Annotated[float | None, typer.Option(help="Tolerance of a step, relative.")] = None,
+    record_every: Annotated[int | None, typer.Option(help="Keep the state every so many steps.")] = None,
+    fps: Annotated[float, typer.Option(help="Frames per simulated second of the playback.")] = 60.0,
+    html: Annotated[bool, typer.Option("--html/--no-html", help="Write playback.html.")] = True,
+    plot: Annotated[bool, typer.Option("--plot/--no-plot", help="Write energy.png.")] = True,
+) -> None:
+    """Run a scene file; write trajectory.npz, playback.html and energy.png."""
+    import contactvi as cvi
+    from contactvi.progress import RunProgress
+    from contactvi.simulation import settings_of
+
+    scene = cvi.load_scene(scene_file)
+    chosen: dict[str, Any] = {
+        "dt": dt, "duration": duration, "impact": impact, "order": order, "tol": tol, "record_every": record_every,
+    }  # fmt: skip
+    settings = settings_of(scene, chosen)
+    folder = output if output is not None else Path(scene_file.stem)
+    _make_folder(folder)  # before the run: hours of it must not end in "no such folder"
+    try:
+        with RunProgress(settings.steps * settings.dt, _err) as bar:
+            traj = cvi.simulate(scene, progress=bar, **chosen)
+    except SimulationError as error:
+        traj = error.trajectory
+    started = time.perf_counter()
+    written = [traj.save(folder / "trajectory.npz")]
+    if html:
+        written.append(traj.to_html(folder / "playback.html", fps=fps, title=scene_file.stem))
+    if plot:
+        from contactvi.plots import save_plot
+
+        written.append(save_plot(traj, folder / "energy.png"))
+    _print_summary(traj, written, time.perf_counter() - started)
+    if not traj.status.ok:
+        raise typer.Exit(ENDED_EARLY)
+
+
+@app.command()
+def play(
+    file: Annotated[Path, typer.Argument(metavar="RUN.npz", help="File written by a run.", show_default=False)],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="PAGE.html", help="Page to write. [default: RUN.html]")
+    ] = None,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
+    fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
+) -> None:
+    """Write the playback of a run as a page of its own and open it in the browser."""
+    import contactvi as cvi
+
+    traj = cvi.Trajectory.load(file)
+    page = traj.to_html(output or file.with_suffix(".html"), fps=fps, title=_title(file))
+    _out.print(f"Playback: {escape(str(page))}")
+    if browser and not webbrowser.open(page.resolve().as_uri(), new=2):
+        _out.print("No browser was found: open the page by hand.")
+
+
+@app.command()
+def check(
+    model: Annotated[
+        str,
+        typer.Argument(
+            metavar="MODEL",
+            help="URDF, MJCF (.xml) or scene file (.toml); example-robot-data://robots/... works too.",
+            show_default=False,
+        ),
+    ],
+    package_dir: Annotated[
+        list[str] | None, typer.Option("--package-dir", help="Folder in which package:// is looked for; repeatable.")
+    ] = None,
+    base: Annotated[str, typer.Option(help="Base of a URDF: fixed or free.")] = "fixed",
+) -> None:
+    """Print what of a model is used, changed, ignored or refused, and which of its data look wrong."""
+    scene = _read_model(model, package_dir or [], base)
+    _out.print(str(scene.report), markup=False)
+
+
+def print_error(error: ContactviError) -> None:
+    """Print an error as what happened, expected, got, remedy."""
+    _err.print(f"[bold red]Error:[/] {escape(error.what)}")
+    for name in ("expected", "got", "remedy"):
+        value = getattr(error, name)
+        if value is not None:
+            _err.print(f"  [bold]{name + ':':<10}[/]{escape(str(value))}")
+
+
+def _read_model(model: str, package_dirs: list[str], base: str) -> Scene:
+    import contactvi as cvi
+
+    ending = Path(model).suffix.lower()
+    if ending not in _MODEL_ENDINGS:
+        raise InputError(
+            f"{model!r} is not a model that can be checked",
+            name="model",
+            expected="a file ending in " + ", ".join(_MODEL_ENDINGS),
+            got=repr(ending) if ending else "no ending",
+            remedy=did_you_mean(ending, _MODEL_ENDINGS),
+        )
+    if ending == ".toml":
+        return cvi.load_scene(model)
+    scene = cvi.Scene()
+    if ending == ".urdf":
+        scene.add_urdf(model, package_dirs=package_dirs, base=base)
+    else:
+        scene.add_mjcf(model)
+    return scene
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"Cannot make the folder {folder}",
+            name="output",
+            expected="a folder that can be written",
+            got=error.strerror,
+            remedy="Choose another with -o",
+        ) from error
+
+
+def _title(file: Path) -> str:
+    """Return a name for the playback: the file's, or its folder's where the file has the name every run has."""
+    parent = file.resolve().parent.name
+    return parent if file.stem == "trajectory" and parent else file.stem
+
+
+def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> None:
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_column(style="bold")
+    table.add_column()
+    for name, text in summary(traj):
+        table.add_row(name, escape(text))
+    for k, path in enumerate(written):
+        size = path.stat().st_size / 1e6
+        table.add_row("written" if k == 0 else "", escape(f"{path}  ({size:.2g} MB)"))
+    table.add_row("", f"in {writing:.2g} s")
+    _out.print(table)
+    if not traj.status.ok:
+        _err.print(f"[bold yellow]The run ended early:[/] {escape(str(traj.status))}")
+
+
+def summary(traj: Trajectory) -> list[tuple[str, str]]:
+    """Return what there is to say about a run, as pairs of a name and a text."""
+    stats, events = traj.stats, traj.events
+    limits = int((events.array("kind") == 1).sum())
+    span = float(traj.t[-1] - traj.t[0])
+    energy, taken = traj.energy, float(traj.impact_energy[-1])
+    rest = float(energy[-1] - energy[0]) - taken
+    scale = float(traj.kinetic_energy.max())
+    share = f" ({rest / scale:+.2g} of the largest kinetic energy)" if scale > 0 else ""
+    guards = stats.guards_evaluated + stats.guards_skipped
+    skipped = f", {100.0 * stats.guards_skipped / guards:.3g} % of the guards skipped" if guards else ""
+    factor = f"{span / stats.seconds:.4g} x real time" if stats.seconds > 0 else ""
+    return [
+        ("status", f"{traj.status.code.name}: {traj.status.message}"),
+        ("time", f"{span:.9g} s simulated in {stats.steps} steps of {traj.options.dt:.6g} s"),
+        ("impacts", f"{len(events)}" + (f", {limits} of them at joint limits" if limits else "")),
+        ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
+        ("", f"{taken:+.6g} J by impacts, {rest:+.3g} J by damping, inputs and integration error{share}"),
+        ("wall time", f"{stats.seconds:.3g} s, {factor}"),
+        ("work", f"{stats.iterations} Newton iterations, {stats.factorizations} factorizations{skipped}"),
+    ]
+
+
+if __name__ == "__main__":
+    app()

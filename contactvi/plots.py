@@ -1,0 +1,121 @@
+"""Pictures of a run that are no animation: energy, impacts and gaps over time."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from contactvi.files import write_atomic
+from contactvi.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_ENERGY, _MODIFIED, _CORRECTED, _IMPACT, _LIMIT = "#1f5fa8", "#e08a00", "#2f9e83", "#c8371b", "#7a5ab5"
+_MAX_MARKS = 400  # impacts drawn as lines
+_MAX_PAIRS = 6  # gaps drawn
+
+
+def plot(traj: Trajectory) -> Figure:
+    """Return a figure of a run: energy relative to its start, the same without the impacts, gaps of touching pairs.
+
+    The figure belongs to no window (matplotlib.figure.Figure): notebooks show it, `figure.savefig` writes it.
+    """
+    gap_time, gap_pairs, gap = traj.gaps
+    rows = 3 if len(gap_pairs) else 2
+    figure = Figure(figsize=(9.0, 2.6 * rows + 0.6), layout="constrained")
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    for axis in axes:
+        _mark_impacts(axis, traj, named=axis is axes[0])
+        axis.grid(alpha=0.25)
+        axis.margins(x=0.01)
+    _draw_energy(axes[0], traj)
+    _draw_error(axes[1], traj)
+    if len(gap_pairs):
+        _draw_gaps(axes[2], gap_time, gap_pairs, gap)
+    axes[-1].set_xlabel("time [s]")
+    state = "" if traj.status.ok else f", {traj.status.code.name} at {traj.status.time:.6g} s"
+    figure.suptitle(
+        f"{traj.t[-1] - traj.t[0]:.6g} s, dt = {traj.options.dt:.6g} s, {len(traj.events)} impacts "
+        f"({traj.events.method.upper()}){state}",
+        fontsize=11,
+    )
+    return figure
+
+
+def save_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
+    """Write the figure of `plot` as a PNG file, whole or not at all; return its path."""
+    figure = plot(traj)
+    return write_atomic(path, lambda file: figure.savefig(file, format="png", dpi=130))
+
+
+def _draw_energy(axis: Axes, traj: Trajectory) -> None:
+    """Energy with its jumps: the impacts are put in as points of their own, before and after."""
+    t, change = _with_jumps(traj)
+    axis.plot(t, change, color=_ENERGY, lw=1.4, label="H - H(0)")
+    axis.set_ylabel("energy change [J]")
+    _legend(axis)
+
+
+def _draw_error(axis: Axes, traj: Trajectory) -> None:
+    """Energy without what the impacts took: for a system without damping and inputs, the error of the integrator."""
+    energy, modified = traj.energy, traj.modified_energy
+    taken = traj.impact_energy
+    axis.plot(traj.t, energy - energy[0] - taken, color=_CORRECTED, lw=1.2, label="H - H(0) - impacts")
+    axis.plot(
+        traj.t,
+        modified - modified[0] - taken,
+        color=_MODIFIED,
+        lw=1.0,
+        ls=(0, (4, 3)),
+        label="the same of the modified H",
+    )
+    axis.set_ylabel("damping, inputs,\nintegrator [J]")
+    axis.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3))
+    _legend(axis)
+
+
+def _draw_gaps(axis: Axes, time: np.ndarray, pairs: list[tuple[str, str]], gap: np.ndarray) -> None:
+    order = np.argsort(gap.min(axis=0))[:_MAX_PAIRS]
+    for k in order:
+        axis.plot(time, gap[:, k], lw=1.1, label=f"{pairs[k][0]} | {pairs[k][1]}")
+    axis.axhline(0.0, color="black", lw=0.8)
+    more = f" ({len(order)} of {len(pairs)} pairs that touched)" if len(pairs) > len(order) else ""
+    axis.set_ylabel(f"gap [m]{more}")
+    _legend(axis)
+
+
+def _with_jumps(traj: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Return times and H - H(0) with two points at each impact, so that a loss is drawn as a step."""
+    change = traj.energy - traj.energy[0]
+    time, jump = traj.events.array("time"), traj.events.energy_change
+    total = np.cumsum(jump)
+    if not len(time):
+        return traj.t, change
+    smooth = np.interp(time, traj.t, change - traj.impact_energy)  # what is not from impacts has no jumps
+    t = np.concatenate([traj.t, time, time])
+    values = np.concatenate([change, smooth + total - jump, smooth + total])
+    rank = np.concatenate([np.full(len(traj.t), 2.0), np.zeros(len(time)), np.ones(len(time))])
+    # Impacts at one instant keep their order: before and after of each, one after the other.
+    count = np.concatenate([np.full(len(traj.t), len(time)), np.arange(len(time)), np.arange(len(time))])
+    order = np.lexsort((rank, count, t))
+    return t[order], values[order]
+
+
+def _mark_impacts(axis: Axes, traj: Trajectory, named: bool) -> None:
+    times, kinds = traj.events.array("time"), traj.events.array("kind")
+    for kind, color in ((0, _IMPACT), (1, _LIMIT)):
+        chosen: Any = np.unique(times[kinds == kind])
+        if len(chosen) > _MAX_MARKS:
+            chosen = chosen[np.linspace(0, len(chosen) - 1, _MAX_MARKS).astype(int)]
+        name = ("impact", "joint limit")[kind]
+        for k, time in enumerate(chosen):
+            axis.axvline(time, color=color, lw=0.7, alpha=0.45, zorder=0, label=name if named and k == 0 else None)
+
+
+def _legend(axis: Axes) -> None:
+    axis.legend(fontsize=8, loc="best", framealpha=0.85)

@@ -1,0 +1,54 @@
+"""How a run ended and what it cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class StatusCode(IntEnum):
+    """How a run ended (the numbers are the engine's)."""
+
+    SUCCESS = 0
+    ZENO = 1
+    NEWTON_FAILED = 2
+    NOT_FINITE = 3
+    EVENT_UNRESOLVED = 4
+    TOO_MANY_IMPACTS = 5
+    PENETRATION = 6
+    INTERRUPTED = 7
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a run ended: code, message, time reached [s]. `ok` is True for SUCCESS."""
+
+    code: StatusCode
+    message: str
+    time: float
+
+    @property
+    def ok(self) -> bool:
+        """True when the run went to its end."""
+        return self.code == StatusCode.SUCCESS
+
+    def __str__(self) -> str:
+        return f"{self.code.name} at t = {self.time:.9g} s: {self.message}"
+
+
+@dataclass(frozen=True)
+class Stats:
+    """What a run cost.
+
+    steps, iterations (Newton), residuals (evaluations of the step equation), factorizations, guards_evaluated and
+    guards_skipped (pairs and limits looked at, and those that could not be reached in the step), impacts, seconds.
+    """
+
+    steps: int = 0
+    iterations: int = 0
+    residuals: int = 0
+    factorizations: int = 0
+    guards_evaluated: int = 0
+    guards_skipped: int = 0
+    impacts: int = 0
+    seconds: float = 0.0

@@ -1,0 +1,291 @@
+"""The file of a run: one npz (a zip of npy arrays), schema 1. Nothing in it is pickled, nothing is executed on loading.
+
+N nodes, n events, nq and nv sizes of configuration and velocity; SI units; everything float64 unless it says int64.
+
+===================== ============== ===========================================================================
+entry                 shape          meaning
+===================== ============== ===========================================================================
+header                ()             JSON text, see below
+t                     (N,)           times [s], increasing
+q                     (N, nq)        configurations, Pinocchio's numbers (quaternions x y z w)
+p                     (N, nv)        momenta M(q) v
+v                     (N, nv)        Pinocchio's tangent velocities (body twist for a free body) [m/s, rad/s]
+kinetic_energy        (N,)           T [J]
+potential_energy      (N,)           V [J], gravity and joint springs
+modified_energy       (N,)           modified Hamiltonian of the midpoint rule [J]
+gap/time              (M,)           times at which gaps were measured [s], M <= 2000
+gap/value             (M, K)         signed distance [m] of the K pairs header["gap_pairs"], those that touched
+event/time            (n,)           [s]
+event/step            (n,) int64     index of the step
+event/kind            (n,) int64     0 contact, 1 joint limit
+event/index           (n,) int64     pair index (header["pair_names"]), or 2 * joint + {0 lower, 1 upper}
+event/point           (n, 3)         contact point [m], world frame; NaN for limits
+event/normal          (n, 3)         unit normal from the first shape to the second, world frame; NaN for limits
+event/impulse         (n,)           [N s], or [N m s] for the limit of a revolute joint
+event/gamma_minus     (n,)           normal speed before [m/s or rad/s]
+event/gamma_plus      (n,)           normal speed after
+event/G_c             (n,)           inverse inertia W M^-1 W^T [1/kg or 1/(kg m^2)]
+event/gap             (n,)           signed distance at the located configuration [m or rad]
+event/restitution     (n,)           coefficient used
+event/iterations      (n,) int64     iterations of the event location
+event/q               (n, nq)        configuration at the impact
+event/p_minus         (n, nv)        momentum before
+event/p_plus          (n, nv)        momentum after
+array/0, array/1 ...  any            arrays (meshes) that the header refers to
+===================== ============== ===========================================================================
+
+The header is an object with the keys
+
+- format: "contactvi-trajectory"; schema: 1; version: of the contactvi that wrote it
+- options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (contactvi.Stats)
+- method: impact map of the events; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
+- scene: Scene.to_dict(); visuals: what the viewer draws, a list of contactvi.visuals.Visual fields
+
+in which {"$array": k} stands for the entry array/k, and NaN, Infinity, -Infinity are written as such.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import zipfile
+import zlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NoReturn, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi import events as event_log
+from contactvi.errors import ContactviError, SceneError
+from contactvi.files import write_atomic
+from contactvi.options import Options
+from contactvi.scene import Scene
+from contactvi.status import Stats, Status, StatusCode
+from contactvi.version import version
+from contactvi.visuals import Visual
+
+FORMAT = "contactvi-trajectory"
+SCHEMA = 1
+
+_NODES: dict[str, str | None] = {
+    "t": None,
+    "q": "q",
+    "p": "v",
+    "v": "v",
+    "kinetic_energy": None,
+    "potential_energy": None,
+    "modified_energy": None,
+}
+# What NumPy and zipfile raise for a file that is damaged, truncated or something else altogether.
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    EOFError,
+    KeyError,
+    zipfile.BadZipFile,
+    zlib.error,
+    pickle.UnpicklingError,
+    NotImplementedError,
+    MemoryError,
+)
+
+
+class Run(Protocol):
+    """What is stored of a run: contactvi.Trajectory has it (besides the entries per node of the table above)."""
+
+    scene: Scene
+    options: Options
+    events: event_log.EventLog
+    status: Status
+    stats: Stats
+
+    @property
+    def gaps(self) -> tuple[NDArray[np.float64], list[tuple[str, str]], NDArray[np.float64]]: ...
+
+    @property
+    def visuals(self) -> list[Visual]: ...
+
+
+def save(traj: Run, path: str | os.PathLike[str]) -> Path:
+    """Write `traj` to `path` atomically; return the path. v, energies and gaps are computed if they were not."""
+    arrays: list[NDArray[Any]] = []
+    gap_time, gap_pairs, gap_value = traj.gaps
+    header = {
+        "format": FORMAT,
+        "schema": SCHEMA,
+        "version": version(),
+        "options": traj.options.to_dict(),
+        "status": {"code": int(traj.status.code), "message": traj.status.message, "time": traj.status.time},
+        "stats": asdict(traj.stats),
+        "method": traj.events.method,
+        "pair_names": traj.scene.pair_names,
+        "joint_names": list(traj.scene.model.names),
+        "gap_pairs": gap_pairs,
+        "scene": traj.scene.to_dict(),
+        "visuals": [visual.to_dict() for visual in traj.visuals],
+    }
+    text = json.dumps(_pack(header, arrays, {}))
+    entries: dict[str, NDArray[Any]] = {name: getattr(traj, name) for name in _NODES}
+    entries |= {"gap/time": gap_time, "gap/value": gap_value}
+    entries |= {f"event/{name}": values for name, values in traj.events.arrays.items()}
+    entries |= {f"array/{k}": values for k, values in enumerate(arrays)}
+    return write_atomic(path, lambda file: np.savez(file, header=np.array(text), **entries))
+
+
+def load(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a run: the arguments of contactvi.Trajectory. Needs neither the engine nor the files of the scene.
+
+    Raises ContactviError for a file that is missing, damaged, of another format or schema, or inconsistent.
+    """
+    path = Path(path)
+    if not path.is_file():
+        _refuse(path, "there is no such file")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                _refuse(path, "one array, not an npz")
+            entries = {name: file[name] for name in file.files}
+    except _UNREADABLE as error:
+        _refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
+    header = _read_header(path, entries)
+    try:
+        return _build(path, entries, _unpack(header, entries))
+    except ContactviError:
+        raise
+    except Exception as error:  # whatever a wrong header makes the scene or the options stumble over
+        _refuse(path, f"{type(error).__name__}: {error}", error)
+
+
+def _read_header(path: Path, entries: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    text = entries.get("header")
+    if text is None or text.ndim != 0 or text.dtype.kind != "U":
+        _refuse(path, "an npz without the entry 'header'")
+    try:
+        header = json.loads(str(text))
+    except (ValueError, RecursionError) as error:
+        _refuse(path, "a header that is not JSON", error)
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        _refuse(path, "an npz of another format")
+    if header.get("schema") != SCHEMA:
+        raise SceneError(
+            f"{path} has another schema",
+            path=path,
+            expected=f"schema {SCHEMA}",
+            got=f"schema {header.get('schema')!r}, written by contactvi {header.get('version')}",
+            remedy="Read it with the contactvi that wrote it, or run the scene again",
+        )
+    return header
+
+
+def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, Any]:
+    scene = Scene.from_dict(header["scene"])
+    sizes = {"q": int(scene.model.nq), "v": int(scene.model.nv)}
+    nodes = _nodes(path, entries, sizes)
+    log = event_log.EventLog(
+        _events(path, entries, sizes),
+        [(a, b) for a, b in header["pair_names"]],
+        header["joint_names"],
+        header["method"],
+    )
+    _check_indices(path, log, len(header["pair_names"]), len(header["joint_names"]))
+    pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]
+    times = _entry(path, entries, "gap/time", (None,), float)
+    status = header["status"]
+    return {
+        "scene": scene,
+        "options": Options.from_dict(header["options"]),
+        "t": nodes.pop("t"),
+        "q": nodes.pop("q"),
+        "p": nodes.pop("p"),
+        "events": log,
+        "status": Status(StatusCode(status["code"]), str(status["message"]), float(status["time"])),
+        "stats": Stats(**header["stats"]),
+        "derived": nodes,
+        "gaps": (times, pairs, _entry(path, entries, "gap/value", (len(times), len(pairs)), float)),
+        "visuals": [Visual.from_dict(fields) for fields in header["visuals"]],
+    }
+
+
+def _nodes(path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int]) -> dict[str, NDArray[Any]]:
+    t = _entry(path, entries, "t", (None,), float)
+    if len(t) == 0 or not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0):
+        _refuse(path, "times that do not increase")
+    nodes = {"t": t}
+    for name, width in _NODES.items():
+        shape = (len(t),) if width is None else (len(t), sizes[width])
+        nodes[name] = _entry(path, entries, name, shape, float)
+    if not np.all(np.isfinite(nodes["q"])):
+        _refuse(path, "configurations that are not finite")
+    return nodes
+
+
+def _events(path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int]) -> dict[str, NDArray[Any]]:
+    count = len(_entry(path, entries, "event/time", (None,), float))
+    arrays = {}
+    for name, (width, kind) in event_log.FIELDS.items():
+        size = sizes[width] if isinstance(width, str) else width
+        shape = (count, size) if width else (count,)
+        arrays[name] = _entry(path, entries, f"event/{name}", shape, kind)
+    return arrays
+
+
+def _check_indices(path: Path, log: event_log.EventLog, pairs: int, joints: int) -> None:
+    kind, index = log.array("kind"), log.array("index")
+    bound = np.where(kind == 0, pairs, 2 * joints)
+    if not np.all(np.isin(kind, (0, 1)) & (index >= 0) & (index < bound)):
+        _refuse(path, "events that name unknown pairs")
+
+
+def _entry(
+    path: Path, entries: dict[str, NDArray[Any]], name: str, shape: tuple[int | None, ...], kind: type
+) -> NDArray[Any]:
+    values = entries.get(name)
+    if values is None:
+        _refuse(path, f"a file without the entry {name!r}")
+    fits = values.ndim == len(shape) and all(
+        want is None or have == want for have, want in zip(values.shape, shape, strict=True)
+    )
+    if not fits or values.dtype != np.dtype(kind):
+        _refuse(path, f"{name!r} of shape {values.shape} and type {values.dtype}, not {shape} {np.dtype(kind)}")
+    return values
+
+
+def _refuse(path: Path, got: str, cause: BaseException | None = None) -> NoReturn:
+    raise SceneError(
+        f"Cannot read the run {path}",
+        path=path,
+        expected="an npz file written by Trajectory.save",
+        got=got,
+        remedy="Check the path; a damaged file has to be computed again",
+    ) from cause
+
+
+def _pack(item: Any, arrays: list[NDArray[Any]], seen: dict[tuple[Any, ...], int]) -> Any:
+    """Return `item` as plain JSON data; arrays go to `arrays`, equal ones once (a hand has four equal fingers)."""
+    if isinstance(item, np.ndarray):
+        values = np.ascontiguousarray(item)
+        key = (values.shape, values.dtype.str, values.tobytes())
+        if key not in seen:
+            seen[key] = len(arrays)
+            arrays.append(values)
+        return {"$array": seen[key]}
+    if isinstance(item, dict):
+        return {str(name): _pack(value, arrays, seen) for name, value in item.items()}
+    if isinstance(item, (list, tuple)):
+        return [_pack(value, arrays, seen) for value in item]
+    if isinstance(item, np.generic):
+        return item.item()
+    return item
+
+
+def _unpack(item: Any, entries: dict[str, NDArray[Any]]) -> Any:
+    if isinstance(item, dict):
+        if set(item) == {"$array"}:
+            return entries[f"array/{item['$array']}"]
+        return {name: _unpack(value, entries) for name, value in item.items()}
+    if isinstance(item, list):
+        return [_unpack(value, entries) for value in item]
+    return item
