@@ -41,7 +41,10 @@ PYTHON_LAYERS: Layers = {
     "base": (("errors", "version", "files", "inputs", "checks", "options", "status", "events"), ()),
     "model": (("paths", "report", "xml_input", "urdf", "mjcf", "hulls", "model_checks"), ("base",)),
     "scene": (
-        ("parts", "importers", "assembly", "pairs", "joints", "contact_rules", "selection", "scene", "scene_file"),
+        (
+            *("parts", "importers", "assembly", "pairs", "joints", "contact_rules", "selection"),
+            *("scene_build", "scene_data", "scene", "scene_file"),
+        ),
         ("model", "engine"),
     ),
     "page": (("visuals", "animation", "shapes", "page"), ("scene",)),
@@ -52,7 +55,7 @@ PYTHON_LAYERS: Layers = {
     "face": (("__init__",), ("simulation", "pictures")),
     "cli": (("cli",), ("face",)),
 }
-USERS_OF_THE_ENGINE = {"scene", "simulation"}
+USERS_OF_THE_ENGINE = {"scene", "scene_build", "simulation"}
 
 # A header found by one of these names belongs to Python or to a parser: neither has a place in the engine.
 PYTHON_HEADERS = re.compile(r"^(nanobind/|pybind11/|boost/python|Python\.h|numpy/)")
