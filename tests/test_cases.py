@@ -87,7 +87,7 @@ def test_pendulum_at_the_wall_keeps_its_elliptic_period(theta0):
     for h in (0.02, 0.01, 0.005):
         traj = cvi.simulate(public_scene(*pendulum_at_wall()), np.array([theta0]), np.zeros(1), 6.0, h)
         times = traj.events.array("time")
-        assert times.size == int((6.0 / exact - 0.5)) + 1
+        assert times.size == int(6.0 / exact - 0.5) + 1
         assert abs(times[0] - 0.5 * exact) <= h * h
         errors.append(abs(np.diff(times).mean() - exact))
         speed = math.sqrt(2 * GRAVITY * (1 - math.cos(theta0)))

@@ -11,9 +11,11 @@ import pytest
 from contact_models import ROOM, room, room_start
 from contact_models import scene as public_scene
 from oracles import ctec_oracle
+from oracles.del_step import System
 
 import contactvi as cvi
 
+EPS = np.finfo(float).eps
 ANALYTIC = {"hand", "ball", "capsule"}  # against walls and each other their distances are exact
 cases = pytest.mark.parametrize(
     ("gravity", "restitution", "seed"), [(True, 1.0, 0), (False, 0.8, 1), (True, 1.0, 4), (True, 1.0, 5)]
@@ -80,6 +82,28 @@ def test_gradients_are_differences_of_coal_gaps(gravity, restitution, seed):
             assert np.abs(jump - event.impulse * gradient).max() <= 1e-10 * (1.0 + event.impulse)
             checked += 1
     assert checked >= 10
+
+
+@cases
+def test_between_nodes_and_impacts_the_motion_is_the_oracles_step(gravity, restitution, seed):
+    """Discrete Euler-Lagrange residual of every arc node -> node, node -> impact, impact -> impact, impact -> node."""
+    traj = run(gravity, restitution, seed)
+    system = System(traj.scene.model)
+    arcs = []
+    events = list(traj.events)
+    for k in range(len(traj.t) - 1):
+        t, q, p = traj.t[k], traj.q[k], traj.p[k]
+        while events and events[0].time <= traj.t[k + 1]:
+            e = events.pop(0)
+            arcs.append((e.time - t, q, p, e.q, e.p_minus))
+            t, q, p = e.time, e.q, e.p_plus
+        arcs.append((traj.t[k + 1] - t, q, p, traj.q[k + 1], traj.p[k + 1]))
+    size = float(np.abs(system.mass_matrix(traj.q[0])).sum(axis=1).max())
+    for dt, q0, p0, q1, p1 in arcs:
+        if dt > 1e-7:
+            # v is taken from q1 - q0 and from times of size t: their rounding enters as eps / dt and |v| eps t / dt
+            floor = size * (16 * EPS + 10.0 * EPS * traj.t[-1]) / dt
+            assert np.abs(system.residual(q0, p0, q1, p1, dt)).max() <= 1e-10 + floor
 
 
 def corner_gaps(model: pin.Model, q: np.ndarray) -> dict[str, float]:
