@@ -58,7 +58,10 @@ class InputError(ContactviError, ValueError):
 
 
 class SceneError(ContactviError):
-    """A file or a model that cannot be used. `path`, `joint` and `body` say where, when known."""
+    """A file or a model that cannot be used. `path`, `joint` and `body` say where, when known.
+
+    `report` is what was found in the model up to there (report.PartReport), when it was being imported.
+    """
 
     def __init__(
         self,
@@ -72,6 +75,7 @@ class SceneError(ContactviError):
         self.path = None if path is None else str(path)
         self.joint = joint
         self.body = body
+        self.report: Any = None
         super().__init__(what, **kwargs)
 
 
@@ -86,10 +90,12 @@ class UnsupportedJointError(SceneError):
 class PenetrationError(ContactviError):
     """A start in penetration: `pair` (names), `depth` [m] > 0."""
 
-    def __init__(self, what: str, *, pair: tuple[str, str] | None = None, depth: float | None = None, **kw: Any) -> None:
+    def __init__(
+        self, what: str, *, pair: tuple[str, str] | None = None, depth: float | None = None, **kwargs: Any
+    ) -> None:
         self.pair = pair
         self.depth = depth
-        super().__init__(what, **kw)
+        super().__init__(what, **kwargs)
 
 
 class SimulationError(ContactviError):

@@ -9,6 +9,7 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import coal
 import numpy as np
@@ -104,6 +105,7 @@ def import_mjcf(
             load_visual=lambda: visual,
             prefix=prefix,
             placement=placement,
+            disabled=text.excluded,
         )
         _finish(part, file.name)
     start = {entry.key(): entry.data() for entry in model.referenceConfigurations}.get("qpos0")
@@ -192,7 +194,7 @@ class _reported:
             error.report = self.report
 
 
-def _parse(file: Path, build: Callable[[], object]) -> object:
+def _parse(file: Path, build: Callable[[], Any]) -> Any:
     """Run a Pinocchio reader; its exceptions (of many kinds) become SceneErrors."""
     try:
         return build()
@@ -201,6 +203,9 @@ def _parse(file: Path, build: Callable[[], object]) -> object:
     except Exception as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         said = next((line for line in reversed(lines) if not line.startswith("Hint")), type(error).__name__)
+        resource = next((line.rpartition("resource ")[2] for line in lines if "Could not load resource" in line), None)
+        if resource is not None:
+            raise SceneError(f"Cannot read the mesh {resource}", path=resource, got=said) from error
         raise SceneError(
             f"Pinocchio cannot read {file.name}", path=file, expected="a model it understands", got=said
         ) from error
@@ -218,7 +223,8 @@ def _finish(part: Part, source: str) -> None:
         kind = describe(geometry.geometry)
         try:
             done = prepare_geometry(geometry, report)
-        except SceneError:
+        except SceneError as error:
+            error.path = error.path or geometry.meshPath or str(source)
             report.geometries.append(GeometryRow(part.prefix + geometry.name, body, kind, "refused"))
             raise
         shape = describe(geometry.geometry)

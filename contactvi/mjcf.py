@@ -29,10 +29,11 @@ STATIC = "mjcf_world"  # name of the static body that gathers the top bodies
 
 @dataclass
 class MjcfText:
-    """A checked MJCF: its model name and the rewritten XML."""
+    """A checked MJCF: its model name, the rewritten XML, and its <exclude> pairs of bodies with the reason."""
 
     name: str
     xml: str
+    excluded: list[tuple[str, str, str]]
 
 
 def read_mjcf(path: Path, report: PartReport) -> MjcfText:
@@ -53,6 +54,7 @@ def read_mjcf(path: Path, report: PartReport) -> MjcfText:
         root.remove(other)
     _check_bodies(world, path, report)
     _check_meshes(root, path)
+    excluded = [(e.get("body1", ""), e.get("body2", ""), "MJCF exclude") for e in root.findall("./contact/exclude")]
     _note_ignored(root, world, report)
     static = ElementTree.Element("body", name=STATIC)
     for body in world.findall("body"):
@@ -62,7 +64,7 @@ def read_mjcf(path: Path, report: PartReport) -> MjcfText:
     for section in IGNORED_SECTIONS:
         for element in root.findall(section):
             root.remove(element)
-    return MjcfText(root.get("model") or path.stem, ElementTree.tostring(root, encoding="unicode"))
+    return MjcfText(root.get("model") or path.stem, ElementTree.tostring(root, encoding="unicode"), excluded)
 
 
 def _include(root: Element, path: Path, depth: int) -> None:
@@ -168,12 +170,16 @@ def _check_meshes(root: Element, path: Path) -> None:
 
 def _note_ignored(root: Element, world: Element, report: PartReport) -> None:
     for section in IGNORED_SECTIONS:
-        count = sum(len(element) for element in root.findall(section))
+        count = sum(child.tag != "exclude" for element in root.findall(section) for child in element)
         if count:
             report.note("ignored", "section", f"<{section}>", f"{count} element(s)")
     for geom in world.iter("geom"):
         if geom.get("friction") is not None:
             report.note("ignored", "geom", geom.get("name") or "(unnamed)", "friction: use set_contact")
+        bits = {geom.get("contype", "1"), geom.get("conaffinity", "1")}
+        if bits not in ({"0"}, {"1"}):
+            text = "contype and conaffinity: use disable_pair"
+            report.note("ignored", "geom", geom.get("name") or "(unnamed)", text)
     for joint in world.iter("joint"):
         if joint.get("stiffness") not in (None, "0"):
             name = joint.get("name") or "(unnamed)"

@@ -3,7 +3,7 @@
 By default every pair on two different bodies, except
 - adjacent bodies (one joint apart); the links of one robot base, fixed to the world, count as one body, while
   halfspaces, fixed primitives and shapes attached to the world itself are scenery and adjacent to nothing;
-- pairs disabled by the part's SRDF, or by disable_pair;
+- pairs disabled by the part's SRDF or MJCF (exclude), or by disable_pair;
 - pairs that overlap at the neutral pose, when their relative pose there is the model's own: two bodies of which one
   hangs on a free, planar, translation or prismatic root joint of another tree are placed by the start of a run, where
   an overlap is an error and not a property of the model.
@@ -21,7 +21,7 @@ import pinocchio as pin
 from contactvi.assembly import Assembly
 from contactvi.mjcf import STATIC
 from contactvi.parts import Part
-from contactvi.report import ADJACENT, BY_USER, NOT_GIVEN, OVERLAP, SRDF, RemovedPair
+from contactvi.report import ADJACENT, BY_FILE, BY_USER, NOT_GIVEN, OVERLAP, RemovedPair
 
 TOUCHING = 1e-6  # [m] shapes that merely touch at the neutral pose stay a pair
 
@@ -61,7 +61,7 @@ def choose_pairs(
     drop(by_user, BY_USER)
     given = _given(assembly, parts)
     drop(_adjacent(assembly, parts, joints) & ~given, ADJACENT)
-    drop(*_disabled_by_srdf(assembly, parts))
+    drop(*_disabled_by_file(assembly, parts))
     drop(_not_given(assembly, parts) & ~given, NOT_GIVEN)
     details = _overlaps(assembly, keep & ~forced & ~given)
     mask = np.zeros((count, count), dtype=bool)
@@ -120,9 +120,7 @@ def _not_given(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
     return _same_part(assembly) & closed[assembly.part_of_geometry][:, None]
 
 
-def _disabled_by_srdf(
-    assembly: Assembly, parts: Sequence[Part]
-) -> tuple[np.ndarray, str, dict[tuple[int, int], str]]:
+def _disabled_by_file(assembly: Assembly, parts: Sequence[Part]) -> tuple[np.ndarray, str, dict[tuple[int, int], str]]:
     count = len(assembly.part_of_geometry)
     mask = np.zeros((count, count), dtype=bool)
     details: dict[tuple[int, int], str] = {}
@@ -139,7 +137,7 @@ def _disabled_by_srdf(
                     pair = (min(a, b), max(a, b))
                     mask[pair] = True
                     details[pair] = reason
-    return mask, SRDF, details
+    return mask, BY_FILE, details
 
 
 def _overlaps(assembly: Assembly, candidates: np.ndarray) -> dict[tuple[int, int], str]:

@@ -232,6 +232,6 @@ def _pairs_text(report: ImportReport, most: int) -> list[str]:
 
 ADJACENT = "adjacent bodies (joined by one joint)"
 OVERLAP = "overlapping at the neutral pose"
-SRDF = "disabled by the SRDF"
+BY_FILE = "disabled by the model's files"
 BY_USER = "disabled by disable_pair"
 NOT_GIVEN = "not among the given collision pairs"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,10 +19,8 @@ from contactvi.joints import JointSettings, joint_settings, joint_value, joint_v
 from contactvi.parts import Part, check_new_names, shape_part
 from contactvi.report import ImportReport
 from contactvi.scene_build import Built, Edits, build, engine_scene, scene_report
+from contactvi.scene_data import scene_from_dict, scene_to_dict
 from contactvi.selection import BodyHandle, Names, PartHandle, Selector
-
-if TYPE_CHECKING:
-    from contactvi import _core
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -51,8 +49,6 @@ class Scene:
         self._base: tuple[Assembly, Names] | None = None  # of the parts alone
         self._built: Built | None = None  # of everything; dropped by every edit
         self._visual: pin.GeometryModel | None = None
-
-    # -- adding ---------------------------------------------------------------------------------------------------
 
     def add_urdf(
         self,
@@ -175,8 +171,6 @@ class Scene:
         self._base = self._built = self._visual = None
         return handle
 
-    # -- contact and joints ---------------------------------------------------------------------------------------
-
     def set_contact(
         self,
         a: Selector | None = None,
@@ -258,8 +252,6 @@ class Scene:
         all_names = list(names.geometries)
         return [all_names[index] for index in names.select_geometries(selector, argument)]
 
-    # -- the assembled scene --------------------------------------------------------------------------------------
-
     def _assembled(self) -> tuple[Assembly, Names]:
         if self._base is None:
             assembly = assemble(self._parts, self.gravity)
@@ -320,20 +312,11 @@ class Scene:
     @property
     def report(self) -> ImportReport:
         """What of the models is used, changed, ignored, suspicious; pairs that are not tested; rounded shapes."""
-        try:
-            rounding = list(self.core().rounding)
-        except ImportError:  # the package is used from its sources, without the engine
-            rounding = None
-        return scene_report(self._parts, self._complete(), self._edits.joints, rounding)
+        return scene_report(self._parts, self._complete(), self._edits.joints)
 
-    def core(self) -> _core.Scene:
-        """Return the engine's scene, built on first use and again after an edit."""
-        built = self._complete()
-        if built.core is None:
-            built.core = engine_scene(built)
-        return built.core
-
-    # -- states ---------------------------------------------------------------------------------------------------
+    def core(self) -> Any:
+        """Return the engine's scene (contactvi._core.Scene), built on first use and again after an edit."""
+        return engine_scene(self._complete())
 
     def neutral(self) -> np.ndarray:
         """Return the neutral configuration, shape (nq,): joints at zero or the nearest limit, free bodies as placed."""
@@ -345,15 +328,13 @@ class Scene:
 
     def q_index(self, joint: Selector) -> slice:
         """Return where a joint's numbers lie in q."""
-        model, name = self.model, self._one_joint(joint)
-        index = model.getJointId(name)
-        return slice(model.idx_qs[index], model.idx_qs[index] + model.nqs[index])
+        found = self._one_joint(joint)
+        return slice(found.idx_q, found.idx_q + found.nq)
 
     def v_index(self, joint: Selector) -> slice:
         """Return where a joint's numbers lie in v."""
-        model, name = self.model, self._one_joint(joint)
-        index = model.getJointId(name)
-        return slice(model.idx_vs[index], model.idx_vs[index] + model.nvs[index])
+        found = self._one_joint(joint)
+        return slice(found.idx_v, found.idx_v + found.nv)
 
     def configuration(self, values: Mapping[Any, Any], base: np.ndarray | None = None) -> np.ndarray:
         """Return `base` (neutral when None) with the values of some joints, shape (nq,).
@@ -381,23 +362,26 @@ class Scene:
                 v[self.v_index(name)] = joint_velocity(model, name, value, q)
         return v
 
-    def _one_joint(self, joint: Selector) -> str:
-        found = self._assembled()[1].select_joints(joint)
+    def _one_joint(self, joint: Selector) -> pin.JointModel:
+        assembly, names = self._assembled()
+        found = names.select_joints(joint)
         if len(found) != 1:
             raise InputError(f"Joint {str(joint)!r}", name="joint", expected="one joint", got=f"{len(found)}")
-        return found[0]
-
-    # -- plain data -----------------------------------------------------------------------------------------------
+        return assembly.model.joints[assembly.model.getJointId(found[0])]
 
     def to_dict(self) -> dict[str, Any]:
         """Return a complete description in plain data (see scene_data.py); from_dict makes the same scene of it."""
-        from contactvi.scene_data import scene_to_dict
-
-        return scene_to_dict(self)
+        data = scene_to_dict(self._complete(), self._edits, self.parts)
+        start = {name: None if q is None else q.tolist() for name, q in (("q0", self.q0), ("v0", self.v0))}
+        return data | start | {"settings": dict(self.settings)}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Scene:
         """Return the scene of to_dict. Raises SceneError when the data are not such a description."""
-        from contactvi.scene_data import scene_from_dict
-
-        return scene_from_dict(data)
+        stored = scene_from_dict(data)
+        scene = cls(data["gravity"])
+        scene._parts, scene._groups, scene._edits = [stored.part], stored.groups, stored.edits
+        for name in ("q0", "v0"):
+            setattr(scene, name, None if data.get(name) is None else np.array(data[name], dtype=float))
+        scene.settings = dict(data.get("settings", {}))
+        return scene

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -17,9 +17,6 @@ from contactvi.pairs import choose_pairs
 from contactvi.parts import Part
 from contactvi.report import ImportReport, Note, RemovedPair, number
 from contactvi.selection import Names
-
-if TYPE_CHECKING:
-    from contactvi import _core
 
 
 @dataclass
@@ -45,7 +42,7 @@ class Built:
     removed: list[RemovedPair]
     restitution: np.ndarray
     friction: np.ndarray
-    core: _core.Scene | None = None
+    core: Any = None  # _core.Scene, made on first use
 
 
 def build(base: Assembly, parts: Sequence[Part], names: Names, edits: Edits) -> Built:
@@ -73,12 +70,14 @@ def build(base: Assembly, parts: Sequence[Part], names: Names, edits: Edits) -> 
     )
 
 
-def engine_scene(built: Built) -> _core.Scene:
-    """Return the engine's constant scene; its faults become SceneErrors."""
+def engine_scene(built: Built) -> Any:
+    """Return the engine's constant scene (_core.Scene), made once; its faults become SceneErrors."""
     from contactvi import _core
 
+    if built.core is not None:
+        return built.core
     try:
-        return _core.Scene(
+        built.core = _core.Scene(
             to_bytes(built.model),
             to_bytes(built.collision),
             built.restitution,
@@ -90,6 +89,7 @@ def engine_scene(built: Built) -> _core.Scene:
         )
     except RuntimeError as error:  # CoreError is one; Pinocchio and coal raise others
         raise SceneError("The engine refuses the scene", got=str(error).strip().splitlines()[-1]) from error
+    return built.core
 
 
 def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
@@ -99,10 +99,8 @@ def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
     return bytes(buffer.tobytes())
 
 
-def scene_report(
-    parts: Sequence[Part], built: Built, joints: Mapping[str, JointSettings], rounding: Sequence[float] | None
-) -> ImportReport:
-    """Return the report: what the parts found, joint settings that replace file data, pairs, rounding [m] per pair."""
+def scene_report(parts: Sequence[Part], built: Built, joints: Mapping[str, JointSettings]) -> ImportReport:
+    """Return the report: what the parts found, joint settings that replace file data, pairs, rounded shapes."""
     damped = {name for name, settings in joints.items() if settings.damping is not None}
     found = [part.report.without("suspicious", damped, "damping") for part in parts]
     report = ImportReport(found, list(built.pairs), list(built.removed))
@@ -116,11 +114,11 @@ def scene_report(
         if settings.stiffness:
             text = f"spring of {number(settings.stiffness)} N m/rad or N/m"
             report.notes.append(Note("used", "joint", name, text))
-    if rounding is not None and len(rounding):
-        rounded = [float(r) for r in rounding if r > 0.0]
-        if rounded:
-            text = f"edges rounded with radius {_range(rounded)} m inside the shape, for exact normals"
-            report.notes.append(Note("changed", "pairs", f"{len(rounded)} of {len(rounding)}", text))
+    rounding = list(engine_scene(built).rounding)
+    rounded = [float(r) for r in rounding if r > 0.0]
+    if rounded:
+        text = f"edges rounded with radius {_range(rounded)} m inside the shape, for exact normals"
+        report.notes.append(Note("changed", "pairs", f"{len(rounded)} of {len(rounding)}", text))
     return report
 
 

@@ -16,8 +16,9 @@ q0, v0, settings
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import coal
 import numpy as np
@@ -31,11 +32,8 @@ from contactvi.joints import JointSettings
 from contactvi.model_checks import ONE_DOF, joint_kind, motion_axis
 from contactvi.parts import Part
 from contactvi.report import PartReport
-from contactvi.scene_build import Edits
+from contactvi.scene_build import Built, Edits
 from contactvi.selection import PartHandle
-
-if TYPE_CHECKING:
-    from contactvi.scene import Scene
 
 FORMAT = "contactvi-scene"
 VERSION = 1
@@ -44,14 +42,22 @@ _ALIGNED = {"revolute": "R", "continuous": "RUB", "prismatic": "P", "helical": "
 _OTHER = {"planar": "Planar", "translation": "Translation", "spherical": "Spherical", "free": "FreeFlyer"}
 
 
-def scene_to_dict(scene: Scene) -> dict[str, Any]:
-    """Return the scene as plain data (layout above)."""
-    built = scene._complete()
+@dataclass
+class SceneData:
+    """What a scene is made of when it is read back."""
+
+    part: Part
+    groups: dict[str, PartHandle]
+    edits: Edits
+
+
+def scene_to_dict(built: Built, edits: Edits, groups: Sequence[PartHandle]) -> dict[str, Any]:
+    """Return a complete scene as plain data (layout above, without q0, v0 and settings)."""
     model, arrays = built.model, built.arrays
     return {
         "format": FORMAT,
         "version": VERSION,
-        "gravity": scene.gravity.tolist(),
+        "gravity": model.gravity.linear.tolist(),
         "joints": [_joint_to_dict(model, i) for i in range(1, model.njoints)],
         "bodies": [
             {"name": f.name, "joint": int(f.parentJoint), "placement": _place(f.placement)}
@@ -62,8 +68,8 @@ def scene_to_dict(scene: Scene) -> dict[str, Any]:
         "pairs": [list(pair) for pair in built.pairs],
         "pair_restitution": built.restitution.tolist(),
         "pair_friction": built.friction.tolist(),
-        "restitution": scene._edits.restitution.default,
-        "friction": scene._edits.friction.default,
+        "restitution": edits.restitution.default,
+        "friction": edits.friction.default,
         "stiffness": arrays.stiffness.tolist(),
         "rest": arrays.rest.tolist(),
         "limits": [bool(used) for used in arrays.limits],
@@ -71,16 +77,13 @@ def scene_to_dict(scene: Scene) -> dict[str, Any]:
         "start": built.start.tolist(),
         "parts": {
             part.name: {"joints": list(part.joints), "bodies": list(part.bodies), "geometries": list(part.geometries)}
-            for part in scene.parts
+            for part in groups
         },
-        "q0": None if scene.q0 is None else scene.q0.tolist(),
-        "v0": None if scene.v0 is None else scene.v0.tolist(),
-        "settings": dict(scene.settings),
     }
 
 
-def scene_from_dict(data: Mapping[str, Any]) -> Scene:
-    """Return the scene that scene_to_dict described.
+def scene_from_dict(data: Mapping[str, Any]) -> SceneData:
+    """Return what scene_to_dict described.
 
     Raises
     ------
@@ -90,16 +93,13 @@ def scene_from_dict(data: Mapping[str, Any]) -> Scene:
         got = f"{data.get('format')} {data.get('version')}" if isinstance(data, Mapping) else type(data).__name__
         raise SceneError("Description of a scene", expected=f"{FORMAT} {VERSION}", got=got)
     try:
-        return _scene(data)
+        return _read(data)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RuntimeError) as error:
         got = f"{type(error).__name__}: {error}"
         raise SceneError("Damaged description of a scene", expected="the data of Scene.to_dict", got=got) from error
 
 
-def _scene(data: Mapping[str, Any]) -> Scene:
-    from contactvi.scene import Scene
-
-    scene = Scene(data["gravity"])
+def _read(data: Mapping[str, Any]) -> SceneData:
     model = _model(data)
     collision = _collision(data, model)
     index = {g.name: k for k, g in enumerate(collision.geometryObjects)}
@@ -114,16 +114,11 @@ def _scene(data: Mapping[str, Any]) -> Scene:
         # An empty choice is a choice too: nothing is tested.
         given_pairs=[(index[a], index[b]) for a, b in data["pairs"]],
     )
-    scene._parts.append(part)
-    scene._groups = {
+    groups = {
         name: PartHandle(name, *(tuple(group[key]) for key in ("joints", "bodies", "geometries")))
         for name, group in data["parts"].items()
     }
-    scene._edits = _edits(data, model)
-    for name in ("q0", "v0"):
-        setattr(scene, name, None if data[name] is None else np.array(data[name], dtype=float))
-    scene.settings = dict(data["settings"])
-    return scene
+    return SceneData(part, groups, _edits(data, model))
 
 
 def _edits(data: Mapping[str, Any], model: pin.Model) -> Edits:

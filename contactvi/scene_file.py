@@ -175,6 +175,7 @@ class _at:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, ContactviError):
+            error.what = f"{self.where}: {error.what}"
             error.args = (f"{self.where}: {error}",)
             if isinstance(error, SceneError) and error.path is None:
                 error.path = str(self.file)
@@ -251,7 +252,8 @@ def _set_start(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
         with _at(file, "initial.body", number):
             name = entry["name"]
             if scene.nv == 0 or len(q[scene.q_index(name)]) != 7:
-                raise InputError(f"Body {name!r}", name="name", expected="a free body", got="a joint", remedy="Use q, v")
+                remedy = "Set it in [initial] q, v"
+                raise InputError(f"Body {name!r}", name="name", expected="a free body", got="a joint", remedy=remedy)
             place = _body_pose(entry, q[scene.q_index(name)])
             q = scene.configuration({name: place}, q)
             zero = [0.0, 0.0, 0.0]

@@ -142,9 +142,9 @@ def _check_joint(name: str, joint: Element, path: Path) -> None:
             remedy="Add it, or make the joint continuous",
         )
     for tag, keys in (("limit", ("lower", "upper", "effort", "velocity")), ("dynamics", ("damping", "friction"))):
-        element = joint.find(tag)
-        for key in keys if element is not None else ():
-            numbers(element, key, path, where, 1)
+        if (element := joint.find(tag)) is not None:
+            for key in keys:
+                numbers(element, key, path, where, 1)
 
 
 def _check_link(name: str, link: Element, path: Path, package_dirs: Sequence[object], report: PartReport) -> None:
@@ -152,15 +152,14 @@ def _check_link(name: str, link: Element, path: Path, package_dirs: Sequence[obj
     for inertial in link.findall("inertial"):
         mass = inertial.find("mass")
         inertia = inertial.find("inertia")
-        if mass is not None:
-            numbers(mass, "value", path, where, 1)
-        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz") if inertia is not None else ():
-            numbers(inertia, key, path, where, 1)
         if mass is None or inertia is None:
-            missing = "mass" if mass is None else "inertia"
+            missing = "mass" if mass is None else "inertia"  # urdfdom would drop the other one too
             raise SceneError(
                 f"{path.name}: inertial of {where}", path=path, body=name, expected=f"<{missing}>", got="none"
             )
+        numbers(mass, "value", path, where, 1)
+        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
+            numbers(inertia, key, path, where, 1)
         if (origin := inertial.find("origin")) is not None:
             numbers(origin, "xyz", path, where, 3)
             numbers(origin, "rpy", path, where, 3)

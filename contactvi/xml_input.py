@@ -94,7 +94,10 @@ def named(elements: list[Element], path: Path, kind: str) -> dict[str, Element]:
             raise SceneError(f"{path.name}: a {kind} without a name", path=path, expected="a name", got="none")
         if name in found:
             raise SceneError(
-                f"{path.name}: two {kind}s are called {name!r}", path=path, expected="distinct names", got=repr(name)
+                f"{path.name}: two of the {kind} names are {name!r}",
+                path=path,
+                expected="distinct names",
+                got=repr(name),
             )
         found[name] = element
     return found
