@@ -89,11 +89,15 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& v1, const
   guards_->bound_motion(q0, bound_, h);
   guards_->place(q1);
   for (int g = 0; g < guards_->count(); ++g) {
-    if (!touching_[g] && (guards_->skip(g) || guards_->separated_at_end(g))) {
+    if (!touching_[g] && guards_->skip(g)) {
       ++guards_->counters.skipped;
       continue;
     }
     pass_.push_back(g);
+    if (!touching_[g] && guards_->separated_at_end(g)) {
+      ++guards_->counters.skipped;
+      continue;
+    }
     Contact at_end;
     const double gap = guards_->evaluate(g, at_end);
     if (!std::isfinite(gap)) return fail(Search::kUnresolved, g, gap);
@@ -183,6 +187,10 @@ Search EventFinder::check_touching(int guard) {
   const double start_gap = model_gap(guard, 0.0);
   guards_->gradient(guard, contact_, W_);
   const double slope = h_ * W_.dot(v0_);
+  if (start_gap > 0.0 && slope < 0.0) {
+    candidates_.push_back({guard, 0.0, 1.0, std::min(1.0, -start_gap / slope), false});  // closing again: an ordinary crossing
+    return Search::kNone;
+  }
   // gap(alpha) ~ start + slope alpha + curve alpha^2: back at zero near -slope/curve.
   const double curve = end_gap - start_gap - slope;
   const double back = slope > 0.0 && curve < 0.0 ? std::min(1.0, -slope / curve) : 0.0;

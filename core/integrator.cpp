@@ -81,7 +81,11 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, const VecX& guess, 
       fresh = true;
     }
     if (!measure(h, error2, scale2)) break;
-    if (error2 <= tol_ * tol_ * scale2) return true;
+    if (error2 <= tol_ * tol_ * scale2) {
+      // The correction is there already: taken, it costs nothing, and extrapolated noise cannot build up below tol.
+      v_ += dv_;
+      return true;
+    }
     ++iterations_;
     const double rate = k > 0 ? residual_norm_ / previous : 0.0;
     if (k > 0 && fresh) fresh_rate_ = 0.5 * (fresh_rate_ + std::min(rate, 0.5));

@@ -169,7 +169,10 @@ bool Simulator::collect_closed(double time) {
   for (int g : finder_.active()) {
     Contact contact;
     const double gap = guards_.evaluate(g, contact);
-    if (g != finder_.event().guard && !(gap <= guards_.touch_tolerance(g))) continue;
+    if (g != finder_.event().guard && !(gap <= guards_.touch_tolerance(g))) {
+      finder_.set_touching(g, false);
+      continue;
+    }
     if (closed_count_ == static_cast<int>(closed_.size()))
       closed_.push_back({0, contact, VecX(scene_->tree.nv), VecX(scene_->tree.nv), 0.0, false});
     Closed& c = closed_[closed_count_++];
