@@ -235,9 +235,14 @@ Search EventFinder::locate(Candidate& c, bool& exists) {
   double lo = c.lo, hi = c.hi;
   if (!exact_gap(guard, hi, gap)) return fail(Search::kNewtonFailed, guard, 0);
   if (gap > 0.0) {
-    // Only the model path dips below zero: a graze within its O(h^3) error.
-    exists = false;
-    return Search::kFound;
+    // The model path is ahead of the exact one by O(h^3): the crossing is later, or only the model grazes.
+    lo = hi;
+    hi = 1.0;
+    if (lo < hi && !exact_gap(guard, hi, gap)) return fail(Search::kNewtonFailed, guard, 0);
+    exists = gap <= 0.0;
+    if (!exists) return Search::kFound;
+    x = lo;
+    c.touching = false;
   }
   if (c.touching && lo == 0.0) {
     // Find a point where it has separated; if there is none it never did.

@@ -1,6 +1,7 @@
 #include "guard.hpp"
 
 #include <coal/distance.h>
+#include <coal/narrowphase/support_functions.h>
 #include <coal/shape/geometric_shapes.h>
 
 #include <algorithm>
@@ -14,6 +15,13 @@ struct Guards::Functors {
   coal::DistanceRequest request;
   coal::DistanceResult result;
 };
+
+void settle_box_support() {
+  const coal::Box box(1, 1, 1);
+  int hint = 0;
+  coal::details::getSupport<coal::details::SupportOptions::NoSweptSphere>(&box, coal::Vec3s(1, 2, 3), hint);
+  coal::details::getSupport<coal::details::SupportOptions::WithSweptSphere>(&box, coal::Vec3s(1, 2, 3), hint);
+}
 
 Guards::Guards(const Scene& scene)
     : scene_(&scene),

@@ -22,6 +22,11 @@ struct GuardCounters {
   long skipped = 0;    // guards of a step settled without one
 };
 
+// To be called before coal first looks at a box: it inflates all boxes of a process by 1e-10 of their size if the direction
+// of that very first query has a zero component (a static variable in its support function), so distances would depend on
+// what the process did before.
+void settle_box_support();
+
 class Guards {
  public:
   explicit Guards(const Scene& scene);
