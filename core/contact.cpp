@@ -5,7 +5,8 @@ namespace contactvi {
 namespace {
 
 // Adds sign * n^T J(x) of a point x fixed to the body.
-void add_point(const Tree& tree, const KernelWorkspace& kernel, int body, const Vec3& x, const Vec3& n, double sign, VecRef W) {
+void add_point(const Tree& tree, const KernelWorkspace& kernel, int body, const Vec3& x, const Vec3& n, double sign,
+               VecRef W) {
   for (int j = body; j >= 0; j = tree.joints[j].parent) {
     const Joint& joint = tree.joints[j];
     const Mat3& R = kernel.R_W[j];

@@ -5,8 +5,8 @@
 //   1-dof and translation joints   p0 = P - h/2 Q                               p1 = P + h/2 Q
 //   spherical joints, xi = h v     p0 = Jr(xi)^-1 [P + h/2 Jl(xi/2) Q] - h exp(xi/2) Q
 //                                  p1 = exp(-xi) (p0 + h exp(xi/2) Q)
-// where Jr^-1 stands for exp(xi) Jr(xi)^-T = Jr(xi)^-1 and Jl(xi/2) = Jr(xi/2)^T. p1 is formed from the given p0 and the
-// balance of momentum, so what is left of the residual cannot make momentum maps drift.
+// where Jr^-1 stands for exp(xi) Jr(xi)^-T = Jr(xi)^-1 and Jl(xi/2) = Jr(xi/2)^T. p1 is formed from the given p0 and
+// the balance of momentum, so what is left of the residual cannot make momentum maps drift.
 #pragma once
 
 #include "kernel.hpp"
@@ -16,11 +16,11 @@ namespace contactvi {
 struct StepWorkspace {
   explicit StepWorkspace(const Tree& tree);
   KernelWorkspace kernel;
-  VecX q_mid;              // nq
-  VecX P, dT, dV;          // nv
-  VecX force;              // nv, Q = dT/dq - dV/dq + F
-  VecX magnitude;          // nv, sum of the absolute values that cancel in Q
-  VecX residual;           // nv
+  VecX q_mid;      // nq
+  VecX P, dT, dV;  // nv
+  VecX force;      // nv, Q = dT/dq - dV/dq + F
+  VecX magnitude;  // nv, sum of the absolute values that cancel in Q
+  VecX residual;   // nv
 };
 
 // r(v) = p0 - p0(v) into ws.residual; leaves P, Q and the kernel at (q_m, v) in ws. tau: external generalized force in

@@ -7,9 +7,7 @@ namespace contactvi {
 
 namespace {
 
-Twist cross(const Twist& a, const Twist& b) {
-  return {a.ang.cross(b.ang), a.ang.cross(b.lin) + a.lin.cross(b.ang)};
-}
+Twist cross(const Twist& a, const Twist& b) { return {a.ang.cross(b.ang), a.ang.cross(b.lin) + a.lin.cross(b.ang)}; }
 
 Twist operator+(const Twist& a, const Twist& b) { return {a.ang + b.ang, a.lin + b.lin}; }
 
@@ -34,7 +32,8 @@ Twist joint_twist(const Joint& joint, const VecCRef& w) {
 }
 
 Wrench momentum(const Joint& joint, const Twist& v) {
-  return {joint.inertia * v.ang + joint.first_moment.cross(v.lin), joint.mass * v.lin - joint.first_moment.cross(v.ang)};
+  return {joint.inertia * v.ang + joint.first_moment.cross(v.lin),
+          joint.mass * v.lin - joint.first_moment.cross(v.ang)};
 }
 
 double dot(const Wrench& f, const Twist& v) { return f.ang.dot(v.ang) + f.lin.dot(v.lin); }
@@ -54,7 +53,8 @@ double project(const Joint& joint, const Wrench& f, int d) {
   }
 }
 
-// Velocity-dependent accelerations of the bodies (no joint acceleration, no gravity), body frame, component derivatives.
+// Velocity-dependent accelerations of the bodies (no joint acceleration, no gravity), body frame, component
+// derivatives.
 void bias_accelerations(const Tree& tree, const KernelWorkspace& kernel, const VecCRef& v, std::vector<Twist>& bias) {
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
     const BodyState& body = kernel.bodies[i];
@@ -64,8 +64,8 @@ void bias_accelerations(const Tree& tree, const KernelWorkspace& kernel, const V
 }
 
 // a = M^-1 (-C v - g): backward pass of the recursive Newton-Euler algorithm. force: -dV/dq on entry, a on return.
-void free_acceleration(const Tree& tree, const KernelWorkspace& kernel, const std::vector<Twist>& bias, const VecCRef& v,
-                       const TreeLu& mass, const VecX& armature, VecRef force) {
+void free_acceleration(const Tree& tree, const KernelWorkspace& kernel, const std::vector<Twist>& bias,
+                       const VecCRef& v, const TreeLu& mass, const VecX& armature, VecRef force) {
   std::vector<Wrench> f(tree.joints.size());
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
     const Wrench h = momentum(tree.joints[i], kernel.bodies[i].velocity), m = momentum(tree.joints[i], bias[i]);
@@ -102,7 +102,8 @@ double power_rate(const Tree& tree, const KernelWorkspace& kernel, const std::ve
     bias_rate[i] = cross(body.inherited, sa);
     if (joint.parent >= 0) {
       inherited_rate = inherited_rate + to_child(body, rate[joint.parent]);
-      bias_rate[i] = bias_rate[i] + to_child(body, bias_rate[joint.parent]) + cross(to_child(body, bias[joint.parent]), sv);
+      bias_rate[i] =
+          bias_rate[i] + to_child(body, bias_rate[joint.parent]) + cross(to_child(body, bias[joint.parent]), sv);
     }
     bias_rate[i] = bias_rate[i] + cross(inherited_rate, sv);
     rate[i] = inherited_rate + sa;
@@ -134,7 +135,8 @@ double spring_power_rate(const Tree& tree, const VecCRef& q, const VecCRef& v, c
 Energy energy(Integrator& integrator, const VecCRef& q, const VecCRef& p) {
   const Tree& tree = integrator.tree();
   VecX v(tree.nv), unused = VecX::Zero(tree.nv);
-  if (!integrator.node_velocity(q, p, v)) return {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::quiet_NaN()};
+  if (!integrator.node_velocity(q, p, v))
+    return {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::quiet_NaN()};
   KernelWorkspace& kernel = integrator.workspace().kernel;
   world_placements(tree, kernel);
   return {0.5 * p.dot(v), gravity_potential(tree, kernel) + add_springs(tree, q, unused)};

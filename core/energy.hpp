@@ -1,4 +1,5 @@
-// Energies of a state (q, p): kinetic and potential, and the modified Hamiltonian that the midpoint step really conserves.
+// Energies of a state (q, p): kinetic and potential, and the modified Hamiltonian that the midpoint step really
+// conserves.
 #pragma once
 
 #include "integrator.hpp"

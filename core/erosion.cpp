@@ -18,7 +18,8 @@ namespace {
 using Hull = coal::Convex<coal::Triangle>;
 using Points = std::shared_ptr<std::vector<coal::Vec3s>>;
 
-// An eroded polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre c:
+// An eroded polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
+// c:
 // the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the polytope.
 std::shared_ptr<coal::CollisionGeometry> eroded_hull(const Hull& hull, double& radius) {
   const std::vector<coal::Vec3s>& points = *hull.points;
@@ -52,7 +53,8 @@ std::shared_ptr<coal::CollisionGeometry> eroded_hull(const Hull& hull, double& r
   Points vertices = std::make_shared<std::vector<coal::Vec3s>>();
   for (unsigned i = 0; i < dual_hull->num_polygons; ++i) {
     const coal::Triangle& face = (*dual_hull->polygons)[i];
-    const coal::Vec3s a = (*dual_hull->points)[face[0]], b = (*dual_hull->points)[face[1]], c = (*dual_hull->points)[face[2]];
+    const coal::Vec3s a = (*dual_hull->points)[face[0]], b = (*dual_hull->points)[face[1]],
+                      c = (*dual_hull->points)[face[2]];
     const coal::Vec3s n = (b - a).cross(c - a);
     const double d = n.dot(a);
     if (n.norm() < 1e-18 || std::abs(d) < 1e-12 * n.norm()) continue;

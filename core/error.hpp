@@ -21,10 +21,10 @@ enum class StatusCode : int {
 struct Status {
   StatusCode code = StatusCode::kSuccess;
   std::string message;
-  double time = 0.0;                // time reached [s]
-  int guard = -1;                   // guard index (contact pairs first, then joint limits), -1: none
-  double accumulation_time = 0.0;   // Zeno time [s], NaN where it does not apply
-  double depth = 0.0;               // penetration depth [m] or [rad], NaN where it does not apply
+  double time = 0.0;               // time reached [s]
+  int guard = -1;                  // guard index (contact pairs first, then joint limits), -1: none
+  double accumulation_time = 0.0;  // Zeno time [s], NaN where it does not apply
+  double depth = 0.0;              // penetration depth [m] or [rad], NaN where it does not apply
   bool ok() const { return code == StatusCode::kSuccess; }
 };
 

@@ -6,12 +6,12 @@
 namespace contactvi {
 
 namespace {
-constexpr double kTarget = 1e-14;        // a gap at which nothing is left to improve
-constexpr double kAccept = 1e-12;        // the promise
-constexpr double kAcceptNoisy = 1e-9;    // where the collision library's own noise is larger
-constexpr double kClosing = 1e-12;       // a touching guard below -this has closed again
-constexpr int kMaxDepth = 24;            // of bisection in the search for a dip
-constexpr int kSmoothDepth = 6;          // from here on a cubic through gaps and rates may rule a dip out
+constexpr double kTarget = 1e-14;      // a gap at which nothing is left to improve
+constexpr double kAccept = 1e-12;      // the promise
+constexpr double kAcceptNoisy = 1e-9;  // where the collision library's own noise is larger
+constexpr double kClosing = 1e-12;     // a touching guard below -this has closed again
+constexpr int kMaxDepth = 24;          // of bisection in the search for a dip
+constexpr int kSmoothDepth = 6;        // from here on a cubic through gaps and rates may rule a dip out
 }  // namespace
 
 EventFinder::EventFinder(const Scene& scene, Integrator& integrator, Guards& guards)
@@ -188,7 +188,8 @@ Search EventFinder::check_touching(int guard) {
   guards_->gradient(guard, contact_, W_);
   const double slope = h_ * W_.dot(v0_);
   if (start_gap > 0.0 && slope < 0.0) {
-    candidates_.push_back({guard, 0.0, 1.0, std::min(1.0, -start_gap / slope), false});  // closing again: an ordinary crossing
+    candidates_.push_back(
+        {guard, 0.0, 1.0, std::min(1.0, -start_gap / slope), false});  // closing again: an ordinary crossing
     return Search::kNone;
   }
   // gap(alpha) ~ start + slope alpha + curve alpha^2: back at zero near -slope/curve.

@@ -39,10 +39,12 @@ Guards::Guards(const Scene& scene)
   functors_->distance.reserve(pairs_);
   for (const Pair& pair : scene.pairs) {
     const Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
-    functors_->distance.emplace_back((pair.rounded ? a.rounded : a.sharp).get(), (pair.rounded ? b.rounded : b.sharp).get());
+    functors_->distance.emplace_back((pair.rounded ? a.rounded : a.sharp).get(),
+                                     (pair.rounded ? b.rounded : b.sharp).get());
   }
   functors_->request.enable_signed_distance = true;
-  functors_->request.gjk_tolerance = 1e-10;  // the default 1e-6 is the error of the gap; EPA's default stays, below it NaN
+  functors_->request.gjk_tolerance =
+      1e-10;  // the default 1e-6 is the error of the gap; EPA's default stays, below it NaN
 }
 
 Guards::~Guards() = default;
@@ -95,7 +97,8 @@ double Guards::evaluate(int guard, Contact& contact) {
   Functors& f = *functors_;
   f.result.clear();
   f.distance[guard](coal::Transform3s(R_a, p_a), coal::Transform3s(R_b, p_b), f.request, f.result);
-  contact = {f.result.min_distance, f.result.normal, f.result.nearest_points[0], f.result.nearest_points[1], a.body, b.body};
+  contact = {f.result.min_distance,      f.result.normal, f.result.nearest_points[0],
+             f.result.nearest_points[1], a.body,          b.body};
   if (!contact.normal.allFinite()) contact.gap = std::numeric_limits<double>::quiet_NaN();
   return contact.gap;
 }

@@ -4,9 +4,9 @@
 // interval (0, 1] of the step. A guard that was just hit, or starts at zero, is "touching": it is excluded until it has
 // separated, unless it closes again. A start below zero is an error, never projected away.
 //
-// Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was d when
-// it was last looked at stays skipped until the two odometers have advanced by d; only then its bounding spheres, and only
-// then its shapes, are looked at. Numbering: collision pairs first, then joint limits.
+// Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was
+// d when it was last looked at stays skipped until the two odometers have advanced by d; only then its bounding
+// spheres, and only then its shapes, are looked at. Numbering: collision pairs first, then joint limits.
 #pragma once
 
 #include <memory>
@@ -22,9 +22,9 @@ struct GuardCounters {
   long skipped = 0;    // guards of a step settled without one
 };
 
-// To be called before coal first looks at a box: it inflates all boxes of a process by 1e-10 of their size if the direction
-// of that very first query has a zero component (a static variable in its support function), so distances would depend on
-// what the process did before.
+// To be called before coal first looks at a box: it inflates all boxes of a process by 1e-10 of their size if the
+// direction of that very first query has a zero component (a static variable in its support function), so distances
+// would depend on what the process did before.
 void settle_box_support();
 
 class Guards {
@@ -69,10 +69,10 @@ class Guards {
   VecX q_;
   struct Functors;  // coal's, kept out of this header
   std::unique_ptr<Functors> functors_;
-  std::vector<double> angular_, linear_;  // per body: bounds on |omega|, on the origin's speed
-  std::vector<double> motion_, odometer_;             // per geometry
-  std::vector<double> limit_motion_;                  // per joint limit
-  std::vector<double> marks_;                         // per guard: odometer sum up to which it may be skipped
+  std::vector<double> angular_, linear_;   // per body: bounds on |omega|, on the origin's speed
+  std::vector<double> motion_, odometer_;  // per geometry
+  std::vector<double> limit_motion_;       // per joint limit
+  std::vector<double> marks_;              // per guard: odometer sum up to which it may be skipped
 };
 
 }  // namespace contactvi

@@ -8,12 +8,12 @@
 namespace contactvi {
 
 struct ImpactProblem {
-  const TreeLu& mass;   // M(q_c), factored
-  const VecX& W;        // gap gradient at q_c, (nv,)
-  const VecX& MinvW;    // M^-1 W^T, (nv,)
-  double gamma_minus;   // < 0
+  const TreeLu& mass;  // M(q_c), factored
+  const VecX& W;       // gap gradient at q_c, (nv,)
+  const VecX& MinvW;   // M^-1 W^T, (nv,)
+  double gamma_minus;  // < 0
   double G_c;
-  double restitution;   // in [0, 1]
+  double restitution;  // in [0, 1]
 };
 
 struct ImpactResult {

@@ -1,14 +1,14 @@
 #include "integrator.hpp"
 
-#include <algorithm>
 #include <Eigen/LU>
+#include <algorithm>
 #include <cmath>
 
 namespace contactvi {
 
 namespace {
-// Nanoseconds per degree of freedom at depth d, measured once on Allegro and a chain of 100 (x86-64, -O3); only their ratio
-// is used, so another machine's answer is little worse.
+// Nanoseconds per degree of freedom at depth d, measured once on Allegro and a chain of 100 (x86-64, -O3); only their
+// ratio is used, so another machine's answer is little worse.
 double factor_cost(double d) { return 68.0 + 15.0 * d + 0.4 * d * d; }
 double iteration_cost(double d) { return 62.0 + 1.4 * d; }
 // A new factorisation serves later steps as well.
@@ -172,10 +172,18 @@ void Extrapolation::push(const VecX& v, double h) {
 void Extrapolation::guess(VecX& v) const {
   const VecX *a = &history_[0], *b = &history_[1], *c = &history_[2], *d = &history_[3];
   switch (count_) {
-    case 1: v = *a; break;
-    case 2: v = 2 * *a - *b; break;
-    case 3: v = 3 * (*a - *b) + *c; break;
-    default: v = 4 * (*a + *c) - 6 * *b - *d; break;
+    case 1:
+      v = *a;
+      break;
+    case 2:
+      v = 2 * *a - *b;
+      break;
+    case 3:
+      v = 3 * (*a - *b) + *c;
+      break;
+    default:
+      v = 4 * (*a + *c) - 6 * *b - *d;
+      break;
   }
 }
 

@@ -126,7 +126,8 @@ inline double dot(const Wrench& f, const Twist& v) { return f.ang.dot(v.ang) + f
 
 void composite_inertias(const Tree& tree, KernelWorkspace& ws) {
   const int n = static_cast<int>(tree.joints.size());
-  for (int i = 0; i < n; ++i) ws.composites[i] = {tree.joints[i].mass, tree.joints[i].first_moment, tree.joints[i].inertia};
+  for (int i = 0; i < n; ++i)
+    ws.composites[i] = {tree.joints[i].mass, tree.joints[i].first_moment, tree.joints[i].inertia};
   for (int i = n - 1; i >= 0; --i) {
     const int parent = tree.joints[i].parent;
     if (parent < 0) continue;
@@ -194,7 +195,8 @@ void momentum_and_forces(const Tree& tree, const VecCRef& q, const VecCRef& v, K
     const Joint& joint = tree.joints[i];
     BodyState& body = ws.bodies[i];
     project(joint, body.momentum, 1.0, P.data() + joint.iv);
-    project(joint, {body.subtree_moment.cross(body.gravity), body.subtree_mass * body.gravity}, -1.0, dV.data() + joint.iv);
+    project(joint, {body.subtree_moment.cross(body.gravity), body.subtree_mass * body.gravity}, -1.0,
+            dV.data() + joint.iv);
     if (joint.parent < 0) {
       project(joint, {Vec3::Zero(), Vec3::Zero()}, -1.0, dT.data() + joint.iv);
       continue;

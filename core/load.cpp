@@ -68,8 +68,8 @@ class Builder {
 
  private:
   // Adds one engine joint whose moving frame is the source joint's frame turned by A.
-  void push(int source, JointType type, int parent, const Mat3& R_parent_source, const Vec3& p, const Mat3& A, int iq, int nq,
-            int iv, int nv, double pitch, bool last) {
+  void push(int source, JointType type, int parent, const Mat3& R_parent_source, const Vec3& p, const Mat3& A, int iq,
+            int nq, int iv, int nv, double pitch, bool last) {
     Joint joint;
     joint.type = type;
     joint.parent = parent;

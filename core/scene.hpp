@@ -15,18 +15,19 @@ class CollisionGeometry;
 namespace contactvi {
 
 struct Geometry {
-  int body;    // engine joint that moves it, -1: world
-  Mat3 R_BG;   // geometry frame in the body frame
+  int body;   // engine joint that moves it, -1: world
+  Mat3 R_BG;  // geometry frame in the body frame
   Vec3 p_BG;
   std::shared_ptr<const coal::CollisionGeometry> sharp;
-  std::shared_ptr<const coal::CollisionGeometry> rounded;  // same size, edges rounded by rounding [m]; null if not needed
+  std::shared_ptr<const coal::CollisionGeometry>
+      rounded;  // same size, edges rounded by rounding [m]; null if not needed
   double rounding;
-  bool unbounded;       // halfspace: its normal and offset follow
+  bool unbounded;         // halfspace: its normal and offset follow
   Vec3 halfspace_normal;  // geometry frame
   double halfspace_offset;
-  Vec3 center_B;        // bounding sphere, body frame
+  Vec3 center_B;  // bounding sphere, body frame
   double radius;
-  double reach;         // largest distance of one of its points from the body origin
+  double reach;  // largest distance of one of its points from the body origin
 };
 
 struct Pair {
@@ -61,8 +62,8 @@ struct SceneParameters {
 // engine does not take.
 Scene load_scene(std::string_view model, std::string_view geometry, const SceneParameters& parameters);
 
-// The shape shrunk by at most radius, to be swept by a sphere of that radius; null for shapes that need none. Lowers radius
-// where the shape is too thin for it.
+// The shape shrunk by at most radius, to be swept by a sphere of that radius; null for shapes that need none. Lowers
+// radius where the shape is too thin for it.
 std::shared_ptr<coal::CollisionGeometry> eroded_shape(const coal::CollisionGeometry& shape, double& radius);
 
 }  // namespace contactvi

@@ -9,9 +9,9 @@
 namespace contactvi {
 
 namespace {
-constexpr double kZenoFlight = 0.05;  // of a step: e times the last flight below it ends the bouncing
-constexpr int kZenoFlights = 4;       // flights in a row, each shorter than the one before
-constexpr double kSeparated = 1e-13;  // of the event's speeds: closing slower than this is rounding
+constexpr double kZenoFlight = 0.05;    // of a step: e times the last flight below it ends the bouncing
+constexpr int kZenoFlights = 4;         // flights in a row, each shorter than the one before
+constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
 constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
@@ -70,7 +70,8 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   return status_;
 }
 
-Status Simulator::advance(long steps, const MatX& tau, long record_every, const Progress& progress, Recording& recording) {
+Status Simulator::advance(long steps, const MatX& tau, long record_every, const Progress& progress,
+                          Recording& recording) {
   using Clock = std::chrono::steady_clock;
   status_ = {StatusCode::kSuccess, "", time(), -1, kNaN, kNaN};
   auto record = [&](double t) {
@@ -135,9 +136,11 @@ bool Simulator::one_step(const VecX& tau, Recording& recording) {
     }
     if (found == Search::kNewtonFailed)
       return end(StatusCode::kNewtonFailed, start + done,
-                 std::string("a partial step to an event was not solved: ") + integrator_.why(), finder_.failed_guard());
+                 std::string("a partial step to an event was not solved: ") + integrator_.why(),
+                 finder_.failed_guard());
     if (found == Search::kUnresolved) {
-      end(StatusCode::kEventUnresolved, start + done, "a guard crossed zero and its root was not found", finder_.failed_guard());
+      end(StatusCode::kEventUnresolved, start + done, "a guard crossed zero and its root was not found",
+          finder_.failed_guard());
       status_.depth = -finder_.failed_gap();
       return false;
     }
@@ -206,8 +209,21 @@ bool Simulator::hit_until_separate(double time, Recording& recording) {
     }
     if (worst == nullptr) return true;
     const double e = gamma > -kPlasticSpeed * scale ? 0.0 : scene_->restitution(worst->guard);
-    ImpactRecord record{time, worst->guard, Vec3::Zero(), worst->contact.normal, 0, gamma, 0, worst->G_c, worst->contact.gap, e,
-                        0, step_, q_, p_, p_};
+    ImpactRecord record{time,
+                        worst->guard,
+                        Vec3::Zero(),
+                        worst->contact.normal,
+                        0,
+                        gamma,
+                        0,
+                        worst->G_c,
+                        worst->contact.gap,
+                        e,
+                        0,
+                        step_,
+                        q_,
+                        p_,
+                        p_};
     record.point = 0.5 * (worst->contact.point_a + worst->contact.point_b);
     const ImpactResult result = impact_ctec({integrator_.mass(), worst->W, worst->MinvW, gamma, worst->G_c, e}, p_);
     if (!result.ok) return end(StatusCode::kNotFinite, time, "an impact has no finite impulse", worst->guard);

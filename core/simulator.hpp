@@ -10,9 +10,9 @@
 namespace contactvi {
 
 struct SimulatorOptions {
-  double dt = 1e-3;      // [s]
-  double tol = 1e-12;    // of the discrete Euler-Lagrange residual, relative
-  int impact = 0;        // map: 0 CTEC
+  double dt = 1e-3;    // [s]
+  double tol = 1e-12;  // of the discrete Euler-Lagrange residual, relative
+  int impact = 0;      // map: 0 CTEC
   int max_iterations = 30;
   long max_impacts_per_step = 100000;
 };
@@ -43,8 +43,8 @@ class Simulator {
 
   // State in engine coordinates. Fails with kPenetration or kNotFinite.
   Status reset(const VecX& q, const VecX& v, double t);
-  // steps steps of dt with the generalized force tau (steps x nv, public coordinates, or empty) constant over each; nodes are
-  // recorded every record_every steps. The run may end early: see the status.
+  // steps steps of dt with the generalized force tau (steps x nv, public coordinates, or empty) constant over each;
+  // nodes are recorded every record_every steps. The run may end early: see the status.
   Status advance(long steps, const MatX& tau, long record_every, const Progress& progress, Recording& recording);
 
   double time() const { return t0_ + static_cast<double>(step_) * options_.dt; }

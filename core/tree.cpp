@@ -45,7 +45,8 @@ Vec3 spring_deflection(const Tree& tree, const Joint& joint, const VecCRef& q) {
       return so3_log(at_rest.conjugate() * Quat(q[iq + 3], q[iq], q[iq + 1], q[iq + 2]));
     }
     case JointType::kContinuous:
-      return Vec3(std::atan2(q[iq + 1] * rest[iq] - q[iq] * rest[iq + 1], q[iq] * rest[iq] + q[iq + 1] * rest[iq + 1]), 0, 0);
+      return Vec3(std::atan2(q[iq + 1] * rest[iq] - q[iq] * rest[iq + 1], q[iq] * rest[iq] + q[iq + 1] * rest[iq + 1]),
+                  0, 0);
     default:
       return Vec3(q[iq] - rest[iq], 0, 0);
   }

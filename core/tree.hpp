@@ -1,8 +1,10 @@
 // The constant model: kinematic tree with the six joint types the integrator steps, springs, damping.
 //
 // Built once by load.cpp from a Pinocchio model. Two changes of coordinates happen there and stay there:
-//  - a free-flyer becomes a translation followed by a spherical joint, a planar joint two prismatic ones and a continuous
-//    one (R^3 x SO(3), R^2 x SO(2)): on SE(3) exp couples spin with translation, a spinning ball's flight is no parabola;
+//  - a free-flyer becomes a translation followed by a spherical joint, a planar joint two prismatic ones and a
+// continuous
+//    one (R^3 x SO(3), R^2 x SO(2)): on SE(3) exp couples spin with translation, a spinning ball's flight is no
+// parabola;
 //  - every 1-dof joint's axis is the z axis of its body, so that its motion subspace is one number.
 // Configurations keep Pinocchio's numbers; velocities and momenta of split joints differ (see coordinates.hpp).
 #pragma once
@@ -26,21 +28,21 @@ enum class JointType : std::uint8_t {
 
 struct Joint {
   JointType type;
-  int parent;   // joint index, -1: world
-  int iq, nq;   // first index and count in q
-  int iv, nv;   // the same in v
-  double pitch; // [m/rad], helical joints
-  Mat3 R_PJ;    // joint frame in the parent body's frame
+  int parent;    // joint index, -1: world
+  int iq, nq;    // first index and count in q
+  int iv, nv;    // the same in v
+  double pitch;  // [m/rad], helical joints
+  Mat3 R_PJ;     // joint frame in the parent body's frame
   Vec3 p_PJ;
-  double mass;      // of the body that this joint moves
+  double mass;        // of the body that this joint moves
   Vec3 first_moment;  // mass times centre of mass, body frame
-  Mat3 inertia;     // rotational inertia about the body frame's origin
-  double stiffness; // [N/m] or [N m/rad], isotropic over the joint's dofs
+  Mat3 inertia;       // rotational inertia about the body frame's origin
+  double stiffness;   // [N/m] or [N m/rad], isotropic over the joint's dofs
   std::string name;
 };
 
 struct JointLimit {
-  int joint;  // index in Tree::joints
+  int joint;         // index in Tree::joints
   int source_joint;  // index in the Pinocchio model, for names
   bool upper;
   double bound;
@@ -57,12 +59,12 @@ struct SplitJoint {
 struct Tree {
   int nq = 0, nv = 0;
   Vec3 gravity = Vec3::Zero();
-  std::vector<Joint> joints;       // parents before children
-  std::vector<int> dof_joint;      // nv
-  std::vector<int> dof_parent;     // nv: the next dof towards the root, -1 at a root
-  VecX armature;                   // nv, added to the diagonal of M
-  VecX damping;                    // nv
-  VecX rest;                       // nq, configuration at which the springs are relaxed
+  std::vector<Joint> joints;    // parents before children
+  std::vector<int> dof_joint;   // nv
+  std::vector<int> dof_parent;  // nv: the next dof towards the root, -1 at a root
+  VecX armature;                // nv, added to the diagonal of M
+  VecX damping;                 // nv
+  VecX rest;                    // nq, configuration at which the springs are relaxed
   bool has_springs = false, has_damping = false;
   std::vector<SplitJoint> split;
   std::vector<JointLimit> limits;
@@ -71,10 +73,12 @@ struct Tree {
   std::vector<Mat3> R_body_source;
 };
 
-// q1 = q (+) w: addition on vector joints, rotation on (cos, sin) and quaternions, which are renormalised. In place is fine.
+// q1 = q (+) w: addition on vector joints, rotation on (cos, sin) and quaternions, which are renormalised. In place
+// is fine.
 void integrate(const Tree& tree, const VecCRef& q, const VecCRef& w, double factor, VecRef q1);
 
-// Tangent vector from the springs' rest configuration to q for one joint, shape (nv of the joint,) in the first entries.
+// Tangent vector from the springs' rest configuration to q for one joint, shape (nv of the joint,) in the first
+// entries.
 Vec3 spring_deflection(const Tree& tree, const Joint& joint, const VecCRef& q);
 
 }  // namespace contactvi

@@ -1,8 +1,8 @@
 // LU factorisation of a matrix with the sparsity of a kinematic tree: entry (i, j) is nonzero only if one of the two
-// degrees of freedom is an ancestor of the other. Eliminating from the leaves to the root makes no fill-in (Featherstone,
-// Rigid Body Dynamics Algorithms, section 6.5; here for nonsymmetric values), so a forest of n trees costs n small
-// factorisations and Allegro's four fingers are four 4 x 4 blocks. No pivoting: the symmetric part of every matrix that
-// comes here is a mass matrix plus nonnegative damping and stiffness.
+// degrees of freedom is an ancestor of the other. Eliminating from the leaves to the root makes no fill-in
+// (Featherstone, Rigid Body Dynamics Algorithms, section 6.5; here for nonsymmetric values), so a forest of n trees
+// costs n small factorisations and Allegro's four fingers are four 4 x 4 blocks. No pivoting: the symmetric part of
+// every matrix that comes here is a mass matrix plus nonnegative damping and stiffness.
 #pragma once
 
 #include <vector>
@@ -16,7 +16,7 @@ class TreeLu {
   explicit TreeLu(const std::vector<int>& dof_parent);
 
   int size() const { return static_cast<int>(depth_.size()); }
-  int depth(int k) const { return depth_[k]; }            // number of proper ancestors of dof k
+  int depth(int k) const { return depth_[k]; }                // number of proper ancestors of dof k
   const int* path(int k) const { return &path_[start_[k]]; }  // those ancestors, root first
 
   // Raw entries to fill before factor(): A(k, k), A(k, path(k)[m]) and A(path(k)[m], k).

@@ -32,8 +32,8 @@ void need_states(const Scene& s, const Rows& q, const Rows& w) {
   need(q.cols() == s.tree.nq && w.cols() == s.tree.nv && q.rows() == w.rows(), "expected shapes (N, nq) and (N, nv)");
 }
 
-Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness, const VecX& rest,
-                 const VecX& damping, const VecX& limits, const VecX& limit_restitution) {
+Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
+                 const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution) {
   return load_scene({model.c_str(), model.size()}, {geometry.c_str(), geometry.size()},
                     {pair_restitution, stiffness, rest, damping, limits, limit_restitution});
 }
@@ -160,27 +160,29 @@ VecX converted(const Scene& s, const VecX& q, const VecX& w) {
 
 void expose_scene(nb::module_& m) {
   nb::class_<Scene>(m, "Scene")
-      .def("__init__",
-           [](Scene* self, nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
-              const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution) {
-             new (self) Scene(
-                 make_scene(model, geometry, pair_restitution, stiffness, rest, damping, limits, limit_restitution));
-           },
-           "model"_a, "geometry"_a, "pair_restitution"_a, "stiffness"_a, "rest"_a, "damping"_a, "limits"_a,
-           "limit_restitution"_a,
-           "From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data.")
+      .def(
+          "__init__",
+          [](Scene* self, nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
+             const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution) {
+            new (self) Scene(
+                make_scene(model, geometry, pair_restitution, stiffness, rest, damping, limits, limit_restitution));
+          },
+          "model"_a, "geometry"_a, "pair_restitution"_a, "stiffness"_a, "rest"_a, "damping"_a, "limits"_a,
+          "limit_restitution"_a,
+          "From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data.")
       .def_prop_ro("nq", [](const Scene& s) { return s.tree.nq; })
       .def_prop_ro("nv", [](const Scene& s) { return s.tree.nv; })
       .def_prop_ro("njoints", [](const Scene& s) { return s.tree.body_of_source.size(); })
       .def_prop_ro("npairs", [](const Scene& s) { return s.pairs.size(); })
-      .def_prop_ro("rounding",
-                   [](const Scene& s) {
-                     std::vector<double> r;
-                     for (const Pair& pair : s.pairs)
-                       r.push_back(pair.rounded ? std::max(s.geometries[pair.a].rounding, s.geometries[pair.b].rounding) : 0.0);
-                     return r;
-                   },
-                   "Rounding radius [m] of each pair's shapes, 0 where they are sharp.")
+      .def_prop_ro(
+          "rounding",
+          [](const Scene& s) {
+            std::vector<double> r;
+            for (const Pair& pair : s.pairs)
+              r.push_back(pair.rounded ? std::max(s.geometries[pair.a].rounding, s.geometries[pair.b].rounding) : 0.0);
+            return r;
+          },
+          "Rounding radius [m] of each pair's shapes, 0 where they are sharp.")
       .def("velocity", &velocity, "q"_a, "p"_a, "v = M(q)^-1 p, shapes (N, nq), (N, nv) -> (N, nv).")
       .def("momentum", &momentum, "q"_a, "v"_a, "p = M(q) v, shapes (N, nq), (N, nv) -> (N, nv).")
       .def("energy", &energies, "q"_a, "p"_a, "Kinetic and potential energy [J], (N, 2).")

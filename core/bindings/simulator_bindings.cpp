@@ -184,13 +184,14 @@ VecX current_velocity(Simulator& sim) {
 
 void expose_simulator(nb::module_& m) {
   nb::class_<Simulator>(m, "Simulator")
-      .def("__init__",
-           [](Simulator* self, const Scene& scene, double dt, double tol, int impact, long max_impacts_per_step,
-              int max_iterations) {
-             new (self) Simulator(scene, {dt, tol, impact, max_iterations, max_impacts_per_step});
-           },
-           "scene"_a, "dt"_a, "tol"_a = 1e-12, "impact"_a = 0, "max_impacts_per_step"_a = 100000, "max_iterations"_a = 30,
-           nb::keep_alive<1, 2>())
+      .def(
+          "__init__",
+          [](Simulator* self, const Scene& scene, double dt, double tol, int impact, long max_impacts_per_step,
+             int max_iterations) {
+            new (self) Simulator(scene, {dt, tol, impact, max_iterations, max_impacts_per_step});
+          },
+          "scene"_a, "dt"_a, "tol"_a = 1e-12, "impact"_a = 0, "max_impacts_per_step"_a = 100000,
+          "max_iterations"_a = 30, nb::keep_alive<1, 2>())
       .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0, "Status fields as a dict.")
       .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
            "Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.")
