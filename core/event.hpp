@@ -1,11 +1,10 @@
 // The first event of a step: which guard, when, and the state there.
 //
 // The step's path is that of exact partial steps: q(alpha) = q0 (+) alpha h v(alpha), v(alpha) the solution of the
-// discrete Euler-Lagrange equation for alpha h. The search for a sign change looks at a model of it, v(alpha) = v0 +
-// alpha (v1
-// - v0)
-// (error O(h^3)), by conservative advancement: an interval is free of contact if its two gaps add up to more than the
-// bodies can move in it. What it finds is located on exact partial steps to |gap| <= 1e-12.
+// discrete Euler-Lagrange equation for alpha h. The search for a sign change looks at a model of it,
+// v(alpha) = v0 + alpha (v1 - v0), error O(h^3), by conservative advancement: an interval is free of contact if its two
+// gaps add up to more than the bodies can move in it. What it finds is located on exact partial steps to
+// |gap| <= 1e-12.
 #pragma once
 
 #include <vector>

@@ -1,5 +1,4 @@
-// Dynamics of a tree: everything the integrator and the contact layer ask of a mechanical model, and nothing else of
-// it.
+// Dynamics of a tree: everything the integrator and the contact layer ask of a mechanical model, and nothing else.
 //
 //   momentum_and_forces   P = M v, dT/dq and dV/dq (left-trivialised) in one forward and one backward pass, no matrices
 //   assemble_newton       M + h/2 (A - A^T) + Lie terms, A = d(M v)/dq, into the tree-sparse matrix
@@ -8,8 +7,8 @@
 //
 // Formulas (X: parent to body, H_j: momentum of j's subtree in frame j, I_j: its composite inertia, S_j constant):
 //   P_j = S_j^T H_j ;  (dT/dq)_j = -S_j^T ((X v_parent) x* H_j) ;  (dV/dq)_j = -S_j^T [M_j g ; c_j x g]
-//   A_jk = -S_j^T I_j w_k for k above or in j's joint, S_j^T (S_k x* H_k - I_k w_k) for k below, w_k = S_k x (X
-// v_parent)
+//   A_jk = -S_j^T I_j w_k for k above or in j's joint, S_j^T (S_k x* H_k - I_k w_k) for k below,
+//          w_k = S_k x (X v_parent)
 // (A: rigid motion of k's subtree leaves its momenta unchanged but for the velocity it inherits.)
 #pragma once
 
