@@ -19,8 +19,7 @@ using Hull = coal::Convex<coal::Triangle>;
 using Points = std::shared_ptr<std::vector<coal::Vec3s>>;
 
 // An eroded polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
-// c:
-// the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the polytope.
+// c: the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the polytope.
 std::shared_ptr<coal::CollisionGeometry> eroded_hull(const Hull& hull, double& radius) {
   const std::vector<coal::Vec3s>& points = *hull.points;
   const std::vector<coal::Triangle>& faces = *hull.polygons;

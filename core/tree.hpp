@@ -2,9 +2,8 @@
 //
 // Built once by load.cpp from a Pinocchio model. Two changes of coordinates happen there and stay there:
 //  - a free-flyer becomes a translation followed by a spherical joint, a planar joint two prismatic ones and a
-// continuous
-//    one (R^3 x SO(3), R^2 x SO(2)): on SE(3) exp couples spin with translation, a spinning ball's flight is no
-// parabola;
+//    continuous one (R^3 x SO(3), R^2 x SO(2)): on SE(3) exp couples spin with translation, and the flight of a
+//    spinning ball is no parabola;
 //  - every 1-dof joint's axis is the z axis of its body, so that its motion subspace is one number.
 // Configurations keep Pinocchio's numbers; velocities and momenta of split joints differ (see coordinates.hpp).
 #pragma once
