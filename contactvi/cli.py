@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from contactvi.errors import ContactviError, InputError, SimulationError, did_you_mean
 from contactvi.version import version
@@ -41,30 +40,36 @@ class _Commands(typer.core.TyperGroup):
 
 app = typer.Typer(
     cls=_Commands,
-    help="Accurate rigid contact for URDF and MJCF models.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
 
 
-@app.callback()
-def main(
-    show_version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
-) -> None:
-    if show_version:
+def _show_version(wanted: bool) -> None:
+    if wanted:
         _out.print(f"contactvi {version()}")
         raise typer.Exit()
+
+
+@app.callback()
+def main(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version and stop.", is_eager=True, callback=_show_version)
+    ] = False,
+) -> None:
+    """Accurate rigid contact for URDF and MJCF models."""
 
 
 @app.command()
 def run(
     scene_file: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.", show_default=False)],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results. [default: ./SCENE]")
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for the results, by default the name of the scene."),
     ] = None,
-    dt: Annotated[float | None, typer.Option(help="Time step [s].")] = None,
-    duration: Annotated[float | None, typer.Option(help="Simulated time [s], a whole number of steps.")] = None,
+    dt: Annotated[float | None, typer.Option(help="Time step in seconds.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Simulated time in seconds, a whole number of steps.")] = None,
     impact: Annotated[str | None, typer.Option(help="Impact map: ctec.")] = None,
     order: Annotated[int | None, typer.Option(help="Order of the integrator: 2.")] = None,
     tol: Annotated[float | None, typer.Option(help="Tolerance of a step, relative.")] = None,
@@ -107,7 +112,8 @@ def run(
 def play(
     file: Annotated[Path, typer.Argument(metavar="RUN.npz", help="File written by a run.", show_default=False)],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="PAGE.html", help="Page to write. [default: RUN.html]")
+        Path | None,
+        typer.Option("-o", "--output", metavar="PAGE.html", help="Page to write, by default beside the run."),
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
     fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
@@ -193,16 +199,12 @@ def _title(file: Path) -> str:
 
 
 def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> None:
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_column(style="bold")
-    table.add_column()
-    for name, text in summary(traj):
-        table.add_row(name, escape(text))
+    lines = summary(traj)
     for k, path in enumerate(written):
-        size = path.stat().st_size / 1e6
-        table.add_row("written" if k == 0 else "", escape(f"{path}  ({size:.2g} MB)"))
-    table.add_row("", f"in {writing:.2g} s")
-    _out.print(table)
+        lines.append(("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)"))
+    lines.append(("", f"in {writing:.2g} s"))
+    for name, text in lines:
+        _out.print(f"[bold]{name:<10}[/]{escape(text)}")
     if not traj.status.ok:
         _err.print(f"[bold yellow]The run ended early:[/] {escape(str(traj.status))}")
 

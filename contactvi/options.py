@@ -125,7 +125,7 @@ def _real(name: str, value: Any, expected: str) -> float:
 
 
 def _count(name: str, value: Any) -> int:
-    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value < 1:
+    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or int(value) < 1:
         raise InputError(f"{name} is not usable", name=name, expected="a whole number >= 1", got=repr(value))
     return int(value)
 
@@ -151,9 +151,10 @@ def _check_impact(impact: Any) -> None:
 
 
 def _check_order(order: Any) -> None:
-    if isinstance(order, numbers.Integral) and not isinstance(order, bool) and order == 2:
+    whole = isinstance(order, numbers.Integral) and not isinstance(order, bool)
+    if whole and order == 2:
         return
-    if isinstance(order, numbers.Integral) and not isinstance(order, bool) and order > 2 and order % 2 == 0:
+    if whole and order > 2 and order % 2 == 0:
         what, remedy = f"Order {order} is not available yet", "Use order=2 with a smaller dt"
     else:
         what, remedy = "The order of the integrator is not usable", "Use order=2"

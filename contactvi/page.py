@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 import meshcat
 import numpy as np
-import umsgpack
+import umsgpack  # type: ignore[import-untyped]
 from meshcat import commands
 from meshcat import geometry as mg
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ def make_html(run: Run, *, fps: float = 60.0, title: str = "", play: bool = True
     frames = frames_of(run, float(fps))
     view = fit(run.visuals, frames)
     packed = [umsgpack.packb(command) for command in _commands(run, frames, view)]
-    title = title or str(getattr(run.scene, "name", "") or "contactvi run")
+    title = title or _title(run)
     parts = {
         "@TITLE@": html.escape(title),
         "@RUN@": _script(_description(run, frames, view, title, play)),
@@ -117,8 +117,9 @@ def _marker_tracks(path: str, marker: Marker, largest: float) -> dict[str, list[
     """Return the tracks that move one marker from impact to impact and show it only around them."""
     start = np.array(marker.start)
     key, shown = _switches(marker)
-    # Length in proportion to the impulse, with a least length that can still be seen.
-    scale = np.maximum(np.array(marker.impulse) / largest if largest > 0 else np.ones(len(start)), 0.08)
+    # Length in proportion to the impulse, with a least length that can still be seen; thickness follows less.
+    length = np.maximum(np.array(marker.impulse) / largest if largest > 0 else np.ones(len(start)), 0.08)
+    width = 0.4 + 0.6 * length
     return {
         path: [
             _track("position", "vector3", start, np.array(marker.point), _DISCRETE),
@@ -126,7 +127,7 @@ def _marker_tracks(path: str, marker: Marker, largest: float) -> dict[str, list[
         ],
         f"{path}/arrow": [
             _track("quaternion", "quaternion", start, np.array([_turn(n) for n in marker.direction]), _DISCRETE),
-            _track("scale", "vector3", start, np.repeat(scale[:, None], 3, axis=1), _DISCRETE),
+            _track("scale", "vector3", start, np.column_stack([width, width, length]), _DISCRETE),
         ],
     }
 
@@ -166,6 +167,12 @@ def _description(run: Run, frames: Frames, view: dict[str, Any], title: str, pla
         "view": {name: view[name] for name in ("center", "radius", "direction", "spread")},
         "play": bool(play),
     }
+
+
+def _title(run: Run) -> str:
+    """Return the names of what is in the scene, the first few of them."""
+    names = [part.name for part in run.scene.parts]
+    return ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
 
 
 def _impact(run: Run, k: int) -> dict[str, Any]:

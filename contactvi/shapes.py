@@ -9,7 +9,7 @@ import numpy as np
 from meshcat import geometry as mg
 from numpy.typing import NDArray
 
-from contactvi.animation import Frames
+from contactvi.animation import Frames, Poses
 from contactvi.visuals import Visual
 
 Array = NDArray[np.float64]
@@ -23,11 +23,12 @@ _LINE_COLOR = 0x93A1B1
 # Colour-blind safe tones (Okabe, Ito), for bodies whose model names no colour.
 _PALETTE = (0x5B8DB8, 0xE69F00, 0x2F9E83, 0xC77CA3, 0x56B4E9, 0xD98232, 0x8C8F94)
 _CREASE = np.cos(np.radians(35.0))  # faces that meet at a sharper angle keep their edge
-_FAR = 3.0  # radii of the start: what goes beyond is not what the camera is set for
+_FITTED = 200  # frames looked at to find the camera's place
+_FAR = 3.0  # sizes of the place where things start: the camera is not set for what goes beyond
 _Y_TO_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])  # three.js cylinders stand on y
 
 
-class _Data(mg.Geometry):  # type: ignore[misc]
+class _Data(mg.Geometry):
     """A three.js geometry given by its JSON fields."""
 
     def __init__(self, kind: str, **fields: Any) -> None:
@@ -76,7 +77,7 @@ def floor(visual: Visual, view: dict[str, Any]) -> Iterator[Part]:
     yield _Data("BoxGeometry", width=size, height=size, depth=thick), material, frame @ _shift(0, 0, -0.5 * thick)
     lift = _shift(0.0, 0.0, 0.002 * view["radius"])
     lines = mg.LineBasicMaterial(color=_LINE_COLOR, opacity=0.7, transparent=True)
-    yield mg.LineSegments(_grid(0.5 * size, _round_number(view["radius"] / 4.0)), lines), None, frame @ lift
+    yield mg.LineSegments(_grid(0.5 * size, _round_number(view["radius"] / 2.0)), lines), None, frame @ lift
 
 
 def _grid(half: float, step: float) -> Any:
@@ -96,9 +97,9 @@ def point_marker(size: float) -> Part:
 
 
 def arrow(size: float) -> Iterator[Part]:
-    """Yield an arrow of length 0.3 size along z from the origin; scaled by the impulse."""
-    length = 0.3 * size
-    head, radius = 0.28 * length, 0.028 * length
+    """Yield an arrow of length 0.4 size along z from the origin; scaled by the impulse."""
+    length = 0.4 * size
+    head, radius = 0.25 * length, 0.02 * length
     shaft = length - head
     yield _cylinder(radius, radius, shaft), _sign(ARROW_COLOR), _shift(0, 0, 0.5 * shaft) @ _Y_TO_Z
     yield _cylinder(0.0, 3.0 * radius, head), _sign(ARROW_COLOR), _shift(0, 0, shaft + 0.5 * head) @ _Y_TO_Z
@@ -108,38 +109,71 @@ def fit(visuals: list[Visual], frames: Frames) -> dict[str, Any]:
     """Return the picture's frame: center [m] of what moves, radius [m] around it, size [m] of the things, direction
     from the center to the camera, and spread [m], how far it reaches to the sides, up and towards the camera.
 
-    Halfspaces do not count, they have no end; nor does what flies far away from where everything was at the start.
+    Halfspaces do not count, they have no end; nor does what flies far away from where everything starts.
     """
-    spots = [
-        (poses.position + _rotate(poses.quaternion, middle), reach)
-        for visual in visuals
-        if visual.shape != "halfspace"
-        for poses, (middle, reach) in [(frames.poses[visual.joint], _bounds(visual))]
-    ]
-    spots = spots or [(np.zeros((1, 3)), 1.0)]
-    low, high = _box([(points[:1], reach) for points, reach in spots])
-    home, far = 0.5 * (low + high), _FAR * max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
-    spots = [(points[np.linalg.norm(points - home, axis=1) <= far], reach) for points, reach in spots]
-    low, high = _box([(points, reach) for points, reach in spots if len(points)])
+    solid = [visual for visual in visuals if visual.shape != "halfspace"]
+    spots = [_Spot.of(visual, frames.poses[visual.joint]) for visual in solid] or [_Spot(np.zeros((1, 1, 3)), 1.0)]
+    home, far = _home(spots)
+    near = [spot for spot in (spot.within(home, far) for spot in spots) if len(spot.points)]
+    low, high = _box(near)
     center = 0.5 * (low + high)
-    radius = max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
     direction = _direction(high - low, center, visuals)
     side = np.cross([0.0, 0.0, 1.0], direction)
-    axes = np.stack([side / np.linalg.norm(side), np.cross(direction, side / np.linalg.norm(side)), direction])
-    spread = np.max([np.abs((points - center) @ axes.T).max(axis=0) + r for points, r in spots if len(points)], axis=0)
+    side /= np.linalg.norm(side)
+    axes = np.stack([side, np.cross(direction, side), direction])
+    reach = [np.abs((spot.points - center) @ axes.T).max(axis=(0, 1)) + spot.margin for spot in near]
+    radius = max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
     return {
         "center": center.tolist(),
         "radius": radius,
-        "size": min(radius, 12.0 * max(reach for _, reach in spots)),
+        "size": min(radius, 6.0 * max(spot.size for spot in spots)),
         "direction": direction.tolist(),
-        "spread": spread.tolist(),
+        "spread": np.max(reach, axis=0).tolist(),
     }
 
 
-def _box(spots: list[tuple[Array, float]]) -> tuple[Array, Array]:
-    """Return the corners of the box around balls of centres (n, 3) and radius."""
-    low = np.min([points.min(axis=0) - reach for points, reach in spots], axis=0)
-    high = np.max([points.max(axis=0) + reach for points, reach in spots], axis=0)
+class _Spot:
+    """Where a shape is in the course of a run: points (F, k, 3) and a margin around them [m]."""
+
+    def __init__(self, points: Array, margin: float) -> None:
+        self.points, self.margin = points, margin
+
+    @classmethod
+    def of(cls, visual: Visual, poses: Poses) -> _Spot:
+        """Return the spot of a shape: a sphere is a point with a margin, other shapes are the corners of their box."""
+        low, high, margin = _bounds(visual)
+        corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+        corners = np.unique(corners, axis=0) @ visual.placement[:3, :3].T + visual.placement[:3, 3]
+        rows = np.unique(np.linspace(0, len(poses.position) - 1, _FITTED).astype(int))
+        turned = np.stack([_rotate(poses.quaternion[rows], corner) for corner in corners], axis=1)
+        return cls(poses.position[rows, None] + turned, margin)
+
+    @property
+    def size(self) -> float:
+        """Half the diagonal of the shape [m]."""
+        return self.margin + 0.5 * float(np.linalg.norm(np.ptp(self.points[0], axis=0)))
+
+    def within(self, home: Array, far: float) -> _Spot:
+        """Return the part of the spot that is not further than `far` from `home`."""
+        return _Spot(self.points[np.linalg.norm(self.points - home, axis=2).max(axis=1) <= far], self.margin)
+
+
+def _home(spots: list[_Spot]) -> tuple[Array, float]:
+    """Return where things start [m], and how far from there the picture may reach [m].
+
+    A few times the size of that place, or as far as an ordinary body of the scene travels (a lone ball is followed).
+    """
+    low, high = _box([_Spot(spot.points[:1], spot.margin) for spot in spots])
+    home, size = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
+    paths = [float(np.linalg.norm(spot.points - home, axis=2).max()) for spot in spots if len(spot.points) > 1]
+    ordinary = float(np.quantile(paths, 0.5, method="lower")) if paths else 0.0
+    return home, max(_FAR * size, 1.01 * ordinary)
+
+
+def _box(spots: list[_Spot]) -> tuple[Array, Array]:
+    """Return the corners of the box around all spots."""
+    low = np.min([spot.points.min(axis=(0, 1)) - spot.margin for spot in spots], axis=0)
+    high = np.max([spot.points.max(axis=(0, 1)) + spot.margin for spot in spots], axis=0)
     return low, high
 
 
@@ -151,29 +185,25 @@ def _direction(extent: Array, center: Array, visuals: list[Visual]) -> Array:
     elif y > 2.0 * x:
         choices = [(1.0, -0.25, 0.22), (1.0, 0.25, 0.22), (-1.0, -0.25, 0.22), (-1.0, 0.25, 0.22)]
     else:
-        choices = [(1.0, -0.75, 0.5), (1.0, 0.75, 0.5), (-1.0, -0.75, 0.5), (-1.0, 0.75, 0.5)]
+        choices = [(1.0, -0.75, 0.6), (1.0, 0.75, 0.6), (-1.0, -0.75, 0.6), (-1.0, 0.75, 0.6)]
     normals = [v.placement[:3, :3] @ np.array(v.sizes[:3]) for v in visuals if v.shape == "halfspace"]
     open_side = [choice for choice in choices if all(float(np.dot(n, choice)) > 0.0 for n in normals)]
     best = np.array((open_side or choices)[0])
     return np.asarray(best / np.linalg.norm(best))
 
 
-def _bounds(visual: Visual) -> tuple[Array, float]:
-    """Return centre and radius of a ball around a shape, in the frame of its joint [m]."""
+def _bounds(visual: Visual) -> tuple[Array, Array, float]:
+    """Return the corners of the box of a shape, in its own frame, and a margin around it [m]."""
+    sizes = np.array(visual.sizes)
     if visual.shape == "mesh":
-        low, high = visual.vertices.min(axis=0), visual.vertices.max(axis=0)
-        middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-    else:
-        middle = np.zeros(3)
-        reach = {
-            "sphere": lambda s: s[0],
-            "box": np.linalg.norm,
-            "ellipsoid": max,
-            "capsule": sum,
-            "cylinder": np.linalg.norm,
-            "cone": np.linalg.norm,
-        }[visual.shape](visual.sizes)
-    return visual.placement[:3, :3] @ middle + visual.placement[:3, 3], float(reach)
+        return visual.vertices.min(axis=0).astype(float), visual.vertices.max(axis=0).astype(float), 0.0
+    if visual.shape == "sphere":
+        return np.zeros(3), np.zeros(3), float(sizes[0])
+    if visual.shape == "capsule":
+        end = np.array([0.0, 0.0, sizes[1]])
+        return -end, end, float(sizes[0])
+    half = sizes[[0, 0, 1]] if visual.shape in ("cylinder", "cone") else sizes
+    return -half, half, 0.0
 
 
 def _rotate(quaternion: Array, vector: Array) -> Array:
@@ -187,8 +217,8 @@ def _material(visual: Visual, index: int) -> Any:
     if visual.color is None:
         return mg.MeshPhongMaterial(color=_PALETTE[(visual.joint or index) % len(_PALETTE)], shininess=40)
     red, green, blue, opacity = visual.color
-    # Pure black takes no light and loses its form: lift it a little.
-    levels = [round(255 * min(1.0, 0.04 + 0.96 * level)) for level in (red, green, blue)]
+    # Black takes no light and loses its form: lift the dark tones.
+    levels = [round(255 * min(1.0, 0.1 + 0.9 * level)) for level in (red, green, blue)]
     color = (levels[0] << 16) + (levels[1] << 8) + levels[2]
     return mg.MeshPhongMaterial(color=color, opacity=opacity, transparent=opacity < 1.0, shininess=40)
 

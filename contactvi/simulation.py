@@ -5,6 +5,7 @@ Every input is checked here; the engine (contactvi._core) only sees arrays of th
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -125,9 +126,9 @@ class Simulator:
     """
 
     def __init__(self, scene: Scene, dt: float | None = None, **options: Any) -> None:
-        self.scene = scene
-        self.options = settings_of(scene, dict(options, dt=dt))
         self._scene_core = scene.core()
+        self.scene = _snapshot(scene)
+        self.options = settings_of(scene, dict(options, dt=dt))
         self._pair_names = [(str(a), str(b)) for a, b in scene.pair_names]
         self._engine = self._new_engine()
         self._status: Status | None = None
@@ -323,6 +324,15 @@ class Simulator:
             return f"{pair} overlap by {depth} m"
         message = str(result["message"])
         return f"{message} ({pair})" if pair else message
+
+
+def _snapshot(scene: Scene) -> Scene:
+    """Return the scene as it is now: the caller may edit his and run it again. What is built is shared, not copied."""
+    taken = copy.copy(scene)
+    for name, value in vars(scene).items():
+        if isinstance(value, (list, dict)):
+            setattr(taken, name, copy.copy(value))
+    return taken
 
 
 def _run(simulator: Simulator, steps: int, control: Array | Control | None, progress: Progress | None) -> None:

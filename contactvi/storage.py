@@ -128,7 +128,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
         "visuals": [visual.to_dict() for visual in traj.visuals],
     }
     text = json.dumps(_pack(header, arrays, {}))
-    entries: dict[str, NDArray[Any]] = {name: getattr(traj, name) for name in _NODES}
+    entries: dict[str, Any] = {name: getattr(traj, name) for name in _NODES}
     entries |= {"gap/time": gap_time, "gap/value": gap_value}
     entries |= {f"event/{name}": values for name, values in traj.events.arrays.items()}
     entries |= {f"array/{k}": values for k, values in enumerate(arrays)}
@@ -144,9 +144,10 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     if not path.is_file():
         _refuse(path, "there is no such file")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                _refuse(path, "one array, not an npz")
+        file = np.load(path, allow_pickle=False)
+        if isinstance(file, np.ndarray):
+            _refuse(path, "one array, not an npz")
+        with file:
             entries = {name: file[name] for name in file.files}
     except _UNREADABLE as error:
         _refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
@@ -194,6 +195,9 @@ def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any])
     pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]
     times = _entry(path, entries, "gap/time", (None,), float)
     status = header["status"]
+    visuals = [Visual.from_dict(fields) for fields in header["visuals"]]
+    if not all(0 <= visual.joint < scene.model.njoints for visual in visuals):
+        _refuse(path, "pictures on joints that do not exist")
     return {
         "scene": scene,
         "options": Options.from_dict(header["options"]),
@@ -205,7 +209,7 @@ def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any])
         "stats": Stats(**header["stats"]),
         "derived": nodes,
         "gaps": (times, pairs, _entry(path, entries, "gap/value", (len(times), len(pairs)), float)),
-        "visuals": [Visual.from_dict(fields) for fields in header["visuals"]],
+        "visuals": visuals,
     }
 
 

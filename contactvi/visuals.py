@@ -25,6 +25,10 @@ _SIZES: dict[str, tuple[str, ...]] = {
     "Cylinder": ("radius", "halfLength"),
     "Cone": ("radius", "halfLength"),
 }
+# How many sizes a shape has.
+_COUNTS = {
+    "sphere": 1, "box": 3, "capsule": 2, "cylinder": 2, "cone": 2, "ellipsoid": 3, "halfspace": 4, "mesh": 0,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,17 +68,21 @@ class Visual:
 
     @classmethod
     def from_dict(cls, fields: dict[str, Any]) -> Visual:
-        """Return the visual that `to_dict` described."""
+        """Return the visual that `to_dict` described; ValueError where the fields do not fit together."""
         vertices = np.asarray(fields["vertices"], dtype=np.float32).reshape(-1, 3)
         faces = np.asarray(fields["faces"], dtype=np.uint32).reshape(-1, 3)
         if len(faces) and int(faces.max()) >= len(vertices):
             raise ValueError(f"mesh {fields['name']!r} refers to vertices it does not have")
+        shape, sizes = str(fields["shape"]), tuple(float(size) for size in fields["sizes"])
+        placement = np.array(fields["placement"], dtype=float).reshape(4, 4)
+        if _COUNTS.get(shape) != len(sizes) or not (_finite(sizes) and _finite(placement) and _finite(vertices)):
+            raise ValueError(f"shape {shape!r} with {len(sizes)} sizes, or numbers that are not finite")
         return cls(
             name=str(fields["name"]),
             joint=int(fields["joint"]),
-            placement=np.array(fields["placement"], dtype=float).reshape(4, 4),
-            shape=str(fields["shape"]),
-            sizes=tuple(float(size) for size in fields["sizes"]),
+            placement=placement,
+            shape=shape,
+            sizes=sizes,
             color=None if fields["color"] is None else tuple(fields["color"]),
             vertices=vertices,
             faces=faces,
@@ -91,7 +99,7 @@ def from_scene(scene: Scene) -> list[Visual]:
 
 
 def from_geometry(shape: pin.GeometryObject) -> Visual | None:
-    """Return the picture of one geometry object; None for a kind that cannot be drawn."""
+    """Return the picture of one geometry object; None for a kind that cannot be drawn and for an empty mesh."""
     solid = shape.geometry
     kind = type(solid).__name__
     vertices, faces = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32)
@@ -113,6 +121,8 @@ def from_geometry(shape: pin.GeometryObject) -> Visual | None:
         faces = np.array([_corners(solid.polygons(k)) for k in range(solid.num_polygons)], dtype=np.uint32)
     else:
         return None
+    if name == "mesh" and not len(faces):
+        return None
     return Visual(
         name=str(shape.name),
         joint=int(shape.parentJoint),
@@ -130,13 +140,16 @@ def thin_out(visuals: list[Visual], most: int) -> list[Visual]:
     total = sum(len(visual.faces) for visual in visuals)
     if total <= most:
         return visuals
-    return [
-        replace(visual, **_clustered(visual.vertices, visual.faces, max(200, len(visual.faces) * most // total)))
-        for visual in visuals
-    ]
+    thinned = []
+    for visual in visuals:
+        vertices, faces = _clustered(visual.vertices, visual.faces, max(200, len(visual.faces) * most // total))
+        thinned.append(replace(visual, vertices=vertices, faces=faces))
+    return thinned
 
 
-def _clustered(vertices: NDArray[np.float32], faces: NDArray[np.uint32], most: int) -> dict[str, NDArray[Any]]:
+def _clustered(
+    vertices: NDArray[np.float32], faces: NDArray[np.uint32], most: int
+) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Return vertices and faces of the mesh with at most `most` triangles (coarser grids are tried until it is)."""
     # About two triangles per occupied cell, and a surface crosses about 3 k^2 cells of a grid of k^3.
     cells = max(2, int(np.sqrt(most)))
@@ -153,9 +166,13 @@ def _clustered(vertices: NDArray[np.float32], faces: NDArray[np.uint32], most: i
         # One triangle per set of corners: merging lays several on top of each other.
         _, first = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
         if len(first) <= most or cells <= 2:
-            return {"vertices": merged.astype(np.float32), "faces": corners[np.sort(first)].astype(np.uint32)}
+            return merged.astype(np.float32), corners[np.sort(first)].astype(np.uint32)
         cells = int(cells * 0.8)
-    return {"vertices": vertices, "faces": faces}
+    return vertices, faces
+
+
+def _finite(values: Any) -> bool:
+    return bool(np.isfinite(values).all())
 
 
 def _corners(triangle: Any) -> tuple[int, int, int]:
