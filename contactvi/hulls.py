@@ -6,6 +6,8 @@ with SciPy, which raises on flat or broken meshes where coal 3.0's buildConvexHu
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -124,7 +126,8 @@ def prepare_geometry(geometry: pin.GeometryObject, report: PartReport) -> str:
 
 def _hull_mesh(geometry: pin.GeometryObject, report: PartReport) -> str:
     mesh = geometry.geometry
-    hull, grid = hull_of_points(mesh.vertices(), geometry.name)
+    file = f" ({Path(geometry.meshPath).name})" if geometry.meshPath else ""
+    hull, grid = hull_of_points(mesh.vertices(), geometry.name + file)
     volume, filled = hull.computeVolume(), mesh.computeVolume()
     geometry.geometry = hull
     # An open or badly oriented surface encloses no volume worth a ratio.

@@ -48,8 +48,9 @@ def import_urdf(
         raise InputError("Argument base", name="base", expected="'fixed' or 'free'", got=repr(base))
     file = resolve_path(path, folder, package_dirs)
     report = PartReport(f"{prefix}{file.stem}: URDF {file}, base {base}")
-    with _reported(report):
+    with _reported(report, file):
         text = read_urdf(file, package_dirs, report)
+        report.prefix_names(prefix)
         report.title = f"{prefix}{text.name}: URDF {file}, base {base}"
         if base == "free":
             model = _parse(file, lambda: pin.buildModelFromXML(text.xml, pin.JointModelFreeFlyer(), ROOT_JOINT))
@@ -83,8 +84,9 @@ def import_mjcf(
     """Return the part described by an MJCF; arguments as in Scene.add_mjcf. Raises like import_urdf."""
     file = resolve_path(path, folder)
     report = PartReport(f"{prefix}{file.stem}: MJCF {file}")
-    with _reported(report):
+    with _reported(report, file):
         text = read_mjcf(file, report)
+        report.prefix_names(prefix)
         report.title = f"{prefix}{text.name}: MJCF {file}"
         # Pinocchio reads MJCF from a file only; the rewritten text goes through a temporary one.
         with tempfile.TemporaryDirectory() as scratch:
@@ -135,6 +137,7 @@ def import_pinocchio(
     visual = copy_geometry(visual_model) if visual_model is not None else collision
     report = PartReport(f"{title}: pin.Model, {model.njoints - 1} joints")
     with _reported(report):
+        _name_bodies(model)
         _check_geometry_parents(model, collision, title)
         part = Part(
             name=title,
@@ -179,10 +182,11 @@ def read_srdf(file: Path, model: pin.Model, report: PartReport) -> list[tuple[st
 
 
 class _reported:
-    """Attach the report so far to an error that leaves the block, so that `contactvi check` can still print it."""
+    """Attach file and report so far to an error that leaves the block, so that `contactvi check` can still print it."""
 
-    def __init__(self, report: PartReport) -> None:
+    def __init__(self, report: PartReport, file: Path | None = None) -> None:
         self.report = report
+        self.file = file
 
     def __enter__(self) -> None:
         return None
@@ -192,6 +196,8 @@ class _reported:
             if not any(note.use == "refused" for note in self.report.notes):
                 self.report.note("refused", "model", error.joint or error.body or "", str(error))
             error.report = self.report
+            if error.path is None and self.file is not None:
+                error.path = str(self.file)
 
 
 def _parse(file: Path, build: Callable[[], Any]) -> Any:
@@ -218,13 +224,15 @@ def _finish(part: Part, source: str) -> None:
     check_numbers(model, source)
     part.start = neutral(model)
     describe_model(model, report, part.start, part.prefix, part.mimics)
+    report.bodies = [body for body in report.bodies if body.name != part.prefix + STATIC]
     for geometry in part.collision.geometryObjects:
-        body = part.prefix + model.frames[geometry.parentFrame].name
+        frame = geometry.parentFrame
+        body = part.prefix + model.frames[frame].name if frame else "universe"
         kind = describe(geometry.geometry)
         try:
             done = prepare_geometry(geometry, report)
         except SceneError as error:
-            error.path = error.path or geometry.meshPath or str(source)
+            error.path = error.path or geometry.meshPath or None
             report.geometries.append(GeometryRow(part.prefix + geometry.name, body, kind, "refused"))
             raise
         shape = describe(geometry.geometry)
@@ -263,6 +271,15 @@ def _take_free_poses(part: Part, start: np.ndarray) -> None:
             part.start[q] = start[q]
 
 
+def _name_bodies(model: pin.Model) -> None:
+    """Give every joint without a body frame one of its own name: a model built in Python has none."""
+    named = {frame.parentJoint for frame in model.frames if frame.type == pin.FrameType.BODY}
+    for i in range(1, model.njoints):
+        if i not in named and not model.existFrame(model.names[i], pin.FrameType.BODY):
+            inertia = pin.Inertia.Zero()
+            model.addFrame(pin.Frame(model.names[i], i, 0, pin.SE3.Identity(), pin.FrameType.BODY, inertia), False)
+
+
 def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, source: str) -> None:
     names = [geometry.name for geometry in collision.geometryObjects]
     for geometry in collision.geometryObjects:
@@ -280,8 +297,9 @@ def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, sour
             )
         frame = geometry.parentFrame
         if frame >= model.nframes or model.frames[frame].parentJoint != geometry.parentJoint:
-            frames = [k for k, f in enumerate(model.frames) if f.parentJoint == geometry.parentJoint]
-            geometry.parentFrame = frames[0] if frames else 0
+            body, joint = pin.FrameType.BODY, geometry.parentJoint
+            frames = [k for k, f in enumerate(model.frames) if f.type == body and f.parentJoint == joint]
+            geometry.parentFrame = frames[0] if frames and joint else 0
 
 
 def _visual(file: Path, build: Callable[[], pin.GeometryModel], collision: pin.GeometryModel) -> pin.GeometryModel:

@@ -237,7 +237,8 @@ def _describe_joint(
     if rate > FAST_DAMPING:
         text = (
             f"damping {number(damping)} is unusually large for the joint-space inertia "
-            f"{number(np.min(diagonal[dofs]))}: a motion dies within {number(1.0 / rate)} s; set_joint(damping=) replaces it"
+            f"{number(np.min(diagonal[dofs]))}: a motion dies within {number(1.0 / rate)} s; "
+            "set_joint(damping=) replaces it"
         )
         report.note("suspicious", "joint", name, text)
 

@@ -18,8 +18,6 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-# Imported for its side effect, before the first question to coal: see settle_box_support in core/guard.hpp.
-import contactvi._core  # noqa: F401
 from contactvi.assembly import Assembly
 from contactvi.mjcf import STATIC
 from contactvi.parts import Part

@@ -160,12 +160,13 @@ def resolve_resource(url: str, start: Path, package_dirs: Sequence[object] = ())
             if path.is_file():
                 return path.resolve()
         tried.append(candidate)
-    where = ", ".join(str(p) for p in tried) or f"no package folder of that name near {start} or in ROS_PACKAGE_PATH"
+    where = ", ".join(str(p) for p in tried)
+    nowhere = f"no package of that name in package_dirs, above {start}, in ROS_PACKAGE_PATH or in {ROBOT_DATA}"
     raise SceneError(
         f"No such file: {url}",
         path=url,
         expected="an existing file",
-        got=f"nothing at {where}",
+        got=f"nothing at {where}" if tried else nowhere,
         remedy="Pass package_dirs=[folder that holds the package]",
     )
 

@@ -92,6 +92,11 @@ class PartReport:
         if found not in self.notes:
             self.notes.append(found)
 
+    def prefix_names(self, prefix: str) -> None:
+        """Put a prefix before the names in the findings so far: readers know only the file's names."""
+        topics = ("joint", "body", "geom", "visual")
+        self.notes = [replace(n, name=prefix + n.name) if n.topic in topics else n for n in self.notes]
+
     def without(self, use: Use, names: Container[str], start: str) -> PartReport:
         """Return a copy without the findings about `names` whose text begins with `start`: something replaced them."""
         kept = [n for n in self.notes if not (n.use == use and n.name in names and n.text.startswith(start))]

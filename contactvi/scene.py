@@ -38,7 +38,7 @@ class Scene:
     settings : settings of a run from the scene file (dt, duration, ...); empty otherwise.
     """
 
-    def __init__(self, gravity: Sequence[float] = GRAVITY) -> None:
+    def __init__(self, gravity: Sequence[float] | np.ndarray = GRAVITY) -> None:
         self.gravity = vector("gravity", gravity, 3)
         self.q0: np.ndarray | None = None
         self.v0: np.ndarray | None = None
@@ -379,7 +379,7 @@ class Scene:
     def from_dict(cls, data: Mapping[str, Any]) -> Scene:
         """Return the scene of to_dict. Raises SceneError when the data are not such a description."""
         stored = scene_from_dict(data)
-        scene = cls(data["gravity"])
+        scene = cls(stored.gravity)
         scene._parts, scene._groups, scene._edits = [stored.part], stored.groups, stored.edits
         for name in ("q0", "v0"):
             setattr(scene, name, None if data.get(name) is None else np.array(data[name], dtype=float))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -53,6 +54,10 @@ def build(base: Assembly, parts: Sequence[Part], names: Names, edits: Edits) -> 
     assembly = Assembly(
         model, collision, start, base.part_of_joint, base.part_of_geometry, base.root_of_joint, base.placed
     )
+    if any(part.given_pairs is None for part in parts):
+        # Loaded for its side effect before the first question to coal: see settle_box_support in core/guard.hpp.
+        # Stored scenes bring their pairs, ask coal nothing and are replayed without the engine.
+        importlib.import_module("contactvi._core")
     index = names.geometries
     disabled = [(index[a], index[b]) for a, b in edits.disabled]
     removed = choose_pairs(assembly, parts, disabled, [(index[a], index[b]) for a, b in edits.enabled])
@@ -114,7 +119,11 @@ def scene_report(parts: Sequence[Part], built: Built, joints: Mapping[str, Joint
         if settings.stiffness:
             text = f"spring of {number(settings.stiffness)} N m/rad or N/m"
             report.notes.append(Note("used", "joint", name, text))
-    rounding = list(engine_scene(built).rounding)
+    try:
+        rounding = list(engine_scene(built).rounding)
+    except SceneError as error:
+        report.notes.append(Note("refused", "scene", "", str(error)))
+        rounding = []
     rounded = [float(r) for r in rounding if r > 0.0]
     if rounded:
         text = f"edges rounded with radius {_range(rounded)} m inside the shape, for exact normals"

@@ -28,6 +28,7 @@ from contactvi.contact_rules import Rule
 from contactvi.errors import SceneError
 from contactvi.hulls import PRIMITIVES, faces_of, hull_from_faces, shape_sizes
 from contactvi.importers import copy_geometry
+from contactvi.inputs import vector
 from contactvi.joints import JointSettings
 from contactvi.model_checks import ONE_DOF, joint_kind, motion_axis
 from contactvi.parts import Part
@@ -46,6 +47,7 @@ _OTHER = {"planar": "Planar", "translation": "Translation", "spherical": "Spheri
 class SceneData:
     """What a scene is made of when it is read back."""
 
+    gravity: np.ndarray
     part: Part
     groups: dict[str, PartHandle]
     edits: Edits
@@ -108,7 +110,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         kind="pinocchio",
         model=model,
         collision=collision,
-        start=np.array(data["start"], dtype=float),
+        start=vector("start", data["start"], model.nq),
         report=PartReport("scene from stored data"),
         load_visual=lambda: copy_geometry(collision),
         # An empty choice is a choice too: nothing is tested.
@@ -118,7 +120,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         name: PartHandle(name, *(tuple(group[key]) for key in ("joints", "bodies", "geometries")))
         for name, group in data["parts"].items()
     }
-    return SceneData(part, groups, _edits(data, model))
+    return SceneData(vector("gravity", data["gravity"], 3), part, groups, _edits(data, model))
 
 
 def _edits(data: Mapping[str, Any], model: pin.Model) -> Edits:
@@ -154,7 +156,7 @@ def _joint_to_dict(model: pin.Model, i: int) -> dict[str, Any]:
         motion = motion_axis(joint)
         direction = motion[:3] if kind == "prismatic" else motion[3:]
         axis = direction.tolist()
-        pitch = float(motion[:3] @ direction) if kind == "helical" else 0.0
+        pitch = float(joint.extract().pitch) if kind == "helical" else 0.0
     q, v = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
     return {
         "name": model.names[i],

@@ -1,0 +1,310 @@
+"""Bad models and arguments: each an error of ours that says expected and got, never a crash of the interpreter.
+
+Several of these end the process or pass silently in Pinocchio 4.1, urdfdom or coal 3.0: see urdf.py, mjcf.py, hulls.py.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import contactvi
+from contactvi.errors import ContactviError, InputError, SceneError
+from contactvi.scene import Scene
+
+LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+
+
+def link(name: str, mass: str = "1", inside: str = "", inertia: str = "1") -> str:
+    moments = f'ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"'
+    return f'<link name="{name}"><inertial><mass value="{mass}"/><inertia {moments}/></inertial>{inside}</link>'
+
+
+def joint(name: str = "j", parent: str = "a", child: str = "b", kind: str = "revolute", inside: str = LIMIT) -> str:
+    axis = "" if "<axis" in inside else '<axis xyz="1 0 0"/>'
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{axis}{inside}</joint>'
+
+
+def robot(*parts: str) -> str:
+    return f'<robot name="r">{"".join(parts)}</robot>'
+
+
+def shape(text: str) -> str:
+    return robot(link("a"), link("b", inside=f"<collision><geometry>{text}</geometry></collision>"), joint())
+
+
+URDFS = {
+    "empty": ("", "Broken XML"),
+    "broken": ("<robot name='r'>\n<link", "line 2"),
+    "binary": ("\x00\x01\x02", "Broken XML"),
+    "other XML": ("<html/>", "<html>"),
+    "MJCF": ("<mujoco/>", "add_mjcf"),
+    "SDF": ("<sdf/>", "SDF is not supported"),
+    "xacro": (
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="x"/></robot>',
+        "xacro",
+    ),
+    "no link": (robot(), "no link"),
+    "link without a name": (robot("<link/>"), "without a name"),
+    "two links of a name": (robot(link("a"), link("a")), "'a'"),
+    "two joints of a name": (robot(link("a"), link("b"), link("c"), joint(), joint(child="c")), "'j'"),
+    "unknown link": (robot(link("a"), link("body"), joint(child="bod")), "Did you mean 'body'"),
+    "two roots": (robot(link("a"), link("b")), "one tree"),
+    "loop": (robot(link("a"), link("b"), joint(), joint("k", "b", "a")), "one tree"),
+    "closed chain": (
+        robot(link("a"), link("b"), link("c"), joint(), joint("k", "a", "c"), joint("l", "c")),
+        "two joints",
+    ),
+    "no limit": (robot(link("a"), link("b"), joint(inside="")), "<limit"),
+    "joint type": (robot(link("a"), link("b"), joint(kind="revolut")), "Did you mean 'revolute'"),
+    "zero axis": (robot(link("a"), link("b"), joint(inside=f'<axis xyz="0 0 0"/>{LIMIT}')), "nonzero"),
+    "axis of two": (robot(link("a"), link("b"), joint(inside=f'<axis xyz="0 1"/>{LIMIT}')), "3 finite"),
+    "nan origin": (robot(link("a"), link("b"), joint(inside=f'<origin xyz="nan 0 0"/>{LIMIT}')), "finite"),
+    "mass in words": (robot(link("a"), link("b", mass="heavy"), joint()), "'heavy'"),
+    "nan mass": (robot(link("a"), link("b", mass="nan"), joint()), "finite"),
+    "infinite inertia": (robot(link("a"), link("b", inertia="inf"), joint()), "finite"),
+    "negative mass": (robot(link("a"), link("b", mass="-1"), joint()), ">= 0 kg"),
+    "zero mass": (robot(link("a"), link("b", mass="0", inertia="0"), joint()), "moves no mass"),
+    "no inertial": (robot(link("a"), '<link name="b"/>', joint()), "moves no mass"),
+    "negative damping": (robot(link("a"), link("b"), joint(inside=LIMIT + '<dynamics damping="-1"/>')), "damping"),
+    "negative radius": (shape('<sphere radius="-1"/>'), "> 0"),
+    "nan radius": (shape('<sphere radius="nan"/>'), "finite"),
+    "flat box": (shape('<box size="0 1 1"/>'), "> 0"),
+    "unknown shape": (shape('<torus radius="1"/>'), "<torus>"),
+    "no shape": (shape(""), "none"),
+    "missing mesh": (shape('<mesh filename="package://nowhere/m.stl"/>'), "package_dirs"),
+    "mesh on the web": (shape('<mesh filename="http://x/m.stl"/>'), "http://"),
+    "empty mesh": (shape('<mesh filename="empty.stl"/>'), "empty.stl"),
+    "not a mesh": (shape('<mesh filename="junk.stl"/>'), "junk.stl"),
+    "flat mesh": (shape('<mesh filename="flat.stl"/>'), r"in a plane"),
+    "one triangle": (shape('<mesh filename="one.stl"/>'), "fewer than 4"),
+    "nan mesh": (shape('<mesh filename="nan.stl"/>'), "not finite"),
+    "mesh scaled to nothing": (shape('<mesh filename="flat.stl" scale="0 0 0"/>'), "nonzero"),
+}
+
+
+def mujoco(*bodies: str, head: str = "") -> str:
+    return f'<mujoco model="m">{head}<worldbody>{"".join(bodies)}</worldbody></mujoco>'
+
+
+def body(inside: str = '<joint name="h"/><geom type="sphere" size="1"/>', where: str = "") -> str:
+    return f'<body name="a" {where}>{inside}</body>'
+
+
+MJCFS = {
+    "broken": ("<mujoco>", "Broken XML"),
+    "URDF": ("<robot/>", "add_urdf"),
+    "no world": ("<mujoco/>", "<worldbody>"),
+    "two bodies of a name": (mujoco(body(), body()), "'a'"),
+    "nan place": (mujoco(body(where='pos="nan 0 0"')), "finite"),
+    "words for numbers": (mujoco(body(where='pos="a 0 0"')), "finite"),
+    "negative size": (mujoco(body('<joint/><geom type="sphere" size="-1"/>')), "> 0"),
+    "zero axis": (mujoco(body('<joint axis="0 0 0"/><geom type="sphere" size="1"/>')), "nonzero"),
+    "no mass": (mujoco(body("<joint/>")), "moves no mass"),
+    "joint type": (mujoco(body('<joint type="wobble"/><geom type="sphere" size="1"/>')), "Unknown joint type"),
+    "shape": (mujoco(body('<joint/><geom type="wobble" size="1"/>')), "geomType"),
+    "several joints": (
+        mujoco(body('<joint/><joint axis="1 0 0"/><geom type="sphere" size="1"/>')),
+        "JointModelComposite",
+    ),
+    "missing include": (mujoco('<include file="none.xml"/>'), "none.xml"),
+    "circular include": (mujoco('<include file="model.xml"/>'), "circle"),
+    "replicate": (mujoco('<replicate count="3"/>'), "mj_saveLastXML"),
+    "height field": (mujoco(body(), head='<asset><hfield name="h"/></asset>'), "height field"),
+    "missing mesh": (mujoco(body(), head='<asset><mesh name="t" file="no.stl"/></asset>'), "no.stl"),
+    "unknown mesh": (mujoco(body('<joint/><geom type="mesh" mesh="t"/>')), "mesh t"),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    def stl(name: str, *triangles: str) -> None:
+        loops = ["facet normal 0 0 1 outer loop " + t + " endloop endfacet" for t in triangles]
+        (tmp_path / name).write_text("solid x\n" + "\n".join(loops).replace(" vertex", "\nvertex") + "\nendsolid x\n")
+
+    first, second = "vertex 0 0 0 vertex 1 0 0 vertex 0 1 0", "vertex 1 0 0 vertex 1 1 0 vertex 0 1 0"
+    stl("flat.stl", first, second)
+    stl("one.stl", first)
+    stl("nan.stl", first, "vertex 0 0 0 vertex 1 0 0 vertex nan 0 1", "vertex 0 0 0 vertex 0 1 0 vertex 0 0 1")
+    (tmp_path / "empty.stl").touch()
+    (tmp_path / "junk.stl").write_bytes(bytes(range(256)) * 10)
+    return tmp_path
+
+
+@pytest.mark.parametrize("case", URDFS)
+def test_urdf(folder: Path, case: str):
+    text, says = URDFS[case]
+    file = folder / "model.urdf"
+    file.write_text(text)
+    with pytest.raises(SceneError, match=says) as caught:
+        Scene().add_urdf(file)
+    assert caught.value.path
+    if caught.value.report is not None:
+        assert caught.value.report.notes
+
+
+@pytest.mark.parametrize("case", MJCFS)
+def test_mjcf(folder: Path, case: str):
+    text, says = MJCFS[case]
+    file = folder / "model.xml"
+    file.write_text(text)
+    with pytest.raises(SceneError, match=says):
+        Scene().add_mjcf(file)
+
+
+@pytest.mark.parametrize("mesh", ["flat.stl", "nan.stl"])
+def test_meshes_that_kill_a_process_do_not_kill_ours(folder: Path, mesh: str):
+    """Run apart, because the failure this guards against takes the test runner with it."""
+    (folder / "model.urdf").write_text(shape(f'<mesh filename="{mesh}"/>'))
+    code = f"""
+import sys; sys.path.insert(0, {str(Path(contactvi.__file__).parents[1])!r})
+from contactvi import Scene, SceneError
+try:
+    Scene().add_urdf({str(folder / "model.urdf")!r})
+except SceneError:
+    print("refused")
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout.strip()) == (0, "refused"), run.stderr
+
+
+class TestPaths:
+    def test_missing_file_names_the_nearest(self, folder: Path):
+        (folder / "robot.urdf").write_text(robot(link("a")))
+        with pytest.raises(SceneError, match=r"Did you mean '.*robot\.urdf'"):
+            Scene().add_urdf(folder / "robto.urdf")
+
+    def test_folder_lists_its_models(self, folder: Path):
+        (folder / "robot.urdf").touch()
+        with pytest.raises(SceneError, match=r"robot\.urdf"):
+            Scene().add_urdf(folder)
+
+    @pytest.mark.parametrize(
+        "path", ["", None, 3, "example-robot-data://robots/nothing.urdf", "package://nowhere/x.urdf"]
+    )
+    def test_no_path(self, path):
+        with pytest.raises(ContactviError):
+            Scene().add_urdf(path)
+
+
+ARGUMENTS = {
+    "gravity shape": (lambda s: Scene(gravity=(0, 0)), r"\(3,\)"),
+    "gravity nan": (lambda s: Scene(gravity=(0, 0, np.nan)), "finite"),
+    "gravity words": (lambda s: Scene(gravity="down"), "3 numbers"),
+    "radius": (lambda s: s.add_sphere("x", -1.0), "> 0"),
+    "radius word": (lambda s: s.add_sphere("x", "big"), "radius"),
+    "radius bool": (lambda s: s.add_sphere("x", True), "radius"),
+    "mass zero": (lambda s: s.add_sphere("x", 1.0, 0.0), "mass"),
+    "mass nan": (lambda s: s.add_sphere("x", 1.0, np.nan), "mass"),
+    "mass infinite": (lambda s: s.add_sphere("x", 1.0, np.inf), "mass"),
+    "name": (lambda s: s.add_sphere("", 1.0), "non-empty"),
+    "name type": (lambda s: s.add_sphere(3, 1.0), "non-empty"),
+    "size": (lambda s: s.add_box("x", (1, 2)), r"\(3,\)"),
+    "size sign": (lambda s: s.add_box("x", (1, 2, 0)), "> 0"),
+    "length": (lambda s: s.add_capsule("x", 1.0, 0.0), "length"),
+    "color": (lambda s: s.add_sphere("x", 1.0, color=(1, 0)), r"\(4,\)"),
+    "normal": (lambda s: s.add_halfspace((0, 0, 0)), "nonzero"),
+    "offset": (lambda s: s.add_halfspace((0, 0, 1), np.nan), "offset"),
+    "quaternion": (lambda s: s.add_sphere("x", 1.0, placement=[0, 0, 0, 0, 0, 0, 2]), "length 1"),
+    "placement shape": (lambda s: s.add_sphere("x", 1.0, placement=[0, 0]), "xyz"),
+    "placement nan": (lambda s: s.add_sphere("x", 1.0, placement=[0, 0, np.nan]), "finite"),
+    "placement matrix": (lambda s: s.add_sphere("x", 1.0, placement=2 * np.eye(4)), "rigid"),
+    "placement word": (lambda s: s.add_sphere("x", 1.0, placement="here"), "xyz"),
+    "base": (lambda s: s.add_urdf("x", base="loose"), "'fixed' or 'free'"),
+    "restitution": (lambda s: s.set_contact(restitution=1.1), r"\[0, 1\]"),
+    "restitution nan": (lambda s: s.set_contact(restitution=np.nan), r"\[0, 1\]"),
+    "friction": (lambda s: s.set_contact(friction=-0.1), ">= 0"),
+    "body": (lambda s: s.set_contact("bal", restitution=0.1), "Did you mean 'ball'"),
+    "body type": (lambda s: s.set_contact(3, restitution=0.1), "a handle"),
+    "pair": (lambda s: s.disable_pair("ball", "grund"), "Did you mean 'ground'"),
+    "joint": (lambda s: s.set_joint("bal", damping=1.0), "Did you mean 'ball'"),
+    "joint of a fixed body": (lambda s: s.set_joint("ground", damping=1.0), "with joints"),
+    "spring of a free body": (lambda s: s.set_joint("ball", stiffness=1.0), "free"),
+    "stiffness": (lambda s: s.set_joint("hinge", stiffness=-1.0), ">= 0"),
+    "damping": (lambda s: s.set_joint("hinge", damping=np.inf), "damping"),
+    "damping shape": (lambda s: s.set_joint("hinge", damping=(1.0, 2.0)), "damping"),
+    "rest": (lambda s: s.set_joint("hinge", rest=(1.0, 2.0)), "rest"),
+    "limits": (lambda s: s.set_joint("hinge", limits=(1.0, -1.0)), "lower < upper"),
+    "limits shape": (lambda s: s.set_joint("hinge", limits=(1.0,)), r"\(2,\)"),
+    "limit restitution": (lambda s: s.set_joint("hinge", restitution=2.0), r"\[0, 1\]"),
+    "configuration joint": (lambda s: s.configuration({"hing": 1.0}), "Did you mean 'hinge'"),
+    "configuration value": (lambda s: s.configuration({"hinge": "far"}), "hinge"),
+    "configuration quaternion": (lambda s: s.configuration({"ball": [0, 0, 0, 0, 0, 0, 0]}), "length 1"),
+    "configuration base": (lambda s: s.configuration({}, base=np.zeros(3)), r"\(8,\)"),
+    "velocity": (lambda s: s.velocity({"ball": (1, 2)}), "linear, angular"),
+    "velocity nan": (lambda s: s.velocity({"hinge": np.nan}), "hinge"),
+    "q_index": (lambda s: s.q_index("*"), "one joint"),
+    "model": (lambda s: Scene.from_pinocchio("model"), "pin.Model"),
+    "geometry": (lambda s: Scene.from_pinocchio(pin.Model(), pin.Model()), "pin.GeometryModel"),
+}
+
+
+@pytest.fixture
+def scene() -> Scene:
+    model = pin.Model()
+    model.appendBodyToJoint(
+        model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "hinge"),
+        pin.Inertia.FromSphere(1.0, 1.0),
+        pin.SE3.Identity(),
+    )
+    scene = Scene.from_pinocchio(model)
+    scene.add_sphere("ball", 0.1)
+    scene.add_halfspace()
+    return scene
+
+
+@pytest.mark.parametrize("case", ARGUMENTS)
+def test_argument(scene: Scene, case: str):
+    call, says = ARGUMENTS[case]
+    before = scene.to_dict()
+    with pytest.raises(InputError, match=says) as caught:
+        call(scene)
+    assert caught.value.expected
+    assert caught.value.got
+    assert str(scene.to_dict()) == str(before)  # a refused call leaves no trace
+
+
+def one_body(shape: coal.CollisionGeometry, inertia: pin.Inertia | None = None) -> tuple[pin.Model, pin.GeometryModel]:
+    model, geometry = pin.Model(), pin.GeometryModel()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    model.appendBodyToJoint(joint, inertia or pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    geometry.addGeometryObject(pin.GeometryObject("shape", joint, pin.SE3.Identity(), shape))
+    return model, geometry
+
+
+@pytest.mark.parametrize(
+    ("shape", "says"),
+    [
+        (coal.Plane(np.array([0.0, 0.0, 1.0]), 0.0), "coal.Halfspace"),
+        (coal.Sphere(-1.0), "sizes > 0"),
+        (coal.Sphere(np.nan), "sizes > 0"),
+        (coal.Box(1.0, 0.0, 1.0), "sizes > 0"),
+        (coal.Halfspace(np.array([0.0, 0.0, 1.0]), np.nan), "Halfspace"),
+        (coal.BVHModelOBBRSS(), "fewer than 4"),
+    ],
+)
+def test_geometry_of_a_pinocchio_model(shape: coal.CollisionGeometry, says: str):
+    with pytest.raises(SceneError, match=says):
+        Scene.from_pinocchio(*one_body(shape))
+
+
+def test_inertia_of_a_pinocchio_model():
+    bad = pin.Inertia(np.nan, np.zeros(3), np.eye(3))
+    with pytest.raises(SceneError, match="finite"):
+        Scene.from_pinocchio(*one_body(coal.Sphere(1.0), bad))
+    with pytest.raises(SceneError, match="moves no mass"):
+        Scene.from_pinocchio(*one_body(coal.Sphere(1.0), pin.Inertia.Zero()))
+
+
+def test_geometry_on_a_joint_that_is_not_there():
+    model, geometry = one_body(coal.Sphere(1.0))
+    geometry.geometryObjects[0].parentJoint = 7
+    with pytest.raises(SceneError, match="parent joint below 2"):
+        Scene.from_pinocchio(model, geometry)
