@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 MAX_FRAMES = 6000
 MAX_POSES = 130_000  # frames x moving bodies, 32 bytes each: about 4 MB of the page
+MAX_IMPACTS = 3000  # shown of a run, about 0.3 MB of the page
 MAX_MARKERS = 24  # impacts shown at the same time
 _MARKER_TIME = 0.25  # s an impact stays visible
 _STILL = 1e-7  # m, and the same for the entries of a quaternion
@@ -133,14 +134,15 @@ def joint_poses(model: pin.Model, configurations: Array, joints: Sequence[int]) 
 
 
 def markers_of(run: Run) -> list[Marker]:
-    """Distribute the contacts with an impulse over as few markers as show them all, at most MAX_MARKERS at a time."""
+    """Distribute the shown contacts over as few markers as show them all, at most MAX_MARKERS at a time."""
     start, span = float(run.t[0]), float(run.t[-1] - run.t[0])
     hold = min(_MARKER_TIME, max(span / 12.0, 1e-6))
     events = run.events
     points, normals = events.array("point"), events.array("normal")
     drawn = (events.array("kind") == 0) & np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
     markers: list[Marker] = []
-    for k in np.flatnonzero(drawn):
+    shown = shown_impacts(run)
+    for k in shown[drawn[shown]]:
         time = float(events.array("time")[k]) - start
         free = next((marker for marker in markers if marker.end[-1] <= time), None)
         if free is None and len(markers) < MAX_MARKERS:
@@ -155,6 +157,12 @@ def markers_of(run: Run) -> list[Marker]:
         free.direction.append(normals[k] * _side(run.scene, int(events.array("index")[k])))
         free.impulse.append(float(events.array("impulse")[k]))
     return markers
+
+
+def shown_impacts(run: Run) -> NDArray[np.int64]:
+    """Return the indices of the events that are shown: all of them, or MAX_IMPACTS spread over the run."""
+    count = len(run.events)
+    return np.unique(np.linspace(0, count - 1, min(count, MAX_IMPACTS)).astype(np.int64))
 
 
 def _side(scene: Scene, pair: int) -> float:

@@ -23,7 +23,7 @@ from meshcat import commands
 from meshcat import geometry as mg
 from numpy.typing import NDArray
 
-from contactvi.animation import Frames, Marker, Poses, frames_of
+from contactvi.animation import Frames, Marker, Poses, frames_of, shown_impacts
 from contactvi.animation import Run as AnimatedRun
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
@@ -32,7 +32,6 @@ from contactvi.status import Status
 from contactvi.version import version
 
 Array = NDArray[np.float64]
-_MAX_LISTED = 3000  # impacts described in the page
 _DISCRETE, _LINEAR = 2300, 2301  # three.js: InterpolateDiscrete, InterpolateLinear
 _ROOT = "/contactvi"
 
@@ -147,9 +146,7 @@ def _description(run: Run, frames: Frames, view: dict[str, Any], title: str, pla
     """Return what the page says in words, and its camera."""
     events = run.events
     duration = float(frames.times[-1])
-    listed = np.arange(len(events))
-    if len(listed) > _MAX_LISTED:
-        listed = np.unique(np.linspace(0, len(events) - 1, _MAX_LISTED).astype(int))
+    listed = shown_impacts(run)
     impacts = [_impact(run, int(k)) for k in listed]
     facts = [
         {"text": f"{duration:.6g} s simulated, dt = {run.options.dt:.6g} s, {len(events)} impacts", "bad": False},
@@ -158,7 +155,7 @@ def _description(run: Run, frames: Frames, view: dict[str, Any], title: str, pla
     if not run.status.ok:
         facts.append({"text": str(run.status), "bad": True})
     if len(listed) < len(events):
-        facts.append({"text": f"{len(listed)} of the impacts are listed", "bad": False})
+        facts.append({"text": f"{len(listed)} of the impacts are shown", "bad": False})
     return {
         "title": title,
         "duration": duration,

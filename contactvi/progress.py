@@ -21,11 +21,9 @@ class RunProgress:
     def __init__(self, duration: float, console: Console | None = None) -> None:
         self._duration = duration
         self._bar = Progress(
-            TextColumn("[bold]simulating"),
-            BarColumn(bar_width=None),
+            BarColumn(bar_width=20),
             TaskProgressColumn(),
             TextColumn("{task.fields[text]}"),
-            TextColumn("left"),
             TimeRemainingColumn(compact=True),
             console=console or Console(stderr=True),
             transient=True,
@@ -57,4 +55,4 @@ class RunProgress:
 def describe(t: float, duration: float, impacts: int, seconds: float) -> str:
     """Return the text beside the bar."""
     factor = t / seconds if seconds > 0 else 0.0
-    return f"{t:.4g} / {duration:.4g} s  {factor:.3g} x real time  {impacts} impacts"
+    return f"{t:.4g}/{duration:.4g} s, {factor:.3g} x real time, {impacts} impacts, left"

@@ -19,8 +19,9 @@ ARROW_COLOR = 0xE0431F
 _MARKER_COLOR = 0xF6A21B
 _FLOOR_COLOR = 0xD3DAE2
 _WALL_COLOR = 0xB8C6D6
+_MESH_COLOR = 0xC4CAD1
 _LINE_COLOR = 0x93A1B1
-# Colour-blind safe tones (Okabe, Ito), for bodies whose model names no colour.
+# Colour-blind safe tones (Okabe, Ito), for plain shapes whose model names no colour.
 _PALETTE = (0x5B8DB8, 0xE69F00, 0x2F9E83, 0xC77CA3, 0x56B4E9, 0xD98232, 0x8C8F94)
 _CREASE = np.cos(np.radians(35.0))  # faces that meet at a sharper angle keep their edge
 _FITTED = 200  # frames looked at to find the camera's place
@@ -214,6 +215,8 @@ def _rotate(quaternion: Array, vector: Array) -> Array:
 
 
 def _material(visual: Visual, index: int) -> Any:
+    if visual.color is None and visual.shape == "mesh":
+        return mg.MeshPhongMaterial(color=_MESH_COLOR, shininess=40)
     if visual.color is None:
         return mg.MeshPhongMaterial(color=_PALETTE[(visual.joint or index) % len(_PALETTE)], shininess=40)
     red, green, blue, opacity = visual.color

@@ -200,7 +200,7 @@ def test_help_and_version(command):
 
 
 def test_progress_text():
-    assert describe(0.5, 2.0, 7, 0.25) == "0.5 / 2 s  2 x real time  7 impacts"
+    assert describe(0.5, 2.0, 7, 0.25) == "0.5/2 s, 2 x real time, 7 impacts, left"
     with RunProgress(2.0) as bar:  # no terminal: nothing is drawn, nothing fails
         bar(0.5, 7)
         assert bar.seconds >= 0.0

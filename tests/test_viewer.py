@@ -119,6 +119,15 @@ def test_markers_are_reused():
     assert len(animation.markers_of(traj)) == 1
 
 
+def test_number_of_shown_impacts_is_bounded():
+    traj = cvi.simulate(ball_scene(), duration=5000.0, dt=1e-2, record_every=1000)
+    assert len(traj.events) > animation.MAX_IMPACTS
+    assert len(animation.shown_impacts(traj)) == animation.MAX_IMPACTS
+    page = make_html(traj)
+    assert len(page) < 3e6
+    assert f"{animation.MAX_IMPACTS} of the impacts are shown" in page
+
+
 # -- shapes -----------------------------------------------------------------------------------------------------------
 
 
