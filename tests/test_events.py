@@ -10,6 +10,8 @@ import pinocchio as pin
 import pytest
 from contact_models import geometry, halfspace, slider_blocks
 from contact_models import scene as public_scene
+from oracles import ctec_oracle
+from oracles.del_step import System
 
 import contactvi as cvi
 
@@ -80,6 +82,28 @@ def test_spinning_rod_does_not_sweep_through_a_pin(angle, turns):
     assert len(traj.events) >= 1
     assert abs(traj.events[0].time - (angle - contact) / turns) <= 1e-12
     assert traj.events[0].gamma_minus == pytest.approx(-turns * distance * math.cos(contact), rel=1e-11)
+
+
+def test_an_event_is_found_wherever_it_lies_in_the_step():
+    """A spinning ball with an offset centre of mass, one wall, one step: all step lengths, so all places of the root."""
+    inertia = pin.Inertia(0.74, np.array([0.035, -0.077, -0.073]), np.diag([0.099, 0.076, 0.097]))
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(1, inertia, pin.SE3.Identity())
+    ball, wall = (1, pin.SE3.Identity(), coal.Sphere(0.2)), (0, pin.SE3.Identity(), halfspace(1.0, 0.0, 0.0, -1.1))
+    shapes = geometry({"ball": ball, "wall": wall}, [("ball", "wall")])
+    scene, system = public_scene(model, shapes), System(model)
+    gap = ctec_oracle.geometry_gap(model, shapes, 0)
+    q = np.array([-0.898, 0.027, -0.579, 0.102, 0.068, 0.146, -0.981])
+    q[3:] /= np.linalg.norm(q[3:])
+    v = np.array([0.38, -0.34, 5.05, 12.18, -1.6, 3.95])
+    for h in np.linspace(0.009, 0.03, 211):
+        traj = cvi.simulate(scene, q, v, h, h, throw=False)
+        assert traj.status.ok, (h, traj.status)
+        assert len(traj.events) == 1, h
+        event = traj.events[0]
+        # the oracle's partial step ends at the wall too: 1e-12 m for the location, 1e-12 for the solver
+        assert abs(gap(system.step(q, system.momentum(q, v), event.time)[0])) <= 4e-12
 
 
 @pytest.mark.parametrize("seed", range(8))
