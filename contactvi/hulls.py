@@ -17,7 +17,7 @@ from contactvi.errors import SceneError
 from contactvi.report import PartReport, number
 
 MOST_NEIGHBOURS = 100  # coal counts to 255; the engine rounds hulls, which may join the faces around a vertex
-PRIMITIVES = (coal.Sphere, coal.Box, coal.Capsule, coal.Cylinder, coal.Cone, coal.Ellipsoid)
+PRIMITIVES = (coal.Sphere, coal.Box, coal.Capsule, coal.Cylinder, coal.Ellipsoid)
 
 
 def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
@@ -118,7 +118,7 @@ def prepare_geometry(geometry: pin.GeometryObject, report: PartReport) -> str:
     raise SceneError(
         f"Shape of geometry {geometry.name!r}",
         body=geometry.name,
-        expected="sphere, box, capsule, cylinder, cone, ellipsoid, halfspace, convex hull or mesh",
+        expected="sphere, box, capsule, cylinder, ellipsoid, halfspace, convex hull or mesh",
         got=kind,
         remedy=remedies.get(kind, "Replace it by convex shapes"),
     )

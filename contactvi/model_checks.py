@@ -123,11 +123,30 @@ def check_numbers(model: pin.Model, source: str) -> None:
             raise SceneError(
                 f"{source}: {what} of joint {name!r}", joint=name, expected="finite, >= 0", got=values[bad[0]]
             )
+        _check_isotropy(model, what, np.asarray(values), source)
     for frame in model.frames:
         if not frame.inertia.mass >= 0.0:
             raise SceneError(
                 f"{source}: mass of frame {frame.name!r}", body=frame.name, expected=">= 0 kg", got=frame.inertia.mass
             )
+
+
+def _check_isotropy(model: pin.Model, what: str, values: np.ndarray, source: str) -> None:
+    """Refuse damping or armature that differs between directions, and armature on free and planar joints.
+
+    The engine turns the axes of joints as suits it and splits free and planar joints in two.
+    """
+    for i in range(1, model.njoints):
+        joint, kind = model.joints[i], str(joint_kind(model.joints[i]))
+        own = values[joint.idx_v : joint.idx_v + joint.nv]
+        halves = np.split(own, {"free": [3], "planar": [2]}.get(kind, []))
+        wanted = "the same number in all directions"
+        bad = any(np.ptp(half) > 0.0 for half in halves)
+        if what == "armature" and len(halves) == 2:
+            wanted, bad = "none", bool(np.any(own))
+        if bad:
+            title = f"{source}: {what} of the {kind} joint {model.names[i]!r}"
+            raise SceneError(title, joint=model.names[i], expected=wanted, got=str(own))
 
 
 def body_masses(model: pin.Model) -> list[tuple[str, int, float]]:

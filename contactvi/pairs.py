@@ -3,6 +3,7 @@
 By default every pair on two different bodies, except
 - adjacent bodies (one joint apart); the links of one robot base, fixed to the world, count as one body, while
   halfspaces, fixed primitives and shapes attached to the world itself are scenery and adjacent to nothing;
+- two halfspaces;
 - pairs disabled by the part's SRDF or MJCF (exclude), or by disable_pair;
 - pairs that overlap at the neutral pose, when their relative pose there is the model's own: two bodies of which one
   hangs on a free, planar, translation or prismatic root joint of another tree are placed by the start of a run, where
@@ -21,7 +22,7 @@ import pinocchio as pin
 from contactvi.assembly import Assembly
 from contactvi.mjcf import STATIC
 from contactvi.parts import Part
-from contactvi.report import ADJACENT, BY_FILE, BY_USER, NOT_GIVEN, OVERLAP, RemovedPair
+from contactvi.report import ADJACENT, BY_FILE, BY_USER, HALFSPACES, NOT_GIVEN, OVERLAP, RemovedPair
 
 TOUCHING = 1e-6  # [m] shapes that merely touch at the neutral pose stay a pair
 
@@ -57,7 +58,10 @@ def choose_pairs(
     by_user = np.zeros((count, count), dtype=bool)
     for a, b in disabled:
         by_user[min(a, b), max(a, b)] = True
-    forced &= ~by_user
+    solid = np.array([not isinstance(g.geometry, coal.Halfspace) for g in geometry.geometryObjects], dtype=bool)
+    endless = ~(solid[:, None] | solid[None, :])
+    forced &= ~by_user & ~endless
+    drop(endless, HALFSPACES)
     drop(by_user, BY_USER)
     given = _given(assembly, parts)
     drop(_adjacent(assembly, parts, joints) & ~given, ADJACENT)

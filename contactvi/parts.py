@@ -173,15 +173,16 @@ def _size(name: str, what: str, value: float) -> float:
     return real(f"{what} of {name!r}", value, 0.0, open_low=True)
 
 
-def check_new_names(part: Part, others: Sequence[Part]) -> None:
-    """Raise an InputError when a name of the part is taken by one of the others."""
-    for kind, new, taken in (
-        ("part", [part.name], {p.name for p in others}),
-        ("joint", part.joint_names(), {n for p in others for n in p.joint_names()}),
-        ("body", part.body_names(), {n for p in others for n in p.body_names()}),
-        ("geometry", part.geometry_names(), {n for p in others for n in p.geometry_names()}),
-    ):
-        double = next((name for name in new if name in taken), None)
+def take_names(part: Part, taken: dict[str, set[str]]) -> None:
+    """Add the names of the part to those taken (by kind), or raise an InputError when one is taken already."""
+    kinds = {
+        "part": [part.name],
+        "joint": part.joint_names(),
+        "body": part.body_names(),
+        "geometry": part.geometry_names(),
+    }
+    for kind, new in kinds.items():
+        double = next((name for name in new if name in taken.get(kind, ())), None)
         if double is not None:
             raise InputError(
                 f"There is a {kind} called {double!r} already",
@@ -190,3 +191,5 @@ def check_new_names(part: Part, others: Sequence[Part]) -> None:
                 got=repr(double),
                 remedy="Give another name, or a prefix: prefix='left_'",
             )
+    for kind, new in kinds.items():
+        taken.setdefault(kind, set()).update(new)

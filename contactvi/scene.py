@@ -16,7 +16,7 @@ from contactvi.errors import InputError
 from contactvi.importers import import_mjcf, import_pinocchio, import_urdf
 from contactvi.inputs import pose, real, vector
 from contactvi.joints import JointSettings, joint_settings, joint_value, joint_velocity
-from contactvi.parts import Part, check_new_names, shape_part
+from contactvi.parts import Part, shape_part, take_names
 from contactvi.report import ImportReport
 from contactvi.scene_build import Built, Edits, build, engine_scene, scene_report
 from contactvi.scene_data import scene_from_dict, scene_to_dict
@@ -44,6 +44,7 @@ class Scene:
         self.v0: np.ndarray | None = None
         self.settings: dict[str, Any] = {}
         self._parts: list[Part] = []
+        self._taken: dict[str, set[str]] = {}  # names by kind
         self._groups: dict[str, PartHandle] = {}  # names that stand for several bodies
         self._edits = Edits(Rule(RESTITUTION), Rule(FRICTION))
         self._base: tuple[Assembly, Names] | None = None  # of the parts alone
@@ -162,7 +163,7 @@ class Scene:
         return self._add(shape_part(name, shape, inertia if free else None, where, color), BodyHandle)
 
     def _add(self, part: Part, handle_type: type = PartHandle) -> Any:
-        check_new_names(part, self._parts)
+        take_names(part, self._taken)
         handle = handle_type(
             part.name, tuple(part.joint_names()), tuple(part.body_names()), tuple(part.geometry_names())
         )
@@ -380,6 +381,7 @@ class Scene:
         """Return the scene of to_dict. Raises SceneError when the data are not such a description."""
         stored = scene_from_dict(data)
         scene = cls(stored.gravity)
+        take_names(stored.part, scene._taken)
         scene._parts, scene._groups, scene._edits = [stored.part], stored.groups, stored.edits
         for name in ("q0", "v0"):
             setattr(scene, name, None if data.get(name) is None else np.array(data[name], dtype=float))

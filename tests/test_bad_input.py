@@ -283,6 +283,7 @@ def one_body(shape: coal.CollisionGeometry, inertia: pin.Inertia | None = None) 
     ("shape", "says"),
     [
         (coal.Plane(np.array([0.0, 0.0, 1.0]), 0.0), "coal.Halfspace"),
+        (coal.Cone(1.0, 1.0), "Cone"),
         (coal.Sphere(-1.0), "sizes > 0"),
         (coal.Sphere(np.nan), "sizes > 0"),
         (coal.Box(1.0, 0.0, 1.0), "sizes > 0"),
@@ -301,6 +302,14 @@ def test_inertia_of_a_pinocchio_model():
         Scene.from_pinocchio(*one_body(coal.Sphere(1.0), bad))
     with pytest.raises(SceneError, match="moves no mass"):
         Scene.from_pinocchio(*one_body(coal.Sphere(1.0), pin.Inertia.Zero()))
+
+
+@pytest.mark.parametrize(("what", "dof"), [("damping", 1), ("damping", 4), ("armature", slice(0, 6))])
+def test_numbers_that_the_engine_cannot_have(what: str, dof: int | slice):
+    model, geometry = one_body(coal.Sphere(1.0))
+    getattr(model, what)[dof] = 0.1
+    with pytest.raises(SceneError, match=f"{what} of the free joint 'body'"):
+        Scene.from_pinocchio(model, geometry)
 
 
 def test_geometry_on_a_joint_that_is_not_there():

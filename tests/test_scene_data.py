@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import copy
 import json
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import coal
@@ -11,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import contactvi
 from contactvi.errors import SceneError
 from contactvi.scene import Scene
 
@@ -50,13 +54,12 @@ def every_joint_type() -> Scene:
         coal.Box(0.1, 0.2, 0.3),
         coal.Capsule(0.1, 0.2),
         coal.Cylinder(0.1, 0.3),
-        coal.Cone(0.1, 0.4),
         coal.Ellipsoid(0.1, 0.2, 0.3),
         coal.Halfspace(np.array([0.0, 0.0, 1.0]), -30.0),
     ]
     for k, shape in enumerate(shapes):
         geometry.addGeometryObject(pin.GeometryObject(f"g{k}", k, pin.SE3(np.eye(3), 0.1 * np.ones(3)), shape))
-    model.armature[:] = 0.01
+    model.armature[:4] = 0.01
     return Scene.from_pinocchio(model, geometry)
 
 
@@ -156,3 +159,20 @@ def test_damaged_data_are_an_error(damage):
 def test_no_dictionary_is_an_error():
     with pytest.raises(SceneError, match="contactvi-scene"):
         Scene.from_dict([1, 2])  # type: ignore[arg-type]
+
+
+def test_stored_scenes_need_no_engine(tmp_path: Path):
+    file = tmp_path / "scene.json"
+    file.write_text(json.dumps(full_scene().to_dict(), default=lambda value: value.tolist()))
+    code = f"""
+import sys; sys.path.insert(0, {str(Path(contactvi.__file__).parents[1])!r})
+sys.modules["contactvi._core"] = None
+import json
+import subprocess
+import sys
+from contactvi.scene import Scene
+scene = Scene.from_dict(json.load(open({str(file)!r})))
+print(scene.model.nq, len(scene.visual_model.geometryObjects), len(scene.pair_names) > 200)
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout.split()) == (0, ["23", "23", "True"]), run.stderr

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from contactvi.report import ADJACENT, BY_FILE, BY_USER, NOT_GIVEN, OVERLAP
+from contactvi.report import ADJACENT, BY_FILE, BY_USER, HALFSPACES, NOT_GIVEN, OVERLAP
 from contactvi.scene import Scene
 
 ROBOTS = "example-robot-data://robots/"
@@ -113,6 +113,18 @@ def blocks(pairs: bool) -> Scene:
 
 def test_bodies_placed_by_the_start_keep_their_pairs():
     assert blocks(pairs=False).pair_names == [("wall", "a"), ("wall", "b"), ("a", "b")]
+
+
+def test_two_halfspaces_are_no_pair():
+    model, geometry = pin.Model(), pin.GeometryModel()
+    plate = model.addJoint(0, pin.JointModelPZ(), IDENTITY, "plate")
+    model.appendBodyToJoint(plate, pin.Inertia.FromSphere(1.0, 0.1), IDENTITY)
+    for joint in (0, plate):
+        shape = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+        geometry.addGeometryObject(pin.GeometryObject(f"plane_{joint}", joint, IDENTITY, shape))
+    scene = Scene.from_pinocchio(model, geometry)
+    assert scene.core().npairs == 0
+    assert [pair.reason for pair in scene.report.removed] == [HALFSPACES]
 
 
 def test_given_pairs_are_taken_as_they_are():
