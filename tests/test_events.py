@@ -85,7 +85,7 @@ def test_spinning_rod_does_not_sweep_through_a_pin(angle, turns):
 
 
 def test_an_event_is_found_wherever_it_lies_in_the_step():
-    """A spinning ball with an offset centre of mass, one wall, one step: all step lengths, so all places of the root."""
+    """A spinning ball with an offset centre of mass, one wall, one step of any length: all places of the root."""
     inertia = pin.Inertia(0.74, np.array([0.035, -0.077, -0.073]), np.diag([0.099, 0.076, 0.097]))
     model = pin.Model()
     model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
