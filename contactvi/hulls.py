@@ -128,7 +128,7 @@ def _hull_mesh(geometry: pin.GeometryObject, report: PartReport) -> str:
     mesh = geometry.geometry
     file = f" ({Path(geometry.meshPath).name})" if geometry.meshPath else ""
     hull, grid = hull_of_points(mesh.vertices(), geometry.name + file)
-    volume, filled = hull.computeVolume(), mesh.computeVolume()
+    volume, filled = hull.computeVolume(), abs(mesh.computeVolume())  # negative when mirrored
     geometry.geometry = hull
     # An open or badly oriented surface encloses no volume worth a ratio.
     ratio = volume / filled if 0.0 < filled <= volume * (1.0 + 1e-9) else np.nan

@@ -6,6 +6,7 @@ Importers fill it, `scene.report` adds what the scene knows (collision pairs), `
 from __future__ import annotations
 
 import math
+import textwrap
 from collections import Counter
 from collections.abc import Container, Iterator
 from dataclasses import dataclass, field, replace
@@ -205,7 +206,12 @@ def _notes_text(notes: list[Note], most: int) -> list[str]:
             groups.setdefault((note.topic, note.text), []).append(note.name)
         shown = list(groups.items())[: 4 * most]
         for (topic, text), names in shown:
-            lines.append(f"  {topic} {_some(names, most)}: {text}")
+            if len(names) == 1:
+                lines.append(f"  {topic} {names[0]}: {text}" if names[0] else f"  {topic}: {text}")
+                continue
+            lines.append(f"  {text}")
+            listed = f"{topic} {_some(names, most)}"
+            lines += textwrap.wrap(listed, 110, initial_indent=6 * " ", subsequent_indent=8 * " ")
         if len(groups) > len(shown):
             lines.append(f"  ... and {len(groups) - len(shown)} more")
     return lines
