@@ -39,7 +39,7 @@ class Scene:
     """
 
     def __init__(self, gravity: Sequence[float] | np.ndarray = GRAVITY) -> None:
-        self.gravity = vector("gravity", gravity, 3)
+        self._gravity = vector("gravity", gravity, 3)
         self.q0: np.ndarray | None = None
         self.v0: np.ndarray | None = None
         self.settings: dict[str, Any] = {}
@@ -50,6 +50,11 @@ class Scene:
         self._base: tuple[Assembly, Names] | None = None  # of the parts alone
         self._built: Built | None = None  # of everything; dropped by every edit
         self._visual: pin.GeometryModel | None = None
+
+    @property
+    def gravity(self) -> np.ndarray:
+        """Acceleration of free fall [m/s^2], world frame, shape (3,); a constant of the scene."""
+        return self._gravity.copy()
 
     def add_urdf(
         self,
@@ -255,7 +260,7 @@ class Scene:
 
     def _assembled(self) -> tuple[Assembly, Names]:
         if self._base is None:
-            assembly = assemble(self._parts, self.gravity)
+            assembly = assemble(self._parts, self._gravity)
             self._base = assembly, Names(assembly.model, assembly.collision, self._groups)
         return self._base
 
