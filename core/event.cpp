@@ -233,7 +233,8 @@ Search EventFinder::locate(Candidate& c, bool& exists) {
   const int guard = c.guard;
   exists = true;
   double gap = 0, x = c.estimate;
-  double lo = c.lo, hi = c.hi;
+  // lo is a point of the model path: on the exact path the root may lie O(h^3) before it, and only the start is certain.
+  double lo = c.touching ? c.lo : 0.0, hi = c.hi;
   if (!exact_gap(guard, hi, gap)) return fail(Search::kNewtonFailed, guard, 0);
   if (gap > 0.0) {
     // The model path is ahead of the exact one by O(h^3): the crossing is later, or only the model grazes.
@@ -244,6 +245,13 @@ Search EventFinder::locate(Candidate& c, bool& exists) {
     if (!exists) return Search::kFound;
     x = lo;
     c.touching = false;
+  }
+  if (c.touching && lo > 0.0) {
+    if (!exact_gap(guard, lo, gap)) return fail(Search::kNewtonFailed, guard, 0);
+    if (gap <= 0.0) {
+      hi = lo;
+      lo = 0.0;
+    }
   }
   if (c.touching && lo == 0.0) {
     // Find a point where it has separated; if there is none it never did.
