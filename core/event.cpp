@@ -6,12 +6,10 @@
 namespace contactvi {
 
 namespace {
-constexpr double kTarget = 1e-14;      // a gap at which nothing is left to improve
-constexpr double kAccept = 1e-12;      // the promise
-constexpr double kAcceptNoisy = 1e-9;  // where the collision library's own noise is larger
-constexpr double kClosing = 1e-12;     // a touching guard below -this has closed again
-constexpr int kMaxDepth = 24;          // of bisection in the search for a dip
-constexpr int kSmoothDepth = 6;        // from here on a cubic through gaps and rates may rule a dip out
+constexpr double kTarget = 1e-14;   // a gap at which nothing is left to improve
+constexpr double kClosing = 1e-12;  // a touching guard below -this has closed again
+constexpr int kMaxDepth = 24;       // of bisection in the search for a dip
+constexpr int kSmoothDepth = 6;     // from here on a cubic through gaps and rates may rule a dip out
 }  // namespace
 
 EventFinder::EventFinder(const Scene& scene, Integrator& integrator, Guards& guards)
@@ -25,6 +23,7 @@ EventFinder::EventFinder(const Scene& scene, Integrator& integrator, Guards& gua
       v0_(scene.tree.nv),
       bound_(scene.tree.nv),
       guess_(scene.tree.nv),
+      bend_(VecX::Zero(scene.tree.nv)),
       W_(scene.tree.nv) {
   active_.reserve(guards.count());
   pass_.reserve(guards.count());
@@ -45,11 +44,30 @@ bool EventFinder::start_velocity() {
   return have_v0_;
 }
 
+// v(alpha) through v0, the exact v(1/2) and v1: error O(h^4) of the path.
+bool EventFinder::prepare_model() {
+  if (have_bend_) return true;
+  guess_ = 0.5 * (v0_ + *v1_);
+  if (!integrator_->solve(*q0_, *p0_, guess_, 0.5 * h_, *tau_)) return false;
+  bend_ = 4.0 * (guess_ - integrator_->v());
+  // What the quadratic corrects is what a dip may still be wrong by, to be safe.
+  const double size = bound_.cwiseAbs().maxCoeff();
+  slack_ = size > 0.0 ? 0.25 * bend_.cwiseAbs().maxCoeff() / size : 0.0;
+  have_bend_ = true;
+  return true;
+}
+
 double EventFinder::model_gap(int guard, double alpha) {
-  v_ = v0_ + alpha * (*v1_ - v0_);
+  v_ = v0_ + alpha * (*v1_ - v0_) - alpha * (1.0 - alpha) * bend_;
   integrate(scene_->tree, *q0_, v_, alpha * h_, q_);
   guards_->place(q_);
   return guards_->evaluate(guard, contact_);
+}
+
+// d(gap)/d(alpha) on the model path, W_ being the gradient there: d/d(alpha) of alpha v(alpha).
+double EventFinder::model_rate(double alpha) const {
+  const double slope = W_.dot(*v1_) - W_.dot(v0_), bend = W_.dot(bend_);
+  return h_ * (W_.dot(v0_) + 2 * alpha * slope - alpha * (2.0 - 3.0 * alpha) * bend);
 }
 
 bool EventFinder::exact_gap(int guard, double alpha, double& gap) {
@@ -75,7 +93,7 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& v1, const
   v1_ = &v1;
   tau_ = &tau;
   h_ = h;
-  have_v0_ = false;
+  have_v0_ = have_bend_ = false;
   active_.clear();
   pass_.clear();
   candidates_.clear();
@@ -135,6 +153,15 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& v1, const
       if (other.estimate >= other.hi) other.estimate = 0.5 * (other.lo + other.hi);
       earlier = true;
     }
+    // Nor may anything else be below zero there: a dip that the search did not see.
+    for (int other : active_) {
+      Contact contact;
+      const bool known = other == candidate.guard || std::any_of(candidates_.begin(), candidates_.end(),
+                                                                 [&](const Candidate& c) { return c.guard == other; });
+      if (known || guards_->evaluate(other, contact) >= -guards_->touch_tolerance(other)) continue;
+      candidates_.push_back({other, 0.0, event_.alpha, 0.5 * event_.alpha, touching_[other] != 0});
+      earlier = true;
+    }
     if (earlier) continue;
     for (int g : pass_) guards_->unmark(g);  // their marks are for the end of the whole step
     guards_->commit();
@@ -152,7 +179,7 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& v1, const
 
 Search EventFinder::check(int guard) {
   const double end_gap = failed_gap_;
-  if (!start_velocity()) return fail(Search::kNewtonFailed, guard, 0);
+  if (!start_velocity() || !prepare_model()) return fail(Search::kNewtonFailed, guard, 0);
   const double start_gap = model_gap(guard, 0.0);
   if (start_gap <= 0.0) {
     // Rounding: it touches although nothing hit it yet. Deeper is a contradiction.
@@ -176,14 +203,14 @@ Search EventFinder::check_touching(int guard) {
   const double end_gap = failed_gap_;
   if (end_gap >= -kClosing) {
     if (end_gap <= guards_->touch_tolerance(guard)) return Search::kNone;  // still touching
-    if (!start_velocity()) return fail(Search::kNewtonFailed, guard, 0);
+    if (!start_velocity() || !prepare_model()) return fail(Search::kNewtonFailed, guard, 0);
     // It separates; it may come back down inside of a long step.
     Candidate found{guard, 0.125, 1.0, 1.0, true};
     const double early = model_gap(guard, 0.125);
     if (early > 0.0 && find_dip(guard, 0.125, early, 1.0, end_gap, 3, found)) candidates_.push_back(found);
     return Search::kNone;
   }
-  if (!start_velocity()) return fail(Search::kNewtonFailed, guard, 0);
+  if (!start_velocity() || !prepare_model()) return fail(Search::kNewtonFailed, guard, 0);
   const double start_gap = model_gap(guard, 0.0);
   guards_->gradient(guard, contact_, W_);
   const double slope = h_ * W_.dot(v0_);
@@ -212,21 +239,45 @@ bool EventFinder::find_dip(int guard, double lo, double gap_lo, double hi, doubl
     const double width = hi - lo;
     model_gap(guard, lo);
     guards_->gradient(guard, contact_, W_);
-    const double rate_lo = width * h_ * (W_.dot(v0_) + 2 * lo * (W_.dot(*v1_) - W_.dot(v0_)));
+    const double rate_lo = width * model_rate(lo);
     if (rate_lo >= 0.0 && depth > kSmoothDepth) return false;
     model_gap(guard, hi);
     guards_->gradient(guard, contact_, W_);
-    const double rate_hi = width * h_ * (W_.dot(v0_) + 2 * hi * (W_.dot(*v1_) - W_.dot(v0_)));
-    // Tangents at both ends bound a convex gap from below; they meet above zero when there is no dip to it.
+    const double rate_hi = width * model_rate(hi);
+    // Tangents at both ends bound a convex gap from below; they meet above zero when there is no dip to it. Nearer to
+    // zero than the model is true, the exact path decides.
     if (rate_lo >= 0.0 || rate_hi <= 0.0) return false;
     const double meet = (gap_hi - gap_lo - rate_hi) / (rate_lo - rate_hi);
-    if (meet > 0.0 && meet < 1.0 && gap_lo + rate_lo * meet > 0.0) return false;
+    const double doubt = slack_ * guards_->motion(guard);
+    if (meet > 0.0 && meet < 1.0 && gap_lo + rate_lo * meet > doubt) return false;
+    if (std::min(gap_lo, gap_hi) <= doubt || depth > kSmoothDepth + 6) return exact_dip(guard, lo, hi, found);
   }
   const double mid = 0.5 * (lo + hi);
   const double gap_mid = model_gap(guard, mid);
   if (gap_mid <= 0.0) return find_dip(guard, lo, gap_lo, mid, gap_mid, depth + 1, found);
   if (find_dip(guard, lo, gap_lo, mid, gap_mid, depth + 1, found)) return true;
   return find_dip(guard, mid, gap_mid, hi, gap_hi, depth + 1, found);
+}
+
+// Minimum of the exact gap around [lo, hi], in which the model has one: true once the gap is not positive.
+bool EventFinder::exact_dip(int guard, double lo, double hi, Candidate& found) {
+  const double width = hi - lo;
+  double left = std::max(0.0, lo - width), right = std::min(1.0, hi + width);
+  const double start = left;
+  double gap = 0.0;
+  for (int k = 0; k < 60 && right - left > 1e-12; ++k) {
+    const double mid = 0.5 * (left + right);
+    if (!exact_gap(guard, mid, gap)) return false;
+    if (gap <= 0.0) {
+      found = {guard, start, mid, 0.5 * (start + mid), found.touching};
+      return true;
+    }
+    const double rate = gap_rate(guard);
+    (rate < 0.0 ? left : right) = mid;
+    // At this rate the rest of the interval cannot reach zero, curvature included.
+    if (gap > 4.0 * std::abs(rate) * (right - left)) return false;
+  }
+  return false;
 }
 
 Search EventFinder::locate(Candidate& c, bool& exists) {
@@ -293,13 +344,12 @@ Search EventFinder::locate(Candidate& c, bool& exists) {
     const double moved = inside ? next : 0.5 * (lo + hi);
     if (moved == x || hi - lo <= 4e-16 * hi) break;
     x = moved;
-    if (best <= kAccept && std::abs(gap) > 0.25 * best && k > 6) break;  // rounding floor
+    if (best <= guards_->root_tolerance(guard) && std::abs(gap) > 0.25 * best && k > 6) break;  // rounding floor
   }
   if (x != best_x || !(std::abs(gap) <= best)) {
     if (!exact_gap(guard, best_x, gap)) return fail(Search::kNewtonFailed, guard, 0);
   }
-  const double accept = guards_->touch_tolerance(guard) > 1e-10 ? kAcceptNoisy : kAccept;
-  if (!(std::abs(gap) <= accept)) return fail(Search::kUnresolved, guard, gap);
+  if (!(std::abs(gap) <= guards_->root_tolerance(guard))) return fail(Search::kUnresolved, guard, gap);
   event_.guard = guard;
   event_.alpha = best_x;
   event_.gap = gap;

@@ -2,7 +2,7 @@
 //
 // The step's path is that of exact partial steps: q(alpha) = q0 (+) alpha h v(alpha), v(alpha) the solution of the
 // discrete Euler-Lagrange equation for alpha h. The search for a sign change looks at a model of it,
-// v(alpha) = v0 + alpha (v1 - v0), error O(h^3), by conservative advancement: an interval is free of contact if its two
+// v(alpha) quadratic through v0, v(1/2) and v1, error O(h^4), by conservative advancement: an interval is free of contact if its two
 // gaps add up to more than the bodies can move in it. What it finds is located on exact partial steps to
 // |gap| <= 1e-12.
 #pragma once
@@ -54,6 +54,9 @@ class EventFinder {
   bool find_dip(int guard, double lo, double gap_lo, double hi, double gap_hi, int depth, Candidate& found);
   Search locate(Candidate& candidate, bool& exists);
   bool start_velocity();
+  bool prepare_model();
+  double model_rate(double alpha) const;
+  bool exact_dip(int guard, double lo, double hi, Candidate& found);
   double model_gap(int guard, double alpha);             // on the model path
   bool exact_gap(int guard, double alpha, double& gap);  // on the exact path; false: no convergence
   double gap_rate(int guard);                            // d(gap)/d(alpha) of the last exact_gap
@@ -66,11 +69,12 @@ class EventFinder {
   std::vector<char> touching_;
   std::vector<int> active_, pass_;
   std::vector<Candidate> candidates_;
-  VecX q_, p_, v_, v0_, bound_, guess_, W_;
+  VecX q_, p_, v_, v0_, bound_, guess_, bend_, W_;
   Contact contact_;
   const VecX *q0_ = nullptr, *p0_ = nullptr, *v1_ = nullptr, *tau_ = nullptr;
   double h_ = 0;
-  bool have_v0_ = false;
+  bool have_v0_ = false, have_bend_ = false;
+  double slack_ = 0;  // doubt about the model path, as a fraction of the motion
   int failed_guard_ = -1;
   double failed_gap_ = 0;
 };

@@ -113,9 +113,9 @@ void Guards::gradient(int guard, const Contact& contact, VecRef W) const {
   W[scene_->tree.joints[limit.joint].iv] = limit.upper ? -1.0 : 1.0;
 }
 
-double Guards::touch_tolerance(int guard) const {
-  return guard < pairs_ && scene_->pairs[guard].rounded ? 1e-9 : 1e-11;
-}
+double Guards::touch_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-11; }
+
+double Guards::root_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-12; }
 
 void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) {
   const Tree& tree = scene_->tree;

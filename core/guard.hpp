@@ -43,8 +43,10 @@ class Guards {
   double evaluate(int guard, Contact& contact);
   // W = d(gap)/dq, shape (nv,).
   void gradient(int guard, const Contact& contact, VecRef W) const;
-  // How far from zero a gap may be and still count as touching: solver noise of GJK pairs is 1e-10.
+  // How far from zero a gap may be and still count as touching.
   double touch_tolerance(int guard) const;
+  // To what a root is located: 1e-12, or the noise of the distance itself where curved shapes are iterated.
+  double root_tolerance(int guard) const;
 
   // Bounds on the motion over a step of length h whose velocities stay within +-bound, shape (nv,), from q.
   void bound_motion(const VecCRef& q, const VecX& bound, double h);
@@ -62,6 +64,7 @@ class Guards {
 
  private:
   double limit_gap(int guard, const VecCRef& q) const;
+  bool is_noisy(int guard) const { return guard < pairs_ && scene_->pairs[guard].curved; }
 
   const Scene* scene_;
   int count_, pairs_;

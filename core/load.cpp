@@ -200,6 +200,16 @@ bool needs_no_rounding(coal::NODE_TYPE type) {
   return type == coal::GEOM_HALFSPACE || type == coal::GEOM_SPHERE || type == coal::GEOM_CAPSULE;
 }
 
+// Measured noise of the distance near contact (gjk_tolerance 1e-10): polytopes, spheres and capsules among themselves 1e-15,
+// with an ellipsoid or a cylinder in the iteration up to 8e-10; smaller tolerances make it worse, not better.
+bool is_curved_iteration(coal::NODE_TYPE a, coal::NODE_TYPE b) {
+  auto curved = [](coal::NODE_TYPE t) { return t == coal::GEOM_ELLIPSOID || t == coal::GEOM_CYLINDER; };
+  if (a == coal::GEOM_HALFSPACE || b == coal::GEOM_HALFSPACE) return false;
+  const bool sphere_cylinder =
+      (a == coal::GEOM_SPHERE && b == coal::GEOM_CYLINDER) || (a == coal::GEOM_CYLINDER && b == coal::GEOM_SPHERE);
+  return !sphere_cylinder && (curved(a) || curved(b));
+}
+
 Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree) {
   const coal::CollisionGeometry& shape = *object.geometry;
   switch (shape.getNodeType()) {
@@ -268,7 +278,7 @@ Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, 
     throw Error("one restitution per collision pair is needed");
   for (std::size_t k = 0; k < geometry.collisionPairs.size(); ++k) {
     Pair pair{static_cast<int>(geometry.collisionPairs[k].first), static_cast<int>(geometry.collisionPairs[k].second),
-              parameters.pair_restitution[k], false};
+              parameters.pair_restitution[k], false, false};
     Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
     if (a.unbounded && b.unbounded) throw Error("two halfspaces cannot be a collision pair");
     if (!needs_no_rounding(a.sharp->getNodeType()) && !needs_no_rounding(b.sharp->getNodeType())) {
@@ -276,6 +286,7 @@ Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, 
       ensure_rounded(b);
       pair.rounded = true;
     }
+    pair.curved = is_curved_iteration(a.sharp->getNodeType(), b.sharp->getNodeType());
     scene.pairs.push_back(pair);
   }
   return scene;

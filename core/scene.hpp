@@ -34,6 +34,7 @@ struct Pair {
   int a, b;  // geometry indices
   double restitution;
   bool rounded;  // both shapes are taken rounded: GJK hands over to EPA with wrong normals on sharp ones near contact
+  bool curved;   // GJK iterates towards a curved surface: the distance carries noise of up to 1e-9 m
 };
 
 struct Scene {
