@@ -72,6 +72,7 @@ double EventFinder::model_rate(double alpha) const {
 
 bool EventFinder::exact_gap(int guard, double alpha, double& gap) {
   guess_ = v0_ + alpha * (*v1_ - v0_);
+  if (have_bend_) guess_ -= alpha * (1.0 - alpha) * bend_;
   if (!integrator_->solve(*q0_, *p0_, guess_, alpha * h_, *tau_)) return false;
   integrator_->finish(*q0_, *p0_, alpha * h_, event_.q, event_.p);
   --integrator_->counters.steps;  // a probe, not a step
@@ -284,7 +285,8 @@ Search EventFinder::locate(Candidate& c, bool& exists) {
   const int guard = c.guard;
   exists = true;
   double gap = 0, x = c.estimate;
-  // lo is a point of the model path: on the exact path the root may lie O(h^3) before it, and only the start is certain.
+  // lo is a point of the model path: on the exact path the root may lie O(h^3) before it, and only the start is
+  // certain.
   double lo = c.touching ? c.lo : 0.0, hi = c.hi;
   if (!exact_gap(guard, hi, gap)) return fail(Search::kNewtonFailed, guard, 0);
   if (gap > 0.0) {

@@ -2,9 +2,9 @@
 //
 // The step's path is that of exact partial steps: q(alpha) = q0 (+) alpha h v(alpha), v(alpha) the solution of the
 // discrete Euler-Lagrange equation for alpha h. The search for a sign change looks at a model of it,
-// v(alpha) quadratic through v0, v(1/2) and v1, error O(h^4), by conservative advancement: an interval is free of contact if its two
-// gaps add up to more than the bodies can move in it. What it finds is located on exact partial steps to
-// |gap| <= 1e-12.
+// v(alpha) quadratic through v0, v(1/2) and v1, error O(h^4), by conservative advancement: an interval is free of
+// contact if its two gaps add up to more than the bodies can move in it. What it finds is located on exact partial
+// steps to |gap| <= 1e-12.
 #pragma once
 
 #include <vector>

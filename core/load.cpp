@@ -200,8 +200,8 @@ bool needs_no_rounding(coal::NODE_TYPE type) {
   return type == coal::GEOM_HALFSPACE || type == coal::GEOM_SPHERE || type == coal::GEOM_CAPSULE;
 }
 
-// Measured noise of the distance near contact (gjk_tolerance 1e-10): polytopes, spheres and capsules among themselves 1e-15,
-// with an ellipsoid or a cylinder in the iteration up to 8e-10; smaller tolerances make it worse, not better.
+// Measured noise of the distance near contact (gjk_tolerance 1e-10): polytopes, spheres and capsules among themselves
+// 1e-15, with an ellipsoid or a cylinder in the iteration up to 8e-10; smaller tolerances make it worse, not better.
 bool is_curved_iteration(coal::NODE_TYPE a, coal::NODE_TYPE b) {
   auto curved = [](coal::NODE_TYPE t) { return t == coal::GEOM_ELLIPSOID || t == coal::GEOM_CYLINDER; };
   if (a == coal::GEOM_HALFSPACE || b == coal::GEOM_HALFSPACE) return false;
