@@ -45,6 +45,12 @@ class Scene:
     def modified_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
         """Modified Hamiltonian [J] for step h, (N,)."""
 
+    def discrete_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """E_d [J] of one step h (N,) from each state, (N,)."""
+
+    def spatial_momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """Total linear, angular momentum about the origin, (N, 6)."""
+
     def dynamics(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
         """(M v, dT/dq, dV/dq of gravity) in engine coordinates."""
 
@@ -68,7 +74,7 @@ class Scene:
     def momentum_to_public(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
 class Simulator:
-    def __init__(self, scene: Scene, dt: float, tol: float = 1e-12, impact: int = 0, max_impacts_per_step: int = 100000, max_iterations: int = 30) -> None: ...
+    def __init__(self, scene: Scene, dt: float, tol: float = 1e-12, impact: int = 0, max_impacts_per_step: int = 100000, max_iterations: int = 30, mhc_global: bool = False) -> None: ...
 
     def reset(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> dict:
         """Status fields as a dict."""

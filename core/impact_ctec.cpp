@@ -9,9 +9,8 @@ ImpactResult impact_ctec(const ImpactProblem& problem, VecRef p) {
   if (!(problem.G_c > 0.0)) return result;  // nothing that could move: no impulse is finite
   // The quadratic H(p- + lambda W) - H(p-) = lambda gamma- + lambda^2 G_c/2 = -loss has this root away from lambda = 0.
   result.impulse = -(1.0 + problem.restitution) * problem.gamma_minus / problem.G_c;
-  p += result.impulse * problem.W;
-  result.gamma_plus = -problem.restitution * problem.gamma_minus;
   result.ok = std::isfinite(result.impulse);
+  if (result.ok) p = problem.p_minus + result.impulse * problem.W;
   return result;
 }
 

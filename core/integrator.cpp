@@ -49,15 +49,15 @@ bool Integrator::refresh_pays(double rate, double digits) const {
   return kAmortisation * (without - with) > refresh_cost_;
 }
 
-bool Integrator::measure(double h, double& error2, double& scale2) {
+bool Integrator::measure(const TreeLu& matrix, double h, double& error2, double& scale2) {
   dv_ = ws_.residual;
-  matrix_.solve(dv_);
+  matrix.solve(dv_);
   // Kinetic-energy norm of the residual against that of the motion; what cancels in the force sets a floor to it.
   error2 = std::abs(ws_.residual.dot(dv_));
   double floor2 = 0.0;
   for (int i = 0; i < tree_->nv; ++i) {
     const double kick = h * ws_.magnitude[i];
-    floor2 += kick * kick / std::abs(matrix_.diagonal(i));
+    floor2 += kick * kick / std::abs(matrix.diagonal(i));
   }
   scale2 = std::max(std::abs(ws_.P.dot(v_)), floor2);
   residual_norm_ = std::sqrt(error2);
@@ -80,7 +80,7 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, const VecX& guess, 
       if (!refresh(h)) break;
       fresh = true;
     }
-    if (!measure(h, error2, scale2)) break;
+    if (!measure(matrix_, h, error2, scale2)) break;
     if (error2 <= tol_ * tol_ * scale2) {
       // The correction is there already: taken, it costs nothing, and extrapolated noise cannot build up below tol.
       v_ += dv_;
@@ -116,8 +116,8 @@ bool Integrator::solve_carefully(const VecCRef& q0, const VecCRef& p0, double h,
   for (int k = 0; k < max_iterations_; ++k) {
     contactvi::residual(*tree_, q0, p0, v_, h, tau, ws_);
     ++counters.residuals;
-    if (!refresh(h) || !measure(h, error2, scale2)) return false;
-    matrix_h_ = -1.0;
+    // The quick way's matrix may be indefinite here; M at the start of the step measures as well.
+    if (!measure(mass_, h, error2, scale2)) return false;
     if (error2 <= tol_ * tol_ * scale2) return true;
     ++iterations_;
     base = ws_.residual;

@@ -38,7 +38,7 @@ class Integrator {
   // Newton with the exact matrix, by differences, and a line search: slow, for steps that the quick way cannot take.
   bool solve_carefully(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   // Norms of the residual just evaluated; false if they are not finite.
-  bool measure(double h, double& error2, double& scale2);
+  bool measure(const TreeLu& matrix, double h, double& error2, double& scale2);
 
   const Tree* tree_;
   double tol_;

@@ -4,7 +4,10 @@
 #include <cmath>
 #include <limits>
 
+#include "energy.hpp"
 #include "impact_ctec.hpp"
+#include "impact_dtec.hpp"
+#include "impact_mhc.hpp"
 
 namespace contactvi {
 
@@ -13,6 +16,7 @@ constexpr double kZenoFlight = 0.05;    // of a step: e times the last flight be
 constexpr int kZenoFlights = 4;         // flights in a row, each shorter than the one before
 constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
 constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
+constexpr int kCtec = 0, kDtec = 1, kMhc = 2;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
 
@@ -30,7 +34,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       v_(scene.tree.nv),
       guess_(scene.tree.nv),
       bouncing_(scene.guard_count()) {
-  if (options.impact != 0) throw Error("unknown impact map");
+  if (options.impact < kCtec || options.impact > kMhc) throw Error("unknown impact map");
 }
 
 bool Simulator::end(StatusCode code, double time, std::string message, int guard) {
@@ -45,6 +49,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   t0_ = t;
   step_ = impacts_ = 0;
   speed_scale_ = 0.0;
+  target_step_ = -1;
   integrator_.counters = StepCounters();
   guards_.counters = GuardCounters();
   history_.reset();
@@ -56,6 +61,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   }
   KernelWorkspace& kernel = integrator_.workspace().kernel;
   momentum_and_forces(scene_->tree, q_, v_, kernel, p_, guess_, p1_);
+  if (options_.impact == kMhc) target_ = modified_hamiltonian(integrator_, q_, p_, options_.dt);
   guards_.place(q_);
   for (int g = 0; g < guards_.count(); ++g) {
     Contact contact;
@@ -109,6 +115,10 @@ bool Simulator::one_step(const VecX& tau, Recording& recording) {
   double remaining = options_.dt, done = 0.0;
   bool cut = false;
   impacts_in_step_ = 0;
+  if (options_.impact == kMhc && !options_.mhc_global) {
+    q_node_ = q_;
+    p_node_ = p_;
+  }
   while (remaining > 0.0) {
     const int known = history_.count(remaining);
     if (known > 0) {
@@ -146,21 +156,46 @@ bool Simulator::one_step(const VecX& tau, Recording& recording) {
     }
     cut = true;
     history_.reset();
-    done += finder_.event().alpha * remaining;
+    const double before = finder_.event().alpha * remaining;
+    done += before;
     remaining = finder_.event().alpha >= 1.0 ? 0.0 : options_.dt - done;
     q_ = finder_.event().q;
     p_ = finder_.event().p;
-    if (!resolve_event(start + done, recording)) return false;
+    if (!resolve_event(start + done, before, remaining, tau, recording)) return false;
   }
   ++step_;
   if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, time(), "the state is not finite");
   return true;
 }
 
-bool Simulator::resolve_event(double time, Recording& recording) {
-  if (!collect_closed(time) || !hit_until_separate(time, recording)) return false;
+bool Simulator::resolve_event(double time, double before, double after, const VecX& tau, Recording& recording) {
+  if (options_.impact != kCtec) target_ = energy_target(before);
+  if (!collect_closed(time) || !hit_until_separate(time, before, after, tau, recording)) return false;
   for (int i = 0; i < closed_count_; ++i) finder_.set_touching(closed_[i].guard, true);
   return judge_accumulation(time);
+}
+
+// Value of the map's scalar before the event, losses not yet subtracted.
+double Simulator::energy_target(double before) {
+  if (options_.impact == kDtec) {
+    if (before > 0.0) return discrete_energy(integrator_);  // the integrator still holds the partial step to the event
+    const Energy now = energy(integrator_, q_, p_);
+    return now.kinetic + now.potential;
+  }
+  if (options_.mhc_global || target_step_ == step_) return target_;
+  target_step_ = step_;
+  return modified_hamiltonian(integrator_, q_node_, p_node_, options_.dt);
+}
+
+ImpactResult Simulator::apply_map(const ImpactProblem& problem) {
+  switch (options_.impact) {
+    case kDtec:
+      return impact_dtec(problem, p_);
+    case kMhc:
+      return impact_mhc(problem, p_);
+    default:
+      return impact_ctec(problem, p_);
+  }
 }
 
 // Contacts that are closed at the event, with their gradients and inverse inertias.
@@ -191,7 +226,7 @@ bool Simulator::collect_closed(double time) {
 }
 
 // Single impacts, always at the contact that closes fastest, until every closed contact separates.
-bool Simulator::hit_until_separate(double time, Recording& recording) {
+bool Simulator::hit_until_separate(double time, double before, double after, const VecX& tau, Recording& recording) {
   double scale = 0.0;
   for (int i = 0; i < closed_count_; ++i) scale = std::max(scale, std::abs(closed_[i].MinvW.dot(p_)));
   speed_scale_ = std::max(speed_scale_, scale);
@@ -209,29 +244,37 @@ bool Simulator::hit_until_separate(double time, Recording& recording) {
     }
     if (worst == nullptr) return true;
     const double e = gamma > -kPlasticSpeed * scale ? 0.0 : scene_->restitution(worst->guard);
+    const VecX p_minus = p_;
+    ImpactProblem problem{integrator_, q_, p_minus,     worst->W, worst->MinvW, gamma,
+                          worst->G_c,  e,  options_.dt, after,    tau,          0.0};
+    target_ -= problem.loss();
+    problem.target = target_;
+    const ImpactResult result = apply_map(problem);
+    if (!result.ok) return end(StatusCode::kNotFinite, time, "an impact has no finite impulse", worst->guard);
+    worst->hit = true;
     ImpactRecord record{time,
                         worst->guard,
                         Vec3::Zero(),
                         worst->contact.normal,
-                        0,
+                        result.impulse,
                         gamma,
                         0,
                         worst->G_c,
                         worst->contact.gap,
                         e,
-                        0,
+                        options_.impact,
+                        result.iterations,
+                        static_cast<int>(result.fallback),
+                        result.jump,
+                        before,
+                        after,
                         step_,
                         q_,
-                        p_,
+                        p_minus,
                         p_};
-    record.point = 0.5 * (worst->contact.point_a + worst->contact.point_b);
-    const ImpactResult result = impact_ctec({integrator_.mass(), worst->W, worst->MinvW, gamma, worst->G_c, e}, p_);
-    if (!result.ok) return end(StatusCode::kNotFinite, time, "an impact has no finite impulse", worst->guard);
-    worst->hit = true;
-    record.impulse = result.impulse;
+    if (worst->contact.body_a >= 0 || scene_->is_pair(worst->guard))
+      record.point = 0.5 * (worst->contact.point_a + worst->contact.point_b);
     record.gamma_plus = worst->MinvW.dot(p_);
-    record.iterations = result.iterations;
-    record.p_plus = p_;
     recording.impacts.push_back(std::move(record));
     ++impacts_;
     if (++impacts_in_step_ > options_.max_impacts_per_step)

@@ -10,9 +10,10 @@
 namespace contactvi {
 
 struct SimulatorOptions {
-  double dt = 1e-3;    // [s]
-  double tol = 1e-12;  // of the discrete Euler-Lagrange residual, relative
-  int impact = 0;      // map: 0 CTEC
+  double dt = 1e-3;         // [s]
+  double tol = 1e-12;       // of the discrete Euler-Lagrange residual, relative
+  int impact = 0;           // map: 0 CTEC, 1 DTEC, 2 MHC
+  bool mhc_global = false;  // MHC's reference: carried from the start of the run, else from the start of each step
   int max_iterations = 30;
   long max_impacts_per_step = 100000;
 };
@@ -23,7 +24,9 @@ struct ImpactRecord {
   int guard;
   Vec3 point, normal;
   double impulse, gamma_minus, gamma_plus, G_c, gap, restitution;
-  int iterations;
+  int method, iterations, fallback;
+  double jump;           // left over in the map's own energy equation [J]
+  double before, after;  // lengths [s] of the partial step that ends here and of the rest of the step
   long step;
   VecX q, p_minus, p_plus;
 };
@@ -73,9 +76,11 @@ class Simulator {
   };
 
   bool one_step(const VecX& tau, Recording& recording);
-  bool resolve_event(double time, Recording& recording);
+  bool resolve_event(double time, double before, double after, const VecX& tau, Recording& recording);
+  double energy_target(double before);
+  ImpactResult apply_map(const ImpactProblem& problem);
   bool collect_closed(double time);
-  bool hit_until_separate(double time, Recording& recording);
+  bool hit_until_separate(double time, double before, double after, const VecX& tau, Recording& recording);
   bool judge_accumulation(double time);
   bool end(StatusCode code, double time, std::string message, int guard = -1);
 
@@ -93,6 +98,9 @@ class Simulator {
   std::vector<Closed> closed_;
   int closed_count_ = 0;
   Status status_;
+  VecX q_node_, p_node_;   // start of the step, for MHC's local reference
+  double target_ = 0;      // of the map's scalar, all losses so far subtracted
+  long target_step_ = -1;  // step that MHC's local reference belongs to
 };
 
 }  // namespace contactvi

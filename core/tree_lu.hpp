@@ -21,6 +21,7 @@ class TreeLu {
 
   // Raw entries to fill before factor(): A(k, k), A(k, path(k)[m]) and A(path(k)[m], k).
   double& diagonal(int k) { return diagonal_[k]; }
+  double diagonal(int k) const { return diagonal_[k]; }
   double* row(int k) { return &row_[start_[k]]; }
   double* column(int k) { return &column_[start_[k]]; }
   void set_zero();

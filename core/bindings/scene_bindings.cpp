@@ -10,6 +10,7 @@
 #include "error.hpp"
 #include "expose.hpp"
 #include "guard.hpp"
+#include "impact_dtec.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -92,6 +93,48 @@ VecX modified_energies(const Scene& s, const Rows& q, const Rows& p, double h) {
     VecX pi = p.row(i);
     public_to_engine(s.tree, qi, pi);
     result[i] = modified_hamiltonian(integrator, qi, pi, h);
+  }
+  return result;
+}
+
+// E_d of steps h[i] from (q[i], p[i]); negative h: the step that ended there.
+VecX discrete_energies(const Scene& s, const Rows& q, const Rows& p, const VecX& h) {
+  need_states(s, q, p);
+  need(h.size() == q.rows(), "expected one step length per state");
+  Integrator integrator(s.tree, 1e-13, 50);
+  VecX result(q.rows()), guess(s.tree.nv);
+  for (Eigen::Index i = 0; i < q.rows(); ++i) {
+    const VecX qi = q.row(i);
+    VecX pi = p.row(i);
+    public_to_engine(s.tree, qi, pi);
+    const bool ok = integrator.node_velocity(qi, pi, guess) && integrator.solve(qi, pi, guess, h[i], VecX());
+    result[i] = ok ? discrete_energy(integrator) : std::numeric_limits<double>::quiet_NaN();
+  }
+  return result;
+}
+
+// Total momentum: linear (world frame) and angular about the world's origin.
+Rows spatial_momentum(const Scene& s, const Rows& q, const Rows& p) {
+  need_states(s, q, p);
+  Integrator integrator(s.tree, 1e-12, 1);
+  StepWorkspace ws(s.tree);
+  Rows result = Rows::Zero(q.rows(), 6);
+  VecX v(s.tree.nv);
+  for (Eigen::Index i = 0; i < q.rows(); ++i) {
+    const VecX qi = q.row(i);
+    VecX pi = p.row(i);
+    public_to_engine(s.tree, qi, pi);
+    if (!integrator.node_velocity(qi, pi, v)) v.setConstant(std::numeric_limits<double>::quiet_NaN());
+    momentum_and_forces(s.tree, qi, v, ws.kernel, ws.P, ws.dT, ws.dV);
+    Vec3 linear = Vec3::Zero(), angular = Vec3::Zero();
+    for (std::size_t k = 0; k < s.tree.joints.size(); ++k) {
+      if (s.tree.joints[k].parent >= 0) continue;
+      const BodyState& body = ws.kernel.bodies[k];  // after the backward pass: momentum of the whole tree
+      const Vec3 f = body.R * body.momentum.lin;
+      linear += f;
+      angular += body.R * body.momentum.ang + body.r.cross(f);
+    }
+    result.row(i) << linear.transpose(), angular.transpose();
   }
   return result;
 }
@@ -187,6 +230,10 @@ void expose_scene(nb::module_& m) {
       .def("momentum", &momentum, "q"_a, "v"_a, "p = M(q) v, shapes (N, nq), (N, nv) -> (N, nv).")
       .def("energy", &energies, "q"_a, "p"_a, "Kinetic and potential energy [J], (N, 2).")
       .def("modified_energy", &modified_energies, "q"_a, "p"_a, "h"_a, "Modified Hamiltonian [J] for step h, (N,).")
+      .def("discrete_energy", &discrete_energies, "q"_a, "p"_a, "h"_a,
+           "E_d [J] of one step h (N,) from each state, (N,).")
+      .def("spatial_momentum", &spatial_momentum, "q"_a, "p"_a,
+           "Total linear, angular momentum about the origin, (N, 6).")
       .def("dynamics", &dynamics, "q"_a, "v"_a, "(M v, dT/dq, dV/dq of gravity) in engine coordinates.")
       .def("step", &step, "q"_a, "p"_a, "h"_a, "tau"_a = nb::none(), "tol"_a = 1e-12,
            "One smooth step without contact: (q1, p1, v_mid in engine coordinates, iterations, residual).")

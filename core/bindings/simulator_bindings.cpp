@@ -35,8 +35,8 @@ std::pair<int, int> public_guard(const Scene& s, int guard) {
 
 nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
   const Eigen::Index n = static_cast<Eigen::Index>(impacts.size());
-  VecX time(n), impulse(n), gamma_minus(n), gamma_plus(n), G_c(n), gap(n), restitution(n);
-  IntVec kind(n), index(n), iterations(n), step(n);
+  VecX time(n), impulse(n), gamma_minus(n), gamma_plus(n), G_c(n), gap(n), restitution(n), jump(n), before(n), after(n);
+  IntVec kind(n), index(n), iterations(n), step(n), method(n), fallback(n);
   Rows point(n, 3), normal(n, 3), q(n, s.tree.nq), p_minus(n, s.tree.nv), p_plus(n, s.tree.nv);
   for (Eigen::Index i = 0; i < n; ++i) {
     const ImpactRecord& r = impacts[i];
@@ -50,6 +50,11 @@ nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
     restitution[i] = r.restitution;
     iterations[i] = r.iterations;
     step[i] = r.step;
+    method[i] = r.method;
+    fallback[i] = r.fallback;
+    jump[i] = r.jump;
+    before[i] = r.before;
+    after[i] = r.after;
     point.row(i) = r.point;
     normal.row(i) = r.normal;
     q.row(i) = r.q;
@@ -70,6 +75,11 @@ nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
   d["restitution"] = restitution;
   d["iterations"] = iterations;
   d["step"] = step;
+  d["method"] = method;
+  d["fallback"] = fallback;
+  d["jump"] = jump;
+  d["before"] = before;
+  d["after"] = after;
   d["q"] = q;
   d["p_minus"] = p_minus;
   d["p_plus"] = p_plus;
@@ -187,11 +197,11 @@ void expose_simulator(nb::module_& m) {
       .def(
           "__init__",
           [](Simulator* self, const Scene& scene, double dt, double tol, int impact, long max_impacts_per_step,
-             int max_iterations) {
-            new (self) Simulator(scene, {dt, tol, impact, max_iterations, max_impacts_per_step});
+             int max_iterations, bool mhc_global) {
+            new (self) Simulator(scene, {dt, tol, impact, mhc_global, max_iterations, max_impacts_per_step});
           },
           "scene"_a, "dt"_a, "tol"_a = 1e-12, "impact"_a = 0, "max_impacts_per_step"_a = 100000,
-          "max_iterations"_a = 30, nb::keep_alive<1, 2>())
+          "max_iterations"_a = 30, "mhc_global"_a = false, nb::keep_alive<1, 2>())
       .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0, "Status fields as a dict.")
       .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
            "Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.")

@@ -1,0 +1,57 @@
+#include "impact.hpp"
+
+#include <cmath>
+
+namespace contactvi {
+
+namespace {
+constexpr double kExact = 8e-16;   // of the energies that add up to the scalar: nothing left to improve
+constexpr double kAccept = 1e-12;  // of the kinetic energy of the normal motion
+constexpr int kMaxIterations = 30;
+}  // namespace
+
+ImpactResult solve_impact(const ImpactProblem& problem, const ImpactResult& ctec, StepScalar scalar, VecRef p) {
+  ImpactResult result = ctec;
+  auto fall_back = [&](Fallback reason) {
+    result.impulse = ctec.impulse;
+    result.fallback = reason;
+    p = problem.p_minus + ctec.impulse * problem.W;
+    return result;
+  };
+  if (problem.restitution == 0.0) return fall_back(Fallback::kPlastic);
+  const double normal_energy = 0.5 * problem.gamma_minus * problem.gamma_minus / problem.G_c;
+  const double exact =
+      kExact * (std::abs(problem.target) + problem.p_minus.dot(problem.MinvW) / problem.G_c * problem.gamma_minus);
+  const double slope = -problem.restitution * problem.gamma_minus;  // gamma+ of CTEC: dH/dlambda
+  VecX p_plus(p.size());
+  double lambda = ctec.impulse, previous_lambda = 0.0, previous = 0.0, best = INFINITY, best_lambda = lambda;
+  for (int k = 0; k < kMaxIterations; ++k) {
+    p_plus = problem.p_minus + lambda * problem.W;
+    const double mismatch = scalar(problem, p_plus) - problem.target;
+    ++result.iterations;
+    if (!std::isfinite(mismatch)) break;
+    if (std::abs(mismatch) < best) {
+      best = std::abs(mismatch);
+      best_lambda = lambda;
+    } else if (best <= kAccept * normal_energy) {
+      break;  // rounding floor
+    }
+    if (std::abs(mismatch) <= exact) break;
+    const double secant = k == 0 ? slope : (mismatch - previous) / (lambda - previous_lambda);
+    const double change = -mismatch / secant;
+    if (!std::isfinite(change) || std::abs(change) > std::abs(ctec.impulse)) break;
+    if (lambda + change == lambda) break;
+    previous_lambda = lambda;
+    previous = mismatch;
+    lambda += change;
+  }
+  if (!(best <= kAccept * normal_energy || best <= 16 * exact)) return fall_back(Fallback::kNoConvergence);
+  const double gamma_plus = problem.gamma_minus + best_lambda * problem.G_c;
+  if (best_lambda < 0.0 || gamma_plus <= 0.0) return fall_back(Fallback::kInadmissible);
+  result.impulse = best_lambda;
+  result.jump = best;
+  p = problem.p_minus + best_lambda * problem.W;
+  return result;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,14 @@
+// MHC, the modified-Hamiltonian conserving impact map: the modified Hamiltonian, which the integrator really
+// conserves, has the same value at the end of the step with the impact as before, less the loss (Pekarek, Murphey
+// 2014, "Discrete Lagrangian mechanics for nonseparable nonsmooth systems"; Murphey, Pekarek, Seghete).
+#pragma once
+
+#include "impact.hpp"
+
+namespace contactvi {
+
+// p becomes p+, shape (nv,). problem.target: the reference ("local": its value at the start of the step, "global":
+// the one carried from the start of the run) less all losses since.
+ImpactResult impact_mhc(const ImpactProblem& problem, VecRef p);
+
+}  // namespace contactvi
