@@ -12,10 +12,10 @@ import argparse
 
 import numpy as np
 import pinocchio as pin
-from models import all_models, start, with_floor
 
 import contactvi as cvi
 from contactvi import _core
+from models import all_models, start, with_floor
 
 
 def engine(scene: cvi.Scene, dt: float) -> _core.Simulator:
