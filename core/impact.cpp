@@ -15,7 +15,9 @@ ImpactResult solve_impact(const ImpactProblem& problem, const ImpactResult& ctec
   auto fall_back = [&](Fallback reason) {
     result.impulse = ctec.impulse;
     result.fallback = reason;
-    p = problem.p_minus + ctec.impulse * problem.W;
+    const VecX p_ctec = problem.p_minus + ctec.impulse * problem.W;
+    result.jump = scalar(problem, p_ctec) - problem.target;
+    p = p_ctec;
     return result;
   };
   if (problem.restitution == 0.0) return fall_back(Fallback::kPlastic);

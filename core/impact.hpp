@@ -39,7 +39,7 @@ struct ImpactProblem {
 struct ImpactResult {
   bool ok = false;
   double impulse = 0;  // lambda
-  double jump = 0;     // of the map's own scalar, beyond the loss: what is left of its equation [J]
+  double jump = 0;     // of the map's own scalar, beyond the loss: what is left of its equation [J]; 0 for CTEC
   int iterations = 0;  // evaluations of the scalar
   Fallback fallback = Fallback::kNone;
 };

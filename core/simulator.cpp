@@ -110,6 +110,32 @@ Status Simulator::advance(long steps, const MatX& tau, long record_every, const 
   return status_;
 }
 
+// Smooth step of length h from (q_, p_) into (q1_, p1_), v_.
+bool Simulator::smooth_step(double time, double h, const VecX& tau) {
+  if (history_.count(h) > 0) {
+    history_.guess(guess_);
+  } else if (!integrator_.node_velocity(q_, p_, guess_)) {
+    return end(StatusCode::kNewtonFailed, time, "the mass matrix is not positive definite");
+  }
+  if (!integrator_.solve(q_, p_, guess_, h, tau)) {
+    const bool finite = q_.allFinite() && p_.allFinite();
+    return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, time,
+               std::string("the discrete Euler-Lagrange equation was not solved: ") + integrator_.why());
+  }
+  integrator_.finish(q_, p_, h, q1_, p1_);
+  v_ = integrator_.v();
+  return true;
+}
+
+bool Simulator::search_failed(Search outcome, double time) {
+  if (outcome == Search::kNewtonFailed)
+    return end(StatusCode::kNewtonFailed, time,
+               std::string("a partial step to an event was not solved: ") + integrator_.why(), finder_.failed_guard());
+  end(StatusCode::kEventUnresolved, time, "a guard crossed zero and its root was not found", finder_.failed_guard());
+  status_.depth = -finder_.failed_gap();
+  return false;
+}
+
 bool Simulator::one_step(const VecX& tau, Recording& recording) {
   const double start = time();
   double remaining = options_.dt, done = 0.0;
@@ -120,40 +146,18 @@ bool Simulator::one_step(const VecX& tau, Recording& recording) {
     p_node_ = p_;
   }
   while (remaining > 0.0) {
-    const int known = history_.count(remaining);
-    if (known > 0) {
-      history_.guess(guess_);
-    } else {
-      if (!integrator_.node_velocity(q_, p_, guess_))
-        return end(StatusCode::kNewtonFailed, start + done, "the mass matrix is not positive definite");
-    }
-    if (!integrator_.solve(q_, p_, guess_, remaining, tau)) {
-      const bool finite = q_.allFinite() && p_.allFinite();
-      return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, start + done,
-                 std::string("the discrete Euler-Lagrange equation was not solved: ") + integrator_.why());
-    }
-    integrator_.finish(q_, p_, remaining, q1_, p1_);
+    const bool known = history_.count(remaining) > 0;
+    if (!smooth_step(start + done, remaining, tau)) return false;
     Search found = Search::kNone;
-    if (guards_.count() > 0) {
-      v_ = integrator_.v();
-      found = finder_.search(q_, p_, v_, q1_, remaining, tau, known > 0 ? &history_.last() : nullptr);
-    }
+    if (guards_.count() > 0)
+      found = finder_.search(q_, p_, v_, q1_, remaining, tau, known ? &history_.last() : nullptr);
     if (found == Search::kNone) {
-      if (!cut) history_.push(guards_.count() > 0 ? v_ : integrator_.v(), remaining);
+      if (!cut) history_.push(v_, remaining);
       q_.swap(q1_);
       p_.swap(p1_);
       break;
     }
-    if (found == Search::kNewtonFailed)
-      return end(StatusCode::kNewtonFailed, start + done,
-                 std::string("a partial step to an event was not solved: ") + integrator_.why(),
-                 finder_.failed_guard());
-    if (found == Search::kUnresolved) {
-      end(StatusCode::kEventUnresolved, start + done, "a guard crossed zero and its root was not found",
-          finder_.failed_guard());
-      status_.depth = -finder_.failed_gap();
-      return false;
-    }
+    if (found != Search::kFound) return search_failed(found, start + done);
     cut = true;
     history_.reset();
     const double before = finder_.event().alpha * remaining;
@@ -161,18 +165,18 @@ bool Simulator::one_step(const VecX& tau, Recording& recording) {
     remaining = finder_.event().alpha >= 1.0 ? 0.0 : options_.dt - done;
     q_ = finder_.event().q;
     p_ = finder_.event().p;
-    if (!resolve_event(start + done, before, remaining, tau, recording)) return false;
+    if (!resolve_event({start + done, before, remaining, tau}, recording)) return false;
   }
   ++step_;
   if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, time(), "the state is not finite");
   return true;
 }
 
-bool Simulator::resolve_event(double time, double before, double after, const VecX& tau, Recording& recording) {
-  if (options_.impact != kCtec) target_ = energy_target(before);
-  if (!collect_closed(time) || !hit_until_separate(time, before, after, tau, recording)) return false;
+bool Simulator::resolve_event(const Instant& at, Recording& recording) {
+  if (options_.impact != kCtec) target_ = energy_target(at.before);
+  if (!collect_closed(at.time) || !hit_until_separate(at, recording)) return false;
   for (int i = 0; i < closed_count_; ++i) finder_.set_touching(closed_[i].guard, true);
-  return judge_accumulation(time);
+  return judge_accumulation(at.time);
 }
 
 // Value of the map's scalar before the event, losses not yet subtracted.
@@ -226,7 +230,7 @@ bool Simulator::collect_closed(double time) {
 }
 
 // Single impacts, always at the contact that closes fastest, until every closed contact separates.
-bool Simulator::hit_until_separate(double time, double before, double after, const VecX& tau, Recording& recording) {
+bool Simulator::hit_until_separate(const Instant& at, Recording& recording) {
   double scale = 0.0;
   for (int i = 0; i < closed_count_; ++i) scale = std::max(scale, std::abs(closed_[i].MinvW.dot(p_)));
   speed_scale_ = std::max(speed_scale_, scale);
@@ -244,42 +248,48 @@ bool Simulator::hit_until_separate(double time, double before, double after, con
     }
     if (worst == nullptr) return true;
     const double e = gamma > -kPlasticSpeed * scale ? 0.0 : scene_->restitution(worst->guard);
-    const VecX p_minus = p_;
-    ImpactProblem problem{integrator_, q_, p_minus,     worst->W, worst->MinvW, gamma,
-                          worst->G_c,  e,  options_.dt, after,    tau,          0.0};
-    target_ -= problem.loss();
-    problem.target = target_;
-    const ImpactResult result = apply_map(problem);
-    if (!result.ok) return end(StatusCode::kNotFinite, time, "an impact has no finite impulse", worst->guard);
-    worst->hit = true;
-    ImpactRecord record{time,
-                        worst->guard,
-                        Vec3::Zero(),
-                        worst->contact.normal,
-                        result.impulse,
-                        gamma,
-                        0,
-                        worst->G_c,
-                        worst->contact.gap,
-                        e,
-                        options_.impact,
-                        result.iterations,
-                        static_cast<int>(result.fallback),
-                        result.jump,
-                        before,
-                        after,
-                        step_,
-                        q_,
-                        p_minus,
-                        p_};
-    if (worst->contact.body_a >= 0 || scene_->is_pair(worst->guard))
-      record.point = 0.5 * (worst->contact.point_a + worst->contact.point_b);
-    record.gamma_plus = worst->MinvW.dot(p_);
-    recording.impacts.push_back(std::move(record));
-    ++impacts_;
+    if (!hit(*worst, gamma, e, at, recording)) return false;
     if (++impacts_in_step_ > options_.max_impacts_per_step)
-      return end(StatusCode::kTooManyImpacts, time, "too many impacts in one step", worst->guard);
+      return end(StatusCode::kTooManyImpacts, at.time, "too many impacts in one step", worst->guard);
   }
+}
+
+// One impact at one closed contact, by the map of the run.
+bool Simulator::hit(Closed& closed, double gamma, double e, const Instant& at, Recording& recording) {
+  const VecX p_minus = p_;
+  ImpactProblem problem{integrator_, q_, p_minus,     closed.W, closed.MinvW, gamma,
+                        closed.G_c,  e,  options_.dt, at.after, at.tau,       0.0};
+  target_ -= problem.loss();
+  problem.target = target_;
+  const ImpactResult result = apply_map(problem);
+  if (!result.ok) return end(StatusCode::kNotFinite, at.time, "an impact has no finite impulse", closed.guard);
+  // After a fallback the scalar is what it is: the next impact must not be made to pay the difference back.
+  if (result.fallback != Fallback::kNone && !options_.mhc_global && std::isfinite(result.jump)) target_ += result.jump;
+  closed.hit = true;
+  ++impacts_;
+  ImpactRecord record;
+  record.time = at.time;
+  record.guard = closed.guard;
+  record.point = 0.5 * (closed.contact.point_a + closed.contact.point_b);
+  record.normal = closed.contact.normal;
+  record.impulse = result.impulse;
+  record.gamma_minus = gamma;
+  record.gamma_plus = closed.MinvW.dot(p_);
+  record.G_c = closed.G_c;
+  record.gap = closed.contact.gap;
+  record.restitution = e;
+  record.method = options_.impact;
+  record.iterations = result.iterations;
+  record.fallback = static_cast<int>(result.fallback);
+  record.jump = result.jump;
+  record.before = at.before;
+  record.after = at.after;
+  record.step = step_;
+  record.q = q_;
+  record.p_minus = p_minus;
+  record.p_plus = p_;
+  recording.impacts.push_back(std::move(record));
+  return true;
 }
 
 bool Simulator::judge_accumulation(double time) {

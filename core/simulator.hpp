@@ -75,12 +75,21 @@ class Simulator {
     bool hit;
   };
 
+  // Where in time an event is: [s], lengths of the partial step that ends there and of the rest of the step.
+  struct Instant {
+    double time, before, after;
+    const VecX& tau;
+  };
+
   bool one_step(const VecX& tau, Recording& recording);
-  bool resolve_event(double time, double before, double after, const VecX& tau, Recording& recording);
+  bool smooth_step(double time, double h, const VecX& tau);
+  bool search_failed(Search outcome, double time);
+  bool resolve_event(const Instant& at, Recording& recording);
   double energy_target(double before);
   ImpactResult apply_map(const ImpactProblem& problem);
   bool collect_closed(double time);
-  bool hit_until_separate(double time, double before, double after, const VecX& tau, Recording& recording);
+  bool hit_until_separate(const Instant& at, Recording& recording);
+  bool hit(Closed& closed, double gamma, double e, const Instant& at, Recording& recording);
   bool judge_accumulation(double time);
   bool end(StatusCode code, double time, std::string message, int guard = -1);
 
