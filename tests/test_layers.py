@@ -30,7 +30,7 @@ CPP_LAYERS: Layers = {
     "contact": (("contact",), ("scene",)),
     "guard": (("guard",), ("contact",)),
     "event": (("event",), ("guard", "step")),
-    "impact": (("impact", "impact_ctec"), ("contact", "discrete_lagrangian")),
+    "impact": (("impact", "impact_ctec", "impact_dtec", "impact_mhc"), ("step",)),
     "simulator": (("simulator",), ("event", "impact")),
     "bindings": (("bindings",), ("simulator",)),
 }
@@ -53,7 +53,8 @@ PYTHON_LAYERS: Layers = {
     "simulation": (("simulation",), ("trajectory", "progress")),
     "pictures": (("viewer", "plots"), ("trajectory",)),
     "face": (("__init__",), ("simulation", "pictures")),
-    "cli": (("cli",), ("face",)),
+    "bench": (("bench", "bench_report"), ("simulation",)),
+    "cli": (("cli",), ("face", "bench")),
 }
 USERS_OF_THE_ENGINE = {"scene", "scene_build", "simulation"}
 
