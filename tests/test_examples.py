@@ -1,0 +1,44 @@
+"""The examples and the README's code run as they stand, headless."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import re
+import subprocess
+import sys
+
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+pytestmark = pytest.mark.skipif(not EXAMPLES, reason="the tests were copied without the examples")
+
+
+def run(arguments: list[str], folder: pathlib.Path) -> str:
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=dict(os.environ, MPLBACKEND="agg", PYTHONPATH=os.pathsep.join(p for p in sys.path if p)),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+def test_example_runs(path, tmp_path):
+    assert run([str(path)], tmp_path).strip()
+    assert len(path.read_text().splitlines()) <= 100
+
+
+def test_readme_code_runs(tmp_path):
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (tmp_path / "readme.py").write_text(code)
+    printed = run(["readme.py"], tmp_path)
+    assert "palm_link_0" in printed.splitlines()[-1]  # the ball hits the palm
+    assert (tmp_path / "run.npz").stat().st_size > 0
+    assert (tmp_path / "run.html").stat().st_size > 0
