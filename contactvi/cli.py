@@ -1,4 +1,4 @@
-"""The command line: `contactvi run`, `contactvi play`, `contactvi check`.
+"""The command line: `contactvi run`, `contactvi bench`, `contactvi play`, `contactvi check`.
 
 Exit codes: 0 done; 2 wrong input, said as expected, got, remedy; 3 the run ended before its time (its files are there).
 """
@@ -106,6 +106,38 @@ def run(
     _print_summary(traj, written, time.perf_counter() - started)
     if not traj.status.ok:
         raise typer.Exit(ENDED_EARLY)
+
+
+@app.command()
+def bench(
+    scene_file: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.", show_default=False)],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for the results, by default SCENE-bench."),
+    ] = None,
+    dt: Annotated[float | None, typer.Option(help="Time step in seconds around which the ladder is built.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Simulated time in seconds, a whole number of steps.")] = None,
+    tol: Annotated[float | None, typer.Option(help="Tolerance of a step, relative.")] = None,
+    budget: Annotated[float, typer.Option(help="Wall time allowed in seconds.")] = 60.0,
+) -> None:
+    """Measure run time against error of a scene over impact maps and time steps; write bench.png and bench.csv."""
+    import contactvi as cvi
+    from contactvi import bench_report
+    from contactvi.bench import bench as measure
+
+    scene = cvi.load_scene(scene_file)
+    folder = output if output is not None else Path(f"{scene_file.stem}-bench")
+    _make_folder(folder)
+    with bench_report.BenchProgress(_err) as bar:
+        result = measure(scene, budget=budget, progress=bar, dt=dt, duration=duration, tol=tol)
+    for line in bench_report.table(result):
+        _out.print(line, markup=False)
+    _out.print(f"[bold]advice[/]    {escape(bench_report.advice(result))}")
+    for path in (
+        bench_report.save_csv(result, folder / "bench.csv"),
+        bench_report.save_plot(result, folder / "bench.png", scene_file.stem),
+    ):
+        _out.print(f"[bold]written[/]   {escape(str(path))}")
 
 
 @app.command()

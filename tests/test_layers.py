@@ -53,7 +53,7 @@ PYTHON_LAYERS: Layers = {
     "simulation": (("simulation",), ("trajectory", "progress")),
     "pictures": (("viewer", "plots"), ("trajectory",)),
     "face": (("__init__",), ("simulation", "pictures")),
-    "bench": (("bench", "bench_report"), ("simulation",)),
+    "bench": (("bench_runs", "bench", "bench_report"), ("simulation",)),
     "cli": (("cli",), ("face", "bench")),
 }
 USERS_OF_THE_ENGINE = {"scene", "scene_build", "simulation"}

@@ -1,0 +1,146 @@
+"""What `contactvi bench` writes: a table, a CSV file, a log-log picture, one line of advice."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from contactvi.bench import Bench, Row
+from contactvi.files import write_atomic
+
+COLUMNS = ("impact", "dt_s", "error", "order", "energy_error_J", "seconds", "impacts", "note")
+_COLORS = {"ctec": "#1f5fa8", "dtec": "#e08a00", "mhc": "#2f9e83"}
+_MARKS = {"ctec": "o", "dtec": "s", "mhc": "^"}
+_MAX_TARGETS = 3
+
+
+class BenchProgress:
+    """A progress callback for `bench` that draws the share of the budget used; a context manager."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        self._bar = Progress(
+            BarColumn(bar_width=20),
+            TextColumn("{task.percentage:>3.0f} % of the time allowed, {task.fields[text]}"),
+            console=console or Console(stderr=True),
+            transient=True,
+        )
+        self._task = self._bar.add_task("bench", total=1.0, text="")
+
+    def __enter__(self) -> BenchProgress:
+        if self._bar.console.is_terminal:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def __call__(self, share: float, text: str) -> None:
+        """Show the share of the budget used and what is running."""
+        self._bar.update(self._task, completed=share, text=text)
+
+
+def advice(result: Bench) -> str:
+    """Return one line: which map and dt for which error."""
+    good = [row for row in result.good() if row.error > 0]
+    if not good:
+        return "No advice: no run of the ladder follows the reference; use a smaller dt or a shorter duration."
+    chosen: dict[str, str] = {}  # setting -> the smallest error it is advised for
+    for target in targets([row.error for row in good]):
+        row = result.best(target)
+        assert row is not None
+        chosen[_setting(row)] = f"error {target:.0e}"
+    smallest = min(good, key=lambda row: row.error)
+    chosen.setdefault(_setting(smallest), f"smallest measured, {smallest.error:.1e}")
+    return "; ".join(f"{error}: {setting}" for setting, error in chosen.items()) + "."
+
+
+def targets(errors: list[float]) -> list[float]:
+    """Powers of ten that the errors can meet, large to small, at most three."""
+    low, high = np.ceil(np.log10(min(errors))), np.ceil(np.log10(max(errors)))
+    count = int(min(_MAX_TARGETS, high - low + 1))
+    return [float(10.0 ** round(e)) for e in dict.fromkeys(np.rint(np.linspace(high, low, count)))]
+
+
+def _setting(row: Row) -> str:
+    return f"{row.impact}, dt = {row.dt:.6g} s ({_time(row.seconds)})"
+
+
+def _time(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"
+
+
+def table(result: Bench) -> list[str]:
+    """Return the printed table and what belongs to it, as lines."""
+    span = f"{result.horizon:.6g} s" + ("" if result.horizon >= result.duration else f" of {result.duration:.6g} s")
+    lines = [
+        f"Run time and error over {span}, {result.impacts} impacts; reference dt = {result.reference_dt:.3g} s, "
+        f"its own error about {result.reference_error:.1e}",
+        "",
+        f"{'map':<6}{'dt [s]':>12}{'error':>11}{'order':>8}{'energy [J]':>12}{'time':>11}{'impacts':>9}",
+    ]
+    last = ""
+    for row in result.rows:
+        if last and row.impact != last:
+            lines.append("")
+        last = row.impact
+        order = f"{row.order:.2f}" if np.isfinite(row.order) else ""
+        lines.append(
+            f"{row.impact:<6}{row.dt:>12.6g}{row.error:>11.2e}{order:>8}{row.energy_error:>12.2e}"
+            f"{_time(row.seconds):>11}{row.impacts:>9}{'  ' + row.note if row.note else ''}"
+        )
+    slopes = [f"{impact} {result.slope(impact):.2f}" for impact in dict.fromkeys(r.impact for r in result.rows)]
+    lines += ["", "order over the ladder: " + ", ".join(slopes)]
+    lines += ["error: largest |q - q_ref| at common nodes, m and rad together; energy: without what impacts took"]
+    return lines + [f"note: {text}" for text in result.warnings]
+
+
+def save_csv(result: Bench, path: str | os.PathLike[str]) -> Path:
+    """Write the rows as CSV, SI units; return the path."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in result.rows:
+        writer.writerow(
+            [row.impact, repr(row.dt), repr(row.error), repr(row.order), repr(row.energy_error), repr(row.seconds)]
+            + [row.impacts, row.note]
+        )
+    return write_atomic(path, lambda file: file.write(text.getvalue().encode()))
+
+
+def save_plot(result: Bench, path: str | os.PathLike[str], title: str = "") -> Path:
+    """Write the work-precision picture: time over error left, error over dt right; return the path."""
+    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+    work, order = figure.subplots(1, 2)
+    for impact in dict.fromkeys(row.impact for row in result.rows):
+        color, mark = _COLORS.get(impact, "black"), _MARKS.get(impact, "x")
+        good = [row for row in result.good() if row.impact == impact and row.error > 0]
+        poor = [row for row in result.rows if row.impact == impact and row.note and row.error > 0]
+        label = f"{impact}, order {result.slope(impact):.2f}"
+        for axis, x, y in ((work, "error", "seconds"), (order, "dt", "error")):
+            axis.loglog([getattr(r, x) for r in good], [getattr(r, y) for r in good], mark + "-", color=color,
+                        ms=5, lw=1.3, alpha=0.85, label=label)  # fmt: skip
+            axis.loglog([getattr(r, x) for r in poor], [getattr(r, y) for r in poor], mark, mfc="none", color=color)
+    if result.reference_error > 0 and result.good():
+        work.axvline(result.reference_error, color="#888888", lw=0.9, ls=":")
+        order.axhline(result.reference_error, color="#888888", lw=0.9, ls=":", label="reference's own error")
+    work.set_xlabel("error |q - q_ref| [m, rad]")
+    work.set_ylabel(f"run time [s] for {result.horizon:.4g} s")
+    order.set_xlabel("dt [s]")
+    order.set_ylabel("error |q - q_ref| [m, rad]")
+    for axis in (work, order):
+        axis.grid(alpha=0.25, which="both")
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize=8)
+    empty = ", open marks: see the table's notes" if len(result.good()) < len(result.rows) else ""
+    figure.suptitle(f"{title}: {result.horizon:.4g} s, {result.impacts} impacts{empty}".lstrip(": "), fontsize=11)
+    return write_atomic(path, lambda file: figure.savefig(file, format="png", dpi=130))
