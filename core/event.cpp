@@ -288,12 +288,13 @@ Search EventFinder::locate(Candidate& c, bool& exists) {
   // lo is a point of the model path: on the exact path the root may lie O(h^3) before it, and only the start is
   // certain.
   double lo = c.touching ? c.lo : 0.0, hi = c.hi;
-  if (!exact_gap(guard, hi, gap)) return fail(Search::kNewtonFailed, guard, 0);
-  if (gap > 0.0) {
+  // At the end of the step the search has seen the exact gap already.
+  if (hi < 1.0 && !exact_gap(guard, hi, gap)) return fail(Search::kNewtonFailed, guard, 0);
+  if (hi < 1.0 && gap > 0.0) {
     // The model path is ahead of the exact one by O(h^3): the crossing is later, or only the model grazes.
     lo = hi;
     hi = 1.0;
-    if (lo < hi && !exact_gap(guard, hi, gap)) return fail(Search::kNewtonFailed, guard, 0);
+    if (!exact_gap(guard, hi, gap)) return fail(Search::kNewtonFailed, guard, 0);
     exists = gap <= 0.0;
     if (!exists) return Search::kFound;
     x = lo;
