@@ -70,7 +70,10 @@ def run(
     ] = None,
     dt: Annotated[float | None, typer.Option(help="Time step in seconds.")] = None,
     duration: Annotated[float | None, typer.Option(help="Simulated time in seconds, a whole number of steps.")] = None,
-    impact: Annotated[str | None, typer.Option(help="Impact map: ctec.")] = None,
+    impact: Annotated[str | None, typer.Option(help="Impact map: ctec, dtec or mhc.")] = None,
+    mhc_reference: Annotated[
+        str | None, typer.Option(help="What mhc conserves: local (value of the step) or global (of the run's start).")
+    ] = None,
     order: Annotated[int | None, typer.Option(help="Order of the integrator: 2.")] = None,
     tol: Annotated[float | None, typer.Option(help="Tolerance of a step, relative.")] = None,
     record_every: Annotated[int | None, typer.Option(help="Keep the state every so many steps.")] = None,
@@ -85,7 +88,8 @@ def run(
 
     scene = cvi.load_scene(scene_file)
     chosen: dict[str, Any] = {
-        "dt": dt, "duration": duration, "impact": impact, "order": order, "tol": tol, "record_every": record_every,
+        "dt": dt, "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order, "tol": tol,
+        "record_every": record_every,
     }  # fmt: skip
     settings = settings_of(scene, chosen)
     folder = output if output is not None else Path(scene_file.stem)

@@ -10,6 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 KINDS = ("contact", "limit")
+METHODS = ("ctec", "dtec", "mhc")
+FALLBACKS = (
+    None,
+    "plastic: without rebound the map's equation is singular",
+    "no convergence: no root near CTEC's impulse",
+    "inadmissible: the root pulls or does not separate",
+)
 
 # name -> (width, dtype) of one event's entry; width 0 is a scalar, "q" and "v" the size of the configuration and of
 # the velocity. The order is that of the file format.
@@ -26,7 +33,12 @@ FIELDS: dict[str, tuple[int | str, type]] = {
     "G_c": (0, float),
     "gap": (0, float),
     "restitution": (0, float),
+    "method": (0, np.int64),
     "iterations": (0, np.int64),
+    "fallback": (0, np.int64),
+    "jump": (0, float),
+    "before": (0, float),
+    "after": (0, float),
     "q": ("q", float),
     "p_minus": ("v", float),
     "p_plus": ("v", float),
@@ -46,8 +58,13 @@ class Event:
     gamma_minus, gamma_plus : normal speed W v before and after [m/s; rad/s].
     G_c : inverse inertia W M^-1 W^T seen by the contact [1/kg].
     gap : signed distance at the located configuration [m; rad].
-    restitution : coefficient used. method : impact map. fallback : the map used instead where it had no root.
-    iterations : iterations of the event location.
+    restitution : coefficient used.
+    method : impact map, "ctec", "dtec" or "mhc".
+    iterations : evaluations of the map's scalar equation; 0 for CTEC, which is explicit.
+    fallback : None, or the reason why the impulse is CTEC's because the map had no answer.
+    jump : what is left of the map's own scalar equation [J], losses by restitution taken off; 0 for CTEC.
+    before, after : lengths [s] of the partial step that ends at the impact (since the last event or node) and of the
+        rest of the step after it; NaN in runs stored before they were kept.
     q : configuration at the impact, shape (nq,). p_minus, p_plus : momentum before and after, shape (nv,).
     """
 
@@ -63,12 +80,15 @@ class Event:
     G_c: float
     gap: float
     restitution: float
+    method: str
     iterations: int
+    fallback: str | None
+    jump: float
+    before: float
+    after: float
     q: NDArray[np.float64]
     p_minus: NDArray[np.float64]
     p_plus: NDArray[np.float64]
-    method: str = "ctec"
-    fallback: str | None = None
 
     @property
     def energy_change(self) -> float:
@@ -85,7 +105,8 @@ class Event:
 class EventLog(Sequence[Event]):
     """The events of a run in the order of time: a sequence of `Event`, and the same data as arrays.
 
-    `log[3]` is an Event, `log.array("impulse")` the array of all impulses, shape (n,).
+    `log[3]` is an Event, `log.array("impulse")` the array of all impulses, shape (n,); kind, method and fallback are
+    numbers there, places in KINDS, METHODS and FALLBACKS. `method` is the impact map of the run.
     """
 
     def __init__(
@@ -148,7 +169,9 @@ class EventLog(Sequence[Event]):
         index = values.pop("index")
         values["pair"] = self.label(values["kind"], index)
         values["kind"] = KINDS[values["kind"]]
-        return Event(**values, method=self.method)
+        values["method"] = METHODS[values["method"]]
+        values["fallback"] = FALLBACKS[values["fallback"]]
+        return Event(**values)
 
 
 def empty_arrays(nq: int, nv: int) -> dict[str, NDArray[Any]]:

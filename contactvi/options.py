@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from contactvi.errors import InputError, did_you_mean
 
-IMPACT_MAPS = ("ctec",)
-_LATER_IMPACT_MAPS = ("dtec", "mhc")
+IMPACT_MAPS = ("ctec", "dtec", "mhc")  # in the engine's order
+MHC_REFERENCES = ("local", "global")
 _STEP_TOLERANCE = 1e-9  # decimal input such as 0.1 / 1e-3 is off by a few eps * steps, a wrong number by far more
 
 
@@ -26,7 +26,10 @@ class Options:
         duration / dt is further than 1e-9 (relative) from a whole number. All steps have the same length, because the
         modified Hamiltonian that the integrator conserves belongs to one step length. None where the caller
         decides step by step (Simulator).
-    impact : impact map; "ctec" (continuous-time energy conserving, design: Murphey, Pekarek, Seghete).
+    impact : impact map (Murphey, Pekarek, Seghete), what the impact conserves besides the momentum along the surface:
+        "ctec" the energy, "dtec" the discrete energy of the step, "mhc" the modified Hamiltonian of the integrator.
+    mhc_reference : value that "mhc" conserves: "local" that of the start of the step, "global" that of the start of the
+        run less the losses of all impacts since (no drift; without damping and inputs only).
     order : order of the variational integrator; 2 (midpoint rule).
     tol : the Newton iteration of a step stops at residual <= tol * scale.
     record_every : every how many steps the state is kept; the first and the last one always are.
@@ -41,6 +44,7 @@ class Options:
     dt: float
     duration: float | None = None
     impact: str = "ctec"
+    mhc_reference: str = "local"
     order: int = 2
     tol: float = 1e-12
     record_every: int = 1
@@ -54,7 +58,8 @@ class Options:
             raise InputError("tol is too large", name="tol", expected="a number below 1", got=self.tol)
         for name in ("record_every", "max_impacts_per_step", "max_iterations"):
             _set(self, name, _count(name, getattr(self, name)))
-        _check_impact(self.impact)
+        _check_choice("impact", self.impact, IMPACT_MAPS, "Unknown impact map")
+        _check_choice("mhc_reference", self.mhc_reference, MHC_REFERENCES, "Unknown reference of MHC")
         _check_order(self.order)
         if self.duration is not None:
             _set(self, "duration", _real("duration", self.duration, "the simulated time in seconds, > 0"))
@@ -130,24 +135,11 @@ def _count(name: str, value: Any) -> int:
     return int(value)
 
 
-def _check_impact(impact: Any) -> None:
-    if impact in IMPACT_MAPS:
+def _check_choice(name: str, value: Any, choices: Sequence[str], what: str) -> None:
+    if isinstance(value, str) and value in choices:
         return
-    if impact in _LATER_IMPACT_MAPS:
-        raise InputError(
-            f"The impact map {impact!r} is not available yet",
-            name="impact",
-            expected="'ctec'",
-            got=repr(impact),
-            remedy="Use impact='ctec'",
-        )
-    raise InputError(
-        "Unknown impact map",
-        name="impact",
-        expected="'ctec'",
-        got=repr(impact),
-        remedy=did_you_mean(str(impact), IMPACT_MAPS + _LATER_IMPACT_MAPS),
-    )
+    expected = " | ".join(repr(choice) for choice in choices)
+    raise InputError(what, name=name, expected=expected, got=repr(value), remedy=did_you_mean(str(value), choices))
 
 
 def _check_order(order: Any) -> None:

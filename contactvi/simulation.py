@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi import checks
 from contactvi import events as event_log
 from contactvi.errors import ContactviError, PenetrationError, SimulationError
-from contactvi.options import Options, check_names
+from contactvi.map_checks import NO_ANSWER_DTEC, check_map, check_unforced
+from contactvi.options import IMPACT_MAPS, Options, check_names
 from contactvi.status import Stats, Status, StatusCode
 from contactvi.trajectory import Trajectory
 
@@ -28,7 +29,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, int], object]
 Control = Callable[[float, Array, Array], ArrayLike]
 
-_IMPACT_INDEX = {"ctec": 0}
 _PROGRESS_PERIOD = 0.1  # s of wall time, the engine's own
 _STATS = [field.name for field in fields(Stats)]
 _REMEDY = {
@@ -38,6 +38,7 @@ _REMEDY = {
     StatusCode.EVENT_UNRESOLVED: "Use a smaller dt",
     StatusCode.TOO_MANY_IMPACTS: "Use a smaller dt, or raise max_impacts_per_step",
     StatusCode.PENETRATION: "Move the start apart, or take the pair out with scene.disable_pair",
+    StatusCode.LEDGER: "Look at error.trajectory.ledger there; use a smaller dt, or another tolerance",
 }
 
 
@@ -63,7 +64,7 @@ def simulate(
         the defaults: the neutral configuration, rest, and those of `Options`.
     q0 : initial configuration, Pinocchio's numbers, shape (nq,). v0 : initial velocity, shape (nv,).
     duration : simulated time [s], a whole number of steps. dt : time step [s].
-    impact, order, **options : see `Options`.
+    impact, order, **options (mhc_reference, tol, record_every, ...) : see `Options`.
     control : generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape
         (steps, nv), or a function (t, q, v) -> (nv,) called at the start of each step.
     throw : raise SimulationError (with .status and .trajectory) when the run ends before its time, and
@@ -129,6 +130,7 @@ class Simulator:
         self._scene_core = scene.core()
         self.scene = _snapshot(scene)
         self.options = settings_of(scene, dict(options, dt=dt))
+        check_map(self.scene, self.options)
         self._pair_names = [(str(a), str(b)) for a, b in scene.pair_names]
         self._engine = self._new_engine()
         self._status: Status | None = None
@@ -176,6 +178,9 @@ class Simulator:
         """Make `steps` steps, tau of shape (steps, nv) or None; return the status. Ends early as `simulate` does."""
         self._check_running()
         forces = None if tau is None else checks.forces(self.scene.model, tau, steps, "tau")
+        if forces is not None and np.any(forces):
+            check_unforced(self.options)
+            self._forced = True
         result = self._call(self._engine.advance, steps, forces, self.options.record_every, progress)
         status = self._collect(result)
         error = result["error"]  # of the progress callback; Ctrl-C ends the run, anything else is the caller's
@@ -229,8 +234,9 @@ class Simulator:
         if self._status.time > t[-1]:
             t, q, p = np.append(t, self._status.time), np.vstack([q, self.q]), np.vstack([p, self.p])
         return Trajectory(
-            self.scene, self.options, t, q, p, self.events, self._status, self._stats, core=self._scene_core
-        )
+            self.scene, self.options, t, q, p, self.events, self._status, self._stats,
+            forced=self._forced, core=self._scene_core,
+        )  # fmt: skip
 
     def interrupt(self) -> Status:
         """End the run where it is with the status INTERRUPTED."""
@@ -244,9 +250,10 @@ class Simulator:
             self._scene_core,
             self.options.dt,
             self.options.tol,
-            _IMPACT_INDEX[self.options.impact],
+            IMPACT_MAPS.index(self.options.impact),
             self.options.max_impacts_per_step,
             self.options.max_iterations,
+            self.options.mhc_reference == "global",
         )
 
     def _clear(self) -> None:
@@ -255,6 +262,7 @@ class Simulator:
         self._p: list[Array] = []
         self._events: list[dict[str, NDArray[Any]]] = []
         self._stats = Stats()
+        self._forced = False
 
     def _add_node(self, t: float, q: Array, p: Array) -> None:
         self._t.append(np.array([t]))
@@ -316,7 +324,8 @@ class Simulator:
             return "stopped by the user"
         if code == StatusCode.ZENO and names is not None:
             what = f"the impacts of joint {names[0]!r} at its {names[1]}" if limit else f"the impacts of {pair}"
-            return f"{what} accumulate at t = {float(result['accumulation_time']):.12g} s"
+            text = f"{what} accumulate at t = {float(result['accumulation_time']):.12g} s"
+            return f"{text}; {NO_ANSWER_DTEC}" if self.options.impact == "dtec" else text
         if code == StatusCode.PENETRATION and names is not None:
             depth = f"{float(result['depth']):.6g}"
             if limit:

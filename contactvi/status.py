@@ -7,7 +7,7 @@ from enum import IntEnum
 
 
 class StatusCode(IntEnum):
-    """How a run ended (the numbers are the engine's)."""
+    """How a run ended (the numbers are the engine's; LEDGER is the face's: a tolerance of the ledger was exceeded)."""
 
     SUCCESS = 0
     ZENO = 1
@@ -17,6 +17,7 @@ class StatusCode(IntEnum):
     TOO_MANY_IMPACTS = 5
     PENETRATION = 6
     INTERRUPTED = 7
+    LEDGER = 8
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The file of a run: one npz (a zip of npy arrays), schema 1. Nothing in it is pickled, nothing is executed on loading.
+"""The file of a run: one npz (a zip of npy arrays), schema 2. Nothing in it is pickled, nothing is executed on loading.
 
 N nodes, n events, nq and nv sizes of configuration and velocity; SI units; everything float64 unless it says int64.
 
@@ -27,7 +27,12 @@ event/gamma_plus      (n,)           normal speed after
 event/G_c             (n,)           inverse inertia W M^-1 W^T [1/kg or 1/(kg m^2)]
 event/gap             (n,)           signed distance at the located configuration [m or rad]
 event/restitution     (n,)           coefficient used
-event/iterations      (n,) int64     iterations of the event location
+event/method          (n,) int64     impact map: 0 CTEC, 1 DTEC, 2 MHC
+event/iterations      (n,) int64     evaluations of the map's scalar equation; 0 for CTEC
+event/fallback        (n,) int64     why the impulse is CTEC's: 0 it is not, else a place in contactvi.events.FALLBACKS
+event/jump            (n,)           what is left of the map's own scalar equation [J]
+event/before          (n,)           length of the partial step that ends at the impact [s]
+event/after           (n,)           length of the rest of the step after it [s]
 event/q               (n, nq)        configuration at the impact
 event/p_minus         (n, nv)        momentum before
 event/p_plus          (n, nv)        momentum after
@@ -36,12 +41,16 @@ array/0, array/1 ...  any            arrays (meshes) that the header refers to
 
 The header is an object with the keys
 
-- format: "contactvi-trajectory"; schema: 1; version: of the contactvi that wrote it
+- format: "contactvi-trajectory"; schema: 2; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (contactvi.Stats)
-- method: impact map of the events; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
+- method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
+- forced: whether the run had inputs
 - scene: Scene.to_dict(); visuals: what the viewer draws, a list of contactvi.visuals.Visual fields
 
 in which {"$array": k} stands for the entry array/k, and NaN, Infinity, -Infinity are written as such.
+
+Schema 1 knew CTEC only; it is read, with event/method, iterations, fallback and jump 0, before and after NaN, and
+forced true, since it did not say.
 """
 
 from __future__ import annotations
@@ -68,7 +77,8 @@ from contactvi.version import version
 from contactvi.visuals import Visual
 
 FORMAT = "contactvi-trajectory"
-SCHEMA = 1
+SCHEMA = 2
+_OLD_EVENTS = {"method": 0.0, "iterations": 0.0, "fallback": 0.0, "jump": 0.0, "before": np.nan, "after": np.nan}
 
 _NODES: dict[str, str | None] = {
     "t": None,
@@ -101,6 +111,7 @@ class Run(Protocol):
     events: event_log.EventLog
     status: Status
     stats: Stats
+    forced: bool
 
     @property
     def gaps(self) -> tuple[NDArray[np.float64], list[tuple[str, str]], NDArray[np.float64]]: ...
@@ -121,6 +132,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
         "status": {"code": int(traj.status.code), "message": traj.status.message, "time": traj.status.time},
         "stats": asdict(traj.stats),
         "method": traj.events.method,
+        "forced": traj.forced,
         "pair_names": traj.scene.pair_names,
         "joint_names": list(traj.scene.model.names),
         "gap_pairs": gap_pairs,
@@ -153,6 +165,8 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
         _refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
     header = _read_header(path, entries)
     try:
+        if header["schema"] == 1:
+            _from_schema_1(entries, header)
         return _build(path, entries, _unpack(header, entries))
     except ContactviError:
         raise
@@ -170,15 +184,23 @@ def _read_header(path: Path, entries: dict[str, NDArray[Any]]) -> dict[str, Any]
         _refuse(path, "a header that is not JSON", error)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         _refuse(path, "an npz of another format")
-    if header.get("schema") != SCHEMA:
+    if header.get("schema") not in (1, SCHEMA):
         raise SceneError(
             f"{path} has another schema",
             path=path,
-            expected=f"schema {SCHEMA}",
+            expected=f"schema 1 or {SCHEMA}",
             got=f"schema {header.get('schema')!r}, written by contactvi {header.get('version')}",
             remedy="Read it with the contactvi that wrote it, or run the scene again",
         )
     return header
+
+
+def _from_schema_1(entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
+    """Put in what schema 1 did not have."""
+    header["forced"] = True
+    count = len(np.atleast_1d(entries["event/time"]))
+    for name, value in _OLD_EVENTS.items():
+        entries[f"event/{name}"] = np.full(count, value).astype(event_log.FIELDS[name][1])
 
 
 def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, Any]:
@@ -207,6 +229,7 @@ def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any])
         "events": log,
         "status": Status(StatusCode(status["code"]), str(status["message"]), float(status["time"])),
         "stats": Stats(**header["stats"]),
+        "forced": bool(header["forced"]),
         "derived": nodes,
         "gaps": (times, pairs, _entry(path, entries, "gap/value", (len(times), len(pairs)), float)),
         "visuals": visuals,
@@ -237,6 +260,9 @@ def _events(path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int])
 
 
 def _check_indices(path: Path, log: event_log.EventLog, pairs: int, joints: int) -> None:
+    for name, known in (("method", len(event_log.METHODS)), ("fallback", len(event_log.FALLBACKS))):
+        if not np.all((log.array(name) >= 0) & (log.array(name) < known)):
+            _refuse(path, f"events of an unknown {name}")
     kind, index = log.array("kind"), log.array("index")
     bound = np.where(kind == 0, pairs, 2 * joints)
     if not np.all(np.isin(kind, (0, 1)) & (index >= 0) & (index < bound)):

@@ -34,6 +34,7 @@ class Trajectory:
     scene : the scene that was run. options : its settings.
     events : the impacts, a sequence of `Event` (an `EventLog`).
     status : how the run ended. stats : what it cost.
+    forced : whether the run had inputs (control) other than zero; they are not kept.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class Trajectory:
         status: Status,
         stats: Stats,
         *,
+        forced: bool = False,
         core: Any = None,
         derived: Mapping[str, Array] | None = None,
         gaps: tuple[Array, list[tuple[str, str]], Array] | None = None,
@@ -58,6 +60,7 @@ class Trajectory:
         self.events = events
         self.status = status
         self.stats = stats
+        self.forced = forced
         self._core = core  # the engine's scene at the time of the run: the Python scene may be edited afterwards
         self._derived: dict[str, Array] = dict(derived or {})
         self._gaps = gaps

@@ -110,7 +110,8 @@ def said(result, *texts: str) -> None:
 def test_wrong_input_of_run(command, tmp_path):
     scene = ball_file(tmp_path)
     said(command("run", scene, "--dt", -1), "dt is not usable", "-1.0")
-    said(command("run", scene, "--impact", "mhc"), "not available yet", "remedy:")
+    said(command("run", scene, "--impact", "mch"), "Did you mean 'mhc'", "remedy:")
+    said(command("run", scene, "--impact", "mhc", "--mhc-reference", "start"), "'local' | 'global'")
     said(command("run", scene, "--duration", 1.0055), "whole number of steps", "Use duration=")
     said(command("run", scene, "--fps", 0, "-o", "out"), "fps")
     (tmp_path / "file").write_text("")

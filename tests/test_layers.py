@@ -50,7 +50,7 @@ PYTHON_LAYERS: Layers = {
     "page": (("visuals", "animation", "shapes", "page"), ("scene",)),
     "trajectory": (("storage", "trajectory"), ("page",)),
     "progress": (("progress",), ("base",)),
-    "simulation": (("simulation",), ("trajectory", "progress")),
+    "simulation": (("map_checks", "simulation"), ("trajectory", "progress")),
     "pictures": (("viewer", "plots"), ("trajectory",)),
     "face": (("__init__",), ("simulation", "pictures")),
     "bench": (("bench_runs", "bench", "bench_report"), ("simulation",)),

@@ -289,8 +289,8 @@ def test_nothing_is_unpickled(saved, tmp_path):
 
 
 def test_other_schema(saved):
-    rewrite(saved, header=np.array(header(saved).replace('"schema": 1', '"schema": 2')))
-    with pytest.raises(cvi.SceneError, match="expected schema 1, got schema 2"):
+    rewrite(saved, header=np.array(header(saved).replace('"schema": 2', '"schema": 3')))
+    with pytest.raises(cvi.SceneError, match="expected schema 1 or 2, got schema 3"):
         cvi.Trajectory.load(saved)
 
 
@@ -300,7 +300,7 @@ def test_other_schema(saved):
         {"header": None},
         {"header": np.array("not json")},
         {"header": np.array("[1, 2]")},
-        {"header": np.array('{"format": "contactvi-trajectory", "schema": 1}')},
+        {"header": np.array('{"format": "contactvi-trajectory", "schema": 2}')},
         {"header": np.array("[" * 100_000)},
         {"header": np.zeros(3)},
         {"t": None},

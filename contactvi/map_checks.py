@@ -1,0 +1,62 @@
+"""What an impact map cannot answer is refused before a run: DTEC without rebound, a global reference with losses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contactvi.errors import InputError
+from contactvi.options import Options
+from contactvi.scene import Scene
+
+NO_ANSWER_DTEC = (
+    "DTEC cannot answer there: the energy it shifts at an impact, m g h times a part of the step, does not shrink with "
+    "the flights"
+)
+
+
+def check_map(scene: Scene, options: Options) -> None:
+    """Raise InputError where the impact map of the options has no answer on this scene."""
+    if options.impact == "dtec":
+        _check_rebound(scene)
+    damping = np.asarray(scene.model.damping)
+    if _carries_reference(options) and np.any(damping > 0):
+        joint = next(name for name, j in zip(scene.model.names, scene.model.joints, strict=True)
+                     if j.nv and np.any(damping[j.idx_v : j.idx_v + j.nv] > 0))  # fmt: skip
+        _refuse_global("damping", f"joint {joint!r} is damped", "Use mhc_reference='local', or damping 0")
+
+
+def check_unforced(options: Options) -> None:
+    """Raise InputError where the impact map carries an energy that inputs would change."""
+    if _carries_reference(options):
+        _refuse_global("control", "forces put in from outside", "Use mhc_reference='local'")
+
+
+def _carries_reference(options: Options) -> bool:
+    return options.impact == "mhc" and options.mhc_reference == "global"
+
+
+def _refuse_global(name: str, got: str, remedy: str) -> None:
+    raise InputError(
+        "MHC's global reference needs a conservative scene",
+        name="mhc_reference",
+        expected=f"a run without {name}: every impact would put back what it took since the start",
+        got=got,
+        remedy=remedy,
+    )
+
+
+def _check_rebound(scene: Scene) -> None:
+    built = scene._complete()
+    plastic = [f"{a!r} and {b!r}" for (a, b), e in zip(built.pairs, built.restitution, strict=True) if e == 0.0]
+    limited = zip(built.model.names, built.arrays.limits, built.arrays.limit_restitution, strict=True)
+    plastic += [f"the limits of joint {name!r}" for name, used, e in limited if used and e == 0.0]
+    if not plastic:
+        return
+    more = f" and {len(plastic) - 1} more" if len(plastic) > 1 else ""
+    raise InputError(
+        "DTEC has no answer for an impact without rebound",
+        name="impact",
+        expected="restitution > 0 at every pair and joint limit: at 0 its energy equation has no root",
+        got=f"restitution 0 of {plastic[0]}{more}",
+        remedy="Use impact='ctec' or 'mhc', or a restitution above 0",
+    )
