@@ -140,6 +140,12 @@ class EventLog(Sequence[Event]):
         before, after = self._arrays["gamma_minus"], self._arrays["gamma_plus"]
         return np.asarray((after**2 - before**2) / (2.0 * self._arrays["G_c"]))
 
+    @property
+    def loss(self) -> NDArray[np.float64]:
+        """What restitution takes at every event, (1 - e^2) gamma_minus^2 / (2 G_c) [J], shape (n,)."""
+        kept = 1.0 - self._arrays["restitution"] ** 2
+        return np.asarray(kept * self._arrays["gamma_minus"] ** 2 / (2.0 * self._arrays["G_c"]))
+
     def __len__(self) -> int:
         return int(self._arrays["time"].shape[0])
 

@@ -8,6 +8,7 @@ from contactvi.errors import InputError
 from contactvi.options import Options
 from contactvi.scene import Scene
 
+UNFORCED_TOLERANCES = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")
 NO_ANSWER_DTEC = (
     "DTEC cannot answer there: the energy it shifts at an impact, m g h times a part of the step, does not shrink with "
     "the flights"
@@ -26,7 +27,16 @@ def check_map(scene: Scene, options: Options) -> None:
 
 
 def check_unforced(options: Options) -> None:
-    """Raise InputError where the impact map carries an energy that inputs would change."""
+    """Raise InputError where inputs spoil the impact map (it carries an energy) or a tolerance of the ledger."""
+    blind = [name for name in options.ledger or () if name in UNFORCED_TOLERANCES]
+    if blind:
+        raise InputError(
+            f"The ledger cannot hold {blind[0]} in a run with inputs",
+            name="ledger",
+            expected="tolerances that need no step to be made again",
+            got=", ".join(blind),
+            remedy="Leave it out; own_jump is the engine's own and works with inputs",
+        )
     if _carries_reference(options):
         _refuse_global("control", "forces put in from outside", "Use mhc_reference='local'")
 

@@ -5,13 +5,18 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from contactvi.errors import InputError, did_you_mean
 
 IMPACT_MAPS = ("ctec", "dtec", "mhc")  # in the engine's order
 MHC_REFERENCES = ("local", "global")
+LEDGER_TOLERANCES = (
+    *("energy", "modified_energy", "discrete_energy", "linear_momentum", "angular_momentum"),
+    *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
+    *("linear_momentum_jump", "angular_momentum_jump", "impulse", "complementarity", "gap"),
+)
 _STEP_TOLERANCE = 1e-9  # decimal input such as 0.1 / 1e-3 is off by a few eps * steps, a wrong number by far more
 
 
@@ -34,6 +39,8 @@ class Options:
     tol : the Newton iteration of a step stops at residual <= tol * scale.
     record_every : every how many steps the state is kept; the first and the last one always are.
     max_impacts_per_step : a run with more impacts in one step ends with the status TOO_MANY_IMPACTS.
+    ledger : tolerances on the ledger of the run, name -> bound >= 0 (contactvi.ledger says what is bounded, relative to
+        what); the run ends with the status LEDGER where one is exceeded.
     max_iterations : Newton iterations per step before the run ends with the status NEWTON_FAILED.
 
     Raises
@@ -50,6 +57,7 @@ class Options:
     record_every: int = 1
     max_impacts_per_step: int = 100_000
     max_iterations: int = 30
+    ledger: Mapping[str, float] | None = field(default=None, hash=False)
 
     def __post_init__(self) -> None:
         _set(self, "dt", _real("dt", self.dt, "the time step in seconds, > 0, for example 1e-3"))
@@ -61,6 +69,7 @@ class Options:
         _check_choice("impact", self.impact, IMPACT_MAPS, "Unknown impact map")
         _check_choice("mhc_reference", self.mhc_reference, MHC_REFERENCES, "Unknown reference of MHC")
         _check_order(self.order)
+        _set(self, "ledger", _tolerances(self.ledger))
         if self.duration is not None:
             _set(self, "duration", _real("duration", self.duration, "the simulated time in seconds, > 0"))
             _check_whole(self.duration, self.dt)
@@ -102,7 +111,7 @@ class Options:
 
 def option_names() -> list[str]:
     """Return the names of all options."""
-    return [field.name for field in fields(Options)]
+    return [entry.name for entry in fields(Options)]
 
 
 def check_names(settings: Mapping[str, Any]) -> None:
@@ -140,6 +149,30 @@ def _check_choice(name: str, value: Any, choices: Sequence[str], what: str) -> N
         return
     expected = " | ".join(repr(choice) for choice in choices)
     raise InputError(what, name=name, expected=expected, got=repr(value), remedy=did_you_mean(str(value), choices))
+
+
+def _tolerances(ledger: Any) -> dict[str, float] | None:
+    if not ledger and (ledger is None or isinstance(ledger, Mapping)):
+        return None
+    if not isinstance(ledger, Mapping):
+        raise InputError(
+            "The tolerances of the ledger are not usable",
+            name="ledger",
+            expected='names and bounds, for example {"own_jump": 1e-10}',
+            got=repr(ledger),
+        )
+    for name, bound in ledger.items():
+        if name not in LEDGER_TOLERANCES:
+            raise InputError(
+                f"The ledger has no tolerance {name!r}",
+                name="ledger",
+                expected=" | ".join(LEDGER_TOLERANCES),
+                got=repr(name),
+                remedy=did_you_mean(str(name), LEDGER_TOLERANCES),
+            )
+        if not isinstance(bound, numbers.Real) or isinstance(bound, bool) or not float(bound) >= 0:
+            raise InputError(f"Tolerance {name!r}", name="ledger", expected="a number >= 0", got=repr(bound))
+    return {str(name): float(bound) for name, bound in ledger.items()}
 
 
 def _check_order(order: Any) -> None:

@@ -16,8 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi import checks
 from contactvi import events as event_log
+from contactvi.endings import REMEDY, describe
 from contactvi.errors import ContactviError, PenetrationError, SimulationError
-from contactvi.map_checks import NO_ANSWER_DTEC, check_map, check_unforced
+from contactvi.ledger import Ledger, Watch
+from contactvi.map_checks import check_map, check_unforced
 from contactvi.options import IMPACT_MAPS, Options, check_names
 from contactvi.status import Stats, Status, StatusCode
 from contactvi.trajectory import Trajectory
@@ -29,17 +31,9 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, int], object]
 Control = Callable[[float, Array, Array], ArrayLike]
 
+_LEDGER_BLOCK = 500  # steps between two looks at the tolerances of the ledger
 _PROGRESS_PERIOD = 0.1  # s of wall time, the engine's own
 _STATS = [field.name for field in fields(Stats)]
-_REMEDY = {
-    StatusCode.ZENO: "Lasting contact is not available yet: end the run before that time, or use restitution 1",
-    StatusCode.NEWTON_FAILED: "Use a smaller dt",
-    StatusCode.NOT_FINITE: "Use a smaller dt, and look for huge forces or tiny masses",
-    StatusCode.EVENT_UNRESOLVED: "Use a smaller dt",
-    StatusCode.TOO_MANY_IMPACTS: "Use a smaller dt, or raise max_impacts_per_step",
-    StatusCode.PENETRATION: "Move the start apart, or take the pair out with scene.disable_pair",
-    StatusCode.LEDGER: "Look at error.trajectory.ledger there; use a smaller dt, or another tolerance",
-}
 
 
 def simulate(
@@ -54,6 +48,7 @@ def simulate(
     control: ArrayLike | Control | None = None,
     throw: bool = True,
     progress: Progress | bool | None = None,
+    ledger: Mapping[str, float] | None = None,
     **options: Any,
 ) -> Trajectory:
     """Run a scene from (q0, v0) and return its trajectory.
@@ -69,13 +64,15 @@ def simulate(
         (steps, nv), or a function (t, q, v) -> (nv,) called at the start of each step.
     throw : raise SimulationError (with .status and .trajectory) when the run ends before its time, and
         PenetrationError when it starts in penetration; False returns what was computed, with its status.
+    ledger : tolerances on what should be conserved, name -> bound, for example {"own_jump": 1e-10}; where one is
+        exceeded the run ends with the status LEDGER, at most 500 steps later. The names: contactvi.ledger.
     progress : called as progress(t, impacts) about ten times a second; True shows a progress bar.
 
     Raises
     ------
     InputError : for arguments of the wrong shape or range. PenetrationError, SimulationError : see `throw`.
     """
-    chosen = dict(options, duration=duration, dt=dt, impact=impact, order=order)
+    chosen = dict(options, duration=duration, dt=dt, impact=impact, order=order, ledger=ledger)
     settings = settings_of(scene, chosen)
     steps = settings.steps
     tau = None if control is None or callable(control) else checks.forces(scene.model, control, steps)
@@ -95,11 +92,13 @@ def simulate(
         _run(simulator, steps, control if callable(control) else tau, progress or None)
     traj = simulator.trajectory()
     if throw and not traj.status.ok:
+        broken = traj.status.code == StatusCode.LEDGER
+        fact = "exceeds a tolerance of its ledger" if broken else "ended before its time"
         raise SimulationError(
-            f"The run ended before its time with the status {traj.status.code.name}: {traj.status.message}",
+            f"The run {fact} with the status {traj.status.code.name}: {traj.status.message}",
             expected=f"t = {steps * settings.dt:.9g} s",
             got=f"t = {traj.status.time:.9g} s",
-            remedy=_REMEDY.get(traj.status.code),
+            remedy=REMEDY.get(traj.status.code),
             status=traj.status,
             trajectory=traj,
         )
@@ -134,6 +133,7 @@ class Simulator:
         self._pair_names = [(str(a), str(b)) for a, b in scene.pair_names]
         self._engine = self._new_engine()
         self._status: Status | None = None
+        self._seen: tuple[int, int]
         self._clear()
 
     def reset(self, q0: ArrayLike | None = None, v0: ArrayLike | None = None, t: float = 0.0) -> None:
@@ -153,7 +153,7 @@ class Simulator:
         result = self._call(self._engine.reset, q, v, start)
         self._add_node(start, q, np.asarray(self._scene_core.momentum(q[None], v[None]))[0])
         code = StatusCode(result["code"])
-        self._status = Status(code, self._describe(code, result), start)
+        self._status = Status(code, describe(code, result, self._names(result), self.options.impact), start)
         if code == StatusCode.PENETRATION:
             raise PenetrationError(
                 f"The start is refused: {self._status.message}",
@@ -161,7 +161,7 @@ class Simulator:
                 depth=float(result["depth"]),
                 expected="gaps >= 0 and joints within their limits",
                 got=f"{-float(result['depth']):.6g}",
-                remedy=_REMEDY[code],
+                remedy=REMEDY[code],
             )
         if code != StatusCode.SUCCESS:
             raise SimulationError(f"The start is refused: {self._status.message}", status=self._status)
@@ -181,12 +181,44 @@ class Simulator:
         if forces is not None and np.any(forces):
             check_unforced(self.options)
             self._forced = True
+        if self._watch is None:
+            return self._advance(steps, forces, progress)
+        last = time.perf_counter()
+        for first in range(0, steps, _LEDGER_BLOCK):
+            count = min(_LEDGER_BLOCK, steps - first)
+            self._advance(count, None if forces is None else forces[first : first + count], progress)
+            if not self._watched().ok:
+                break
+            if progress is not None and time.perf_counter() - last > _PROGRESS_PERIOD:
+                last = time.perf_counter()
+                progress(self.t, self.impacts)
+        assert self._status is not None
+        return self._status
+
+    def _advance(self, steps: int, forces: Array | None, progress: Progress | None) -> Status:
         result = self._call(self._engine.advance, steps, forces, self.options.record_every, progress)
         status = self._collect(result)
         error = result["error"]  # of the progress callback; Ctrl-C ends the run, anything else is the caller's
         if error is not None and not isinstance(error, KeyboardInterrupt):
             raise error
         return status
+
+    def _watched(self) -> Status:
+        """Hold what was recorded since the last call to the tolerances of the ledger; return the status."""
+        assert self._watch is not None
+        assert self._status is not None
+        nodes, events = self._seen
+        t, q, p = (np.concatenate(parts[max(0, nodes - 1) :]) for parts in (self._t, self._q, self._p))
+        arrays = event_log.join(self._events[events:], self.scene.model.nq, self.scene.model.nv)
+        log = event_log.EventLog(arrays, self._pair_names, list(self.scene.model.names), self.options.impact)
+        start = float(self._t[0][0])
+        self._seen = len(self._t), len(self._events)
+        cut = max(0, len(self._t[max(0, nodes - 1)]) - 1)  # of the block before only the last node
+        block = Ledger(self._scene_core, self.options.dt, t[cut:], q[cut:], p[cut:], log, self._forced, start)
+        excess = self._watch.check(block)
+        if excess is not None:
+            self._status = Status(StatusCode.LEDGER, str(excess), excess.time)
+        return self._status
 
     @property
     def t(self) -> float:
@@ -263,6 +295,8 @@ class Simulator:
         self._events: list[dict[str, NDArray[Any]]] = []
         self._stats = Stats()
         self._forced = False
+        self._watch = Watch(self.options.ledger) if self.options.ledger else None
+        self._seen = (0, 0)  # blocks of nodes and of events that the watch has seen
 
     def _add_node(self, t: float, q: Array, p: Array) -> None:
         self._t.append(np.array([t]))
@@ -303,7 +337,9 @@ class Simulator:
         counts["seconds"] += self._stats.seconds
         self._stats = Stats(**counts)
         code = StatusCode(result["code"])
-        self._status = Status(code, self._describe(code, result), float(result["time"]))
+        self._status = Status(
+            code, describe(code, result, self._names(result), self.options.impact), float(result["time"])
+        )
         return self._status
 
     def _names(self, result: Mapping[str, Any]) -> tuple[str, str] | None:
@@ -312,27 +348,6 @@ class Simulator:
             return None
         kind, index = int(result["pair_kind"]), int(result["pair"])
         return event_log.label(kind, index, self._pair_names, list(self.scene.model.names))
-
-    def _describe(self, code: StatusCode, result: Mapping[str, Any]) -> str:
-        """Return the engine's message with names instead of indices."""
-        names = self._names(result)
-        pair = "" if names is None else f"{names[0]!r} and {names[1]!r}"
-        limit = names is not None and int(result["pair_kind"]) == 1
-        if code == StatusCode.SUCCESS:
-            return "the run reached its end"
-        if code == StatusCode.INTERRUPTED:
-            return "stopped by the user"
-        if code == StatusCode.ZENO and names is not None:
-            what = f"the impacts of joint {names[0]!r} at its {names[1]}" if limit else f"the impacts of {pair}"
-            text = f"{what} accumulate at t = {float(result['accumulation_time']):.12g} s"
-            return f"{text}; {NO_ANSWER_DTEC}" if self.options.impact == "dtec" else text
-        if code == StatusCode.PENETRATION and names is not None:
-            depth = f"{float(result['depth']):.6g}"
-            if limit:
-                return f"joint {names[0]!r} is {depth} (rad or m) beyond its {names[1]}"
-            return f"{pair} overlap by {depth} m"
-        message = str(result["message"])
-        return f"{message} ({pair})" if pair else message
 
 
 def _snapshot(scene: Scene) -> Scene:
@@ -345,11 +360,11 @@ def _snapshot(scene: Scene) -> Scene:
 
 
 def _run(simulator: Simulator, steps: int, control: Array | Control | None, progress: Progress | None) -> None:
-    if not callable(control):
-        simulator.run(steps, control, progress)
-        return
     last = time.perf_counter()
     try:
+        if not callable(control):
+            simulator.run(steps, control, progress)
+            return
         for _ in range(steps):
             tau = control(simulator.t, simulator.q, simulator.v)
             if not simulator.step(tau).ok:

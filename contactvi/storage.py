@@ -13,6 +13,7 @@ v                     (N, nv)        Pinocchio's tangent velocities (body twist 
 kinetic_energy        (N,)           T [J]
 potential_energy      (N,)           V [J], gravity and joint springs
 modified_energy       (N,)           modified Hamiltonian of the midpoint rule [J]
+discrete_energy       (N,)           of the step that starts at the node [J], NaN without one; only in runs with DTEC
 gap/time              (M,)           times at which gaps were measured [s], M <= 2000
 gap/value             (M, K)         signed distance [m] of the K pairs header["gap_pairs"], those that touched
 event/time            (n,)           [s]
@@ -140,7 +141,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
         "visuals": [visual.to_dict() for visual in traj.visuals],
     }
     text = json.dumps(_pack(header, arrays, {}))
-    entries: dict[str, Any] = {name: getattr(traj, name) for name in _NODES}
+    entries: dict[str, Any] = {name: getattr(traj, name) for name in _stored_nodes(traj.options)}
     entries |= {"gap/time": gap_time, "gap/value": gap_value}
     entries |= {f"event/{name}": values for name, values in traj.events.arrays.items()}
     entries |= {f"array/{k}": values for k, values in enumerate(arrays)}
@@ -206,7 +207,8 @@ def _from_schema_1(entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> 
 def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, Any]:
     scene = Scene.from_dict(header["scene"])
     sizes = {"q": int(scene.model.nq), "v": int(scene.model.nv)}
-    nodes = _nodes(path, entries, sizes)
+    options = Options.from_dict(header["options"])
+    nodes = _nodes(path, entries, sizes, _stored_nodes(options))
     log = event_log.EventLog(
         _events(path, entries, sizes),
         [(a, b) for a, b in header["pair_names"]],
@@ -222,7 +224,7 @@ def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any])
         _refuse(path, "pictures on joints that do not exist")
     return {
         "scene": scene,
-        "options": Options.from_dict(header["options"]),
+        "options": options,
         "t": nodes.pop("t"),
         "q": nodes.pop("q"),
         "p": nodes.pop("p"),
@@ -236,12 +238,19 @@ def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any])
     }
 
 
-def _nodes(path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int]) -> dict[str, NDArray[Any]]:
+def _stored_nodes(options: Options) -> dict[str, str | None]:
+    """Return the entries per node; the discrete energy costs a step per node and is kept where it is conserved."""
+    return _NODES | {"discrete_energy": None} if options.impact == "dtec" else _NODES
+
+
+def _nodes(
+    path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int], names: dict[str, str | None]
+) -> dict[str, NDArray[Any]]:
     t = _entry(path, entries, "t", (None,), float)
     if len(t) == 0 or not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0):
         _refuse(path, "times that do not increase")
     nodes = {"t": t}
-    for name, width in _NODES.items():
+    for name, width in names.items():
         shape = (len(t),) if width is None else (len(t), sizes[width])
         nodes[name] = _entry(path, entries, name, shape, float)
     if not np.all(np.isfinite(nodes["q"])):

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import InputError
 from contactvi.events import EventLog
+from contactvi.ledger import Ledger
 from contactvi.options import Options
 from contactvi.status import Stats, Status
 
@@ -65,6 +66,7 @@ class Trajectory:
         self._derived: dict[str, Array] = dict(derived or {})
         self._gaps = gaps
         self._visuals = visuals
+        self._ledger: Ledger | None = None
 
     def __len__(self) -> int:
         return int(self.t.shape[0])
@@ -101,6 +103,21 @@ class Trajectory:
     def modified_energy(self) -> Array:
         """The modified Hamiltonian [J] that the midpoint rule with step dt conserves to O(dt^4), shape (N,)."""
         return self._get("modified_energy", lambda core: core.modified_energy(self.q, self.p, self.options.dt))
+
+    @property
+    def ledger(self) -> Ledger:
+        """What should be conserved, node by node and impact by impact (contactvi.ledger)."""
+        if self._ledger is None:
+            start = float(self.t[0])
+            self._ledger = Ledger(
+                self._engine(), self.options.dt, self.t, self.q, self.p, self.events, self.forced, start
+            )
+        return self._ledger
+
+    @property
+    def discrete_energy(self) -> Array:
+        """E_d [J] of the step that starts at each node, NaN where an impact cuts it (and with inputs), shape (N,)."""
+        return self._get("discrete_energy", lambda core: self.ledger.discrete_energy)
 
     @property
     def impact_energy(self) -> Array:

@@ -48,13 +48,20 @@ PYTHON_LAYERS: Layers = {
         ("model", "engine"),
     ),
     "page": (("visuals", "animation", "shapes", "page"), ("scene",)),
-    "trajectory": (("storage", "trajectory"), ("page",)),
+    "trajectory": (("ledger", "storage", "trajectory"), ("page",)),
     "progress": (("progress",), ("base",)),
-    "simulation": (("map_checks", "simulation"), ("trajectory", "progress")),
+    "simulation": (("map_checks", "endings", "simulation"), ("trajectory", "progress")),
     "pictures": (("viewer", "plots"), ("trajectory",)),
     "face": (("__init__",), ("simulation", "pictures")),
     "bench": (("bench_runs", "bench", "bench_report"), ("simulation",)),
-    "cli": (("cli",), ("face", "bench")),
+    "reproduce": (
+        (
+            *("reproduce_row", "reproduce_model", "reproduce_reference", "reproduce_laws", "reproduce_runs"),
+            *("reproduce_figures", "reproduce_report", "reproduce"),
+        ),
+        ("simulation",),
+    ),
+    "cli": (("cli",), ("face", "bench", "reproduce")),
 }
 USERS_OF_THE_ENGINE = {"scene", "scene_build", "simulation"}
 
