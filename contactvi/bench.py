@@ -5,8 +5,8 @@ allows. The reference is a run with the finest dt / 8. All runs share the nodes 
 largest distance |q - q_ref| over these nodes, in the tangent space (metres and radians mixed, as they come).
 
 An error means something only while the runs see the same motion. The horizon is the last node up to which the
-reference, its twin with twice its dt and the finest run of each map have the same impacts and stay within LOST of each
-other, relative to the size of the motion; errors and times are those up to it.
+reference, its twin with twice its dt and the finest run with the same map have the same impacts and stay within LOST of
+each other, relative to the size of the motion; errors and times are those up to it.
 """
 
 from __future__ import annotations
@@ -168,9 +168,9 @@ def _references(plan: Plan) -> tuple[Run, Run]:
 def _judge(plan: Plan, reference: Run, twin: Run, runs: dict[tuple[str, float], Run]) -> Bench:
     model = plan.scene.model
     size = float(distance(model, reference, still(reference)).max(initial=0.0)) or 1.0
-    finest = {impact: max(r for m, r in runs if m == impact) for impact, _ in runs}
-    peers = [twin, *(runs[key] for key in finest.items() if not runs[key].status or reference.status)]
-    nodes = min(agreement(model, run, reference, size) for run in peers)
+    # The finest run with the reference's own map: another map that goes another way says something about itself.
+    finest = [runs[key] for key in sorted(runs, key=lambda key: key[1]) if key[0] == IMPACT_MAPS[0]][-1:]
+    nodes = min(agreement(model, run, reference, size) for run in (twin, *finest))
     horizon = nodes * plan.node_dt
     own = distance(model, twin, reference)[: nodes + 1]
     reference_error = float(own.max(initial=0.0)) / (2.0**ORDER - 1.0)

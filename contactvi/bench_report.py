@@ -58,7 +58,7 @@ def advice(result: Bench) -> str:
     for target in targets([row.error for row in good]):
         row = result.best(target)
         assert row is not None
-        chosen[_setting(row)] = f"error {target:.0e}"
+        chosen[_setting(row)] = f"error {10.0 ** np.ceil(np.log10(row.error)):.0e}"
     smallest = min(good, key=lambda row: row.error)
     chosen.setdefault(_setting(smallest), f"smallest measured, {smallest.error:.1e}")
     return "; ".join(f"{error}: {setting}" for setting, error in chosen.items()) + "."
@@ -136,6 +136,9 @@ def save_plot(result: Bench, path: str | os.PathLike[str], title: str = "") -> P
     work.set_xlabel("error |q - q_ref| [m, rad]")
     work.set_ylabel(f"run time [s] for {result.horizon:.4g} s")
     order.set_xlabel("dt [s]")
+    steps = sorted({row.dt for row in result.rows})
+    order.set_xticks(steps, [f"{dt:.3g}" for dt in steps], rotation=30)
+    order.set_xticks([], minor=True)
     order.set_ylabel("error |q - q_ref| [m, rad]")
     for axis in (work, order):
         axis.grid(alpha=0.25, which="both")
