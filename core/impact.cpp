@@ -1,5 +1,6 @@
 #include "impact.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace contactvi {
@@ -40,8 +41,9 @@ ImpactResult solve_impact(const ImpactProblem& problem, const ImpactResult& ctec
     }
     if (std::abs(mismatch) <= exact) break;
     const double secant = k == 0 ? slope : (mismatch - previous) / (lambda - previous_lambda);
-    const double change = -mismatch / secant;
-    if (!std::isfinite(change) || std::abs(change) > std::abs(ctec.impulse)) break;
+    // Slow impacts have roots far from CTEC's (DTEC's p+^2 = p-^2 + ... on a ball): reached in strides of CTEC's lambda.
+    const double change = std::clamp(-mismatch / secant, -ctec.impulse, ctec.impulse);
+    if (!std::isfinite(change)) break;
     if (lambda + change == lambda) break;
     previous_lambda = lambda;
     previous = mismatch;
