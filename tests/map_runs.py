@@ -95,11 +95,11 @@ def two_bodies(gravity: bool = False, ratio: float = 1.0):
     return model, geometry(shapes, [("ball", "capsule")]), q, v, 0.6, 0.02
 
 
-def body_at_wall():
-    """A ball whose centre of mass is off its centre, spinning, between two walls, with gravity."""
+def body_at_wall(half: float = 0.5):
+    """A ball whose centre of mass is off its centre, spinning, between two walls 2 `half` [m] apart, with gravity."""
     b = Builder(6)
     b.add("free_flyer", placement=pin.SE3.Identity())
-    walls = {f"wall{s}": (0, pin.SE3.Identity(), halfspace(0.0, 0.0, s, -0.5)) for s in (-1, 1)}
+    walls = {f"wall{s}": (0, pin.SE3.Identity(), halfspace(0.0, 0.0, s, -half)) for s in (-1, 1)}
     shapes = {"ball": (1, place(0.03, -0.02, 0.04), coal.Sphere(0.2)), **walls}
     v = np.array([0.2, 0.3, -2.0, 3.0, -2.0, 1.0])
     return b.model, geometry(shapes, [(w, "ball") for w in walls]), pin.neutral(b.model), v, 1.0, 0.02

@@ -152,6 +152,18 @@ def test_bodies_and_an_arm_are_the_oracles(method, restitution, build):
 
 
 @implicit
+def test_several_impacts_in_one_step_are_the_oracles(method):
+    """A body at 8 m/s with .3 m to move between the walls, h = .05: two hits in some steps."""
+    model, geometry, q, v, *_ = map_runs.body_at_wall(half=0.35)
+    v[2] = -8.0
+    scene = public_scene(model, geometry)
+    result = map_runs.run(scene, q, v, 0.5, 0.05, method)
+    assert result.code == 0, result.message
+    assert max(len(group) for group in map_runs.by_step(result.events)) >= 2
+    assert check_against_oracle(System(model), result, map_runs.gradient_of(scene)) >= 5
+
+
+@implicit
 def test_a_hand_hit_by_a_ball_is_the_oracles(method):
     scene, system, q = map_runs.hand_and_ball()
     result = map_runs.run(scene, q, np.zeros(scene.nv), 0.22, 0.002, method)

@@ -121,7 +121,7 @@ def dtec(system, q_c, p_minus, gradient, e: float, before: float, after: float, 
 
 
 def mhc(system, q_c, p_minus, gradient, e: float, after: float, h: float, reference: float) -> Solved:
-    """Modified-Hamiltonian conserving impact; reference: H~_h [J] at the start of the step or of the run, less losses."""
+    """Modified-Hamiltonian conserving impact; reference: H~_h [J] at the start of the step or run, less losses."""
 
     def scalar(p: np.ndarray) -> float:
         return modified_energy(system, *finish(system, q_c, p, after), h)
