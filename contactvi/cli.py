@@ -1,4 +1,4 @@
-"""The command line: `contactvi run`, `contactvi bench`, `contactvi play`, `contactvi check`.
+"""The command line: `contactvi run`, `contactvi bench`, `contactvi reproduce`, `contactvi play`, `contactvi check`.
 
 Exit codes: 0 done; 2 wrong input, said as expected, got, remedy; 3 the run ended before its time (its files are there).
 """
@@ -10,11 +10,12 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.markup import escape
 
-from contactvi.errors import ContactviError, InputError, SimulationError, did_you_mean
+from contactvi.errors import ContactviError, InputError, SceneError, SimulationError, did_you_mean
 from contactvi.version import version
 
 if TYPE_CHECKING:
@@ -145,6 +146,29 @@ def bench(
 
 
 @app.command()
+def reproduce(
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")] = Path(
+        "reproduction"
+    ),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer random starts and repeats: well under a minute.")
+    ] = False,
+) -> None:
+    """Measure the claims of the paper's Table I and draw its Fig. 1; write report.md, table.csv and pictures."""
+    from contactvi import reproduce as reproduction
+    from contactvi.reproduce_report import summary as verdicts
+    from contactvi.reproduce_report import verdict
+
+    _make_folder(output)
+    with reproduction.ReproduceProgress(_err) as bar:
+        result = reproduction.reproduce(output, quick=quick, progress=bar)
+    for row in result.rows:
+        _out.print(f"[bold]{row.key:<18}[/]{escape(f'{verdict(row):<34} {row.measured}')}")
+    _out.print(escape(verdicts(result.rows).replace("**", "")))
+    _out.print(f"Report: {escape(str(result.files[0]))}")
+
+
+@app.command()
 def play(
     file: Annotated[Path, typer.Argument(metavar="RUN.npz", help="File written by a run.", show_default=False)],
     output: Annotated[
@@ -180,7 +204,14 @@ def check(
     base: Annotated[str, typer.Option(help="Base of a URDF: fixed or free.")] = "fixed",
 ) -> None:
     """Print what of a model is used, changed, ignored or refused, and which of its data look wrong."""
-    scene = _read_model(model, package_dir or [], base)
+    try:
+        scene = _read_model(model, package_dir or [], base)
+    except SceneError as error:
+        if error.report is not None:
+            from contactvi.report import ImportReport
+
+            _out.print(str(ImportReport([error.report])), markup=False)
+        raise
     _out.print(str(scene.report), markup=False)
 
 
@@ -261,11 +292,28 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
         ("status", f"{traj.status.code.name}: {traj.status.message}"),
         ("time", f"{span:.9g} s simulated in {stats.steps} steps of {traj.options.dt:.6g} s"),
         ("impacts", f"{len(events)}" + (f", {limits} of them at joint limits" if limits else "")),
+        *_map_lines(traj, scale),
         ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
         ("", f"{taken:+.6g} J by impacts, {rest:+.3g} J by damping, inputs and integration error{share}"),
         ("wall time", f"{stats.seconds:.3g} s, {factor}"),
         ("work", f"{stats.iterations} Newton iterations, {stats.factorizations} factorizations{skipped}"),
     ]
+
+
+def _map_lines(traj: Trajectory, scale: float) -> list[tuple[str, str]]:
+    """Return what there is to say about the impact map of a run."""
+    events = traj.events
+    if events.method == "ctec" or not len(events):
+        return []
+    fallbacks = int((events.array("fallback") != 0).sum())
+    solved = np.abs(events.array("jump")[events.array("fallback") == 0])
+    own = {"dtec": "discrete energy", "mhc": "modified Hamiltonian"}[events.method]
+    text = f"{events.method.upper()}, {int(events.array('iterations').sum())} evaluations"
+    if len(solved) and scale > 0:
+        text += f", {own} kept to {solved.max() / scale:.2g} of the largest kinetic energy"
+    if fallbacks:
+        text += f", {fallbacks} fallbacks to CTEC"
+    return [("map", text)]
 
 
 if __name__ == "__main__":

@@ -146,6 +146,11 @@ class EventLog(Sequence[Event]):
         kept = 1.0 - self._arrays["restitution"] ** 2
         return np.asarray(kept * self._arrays["gamma_minus"] ** 2 / (2.0 * self._arrays["G_c"]))
 
+    def total(self, values: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sum of `values` (n,) of the events until each of these times [s], those at it included."""
+        sums = np.concatenate([[0.0], np.cumsum(values)])
+        return np.asarray(sums[np.searchsorted(self._arrays["time"], t, side="right")])
+
     def __len__(self) -> int:
         return int(self._arrays["time"].shape[0])
 

@@ -98,8 +98,7 @@ class Ledger:
     @cached_property
     def loss(self) -> Array:
         """What restitution took until each node [J], >= 0, shape (N,)."""
-        total = np.concatenate([[0.0], np.cumsum(self.event_loss)])
-        return np.asarray(total[np.searchsorted(self.events.array("time"), self.t, side="right")])
+        return self.events.total(self.event_loss, self.t)
 
     # -- per event -----------------------------------------------------------------------------------------------------
 

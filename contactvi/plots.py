@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _ENERGY, _MODIFIED, _CORRECTED, _IMPACT, _LIMIT = "#1f5fa8", "#e08a00", "#2f9e83", "#c8371b", "#7a5ab5"
+_DISCRETE = "#7d6608"
 _MAX_MARKS = 400  # impacts drawn as lines
 _MAX_PAIRS = 6  # gaps drawn
 
 
 def plot(traj: Trajectory) -> Figure:
-    """Return a figure of a run: energy relative to its start, the same without the impacts, gaps of touching pairs.
+    """Return a figure of a run: energy relative to its start, the same with losses put back, gaps of touching pairs.
 
     The figure belongs to no window (matplotlib.figure.Figure): notebooks show it, `figure.savefig` writes it.
     """
@@ -62,18 +63,25 @@ def _draw_energy(axis: Axes, traj: Trajectory) -> None:
 
 
 def _draw_error(axis: Axes, traj: Trajectory) -> None:
-    """Energy without what the impacts took: for a system without damping and inputs, the error of the integrator."""
-    energy, modified = traj.energy, traj.modified_energy
-    taken = traj.impact_energy
-    axis.plot(traj.t, energy - energy[0] - taken, color=_CORRECTED, lw=1.2, label="H - H(0) - impacts")
-    axis.plot(
-        traj.t,
-        modified - modified[0] - taken,
-        color=_MODIFIED,
-        lw=1.0,
-        ls=(0, (4, 3)),
-        label="the same of the modified H",
-    )
+    """Energies with the losses of the impacts put back; the thick one is what the impact map of the run conserves.
+
+    For a system without damping and inputs the rest is the error of the integrator and of the impact map.
+    """
+    own, lost = traj.events.method, traj.impact_loss
+    curves = [
+        ("ctec", "H - H(0) + losses", traj.energy, _CORRECTED, "-"),
+        ("mhc", "the same of the modified H", traj.modified_energy, _MODIFIED, (0, (4, 3))),
+    ]
+    if own == "dtec":  # has gaps where an impact cuts the step: what DTEC keeps is that of the parts of those steps
+        curves.append(("dtec", "the same of the discrete energy of whole steps", traj.discrete_energy, _DISCRETE, "-"))
+    for method, name, energy, color, style in curves:
+        change = energy + lost
+        known = change[np.isfinite(change)]
+        if not len(known):
+            continue
+        kept = "kept across the parts of cut steps by DTEC" if own == "dtec" else f"conserved by {own.upper()}"
+        label, width = (f"{name} ({kept})", 1.8) if method == own else (name, 1.0)
+        axis.plot(traj.t, change - known[0], color=color, lw=width, ls=style, label=label)
     axis.set_ylabel("damping, inputs,\nintegrator [J]")
     axis.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3))
     _legend(axis)

@@ -121,9 +121,13 @@ class Trajectory:
 
     @property
     def impact_energy(self) -> Array:
-        """Energy given by the impacts up to each node (<= 0) [J], shape (N,)."""
-        total = np.concatenate([[0.0], np.cumsum(self.events.energy_change)])
-        return np.asarray(total[np.searchsorted(self.events.array("time"), self.t, side="right")])
+        """H(p_plus) - H(p_minus) of the impacts up to each node [J], shape (N,); minus the loss with CTEC."""
+        return self.events.total(self.events.energy_change, self.t)
+
+    @property
+    def impact_loss(self) -> Array:
+        """What restitution took up to each node (>= 0) [J], shape (N,); what every impact map takes from its scalar."""
+        return self.events.total(self.events.loss, self.t)
 
     @property
     def visuals(self) -> list[Any]:

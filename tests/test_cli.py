@@ -180,6 +180,18 @@ def test_check_mjcf(command):
     assert "hinge" in result.stdout
 
 
+def test_check_prints_the_report_of_a_refused_model(command):
+    """What was found up to the refusal, then the refusal."""
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    Path("arm.urdf").write_text(
+        f'<robot name="arm"><link name="a"><inertial><mass value="-1"/>{inertia}</inertial></link></robot>'
+    )
+    result = command("check", "arm.urdf")
+    said(result, ">= 0 kg")
+    assert "Refused (this model" in result.stdout
+    assert "Findings: 1 refused" in result.stdout
+
+
 def test_wrong_input_of_check(command):
     said(command("check", "hand.sdf"), ".urdf")
     said(command("check", "hand"), "no ending")
