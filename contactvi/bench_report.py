@@ -98,7 +98,8 @@ def table(result: Bench) -> list[str]:
             f"{row.impact:<6}{row.dt:>12.6g}{row.error:>11.2e}{order:>8}{row.energy_error:>12.2e}"
             f"{_time(row.seconds):>11}{row.impacts:>9}{'  ' + row.note if row.note else ''}"
         )
-    slopes = [f"{impact} {result.slope(impact):.2f}" for impact in dict.fromkeys(r.impact for r in result.rows)]
+    maps = dict.fromkeys(row.impact for row in result.rows)
+    slopes = [f"{impact} {result.slope(impact):.2f}".replace("nan", "none seen") for impact in maps]
     lines += ["", "order over the ladder: " + ", ".join(slopes)]
     lines += ["error: largest |q - q_ref| at common nodes, m and rad together; energy: without what impacts took"]
     return lines + [f"note: {text}" for text in result.warnings]
@@ -125,7 +126,8 @@ def save_plot(result: Bench, path: str | os.PathLike[str], title: str = "") -> P
         color, mark = _COLORS.get(impact, "black"), _MARKS.get(impact, "x")
         good = [row for row in result.good() if row.impact == impact and row.error > 0]
         poor = [row for row in result.rows if row.impact == impact and row.note and row.error > 0]
-        label = f"{impact}, order {result.slope(impact):.2f}"
+        slope = result.slope(impact)
+        label = f"{impact}, order {slope:.2f}" if np.isfinite(slope) else f"{impact}, no order seen"
         for axis, x, y in ((work, "error", "seconds"), (order, "dt", "error")):
             axis.loglog([getattr(r, x) for r in good], [getattr(r, y) for r in good], mark + "-", color=color,
                         ms=5, lw=1.3, alpha=0.85, label=label)  # fmt: skip

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from run_scenes import ball_file, hand_scene
 from test_cli import WRONG_INPUT, command  # noqa: F401
@@ -95,6 +96,26 @@ def test_accumulation_bounds_the_horizon(tmp_path):
     assert any(row.impact == "ctec" and not row.note for row in result.rows)
     assert all(np.isfinite(row.error) and np.isfinite(row.seconds) for row in result.rows)
     assert "ctec, dt = " in advice(result)
+
+
+def test_chaotic_motion_has_a_horizon(tmp_path):
+    """A double pendulum thrown over the top: runs of different dt part after some seconds, and the bench says when."""
+    model = pin.Model()
+    inertia, parent = pin.Inertia(1.0, np.array([0.0, 0.0, -1.0]), 1e-3 * np.eye(3)), 0
+    for k in range(2):
+        place = pin.SE3(np.eye(3), np.array([0.0, 0.0, -float(k)]))
+        parent = model.addJoint(parent, pin.JointModelRY(), place, f"j{k}")
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+    scene = cvi.Scene.from_pinocchio(model)
+    scene.set_joint("j*", limits=False)
+    scene.q0, scene.v0 = np.array([2.5, 1.0]), np.zeros(2)
+    result = bench(scene, budget=10, dt=0.01, duration=40.0)
+    assert 1.0 < result.horizon < 20.0
+    assert any("agree up to" in text for text in result.warnings)
+    # Up to there the finest run measures its own error and not the reference's.
+    finest = result.rows[-1]
+    assert finest.note == ""
+    assert 3.0 * result.reference_error < finest.error
 
 
 def test_start_in_penetration(tmp_path):

@@ -1,0 +1,161 @@
+"""contactvi and its peers on S1 to S6: wall time per simulated second against error, in one run on one machine.
+
+    python benchmarks/peers/compare.py [--scenes S1,S4_e1] [--peers contactvi,mujoco] [-o DIR] [--repeats 3]
+
+Runs in an environment with contactvi. Each peer runs in its own interpreter, given by CONTACTVI_PEER_MUJOCO,
+CONTACTVI_PEER_DRAKE, CONTACTVI_PEER_JIMINY, CONTACTVI_PEER_PYBULLET, or in this one where it is installed here; a peer
+that is in neither is left out, and the table says so. Writes peers.csv, peers.md and peers.png into DIR and prints the
+table. Error: largest |q - q_ref| over the samples every 0.1 s [rad, m]. Time: fastest run, measured inside the process
+after a warm-up, without loading, with taking the state at each sample. One thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import scenes
+from report import markdown, picture
+from settings import PEERS, settings
+
+import contactvi as cvi
+
+HERE = Path(__file__).resolve().parent
+MODULES = {"mujoco": "mujoco", "drake": "pydrake", "jiminy": "jiminy_py", "pybullet": "pybullet"}
+PACKAGES = ("pin", "scipy", "mujoco", "drake", "jiminy-py", "pybullet")
+_VERSIONS = (
+    "import importlib.metadata as m, json; have = {d.metadata['Name'].lower(): d.version for d in m.distributions()}; "
+    "print(json.dumps({n: have[n] for n in %r if n in have}))"
+)
+
+
+def interpreter(peer: str) -> str | None:
+    """The peer's Python; None where there is none."""
+    given = os.environ.get(f"CONTACTVI_PEER_{peer.upper()}")
+    if given:
+        return given
+    here = peer not in MODULES or importlib.util.find_spec(MODULES[peer]) is not None
+    return sys.executable if here else None
+
+
+def versions(peers: list[str]) -> dict[str, str]:
+    """Versions of what is compared, as each interpreter has it."""
+    found = {"contactvi": cvi.__version__}
+    for peer in peers:
+        python = interpreter(peer)
+        if python:
+            out = subprocess.run([python, "-c", _VERSIONS % (PACKAGES,)], capture_output=True, text=True, check=True)
+            found = {**json.loads(out.stdout), **found}
+    return found
+
+
+def job_of(scene: scenes.Scene, folder: Path) -> dict[str, Any]:
+    """The scene as plain data; its URDF is written into the folder."""
+    model, urdf = scene.model, scenes.to_urdf(scene)
+    file = folder / f"{scene.name}.urdf"
+    file.write_text(urdf)
+    balls = [{"joint": j, "centre": c.tolist(), "radius": r} for j, c, r in scene.balls]
+    return {
+        "name": scene.name, "urdf": urdf, "urdf_file": str(file), "joints": list(model.names)[1:],
+        "q0": scene.q0.tolist(), "v0": scene.v0.tolist(), "duration": scene.duration, "sample": scenes.SAMPLE,
+        "gravity": scenes.GRAVITY, "balls": balls, "wall": scene.wall, "floor": scene.floor,
+        "neighbours": scene.neighbours, "restitution": scene.restitution,
+    }  # fmt: skip
+
+
+def call(peer: str, job: dict[str, Any], folder: Path, repeats: int, slow: float, timeout: float) -> list[dict]:
+    """Run a peer's settings in its interpreter."""
+    job_file, out_file = folder / "job.json", folder / "out.json"
+    job_file.write_text(json.dumps(job))
+    out_file.unlink(missing_ok=True)
+    python = interpreter(peer)
+    assert python is not None
+    command = [python, str(HERE / f"peer_{peer}.py"), str(job_file), str(out_file), str(repeats), str(slow)]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    if peer not in ("contactvi", "scipy"):
+        environment.pop("PYTHONPATH", None)  # a foreign interpreter has its own packages
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, env=environment)
+    except subprocess.TimeoutExpired:
+        return [{"setting": s, "times": [], "failed": f"longer than {timeout:g} s"} for s in job["settings"]]
+    if not out_file.exists():
+        return [{"setting": s, "times": [], "failed": done.stderr[-200:]} for s in job["settings"]]
+    return json.loads(out_file.read_text())
+
+
+def energies(scene: scenes.Scene, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    model, data = scene.model, scene.model.createData()
+    return np.array([
+        pin.computeKineticEnergy(model, data, a, b) + pin.computePotentialEnergy(model, data, a)
+        for a, b in zip(q, v, strict=True)
+    ])  # fmt: skip
+
+
+def judge(scene: scenes.Scene, result: dict[str, Any], q_ref: np.ndarray, peer: str) -> dict[str, Any]:
+    """A row of the results."""
+    row = {"scene": scene.name, "peer": peer, "setting": result["setting"], "failed": result.get("failed", "")}
+    row.update(error=np.inf, energy_error=np.nan, ms_per_s=np.nan, runs=len(result["times"]))
+    if row["failed"]:
+        return row
+    q, v = np.array(result["q"], dtype=float), np.array(result["v"], dtype=float)
+    row["ms_per_s"] = 1e3 * min(result["times"]) / scene.duration
+    if q.shape == q_ref.shape and np.isfinite(q).all():
+        row["error"] = float(np.linalg.norm(q - q_ref, axis=1).max())
+        if scene.restitution == 1.0:  # all other scenes conserve energy
+            start = energies(scene, scene.q0[None], scene.v0[None])[0]
+            row["energy_error"] = float(abs(energies(scene, q, v)[-1] - start))
+    return row
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", default=",".join(scenes.NAMES))
+    parser.add_argument("--peers", default=",".join(PEERS))
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument(
+        "--slow", type=float, default=1.5, help="a setting whose first run takes longer is run once [s]"
+    )
+    parser.add_argument("--timeout", type=float, default=120.0, help="of one peer on one scene [s]")
+    parser.add_argument("-o", "--output", type=Path, default=Path("peers-results"))
+    args = parser.parse_args()
+    wanted = args.peers.split(",")
+    peers = [peer for peer in wanted if interpreter(peer)]
+    rows: list[dict[str, Any]] = []
+    own: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for scene_name in args.scenes.split(","):
+            scene = scenes.make(scene_name)
+            q_ref, own[scene_name] = scenes.reference(scene)
+            for peer in peers:
+                job = {**job_of(scene, folder), "settings": settings(peer, scene_name)}
+                if job["settings"]:
+                    results = call(peer, job, folder, args.repeats, args.slow, args.timeout)
+                    rows += [judge(scene, result, q_ref, peer) for result in results]
+                print(f"{scene_name} {peer}", file=sys.stderr, flush=True)
+    args.output.mkdir(parents=True, exist_ok=True)
+    with (args.output / "peers.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(
+            file, ["scene", "peer", "setting", "error", "energy_error", "ms_per_s", "runs", "failed"]
+        )
+        writer.writeheader()
+        writer.writerows({**row, "setting": json.dumps(row["setting"])} for row in rows)
+    missing = [peer for peer in wanted if peer not in peers]
+    text = markdown(rows, own, peers, missing, versions(peers))
+    (args.output / "peers.md").write_text(text)
+    picture(rows, own, args.output / "peers.png")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
