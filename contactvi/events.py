@@ -16,6 +16,7 @@ FALLBACKS = (
     "plastic: without rebound the map's equation is singular",
     "no convergence: no root near CTEC's impulse",
     "inadmissible: the root pulls or does not separate",
+    "grazing: too slow for the equation to fix the impulse, its root is far from CTEC's",
 )
 
 # name -> (width, dtype) of one event's entry; width 0 is a scalar, "q" and "v" the size of the configuration and of

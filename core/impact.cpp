@@ -1,6 +1,5 @@
 #include "impact.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 namespace contactvi {
@@ -8,6 +7,7 @@ namespace contactvi {
 namespace {
 constexpr double kExact = 8e-16;   // of the energies that add up to the scalar: nothing left to improve
 constexpr double kAccept = 1e-12;  // of the kinetic energy of the normal motion
+constexpr double kFar = 0.5;       // of CTEC's impulse: a root beyond it belongs to a grazing impact
 constexpr int kMaxIterations = 30;
 }  // namespace
 
@@ -41,9 +41,9 @@ ImpactResult solve_impact(const ImpactProblem& problem, const ImpactResult& ctec
     }
     if (std::abs(mismatch) <= exact) break;
     const double secant = k == 0 ? slope : (mismatch - previous) / (lambda - previous_lambda);
-    // Slow impacts have roots far from CTEC's (DTEC's p+^2 = p-^2 + ... on a ball): reached in strides of CTEC's lambda.
-    const double change = std::clamp(-mismatch / secant, -ctec.impulse, ctec.impulse);
+    const double change = -mismatch / secant;
     if (!std::isfinite(change)) break;
+    if (std::abs(lambda + change - ctec.impulse) > kFar * ctec.impulse) return fall_back(Fallback::kGrazing);
     if (lambda + change == lambda) break;
     previous_lambda = lambda;
     previous = mismatch;

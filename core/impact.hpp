@@ -17,6 +17,7 @@ enum class Fallback : int {
   kPlastic = 1,        // gamma+ = 0: the energy equation is singular, and lambda is CTEC's
   kNoConvergence = 2,  // no root near CTEC's
   kInadmissible = 3,   // a root with lambda < 0 or gamma+ <= 0
+  kGrazing = 4,        // too slow for the equation to fix lambda: its root lies far from CTEC's
 };
 
 struct ImpactProblem {
