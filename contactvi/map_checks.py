@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from contactvi.errors import InputError
+from contactvi.events import EventLog
 from contactvi.options import Options
 from contactvi.scene import Scene
 
@@ -13,6 +17,36 @@ NO_ANSWER_DTEC = (
     "DTEC cannot answer there: the energy it shifts at an impact, m g h times a part of the step, does not shrink with "
     "the flights"
 )
+
+
+_STALL_HITS = 32  # in a row; by chance 2^-32
+_STALL_FLIGHT = 2.0  # steps
+
+
+class Stall:
+    """Finds the bouncing that DTEC keeps alive for ever.
+
+    Where the flights of a bouncing body get as short as the step, the energy that DTEC shifts at an impact balances
+    what restitution takes, and the body goes on bouncing once per step instead of coming to rest: at one contact,
+    flight after flight of less than two steps, each impact loses less than half of what its restitution says.
+    """
+
+    def __init__(self, dt: float) -> None:
+        self._dt = dt
+        self._last: dict[tuple[int, int], tuple[float, int]] = {}  # guard -> time of its last impact, hits in a row
+
+    def find(self, events: EventLog) -> tuple[float, int, int] | None:
+        """Return (time [s], kind, index) where the bouncing stalls in these next events of the run, else None."""
+        columns: list[NDArray[Any]] = [events.array(name) for name in ("time", "kind", "index")]
+        kept = (events.array("restitution") < 1.0) & (events.energy_change > -0.5 * events.loss)
+        for time, kind, index, alive in zip(*columns, kept, strict=True):
+            guard = int(kind), int(index)
+            last, hits = self._last.get(guard, (-np.inf, 0))
+            hits = hits + 1 if alive and time - last < _STALL_FLIGHT * self._dt else 0
+            if hits >= _STALL_HITS:
+                return float(time), *guard
+            self._last[guard] = float(time), hits
+        return None
 
 
 def check_map(scene: Scene, options: Options) -> None:
@@ -24,6 +58,12 @@ def check_map(scene: Scene, options: Options) -> None:
         joint = next(name for name, j in zip(scene.model.names, scene.model.joints, strict=True)
                      if j.nv and np.any(damping[j.idx_v : j.idx_v + j.nv] > 0))  # fmt: skip
         _refuse_global("damping", f"joint {joint!r} is damped", "Use mhc_reference='local', or damping 0")
+
+
+def loses_energy(scene: Scene) -> bool:
+    """Return whether some pair or limit has a restitution below 1."""
+    built = scene._complete()
+    return bool(np.any(built.restitution < 1.0) or np.any(built.arrays.limit_restitution[built.arrays.limits] < 1.0))
 
 
 def check_unforced(options: Options) -> None:

@@ -19,7 +19,7 @@ from contactvi import events as event_log
 from contactvi.endings import REMEDY, describe
 from contactvi.errors import ContactviError, PenetrationError, SimulationError
 from contactvi.ledger import Ledger, Watch
-from contactvi.map_checks import check_map, check_unforced
+from contactvi.map_checks import Stall, check_map, check_unforced, loses_energy
 from contactvi.options import IMPACT_MAPS, Options, check_names
 from contactvi.status import Stats, Status, StatusCode
 from contactvi.trajectory import Trajectory
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, int], object]
 Control = Callable[[float, Array, Array], ArrayLike]
 
-_LEDGER_BLOCK = 500  # steps between two looks at the tolerances of the ledger
+_BLOCK = 500  # steps between two looks at what was recorded, for a ledger with tolerances and for DTEC
 _PROGRESS_PERIOD = 0.1  # s of wall time, the engine's own
 _STATS = [field.name for field in fields(Stats)]
 
@@ -65,7 +65,7 @@ def simulate(
     throw : raise SimulationError (with .status and .trajectory) when the run ends before its time, and
         PenetrationError when it starts in penetration; False returns what was computed, with its status.
     ledger : tolerances on what should be conserved, name -> bound, for example {"own_jump": 1e-10}; where one is
-        exceeded the run ends with the status LEDGER, at most 500 steps later. The names: contactvi.ledger.
+        exceeded the run ends with the status LEDGER. The names: contactvi.ledger.
     progress : called as progress(t, impacts) about ten times a second; True shows a progress bar.
 
     Raises
@@ -181,13 +181,13 @@ class Simulator:
         if forces is not None and np.any(forces):
             check_unforced(self.options)
             self._forced = True
-        if self._watch is None:
+        if self._watch is None and self._stall is None:
             return self._advance(steps, forces, progress)
         last = time.perf_counter()
-        for first in range(0, steps, _LEDGER_BLOCK):
-            count = min(_LEDGER_BLOCK, steps - first)
+        for first in range(0, steps, _BLOCK):
+            count = min(_BLOCK, steps - first)
             self._advance(count, None if forces is None else forces[first : first + count], progress)
-            if not self._watched().ok:
+            if not self._inspect().ok:
                 break
             if progress is not None and time.perf_counter() - last > _PROGRESS_PERIOD:
                 last = time.perf_counter()
@@ -203,9 +203,8 @@ class Simulator:
             raise error
         return status
 
-    def _watched(self) -> Status:
-        """Hold what was recorded since the last call to the tolerances of the ledger; return the status."""
-        assert self._watch is not None
+    def _inspect(self) -> Status:
+        """Look for stalled bouncing and for broken tolerances in what was recorded since the last call."""
         assert self._status is not None
         nodes, events = self._seen
         t, q, p = (np.concatenate(parts[max(0, nodes - 1) :]) for parts in (self._t, self._q, self._p))
@@ -215,10 +214,26 @@ class Simulator:
         self._seen = len(self._t), len(self._events)
         cut = max(0, len(self._t[max(0, nodes - 1)]) - 1)  # of the block before only the last node
         block = Ledger(self._scene_core, self.options.dt, t[cut:], q[cut:], p[cut:], log, self._forced, start)
-        excess = self._watch.check(block)
+        stalled = None if self._stall is None else self._stall.find(log)
+        if stalled is not None and self._status.ok:
+            found = {"pair_kind": stalled[1], "pair": stalled[2], "accumulation_time": stalled[0]}
+            text = describe(StatusCode.ZENO, found, log.label(*stalled[1:]), self.options.impact)
+            self._status = Status(StatusCode.ZENO, text, stalled[0])
+        excess = None if self._watch is None else self._watch.check(block)
         if excess is not None:
             self._status = Status(StatusCode.LEDGER, str(excess), excess.time)
+        if excess is not None or stalled is not None:
+            self._cut(self._status.time)
         return self._status
+
+    def _cut(self, time: float) -> None:
+        """Forget what was recorded after the first node at or after `time` [s]."""
+        t, q, p = (np.concatenate(parts) for parts in (self._t, self._q, self._p))
+        count = int(np.searchsorted(t, time)) + 1
+        self._t[:], self._q[:], self._p[:] = [t[:count]], [q[:count]], [p[:count]]
+        events = event_log.join(self._events, self.scene.model.nq, self.scene.model.nv)
+        early = events["time"] <= max(time, self._t[0][-1])
+        self._events[:] = [{name: values[early] for name, values in events.items()}]
 
     @property
     def t(self) -> float:
@@ -296,6 +311,8 @@ class Simulator:
         self._stats = Stats()
         self._forced = False
         self._watch = Watch(self.options.ledger) if self.options.ledger else None
+        inelastic = self.options.impact == "dtec" and loses_energy(self.scene)
+        self._stall = Stall(self.options.dt) if inelastic else None
         self._seen = (0, 0)  # blocks of nodes and of events that the watch has seen
 
     def _add_node(self, t: float, q: Array, p: Array) -> None:
