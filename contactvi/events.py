@@ -9,8 +9,10 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi.options import IMPACT_MAPS
+
 KINDS = ("contact", "limit")
-METHODS = ("ctec", "dtec", "mhc")
+METHODS = IMPACT_MAPS
 FALLBACKS = (
     None,
     "plastic: without rebound the map's equation is singular",

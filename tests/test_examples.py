@@ -36,9 +36,19 @@ def test_example_runs(path, tmp_path):
 
 
 def test_readme_code_runs(tmp_path):
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    code, _ = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     (tmp_path / "readme.py").write_text(code)
     printed = run(["readme.py"], tmp_path)
     assert "palm_link_0" in printed.splitlines()[-1]  # the ball hits the palm
     assert (tmp_path / "run.npz").stat().st_size > 0
     assert (tmp_path / "run.html").stat().st_size > 0
+
+
+def test_readme_code_of_the_impact_maps_runs(tmp_path):
+    """And prints the three jumps that it says."""
+    _, maps = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    script = tmp_path / "maps.py"
+    script.write_text(f"import contactvi as cvi\n{maps}")
+    energy, discrete, modified = (abs(float(x)) for x in run([str(script)], ROOT).split())
+    assert min(energy, discrete) > 1e-4
+    assert modified < 1e-12

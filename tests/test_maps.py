@@ -277,6 +277,15 @@ def test_reason_of_a_fallback():
         assert run(name, "mhc", 0.0).events.array("fallback")[0] == FALLBACKS.index(plastic.fallback)
 
 
+def test_every_reason_of_the_engine_has_words():
+    header = MODELS.parent / "core" / "impact.hpp"
+    if not header.is_file():
+        pytest.skip("the tests were copied without the engine's source")
+    reasons = re.search(r"enum class Fallback : int \{(.*?)\}", header.read_text(), re.DOTALL)
+    numbers = [int(number) for number in re.findall(r"k\w+ = (\d+)", reasons.group(1))]
+    assert numbers == list(range(len(FALLBACKS)))
+
+
 # -- files and the command line ---------------------------------------------------------------------------------------
 
 
