@@ -236,6 +236,32 @@ def test_orders_on_problem_b(method):
         assert np.abs(orders - [1.96, 1.99, 2.00, 2.00]).max() <= 0.006, orders  # two decimals
 
 
+@maps
+@pytest.mark.parametrize("torque", [0.0, 2.0])
+def test_orders_with_damping_and_a_torque(method, torque):
+    """Neither scalar is constant then: a map that gave back what the forces took in its step would be of order 1."""
+    import contactvi as cvi
+
+    scene = cvi.Scene.from_pinocchio(*problem_b())
+    scene.set_contact(restitution=1.0)
+    for name in list(scene.model.names)[1:]:
+        scene.set_joint(name, damping=0.5)
+
+    def end(h: float, way: str) -> np.ndarray:
+        steps = round(1.2 / h)
+        simulator = map_runs.start(scene, *START_B, h, way)
+        result = simulator.advance(steps, np.tile([torque, -torque], (steps, 1)), 1, None)
+        assert result["code"] == 0, result["message"]
+        assert len(result["events"]["time"]) == 1
+        return np.concatenate([result["q"][-1], result["p"][-1]])
+
+    exact = end(0.04 / 512, "ctec")  # its own error is 32^2 times smaller than the smallest here
+    orders = laws.orders([np.linalg.norm(end(h, method) - exact) for h in (0.04, 0.02, 0.01, 0.005, 0.0025)])
+    assert abs(orders.mean() - 2.0) <= 0.05, orders
+    if method != "dtec":  # whose constant depends on where in its step an impact lies
+        assert np.abs(orders - 2.0).max() <= 0.06, orders
+
+
 def impact_step(method: str, h: float):
     """(step, q, p): one step of problem B with an impact at 0.45 of it."""
     scene, model = public_scene(*problem_b()), problem_b()[0]
