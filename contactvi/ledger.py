@@ -11,6 +11,8 @@ Jumps of the three scalars at an impact (q_c, p_minus -> p_plus; `before` and `a
 - modified Hamiltonian of the full step length, of the node that the step would end at without further impacts less
   that of the node it started from; of several impacts in one step each starts from what the one before it left.
 
+What damping does between the two instants compared (the middles of the parts, the two nodes) is no jump, and taken off.
+
 Tolerances, the keys of `ledger` of a run (options.LEDGER_TOLERANCES), are upper bounds of
 
 - energy, modified_energy, discrete_energy: drift from the start at the recorded nodes, losses added back, relative to
@@ -49,10 +51,24 @@ class Ledger:
     """
 
     def __init__(
-        self, core: Any, dt: float, t: Array, q: Array, p: Array, events: EventLog, forced: bool, start: float
+        self,
+        core: Any,
+        dt: float,
+        t: Array,
+        q: Array,
+        p: Array,
+        events: EventLog,
+        *,
+        damping: Array,
+        forced: bool,
+        start: float,
     ) -> None:
-        """Of nodes t (N,) [s], q (N, nq), p (N, nv) and events of steps dt [s] counted from the time `start` [s]."""
+        """Of nodes t (N,) [s], q (N, nq), p (N, nv) and events of steps dt [s] counted from the time `start` [s].
+
+        damping: of the joints, (nv,). forced: whether there were inputs, which are not known here.
+        """
         self._core, self._dt, self._forced, self._start = core, dt, forced, start
+        self._damping = np.array(damping, dtype=float)
         self.t, self._q, self._p, self.events = t, q, p, events
 
     # -- per node ------------------------------------------------------------------------------------------------------
@@ -132,8 +148,9 @@ class Ledger:
         """Of E_d, loss added back [J], shape (n,)."""
         if self._forced:
             return np.full(len(self.events), np.nan)
-        q, p_minus, p_plus, before, after = map(self.events.array, ("q", "p_minus", "p_plus", "before", "after"))
-        start, end = self._discrete(q, p_minus, -before), self._discrete(q, p_plus, after)
+        q, before, after = map(self.events.array, ("q", "before", "after"))
+        start = self._discrete(q, self.events.array("p_minus"), -before) + 0.5 * self._before[2]
+        end = self._discrete(q, self.events.array("p_plus"), after) - 0.5 * self._after[2]
         chained = self._follows("step", "time", "before")
         start[chained] = end[np.flatnonzero(chained) - 1]
         return end - start + self.event_loss
@@ -143,13 +160,14 @@ class Ledger:
         """Of the modified Hamiltonian over the step, loss added back [J], shape (n,)."""
         if self._forced:
             return np.full(len(self.events), np.nan)
-        q, p_minus, p_plus, before, after = map(self.events.array, ("q", "p_minus", "p_plus", "before", "after"))
+        q_end, p_end, work_after = self._after
+        q_start, p_start, work_before = self._before
+        end = np.asarray(self._core.modified_energy(q_end, p_end, self._dt)) - work_after
+        start = np.asarray(self._core.modified_energy(q_start, p_start, self._dt))
         chained = self._follows("step")
-        first = ~chained
-        end = self._modified(q, p_plus, after)
-        start = np.empty(len(end))
-        start[first] = self._modified(q[first], p_minus[first], -before[first])
         start[chained] = end[np.flatnonzero(chained) - 1]
+        # the work until the first impact of an instant; those after it have none of their own
+        start += np.where(self._follows("step", "time", "before"), 0.0, work_before)
         return end - start + self.event_loss
 
     @cached_property
@@ -202,15 +220,29 @@ class Ledger:
         values[some] = self._core.discrete_energy(q[some], p[some], h[some])
         return values
 
-    def _modified(self, q: Array, p: Array, h: Array) -> Array:
-        """Modified Hamiltonian of the full step where steps h (n,) from these states end."""
-        q, p = q.copy(), p.copy()
+    @cached_property
+    def _before(self) -> tuple[Array, Array, Array]:
+        """The part of the step that ends at each impact, see `_part`."""
+        return self._part(self.events.array("p_minus"), -self.events.array("before"))
+
+    @cached_property
+    def _after(self) -> tuple[Array, Array, Array]:
+        """The rest of the step after each impact, see `_part`."""
+        return self._part(self.events.array("p_plus"), self.events.array("after"))
+
+    def _part(self, p: Array, h: Array) -> tuple[Array, Array, Array]:
+        """Return where steps h (n,) from the impacts end, q and p, and the work of damping [J] over them.
+
+        Negative h: where the step that ended there began. NaN where h is not known.
+        """
+        q, p, work = self.events.array("q").copy(), p.copy(), np.zeros(len(h))
         for i in np.flatnonzero(h != 0.0):
             if not np.isfinite(h[i]):
-                p[i] = np.nan
+                p[i] = work[i] = np.nan
                 continue
-            q[i], p[i] = self._core.step(q[i], p[i], float(h[i]), None, _STEP_TOL)[:2]
-        return np.asarray(self._core.modified_energy(q, p, self._dt))
+            q[i], p[i], v, *_ = self._core.step(q[i], p[i], float(h[i]), None, _STEP_TOL)
+            work[i] = -abs(h[i]) * float(v @ (self._damping * v))
+        return q, p, work
 
 
 class Excess(NamedTuple):

@@ -207,13 +207,17 @@ class Simulator:
         """Look for stalled bouncing and for broken tolerances in what was recorded since the last call."""
         assert self._status is not None
         nodes, events = self._seen
+        if self._watch is None and events == len(self._events):
+            return self._status
         t, q, p = (np.concatenate(parts[max(0, nodes - 1) :]) for parts in (self._t, self._q, self._p))
         arrays = event_log.join(self._events[events:], self.scene.model.nq, self.scene.model.nv)
         log = event_log.EventLog(arrays, self._pair_names, list(self.scene.model.names), self.options.impact)
-        start = float(self._t[0][0])
         self._seen = len(self._t), len(self._events)
         cut = max(0, len(self._t[max(0, nodes - 1)]) - 1)  # of the block before only the last node
-        block = Ledger(self._scene_core, self.options.dt, t[cut:], q[cut:], p[cut:], log, self._forced, start)
+        block = Ledger(
+            self._scene_core, self.options.dt, t[cut:], q[cut:], p[cut:], log,
+            damping=self.scene.model.damping, forced=self._forced, start=float(self._t[0][0]),
+        )  # fmt: skip
         stalled = None if self._stall is None else self._stall.find(log)
         if stalled is not None and self._status.ok:
             found = {"pair_kind": stalled[1], "pair": stalled[2], "accumulation_time": stalled[0]}

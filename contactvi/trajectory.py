@@ -108,10 +108,10 @@ class Trajectory:
     def ledger(self) -> Ledger:
         """What should be conserved, node by node and impact by impact (contactvi.ledger)."""
         if self._ledger is None:
-            start = float(self.t[0])
             self._ledger = Ledger(
-                self._engine(), self.options.dt, self.t, self.q, self.p, self.events, self.forced, start
-            )
+                self._engine(), self.options.dt, self.t, self.q, self.p, self.events,
+                damping=self.scene.model.damping, forced=self.forced, start=float(self.t[0]),
+            )  # fmt: skip
         return self._ledger
 
     @property
