@@ -81,4 +81,9 @@ void end_momentum(const Tree& tree, const VecCRef& p0, const VecCRef& v, double 
   }
 }
 
+double nonconservative_power(const Tree& tree, const VecX& v, const VecX& tau, const StepWorkspace& ws) {
+  if (!tree.has_damping && tau.size() == 0) return 0.0;
+  return v.dot(ws.force - ws.dT + ws.dV);  // dV holds the springs
+}
+
 }  // namespace contactvi

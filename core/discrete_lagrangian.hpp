@@ -34,6 +34,9 @@ bool newton_matrix(const Tree& tree, double h, StepWorkspace& ws, TreeLu& matrix
 // p1 from the workspace left by residual() at the solution v.
 void end_momentum(const Tree& tree, const VecCRef& p0, const VecCRef& v, double h, const StepWorkspace& ws, VecRef p1);
 
+// Power of damping and external forces at the midpoint [W], from the workspace left by residual() at v.
+double nonconservative_power(const Tree& tree, const VecX& v, const VecX& tau, const StepWorkspace& ws);
+
 // dV/dq of the springs at q added to dV, and their energy returned.
 double add_springs(const Tree& tree, const VecCRef& q, VecRef dV);
 

@@ -21,7 +21,10 @@ double energy_after(const ImpactProblem& problem, const VecX& p_plus) {
   problem.integrator.mass().solve(guess);
   if (!problem.integrator.solve(problem.q, p_plus, guess, problem.remainder, problem.tau))
     return std::numeric_limits<double>::quiet_NaN();
-  return discrete_energy(problem.integrator);
+  // E_d belongs to the middle of the rest: what damping and inputs do until there is not the impact's.
+  Integrator& integrator = problem.integrator;
+  const double power = nonconservative_power(integrator.tree(), integrator.v(), problem.tau, integrator.workspace());
+  return discrete_energy(integrator) - 0.5 * problem.remainder * power;
 }
 
 }  // namespace

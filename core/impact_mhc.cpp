@@ -17,7 +17,8 @@ double modified_energy_at_end(const ImpactProblem& problem, const VecX& p_plus) 
     return std::numeric_limits<double>::quiet_NaN();
   integrate(integrator.tree(), problem.q, integrator.v(), problem.remainder, q1);
   end_momentum(integrator.tree(), p_plus, integrator.v(), problem.remainder, integrator.workspace(), p1);
-  return modified_hamiltonian(integrator, q1, p1, problem.dt);
+  const double power = nonconservative_power(integrator.tree(), integrator.v(), problem.tau, integrator.workspace());
+  return modified_hamiltonian(integrator, q1, p1, problem.dt) - problem.remainder * power;
 }
 
 }  // namespace

@@ -173,22 +173,27 @@ bool Simulator::one_step(const VecX& tau, Recording& recording) {
 }
 
 bool Simulator::resolve_event(const Instant& at, Recording& recording) {
-  if (options_.impact != kCtec) target_ = energy_target(at.before);
+  if (options_.impact != kCtec) target_ = energy_target(at.before, at.tau);
   if (!collect_closed(at.time) || !hit_until_separate(at, recording)) return false;
   for (int i = 0; i < closed_count_; ++i) finder_.set_touching(closed_[i].guard, true);
   return judge_accumulation(at.time);
 }
 
-// Value of the map's scalar before the event, losses not yet subtracted.
-double Simulator::energy_target(double before) {
+// Value of the map's scalar before the event, losses not yet subtracted; what damping and inputs have done since the
+// scalar's own instant (the middle of the partial step, or the node) is added, so that the impact does not give it
+// back.
+double Simulator::energy_target(double before, const VecX& tau) {
+  // The integrator still holds the partial step to the event.
+  const double power =
+      before > 0.0 ? nonconservative_power(scene_->tree, integrator_.v(), tau, integrator_.workspace()) : 0.0;
   if (options_.impact == kDtec) {
-    if (before > 0.0) return discrete_energy(integrator_);  // the integrator still holds the partial step to the event
+    if (before > 0.0) return discrete_energy(integrator_) + 0.5 * before * power;
     const Energy now = energy(integrator_, q_, p_);
     return now.kinetic + now.potential;
   }
-  if (options_.mhc_global || target_step_ == step_) return target_;
+  if (options_.mhc_global || target_step_ == step_) return target_ + before * power;
   target_step_ = step_;
-  return modified_hamiltonian(integrator_, q_node_, p_node_, options_.dt);
+  return modified_hamiltonian(integrator_, q_node_, p_node_, options_.dt) + before * power;
 }
 
 ImpactResult Simulator::apply_map(const ImpactProblem& problem) {

@@ -85,7 +85,7 @@ class Simulator {
   bool smooth_step(double time, double h, const VecX& tau);
   bool search_failed(Search outcome, double time);
   bool resolve_event(const Instant& at, Recording& recording);
-  double energy_target(double before);
+  double energy_target(double before, const VecX& tau);
   ImpactResult apply_map(const ImpactProblem& problem);
   bool collect_closed(double time);
   bool hit_until_separate(const Instant& at, Recording& recording);
