@@ -25,9 +25,9 @@ def _over(key: str, values: list[float], **fixed: Any) -> Settings:
 
 def _contactvi(scene: str) -> Settings:
     dts = [5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4]
-    finer = {"S1": [5e-5, 2e-5], "S4_e1": [5e-5, 2e-5, 1e-5], "S4_e05": [5e-5, 2e-5, 1e-5]}
-    if scene == "S2_n100":
-        dts = dts[:-1]
+    finer = {"S1": [2e-5, 5e-6, 2e-6], "S3": [5e-5, 2e-5, 1e-5], "S2_n10": [5e-5, 2e-5], "S5": [], "S6": [5e-5, 2e-5]}
+    if scene.startswith("S4"):
+        finer[scene] = [5e-5, 2e-5, 1e-5]
     maps = ("ctec", "dtec", "mhc") if scene in CONTACT else ("ctec",)  # without impacts the maps are the same
     return [setting for name in maps for setting in _over("dt", dts + finer.get(scene, []), impact=name)]
 
