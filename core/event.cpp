@@ -148,8 +148,8 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& v1, const
     bool earlier = false;
     for (Candidate& other : candidates_) {
       Contact contact;
-      if (other.lo >= event_.alpha || guards_->evaluate(other.guard, contact) >= -guards_->touch_tolerance(other.guard))
-        continue;
+      if (guards_->evaluate(other.guard, contact) >= -guards_->touch_tolerance(other.guard)) continue;
+      if (other.lo >= event_.alpha) other.lo = 0.0;  // the model had it later
       other.hi = event_.alpha;
       if (other.estimate >= other.hi) other.estimate = 0.5 * (other.lo + other.hi);
       earlier = true;
