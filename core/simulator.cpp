@@ -240,7 +240,7 @@ bool Simulator::hit_until_separate(const Instant& at, Recording& recording) {
   for (int i = 0; i < closed_count_; ++i) scale = std::max(scale, std::abs(closed_[i].MinvW.dot(p_)));
   speed_scale_ = std::max(speed_scale_, scale);
   // A contact that never separated is not hit again by what rounding left of its speed.
-  if (finder_.event().persistent && scale <= kPlasticSpeed * speed_scale_) return true;
+  if (finder_.event().persistent && scale <= kSeparated * speed_scale_) return true;
   for (;;) {
     Closed* worst = nullptr;
     double gamma = -kSeparated * scale;
