@@ -6,12 +6,9 @@ import csv
 import io
 import os
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
 
 from contactvi.bench import Bench, Row
 from contactvi.files import write_atomic
@@ -20,33 +17,6 @@ COLUMNS = ("impact", "dt_s", "error", "order", "energy_error_J", "seconds", "imp
 _COLORS = {"ctec": "#1f5fa8", "dtec": "#e08a00", "mhc": "#2f9e83"}
 _MARKS = {"ctec": "o", "dtec": "s", "mhc": "^"}
 _MAX_TARGETS = 3
-
-
-class BenchProgress:
-    """A progress callback for `bench` that draws the share of the budget used; a context manager."""
-
-    def __init__(self, console: Console | None = None) -> None:
-        self._bar = Progress(
-            BarColumn(bar_width=20),
-            TextColumn("{task.percentage:>3.0f} % of the time allowed, {task.fields[text]}"),
-            console=console or Console(stderr=True),
-            transient=True,
-        )
-        self._task = self._bar.add_task("bench", total=1.0, text="")
-
-    def __enter__(self) -> BenchProgress:
-        if self._bar.console.is_terminal:
-            self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
-
-    def __call__(self, share: float, text: str) -> None:
-        """Show the share of the budget used and what is running."""
-        self._bar.update(self._task, completed=share, text=text)
 
 
 def advice(result: Bench) -> str:

@@ -129,11 +129,12 @@ def bench(
     import contactvi as cvi
     from contactvi import bench_report
     from contactvi.bench import bench as measure
+    from contactvi.progress import JobProgress
 
     scene = cvi.load_scene(scene_file)
     folder = output if output is not None else Path(f"{scene_file.stem}-bench")
     _make_folder(folder)
-    with bench_report.BenchProgress(_err) as bar:
+    with JobProgress(_err, time_left=False) as bar:
         result = measure(scene, budget=budget, progress=bar, dt=dt, duration=duration, tol=tol)
     for line in bench_report.table(result):
         _out.print(line, markup=False)
@@ -156,11 +157,12 @@ def reproduce(
 ) -> None:
     """Measure the claims of the paper's Table I and draw its Fig. 1; write report.md, table.csv and pictures."""
     from contactvi import reproduce as reproduction
+    from contactvi.progress import JobProgress
     from contactvi.reproduce_report import summary as verdicts
     from contactvi.reproduce_report import verdict
 
     _make_folder(output)
-    with reproduction.ReproduceProgress(_err) as bar:
+    with JobProgress(_err) as bar:
         result = reproduction.reproduce(output, quick=quick, progress=bar)
     for row in result.rows:
         _out.print(f"[bold]{row.key:<18}[/]{escape(f'{verdict(row):<34} {row.measured}')}")

@@ -10,12 +10,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import TypeVar
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from contactvi import reproduce_figures as figures
 from contactvi import reproduce_laws as laws
@@ -91,35 +88,6 @@ def fine_steps(count: int) -> np.ndarray:
     """Return about `count` steps [s], 0.04 to 0.0025, that divide the duration, evenly on a logarithmic axis."""
     wanted = np.geomspace(DURATION / STEPS[0], DURATION / STEPS[-1], count)
     return np.asarray(DURATION / np.unique(wanted.round()))
-
-
-class ReproduceProgress:
-    """A progress callback for `reproduce` that draws a bar on the terminal; a context manager."""
-
-    def __init__(self, console: Console | None = None) -> None:
-        self._bar = Progress(
-            BarColumn(bar_width=20),
-            TaskProgressColumn(),
-            TextColumn("{task.fields[text]}"),
-            TimeRemainingColumn(compact=True),
-            console=console or Console(stderr=True),
-            transient=True,
-        )
-        self._task = self._bar.add_task("reproduce", total=1.0, text="")
-
-    def __enter__(self) -> ReproduceProgress:
-        if self._bar.console.is_terminal:
-            self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
-
-    def __call__(self, fraction: float, text: str) -> None:
-        """Show the fraction that is done and what is being done."""
-        self._bar.update(self._task, completed=fraction, text=text)
 
 
 class _Stages:
