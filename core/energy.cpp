@@ -7,8 +7,6 @@ namespace contactvi {
 
 namespace {
 
-Twist cross(const Twist& a, const Twist& b) { return {a.ang.cross(b.ang), a.ang.cross(b.lin) + a.lin.cross(b.ang)}; }
-
 Twist operator+(const Twist& a, const Twist& b) { return {a.ang + b.ang, a.lin + b.lin}; }
 
 Twist to_child(const BodyState& body, const Twist& v) {
@@ -35,8 +33,6 @@ Wrench momentum(const Joint& joint, const Twist& v) {
   return {joint.inertia * v.ang + joint.first_moment.cross(v.lin),
           joint.mass * v.lin - joint.first_moment.cross(v.ang)};
 }
-
-double dot(const Wrench& f, const Twist& v) { return f.ang.dot(v.ang) + f.lin.dot(v.lin); }
 
 double project(const Joint& joint, const Wrench& f, int d) {
   switch (joint.type) {

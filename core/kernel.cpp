@@ -118,12 +118,6 @@ inline Twist subspace(const Joint& joint, int d) {
   }
 }
 
-inline Twist cross(const Twist& a, const Twist& b) {
-  return {a.ang.cross(b.ang), a.ang.cross(b.lin) + a.lin.cross(b.ang)};
-}
-
-inline double dot(const Wrench& f, const Twist& v) { return f.ang.dot(v.ang) + f.lin.dot(v.lin); }
-
 void composite_inertias(const Tree& tree, KernelWorkspace& ws) {
   const int n = static_cast<int>(tree.joints.size());
   for (int i = 0; i < n; ++i)

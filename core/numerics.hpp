@@ -29,6 +29,12 @@ struct Twist {
   Vec3 lin;
 };
 
+// Motion cross product and power.
+inline Twist cross(const Twist& a, const Twist& b) {
+  return {a.ang.cross(b.ang), a.ang.cross(b.lin) + a.lin.cross(b.ang)};
+}
+inline double dot(const Wrench& f, const Twist& v) { return f.ang.dot(v.ang) + f.lin.dot(v.lin); }
+
 // Coefficients of the functions of xi used in one midpoint step, theta = |xi|:
 //   exp(xi)      x = x + sin_t xi*x + cos_t xi*(xi*x)          sin_t = sin(theta)/theta, cos_t = (1-cos theta)/theta^2
 //   Jl(xi)       x = x + cos_t xi*x + cub_t xi*(xi*x)          cub_t = (theta - sin theta)/theta^3
