@@ -66,6 +66,7 @@ def test_a_smooth_step_allocates_nothing(tmp_path):
     # The child finds contactvi the way this interpreter does, installed or in place.
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(PROGRAM)],
+        cwd=tmp_path,  # the source root would shadow the installed package
         env=dict(os.environ, LD_PRELOAD=str(shim), PYTHONPATH=os.pathsep.join(p for p in sys.path if p)),
         capture_output=True,
         text=True,
