@@ -167,12 +167,15 @@ def test_error_in_progress_reaches_the_caller():
 
 @pytest.mark.parametrize("control", [None, lambda t, q, v: np.zeros(6)])
 def test_ctrl_c_leaves_the_partial_trajectory(control):
+    # A shell starts background jobs with SIGINT ignored; Python then has no handler of its own.
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
     try:
         traj = cvi.simulate(ball_scene(), control=control, throw=False, **LONG)
     finally:
         timer.cancel()
+        signal.signal(signal.SIGINT, handler)
     assert traj.status.code == cvi.StatusCode.INTERRUPTED
     assert 0 < traj.t[-1] < LONG["duration"]
     assert traj.t[-1] == traj.status.time
