@@ -131,8 +131,8 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& v1, const
   candidates_.clear();
   for (const Candidate& suspect : suspects) {
     const double end_gap = suspect.estimate;
-    failed_gap_ = end_gap;
-    const Search outcome = touching_[suspect.guard] ? check_touching(suspect.guard) : check(suspect.guard);
+    const Search outcome =
+        touching_[suspect.guard] ? check_touching(suspect.guard, end_gap) : check(suspect.guard, end_gap);
     if (outcome == Search::kNewtonFailed || outcome == Search::kUnresolved) return outcome;
   }
   while (!candidates_.empty()) {
@@ -178,16 +178,14 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& v1, const
   return Search::kNone;
 }
 
-Search EventFinder::check(int guard) {
-  const double end_gap = failed_gap_;
+Search EventFinder::check(int guard, double end_gap) {
   if (!start_velocity() || !prepare_model()) return fail(Search::kNewtonFailed, guard, 0);
   const double start_gap = model_gap(guard, 0.0);
   if (start_gap <= 0.0) {
     // Rounding: it touches although nothing hit it yet. Deeper is a contradiction.
     if (start_gap < -guards_->touch_tolerance(guard)) return fail(Search::kUnresolved, guard, start_gap);
     touching_[guard] = 1;
-    failed_gap_ = end_gap;
-    return check_touching(guard);
+    return check_touching(guard, end_gap);
   }
   Candidate found{guard, 0.0, 1.0, 1.0, false};
   if (end_gap <= 0.0) {
@@ -200,8 +198,7 @@ Search EventFinder::check(int guard) {
   return Search::kNone;
 }
 
-Search EventFinder::check_touching(int guard) {
-  const double end_gap = failed_gap_;
+Search EventFinder::check_touching(int guard, double end_gap) {
   if (end_gap >= -kClosing) {
     if (end_gap <= guards_->touch_tolerance(guard)) return Search::kNone;  // still touching
     if (!start_velocity() || !prepare_model()) return fail(Search::kNewtonFailed, guard, 0);

@@ -49,8 +49,8 @@ class EventFinder {
     double estimate;
     bool touching;  // lo has to be found first
   };
-  Search check(int guard);
-  Search check_touching(int guard);
+  Search check(int guard, double end_gap);
+  Search check_touching(int guard, double end_gap);
   bool find_dip(int guard, double lo, double gap_lo, double hi, double gap_hi, int depth, Candidate& found);
   Search locate(Candidate& candidate, bool& exists);
   bool start_velocity();
