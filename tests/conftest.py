@@ -1,4 +1,4 @@
-"""What every test shares: the gate of the browser tests."""
+"""What every test shares: the gate of the browser tests, and the command line run in an empty folder."""
 
 from __future__ import annotations
 
@@ -19,3 +19,23 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     if os.environ.get("CI") == "true":
         pytest.fail(f"CI=true, but the browser is {message}", pytrace=False)
     pytest.skip(message)
+
+
+@pytest.fixture
+def command(tmp_path, monkeypatch):
+    """Run a command in an empty folder; returns the result with .exit_code, .stdout and .stderr."""
+    # Imported here: most tests need no command line.
+    from typer.testing import CliRunner
+
+    from contactvi.cli import app
+
+    monkeypatch.chdir(tmp_path)
+    # Wide enough that no line is broken, whatever terminal the tests run in.
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*arguments: object):
+        result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+        assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+        return result
+
+    return run

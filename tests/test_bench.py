@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from run_scenes import ball_file, hand_scene
-from test_cli import WRONG_INPUT, command  # noqa: F401
+from test_cli import WRONG_INPUT
 
 import contactvi as cvi
 from contactvi.bench import Bench, Row, bench
@@ -65,7 +65,7 @@ def test_maps_of_an_elastic_impact_have_order_two():
     assert result.reference_error < min(row.error for row in result.rows)
 
 
-def test_command_writes_table_picture_and_advice(command, pendulum):  # noqa: F811
+def test_command_writes_table_picture_and_advice(command, pendulum):
     result = command("bench", pendulum, "-o", "out", "--budget", 5)
     assert result.exit_code == 0
     assert sorted(path.name for path in Path("out").iterdir()) == ["bench.csv", "bench.png"]
@@ -79,7 +79,7 @@ def test_command_writes_table_picture_and_advice(command, pendulum):  # noqa: F8
     assert re.search(r"error 1e-0\d: ctec, dt = 0\.\d+ s \(.* ms\)", line), line
 
 
-def test_wrong_input(command, pendulum):  # noqa: F811
+def test_wrong_input(command, pendulum):
     for arguments in (("none.toml",), (pendulum, "--budget", 0), (pendulum, "--dt", 0.03), (pendulum, "--dt", -1)):
         result = command("bench", *arguments)
         assert result.exit_code == WRONG_INPUT

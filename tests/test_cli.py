@@ -9,30 +9,12 @@ import sys
 import time
 from pathlib import Path
 
-import pytest
 from run_scenes import HAND_URDF, ball_file
-from typer.testing import CliRunner
 
 import contactvi as cvi
-from contactvi.cli import app
 from contactvi.progress import RunProgress, describe
 
 OK, WRONG_INPUT, ENDED_EARLY = 0, 2, 3
-
-
-@pytest.fixture
-def command(tmp_path, monkeypatch):
-    """Run a command in an empty folder; returns the result with .exit_code, .stdout and .stderr."""
-    monkeypatch.chdir(tmp_path)
-    # Wide enough that no line is broken, whatever terminal the tests run in.
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments: object):
-        result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-        assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-        return result
-
-    return run
 
 
 # -- run --------------------------------------------------------------------------------------------------------------
