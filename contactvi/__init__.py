@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from contactvi import errors
+    from contactvi.dense import State
     from contactvi.errors import (
+        AccuracyWarning,
         ContactviError,
         InputError,
         PenetrationError,
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOME = {
+    "AccuracyWarning": "errors",
     "ContactviError": "errors",
     "InputError": "errors",
     "PenetrationError": "errors",
@@ -52,6 +55,7 @@ _HOME = {
     "load_scene": "scene_file",
     "simulate": "simulation",  # not "simulate": a submodule of that name would shadow the function
     "Simulator": "simulation",
+    "State": "dense",
     "Stats": "status",
     "Status": "status",
     "StatusCode": "status",
@@ -61,6 +65,7 @@ _HOME = {
 }
 
 __all__ = [
+    "AccuracyWarning",
     "ContactviError",
     "Event",
     "EventLog",
@@ -71,6 +76,7 @@ __all__ = [
     "SceneError",
     "SimulationError",
     "Simulator",
+    "State",
     "Stats",
     "Status",
     "StatusCode",

@@ -30,9 +30,11 @@ _STILL = 1e-7  # m, and the same for the entries of a quaternion
 class Run(Protocol):
     """What of a run is played: contactvi.Trajectory has it."""
 
-    scene: Scene
     t: Array
     events: EventLog
+
+    @property
+    def scene(self) -> Scene: ...
 
     @property
     def visuals(self) -> list[Visual]: ...

@@ -130,7 +130,7 @@ def bench(
             for impact in maps:
                 if impact in refused:
                     continue
-                plan.text = f"{impact}, dt = {plan.options.dt / refine:.3g} s"
+                plan.text = f"{impact}, dt = {plan.options.fixed_dt / refine:.3g} s"
                 try:
                     runs[impact, refine] = plan.run(impact, refine)
                 except PenetrationError:
@@ -148,7 +148,7 @@ def _references(plan: Plan) -> tuple[Run, Run]:
     plan.limit = 0.5
     while True:
         refine = float(REFERENCE * plan.finest)
-        plan.text = f"reference, dt = {plan.options.dt / refine:.3g} s"
+        plan.text = f"reference, dt = {plan.options.fixed_dt / refine:.3g} s"
         try:
             twin = plan.run(IMPACT_MAPS[0], refine / 2)
             reference = plan.run(IMPACT_MAPS[0], refine)
@@ -189,7 +189,7 @@ def _judge(plan: Plan, reference: Run, twin: Run, runs: dict[tuple[str, float], 
         plan.warnings.append("the errors are rounding at every dt: the maps are exact on this motion")
     impacts = int(reference.counts[nodes].sum())
     return Bench(
-        rows, horizon, plan.options.steps * plan.options.dt, plan.options.dt / (REFERENCE * plan.finest),
+        rows, horizon, plan.options.steps * plan.options.fixed_dt, plan.options.fixed_dt / (REFERENCE * plan.finest),
         reference_error, impacts, plan.warnings,
     )  # fmt: skip
 
@@ -266,8 +266,10 @@ def _rows(
         energy = float(np.abs(run.energy[:n] - reference.energy[:n]).max(initial=0.0))
         order = float("nan")
         if rows and not note and not rows[-1].note and error > 0 and rows[-1].error > 0:
-            dt_ratio = rows[-1].dt * refine / plan.options.dt
+            dt_ratio = rows[-1].dt * refine / plan.options.fixed_dt
             order = float(np.log(rows[-1].error / error) / np.log(dt_ratio))
         impacts = int(run.counts[n - 1].sum())
-        rows.append(Row(impact, plan.options.dt / refine, error, energy, seconds[impact, refine], impacts, order, note))
+        rows.append(
+            Row(impact, plan.options.fixed_dt / refine, error, energy, seconds[impact, refine], impacts, order, note)
+        )
     return rows

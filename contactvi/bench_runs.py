@@ -60,7 +60,7 @@ class Plan:
         self.nodes = steps // per_node
         self.stride = next(s for s in range(1, self.nodes + 1) if self.nodes % s == 0 and self.nodes // s <= _MAX_NODES)
         self.nodes //= self.stride
-        self.node_dt = options.dt * per_node * self.stride
+        self.node_dt = options.fixed_dt * per_node * self.stride
         self.coarser, self.finest, self.text = coarser, 1, ""
         self._choose(self._step_cost())
 
@@ -82,7 +82,7 @@ class Plan:
     def run(self, impact: str, refine: float, nodes: int | None = None) -> Run:
         """Run with dt / refine up to a node, and keep the common nodes."""
         count = self.nodes if nodes is None else nodes
-        every = round(self.node_dt / self.options.dt * refine)
+        every = round(self.node_dt / self.options.fixed_dt * refine)
         dt = self.node_dt / every
         traj = simulate(
             self.scene, duration=count * every * dt, dt=dt, impact=impact, record_every=every, throw=False,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -33,8 +34,8 @@ def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: s
             got=f"shape {result.shape}",
             remedy=remedy,
         )
-    bad = np.argwhere(~np.isfinite(result))
-    if len(bad):
+    if not np.isfinite(result).all():
+        bad = np.argwhere(~np.isfinite(result))
         at = ", ".join(str(i) for i in bad[0])
         raise InputError(
             f"{name} is not finite",
@@ -45,45 +46,54 @@ def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: s
     return result
 
 
-def configuration(model: pin.Model, q: Any, name: str = "q0") -> Array:
-    """Return q as an array of shape (nq,), unit complex numbers and quaternions normalised.
+class States:
+    """Checks of the states and forces of one model, with what they need of it looked up once."""
 
-    Raises InputError for a wrong shape, numbers that are not finite, and a norm further than 1e-6 from one.
-    """
-    remedy = "Start from scene.neutral() and set joints with scene.configuration({...}); a free body takes 7 numbers"
-    result = array(name, q, (model.nq,), "one configuration", remedy)
-    if model.nq == model.nv:
+    def __init__(self, model: pin.Model) -> None:
+        self.nq, self.nv = int(model.nq), int(model.nv)
+        self._units: list[tuple[slice, str]] = []  # entries of q that hold a rotation, name of the joint
+        for index in range(1, model.njoints):
+            part = _unit_part(model, index)
+            if part.stop > part.start:
+                self._units.append((part, str(model.names[index])))
+
+    def configuration(self, q: Any, name: str = "q0") -> Array:
+        """Return q as an array of shape (nq,), unit complex numbers and quaternions normalised.
+
+        Raises InputError for a wrong shape, numbers that are not finite, and a norm further than 1e-6 from one.
+        """
+        remedy = (
+            "Start from scene.neutral() and set joints with scene.configuration({...}); a free body takes 7 numbers"
+        )
+        result = array(name, q, (self.nq,), "one configuration", remedy)
+        for part, joint in self._units:
+            values = result[part]
+            norm = math.sqrt(float(values @ values))
+            if abs(norm - 1.0) > _NORM_TOLERANCE:
+                what = "quaternion (x, y, z, w)" if part.stop - part.start == 4 else "pair (cos, sin)"
+                raise InputError(
+                    f"{name} holds a {what} of joint {joint!r} that is not a rotation",
+                    name=name,
+                    expected="norm 1",
+                    got=f"{np.array2string(values, precision=6)} with norm {norm:.6g}",
+                    remedy=f"Normalise {name}[{part.start}:{part.stop}], or start from scene.neutral()",
+                )
+            values /= norm
         return result
-    for index in range(1, model.njoints):
-        part = _unit_part(model, index)
-        norm = float(np.linalg.norm(result[part]))
-        if part.stop > part.start and abs(norm - 1.0) > _NORM_TOLERANCE:
-            what = "quaternion (x, y, z, w)" if part.stop - part.start == 4 else "pair (cos, sin)"
-            raise InputError(
-                f"{name} holds a {what} of joint {model.names[index]!r} that is not a rotation",
-                name=name,
-                expected="norm 1",
-                got=f"{np.array2string(result[part], precision=6)} with norm {norm:.6g}",
-                remedy=f"Normalise {name}[{part.start}:{part.stop}], or start from scene.neutral()",
-            )
-    return np.ascontiguousarray(pin.normalize(model, result))
 
+    def velocity(self, v: Any, name: str = "v0") -> Array:
+        """Return v as an array of shape (nv,); None is rest."""
+        if v is None:
+            return np.zeros(self.nv)
+        return array(name, v, (self.nv,), "one velocity (a free body takes 6 numbers: linear, angular, body frame)")
 
-def velocity(model: pin.Model, v: Any, name: str = "v0") -> Array:
-    """Return v as an array of shape (nv,); None is rest."""
-    if v is None:
-        return np.zeros(model.nv)
-    return array(name, v, (model.nv,), "one velocity (a free body takes 6 numbers: linear, angular, body frame)")
+    def force(self, tau: Any, name: str = "tau") -> Array:
+        """Return one generalized force as an array of shape (nv,)."""
+        return array(name, tau, (self.nv,), "one generalized force")
 
-
-def force(model: pin.Model, tau: Any, name: str = "tau") -> Array:
-    """Return one generalized force as an array of shape (nv,)."""
-    return array(name, tau, (model.nv,), "one generalized force")
-
-
-def forces(model: pin.Model, tau: Any, steps: int, name: str = "control") -> Array:
-    """Return the generalized forces of all steps as an array of shape (steps, nv)."""
-    return array(name, tau, (steps, model.nv), "one generalized force per step")
+    def forces(self, tau: Any, steps: int, name: str = "control") -> Array:
+        """Return the generalized forces of all steps as an array of shape (steps, nv)."""
+        return array(name, tau, (steps, self.nv), "one generalized force per step")
 
 
 def limit_violation(model: pin.Model, q: Array) -> tuple[str, str, float] | None:

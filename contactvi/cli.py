@@ -20,6 +20,7 @@ from contactvi.version import version
 
 if TYPE_CHECKING:
     from contactvi.scene import Scene
+    from contactvi.status import Stats
     from contactvi.trajectory import Trajectory
 
 WRONG_INPUT, ENDED_EARLY = 2, 3
@@ -69,15 +70,24 @@ def run(
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Folder for the results, by default the name of the scene."),
     ] = None,
-    dt: Annotated[float | None, typer.Option(help="Time step in seconds.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Simulated time in seconds, a whole number of steps.")] = None,
+    dt: Annotated[
+        str | None,
+        typer.Option(metavar="NUMBER|auto", help="Time step in seconds, or auto: chosen and measured to meet --tol."),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated time in seconds; a whole number of steps where dt is a number.")
+    ] = None,
     impact: Annotated[str | None, typer.Option(help="Impact map: ctec, dtec or mhc.")] = None,
     mhc_reference: Annotated[
         str | None, typer.Option(help="What mhc conserves: local (value of the step) or global (of the run's start).")
     ] = None,
-    order: Annotated[int | None, typer.Option(help="Order of the integrator: 2.")] = None,
-    tol: Annotated[float | None, typer.Option(help="Tolerance of a step, relative.")] = None,
+    order: Annotated[int | None, typer.Option(help="Order of the integrator: 2, 4, ... 16.")] = None,
+    tol: Annotated[
+        float | None,
+        typer.Option(help="With a number as dt: what a step is solved to, relative. With auto: accuracy of q."),
+    ] = None,
     record_every: Annotated[int | None, typer.Option(help="Keep the state every so many steps.")] = None,
+    sample_dt: Annotated[float | None, typer.Option(help="Keep the state every so many seconds instead.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per simulated second of the playback.")] = 60.0,
     html: Annotated[bool, typer.Option("--html/--no-html", help="Write playback.html.")] = True,
     plot: Annotated[bool, typer.Option("--plot/--no-plot", help="Write energy.png.")] = True,
@@ -89,14 +99,14 @@ def run(
 
     scene = cvi.load_scene(scene_file)
     chosen: dict[str, Any] = {
-        "dt": dt, "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order, "tol": tol,
-        "record_every": record_every,
+        "dt": _step(dt), "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order,
+        "tol": tol, "record_every": record_every, "sample_dt": sample_dt,
     }  # fmt: skip
     settings = settings_of(scene, chosen)
     folder = output if output is not None else Path(scene_file.stem)
     _make_folder(folder)  # before the run: hours of it must not end in "no such folder"
     try:
-        with RunProgress(settings.steps * settings.dt, _err) as bar:
+        with RunProgress(settings.span, _err) as bar:
             traj = cvi.simulate(scene, progress=bar, **chosen)
     except SimulationError as error:
         traj = error.trajectory
@@ -248,6 +258,14 @@ def _read_model(model: str, package_dirs: list[str], base: str) -> Scene:
     return scene
 
 
+def _step(dt: str | None) -> float | str | None:
+    """Return what --dt says: a number, or the text for the checks of the options."""
+    try:
+        return None if dt is None else float(dt)
+    except ValueError:
+        return dt
+
+
 def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -289,17 +307,26 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
     share = f" ({rest / scale:+.2g} of the largest kinetic energy)" if scale > 0 else ""
     guards = stats.guards_evaluated + stats.guards_skipped
     skipped = f", {100.0 * stats.guards_skipped / guards:.3g} % of the guards skipped" if guards else ""
+    solver = "Newton iterations" if traj.options.order == 2 else "sweeps"
     factor = f"{span / stats.seconds:.4g} x real time" if stats.seconds > 0 else ""
     return [
         ("status", f"{traj.status.code.name}: {traj.status.message}"),
-        ("time", f"{span:.9g} s simulated in {stats.steps} steps of {traj.options.dt:.6g} s"),
+        ("time", f"{span:.9g} s simulated in {stats.steps} steps{_rejected(stats)}"),
+        ("method", traj.stepping),
         ("impacts", f"{len(events)}" + (f", {limits} of them at joint limits" if limits else "")),
         *_map_lines(traj, scale),
         ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
         ("", f"{taken:+.6g} J by impacts, {rest:+.3g} J by damping, inputs and integration error{share}"),
         ("wall time", f"{stats.seconds:.3g} s, {factor}"),
-        ("work", f"{stats.iterations} Newton iterations, {stats.factorizations} factorizations{skipped}"),
+        ("work", f"{stats.iterations} {solver}, {stats.factorizations} factorizations{skipped}"),
     ]
+
+
+def _rejected(stats: Stats) -> str:
+    """Return what became of steps that were no good, in words."""
+    texts = [f"{stats.halved} cut in two" * bool(stats.halved), f"{stats.rejected} made again" * bool(stats.rejected)]
+    said = ", ".join(text for text in texts if text)
+    return f" ({said})" if said else ""
 
 
 def _map_lines(traj: Trajectory, scale: float) -> list[tuple[str, str]]:

@@ -107,6 +107,10 @@ class SimulationError(ContactviError):
         super().__init__(what, **kwargs)
 
 
+class AccuracyWarning(UserWarning):
+    """A run with dt="auto" did not reach the accuracy asked of it; `Trajectory.error_estimate` says what it reached."""
+
+
 def nearest(word: str, choices: Iterable[str]) -> str | None:
     """Return the choice most like `word`, or None when nothing is near."""
     names = [str(choice) for choice in choices]

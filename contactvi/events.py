@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, overload
 
 import numpy as np
@@ -114,15 +115,22 @@ class EventLog(Sequence[Event]):
 
     def __init__(
         self,
-        arrays: Mapping[str, NDArray[Any]],
+        arrays: Mapping[str, NDArray[Any]] | Callable[[], Mapping[str, NDArray[Any]]],
         pair_names: Sequence[tuple[str, str]],
         joint_names: Sequence[str],
         method: str = "ctec",
     ) -> None:
-        self._arrays = {name: np.asarray(arrays[name]) for name in FIELDS}
-        self._pair_names = [(str(a), str(b)) for a, b in pair_names]
-        self._joint_names = list(joint_names)
+        """`arrays`: as in FIELDS, or a function that makes them when they are first asked for."""
+        self._source = arrays
+        self._pair_names = pair_names
+        self._joint_names = joint_names
         self.method = method
+
+    @cached_property
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        arrays = self._source() if callable(self._source) else self._source
+        self._source = {}
+        return {name: np.asarray(arrays[name]) for name in FIELDS}
 
     def array(self, name: str) -> NDArray[Any]:
         """Return one field of all events as an array, shape (n,) or (n, width)."""
@@ -200,11 +208,13 @@ def empty_arrays(nq: int, nv: int) -> dict[str, NDArray[Any]]:
 
 def join(parts: Sequence[Mapping[str, NDArray[Any]]], nq: int, nv: int) -> dict[str, NDArray[Any]]:
     """Return the arrays of several logs, one after the other."""
-    parts = [empty_arrays(nq, nv), *parts]
+    empty = empty_arrays(nq, nv)
+    if not parts:
+        return empty
     return {
-        name: np.concatenate(
-            [np.asarray(part[name]).reshape((-1, *parts[0][name].shape[1:])) for part in parts]
-        ).astype(kind)
+        name: np.concatenate([np.asarray(part[name]).reshape((-1, *empty[name].shape[1:])) for part in parts]).astype(
+            kind, copy=False
+        )
         for name, (_, kind) in FIELDS.items()
     }
 

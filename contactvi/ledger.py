@@ -6,12 +6,14 @@ Energies [J], momenta [N s, N m s] about the world's origin, in world axes. A lo
 Jumps of the three scalars at an impact (q_c, p_minus -> p_plus; `before` and `after` the parts of the step):
 
 - energy H: T(p_plus) - T(p_minus) + loss.
-- discrete energy E_d of the partial step that starts at the impact less that of the one that ended there. Of several
-  impacts at one instant each starts from what the one before it left.
-- modified Hamiltonian of the full step length, of the node that the step would end at without further impacts less
-  that of the node it started from; of several impacts in one step each starts from what the one before it left.
+- discrete energy E_d, the mean of E over the Gauss stages, of the partial step that starts at the impact less that of
+  the one that ended there. Of several impacts at one instant each starts from what the one before it left.
+- modified Hamiltonian of the full step length (H itself from order 4 on), of the node that the step would end at
+  without further impacts less that of the node it started from; of several impacts in one step each starts from what
+  the one before it left.
 
-What damping does between the two instants compared (the middles of the parts, the two nodes) is no jump, and taken off.
+What damping does between the two things compared (the stages of the parts, the two nodes) is no jump, and taken off: by
+the Gauss weights of the stages.
 
 Tolerances, the keys of `ledger` of a run (options.LEDGER_TOLERANCES), are upper bounds of
 
@@ -36,6 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.events import EventLog
+from contactvi.options import Options
 
 Array = NDArray[np.float64]
 _STEP_TOL = 1e-13  # of the steps made again, below that of any run
@@ -53,7 +56,7 @@ class Ledger:
     def __init__(
         self,
         core: Any,
-        dt: float,
+        options: Options,
         t: Array,
         q: Array,
         p: Array,
@@ -63,11 +66,17 @@ class Ledger:
         forced: bool,
         start: float,
     ) -> None:
-        """Of nodes t (N,) [s], q (N, nq), p (N, nv) and events of steps dt [s] counted from the time `start` [s].
+        """Of nodes t (N,) [s], q (N, nq), p (N, nv) and events of a run that began at `start` [s].
 
-        damping: of the joints, (nv,). forced: whether there were inputs, which are not known here.
+        options: its settings; of them the order, and dt where all steps have one length. damping: of the joints, (nv,).
+        forced: whether there were inputs, which are not known here.
         """
-        self._core, self._dt, self._forced, self._start = core, dt, forced, start
+        self._core, self._forced, self._start = core, forced, start
+        self._dt = float("nan") if options.auto else options.fixed_dt
+        # order 2 is the default of every function of the engine
+        self._order = {} if options.order == 2 else {"order": options.order}
+        c, b = np.polynomial.legendre.leggauss(options.order // 2)
+        self._gauss = 0.5 * (1.0 + c), 0.5 * b
         self._damping = np.array(damping, dtype=float)
         self.t, self._q, self._p, self.events = t, q, p, events
 
@@ -85,13 +94,15 @@ class Ledger:
 
     @cached_property
     def modified_energy(self) -> Array:
-        """Modified Hamiltonian of the full step [J], shape (N,)."""
-        return np.asarray(self._core.modified_energy(self._q, self._p, self._dt))
+        """Modified Hamiltonian of the full step [J], shape (N,); H from order 4 on."""
+        return self._modified(self._q, self._p)
 
     @cached_property
     def discrete_energy(self) -> Array:
-        """E_d of the step that starts at the node [J], shape (N,); NaN without such a step and with inputs."""
+        """E_d of the step that starts at the node [J], shape (N,); NaN without such a step, with inputs or "auto"."""
         values = np.full(len(self.t), np.nan)
+        if not np.isfinite(self._dt):
+            return values
         step = (self.t - self._start) / self._dt
         index = np.rint(step).astype(np.int64)
         whole = np.abs(step - index) < 1e-6  # a run that ended inside a step has its last node there
@@ -149,8 +160,8 @@ class Ledger:
         if self._forced:
             return np.full(len(self.events), np.nan)
         q, before, after = map(self.events.array, ("q", "before", "after"))
-        start = self._discrete(q, self.events.array("p_minus"), -before) + 0.5 * self._before[2]
-        end = self._discrete(q, self.events.array("p_plus"), after) - 0.5 * self._after[2]
+        start = self._discrete(q, self.events.array("p_minus"), -before) + self._before[3]
+        end = self._discrete(q, self.events.array("p_plus"), after) - self._after[3]
         chained = self._follows("step", "time", "before")
         start[chained] = end[np.flatnonzero(chained) - 1]
         return end - start + self.event_loss
@@ -160,10 +171,10 @@ class Ledger:
         """Of the modified Hamiltonian over the step, loss added back [J], shape (n,)."""
         if self._forced:
             return np.full(len(self.events), np.nan)
-        q_end, p_end, work_after = self._after
-        q_start, p_start, work_before = self._before
-        end = np.asarray(self._core.modified_energy(q_end, p_end, self._dt)) - work_after
-        start = np.asarray(self._core.modified_energy(q_start, p_start, self._dt))
+        q_end, p_end, work_after, _ = self._after
+        q_start, p_start, work_before, _ = self._before
+        end = self._modified(q_end, p_end) - work_after
+        start = self._modified(q_start, p_start)
         chained = self._follows("step")
         start[chained] = end[np.flatnonzero(chained) - 1]
         # the work until the first impact of an instant; those after it have none of their own
@@ -217,32 +228,42 @@ class Ledger:
         """E_d of steps h (n,) from these states; H where the step has no length, NaN where its length is not known."""
         values = np.asarray(self._core.energy(q, p)).sum(axis=1)
         some = h != 0.0
-        values[some] = self._core.discrete_energy(q[some], p[some], h[some])
+        values[some] = self._core.discrete_energy(q[some], p[some], h[some], **self._order)
         return values
 
+    def _modified(self, q: Array, p: Array) -> Array:
+        if self._order:
+            return np.asarray(self._core.energy(q, p)).sum(axis=1)
+        return np.asarray(self._core.modified_energy(q, p, self._dt))
+
     @cached_property
-    def _before(self) -> tuple[Array, Array, Array]:
+    def _before(self) -> tuple[Array, Array, Array, Array]:
         """The part of the step that ends at each impact, see `_part`."""
         return self._part(self.events.array("p_minus"), -self.events.array("before"))
 
     @cached_property
-    def _after(self) -> tuple[Array, Array, Array]:
+    def _after(self) -> tuple[Array, Array, Array, Array]:
         """The rest of the step after each impact, see `_part`."""
         return self._part(self.events.array("p_plus"), self.events.array("after"))
 
-    def _part(self, p: Array, h: Array) -> tuple[Array, Array, Array]:
-        """Return where steps h (n,) from the impacts end, q and p, and the work of damping [J] over them.
+    def _part(self, p: Array, h: Array) -> tuple[Array, Array, Array, Array]:
+        """Return where steps h (n,) from the impacts end, q and p, and what damping does over them [J], twice.
 
-        Negative h: where the step that ended there began. NaN where h is not known.
+        First its work over the whole part, h sum_j b_j P_j with the power P_j = -v_j D v_j at the Gauss stages; second
+        that between the impact and E_d, which is the mean of E over the stages: h sum_ij b_i a_ij P_j, and
+        sum_i b_i a_ij = b_j (1 - c_j). Negative h: where the step that ended there began. NaN where h is not known.
         """
-        q, p, work = self.events.array("q").copy(), p.copy(), np.zeros(len(h))
+        q, p, c, b = self.events.array("q").copy(), p.copy(), *self._gauss
+        whole, near = np.zeros(len(h)), np.zeros(len(h))
         for i in np.flatnonzero(h != 0.0):
             if not np.isfinite(h[i]):
-                p[i] = work[i] = np.nan
+                p[i] = whole[i] = near[i] = np.nan
                 continue
-            q[i], p[i], v, *_ = self._core.step(q[i], p[i], float(h[i]), None, _STEP_TOL)
-            work[i] = -abs(h[i]) * float(v @ (self._damping * v))
-        return q, p, work
+            q[i], p[i], v, *_ = self._core.step(q[i], p[i], float(h[i]), None, _STEP_TOL, **self._order)
+            power = -np.sum(self._damping * np.atleast_2d(v) ** 2, axis=1)  # of the stages, (s,)
+            whole[i] = abs(h[i]) * float(b @ power)
+            near[i] = abs(h[i]) * float((b * (1.0 - c)) @ power)
+        return q, p, whole, near
 
 
 class Excess(NamedTuple):

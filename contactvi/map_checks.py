@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from contactvi.errors import InputError
 from contactvi.events import EventLog
 from contactvi.options import Options
-from contactvi.scene import Scene
+from contactvi.prepared import Prepared
 
 UNFORCED_TOLERANCES = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")
 NO_ANSWER_DTEC = (
@@ -49,21 +49,15 @@ class Stall:
         return None
 
 
-def check_map(scene: Scene, options: Options) -> None:
+def check_map(prepared: Prepared, options: Options) -> None:
     """Raise InputError where the impact map of the options has no answer on this scene."""
     if options.impact == "dtec":
-        _check_rebound(scene)
-    damping = np.asarray(scene.model.damping)
-    if _carries_reference(options) and np.any(damping > 0):
-        joint = next(name for name, j in zip(scene.model.names, scene.model.joints, strict=True)
-                     if j.nv and np.any(damping[j.idx_v : j.idx_v + j.nv] > 0))  # fmt: skip
+        _check_rebound(prepared)
+    if _carries_reference(options) and np.any(prepared.damping > 0):
+        model = prepared.scene().model
+        joint = next(name for name, j in zip(model.names, model.joints, strict=True)
+                     if j.nv and np.any(prepared.damping[j.idx_v : j.idx_v + j.nv] > 0))  # fmt: skip
         _refuse_global("damping", f"joint {joint!r} is damped", "Use mhc_reference='local', or damping 0")
-
-
-def loses_energy(scene: Scene) -> bool:
-    """Return whether some pair or limit has a restitution below 1."""
-    built = scene._complete()
-    return bool(np.any(built.restitution < 1.0) or np.any(built.arrays.limit_restitution[built.arrays.limits] < 1.0))
 
 
 def check_unforced(options: Options) -> None:
@@ -95,8 +89,8 @@ def _refuse_global(name: str, got: str, remedy: str) -> None:
     )
 
 
-def _check_rebound(scene: Scene) -> None:
-    built = scene._complete()
+def _check_rebound(prepared: Prepared) -> None:
+    built = prepared.built
     plastic = [f"{a!r} and {b!r}" for (a, b), e in zip(built.pairs, built.restitution, strict=True) if e == 0.0]
     limited = zip(built.model.names, built.arrays.limits, built.arrays.limit_restitution, strict=True)
     plastic += [f"the limits of joint {name!r}" for name, used, e in limited if used and e == 0.0]

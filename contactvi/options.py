@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
 
 from contactvi.errors import InputError, did_you_mean
 
@@ -17,7 +17,15 @@ LEDGER_TOLERANCES = (
     *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
     *("linear_momentum_jump", "angular_momentum_jump", "impulse", "complementarity", "gap"),
 )
+AUTO = "auto"
+ORDERS = tuple(range(2, 17, 2))
+AUTO_ORDER = 16
+DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
+STEP_TOL, AUTO_TOL = 1e-12, 1e-6
+_FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # tolerances of steps made again
+_OF_THE_KIND = ("tol", "record_every")  # options that mean something else, or nothing, with the other kind of dt
 _STEP_TOLERANCE = 1e-9  # decimal input such as 0.1 / 1e-3 is off by a few eps * steps, a wrong number by far more
+_UNSET: Any = None  # the default depends on other options; resolved in __post_init__
 
 
 @dataclass(frozen=True)
@@ -26,57 +34,101 @@ class Options:
 
     Parameters
     ----------
-    dt : time step [s], > 0.
-    duration : simulated time [s], a whole number of steps: `steps = round(duration / dt)`, and an error when
-        duration / dt is further than 1e-9 (relative) from a whole number. All steps have the same length, because the
-        modified Hamiltonian that the integrator conserves belongs to one step length. None where the caller
-        decides step by step (Simulator).
+    dt : time step [s], > 0: all steps have this length. Or "auto": the step is chosen so that q is accurate to `tol`;
+        it is constant between impacts (contactvi.auto_step). Not with "dtec", inputs or order 2.
+    duration : simulated time [s]. With a number as dt a whole number of steps: `steps = round(duration / dt)`, and an
+        error when duration / dt is further than 1e-9 (relative) from a whole number, because the modified Hamiltonian
+        that the integrator conserves belongs to one step length. None where the caller decides step by step
+        (Simulator).
     impact : impact map (Murphey, Pekarek, Seghete), what the impact conserves besides the momentum along the surface:
         "ctec" the energy, "dtec" the discrete energy of the step, "mhc" the modified Hamiltonian of the integrator.
     mhc_reference : value that "mhc" conserves: "local" that of the start of the step, "global" that of the start of the
         run less the losses of all impacts since (no drift; without damping and inputs only).
-    order : order of the variational integrator; 2 (midpoint rule).
-    tol : the Newton iteration of a step stops at residual <= tol * scale.
-    record_every : every how many steps the state is kept; the first and the last one always are.
+    order : order 2s of the variational integrator with s Gauss stages, an even number from 2 (midpoint rule) to 16; by
+        default 2 for a number as dt and 16 for "auto".
+    tol : it means two things. For a number as dt, how well the equations of a step are solved: relative, in the energy
+        norm, by default 1e-12; the error of q follows from dt and the order. For "auto", the accuracy asked of q: the
+        largest norm of the tangent difference to the true motion over the run [m, rad], by default 1e-6; the equations
+        are then solved to `stage_tol`.
+    record_every : every how many steps the state is kept; the first and the last one always are. 1 with "auto".
     max_impacts_per_step : a run with more impacts in one step ends with the status TOO_MANY_IMPACTS.
     ledger : tolerances on the ledger of the run, name -> bound >= 0 (contactvi.ledger says what is bounded, relative to
         what); the run ends with the status LEDGER where one is exceeded.
-    max_iterations : Newton iterations per step before the run ends with the status NEWTON_FAILED.
+    max_iterations : sweeps (order 2: Newton iterations) per step before it is given up.
+    sample_dt : keep the states at every sample_dt [s] from the start, and the last one, instead of those at the ends of
+        steps: the steps stay what they are, the samples are taken from their polynomials.
+    dense : keep the polynomial of every step, which Trajectory.at evaluates; by default from order 4 on, and with
+        sample_dt.
 
     Raises
     ------
     InputError : for a value that is not of the type or in the range given above.
     """
 
-    dt: float
+    dt: float | Literal["auto"]
     duration: float | None = None
     impact: str = "ctec"
     mhc_reference: str = "local"
-    order: int = 2
-    tol: float = 1e-12
+    order: int = _UNSET
+    tol: float = _UNSET
     record_every: int = 1
     max_impacts_per_step: int = 100_000
-    max_iterations: int = 30
+    max_iterations: int = 50
     ledger: Mapping[str, float] | None = field(default=None, hash=False)
+    sample_dt: float | None = None
+    dense: bool = _UNSET
 
     def __post_init__(self) -> None:
-        _set(self, "dt", _real("dt", self.dt, "the time step in seconds, > 0, for example 1e-3"))
-        _set(self, "tol", _real("tol", self.tol, "a number between 0 and 1, for example 1e-12"))
+        if not self.auto:
+            _set(self, "dt", _real("dt", self.dt, "the time step in seconds, > 0, for example 1e-3, or 'auto'"))
+        tol = (AUTO_TOL if self.auto else STEP_TOL) if self.tol is None else self.tol
+        _set(
+            self, "tol", _real("tol", tol, f"a number between 0 and 1, for example {'1e-6' if self.auto else '1e-12'}")
+        )
         if self.tol >= 1.0:
             raise InputError("tol is too large", name="tol", expected="a number below 1", got=self.tol)
         for name in ("record_every", "max_impacts_per_step", "max_iterations"):
             _set(self, name, _count(name, getattr(self, name)))
         _check_choice("impact", self.impact, IMPACT_MAPS, "Unknown impact map")
         _check_choice("mhc_reference", self.mhc_reference, MHC_REFERENCES, "Unknown reference of MHC")
-        _check_order(self.order)
+        _set(self, "order", _order(self.order, self.auto))
         _set(self, "ledger", _tolerances(self.ledger))
         if self.duration is not None:
             _set(self, "duration", _real("duration", self.duration, "the simulated time in seconds, > 0"))
-            _check_whole(self.duration, self.dt)
+        if self.sample_dt is not None:
+            _set(self, "sample_dt", _real("sample_dt", self.sample_dt, "the time between samples in seconds, > 0"))
+        _set(self, "dense", _dense(self.dense, self.order, self.sample_dt))
+        _check_nodes(self)
+        if self.auto:
+            _check_auto(self)
+        elif self.duration is not None:
+            _check_whole(self.duration, self.fixed_dt)
 
     @property
-    def steps(self) -> int:
-        """Number of steps of the run."""
+    def auto(self) -> bool:
+        """Whether the step is chosen by the run."""
+        return isinstance(self.dt, str) and self.dt == AUTO
+
+    @property
+    def fixed_dt(self) -> float:
+        """The time step [s] of a run with steps of one length; raises InputError for "auto"."""
+        return self.require_fixed()
+
+    def require_fixed(self) -> float:
+        """Return `fixed_dt` or raise its error."""
+        if isinstance(self.dt, str):
+            raise InputError(
+                "This needs steps of one length",
+                name="dt",
+                expected="a time in seconds",
+                got=repr(self.dt),
+                remedy="Give dt=..., for example dt=1e-3",
+            )
+        return self.dt
+
+    @property
+    def span(self) -> float:
+        """The simulated time [s]; raises InputError where there is none."""
         if self.duration is None:
             raise InputError(
                 "The run has no duration",
@@ -85,11 +137,22 @@ class Options:
                 got="none",
                 remedy="Give duration=..., or set it in the scene file",
             )
-        return round(self.duration / self.dt)
+        return self.duration
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of a run with steps of one length."""
+        return round(self.span / self.fixed_dt)
+
+    @property
+    def stage_tol(self) -> float:
+        """What the equations of a step are solved to, relative, in the energy norm."""
+        return min(max(1e-3 * self.tol, 1e-14), 1e-9) if self.auto else self.tol
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as a plain dictionary; `from_dict` reads it back."""
-        return asdict(self)
+        values = {name: getattr(self, name) for name in option_names()}
+        return values | {"ledger": None if self.ledger is None else dict(self.ledger)}
 
     @classmethod
     def from_dict(cls, settings: Mapping[str, Any]) -> Options:
@@ -102,29 +165,55 @@ class Options:
             raise InputError(
                 "The run has no time step",
                 name="dt",
-                expected="a time in seconds",
+                expected="a time in seconds, or 'auto' for a whole run",
                 got="none",
                 remedy="Give dt=..., for example dt=1e-3, or set it in the scene file",
             )
         return cls(**settings)
 
 
-def option_names() -> list[str]:
+_NAMES = tuple(entry.name for entry in fields(Options))
+
+
+def option_names() -> tuple[str, ...]:
     """Return the names of all options."""
-    return [entry.name for entry in fields(Options)]
+    return _NAMES
 
 
 def check_names(settings: Mapping[str, Any]) -> None:
     """Raise InputError for the first key that is not an option."""
     for name in settings:
-        if name not in option_names():
+        if name not in _NAMES:
             raise InputError(
                 f"Unknown option {name!r}",
                 name=str(name),
                 expected="an option of the run",
                 got=repr(name),
-                remedy=did_you_mean(str(name), option_names()),
+                remedy=did_you_mean(str(name), _NAMES),
             )
+
+
+def merged(file: Mapping[str, Any], chosen: Mapping[str, Any], forced: bool = False) -> dict[str, Any]:
+    """Return the settings of a run: those chosen (not None), else those of the scene's file.
+
+    Where neither has a dt it is "auto" if the run allows it (not with `forced`, inputs), else DEFAULT_DT. Where the
+    chosen dt is a number and the file's is not, or the reverse, the file's tol and record_every do not count: they
+    were said of another kind of step.
+    """
+    check_names(chosen)
+    given = {name: value for name, value in chosen.items() if value is not None}
+    if file and given.get("dt") is not None and (given["dt"] == AUTO) != (_with_dt(file)["dt"] == AUTO):
+        file = {name: value for name, value in file.items() if name not in _OF_THE_KIND}
+    return _with_dt({**file, **given}, forced)
+
+
+def _with_dt(settings: Mapping[str, Any], forced: bool = False) -> dict[str, Any]:
+    if settings.get("dt") is not None:
+        return dict(settings)
+    order, watched = settings.get("order"), settings.get("ledger") or ()
+    fixed = forced or order == 2 or settings.get("impact") == "dtec" or settings.get("record_every", 1) != 1
+    fixed = fixed or (isinstance(watched, Mapping) and any(name in watched for name in _FIXED_ONLY))
+    return {**settings, "dt": DEFAULT_DT if fixed else AUTO}
 
 
 def _set(options: Options, name: str, value: Any) -> None:
@@ -175,15 +264,69 @@ def _tolerances(ledger: Any) -> dict[str, float] | None:
     return {str(name): float(bound) for name, bound in ledger.items()}
 
 
-def _check_order(order: Any) -> None:
+def _order(order: Any, auto: bool) -> int:
+    if order is None:
+        return AUTO_ORDER if auto else 2
     whole = isinstance(order, numbers.Integral) and not isinstance(order, bool)
-    if whole and order == 2:
+    if whole and order in ORDERS:
+        return int(order)
+    near = 2 if not whole else min(max(int(order) + int(order) % 2, 2), 16)
+    raise InputError(
+        "The order of the integrator is not usable",
+        name="order",
+        expected="an even number from 2 to 16",
+        got=repr(order),
+        remedy=f"Use order={near}",
+    )
+
+
+def _dense(dense: Any, order: int, sample_dt: float | None) -> bool:
+    if dense is None:
+        return order >= 4 or sample_dt is not None
+    if not isinstance(dense, bool):
+        raise InputError("dense is not usable", name="dense", expected="True or False", got=repr(dense))
+    if sample_dt is not None and not dense:
+        raise InputError(
+            "Samples are taken from the polynomials of the steps",
+            name="dense",
+            expected="True with sample_dt",
+            got="False",
+            remedy="Leave dense out, or sample_dt",
+        )
+    return dense
+
+
+def _check_nodes(options: Options) -> None:
+    """Only steps of one length are counted, and samples are no steps."""
+    if options.record_every == 1 or not (options.auto or options.sample_dt is not None):
         return
-    if whole and order > 2 and order % 2 == 0:
-        what, remedy = f"Order {order} is not available yet", "Use order=2 with a smaller dt"
-    else:
-        what, remedy = "The order of the integrator is not usable", "Use order=2"
-    raise InputError(what, name="order", expected="2", got=repr(order), remedy=remedy)
+    raise InputError(
+        "record_every counts steps of one length",
+        name="record_every",
+        expected="1 with dt='auto' and with sample_dt",
+        got=options.record_every,
+        remedy="Use sample_dt=... alone: the time between the states that are kept",
+    )
+
+
+def _check_auto(options: Options) -> None:
+    """Raise InputError where a run cannot choose its step."""
+    what, remedy = "The step cannot be chosen by the run", "Give dt as a number, for example dt=1e-3"
+    if options.order < 4:
+        expected = "order >= 4: it is the stages that say what a step leaves out"
+        raise InputError(what, name="order", expected=expected, got=options.order, remedy="Use order=16")
+    if options.impact == "dtec":
+        raise InputError(
+            what,
+            name="impact",
+            expected="'ctec' or 'mhc': DTEC's error depends on where in a step an impact lies, not on its length alone",
+            got="'dtec'",
+            remedy=remedy,
+        )
+    blind = [name for name in options.ledger or () if name in _FIXED_ONLY]
+    if blind:
+        expected = "tolerances of quantities that need no step of a fixed length"
+        raise InputError(what, name="ledger", expected=expected, got=", ".join(blind), remedy=remedy)
 
 
 def _check_whole(duration: float, dt: float) -> None:

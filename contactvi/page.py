@@ -40,7 +40,9 @@ class Run(AnimatedRun, Protocol):
     """What of a run is shown: contactvi.Trajectory has it."""
 
     status: Status
-    options: Any
+
+    @property
+    def stepping(self) -> str: ...
 
 
 def write_html(
@@ -149,7 +151,7 @@ def _description(run: Run, frames: Frames, view: dict[str, Any], title: str, pla
     listed = shown_impacts(run)
     impacts = [_impact(run, int(k)) for k in listed]
     facts = [
-        {"text": f"{duration:.6g} s simulated, dt = {run.options.dt:.6g} s, {len(events)} impacts", "bad": False},
+        {"text": f"{duration:.6g} s simulated, {run.stepping}, {len(events)} impacts", "bad": False},
         {"text": f"impact map {run.events.method.upper()}, contactvi {version()}", "bad": False},
     ]
     if not run.status.ok:

@@ -41,7 +41,7 @@ def plot(traj: Trajectory) -> Figure:
     axes[-1].set_xlabel("time [s]")
     state = "" if traj.status.ok else f", {traj.status.code.name} at {traj.status.time:.6g} s"
     figure.suptitle(
-        f"{traj.t[-1] - traj.t[0]:.6g} s, dt = {traj.options.dt:.6g} s, {len(traj.events)} impacts "
+        f"{traj.t[-1] - traj.t[0]:.6g} s, {traj.stepping}, {len(traj.events)} impacts "
         f"({traj.events.method.upper()}){state}",
         fontsize=11,
     )

@@ -50,6 +50,7 @@ class Scene:
         self._base: tuple[Assembly, Names] | None = None  # of the parts alone
         self._built: Built | None = None  # of everything; dropped by every edit
         self._visual: pin.GeometryModel | None = None
+        self._prepared: Any = None  # contactvi.prepared, of the last run
 
     @property
     def gravity(self) -> np.ndarray:

@@ -12,7 +12,8 @@
     [[joint]]               name (patterns such as "joint_*" allowed), stiffness, rest, damping, limits, restitution
     [initial]               q = { joint = value }, v = { joint = value }, springs_at_rest = true | false
     [[initial.body]]        name, xyz, rpy or quaternion, velocity, angular_velocity    of a free body
-    [run]                   dt, duration, impact, mhc_reference, order, tol, record_every, ...    (options.Options)
+    [run]                   dt = number | "auto", duration, order, tol, impact, mhc_reference, sample_dt, record_every,
+                            dense, ...                              (options.Options)
     [run.ledger]            own_jump = 1e-10, ...                   tolerances (contactvi.ledger)
 
 SI units and radians; rpy is roll-pitch-yaw as in URDF, a quaternion is (x, y, z, w), velocities are in world axes.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 
 class StatusCode(IntEnum):
@@ -41,8 +43,12 @@ class Status:
 class Stats:
     """What a run cost.
 
-    steps, iterations (Newton), residuals (evaluations of the step equation), factorizations, guards_evaluated and
-    guards_skipped (pairs and limits looked at, and those that could not be reached in the step), impacts, seconds.
+    steps : accepted steps of length dt, or with dt="auto" of the lengths chosen.
+    iterations, sweeps : Newton iterations at order 2, sweeps over the stages from order 4 on (two names of one number).
+    residuals : evaluations of the step equation. factorizations : of the mass matrix or the Newton matrix.
+    halved : steps cut in two because their sweeps did not converge. rejected : steps that "auto" made again shorter.
+    guards_evaluated, guards_skipped : pairs and limits looked at, and those that could not be reached in the step.
+    impacts : number of them. seconds : wall time inside the engine.
     """
 
     steps: int = 0
@@ -53,3 +59,15 @@ class Stats:
     guards_skipped: int = 0
     impacts: int = 0
     seconds: float = 0.0
+    sweeps: int = 0
+    halved: int = 0
+    rejected: int = 0
+
+    @classmethod
+    def of(cls, counts: Mapping[str, Any], seconds: float = 0.0) -> Stats:
+        """Return the engine's counts; `seconds` are those of the calls before."""
+        known = {name: counts[name] for name in _COUNTS if name in counts}
+        return cls(**known, seconds=counts["seconds"] + seconds)
+
+
+_COUNTS = tuple(name for name in Stats.__dataclass_fields__ if name != "seconds")

@@ -1,6 +1,7 @@
-"""The file of a run: one npz (a zip of npy arrays), schema 2. Nothing in it is pickled, nothing is executed on loading.
+"""The file of a run: one npz (a zip of npy arrays), schema 3. Nothing in it is pickled, nothing is executed on loading.
 
-N nodes, n events, nq and nv sizes of configuration and velocity; SI units; everything float64 unless it says int64.
+N nodes, n events, m segments, s stages (order / 2), nq and nv sizes of configuration and velocity; SI units; everything
+float64 unless it says int64.
 
 ===================== ============== ===========================================================================
 entry                 shape          meaning
@@ -12,7 +13,7 @@ p                     (N, nv)        momenta M(q) v
 v                     (N, nv)        Pinocchio's tangent velocities (body twist for a free body) [m/s, rad/s]
 kinetic_energy        (N,)           T [J]
 potential_energy      (N,)           V [J], gravity and joint springs
-modified_energy       (N,)           modified Hamiltonian of the midpoint rule [J]
+modified_energy       (N,)           modified Hamiltonian of the midpoint rule, from order 4 on H [J]
 discrete_energy       (N,)           of the step that starts at the node [J], NaN without one; only in runs with DTEC
 gap/time              (M,)           times at which gaps were measured [s], M <= 2000
 gap/value             (M, K)         signed distance [m] of the K pairs header["gap_pairs"], those that touched
@@ -37,21 +38,32 @@ event/after           (n,)           length of the rest of the step after it [s]
 event/q               (n, nq)        configuration at the impact
 event/p_minus         (n, nv)        momentum before
 event/p_plus          (n, nv)        momentum after
+segment/t             (m,)           start of a solved step or partial step [s]; segments only in runs that kept them
+segment/h             (m,)           its length [s]
+segment/q             (m, nq)        configuration at its start
+segment/p             (m, nv)        momentum at its start
+segment/p1            (m, nv)        momentum at its end, before an impact there
+segment/rates         (m, s, nv)     chart rates at the Gauss stages, in the engine's coordinates (core/path.hpp)
+arc/t                 (k,)           with dt "auto" only: from these times on [s]
+arc/dt                (k,)           the steps have these lengths [s]
+frame/time            (f,)           times of frames for pictures between nodes far apart [s], f may be 0
+frame/q               (f, nq)        configurations there
 array/0, array/1 ...  any            arrays (meshes) that the header refers to
 ===================== ============== ===========================================================================
 
 The header is an object with the keys
 
-- format: "contactvi-trajectory"; schema: 2; version: of the contactvi that wrote it
+- format: "contactvi-trajectory"; schema: 3; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (contactvi.Stats)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
-- forced: whether the run had inputs
+- forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
 - scene: Scene.to_dict(); visuals: what the viewer draws, a list of contactvi.visuals.Visual fields
 
 in which {"$array": k} stands for the entry array/k, and NaN, Infinity, -Infinity are written as such.
 
-Schema 1 knew CTEC only; it is read, with event/method, iterations, fallback and jump 0, before and after NaN, and
-forced true, since it did not say.
+Schema 2 knew order 2 and steps of one length, and had no segments, arcs and frames; it is read. Schema 1 knew CTEC
+only; it is read, with event/method, iterations, fallback and jump 0, before and after NaN, and forced true, since it
+did not say.
 """
 
 from __future__ import annotations
@@ -68,6 +80,7 @@ from typing import Any, NoReturn, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi import dense
 from contactvi import events as event_log
 from contactvi.errors import ContactviError, SceneError
 from contactvi.files import write_atomic
@@ -78,7 +91,7 @@ from contactvi.version import version
 from contactvi.visuals import Visual
 
 FORMAT = "contactvi-trajectory"
-SCHEMA = 2
+SCHEMA = 3
 _OLD_EVENTS = {"method": 0.0, "iterations": 0.0, "fallback": 0.0, "jump": 0.0, "before": np.nan, "after": np.nan}
 
 _NODES: dict[str, str | None] = {
@@ -107,12 +120,20 @@ _UNREADABLE = (
 class Run(Protocol):
     """What is stored of a run: contactvi.Trajectory has it (besides the entries per node of the table above)."""
 
-    scene: Scene
     options: Options
     events: event_log.EventLog
     status: Status
     stats: Stats
     forced: bool
+    segments: dense.Segments | None
+    arcs: dict[str, NDArray[np.float64]] | None
+    error_estimate: float
+
+    @property
+    def scene(self) -> Scene: ...
+
+    @property
+    def frames(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 
     @property
     def gaps(self) -> tuple[NDArray[np.float64], list[tuple[str, str]], NDArray[np.float64]]: ...
@@ -134,6 +155,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
         "stats": asdict(traj.stats),
         "method": traj.events.method,
         "forced": traj.forced,
+        "error_estimate": traj.error_estimate,
         "pair_names": traj.scene.pair_names,
         "joint_names": list(traj.scene.model.names),
         "gap_pairs": gap_pairs,
@@ -142,7 +164,10 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
     }
     text = json.dumps(_pack(header, arrays, {}))
     entries: dict[str, Any] = {name: getattr(traj, name) for name in _stored_nodes(traj.options)}
-    entries |= {"gap/time": gap_time, "gap/value": gap_value}
+    entries |= {"gap/time": gap_time, "gap/value": gap_value, "frame/time": traj.frames[0], "frame/q": traj.frames[1]}
+    if traj.segments is not None:
+        entries |= {f"segment/{name}": values for name, values in traj.segments.arrays.items()}
+    entries |= {f"arc/{name}": values for name, values in (traj.arcs or {}).items()}
     entries |= {f"event/{name}": values for name, values in traj.events.arrays.items()}
     entries |= {f"array/{k}": values for k, values in enumerate(arrays)}
     return write_atomic(path, lambda file: np.savez(file, header=np.array(text), **entries))
@@ -168,6 +193,8 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         if header["schema"] == 1:
             _from_schema_1(entries, header)
+        if header["schema"] < SCHEMA:
+            _from_schema_2(entries, header)
         return _build(path, entries, _unpack(header, entries))
     except ContactviError:
         raise
@@ -185,11 +212,11 @@ def _read_header(path: Path, entries: dict[str, NDArray[Any]]) -> dict[str, Any]
         _refuse(path, "a header that is not JSON", error)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         _refuse(path, "an npz of another format")
-    if header.get("schema") not in (1, SCHEMA):
+    if header.get("schema") not in range(1, SCHEMA + 1):
         raise SceneError(
             f"{path} has another schema",
             path=path,
-            expected=f"schema 1 or {SCHEMA}",
+            expected=f"schema 1 to {SCHEMA}",
             got=f"schema {header.get('schema')!r}, written by contactvi {header.get('version')}",
             remedy="Read it with the contactvi that wrote it, or run the scene again",
         )
@@ -202,6 +229,12 @@ def _from_schema_1(entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> 
     count = len(np.atleast_1d(entries["event/time"]))
     for name, value in _OLD_EVENTS.items():
         entries[f"event/{name}"] = np.full(count, value).astype(event_log.FIELDS[name][1])
+
+
+def _from_schema_2(entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
+    """Put in what schema 2 did not have."""
+    header["error_estimate"] = float("nan")
+    entries["frame/time"], entries["frame/q"] = np.zeros(0), np.zeros((0, np.atleast_2d(entries["q"]).shape[1]))
 
 
 def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, Any]:
@@ -232,6 +265,10 @@ def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any])
         "status": Status(StatusCode(status["code"]), str(status["message"]), float(status["time"])),
         "stats": Stats(**header["stats"]),
         "forced": bool(header["forced"]),
+        "segments": _segments(path, entries, sizes, options) if "segment/t" in entries else None,
+        "arcs": _arcs(path, entries) if "arc/t" in entries else None,
+        "error_estimate": float(header["error_estimate"]),
+        "frames": _frames(path, entries, sizes),
         "derived": nodes,
         "gaps": (times, pairs, _entry(path, entries, "gap/value", (len(times), len(pairs)), float)),
         "visuals": visuals,
@@ -256,6 +293,34 @@ def _nodes(
     if not np.all(np.isfinite(nodes["q"])):
         _refuse(path, "configurations that are not finite")
     return nodes
+
+
+def _segments(path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int], options: Options) -> dense.Segments:
+    count = len(_entry(path, entries, "segment/t", (None,), float))
+    sizes = sizes | {"s": options.order // 2}
+    arrays = {}
+    for name, axes in dense.FIELDS.items():
+        arrays[name] = _entry(path, entries, f"segment/{name}", (count, *(sizes[axis] for axis in axes)), float)
+        if not np.all(np.isfinite(arrays[name])):
+            _refuse(path, "segments that are not finite")
+    if count == 0 or np.any(np.diff(arrays["t"]) < 0) or np.any(arrays["h"] <= 0):
+        _refuse(path, "segments that do not follow each other")
+    return dense.Segments(arrays, options.order)
+
+
+def _arcs(path: Path, entries: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    count = len(_entry(path, entries, "arc/t", (None,), float))
+    return {name: _entry(path, entries, f"arc/{name}", (count,), float) for name in ("t", "dt")}
+
+
+def _frames(
+    path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    times = _entry(path, entries, "frame/time", (None,), float)
+    values = _entry(path, entries, "frame/q", (len(times), sizes["q"]), float)
+    if not np.all(np.isfinite(times)) or not np.all(np.isfinite(values)):
+        _refuse(path, "frames that are not finite")
+    return times, values
 
 
 def _events(path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int]) -> dict[str, NDArray[Any]]:

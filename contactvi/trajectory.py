@@ -11,10 +11,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi.dense import Segments, State, frame_times
 from contactvi.errors import InputError
 from contactvi.events import EventLog
 from contactvi.ledger import Ledger
 from contactvi.options import Options
+from contactvi.prepared import Prepared
 from contactvi.status import Stats, Status
 
 if TYPE_CHECKING:
@@ -32,15 +34,18 @@ class Trajectory:
 
     Attributes
     ----------
-    scene : the scene that was run. options : its settings.
+    options : the settings of the run.
     events : the impacts, a sequence of `Event` (an `EventLog`).
     status : how the run ended. stats : what it cost.
     forced : whether the run had inputs (control) other than zero; they are not kept.
+    segments : the polynomials of its steps (contactvi.dense), None without; `at` evaluates them.
+    arcs : with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths [s]; else None.
+    error_estimate : with dt="auto", the measured error of q over the run [m, rad], see contactvi.auto_step; else NaN.
     """
 
     def __init__(
         self,
-        scene: Scene,
+        scene: Scene | Prepared,
         options: Options,
         t: Array,
         q: Array,
@@ -50,23 +55,38 @@ class Trajectory:
         stats: Stats,
         *,
         forced: bool = False,
-        core: Any = None,
+        segments: Segments | None = None,
+        arcs: Mapping[str, Array] | None = None,
+        error_estimate: float = float("nan"),
         derived: Mapping[str, Array] | None = None,
         gaps: tuple[Array, list[tuple[str, str]], Array] | None = None,
+        frames: tuple[Array, Array] | None = None,
         visuals: list[Any] | None = None,
     ) -> None:
-        self.scene = scene
+        self._scene = scene
+        # the engine's scene at the time of the run: the Python scene may be edited afterwards
+        self._core = scene.core if isinstance(scene, Prepared) else None
         self.options = options
         self.t, self.q, self.p = t, q, p
         self.events = events
         self.status = status
         self.stats = stats
         self.forced = forced
-        self._core = core  # the engine's scene at the time of the run: the Python scene may be edited afterwards
+        self.segments = segments
+        self.arcs = None if arcs is None else dict(arcs)
+        self.error_estimate = error_estimate
         self._derived: dict[str, Array] = dict(derived or {})
         self._gaps = gaps
+        self._frames = frames
         self._visuals = visuals
         self._ledger: Ledger | None = None
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that was run, as it was."""
+        if isinstance(self._scene, Prepared):
+            self._scene = self._scene.scene()
+        return self._scene
 
     def __len__(self) -> int:
         return int(self.t.shape[0])
@@ -76,6 +96,17 @@ class Trajectory:
             f"<Trajectory: {len(self)} nodes, t = {self.t[0]:.6g} .. {self.t[-1]:.6g} s, "
             f"{len(self.events)} events, {self.status.code.name}>"
         )
+
+    @property
+    def stepping(self) -> str:
+        """How it was stepped, in words, for example "order 2, dt = 0.01 s"."""
+        order = f"order {self.options.order}"
+        if not self.options.auto:
+            return f"{order}, dt = {self.options.fixed_dt:.6g} s"
+        steps = np.zeros(0) if self.arcs is None else self.arcs["dt"]
+        low, high = (f"{x:.3g}" for x in (steps.min(initial=np.inf), steps.max(initial=0.0)))
+        lengths = f" = {low} s" if low == high else f" = {low} to {high} s" if len(steps) else ""
+        return f"{order}, dt{lengths} (auto), error of q about {self.error_estimate:.1g}"
 
     @property
     def v(self) -> Array:
@@ -101,15 +132,19 @@ class Trajectory:
 
     @property
     def modified_energy(self) -> Array:
-        """The modified Hamiltonian [J] that the midpoint rule with step dt conserves to O(dt^4), shape (N,)."""
-        return self._get("modified_energy", lambda core: core.modified_energy(self.q, self.p, self.options.dt))
+        """The modified Hamiltonian [J], shape (N,).
+
+        At order 2 what the midpoint rule with step dt conserves to O(dt^4); from order 4 on H itself, whose nodes are
+        within O(dt^order) of what the integrator conserves.
+        """
+        return self._get("modified_energy", lambda core: self.ledger.modified_energy)
 
     @property
     def ledger(self) -> Ledger:
         """What should be conserved, node by node and impact by impact (contactvi.ledger)."""
         if self._ledger is None:
             self._ledger = Ledger(
-                self._engine(), self.options.dt, self.t, self.q, self.p, self.events,
+                self._engine(), self.options, self.t, self.q, self.p, self.events,
                 damping=self.scene.model.damping, forced=self.forced, start=float(self.t[0]),
             )  # fmt: skip
         return self._ledger
@@ -152,28 +187,39 @@ class Trajectory:
             self._gaps = (self.t[nodes], [self.events.label(0, int(i)) for i in index], values)
         return self._gaps
 
-    def at(self, t: float) -> Array:
-        """Return the configuration at time t [s], interpolated between the nodes and the impacts, shape (nq,)."""
-        return self.resample([t])[0]
+    def at(self, t: ArrayLike) -> State:
+        """Return the state at time t [s]: from the polynomials of the steps, accurate to O(h^(order/2 + 3)) of them.
+
+        t : one time, or an array of n times; then q, v, p of the state have a first axis n. At an impact it is the
+        state after it. Raises InputError outside the run, and for a run whose polynomials were not kept.
+        """
+        times = self._within(t)
+        if self.segments is None:
+            if len(self) == 1:
+                q, v, p = (np.repeat(x, times.size, axis=0) for x in (self.q, self.v, self.p))
+                return State(t, q, v, p) if np.ndim(t) else State(t, q[0], v[0], p[0])
+            raise InputError(
+                "The polynomials of the steps were not kept",
+                name="dense",
+                expected="a run with dense=True, or of order >= 4",
+                got=f"dense={self.options.dense}, order {self.options.order}",
+                remedy="Run it with dense=True; resample interpolates between the nodes",
+            )
+        core = self._engine()
+        q, v = self.segments.states(core, times)
+        p = np.asarray(core.momentum(q, v))
+        return State(np.array(t, dtype=float), q, v, p) if np.ndim(t) else State(float(times[0]), q[0], v[0], p[0])
 
     def resample(self, times: ArrayLike) -> Array:
-        """Return the configurations at these times [s], shape (len(times), nq).
+        """Return configurations at these times [s] for pictures, shape (len(times), nq); `at` is the exact one.
 
-        Between two known configurations (nodes and impacts) every joint moves with constant velocity; free and planar
-        bodies as R^3 x SO(3) and R^2 x SO(2), as the engine steps them. Raises InputError outside the run.
+        Between two known configurations (nodes, impacts, `frames`) every joint moves with constant velocity; free and
+        planar bodies as R^3 x SO(3) and R^2 x SO(2), as the engine steps them. Raises InputError outside the run.
         """
-        wanted = np.asarray(times, dtype=float).reshape(-1)
-        slack = 1e-9 * max(1.0, abs(float(self.t[-1])))
-        if not np.all((wanted >= self.t[0] - slack) & (wanted <= self.t[-1] + slack)):
-            raise InputError(
-                "Time outside the run",
-                name="t",
-                expected=f"a time in [{self.t[0]:.9g}, {self.t[-1]:.9g}] s",
-                got=np.array2string(wanted, threshold=4),
-            )
-        known = np.concatenate([self.t, self.events.array("time")])
+        wanted = self._within(times)
+        known = np.concatenate([self.t, self.events.array("time"), self.frames[0]])
         known, first = np.unique(known, return_index=True)
-        q = np.concatenate([self.q, self.events.array("q")])[first]
+        q = np.concatenate([self.q, self.events.array("q"), self.frames[1]])[first]
         left = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, max(0, len(known) - 2))
         result = np.empty((len(wanted), self.q.shape[1]))
         linear = _linear_entries(self.scene.model)
@@ -184,6 +230,34 @@ class Trajectory:
             result[row] = pin.interpolate(self.scene.model, q[k], q[right], s)
             result[row, linear] = (1.0 - s) * q[k, linear] + s * q[right, linear]
         return result
+
+    @property
+    def frames(self) -> tuple[Array, Array]:
+        """(times (M,) [s], configurations (M, nq)) between nodes that are too far apart for pictures, 60 a second.
+
+        None for runs whose nodes are dense enough or whose polynomials were not kept. They are stored with the run.
+        """
+        if self._frames is None:
+            times = np.zeros(0) if self.segments is None else frame_times(self.t)
+            q = self.at(times).q if len(times) else np.zeros((0, self.q.shape[1]))
+            self._frames = times, q
+        return self._frames
+
+    def _within(self, times: ArrayLike) -> Array:
+        """Return times [s] as an array (n,), checked to lie in the run."""
+        try:
+            wanted = np.asarray(times, dtype=float).reshape(-1)
+        except (TypeError, ValueError):
+            wanted = np.array([np.nan])
+        slack = 1e-9 * max(1.0, abs(float(self.t[-1])))
+        if not np.all((wanted >= self.t[0] - slack) & (wanted <= self.t[-1] + slack)):
+            raise InputError(
+                "Time outside the run",
+                name="t",
+                expected=f"a time in [{self.t[0]:.9g}, {self.t[-1]:.9g}] s",
+                got=np.array2string(wanted, threshold=4),
+            )
+        return np.clip(wanted, self.t[0], self.t[-1])
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the run as one npz file (format: contactvi.storage), whole or not at all; return its path."""

@@ -47,10 +47,14 @@ PYTHON_LAYERS: Layers = {
         ),
         ("model", "engine"),
     ),
+    "prepared": (("prepared",), ("scene",)),
     "page": (("visuals", "animation", "shapes", "page"), ("scene",)),
-    "trajectory": (("ledger", "storage", "trajectory"), ("page",)),
+    "trajectory": (("dense", "ledger", "storage", "trajectory"), ("page", "prepared")),
     "progress": (("progress",), ("base",)),
-    "simulation": (("map_checks", "endings", "simulation"), ("trajectory", "progress")),
+    "simulation": (
+        ("map_checks", "endings", "record", "engine", "auto_step", "simulation"),
+        ("trajectory", "progress"),
+    ),
     "pictures": (("viewer", "plots"), ("trajectory",)),
     "face": (("__init__",), ("simulation", "pictures")),
     "bench": (("bench_runs", "bench", "bench_report"), ("simulation",)),
@@ -63,7 +67,7 @@ PYTHON_LAYERS: Layers = {
     ),
     "cli": (("cli",), ("face", "bench", "reproduce")),
 }
-USERS_OF_THE_ENGINE = {"scene", "scene_build", "simulation"}
+USERS_OF_THE_ENGINE = {"scene", "scene_build", "engine"}
 
 # A header found by one of these names belongs to Python or to a parser: neither has a place in the engine.
 PYTHON_HEADERS = re.compile(r"^(nanobind/|pybind11/|boost/python|Python\.h|numpy/)")

@@ -14,6 +14,7 @@ import pytest
 from run_scenes import FIRST_IMPACT, GRAVITY, HEIGHT, RADIUS, ball_file, ball_scene, hand_scene, slider_scene
 
 import contactvi as cvi
+from contactvi.simulation import settings_of
 
 EPS = np.finfo(float).eps
 FLIGHT_TOLERANCE = 1e-12  # the midpoint rule is exact on a parabola; gaps are located to 1e-12 m
@@ -259,8 +260,20 @@ def test_settings_of_a_scene_file(tmp_path):
         ({"impact": ["mhc"]}, "impact", "'ctec' | 'dtec' | 'mhc'"),
         ({"mhc_reference": "globl"}, "mhc_reference", "Did you mean 'global'"),
         ({"impact": "ctce"}, "impact", "Did you mean 'ctec'"),
-        ({"order": 4}, "order", "not available yet"),
-        ({"order": 3}, "order", "expected 2, got 3"),
+        ({"order": 3}, "order", "expected an even number from 2 to 16, got 3. Use order=4"),
+        ({"order": 18}, "order", "Use order=16"),
+        ({"order": 0}, "order", "Use order=2"),
+        ({"sample_dt": 0.0}, "sample_dt", "> 0"),
+        ({"sample_dt": "often"}, "sample_dt", "'often'"),
+        ({"sample_dt": 0.1, "record_every": 2}, "record_every", "1 with dt='auto' and with sample_dt"),
+        ({"sample_dt": 0.1, "dense": False}, "dense", "True with sample_dt"),
+        ({"dense": 1}, "dense", "True or False"),
+        ({"dt": "auto", "order": 2}, "order", "Use order=16"),
+        ({"dt": "auto", "impact": "dtec"}, "impact", "'ctec' or 'mhc'"),
+        ({"dt": "auto", "record_every": 5}, "record_every", "1 with dt='auto'"),
+        ({"dt": "auto", "ledger": {"discrete_energy": 1e-9}}, "ledger", "discrete_energy"),
+        ({"dt": "auto", "control": np.zeros((100, 6))}, "dt", "Give dt=..."),
+        ({"dt": "auto", "tol": 1.0}, "tol", "below 1"),
         ({"order": "2"}, "order", "'2'"),
         ({"toll": 1e-9}, "toll", "Did you mean 'tol'"),
         ({"recordevery": 2}, "recordevery", "Did you mean 'record_every'"),
@@ -276,10 +289,50 @@ def test_bad_settings(arguments, name, text):
     assert caught.value.got is not None
 
 
-@pytest.mark.parametrize("arguments", [{"dt": 1e-2}, {"duration": 1.0}])
-def test_missing_settings(arguments):
-    with pytest.raises(cvi.InputError, match=r"Give (dt|duration)=\.\.\."):
-        cvi.simulate(ball_scene(), **arguments)
+def test_missing_settings():
+    with pytest.raises(cvi.InputError, match=r"Give duration=\.\.\."):
+        cvi.simulate(ball_scene(), dt=1e-2)
+    with pytest.raises(cvi.InputError, match=r"Give dt=\.\.\."):
+        cvi.Simulator(ball_scene())
+    with pytest.raises(cvi.InputError, match=r"Give dt=\.\.\."):
+        cvi.Simulator(ball_scene(), dt="auto")
+
+
+def resolved(file, forced=False, **chosen):
+    """What a run with these settings of a file and of a call is run with."""
+    scene = ball_scene()
+    scene.settings = dict(file)
+    return settings_of(scene, {"duration": 1.0, **chosen}, forced)
+
+
+def test_defaults_depend_on_the_kind_of_step():
+    fixed, auto = resolved({"dt": 0.01}), resolved({})
+    assert (fixed.order, fixed.tol, fixed.stage_tol, fixed.dense, fixed.auto) == (2, 1e-12, 1e-12, False, False)
+    assert (auto.dt, auto.order, auto.tol, auto.stage_tol, auto.dense) == ("auto", 16, 1e-6, 1e-9, True)
+    assert resolved({}, tol=1e-9).stage_tol == pytest.approx(1e-12)
+    assert resolved({}, tol=1e-13).stage_tol == 1e-14
+    assert resolved({"dt": 0.01}, order=6).dense
+    assert resolved({"dt": 0.01}, sample_dt=0.1).dense
+    for options in (fixed, auto):
+        assert cvi.Options.from_dict(options.to_dict()) == options
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [{"forced": True}, {"impact": "dtec"}, {"order": 2}, {"record_every": 5}, {"ledger": {"discrete_energy_jump": 1}}],
+)
+def test_runs_that_cannot_choose_their_step_have_a_default(chosen):
+    assert resolved({}, **chosen).dt == 1e-3
+
+
+def test_settings_of_another_kind_of_step_do_not_count():
+    file = {"dt": 0.01, "tol": 1e-9, "record_every": 5, "impact": "mhc"}
+    auto = resolved(file, dt="auto")
+    assert (auto.tol, auto.record_every, auto.impact) == (1e-6, 1, "mhc")
+    assert resolved(file, dt="auto", tol=1e-4).tol == 1e-4
+    assert resolved(file, dt=0.02).tol == 1e-9
+    assert resolved({"tol": 1e-8}, dt=0.02).tol == 1e-12
+    assert resolved({"dt": "auto", "tol": 1e-8}).tol == 1e-8
 
 
 @pytest.mark.parametrize(("duration", "dt", "steps"), [(1.0, 0.1, 10), (0.3, 0.1, 3), (2.0, 1 / 60, 120), (3, 1, 3)])

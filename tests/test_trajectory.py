@@ -18,7 +18,7 @@ import pytest
 from run_scenes import FIRST_IMPACT, GRAVITY, HEIGHT, RADIUS, ball_scene, hand_scene, slider_scene
 
 import contactvi as cvi
-from contactvi import storage
+from contactvi import dense, storage
 
 EPS = np.finfo(float).eps
 ARRAYS = ("t", "q", "p", "v", "energy", "kinetic_energy", "potential_energy", "modified_energy", "impact_energy")
@@ -105,7 +105,7 @@ def test_nodes_and_impacts_are_met(ball):
     """To rounding: pin.interpolate and the normalisation of quaternions cost a few bits."""
     assert ball.resample(ball.t) == pytest.approx(ball.q, abs=64 * EPS)
     for event in ball.events:
-        assert ball.at(event.time) == pytest.approx(event.q, abs=64 * EPS)
+        assert ball.resample([event.time])[0] == pytest.approx(event.q, abs=64 * EPS)
 
 
 def test_between_the_nodes(ball):
@@ -121,8 +121,9 @@ def test_between_the_nodes(ball):
 
 @pytest.mark.parametrize("time", [-0.1, 2.6, np.nan])
 def test_outside_the_run(ball, time):
-    with pytest.raises(cvi.InputError, match=r"expected a time in \[0, 2.5\] s"):
-        ball.at(time)
+    for ask in (ball.at, ball.resample):
+        with pytest.raises(cvi.InputError, match=r"expected a time in \[0, 2.5\] s"):
+            ask(time)
 
 
 # -- the file ---------------------------------------------------------------------------------------------------------
@@ -176,8 +177,10 @@ def test_partial_run_is_stored(tmp_path):
 def test_every_entry_is_documented(ball, tmp_path):
     with np.load(ball.save(tmp_path / "run.npz"), allow_pickle=False) as file:
         stored = set(file.files)
-    described = set(re.findall(r"^([a-zA-Z_]+(?:/[a-zA-Z_]+)?) {2,}\(", storage.__doc__, re.MULTILINE))
+    described = set(re.findall(r"^([a-zA-Z_]+(?:/[a-zA-Z_0-9]+)?) {2,}\(", storage.__doc__, re.MULTILINE))
     stored |= {"discrete_energy"}  # of DTEC's runs, tests/test_maps.py
+    stored |= {f"segment/{name}" for name in dense.FIELDS}  # of runs that keep their polynomials, tests/test_dense.py
+    stored |= {"arc/t", "arc/dt"}  # of runs with dt "auto", tests/test_auto_step.py
     assert described == {name for name in stored if not name.startswith("array/")}
 
 
@@ -191,7 +194,7 @@ import contactvi as cvi
 traj = cvi.Trajectory.load("run.npz")
 traj.to_html("run.html")
 cvi.plot(traj).savefig("run.png")
-print(traj.energy[-1], traj.at(0.1234)[0])
+print(traj.energy[-1], traj.resample([0.1234])[0])
 """
     environment = {**os.environ, "PYTHONPATH": str(Path(cvi.__file__).parents[1])}
     command = [sys.executable, "-c", program]
@@ -290,8 +293,8 @@ def test_nothing_is_unpickled(saved, tmp_path):
 
 
 def test_other_schema(saved):
-    rewrite(saved, header=np.array(header(saved).replace('"schema": 2', '"schema": 3')))
-    with pytest.raises(cvi.SceneError, match="expected schema 1 or 2, got schema 3"):
+    rewrite(saved, header=np.array(header(saved).replace('"schema": 3', '"schema": 4')))
+    with pytest.raises(cvi.SceneError, match="expected schema 1 to 3, got schema 4"):
         cvi.Trajectory.load(saved)
 
 
@@ -301,7 +304,7 @@ def test_other_schema(saved):
         {"header": None},
         {"header": np.array("not json")},
         {"header": np.array("[1, 2]")},
-        {"header": np.array('{"format": "contactvi-trajectory", "schema": 2}')},
+        {"header": np.array('{"format": "contactvi-trajectory", "schema": 3}')},
         {"header": np.array("[" * 100_000)},
         {"header": np.zeros(3)},
         {"t": None},

@@ -88,7 +88,7 @@ def test_poses_are_those_of_pinocchio(hand):
     frames = animation.frames_of(hand, 60.0)
     model, data = hand.scene.model, hand.scene.model.createData()
     for k in (0, len(frames.times) // 3, len(frames.times) - 1):
-        pin.forwardKinematics(model, data, hand.at(frames.times[k]))
+        pin.forwardKinematics(model, data, hand.resample([frames.times[k]])[0])
         for joint, poses in frames.poses.items():
             row = k if poses.moves else 0
             x, y, z, w = poses.quaternion[row]

@@ -1,0 +1,90 @@
+"""The engine's simulator as the face uses it: made from the options, started, called; its errors turned into ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from contactvi import _core, checks
+from contactvi.endings import REMEDY
+from contactvi.errors import ContactviError, PenetrationError, SimulationError
+from contactvi.options import IMPACT_MAPS, Options
+from contactvi.prepared import Prepared
+from contactvi.record import Record
+from contactvi.status import Status, StatusCode
+
+_FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects in the first arc
+
+
+def make(prepared: Prepared, options: Options, first_dt: float | None = None) -> Any:
+    """Return a new simulator of the engine (_core.Simulator); first_dt: of "auto", the step to begin with [s]."""
+    # order 2 without polynomials is the default of the engine
+    more = (options.order, options.dense) if options.order != 2 or options.dense else ()
+    return _core.Simulator(
+        prepared.core,
+        (first_dt or _FIRST_DT) if options.auto else options.fixed_dt,
+        options.stage_tol,
+        IMPACT_MAPS.index(options.impact),
+        options.max_impacts_per_step,
+        options.max_iterations,
+        options.mhc_reference == "global",
+        *more,
+    )
+
+
+def start(
+    engine: Any, prepared: Prepared, options: Options, q0: ArrayLike | None, v0: ArrayLike | None, t: float = 0.0
+) -> tuple[Record, ContactviError | None]:
+    """Put the engine to (q0, v0), those of the scene where None, at t [s].
+
+    Return the record of the run that starts there, and the error if the start is refused (the record says it too).
+    Raises InputError for a bad state.
+    """
+    states = prepared.states
+    q = states.configuration(prepared.q0 if q0 is None else q0)
+    v = states.velocity(prepared.v0 if v0 is None else v0)
+    begin = t if type(t) is float and t == 0.0 else float(checks.array("t", t, (), "the start time in seconds"))
+    result = call(engine.reset, q, v, begin)
+    record = Record(prepared, options, begin, q, engine.p)
+    if result["code"] == StatusCode.SUCCESS:
+        return record, None
+    status = record.end(result, begin)
+    return record, _refusal(status, record.names(result), float(result["depth"]))
+
+
+def advance(engine: Any, record: Record, steps: int, forces: Any, progress: Callable[..., object] | None) -> Status:
+    """Make steps with forces (steps, nv) or None and record them; errors of the progress callback are raised."""
+    return take(record, call(engine.advance, steps, forces, record.options.record_every, progress))
+
+
+def take(record: Record, result: dict[str, Any]) -> Status:
+    """Record what the engine did; raise the error of the progress callback, except Ctrl-C, which ends the run."""
+    status = record.collect(result)
+    error = result["error"]
+    if error is not None and not isinstance(error, KeyboardInterrupt):
+        raise error
+    return status
+
+
+def call(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call the engine; its own errors become ours."""
+    try:
+        return function(*arguments)
+    except _core.CoreError as error:
+        raise ContactviError(f"The engine failed: {error}", remedy="This is a bug: please report the scene") from error
+
+
+def _refusal(status: Status, pair: tuple[str, str] | None, depth: float) -> ContactviError:
+    what = f"The start is refused: {status.message}"
+    if status.code != StatusCode.PENETRATION:
+        return SimulationError(what, status=status)
+    return PenetrationError(
+        what,
+        pair=pair,
+        depth=depth,
+        expected="gaps >= 0 and joints within their limits",
+        got=f"{-depth:.6g}",
+        remedy=REMEDY[status.code],
+    )

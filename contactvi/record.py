@@ -1,0 +1,124 @@
+"""What the engine has left of a run so far: nodes, impacts, segments, counts and how it stands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi import dense
+from contactvi import events as event_log
+from contactvi.endings import describe
+from contactvi.options import Options
+from contactvi.prepared import Prepared
+from contactvi.status import Stats, Status, StatusCode
+from contactvi.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+
+class Record:
+    """Grows by what each call of the engine returns. t, q, p and events are lists of blocks, one per call."""
+
+    def __init__(self, prepared: Prepared, options: Options, t: float, q: Array, p: Array) -> None:
+        """Start with the state at t [s]: q (nq,), p (nv,)."""
+        self.prepared, self.options, self.start = prepared, options, t
+        self.t: list[Array] = [np.array([t])]
+        self.q: list[Array] = [q[None]]
+        self.p: list[Array] = [p[None]]
+        self.events: list[Mapping[str, NDArray[Any]]] = []
+        self.segments: list[Mapping[str, NDArray[Any]]] = []
+        self.arcs: Mapping[str, Array] | None = None
+        self.stats = Stats()
+        self.forced = False
+        self.status = Status(StatusCode.SUCCESS, "the run has started", t)
+
+    def collect(self, result: Mapping[str, Any]) -> Status:
+        """Take over what the engine did: nodes that `record_every` wants, events, segments, counts, status."""
+        t = np.asarray(result["t"])
+        keep = t > self.t[-1][-1]
+        if self.options.record_every > 1:
+            step = np.rint((t - self.start) / self.options.fixed_dt)
+            keep &= step % self.options.record_every == 0
+        if keep.any():
+            self.t.append(t[keep])
+            self.q.append(np.asarray(result["q"])[keep])
+            self.p.append(np.asarray(result["p"])[keep])
+        if len(result["events"]["time"]):
+            self.events.append(result["events"])
+        if self.options.dense:
+            self.segments.append(result["segments"])
+        self.arcs = result.get("arcs", self.arcs)
+        # The engine counts from its reset, except for the seconds, which are those of this call.
+        self.stats = Stats.of(result["stats"], self.stats.seconds)
+        return self.end(result)
+
+    def end(self, result: Mapping[str, Any], time: float | None = None) -> Status:
+        """Take over the engine's status, of `time` [s] where it says none."""
+        code = StatusCode(result["code"])
+        text = describe(code, result, self.names(result), self.options.impact)
+        self.status = Status(code, text, float(result["time"]) if time is None else time)
+        return self.status
+
+    def names(self, result: Mapping[str, Any]) -> tuple[str, str] | None:
+        """Return the names of the pair or limit that the engine's status is about."""
+        index = int(result["pair"])
+        if index < 0:
+            return None
+        return event_log.label(int(result["pair_kind"]), index, self.prepared.pair_names, self.prepared.joint_names)
+
+    def nodes(self, first: int = 0) -> tuple[Array, Array, Array]:
+        """Return t (N,), q (N, nq), p (N, nv) of the blocks from `first` on."""
+        t, q, p = self.t[first:], self.q[first:], self.p[first:]
+        return (t[0], q[0], p[0]) if len(t) == 1 else (np.concatenate(t), np.concatenate(q), np.concatenate(p))
+
+    def log(self, first: int = 0) -> event_log.EventLog:
+        """Return the events of the blocks from `first` on."""
+        parts, states = self.events[first:], self.prepared.states
+        return event_log.EventLog(
+            partial(event_log.join, parts, states.nq, states.nv),
+            self.prepared.pair_names,
+            self.prepared.joint_names,
+            self.options.impact,
+        )
+
+    def segments_joined(self) -> dense.Segments | None:
+        """Return the segments of all blocks; None where none were kept."""
+        return dense.joined(self.segments, self.options.order)
+
+    @property
+    def impacts(self) -> int:
+        """Number of impacts so far."""
+        return sum(len(part["time"]) for part in self.events)
+
+    def cut(self, time: float) -> None:
+        """Forget what was recorded after the first node at or after `time` [s]."""
+        t, q, p = self.nodes()
+        count = int(np.searchsorted(t, time)) + 1
+        self.t, self.q, self.p = [t[:count]], [q[:count]], [p[:count]]
+        last = max(time, float(self.t[0][-1]))
+        self.events = [_rows(part, part["time"] <= last) for part in self.events]
+        self.segments = [_rows(part, part["t"] < last) for part in self.segments]
+
+    def trajectory(self, engine: Any, error_estimate: float = float("nan")) -> Trajectory:
+        """Return what was recorded, with the present state of the engine where the run ended inside a step."""
+        t, q, p = self.nodes()
+        if self.status.time > t[-1]:
+            t, q, p = np.append(t, self.status.time), np.vstack([q, engine.q]), np.vstack([p, engine.p])
+        segments = self.segments_joined()
+        if self.options.sample_dt is not None and segments is not None:
+            times = dense.sample_times(float(t[0]), float(t[-1]), self.options.sample_dt)
+            inner_q, inner_v = segments.states(self.prepared.core, times[1:-1])
+            inner_p = np.asarray(self.prepared.core.momentum(inner_q, inner_v))
+            t, q, p = times, np.vstack([q[:1], inner_q, q[-1:]]), np.vstack([p[:1], inner_p, p[-1:]])
+        return Trajectory(
+            self.prepared, self.options, t, q, p, self.log(), self.status, self.stats,
+            forced=self.forced, segments=segments, arcs=self.arcs, error_estimate=error_estimate,
+        )  # fmt: skip
+
+
+def _rows(part: Mapping[str, NDArray[Any]], chosen: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    return {name: np.asarray(values)[chosen] for name, values in part.items()}
