@@ -42,21 +42,21 @@ class Scene:
     def energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
         """Kinetic and potential energy [J], (N, 2)."""
 
-    def modified_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """Modified Hamiltonian [J] for step h, (N,)."""
+    def modified_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float, order: int = 2) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """Modified Hamiltonian [J] for step h, (N,); H for order >= 4."""
 
-    def discrete_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+    def discrete_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int = 2) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
         """E_d [J] of one step h (N,) from each state, (N,)."""
 
     def spatial_momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
         """Total linear, angular momentum about the origin, (N, 6)."""
 
-    def dynamics(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
-        """(M v, dT/dq, dV/dq of gravity) in engine coordinates."""
+    def dynamics(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+        """(M v, dT/dq - dV/dq of gravity) in engine coordinates."""
 
-    def step(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], h: float, tau: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, tol: float = 1e-12) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], int, float]:
+    def step(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], h: float, tau: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, tol: float = 1e-12, order: int = 2) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], int, float]:
         """
-        One smooth step without contact: (q1, p1, v_mid in engine coordinates, iterations, residual).
+        One smooth step without contact: (q1, p1, stage velocities (s, nv) in engine coordinates, sweeps, residual).
         """
 
     def gaps(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
@@ -73,8 +73,26 @@ class Scene:
 
     def momentum_to_public(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
+def dense(scene: Scene, segments: dict, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+    """
+    States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run.
+    """
+
+def instruction_sets() -> list[str]:
+    """Builds of the stage kernel that this processor runs, best last."""
+
+def instruction_set(name: str = '') -> str:
+    """
+    Set (given a name) and return the one that engines made from now on use. The digits do not depend on it.
+    """
+
+def kernel_seconds(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stages: int, instruction_set: str = '', calls: int = 2000, repeats: int = 5) -> dict:
+    """
+    Seconds per stage of evaluate, factor, solve, f(q, p) and sweep, fastest of several blocks; for benchmarks.
+    """
+
 class Simulator:
-    def __init__(self, scene: Scene, dt: float, tol: float = 1e-12, impact: int = 0, max_impacts_per_step: int = 100000, max_iterations: int = 30, mhc_global: bool = False) -> None: ...
+    def __init__(self, scene: Scene, dt: float, tol: float = 1e-12, impact: int = 0, max_impacts_per_step: int = 100000, max_iterations: int = 50, mhc_global: bool = False, order: int = 2, dense: bool = False) -> None: ...
 
     def reset(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> dict:
         """Status fields as a dict."""
@@ -82,6 +100,11 @@ class Simulator:
     def advance(self, steps: int, tau: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, record_every: int = 1, progress: object | None = None) -> dict:
         """
         Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.
+        """
+
+    def run_auto(self, duration: float, level: float, progress: object | None = None) -> dict:
+        """
+        Run with a step chosen per smooth arc; level [m; rad] bounds what the stage polynomials leave out.
         """
 
     @property
@@ -100,3 +123,6 @@ def rnea_seconds(model: bytes, q: Annotated[NDArray[numpy.float64], dict(shape=(
     """
     Seconds per pinocchio::rnea, fastest of several blocks; for benchmarks.
     """
+
+def aba_seconds(model: bytes, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], calls: int = 2000, repeats: int = 5) -> float:
+    """Seconds per pinocchio::aba."""

@@ -5,27 +5,26 @@ namespace contactvi {
 namespace {
 
 // Adds sign * n^T J(x) of a point x fixed to the body.
-void add_point(const Tree& tree, const KernelWorkspace& kernel, int body, const Vec3& x, const Vec3& n, double sign,
-               VecRef W) {
+void add_point(const Tree& tree, const Placements& at, int body, const Vec3& x, const Vec3& n, double sign, VecRef W) {
   for (int j = body; j >= 0; j = tree.joints[j].parent) {
     const Joint& joint = tree.joints[j];
-    const Mat3& R = kernel.R_W[j];
+    const Mat3& R = at.R_W[j];
     switch (joint.type) {
       case JointType::kRevolute:
       case JointType::kContinuous:
-        W[joint.iv] += sign * R.col(2).dot((x - kernel.p_W[j]).cross(n));
+        W[joint.iv] += sign * R.col(2).dot((x - at.p_W[j]).cross(n));
         break;
       case JointType::kPrismatic:
         W[joint.iv] += sign * R.col(2).dot(n);
         break;
       case JointType::kHelical:
-        W[joint.iv] += sign * R.col(2).dot((x - kernel.p_W[j]).cross(n) + joint.pitch * n);
+        W[joint.iv] += sign * R.col(2).dot((x - at.p_W[j]).cross(n) + joint.pitch * n);
         break;
       case JointType::kTranslation:
         W.segment<3>(joint.iv) += sign * (R.transpose() * n);
         break;
       case JointType::kSpherical:
-        W.segment<3>(joint.iv) += sign * (R.transpose() * (x - kernel.p_W[j]).cross(n));
+        W.segment<3>(joint.iv) += sign * (R.transpose() * (x - at.p_W[j]).cross(n));
         break;
     }
   }
@@ -33,10 +32,10 @@ void add_point(const Tree& tree, const KernelWorkspace& kernel, int body, const 
 
 }  // namespace
 
-void gap_gradient(const Tree& tree, const KernelWorkspace& kernel, const Contact& contact, VecRef W) {
+void gap_gradient(const Tree& tree, const Placements& at, const Contact& contact, VecRef W) {
   W.setZero();
-  add_point(tree, kernel, contact.body_b, contact.point_b, contact.normal, 1.0, W);
-  add_point(tree, kernel, contact.body_a, contact.point_a, contact.normal, -1.0, W);
+  add_point(tree, at, contact.body_b, contact.point_b, contact.normal, 1.0, W);
+  add_point(tree, at, contact.body_a, contact.point_a, contact.normal, -1.0, W);
 }
 
 }  // namespace contactvi

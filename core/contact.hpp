@@ -1,7 +1,7 @@
 // A point where two bodies may touch, and the gradient of its gap.
 #pragma once
 
-#include "kernel.hpp"
+#include "placement.hpp"
 
 namespace contactvi {
 
@@ -13,7 +13,7 @@ struct Contact {
   int body_a, body_b;  // engine joints, -1: world
 };
 
-// W = d(gap)/dq = n^T (J_B(x_B) - J_A(x_A)) in engine coordinates, shape (nv,). Needs world_placements at the same q.
-void gap_gradient(const Tree& tree, const KernelWorkspace& kernel, const Contact& contact, VecRef W);
+// W = d(gap)/dq = n^T (J_B(x_B) - J_A(x_A)) in engine coordinates, shape (nv,). at: the placements at the same q.
+void gap_gradient(const Tree& tree, const Placements& at, const Contact& contact, VecRef W);
 
 }  // namespace contactvi

@@ -9,6 +9,15 @@ namespace {
 
 Twist operator+(const Twist& a, const Twist& b) { return {a.ang + b.ang, a.lin + b.lin}; }
 
+// Motion of the bodies at (q, v), each in its own frame.
+struct BodyState {
+  Mat3 R;  // in the parent
+  Vec3 r;
+  Twist inherited;  // velocity of the parent's frame, carried here
+  Twist velocity;
+  Vec3 gravity;
+};
+
 Twist to_child(const BodyState& body, const Twist& v) {
   return {body.R.transpose() * v.ang, body.R.transpose() * (v.lin + v.ang.cross(body.r))};
 }
@@ -49,28 +58,43 @@ double project(const Joint& joint, const Wrench& f, int d) {
   }
 }
 
+std::vector<BodyState> body_states(const Tree& tree, const Placements& at, const VecCRef& v) {
+  std::vector<BodyState> bodies(tree.joints.size());
+  for (std::size_t i = 0; i < bodies.size(); ++i) {
+    const Joint& joint = tree.joints[i];
+    BodyState& body = bodies[i];
+    body.R = at.R[i];
+    body.r = at.r[i];
+    body.inherited = {Vec3::Zero(), Vec3::Zero()};
+    if (joint.parent >= 0) body.inherited = to_child(body, bodies[joint.parent].velocity);
+    body.velocity = body.inherited + joint_twist(joint, v);
+    body.gravity = at.R_W[i].transpose() * tree.gravity;
+  }
+  return bodies;
+}
+
 // Velocity-dependent accelerations of the bodies (no joint acceleration, no gravity), body frame, component
 // derivatives.
-void bias_accelerations(const Tree& tree, const KernelWorkspace& kernel, const VecCRef& v, std::vector<Twist>& bias) {
+void bias_accelerations(const Tree& tree, const std::vector<BodyState>& bodies, const VecCRef& v, std::vector<Twist>& bias) {
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
-    const BodyState& body = kernel.bodies[i];
+    const BodyState& body = bodies[i];
     bias[i] = cross(body.inherited, joint_twist(tree.joints[i], v));
     if (tree.joints[i].parent >= 0) bias[i] = bias[i] + to_child(body, bias[tree.joints[i].parent]);
   }
 }
 
 // a = M^-1 (-C v - g): backward pass of the recursive Newton-Euler algorithm. force: -dV/dq on entry, a on return.
-void free_acceleration(const Tree& tree, const KernelWorkspace& kernel, const std::vector<Twist>& bias,
-                       const VecCRef& v, const TreeLu& mass, const VecX& armature, VecRef force) {
+void free_acceleration(const Tree& tree, const std::vector<BodyState>& bodies, const std::vector<Twist>& bias,
+                       const VecCRef& v, Integrator& integrator, const VecX& armature, VecRef force) {
   std::vector<Wrench> f(tree.joints.size());
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
-    const Wrench h = momentum(tree.joints[i], kernel.bodies[i].velocity), m = momentum(tree.joints[i], bias[i]);
-    const Twist& w = kernel.bodies[i].velocity;
+    const Wrench h = momentum(tree.joints[i], bodies[i].velocity), m = momentum(tree.joints[i], bias[i]);
+    const Twist& w = bodies[i].velocity;
     f[i] = {m.ang + w.ang.cross(h.ang) + w.lin.cross(h.lin), m.lin + w.ang.cross(h.lin)};
   }
   for (int i = static_cast<int>(tree.joints.size()) - 1; i >= 0; --i) {
     const Joint& joint = tree.joints[i];
-    const BodyState& body = kernel.bodies[i];
+    const BodyState& body = bodies[i];
     for (int d = 0; d < joint.nv; ++d) force[joint.iv + d] -= project(joint, f[i], d);
     if (joint.type == JointType::kSpherical) {
       const Vec3 omega = v.segment<3>(joint.iv);
@@ -81,18 +105,18 @@ void free_acceleration(const Tree& tree, const KernelWorkspace& kernel, const st
     f[joint.parent].lin += lin;
     f[joint.parent].ang += body.R * f[i].ang + body.r.cross(lin);
   }
-  mass.solve(force);
+  integrator.solve_mass(force);
 }
 
 // d/dt of v.dT/dq - dV_gravity/dt along q' = v, v' = a.
-double power_rate(const Tree& tree, const KernelWorkspace& kernel, const std::vector<Twist>& bias, const VecCRef& v,
+double power_rate(const Tree& tree, const std::vector<BodyState>& bodies, const std::vector<Twist>& bias, const VecCRef& v,
                   const VecCRef& a) {
   const std::size_t n = tree.joints.size();
   std::vector<Twist> rate(n), bias_rate(n);  // of the velocities and of the bias accelerations
   double sum = 0;
   for (std::size_t i = 0; i < n; ++i) {
     const Joint& joint = tree.joints[i];
-    const BodyState& body = kernel.bodies[i];
+    const BodyState& body = bodies[i];
     const Twist sv = joint_twist(joint, v), sa = joint_twist(joint, a);
     Twist inherited_rate = cross(body.inherited, sv);
     bias_rate[i] = cross(body.inherited, sa);
@@ -130,35 +154,57 @@ double spring_power_rate(const Tree& tree, const VecCRef& q, const VecCRef& v, c
 
 Energy energy(Integrator& integrator, const VecCRef& q, const VecCRef& p) {
   const Tree& tree = integrator.tree();
-  VecX v(tree.nv), unused = VecX::Zero(tree.nv);
+  VecX v(tree.nv);
   if (!integrator.node_velocity(q, p, v))
     return {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::quiet_NaN()};
-  KernelWorkspace& kernel = integrator.workspace().kernel;
-  world_placements(tree, kernel);
-  return {0.5 * p.dot(v), gravity_potential(tree, kernel) + add_springs(tree, q, unused)};
+  Placements at(tree);
+  place(tree, q, at);
+  return {0.5 * p.dot(v), gravity_potential(tree, at) + spring_potential(tree, q)};
 }
 
 double modified_hamiltonian(Integrator& integrator, const VecCRef& q, const VecCRef& p, double h) {
   const Tree& tree = integrator.tree();
   const Energy H = energy(integrator, q, p);
-  VecX v = p, P(tree.nv), dT(tree.nv), dV(tree.nv);
-  integrator.mass().solve(v);
-  KernelWorkspace& kernel = integrator.workspace().kernel;
-  momentum_and_forces(tree, q, v, kernel, P, dT, dV);
-  add_springs(tree, q, dV);
+  if (integrator.stages() > 1) return H.kinetic + H.potential;
+  VecX v = p, P(tree.nv), G(tree.nv), dV = VecX::Zero(tree.nv), zero = VecX::Zero(tree.nv);
+  integrator.solve_mass(v);
+  // dV/dq of gravity is what is left of -G at rest.
+  integrator.dynamics(q, zero, P, dV);
+  dV = -dV;
+  integrator.dynamics(q, v, P, G);
+  VecX springs = VecX::Zero(tree.nv);
+  add_spring_forces(tree, q, springs);
+  Placements at(tree);
+  place(tree, q, at);
+  const std::vector<BodyState> bodies = body_states(tree, at, v);
   std::vector<Twist> bias(tree.joints.size());
-  bias_accelerations(tree, kernel, v, bias);
-  // The gravity part of -dV/dq enters the same way as springs: dV holds both.
-  VecX a = -dV;
-  free_acceleration(tree, kernel, bias, v, integrator.mass(), tree.armature, a);
-  const double G_a = (dT - dV).dot(a);
-  const double dG_v = power_rate(tree, kernel, bias, v, a) - spring_power_rate(tree, q, v, a) - G_a;
+  bias_accelerations(tree, bodies, v, bias);
+  VecX a = -dV - springs;
+  free_acceleration(tree, bodies, bias, v, integrator, tree.armature, a);
+  const double G_a = (G - springs).dot(a);
+  const double dG_v = power_rate(tree, bodies, bias, v, a) - spring_power_rate(tree, q, v, a) - G_a;
   double bracket = 0;
   for (const Joint& joint : tree.joints) {
     if (joint.type != JointType::kSpherical) continue;
     bracket += p.segment<3>(joint.iv).dot(v.segment<3>(joint.iv).cross(Vec3(a.segment<3>(joint.iv))));
   }
   return H.kinetic + H.potential - h * h / 24.0 * (G_a - dG_v + bracket);
+}
+
+Eigen::Matrix<double, 6, 1> spatial_momentum(const Tree& tree, const VecCRef& q, const VecCRef& v) {
+  Placements at(tree);
+  place(tree, q, at);
+  const std::vector<BodyState> bodies = body_states(tree, at, v);
+  Vec3 linear = Vec3::Zero(), angular = Vec3::Zero();
+  for (std::size_t i = 0; i < bodies.size(); ++i) {
+    const Wrench own = momentum(tree.joints[i], bodies[i].velocity);
+    const Vec3 f = at.R_W[i] * own.lin;
+    linear += f;
+    angular += at.R_W[i] * own.ang + at.p_W[i].cross(f);
+  }
+  Eigen::Matrix<double, 6, 1> total;
+  total << linear, angular;
+  return total;
 }
 
 }  // namespace contactvi

@@ -1,15 +1,14 @@
 // The first event of a step: which guard, when, and the state there.
 //
-// The step's path is that of exact partial steps: q(alpha) = q0 (+) alpha h v(alpha), v(alpha) the solution of the
-// discrete Euler-Lagrange equation for alpha h. The search for a sign change looks at a model of it,
-// v(alpha) quadratic through v0, v(1/2) and v1, error O(h^4), by conservative advancement: an interval is free of
-// contact if its two gaps add up to more than the bodies can move in it. What it finds is located on exact partial
-// steps to |gap| <= 1e-12.
+// The step's exact path is that of partial steps: the end of the step of length alpha h. The search looks at a
+// polynomial along the step (StepPath), for the price of geometry, and knows how far that may be off; what it finds is
+// located on exact partial steps to |gap| <= 1e-12, and where it comes nearer to zero than it is true the exact path
+// decides.
 #pragma once
 
 #include <vector>
 
-#include "guard.hpp"
+#include "gap_path.hpp"
 #include "integrator.hpp"
 
 namespace contactvi {
@@ -28,10 +27,10 @@ class EventFinder {
  public:
   EventFinder(const Scene& scene, Integrator& integrator, Guards& guards);
 
-  // Look through the step of length h from (q0, p0) whose solution is v1, end q1. previous: midpoint velocity of the
-  // step before if that was a neighbour of equal length, else null. On kFound event() is filled.
-  Search search(const VecX& q0, const VecX& p0, const VecX& v1, const VecX& q1, double h, const VecX& tau,
-                const VecX* previous);
+  // Look through the step of length h from (q0, p0) to (q1, p1); path: its collocation polynomial, which is raised if
+  // some guard comes into question. On kFound event() is filled, and the integrator holds the partial step to it.
+  Search search(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const VecX& tau,
+                StepPath& path);
   const Event& event() const { return event_; }
   int failed_guard() const { return failed_guard_; }
   double failed_gap() const { return failed_gap_; }
@@ -43,38 +42,55 @@ class EventFinder {
   const std::vector<int>& active() const { return active_; }
 
  private:
-  struct Candidate {
+  using Point = GapPath::Point;
+  // A guard that may reach zero in the step, and what is known of it.
+  struct Suspect {
     int guard;
-    double lo, hi;  // gap > 0 at lo, <= 0 at hi
-    double estimate;
-    bool touching;  // lo has to be found first
+    double end_gap;  // exact
+    Point from;      // nothing happens before it, and the gap is positive there
+    bool crosses, persistent;
+    Point lo, hi;           // of a crossing: gap > 0 and <= 0 on the path
+    bool lo_sure, hi_sure;  // so on the exact path too
+    double root;
   };
-  Search check(int guard, double end_gap);
-  Search check_touching(int guard, double end_gap);
-  bool find_dip(int guard, double lo, double gap_lo, double hi, double gap_hi, int depth, Candidate& found);
-  Search locate(Candidate& candidate, bool& exists);
-  bool start_velocity();
-  bool prepare_model();
-  double model_rate(double alpha) const;
-  bool exact_dip(int guard, double lo, double hi, Candidate& found);
-  double model_gap(int guard, double alpha);             // on the model path
-  bool exact_gap(int guard, double alpha, double& gap);  // on the exact path; false: no convergence
-  double gap_rate(int guard);                            // d(gap)/d(alpha) of the last exact_gap
+
+  bool bound_step();
+  bool raise_path();
+  bool bound_grows();
+  bool collect();
+  Search start(Suspect& s);
+  Search leave(Suspect& s, Point a);
+  Search close(Suspect& s, const Point& a, const Point& below);
+  Search find_first(Suspect*& first);
+  Search advance(Suspect& s, double limit);
+  Search exact_dip(Suspect& s, const Point& a, const Point& b);
+  Search resume(Suspect& s, const Point& from);
+  Search locate(Suspect& s, bool& exists);
+  Search separate(Suspect& s);
+  Search polish(Suspect& s, bool& exists);
+  bool someone_is_earlier(const Suspect& first);
+  bool exact_at(int guard, double tau, Point& point);  // false: no convergence
+  void cross(Suspect& s, const Point& lo, const Point& hi, double offset);
+  Search accept(int guard, const Point& at, bool persistent);
+  void settle();
   Search fail(Search why, int guard, double gap);
 
   const Scene* scene_;
   Integrator* integrator_;
   Guards* guards_;
+  GapPath gaps_;
   Event event_;
   std::vector<char> touching_;
   std::vector<int> active_, pass_;
-  std::vector<Candidate> candidates_;
-  VecX q_, p_, v_, v0_, bound_, guess_, bend_, W_;
+  std::vector<Suspect> suspects_;
+  VecX v0_, v1_, bound_, doubt_, W_;
+  // Rate and end of the last step: one stage bounds its velocities by the change of rate from a neighbour.
+  VecX last_rate_, last_q_, last_p_;
+  double last_h_ = 0;
   Contact contact_;
-  const VecX *q0_ = nullptr, *p0_ = nullptr, *v1_ = nullptr, *tau_ = nullptr;
+  const VecX *q0_ = nullptr, *p0_ = nullptr, *q1_ = nullptr, *p1_ = nullptr, *tau_ = nullptr;
+  StepPath* path_ = nullptr;
   double h_ = 0;
-  bool have_v0_ = false, have_bend_ = false;
-  double slack_ = 0;  // doubt about the model path, as a fraction of the motion
   int failed_guard_ = -1;
   double failed_gap_ = 0;
 };

@@ -27,14 +27,13 @@ Guards::Guards(const Scene& scene)
     : scene_(&scene),
       count_(scene.guard_count()),
       pairs_(static_cast<int>(scene.pairs.size())),
-      kernel_(scene.tree),
+      placements_(scene.tree),
       q_(VecX::Zero(scene.tree.nq)),
       functors_(new Functors),
-      angular_(scene.tree.joints.size()),
       linear_(scene.tree.joints.size()),
-      motion_(scene.geometries.size()),
+      motion_(make_reach()),
+      doubt_(make_reach()),
       odometer_(scene.geometries.size()),
-      limit_motion_(scene.tree.limits.size()),
       marks_(count_, -1.0) {
   functors_->distance.reserve(pairs_);
   for (const Pair& pair : scene.pairs) {
@@ -51,26 +50,30 @@ Guards::~Guards() = default;
 
 void Guards::place(const VecCRef& q) {
   q_ = q;
-  if (pairs_ == 0) return;
-  local_placements(scene_->tree, q, kernel_);
-  world_placements(scene_->tree, kernel_);
+  placed_ = false;
+}
+
+void Guards::place_bodies() {
+  if (placed_) return;
+  contactvi::place(scene_->tree, q_, placements_);
+  placed_ = true;
 }
 
 namespace {
 
-void geometry_pose(const Geometry& g, const KernelWorkspace& kernel, Mat3& R, Vec3& p) {
+void geometry_pose(const Geometry& g, const Placements& at, Mat3& R, Vec3& p) {
   if (g.body < 0) {
     R = g.R_BG;
     p = g.p_BG;
   } else {
-    R.noalias() = kernel.R_W[g.body] * g.R_BG;
-    p = kernel.p_W[g.body] + kernel.R_W[g.body] * g.p_BG;
+    R.noalias() = at.R_W[g.body] * g.R_BG;
+    p = at.p_W[g.body] + at.R_W[g.body] * g.p_BG;
   }
 }
 
-Vec3 sphere_center(const Geometry& g, const KernelWorkspace& kernel) {
+Vec3 sphere_center(const Geometry& g, const Placements& at) {
   if (g.body < 0) return g.center_B;
-  return kernel.p_W[g.body] + kernel.R_W[g.body] * g.center_B;
+  return at.p_W[g.body] + at.R_W[g.body] * g.center_B;
 }
 
 }  // namespace
@@ -90,10 +93,11 @@ double Guards::evaluate(int guard, Contact& contact) {
   }
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  place_bodies();
   Mat3 R_a, R_b;
   Vec3 p_a, p_b;
-  geometry_pose(a, kernel_, R_a, p_a);
-  geometry_pose(b, kernel_, R_b, p_b);
+  geometry_pose(a, placements_, R_a, p_a);
+  geometry_pose(b, placements_, R_b, p_b);
   Functors& f = *functors_;
   f.result.clear();
   f.distance[guard](coal::Transform3s(R_a, p_a), coal::Transform3s(R_b, p_b), f.request, f.result);
@@ -105,7 +109,7 @@ double Guards::evaluate(int guard, Contact& contact) {
 
 void Guards::gradient(int guard, const Contact& contact, VecRef W) const {
   if (guard < pairs_) {
-    gap_gradient(scene_->tree, kernel_, contact, W);
+    gap_gradient(scene_->tree, placements_, contact, W);
     return;
   }
   const JointLimit& limit = scene_->tree.limits[guard - pairs_];
@@ -117,66 +121,85 @@ double Guards::touch_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 
 
 double Guards::root_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-12; }
 
-void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) {
+Guards::Reach Guards::make_reach() const {
+  return {std::vector<double>(scene_->geometries.size()), std::vector<double>(scene_->tree.limits.size()),
+          std::vector<double>(scene_->tree.joints.size())};
+}
+
+void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) { spread(q, bound, h, motion_); }
+
+void Guards::bound_doubt(const VecCRef& q, const VecX& doubt, double h) { spread(q, doubt, h, doubt_); }
+
+void Guards::spread(const VecCRef& q, const VecX& bound, double h, Reach& reach) {
   const Tree& tree = scene_->tree;
-  for (std::size_t k = 0; k < tree.limits.size(); ++k)
-    limit_motion_[k] = h * bound[tree.joints[tree.limits[k].joint].iv];
+  for (std::size_t k = 0; k < tree.limits.size(); ++k) reach.limit[k] = h * bound[tree.joints[tree.limits[k].joint].iv];
   if (pairs_ == 0) return;
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
     const Joint& joint = tree.joints[i];
     double angular = 0, linear = 0, arm = joint.p_PJ.norm();
-    const double speed = bound[joint.iv];
+    const double path = h * bound[joint.iv];
     switch (joint.type) {
       case JointType::kRevolute:
       case JointType::kContinuous:
-        angular = speed;
+      case JointType::kSpherical:
+        angular = path;
         break;
       case JointType::kPrismatic:
-        linear = speed;
-        arm += std::abs(q[joint.iq]) + h * speed;
+        linear = path;
+        arm += std::abs(q[joint.iq]) + path;
         break;
       case JointType::kHelical:
-        angular = speed;
-        linear = std::abs(joint.pitch) * speed;
-        arm += std::abs(joint.pitch) * (std::abs(q[joint.iq]) + h * speed);
+        angular = path;
+        linear = std::abs(joint.pitch) * path;
+        arm += std::abs(joint.pitch) * (std::abs(q[joint.iq]) + path);
         break;
       case JointType::kTranslation:
-        linear = bound.segment<3>(joint.iv).norm();
-        arm += q.segment<3>(joint.iq).norm() + h * linear;
-        break;
-      case JointType::kSpherical:
-        angular = bound.segment<3>(joint.iv).norm();
+        linear = h * bound.segment<3>(joint.iv).norm();
+        arm += q.segment<3>(joint.iq).norm() + linear;
         break;
     }
     if (joint.parent >= 0) {
-      linear += linear_[joint.parent] + angular_[joint.parent] * arm;
-      angular += angular_[joint.parent];
+      linear += linear_[joint.parent] + reach.turn[joint.parent] * arm;
+      angular += reach.turn[joint.parent];
     }
-    angular_[i] = angular;
+    reach.turn[i] = angular;
     linear_[i] = linear;
   }
-  for (std::size_t g = 0; g < motion_.size(); ++g) {
+  for (std::size_t g = 0; g < reach.geometry.size(); ++g) {
     const Geometry& geometry = scene_->geometries[g];
-    motion_[g] = geometry.body < 0 ? 0.0 : h * (linear_[geometry.body] + angular_[geometry.body] * geometry.reach);
+    const int body = geometry.body;
+    reach.geometry[g] = body < 0 ? 0.0 : linear_[body] + reach.turn[body] * geometry.reach;
   }
 }
 
-double Guards::motion(int guard) const {
-  if (guard >= pairs_) return limit_motion_[guard - pairs_];
+double Guards::of(const Reach& reach, int guard) const {
+  if (guard >= pairs_) return reach.limit[guard - pairs_];
   const Pair& pair = scene_->pairs[guard];
-  return motion_[pair.a] + motion_[pair.b];
+  return reach.geometry[pair.a] + reach.geometry[pair.b];
+}
+
+double Guards::motion(int guard) const { return of(motion_, guard); }
+
+double Guards::doubt(int guard) const { return of(doubt_, guard); }
+
+double Guards::turn(int guard) const {
+  if (guard >= pairs_) return 0.0;
+  const Pair& pair = scene_->pairs[guard];
+  const int a = scene_->geometries[pair.a].body, b = scene_->geometries[pair.b].body;
+  return (a < 0 ? 0.0 : motion_.turn[a]) + (b < 0 ? 0.0 : motion_.turn[b]);
 }
 
 bool Guards::skip(int guard) const {
   if (guard >= pairs_) return false;  // one subtraction: nothing to save
   const Pair& pair = scene_->pairs[guard];
-  return odometer_[pair.a] + odometer_[pair.b] + motion_[pair.a] + motion_[pair.b] < marks_[guard];
+  return odometer_[pair.a] + odometer_[pair.b] + motion(guard) < marks_[guard];
 }
 
 bool Guards::separated_at_end(int guard) {
   if (guard >= pairs_) {
     return limit_gap(guard, q_) > motion(guard);
   }
+  place_bodies();
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   double bound;
@@ -184,10 +207,11 @@ bool Guards::separated_at_end(int guard) {
     const Geometry &half = a.unbounded ? a : b, &other = a.unbounded ? b : a;
     Mat3 R;
     Vec3 p;
-    geometry_pose(half, kernel_, R, p);
-    bound = (R * half.halfspace_normal).dot(sphere_center(other, kernel_) - p) - half.halfspace_offset - other.radius;
+    geometry_pose(half, placements_, R, p);
+    bound =
+        (R * half.halfspace_normal).dot(sphere_center(other, placements_) - p) - half.halfspace_offset - other.radius;
   } else {
-    bound = (sphere_center(a, kernel_) - sphere_center(b, kernel_)).norm() - a.radius - b.radius;
+    bound = (sphere_center(a, placements_) - sphere_center(b, placements_)).norm() - a.radius - b.radius;
   }
   if (!(bound > motion(guard))) return false;
   mark(guard, bound);
@@ -197,13 +221,13 @@ bool Guards::separated_at_end(int guard) {
 void Guards::mark(int guard, double gap_at_end) {
   if (guard >= pairs_) return;
   const Pair& pair = scene_->pairs[guard];
-  marks_[guard] = odometer_[pair.a] + odometer_[pair.b] + motion_[pair.a] + motion_[pair.b] + gap_at_end;
+  marks_[guard] = odometer_[pair.a] + odometer_[pair.b] + motion(guard) + gap_at_end;
 }
 
 void Guards::unmark_all() { std::fill(marks_.begin(), marks_.end(), -1.0); }
 
 void Guards::commit() {
-  for (std::size_t g = 0; g < motion_.size(); ++g) odometer_[g] += motion_[g];
+  for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += motion_.geometry[g];
 }
 
 }  // namespace contactvi

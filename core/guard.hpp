@@ -35,9 +35,8 @@ class Guards {
   int count() const { return count_; }
   const Scene& scene() const { return *scene_; }
 
-  // Poses of all bodies at q; evaluate, lower_bound and gradient refer to the last call.
+  // Configuration that evaluate, gradient and separated_at_end refer to. The bodies are placed when a pair first asks.
   void place(const VecCRef& q);
-  const KernelWorkspace& kernel() const { return kernel_; }
 
   // Exact gap [m] or [rad] at the placed configuration. Not finite if coal fails.
   double evaluate(int guard, Contact& contact);
@@ -48,9 +47,15 @@ class Guards {
   // To what a root is located: 1e-12, or the noise of the distance itself where curved shapes are iterated.
   double root_tolerance(int guard) const;
 
-  // Bounds on the motion over a step of length h whose velocities stay within +-bound, shape (nv,), from q.
+  // Bounds on the motion over a step of length h whose velocities stay within bound, shape (nv,), from q; in all three
+  // entries of a spherical joint the bound of the whole vector.
   void bound_motion(const VecCRef& q, const VecX& bound, double h);
   double motion(int guard) const;  // of the guard's two bodies together in that step
+  double turn(int guard) const;    // the same of their rotation [rad]
+  // The same for velocities that are only known to within doubt: how far off a gap may be.
+  void bound_doubt(const VecCRef& q, const VecX& doubt, double h);
+  double doubt(int guard) const;
+  bool is_noisy(int guard) const { return guard < pairs_ && scene_->pairs[guard].curved; }
   // True if the odometers say that the guard cannot reach zero in the step.
   bool skip(int guard) const;
   // True if the bounding spheres at the placed end of the step say so; then also moves the pair's mark.
@@ -63,19 +68,27 @@ class Guards {
   GuardCounters counters;
 
  private:
+  // How far everything can move in a step: per geometry any of its points, per joint limit, per body its rotation.
+  struct Reach {
+    std::vector<double> geometry, limit, turn;
+  };
+  Reach make_reach() const;
+  void spread(const VecCRef& q, const VecX& bound, double h, Reach& reach);
+  double of(const Reach& reach, int guard) const;
+  void place_bodies();
   double limit_gap(int guard, const VecCRef& q) const;
-  bool is_noisy(int guard) const { return guard < pairs_ && scene_->pairs[guard].curved; }
 
   const Scene* scene_;
   int count_, pairs_;
-  KernelWorkspace kernel_;
+  Placements placements_;
+  bool placed_ = false;  // at q_
   VecX q_;
   struct Functors;  // coal's, kept out of this header
   std::unique_ptr<Functors> functors_;
-  std::vector<double> angular_, linear_;   // per body: bounds on |omega|, on the origin's speed
-  std::vector<double> motion_, odometer_;  // per geometry
-  std::vector<double> limit_motion_;       // per joint limit
-  std::vector<double> marks_;              // per guard: odometer sum up to which it may be skipped
+  std::vector<double> linear_;  // per body: bound on its origin's displacement
+  Reach motion_, doubt_;
+  std::vector<double> odometer_;  // per geometry
+  std::vector<double> marks_;     // per guard: odometer sum up to which it may be skipped
 };
 
 }  // namespace contactvi

@@ -11,14 +11,12 @@ namespace {
 
 double modified_energy_at_end(const ImpactProblem& problem, const VecX& p_plus) {
   Integrator& integrator = problem.integrator;
-  VecX guess(p_plus.size()), q1(problem.q.size()), p1(p_plus.size());
-  if (!integrator.node_velocity(problem.q, p_plus, guess) ||
-      !integrator.solve(problem.q, p_plus, guess, problem.remainder, problem.tau))
+  if (!integrator.solve(problem.q, p_plus, problem.remainder, problem.tau))
     return std::numeric_limits<double>::quiet_NaN();
-  integrate(integrator.tree(), problem.q, integrator.v(), problem.remainder, q1);
-  end_momentum(integrator.tree(), p_plus, integrator.v(), problem.remainder, integrator.workspace(), p1);
-  const double power = nonconservative_power(integrator.tree(), integrator.v(), problem.tau, integrator.workspace());
-  return modified_hamiltonian(integrator, q1, p1, problem.dt) - problem.remainder * power;
+  VecX q1(problem.q.size()), p1(p_plus.size());
+  integrator.finish(q1, p1);
+  const double work = integrator.work();
+  return modified_hamiltonian(integrator, q1, p1, problem.dt) - work;
 }
 
 }  // namespace

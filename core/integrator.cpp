@@ -1,189 +1,323 @@
 #include "integrator.hpp"
 
-#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 
 namespace contactvi {
 
 namespace {
-// Nanoseconds per degree of freedom at depth d, measured once on Allegro and a chain of 100 (x86-64, -O3); only their
-// ratio is used, so another machine's answer is little worse.
-double factor_cost(double d) { return 68.0 + 15.0 * d + 0.4 * d * d; }
-double iteration_cost(double d) { return 62.0 + 1.4 * d; }
-// A new factorisation serves later steps as well.
-constexpr double kAmortisation = 2.0;
+constexpr double kRefactor = 3e-3;     // change between sweeps above which the factor is made again
+constexpr double kFloor = 1e-10;       // below it a contraction that breaks down is rounding, not failure
+constexpr double kFarTurn = 3.5;       // rad per step of a ball, where its chart is still good
+constexpr double kNoContraction = 0.97;
 }  // namespace
 
-Integrator::Integrator(const Tree& tree, double tol, int max_iterations)
+Integrator::Integrator(const Tree& tree, int stages, double tol, int max_sweeps)
     : tree_(&tree),
       tol_(tol),
-      max_iterations_(max_iterations),
-      ws_(tree),
-      matrix_(tree.dof_parent),
-      mass_(tree.dof_parent),
-      v_(tree.nv),
-      dv_(tree.nv) {
-  double factor = 0, iteration = 0;
-  for (int k = 0; k < matrix_.size(); ++k) {
-    factor += factor_cost(matrix_.depth(k));
-    iteration += iteration_cost(matrix_.depth(k));
-  }
-  refresh_cost_ = iteration > 0 ? factor / iteration : 1.0;
+      max_sweeps_(max_sweeps),
+      model_(tree),
+      stages_(tree, model_, stages),
+      node_(tree, model_, 1),
+      start_(tree.nv, stages_),
+      placements_(tree),
+      q0_(tree.nq),
+      p0_(tree.nv),
+      q_ramp_(tree.nq),
+      p_ramp_(tree.nv),
+      q_ramp1_(tree.nq),
+      p_ramp1_(tree.nv),
+      v0_(tree.nv),
+      q_stage_(tree.nq),
+      carry_q_(VecX::Zero(tree.nq)),
+      carry_p_(VecX::Zero(tree.nv)),
+      next_carry_q_(VecX::Zero(tree.nq)),
+      next_carry_p_(VecX::Zero(tree.nv)),
+      rates_(tree.nv, stages),
+      velocities_(tree.nv, stages) {}
+
+void Integrator::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
+  if (q0.data() != q0_.data()) q0_ = q0;
+  if (p0.data() != p0_.data()) p0_ = p0;
+  h_ = h;
+  stages_.begin(q0_, p0_, h, tau);
 }
 
-bool Integrator::refresh(double h) {
-  ++counters.factorizations;
-  if (!newton_matrix(*tree_, h, ws_, matrix_)) {
-    matrix_h_ = -1.0;
-    why_ = "the Newton matrix is not positive definite";
-    return false;
+double Integrator::relative_error() const {
+  double worst = 0.0;
+  for (int i = 0; i < stages_.count(); ++i) {
+    const double error = std::abs(stages_.error(i));
+    const double scale = std::max({std::abs(stages_.kinetic(i)), stages_.floor(i), error});
+    const double relative = error > 0.0 ? error / scale : error;
+    if (!(relative <= worst)) worst = relative;  // also NaN
   }
-  matrix_h_ = h;
-  return true;
+  return std::sqrt(worst);
 }
 
-bool Integrator::refresh_pays(double rate, double digits) const {
-  if (rate >= 0.5) return true;
-  const double with = digits / -std::log(std::min(fresh_rate_, rate)), without = digits / -std::log(rate);
-  return kAmortisation * (without - with) > refresh_cost_;
+bool Integrator::converged(double error, double theta, double previous_theta) const {
+  if (error <= tol_) return true;
+  if (theta >= 0.0 && theta < 1.0 && error * theta / (1.0 - theta) <= tol_) return true;
+  return previous_theta >= 0.0 && error < kFloor && theta > std::min(1.0, 4.0 * previous_theta);
 }
 
-bool Integrator::measure(const TreeLu& matrix, double h, double& error2, double& scale2) {
-  dv_ = ws_.residual;
-  matrix.solve(dv_);
-  // Kinetic-energy norm of the residual against that of the motion; what cancels in the force sets a floor to it.
-  error2 = std::abs(ws_.residual.dot(dv_));
-  double floor2 = 0.0;
-  for (int i = 0; i < tree_->nv; ++i) {
-    const double kick = h * ws_.magnitude[i];
-    floor2 += kick * kick / std::abs(matrix.diagonal(i));
+bool Integrator::iterate() {
+  solved_ = false;
+  double previous = -1.0, theta = -1.0;
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type != JointType::kSpherical) continue;
+    double* X = stages_.X() + static_cast<std::size_t>(joint.iv) * stages_.padded();
+    std::fill(X, X + 3 * stages_.padded(), 0.0);
   }
-  scale2 = std::max(std::abs(ws_.P.dot(v_)), floor2);
-  residual_norm_ = std::sqrt(error2);
-  if (std::isfinite(error2) && std::isfinite(scale2)) return true;
-  why_ = "a number is not finite";
+  for (int k = 0; k < max_sweeps_; ++k) {
+    const bool factor = k == 0 || previous > kRefactor;
+    stages_.sweep(factor ? kLaneFactor : 0);
+    ++counters.sweeps;
+    ++sweeps_;
+    counters.factorizations += factor;
+    const double error = relative_error();
+    if (!std::isfinite(error)) {
+      why_ = "a number is not finite";
+      return false;
+    }
+    const double before = theta;
+    theta = previous > 0.0 ? error / previous : -1.0;
+    residual_ = error;
+    if (converged(error, theta, before)) return solved_ = true;
+    // Twice in a row without contraction: these start values lead nowhere.
+    if (k > 3 && theta > kNoContraction && before > kNoContraction) break;
+    previous = error;
+  }
+  why_ = "the sweeps do not converge";
   return false;
 }
 
-bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, const VecX& guess, double h, const VecX& tau) {
-  v_ = guess;
-  double previous = 0.0, error2 = 0.0, scale2 = 0.0;
-  bool fresh = false;
-  iterations_ = 0;
-  why_ = "";
-  for (int k = 0; k <= max_iterations_; ++k) {
-    contactvi::residual(*tree_, q0, p0, v_, h, tau, ws_);
-    ++counters.residuals;
-    // A factorisation for another step length is still good while h/2 |A| is small beside M; the rate tells.
-    if (matrix_h_ < 0.0) {
-      if (!refresh(h)) break;
-      fresh = true;
+bool Integrator::turns_too_far() {
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type != JointType::kSpherical) continue;
+    double turn2 = 0.0;
+    for (int d = 0; d < 3; ++d) {
+      const double X = stages_.sum(stages_.rate(), joint.iv + d);
+      turn2 += X * X;
     }
-    if (!measure(matrix_, h, error2, scale2)) break;
-    if (error2 <= tol_ * tol_ * scale2) {
-      // The correction is there already: taken, it costs nothing, and extrapolated noise cannot build up below tol.
-      v_ += dv_;
-      return true;
-    }
-    ++iterations_;
-    const double rate = k > 0 ? residual_norm_ / previous : 0.0;
-    if (k > 0 && fresh) fresh_rate_ = 0.5 * (fresh_rate_ + std::min(rate, 0.5));
-    if (k > 3 && rate > 0.9) break;
-    const double digits = 0.5 * std::log(std::max(error2 / (tol_ * tol_ * scale2), 1.0));
-    if (k > 0 && refresh_pays(rate, digits) && (!fresh || rate > 0.5)) {
-      if (!refresh(h)) break;
-      fresh = true;
-      dv_ = ws_.residual;
-      matrix_.solve(dv_);
-    }
-    previous = residual_norm_;
-    v_ += dv_;
+    if (turn2 <= kFarTurn * kFarTurn) continue;
+    why_ = "a body turns more than half a revolution in one step";
+    return true;
   }
-  matrix_h_ = -1.0;
-  return solve_carefully(q0, p0, h, tau);
+  return false;
 }
 
-bool Integrator::solve_carefully(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
-  const int n = tree_->nv;
-  MatX jacobian(n, n);
-  VecX base(n), start(n);
-  if (!node_velocity(q0, p0, v_)) {
+void Integrator::start_constant(const VecCRef& v0) {
+  const int S = stages_.padded();
+  for (int d = 0; d < tree_->nv; ++d) std::fill_n(stages_.v() + static_cast<std::size_t>(d) * S, S, v0[d]);
+}
+
+bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
+  // The same step again from another momentum, as impact maps ask for: its velocities are the best start.
+  const bool again = start_.count() == 0 && solved_ && h == h_ && (q0.array() == q0_.array()).all();
+  begin(q0, p0, h, tau);
+  part_ = false;
+  sweeps_ = 0;
+  why_ = "";
+  const int s = stages_.count();
+  if (again && iterate()) return !turns_too_far();
+  if (start_.count() > 0) {
+    start_.extrapolate(h, stages_);
+    if (iterate()) return !turns_too_far();
+    ++counters.retries;
+    if (s > 2) {
+      start_.extrapolate_smoothed(h, stages_);
+      if (iterate()) return !turns_too_far();
+    }
+  }
+  if (!node_velocity(q0_, p0_, v0_)) {
     why_ = "the mass matrix is not positive definite";
     return false;
   }
-  double error2 = 0.0, scale2 = 0.0, slack = 1.0;
-  for (int k = 0; k < max_iterations_; ++k) {
-    contactvi::residual(*tree_, q0, p0, v_, h, tau, ws_);
-    ++counters.residuals;
-    // The quick way's matrix may be indefinite here; M at the start of the step measures as well.
-    if (!measure(mass_, h, error2, scale2)) return false;
-    if (error2 <= tol_ * tol_ * scale2) return true;
-    ++iterations_;
-    base = ws_.residual;
-    start = v_;
-    const double before = base.squaredNorm(), reach = 1e-7 * (1.0 + v_.cwiseAbs().maxCoeff());
-    for (int j = 0; j < n; ++j) {
-      v_[j] += reach;
-      contactvi::residual(*tree_, q0, p0, v_, h, tau, ws_);
-      jacobian.col(j) = (base - ws_.residual) / reach;
-      v_[j] = start[j];
-    }
-    counters.residuals += n;
-    const VecX step = jacobian.partialPivLu().solve(base);
-    for (slack = 1.0; slack > 1e-3; slack *= 0.5) {
-      v_ = start + slack * step;
-      contactvi::residual(*tree_, q0, p0, v_, h, tau, ws_);
-      ++counters.residuals;
-      if (ws_.residual.squaredNorm() < before || before < 1e-24) break;
-    }
-  }
-  why_ = "no convergence";
-  return false;
+  start_constant(v0_);
+  if (iterate()) return !turns_too_far();
+  return start_by_ramp(tau) && !turns_too_far();
 }
 
-void Integrator::finish(const VecCRef& q0, const VecCRef& p0, double h, VecRef q1, VecRef p1) {
-  integrate(*tree_, q0, v_, h, q1);
-  end_momentum(*tree_, p0, v_, h, ws_, p1);
+// Small steps first, each from the polynomial of the one before; together they give start values for the whole.
+bool Integrator::start_by_ramp(const VecX& tau) {
+  const double whole = h_, parts[4] = {0.125, 0.125, 0.25, 0.5};
+  const VecX q0 = q0_, p0 = p0_;  // a slow way anyway
+  start_.clear_pieces();
+  start_.forget();
+  q_ramp_ = q0;
+  p_ramp_ = p0;
+  double done = 0.0;
+  for (int k = 0; k < 4; ++k) {
+    const double h = parts[k] * whole;
+    begin(q_ramp_, p_ramp_, h, tau);
+    if (k == 0) {
+      start_constant(v0_);
+    } else {
+      start_.extrapolate(h, stages_);
+    }
+    if (!iterate()) return false;
+    start_.add_piece(stages_, done, h);
+    start_.push(stages_, h);
+    finish(q_ramp1_, p_ramp1_);
+    q_ramp_ = q_ramp1_;
+    p_ramp_ = p_ramp1_;
+    done += h;
+  }
+  start_.forget();
+  begin(q0, p0, whole, tau);
+  start_.assemble(whole, stages_);
+  return iterate();
+}
+
+bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) {
+  const GaussTable& table = stages_.table();
+  const int s = stages_.count(), S = stages_.padded();
+  begin(q0, p0, alpha * path.h(), tau);
+  part_ = true;
+  sweeps_ = 0;
+  why_ = "";
+  for (int i = 0; i < s; ++i) {
+    path.velocity(alpha * table.c[i], v0_);
+    for (int d = 0; d < tree_->nv; ++d) stages_.v()[d * S + i] = v0_[d];
+  }
+  for (int i = s; i < S; ++i)
+    for (int d = 0; d < tree_->nv; ++d) stages_.v()[d * S + i] = v0_[d];
+  if (iterate()) return !turns_too_far();
+  return node_velocity(q0_, p0_, v0_) && (start_constant(v0_), iterate()) && !turns_too_far();
+}
+
+void Integrator::finish(VecRef q1, VecRef p1) {
+  if (model_.lanes.balls > 0) stages_.rates();
+  const double carried = part_ ? 0.0 : 1.0;  // what is carried is that of the next whole step by then
+  for (const Joint& joint : tree_->joints) {
+    const int iq = joint.iq, iv = joint.iv;
+    if (joint.type == JointType::kSpherical) {
+      const Vec3 X1(stages_.sum(stages_.rate(), iv), stages_.sum(stages_.rate(), iv + 1),
+                    stages_.sum(stages_.rate(), iv + 2));
+      const Quat start(q0_[iq + 3], q0_[iq], q0_[iq + 1], q0_[iq + 2]);
+      const Vec3 end = stages_.ball_end(joint, p0_);
+      q1.segment<4>(iq) = (start * so3_exp(X1)).normalized().coeffs();
+      p1.segment<3>(iv) = end;
+      continue;
+    }
+    for (int d = 0; d < joint.nv; ++d) {
+      const double kick = stages_.sum(stages_.G(), iv + d) + carried * carry_p_[iv + d], p = p0_[iv + d] + kick;
+      next_carry_p_[iv + d] = kick - (p - p0_[iv + d]);
+      p1[iv + d] = p;
+    }
+    if (joint.type == JointType::kContinuous) {
+      const double angle = stages_.sum(stages_.v(), iv), c = std::cos(angle), s = std::sin(angle);
+      const double c1 = q0_[iq] * c - q0_[iq + 1] * s, s1 = q0_[iq] * s + q0_[iq + 1] * c;
+      const double scale = 1 / std::sqrt(c1 * c1 + s1 * s1);
+      q1[iq] = scale * c1;
+      q1[iq + 1] = scale * s1;
+      continue;
+    }
+    for (int d = 0; d < joint.nv; ++d) {
+      const double way = stages_.sum(stages_.v(), iv + d) + carried * carry_q_[iq + d], q = q0_[iq + d] + way;
+      next_carry_q_[iq + d] = way - (q - q0_[iq + d]);
+      q1[iq + d] = q;
+    }
+  }
+}
+
+void Integrator::accept() {
   ++counters.steps;
+  carry_q_ = next_carry_q_;
+  carry_p_ = next_carry_p_;
+  start_.push(stages_, h_);
+}
+
+void Integrator::forget() {
+  carry_q_.setZero();
+  carry_p_.setZero();
+  start_.forget();
+}
+
+const MatX& Integrator::rates() {
+  if (model_.lanes.balls > 0) stages_.rates();
+  for (int i = 0; i < stages_.count(); ++i)
+    for (int d = 0; d < tree_->nv; ++d) rates_(d, i) = stages_.rate()[d * stages_.padded() + i];
+  return rates_;
+}
+
+const MatX& Integrator::velocities() {
+  for (int i = 0; i < stages_.count(); ++i)
+    for (int d = 0; d < tree_->nv; ++d) velocities_(d, i) = stages_.v()[d * stages_.padded() + i];
+  return velocities_;
+}
+
+double Integrator::truncation() const {
+  const int s = stages_.count(), S = stages_.padded();
+  const double* weight = stages_.table().to_legendre[s - 1];
+  double sum = 0.0;
+  for (int d = 0; d < tree_->nv; ++d) {
+    double mode = 0.0;
+    for (int j = 0; j < s; ++j) mode += weight[j] * stages_.v()[d * S + j];
+    sum += mode * mode;
+  }
+  return std::abs(h_) * std::sqrt(sum);
+}
+
+double Integrator::work() const {
+  double total = 0.0;
+  for (int i = 0; i < stages_.count(); ++i) total += h_ * stages_.table().b[i] * stages_.power(i);
+  return total;
+}
+
+double Integrator::mean_work() const {
+  const GaussTable& table = stages_.table();
+  double total = 0.0;
+  for (int j = 0; j < stages_.count(); ++j) {
+    double weight = 0.0;
+    for (int i = 0; i < stages_.count(); ++i) weight += table.b[i] * table.A[i][j];
+    total += h_ * weight * stages_.power(j);
+  }
+  return total;
+}
+
+double Integrator::discrete_energy() {
+  const int S = stages_.padded();
+  double total = 0.0;
+  for (int i = 0; i < stages_.count(); ++i) {
+    stages_.configuration(q0_, i, q_stage_);
+    place(*tree_, q_stage_, placements_);
+    double energy = gravity_potential(*tree_, placements_) + spring_potential(*tree_, q_stage_);
+    // P belongs to the velocity before the last correction: 1/2 (v - dv) M (v - dv) + ... = 1/2 P.(v + dv) to second order.
+    for (int d = 0; d < tree_->nv; ++d)
+      energy += 0.5 * stages_.P()[d * S + i] * (stages_.v()[d * S + i] + stages_.dv()[d * S + i]);
+    total += stages_.table().b[i] * energy;
+  }
+  return total;
 }
 
 bool Integrator::node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) {
-  local_placements(*tree_, q, ws_.kernel);
-  assemble_mass(*tree_, ws_.kernel, mass_);
-  if (!mass_.factor()) return false;
-  v = p;
-  mass_.solve(v);
-  return true;
+  node_.at(q);
+  node_.place();
+  node_.factor();
+  for (int d = 0; d < tree_->nv; ++d) node_.dv()[d] = p[d];
+  node_.solve();
+  double energy = 0.0;
+  for (int d = 0; d < tree_->nv; ++d) {
+    v[d] = node_.dv()[d];
+    energy += v[d] * p[d];
+  }
+  return energy >= 0.0;  // false for NaN
 }
 
-Extrapolation::Extrapolation(int nv) {
-  for (VecX& v : history_) v = VecX::Zero(nv);
+void Integrator::solve_mass(VecRef x) {
+  for (int d = 0; d < tree_->nv; ++d) node_.dv()[d] = x[d];
+  node_.solve();
+  for (int d = 0; d < tree_->nv; ++d) x[d] = node_.dv()[d];
 }
 
-void Extrapolation::push(const VecX& v, double h) {
-  if (h != h_) count_ = 0;
-  h_ = h;
-  for (int i = kDepth - 1; i > 0; --i) history_[i].swap(history_[i - 1]);
-  history_[0] = v;
-  count_ = std::min(count_ + 1, kDepth);
-}
-
-void Extrapolation::guess(VecX& v) const {
-  const VecX *a = &history_[0], *b = &history_[1], *c = &history_[2], *d = &history_[3];
-  switch (count_) {
-    case 1:
-      v = *a;
-      break;
-    case 2:
-      v = 2 * *a - *b;
-      break;
-    case 3:
-      v = 3 * (*a - *b) + *c;
-      break;
-    default:
-      v = 4 * (*a + *c) - 6 * *b - *d;
-      break;
+void Integrator::dynamics(const VecCRef& q, const VecCRef& v, VecRef P, VecRef G) {
+  node_.at(q);
+  for (int d = 0; d < tree_->nv; ++d) node_.v()[d] = v[d];
+  node_.evaluate();
+  for (int d = 0; d < tree_->nv; ++d) {
+    P[d] = node_.P()[d];
+    G[d] = node_.G()[d];
   }
 }
 

@@ -1,75 +1,90 @@
-// One smooth midpoint step: solve p0 = p0(v) for v, then q1 and p1. Quasi-Newton with a factorisation that is kept over
-// steps for as long as it contracts.
+// One smooth step of order 2s: solve the stage equations for the stage velocities, then q1 and p1.
+//
+// Sweeps correct the velocities with a factor of the mass matrix made in the first of them. They stop when the energy norm
+// of the residual, relative to the motion's, times theta/(1 - theta) is below the tolerance, theta their measured
+// contraction; or when rounding stops the contraction far below.
 #pragma once
 
-#include "discrete_lagrangian.hpp"
+#include "path.hpp"
+#include "placement.hpp"
+#include "stages.hpp"
+#include "start_values.hpp"
 
 namespace contactvi {
 
 struct StepCounters {
-  long steps = 0, residuals = 0, factorizations = 0;
+  long steps = 0, sweeps = 0, factorizations = 0;
+  long retries = 0;  // steps whose first start values did not converge
 };
 
 class Integrator {
  public:
-  // tol: residual relative to momentum, both in the kinetic-energy norm sqrt(r^T M^-1 r).
-  Integrator(const Tree& tree, double tol, int max_iterations);
+  // tol: see above; at most max_sweeps per attempt.
+  Integrator(const Tree& tree, int stages, double tol, int max_sweeps);
+  Integrator(const Integrator&) = delete;
+  Integrator& operator=(const Integrator&) = delete;
 
-  // Solve for a step h from (q0, p0). guess: start for v, shape (nv,). False when it does not converge; why() says it.
-  bool solve(const VecCRef& q0, const VecCRef& p0, const VecX& guess, double h, const VecX& tau);
-  const VecX& v() const { return v_; }
-  double residual_norm() const { return residual_norm_; }
-  int iterations() const { return iterations_; }
-  const char* why() const { return why_; }
-  // End state of the step just solved.
-  void finish(const VecCRef& q0, const VecCRef& p0, double h, VecRef q1, VecRef p1);
-
-  // v = M(q)^-1 p; leaves M factored in mass() and the kernel placed at q. False if M is not positive.
-  bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v);
-  const TreeLu& mass() const { return mass_; }
-
+  int stages() const { return stages_.count(); }
   const Tree& tree() const { return *tree_; }
-  StepWorkspace& workspace() { return ws_; }
+
+  // Solve the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False when the
+  // sweeps do not converge from any start; why() says it.
+  bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  // The same for the part alpha of a step whose path is known.
+  bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau);
+  // End state of the step just solved.
+  void finish(VecRef q1, VecRef p1);
+  // The step just finished is taken: the next one starts from its polynomial, and from the digits that its sums lost.
+  void accept();
+  // The next step starts elsewhere.
+  void forget();
+
+  int sweeps() const { return sweeps_; }
+  double residual_norm() const { return residual_; }
+  const char* why() const { return why_; }
+  // X' at the stages of the step just solved, shape (nv, s).
+  const MatX& rates();
+  const MatX& velocities();  // v there
+  // Size of the highest mode of the stage velocities: what the polynomial of the path hardly resolves any more [m; rad].
+  double truncation() const;
+
+  // Of the step just solved [J]: work of damping and inputs; its mean over the step; sum b_i E(q_i, v_i).
+  double work() const;
+  double mean_work() const;
+  double discrete_energy();
+
+  // v = M(q)^-1 p; the factor stays for solve_mass. False if M is not positive.
+  bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v);
+  // x <- M^-1 x at the q of the last node_velocity.
+  void solve_mass(VecRef x);
+  // P = M v and G = dT/dq - dV/dq of gravity, shapes (nv,).
+  void dynamics(const VecCRef& q, const VecCRef& v, VecRef P, VecRef G);
+
   StepCounters counters;
 
  private:
-  bool refresh(double h);
-  bool refresh_pays(double rate, double digits) const;
-  // Newton with the exact matrix, by differences, and a line search: slow, for steps that the quick way cannot take.
-  bool solve_carefully(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
-  // Norms of the residual just evaluated; false if they are not finite.
-  bool measure(const TreeLu& matrix, double h, double& error2, double& scale2);
+  bool iterate();
+  bool converged(double error, double theta, double previous_theta) const;
+  double relative_error() const;
+  void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  void start_constant(const VecCRef& v0);
+  bool start_by_ramp(const VecX& tau);
+  bool turns_too_far();
 
   const Tree* tree_;
   double tol_;
-  int max_iterations_;
-  StepWorkspace ws_;
-  TreeLu matrix_, mass_;
-  double matrix_h_ = -1.0;     // step that matrix_ was factored for, < 0: none
-  double fresh_rate_ = 1e-3;   // contraction seen just after a factorisation
-  double refresh_cost_ = 1.0;  // of a factorisation, in iterations
-  VecX v_, dv_;
-  double residual_norm_ = 0.0;
-  int iterations_ = 0;
+  int max_sweeps_;
+  FlatModel model_;
+  Stages stages_, node_;
+  StartValues start_;
+  Placements placements_;
+  VecX q0_, p0_, q_ramp_, p_ramp_, q_ramp1_, p_ramp1_, v0_, q_stage_;
+  VecX carry_q_, carry_p_, next_carry_q_, next_carry_p_;
+  MatX rates_, velocities_;
+  double h_ = 0.0, residual_ = 0.0;
+  int sweeps_ = 0;
+  bool solved_ = false, part_ = false;
   const char* why_ = "";
-};
-
-// Start values for v: polynomial through the last steps of equal length, reset by anything that breaks smoothness.
-class Extrapolation {
- public:
-  explicit Extrapolation(int nv);
-  void reset() { count_ = 0; }
-  void push(const VecX& v, double h);
-  int count(double h) const { return h == h_ ? count_ : 0; }
-  const VecX& last() const { return history_[0]; }
-  const VecX& before_last() const { return history_[1]; }
-  void guess(VecX& v) const;  // needs count >= 1
-
- private:
-  static constexpr int kDepth = 4;
-  VecX history_[kDepth];
-  int count_ = 0;
-  double h_ = 0.0;
 };
 
 }  // namespace contactvi

@@ -1,6 +1,6 @@
 #include "simulator.hpp"
 
-#include <chrono>
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -16,6 +16,8 @@ constexpr double kZenoFlight = 0.05;    // of a step: e times the last flight be
 constexpr int kZenoFlights = 4;         // flights in a row, each shorter than the one before
 constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
 constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
+constexpr double kShortest = 1e-3;       // of a step: halving ends there
+constexpr int kEasySteps = 4;           // short steps in a row before a longer one is tried
 constexpr int kCtec = 0, kDtec = 1, kMhc = 2;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
@@ -23,16 +25,16 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
     : scene_(&scene),
       options_(options),
-      integrator_(scene.tree, options.tol, options.max_iterations),
+      integrator_(scene.tree, options.stages, options.tol, options.max_iterations),
       guards_(scene),
       finder_(scene, integrator_, guards_),
-      history_(scene.tree.nv),
+      path_(scene.tree, options.stages),
       q_(VecX::Zero(scene.tree.nq)),
       p_(VecX::Zero(scene.tree.nv)),
       q1_(scene.tree.nq),
       p1_(scene.tree.nv),
       v_(scene.tree.nv),
-      guess_(scene.tree.nv),
+      rates_(scene.tree.nv, options.stages),
       bouncing_(scene.guard_count()) {
   if (options.impact < kCtec || options.impact > kMhc) throw Error("unknown impact map");
 }
@@ -46,21 +48,23 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   status_ = {StatusCode::kSuccess, "", t, -1, kNaN, kNaN};
   q_ = q;
   v_ = v;
-  t0_ = t;
-  step_ = impacts_ = 0;
+  t0_ = time_ = t;
+  step_ = impacts_ = halved_ = rejected_ = 0;
   speed_scale_ = 0.0;
   target_step_ = -1;
+  trial_ = options_.dt;
+  easy_ = 0;
+  arc_h_ = options_.dt;
   integrator_.counters = StepCounters();
+  integrator_.forget();
   guards_.counters = GuardCounters();
-  history_.reset();
   guards_.unmark_all();
   bouncing_.assign(bouncing_.size(), Bouncing());
   if (!q.allFinite() || !v.allFinite()) {
     end(StatusCode::kNotFinite, t, "the start state is not finite");
     return status_;
   }
-  KernelWorkspace& kernel = integrator_.workspace().kernel;
-  momentum_and_forces(scene_->tree, q_, v_, kernel, p_, guess_, p1_);
+  integrator_.dynamics(q_, v_, p_, p1_);
   if (options_.impact == kMhc) target_ = modified_hamiltonian(integrator_, q_, p_, options_.dt);
   guards_.place(q_);
   for (int g = 0; g < guards_.count(); ++g) {
@@ -76,54 +80,67 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   return status_;
 }
 
+void Simulator::record_node(double t, Recording& recording) const {
+  recording.t.push_back(t);
+  recording.q.insert(recording.q.end(), q_.data(), q_.data() + q_.size());
+  recording.p.insert(recording.p.end(), p_.data(), p_.data() + p_.size());
+}
+
+// The step of length h from (q_, p_) whose rates are in rates_.
+void Simulator::record_segment(double t, double h, const VecX& p1, Recording& recording) {
+  if (!options_.dense) return;
+  Segments& s = recording.segments;
+  s.t.push_back(t);
+  s.h.push_back(h);
+  s.q.insert(s.q.end(), q_.data(), q_.data() + q_.size());
+  s.p.insert(s.p.end(), p_.data(), p_.data() + p_.size());
+  s.p1.insert(s.p1.end(), p1.data(), p1.data() + p1.size());
+  s.rates.insert(s.rates.end(), rates_.data(), rates_.data() + rates_.size());
+}
+
+// True unless the caller asks to stop.
+bool Simulator::report(const Progress& progress) {
+  using Clock = std::chrono::steady_clock;
+  if (!progress || Clock::now() - reported_ < std::chrono::milliseconds(100)) return true;
+  reported_ = Clock::now();
+  return progress(time_, impacts_) || end(StatusCode::kInterrupted, time_, "interrupted");
+}
+
 Status Simulator::advance(long steps, const MatX& tau, long record_every, const Progress& progress,
                           Recording& recording) {
-  using Clock = std::chrono::steady_clock;
-  status_ = {StatusCode::kSuccess, "", time(), -1, kNaN, kNaN};
-  auto record = [&](double t) {
-    recording.t.push_back(t);
-    recording.q.insert(recording.q.end(), q_.data(), q_.data() + q_.size());
-    recording.p.insert(recording.p.end(), p_.data(), p_.data() + p_.size());
-  };
-  const VecX no_force;
-  VecX force = no_force;
-  if (recording.t.empty()) record(time());
-  Clock::time_point reported = Clock::now();
+  status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
+  VecX force;
+  if (recording.t.empty()) record_node(time_, recording);
+  reported_ = std::chrono::steady_clock::now();
   for (long k = 0; k < steps; ++k) {
     if (tau.rows() > 0) force = tau.row(k).transpose();
-    if (!one_step(force, recording)) {
+    if (!interval(t0_ + static_cast<double>(step_) * options_.dt, options_.dt, force, recording)) {
       // The run ends inside of a step: its last node is the state there.
-      if (status_.code != StatusCode::kNotFinite && !recording.t.empty() && status_.time > recording.t.back())
-        record(status_.time);
+      if (status_.code != StatusCode::kNotFinite && status_.time > recording.t.back())
+        record_node(status_.time, recording);
       return status_;
     }
-    if (step_ % record_every == 0 || k + 1 == steps) record(time());
-    if (progress && k % 64 == 63 && Clock::now() - reported > std::chrono::milliseconds(100)) {
-      reported = Clock::now();
-      if (!progress(time(), impacts_)) {
-        end(StatusCode::kInterrupted, time(), "interrupted");
-        return status_;
-      }
-    }
+    ++step_;
+    time_ = t0_ + static_cast<double>(step_) * options_.dt;
+    if (step_ % record_every == 0 || k + 1 == steps) record_node(time_, recording);
+    if (k % 64 == 63 && !report(progress)) return status_;
   }
-  status_.time = time();
+  status_.time = time_;
   return status_;
 }
 
-// Smooth step of length h from (q_, p_) into (q1_, p1_), v_.
-bool Simulator::smooth_step(double time, double h, const VecX& tau) {
-  if (history_.count(h) > 0) {
-    history_.guess(guess_);
-  } else if (!integrator_.node_velocity(q_, p_, guess_)) {
-    return end(StatusCode::kNewtonFailed, time, "the mass matrix is not positive definite");
-  }
-  if (!integrator_.solve(q_, p_, guess_, h, tau)) {
+// Smooth step of length h from (q_, p_) into (q1_, p1_); false also when it has to be tried shorter.
+bool Simulator::smooth_step(double time, double h, const VecX& tau, bool last_try) {
+  if (!integrator_.solve(q_, p_, h, tau)) {
+    if (!last_try) return false;
     const bool finite = q_.allFinite() && p_.allFinite();
     return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, time,
                std::string("the discrete Euler-Lagrange equation was not solved: ") + integrator_.why());
   }
-  integrator_.finish(q_, p_, h, q1_, p1_);
-  v_ = integrator_.v();
+  truncation_ = std::max(truncation_, level_ > 0.0 ? integrator_.truncation() : 0.0);
+  integrator_.finish(q1_, p1_);
+  if (guards_.count() > 0 || options_.dense) rates_ = integrator_.rates();
+  integrator_.accept();
   return true;
 }
 
@@ -136,44 +153,60 @@ bool Simulator::search_failed(Search outcome, double time) {
   return false;
 }
 
-bool Simulator::one_step(const VecX& tau, Recording& recording) {
-  const double start = time();
-  double remaining = options_.dt, done = 0.0;
-  bool cut = false;
+// From start over length: steps as long as they can be, and what the events in them ask for.
+bool Simulator::interval(double start, double length, const VecX& tau, Recording& recording) {
+  double remaining = length, done = 0.0;
   impacts_in_step_ = 0;
   if (options_.impact == kMhc && !options_.mhc_global) {
     q_node_ = q_;
     p_node_ = p_;
   }
   while (remaining > 0.0) {
-    const bool known = history_.count(remaining) > 0;
-    if (!smooth_step(start + done, remaining, tau)) return false;
+    const bool shorter = trial_ < remaining * (1.0 - 1e-9);
+    const double h = shorter ? trial_ : remaining;
+    const bool last_try = level_ > 0.0 || h < kShortest * options_.dt;
+    if (!smooth_step(start + done, h, tau, last_try)) {
+      if (last_try) return false;
+      trial_ = 0.5 * h;
+      easy_ = 0;
+      ++halved_;
+      continue;
+    }
+    if (shorter && ++easy_ >= kEasySteps) {
+      trial_ *= 2.0;
+      easy_ = 0;
+    }
     Search found = Search::kNone;
-    if (guards_.count() > 0)
-      found = finder_.search(q_, p_, v_, q1_, remaining, tau, known ? &history_.last() : nullptr);
+    if (guards_.count() > 0) {
+      path_.set(q_, h, rates_);
+      found = finder_.search(q_, p_, q1_, p1_, h, tau, path_);
+    }
     if (found == Search::kNone) {
-      if (!cut) history_.push(v_, remaining);
+      record_segment(start + done, h, p1_, recording);
       q_.swap(q1_);
       p_.swap(p1_);
-      break;
+      done += h;
+      remaining = shorter ? length - done : 0.0;
+      continue;
     }
     if (found != Search::kFound) return search_failed(found, start + done);
-    cut = true;
-    history_.reset();
-    const double before = finder_.event().alpha * remaining;
+    const double before = finder_.event().alpha * h;
+    if (options_.dense && before > 0.0) rates_ = integrator_.rates();
+    if (before > 0.0) record_segment(start + done, before, finder_.event().p, recording);
+    integrator_.forget();
     done += before;
-    remaining = finder_.event().alpha >= 1.0 ? 0.0 : options_.dt - done;
+    remaining = finder_.event().alpha >= 1.0 && !shorter ? 0.0 : length - done;
     q_ = finder_.event().q;
     p_ = finder_.event().p;
     if (!resolve_event({start + done, before, remaining, tau}, recording)) return false;
   }
-  ++step_;
-  if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, time(), "the state is not finite");
+  if (!q_.allFinite() || !p_.allFinite())
+    return end(StatusCode::kNotFinite, start + length, "the state is not finite");
   return true;
 }
 
 bool Simulator::resolve_event(const Instant& at, Recording& recording) {
-  if (options_.impact != kCtec) target_ = energy_target(at.before, at.tau);
+  if (options_.impact != kCtec) target_ = energy_target(at.before);
   if (!collect_closed(at.time) || !hit_until_separate(at, recording)) return false;
   for (int i = 0; i < closed_count_; ++i) finder_.set_touching(closed_[i].guard, true);
   return judge_accumulation(at.time);
@@ -182,18 +215,17 @@ bool Simulator::resolve_event(const Instant& at, Recording& recording) {
 // Value of the map's scalar before the event, losses not yet subtracted; what damping and inputs have done since the
 // scalar's own instant (the middle of the partial step, or the node) is added, so that the impact does not give it
 // back.
-double Simulator::energy_target(double before, const VecX& tau) {
+double Simulator::energy_target(double before) {
   // The integrator still holds the partial step to the event.
-  const double power =
-      before > 0.0 ? nonconservative_power(scene_->tree, integrator_.v(), tau, integrator_.workspace()) : 0.0;
+  const double work = before > 0.0 ? integrator_.work() : 0.0;
   if (options_.impact == kDtec) {
-    if (before > 0.0) return discrete_energy(integrator_) + 0.5 * before * power;
+    if (before > 0.0) return integrator_.discrete_energy() + work - integrator_.mean_work();
     const Energy now = energy(integrator_, q_, p_);
     return now.kinetic + now.potential;
   }
-  if (options_.mhc_global || target_step_ == step_) return target_ + before * power;
+  if (options_.mhc_global || target_step_ == step_) return target_ + work;
   target_step_ = step_;
-  return modified_hamiltonian(integrator_, q_node_, p_node_, options_.dt) + before * power;
+  return modified_hamiltonian(integrator_, q_node_, p_node_, options_.dt) + work;
 }
 
 ImpactResult Simulator::apply_map(const ImpactProblem& problem) {
@@ -228,7 +260,7 @@ bool Simulator::collect_closed(double time) {
     c.hit = false;
     guards_.gradient(g, contact, c.W);
     c.MinvW = c.W;
-    integrator_.mass().solve(c.MinvW);
+    integrator_.solve_mass(c.MinvW);
     c.G_c = c.W.dot(c.MinvW);
   }
   return true;
@@ -310,7 +342,7 @@ bool Simulator::judge_accumulation(double time) {
       const bool shorter = b.hits > 1 && flight < b.last_flight;
       b.contracting = shorter ? b.contracting + 1 : 0;
       const double e = scene_->restitution(guard);
-      if (e < 1.0 && b.contracting >= kZenoFlights && e * flight < kZenoFlight * options_.dt) {
+      if (e < 1.0 && b.contracting >= kZenoFlights && e * flight < kZenoFlight * arc_h_) {
         end(StatusCode::kZeno, time, "impacts accumulate", guard);
         // Flights shrink geometrically; their measured ratio, not e, is right for articulated bodies too.
         const double ratio = flight / b.last_flight;

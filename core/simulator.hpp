@@ -1,11 +1,13 @@
 // The event loop: smooth steps, events, impacts, and the status a run ends with.
 #pragma once
 
+#include <chrono>
 #include <functional>
 
 #include "error.hpp"
 #include "event.hpp"
 #include "impact.hpp"
+#include "recording.hpp"
 
 namespace contactvi {
 
@@ -14,27 +16,10 @@ struct SimulatorOptions {
   double tol = 1e-12;       // of the discrete Euler-Lagrange residual, relative
   int impact = 0;           // map: 0 CTEC, 1 DTEC, 2 MHC
   bool mhc_global = false;  // MHC's reference: carried from the start of the run, else from the start of each step
-  int max_iterations = 30;
+  int max_iterations = 50;   // sweeps per attempt at a step
   long max_impacts_per_step = 100000;
-};
-
-// One impact, engine coordinates.
-struct ImpactRecord {
-  double time;
-  int guard;
-  Vec3 point, normal;
-  double impulse, gamma_minus, gamma_plus, G_c, gap, restitution;
-  int method, iterations, fallback;
-  double jump;           // left over in the map's own energy equation [J]
-  double before, after;  // lengths [s] of the partial step that ends here and of the rest of the step
-  long step;
-  VecX q, p_minus, p_plus;
-};
-
-// Nodes and impacts of a run; grows as the run goes on.
-struct Recording {
-  std::vector<double> t, q, p;  // row-major (N, nq), (N, nv), engine coordinates
-  std::vector<ImpactRecord> impacts;
+  int stages = 1;       // s of order 2s
+  bool dense = false;   // keep the polynomials of the steps
 };
 
 // Called now and then with (time, impacts so far); false asks the run to stop.
@@ -49,8 +34,12 @@ class Simulator {
   // steps steps of dt with the generalized force tau (steps x nv, public coordinates, or empty) constant over each;
   // nodes are recorded every record_every steps. The run may end early: see the status.
   Status advance(long steps, const MatX& tau, long record_every, const Progress& progress, Recording& recording);
+  // Until time + duration with steps of equal length within each smooth arc, such that the highest mode of the stage
+  // velocities moves nothing by more than level [m; rad] per step (Integrator::truncation); an arc where it does is redone
+  // with a shorter step. Every step's end is a node.
+  Status run_auto(double duration, double level, const Progress& progress, Recording& recording);
 
-  double time() const { return t0_ + static_cast<double>(step_) * options_.dt; }
+  double time() const { return time_; }
   const VecX& q() const { return q_; }
   const VecX& p() const { return p_; }
   const Scene& scene() const { return *scene_; }
@@ -59,6 +48,8 @@ class Simulator {
   const GuardCounters& guard_counters() const { return guards_.counters; }
   long steps() const { return step_; }
   long impacts() const { return impacts_; }
+  long halved() const { return halved_; }
+  long rejected() const { return rejected_; }
 
  private:
   // What is known of the bouncing of one guard, to tell accumulation from chatter.
@@ -81,11 +72,27 @@ class Simulator {
     const VecX& tau;
   };
 
-  bool one_step(const VecX& tau, Recording& recording);
-  bool smooth_step(double time, double h, const VecX& tau);
+  // What run_auto goes back to.
+  struct ArcStart {
+    double time, target, speed_scale;
+    VecX q, p;
+    std::vector<char> touching;
+    std::vector<Bouncing> bouncing;
+    Recording::Mark mark;
+    long impacts, step, target_step;
+  };
+
+  bool interval(double start, double length, const VecX& tau, Recording& recording);
+  bool smooth_step(double time, double h, const VecX& tau, bool last_try);
+  void record_node(double t, Recording& recording) const;
+  void record_segment(double t, double h, const VecX& p1, Recording& recording);
+  bool report(const Progress& progress);
+  ArcStart arc_start(const Recording& recording) const;
+  void go_back(const ArcStart& arc, Recording& recording);
+  bool run_arc(double end, double level, const Progress& progress, Recording& recording);
   bool search_failed(Search outcome, double time);
   bool resolve_event(const Instant& at, Recording& recording);
-  double energy_target(double before, const VecX& tau);
+  double energy_target(double before);
   ImpactResult apply_map(const ImpactProblem& problem);
   bool collect_closed(double time);
   bool hit_until_separate(const Instant& at, Recording& recording);
@@ -98,11 +105,17 @@ class Simulator {
   Integrator integrator_;
   Guards guards_;
   EventFinder finder_;
-  Extrapolation history_;
-  VecX q_, p_, q1_, p1_, v_, guess_;
-  double t0_ = 0;
+  StepPath path_;
+  VecX q_, p_, q1_, p1_, v_;
+  MatX rates_;      // of the step just solved, while it may be needed
+  double t0_ = 0, time_ = 0;
+  double trial_ = 0;  // length of the next step to try: shorter than dt after steps that did not converge
+  int easy_ = 0;      // steps of that length solved in a row
+  double level_ = 0, truncation_ = 0;   // of run_auto: bound, largest of the interval
+  double arc_h_ = 0;
+  std::chrono::steady_clock::time_point reported_;
   double speed_scale_ = 0;  // largest closing speed of a closed contact so far
-  long step_ = 0, impacts_ = 0, impacts_in_step_ = 0;
+  long step_ = 0, impacts_ = 0, impacts_in_step_ = 0, halved_ = 0, rejected_ = 0;
   std::vector<Bouncing> bouncing_;
   std::vector<Closed> closed_;
   int closed_count_ = 0;

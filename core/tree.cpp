@@ -52,4 +52,22 @@ Vec3 spring_deflection(const Tree& tree, const Joint& joint, const VecCRef& q) {
   }
 }
 
+double spring_potential(const Tree& tree, const VecCRef& q) {
+  double energy = 0;
+  if (!tree.has_springs) return energy;
+  for (const Joint& joint : tree.joints)
+    if (joint.stiffness != 0) energy += 0.5 * joint.stiffness * spring_deflection(tree, joint, q).squaredNorm();
+  return energy;
+}
+
+void add_spring_forces(const Tree& tree, const VecCRef& q, VecRef dV) {
+  if (!tree.has_springs) return;
+  for (const Joint& joint : tree.joints) {
+    if (joint.stiffness == 0) continue;
+    // On SO(3) the gradient of |log R|^2/2 is log R itself, because log R is an eigenvector of its Jacobian.
+    const Vec3 deflection = spring_deflection(tree, joint, q);
+    for (int d = 0; d < joint.nv; ++d) dV[joint.iv + d] += joint.stiffness * deflection[d];
+  }
+}
+
 }  // namespace contactvi

@@ -80,4 +80,8 @@ void integrate(const Tree& tree, const VecCRef& q, const VecCRef& w, double fact
 // entries.
 Vec3 spring_deflection(const Tree& tree, const Joint& joint, const VecCRef& q);
 
+// Energy of the joint springs at q [J], and their dV/dq added to dV, shape (nv,).
+double spring_potential(const Tree& tree, const VecCRef& q);
+void add_spring_forces(const Tree& tree, const VecCRef& q, VecRef dV);
+
 }  // namespace contactvi

@@ -7,6 +7,8 @@ NB_MODULE(_core, m) {
   nanobind::exception<contactvi::Error>(m, "CoreError", PyExc_RuntimeError);
   contactvi::settle_box_support();
   contactvi::expose_scene(m);
+  contactvi::expose_dense(m);
+  contactvi::expose_kernel(m);
   contactvi::expose_simulator(m);
   contactvi::expose_reference(m);
 }

@@ -1,7 +1,8 @@
-// Yardstick for benchmarks/: Pinocchio's own recursive Newton-Euler algorithm, timed in C++ without Python in the loop.
+// Yardsticks for benchmarks/: Pinocchio's own algorithms, timed in C++ without Python in the loop.
 #include <boost/archive/binary_iarchive.hpp>
 #include <boost/iostreams/device/array.hpp>
 #include <boost/iostreams/stream_buffer.hpp>
+#include <pinocchio/algorithm/aba.hpp>
 #include <pinocchio/algorithm/rnea.hpp>
 #include <pinocchio/multibody.hpp>
 #include <pinocchio/serialization.hpp>
@@ -21,22 +22,39 @@ namespace contactvi {
 
 namespace {
 
-// Seconds of the fastest of repeats blocks of calls calls.
-double rnea_seconds(nb::bytes archive, const VecX& q, const VecX& v, int calls, int repeats) {
+pinocchio::Model unpack(nb::bytes archive, const VecX& q, const VecX& v) {
   pinocchio::Model model;
   boost::iostreams::stream_buffer<boost::iostreams::basic_array_source<char>> stream(archive.c_str(), archive.size());
   boost::archive::binary_iarchive in(stream);
   in >> model;
   if (q.size() != model.nq || v.size() != model.nv) throw Error("expected shapes (nq,) and (nv,)");
-  pinocchio::Data data(model);
-  const VecX a = VecX::Ones(model.nv);
+  return model;
+}
+
+// Seconds of the fastest of repeats blocks of calls calls.
+template <class Call>
+double fastest(int calls, int repeats, Call call) {
   double best = INFINITY;
   for (int r = 0; r < repeats; ++r) {
     const auto start = std::chrono::steady_clock::now();
-    for (int k = 0; k < calls; ++k) pinocchio::rnea(model, data, q, v, a);
+    for (int k = 0; k < calls; ++k) call();
     best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / calls);
   }
   return best;
+}
+
+double rnea_seconds(nb::bytes archive, const VecX& q, const VecX& v, int calls, int repeats) {
+  const pinocchio::Model model = unpack(archive, q, v);
+  pinocchio::Data data(model);
+  const VecX a = VecX::Ones(model.nv);
+  return fastest(calls, repeats, [&] { pinocchio::rnea(model, data, q, v, a); });
+}
+
+double aba_seconds(nb::bytes archive, const VecX& q, const VecX& v, int calls, int repeats) {
+  const pinocchio::Model model = unpack(archive, q, v);
+  pinocchio::Data data(model);
+  const VecX tau = VecX::Ones(model.nv);
+  return fastest(calls, repeats, [&] { pinocchio::aba(model, data, q, v, tau, pinocchio::Convention::LOCAL); });
 }
 
 }  // namespace
@@ -44,6 +62,8 @@ double rnea_seconds(nb::bytes archive, const VecX& q, const VecX& v, int calls, 
 void expose_reference(nb::module_& m) {
   m.def("rnea_seconds", &rnea_seconds, "model"_a, "q"_a, "v"_a, "calls"_a = 2000, "repeats"_a = 5,
         "Seconds per pinocchio::rnea, fastest of several blocks; for benchmarks.");
+  m.def("aba_seconds", &aba_seconds, "model"_a, "q"_a, "v"_a, "calls"_a = 2000, "repeats"_a = 5,
+        "Seconds per pinocchio::aba.");
 }
 
 }  // namespace contactvi

@@ -10,7 +10,6 @@
 #include "error.hpp"
 #include "expose.hpp"
 #include "guard.hpp"
-#include "impact_dtec.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -23,6 +22,11 @@ namespace {
 
 void need(bool condition, const char* what) {
   if (!condition) throw Error(what);
+}
+
+int stages_of(int order) {
+  need(order >= 2 && order <= 2 * kMaxStages && order % 2 == 0, "expected an even order from 2 to 16");
+  return order / 2;
 }
 
 void need_state(const Scene& s, const VecX& q, const VecX& w) {
@@ -41,7 +45,7 @@ Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restituti
 
 Rows velocity(const Scene& s, const Rows& q, const Rows& p) {
   need_states(s, q, p);
-  Integrator integrator(s.tree, 1e-12, 1);
+  Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows v(p.rows(), p.cols());
   VecX w(s.tree.nv);
   for (Eigen::Index i = 0; i < q.rows(); ++i) {
@@ -57,22 +61,23 @@ Rows velocity(const Scene& s, const Rows& q, const Rows& p) {
 
 Rows momentum(const Scene& s, const Rows& q, const Rows& v) {
   need_states(s, q, v);
-  StepWorkspace ws(s.tree);
+  Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows p(v.rows(), v.cols());
+  VecX P(s.tree.nv), G(s.tree.nv);
   for (Eigen::Index i = 0; i < q.rows(); ++i) {
     const VecX qi = q.row(i);
     VecX vi = v.row(i);
     public_to_engine(s.tree, qi, vi);
-    momentum_and_forces(s.tree, qi, vi, ws.kernel, ws.P, ws.dT, ws.dV);
-    engine_to_public(s.tree, qi, ws.P);
-    p.row(i) = ws.P;
+    integrator.dynamics(qi, vi, P, G);
+    engine_to_public(s.tree, qi, P);
+    p.row(i) = P;
   }
   return p;
 }
 
 Rows energies(const Scene& s, const Rows& q, const Rows& p) {
   need_states(s, q, p);
-  Integrator integrator(s.tree, 1e-12, 1);
+  Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows result(q.rows(), 2);
   for (Eigen::Index i = 0; i < q.rows(); ++i) {
     const VecX qi = q.row(i);
@@ -84,9 +89,9 @@ Rows energies(const Scene& s, const Rows& q, const Rows& p) {
   return result;
 }
 
-VecX modified_energies(const Scene& s, const Rows& q, const Rows& p, double h) {
+VecX modified_energies(const Scene& s, const Rows& q, const Rows& p, double h, int order) {
   need_states(s, q, p);
-  Integrator integrator(s.tree, 1e-12, 1);
+  Integrator integrator(s.tree, stages_of(order), 1e-12, 1);
   VecX result(q.rows());
   for (Eigen::Index i = 0; i < q.rows(); ++i) {
     const VecX qi = q.row(i);
@@ -98,26 +103,26 @@ VecX modified_energies(const Scene& s, const Rows& q, const Rows& p, double h) {
 }
 
 // E_d of steps h[i] from (q[i], p[i]); negative h: the step that ended there.
-VecX discrete_energies(const Scene& s, const Rows& q, const Rows& p, const VecX& h) {
+VecX discrete_energies(const Scene& s, const Rows& q, const Rows& p, const VecX& h, int order) {
   need_states(s, q, p);
   need(h.size() == q.rows(), "expected one step length per state");
-  Integrator integrator(s.tree, 1e-13, 50);
-  VecX result(q.rows()), guess(s.tree.nv);
+  Integrator integrator(s.tree, stages_of(order), 1e-13, 100);
+  VecX result(q.rows());
   for (Eigen::Index i = 0; i < q.rows(); ++i) {
     const VecX qi = q.row(i);
     VecX pi = p.row(i);
     public_to_engine(s.tree, qi, pi);
-    const bool ok = integrator.node_velocity(qi, pi, guess) && integrator.solve(qi, pi, guess, h[i], VecX());
-    result[i] = ok ? discrete_energy(integrator) : std::numeric_limits<double>::quiet_NaN();
+    integrator.forget();
+    result[i] = integrator.solve(qi, pi, h[i], VecX()) ? integrator.discrete_energy()
+                                                       : std::numeric_limits<double>::quiet_NaN();
   }
   return result;
 }
 
 // Total momentum: linear (world frame) and angular about the world's origin.
-Rows spatial_momentum(const Scene& s, const Rows& q, const Rows& p) {
+Rows spatial_momenta(const Scene& s, const Rows& q, const Rows& p) {
   need_states(s, q, p);
-  Integrator integrator(s.tree, 1e-12, 1);
-  StepWorkspace ws(s.tree);
+  Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows result = Rows::Zero(q.rows(), 6);
   VecX v(s.tree.nv);
   for (Eigen::Index i = 0; i < q.rows(); ++i) {
@@ -125,37 +130,29 @@ Rows spatial_momentum(const Scene& s, const Rows& q, const Rows& p) {
     VecX pi = p.row(i);
     public_to_engine(s.tree, qi, pi);
     if (!integrator.node_velocity(qi, pi, v)) v.setConstant(std::numeric_limits<double>::quiet_NaN());
-    momentum_and_forces(s.tree, qi, v, ws.kernel, ws.P, ws.dT, ws.dV);
-    Vec3 linear = Vec3::Zero(), angular = Vec3::Zero();
-    for (std::size_t k = 0; k < s.tree.joints.size(); ++k) {
-      if (s.tree.joints[k].parent >= 0) continue;
-      const BodyState& body = ws.kernel.bodies[k];  // after the backward pass: momentum of the whole tree
-      const Vec3 f = body.R * body.momentum.lin;
-      linear += f;
-      angular += body.R * body.momentum.ang + body.r.cross(f);
-    }
-    result.row(i) << linear.transpose(), angular.transpose();
+    result.row(i) = spatial_momentum(s.tree, qi, v).transpose();
   }
   return result;
 }
 
 auto dynamics(const Scene& s, const VecX& q, const VecX& v) {
   need_state(s, q, v);
-  StepWorkspace ws(s.tree);
-  momentum_and_forces(s.tree, q, v, ws.kernel, ws.P, ws.dT, ws.dV);
-  return std::make_tuple(ws.P, ws.dT, ws.dV);
+  Integrator integrator(s.tree, 1, 1e-12, 1);
+  VecX P(s.tree.nv), G(s.tree.nv);
+  integrator.dynamics(q, v, P, G);
+  return std::make_tuple(P, G);
 }
 
-auto step(const Scene& s, const VecX& q, const VecX& p, double h, std::optional<VecX> tau, double tol) {
+auto step(const Scene& s, const VecX& q, const VecX& p, double h, std::optional<VecX> tau, double tol, int order) {
   need_state(s, q, p);
-  Integrator integrator(s.tree, tol, 50);
-  VecX p0 = p, v(s.tree.nv), q1(s.tree.nq), p1(s.tree.nv);
+  Integrator integrator(s.tree, stages_of(order), tol, 100);
+  VecX p0 = p, q1(s.tree.nq), p1(s.tree.nv);
   public_to_engine(s.tree, q, p0);
-  need(integrator.node_velocity(q, p0, v), "the mass matrix is not positive definite");
-  if (!integrator.solve(q, p0, v, h, tau ? *tau : VecX())) throw Error(integrator.why());
-  integrator.finish(q, p0, h, q1, p1);
+  if (!integrator.solve(q, p0, h, tau ? *tau : VecX())) throw Error(integrator.why());
+  integrator.finish(q1, p1);
   engine_to_public(s.tree, q1, p1);
-  return std::make_tuple(q1, p1, integrator.v(), integrator.iterations(), integrator.residual_norm());
+  const Rows v = integrator.velocities().transpose();
+  return std::make_tuple(q1, p1, v, integrator.sweeps(), integrator.residual_norm());
 }
 
 auto gaps(const Scene& s, const VecX& q) {
@@ -229,14 +226,15 @@ void expose_scene(nb::module_& m) {
       .def("velocity", &velocity, "q"_a, "p"_a, "v = M(q)^-1 p, shapes (N, nq), (N, nv) -> (N, nv).")
       .def("momentum", &momentum, "q"_a, "v"_a, "p = M(q) v, shapes (N, nq), (N, nv) -> (N, nv).")
       .def("energy", &energies, "q"_a, "p"_a, "Kinetic and potential energy [J], (N, 2).")
-      .def("modified_energy", &modified_energies, "q"_a, "p"_a, "h"_a, "Modified Hamiltonian [J] for step h, (N,).")
-      .def("discrete_energy", &discrete_energies, "q"_a, "p"_a, "h"_a,
+      .def("modified_energy", &modified_energies, "q"_a, "p"_a, "h"_a, "order"_a = 2,
+           "Modified Hamiltonian [J] for step h, (N,); H for order >= 4.")
+      .def("discrete_energy", &discrete_energies, "q"_a, "p"_a, "h"_a, "order"_a = 2,
            "E_d [J] of one step h (N,) from each state, (N,).")
-      .def("spatial_momentum", &spatial_momentum, "q"_a, "p"_a,
+      .def("spatial_momentum", &spatial_momenta, "q"_a, "p"_a,
            "Total linear, angular momentum about the origin, (N, 6).")
-      .def("dynamics", &dynamics, "q"_a, "v"_a, "(M v, dT/dq, dV/dq of gravity) in engine coordinates.")
-      .def("step", &step, "q"_a, "p"_a, "h"_a, "tau"_a = nb::none(), "tol"_a = 1e-12,
-           "One smooth step without contact: (q1, p1, v_mid in engine coordinates, iterations, residual).")
+      .def("dynamics", &dynamics, "q"_a, "v"_a, "(M v, dT/dq - dV/dq of gravity) in engine coordinates.")
+      .def("step", &step, "q"_a, "p"_a, "h"_a, "tau"_a = nb::none(), "tol"_a = 1e-12, "order"_a = 2,
+           "One smooth step without contact: (q1, p1, stage velocities (s, nv) in engine coordinates, sweeps, residual).")
       .def("gaps", &gaps, "q"_a, "(gap (npairs,), normal, point_a, point_b (npairs, 3)), world frame.")
       .def("gap_gradients", &gap_gradients, "q"_a, "d(gap)/dq of all guards, pairs then limits, (nguards, nv).")
       .def("to_engine", &converted<public_to_engine>, "q"_a, "v"_a)

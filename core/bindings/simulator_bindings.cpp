@@ -100,8 +100,9 @@ void add_status(const Scene& s, const Status& status, nb::dict& d) {
 nb::dict stats(const Simulator& sim, double seconds) {
   nb::dict d;
   d["steps"] = sim.steps();
-  d["residuals"] = sim.step_counters().residuals;
-  d["iterations"] = sim.step_counters().residuals - sim.step_counters().steps;
+  d["sweeps"] = d["iterations"] = sim.step_counters().sweeps;
+  d["halved"] = sim.halved();
+  d["rejected"] = sim.rejected();
   d["factorizations"] = sim.step_counters().factorizations;
   d["guards_evaluated"] = sim.guard_counters().evaluated;
   d["guards_skipped"] = sim.guard_counters().skipped;
@@ -130,18 +131,49 @@ Progress wrap(const nb::object& callback) {
   };
 }
 
-nb::dict advance(Simulator& sim, long steps, std::optional<Rows> tau, long record_every, nb::object progress) {
+Rows rows(const std::vector<double>& values, std::size_t count, int width) {
+  return Eigen::Map<const Rows>(values.data(), static_cast<Eigen::Index>(count), width);
+}
+
+VecX column(const std::vector<double>& values) {
+  return Eigen::Map<const VecX>(values.data(), static_cast<Eigen::Index>(values.size()));
+}
+
+// Rows of momenta in public coordinates, at the configurations of q.
+Rows public_momenta(const Tree& tree, const Rows& q, Rows p) {
+  if (tree.split.empty()) return p;
+  VecX qi(tree.nq), pi(tree.nv);
+  for (Eigen::Index i = 0; i < q.rows(); ++i) {
+    qi = q.row(i);
+    pi = p.row(i);
+    engine_to_public(tree, qi, pi);
+    p.row(i) = pi;
+  }
+  return p;
+}
+
+nb::dict segments(const Tree& tree, int stages, const Segments& s) {
+  const std::size_t n = s.t.size();
+  nb::dict d;
+  d["t"] = column(s.t);
+  d["h"] = column(s.h);
+  d["q"] = rows(s.q, n, tree.nq);
+  d["p"] = rows(s.p, n, tree.nv);
+  d["p1"] = rows(s.p1, n, tree.nv);
+  d["rates"] = rows(s.rates, n, tree.nv * stages);
+  return d;
+}
+
+template <class Run>
+nb::dict run(Simulator& sim, nb::object progress, Run call) {
   const Scene& s = sim.scene();
-  if (tau && (tau->rows() != steps || tau->cols() != s.tree.nv)) throw Error("tau: expected shape (steps, nv)");
-  if (steps < 0 || record_every < 1) throw Error("steps must be >= 0 and record_every >= 1");
   Recording recording;
-  const MatX force = tau ? MatX(*tau) : MatX();
   const Progress callback = wrap(progress);
   const auto start = std::chrono::steady_clock::now();
   Status status;
   {
     nb::gil_scoped_release release;
-    status = sim.advance(steps, force, record_every, callback, recording);
+    status = call(callback, recording);
   }
   const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   nb::dict d;
@@ -151,25 +183,38 @@ nb::dict advance(Simulator& sim, long steps, std::optional<Rows> tau, long recor
     nb::python_error error;
     d["error"] = error.value();
   }
-  const Eigen::Index n = static_cast<Eigen::Index>(recording.t.size());
-  Rows q = Eigen::Map<const Rows>(recording.q.data(), n, s.tree.nq);
-  Rows p = Eigen::Map<const Rows>(recording.p.data(), n, s.tree.nv);
-  VecX qi(s.tree.nq), pi(s.tree.nv);
-  if (!s.tree.split.empty()) {
-    for (Eigen::Index i = 0; i < n; ++i) {
-      qi = q.row(i);
-      pi = p.row(i);
-      engine_to_public(s.tree, qi, pi);
-      p.row(i) = pi;
-    }
-  }
-  d["t"] = VecX(Eigen::Map<const VecX>(recording.t.data(), n));
+  const std::size_t n = recording.t.size();
+  Rows q = rows(recording.q, n, s.tree.nq);
+  d["t"] = column(recording.t);
+  d["p"] = public_momenta(s.tree, q, rows(recording.p, n, s.tree.nv));
   d["q"] = std::move(q);
-  d["p"] = std::move(p);
   d["events"] = events(s, recording.impacts);
+  d["segments"] = segments(s.tree, sim.options().stages, recording.segments);
+  nb::dict arcs;
+  arcs["t"] = column(recording.arc_t);
+  arcs["dt"] = column(recording.arc_dt);
+  d["arcs"] = arcs;
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);
   return d;
+}
+
+nb::dict advance(Simulator& sim, long steps, std::optional<Rows> tau, long record_every, nb::object progress) {
+  if (tau && (tau->rows() != steps || tau->cols() != sim.scene().tree.nv))
+    throw Error("tau: expected shape (steps, nv)");
+  if (steps < 0 || record_every < 1) throw Error("steps must be >= 0 and record_every >= 1");
+  const MatX force = tau ? MatX(*tau) : MatX();
+  return run(sim, progress, [&](const Progress& callback, Recording& recording) {
+    return sim.advance(steps, force, record_every, callback, recording);
+  });
+}
+
+nb::dict run_auto(Simulator& sim, double duration, double level, nb::object progress) {
+  if (!(duration > 0.0) || !(level > 0.0)) throw Error("duration and level must be > 0");
+  if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
+  return run(sim, progress, [&](const Progress& callback, Recording& recording) {
+    return sim.run_auto(duration, level, callback, recording);
+  });
 }
 
 nb::dict reset(Simulator& sim, const VecX& q, const VecX& v, double t) {
@@ -184,7 +229,7 @@ nb::dict reset(Simulator& sim, const VecX& q, const VecX& v, double t) {
 
 VecX current_velocity(Simulator& sim) {
   const Tree& tree = sim.scene().tree;
-  Integrator integrator(tree, 1e-12, 1);
+  Integrator integrator(tree, 1, 1e-12, 1);
   VecX v(tree.nv);
   if (!integrator.node_velocity(sim.q(), sim.p(), v)) throw Error("the mass matrix is not positive definite");
   return converted(tree, sim.q(), v);
@@ -197,14 +242,18 @@ void expose_simulator(nb::module_& m) {
       .def(
           "__init__",
           [](Simulator* self, const Scene& scene, double dt, double tol, int impact, long max_impacts_per_step,
-             int max_iterations, bool mhc_global) {
-            new (self) Simulator(scene, {dt, tol, impact, mhc_global, max_iterations, max_impacts_per_step});
+             int max_iterations, bool mhc_global, int order, bool dense) {
+            if (order < 2 || order > 2 * kMaxStages || order % 2 != 0) throw Error("expected an even order from 2 to 16");
+            new (self) Simulator(
+                scene, {dt, tol, impact, mhc_global, max_iterations, max_impacts_per_step, order / 2, dense});
           },
           "scene"_a, "dt"_a, "tol"_a = 1e-12, "impact"_a = 0, "max_impacts_per_step"_a = 100000,
-          "max_iterations"_a = 30, "mhc_global"_a = false, nb::keep_alive<1, 2>())
+          "max_iterations"_a = 50, "mhc_global"_a = false, "order"_a = 2, "dense"_a = false, nb::keep_alive<1, 2>())
       .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0, "Status fields as a dict.")
       .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
            "Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.")
+      .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(),
+           "Run with a step chosen per smooth arc; level [m; rad] bounds what the stage polynomials leave out.")
       .def_prop_ro("t", &Simulator::time)
       .def_prop_ro("q", [](const Simulator& sim) { return VecX(sim.q()); })
       .def_prop_ro("p", [](const Simulator& sim) { return converted(sim.scene().tree, sim.q(), sim.p()); })

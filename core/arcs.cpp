@@ -1,0 +1,114 @@
+// Simulator::run_auto: steps of equal length within each smooth arc, between one impact and the next.
+//
+// A variational integrator is good because its step is constant; so the step changes only where an impact breaks the
+// motion anyway, and an arc that turns out to need a shorter one is redone as a whole.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "simulator.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kSafety = 0.9;
+constexpr double kLargestGrowth = 2.0;    // of the step from one arc to the next
+constexpr double kProbeGrowth = 4.0;      // while the first step of a run is sought
+constexpr int kProbes = 12;
+constexpr double kShortestArcStep = 1e-9;  // of the duration
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+}  // namespace
+
+Simulator::ArcStart Simulator::arc_start(const Recording& recording) const {
+  ArcStart arc{time_, target_, speed_scale_, q_, p_, {}, bouncing_, recording.mark(), impacts_, step_, target_step_};
+  arc.touching.resize(guards_.count());
+  for (int g = 0; g < guards_.count(); ++g) arc.touching[g] = finder_.touching(g) ? 1 : 0;
+  return arc;
+}
+
+void Simulator::go_back(const ArcStart& arc, Recording& recording) {
+  rejected_ += step_ - arc.step + 1;
+  time_ = arc.time;
+  target_ = arc.target;
+  speed_scale_ = arc.speed_scale;
+  q_ = arc.q;
+  p_ = arc.p;
+  bouncing_ = arc.bouncing;
+  impacts_ = arc.impacts;
+  step_ = arc.step;
+  target_step_ = arc.target_step;
+  for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, arc.touching[g] != 0);
+  guards_.unmark_all();
+  integrator_.forget();
+  recording.cut(arc.mark);
+  status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
+}
+
+// One arc: to the end of the step in which its impact is, or to the end of the run.
+bool Simulator::run_arc(double end, double level, const Progress& progress, Recording& recording) {
+  const ArcStart arc = arc_start(recording);
+  const VecX no_force;
+  const double s = options_.stages, duration = end - arc.time;
+  int probes = recording.arc_t.empty() ? kProbes : 0;
+  double largest = 0.0;
+  for (;;) {
+    const double count = std::max(1.0, std::ceil(duration / arc_h_ - 1e-9)), h = duration / count;
+    bool rejected = false;
+    largest = 0.0;
+    trial_ = h;
+    for (long k = 0; k < static_cast<long>(count) && !rejected; ++k) {
+      truncation_ = 0.0;
+      const double start = arc.time + static_cast<double>(k) * h;
+      const bool solved = interval(start, h, no_force, recording);
+      if (!solved && status_.code != StatusCode::kNewtonFailed) return false;
+      const double seen = solved ? truncation_ : std::numeric_limits<double>::infinity();
+      largest = std::max(largest, seen);
+      if (seen > level) {
+        // Truncation goes with h^s; a step that did not converge is halved.
+        if (h < kShortestArcStep * duration) return false;
+        const double factor = solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5;
+        arc_h_ = factor * h;
+        rejected = true;
+        break;
+      }
+      if (k == 0 && probes-- > 0 && count > 1.0 && seen < level * std::pow(1.0 / 3.0, s)) {
+        arc_h_ = h * std::min(kProbeGrowth, kSafety * std::pow(level / std::max(seen, 1e-300), 1.0 / s));
+        rejected = true;
+        break;
+      }
+      ++step_;
+      time_ = k + 1 == static_cast<long>(count) ? end : start + h;
+      record_node(time_, recording);
+      if (k % 8 == 7 && !report(progress)) return false;
+      if (impacts_ > arc.impacts) break;
+    }
+    if (!rejected) {
+      recording.arc_t.push_back(arc.time);
+      recording.arc_dt.push_back(h);
+      const double growth = kSafety * std::pow(level / std::max(largest, 1e-300), 1.0 / s);
+      arc_h_ = std::max(h, std::min(arc_h_, h)) * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth);
+      return true;
+    }
+    go_back(arc, recording);
+  }
+}
+
+Status Simulator::run_auto(double duration, double level, const Progress& progress, Recording& recording) {
+  status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
+  const double end = time_ + duration;
+  if (recording.t.empty()) record_node(time_, recording);
+  reported_ = std::chrono::steady_clock::now();
+  level_ = level;
+  bool ok = true;
+  while (ok && time_ < end) ok = run_arc(end, level, progress, recording);
+  level_ = 0.0;
+  trial_ = options_.dt;
+  if (ok) {
+    status_.time = time_;
+  } else if (status_.code != StatusCode::kNotFinite && status_.time > recording.t.back()) {
+    record_node(status_.time, recording);
+  }
+  return status_;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,75 @@
+// States between the nodes of a run, from the polynomials of its steps.
+#include <nanobind/eigen/dense.h>
+#include <nanobind/stl/tuple.h>
+
+#include <algorithm>
+
+#include "coordinates.hpp"
+#include "error.hpp"
+#include "expose.hpp"
+#include "integrator.hpp"
+#include "scene.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace contactvi {
+
+using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+namespace {
+
+struct Pieces {
+  VecX t, h;
+  Rows q, p, p1, rates;
+};
+
+// The path of one piece, raised by the velocities at its ends.
+bool set_path(Integrator& integrator, const Pieces& pieces, Eigen::Index i, int stages, StepPath& path) {
+  const Tree& tree = integrator.tree();
+  const VecX q0 = pieces.q.row(i), p0 = pieces.p.row(i), p1 = pieces.p1.row(i), flat = pieces.rates.row(i);
+  path.set(q0, pieces.h[i], Eigen::Map<const MatX>(flat.data(), tree.nv, stages));
+  VecX v0(tree.nv), v1(tree.nv), q1(tree.nq);
+  path.configuration(1.0, q1);
+  if (!integrator.node_velocity(q0, p0, v0) || !integrator.node_velocity(q1, p1, v1)) return false;
+  path.raise(v0, v1);
+  return true;
+}
+
+auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int order) {
+  const Pieces pieces{nb::cast<VecX>(segments["t"]),  nb::cast<VecX>(segments["h"]),
+                      nb::cast<Rows>(segments["q"]),  nb::cast<Rows>(segments["p"]),
+                      nb::cast<Rows>(segments["p1"]), nb::cast<Rows>(segments["rates"])};
+  const Tree& tree = s.tree;
+  const Eigen::Index n = pieces.t.size();
+  const int stages = order / 2;
+  if (n == 0 || pieces.q.cols() != tree.nq || pieces.rates.cols() != tree.nv * stages)
+    throw Error("the segments do not belong to this scene and order");
+  Integrator integrator(tree, 1, 1e-12, 1);
+  StepPath path(tree, stages);
+  Rows q(times.size(), tree.nq), v(times.size(), tree.nv);
+  VecX qi(tree.nq), vi(tree.nv);
+  Eigen::Index at = -1;
+  for (Eigen::Index k = 0; k < times.size(); ++k) {
+    const double* end = pieces.t.data() + n;
+    Eigen::Index i = std::max<Eigen::Index>(0, std::upper_bound(pieces.t.data(), end, times[k]) - pieces.t.data() - 1);
+    if (i != at && !set_path(integrator, pieces, i, stages, path)) throw Error("the mass matrix is not positive definite");
+    at = i;
+    const double tau = std::clamp((times[k] - pieces.t[i]) / pieces.h[i], 0.0, 1.0);
+    path.configuration(tau, qi);
+    path.velocity(tau, vi);
+    engine_to_public(tree, qi, vi);
+    q.row(k) = qi;
+    v.row(k) = vi;
+  }
+  return std::make_tuple(q, v);
+}
+
+}  // namespace
+
+void expose_dense(nb::module_& m) {
+  m.def("dense", &dense, "scene"_a, "segments"_a, "times"_a, "order"_a,
+        "States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run.");
+}
+
+}  // namespace contactvi

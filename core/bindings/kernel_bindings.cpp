@@ -1,0 +1,92 @@
+// The stage kernel: which build of it is used, and what it costs.
+#include <nanobind/eigen/dense.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <chrono>
+#include <limits>
+#include <string>
+
+#include "coordinates.hpp"
+#include "error.hpp"
+#include "expose.hpp"
+#include "integrator.hpp"
+#include "scene.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace contactvi {
+
+namespace {
+
+std::vector<std::string> names() {
+  std::vector<std::string> all;
+  for (const char* name : instruction_sets()) all.push_back(name);
+  return all;
+}
+
+std::string use(const std::string& name) {
+  if (!name.empty() && !set_instruction_set(name.c_str())) throw Error("this processor has no instruction set " + name);
+  return instruction_set();
+}
+
+template <class Call>
+double fastest(int calls, int repeats, Call call) {
+  double best = std::numeric_limits<double>::infinity();
+  for (int r = 0; r < repeats; ++r) {
+    const auto start = std::chrono::steady_clock::now();
+    for (int k = 0; k < calls; ++k) call();
+    best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / calls);
+  }
+  return best;
+}
+
+// Seconds per stage, at stages a little apart from each other.
+nb::dict kernel_seconds(const Scene& s, const VecX& q, const VecX& v, int stages, const std::string& set, int calls,
+                        int repeats) {
+  const Tree& tree = s.tree;
+  if (q.size() != tree.nq || v.size() != tree.nv) throw Error("expected shapes (nq,) and (nv,)");
+  if (stages < 1 || stages > kMaxStages) throw Error("expected 1 to 8 stages");
+  const std::string before = instruction_set();
+  if (!set.empty()) use(set);
+  const FlatModel model(tree);
+  Stages work(tree, model, stages);
+  set_instruction_set(before.c_str());
+  VecX w = v;
+  public_to_engine(tree, q, w);
+  const VecX p = VecX::Ones(tree.nv);
+  work.begin(q, p, 1e-3, VecX());
+  const int S = work.padded();
+  for (int d = 0; d < tree.nv; ++d)
+    for (int i = 0; i < S; ++i) {
+      work.v()[d * S + i] = w[d] * (1.0 + 0.01 * i);
+      work.X()[d * S + i] = 0.01 * i;
+    }
+  work.evaluate();
+  work.factor();
+  auto load = [&] {
+    for (int i = 0; i < tree.nv * S; ++i) work.dv()[i] = 1.0;
+  };
+  nb::dict d;
+  d["evaluate"] = fastest(calls, repeats, [&] { work.evaluate(); }) / stages;
+  d["factor"] = fastest(calls, repeats, [&] { work.factor(); }) / stages;
+  d["solve"] = fastest(calls, repeats, [&] { load(), work.solve(); }) / stages;
+  // f(q, p) = (M^-1 p, dT/dq - dV/dq) without anything kept: place, factor, solve, evaluate.
+  d["f"] = fastest(calls, repeats, [&] { work.place(), work.factor(), load(), work.solve(), work.evaluate(); }) / stages;
+  d["sweep"] = fastest(calls, repeats, [&] { work.sweep(kLaneKeepVelocity); }) / stages;
+  return d;
+}
+
+}  // namespace
+
+void expose_kernel(nb::module_& m) {
+  m.def("instruction_sets", &names, "Builds of the stage kernel that this processor runs, best last.");
+  m.def("instruction_set", &use, "name"_a = "",
+        "Set (given a name) and return the one that engines made from now on use. The digits do not depend on it.");
+  m.def("kernel_seconds", &kernel_seconds, "scene"_a, "q"_a, "v"_a, "stages"_a, "instruction_set"_a = "",
+        "calls"_a = 2000, "repeats"_a = 5,
+        "Seconds per stage of evaluate, factor, solve, f(q, p) and sweep, fastest of several blocks; for benchmarks.");
+}
+
+}  // namespace contactvi

@@ -1,0 +1,226 @@
+// One sweep over the stage equations of the Galerkin-Gauss step, all groups of lanes. Included inside an unnamed
+// namespace after lane_solve.hpp.
+//
+// Chart X at q0, q_i = q0 (+) X_i, chart momentum px = J(X)^T p (1-dof and translation joints: J = 1):
+//   X_i = h sum a_ij X'_j, X' = J^-1 v;   px'_i = J^T (G_i + ad*_v p_i) + J'^T p_i;   p_i = J^-T (px_0 + h sum a_ij px'_j)
+//   px_0 = J(X_1)^T p_1 - h sum b_j px'_j,  p_1 = exp(-X_1) (p_0 + h sum b_i exp(X_i) G_i)   (momentum balance)
+// A sweep takes v, forms X, P = M v and G there, and corrects v by (M + diagonal)^-1 (p_i - P_i).
+
+template <class V>
+inline Group<V> group(const LaneTree* tree, const LaneWork* work, int index) {
+  const int L = Lane<V>::count;
+  V* storage = reinterpret_cast<V*>(work->storage) + index * tree->storage;
+  return {tree, work, storage, reinterpret_cast<V*>(work->slots), index * L};
+}
+
+template <class V>
+inline int groups(const LaneWork* work) {
+  return work->S / Lane<V>::count;
+}
+
+// sum_j in[dof][j] hA[j][i]
+template <class V>
+inline V stage_sum(const LaneWork& w, const double* in, int dof, int offset) {
+  const double* row = in + dof * w.S;
+  V sum = row[0] * load<V>(w.hA + offset);
+  for (int j = 1; j < w.s; ++j) sum = sum + row[j] * load<V>(w.hA + j * w.S + offset);
+  return sum;
+}
+
+inline double end_sum(const LaneWork& w, const double* in, int dof) {
+  const double* row = in + dof * w.S;
+  double sum = w.hb[0] * row[0];
+  for (int j = 1; j < w.s; ++j) sum += w.hb[j] * row[j];
+  return sum;
+}
+
+template <class V>
+void rates(const LaneTree* tree, const LaneWork* work) {
+  for (int k = 0; k < groups<V>(work); ++k) {
+    const Group<V> g = group<V>(tree, work, k);
+    for (int i = 0; i < tree->joints; ++i) {
+      const LaneJoint& j = tree->joint[i];
+      if (j.type == kLaneBall) {
+        g.put3(work->rate, j.dof, jacobian_inverse(rotation(g.at3(work->X, j.dof)), g.at3(work->v, j.dof)));
+      } else if (work->rate != work->v) {
+        for (int d = 0; d < (j.type == kLaneTranslate ? 3 : 1); ++d)
+          g.put(work->rate, j.dof + d, g.at(work->v, j.dof + d));
+      }
+    }
+  }
+}
+
+// X = hA X'. Balls: what is left of X'_new = X'_old counts as an error, in energies of the joint.
+template <class V>
+inline void displace(const Group<V>& g) {
+  const LaneWork& w = *g.work;
+  V moved = Lane<V>::all(0.0);
+  for (int i = 0; i < g.tree->joints; ++i) {
+    const LaneJoint& j = g.tree->joint[i];
+    if (j.type == kLaneBall) {
+      const V3<V> old = g.at3(w.X, j.dof);
+      V3<V> X;
+      X.x = stage_sum<V>(w, w.rate, j.dof, g.offset);
+      X.y = stage_sum<V>(w, w.rate, j.dof + 1, g.offset);
+      X.z = stage_sum<V>(w, w.rate, j.dof + 2, g.offset);
+      g.put3(w.X, j.dof, X);
+      const V3<V> change = X - old, rate = g.at3(w.v, j.dof), p = g.at3(w.P, j.dof);
+      moved = moved + absolute(dot(p, rate)) * dot(change, change) / (dot(rate, rate) * (w.h * w.h) + 1e-300);
+    } else {
+      for (int d = 0; d < (j.type == kLaneTranslate ? 3 : 1); ++d)
+        g.put(w.X, j.dof + d, stage_sum<V>(w, w.rate, j.dof + d, g.offset));
+    }
+  }
+  store<V>(w.error + g.offset, moved);
+}
+
+// Rates of the chart momentum of the balls, and exp(X) G for the balance.
+template <class V>
+inline void ball_rates(const Group<V>& g) {
+  const LaneWork& w = *g.work;
+  for (int i = 0; i < g.tree->joints; ++i) {
+    const LaneJoint& j = g.tree->joint[i];
+    if (j.type != kLaneBall) continue;
+    const Rotation<V> k = rotation(g.at3(w.X, j.dof));
+    const V3<V> G = g.at3(w.G, j.dof), P = g.at3(w.P, j.dof), v = g.at3(w.v, j.dof);
+    const V3<V> rate = jacobian_inverse(k, v);
+    const V3<V> px = jacobian_transpose(k, G + cross(P, v)) + jacobian_rate_transpose(k, rate, P);
+    g.put3(w.px, j.dof, px);
+    g.put3(w.Y, j.dof, exp_apply(k, G));
+  }
+}
+
+inline V3<double> end_sum3(const LaneWork& w, const double* in, int dof) {
+  return {end_sum(w, in, dof), end_sum(w, in, dof + 1), end_sum(w, in, dof + 2)};
+}
+
+// Chart momentum of a ball at the start of the step.
+inline V3<double> ball_start(const LaneWork& w, int dof) {
+  const V3<double> X1 = end_sum3(w, w.rate, dof), p0 = {w.p0[dof], w.p0[dof + 1], w.p0[dof + 2]};
+  const Rotation<double> back = rotation(times(-1.0, X1)), k = rotation(X1);
+  const V3<double> p1 = exp_apply(back, p0 + end_sum3(w, w.Y, dof));
+  return jacobian_transpose(k, p1) - end_sum3(w, w.px, dof);
+}
+
+template <class V>
+inline void residuals(const Group<V>& g) {
+  const LaneWork& w = *g.work;
+  for (int i = 0; i < g.tree->joints; ++i) {
+    const LaneJoint& j = g.tree->joint[i];
+    if (j.type == kLaneBall) {
+      const V3<double> start = ball_start(w, j.dof);
+      V3<V> px;
+      px.x = start.x + stage_sum<V>(w, w.px, j.dof, g.offset);
+      px.y = start.y + stage_sum<V>(w, w.px, j.dof + 1, g.offset);
+      px.z = start.z + stage_sum<V>(w, w.px, j.dof + 2, g.offset);
+      const V3<V> p = jacobian_inverse_transpose(rotation(g.at3(w.X, j.dof)), px);
+      g.put3(w.dv, j.dof, p - g.at3(w.P, j.dof));
+    } else {
+      for (int d = j.dof; d < j.dof + (j.type == kLaneTranslate ? 3 : 1); ++d)
+        g.put(w.dv, d, (w.p0[d] + stage_sum<V>(w, w.G, d, g.offset)) - g.at(w.P, d));
+    }
+  }
+}
+
+// Kick energies of the single forces, sum (h |force|)^2 / D: below it differences are rounding, not motion.
+template <class V>
+inline void kick(const Group<V>& g) {
+  const LaneWork& w = *g.work;
+  V sum = Lane<V>::all(0.0);
+  for (int i = 0; i < g.tree->joints; ++i) {
+    const LaneJoint& j = g.tree->joint[i];
+    const V* factor = g.storage + j.at + j.velocity + 9;
+    const int three[3] = {18, 21, 23};
+    for (int d = 0; d < (has_three(j) ? 3 : 1); ++d) {
+      const V impulse = w.h * g.at(w.magnitude, j.dof + d);
+      sum = sum + impulse * impulse * factor[has_three(j) ? three[d] : 6];
+    }
+  }
+  store<V>(w.floor + g.offset, sum);
+}
+
+template <class V>
+inline void correct(const Group<V>& g, int flags) {
+  const LaneWork& w = *g.work;
+  if (flags & kLaneFactor) {
+    factor_group(g);
+    kick(g);
+  }
+  // The residual is needed once more after it was solved with: it waits in Y's neighbour, the magnitudes.
+  for (int dof = 0; dof < g.tree->nv; ++dof) g.put(w.magnitude, dof, g.at(w.dv, dof));
+  solve_backward(g);
+  solve_forward(g);
+  V error = load<V>(w.error + g.offset), kinetic = Lane<V>::all(0.0);
+  for (int dof = 0; dof < g.tree->nv; ++dof) {
+    const V dv = g.at(w.dv, dof), v = g.at(w.v, dof);
+    error = error + g.at(w.magnitude, dof) * dv;
+    kinetic = kinetic + g.at(w.P, dof) * v;
+    if (!(flags & kLaneKeepVelocity)) g.put(w.v, dof, v + dv);
+  }
+  store<V>(w.error + g.offset, error);
+  store<V>(w.kinetic + g.offset, kinetic);
+}
+
+template <class V>
+void sweep(const LaneTree* tree, const LaneWork* work, int flags) {
+  const int count = groups<V>(work);
+  if (tree->balls > 0) rates<V>(tree, work);
+  for (int k = 0; k < count; ++k) {
+    const Group<V> g = group<V>(tree, work, k);
+    displace(g);
+    forward(g);
+    backward(g);
+  }
+  if (work->extra) work->extra(work->context);
+  if (tree->balls > 0)
+    for (int k = 0; k < count; ++k) ball_rates(group<V>(tree, work, k));
+  for (int k = 0; k < count; ++k) {
+    const Group<V> g = group<V>(tree, work, k);
+    residuals(g);
+    correct(g, flags);
+  }
+}
+
+template <class V>
+void evaluate(const LaneTree* tree, const LaneWork* work) {
+  for (int k = 0; k < groups<V>(work); ++k) {
+    const Group<V> g = group<V>(tree, work, k);
+    forward(g);
+    backward(g);
+  }
+}
+
+template <class V>
+void place_stages(const LaneTree* tree, const LaneWork* work) {
+  for (int k = 0; k < groups<V>(work); ++k) place_all(group<V>(tree, work, k));
+}
+
+template <class V>
+void factor_stages(const LaneTree* tree, const LaneWork* work) {
+  for (int k = 0; k < groups<V>(work); ++k) factor_group(group<V>(tree, work, k));
+}
+
+template <class V>
+void solve_stages(const LaneTree* tree, const LaneWork* work) {
+  for (int k = 0; k < groups<V>(work); ++k) {
+    const Group<V> g = group<V>(tree, work, k);
+    solve_backward(g);
+    solve_forward(g);
+  }
+}
+
+template <class V>
+void combine(int nv, int s, int S, const double* weight, const double* in, double* out, bool add) {
+  for (int dof = 0; dof < nv; ++dof)
+    for (int offset = 0; offset < S; offset += Lane<V>::count) {
+      const double* row = in + dof * S;
+      V sum = row[0] * load<V>(weight + offset);
+      for (int j = 1; j < s; ++j) sum = sum + row[j] * load<V>(weight + j * S + offset);
+      store<V>(out + dof * S + offset, add ? load<V>(out + dof * S + offset) + sum : sum);
+    }
+}
+
+template <class V>
+constexpr LaneKernel lane_kernel() {
+  return {Lane<V>::count, evaluate<V>, place_stages<V>, factor_stages<V>, solve_stages<V>, sweep<V>, rates<V>, combine<V>};
+}

@@ -1,0 +1,105 @@
+// Interface of the stage kernel: all stages of a Gauss step evaluated side by side in SIMD lanes.
+//
+// One source (kernel.hpp and what it includes) is compiled once per instruction set, each object with its own flags and
+// one exported symbol. Only plain structs and pointers cross: an inline function of the standard library or of Eigen
+// compiled with AVX-512 could win at link time and crash on an older processor.
+//
+// Arrays over dofs and stages are [dof * S + stage], S the stage count padded to the lanes, 64-byte aligned. Padding
+// lanes repeat the last stage, so nothing in them divides by zero. Sums over stages run over the real ones in order, and
+// the compiler may not fuse (-ffp-contract=off): every instruction set gives the same bits.
+#pragma once
+
+namespace contactvi {
+
+enum LaneJointType { kLaneTurn, kLaneSlide, kLaneScrew, kLaneTranslate, kLaneBall };
+
+// One joint and the body it moves. 1-dof joints: the body's z axis is the joint's, and
+// (body in parent) = shift(r) Rz(gamma) Rx(alpha) shift_z(d) Rz(angle), so most transforms are rotations in a plane.
+// Translations: shift(r) C shift(q). Balls: shift(r) R, R = B exp(X).
+struct LaneJoint {
+  int type;
+  int parent;       // -1: world
+  int dof;          // first of 1 or 3
+  int ball;         // number among the balls, else -1
+  int at;           // offset of its storage, in vectors
+  int velocity;     // offset of (w, v, g) in it
+  int slot;         // accumulator in which its children are summed, -1: leaf
+  int parent_slot;  // -1: root
+  bool first;       // writes its parent's slot instead of adding to it
+  bool has_gamma, has_rotation;
+  double cos_gamma, sin_gamma, cos_alpha, sin_alpha;
+  double turn;                  // constant turn of its frame, part of base; turns and screws
+  double cos_fixed, sin_fixed;  // the same of slides
+  double r[3];
+  double C[9];  // row-major
+  double pitch;
+  double mass, subtree_mass;
+  double moment[3];   // mass times centre of mass
+  double inertia[6];  // about the body frame's origin: xx xy xz yy yz zz
+  double armature[3];
+  double gravity[3];  // roots: gravity before the joint's own turn
+};
+
+struct LaneTree {
+  int joints, nv, balls, slots;
+  int storage;  // vectors per group of lanes
+  const LaneJoint* joint;
+};
+
+struct LaneWork {
+  int s, S;
+  const double* hA;  // [j * S + i] = h A[i][j]
+  const double* hb;  // [j] = h b[j]
+  double h;
+  // Start of the step, per dof.
+  const double* base;       // angle (its frame's constant turn included) or displacement
+  const double* ball_base;  // [ball * 9]: B, row-major
+  const double* p0;
+  // Linear forces -stiffness (deflection + X) - damping v + tau per dof; null: none.
+  const double *stiffness, *deflection, *damping, *tau;
+  // Per dof and stage.
+  double* X;               // chart displacement
+  double* rate;            // X'; the same array as v without balls
+  double* v;               // engine velocity, the unknown
+  double* P;               // M v
+  double* G;               // dT/dq - dV/dq + forces, left-trivialised
+  double* Y;               // balls: exp(X) G, summed for the momentum balance
+  double* px;              // balls: rate of the chart momentum
+  double* dv;              // residual, then correction
+  double* magnitude;       // of what cancels in G
+  const double* diagonal;  // added to the mass matrix in the factor (armature and what is stiff)
+  double *storage, *slots;
+  // Per stage.
+  double* error;    // r . dv
+  double* kinetic;  // P . v
+  double* floor;    // energy of the kick that the single forces would give
+  // Adds forces to G and their size to magnitude after it was evaluated; null: none.
+  void (*extra)(void* context);
+  void* context;
+};
+
+enum LaneFlags { kLaneFactor = 1, kLaneKeepVelocity = 2 };
+
+struct LaneKernel {
+  int lanes;
+  // Kinematics, P and G (without linear forces) at the given X and v.
+  void (*evaluate)(const LaneTree*, const LaneWork*);
+  // Kinematics at the given X as far as factor and solve need them.
+  void (*place)(const LaneTree*, const LaneWork*);
+  void (*factor)(const LaneTree*, const LaneWork*);
+  void (*solve)(const LaneTree*, const LaneWork*);  // dv <- (M + diagonal)^-1 dv
+  // X from the rates, P and G there, residual p0 + hA G - P, correction dv by the stored factor, v += dv.
+  void (*sweep)(const LaneTree*, const LaneWork*, int flags);
+  void (*rates)(const LaneTree*, const LaneWork*);  // balls: X' from v and X
+  // out[dof * S + i] (+)= sum_j weight[j * S + i] in[dof * S + j], j < s.
+  void (*combine)(int nv, int s, int S, const double* weight, const double* in, double* out, bool add);
+};
+
+}  // namespace contactvi
+
+extern "C" {
+// Two widths each: for up to 4 stages and for more.
+extern const contactvi::LaneKernel contactvi_lanes_base[2];
+extern const contactvi::LaneKernel contactvi_lanes_avx2[2];
+extern const contactvi::LaneKernel contactvi_lanes_avx512[2];
+}

@@ -1,0 +1,101 @@
+// The stage equations of one step and their arrays: what the kernel needs besides the tree, forces included.
+//
+// All stages of a Galerkin-Gauss step (Hairer, Lubich, Wanner, Geometric Numerical Integration, VI.6.2 and IX) on the
+// configuration group; the equations are in lanes/lane_sweep.hpp. s = 1 is the midpoint rule.
+#pragma once
+
+#include <memory>
+
+#include "flat_model.hpp"
+#include "gauss.hpp"
+
+namespace contactvi {
+
+// Numbers in memory aligned for any vector.
+class AlignedArray {
+ public:
+  explicit AlignedArray(std::size_t size);
+  double* data() { return data_; }
+  const double* data() const { return data_; }
+  double& operator[](std::size_t i) { return data_[i]; }
+  double operator[](std::size_t i) const { return data_[i]; }
+  void fill(double value);
+  std::size_t size() const { return size_; }
+
+ private:
+  struct Free {
+    void operator()(double* p) const;
+  };
+  std::unique_ptr<double[], Free> owner_;
+  double* data_;
+  std::size_t size_;
+};
+
+class Stages {
+ public:
+  Stages(const Tree& tree, const FlatModel& model, int stages);
+  Stages(const Stages&) = delete;
+  Stages& operator=(const Stages&) = delete;
+
+  int count() const { return work_.s; }
+  int padded() const { return work_.S; }
+  const GaussTable& table() const { return *table_; }
+  const LaneKernel& kernel() const { return *kernel_; }
+
+  // The step from (q0, p0) of length h; tau: generalized force in public coordinates, shape (nv,) or empty.
+  void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  // Only the configuration, for what is asked of a single state.
+  void at(const VecCRef& q0);
+
+  void sweep(int flags) { kernel_->sweep(&model_->lanes, &work_, flags); }
+  void evaluate() { kernel_->evaluate(&model_->lanes, &work_); }
+  void place() { kernel_->place(&model_->lanes, &work_); }
+  void factor() { kernel_->factor(&model_->lanes, &work_); }
+  void solve() { kernel_->solve(&model_->lanes, &work_); }
+  void rates() { kernel_->rates(&model_->lanes, &work_); }
+
+  // [dof * padded() + stage]
+  double* X() { return X_.data(); }
+  double* v() { return v_.data(); }
+  double* rate() { return work_.rate; }
+  const double* P() const { return P_.data(); }
+  const double* G() const { return G_.data(); }
+  double* dv() { return dv_.data(); }
+  const double* dv() const { return dv_.data(); }
+  const double* v() const { return v_.data(); }
+  const double* X() const { return X_.data(); }
+  // Per stage: r . dv, P . v, energy of the kick of the single forces.
+  double error(int i) const { return per_stage_[i]; }
+  double kinetic(int i) const { return per_stage_[work_.S + i]; }
+  double floor(int i) const { return per_stage_[2 * work_.S + i]; }
+
+  // h sum_j b_j x_j of a stage array.
+  double sum(const double* array, int dof) const;
+  // Momentum of the ball at joint at the end of the step.
+  Vec3 ball_end(const Joint& joint, const VecCRef& p0);
+  // Power of damping and inputs at stage i [W].
+  double power(int i) const;
+  // Configuration at stage i.
+  void configuration(const VecCRef& q0, int i, VecRef q) const;
+
+ private:
+  void set_base(const VecCRef& q0);
+  void set_step(double h);
+  void set_forces(const VecCRef& q0, const VecX& tau);
+  static void add_extra(void* self);
+  void add_split_inputs();
+  void add_ball_springs();
+
+  const Tree* tree_;
+  const FlatModel* model_;
+  const GaussTable* table_;
+  const LaneKernel* kernel_;
+  LaneWork work_;
+  AlignedArray X_, v_, rate_, P_, G_, Y_, px_, dv_, magnitude_, diagonal_, applied_, storage_, slots_;
+  AlignedArray per_stage_, hA_, hb_, base_, ball_base_, p0_, stiffness_, deflection_, damping_, input_;
+  VecX q0_, tau_, q_stage_;
+  bool has_ball_springs_ = false, has_inputs_ = false;
+  double diagonal_h_ = -1.0, tableau_h_ = 0.0;
+};
+
+}  // namespace contactvi
