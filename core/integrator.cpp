@@ -9,6 +9,7 @@ namespace {
 constexpr double kRefactor = 3e-3;     // change between sweeps above which the factor is made again
 constexpr double kFloor = 1e-10;       // below it a contraction that breaks down is rounding, not failure
 constexpr double kFarTurn = 3.5;       // rad per step of a ball, where its chart is still good
+constexpr double kBest = 1e-2;         // contraction
 constexpr double kNoContraction = 0.97;
 }  // namespace
 
@@ -56,8 +57,9 @@ double Integrator::relative_error() const {
 
 bool Integrator::converged(double error, double theta, double previous_theta) const {
   if (error <= tol_) return true;
-  if (theta >= 0.0 && theta < 1.0 && error * theta / (1.0 - theta) <= tol_) return true;
-  return previous_theta >= 0.0 && error < kFloor && theta > std::min(1.0, 4.0 * previous_theta);
+  // One ratio alone may flatter: no contraction better than kBest is believed.
+  if (theta >= 0.0 && theta < 1.0 && error * std::max(theta, kBest) / (1.0 - theta) <= tol_) return true;
+  return previous_theta >= 0.0 && error < kFloor && theta > std::max(0.3, std::min(1.0, 4.0 * previous_theta));
 }
 
 bool Integrator::iterate() {
@@ -70,7 +72,7 @@ bool Integrator::iterate() {
   }
   for (int k = 0; k < max_sweeps_; ++k) {
     const bool factor = k == 0 || previous > kRefactor;
-    stages_.sweep(factor ? kLaneFactor : 0);
+    stages_.sweep((factor ? kLaneFactor : 0) | (k == 0 ? kLaneFirst : 0));
     ++counters.sweeps;
     ++sweeps_;
     counters.factorizations += factor;

@@ -52,7 +52,7 @@ void rates(const LaneTree* tree, const LaneWork* work) {
 
 // X = hA X'. Balls: what is left of X'_new = X'_old counts as an error, in energies of the joint.
 template <class V>
-inline void displace(const Group<V>& g) {
+inline void displace(const Group<V>& g, int flags) {
   const LaneWork& w = *g.work;
   V moved = Lane<V>::all(0.0);
   for (int i = 0; i < g.tree->joints; ++i) {
@@ -65,7 +65,8 @@ inline void displace(const Group<V>& g) {
       X.z = stage_sum<V>(w, w.rate, j.dof + 2, g.offset);
       g.put3(w.X, j.dof, X);
       const V3<V> change = X - old, rate = g.at3(w.v, j.dof), p = g.at3(w.P, j.dof);
-      moved = moved + absolute(dot(p, rate)) * dot(change, change) / (dot(rate, rate) * (w.h * w.h) + 1e-300);
+      if (!(flags & kLaneFirst))
+        moved = moved + absolute(dot(p, rate)) * dot(change, change) / (dot(rate, rate) * (w.h * w.h) + 1e-300);
     } else {
       for (int d = 0; d < (j.type == kLaneTranslate ? 3 : 1); ++d)
         g.put(w.X, j.dof + d, stage_sum<V>(w, w.rate, j.dof + d, g.offset));
@@ -167,7 +168,7 @@ void sweep(const LaneTree* tree, const LaneWork* work, int flags) {
   if (tree->balls > 0) rates<V>(tree, work);
   for (int k = 0; k < count; ++k) {
     const Group<V> g = group<V>(tree, work, k);
-    displace(g);
+    displace(g, flags);
     forward(g);
     backward(g);
   }

@@ -78,7 +78,7 @@ struct LaneWork {
   void* context;
 };
 
-enum LaneFlags { kLaneFactor = 1, kLaneKeepVelocity = 2 };
+enum LaneFlags { kLaneFactor = 1, kLaneFirst = 2, kLaneKeepVelocity = 4 };  // first: the old X says nothing
 
 struct LaneKernel {
   int lanes;
