@@ -30,21 +30,25 @@ def core_scene(model: pin.Model, stiffness=None, rest=None, damping=None):
     )
 
 
-def stepper(scene, h: float, tau=None, tol: float = 1e-13):
+def _order(order: int) -> dict[str, int]:
+    return {} if order == 2 else {"order": order}  # order 2 is the default
+
+
+def stepper(scene, h: float, tau=None, tol: float = 1e-13, order: int = 2):
     """(q0, p0) -> (q1, p1) of the engine's smooth step, in the signature of tests/laws.py."""
 
     def step(q, p):
-        q1, p1, *_ = scene.step(q, p, h, tau, tol)
+        q1, p1, *_ = scene.step(q, p, h, tau, tol, **_order(order))
         return q1, p1
 
     return step
 
 
-def advance(scene, model: pin.Model, q, v, h: float, steps: int, every: int = 1, tau=None, tol: float = 1e-13):
+def advance(scene, model: pin.Model, q, v, h: float, steps: int, every: int = 1, tau=None, tol=1e-13, order: int = 2):
     """Nodes (t, q, p) of a run through the event loop; fails unless the status is SUCCESS."""
     from contactvi import _core
 
-    simulator = _core.Simulator(scene, h, tol)
+    simulator = _core.Simulator(scene, h, tol, **_order(order))
     start = simulator.reset(q, v, 0.0)
     assert start["code"] == 0, start["message"]
     forces = None if tau is None else np.tile(tau, (steps, 1))
