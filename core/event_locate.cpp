@@ -11,13 +11,16 @@ namespace {
 constexpr double kTarget = 1e-13;   // a gap at which nothing is left to improve
 constexpr double kClosing = 1e-12;  // a touching guard below -this has closed again
 constexpr double kHeight = 1e-16;   // a flight lower than this is rounding
+constexpr double kBeyond = 1.001;   // of the step, as far as an event at its end may seem to lie beyond it
 constexpr int kMaxCuts = 1000;      // of the step, looking for where a touching guard separates
 constexpr int kMaxProbes = 80;      // exact partial steps to one event
 constexpr int kMaxDipProbes = 12;
 }  // namespace
 
 bool EventFinder::exact_at(int guard, double tau, Point& point) {
-  if (!integrator_->solve_part(*path_, tau, *q0_, *p0_, *tau_)) return false;
+  // Where the path is no good start, solve() has others.
+  if (!integrator_->solve_part(*path_, tau, *q0_, *p0_, *tau_) && !integrator_->solve(*q0_, *p0_, tau * h_, *tau_))
+    return false;
   integrator_->finish(event_.q, event_.p);
   guards_->place(event_.q);
   point = {tau, guards_->evaluate(guard, contact_), 0.0};
@@ -29,7 +32,7 @@ bool EventFinder::exact_at(int guard, double tau, Point& point) {
 // The guards are placed at the event.
 Search EventFinder::accept(int guard, const Point& at, bool persistent) {
   event_.guard = guard;
-  event_.alpha = at.tau;
+  event_.alpha = std::min(1.0, at.tau);
   event_.gap = at.gap;
   event_.persistent = persistent;
   return Search::kFound;
@@ -96,7 +99,7 @@ Search EventFinder::exact_dip(Suspect& s, const Point& a, const Point& b) {
   const double width = b.tau - a.tau, bend = (b.rate - a.rate) / width, tolerance = guards_->root_tolerance(g);
   const Point left = gaps_.at(g, std::max(s.from.tau, a.tau - width));
   const Point right = gaps_.at(g, std::min(1.0, b.tau + width));
-  double x = gaps_.minimum(g, left, right, 0.0), slope = 0.0, last_x = x, last_offset = 0.0;
+  double x = gaps_.minimum(g, left, right, 0.0), slope = 0.0, last_slope = 0.0, last_x = x, last_offset = 0.0;
   for (int k = 0; k < kMaxDipProbes; ++k) {
     Point p;
     if (!exact_at(g, x, p)) return fail(Search::kNewtonFailed, g, 0);
@@ -118,8 +121,10 @@ Search EventFinder::exact_dip(Suspect& s, const Point& a, const Point& b) {
     } else {
       slope = (offset - last_offset) / (x - last_x);
       next = gaps_.minimum(g, left, right, slope);
-      const double predicted = gaps_.at(g, next).gap + offset + slope * (next - x);
-      if (!(p.gap - predicted > 0.25 * above)) return Search::kNone;
+      const double predicted = gaps_.at(g, next).gap + offset + slope * (next - x), change = slope - last_slope;
+      // Even if the slope is wrong by as much as it has just changed, the minimum is not below zero.
+      if (p.gap - predicted + 0.5 * change * change / bend < 0.5 * above) return Search::kNone;
+      last_slope = slope;
     }
     last_x = x;
     last_offset = offset;
@@ -203,6 +208,8 @@ Search EventFinder::polish(Suspect& s, bool& exists) {
       const Search outcome = resume(s, p);
       return outcome == Search::kNone ? Search::kFound : outcome;
     }
+    // The whole step was solved from other start values: at its end the two agree to the solver's tolerance only.
+    if (p.gap > 0.0 && x >= hi && hi == 1.0) hi = kBeyond;
     (p.gap > 0.0 ? lo : hi) = x;
     (p.gap > 0.0 ? lo_seen : s.hi_sure) = true;
     // Newton with the rate of the path, then secants, whose rate is exact.
