@@ -1,10 +1,11 @@
 """dt = "auto": runs a scene with steps that make q as accurate as asked, and measures how accurate it is.
 
-The engine keeps the step constant on each arc between impacts, so that its truncation indicator (how much of the motion
-the stage polynomial leaves out, relative) stays below a level; the error of the run goes with level**(2s / (s - 1)), s
-stages. The factor in front depends on the motion and is measured, by a companion: a run with a coarser level. Its
-distance from the run is the companion's own error, and the run's error is that divided by the ratio of the law. Where
-this is above tol the level is lowered by the law and the run made again; the one before is then the companion.
+The engine keeps the step h constant on each arc between impacts, so that what its stage polynomials leave out of the
+motion stays below a level [m, rad]. With s stages that goes with h^s, and the error of the run with h^2s, so with the
+square of the level. The factor in front depends on the motion and is measured, by a companion: a run with a coarser
+level. Its distance from the run is the difference of the two errors, whose ratio follows from the lengths of their
+steps. Where the error is above tol the level is lowered by the law and the run made again; the one before is then the
+companion.
 
 The estimate is for the largest error of q over the nodes, norm of the tangent difference [m, rad]. It is no bound: it
 takes the law for granted while successive distances follow it, and the whole distance where they do not. Rounding and
@@ -18,13 +19,13 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi import engine
+from contactvi import dense, engine
 from contactvi.errors import AccuracyWarning, PenetrationError
 from contactvi.ledger import Ledger, Watch
 from contactvi.options import Options
@@ -35,14 +36,20 @@ from contactvi.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-ROUNDS = 4
-COMPANION = 30.0  # times the error of the run, by the law
+_ROUNDS = 6  # runs besides the first companion
+_START = 0.3  # level = _START sqrt(tol) to begin with
+_SEEN = 0.1  # errors / level^2 of many motions lie about this
+_COMPANION = 30.0  # times the error of the run, by the law
 _AIM = 0.3  # of tol: where the level is set to
-_LEAST = 10.0  # ratio of two runs, so that their distance is the coarser one's error
+_LEAST = 10.0  # ratio of the errors of two runs, so that their distance is the coarser one's error
+_DISTINCT = 1.3  # ratio of errors, by the law, below which the steps of a flight are too much alike to say anything
+_MATTERS = 0.01  # share of a flight in the error, by the law, below which that does not matter
+_FINER, _MOST = 0.6, 8.0  # length of finer steps / the shortest step; number of them / that of the steps
 _FOLLOWS = 5.0  # times what the law expects: more is not the law
 _LOST = 0.1  # of the size of the motion: two runs this far apart no longer follow the same motion
-_TIMES = 16  # at which two runs are compared
-_LEVELS = (1e-12, 0.3)
+_TIMES = 8  # at which two runs are compared
+_STARTS = 3  # flights whose first step is looked at
+_LEVELS = (1e-14, 3e-3)
 _EPS = float(np.finfo(float).eps)
 
 
@@ -88,6 +95,17 @@ class _Found:
     def __init__(self, level: float, record: Record, simulator: Any) -> None:
         self.level, self.record, self.engine = level, record, simulator
 
+    @property
+    def steps(self) -> Array:
+        """Lengths of the steps of its arcs [s]."""
+        return np.zeros(0) if self.record.arcs is None else self.record.arcs["dt"]
+
+    @cached_property
+    def segments(self) -> dict[str, Array]:
+        """Its segments (contactvi.dense)."""
+        joined = self.record.segments_joined()
+        return {name: np.zeros(0) for name in dense.FIELDS} if joined is None else joined.arrays
+
 
 class _Search:
     """Looks for the level at which a run is as accurate as asked."""
@@ -96,39 +114,36 @@ class _Search:
         self, prepared: Prepared, options: Options, q0: Any, v0: Any, progress: Callable[[float, int], object] | None
     ) -> None:
         self._prepared, self._options, self._start, self._progress = prepared, options, (q0, v0), progress
-        stages = options.order // 2
-        self._power = 2.0 * stages / (stages - 1.0)
+        self._stages = options.order // 2
         self.seconds = 0.0
         self.last: Record
 
     def search(self) -> tuple[_Found, float]:
         """Return the run and its estimated error; an interrupted run as it is, with NaN."""
         tol = self._options.tol
-        level = _clip(tol ** (1.0 / self._power))
-        companion = self._run(_clip(level * COMPANION ** (1.0 / self._power)))
-        estimate = math.nan
-        for _ in range(ROUNDS):
+        level = _clip(_START * math.sqrt(tol))
+        companion, estimate = self._run(level * math.sqrt(_COMPANION)), math.nan
+        for _ in range(_ROUNDS):
             if _interrupted(companion):
                 return companion, math.nan
             found = self._run(level, companion)
             if _interrupted(found):
                 return found, math.nan
             estimate = self._estimate(companion, found, estimate)
-            if estimate <= tol:
-                break
-            share = _AIM * tol / estimate if math.isfinite(estimate) and estimate > 0 else 0.0
-            lower = _clip(level * min(share, 1.0 / _LEAST) ** (1.0 / self._power)) if share else _clip(0.1 * level)
-            if lower >= level:
+            share = _AIM * tol / estimate if estimate > 0.0 else 0.0
+            lower = _clip(level * math.sqrt(min(share, 1.0 / _LEAST) if share else 1.0 / _COMPANION))
+            if estimate <= tol or lower >= level:
                 break
             level, companion = lower, found
         return found, estimate
 
-    def _run(self, level: float, before: _Found | None = None) -> _Found:
-        """Run at a level; the one before says how long the first step may be."""
+    def _run(self, level: float, coarser: _Found | None = None) -> _Found:
+        """Run at a level; a coarser run says with which step to begin: one that is really shorter."""
         guess = None
-        if before is not None and before.record.arcs is not None and len(before.record.arcs["dt"]):
-            stages = self._options.order // 2
-            guess = float(before.record.arcs["dt"][0]) * (level / before.level) ** (1.0 / (stages - 1.0))
+        if coarser is not None and len(coarser.steps):
+            law = (coarser.level / level) ** (1.0 / self._stages)
+            count = self._options.span / coarser.steps[0]
+            guess = self._options.span / math.ceil(max(count * law, count + 1.0) - 1e-6)
         simulator = engine.make(self._prepared, self._options, guess)
         self.last, refused = engine.start(simulator, self._prepared, self._options, *self._start)
         if refused is not None:
@@ -139,48 +154,114 @@ class _Search:
 
     def _estimate(self, companion: _Found, found: _Found, expected: float) -> float:
         """Estimate the error of a run from its distance to its companion, whose error is expected so large (or NaN)."""
+        floor, size = self._floor(found)
+        floor = max(floor, _transient(found))
+        share = _share(companion, found, 2 * self._stages + 1)
+        if not math.isfinite(share):
+            return max(floor, self._against_finer(found))
+        distance = _distance(companion.record, found.record)
+        lawful = distance < _LOST * size if not math.isfinite(expected) else distance < _FOLLOWS * expected
+        return max(floor, distance * max(share, 1.0 / _COMPANION) if lawful else distance)
+
+    def _floor(self, found: _Found) -> tuple[float, float]:
+        """Return what the error of a run is not below, and the size of its motion."""
         t, q, _ = found.record.nodes()
-        end, other = float(t[-1]), float(companion.record.t[-1][-1])
-        if abs(end - other) > 1e-3 * (end - t[0]):
-            return math.inf  # one of them ended early, so nothing is known of the rest
-        distance, size = _distance(self._prepared, companion.record, found.record)
-        floor = (_EPS + self._options.stage_tol) * max(size, _EPS) * math.sqrt(len(t))
-        ratio = (companion.level / found.level) ** self._power
-        lawful = distance < _LOST * size if math.isnan(expected) else distance < _FOLLOWS * expected
-        return max(floor, distance / (ratio - 1.0) if lawful else distance)
+        size = float(self._prepared.states.distance(q[:1], q).max())
+        solved = (_EPS + self._options.stage_tol) * size * math.sqrt(len(t))
+        return max(solved, _SEEN * found.level**2), size
+
+    def _against_finer(self, found: _Found) -> float:
+        """Return the distance of a run to one with steps of one length, all shorter than its own.
+
+        For runs that have steps in common with their companion, whose errors do not show in the distance: where the
+        sweeps do not converge with longer steps, whatever the level says.
+        """
+        if not len(found.steps) or _interrupted(found):
+            return math.inf
+        count = math.ceil(self._options.span / (_FINER * float(found.steps.min())))
+        if count > _MOST * len(found.segments["t"]):
+            return math.inf
+        fixed = replace(
+            self._options, dt=self._options.span / count, tol=self._options.stage_tol, ledger=None, sample_dt=None
+        )
+        simulator = engine.make(self._prepared, fixed)
+        record, _ = engine.start(simulator, self._prepared, fixed, *self._start)
+        engine.advance(simulator, record, count, None, self._progress)
+        self.seconds += record.stats.seconds
+        return _distance(record, found.record)
 
 
-def _distance(prepared: Prepared, companion: Record, found: Record) -> tuple[float, float]:
-    """Return the largest |q - q'| of two runs at some nodes of the second, and the size of its motion."""
+def _share(companion: _Found, found: _Found, power: int) -> float:
+    """Return error / (companion's error - error) by the lengths h of the segments: an error is their sum of h^power.
+
+    Lengths are counted in steps of the arc of `found` that a segment lies in, because the factor of the law is what
+    made these steps so long. Infinite where flights (between two impacts) that matter have all but the same segments.
+    """
+    arcs = found.record.arcs
+    if arcs is None or not len(arcs["t"]) or found.record.impacts != companion.record.impacts:
+        return math.inf
+    sums = []
+    for run in (found, companion):
+        t, h = run.segments["t"], run.segments["h"]
+        arc = np.clip(np.searchsorted(arcs["t"], t + 0.5 * h, side="right") - 1, 0, len(arcs["t"]) - 1)
+        flight = np.searchsorted(run.record.impact_times(), t + 0.5 * h)
+        weights = (h / arcs["dt"][arc]) ** power
+        sums.append(np.bincount(flight, weights, minlength=found.record.impacts + 1))
+    own, other = sums
+    whole = float(own.sum())
+    if np.any((other < _DISTINCT * own) & (own > _MATTERS * whole)):
+        return math.inf
+    return whole / (float(other.sum()) - whole)
+
+
+def _transient(found: _Found) -> float:
+    """Return the largest distance between a step and two halves of it, of the first ones of some flights.
+
+    A stiff motion that damping ends within a step or two errs there and then no more: later nodes do not show it. And
+    the first steps of two runs are no comparison: at the end of the shorter one both have gone there in one step.
+    """
+    segments, record = found.segments, found.record
+    times = record.impact_times()
+    chosen = times[np.linspace(0, len(times) - 1, _STARTS).astype(int)] if len(times) else times
+    first = np.searchsorted(segments["t"], chosen)
+    largest = 0.0
+    for k in {0, *(int(k) for k in first if k < len(segments["t"]))}:
+        q, p, h = segments["q"][k], segments["p"][k], float(segments["h"][k])
+        p = record.prepared.core.momentum_to_public(q, p)
+        whole, half = _step(record, q, p, h), _step(record, q, p, 0.5 * h)
+        halves = _step(record, half[0], half[1], 0.5 * h)
+        largest = max(largest, float(record.prepared.states.distance(whole[0][None], halves[0][None])[0]))
+    return largest
+
+
+def _distance(other: Record, found: Record) -> float:
+    """Return the largest |q - q'| of two runs at some nodes of the second; infinite where one ended much earlier."""
     t, q, _ = found.nodes()
-    last = min(float(t[-1]), float(companion.t[-1][-1]))
+    last = float(other.t[-1][-1])
+    if abs(float(t[-1]) - last) > 1e-3 * (t[-1] - t[0]) or len(t) < 2:
+        return math.inf
     count = int(np.searchsorted(t, last, side="right"))  # nodes that both runs have reached
-    nodes = np.unique(np.linspace(1, max(1, count - 1), _TIMES).round().astype(int))
-    model = prepared.built.model
-    segments = companion.segments_joined()
-    largest = size = 0.0
-    for node in nodes[nodes < len(t)]:
-        other = _state(prepared, companion.options, segments, float(t[node]))
-        largest = max(largest, _apart(model, q[node], other))
-        size = max(size, _apart(model, q[0], q[node]))
-    return largest, size
+    nodes = np.unique(np.linspace(1, max(1, count - 1), _TIMES).astype(int))
+    segments = other.segments_joined()
+    assert segments is not None
+    states = np.array([_state(other, segments.arrays, float(t[node])) for node in nodes])
+    return float(found.prepared.states.distance(states, q[nodes]).max())
 
 
-def _state(prepared: Prepared, options: Options, segments: Any, time: float) -> Array:
+def _state(run: Record, segments: dict[str, Array], time: float) -> Array:
     """Return q of a run at a time [s] as accurate as its nodes: by the partial step that its polynomial stands for."""
-    arrays = segments.arrays
-    k = max(0, int(np.searchsorted(arrays["t"], time, side="right")) - 1)
-    h = min(time - float(arrays["t"][k]), float(arrays["h"][k]))
+    k = max(0, int(segments["t"].searchsorted(time, side="right")) - 1)
+    q, h = segments["q"][k], min(time - float(segments["t"][k]), float(segments["h"][k]))
     if h <= 0.0:
-        return np.asarray(arrays["q"][k])
-    found = engine.call(prepared.core.step, arrays["q"][k], arrays["p"][k], h, None, options.stage_tol, options.order)
-    return np.asarray(found[0])
+        return q
+    return _step(run, q, run.prepared.core.momentum_to_public(q, segments["p"][k]), h)[0]
 
 
-def _apart(model: pin.Model, a: Array, b: Array) -> float:
-    if model.nq == model.nv:
-        return float(np.linalg.norm(b - a))
-    return float(np.linalg.norm(pin.difference(model, a, b)))
+def _step(run: Record, q: Array, p: Array, h: float) -> tuple[Array, Array]:
+    """Return (q, p) after a smooth step h [s] of the run's order."""
+    options = run.options
+    found = engine.call(run.prepared.core.step, q, p, h, None, options.stage_tol, options.order)
+    return found[0], found[1]
 
 
 def _watch(record: Record) -> None:

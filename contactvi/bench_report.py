@@ -13,14 +13,15 @@ from matplotlib.figure import Figure
 from contactvi.bench import Bench, Row
 from contactvi.files import write_atomic
 
-COLUMNS = ("impact", "dt_s", "error", "order", "energy_error_J", "seconds", "impacts", "note")
-_COLORS = {"ctec": "#1f5fa8", "dtec": "#e08a00", "mhc": "#2f9e83"}
+COLUMNS = ("order", "impact", "dt_s", "error", "slope", "energy_error_J", "seconds", "impacts", "note")
+_COLORS = dict(zip(range(2, 17, 2), ("#1f5fa8", "#e08a00", "#7a5ab5", "#2f9e83", "#7d6608", "#8c8c8c", "#d05a9c",
+                                     "#c8371b"), strict=True))  # fmt: skip
 _MARKS = {"ctec": "o", "dtec": "s", "mhc": "^"}
 _MAX_TARGETS = 3
 
 
 def advice(result: Bench) -> str:
-    """Return one line: which map and dt for which error."""
+    """Return one line: which order, map and dt for which error."""
     good = [row for row in result.good() if row.error > 0]
     if not good:
         return "No advice: no run of the ladder follows the reference; use a smaller dt or a shorter duration."
@@ -42,7 +43,7 @@ def targets(errors: list[float]) -> list[float]:
 
 
 def _setting(row: Row) -> str:
-    return f"{row.impact}, dt = {row.dt:.6g} s ({_time(row.seconds)})"
+    return f"order {row.order}, {row.impact}, dt = {row.dt:.6g} s ({_time(row.seconds)})"
 
 
 def _time(seconds: float) -> str:
@@ -53,26 +54,30 @@ def table(result: Bench) -> list[str]:
     """Return the printed table and what belongs to it, as lines."""
     span = f"{result.horizon:.6g} s" + ("" if result.horizon >= result.duration else f" of {result.duration:.6g} s")
     lines = [
-        f"Run time and error over {span}, {result.impacts} impacts; reference dt = {result.reference_dt:.3g} s, "
-        f"its own error about {result.reference_error:.1e}",
+        f"Run time and error over {span}, {result.impacts} impacts; reference of order 16, dt = "
+        f"{result.reference_dt:.3g} s, its own error at most about {result.reference_error:.1e}",
         "",
-        f"{'map':<6}{'dt [s]':>12}{'error':>11}{'order':>8}{'energy [J]':>12}{'time':>11}{'impacts':>9}",
+        f"{'order':<7}{'map':<6}{'dt [s]':>12}{'error':>11}{'slope':>8}{'energy [J]':>12}{'time':>11}{'impacts':>9}",
     ]
-    last = ""
+    last: tuple[int, str] | None = None
     for row in result.rows:
-        if last and row.impact != last:
+        if last is not None and (row.order, row.impact) != last:
             lines.append("")
-        last = row.impact
-        order = f"{row.order:.2f}" if np.isfinite(row.order) else ""
+        last = row.order, row.impact
+        slope = f"{row.slope:.2f}" if np.isfinite(row.slope) else ""
         lines.append(
-            f"{row.impact:<6}{row.dt:>12.6g}{row.error:>11.2e}{order:>8}{row.energy_error:>12.2e}"
+            f"{row.order:<7}{row.impact:<6}{row.dt:>12.6g}{row.error:>11.2e}{slope:>8}{row.energy_error:>12.2e}"
             f"{_time(row.seconds):>11}{row.impacts:>9}{'  ' + row.note if row.note else ''}"
         )
-    maps = dict.fromkeys(row.impact for row in result.rows)
-    slopes = [f"{impact} {result.slope(impact):.2f}".replace("nan", "none seen") for impact in maps]
-    lines += ["", "order over the ladder: " + ", ".join(slopes)]
+    slopes = [f"{name} {slope:.2f}".replace("nan", "none seen") for name, slope in _slopes(result)]
+    lines += ["", "order seen over the ladder: " + ", ".join(slopes)]
     lines += ["error: largest |q - q_ref| at common nodes, m and rad together; energy: without what impacts took"]
     return lines + [f"note: {text}" for text in result.warnings]
+
+
+def _slopes(result: Bench) -> list[tuple[str, float]]:
+    ladders = dict.fromkeys((row.order, row.impact) for row in result.rows)
+    return [(f"{order} {impact}", result.slope(impact, order)) for order, impact in ladders]
 
 
 def save_csv(result: Bench, path: str | os.PathLike[str]) -> Path:
@@ -82,7 +87,7 @@ def save_csv(result: Bench, path: str | os.PathLike[str]) -> Path:
     writer.writerow(COLUMNS)
     for row in result.rows:
         writer.writerow(
-            [row.impact, repr(row.dt), repr(row.error), repr(row.order), repr(row.energy_error), repr(row.seconds)]
+            [row.order, row.impact, *map(repr, (row.dt, row.error, row.slope, row.energy_error, row.seconds))]
             + [row.impacts, row.note]
         )
     return write_atomic(path, lambda file: file.write(text.getvalue().encode()))
@@ -91,31 +96,28 @@ def save_csv(result: Bench, path: str | os.PathLike[str]) -> Path:
 def save_plot(result: Bench, path: str | os.PathLike[str], title: str = "") -> Path:
     """Write the work-precision picture: time over error left, error over dt right; return the path."""
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
-    work, order = figure.subplots(1, 2)
-    for impact in dict.fromkeys(row.impact for row in result.rows):
-        color, mark = _COLORS.get(impact, "black"), _MARKS.get(impact, "x")
-        good = [row for row in result.good() if row.impact == impact and row.error > 0]
-        poor = [row for row in result.rows if row.impact == impact and row.note and row.error > 0]
-        slope = result.slope(impact)
-        label = f"{impact}, order {slope:.2f}" if np.isfinite(slope) else f"{impact}, no order seen"
-        for axis, x, y in ((work, "error", "seconds"), (order, "dt", "error")):
+    work, ladder = figure.subplots(1, 2)
+    for order, impact in dict.fromkeys((row.order, row.impact) for row in result.rows):
+        color, mark = _COLORS.get(order, "black"), _MARKS.get(impact, "x")
+        own = [row for row in result.rows if (row.order, row.impact) == (order, impact) and row.error > 0]
+        good, poor = [row for row in own if not row.note], [row for row in own if row.note]
+        slope = result.slope(impact, order)
+        label = f"{order} {impact}" + (f", seen {slope:.1f}" if np.isfinite(slope) else ", none seen")
+        for axis, x, y in ((work, "error", "seconds"), (ladder, "dt", "error")):
             axis.loglog([getattr(r, x) for r in good], [getattr(r, y) for r in good], mark + "-", color=color,
                         ms=5, lw=1.3, alpha=0.85, label=label)  # fmt: skip
             axis.loglog([getattr(r, x) for r in poor], [getattr(r, y) for r in poor], mark, mfc="none", color=color)
     if result.reference_error > 0 and result.good():
         work.axvline(result.reference_error, color="#888888", lw=0.9, ls=":")
-        order.axhline(result.reference_error, color="#888888", lw=0.9, ls=":", label="reference's own error")
+        ladder.axhline(result.reference_error, color="#888888", lw=0.9, ls=":", label="reference's own error")
     work.set_xlabel("error |q - q_ref| [m, rad]")
     work.set_ylabel(f"run time [s] for {result.horizon:.4g} s")
-    order.set_xlabel("dt [s]")
-    steps = sorted({row.dt for row in result.rows})
-    order.set_xticks(steps, [f"{dt:.3g}" for dt in steps], rotation=30)
-    order.set_xticks([], minor=True)
-    order.set_ylabel("error |q - q_ref| [m, rad]")
-    for axis in (work, order):
+    ladder.set_xlabel("dt [s]")
+    ladder.set_ylabel("error |q - q_ref| [m, rad]")
+    for axis in (work, ladder):
         axis.grid(alpha=0.25, which="both")
         if axis.get_legend_handles_labels()[0]:
-            axis.legend(fontsize=8)
+            axis.legend(fontsize=7)
     empty = ", open marks: see the table's notes" if len(result.good()) < len(result.rows) else ""
     figure.suptitle(f"{title}: {result.horizon:.4g} s, {result.impacts} impacts{empty}".lstrip(": "), fontsize=11)
     return write_atomic(path, lambda file: figure.savefig(file, format="png", dpi=130))

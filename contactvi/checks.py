@@ -81,6 +81,23 @@ class States:
             values /= norm
         return result
 
+    def distance(self, a: Array, b: Array) -> Array:
+        """Return the norm of the tangent difference of configurations (N, nq) or (1, nq), shape (N,) [m, rad].
+
+        Angles follow from the chords of unit quaternions and (cos, sin), which lose no digits where they are small.
+        Free and planar bodies as R^3 x SO(3) and R^2 x SO(2).
+        """
+        apart = b - a
+        square = np.einsum("ij,ij->i", apart, apart)
+        for part, _ in self._units:
+            near = np.einsum("ij,ij->i", apart[:, part], apart[:, part])
+            if part.stop - part.start == 4:  # q and -q are one rotation; the chord is that of half the angle
+                angle = 4.0 * np.arcsin(np.minimum(1.0, 0.5 * np.sqrt(np.minimum(near, 4.0 - near))))
+            else:
+                angle = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * np.sqrt(near)))
+            square += angle**2 - near
+        return np.sqrt(np.maximum(square, 0.0))
+
     def velocity(self, v: Any, name: str = "v0") -> Array:
         """Return v as an array of shape (nv,); None is rest."""
         if v is None:

@@ -133,9 +133,10 @@ def bench(
     dt: Annotated[float | None, typer.Option(help="Time step in seconds around which the ladder is built.")] = None,
     duration: Annotated[float | None, typer.Option(help="Simulated time in seconds, a whole number of steps.")] = None,
     tol: Annotated[float | None, typer.Option(help="Tolerance of a step, relative.")] = None,
+    orders: Annotated[str, typer.Option(metavar="2,4,...", help="Orders to compare, from 2, 4, ... 16.")] = "2,4,8,16",
     budget: Annotated[float, typer.Option(help="Wall time allowed in seconds.")] = 60.0,
 ) -> None:
-    """Measure run time against error of a scene over impact maps and time steps; write bench.png and bench.csv."""
+    """Measure run time against error of a scene over orders, impact maps and steps; write bench.png and bench.csv."""
     import contactvi as cvi
     from contactvi import bench_report
     from contactvi.bench import bench as measure
@@ -145,7 +146,8 @@ def bench(
     folder = output if output is not None else Path(f"{scene_file.stem}-bench")
     _make_folder(folder)
     with JobProgress(_err, time_left=False) as bar:
-        result = measure(scene, budget=budget, progress=bar, dt=dt, duration=duration, tol=tol)
+        chosen = [int(order) if order.strip().isdigit() else 0 for order in orders.split(",")]
+        result = measure(scene, budget=budget, orders=chosen, progress=bar, dt=dt, duration=duration, tol=tol)
     for line in bench_report.table(result):
         _out.print(line, markup=False)
     _out.print(f"[bold]advice[/]    {escape(bench_report.advice(result))}")

@@ -1,7 +1,7 @@
 """The polynomials of the steps of a run: states between the nodes, samples, and frames for pictures.
 
 A segment is one solved step, or the part of one between two impacts. The engine evaluates its polynomial: through the
-Gauss stages, raised so that it meets the velocities at both ends (core/path.hpp), it is accurate to O(h^(s+3)) in q
+Gauss stages, raised so that it meets the velocities at both ends (core/path.hpp), it is accurate to O(h^(s+2)) in q
 with s = order / 2 stages; at the ends of segments it is the run itself.
 """
 
@@ -14,16 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi.scene_build import engine_states
+
 Array = NDArray[np.float64]
 
-# name -> axes after that of the segments: "q", "v" sizes of configuration and velocity, "s" stages
+# name -> axis after that of the segments: "q", "v" sizes of configuration and velocity, "sv" of all stages
 FIELDS: dict[str, tuple[str, ...]] = {
     "t": (),  # start [s]
     "h": (),  # length [s]
     "q": ("q",),  # start
-    "p": ("v",),  # momentum at the start
-    "p1": ("v",),  # momentum at the end, before an impact there
-    "rates": ("s", "v"),  # chart rates at the stages, in the engine's coordinates
+    "p": ("v",),  # momentum at the start, in the engine's coordinates
+    "p1": ("v",),  # momentum at the end, before an impact there, in the engine's coordinates
+    "rates": ("sv",),  # chart rates at the stages, one after the other, in the engine's coordinates
 }
 FRAME_DT = 1.0 / 60.0  # [s] between two frames of a picture
 MAX_FRAMES = 6000
@@ -54,8 +56,7 @@ class Segments:
 
     def states(self, core: Any, times: Array) -> tuple[Array, Array]:
         """Return q (N, nq) and v (N, nv) at times [s], at an impact those after it. `core`: the engine's scene."""
-        q, v = core.dense(self.arrays, np.ascontiguousarray(times, dtype=float), self.order)
-        return np.asarray(q), np.asarray(v)
+        return engine_states(core, self.arrays, np.ascontiguousarray(times, dtype=float), self.order)
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int) -> Segments | None:

@@ -20,8 +20,6 @@ _FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects 
 
 def make(prepared: Prepared, options: Options, first_dt: float | None = None) -> Any:
     """Return a new simulator of the engine (_core.Simulator); first_dt: of "auto", the step to begin with [s]."""
-    # order 2 without polynomials is the default of the engine
-    more = (options.order, options.dense) if options.order != 2 or options.dense else ()
     return _core.Simulator(
         prepared.core,
         (first_dt or _FIRST_DT) if options.auto else options.fixed_dt,
@@ -30,7 +28,8 @@ def make(prepared: Prepared, options: Options, first_dt: float | None = None) ->
         options.max_impacts_per_step,
         options.max_iterations,
         options.mhc_reference == "global",
-        *more,
+        options.order,
+        options.dense,
     )
 
 

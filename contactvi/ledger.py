@@ -73,8 +73,7 @@ class Ledger:
         """
         self._core, self._forced, self._start = core, forced, start
         self._dt = float("nan") if options.auto else options.fixed_dt
-        # order 2 is the default of every function of the engine
-        self._order = {} if options.order == 2 else {"order": options.order}
+        self._order = options.order
         c, b = np.polynomial.legendre.leggauss(options.order // 2)
         self._gauss = 0.5 * (1.0 + c), 0.5 * b
         self._damping = np.array(damping, dtype=float)
@@ -228,13 +227,11 @@ class Ledger:
         """E_d of steps h (n,) from these states; H where the step has no length, NaN where its length is not known."""
         values = np.asarray(self._core.energy(q, p)).sum(axis=1)
         some = h != 0.0
-        values[some] = self._core.discrete_energy(q[some], p[some], h[some], **self._order)
+        values[some] = self._core.discrete_energy(q[some], p[some], h[some], self._order)
         return values
 
     def _modified(self, q: Array, p: Array) -> Array:
-        if self._order:
-            return np.asarray(self._core.energy(q, p)).sum(axis=1)
-        return np.asarray(self._core.modified_energy(q, p, self._dt))
+        return np.asarray(self._core.modified_energy(q, p, self._dt, self._order))
 
     @cached_property
     def _before(self) -> tuple[Array, Array, Array, Array]:
@@ -259,8 +256,8 @@ class Ledger:
             if not np.isfinite(h[i]):
                 p[i] = whole[i] = near[i] = np.nan
                 continue
-            q[i], p[i], v, *_ = self._core.step(q[i], p[i], float(h[i]), None, _STEP_TOL, **self._order)
-            power = -np.sum(self._damping * np.atleast_2d(v) ** 2, axis=1)  # of the stages, (s,)
+            q[i], p[i], v, *_ = self._core.step(q[i], p[i], float(h[i]), None, _STEP_TOL, self._order)
+            power = -np.sum(self._damping * np.asarray(v) ** 2, axis=1)  # of the stages, (s,)
             whole[i] = abs(h[i]) * float(b @ power)
             near[i] = abs(h[i]) * float((b * (1.0 - c)) @ power)
         return q, p, whole, near

@@ -51,7 +51,8 @@ class Record:
             self.events.append(result["events"])
         if self.options.dense:
             self.segments.append(result["segments"])
-        self.arcs = result.get("arcs", self.arcs)
+        if self.options.auto:
+            self.arcs = result["arcs"]
         # The engine counts from its reset, except for the seconds, which are those of this call.
         self.stats = Stats.of(result["stats"], self.stats.seconds)
         return self.end(result)
@@ -93,6 +94,11 @@ class Record:
     def impacts(self) -> int:
         """Number of impacts so far."""
         return sum(len(part["time"]) for part in self.events)
+
+    def impact_times(self) -> Array:
+        """Return the times of the impacts so far [s]."""
+        times = [part["time"] for part in self.events]
+        return np.concatenate(times) if times else np.zeros(0)
 
     def cut(self, time: float) -> None:
         """Forget what was recorded after the first node at or after `time` [s]."""

@@ -97,6 +97,16 @@ def engine_scene(built: Built) -> Any:
     return built.core
 
 
+def engine_states(
+    core: Any, segments: Mapping[str, np.ndarray], times: np.ndarray, order: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return q (N, nq), v (N, nv) at times [s] from segments of a run (contactvi.dense); `core`: from engine_scene."""
+    from contactvi import _core
+
+    q, v = _core.dense(core, dict(segments), times, order)
+    return np.asarray(q), np.asarray(v)
+
+
 def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
     """Return Pinocchio's own binary archive, the only form in which models cross to C++ (in one process)."""
     buffer = pin.serialization.StreamBuffer()

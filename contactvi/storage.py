@@ -41,9 +41,9 @@ event/p_plus          (n, nv)        momentum after
 segment/t             (m,)           start of a solved step or partial step [s]; segments only in runs that kept them
 segment/h             (m,)           its length [s]
 segment/q             (m, nq)        configuration at its start
-segment/p             (m, nv)        momentum at its start
+segment/p             (m, nv)        momentum at its start, this and the next two in the engine's coordinates
 segment/p1            (m, nv)        momentum at its end, before an impact there
-segment/rates         (m, s, nv)     chart rates at the Gauss stages, in the engine's coordinates (core/path.hpp)
+segment/rates         (m, s nv)      chart rates at the Gauss stages (core/path.hpp)
 arc/t                 (k,)           with dt "auto" only: from these times on [s]
 arc/dt                (k,)           the steps have these lengths [s]
 frame/time            (f,)           times of frames for pictures between nodes far apart [s], f may be 0
@@ -297,7 +297,7 @@ def _nodes(
 
 def _segments(path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int], options: Options) -> dense.Segments:
     count = len(_entry(path, entries, "segment/t", (None,), float))
-    sizes = sizes | {"s": options.order // 2}
+    sizes = sizes | {"sv": options.order // 2 * sizes["v"]}
     arrays = {}
     for name, axes in dense.FIELDS.items():
         arrays[name] = _entry(path, entries, f"segment/{name}", (count, *(sizes[axis] for axis in axes)), float)

@@ -21,17 +21,17 @@ MAX_COLUMNS = 120
 # layer -> (its units, the layers it may use; what those may use it may use too)
 Layers = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
 
-# C++: a unit is a header with its source (core/NAME.hpp, core/NAME.cpp); core/bindings/ is one unit.
+# C++: a unit is a header with its source (core/NAME.hpp, core/NAME.cpp); core/bindings/ and core/lanes/ are one each.
 CPP_LAYERS: Layers = {
-    "base": (("error", "numerics"), ()),
-    "scene": (("tree", "coordinates", "kernel", "tree_lu", "erosion", "load", "scene"), ("base",)),
-    "discrete_lagrangian": (("discrete_lagrangian",), ("scene",)),
-    "step": (("integrator", "energy"), ("discrete_lagrangian",)),
+    "base": (("error", "numerics", "gauss", "lanes"), ()),
+    "scene": (("tree", "coordinates", "placement", "flat_model", "erosion", "load", "scene"), ("base",)),
+    "path": (("path",), ("scene",)),
+    "step": (("stages", "start_values", "integrator", "energy"), ("path",)),
     "contact": (("contact",), ("scene",)),
     "guard": (("guard",), ("contact",)),
-    "event": (("event",), ("guard", "step")),
+    "event": (("gap_path", "event", "event_locate"), ("guard", "step")),
     "impact": (("impact", "impact_ctec", "impact_dtec", "impact_mhc"), ("step",)),
-    "simulator": (("simulator",), ("event", "impact")),
+    "simulator": (("recording", "simulator", "arcs"), ("event", "impact")),
     "bindings": (("bindings",), ("simulator",)),
 }
 
@@ -102,7 +102,7 @@ def cpp_files() -> list[Path]:
 
 
 def cpp_unit(path: Path) -> str:
-    """`core/bindings/*` is one unit, else the name without its ending."""
+    """`core/bindings/*` and `core/lanes/*` are one unit each, else the name without its ending."""
     parts = path.relative_to(CORE).parts
     return parts[0] if len(parts) > 1 else path.stem
 

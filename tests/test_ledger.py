@@ -21,6 +21,7 @@ from contactvi.options import LEDGER_TOLERANCES
 FILE = pathlib.Path(__file__).resolve().parents[1] / "models" / "double_pendulum_wall.toml"
 EPS = float(np.finfo(float).eps)
 maps = pytest.mark.parametrize("impact", METHODS)
+OWN = {"ctec": "energy_jump", "dtec": "discrete_energy_jump", "mhc": "modified_energy_jump"}
 
 
 def pendulum(impact: str, e: float = 0.7, **options) -> cvi.Trajectory:
@@ -99,6 +100,29 @@ def test_jumps_against_the_oracles(impact):
         assert both == pytest.approx(jump, abs=1e-12)
 
 
+@pytest.mark.parametrize("damping", [0.0, 0.2])
+@pytest.mark.parametrize("order", [4, 8, 16])
+@maps
+def test_every_order_keeps_what_the_map_keeps(impact, order, damping):
+    """Made again from the impacts, with the work of damping by the Gauss weights of the stages taken off."""
+    scene = cvi.load_scene(FILE)
+    scene.set_contact(restitution=0.7)
+    scene.set_joint("joint_*", damping=damping)
+    traj = cvi.simulate(scene, duration=3.0, dt=0.05, impact=impact, order=order)
+    ledger = traj.ledger
+    assert len(traj.events) >= 2
+    assert not np.any(traj.events.array("fallback"))
+    own = getattr(ledger, OWN[impact])
+    # 1e-12: tolerance of a step, of some 30 J
+    assert np.abs(own).max() <= 1e-12 * 30
+    assert np.abs(ledger.own_jump).max() <= 1e-12 * 30
+    np.testing.assert_array_equal(ledger.modified_energy, ledger.energy)
+    others = [np.abs(getattr(ledger, name)).max() for name in OWN.values()]
+    assert max(others) <= 10.0 * 0.05**order * 30 + 1e-12 * 30  # the scalars differ by the error of the step
+    cut = set(traj.events.array("step"))
+    assert set(np.flatnonzero(np.isnan(ledger.discrete_energy))) == cut | {len(traj) - 1}
+
+
 @maps
 def test_several_impacts_in_one_step_add_up(impact):
     """The jumps of the modified Hamiltonian of one step add up to that from its first node to its last."""
@@ -155,9 +179,6 @@ def test_with_inputs_steps_are_not_made_again():
 
 
 # -- tolerances -------------------------------------------------------------------------------------------------------
-
-
-OWN = {"ctec": "energy_jump", "dtec": "discrete_energy_jump", "mhc": "modified_energy_jump"}
 
 
 @maps
