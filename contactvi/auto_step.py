@@ -47,7 +47,7 @@ _MATTERS = 0.01  # share of a flight in the error, by the law, below which that 
 _FINER, _MOST = 0.6, 8.0  # length of finer steps / the shortest step; number of them / that of the steps
 _FOLLOWS = 5.0  # times what the law expects: more is not the law
 _LOST = 0.1  # of the size of the motion: two runs this far apart no longer follow the same motion
-_TIMES = 8  # at which two runs are compared
+_TIMES = 6  # at which two runs are compared
 _STARTS = 3  # flights whose first step is looked at
 _LEVELS = (1e-14, 3e-3)
 _EPS = float(np.finfo(float).eps)
@@ -230,8 +230,14 @@ def _transient(found: _Found) -> float:
         p = record.prepared.core.momentum_to_public(q, p)
         whole, half = _step(record, q, p, h), _step(record, q, p, 0.5 * h)
         halves = _step(record, half[0], half[1], 0.5 * h)
-        largest = max(largest, float(record.prepared.states.distance(whole[0][None], halves[0][None])[0]))
+        largest = max(largest, _largest(record.prepared.states.distance(whole[0][None], halves[0][None])))
     return largest
+
+
+def _largest(distances: Array) -> float:
+    """Return the largest distance; infinite where one is not known."""
+    largest = float(distances.max())
+    return largest if math.isfinite(largest) else math.inf
 
 
 def _distance(other: Record, found: Record) -> float:
@@ -241,11 +247,11 @@ def _distance(other: Record, found: Record) -> float:
     if abs(float(t[-1]) - last) > 1e-3 * (t[-1] - t[0]) or len(t) < 2:
         return math.inf
     count = int(np.searchsorted(t, last, side="right"))  # nodes that both runs have reached
-    nodes = np.unique(np.linspace(1, max(1, count - 1), _TIMES).astype(int))
+    nodes = np.unique(np.linspace(0, count - 1, _TIMES + 1)[1:].round().astype(int))
     segments = other.segments_joined()
     assert segments is not None
     states = np.array([_state(other, segments.arrays, float(t[node])) for node in nodes])
-    return float(found.prepared.states.distance(states, q[nodes]).max())
+    return _largest(found.prepared.states.distance(states, q[nodes]))
 
 
 def _state(run: Record, segments: dict[str, Array], time: float) -> Array:
@@ -258,10 +264,18 @@ def _state(run: Record, segments: dict[str, Array], time: float) -> Array:
 
 
 def _step(run: Record, q: Array, p: Array, h: float) -> tuple[Array, Array]:
-    """Return (q, p) after a smooth step h [s] of the run's order."""
+    """Return (q, p) after a smooth step h [s] of the run's order; in parts where its sweeps do not converge."""
     options = run.options
-    found = engine.call(run.prepared.core.step, q, p, h, None, options.stage_tol, options.order)
-    return found[0], found[1]
+    for parts in (1, 2, 4, 8, 16):
+        try:
+            q1, p1 = q, p
+            for _ in range(parts):
+                found = run.prepared.core.step(q1, p1, h / parts, None, options.stage_tol, options.order)
+                q1, p1 = found[0], found[1]
+            return q1, p1
+        except RuntimeError:  # CoreError is one
+            continue
+    return np.full_like(q, np.nan), np.full_like(p, np.nan)
 
 
 def _watch(record: Record) -> None:

@@ -6,6 +6,7 @@ Exit codes: 0 done; 2 wrong input, said as expected, got, remedy; 3 the run ende
 from __future__ import annotations
 
 import time
+import warnings
 import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -106,7 +107,8 @@ def run(
     folder = output if output is not None else Path(scene_file.stem)
     _make_folder(folder)  # before the run: hours of it must not end in "no such folder"
     try:
-        with RunProgress(settings.span, _err) as bar:
+        with RunProgress(settings.span, _err) as bar, warnings.catch_warnings():
+            warnings.simplefilter("ignore", cvi.AccuracyWarning)  # said below in our own form
             traj = cvi.simulate(scene, progress=bar, **chosen)
     except SimulationError as error:
         traj = error.trajectory
@@ -294,6 +296,11 @@ def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> Non
     lines.append(("", f"in {writing:.2g} s"))
     for name, text in lines:
         _out.print(f"[bold]{name:<10}[/]{escape(text)}")
+    if traj.status.ok and traj.options.auto and not traj.error_estimate <= traj.options.tol:
+        _err.print(
+            f"[bold yellow]The accuracy asked for was not reached:[/] error of q about {traj.error_estimate:.2g}, "
+            f"tol = {traj.options.tol:.2g}"
+        )
     if not traj.status.ok:
         _err.print(f"[bold yellow]The run ended early:[/] {escape(str(traj.status))}")
 

@@ -25,11 +25,12 @@ Tolerances, the keys of `ledger` of a run (options.LEDGER_TOLERANCES), are upper
 - impulse: how far one is below zero [N s]. complementarity: |gap * impulse| [N m s]. gap: |gap| at an impact [m].
 
 Inputs are not kept in a run; what needs a step to be made again (discrete energy, jumps but that of the energy) is NaN
-where a run had some.
+where a run had some, and where the run had to cut that step in two because its sweeps did not converge.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -226,8 +227,15 @@ class Ledger:
     def _discrete(self, q: Array, p: Array, h: Array) -> Array:
         """E_d of steps h (n,) from these states; H where the step has no length, NaN where its length is not known."""
         values = np.asarray(self._core.energy(q, p)).sum(axis=1)
-        some = h != 0.0
-        values[some] = self._core.discrete_energy(q[some], p[some], h[some], self._order)
+        some = np.flatnonzero(h != 0.0)
+        try:
+            values[some] = self._core.discrete_energy(q[some], p[some], h[some], self._order)
+        except RuntimeError:  # CoreError is one: a step that the run had to cut in two is none to be made again
+            for i in some:
+                one = slice(i, i + 1)
+                with contextlib.suppress(RuntimeError):
+                    values[i] = np.nan
+                    values[i] = self._core.discrete_energy(q[one], p[one], h[one], self._order)[0]
         return values
 
     def _modified(self, q: Array, p: Array) -> Array:
@@ -256,7 +264,11 @@ class Ledger:
             if not np.isfinite(h[i]):
                 p[i] = whole[i] = near[i] = np.nan
                 continue
-            q[i], p[i], v, *_ = self._core.step(q[i], p[i], float(h[i]), None, _STEP_TOL, self._order)
+            try:
+                q[i], p[i], v, *_ = self._core.step(q[i], p[i], float(h[i]), None, _STEP_TOL, self._order)
+            except RuntimeError:
+                p[i] = whole[i] = near[i] = np.nan
+                continue
             power = -np.sum(self._damping * np.asarray(v) ** 2, axis=1)  # of the stages, (s,)
             whole[i] = abs(h[i]) * float(b @ power)
             near[i] = abs(h[i]) * float((b * (1.0 - c)) @ power)

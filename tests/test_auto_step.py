@@ -253,6 +253,13 @@ def test_command(command, tmp_path):
     assert "'fast'" in result.stderr
 
 
+def test_command_says_what_cannot_be_met(command, tmp_path):
+    """Less than rounding was asked for."""
+    result = command("run", ball_file(tmp_path), "-o", "out", "--dt", "auto", "--tol", 1e-17, "--no-html", "--no-plot")
+    assert result.exit_code == 0
+    assert "accuracy asked for was not reached" in result.stderr
+
+
 def test_scene_file(tmp_path):
     path = ball_file(tmp_path)
     path.write_text(path.read_text().replace("dt = 0.01", 'dt = "auto"\norder = 8\ntol = 1e-7\nsample_dt = 0.1'))
