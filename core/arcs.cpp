@@ -12,8 +12,8 @@ namespace contactvi {
 
 namespace {
 constexpr double kSafety = 0.9;
-constexpr double kLargestGrowth = 2.0;    // of the step from one arc to the next
-constexpr double kProbeGrowth = 4.0;      // while the first step of a run is sought
+constexpr double kLargestGrowth = 2.0;  // of the step from one arc to the next
+constexpr double kProbeGrowth = 4.0;    // while the first step of a run is sought
 constexpr int kProbes = 12;
 constexpr double kShortestArcStep = 1e-9;  // of the duration
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();

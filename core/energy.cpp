@@ -75,7 +75,8 @@ std::vector<BodyState> body_states(const Tree& tree, const Placements& at, const
 
 // Velocity-dependent accelerations of the bodies (no joint acceleration, no gravity), body frame, component
 // derivatives.
-void bias_accelerations(const Tree& tree, const std::vector<BodyState>& bodies, const VecCRef& v, std::vector<Twist>& bias) {
+void bias_accelerations(const Tree& tree, const std::vector<BodyState>& bodies, const VecCRef& v,
+                        std::vector<Twist>& bias) {
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
     const BodyState& body = bodies[i];
     bias[i] = cross(body.inherited, joint_twist(tree.joints[i], v));
@@ -109,8 +110,8 @@ void free_acceleration(const Tree& tree, const std::vector<BodyState>& bodies, c
 }
 
 // d/dt of v.dT/dq - dV_gravity/dt along q' = v, v' = a.
-double power_rate(const Tree& tree, const std::vector<BodyState>& bodies, const std::vector<Twist>& bias, const VecCRef& v,
-                  const VecCRef& a) {
+double power_rate(const Tree& tree, const std::vector<BodyState>& bodies, const std::vector<Twist>& bias,
+                  const VecCRef& v, const VecCRef& a) {
   const std::size_t n = tree.joints.size();
   std::vector<Twist> rate(n), bias_rate(n);  // of the velocities and of the bias accelerations
   double sum = 0;

@@ -1,7 +1,7 @@
 // Rounded copies of sharp shapes: eroded by r, then swept by a sphere of radius r.
 //
-// Two sharp polytopes nearer than about 1e-6 m get wrong normals from GJK and EPA (measured: 83 % of random box pairs);
-// swept ones never reach EPA, because their cores stay 2 r apart when the surfaces touch.
+// Two sharp polytopes nearer than about 1e-6 m get wrong normals from GJK and EPA (measured: 83 % of random box
+// pairs); swept ones never reach EPA, because their cores stay 2 r apart when the surfaces touch.
 #include <coal/shape/convex.h>
 #include <coal/shape/geometric_shapes.h>
 
@@ -19,7 +19,8 @@ using Hull = coal::Convex<coal::Triangle>;
 using Points = std::shared_ptr<std::vector<coal::Vec3s>>;
 
 // An eroded polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
-// c: the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the polytope.
+// c: the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the
+// polytope.
 std::shared_ptr<coal::CollisionGeometry> eroded_hull(const Hull& hull, double& radius) {
   const std::vector<coal::Vec3s>& points = *hull.points;
   const std::vector<coal::Triangle>& faces = *hull.polygons;

@@ -223,8 +223,8 @@ void EventFinder::cross(Suspect& s, const Point& lo, const Point& hi, double off
   s.root = gaps_.root(s.guard, lo, hi, offset);
 }
 
-// With the guards placed at the event: is another one below zero there? Then it crosses earlier, or the search did not
-// see its dip.
+// With the guards placed at the event: is another one below zero there? Then it crosses earlier, or the search did
+// not see its dip.
 bool EventFinder::someone_is_earlier(const Suspect& first) {
   const double alpha = event_.alpha;
   bool earlier = false;

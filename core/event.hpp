@@ -1,9 +1,9 @@
 // The first event of a step: which guard, when, and the state there.
 //
 // The step's exact path is that of partial steps: the end of the step of length alpha h. The search looks at a
-// polynomial along the step (StepPath), for the price of geometry, and knows how far that may be off; what it finds is
-// located on exact partial steps to |gap| <= 1e-12, and where it comes nearer to zero than it is true the exact path
-// decides.
+// polynomial along the step (StepPath), for the price of geometry, and knows how far that may be off; what it finds
+// is located on exact partial steps to |gap| <= 1e-12, and where it comes nearer to zero than it is true the exact
+// path decides.
 #pragma once
 
 #include <vector>

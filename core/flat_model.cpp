@@ -68,7 +68,8 @@ void copy3(const Vec3& from, double* to) {
   for (int i = 0; i < 3; ++i) to[i] = from[i];
 }
 
-// How far each body frame is turned about its z axis: so that its largest child needs no rotation before its own axis.
+// How far each body frame is turned about its z axis: so that its largest child needs no rotation before its own
+// axis.
 std::vector<double> frame_turns(const Tree& tree) {
   const int n = static_cast<int>(tree.joints.size());
   std::vector<int> size(n, 1), heir(n, -1);
@@ -76,7 +77,8 @@ std::vector<double> frame_turns(const Tree& tree) {
     if (tree.joints[i].parent >= 0) size[tree.joints[i].parent] += size[i];
   for (int i = 0; i < n; ++i) {
     const int parent = tree.joints[i].parent;
-    if (parent >= 0 && is_one_dof(tree.joints[i]) && (heir[parent] < 0 || size[i] > size[heir[parent]])) heir[parent] = i;
+    if (parent >= 0 && is_one_dof(tree.joints[i]) && (heir[parent] < 0 || size[i] > size[heir[parent]]))
+      heir[parent] = i;
   }
   std::vector<double> turn(n, 0.0);
   for (int i = 0; i < n; ++i) {
@@ -159,7 +161,8 @@ FlatModel::FlatModel(const Tree& tree) : joints(tree.joints.size()), lanes{} {
     j.ball = j.type == kLaneBall ? balls++ : -1;
     j.at = at;
     j.velocity = j.type == kLaneBall ? 9 : 3;
-    at += j.velocity + 9 + (is_one_dof(joint) ? 7 : 24);
+    // Kinematics, factor, Newton factor: lane_dynamics.hpp, lane_factor.hpp, lane_newton.hpp.
+    at += j.velocity + 9 + (is_one_dof(joint) ? 7 + 39 : 24 + 87);
     j.slot = j.parent_slot = -1;
     place_in_parent(joint, joint.parent < 0 ? 0.0 : turn[joint.parent], turn[i], j);
     j.pitch = joint.pitch;
@@ -207,7 +210,7 @@ const InstructionSet*& chosen() {
   static const InstructionSet* set = [] {
     const char* wanted = std::getenv("CONTACTVI_INSTRUCTION_SET");
     const InstructionSet* best = wanted == nullptr ? nullptr : find(wanted);
-    if (best != nullptr) return best;
+    if (best != nullptr) return best;  // the module refuses an unknown name when it is imported
     for (const InstructionSet& each : known_sets())
       if (each.present) best = &each;
     return best;

@@ -1,5 +1,5 @@
-// Gauss-Legendre collocation on [0, 1] with s = 1 .. 8 stages: nodes c, weights b, coefficients A (Hairer, Lubich, Wanner,
-// Geometric Numerical Integration, II.1.3), computed once to rounding.
+// Gauss-Legendre collocation on [0, 1] with s = 1 .. 8 stages: nodes c, weights b, coefficients A (Hairer, Lubich,
+// Wanner, Geometric Numerical Integration, II.1.3), computed once to rounding.
 #pragma once
 
 namespace contactvi {

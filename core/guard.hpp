@@ -1,8 +1,9 @@
-// Guards: one gap function per collision pair and one per joint limit, and the decision which of them a step may skip.
+// Guards: one gap function per collision pair and one per joint limit, and the decision which of them a step may
+// skip.
 //
-// Semantics. A guard that is > 0 at the start of a step and <= 0 at its end, or inside it, is an event in the half-open
-// interval (0, 1] of the step. A guard that was just hit, or starts at zero, is "touching": it is excluded until it has
-// separated, unless it closes again. A start below zero is an error, never projected away.
+// Semantics. A guard that is > 0 at the start of a step and <= 0 at its end, or inside it, is an event in the
+// half-open interval (0, 1] of the step. A guard that was just hit, or starts at zero, is "touching": it is excluded
+// until it has separated, unless it closes again. A start below zero is an error, never projected away.
 //
 // Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was
 // d when it was last looked at stays skipped until the two odometers have advanced by d; only then its bounding
@@ -35,7 +36,8 @@ class Guards {
   int count() const { return count_; }
   const Scene& scene() const { return *scene_; }
 
-  // Configuration that evaluate, gradient and separated_at_end refer to. The bodies are placed when a pair first asks.
+  // Configuration that evaluate, gradient and separated_at_end refer to. The bodies are placed when a pair first
+  // asks.
   void place(const VecCRef& q);
 
   // Exact gap [m] or [rad] at the placed configuration. Not finite if coal fails.
@@ -47,8 +49,8 @@ class Guards {
   // To what a root is located: 1e-12, or the noise of the distance itself where curved shapes are iterated.
   double root_tolerance(int guard) const;
 
-  // Bounds on the motion over a step of length h whose velocities stay within bound, shape (nv,), from q; in all three
-  // entries of a spherical joint the bound of the whole vector.
+  // Bounds on the motion over a step of length h whose velocities stay within bound, shape (nv,), from q; in all
+  // three entries of a spherical joint the bound of the whole vector.
   void bound_motion(const VecCRef& q, const VecX& bound, double h);
   double motion(int guard) const;  // of the guard's two bodies together in that step
   double turn(int guard) const;    // the same of their rotation [rad]

@@ -2,10 +2,9 @@
 //
 //   p+ = p- + lambda W^T, lambda >= 0;  gamma = W M^-1 p;  G_c = W M^-1 W^T;  loss = (1 - e^2) gamma-^2 / (2 G_c).
 //
-// CTEC is explicit. DTEC and MHC are one scalar equation in lambda, whose other unknowns are the velocities v of the rest
-// of the step from p+: E(lambda) = target. It is solved by the secant method from CTEC's lambda, with dE/dlambda ~
-// gamma+ to start.
-// Where that has no admissible root the map falls back to CTEC and says why.
+// CTEC is explicit. DTEC and MHC are one scalar equation in lambda, whose other unknowns are the velocities v of the
+// rest of the step from p+: E(lambda) = target. It is solved by the secant method from CTEC's lambda, with dE/dlambda
+// ~ gamma+ to start. Where that has no admissible root the map falls back to CTEC and says why.
 #pragma once
 
 #include "integrator.hpp"
@@ -22,11 +21,11 @@ enum class Fallback : int {
 
 struct ImpactProblem {
   Integrator& integrator;
-  const VecX& q;           // q_c, (nq,)
-  const VecX& p_minus;     // (nv,)
-  const VecX& W;           // gap gradient at q_c, (nv,)
-  const VecX& MinvW;       // M^-1 W^T, (nv,)
-  double gamma_minus;      // < 0
+  const VecX& q;        // q_c, (nq,)
+  const VecX& p_minus;  // (nv,)
+  const VecX& W;        // gap gradient at q_c, (nv,)
+  const VecX& MinvW;    // M^-1 W^T, (nv,)
+  double gamma_minus;   // < 0
   double G_c;
   double restitution;  // in [0, 1]
   double dt;           // full step, for the modified Hamiltonian

@@ -10,7 +10,7 @@ namespace {
 
 double energy_after(const ImpactProblem& problem, const VecX& p_plus) {
   Integrator& integrator = problem.integrator;
-  if (!integrator.solve(problem.q, p_plus, problem.remainder, problem.tau))
+  if (!integrator.solve_closely(problem.q, p_plus, problem.remainder, problem.tau))
     return std::numeric_limits<double>::quiet_NaN();
   // E_d is a mean over the rest of the step: what damping and inputs do until there is not the impact's.
   return integrator.discrete_energy() - integrator.mean_work();

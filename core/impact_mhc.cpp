@@ -11,7 +11,7 @@ namespace {
 
 double modified_energy_at_end(const ImpactProblem& problem, const VecX& p_plus) {
   Integrator& integrator = problem.integrator;
-  if (!integrator.solve(problem.q, p_plus, problem.remainder, problem.tau))
+  if (!integrator.solve_closely(problem.q, p_plus, problem.remainder, problem.tau))
     return std::numeric_limits<double>::quiet_NaN();
   VecX q1(problem.q.size()), p1(p_plus.size());
   integrator.finish(q1, p1);

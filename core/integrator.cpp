@@ -2,15 +2,24 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace contactvi {
 
 namespace {
-constexpr double kRefactor = 3e-3;     // change between sweeps above which the factor is made again
-constexpr double kFloor = 1e-10;       // below it a contraction that breaks down is rounding, not failure
-constexpr double kFarTurn = 3.5;       // rad per step of a ball, where its chart is still good
-constexpr double kBest = 1e-2;         // contraction
-constexpr double kNoContraction = 0.97;
+constexpr double kRefactor = 3e-3;                   // change between sweeps above which the factor is made again
+constexpr double kRounding = 2e-13, kFloor = 1e-10;  // errors at which no more progress may be rounding, after a while
+constexpr double kProgress = 0.7;                    // per sweep
+constexpr int kIdle = 8;                             // sweeps without progress: these start values lead nowhere
+constexpr double kFarTurn = 3.5;                     // rad per step of a ball, where its chart is still good
+constexpr double kClose = 1e-15;  // tolerance where an event or an impact hangs on the step: to rounding
+constexpr double kBest = 1e-2;    // contraction
+// Contraction from which on the Newton matrix pays, and stages up to which it does: measured on chains of 10 to 100
+// links and the Allegro hand, it saves sweeps with 4 stages and more too, but not time (benchmarks/README.md).
+constexpr double kSlow = 0.3;
+constexpr int kNewtonStages = 3;
+constexpr double kNear = 0.3, kFarEnergy = 1e3;
+constexpr double kVerySlow = 0.5;  // contraction from which on acceleration pays
 }  // namespace
 
 Integrator::Integrator(const Tree& tree, int stages, double tol, int max_sweeps)
@@ -21,6 +30,7 @@ Integrator::Integrator(const Tree& tree, int stages, double tol, int max_sweeps)
       stages_(tree, model_, stages),
       node_(tree, model_, 1),
       start_(tree.nv, stages_),
+      acceleration_(tree.nv, stages_),
       placements_(tree),
       q0_(tree.nq),
       p0_(tree.nv),
@@ -55,38 +65,67 @@ double Integrator::relative_error() const {
   return std::sqrt(worst);
 }
 
-bool Integrator::converged(double error, double theta, double previous_theta) const {
+// Largest energy of a stage: of its motion, or of the kick that the single forces give it.
+double Integrator::energy() const {
+  double largest = 0.0;
+  for (int i = 0; i < stages_.count(); ++i)
+    largest = std::max({largest, std::abs(stages_.kinetic(i)), stages_.floor(i)});
+  return largest;
+}
+
+// Whether a sweep that left this error, theta times the one before, was the last that the step needs.
+bool Integrator::converged(double error, double theta, bool accelerated) const {
   if (error <= tol_) return true;
-  // One ratio alone may flatter: no contraction better than kBest is believed.
-  if (theta >= 0.0 && theta < 1.0 && error * std::max(theta, kBest) / (1.0 - theta) <= tol_) return true;
-  return previous_theta >= 0.0 && error < kFloor && theta > std::max(0.3, std::min(1.0, 4.0 * previous_theta));
+  // One ratio alone may flatter: no contraction better than kBest is believed, hardly any after an acceleration.
+  const double believed = std::max(theta, accelerated ? 0.5 : kBest);
+  return theta >= 0.0 && theta < 1.0 && error * believed / (1.0 - believed) <= tol_;
 }
 
 bool Integrator::iterate() {
   solved_ = false;
-  double previous = -1.0, theta = -1.0;
+  double previous = -1.0, theta = -1.0, best = std::numeric_limits<double>::infinity();
+  int idle = 0;  // sweeps without progress
+  bool newton = newton_, accelerated = false;
+  acceleration_.clear();
   for (const Joint& joint : tree_->joints) {
     if (joint.type != JointType::kSpherical) continue;
     double* X = stages_.X() + static_cast<std::size_t>(joint.iv) * stages_.padded();
     std::fill(X, X + 3 * stages_.padded(), 0.0);
   }
+  bool factor = true;
   for (int k = 0; k < max_sweeps_; ++k) {
-    const bool factor = k == 0 || previous > kRefactor;
-    stages_.sweep((factor ? kLaneFactor : 0) | (k == 0 ? kLaneFirst : 0));
+    stages_.sweep((factor ? kLaneFactor : 0) | (k == 0 ? kLaneFirst : 0) | (newton ? kLaneNewton : 0));
     ++counters.sweeps;
     ++sweeps_;
     counters.factorizations += factor;
     const double error = relative_error();
     if (!std::isfinite(error)) {
       why_ = "a number is not finite";
+      newton_ = false;
       return false;
     }
-    const double before = theta;
     theta = previous > 0.0 ? error / previous : -1.0;
     residual_ = error;
-    if (converged(error, theta, before)) return solved_ = true;
-    // Twice in a row without contraction: these start values lead nowhere.
-    if (k > 3 && theta > kNoContraction && before > kNoContraction) break;
+    if (k == 0) energy_scale_ = energy();
+    // Long steps have solutions far from the motion too; whoever gets there has lost the way.
+    if (energy() > kFarEnergy * energy_scale_) break;
+    if (converged(error, theta, accelerated)) {
+      newton_ = newton;
+      return solved_ = true;
+    }
+    idle = error < kProgress * best ? 0 : idle + 1;
+    best = std::min(best, error);
+    // Far down, sweeps that gain nothing any more have met rounding; further up they lead nowhere.
+    if ((idle >= 2 && error < kRounding) || (idle >= 4 && error < kFloor && !accelerated)) return solved_ = true;
+    if (idle >= (accelerated ? 2 * kIdle : kIdle)) break;
+    const bool slow = k >= 2 && theta > kSlow, turn = slow && !newton && stages_.count() <= kNewtonStages;
+    if (factor && accelerated) acceleration_.clear();  // its residuals belong to another matrix
+    newton = newton || turn;
+    factor = turn || (error > kRefactor && !accelerated);
+    if ((slow && theta > kVerySlow && !turn && error < kNear) || accelerated) {
+      acceleration_.apply(stages_);
+      accelerated = true;
+    }
     previous = error;
   }
   why_ = "the sweeps do not converge";
@@ -111,6 +150,14 @@ bool Integrator::turns_too_far() {
 void Integrator::start_constant(const VecCRef& v0) {
   const int S = stages_.padded();
   for (int d = 0; d < tree_->nv; ++d) std::fill_n(stages_.v() + static_cast<std::size_t>(d) * S, S, v0[d]);
+}
+
+bool Integrator::solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
+  const double tol = tol_;
+  tol_ = std::min(tol_, kClose);
+  const bool solved = solve(q0, p0, h, tau);
+  tol_ = tol;
+  return solved;
 }
 
 bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
@@ -184,8 +231,11 @@ bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q
   }
   for (int i = s; i < S; ++i)
     for (int d = 0; d < tree_->nv; ++d) stages_.v()[d * S + i] = v0_[d];
-  if (iterate()) return !turns_too_far();
-  return node_velocity(q0_, p0_, v0_) && (start_constant(v0_), iterate()) && !turns_too_far();
+  const double tol = tol_;
+  tol_ = std::min(tol_, kClose);
+  const bool solved = iterate() || (node_velocity(q0_, p0_, v0_) && (start_constant(v0_), iterate()));
+  tol_ = tol;
+  return solved && !turns_too_far();
 }
 
 void Integrator::finish(VecRef q1, VecRef p1) {
@@ -285,7 +335,8 @@ double Integrator::discrete_energy() {
     stages_.configuration(q0_, i, q_stage_);
     place(*tree_, q_stage_, placements_);
     double energy = gravity_potential(*tree_, placements_) + spring_potential(*tree_, q_stage_);
-    // P belongs to the velocity before the last correction: 1/2 (v - dv) M (v - dv) + ... = 1/2 P.(v + dv) to second order.
+    // P belongs to the velocity before the last correction: 1/2 (v - dv) M (v - dv) + ... = 1/2 P.(v + dv) to second
+    // order.
     for (int d = 0; d < tree_->nv; ++d)
       energy += 0.5 * stages_.P()[d * S + i] * (stages_.v()[d * S + i] + stages_.dv()[d * S + i]);
     total += stages_.table().b[i] * energy;

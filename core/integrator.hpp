@@ -1,10 +1,11 @@
 // One smooth step of order 2s: solve the stage equations for the stage velocities, then q1 and p1.
 //
-// Sweeps correct the velocities with a factor of the mass matrix made in the first of them. They stop when the energy norm
-// of the residual, relative to the motion's, times theta/(1 - theta) is below the tolerance, theta their measured
-// contraction; or when rounding stops the contraction far below.
+// Sweeps correct the velocities with a factor of the mass matrix made in the first of them. They stop when the energy
+// norm of the residual, relative to the motion's, times theta/(1 - theta) is below the tolerance, theta their
+// measured contraction; or when rounding stops the contraction far below.
 #pragma once
 
+#include "acceleration.hpp"
 #include "path.hpp"
 #include "placement.hpp"
 #include "stages.hpp"
@@ -27,10 +28,12 @@ class Integrator {
   int stages() const { return stages_.count(); }
   const Tree& tree() const { return *tree_; }
 
-  // Solve the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False when the
-  // sweeps do not converge from any start; why() says it.
+  // Solve the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
+  // when the sweeps do not converge from any start; why() says it.
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
-  // The same for the part alpha of a step whose path is known.
+  // The same to rounding, for what is differenced: impact maps.
+  bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  // To rounding for the part alpha of a step whose path is known.
   bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau);
   // End state of the step just solved.
   void finish(VecRef q1, VecRef p1);
@@ -45,7 +48,8 @@ class Integrator {
   // X' at the stages of the step just solved, shape (nv, s).
   const MatX& rates();
   const MatX& velocities();  // v there
-  // Size of the highest mode of the stage velocities: what the polynomial of the path hardly resolves any more [m; rad].
+  // Size of the highest mode of the stage velocities: what the polynomial of the path hardly resolves any more [m;
+  // rad].
   double truncation() const;
 
   // Of the step just solved [J]: work of damping and inputs; its mean over the step; sum b_i E(q_i, v_i).
@@ -64,8 +68,9 @@ class Integrator {
 
  private:
   bool iterate();
-  bool converged(double error, double theta, double previous_theta) const;
+  bool converged(double error, double theta, bool accelerated) const;
   double relative_error() const;
+  double energy() const;
   void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   void start_constant(const VecCRef& v0);
   bool start_by_ramp(const VecX& tau);
@@ -77,13 +82,15 @@ class Integrator {
   FlatModel model_;
   Stages stages_, node_;
   StartValues start_;
+  Acceleration acceleration_;
   Placements placements_;
   VecX q0_, p0_, q_ramp_, p_ramp_, q_ramp1_, p_ramp1_, v0_, q_stage_;
   VecX carry_q_, carry_p_, next_carry_q_, next_carry_p_;
   MatX rates_, velocities_;
-  double h_ = 0.0, residual_ = 0.0;
+  double h_ = 0.0, residual_ = 0.0, energy_scale_ = 0.0;
   int sweeps_ = 0;
   bool solved_ = false, part_ = false;
+  bool newton_ = false;  // the last step needed the Newton matrix
   const char* why_ = "";
 };
 

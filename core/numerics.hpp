@@ -1,7 +1,7 @@
 // Small vectors and the calculus of SO(3).
 //
-// Pinocchio's Jexp6/Jlog6 lose digits for small rotations (8e-10 at 3e-4 rad), and momentum then drifts; the functions
-// here use power series below |xi| = 0.3 and keep full precision at every angle up to pi.
+// Pinocchio's Jexp6/Jlog6 lose digits for small rotations (8e-10 at 3e-4 rad), and momentum then drifts; the
+// functions here use power series below |xi| = 0.3 and keep full precision at every angle up to pi.
 #pragma once
 
 #include <Eigen/Core>

@@ -1,11 +1,11 @@
 // The path of one solved step as a polynomial in tau, the fraction of the step in [0, 1].
 //
 // In the chart at q0, q(tau) = q0 (+) X(tau): X'(tau) = sum_k coef_k P_k(2 tau - 1), X(tau) = h int_0^tau X'. The s
-// stage rates give the collocation polynomial, O(h^(s+1)) inside of the step. Raised by M(tau)(a + b (2 tau - 1)),
-// M = P_s(2 tau - 1), it takes the velocities of both ends as well: they are true to O(h^2s) however few stages there
-// are, M vanishes at the stages, X(1) stays as it is, and the error inside is O(h^(s+3)). One stage: the cubic Hermite
-// polynomial through both ends, or the one through a half step.
-// Legendre's basis, because |P_k| <= 1 bounds the rates by the sum of their coefficients.
+// stage rates give the collocation polynomial, O(h^(s+1)) inside of the step. Raised by M(tau)(a + b (2 tau - 1)), M
+// = P_s(2 tau - 1), it takes the velocities of both ends as well: they are true to O(h^2s) however few stages there
+// are, M vanishes at the stages, X(1) stays as it is, and the error inside is O(h^(s+3)). One stage: the cubic
+// Hermite polynomial through both ends, or the one through a half step. Legendre's basis, because |P_k| <= 1 bounds
+// the rates by the sum of their coefficients.
 #pragma once
 
 #include "gauss.hpp"
@@ -41,8 +41,8 @@ class StepPath {
   // Bound on |v| over the step, (nv,): of each dof, and of the whole vector in all three entries of a spherical joint
   // (the Jacobian J of SO(3)'s exp lengthens no vector).
   void bound(VecRef bound) const;
-  // What the rates may still be off by, as far as the last coefficients tell; dofs as in bound(). Of one stage that was
-  // not raised nothing is known: all of its rate.
+  // What the rates may still be off by, as far as the last coefficients tell; dofs as in bound(). Of one stage that
+  // was not raised nothing is known: all of its rate.
   void doubt(VecRef doubt) const;
 
  private:

@@ -19,8 +19,8 @@ struct ImpactRecord {
   VecX q, p_minus, p_plus;
 };
 
-// Steps and partial steps between nodes and impacts, row after row: start time and length, state at the start, momentum at
-// the end (before an impact), chart rates at the stages (StepPath).
+// Steps and partial steps between nodes and impacts, row after row: start time and length, state at the start,
+// momentum at the end (before an impact), chart rates at the stages (StepPath).
 struct Segments {
   std::vector<double> t, h, q, p, p1, rates;  // rates: stage by stage
 };

@@ -13,10 +13,11 @@ namespace contactvi {
 
 namespace {
 constexpr double kZenoFlight = 0.05;    // of a step: e times the last flight below it ends the bouncing
+constexpr double kShortFlight = 0.02;   // of the longest flight: what a step counts for there at most
 constexpr int kZenoFlights = 4;         // flights in a row, each shorter than the one before
 constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
 constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
-constexpr double kShortest = 1e-3;       // of a step: halving ends there
+constexpr double kShortest = 1e-3;      // of a step: halving ends there
 constexpr int kEasySteps = 4;           // short steps in a row before a longer one is tried
 constexpr int kCtec = 0, kDtec = 1, kMhc = 2;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
@@ -189,6 +190,13 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
       remaining = shorter ? length - done : 0.0;
       continue;
     }
+    if (found == Search::kNewtonFailed && !last_try) {
+      integrator_.forget();
+      trial_ = 0.5 * h;
+      easy_ = 0;
+      ++halved_;
+      continue;
+    }
     if (found != Search::kFound) return search_failed(found, start + done);
     const double before = finder_.event().alpha * h;
     if (options_.dense && before > 0.0) rates_ = integrator_.rates();
@@ -199,9 +207,10 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
     q_ = finder_.event().q;
     p_ = finder_.event().p;
     if (!resolve_event({start + done, before, remaining, tau}, recording)) return false;
+    // An implicit map has chosen its impulse for the rest of the step in one piece.
+    if (options_.impact != kCtec) trial_ = std::max(trial_, remaining);
   }
-  if (!q_.allFinite() || !p_.allFinite())
-    return end(StatusCode::kNotFinite, start + length, "the state is not finite");
+  if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, start + length, "the state is not finite");
   return true;
 }
 
@@ -342,7 +351,9 @@ bool Simulator::judge_accumulation(double time) {
       const bool shorter = b.hits > 1 && flight < b.last_flight;
       b.contracting = shorter ? b.contracting + 1 : 0;
       const double e = scene_->restitution(guard);
-      if (e < 1.0 && b.contracting >= kZenoFlights && e * flight < kZenoFlight * arc_h_) {
+      b.longest_flight = std::max(b.longest_flight, flight);
+      if (e < 1.0 && b.contracting >= kZenoFlights &&
+          e * flight < kZenoFlight * std::min(arc_h_, kShortFlight * b.longest_flight)) {
         end(StatusCode::kZeno, time, "impacts accumulate", guard);
         // Flights shrink geometrically; their measured ratio, not e, is right for articulated bodies too.
         const double ratio = flight / b.last_flight;

@@ -16,10 +16,10 @@ struct SimulatorOptions {
   double tol = 1e-12;       // of the discrete Euler-Lagrange residual, relative
   int impact = 0;           // map: 0 CTEC, 1 DTEC, 2 MHC
   bool mhc_global = false;  // MHC's reference: carried from the start of the run, else from the start of each step
-  int max_iterations = 50;   // sweeps per attempt at a step
+  int max_iterations = 50;  // sweeps per attempt at a step
   long max_impacts_per_step = 100000;
-  int stages = 1;       // s of order 2s
-  bool dense = false;   // keep the polynomials of the steps
+  int stages = 1;      // s of order 2s
+  bool dense = false;  // keep the polynomials of the steps
 };
 
 // Called now and then with (time, impacts so far); false asks the run to stop.
@@ -35,8 +35,8 @@ class Simulator {
   // nodes are recorded every record_every steps. The run may end early: see the status.
   Status advance(long steps, const MatX& tau, long record_every, const Progress& progress, Recording& recording);
   // Until time + duration with steps of equal length within each smooth arc, such that the highest mode of the stage
-  // velocities moves nothing by more than level [m; rad] per step (Integrator::truncation); an arc where it does is redone
-  // with a shorter step. Every step's end is a node.
+  // velocities moves nothing by more than level [m; rad] per step (Integrator::truncation); an arc where it does is
+  // redone with a shorter step. Every step's end is a node.
   Status run_auto(double duration, double level, const Progress& progress, Recording& recording);
 
   double time() const { return time_; }
@@ -54,7 +54,7 @@ class Simulator {
  private:
   // What is known of the bouncing of one guard, to tell accumulation from chatter.
   struct Bouncing {
-    double last_time = 0, last_flight = 0;
+    double last_time = 0, last_flight = 0, longest_flight = 0;
     int hits = 0, contracting = 0;
   };
   // One closed contact during the resolution of an event.
@@ -107,11 +107,11 @@ class Simulator {
   EventFinder finder_;
   StepPath path_;
   VecX q_, p_, q1_, p1_, v_;
-  MatX rates_;      // of the step just solved, while it may be needed
+  MatX rates_;  // of the step just solved, while it may be needed
   double t0_ = 0, time_ = 0;
   double trial_ = 0;  // length of the next step to try: shorter than dt after steps that did not converge
   int easy_ = 0;      // steps of that length solved in a row
-  double level_ = 0, truncation_ = 0;   // of run_auto: bound, largest of the interval
+  double level_ = 0, truncation_ = 0;  // of run_auto: bound, largest of the interval
   double arc_h_ = 0;
   std::chrono::steady_clock::time_point reported_;
   double speed_scale_ = 0;  // largest closing speed of a closed contact so far

@@ -12,8 +12,8 @@ namespace contactvi {
 namespace {
 
 // Damping enters the factor as h d_i: d such that 1 - D^-1 A is nilpotent, so the sweeps contract however stiff it is
-// (MIN-SR-S of Caklovic, Lunet, Goetschel, Ruprecht, "Improving efficiency of parallel across the method spectral deferred
-// corrections", 2024; computed for the Gauss nodes, contraction <= 0.38 for all h damping / M).
+// (MIN-SR-S of Caklovic, Lunet, Goetschel, Ruprecht, "Improving efficiency of parallel across the method spectral
+// deferred corrections", 2024; computed for the Gauss nodes, contraction <= 0.38 for all h damping / M).
 constexpr double kDampingShare[kMaxStages][kMaxStages] = {
     {0.5},
     {0.5, 0.16666666666666666},
@@ -54,10 +54,33 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages)
       table_(&gauss_table(stages)),
       kernel_(&lane_kernel(stages)),
       work_{},
-      X_(0), v_(0), rate_(0), P_(0), G_(0), Y_(0), px_(0), dv_(0), magnitude_(0), diagonal_(0), applied_(0),
-      storage_(0), slots_(0), per_stage_(0), hA_(0), hb_(stages), base_(tree.nv), ball_base_(9 * model.lanes.balls),
-      p0_(tree.nv), stiffness_(tree.nv), deflection_(tree.nv), damping_(tree.nv), input_(tree.nv),
-      q0_(VecX::Zero(tree.nq)), tau_(VecX::Zero(tree.nv)), q_stage_(tree.nq) {
+      X_(0),
+      v_(0),
+      rate_(0),
+      P_(0),
+      G_(0),
+      Y_(0),
+      px_(0),
+      dv_(0),
+      magnitude_(0),
+      diagonal_(0),
+      applied_(0),
+      storage_(0),
+      slots_(0),
+      per_stage_(0),
+      hA_(0),
+      he_(0),
+      hb_(stages),
+      base_(tree.nv),
+      ball_base_(9 * model.lanes.balls),
+      p0_(tree.nv),
+      stiffness_(tree.nv),
+      deflection_(tree.nv),
+      damping_(tree.nv),
+      input_(tree.nv),
+      q0_(VecX::Zero(tree.nq)),
+      tau_(VecX::Zero(tree.nv)),
+      q_stage_(tree.nq) {
   const int L = kernel_->lanes, S = (stages + L - 1) / L * L;
   const std::size_t size = static_cast<std::size_t>(tree.nv) * S;
   const bool balls = model.lanes.balls > 0;
@@ -65,9 +88,10 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages)
   for (AlignedArray* array : {&rate_, &Y_, &px_}) *array = AlignedArray(balls ? size : 0);
   applied_ = AlignedArray(tree.split.empty() ? 0 : size);
   storage_ = AlignedArray(static_cast<std::size_t>(model.lanes.storage) * S);
-  slots_ = AlignedArray(static_cast<std::size_t>(21) * std::max(1, model.lanes.slots) * L);
+  slots_ = AlignedArray(static_cast<std::size_t>(36) * std::max(1, model.lanes.slots) * L);
   per_stage_ = AlignedArray(3 * S);
   hA_ = AlignedArray(static_cast<std::size_t>(stages) * S);
+  he_ = AlignedArray(2 * S);
   for (const Joint& joint : tree.joints) {
     const bool ball = joint.type == JointType::kSpherical;
     has_ball_springs_ |= ball && joint.stiffness != 0;
@@ -80,6 +104,8 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages)
   work_.S = S;
   work_.hA = hA_.data();
   work_.hb = hb_.data();
+  work_.he = he_.data();
+  work_.he_turn = he_.data() + S;
   work_.base = base_.data();
   work_.ball_base = ball_base_.data();
   work_.p0 = p0_.data();
@@ -143,6 +169,11 @@ void Stages::set_step(double h) {
     for (int j = 0; j < s; ++j) {
       hb_[j] = h * table_->b[j];
       for (int i = 0; i < S; ++i) hA_[j * S + i] = h * table_->A[std::min(i, s - 1)][j];
+    }
+    for (int i = 0; i < S; ++i) {
+      const double c = table_->c[std::min(i, s - 1)];
+      he_[i] = h * c / s;
+      he_[S + i] = -0.5 * h * (1.0 - c) / s;
     }
     tableau_h_ = h;
   }

@@ -62,6 +62,7 @@ class Stages {
   const double* G() const { return G_.data(); }
   double* dv() { return dv_.data(); }
   const double* dv() const { return dv_.data(); }
+  const double* residual() const { return magnitude_.data(); }  // that dv answers, after a sweep
   const double* v() const { return v_.data(); }
   const double* X() const { return X_.data(); }
   // Per stage: r . dv, P . v, energy of the kick of the single forces.
@@ -92,7 +93,7 @@ class Stages {
   const LaneKernel* kernel_;
   LaneWork work_;
   AlignedArray X_, v_, rate_, P_, G_, Y_, px_, dv_, magnitude_, diagonal_, applied_, storage_, slots_;
-  AlignedArray per_stage_, hA_, hb_, base_, ball_base_, p0_, stiffness_, deflection_, damping_, input_;
+  AlignedArray per_stage_, hA_, he_, hb_, base_, ball_base_, p0_, stiffness_, deflection_, damping_, input_;
   VecX q0_, tau_, q_stage_;
   bool has_ball_springs_ = false, has_inputs_ = false;
   double diagonal_h_ = -1.0, tableau_h_ = 0.0;

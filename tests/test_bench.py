@@ -14,7 +14,7 @@ from run_scenes import ball_file, hand_scene
 from test_cli import WRONG_INPUT
 
 import contactvi as cvi
-from contactvi.bench import Bench, Row, bench
+from contactvi.bench import BENCHED, Bench, Row, bench
 from contactvi.bench_report import COLUMNS, advice, table, targets
 
 PENDULUM = """
@@ -44,15 +44,27 @@ def pendulum(tmp_path) -> Path:
     return path
 
 
-def test_order_two_of_a_smooth_scene(pendulum):
+def test_orders_of_a_smooth_scene(pendulum):
     result = bench(cvi.load_scene(pendulum), budget=5)
     assert result.impacts == 0
     assert {row.impact for row in result.rows} == {"ctec"}  # without impacts the maps are the same
     assert result.horizon == pytest.approx(1.6)
-    # The reference at dt_min / 8 shifts the finest error by 1/64, the slope over a factor 64 in dt by 0.01; the term
-    # O(dt^4) is (omega dt)^2 = 0.06 of the first at dt = 0.08, omega = 3.1/s, at most, and shifts it by 0.03.
+    # The term O(dt^4) is (omega dt)^2 = 0.06 of the first at dt = 0.08, omega = 3.1/s, at most, and shifts it by 0.03.
     assert result.slope("ctec") == pytest.approx(2.0, abs=0.05)
-    assert all(row.seconds > 0 and row.energy_error > 0 for row in result.rows)
+    # Longer steps, where the next term is a good part of the first: a third of an order.
+    assert result.slope("ctec", 4) == pytest.approx(4.0, abs=0.35)
+    assert {row.order for row in result.rows} == set(BENCHED)
+    assert all(row.seconds > 0 for row in result.rows)
+    assert result.reference_error < 1e-10
+
+
+def test_higher_orders_take_longer_steps_for_small_errors():
+    """What the orders are for: for the error of the finest run of order 2, steps a hundred times as long and more."""
+    scene = cvi.load_scene(Path(__file__).resolve().parents[1] / "models" / "double_pendulum_wall.toml")
+    result = bench(scene, budget=10, maps=("ctec",))
+    low = min((row for row in result.good() if row.order == 2), key=lambda row: row.error)
+    for order in (8, 16):
+        assert max(row.dt for row in result.good() if row.order == order and row.error <= low.error) >= 100 * low.dt
 
 
 def test_maps_of_an_elastic_impact_have_order_two():
@@ -66,21 +78,23 @@ def test_maps_of_an_elastic_impact_have_order_two():
 
 
 def test_command_writes_table_picture_and_advice(command, pendulum):
-    result = command("bench", pendulum, "-o", "out", "--budget", 5)
+    result = command("bench", pendulum, "-o", "out", "--budget", 5, "--orders", "2,6")
     assert result.exit_code == 0
     assert sorted(path.name for path in Path("out").iterdir()) == ["bench.csv", "bench.png"]
     assert Path("out/bench.png").read_bytes().startswith(b"\x89PNG")
     rows = list(csv.DictReader(Path("out/bench.csv").read_text().splitlines()))
     assert tuple(rows[0]) == COLUMNS
-    assert len(rows) == 7
-    errors = [float(row["error"]) for row in rows]
+    assert {row["order"] for row in rows} == {"2", "6"}
+    errors = [float(row["error"]) for row in rows if row["order"] == "2"]
+    assert len(errors) == 7
     assert errors == sorted(errors, reverse=True)
     line = next(line for line in result.stdout.splitlines() if line.startswith("advice"))
-    assert re.search(r"error 1e-0\d: ctec, dt = 0\.\d+ s \(.* ms\)", line), line
+    assert re.search(r"error 1e-\d\d: order [26], ctec, dt = 0\.\d+ s \(.* ms\)", line), line
 
 
 def test_wrong_input(command, pendulum):
-    for arguments in (("none.toml",), (pendulum, "--budget", 0), (pendulum, "--dt", 0.03), (pendulum, "--dt", -1)):
+    for arguments in (("none.toml",), (pendulum, "--budget", 0), (pendulum, "--dt", 0.03), (pendulum, "--dt", -1),
+                      (pendulum, "--orders", "3"), (pendulum, "--orders", "two")):  # fmt: skip
         result = command("bench", *arguments)
         assert result.exit_code == WRONG_INPUT
         assert "Error:" in result.stderr
@@ -95,7 +109,7 @@ def test_accumulation_bounds_the_horizon(tmp_path):
     assert any("ends with ZENO at 1.35" in text for text in result.warnings)
     assert any(row.impact == "ctec" and not row.note for row in result.rows)
     assert all(np.isfinite(row.error) and np.isfinite(row.seconds) for row in result.rows)
-    assert "ctec, dt = " in advice(result)
+    assert ", ctec, dt = " in advice(result)
 
 
 def test_chaotic_motion_has_a_horizon(tmp_path):
@@ -112,8 +126,8 @@ def test_chaotic_motion_has_a_horizon(tmp_path):
     result = bench(scene, budget=10, dt=0.01, duration=40.0)
     assert 1.0 < result.horizon < 20.0
     assert any("agree up to" in text for text in result.warnings)
-    # Up to there the finest run measures its own error and not the reference's.
-    finest = result.rows[-1]
+    # Up to there the finest run of the lowest order measures its own error and not the reference's.
+    finest = [row for row in result.rows if row.order == 2][-1]
     assert finest.note == ""
     assert 3.0 * result.reference_error < finest.error
 
@@ -127,7 +141,7 @@ def test_start_in_penetration(tmp_path):
 
 def test_steps_that_do_not_divide(pendulum):
     """A prime number of steps leaves the finer half of the ladder; all nodes are common still."""
-    result = bench(cvi.load_scene(pendulum), budget=5, duration=0.97)
+    result = bench(cvi.load_scene(pendulum), budget=5, duration=0.97, orders=(2,))
     assert [round(row.dt / 0.01 * 8) for row in result.rows] == [8, 4, 2, 1]
     assert result.slope("ctec") == pytest.approx(2.0, abs=0.05)
 
@@ -145,15 +159,15 @@ def test_advice_and_table_from_known_rows():
         Row("ctec", 0.1, 9e-3, 0.0, 1e-3, 3),
         Row("mhc", 0.1, 8e-4, 0.0, 1.05e-3, 3),
         Row("mhc", 0.05, 2e-4, 0.0, 4e-3, 3),
-        Row("ctec", 0.05, 1e-9, 0.0, 1e-4, 2, note="another sequence of impacts"),
+        Row("ctec", 0.05, 1e-9, 0.0, 1e-4, 2, note="another sequence of impacts", order=4),
     ]
     result = Bench(rows, 1.0, 2.0, 1e-4, 1e-9, 3)
     assert result.best(1e-3) is rows[1]
     assert result.best(1e-2) is rows[1]  # 5 % slower than ctec, ten times more accurate
     assert result.best(1e-5) is None
     text = advice(result)
-    assert text.startswith("error 1e-03: mhc, dt = 0.1 s (1.05 ms)")  # the same setting as for 1e-2: said once
-    assert "smallest measured, 2.0e-04: mhc, dt = 0.05 s" in text
+    assert text.startswith("error 1e-03: order 2, mhc, dt = 0.1 s (1.05 ms)")  # the same setting as for 1e-2: said once
+    assert "smallest measured, 2.0e-04: order 2, mhc, dt = 0.05 s" in text
     assert "1 s of 2 s" in table(result)[0]
     lost = Bench([replace(row, note="another motion") for row in rows], 1.0, 2.0, 1e-4, 1e-9, 3)
     assert advice(lost).startswith("No advice")

@@ -26,7 +26,7 @@ CPP_LAYERS: Layers = {
     "base": (("error", "numerics", "gauss", "lanes"), ()),
     "scene": (("tree", "coordinates", "placement", "flat_model", "erosion", "load", "scene"), ("base",)),
     "path": (("path",), ("scene",)),
-    "step": (("stages", "start_values", "integrator", "energy"), ("path",)),
+    "step": (("stages", "start_values", "acceleration", "integrator", "energy"), ("path",)),
     "contact": (("contact",), ("scene",)),
     "guard": (("guard",), ("contact",)),
     "event": (("gap_path", "event", "event_locate"), ("guard", "step")),

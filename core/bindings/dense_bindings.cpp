@@ -37,9 +37,8 @@ bool set_path(Integrator& integrator, const Pieces& pieces, Eigen::Index i, int 
 }
 
 auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int order) {
-  const Pieces pieces{nb::cast<VecX>(segments["t"]),  nb::cast<VecX>(segments["h"]),
-                      nb::cast<Rows>(segments["q"]),  nb::cast<Rows>(segments["p"]),
-                      nb::cast<Rows>(segments["p1"]), nb::cast<Rows>(segments["rates"])};
+  const Pieces pieces{nb::cast<VecX>(segments["t"]), nb::cast<VecX>(segments["h"]),  nb::cast<Rows>(segments["q"]),
+                      nb::cast<Rows>(segments["p"]), nb::cast<Rows>(segments["p1"]), nb::cast<Rows>(segments["rates"])};
   const Tree& tree = s.tree;
   const Eigen::Index n = pieces.t.size();
   const int stages = order / 2;
@@ -53,7 +52,8 @@ auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int orde
   for (Eigen::Index k = 0; k < times.size(); ++k) {
     const double* end = pieces.t.data() + n;
     Eigen::Index i = std::max<Eigen::Index>(0, std::upper_bound(pieces.t.data(), end, times[k]) - pieces.t.data() - 1);
-    if (i != at && !set_path(integrator, pieces, i, stages, path)) throw Error("the mass matrix is not positive definite");
+    if (i != at && !set_path(integrator, pieces, i, stages, path))
+      throw Error("the mass matrix is not positive definite");
     at = i;
     const double tau = std::clamp((times[k] - pieces.t[i]) / pieces.h[i], 0.0, 1.0);
     path.configuration(tau, qi);

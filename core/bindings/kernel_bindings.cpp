@@ -73,7 +73,8 @@ nb::dict kernel_seconds(const Scene& s, const VecX& q, const VecX& v, int stages
   d["factor"] = fastest(calls, repeats, [&] { work.factor(); }) / stages;
   d["solve"] = fastest(calls, repeats, [&] { load(), work.solve(); }) / stages;
   // f(q, p) = (M^-1 p, dT/dq - dV/dq) without anything kept: place, factor, solve, evaluate.
-  d["f"] = fastest(calls, repeats, [&] { work.place(), work.factor(), load(), work.solve(), work.evaluate(); }) / stages;
+  d["f"] =
+      fastest(calls, repeats, [&] { work.place(), work.factor(), load(), work.solve(), work.evaluate(); }) / stages;
   d["sweep"] = fastest(calls, repeats, [&] { work.sweep(kLaneKeepVelocity); }) / stages;
   return d;
 }

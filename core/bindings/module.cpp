@@ -1,10 +1,19 @@
+#include <cstdlib>
+#include <string>
+
 #include "error.hpp"
 #include "expose.hpp"
+#include "flat_model.hpp"
 #include "guard.hpp"
 
 NB_MODULE(_core, m) {
   m.doc() = "Engine of contactvi. Checks sizes only: users go through the Python face.";
   nanobind::exception<contactvi::Error>(m, "CoreError", PyExc_RuntimeError);
+  const char* wanted = std::getenv("CONTACTVI_INSTRUCTION_SET");
+  if (wanted != nullptr && *wanted != 0 && !contactvi::set_instruction_set(wanted))
+    throw nanobind::import_error(
+        (std::string("CONTACTVI_INSTRUCTION_SET: this processor has no ") + wanted + "; one of base, avx2, avx512")
+            .c_str());
   contactvi::settle_box_support();
   contactvi::expose_scene(m);
   contactvi::expose_dense(m);

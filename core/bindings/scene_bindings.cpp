@@ -234,7 +234,8 @@ void expose_scene(nb::module_& m) {
            "Total linear, angular momentum about the origin, (N, 6).")
       .def("dynamics", &dynamics, "q"_a, "v"_a, "(M v, dT/dq - dV/dq of gravity) in engine coordinates.")
       .def("step", &step, "q"_a, "p"_a, "h"_a, "tau"_a = nb::none(), "tol"_a = 1e-12, "order"_a = 2,
-           "One smooth step without contact: (q1, p1, stage velocities (s, nv) in engine coordinates, sweeps, residual).")
+           "One smooth step without contact: (q1, p1, stage velocities (s, nv) in engine coordinates, sweeps, "
+           "residual).")
       .def("gaps", &gaps, "q"_a, "(gap (npairs,), normal, point_a, point_b (npairs, 3)), world frame.")
       .def("gap_gradients", &gap_gradients, "q"_a, "d(gap)/dq of all guards, pairs then limits, (nguards, nv).")
       .def("to_engine", &converted<public_to_engine>, "q"_a, "v"_a)

@@ -243,9 +243,10 @@ void expose_simulator(nb::module_& m) {
           "__init__",
           [](Simulator* self, const Scene& scene, double dt, double tol, int impact, long max_impacts_per_step,
              int max_iterations, bool mhc_global, int order, bool dense) {
-            if (order < 2 || order > 2 * kMaxStages || order % 2 != 0) throw Error("expected an even order from 2 to 16");
-            new (self) Simulator(
-                scene, {dt, tol, impact, mhc_global, max_iterations, max_impacts_per_step, order / 2, dense});
+            if (order < 2 || order > 2 * kMaxStages || order % 2 != 0)
+              throw Error("expected an even order from 2 to 16");
+            new (self)
+                Simulator(scene, {dt, tol, impact, mhc_global, max_iterations, max_impacts_per_step, order / 2, dense});
           },
           "scene"_a, "dt"_a, "tol"_a = 1e-12, "impact"_a = 0, "max_impacts_per_step"_a = 100000,
           "max_iterations"_a = 50, "mhc_global"_a = false, "order"_a = 2, "dense"_a = false, nb::keep_alive<1, 2>())

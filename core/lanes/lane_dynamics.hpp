@@ -1,9 +1,9 @@
 // M v and dT/dq - dV/dq of one group of lanes in a forward and a backward pass, and the kinematics they leave behind.
 // Included inside an unnamed namespace after lane_math.hpp.
 //
-// (dT/dq)_j = -S_j^T ((X v_parent) x* H_j), (dV/dq)_j = -S_j^T [c_j x g ; M_j g], H_j, c_j, M_j: momentum, first moment and
-// mass of j's subtree in frame j. Storage of a joint, in vectors: 1 dof: cos, sin, shift; balls: R; translations: q; then
-// velocity (w, v) and gravity g of its body, then the factor (lane_factor.hpp).
+// (dT/dq)_j = -S_j^T ((X v_parent) x* H_j), (dV/dq)_j = -S_j^T [c_j x g ; M_j g], H_j, c_j, M_j: momentum, first
+// moment and mass of j's subtree in frame j. Storage of a joint, in vectors: 1 dof: cos, sin, shift; balls: R;
+// translations: q; then velocity (w, v) and gravity g of its body, then the factor (lane_factor.hpp).
 
 template <class V>
 struct Group {  // the lanes of one group
@@ -69,7 +69,8 @@ inline void ball_rotation(const double* B, V3<V> X, V* R) {
   const V xx = k.a * X.x * X.x, yy = k.a * X.y * X.y, zz = k.a * X.z * X.z;
   const V xy = k.a * X.x * X.y, xz = k.a * X.x * X.z, yz = k.a * X.y * X.z;
   const V sx = k.sinc * X.x, sy = k.sinc * X.y, sz = k.sinc * X.z;
-  const V E[9] = {1.0 - (yy + zz), xy - sz, xz + sy, xy + sz, 1.0 - (xx + zz), yz - sx, xz - sy, yz + sx, 1.0 - (xx + yy)};
+  const V E[9] = {1.0 - (yy + zz), xy - sz, xz + sy, xy + sz,        1.0 - (xx + zz),
+                  yz - sx,         xz - sy, yz + sx, 1.0 - (xx + yy)};
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) R[3 * i + j] = B[3 * i] * E[j] + B[3 * i + 1] * E[3 + j] + B[3 * i + 2] * E[6 + j];
 }
@@ -278,8 +279,9 @@ inline void put_joint_force(const Group<V>& g, const LaneJoint& j, const Motion<
   put_force(g, j.dof, gravity, motion, momentum + j.armature[0] * g.at(w.v, j.dof));
 }
 
+// keep: the subtree momenta stay behind the factors, for lane_newton.hpp.
 template <class V>
-inline void backward(const Group<V>& g) {
+inline void backward(const Group<V>& g, bool keep) {
   for (int i = g.tree->joints - 1; i >= 0; --i) {
     const LaneJoint& j = g.tree->joint[i];
     const V* at = g.storage + j.at;
@@ -296,6 +298,11 @@ inline void backward(const Group<V>& g) {
       l = {l.n + get3(sum), l.f + get3(sum + 3), l.c + get3(sum + 6)};
     }
     put_joint_force(g, j, m, l);
+    if (keep) {
+      V* momentum = g.storage + j.at + j.velocity + 9 + (j.velocity == 9 || j.type == kLaneTranslate ? 24 : 7);
+      put3(momentum, l.n);
+      put3(momentum + 3, l.f);
+    }
     if (j.parent < 0) continue;
     l = to_parent(j, at, l);
     V* sum = g.slots + 9 * j.parent_slot;

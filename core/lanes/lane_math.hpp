@@ -1,5 +1,5 @@
-// Vectors of lanes and the elementary functions on them. Included inside an unnamed namespace, V = double or a vector of
-// doubles; the same operations in the same order for each, so the bits agree.
+// Vectors of lanes and the elementary functions on them. Included inside an unnamed namespace, V = double or a vector
+// of doubles; the same operations in the same order for each, so the bits agree.
 
 #ifdef __AVX2__
 typedef double V4 __attribute__((vector_size(32)));
@@ -64,8 +64,8 @@ inline V absolute(V x) {
   return Lane<V>::value(Lane<V>::bits(x) & 0x7fffffffffffffffLL);
 }
 
-// sin and cos for |x| up to 1e6: Cody-Waite reduction with three 33-bit parts of pi/2 (their products with the quadrant are
-// exact) and the minimax polynomials of fdlibm's __kernel_sin and __kernel_cos. 1.4 ulp.
+// sin and cos for |x| up to 1e6: Cody-Waite reduction with three 33-bit parts of pi/2 (their products with the
+// quadrant are exact) and the minimax polynomials of fdlibm's __kernel_sin and __kernel_cos. 1.4 ulp.
 template <class V>
 inline void sine_cosine(V x, V& sine, V& cosine) {
   typedef typename Lane<V>::Int I;
@@ -75,19 +75,18 @@ inline void sine_cosine(V x, V& sine, V& cosine) {
   const V r = ((x - n * 1.57079632673412561417e+00) - n * 6.07710050630396597660e-11) - n * 2.02226624879595063154e-21;
   const I quadrant = Lane<V>::bits(shifted);
   const V z = r * r;
-  const V s =
-      r +
-      r * z *
-          (-1.66666666666666324348e-01 +
-           z * (8.33333333332248946124e-03 +
-                z * (-1.98412698298579493134e-04 +
-                     z * (2.75573137070700676789e-06 + z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)))));
-  const V tail =
-      z * z *
-      (4.16666666666666019037e-02 +
-       z * (-1.38888888888741095749e-03 +
-            z * (2.48015872894767294178e-05 +
-                 z * (-2.75573143513906633035e-07 + z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)))));
+  const V s = r + r * z *
+                      (-1.66666666666666324348e-01 +
+                       z * (8.33333333332248946124e-03 +
+                            z * (-1.98412698298579493134e-04 +
+                                 z * (2.75573137070700676789e-06 +
+                                      z * (-2.50507602534068634195e-08 + z * 1.58969099521155010221e-10)))));
+  const V tail = z * z *
+                 (4.16666666666666019037e-02 +
+                  z * (-1.38888888888741095749e-03 +
+                       z * (2.48015872894767294178e-05 +
+                            z * (-2.75573143513906633035e-07 +
+                                 z * (2.08757232129817482790e-09 + z * -1.13596475577881948265e-11)))));
   const V half = 0.5 * z, one = 1.0 - half;
   const V c = one + (((1.0 - one) - half) + tail);
   const I odd = -(quadrant & 1);
@@ -127,19 +126,46 @@ inline V3<V> cross(const double* r, V3<V> a) {
   return {r[1] * a.z - r[2] * a.y, r[2] * a.x - r[0] * a.z, r[0] * a.y - r[1] * a.x};
 }
 
-const double kInverseFactorial[36] = {  // 1/n!
-    1.0, 1.0, 0.5, 0.16666666666666666, 0.041666666666666664, 0.008333333333333333, 0.001388888888888889,
-    0.0001984126984126984, 2.48015873015873e-05, 2.7557319223985893e-06, 2.755731922398589e-07,
-    2.505210838544172e-08, 2.08767569878681e-09, 1.6059043836821613e-10, 1.1470745597729725e-11,
-    7.647163731819816e-13, 4.779477332387385e-14, 2.8114572543455206e-15, 1.5619206968586225e-16,
-    8.22063524662433e-18, 4.110317623312165e-19, 1.9572941063391263e-20, 8.896791392450574e-22,
-    3.868170170630684e-23, 1.6117375710961184e-24, 6.446950284384474e-26, 2.4795962632247976e-27,
-    9.183689863795546e-29, 3.279889237069838e-30, 1.1309962886447716e-31, 3.7699876288159054e-33,
-    1.216125041553518e-34, 3.8003907548547434e-36, 1.151633562077195e-37, 3.387157535521162e-39,
-    9.67759295863189e-41};
+const double kInverseFactorial[36] = {// 1/n!
+                                      1.0,
+                                      1.0,
+                                      0.5,
+                                      0.16666666666666666,
+                                      0.041666666666666664,
+                                      0.008333333333333333,
+                                      0.001388888888888889,
+                                      0.0001984126984126984,
+                                      2.48015873015873e-05,
+                                      2.7557319223985893e-06,
+                                      2.755731922398589e-07,
+                                      2.505210838544172e-08,
+                                      2.08767569878681e-09,
+                                      1.6059043836821613e-10,
+                                      1.1470745597729725e-11,
+                                      7.647163731819816e-13,
+                                      4.779477332387385e-14,
+                                      2.8114572543455206e-15,
+                                      1.5619206968586225e-16,
+                                      8.22063524662433e-18,
+                                      4.110317623312165e-19,
+                                      1.9572941063391263e-20,
+                                      8.896791392450574e-22,
+                                      3.868170170630684e-23,
+                                      1.6117375710961184e-24,
+                                      6.446950284384474e-26,
+                                      2.4795962632247976e-27,
+                                      9.183689863795546e-29,
+                                      3.279889237069838e-30,
+                                      1.1309962886447716e-31,
+                                      3.7699876288159054e-33,
+                                      1.216125041553518e-34,
+                                      3.8003907548547434e-36,
+                                      1.151633562077195e-37,
+                                      3.387157535521162e-39,
+                                      9.67759295863189e-41};
 
-// Coefficients of exp and of the right Jacobian of SO(3) at X as power series in t = |X|^2, good to |X| = 4 without any
-// case distinction (lanes mix small and large rotations):
+// Coefficients of exp and of the right Jacobian of SO(3) at X as power series in t = |X|^2, good to |X| = 4 without
+// any case distinction (lanes mix small and large rotations):
 //   b = (theta - sin theta)/theta^3, d = (1/2 - (1 - cos theta)/theta^2)/theta^2, and their derivatives in t;
 //   a = 1/2 - t d = (1 - cos theta)/theta^2, sinc = 1 - t b, c of J^-1 = (b - 2 d)/(2 a).
 template <class V>

@@ -94,8 +94,7 @@ inline void solve_forward(const Group<V>& g) {
     if (has_three(j)) {
       const V* D = W + 18;
       const V full[9] = {D[0], D[1], D[2], D[1], D[3], D[4], D[2], D[4], D[5]};
-      const V3<V> x =
-          times_matrix(full, g.at3(dv, j.dof)) - (times_transpose(W, w) + times_transpose(W + 9, v));
+      const V3<V> x = times_matrix(full, g.at3(dv, j.dof)) - (times_transpose(W, w) + times_transpose(W + 9, v));
       g.put3(dv, j.dof, x);
       if (j.type == kLaneBall) {
         w = w + x;

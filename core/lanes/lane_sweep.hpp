@@ -2,7 +2,8 @@
 // namespace after lane_solve.hpp.
 //
 // Chart X at q0, q_i = q0 (+) X_i, chart momentum px = J(X)^T p (1-dof and translation joints: J = 1):
-//   X_i = h sum a_ij X'_j, X' = J^-1 v;   px'_i = J^T (G_i + ad*_v p_i) + J'^T p_i;   p_i = J^-T (px_0 + h sum a_ij px'_j)
+//   X_i = h sum a_ij X'_j, X' = J^-1 v
+//   px'_i = J^T (G_i + ad*_v p_i) + J'^T p_i,   p_i = J^-T (px_0 + h sum a_ij px'_j)
 //   px_0 = J(X_1)^T p_1 - h sum b_j px'_j,  p_1 = exp(-X_1) (p_0 + h sum b_i exp(X_i) G_i)   (momentum balance)
 // A sweep takes v, forms X, P = M v and G there, and corrects v by (M + diagonal)^-1 (p_i - P_i).
 
@@ -144,13 +145,22 @@ template <class V>
 inline void correct(const Group<V>& g, int flags) {
   const LaneWork& w = *g.work;
   if (flags & kLaneFactor) {
-    factor_group(g);
-    kick(g);
+    // The kick's scale is of M's factor, which a Newton step needs for nothing else.
+    if (!(flags & kLaneNewton) || (flags & kLaneFirst)) {
+      factor_group(g);
+      kick(g);
+    }
+    if (flags & kLaneNewton) factor_newton(g);
   }
-  // The residual is needed once more after it was solved with: it waits in Y's neighbour, the magnitudes.
+  // The residual is needed once more after it was solved with; the magnitudes have done their work and make room.
   for (int dof = 0; dof < g.tree->nv; ++dof) g.put(w.magnitude, dof, g.at(w.dv, dof));
-  solve_backward(g);
-  solve_forward(g);
+  if (flags & kLaneNewton) {
+    solve_newton_backward(g);
+    solve_newton_forward(g);
+  } else {
+    solve_backward(g);
+    solve_forward(g);
+  }
   V error = load<V>(w.error + g.offset), kinetic = Lane<V>::all(0.0);
   for (int dof = 0; dof < g.tree->nv; ++dof) {
     const V dv = g.at(w.dv, dof), v = g.at(w.v, dof);
@@ -165,12 +175,17 @@ inline void correct(const Group<V>& g, int flags) {
 template <class V>
 void sweep(const LaneTree* tree, const LaneWork* work, int flags) {
   const int count = groups<V>(work);
-  if (tree->balls > 0) rates<V>(tree, work);
+  if (tree->balls > 0) {
+    // X' depends on X: once more, so that what is left of it does not hold up the rest.
+    rates<V>(tree, work);
+    for (int k = 0; k < count; ++k) displace(group<V>(tree, work, k), kLaneFirst);
+    rates<V>(tree, work);
+  }
   for (int k = 0; k < count; ++k) {
     const Group<V> g = group<V>(tree, work, k);
-    displace(g, flags);
+    displace(g, tree->balls > 0 ? flags & ~kLaneFirst : flags);
     forward(g);
-    backward(g);
+    backward(g, (flags & kLaneNewton) && (flags & kLaneFactor));
   }
   if (work->extra) work->extra(work->context);
   if (tree->balls > 0)
@@ -187,7 +202,7 @@ void evaluate(const LaneTree* tree, const LaneWork* work) {
   for (int k = 0; k < groups<V>(work); ++k) {
     const Group<V> g = group<V>(tree, work, k);
     forward(g);
-    backward(g);
+    backward(g, false);
   }
 }
 
@@ -223,5 +238,6 @@ void combine(int nv, int s, int S, const double* weight, const double* in, doubl
 
 template <class V>
 constexpr LaneKernel lane_kernel() {
-  return {Lane<V>::count, evaluate<V>, place_stages<V>, factor_stages<V>, solve_stages<V>, sweep<V>, rates<V>, combine<V>};
+  return {Lane<V>::count,  evaluate<V>, place_stages<V>, factor_stages<V>,
+          solve_stages<V>, sweep<V>,    rates<V>,        combine<V>};
 }

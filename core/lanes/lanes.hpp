@@ -1,12 +1,12 @@
 // Interface of the stage kernel: all stages of a Gauss step evaluated side by side in SIMD lanes.
 //
-// One source (kernel.hpp and what it includes) is compiled once per instruction set, each object with its own flags and
-// one exported symbol. Only plain structs and pointers cross: an inline function of the standard library or of Eigen
-// compiled with AVX-512 could win at link time and crash on an older processor.
+// One source (kernel.hpp and what it includes) is compiled once per instruction set, each object with its own flags
+// and one exported symbol. Only plain structs and pointers cross: an inline function of the standard library or of
+// Eigen compiled with AVX-512 could win at link time and crash on an older processor.
 //
 // Arrays over dofs and stages are [dof * S + stage], S the stage count padded to the lanes, 64-byte aligned. Padding
-// lanes repeat the last stage, so nothing in them divides by zero. Sums over stages run over the real ones in order, and
-// the compiler may not fuse (-ffp-contract=off): every instruction set gives the same bits.
+// lanes repeat the last stage, so nothing in them divides by zero. Sums over stages run over the real ones in order,
+// and the compiler may not fuse (-ffp-contract=off): every instruction set gives the same bits.
 #pragma once
 
 namespace contactvi {
@@ -50,6 +50,8 @@ struct LaneWork {
   int s, S;
   const double* hA;  // [j * S + i] = h A[i][j]
   const double* hb;  // [j] = h b[j]
+  // [i]: h times the diagonals that stand for A in the Newton matrix, and on balls for 1/2 (A - 1).
+  const double *he, *he_turn;
   double h;
   // Start of the step, per dof.
   const double* base;       // angle (its frame's constant turn included) or displacement
@@ -78,7 +80,12 @@ struct LaneWork {
   void* context;
 };
 
-enum LaneFlags { kLaneFactor = 1, kLaneFirst = 2, kLaneKeepVelocity = 4 };  // first: the old X says nothing
+enum LaneFlags {
+  kLaneFactor = 1,        // make the factor anew
+  kLaneNewton = 2,        // of the Newton matrix, not of the mass matrix alone
+  kLaneFirst = 4,         // of a step: the old X says nothing
+  kLaneKeepVelocity = 8,  // leave v as it is
+};
 
 struct LaneKernel {
   int lanes;
