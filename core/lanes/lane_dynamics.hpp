@@ -24,11 +24,11 @@ struct Group {  // the lanes of one group
 };
 
 template <class V>
-inline V3<V> get3(const V* at) {
+LANE_INLINE V3<V> get3(const V* at) {
   return {at[0], at[1], at[2]};
 }
 template <class V>
-inline void put3(V* at, V3<V> x) {
+LANE_INLINE void put3(V* at, V3<V> x) {
   at[0] = x.x;
   at[1] = x.y;
   at[2] = x.z;
@@ -36,35 +36,35 @@ inline void put3(V* at, V3<V> x) {
 
 // Coordinates of a vector in the frame turned by (c, s) about z, about x, and back.
 template <class V, class S>
-inline V3<V> into_z(S c, S s, V3<V> a) {
+LANE_INLINE V3<V> into_z(S c, S s, V3<V> a) {
   return {c * a.x + s * a.y, c * a.y - s * a.x, a.z};
 }
 template <class V, class S>
-inline V3<V> out_of_z(S c, S s, V3<V> a) {
+LANE_INLINE V3<V> out_of_z(S c, S s, V3<V> a) {
   return {c * a.x - s * a.y, c * a.y + s * a.x, a.z};
 }
 template <class V, class S>
-inline V3<V> into_x(S c, S s, V3<V> a) {
+LANE_INLINE V3<V> into_x(S c, S s, V3<V> a) {
   return {a.x, c * a.y + s * a.z, c * a.z - s * a.y};
 }
 template <class V, class S>
-inline V3<V> out_of_x(S c, S s, V3<V> a) {
+LANE_INLINE V3<V> out_of_x(S c, S s, V3<V> a) {
   return {a.x, c * a.y - s * a.z, c * a.z + s * a.y};
 }
 template <class V, class S>
-inline V3<V> times_matrix(const S* R, V3<V> a) {  // R a, row-major
+LANE_INLINE V3<V> times_matrix(const S* R, V3<V> a) {  // R a, row-major
   return {R[0] * a.x + R[1] * a.y + R[2] * a.z, R[3] * a.x + R[4] * a.y + R[5] * a.z,
           R[6] * a.x + R[7] * a.y + R[8] * a.z};
 }
 template <class V, class S>
-inline V3<V> times_transpose(const S* R, V3<V> a) {
+LANE_INLINE V3<V> times_transpose(const S* R, V3<V> a) {
   return {R[0] * a.x + R[3] * a.y + R[6] * a.z, R[1] * a.x + R[4] * a.y + R[7] * a.z,
           R[2] * a.x + R[5] * a.y + R[8] * a.z};
 }
 
 // R = B exp(X)
 template <class V>
-inline void ball_rotation(const double* B, V3<V> X, V* R) {
+LANE_INLINE void ball_rotation(const double* B, V3<V> X, V* R) {
   const Rotation<V> k = rotation(X);
   const V xx = k.a * X.x * X.x, yy = k.a * X.y * X.y, zz = k.a * X.z * X.z;
   const V xy = k.a * X.x * X.y, xz = k.a * X.x * X.z, yz = k.a * X.y * X.z;
@@ -77,7 +77,7 @@ inline void ball_rotation(const double* B, V3<V> X, V* R) {
 
 // The joint's own displacement at X.
 template <class V>
-inline void place_joint(const Group<V>& g, const LaneJoint& j) {
+LANE_INLINE void place_joint(const Group<V>& g, const LaneJoint& j) {
   const LaneWork& w = *g.work;
   V* at = g.storage + j.at;
   switch (j.type) {
@@ -115,14 +115,14 @@ struct Motion {
 
 // From the frame before the joint into the body's, for 1-dof joints.
 template <class V>
-inline V3<V> into_body(const LaneJoint& j, const V* at, V3<V> a) {
+LANE_INLINE V3<V> into_body(const LaneJoint& j, const V* at, V3<V> a) {
   if (j.has_gamma) a = into_z(j.cos_gamma, j.sin_gamma, a);
   a = into_x(j.cos_alpha, j.sin_alpha, a);
   return into_z(at[0], at[1], a);
 }
 
 template <class V>
-inline Motion<V> inherit(const LaneJoint& j, const V* at, Motion<V> m) {
+LANE_INLINE Motion<V> inherit(const LaneJoint& j, const V* at, Motion<V> m) {
   m.v = m.v - cross(j.r, m.w);  // w x r
   if (j.type == kLaneBall) return {times_transpose(at, m.w), times_transpose(at, m.v), times_transpose(at, m.g)};
   if (j.type == kLaneTranslate) {
@@ -139,7 +139,7 @@ inline Motion<V> inherit(const LaneJoint& j, const V* at, Motion<V> m) {
 }
 
 template <class V>
-inline Motion<V> start_at_world(const LaneJoint& j, const V* at) {
+LANE_INLINE Motion<V> start_at_world(const LaneJoint& j, const V* at) {
   const V zero = Lane<V>::all(0.0);
   const V3<V> none = {zero, zero, zero};
   const V3<V> gravity = {Lane<V>::all(j.gravity[0]), Lane<V>::all(j.gravity[1]), Lane<V>::all(j.gravity[2])};
@@ -192,14 +192,14 @@ struct Load {
 };
 
 template <class V>
-inline V3<V> out_of_body(const LaneJoint& j, const V* at, V3<V> a) {
+LANE_INLINE V3<V> out_of_body(const LaneJoint& j, const V* at, V3<V> a) {
   a = out_of_z(at[0], at[1], a);
   a = out_of_x(j.cos_alpha, j.sin_alpha, a);
   return j.has_gamma ? out_of_z(j.cos_gamma, j.sin_gamma, a) : a;
 }
 
 template <class V>
-inline Load<V> to_parent(const LaneJoint& j, const V* at, Load<V> l) {
+LANE_INLINE Load<V> to_parent(const LaneJoint& j, const V* at, Load<V> l) {
   if (j.type == kLaneBall) {
     l = {times_matrix(at, l.n), times_matrix(at, l.f), times_matrix(at, l.c)};
   } else if (j.type == kLaneTranslate) {
@@ -222,27 +222,28 @@ inline Load<V> to_parent(const LaneJoint& j, const V* at, Load<V> l) {
   return l;
 }
 
-// Force in one coordinate: what gravity and motion give, and the size of what cancels in it.
-template <class V>
-inline void put_force(const Group<V>& g, int dof, V gravity, V motion, V momentum) {
+// Force in one coordinate: what gravity and motion give, and if measure the size of what cancels in it.
+template <bool measure, class V>
+LANE_INLINE void put_force(const Group<V>& g, int dof, V gravity, V motion, V momentum) {
   const LaneWork& w = *g.work;
-  V force = gravity - motion, size = absolute(gravity) + absolute(motion);
+  V force = gravity - motion, size;
+  if (measure) size = absolute(gravity) + absolute(motion);
   if (w.stiffness) {
     const V spring = w.stiffness[dof] * (w.deflection[dof] + g.at(w.X, dof)), drag = w.damping[dof] * g.at(w.v, dof);
     force = force - spring - drag;
-    size = size + absolute(spring) + absolute(drag);
+    if (measure) size = size + absolute(spring) + absolute(drag);
   }
   if (w.tau) {
     force = force + w.tau[dof];
-    size = size + absolute(Lane<V>::all(w.tau[dof]));
+    if (measure) size = size + absolute(Lane<V>::all(w.tau[dof]));
   }
   g.put(w.P, dof, momentum);
   g.put(w.G, dof, force);
-  g.put(w.magnitude, dof, size);
+  if (measure) g.put(w.magnitude, dof, size);
 }
 
-template <class V>
-inline void put_joint_force(const Group<V>& g, const LaneJoint& j, const Motion<V>& m, const Load<V>& l) {
+template <bool measure, class V>
+LANE_INLINE void put_joint_force(const Group<V>& g, const LaneJoint& j, const Motion<V>& m, const Load<V>& l) {
   const LaneWork& w = *g.work;
   const V zero = Lane<V>::all(0.0);
   const bool root = j.parent < 0;
@@ -250,18 +251,18 @@ inline void put_joint_force(const Group<V>& g, const LaneJoint& j, const Motion<
     // Inherited: the same w; linear part of w x* f, the joint's own velocity has no share in it.
     const V3<V> turn = root ? V3<V>{zero, zero, zero} : cross(m.w, l.f);
     const V3<V> v = g.at3(w.v, j.dof);
-    put_force(g, j.dof, j.subtree_mass * m.g.x, turn.x, l.f.x + j.armature[0] * v.x);
-    put_force(g, j.dof + 1, j.subtree_mass * m.g.y, turn.y, l.f.y + j.armature[1] * v.y);
-    put_force(g, j.dof + 2, j.subtree_mass * m.g.z, turn.z, l.f.z + j.armature[2] * v.z);
+    put_force<measure>(g, j.dof, j.subtree_mass * m.g.x, turn.x, l.f.x + j.armature[0] * v.x);
+    put_force<measure>(g, j.dof + 1, j.subtree_mass * m.g.y, turn.y, l.f.y + j.armature[1] * v.y);
+    put_force<measure>(g, j.dof + 2, j.subtree_mass * m.g.z, turn.z, l.f.z + j.armature[2] * v.z);
     return;
   }
   const V3<V> fall = cross(l.c, m.g);
   if (j.type == kLaneBall) {
     const V3<V> v = g.at3(w.v, j.dof);
     const V3<V> turn = root ? V3<V>{zero, zero, zero} : cross(m.w - v, l.n) + cross(m.v, l.f);
-    put_force(g, j.dof, fall.x, turn.x, l.n.x + j.armature[0] * v.x);
-    put_force(g, j.dof + 1, fall.y, turn.y, l.n.y + j.armature[1] * v.y);
-    put_force(g, j.dof + 2, fall.z, turn.z, l.n.z + j.armature[2] * v.z);
+    put_force<measure>(g, j.dof, fall.x, turn.x, l.n.x + j.armature[0] * v.x);
+    put_force<measure>(g, j.dof + 1, fall.y, turn.y, l.n.y + j.armature[1] * v.y);
+    put_force<measure>(g, j.dof + 2, fall.z, turn.z, l.n.z + j.armature[2] * v.z);
     return;
   }
   V momentum = zero, gravity = zero, motion = zero;
@@ -276,12 +277,13 @@ inline void put_joint_force(const Group<V>& g, const LaneJoint& j, const Motion<
     gravity = gravity + (scale * j.subtree_mass) * m.g.z;
     if (!root) motion = motion + scale * (m.w.x * l.f.y - m.w.y * l.f.x);
   }
-  put_force(g, j.dof, gravity, motion, momentum + j.armature[0] * g.at(w.v, j.dof));
+  put_force<measure>(g, j.dof, gravity, motion, momentum + j.armature[0] * g.at(w.v, j.dof));
 }
 
-// keep: the subtree momenta stay behind the factors, for lane_newton.hpp.
-template <class V>
-inline void backward(const Group<V>& g, bool keep) {
+// full: the sizes of what cancels in the forces are measured, and the subtree momenta stay behind the factors, for
+// lane_newton.hpp.
+template <bool full, class V>
+inline void backward(const Group<V>& g) {
   for (int i = g.tree->joints - 1; i >= 0; --i) {
     const LaneJoint& j = g.tree->joint[i];
     const V* at = g.storage + j.at;
@@ -297,8 +299,8 @@ inline void backward(const Group<V>& g, bool keep) {
       const V* sum = g.slots + 9 * j.slot;
       l = {l.n + get3(sum), l.f + get3(sum + 3), l.c + get3(sum + 6)};
     }
-    put_joint_force(g, j, m, l);
-    if (keep) {
+    put_joint_force<full>(g, j, m, l);
+    if (full) {
       V* momentum = g.storage + j.at + j.velocity + 9 + (j.velocity == 9 || j.type == kLaneTranslate ? 24 : 7);
       put3(momentum, l.n);
       put3(momentum + 3, l.f);

@@ -10,7 +10,7 @@ struct Inertia {
 };
 
 template <class V, class S>
-inline void turn_symmetric_z(S c, S s, V* A) {
+LANE_INLINE void turn_symmetric_z(S c, S s, V* A) {
   const V a = c * A[0] - s * A[1], b = c * A[1] - s * A[3], e = s * A[0] + c * A[1], f = s * A[1] + c * A[3];
   const V xz = A[2], yz = A[4];
   A[0] = c * a - s * b;
@@ -20,7 +20,7 @@ inline void turn_symmetric_z(S c, S s, V* A) {
   A[4] = s * xz + c * yz;
 }
 template <class V, class S>
-inline void turn_symmetric_x(S c, S s, V* A) {
+LANE_INLINE void turn_symmetric_x(S c, S s, V* A) {
   const V a = c * A[3] - s * A[4], b = c * A[4] - s * A[5], e = s * A[3] + c * A[4], f = s * A[4] + c * A[5];
   const V xy = A[1], xz = A[2];
   A[3] = c * a - s * b;
@@ -31,7 +31,7 @@ inline void turn_symmetric_x(S c, S s, V* A) {
 }
 // Rows, then columns, i and j of a general matrix.
 template <class V, class S>
-inline void turn_general(S c, S s, int i, int j, V* A) {
+LANE_INLINE void turn_general(S c, S s, int i, int j, V* A) {
   for (int k = 0; k < 3; ++k) {
     const V a = A[3 * i + k], b = A[3 * j + k];
     A[3 * i + k] = c * a - s * b;
@@ -44,13 +44,13 @@ inline void turn_general(S c, S s, int i, int j, V* A) {
   }
 }
 template <class V, class S>
-inline void turn_z(S c, S s, Inertia<V>& A) {
+LANE_INLINE void turn_z(S c, S s, Inertia<V>& A) {
   turn_symmetric_z(c, s, A.I);
   turn_symmetric_z(c, s, A.M);
   turn_general(c, s, 0, 1, A.H);
 }
 template <class V, class S>
-inline void turn_x(S c, S s, Inertia<V>& A) {
+LANE_INLINE void turn_x(S c, S s, Inertia<V>& A) {
   turn_symmetric_x(c, s, A.I);
   turn_symmetric_x(c, s, A.M);
   turn_general(c, s, 1, 2, A.H);
@@ -58,7 +58,7 @@ inline void turn_x(S c, S s, Inertia<V>& A) {
 
 // R A R^T for full rotations.
 template <class V, class S>
-inline void turn_full(const S* R, const V* A, V* out) {
+LANE_INLINE void turn_full(const S* R, const V* A, V* out) {
   V RA[9];
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k) RA[3 * i + k] = R[3 * i] * A[k] + R[3 * i + 1] * A[3 + k] + R[3 * i + 2] * A[6 + k];
@@ -67,12 +67,12 @@ inline void turn_full(const S* R, const V* A, V* out) {
       out[3 * i + k] = RA[3 * i] * R[3 * k] + RA[3 * i + 1] * R[3 * k + 1] + RA[3 * i + 2] * R[3 * k + 2];
 }
 template <class V>
-inline void spread(const V* A, V* full) {
+LANE_INLINE void spread(const V* A, V* full) {
   const V all[9] = {A[0], A[1], A[2], A[1], A[3], A[4], A[2], A[4], A[5]};
   for (int i = 0; i < 9; ++i) full[i] = all[i];
 }
 template <class V>
-inline void gather(const V* full, V* A) {
+LANE_INLINE void gather(const V* full, V* A) {
   A[0] = full[0];
   A[1] = full[1];
   A[2] = full[2];
@@ -81,7 +81,7 @@ inline void gather(const V* full, V* A) {
   A[5] = full[8];
 }
 template <class V, class S>
-inline void turn_by(const S* R, Inertia<V>& A) {
+LANE_INLINE void turn_by(const S* R, Inertia<V>& A) {
   V full[9], turned[9];
   spread(A.I, full);
   turn_full(R, full, turned);
@@ -94,12 +94,12 @@ inline void turn_by(const S* R, Inertia<V>& A) {
 }
 
 template <class V, class R3>
-inline V3<V> offset_cross(const R3& r, V3<V> a) {
+LANE_INLINE V3<V> offset_cross(const R3& r, V3<V> a) {
   return {r[1] * a.z - r[2] * a.y, r[2] * a.x - r[0] * a.z, r[0] * a.y - r[1] * a.x};
 }
 // The origin moves by -r: H += [r] M, I += (r x h_j)_i + (r x h'_i)_j with the rows h of H before and h' after.
 template <class V, class R3>
-inline void shift_by(const R3& r, Inertia<V>& A) {
+LANE_INLINE void shift_by(const R3& r, Inertia<V>& A) {
   const V3<V> before[3] = {{A.H[0], A.H[1], A.H[2]}, {A.H[3], A.H[4], A.H[5]}, {A.H[6], A.H[7], A.H[8]}};
   const V3<V> M[3] = {{A.M[0], A.M[1], A.M[2]}, {A.M[1], A.M[3], A.M[4]}, {A.M[2], A.M[4], A.M[5]}};
   for (int k = 0; k < 3; ++k) {
@@ -122,7 +122,7 @@ inline void shift_by(const R3& r, Inertia<V>& A) {
 }
 
 template <class V>
-inline Inertia<V> own_inertia(const LaneJoint& j) {
+LANE_INLINE Inertia<V> own_inertia(const LaneJoint& j) {
   const V zero = Lane<V>::all(0.0), m = Lane<V>::all(j.mass);
   const V x = Lane<V>::all(j.moment[0]), y = Lane<V>::all(j.moment[1]), z = Lane<V>::all(j.moment[2]);
   Inertia<V> A;
@@ -136,7 +136,7 @@ inline Inertia<V> own_inertia(const LaneJoint& j) {
 
 // 1 dof: stores W and D^-1, leaves A less its part along the joint.
 template <class V>
-inline void eliminate_one(const Group<V>& g, const LaneJoint& j, V* factor, Inertia<V>& A) {
+LANE_INLINE void eliminate_one(const Group<V>& g, const LaneJoint& j, V* factor, Inertia<V>& A) {
   V U[6];
   V D;
   if (j.type == kLaneSlide) {
@@ -170,7 +170,7 @@ inline void eliminate_one(const Group<V>& g, const LaneJoint& j, V* factor, Iner
 
 // Inverse of a symmetric positive 3x3 by its cofactors.
 template <class V>
-inline void invert_symmetric(const V* D, V* inverse) {
+LANE_INLINE void invert_symmetric(const V* D, V* inverse) {
   const V a = D[3] * D[5] - D[4] * D[4], b = D[2] * D[4] - D[1] * D[5], c = D[1] * D[4] - D[2] * D[3];
   const V scale = 1.0 / (D[0] * a + D[1] * b + D[2] * c);
   inverse[0] = a * scale;
@@ -182,7 +182,7 @@ inline void invert_symmetric(const V* D, V* inverse) {
 }
 
 template <class V>
-inline void eliminate_three(const Group<V>& g, const LaneJoint& j, V* factor, Inertia<V>& A) {
+LANE_INLINE void eliminate_three(const Group<V>& g, const LaneJoint& j, V* factor, Inertia<V>& A) {
   const bool ball = j.type == kLaneBall;
   V U[18], D[6], inverse[6], full[9];  // U: 6 x 3, row-major
   spread(ball ? A.I : A.M, full);
@@ -216,7 +216,7 @@ inline void eliminate_three(const Group<V>& g, const LaneJoint& j, V* factor, In
 }
 
 template <class V>
-inline void carry_inertia(const LaneJoint& j, const V* at, Inertia<V>& A) {
+LANE_INLINE void carry_inertia(const LaneJoint& j, const V* at, Inertia<V>& A) {
   if (j.type == kLaneBall) {
     turn_by(at, A);
   } else if (j.type == kLaneTranslate) {
@@ -235,7 +235,7 @@ inline void carry_inertia(const LaneJoint& j, const V* at, Inertia<V>& A) {
   shift_by<V>(j.r, A);
 }
 
-inline bool has_three(const LaneJoint& j) { return j.type == kLaneBall || j.type == kLaneTranslate; }
+LANE_INLINE bool has_three(const LaneJoint& j) { return j.type == kLaneBall || j.type == kLaneTranslate; }
 
 template <class V>
 inline void factor_group(const Group<V>& g) {
@@ -266,7 +266,7 @@ inline void factor_group(const Group<V>& g) {
 
 // The coordinate along the joint of (n, f), one number.
 template <class V>
-inline V along(const LaneJoint& j, V3<V> n, V3<V> f) {
+LANE_INLINE V along(const LaneJoint& j, V3<V> n, V3<V> f) {
   if (j.type == kLaneTurn) return n.z;
   return j.type == kLaneSlide ? f.z : n.z + j.pitch * f.z;
 }

@@ -1,6 +1,9 @@
 // Vectors of lanes and the elementary functions on them. Included inside an unnamed namespace, V = double or a vector
 // of doubles; the same operations in the same order for each, so the bits agree.
 
+// Calls between these small functions would cost more than they do.
+#define LANE_INLINE inline __attribute__((always_inline))
+
 #ifdef __AVX2__
 typedef double V4 __attribute__((vector_size(32)));
 typedef long long I4 __attribute__((vector_size(32)));
@@ -16,26 +19,26 @@ template <>
 struct Lane<double> {
   typedef long long Int;
   static const int count = 1;
-  static inline long long bits(double x) {
+  static LANE_INLINE long long bits(double x) {
     long long i;
     __builtin_memcpy(&i, &x, sizeof(i));
     return i;
   }
-  static inline double value(long long i) {
+  static LANE_INLINE double value(long long i) {
     double x;
     __builtin_memcpy(&x, &i, sizeof(x));
     return x;
   }
-  static inline double all(double x) { return x; }
+  static LANE_INLINE double all(double x) { return x; }
 };
 #ifdef __AVX2__
 template <>
 struct Lane<V4> {
   typedef I4 Int;
   static const int count = 4;
-  static inline I4 bits(V4 x) { return (I4)x; }
-  static inline V4 value(I4 i) { return (V4)i; }
-  static inline V4 all(double x) { return V4{x, x, x, x}; }
+  static LANE_INLINE I4 bits(V4 x) { return (I4)x; }
+  static LANE_INLINE V4 value(I4 i) { return (V4)i; }
+  static LANE_INLINE V4 all(double x) { return V4{x, x, x, x}; }
 };
 #endif
 #ifdef __AVX512F__
@@ -43,31 +46,31 @@ template <>
 struct Lane<V8> {
   typedef I8 Int;
   static const int count = 8;
-  static inline I8 bits(V8 x) { return (I8)x; }
-  static inline V8 value(I8 i) { return (V8)i; }
-  static inline V8 all(double x) { return V8{x, x, x, x, x, x, x, x}; }
+  static LANE_INLINE I8 bits(V8 x) { return (I8)x; }
+  static LANE_INLINE V8 value(I8 i) { return (V8)i; }
+  static LANE_INLINE V8 all(double x) { return V8{x, x, x, x, x, x, x, x}; }
 };
 #endif
 
 template <class V>
-inline V load(const double* at) {
+LANE_INLINE V load(const double* at) {
   V x;
   __builtin_memcpy(&x, __builtin_assume_aligned(at, sizeof(V)), sizeof(V));
   return x;
 }
 template <class V>
-inline void store(double* at, V x) {
+LANE_INLINE void store(double* at, V x) {
   __builtin_memcpy(__builtin_assume_aligned(at, sizeof(V)), &x, sizeof(V));
 }
 template <class V>
-inline V absolute(V x) {
+LANE_INLINE V absolute(V x) {
   return Lane<V>::value(Lane<V>::bits(x) & 0x7fffffffffffffffLL);
 }
 
 // sin and cos for |x| up to 1e6: Cody-Waite reduction with three 33-bit parts of pi/2 (their products with the
 // quadrant are exact) and the minimax polynomials of fdlibm's __kernel_sin and __kernel_cos. 1.4 ulp.
 template <class V>
-inline void sine_cosine(V x, V& sine, V& cosine) {
+LANE_INLINE void sine_cosine(V x, V& sine, V& cosine) {
   typedef typename Lane<V>::Int I;
   const double shift = 6755399441055744.0;  // 1.5 * 2^52: the sum's last bits are the rounded number
   const V shifted = x * 0.63661977236758134308 + shift;
@@ -101,28 +104,28 @@ struct V3 {
   V x, y, z;
 };
 template <class V>
-inline V3<V> operator+(V3<V> a, V3<V> b) {
+LANE_INLINE V3<V> operator+(V3<V> a, V3<V> b) {
   return {a.x + b.x, a.y + b.y, a.z + b.z};
 }
 template <class V>
-inline V3<V> operator-(V3<V> a, V3<V> b) {
+LANE_INLINE V3<V> operator-(V3<V> a, V3<V> b) {
   return {a.x - b.x, a.y - b.y, a.z - b.z};
 }
 template <class V, class S>
-inline V3<V> times(S k, V3<V> a) {
+LANE_INLINE V3<V> times(S k, V3<V> a) {
   return {k * a.x, k * a.y, k * a.z};
 }
 template <class V>
-inline V dot(V3<V> a, V3<V> b) {
+LANE_INLINE V dot(V3<V> a, V3<V> b) {
   return a.x * b.x + a.y * b.y + a.z * b.z;
 }
 template <class V>
-inline V3<V> cross(V3<V> a, V3<V> b) {
+LANE_INLINE V3<V> cross(V3<V> a, V3<V> b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 // r x a and a x r for a constant r.
 template <class V>
-inline V3<V> cross(const double* r, V3<V> a) {
+LANE_INLINE V3<V> cross(const double* r, V3<V> a) {
   return {r[1] * a.z - r[2] * a.y, r[2] * a.x - r[0] * a.z, r[0] * a.y - r[1] * a.x};
 }
 
@@ -175,7 +178,7 @@ struct Rotation {
 };
 
 template <class V>
-inline Rotation<V> rotation(V3<V> X) {
+LANE_INLINE Rotation<V> rotation(V3<V> X) {
   const int terms = 16;
   const double* f = kInverseFactorial;
   Rotation<V> k;
@@ -201,29 +204,29 @@ inline Rotation<V> rotation(V3<V> X) {
 
 // y + a X x y + b X x (X x y)
 template <class V>
-inline V3<V> apply(V3<V> X, V a, V b, V3<V> y) {
+LANE_INLINE V3<V> apply(V3<V> X, V a, V b, V3<V> y) {
   const V3<V> once = cross(X, y);
   return y + times(a, once) + times(b, cross(X, once));
 }
 template <class V>
-inline V3<V> exp_apply(const Rotation<V>& k, V3<V> y) {
+LANE_INLINE V3<V> exp_apply(const Rotation<V>& k, V3<V> y) {
   return apply(k.X, k.sinc, k.a, y);
 }
 template <class V>
-inline V3<V> jacobian_transpose(const Rotation<V>& k, V3<V> y) {  // J^T y
+LANE_INLINE V3<V> jacobian_transpose(const Rotation<V>& k, V3<V> y) {  // J^T y
   return apply(k.X, k.a, k.b, y);
 }
 template <class V>
-inline V3<V> jacobian_inverse(const Rotation<V>& k, V3<V> y) {  // J^-1 y
+LANE_INLINE V3<V> jacobian_inverse(const Rotation<V>& k, V3<V> y) {  // J^-1 y
   return apply(k.X, Lane<V>::all(0.5), k.c, y);
 }
 template <class V>
-inline V3<V> jacobian_inverse_transpose(const Rotation<V>& k, V3<V> y) {
+LANE_INLINE V3<V> jacobian_inverse_transpose(const Rotation<V>& k, V3<V> y) {
   return apply(k.X, Lane<V>::all(-0.5), k.c, y);
 }
 // (dJ/dt along X')^T p
 template <class V>
-inline V3<V> jacobian_rate_transpose(const Rotation<V>& k, V3<V> rate, V3<V> p) {
+LANE_INLINE V3<V> jacobian_rate_transpose(const Rotation<V>& k, V3<V> rate, V3<V> p) {
   const V turn = 2.0 * dot(k.X, rate);
   const V3<V> once = cross(k.X, p), moved = cross(rate, p);
   V3<V> sum = times(k.a1 * turn, once) + times(k.a, moved);

@@ -23,46 +23,46 @@ struct Axis {  // a motion or a force: three angular, three linear numbers
 const int kNewtonStorage1 = 6 + 9 + 24, kNewtonStorage3 = 6 + 9 + 72;
 
 template <class V>
-inline V* newton_storage(const Group<V>& g, const LaneJoint& j) {
+LANE_INLINE V* newton_storage(const Group<V>& g, const LaneJoint& j) {
   return g.storage + j.at + j.velocity + 9 + (has_three(j) ? 24 : 7);
 }
 
 template <class V>
-inline Axis<V> product(const Inertia6<V>& A, Axis<V> m) {
+LANE_INLINE Axis<V> product(const Inertia6<V>& A, Axis<V> m) {
   return {times_matrix(A.I, m.a) + times_matrix(A.H, m.l), times_matrix(A.G, m.a) + times_matrix(A.M, m.l)};
 }
 template <class V>
-inline Axis<V> product_transpose(const Inertia6<V>& A, Axis<V> f) {
+LANE_INLINE Axis<V> product_transpose(const Inertia6<V>& A, Axis<V> f) {
   return {times_transpose(A.I, f.a) + times_transpose(A.G, f.l), times_transpose(A.H, f.a) + times_transpose(A.M, f.l)};
 }
 template <class V>
-inline V dot(Axis<V> f, Axis<V> m) {
+LANE_INLINE V dot(Axis<V> f, Axis<V> m) {
   return dot(f.a, m.a) + dot(f.l, m.l);
 }
 template <class V>
-inline Axis<V> operator+(Axis<V> a, Axis<V> b) {
+LANE_INLINE Axis<V> operator+(Axis<V> a, Axis<V> b) {
   return {a.a + b.a, a.l + b.l};
 }
 template <class V>
-inline Axis<V> operator-(Axis<V> a, Axis<V> b) {
+LANE_INLINE Axis<V> operator-(Axis<V> a, Axis<V> b) {
   return {a.a - b.a, a.l - b.l};
 }
 template <class V>
-inline Axis<V> times(V k, Axis<V> a) {
+LANE_INLINE Axis<V> times(V k, Axis<V> a) {
   return {times(k, a.a), times(k, a.l)};
 }
 template <class V>
-inline Axis<V> get6(const V* at) {
+LANE_INLINE Axis<V> get6(const V* at) {
   return {get3(at), get3(at + 3)};
 }
 template <class V>
-inline void put6(V* at, Axis<V> x) {
+LANE_INLINE void put6(V* at, Axis<V> x) {
   put3(at, x.a);
   put3(at + 3, x.l);
 }
 
 template <class V>
-inline Axis<V> joint_axis(const LaneJoint& j, int d) {
+LANE_INLINE Axis<V> joint_axis(const LaneJoint& j, int d) {
   const V zero = Lane<V>::all(0.0), one = Lane<V>::all(1.0);
   const V3<V> none = {zero, zero, zero};
   if (has_three(j)) {
@@ -77,14 +77,14 @@ inline Axis<V> joint_axis(const LaneJoint& j, int d) {
 
 // R A R^T block by block, and the origin moved by -r: see lane_factor.hpp.
 template <class V, class S>
-inline void turn_blocks(S c, S s, int i, int k, Inertia6<V>& A) {
+LANE_INLINE void turn_blocks(S c, S s, int i, int k, Inertia6<V>& A) {
   turn_general(c, s, i, k, A.I);
   turn_general(c, s, i, k, A.H);
   turn_general(c, s, i, k, A.G);
   turn_general(c, s, i, k, A.M);
 }
 template <class V, class S>
-inline void turn_blocks_by(const S* R, Inertia6<V>& A) {
+LANE_INLINE void turn_blocks_by(const S* R, Inertia6<V>& A) {
   V turned[9];
   V* const blocks[4] = {A.I, A.H, A.G, A.M};
   for (int b = 0; b < 4; ++b) {
@@ -93,7 +93,7 @@ inline void turn_blocks_by(const S* R, Inertia6<V>& A) {
   }
 }
 template <class V, class R3>
-inline void shift_blocks(const R3& r, Inertia6<V>& A) {
+LANE_INLINE void shift_blocks(const R3& r, Inertia6<V>& A) {
   for (int i = 0; i < 9; i += 3) {
     const V3<V> h = offset_cross<V>(r, V3<V>{A.H[i], A.H[i + 1], A.H[i + 2]});
     const V3<V> m = offset_cross<V>(r, V3<V>{A.M[i], A.M[i + 1], A.M[i + 2]});
@@ -117,7 +117,7 @@ inline void shift_blocks(const R3& r, Inertia6<V>& A) {
 }
 
 template <class V>
-inline void carry_blocks(const LaneJoint& j, const V* at, Inertia6<V>& A) {
+LANE_INLINE void carry_blocks(const LaneJoint& j, const V* at, Inertia6<V>& A) {
   if (j.type == kLaneBall) {
     turn_blocks_by(at, A);
   } else if (j.type == kLaneTranslate) {
@@ -137,7 +137,7 @@ inline void carry_blocks(const LaneJoint& j, const V* at, Inertia6<V>& A) {
 }
 
 template <class V>
-inline void invert_general(const V* D, V* inverse) {
+LANE_INLINE void invert_general(const V* D, V* inverse) {
   const V a = D[4] * D[8] - D[5] * D[7], b = D[5] * D[6] - D[3] * D[8], c = D[3] * D[7] - D[4] * D[6];
   const V scale = 1.0 / (D[0] * a + D[1] * b + D[2] * c);
   inverse[0] = a * scale;
@@ -158,7 +158,7 @@ struct Columns {
 };
 
 template <class V>
-inline Columns<V> columns(const Group<V>& g, const LaneJoint& j, V e, V turn, const V* newton) {
+LANE_INLINE Columns<V> columns(const Group<V>& g, const LaneJoint& j, V e, V turn, const V* newton) {
   const V zero = Lane<V>::all(0.0);
   const V* at = g.storage + j.at + j.velocity;
   Axis<V> inherited = get6(at);
@@ -186,7 +186,7 @@ inline Columns<V> columns(const Group<V>& g, const LaneJoint& j, V e, V turn, co
 }
 
 template <class V>
-inline void eliminate_newton(const Group<V>& g, const LaneJoint& j, V e, V turn, V* newton, Inertia6<V>& A) {
+LANE_INLINE void eliminate_newton(const Group<V>& g, const LaneJoint& j, V e, V turn, V* newton, Inertia6<V>& A) {
   const int dofs = has_three(j) ? 3 : 1;
   const Columns<V> k = columns(g, j, e, turn, newton);
   Axis<V> Uc[3], Ur[3];

@@ -8,7 +8,7 @@ struct Force {
 };
 
 template <class V>
-inline Force<V> force_to_parent(const LaneJoint& j, const V* at, Force<V> a) {
+LANE_INLINE Force<V> force_to_parent(const LaneJoint& j, const V* at, Force<V> a) {
   if (j.type == kLaneBall) {
     a = {times_matrix(at, a.n), times_matrix(at, a.f)};
   } else if (j.type == kLaneTranslate) {
@@ -55,7 +55,7 @@ inline void solve_backward(const Group<V>& g) {
 
 // Only w and v of inherit().
 template <class V>
-inline void velocity_into_body(const LaneJoint& j, const V* at, V3<V>& w, V3<V>& v) {
+LANE_INLINE void velocity_into_body(const LaneJoint& j, const V* at, V3<V>& w, V3<V>& v) {
   v = v - cross(j.r, w);
   if (j.type == kLaneBall) {
     w = times_transpose(at, w);

@@ -8,27 +8,27 @@
 // A sweep takes v, forms X, P = M v and G there, and corrects v by (M + diagonal)^-1 (p_i - P_i).
 
 template <class V>
-inline Group<V> group(const LaneTree* tree, const LaneWork* work, int index) {
+LANE_INLINE Group<V> group(const LaneTree* tree, const LaneWork* work, int index) {
   const int L = Lane<V>::count;
   V* storage = reinterpret_cast<V*>(work->storage) + index * tree->storage;
   return {tree, work, storage, reinterpret_cast<V*>(work->slots), index * L};
 }
 
 template <class V>
-inline int groups(const LaneWork* work) {
+LANE_INLINE int groups(const LaneWork* work) {
   return work->S / Lane<V>::count;
 }
 
 // sum_j in[dof][j] hA[j][i]
 template <class V>
-inline V stage_sum(const LaneWork& w, const double* in, int dof, int offset) {
+LANE_INLINE V stage_sum(const LaneWork& w, const double* in, int dof, int offset) {
   const double* row = in + dof * w.S;
   V sum = row[0] * load<V>(w.hA + offset);
   for (int j = 1; j < w.s; ++j) sum = sum + row[j] * load<V>(w.hA + j * w.S + offset);
   return sum;
 }
 
-inline double end_sum(const LaneWork& w, const double* in, int dof) {
+LANE_INLINE double end_sum(const LaneWork& w, const double* in, int dof) {
   const double* row = in + dof * w.S;
   double sum = w.hb[0] * row[0];
   for (int j = 1; j < w.s; ++j) sum += w.hb[j] * row[j];
@@ -92,12 +92,12 @@ inline void ball_rates(const Group<V>& g) {
   }
 }
 
-inline V3<double> end_sum3(const LaneWork& w, const double* in, int dof) {
+LANE_INLINE V3<double> end_sum3(const LaneWork& w, const double* in, int dof) {
   return {end_sum(w, in, dof), end_sum(w, in, dof + 1), end_sum(w, in, dof + 2)};
 }
 
 // Chart momentum of a ball at the start of the step.
-inline V3<double> ball_start(const LaneWork& w, int dof) {
+LANE_INLINE V3<double> ball_start(const LaneWork& w, int dof) {
   const V3<double> X1 = end_sum3(w, w.rate, dof), p0 = {w.p0[dof], w.p0[dof + 1], w.p0[dof + 2]};
   const Rotation<double> back = rotation(times(-1.0, X1)), k = rotation(X1);
   const V3<double> p1 = exp_apply(back, p0 + end_sum3(w, w.Y, dof));
@@ -185,7 +185,11 @@ void sweep(const LaneTree* tree, const LaneWork* work, int flags) {
     const Group<V> g = group<V>(tree, work, k);
     displace(g, tree->balls > 0 ? flags & ~kLaneFirst : flags);
     forward(g);
-    backward(g, (flags & kLaneNewton) && (flags & kLaneFactor));
+    if (flags & kLaneFactor) {
+      backward<true>(g);
+    } else {
+      backward<false>(g);
+    }
   }
   if (work->extra) work->extra(work->context);
   if (tree->balls > 0)
@@ -202,7 +206,7 @@ void evaluate(const LaneTree* tree, const LaneWork* work) {
   for (int k = 0; k < groups<V>(work); ++k) {
     const Group<V> g = group<V>(tree, work, k);
     forward(g);
-    backward(g, false);
+    backward<false>(g);
   }
 }
 
