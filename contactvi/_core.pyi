@@ -33,22 +33,22 @@ class Scene:
     def rounding(self) -> list[float]:
         """Rounding radius [m] of each pair's shapes, 0 where they are sharp."""
 
-    def velocity(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    def velocity(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> object:
         """v = M(q)^-1 p, shapes (N, nq), (N, nv) -> (N, nv)."""
 
-    def momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    def momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> object:
         """p = M(q) v, shapes (N, nq), (N, nv) -> (N, nv)."""
 
-    def energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    def energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> object:
         """Kinetic and potential energy [J], (N, 2)."""
 
-    def modified_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float, order: int = 2) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+    def modified_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float, order: int = 2) -> object:
         """Modified Hamiltonian [J] for step h, (N,); H for order >= 4."""
 
-    def discrete_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int = 2) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+    def discrete_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int = 2) -> object:
         """E_d [J] of one step h (N,) from each state, (N,)."""
 
-    def spatial_momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+    def spatial_momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> object:
         """Total linear, angular momentum about the origin, (N, 6)."""
 
     def dynamics(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
@@ -73,7 +73,7 @@ class Scene:
 
     def momentum_to_public(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
-def dense(scene: Scene, segments: dict, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+def dense(scene: Scene, segments: dict, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int) -> tuple[object, object]:
     """
     States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run.
     """
@@ -111,13 +111,13 @@ class Simulator:
     def t(self) -> float: ...
 
     @property
-    def q(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+    def q(self) -> object: ...
 
     @property
-    def p(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+    def p(self) -> object: ...
 
     @property
-    def v(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
+    def v(self) -> object: ...
 
 def rnea_seconds(model: bytes, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], calls: int = 2000, repeats: int = 5) -> float:
     """

@@ -47,7 +47,7 @@ class Record:
             self.t.append(t[keep])
             self.q.append(np.asarray(result["q"])[keep])
             self.p.append(np.asarray(result["p"])[keep])
-        if len(result["events"]["time"]):
+        if result["events"] is not None:
             self.events.append(result["events"])
         if self.options.dense:
             self.segments.append(result["segments"])

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <new>
+#include <utility>
 
 #include "coordinates.hpp"
 
@@ -54,44 +55,13 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages)
       table_(&gauss_table(stages)),
       kernel_(&lane_kernel(stages)),
       work_{},
-      X_(0),
-      v_(0),
-      rate_(0),
-      P_(0),
-      G_(0),
-      Y_(0),
-      px_(0),
-      dv_(0),
-      magnitude_(0),
-      diagonal_(0),
-      applied_(0),
-      storage_(0),
-      slots_(0),
-      per_stage_(0),
-      hA_(0),
-      he_(0),
-      hb_(stages),
-      base_(tree.nv),
-      ball_base_(9 * model.lanes.balls),
-      p0_(tree.nv),
-      stiffness_(tree.nv),
-      deflection_(tree.nv),
-      damping_(tree.nv),
-      input_(tree.nv),
+      memory_(0),
       q0_(VecX::Zero(tree.nq)),
       tau_(VecX::Zero(tree.nv)),
       q_stage_(tree.nq) {
-  const int L = kernel_->lanes, S = (stages + L - 1) / L * L;
-  const std::size_t size = static_cast<std::size_t>(tree.nv) * S;
-  const bool balls = model.lanes.balls > 0;
-  for (AlignedArray* array : {&X_, &v_, &P_, &G_, &dv_, &magnitude_, &diagonal_}) *array = AlignedArray(size);
-  for (AlignedArray* array : {&rate_, &Y_, &px_}) *array = AlignedArray(balls ? size : 0);
-  applied_ = AlignedArray(tree.split.empty() ? 0 : size);
-  storage_ = AlignedArray(static_cast<std::size_t>(model.lanes.storage) * S);
-  slots_ = AlignedArray(static_cast<std::size_t>(36) * std::max(1, model.lanes.slots) * L);
-  per_stage_ = AlignedArray(3 * S);
-  hA_ = AlignedArray(static_cast<std::size_t>(stages) * S);
-  he_ = AlignedArray(2 * S);
+  work_.s = stages;
+  work_.S = (stages + kernel_->lanes - 1) / kernel_->lanes * kernel_->lanes;
+  allocate();
   for (const Joint& joint : tree.joints) {
     const bool ball = joint.type == JointType::kSpherical;
     has_ball_springs_ |= ball && joint.stiffness != 0;
@@ -100,33 +70,69 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages)
       damping_[d] = tree.damping[d];
     }
   }
-  work_.s = stages;
-  work_.S = S;
-  work_.hA = hA_.data();
-  work_.hb = hb_.data();
-  work_.he = he_.data();
-  work_.he_turn = he_.data() + S;
-  work_.base = base_.data();
-  work_.ball_base = ball_base_.data();
-  work_.p0 = p0_.data();
-  work_.deflection = deflection_.data();
-  work_.damping = damping_.data();
-  work_.X = X_.data();
-  work_.v = v_.data();
-  work_.rate = balls ? rate_.data() : v_.data();
-  work_.P = P_.data();
-  work_.G = G_.data();
-  work_.Y = Y_.data();
-  work_.px = px_.data();
-  work_.dv = dv_.data();
-  work_.magnitude = magnitude_.data();
-  work_.diagonal = diagonal_.data();
-  work_.storage = storage_.data();
-  work_.slots = slots_.data();
-  work_.error = per_stage_.data();
-  work_.kinetic = per_stage_.data() + S;
-  work_.floor = per_stage_.data() + 2 * S;
+  work_.hA = hA_;
+  work_.hb = hb_;
+  work_.he = he_;
+  work_.he_turn = he_ + work_.S;
+  work_.base = base_;
+  work_.ball_base = ball_base_;
+  work_.p0 = p0_;
+  work_.deflection = deflection_;
+  work_.damping = damping_;
+  work_.X = X_;
+  work_.v = v_;
+  work_.rate = model.lanes.balls > 0 ? rate_ : v_;
+  work_.P = P_;
+  work_.G = G_;
+  work_.Y = Y_;
+  work_.px = px_;
+  work_.dv = dv_;
+  work_.magnitude = magnitude_;
+  work_.diagonal = diagonal_;
+  work_.storage = storage_;
+  work_.slots = slots_;
+  work_.error = per_stage_;
+  work_.kinetic = per_stage_ + work_.S;
+  work_.floor = per_stage_ + 2 * work_.S;
   work_.context = this;
+}
+
+// One block for all arrays, each starting on a cache line.
+void Stages::allocate() {
+  const std::size_t S = work_.S, n = tree_->nv, size = n * S, balls = model_->lanes.balls, s = work_.s;
+  const std::size_t ball_size = balls > 0 ? size : 0, slots = std::max(1, model_->lanes.slots);
+  const std::pair<double**, std::size_t> arrays[] = {{&X_, size},
+                                                     {&v_, size},
+                                                     {&P_, size},
+                                                     {&G_, size},
+                                                     {&dv_, size},
+                                                     {&diagonal_, size},
+                                                     {&magnitude_, size},
+                                                     {&rate_, ball_size},
+                                                     {&Y_, ball_size},
+                                                     {&px_, ball_size},
+                                                     {&applied_, tree_->split.empty() ? 0 : size},
+                                                     {&storage_, model_->lanes.storage * S},
+                                                     {&slots_, 36 * slots * kernel_->lanes},
+                                                     {&per_stage_, 3 * S},
+                                                     {&hA_, s * S},
+                                                     {&he_, 2 * S},
+                                                     {&hb_, s},
+                                                     {&base_, n},
+                                                     {&ball_base_, 9 * balls},
+                                                     {&p0_, n},
+                                                     {&stiffness_, n},
+                                                     {&deflection_, n},
+                                                     {&damping_, n},
+                                                     {&input_, n}};
+  std::size_t total = 0;
+  for (const auto& array : arrays) total += (array.second + 7) / 8 * 8;
+  memory_ = AlignedArray(total);
+  double* at = memory_.data();
+  for (const auto& array : arrays) {
+    *array.first = at;
+    at += (array.second + 7) / 8 * 8;
+  }
 }
 
 void Stages::set_base(const VecCRef& q0) {
@@ -154,7 +160,7 @@ void Stages::set_base(const VecCRef& q0) {
         break;
       case JointType::kSpherical: {
         const Quat quat(q0[joint.iq + 3], q0[joint.iq], q0[joint.iq + 1], q0[joint.iq + 2]);
-        Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> B(ball_base_.data() + 9 * ball++);
+        Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> B(ball_base_ + 9 * ball++);
         const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> C(j.C);
         B.noalias() = C * quat.toRotationMatrix();
         break;
@@ -196,7 +202,7 @@ void Stages::set_step(double h) {
 void Stages::set_forces(const VecCRef& q0, const VecX& tau) {
   has_inputs_ = tau.size() > 0;
   const bool linear = tree_->has_springs || tree_->has_damping;
-  work_.stiffness = linear ? stiffness_.data() : nullptr;
+  work_.stiffness = linear ? stiffness_ : nullptr;
   if (tree_->has_springs) {
     q0_ = q0;
     for (const Joint& joint : tree_->joints) {
@@ -214,7 +220,7 @@ void Stages::set_forces(const VecCRef& q0, const VecX& tau) {
     // The forces on split joints turn with the body.
     for (const SplitJoint& joint : tree_->split)
       for (int d = 0; d < (joint.planar ? 2 : 3); ++d) input_[joint.iv + d] = 0.0;
-    work_.tau = input_.data();
+    work_.tau = input_;
   }
   work_.extra = split || has_ball_springs_ ? &Stages::add_extra : nullptr;
 }
@@ -228,7 +234,7 @@ void Stages::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& t
 
 void Stages::at(const VecCRef& q0) {
   set_base(q0);
-  X_.fill(0.0);
+  std::fill(X_, X_ + tree_->nv * work_.S, 0.0);
   for (int d = 0; d < tree_->nv; ++d)
     for (int i = 0; i < work_.S; ++i) diagonal_[d * work_.S + i] = tree_->armature[d];
   diagonal_h_ = -1.0;
@@ -247,7 +253,7 @@ double Stages::sum(const double* array, int dof) const {
 Vec3 Stages::ball_end(const Joint& joint, const VecCRef& p0) {
   const int iv = joint.iv;
   const Vec3 X1(sum(work_.rate, iv), sum(work_.rate, iv + 1), sum(work_.rate, iv + 2));
-  const Vec3 total = p0.segment<3>(iv) + Vec3(sum(Y_.data(), iv), sum(Y_.data(), iv + 1), sum(Y_.data(), iv + 2));
+  const Vec3 total = p0.segment<3>(iv) + Vec3(sum(Y_, iv), sum(Y_, iv + 1), sum(Y_, iv + 2));
   const So3Coefficients k = so3_coefficients(X1.squaredNorm());
   return so3_apply(-X1, k.sin_t, k.cos_t, total);
 }
@@ -264,7 +270,7 @@ double Stages::power(int i) const {
   for (int d = 0; d < tree_->nv; ++d) {
     const double v = v_[d * S + i];
     if (tree_->has_damping) total -= damping_[d] * v * v;
-    if (has_inputs_) total += (input_[d] + (applied_.size() > 0 ? applied_[d * S + i] : 0.0)) * v;
+    if (has_inputs_) total += (input_[d] + (!tree_->split.empty() ? applied_[d * S + i] : 0.0)) * v;
   }
   return total;
 }

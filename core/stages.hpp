@@ -55,16 +55,16 @@ class Stages {
   void rates() { kernel_->rates(&model_->lanes, &work_); }
 
   // [dof * padded() + stage]
-  double* X() { return X_.data(); }
-  double* v() { return v_.data(); }
+  double* X() { return X_; }
+  double* v() { return v_; }
   double* rate() { return work_.rate; }
-  const double* P() const { return P_.data(); }
-  const double* G() const { return G_.data(); }
-  double* dv() { return dv_.data(); }
-  const double* dv() const { return dv_.data(); }
-  const double* residual() const { return magnitude_.data(); }  // that dv answers, after a sweep
-  const double* v() const { return v_.data(); }
-  const double* X() const { return X_.data(); }
+  const double* P() const { return P_; }
+  const double* G() const { return G_; }
+  double* dv() { return dv_; }
+  const double* dv() const { return dv_; }
+  const double* residual() const { return magnitude_; }  // that dv answers, after a sweep
+  const double* v() const { return v_; }
+  const double* X() const { return X_; }
   // Per stage: r . dv, P . v, energy of the kick of the single forces.
   double error(int i) const { return per_stage_[i]; }
   double kinetic(int i) const { return per_stage_[work_.S + i]; }
@@ -80,6 +80,7 @@ class Stages {
   void configuration(const VecCRef& q0, int i, VecRef q) const;
 
  private:
+  void allocate();
   void set_base(const VecCRef& q0);
   void set_step(double h);
   void set_forces(const VecCRef& q0, const VecX& tau);
@@ -92,8 +93,9 @@ class Stages {
   const GaussTable* table_;
   const LaneKernel* kernel_;
   LaneWork work_;
-  AlignedArray X_, v_, rate_, P_, G_, Y_, px_, dv_, magnitude_, diagonal_, applied_, storage_, slots_;
-  AlignedArray per_stage_, hA_, he_, hb_, base_, ball_base_, p0_, stiffness_, deflection_, damping_, input_;
+  AlignedArray memory_;  // all arrays below
+  double *X_, *v_, *rate_, *P_, *G_, *Y_, *px_, *dv_, *magnitude_, *diagonal_, *applied_, *storage_, *slots_;
+  double *per_stage_, *hA_, *he_, *hb_, *base_, *ball_base_, *p0_, *stiffness_, *deflection_, *damping_, *input_;
   VecX q0_, tau_, q_stage_;
   bool has_ball_springs_ = false, has_inputs_ = false;
   double diagonal_h_ = -1.0, tableau_h_ = 0.0;

@@ -20,22 +20,22 @@ double lagrange(const double* nodes, int count, int j, double x) {
 StartValues::StartValues(int nv, const Stages& stages)
     : nv_(nv), s_(stages.count()), S_(stages.padded()), smoothed_(static_cast<std::size_t>(s_) * S_) {
   const std::size_t size = static_cast<std::size_t>(nv) * S_;
-  for (int k = 0; k < kSteps; ++k) {
+  for (int k = 0; k < std::max(1, kEnough / s_); ++k) {
     history_.emplace_back(size);
     weight_.emplace_back(static_cast<std::size_t>(s_) * S_);
   }
-  for (int k = 0; k < kPieces; ++k) ramp_.push_back({AlignedArray(size), 0.0, 0.0});
 }
 
 void StartValues::push(const Stages& stages, double h) {
   std::rotate(history_.begin(), history_.end() - 1, history_.end());
-  for (int k = kSteps - 1; k > 0; --k) h_[k] = h_[k - 1];
+  const int kept = static_cast<int>(history_.size());  // as many steps as are used
+  for (int k = kept - 1; k > 0; --k) h_[k] = h_[k - 1];
   std::copy(stages.v(), stages.v() + history_[0].size(), history_[0].data());
   h_[0] = h;
-  count_ = std::min(count_ + 1, kSteps);
+  count_ = std::min(count_ + 1, kept);
 }
 
-int StartValues::nodes_used() const { return std::min(count_, std::max(1, kEnough / s_)); }
+int StartValues::nodes_used() const { return count_; }
 
 void StartValues::weigh(double h) {
   const int steps = nodes_used();
@@ -80,6 +80,8 @@ void StartValues::extrapolate_smoothed(double h, Stages& stages) {
 }
 
 void StartValues::add_piece(const Stages& stages, double start, double length) {
+  if (ramp_.empty())
+    for (int k = 0; k < kPieces; ++k) ramp_.push_back({AlignedArray(history_[0].size()), 0.0, 0.0});
   Piece& piece = ramp_[pieces_++];
   std::copy(stages.v(), stages.v() + piece.v.size(), piece.v.data());
   piece.start = start;

@@ -26,7 +26,7 @@ class StartValues {
   void assemble(double h, Stages& stages);
 
  private:
-  static constexpr int kSteps = 4;   // kept
+  static constexpr int kSteps = 4;   // kept at most
   static constexpr int kPieces = 4;  // of a ramp
   struct Piece {
     AlignedArray v;
@@ -39,7 +39,7 @@ class StartValues {
   std::vector<AlignedArray> history_;  // newest first
   double h_[kSteps] = {};
   int count_ = 0;
-  std::vector<Piece> ramp_;
+  std::vector<Piece> ramp_;  // empty until first used
   int pieces_ = 0;
   // Weights of extrapolate for the last ratio asked.
   std::vector<AlignedArray> weight_;

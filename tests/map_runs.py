@@ -16,6 +16,8 @@ from oracles.del_step import System
 from oracles.modified_energy import modified_energy
 from run_scenes import HAND_URDF
 
+from contactvi import events as event_log
+
 METHODS = ("ctec", "dtec", "mhc")
 
 
@@ -33,7 +35,8 @@ def run(scene, q, v, duration: float, h: float, method: str, every: int = 1, **o
     """Nodes t, q, p, events (list and arrays `log`), code, message and stats of a run of the engine from (q, v)."""
     simulator = start(scene, q, v, h, method, **options)
     result = simulator.advance(max(1, round(duration / h)), None, every, None)
-    log = result.pop("events")
+    found = result.pop("events")
+    log = event_log.join([] if found is None else [found], scene.nq, scene.nv)
     events = [SimpleNamespace(**{k: a[i] for k, a in log.items()}) for i in range(len(log["time"]))]
     return SimpleNamespace(**result, events=events, log=log, h=h, method=method)
 

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "arrays.hpp"
 #include "coordinates.hpp"
 #include "error.hpp"
 #include "expose.hpp"
@@ -14,8 +15,6 @@ namespace nb = nanobind;
 using namespace nb::literals;
 
 namespace contactvi {
-
-using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 namespace {
 
@@ -62,7 +61,7 @@ auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int orde
     q.row(k) = qi;
     v.row(k) = vi;
   }
-  return std::make_tuple(q, v);
+  return std::make_tuple(hand_over(std::move(q)), hand_over(std::move(v)));
 }
 
 }  // namespace

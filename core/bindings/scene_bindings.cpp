@@ -5,6 +5,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include "arrays.hpp"
 #include "coordinates.hpp"
 #include "energy.hpp"
 #include "error.hpp"
@@ -15,8 +16,6 @@ namespace nb = nanobind;
 using namespace nb::literals;
 
 namespace contactvi {
-
-using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 namespace {
 
@@ -43,7 +42,7 @@ Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restituti
                     {pair_restitution, stiffness, rest, damping, limits, limit_restitution});
 }
 
-Rows velocity(const Scene& s, const Rows& q, const Rows& p) {
+nb::object velocity(const Scene& s, const Rows& q, const Rows& p) {
   need_states(s, q, p);
   Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows v(p.rows(), p.cols());
@@ -56,10 +55,10 @@ Rows velocity(const Scene& s, const Rows& q, const Rows& p) {
     engine_to_public(s.tree, qi, w);
     v.row(i) = w;
   }
-  return v;
+  return hand_over(std::move(v));
 }
 
-Rows momentum(const Scene& s, const Rows& q, const Rows& v) {
+nb::object momentum(const Scene& s, const Rows& q, const Rows& v) {
   need_states(s, q, v);
   Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows p(v.rows(), v.cols());
@@ -72,10 +71,10 @@ Rows momentum(const Scene& s, const Rows& q, const Rows& v) {
     engine_to_public(s.tree, qi, P);
     p.row(i) = P;
   }
-  return p;
+  return hand_over(std::move(p));
 }
 
-Rows energies(const Scene& s, const Rows& q, const Rows& p) {
+nb::object energies(const Scene& s, const Rows& q, const Rows& p) {
   need_states(s, q, p);
   Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows result(q.rows(), 2);
@@ -86,10 +85,10 @@ Rows energies(const Scene& s, const Rows& q, const Rows& p) {
     const Energy e = energy(integrator, qi, pi);
     result.row(i) << e.kinetic, e.potential;
   }
-  return result;
+  return hand_over(std::move(result));
 }
 
-VecX modified_energies(const Scene& s, const Rows& q, const Rows& p, double h, int order) {
+nb::object modified_energies(const Scene& s, const Rows& q, const Rows& p, double h, int order) {
   need_states(s, q, p);
   Integrator integrator(s.tree, stages_of(order), 1e-12, 1);
   VecX result(q.rows());
@@ -99,11 +98,11 @@ VecX modified_energies(const Scene& s, const Rows& q, const Rows& p, double h, i
     public_to_engine(s.tree, qi, pi);
     result[i] = modified_hamiltonian(integrator, qi, pi, h);
   }
-  return result;
+  return hand_over(std::move(result));
 }
 
 // E_d of steps h[i] from (q[i], p[i]); negative h: the step that ended there.
-VecX discrete_energies(const Scene& s, const Rows& q, const Rows& p, const VecX& h, int order) {
+nb::object discrete_energies(const Scene& s, const Rows& q, const Rows& p, const VecX& h, int order) {
   need_states(s, q, p);
   need(h.size() == q.rows(), "expected one step length per state");
   Integrator integrator(s.tree, stages_of(order), 1e-13, 100);
@@ -116,11 +115,11 @@ VecX discrete_energies(const Scene& s, const Rows& q, const Rows& p, const VecX&
     result[i] = integrator.solve(qi, pi, h[i], VecX()) ? integrator.discrete_energy()
                                                        : std::numeric_limits<double>::quiet_NaN();
   }
-  return result;
+  return hand_over(std::move(result));
 }
 
 // Total momentum: linear (world frame) and angular about the world's origin.
-Rows spatial_momenta(const Scene& s, const Rows& q, const Rows& p) {
+nb::object spatial_momenta(const Scene& s, const Rows& q, const Rows& p) {
   need_states(s, q, p);
   Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows result = Rows::Zero(q.rows(), 6);
@@ -132,7 +131,7 @@ Rows spatial_momenta(const Scene& s, const Rows& q, const Rows& p) {
     if (!integrator.node_velocity(qi, pi, v)) v.setConstant(std::numeric_limits<double>::quiet_NaN());
     result.row(i) = spatial_momentum(s.tree, qi, v).transpose();
   }
-  return result;
+  return hand_over(std::move(result));
 }
 
 auto dynamics(const Scene& s, const VecX& q, const VecX& v) {

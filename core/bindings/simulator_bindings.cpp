@@ -6,6 +6,7 @@
 
 #include <chrono>
 
+#include "arrays.hpp"
 #include "coordinates.hpp"
 #include "expose.hpp"
 #include "simulator.hpp"
@@ -17,7 +18,6 @@ namespace contactvi {
 
 namespace {
 
-using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using IntVec = Eigen::Matrix<std::int64_t, Eigen::Dynamic, 1>;
 
 VecX converted(const Tree& tree, const VecX& q, VecX p) {
@@ -62,27 +62,27 @@ nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
     p_plus.row(i) = converted(s.tree, r.q, r.p_plus);
   }
   nb::dict d;
-  d["time"] = time;
+  d["time"] = hand_over(std::move(time));
   d["kind"] = kind;
   d["index"] = index;
-  d["point"] = point;
-  d["normal"] = normal;
-  d["impulse"] = impulse;
-  d["gamma_minus"] = gamma_minus;
-  d["gamma_plus"] = gamma_plus;
-  d["G_c"] = G_c;
-  d["gap"] = gap;
-  d["restitution"] = restitution;
+  d["point"] = hand_over(std::move(point));
+  d["normal"] = hand_over(std::move(normal));
+  d["impulse"] = hand_over(std::move(impulse));
+  d["gamma_minus"] = hand_over(std::move(gamma_minus));
+  d["gamma_plus"] = hand_over(std::move(gamma_plus));
+  d["G_c"] = hand_over(std::move(G_c));
+  d["gap"] = hand_over(std::move(gap));
+  d["restitution"] = hand_over(std::move(restitution));
   d["iterations"] = iterations;
   d["step"] = step;
   d["method"] = method;
   d["fallback"] = fallback;
-  d["jump"] = jump;
-  d["before"] = before;
-  d["after"] = after;
-  d["q"] = q;
-  d["p_minus"] = p_minus;
-  d["p_plus"] = p_plus;
+  d["jump"] = hand_over(std::move(jump));
+  d["before"] = hand_over(std::move(before));
+  d["after"] = hand_over(std::move(after));
+  d["q"] = hand_over(std::move(q));
+  d["p_minus"] = hand_over(std::move(p_minus));
+  d["p_plus"] = hand_over(std::move(p_plus));
   return d;
 }
 
@@ -131,39 +131,31 @@ Progress wrap(const nb::object& callback) {
   };
 }
 
-Rows rows(const std::vector<double>& values, std::size_t count, int width) {
-  return Eigen::Map<const Rows>(values.data(), static_cast<Eigen::Index>(count), width);
-}
-
-VecX column(const std::vector<double>& values) {
-  return Eigen::Map<const VecX>(values.data(), static_cast<Eigen::Index>(values.size()));
-}
-
-// Rows of momenta in public coordinates, at the configurations of q.
-Rows public_momenta(const Tree& tree, const Rows& q, Rows p) {
-  if (tree.split.empty()) return p;
-  VecX qi(tree.nq), pi(tree.nv);
-  for (Eigen::Index i = 0; i < q.rows(); ++i) {
-    qi = q.row(i);
-    pi = p.row(i);
+// Momenta row after row into public coordinates, at the configurations of q.
+void make_public(const Tree& tree, const std::vector<double>& q, std::vector<double>& p) {
+  if (tree.split.empty()) return;
+  for (std::size_t i = 0; i * tree.nv < p.size(); ++i) {
+    Eigen::Map<VecX> row(p.data() + i * tree.nv, tree.nv);
+    const VecX qi = Eigen::Map<const VecX>(q.data() + i * tree.nq, tree.nq);
+    VecX pi = row;
     engine_to_public(tree, qi, pi);
-    p.row(i) = pi;
+    row = pi;
   }
-  return p;
 }
 
-nb::dict segments(const Tree& tree, int stages, const Segments& s) {
+nb::dict segments(const Tree& tree, int stages, Segments& s) {
   const std::size_t n = s.t.size();
   nb::dict d;
-  d["t"] = column(s.t);
-  d["h"] = column(s.h);
-  d["q"] = rows(s.q, n, tree.nq);
-  d["p"] = rows(s.p, n, tree.nv);
-  d["p1"] = rows(s.p1, n, tree.nv);
-  d["rates"] = rows(s.rates, n, tree.nv * stages);
+  d["t"] = hand_over(std::move(s.t));
+  d["h"] = hand_over(std::move(s.h));
+  d["q"] = hand_over(std::move(s.q), n, tree.nq);
+  d["p"] = hand_over(std::move(s.p), n, tree.nv);
+  d["p1"] = hand_over(std::move(s.p1), n, tree.nv);
+  d["rates"] = hand_over(std::move(s.rates), n, static_cast<std::size_t>(tree.nv) * stages);
   return d;
 }
 
+// What there is none of is None: making an array costs as much as a step.
 template <class Run>
 nb::dict run(Simulator& sim, nb::object progress, Run call) {
   const Scene& s = sim.scene();
@@ -184,16 +176,20 @@ nb::dict run(Simulator& sim, nb::object progress, Run call) {
     d["error"] = error.value();
   }
   const std::size_t n = recording.t.size();
-  Rows q = rows(recording.q, n, s.tree.nq);
-  d["t"] = column(recording.t);
-  d["p"] = public_momenta(s.tree, q, rows(recording.p, n, s.tree.nv));
-  d["q"] = std::move(q);
-  d["events"] = events(s, recording.impacts);
-  d["segments"] = segments(s.tree, sim.options().stages, recording.segments);
-  nb::dict arcs;
-  arcs["t"] = column(recording.arc_t);
-  arcs["dt"] = column(recording.arc_dt);
-  d["arcs"] = arcs;
+  make_public(s.tree, recording.q, recording.p);
+  d["t"] = hand_over(std::move(recording.t));
+  d["q"] = hand_over(std::move(recording.q), n, s.tree.nq);
+  d["p"] = hand_over(std::move(recording.p), n, s.tree.nv);
+  d["events"] = recording.impacts.empty() ? nb::object(nb::none()) : nb::object(events(s, recording.impacts));
+  d["segments"] = sim.options().dense ? nb::object(segments(s.tree, sim.options().stages, recording.segments))
+                                      : nb::object(nb::none());
+  d["arcs"] = nb::none();
+  if (!recording.arc_t.empty()) {
+    nb::dict arcs;
+    arcs["t"] = hand_over(std::move(recording.arc_t));
+    arcs["dt"] = hand_over(std::move(recording.arc_dt));
+    d["arcs"] = arcs;
+  }
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);
   return d;
@@ -227,12 +223,12 @@ nb::dict reset(Simulator& sim, const VecX& q, const VecX& v, double t) {
   return d;
 }
 
-VecX current_velocity(Simulator& sim) {
+nb::object current_velocity(Simulator& sim) {
   const Tree& tree = sim.scene().tree;
   Integrator integrator(tree, 1, 1e-12, 1);
   VecX v(tree.nv);
   if (!integrator.node_velocity(sim.q(), sim.p(), v)) throw Error("the mass matrix is not positive definite");
-  return converted(tree, sim.q(), v);
+  return hand_over(converted(tree, sim.q(), v));
 }
 
 }  // namespace
@@ -256,8 +252,8 @@ void expose_simulator(nb::module_& m) {
       .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(),
            "Run with a step chosen per smooth arc; level [m; rad] bounds what the stage polynomials leave out.")
       .def_prop_ro("t", &Simulator::time)
-      .def_prop_ro("q", [](const Simulator& sim) { return VecX(sim.q()); })
-      .def_prop_ro("p", [](const Simulator& sim) { return converted(sim.scene().tree, sim.q(), sim.p()); })
+      .def_prop_ro("q", [](const Simulator& sim) { return hand_over(VecX(sim.q())); })
+      .def_prop_ro("p", [](const Simulator& sim) { return hand_over(converted(sim.scene().tree, sim.q(), sim.p())); })
       .def_prop_ro("v", &current_velocity);
 }
 
