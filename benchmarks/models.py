@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 import contactvi as cvi
+from contactvi import _core
 
 ROBOTS = "example-robot-data://robots/"
 
@@ -48,6 +49,11 @@ def start(model: pin.Model, seed: int = 1, size: float = 0.3) -> tuple[np.ndarra
     rng = np.random.default_rng(seed)
     q = pin.integrate(model, pin.neutral(model), size * rng.normal(size=model.nv))
     return q, size * rng.normal(size=model.nv)
+
+
+def evaluation_seconds(scene: cvi.Scene, q: np.ndarray, v: np.ndarray) -> float:
+    """Time of contactvi's own scalar evaluation (M^-1 p, dT/dq - g), fastest instruction set."""
+    return min(_core.kernel_seconds(scene.core(), q, v, 1, name)["f"] for name in _core.instruction_sets())
 
 
 def with_floor(model: pin.Model, q: np.ndarray, below: float = 0.005) -> cvi.Scene:

@@ -1,9 +1,15 @@
-"""Cost of a smooth midpoint step and of an impact, beside one rnea of Pinocchio in the same run.
+"""Cost of an evaluation, of a smooth step and of an impact, beside rnea and aba of Pinocchio in the same run.
 
-    python benchmarks/step_cost.py [--dt 1e-3] [--steps 3000]
+    python benchmarks/step_cost.py [--steps 2000] [--models "Allegro hand"]
 
 Times are the fastest of several blocks, measured in C++ (no Python in the loop). Machines are noisy: quote the ratios.
-The error beside each time is that of the configuration at the end of 0.1 s against a run with dt/16.
+
+- Evaluation: contactvi's kernel on each instruction set, nanoseconds for one stage when 1, 4 or 8 stages are done at
+  once; what its columns do is said by `_core.kernel_seconds`.
+- Step: each order at its own h (one that reaches about the same error), tol 1e-12, on the best and on the plain
+  instruction set; the error is that of q after 0.1 s against a run of order 16 with a step four times shorter.
+- Midpoint step of the Allegro hand at h = 1e-3, tol 1e-12 in units of one rnea: at most 3 is wanted.
+- Impact: median time of steps with one impact less that of steps without, midpoint rule.
 """
 
 from __future__ import annotations
@@ -17,33 +23,55 @@ import contactvi as cvi
 from contactvi import _core
 from models import all_models, start, with_floor
 
+STEPS = {2: 1e-3, 4: 5e-3, 8: 1e-2, 12: 2e-2, 16: 2e-2}  # order -> h [s]
+CTEC = 0  # the engine's number of the impact map
+ENDS = 0.1  # s, where the error is taken
 
-def engine(scene: cvi.Scene, dt: float) -> _core.Simulator:
-    return _core.Simulator(scene.core(), dt)
+
+def engine(scene: cvi.Scene, dt: float, order: int = 2, tol: float = 1e-12) -> _core.Simulator:
+    return _core.Simulator(scene.core(), dt, tol, CTEC, order=order)
 
 
-def rnea_seconds(model: pin.Model, q: np.ndarray, v: np.ndarray) -> float:
+def pinocchio_seconds(model: pin.Model, q: np.ndarray, v: np.ndarray) -> tuple[float, float]:
+    """Time of one rnea and of one aba [s]."""
     buffer = pin.serialization.StreamBuffer()
     model.saveToBinary(buffer)
-    return _core.rnea_seconds(buffer.tobytes(), q, v)
+    plain = buffer.tobytes()
+    return _core.rnea_seconds(plain, q, v), _core.aba_seconds(plain, q, v)
 
 
-def smooth_cost(scene: cvi.Scene, q: np.ndarray, v: np.ndarray, dt: float, steps: int) -> tuple[float, dict]:
-    simulator, best, stats = engine(scene, dt), np.inf, {}
+def evaluation_rows(name: str, scene: cvi.Scene, q: np.ndarray, v: np.ndarray) -> list[dict[str, float | str]]:
+    """Nanoseconds per stage of each kernel function on each instruction set, for 1, 4 and 8 stages."""
+    rows: list[dict[str, float | str]] = []
+    for isa in _core.instruction_sets():
+        for stages in (1, 4, 8):
+            found = _core.kernel_seconds(scene.core(), q, v, stages, isa)
+            rows.append({"model": name, "set": isa, "stages": stages, **{k: 1e9 * s for k, s in found.items()}})
+    return rows
+
+
+def smooth_cost(
+    scene: cvi.Scene, q: np.ndarray, v: np.ndarray, order: int, dt: float, steps: int
+) -> tuple[float, float, int]:
+    """Time of a step [s], sweeps per step, steps that were cut; NaN where the run does not get through."""
+    simulator, best, sweeps, halved = engine(scene, dt, order), np.nan, np.nan, 0
     for _ in range(7):
         simulator.reset(q, v)
         out = simulator.advance(steps, record_every=steps)
-        if out["code"] == 0 and out["stats"]["seconds"] < best:
-            best, stats = out["stats"]["seconds"], out["stats"]
-    return best / steps, stats
+        stats = out["stats"]
+        assert stats["guards_evaluated"] == 0  # a scene without pairs pays nothing for guards
+        if out["code"] == 0:
+            best = np.fmin(best, stats["seconds"] / steps)
+            sweeps, halved = stats["sweeps"] / steps, stats["halved"]
+    return float(best), sweeps, halved
 
 
-def end_error(scene: cvi.Scene, q: np.ndarray, v: np.ndarray, dt: float, duration: float = 0.1) -> float:
+def end_error(scene: cvi.Scene, q: np.ndarray, v: np.ndarray, order: int, dt: float) -> float:
     ends = []
-    for refine in (1, 16):
-        simulator = engine(scene, dt / refine)
+    for method, h, tol in ((order, dt, 1e-12), (16, STEPS[16] / 4, 1e-15)):
+        simulator = engine(scene, h, method, tol)
         simulator.reset(q, v)
-        simulator.advance(round(duration / dt) * refine, record_every=10**9)
+        simulator.advance(round(ENDS / h), record_every=10**9)
         ends.append(simulator.q)
     return float(np.linalg.norm(pin.difference(scene.model, *ends)))
 
@@ -65,29 +93,66 @@ def impact_cost(model: pin.Model, q: np.ndarray, v: np.ndarray, dt: float, steps
     return float(np.median(hit) - np.median(plain)), len(hit)
 
 
+def print_table(title: str, rows: list[dict[str, float | str]]) -> None:
+    heads = list(dict.fromkeys(key for row in rows for key in row))
+    print(f"\n{title}\n\n| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
+    for row in rows:
+        print(
+            "| " + " | ".join(f"{x:.3g}" if isinstance(x := row.get(h, "-"), float) else str(x) for h in heads) + " |"
+        )
+
+
+def smooth_scene(model: pin.Model) -> cvi.Scene:
+    scene = cvi.Scene.from_pinocchio(model)
+    for joint in model.names[1:]:
+        scene.set_joint(joint, limits=False)
+    return scene
+
+
+def step_rows(name: str, scene: cvi.Scene, steps: int, rnea: float, aba: float) -> list[dict[str, float | str]]:
+    q, v = start(scene.model)
+    sets, chosen = _core.instruction_sets(), _core.instruction_set()
+    rows: list[dict[str, float | str]] = []
+    for order, dt in STEPS.items():
+        count = max(10, int(steps * STEPS[2] / dt))
+        for isa in dict.fromkeys((sets[-1], sets[0])):
+            _core.instruction_set(isa)
+            seconds, sweeps, halved = smooth_cost(scene, q, v, order, dt, count)
+            rows.append({
+                "model": name, "order": order, "h [s]": dt, "set": isa, "step us": 1e6 * seconds,
+                "step/rnea": seconds / rnea, "step/aba": seconds / aba, "ms per s": 1e3 * seconds / dt,
+                "sweeps": sweeps, "halved": halved, "error of q": f"{end_error(scene, q, v, order, dt):.1e}",
+            })  # fmt: skip
+    _core.instruction_set(chosen)
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--dt", type=float, default=1e-3)
-    parser.add_argument("--steps", type=int, default=3000)
+    parser.add_argument("--steps", type=int, default=2000, help="of 1e-3 s; a tenth of it for large models")
+    parser.add_argument("--models", default="")
     args = parser.parse_args()
-    print(f"dt = {args.dt} s, tolerance 1e-12\n")
-    print("| model | nv | rnea us | step us | step/rnea | iterations | error of q(0.1) | impact us | impacts seen |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    tables: dict[str, list[dict[str, float | str]]] = {"base": [], "evaluations": [], "steps": [], "impacts": []}
     for name, model in all_models().items():
+        if args.models and name not in args.models.split(","):
+            continue
         q, v = start(model)
-        scene = cvi.Scene.from_pinocchio(model)
-        for joint in model.names[1:]:
-            scene.set_joint(joint, limits=False)
-        steps = args.steps if model.nv < 50 else args.steps // 10
-        rnea = 1e6 * rnea_seconds(model, q, v)
-        step, stats = smooth_cost(scene, q, v, args.dt, steps)
-        impact, seen = impact_cost(model, q, v, args.dt, steps)
-        assert stats["guards_evaluated"] == 0  # a scene without pairs pays nothing for guards
-        print(
-            f"| {name} | {model.nv} | {rnea:.2f} | {1e6 * step:.2f} | {1e6 * step / rnea:.2f} "
-            f"| {stats['iterations'] / stats['steps']:.1f} | {end_error(scene, q, v, args.dt):.1e} "
-            f"| {1e6 * impact:.1f} | {seen} |"
-        )
+        scene, steps = smooth_scene(model), args.steps if model.nv < 50 else args.steps // 10
+        rnea, aba = pinocchio_seconds(model, q, v)
+        midpoint = smooth_cost(scene, q, v, 2, 1e-3, steps)[0]
+        tables["base"].append({
+            "model": name, "nv": model.nv, "rnea us": 1e6 * rnea, "aba us": 1e6 * aba, "midpoint us": 1e6 * midpoint,
+            "midpoint/rnea": midpoint / rnea,
+        })  # fmt: skip
+        tables["evaluations"] += evaluation_rows(name, scene, q, v)
+        tables["steps"] += step_rows(name, scene, steps, rnea, aba)
+        impact, seen = impact_cost(model, q, v, 1e-3, steps)
+        tables["impacts"].append({"model": name, "impact us": 1e6 * impact, "impacts seen": seen})
+    print(f"Instruction sets: {', '.join(_core.instruction_sets())}; used: {_core.instruction_set()}.")
+    print_table("Pinocchio, and the midpoint step at h = 1e-3 s, tol 1e-12", tables["base"])
+    print_table("Evaluations, ns per stage", tables["evaluations"])
+    print_table("Steps, tol 1e-12", tables["steps"])
+    print_table("Impacts", tables["impacts"])
 
 
 if __name__ == "__main__":

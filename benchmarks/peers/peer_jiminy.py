@@ -34,7 +34,7 @@ def prepare(job: dict, setting: dict) -> Run:
     with tempfile.NamedTemporaryFile("w", suffix=".urdf", delete=False) as file:
         file.write(urdf)
     robot = jiminy.Robot()
-    robot.initialize(file.name, False, [], False)
+    robot.initialize(file.name, bool(job["base"]), [], False)
     os.unlink(file.name)
     options = robot.get_options()
     for key in options["model"]["joints"]:
@@ -61,9 +61,11 @@ def prepare(job: dict, setting: dict) -> Run:
                                    friction=0.0, transitionEps=1e-9)  # fmt: skip
     engine.set_options(options)
     model = robot.pinocchio_model
-    index = [model.joints[model.getJointId(name)].idx_v for name in job["joints"]]
+    joints = [model.joints[model.getJointId(name)] for name in job["joints"]]
+    at_q = [*range(len(job["base"])), *(joint.idx_q for joint in joints)]
+    at_v = [*range(len(job["base_v"])), *(joint.idx_v for joint in joints)]
     q0, v0 = np.zeros(model.nq), np.zeros(model.nv)
-    q0[index], v0[index] = job["q0"], job["v0"]
+    q0[at_q], v0[at_v] = job["base"] + job["q0"], job["base_v"] + job["v0"]
 
     def run() -> tuple[list, list]:
         if engine.is_simulation_running:
@@ -74,8 +76,8 @@ def prepare(job: dict, setting: dict) -> Run:
         for _ in range(round(job["duration"] / job["sample"])):
             engine.step(job["sample"])
             state = engine.get_robot_state("")
-            out[0].append(np.array(state.q)[index])
-            out[1].append(np.array(state.v)[index])
+            out[0].append(np.array(state.q)[at_q])
+            out[1].append(np.array(state.v)[at_v])
         engine.stop()
         return out
 

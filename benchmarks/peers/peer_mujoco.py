@@ -36,6 +36,8 @@ def prepare(job: dict, setting: dict) -> Run:
         spec.worldbody.add_geom(type=plane, size=[5, 5, 1], pos=[job["wall"], 0, 0], quat=turn)
     if job["floor"]:
         spec.worldbody.add_geom(type=plane, size=[5, 5, 1])
+    if job["base"]:
+        spec.worldbody.first_body().add_freejoint()
     model = spec.compile()
     model.opt.timestep = dt
     model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{setting['integrator'].upper()}")
@@ -52,16 +54,20 @@ def prepare(job: dict, setting: dict) -> Run:
     data = mujoco.MjData(model)
     joints = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in job["joints"]]
     at_q, at_v = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+    base = 7 if job["base"] else 0  # position and quaternion, w first
     steps, samples = steps_per_sample(job, dt), round(job["duration"] / job["sample"])
 
     def run() -> tuple[list, list]:
         mujoco.mj_resetData(model, data)
         data.qpos[at_q], data.qvel[at_v] = job["q0"], job["v0"]
+        if base:  # upright at the start: world and body axes agree
+            data.qpos[:7], data.qvel[:6] = np.array(job["base"])[[0, 1, 2, 6, 3, 4, 5]], job["base_v"]
         q: list[np.ndarray] = []
         v: list[np.ndarray] = []
         for _ in range(samples):
             mujoco.mj_step(model, data, steps)
-            q.append(data.qpos[at_q].copy())
+            place = data.qpos[[0, 1, 2, 4, 5, 6, 3][:base]]
+            q.append(np.concatenate([place, data.qpos[at_q]]))
             v.append(data.qvel[at_v].copy())
         return q, v
 

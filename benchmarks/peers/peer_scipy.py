@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
-from worker import Run, measure
+from worker import Run, coordinate_rate, measure
 
 TOUCH = 1e-9  # m; the cradle's balls touch from the start: their events fire below -TOUCH
 
@@ -57,18 +57,23 @@ def contacts(job: dict, model: pin.Model) -> list[Touch]:
 
 
 def prepare(job: dict, setting: dict) -> Run:
-    model = pin.buildModelFromUrdf(job["urdf_file"])
-    data, aux, n = model.createData(), model.createData(), model.nv
-    index = [model.joints[model.getJointId(name)].idx_v for name in job["joints"]]
-    start = np.zeros(2 * n)
-    start[index], start[[n + i for i in index]] = job["q0"], job["v0"]
-    touches, tau = contacts(job, model), np.zeros(n)
+    free = bool(job["base"])
+    root = (pin.JointModelFreeFlyer(),) if free else ()
+    model = pin.buildModelFromUrdf(job["urdf_file"], *root)
+    data, aux, n = model.createData(), model.createData(), model.nq
+    joints = [model.joints[model.getJointId(name)] for name in job["joints"]]
+    at_q = [*range(7 if free else 0), *(joint.idx_q for joint in joints)]
+    at_v = [*range(n, n + 6 if free else n), *(n + joint.idx_v for joint in joints)]
+    start = np.zeros(n + model.nv)
+    start[at_q], start[at_v] = job["base"] + job["q0"], job["base_v"] + job["v0"]
+    touches, tau = contacts(job, model), np.zeros(model.nv)
     slack = TOUCH if len(touches) > 1 else 0.0
     options = {"method": setting["method"], "rtol": setting["rtol"], "atol": 0.1 * setting["rtol"]}
     samples = np.arange(1, round(job["duration"] / job["sample"]) + 1) * job["sample"]
 
     def rate(_: float, y: Array) -> Array:
-        return np.concatenate([y[n:], pin.aba(model, data, y[:n], y[n:], tau)])
+        q, v = y[:n], y[n:]
+        return np.concatenate([coordinate_rate(q, v, free), pin.aba(model, data, q, v, tau)])
 
     def event(touch: Touch) -> Callable:
         def value(_: float, y: Array) -> float:
@@ -93,10 +98,11 @@ def prepare(job: dict, setting: dict) -> Run:
 
     events = [event(touch) for touch in touches]
 
-    def run() -> tuple[Array, Array]:
-        parts, y, t, done = [], start, 0.0, 0
+    def run() -> tuple[Array, Array, dict]:
+        parts, y, t, done, evaluations = [], start, 0.0, 0, 0
         for _ in range(5000):
             out = solve_ivp(rate, (t, samples[-1]), y, t_eval=samples[done:], events=events or None, **options)
+            evaluations += out.nfev
             if len(out.t):
                 parts.append(out.y.T)
                 done += len(out.t)
@@ -105,7 +111,7 @@ def prepare(job: dict, setting: dict) -> Run:
             k = next(k for k, times in enumerate(out.t_events) if len(times))
             t, y = out.t_events[k][0], impact(out.y_events[k][0])
         states = np.concatenate(parts)
-        return states[:, :n][:, index], states[:, n:][:, index]
+        return states[:, at_q], states[:, at_v], {"evaluations": evaluations}
 
     return run
 

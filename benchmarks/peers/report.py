@@ -7,43 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bars import OWN, TARGETS, best, describe, orders, table, time_of
 from matplotlib.figure import Figure
+from settings import ESTIMATE
 
-TARGETS = (1e-2, 1e-4, 1e-6, 1e-8)
 COLORS = {
-    "contactvi": "#c8371b", "scipy": "#1f5fa8", "mujoco": "#2f9e83", "drake": "#7a5ab5", "jiminy": "#e08a00",
-    "pybullet": "#777777",
+    "contactvi": "#c8371b", "contactvi auto": "#e58a75", ESTIMATE: "#000000", "scipy": "#1f5fa8",
+    "mujoco": "#2f9e83", "drake": "#7a5ab5", "jiminy": "#e08a00", "pybullet": "#777777",
 }  # fmt: skip
 SMALLEST = 1e-13  # smaller errors are drawn here
 Rows = list[dict[str, Any]]
-
-
-def cell(rows: Rows, target: float) -> str:
-    """Time of the fastest setting with at most this error; a setting counts only if the finer ones keep the error.
-
-    One that meets the target while a slower one of the same method misses it by a factor of 3 did so by luck.
-    """
-    good = [row for row in rows if row["error"] <= target and not _lucky(row, rows, target)]
-    if not good:
-        return "never"
-    best = min(good, key=lambda row: row["ms_per_s"])
-    return f"{best['ms_per_s']:.3g}" + ("*" if best["runs"] < 2 else "")
-
-
-def _method(row: dict[str, Any]) -> tuple:
-    varied = ("dt", "rtol", "accuracy", "tol", "stiffness", "damping", "kdt2")
-    return tuple(sorted((k, v) for k, v in row["setting"].items() if k not in varied))
-
-
-def _lucky(row: dict[str, Any], rows: Rows, target: float) -> bool:
-    """Whether a slower setting of the same method, within 4 times the time, has an error 3 times over the target.
-
-    Not asked of a contact stiffness: softer contact is another model, and its error another error.
-    """
-    if "stiffness" in row["setting"] or "kdt2" in row["setting"]:
-        return False
-    same = [r for r in rows if _method(r) == _method(row) and not r["failed"]]
-    return any(row["ms_per_s"] < r["ms_per_s"] <= 4 * row["ms_per_s"] and r["error"] > 3 * target for r in same)
 
 
 def markdown(rows: Rows, own: dict[str, float], peers: list[str], missing: list[str], versions: dict[str, str]) -> str:
@@ -62,8 +35,10 @@ def markdown(rows: Rows, own: dict[str, float], peers: list[str], missing: list[
             cells = []
             for peer in peers:
                 mine = [row for row in rows if row["scene"] == scene and row["peer"] == peer]
-                cells.append(cell(mine, target) if mine else "-")
+                cells.append(time_of(best(mine, target)) if mine else "-")
             lines.append(f"| {scene} | {target:.0e} | " + " | ".join(cells) + " |")
+    if any(row["peer"] in OWN for row in rows):
+        lines += table(rows, list(own)) + orders(rows, own)
     lines += [
         "",
         "Smallest error of each peer, at its time [ms per simulated s], with the energy error at the end [J]:",
@@ -73,47 +48,19 @@ def markdown(rows: Rows, own: dict[str, float], peers: list[str], missing: list[
     for scene, error in own.items():
         cells = [best_cell([r for r in rows if r["scene"] == scene and r["peer"] == peer]) for peer in peers]
         lines.append(f"| {scene} ({error:.0e}) | " + " | ".join(cells) + " |")
-    lines += maps_table(rows, own)
     groups: dict[tuple[str, str, str], list[str]] = {}
     for row in rows:
         if row["failed"]:
             reason = row["failed"].strip().splitlines()[-1][:200]
-            setting = ", ".join(f"{k} {v:g}" if isinstance(v, float) else f"{v}" for k, v in row["setting"].items())
-            groups.setdefault((row["scene"], row["peer"], reason), []).append(setting)
-    failed = [f"- {scene} {peer} ({'; '.join(which)}): {why}" for (scene, peer, why), which in groups.items()]
+            groups.setdefault((row["scene"], row["peer"], reason), []).append(describe(row["setting"]))
+    failed = [f"- {scene} {peer} ({_some(which)}): {why}" for (scene, peer, why), which in groups.items()]
     if failed:
         lines += ["", "Settings that failed:", "", *failed]
     return "\n".join(lines) + "\n"
 
 
-def maps_table(rows: Rows, own: dict[str, float]) -> list[str]:
-    """contactvi's maps beside each other where there are impacts."""
-    mine = [row for row in rows if row["peer"] == "contactvi"]
-    maps = list(dict.fromkeys(row["setting"]["impact"] for row in mine))
-    if len(maps) < 2:
-        return []
-    lines = [
-        "",
-        "contactvi by impact map [ms per simulated s], and the order over all dt whose error is above 1e-9:",
-        "",
-    ]
-    lines += ["| scene | error | " + " | ".join(maps) + " |", "|---|---|" + "---|" * len(maps)]
-    for scene in own:
-        by_map = [[r for r in mine if r["scene"] == scene and r["setting"]["impact"] == name] for name in maps]
-        if not all(by_map):
-            continue
-        for target in TARGETS:
-            lines.append(f"| {scene} | {target:.0e} | " + " | ".join(cell(group, target) for group in by_map) + " |")
-        lines.append(f"| {scene} | order | " + " | ".join(order(group) for group in by_map) + " |")
-    return lines
-
-
-def order(rows: Rows) -> str:
-    """Least squares in the logarithms over the settings with an error in (1e-9, 0.1)."""
-    points = [(row["setting"]["dt"], row["error"]) for row in rows if 1e-9 < row["error"] < 0.1]
-    if len(points) < 3:
-        return "exact" if rows and max(row["error"] for row in rows) < 1e-9 else "-"
-    return f"{np.polyfit(*np.log(points).T, 1)[0]:.2f}"
+def _some(names: list[str], most: int = 4) -> str:
+    return "; ".join(names[:most]) + (f"; and {len(names) - most} more" if len(names) > most else "")
 
 
 def best_cell(rows: Rows) -> str:

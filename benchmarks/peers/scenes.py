@@ -1,4 +1,4 @@
-"""The scenes S1 to S6 as Pinocchio models with spheres, and their references; needs pin, numpy, scipy, contactvi.
+"""The scenes S1 to S6 and two robots as Pinocchio models, and their references; needs pin, numpy, scipy, contactvi.
 
 - S1: double pendulum, massless rods of 1 m, balls of 1 kg, from (1.5, 1.0) rad at rest, 10 s.
 - S2: chain of n = 10, 40, 100 rods of 0.1 m and 0.1 kg, axes x and y in turn, from 3/n rad each, 1 s.
@@ -6,8 +6,10 @@
 - S4: S1's pendulum from (-0.6, -0.9) rad with a ball of 5 cm at the tip, wall at x = 0.5 m, e = 1 and 0.5, 3 s.
 - S5: ball of radius 0.1 m falls from 1 m (its centre), e = 1, 10 s.
 - S6: five pendulums side by side (Newton's cradle), the first from -30 degrees, e = 1, 10 s.
+- panda: Panda arm (fingers locked), talos: Talos (reduced hands) with a free base, both from example-robot-data without
+  damping, random speeds of 1 rad/s, 1 s. Nothing was tuned for these two.
 
-References: S1 to S4 DOP853 on pin.aba at rtol 1e-13, impacts by Newton's iteration; S5 exact.
+References: S1 to S4 and the robots DOP853 on pin.aba at rtol 1e-13, impacts by Newton's iteration; S5 exact.
 
 A reference holds q at every multiple of 0.1 s. The reference of S6 is the ideal cradle: the moving ball hands all its
 momentum to the last one. The simultaneous impact has no unique answer; this is what the experiment shows.
@@ -20,6 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
+from worker import coordinate_rate
 
 from contactvi.paths import resolve_path
 
@@ -43,6 +46,18 @@ class Scene:
     floor: bool = False  # the balls stay at z >= 0
     neighbours: bool = False  # the balls touch their neighbours
     restitution: float = 1.0
+
+    @property
+    def free(self) -> bool:
+        """Whether the first joint is a free base."""
+        return self.model.nq > self.model.nv
+
+    def distance(self, q: np.ndarray, q_ref: np.ndarray) -> float:
+        """Largest distance of the rows [rad, m]: |q - q_ref|, orientations by the rotation between them."""
+        if not self.free:
+            return float(np.linalg.norm(q - q_ref, axis=1).max())
+        unit = [pin.normalize(self.model, row) for row in q]
+        return max(float(np.linalg.norm(pin.difference(self.model, a, b))) for a, b in zip(unit, q_ref, strict=True))
 
     @property
     def samples(self) -> np.ndarray:
@@ -93,6 +108,19 @@ def allegro() -> tuple[pin.Model, np.ndarray, np.ndarray]:
     return model, q0, v0
 
 
+def robot(path: str, locked: tuple[str, ...] = (), free: bool = False) -> tuple[pin.Model, np.ndarray, np.ndarray]:
+    """A robot of example-robot-data without damping; the middle of its ranges; speeds from a fixed seed."""
+    root = (pin.JointModelFreeFlyer(),) if free else ()
+    model = pin.buildModelFromUrdf(str(resolve_path(f"example-robot-data://robots/{path}")), *root)
+    if locked:
+        model = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], pin.neutral(model))
+    for values in (model.damping, model.friction, model.armature):
+        values[:] = 0.0
+    q0, base = pin.neutral(model), 7 if free else 0
+    q0[base:] = 0.5 * (model.lowerPositionLimit + model.upperPositionLimit)[base:]
+    return model, q0, np.random.default_rng(3).standard_normal(model.nv)
+
+
 def cradle() -> pin.Model:
     model = pin.Model()
     for k in range(5):
@@ -117,6 +145,11 @@ def make(name: str) -> Scene:
         scene = Scene(name, chain(n), np.full(n, 3.0 / n), np.zeros(n), 1.0)
     elif name == "S3":
         scene = Scene(name, *allegro(), 1.0)
+    elif name == "panda":
+        fingers = ("panda_finger_joint1", "panda_finger_joint2")
+        scene = Scene(name, *robot("panda_description/urdf/panda.urdf", locked=fingers), 1.0)
+    elif name == "talos":
+        scene = Scene(name, *robot("talos_data/robots/talos_reduced.urdf", free=True), 1.0)
     elif name.startswith("S4"):
         e = {"S4_e1": 1.0, "S4_e05": 0.5}[name]
         scene = Scene(name, double_pendulum(), np.array([-0.6, -0.9]), np.zeros(2), 3.0,
@@ -133,7 +166,7 @@ def make(name: str) -> Scene:
     return scene
 
 
-NAMES = ("S1", "S2_n10", "S2_n40", "S2_n100", "S3", "S4_e1", "S4_e05", "S5", "S6")
+NAMES = ("S1", "S2_n10", "S2_n40", "S2_n100", "S3", "S4_e1", "S4_e05", "S5", "S6", "panda", "talos")
 
 
 def reference(scene: Scene) -> tuple[np.ndarray, float]:
@@ -143,16 +176,17 @@ def reference(scene: Scene) -> tuple[np.ndarray, float]:
     if scene.name == "S6":
         return _ideal_cradle(scene), 1e-11
     states = [_integrate(scene, bound) for bound in (np.inf, 2e-3)]  # the second one with smaller steps
-    return states[0], float(np.linalg.norm(states[0] - states[1], axis=1).max())
+    return states[0], scene.distance(states[0], states[1])
 
 
 def _integrate(scene: Scene, max_step: float) -> np.ndarray:
     """DOP853 from sample to sample; an impact is found by Newton's iteration on integrated states, not interpolated."""
-    model, data, n = scene.model, scene.model.createData(), scene.model.nv
-    tau = np.zeros(n)
+    model, data, n = scene.model, scene.model.createData(), scene.model.nq
+    tau = np.zeros(model.nv)
 
     def rate(_: float, y: np.ndarray) -> np.ndarray:
-        return np.concatenate([y[n:], pin.aba(model, data, y[:n], y[n:], tau)])
+        q, v = y[:n], y[n:]
+        return np.concatenate([coordinate_rate(q, v, scene.free), pin.aba(model, data, q, v, tau)])
 
     def flow(y: np.ndarray, h: float) -> np.ndarray:
         return solve_ivp(rate, (0.0, h), y, max_step=max_step, **TIGHT).y[:, -1]
@@ -172,7 +206,7 @@ def _integrate(scene: Scene, max_step: float) -> np.ndarray:
             hit = flow(y, run.t_events[0][0] - t + h)
             y, t = reflect(scene, hit), run.t_events[0][0] + h
         y, t = run.y[:, -1], end
-        out.append(y[:n])
+        out.append(pin.normalize(model, y[:n]))
     return np.array(out)
 
 
@@ -232,7 +266,7 @@ def to_urdf(scene: Scene) -> str:
     def text(values) -> str:
         return " ".join(repr(float(x)) for x in values)
 
-    out = [f'<robot name="{scene.name}"><link name="base"/>']
+    out = [f'<robot name="{scene.name}">' + ("" if scene.free else '<link name="base"/>')]
     for j in range(1, model.njoints):
         inertia, place = model.inertias[j], model.jointPlacements[j]
         moments = " ".join(f'{k}="{float(x)!r}"' for k, x in _components(inertia.inertia))
@@ -242,9 +276,12 @@ def to_urdf(scene: Scene) -> str:
             if joint == j:
                 out.append(f'<collision><origin xyz="{text(centre)}"/><geometry><sphere radius="{radius!r}"/>'
                            "</geometry></collision>")  # fmt: skip
+        out.append("</link>")
+        if model.parents[j] == 0 and scene.free:
+            continue
         parent = "base" if model.parents[j] == 0 else f"L{model.parents[j]}"
         kind = "prismatic" if model.joints[j].shortname() == "JointModelPZ" else "revolute"
-        out.append(f'</link><joint name="{model.names[j]}" type="{kind}"><parent link="{parent}"/><child link="L{j}"/>'
+        out.append(f'<joint name="{model.names[j]}" type="{kind}"><parent link="{parent}"/><child link="L{j}"/>'
                    f'<origin xyz="{text(place.translation)}" rpy="{text(pin.rpy.matrixToRpy(place.rotation))}"/>'
                    f'<axis xyz="{text(_axis(model.joints[j]))}"/><limit lower="-1e4" upper="1e4" effort="1e6" '
                    'velocity="1e6"/></joint>')  # fmt: skip
