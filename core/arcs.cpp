@@ -45,7 +45,7 @@ void Simulator::go_back(const ArcStart& arc, Recording& recording) {
 }
 
 // One arc: to the end of the step in which its impact is, or to the end of the run.
-bool Simulator::run_arc(double end, double level, const Progress& progress, Recording& recording) {
+bool Simulator::run_arc(double end, double level, Recording& recording) {
   const ArcStart arc = arc_start(recording);
   const VecX no_force;
   const double s = options_.stages, duration = end - arc.time;
@@ -60,7 +60,8 @@ bool Simulator::run_arc(double end, double level, const Progress& progress, Reco
       truncation_ = 0.0;
       const double start = arc.time + static_cast<double>(k) * h;
       const bool solved = interval(start, h, no_force, recording);
-      if (!solved && status_.code != StatusCode::kNewtonFailed) return false;
+      const bool retry = status_.code == StatusCode::kNewtonFailed || status_.code == StatusCode::kEventUnresolved;
+      if (!solved && !retry) return false;
       const double seen = solved ? truncation_ : std::numeric_limits<double>::infinity();
       largest = std::max(largest, seen);
       if (seen > level) {
@@ -79,7 +80,7 @@ bool Simulator::run_arc(double end, double level, const Progress& progress, Reco
       ++step_;
       time_ = k + 1 == static_cast<long>(count) ? end : start + h;
       record_node(time_, recording);
-      if (k % 8 == 7 && !report(progress)) return false;
+      if (k % 8 == 7 && !report(time_)) return false;
       if (impacts_ > arc.impacts) break;
     }
     if (!rejected) {
@@ -98,9 +99,10 @@ Status Simulator::run_auto(double duration, double level, const Progress& progre
   const double end = time_ + duration;
   if (recording.t.empty()) record_node(time_, recording);
   reported_ = std::chrono::steady_clock::now();
+  progress_ = &progress;
   level_ = level;
   bool ok = true;
-  while (ok && time_ < end) ok = run_arc(end, level, progress, recording);
+  while (ok && time_ < end) ok = run_arc(end, level, recording);
   level_ = 0.0;
   trial_ = options_.dt;
   if (ok) {

@@ -28,6 +28,7 @@ EventFinder::EventFinder(const Scene& scene, Integrator& integrator, Guards& gua
 
 Search EventFinder::fail(Search why, int guard, double gap) {
   for (int g : pass_) guards_->unmark(g);  // the step may be tried again, shorter
+  last_h_ = 0.0;
   failed_guard_ = guard;
   failed_gap_ = gap;
   return why;

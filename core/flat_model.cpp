@@ -102,6 +102,9 @@ void place_in_parent(const Joint& joint, double parent_turn, double own_turn, La
   cos_sin(gamma, j.cos_gamma, j.sin_gamma);
   j.cos_alpha = e.cos_alpha;
   j.sin_alpha = e.sin_alpha;
+  j.alpha = e.cos_alpha == 1.0 && e.sin_alpha == 0.0   ? kLaneNoAngle
+            : e.cos_alpha == 0.0 && e.sin_alpha == 1.0 ? kLaneQuarterTurn
+                                                       : kLaneAnyAngle;
   j.turn = e.beta + own_turn;
   cos_sin(j.turn, j.cos_fixed, j.sin_fixed);
 }

@@ -17,7 +17,8 @@ constexpr double kShortFlight = 0.02;   // of the longest flight: what a step co
 constexpr int kZenoFlights = 4;         // flights in a row, each shorter than the one before
 constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
 constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
-constexpr double kShortest = 1e-3;      // of a step: halving ends there
+constexpr double kShortest = 1e-6;      // of a step: halving ends there,
+constexpr int kMostHalvings = 4000;     // and after so many in one step
 constexpr int kEasySteps = 4;           // short steps in a row before a longer one is tried
 constexpr int kCtec = 0, kDtec = 1, kMhc = 2;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
@@ -100,11 +101,11 @@ void Simulator::record_segment(double t, double h, const VecX& p1, Recording& re
 }
 
 // True unless the caller asks to stop.
-bool Simulator::report(const Progress& progress) {
+bool Simulator::report(double time) {
   using Clock = std::chrono::steady_clock;
-  if (!progress || Clock::now() - reported_ < std::chrono::milliseconds(100)) return true;
+  if (!*progress_ || Clock::now() - reported_ < std::chrono::milliseconds(100)) return true;
   reported_ = Clock::now();
-  return progress(time_, impacts_) || end(StatusCode::kInterrupted, time_, "interrupted");
+  return (*progress_)(time, impacts_) || end(StatusCode::kInterrupted, time, "interrupted");
 }
 
 Status Simulator::advance(long steps, const MatX& tau, long record_every, const Progress& progress,
@@ -113,6 +114,7 @@ Status Simulator::advance(long steps, const MatX& tau, long record_every, const 
   VecX force;
   if (recording.t.empty()) record_node(time_, recording);
   reported_ = std::chrono::steady_clock::now();
+  progress_ = &progress;
   for (long k = 0; k < steps; ++k) {
     if (tau.rows() > 0) force = tau.row(k).transpose();
     if (!interval(t0_ + static_cast<double>(step_) * options_.dt, options_.dt, force, recording)) {
@@ -124,10 +126,17 @@ Status Simulator::advance(long steps, const MatX& tau, long record_every, const 
     ++step_;
     time_ = t0_ + static_cast<double>(step_) * options_.dt;
     if (step_ % record_every == 0 || k + 1 == steps) record_node(time_, recording);
-    if (k % 64 == 63 && !report(progress)) return status_;
+    if (k % 64 == 63 && !report(time_)) return status_;
   }
   status_.time = time_;
   return status_;
+}
+
+// A step of length h did not work out: shorter from here on.
+void Simulator::halve(double h) {
+  trial_ = 0.5 * h;
+  easy_ = 0;
+  ++halved_;
 }
 
 // Smooth step of length h from (q_, p_) into (q1_, p1_); false also when it has to be tried shorter.
@@ -157,6 +166,8 @@ bool Simulator::search_failed(Search outcome, double time) {
 // From start over length: steps as long as they can be, and what the events in them ask for.
 bool Simulator::interval(double start, double length, const VecX& tau, Recording& recording) {
   double remaining = length, done = 0.0;
+  const long halved = halved_;
+  long pieces = 0;
   impacts_in_step_ = 0;
   if (options_.impact == kMhc && !options_.mhc_global) {
     q_node_ = q_;
@@ -165,22 +176,26 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
   while (remaining > 0.0) {
     const bool shorter = trial_ < remaining * (1.0 - 1e-9);
     const double h = shorter ? trial_ : remaining;
-    const bool last_try = level_ > 0.0 || h < kShortest * options_.dt;
+    const bool last_try = level_ > 0.0 || h < kShortest * options_.dt || halved_ - halved >= kMostHalvings;
+    if (++pieces % 64 == 0 && !report(start + done)) return false;
     if (!smooth_step(start + done, h, tau, last_try)) {
       if (last_try) return false;
-      trial_ = 0.5 * h;
-      easy_ = 0;
-      ++halved_;
+      halve(h);
       continue;
-    }
-    if (shorter && ++easy_ >= kEasySteps) {
-      trial_ *= 2.0;
-      easy_ = 0;
     }
     Search found = Search::kNone;
     if (guards_.count() > 0) {
       path_.set(q_, h, rates_);
       found = finder_.search(q_, p_, q1_, p1_, h, tau, path_);
+    }
+    if ((found == Search::kNewtonFailed || found == Search::kUnresolved) && !last_try) {
+      integrator_.forget();  // it had taken the step
+      halve(h);
+      continue;
+    }
+    if (shorter && ++easy_ >= kEasySteps) {
+      trial_ *= 2.0;
+      easy_ = 0;
     }
     if (found == Search::kNone) {
       record_segment(start + done, h, p1_, recording);
@@ -188,13 +203,6 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
       p_.swap(p1_);
       done += h;
       remaining = shorter ? length - done : 0.0;
-      continue;
-    }
-    if (found == Search::kNewtonFailed && !last_try) {
-      integrator_.forget();
-      trial_ = 0.5 * h;
-      easy_ = 0;
-      ++halved_;
       continue;
     }
     if (found != Search::kFound) return search_failed(found, start + done);

@@ -86,10 +86,11 @@ class Simulator {
   bool smooth_step(double time, double h, const VecX& tau, bool last_try);
   void record_node(double t, Recording& recording) const;
   void record_segment(double t, double h, const VecX& p1, Recording& recording);
-  bool report(const Progress& progress);
+  void halve(double h);
+  bool report(double time);
   ArcStart arc_start(const Recording& recording) const;
   void go_back(const ArcStart& arc, Recording& recording);
-  bool run_arc(double end, double level, const Progress& progress, Recording& recording);
+  bool run_arc(double end, double level, Recording& recording);
   bool search_failed(Search outcome, double time);
   bool resolve_event(const Instant& at, Recording& recording);
   double energy_target(double before);
@@ -114,7 +115,8 @@ class Simulator {
   double level_ = 0, truncation_ = 0;  // of run_auto: bound, largest of the interval
   double arc_h_ = 0;
   std::chrono::steady_clock::time_point reported_;
-  double speed_scale_ = 0;  // largest closing speed of a closed contact so far
+  const Progress* progress_ = nullptr;  // of the call under way
+  double speed_scale_ = 0;              // largest closing speed of a closed contact so far
   long step_ = 0, impacts_ = 0, impacts_in_step_ = 0, halved_ = 0, rejected_ = 0;
   std::vector<Bouncing> bouncing_;
   std::vector<Closed> closed_;

@@ -51,6 +51,18 @@ template <class V, class S>
 LANE_INLINE V3<V> out_of_x(S c, S s, V3<V> a) {
   return {a.x, c * a.y - s * a.z, c * a.z + s * a.y};
 }
+template <class V>
+LANE_INLINE V3<V> into_alpha(const LaneJoint& j, V3<V> a) {
+  if (j.alpha == kLaneNoAngle) return a;
+  if (j.alpha == kLaneQuarterTurn) return {a.x, a.z, -a.y};
+  return into_x(j.cos_alpha, j.sin_alpha, a);
+}
+template <class V>
+LANE_INLINE V3<V> out_of_alpha(const LaneJoint& j, V3<V> a) {
+  if (j.alpha == kLaneNoAngle) return a;
+  if (j.alpha == kLaneQuarterTurn) return {a.x, -a.z, a.y};
+  return out_of_x(j.cos_alpha, j.sin_alpha, a);
+}
 template <class V, class S>
 LANE_INLINE V3<V> times_matrix(const S* R, V3<V> a) {  // R a, row-major
   return {R[0] * a.x + R[1] * a.y + R[2] * a.z, R[3] * a.x + R[4] * a.y + R[5] * a.z,
@@ -117,7 +129,7 @@ struct Motion {
 template <class V>
 LANE_INLINE V3<V> into_body(const LaneJoint& j, const V* at, V3<V> a) {
   if (j.has_gamma) a = into_z(j.cos_gamma, j.sin_gamma, a);
-  a = into_x(j.cos_alpha, j.sin_alpha, a);
+  a = into_alpha(j, a);
   return into_z(at[0], at[1], a);
 }
 
@@ -194,7 +206,7 @@ struct Load {
 template <class V>
 LANE_INLINE V3<V> out_of_body(const LaneJoint& j, const V* at, V3<V> a) {
   a = out_of_z(at[0], at[1], a);
-  a = out_of_x(j.cos_alpha, j.sin_alpha, a);
+  a = out_of_alpha(j, a);
   return j.has_gamma ? out_of_z(j.cos_gamma, j.sin_gamma, a) : a;
 }
 

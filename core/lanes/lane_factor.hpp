@@ -56,6 +56,39 @@ LANE_INLINE void turn_x(S c, S s, Inertia<V>& A) {
   turn_general(c, s, 1, 2, A.H);
 }
 
+template <class V>
+LANE_INLINE void quarter_symmetric(V* A) {
+  const V xy = A[1], yy = A[3];
+  A[1] = -A[2];
+  A[2] = xy;
+  A[3] = A[5];
+  A[4] = -A[4];
+  A[5] = yy;
+}
+template <class V>
+LANE_INLINE void quarter_general(V* A) {
+  const V xy = A[1], yx = A[3], yy = A[4], yz = A[5];
+  A[1] = -A[2];
+  A[2] = xy;
+  A[3] = -A[6];
+  A[4] = A[8];
+  A[5] = -A[7];
+  A[6] = yx;
+  A[7] = -yz;
+  A[8] = yy;
+}
+template <class V>
+LANE_INLINE void turn_alpha(const LaneJoint& j, Inertia<V>& A) {
+  if (j.alpha == kLaneNoAngle) return;
+  if (j.alpha == kLaneQuarterTurn) {
+    quarter_symmetric(A.I);
+    quarter_symmetric(A.M);
+    quarter_general(A.H);
+  } else {
+    turn_x(j.cos_alpha, j.sin_alpha, A);
+  }
+}
+
 // R A R^T for full rotations.
 template <class V, class S>
 LANE_INLINE void turn_full(const S* R, const V* A, V* out) {
@@ -229,7 +262,7 @@ LANE_INLINE void carry_inertia(const LaneJoint& j, const V* at, Inertia<V>& A) {
       shift_by<V>(up, A);
     }
     turn_z(at[0], at[1], A);
-    turn_x(j.cos_alpha, j.sin_alpha, A);
+    turn_alpha(j, A);
     if (j.has_gamma) turn_z(j.cos_gamma, j.sin_gamma, A);
   }
   shift_by<V>(j.r, A);

@@ -13,6 +13,9 @@ namespace contactvi {
 
 enum LaneJointType { kLaneTurn, kLaneSlide, kLaneScrew, kLaneTranslate, kLaneBall };
 
+// Most robots' axes are parallel or at right angles: transforms between them that need no products.
+enum LaneAngle { kLaneAnyAngle, kLaneNoAngle, kLaneQuarterTurn };  // quarter: cos 0 and sin 1 exactly
+
 // One joint and the body it moves. 1-dof joints: the body's z axis is the joint's, and
 // (body in parent) = shift(r) Rz(gamma) Rx(alpha) shift_z(d) Rz(angle), so most transforms are rotations in a plane.
 // Translations: shift(r) C shift(q). Balls: shift(r) R, R = B exp(X).
@@ -27,6 +30,7 @@ struct LaneJoint {
   int parent_slot;  // -1: root
   bool first;       // writes its parent's slot instead of adding to it
   bool has_gamma, has_rotation;
+  int alpha;  // LaneAngle
   double cos_gamma, sin_gamma, cos_alpha, sin_alpha;
   double turn;                  // constant turn of its frame, part of base; turns and screws
   double cos_fixed, sin_fixed;  // the same of slides
