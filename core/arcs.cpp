@@ -15,7 +15,7 @@ constexpr double kSafety = 0.9;
 constexpr double kLargestGrowth = 2.0;  // of the step from one arc to the next
 constexpr double kProbeGrowth = 4.0;    // while the first step of a run is sought
 constexpr int kProbes = 12;
-constexpr double kShortestArcStep = 1e-9;  // of the duration
+constexpr double kShortestArcStep = 1e-12;  // of the duration
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
 
@@ -64,9 +64,10 @@ bool Simulator::run_arc(double end, double level, Recording& recording) {
       if (!solved && !retry) return false;
       const double seen = solved ? truncation_ : std::numeric_limits<double>::infinity();
       largest = std::max(largest, seen);
-      if (seen > level) {
+      const bool shortest = h < kShortestArcStep * duration;
+      if (!solved && shortest) return false;
+      if (seen > level && !shortest) {
         // Truncation goes with h^s; a step that did not converge is halved.
-        if (h < kShortestArcStep * duration) return false;
         const double factor = solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5;
         arc_h_ = factor * h;
         rejected = true;
