@@ -73,9 +73,9 @@ class Scene:
 
     def momentum_to_public(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
-def dense(scene: Scene, segments: dict, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int) -> tuple[object, object]:
+def dense(scene: Scene, segments: dict, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int, exact: bool = False) -> tuple[object, object]:
     """
-    States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run.
+    States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by the steps of the lengths in between (of runs without inputs).
     """
 
 def instruction_sets() -> list[str]:

@@ -122,7 +122,7 @@ class _Search:
         """Return the run and its estimated error; an interrupted run as it is, with NaN."""
         tol = self._options.tol
         level = _clip(_START * math.sqrt(tol))
-        companion, estimate = self._run(level * math.sqrt(_COMPANION)), math.nan
+        companion, estimate = self._run(level * math.sqrt(_COMPANION), slack=_COMPANION), math.nan
         for _ in range(_ROUNDS):
             if _interrupted(companion):
                 return companion, math.nan
@@ -137,14 +137,17 @@ class _Search:
             level, companion = lower, found
         return found, estimate
 
-    def _run(self, level: float, coarser: _Found | None = None) -> _Found:
-        """Run at a level; a coarser run says with which step to begin: one that is really shorter."""
+    def _run(self, level: float, coarser: _Found | None = None, slack: float = 1.0) -> _Found:
+        """Run at a level; a coarser run says with which step to begin: one that is really shorter.
+
+        slack : factor on the tolerance of the stage equations, so that their error shows in a distance too.
+        """
         guess = None
         if coarser is not None and len(coarser.steps):
             law = (coarser.level / level) ** (1.0 / self._stages)
             count = self._options.span / coarser.steps[0]
             guess = self._options.span / math.ceil(max(count * law, count + 1.0) - 1e-6)
-        simulator = engine.make(self._prepared, self._options, guess)
+        simulator = engine.make(self._prepared, self._options, guess, slack)
         self.last, refused = engine.start(simulator, self._prepared, self._options, *self._start)
         if refused is not None:
             raise refused
@@ -184,7 +187,7 @@ class _Search:
         fixed = replace(
             self._options, dt=self._options.span / count, tol=self._options.stage_tol, ledger=None, sample_dt=None
         )
-        simulator = engine.make(self._prepared, fixed)
+        simulator = engine.make(self._prepared, fixed, slack=1.0 / _COMPANION)
         record, _ = engine.start(simulator, self._prepared, fixed, *self._start)
         engine.advance(simulator, record, count, None, self._progress)
         self.seconds += record.stats.seconds

@@ -316,7 +316,6 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
     share = f" ({rest / scale:+.2g} of the largest kinetic energy)" if scale > 0 else ""
     guards = stats.guards_evaluated + stats.guards_skipped
     skipped = f", {100.0 * stats.guards_skipped / guards:.3g} % of the guards skipped" if guards else ""
-    solver = "Newton iterations" if traj.options.order == 2 else "sweeps"
     factor = f"{span / stats.seconds:.4g} x real time" if stats.seconds > 0 else ""
     return [
         ("status", f"{traj.status.code.name}: {traj.status.message}"),
@@ -327,7 +326,7 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
         ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
         ("", f"{taken:+.6g} J by impacts, {rest:+.3g} J by damping, inputs and integration error{share}"),
         ("wall time", f"{stats.seconds:.3g} s, {factor}"),
-        ("work", f"{stats.iterations} {solver}, {stats.factorizations} factorizations{skipped}"),
+        ("work", f"{stats.iterations} sweeps, {stats.factorizations} factorizations{skipped}"),
     ]
 
 

@@ -2,7 +2,8 @@
 
 A segment is one solved step, or the part of one between two impacts. The engine evaluates its polynomial: through the
 Gauss stages, raised so that it meets the velocities at both ends (core/path.hpp), it is accurate to O(h^(s+2)) in q
-with s = order / 2 stages; at the ends of segments it is the run itself.
+with s = order / 2 stages; at the ends of segments it is the run itself. In long steps of high order that is much less
+than at the nodes: what is asked for one by one is found by a step that ends there.
 """
 
 from __future__ import annotations
@@ -54,9 +55,13 @@ class Segments:
     def __len__(self) -> int:
         return len(self.arrays["t"])
 
-    def states(self, core: Any, times: Array) -> tuple[Array, Array]:
-        """Return q (N, nq) and v (N, nv) at times [s], at an impact those after it. `core`: the engine's scene."""
-        return engine_states(core, self.arrays, np.ascontiguousarray(times, dtype=float), self.order)
+    def states(self, core: Any, times: Array, exact: bool = False) -> tuple[Array, Array]:
+        """Return q (N, nq) and v (N, nv) at times [s], at an impact those after it. `core`: the engine's scene.
+
+        exact : by steps of the lengths in between, which start from the polynomials and are as accurate as the nodes;
+        not of runs with inputs, which segments do not keep.
+        """
+        return engine_states(core, self.arrays, np.ascontiguousarray(times, dtype=float), self.order, exact)
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int) -> Segments | None:

@@ -18,12 +18,15 @@ from contactvi.status import Status, StatusCode
 _FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects in the first arc
 
 
-def make(prepared: Prepared, options: Options, first_dt: float | None = None) -> Any:
-    """Return a new simulator of the engine (_core.Simulator); first_dt: of "auto", the step to begin with [s]."""
+def make(prepared: Prepared, options: Options, first_dt: float | None = None, slack: float = 1.0) -> Any:
+    """Return a new simulator of the engine (_core.Simulator).
+
+    first_dt : of "auto", the step to begin with [s]. slack : factor on the tolerance of the stage equations.
+    """
     return _core.Simulator(
         prepared.core,
         (first_dt or _FIRST_DT) if options.auto else options.fixed_dt,
-        options.stage_tol,
+        options.stage_tol * slack,
         IMPACT_MAPS.index(options.impact),
         options.max_impacts_per_step,
         options.max_iterations,

@@ -54,7 +54,7 @@ class Options:
     max_impacts_per_step : a run with more impacts in one step ends with the status TOO_MANY_IMPACTS.
     ledger : tolerances on the ledger of the run, name -> bound >= 0 (contactvi.ledger says what is bounded, relative to
         what); the run ends with the status LEDGER where one is exceeded.
-    max_iterations : sweeps (order 2: Newton iterations) per step before it is given up.
+    max_iterations : sweeps per attempt at a step before it is tried from other start values, or shorter.
     sample_dt : keep the states at every sample_dt [s] from the start, and the last one, instead of those at the ends of
         steps: the steps stay what they are, the samples are taken from their polynomials.
     dense : keep the polynomial of every step, which Trajectory.at evaluates; by default from order 4 on, and with
@@ -147,7 +147,7 @@ class Options:
     @property
     def stage_tol(self) -> float:
         """What the equations of a step are solved to, relative, in the energy norm."""
-        return min(max(1e-3 * self.tol, 1e-14), 1e-9) if self.auto else self.tol
+        return min(max(1e-5 * self.tol, 1e-15), 1e-10) if self.auto else self.tol
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as a plain dictionary; `from_dict` reads it back."""

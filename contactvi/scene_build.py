@@ -98,12 +98,15 @@ def engine_scene(built: Built) -> Any:
 
 
 def engine_states(
-    core: Any, segments: Mapping[str, np.ndarray], times: np.ndarray, order: int
+    core: Any, segments: Mapping[str, np.ndarray], times: np.ndarray, order: int, exact: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return q (N, nq), v (N, nv) at times [s] from segments of a run (contactvi.dense); `core`: from engine_scene."""
+    """Return q (N, nq), v (N, nv) at times [s] from segments of a run (contactvi.dense); `core`: from engine_scene.
+
+    exact : by partial steps, for runs without inputs; else from the polynomials.
+    """
     from contactvi import _core
 
-    q, v = _core.dense(core, dict(segments), times, order)
+    q, v = _core.dense(core, dict(segments), times, order, exact)
     return np.asarray(q), np.asarray(v)
 
 

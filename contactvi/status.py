@@ -44,7 +44,7 @@ class Stats:
     """What a run cost.
 
     steps : accepted steps of length dt, or with dt="auto" of the lengths chosen.
-    iterations, sweeps : Newton iterations at order 2, sweeps over the stages from order 4 on (two names of one number).
+    iterations, sweeps : sweeps over the stages of a step (two names of one number).
     residuals : evaluations of the step equation. factorizations : of the mass matrix or the Newton matrix.
     halved : steps cut in two because their sweeps did not converge. rejected : steps that "auto" made again shorter.
     guards_evaluated, guards_skipped : pairs and limits looked at, and those that could not be reached in the step.

@@ -188,10 +188,11 @@ class Trajectory:
         return self._gaps
 
     def at(self, t: ArrayLike) -> State:
-        """Return the state at time t [s]: from the polynomials of the steps, accurate to O(h^(order/2 + 3)) of them.
+        """Return the state at time t [s], as accurate as the nodes: by a step that ends there, for the price of one.
 
         t : one time, or an array of n times; then q, v, p of the state have a first axis n. At an impact it is the
-        state after it. Raises InputError outside the run, and for a run whose polynomials were not kept.
+        state after it. Of a run with inputs, which are not kept, it comes from the polynomials of the steps, accurate
+        to O(h^(order/2 + 2)). Raises InputError outside the run, and for a run whose polynomials were not kept.
         """
         times = self._within(t)
         if self.segments is None:
@@ -206,7 +207,7 @@ class Trajectory:
                 remedy="Run it with dense=True; resample interpolates between the nodes",
             )
         core = self._engine()
-        q, v = self.segments.states(core, times)
+        q, v = self.segments.states(core, times, exact=not self.forced)
         p = np.asarray(core.momentum(q, v))
         return State(np.array(t, dtype=float), q, v, p) if np.ndim(t) else State(float(times[0]), q[0], v[0], p[0])
 

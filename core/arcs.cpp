@@ -13,8 +13,10 @@ namespace contactvi {
 namespace {
 constexpr double kSafety = 0.9;
 constexpr double kLargestGrowth = 2.0;  // of the step from one arc to the next
-constexpr double kProbeGrowth = 4.0;    // while the first step of a run is sought
-constexpr int kProbes = 12;
+constexpr double kProbeGrowth = 1.6;    // while the first step of a run is sought
+constexpr int kProbes = 16;
+constexpr double kEasySweeps = 9.0, kManySweeps = 20.0;  // per step: what a longer one may follow, what is too long
+constexpr double kBelowFailure = 0.75;  // of a step that did not converge: the longest tried from then on
 constexpr double kShortestArcStep = 1e-12;  // of the duration
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
@@ -50,16 +52,19 @@ bool Simulator::run_arc(double end, double level, Recording& recording) {
   const VecX no_force;
   const double s = options_.stages, duration = end - arc.time;
   int probes = recording.arc_t.empty() ? kProbes : 0;
-  double largest = 0.0;
+  double largest = 0.0, most_sweeps = 0.0;
   for (;;) {
     const double count = std::max(1.0, std::ceil(duration / arc_h_ - 1e-9)), h = duration / count;
     bool rejected = false;
-    largest = 0.0;
+    largest = most_sweeps = 0.0;
     trial_ = h;
     for (long k = 0; k < static_cast<long>(count) && !rejected; ++k) {
       truncation_ = 0.0;
       const double start = arc.time + static_cast<double>(k) * h;
+      const long before = integrator_.counters.sweeps;
       const bool solved = interval(start, h, no_force, recording);
+      const double sweeps = static_cast<double>(integrator_.counters.sweeps - before);
+      most_sweeps = std::max(most_sweeps, sweeps);
       const bool retry = status_.code == StatusCode::kNewtonFailed || status_.code == StatusCode::kEventUnresolved;
       if (!solved && !retry) return false;
       const double seen = solved ? truncation_ : std::numeric_limits<double>::infinity();
@@ -70,11 +75,13 @@ bool Simulator::run_arc(double end, double level, Recording& recording) {
         // Truncation goes with h^s; a step that did not converge is halved.
         const double factor = solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5;
         arc_h_ = factor * h;
+        if (!solved) longest_h_ = kBelowFailure * h;
         rejected = true;
         break;
       }
-      if (k == 0 && probes-- > 0 && count > 1.0 && seen < level * std::pow(1.0 / 3.0, s)) {
-        arc_h_ = h * std::min(kProbeGrowth, kSafety * std::pow(level / std::max(seen, 1e-300), 1.0 / s));
+      if (k == 0 && probes-- > 0 && count > 1.0 && sweeps <= kEasySweeps && kProbeGrowth * h <= longest_h_ &&
+          seen < level * std::pow(1.0 / kProbeGrowth, s)) {
+        arc_h_ = kProbeGrowth * h;
         rejected = true;
         break;
       }
@@ -87,8 +94,10 @@ bool Simulator::run_arc(double end, double level, Recording& recording) {
     if (!rejected) {
       recording.arc_t.push_back(arc.time);
       recording.arc_dt.push_back(h);
-      const double growth = kSafety * std::pow(level / std::max(largest, 1e-300), 1.0 / s);
-      arc_h_ = std::max(h, std::min(arc_h_, h)) * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth);
+      double growth = kSafety * std::pow(level / std::max(largest, 1e-300), 1.0 / s);
+      // Steps near the longest that converge cost more than they cover.
+      if (most_sweeps > kEasySweeps) growth = std::min(growth, most_sweeps > kManySweeps ? 1.0 / kProbeGrowth : 1.0);
+      arc_h_ = std::min(longest_h_, h * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth));
       return true;
     }
     go_back(arc, recording);
@@ -102,6 +111,7 @@ Status Simulator::run_auto(double duration, double level, const Progress& progre
   reported_ = std::chrono::steady_clock::now();
   progress_ = &progress;
   level_ = level;
+  longest_h_ = std::numeric_limits<double>::infinity();
   bool ok = true;
   while (ok && time_ < end) ok = run_arc(end, level, recording);
   level_ = 0.0;

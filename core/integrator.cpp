@@ -18,7 +18,7 @@ constexpr double kBest = 1e-2;    // contraction
 // links and the Allegro hand, it saves sweeps with 4 stages and more too, but not time (benchmarks/README.md).
 constexpr double kSlow = 0.3;
 constexpr int kNewtonStages = 3;
-constexpr double kNear = 0.3, kFarEnergy = 1e3;
+constexpr double kNear = 0.3, kFarEnergy = 30.0;
 constexpr double kVerySlow = 0.5;  // contraction from which on acceleration pays
 }  // namespace
 

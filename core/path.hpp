@@ -3,9 +3,9 @@
 // In the chart at q0, q(tau) = q0 (+) X(tau): X'(tau) = sum_k coef_k P_k(2 tau - 1), X(tau) = h int_0^tau X'. The s
 // stage rates give the collocation polynomial, O(h^(s+1)) inside of the step. Raised by M(tau)(a + b (2 tau - 1)), M
 // = P_s(2 tau - 1), it takes the velocities of both ends as well: they are true to O(h^2s) however few stages there
-// are, M vanishes at the stages, X(1) stays as it is, and the error inside is O(h^(s+3)). One stage: the cubic
-// Hermite polynomial through both ends, or the one through a half step. Legendre's basis, because |P_k| <= 1 bounds
-// the rates by the sum of their coefficients.
+// are, M vanishes at the stages, X(1) stays as it is, and the error inside is O(h^(s+2)), that of the stages. One
+// stage: the cubic Hermite polynomial through both ends, or the one through a half step. Legendre's basis, because
+// |P_k| <= 1 bounds the rates by the sum of their coefficients.
 #pragma once
 
 #include "gauss.hpp"

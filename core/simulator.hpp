@@ -113,7 +113,7 @@ class Simulator {
   double trial_ = 0;  // length of the next step to try: shorter than dt after steps that did not converge
   int easy_ = 0;      // steps of that length solved in a row
   double level_ = 0, truncation_ = 0;  // of run_auto: bound, largest of the interval
-  double arc_h_ = 0;
+  double arc_h_ = 0, longest_h_ = 0;
   std::chrono::steady_clock::time_point reported_;
   const Progress* progress_ = nullptr;  // of the call under way
   double speed_scale_ = 0;              // largest closing speed of a closed contact so far

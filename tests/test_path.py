@@ -145,6 +145,6 @@ def test_nothing_is_below_zero_between_the_nodes(order, h, seed):
     traj = cvi.simulate(public_scene(model, shapes), q, v, 1.0, h, order=order)
     assert len(traj.events) >= 15
     core = traj.scene.core()
-    # the dense output is good to O(h^(s+3)) of motions of some metres
+    # the dense output is good to O(h^(s+2)) of motions of some metres
     worst = min(float(np.min(core.gaps(state)[0])) for state in traj.at(np.linspace(0.0, 1.0, 2001)).q)
     assert worst >= -1e-6

@@ -35,7 +35,18 @@ bool set_path(Integrator& integrator, const Pieces& pieces, Eigen::Index i, int 
   return true;
 }
 
-auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int order) {
+constexpr double kAtNode = 1e-9;
+
+// State at the fraction tau of a segment by the step of that length from its start, which is as true as a node.
+bool solve_to(Integrator& integrator, const StepPath& path, double tau, const VecX& p0, VecRef q, VecRef v) {
+  if (tau < kAtNode || tau > 1.0 - kAtNode) return false;  // the polynomial meets the nodes
+  VecX p1(v.size());
+  if (!integrator.solve_part(path, tau, path.q0(), p0, VecX())) return false;
+  integrator.finish(q, p1);
+  return integrator.node_velocity(q, p1, v);
+}
+
+auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int order, bool exact) {
   const Pieces pieces{nb::cast<VecX>(segments["t"]), nb::cast<VecX>(segments["h"]),  nb::cast<Rows>(segments["q"]),
                       nb::cast<Rows>(segments["p"]), nb::cast<Rows>(segments["p1"]), nb::cast<Rows>(segments["rates"])};
   const Tree& tree = s.tree;
@@ -43,10 +54,10 @@ auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int orde
   const int stages = order / 2;
   if (n == 0 || pieces.q.cols() != tree.nq || pieces.rates.cols() != tree.nv * stages)
     throw Error("the segments do not belong to this scene and order");
-  Integrator integrator(tree, 1, 1e-12, 1);
+  Integrator integrator(tree, stages, 1e-15, 60);
   StepPath path(tree, stages);
   Rows q(times.size(), tree.nq), v(times.size(), tree.nv);
-  VecX qi(tree.nq), vi(tree.nv);
+  VecX qi(tree.nq), vi(tree.nv), p0(tree.nv);
   Eigen::Index at = -1;
   for (Eigen::Index k = 0; k < times.size(); ++k) {
     const double* end = pieces.t.data() + n;
@@ -55,8 +66,11 @@ auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int orde
       throw Error("the mass matrix is not positive definite");
     at = i;
     const double tau = std::clamp((times[k] - pieces.t[i]) / pieces.h[i], 0.0, 1.0);
-    path.configuration(tau, qi);
-    path.velocity(tau, vi);
+    p0 = pieces.p.row(i);
+    if (!exact || !solve_to(integrator, path, tau, p0, qi, vi)) {
+      path.configuration(tau, qi);
+      path.velocity(tau, vi);
+    }
     engine_to_public(tree, qi, vi);
     q.row(k) = qi;
     v.row(k) = vi;
@@ -67,8 +81,9 @@ auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int orde
 }  // namespace
 
 void expose_dense(nb::module_& m) {
-  m.def("dense", &dense, "scene"_a, "segments"_a, "times"_a, "order"_a,
-        "States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run.");
+  m.def("dense", &dense, "scene"_a, "segments"_a, "times"_a, "order"_a, "exact"_a = false,
+        "States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by "
+        "the steps of the lengths in between (of runs without inputs).");
 }
 
 }  // namespace contactvi
