@@ -114,8 +114,10 @@ def _copy_slices(source: pin.Model, model: pin.Model, i: int, joint: int) -> Non
 
 def _add_frames(model: pin.Model, part: Part, joints: list[int]) -> list[int]:
     """Add the part's frames; return the assembled index of each."""
-    frames = [0]
-    for frame in list(part.model.frames)[1:]:
+    source = list(part.model.frames)
+    frames = [0] * len(source)
+    for i in _parents_first([frame.parentFrame for frame in source]):
+        frame = source[i]
         placement = frame.placement
         if frame.parentJoint == 0:
             placement = part.placement * placement
@@ -128,8 +130,26 @@ def _add_frames(model: pin.Model, part: Part, joints: list[int]) -> list[int]:
             frame.inertia,
         )
         # The inertia is in the joint's already.
-        frames.append(model.addFrame(copy, False))
+        frames[i] = model.addFrame(copy, False)
     return frames
+
+
+def _parents_first(parents: list[int]) -> list[int]:
+    """Return the indices from 1 on, each after its parent: in reduced models a frame may stand before its parent."""
+    order: list[int] = []
+    done = {0}
+    waiting = list(range(1, len(parents)))
+    while waiting:
+        ready = []
+        for i in waiting:
+            if parents[i] in done or parents[i] == i:
+                done.add(i)
+                ready.append(i)
+        if not ready:  # a circle has no first one
+            return order + waiting
+        order += ready
+        waiting = [i for i in waiting if i not in done]
+    return order
 
 
 def _moved(geometry: pin.GeometryObject, part: Part, joints: list[int], frames: list[int] | None) -> pin.GeometryObject:

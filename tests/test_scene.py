@@ -111,6 +111,18 @@ class TestAssembly:
         with pytest.raises(SceneError, match="depth-first"):
             Scene.from_pinocchio(chain(parents))
 
+    def test_a_reduced_model_is_taken(self):
+        """Its locked joints are frames that stand behind the frames fixed to them."""
+        model = chain([0, 1, 2])
+        for name, joint in (("tool", 3), ("tip", 3)):
+            parent = model.getFrameId("tool") if name == "tip" else 0
+            model.addFrame(pin.Frame(name, joint, parent, IDENTITY, pin.FrameType.OP_FRAME))
+        reduced = pin.buildReducedModel(model, [3], pin.neutral(model))
+        scene = Scene.from_pinocchio(reduced)
+        assert scene.nv == 2
+        names = {frame.name: frame.parentFrame for frame in scene.model.frames}
+        assert scene.model.frames[names["tip"]].name == "tool"
+
     @pytest.mark.parametrize("parents", [[0, 1, 1], [0, 1, 2, 1, 0]])
     def test_depth_first_orders_are_taken(self, parents):
         assert Scene.from_pinocchio(chain(parents)).nv == len(parents)
