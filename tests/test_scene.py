@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 
 from contactvi.errors import InputError, SceneError, UnsupportedJointError
+from contactvi.paths import resolve_path
 from contactvi.scene import Scene
 
 ROBOTS = "example-robot-data://robots/"
