@@ -116,7 +116,8 @@ def _add_frames(model: pin.Model, part: Part, joints: list[int]) -> list[int]:
     """Add the part's frames; return the assembled index of each."""
     source = list(part.model.frames)
     frames = [0] * len(source)
-    for i in _parents_first([frame.parentFrame for frame in source]):
+    parents = [_parent_frame(part.model, i) for i in range(len(source))]
+    for i in _parents_first(parents):
         frame = source[i]
         placement = frame.placement
         if frame.parentJoint == 0:
@@ -124,7 +125,7 @@ def _add_frames(model: pin.Model, part: Part, joints: list[int]) -> list[int]:
         copy = pin.Frame(
             part.prefix + frame.name,
             joints[frame.parentJoint],
-            frames[frame.parentFrame],
+            frames[parents[i]],
             placement,
             frame.type,
             frame.inertia,
@@ -134,22 +135,23 @@ def _add_frames(model: pin.Model, part: Part, joints: list[int]) -> list[int]:
     return frames
 
 
+def _parent_frame(model: pin.Model, i: int) -> int:
+    """Return the frame that frame i stands on; buildReducedModel makes locked joints frames that name themselves."""
+    frame = model.frames[i]
+    if frame.parentFrame != i or i == 0:
+        return int(frame.parentFrame)
+    own = model.names[frame.parentJoint]
+    return int(model.getFrameId(own, pin.FrameType.JOINT)) if model.existFrame(own, pin.FrameType.JOINT) else 0
+
+
 def _parents_first(parents: list[int]) -> list[int]:
-    """Return the indices from 1 on, each after its parent: in reduced models a frame may stand before its parent."""
-    order: list[int] = []
-    done = {0}
-    waiting = list(range(1, len(parents)))
+    """Return the indices from 1 on, each after its parent; what has no way to frame 0 comes last."""
+    order, waiting = [0], list(range(1, len(parents)))
     while waiting:
-        ready = []
-        for i in waiting:
-            if parents[i] in done or parents[i] == i:
-                done.add(i)
-                ready.append(i)
-        if not ready:  # a circle has no first one
-            return order + waiting
+        ready = [i for i in waiting if parents[i] in order] or waiting
         order += ready
-        waiting = [i for i in waiting if i not in done]
-    return order
+        waiting = [i for i in waiting if i not in ready]
+    return order[1:]
 
 
 def _moved(geometry: pin.GeometryObject, part: Part, joints: list[int], frames: list[int] | None) -> pin.GeometryObject:
