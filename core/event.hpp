@@ -67,7 +67,7 @@ class EventFinder {
   Search resume(Suspect& s, const Point& from);
   Search locate(Suspect& s, bool& exists);
   Search separate(Suspect& s);
-  Search polish(Suspect& s, bool& exists);
+  Search polish(Suspect& s, bool lo_seen, bool& exists);
   bool someone_is_earlier(const Suspect& first);
   bool exact_at(int guard, double tau, Point& point);  // false: no convergence
   void cross(Suspect& s, const Point& lo, const Point& hi, double offset);

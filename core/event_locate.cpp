@@ -166,11 +166,12 @@ Search EventFinder::locate(Suspect& s, bool& exists) {
     guards_->place(event_.q);
     return accept(s.guard, {0.0, guards_->evaluate(s.guard, contact_), 0.0}, true);
   }
-  if (!s.lo_sure) {
+  const bool probe = !s.lo_sure;
+  if (probe) {
     const Search outcome = separate(s);
     if (outcome != Search::kNone || s.persistent) return outcome;
   }
-  return polish(s, exists);
+  return polish(s, probe || s.lo.tau == 0.0, exists);
 }
 
 // A point on the exact path where the gap is positive, before the crossing.
@@ -192,12 +193,12 @@ Search EventFinder::separate(Suspect& s) {
   return locate(s, exists);
 }
 
-Search EventFinder::polish(Suspect& s, bool& exists) {
+// lo_seen: the gap at s.lo was seen to be positive on the exact path.
+Search EventFinder::polish(Suspect& s, bool lo_seen, bool& exists) {
   const int g = s.guard;
   const double tolerance = guards_->root_tolerance(g);
   double lo = s.lo.tau, hi = s.hi.tau, x = s.root > lo && s.root <= hi ? s.root : 0.5 * (lo + hi);
   Point p{}, before{0.0, std::numeric_limits<double>::infinity(), 0.0};
-  bool lo_seen = lo == 0.0;
   for (int k = 0; k < kMaxProbes; ++k) {
     if (!exact_at(g, x, p)) return fail(Search::kNewtonFailed, g, 0);
     if (!std::isfinite(p.gap)) return fail(Search::kUnresolved, g, p.gap);
