@@ -31,7 +31,8 @@ def advice(result: Bench) -> str:
         assert row is not None
         chosen[_setting(row)] = f"error {10.0 ** np.ceil(np.log10(row.error)):.0e}"
     smallest = min(good, key=lambda row: row.error)
-    chosen.setdefault(_setting(smallest), f"smallest measured, {smallest.error:.1e}")
+    if result.best(smallest.error) is smallest:
+        chosen.setdefault(_setting(smallest), f"smallest measured, {smallest.error:.1e}")
     return "; ".join(f"{error}: {setting}" for setting, error in chosen.items()) + "."
 
 
