@@ -19,6 +19,7 @@ _ENERGY, _MODIFIED, _CORRECTED, _IMPACT, _LIMIT = "#1f5fa8", "#e08a00", "#2f9e83
 _DISCRETE = "#7d6608"
 _MAX_MARKS = 400  # impacts drawn as lines
 _MAX_PAIRS = 6  # gaps drawn
+_FEW_NODES = 200
 
 
 def plot(traj: Trajectory) -> Figure:
@@ -57,7 +58,7 @@ def save_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
 def _draw_energy(axis: Axes, traj: Trajectory) -> None:
     """Energy with its jumps: the impacts are put in as points of their own, before and after."""
     t, change = _with_jumps(traj)
-    axis.plot(t, change, color=_ENERGY, lw=1.4, label="H - H(0)")
+    axis.plot(t, change, color=_ENERGY, lw=1.4, marker=_marker(traj), ms=4, label="H - H(0)")
     axis.set_ylabel("energy change [J]")
     _legend(axis)
 
@@ -81,7 +82,7 @@ def _draw_error(axis: Axes, traj: Trajectory) -> None:
             continue
         kept = "kept across the parts of cut steps by DTEC" if own == "dtec" else f"conserved by {own.upper()}"
         label, width = (f"{name} ({kept})", 1.8) if method == own else (name, 1.0)
-        axis.plot(traj.t, change - known[0], color=color, lw=width, ls=style, label=label)
+        axis.plot(traj.t, change - known[0], color=color, lw=width, ls=style, marker=_marker(traj), ms=4, label=label)
     axis.set_ylabel("damping, inputs,\nintegrator [J]")
     axis.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3))
     _legend(axis)
@@ -95,6 +96,11 @@ def _draw_gaps(axis: Axes, time: np.ndarray, pairs: list[tuple[str, str]], gap: 
     more = f" ({len(order)} of {len(pairs)} pairs that touched)" if len(pairs) > len(order) else ""
     axis.set_ylabel(f"gap [m]{more}")
     _legend(axis)
+
+
+def _marker(traj: Trajectory) -> str:
+    """Nodes are marked where there are few: energies are known at nodes and impacts only."""
+    return "." if len(traj) <= _FEW_NODES else ""
 
 
 def _with_jumps(traj: Trajectory) -> tuple[np.ndarray, np.ndarray]:

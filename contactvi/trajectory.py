@@ -175,16 +175,24 @@ class Trajectory:
 
     @property
     def gaps(self) -> tuple[Array, list[tuple[str, str]], Array]:
-        """(times (M,), pairs, gaps (M, len(pairs)) [m]) of the pairs that touched, at not more than 2000 nodes."""
+        """(times (M,), pairs, gaps (M, len(pairs)) [m]) of the pairs that touched, at not more than 2000 times.
+
+        The times are nodes; where these are too far apart for pictures, `frames` and impacts too.
+        """
         if self._gaps is None:
             index = np.unique(self.events.array("index")[self.events.array("kind") == 0])
-            nodes = np.unique(np.linspace(0, len(self) - 1, min(len(self), _MAX_GAP_SAMPLES)).round().astype(int))
-            values = np.zeros((len(nodes), len(index)))
+            t, q = self.t, self.q
+            if len(self.frames[0]):
+                t = np.concatenate([t, self.frames[0], self.events.array("time")])
+                t, first = np.unique(t, return_index=True)
+                q = np.concatenate([q, self.frames[1], self.events.array("q")])[first]
+            chosen = np.unique(np.linspace(0, len(t) - 1, min(len(t), _MAX_GAP_SAMPLES)).round().astype(int))
+            values = np.zeros((len(chosen), len(index)))
             if len(index):
                 core = self._engine()
-                for row, node in enumerate(nodes):
-                    values[row] = core.gaps(self.q[node])[0][index]
-            self._gaps = (self.t[nodes], [self.events.label(0, int(i)) for i in index], values)
+                for row, k in enumerate(chosen):
+                    values[row] = core.gaps(q[k])[0][index]
+            self._gaps = (t[chosen], [self.events.label(0, int(i)) for i in index], values)
         return self._gaps
 
     def at(self, t: ArrayLike) -> State:
