@@ -1,5 +1,6 @@
 #include "path.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace contactvi {
@@ -7,7 +8,8 @@ namespace contactvi {
 namespace {
 
 constexpr double kChartEnd = 36.0;  // [rad^2] of rotation: J^-1 is singular at 2 pi
-constexpr double kSafety = 0.25;    // of what raising corrects, for what it leaves
+constexpr double kSafety = 0.25;    // of what raising corrects, for what it leaves; more, as far as 1,
+constexpr double kCoarse = 10.0;    // where that is much of the motion
 
 template <class Function>
 void for_spherical(const Tree& tree, Function&& function) {
@@ -128,9 +130,11 @@ void StepPath::bound(VecRef bound) const {
 void StepPath::doubt(VecRef doubt) const {
   doubt.setZero();
   if (raised_) {
+    const double motion = coef_.leftCols(stages_).norm(), share = coef_.col(stages_).norm() / std::max(motion, 1e-300);
+    const double safety = stages_ == 1 ? kSafety : std::min(1.0, kSafety + kCoarse * share);
     // One stage: the linear part is the acceleration, known from both ends.
-    if (stages_ > 1) add_size(*tree_, coef_.col(stages_), kSafety, doubt);
-    add_size(*tree_, coef_.col(stages_ + 1), 2.0 * kSafety, doubt);
+    if (stages_ > 1) add_size(*tree_, coef_.col(stages_), safety, doubt);
+    add_size(*tree_, coef_.col(stages_ + 1), 2.0 * safety, doubt);
     return;
   }
   add_size(*tree_, coef_.col(stages_ - 1), 1.0, doubt);
