@@ -150,6 +150,22 @@ def test_several_bounces_in_one_step(method, order, restitution):
     assert np.all(np.isfinite(result.p))
 
 
+def test_a_step_of_many_bounces_can_be_stopped():
+    """One step of a day: stopped inside of it, with its last node where it was stopped."""
+    scene, duration = ball_scene(), 86400.0
+    simulator = map_runs.start(
+        scene, scene.neutral(), np.zeros(6), duration, "ctec", order=4, max_impacts_per_step=10**9
+    )
+
+    def stop(t, impacts):
+        raise KeyboardInterrupt
+
+    result = simulator.advance(1, None, 1, stop)
+    assert result["code"] == INTERRUPTED
+    assert 0.0 < result["t"][-1] == result["time"] < duration
+    assert result["stats"]["impacts"] == len(result["events"]["time"]) > 10
+
+
 @MAPS
 @pytest.mark.parametrize("order", [4, 8, 16])
 def test_a_hand_and_a_ball_in_long_steps(method, order):
