@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi import dense, engine
 from contactvi.errors import AccuracyWarning, PenetrationError
 from contactvi.ledger import Ledger, Watch
+from contactvi.map_checks import check_map
 from contactvi.options import Options
 from contactvi.prepared import Prepared
 from contactvi.record import Record
@@ -65,9 +66,12 @@ def run(
 
     Raises PenetrationError where `throw`. Warns with AccuracyWarning where tol was not reached.
     """
+    check_map(prepared, options)
     search = _Search(prepared, options if options.dense else replace(options, dense=True), q0, v0, progress)
     try:
         found, estimate = search.search()
+    except KeyboardInterrupt:
+        found, estimate = search.stopped(), math.nan
     except PenetrationError:
         if throw:
             raise
@@ -117,6 +121,7 @@ class _Search:
         self._stages = options.order // 2
         self.seconds = 0.0
         self.last: Record
+        self._engine: Any = None
 
     def search(self) -> tuple[_Found, float]:
         """Return the run and its estimated error; an interrupted run as it is, with NaN."""
@@ -124,10 +129,10 @@ class _Search:
         level = _clip(_START * math.sqrt(tol))
         companion, estimate = self._run(level * math.sqrt(_COMPANION), slack=_COMPANION), math.nan
         for _ in range(_ROUNDS):
-            if _interrupted(companion):
+            if _interrupted(companion) or not len(companion.segments["t"]):  # it ended where it started
                 return companion, math.nan
             found = self._run(level, companion)
-            if _interrupted(found):
+            if _interrupted(found) or not len(found.segments["t"]):
                 return found, math.nan
             estimate = self._estimate(companion, found, estimate)
             share = _AIM * tol / estimate if estimate > 0.0 else 0.0
@@ -136,6 +141,13 @@ class _Search:
                 break
             level, companion = lower, found
         return found, estimate
+
+    def stopped(self) -> _Found:
+        """Return the last run as it is, INTERRUPTED; raises KeyboardInterrupt before there is one."""
+        if self._engine is None:
+            raise KeyboardInterrupt
+        self.last.status = Status(StatusCode.INTERRUPTED, "stopped by the user", float(self.last.t[-1][-1]))
+        return _Found(math.nan, self.last, self._engine)
 
     def _run(self, level: float, coarser: _Found | None = None, slack: float = 1.0) -> _Found:
         """Run at a level; a coarser run says with which step to begin: one that is really shorter.
@@ -151,6 +163,7 @@ class _Search:
         self.last, refused = engine.start(simulator, self._prepared, self._options, *self._start)
         if refused is not None:
             raise refused
+        self._engine = simulator
         engine.take(self.last, engine.call(simulator.run_auto, self._options.span, level, self._progress))
         self.seconds += self.last.stats.seconds
         return _Found(level, self.last, simulator)
@@ -159,6 +172,10 @@ class _Search:
         """Estimate the error of a run from its distance to its companion, whose error is expected so large (or NaN)."""
         floor, size = self._floor(found)
         floor = max(floor, _transient(found))
+        if not found.record.status.ok:
+            # Accumulating impacts end runs where they meet them: up to there they are compared.
+            same = companion.record.status.code == found.record.status.code
+            return max(floor, _distance(companion.record, found.record, ended=True)) if same else math.inf
         share = _share(companion, found, 2 * self._stages + 1)
         if not math.isfinite(share):
             return max(floor, self._against_finer(found))
@@ -191,6 +208,8 @@ class _Search:
         record, _ = engine.start(simulator, self._prepared, fixed, *self._start)
         engine.advance(simulator, record, count, None, self._progress)
         self.seconds += record.stats.seconds
+        if record.status.code == StatusCode.INTERRUPTED:
+            raise KeyboardInterrupt
         return _distance(record, found.record)
 
 
@@ -243,11 +262,14 @@ def _largest(distances: Array) -> float:
     return largest if math.isfinite(largest) else math.inf
 
 
-def _distance(other: Record, found: Record) -> float:
-    """Return the largest |q - q'| of two runs at some nodes of the second; infinite where one ended much earlier."""
+def _distance(other: Record, found: Record, ended: bool = False) -> float:
+    """Return the largest |q - q'| of two runs at some nodes of the second; infinite where one ended much earlier.
+
+    ended : whether both ended before their time; then up to the earlier end.
+    """
     t, q, _ = found.nodes()
     last = float(other.t[-1][-1])
-    if abs(float(t[-1]) - last) > 1e-3 * (t[-1] - t[0]) or len(t) < 2:
+    if len(t) < 2 or (not ended and abs(float(t[-1]) - last) > 1e-3 * (t[-1] - t[0])):
         return math.inf
     count = int(np.searchsorted(t, last, side="right"))  # nodes that both runs have reached
     nodes = np.unique(np.linspace(0, count - 1, _TIMES + 1)[1:].round().astype(int))

@@ -117,6 +117,7 @@ class Record:
         segments = self.segments_joined()
         if self.options.sample_dt is not None and segments is not None:
             times = dense.sample_times(float(t[0]), float(t[-1]), self.options.sample_dt)
+            times = times if len(times) > 1 else t[[0, -1]]
             inner_q, inner_v = segments.states(self.prepared.core, times[1:-1], exact=not self.forced)
             inner_p = np.asarray(self.prepared.core.momentum(inner_q, inner_v))
             t, q, p = times, np.vstack([q[:1], inner_q, q[-1:]]), np.vstack([p[:1], inner_p, p[-1:]])

@@ -303,7 +303,11 @@ def _segments(path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int
         arrays[name] = _entry(path, entries, f"segment/{name}", (count, *(sizes[axis] for axis in axes)), float)
         if not np.all(np.isfinite(arrays[name])):
             _refuse(path, "segments that are not finite")
-    if count == 0 or np.any(np.diff(arrays["t"]) < 0) or np.any(arrays["h"] <= 0):
+    if (
+        count == 0
+        or np.any(np.diff(arrays["t"]) < -8.0 * np.finfo(float).eps * np.abs(arrays["t"][1:]))
+        or np.any(arrays["h"] <= 0)
+    ):
         _refuse(path, "segments that do not follow each other")
     return dense.Segments(arrays, options.order)
 

@@ -216,6 +216,8 @@ class Trajectory:
             )
         core = self._engine()
         q, v = self.segments.states(core, times, exact=not self.forced)
+        last = times >= self.t[-1]  # of a run that ended with an impact the segments know only what was before it
+        q[last], v[last] = self.q[-1], core.velocity(self.q[-1:], self.p[-1:])[0]
         p = np.asarray(core.momentum(q, v))
         return State(np.array(t, dtype=float), q, v, p) if np.ndim(t) else State(float(times[0]), q[0], v[0], p[0])
 

@@ -16,7 +16,7 @@ constexpr double kLargestGrowth = 2.0;  // of the step from one arc to the next
 constexpr double kProbeGrowth = 1.6;    // while the first step of a run is sought
 constexpr int kProbes = 16;
 constexpr double kEasySweeps = 9.0, kManySweeps = 20.0;  // per step: what a longer one may follow, what is too long
-constexpr double kBelowFailure = 0.75;  // of a step that did not converge: the longest tried from then on
+constexpr double kBelowFailure = 0.75;      // of a step that did not converge: the longest tried from then on
 constexpr double kShortestArcStep = 1e-12;  // of the duration
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
@@ -54,7 +54,7 @@ bool Simulator::run_arc(double end, double level, Recording& recording) {
   int probes = recording.arc_t.empty() ? kProbes : 0;
   double largest = 0.0, most_sweeps = 0.0;
   for (;;) {
-    const double count = std::max(1.0, std::ceil(duration / arc_h_ - 1e-9)), h = duration / count;
+    const double count = std::clamp(std::ceil(duration / arc_h_ - 1e-9), 1.0, 1e15), h = duration / count;
     bool rejected = false;
     largest = most_sweeps = 0.0;
     trial_ = h;
@@ -88,7 +88,7 @@ bool Simulator::run_arc(double end, double level, Recording& recording) {
       ++step_;
       time_ = k + 1 == static_cast<long>(count) ? end : start + h;
       record_node(time_, recording);
-      if (k % 8 == 7 && !report(time_)) return false;
+      if (!report(time_)) return false;
       if (impacts_ > arc.impacts) break;
     }
     if (!rejected) {
@@ -116,6 +116,7 @@ Status Simulator::run_auto(double duration, double level, const Progress& progre
   while (ok && time_ < end) ok = run_arc(end, level, recording);
   level_ = 0.0;
   trial_ = options_.dt;
+  t0_ = time_ - static_cast<double>(step_) * options_.dt;  // should steps of dt follow
   if (ok) {
     status_.time = time_;
   } else if (status_.code != StatusCode::kNotFinite && status_.time > recording.t.back()) {

@@ -35,6 +35,8 @@ struct Euler {
 
 Euler euler(const Mat3& R) {
   Euler e{0.0, R(2, 2), std::hypot(R(0, 2), R(1, 2)), 0.0};
+  if (std::abs(e.cos_alpha) < 2e-16) e.cos_alpha = 0.0;  // a right angle from a file
+  if (e.cos_alpha == 0.0) e.sin_alpha = 1.0;
   if (e.sin_alpha < 1e-15) {
     e.sin_alpha = 0.0;
     e.cos_alpha = R(2, 2) > 0 ? 1.0 : -1.0;
@@ -164,8 +166,7 @@ FlatModel::FlatModel(const Tree& tree) : joints(tree.joints.size()), lanes{} {
     j.ball = j.type == kLaneBall ? balls++ : -1;
     j.at = at;
     j.velocity = j.type == kLaneBall ? 9 : 3;
-    // Kinematics, factor, Newton factor: lane_dynamics.hpp, lane_factor.hpp, lane_newton.hpp.
-    at += j.velocity + 9 + (is_one_dof(joint) ? 7 + 39 : 24 + 87);
+    at += j.velocity + 9 + (is_one_dof(joint) ? kLaneFactor1 + kLaneNewton1 : kLaneFactor3 + kLaneNewton3);
     j.slot = j.parent_slot = -1;
     place_in_parent(joint, joint.parent < 0 ? 0.0 : turn[joint.parent], turn[i], j);
     j.pitch = joint.pitch;
@@ -246,10 +247,5 @@ bool set_instruction_set(const char* name) {
 }
 
 const LaneKernel& lane_kernel(int stages) { return of(*chosen(), stages); }
-
-const LaneKernel& lane_kernel(const char* name, int stages) {
-  const InstructionSet* set = find(name);
-  return of(set == nullptr ? *chosen() : *set, stages);
-}
 
 }  // namespace contactvi

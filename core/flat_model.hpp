@@ -24,6 +24,5 @@ std::vector<const char*> instruction_sets();  // that this processor has, best l
 const char* instruction_set();
 bool set_instruction_set(const char* name);  // false: unknown, or not of this processor
 const LaneKernel& lane_kernel(int stages);
-const LaneKernel& lane_kernel(const char* instruction_set, int stages);
 
 }  // namespace contactvi

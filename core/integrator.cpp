@@ -8,7 +8,7 @@ namespace contactvi {
 
 namespace {
 constexpr double kRefactor = 3e-3;                   // change between sweeps above which the factor is made again
-constexpr double kRounding = 2e-13, kFloor = 1e-10;  // errors at which no more progress may be rounding, after a while
+constexpr double kRounding = 2e-13, kFloor = 1e-11;  // errors at which no more progress may be rounding, after a while
 constexpr double kProgress = 0.7;                    // per sweep
 constexpr int kIdle = 8;                             // sweeps without progress: these start values lead nowhere
 constexpr double kFarTurn = 3.5;                     // rad per step of a ball, where its chart is still good
@@ -60,7 +60,8 @@ double Integrator::relative_error() const {
     const double error = std::abs(stages_.error(i));
     const double scale = std::max({std::abs(stages_.kinetic(i)), stages_.floor(i), error});
     const double relative = error > 0.0 ? error / scale : error;
-    if (!(relative <= worst)) worst = relative;  // also NaN
+    if (std::isnan(relative)) return relative;
+    worst = std::max(worst, relative);
   }
   return std::sqrt(worst);
 }
@@ -204,7 +205,10 @@ bool Integrator::start_by_ramp(const VecX& tau) {
     } else {
       start_.extrapolate(h, stages_);
     }
-    if (!iterate()) return false;
+    if (!iterate()) {
+      start_.forget();  // what there is leads away from here
+      return false;
+    }
     start_.add_piece(stages_, done, h);
     start_.push(stages_, h);
     finish(q_ramp1_, p_ramp1_);

@@ -169,10 +169,7 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
   const long halved = halved_;
   long pieces = 0;
   impacts_in_step_ = 0;
-  if (options_.impact == kMhc && !options_.mhc_global) {
-    q_node_ = q_;
-    p_node_ = p_;
-  }
+  set_reference();
   while (remaining > 0.0) {
     const bool shorter = trial_ < remaining * (1.0 - 1e-9);
     const double h = shorter ? trial_ : remaining;
@@ -203,6 +200,7 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
       p_.swap(p1_);
       done += h;
       remaining = shorter ? length - done : 0.0;
+      if (remaining > 0.0) set_reference();  // of a step that was cut every piece counts as one
       continue;
     }
     if (found != Search::kFound) return search_failed(found, start + done);
@@ -222,11 +220,20 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
   return true;
 }
 
+// MHC's local reference is the state at the start of the step.
+void Simulator::set_reference() {
+  if (options_.impact != kMhc || options_.mhc_global) return;
+  q_node_ = q_;
+  p_node_ = p_;
+  target_step_ = -1;
+}
+
 bool Simulator::resolve_event(const Instant& at, Recording& recording) {
+  const bool touched = finder_.touching(finder_.event().guard);
   if (options_.impact != kCtec) target_ = energy_target(at.before);
   if (!collect_closed(at.time) || !hit_until_separate(at, recording)) return false;
   for (int i = 0; i < closed_count_; ++i) finder_.set_touching(closed_[i].guard, true);
-  return judge_accumulation(at.time);
+  return judge_accumulation(at.time, touched);
 }
 
 // Value of the map's scalar before the event, losses not yet subtracted; what damping and inputs have done since the
@@ -288,8 +295,9 @@ bool Simulator::hit_until_separate(const Instant& at, Recording& recording) {
   double scale = 0.0;
   for (int i = 0; i < closed_count_; ++i) scale = std::max(scale, std::abs(closed_[i].MinvW.dot(p_)));
   speed_scale_ = std::max(speed_scale_, scale);
-  // A contact that never separated is not hit again by what rounding left of its speed.
-  if (finder_.event().persistent && scale <= kSeparated * speed_scale_) return true;
+  // A contact that has not separated but by rounding is not hit again by what rounding left of its speed.
+  const Event& event = finder_.event();
+  if ((event.persistent || finder_.touching(event.guard)) && scale <= kSeparated * speed_scale_) return true;
   for (;;) {
     Closed* worst = nullptr;
     double gamma = -kSeparated * scale;
@@ -346,7 +354,8 @@ bool Simulator::hit(Closed& closed, double gamma, double e, const Instant& at, R
   return true;
 }
 
-bool Simulator::judge_accumulation(double time) {
+// touched: the event's guard was closed before.
+bool Simulator::judge_accumulation(double time, bool touched) {
   const Event& event = finder_.event();
   bool any = false;
   for (int i = 0; i < closed_count_; ++i) {
@@ -373,7 +382,7 @@ bool Simulator::judge_accumulation(double time) {
     b.last_time = time;
     ++b.hits;
   }
-  if (!any && event.persistent) {
+  if (!any && (event.persistent || touched)) {
     end(StatusCode::kZeno, time, "a contact stays closed", event.guard);
     status_.accumulation_time = time;
     return false;

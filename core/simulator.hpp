@@ -92,13 +92,14 @@ class Simulator {
   void go_back(const ArcStart& arc, Recording& recording);
   bool run_arc(double end, double level, Recording& recording);
   bool search_failed(Search outcome, double time);
+  void set_reference();
   bool resolve_event(const Instant& at, Recording& recording);
   double energy_target(double before);
   ImpactResult apply_map(const ImpactProblem& problem);
   bool collect_closed(double time);
   bool hit_until_separate(const Instant& at, Recording& recording);
   bool hit(Closed& closed, double gamma, double e, const Instant& at, Recording& recording);
-  bool judge_accumulation(double time);
+  bool judge_accumulation(double time, bool touched);
   bool end(StatusCode code, double time, std::string message, int guard = -1);
 
   const Scene* scene_;

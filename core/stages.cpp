@@ -237,7 +237,7 @@ void Stages::at(const VecCRef& q0) {
   std::fill(X_, X_ + tree_->nv * work_.S, 0.0);
   for (int d = 0; d < tree_->nv; ++d)
     for (int i = 0; i < work_.S; ++i) diagonal_[d * work_.S + i] = tree_->armature[d];
-  diagonal_h_ = -1.0;
+  diagonal_h_ = std::numeric_limits<double>::quiet_NaN();
   work_.stiffness = nullptr;
   work_.tau = nullptr;
   work_.extra = nullptr;

@@ -4,6 +4,7 @@
 // configuration group; the equations are in lanes/lane_sweep.hpp. s = 1 is the midpoint rule.
 #pragma once
 
+#include <limits>
 #include <memory>
 
 #include "flat_model.hpp"
@@ -98,7 +99,7 @@ class Stages {
   double *per_stage_, *hA_, *he_, *hb_, *base_, *ball_base_, *p0_, *stiffness_, *deflection_, *damping_, *input_;
   VecX q0_, tau_, q_stage_;
   bool has_ball_springs_ = false, has_inputs_ = false;
-  double diagonal_h_ = -1.0, tableau_h_ = 0.0;
+  double diagonal_h_ = std::numeric_limits<double>::quiet_NaN(), tableau_h_ = 0.0;  // h they are for; NaN: none
 };
 
 }  // namespace contactvi

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from pathlib import Path
 
@@ -212,6 +213,62 @@ def test_progress_and_interruption():
 
     with pytest.raises(ZeroDivisionError, match="mine"):
         cvi.simulate(swinging(), duration=1e6, progress=broken)
+
+
+def falling_ball(restitution: float, height: float) -> tuple[cvi.Scene, np.ndarray]:
+    """A ball of 0.1 m whose lowest point is so high above the ground, and its start."""
+    scene = cvi.Scene()
+    scene.add_sphere("ball", radius=0.1, mass=1.0)
+    scene.add_halfspace(name="ground")
+    scene.set_contact(restitution=restitution)
+    return scene, np.array([0.0, 0.0, 0.1 + height, 0.0, 0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("impact", ["ctec", "mhc"])
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_a_start_at_rest_on_the_ground_is_said(restitution, impact):
+    scene, q0 = falling_ball(restitution, 0.0)
+    traj = cvi.simulate(scene, q0, duration=1.0, impact=impact, throw=False)
+    assert traj.status.code == cvi.StatusCode.ZENO
+    assert traj.status.time == 0.0
+    assert math.isnan(traj.error_estimate)
+
+
+@pytest.mark.parametrize("height", [0.05, 0.1, 0.3, 1.0])
+@pytest.mark.parametrize("order", [4, 8, 16])
+def test_a_plastic_impact_is_one_impact(order, height):
+    """What rounding leaves of gap and speed is no second fall."""
+    scene, q0 = falling_ball(0.0, height)
+    for dt in ("auto", 0.5):
+        traj = cvi.simulate(scene, q0, duration=1.0, dt=dt, order=order, throw=False)
+        assert (traj.status.code, len(traj.events)) == (cvi.StatusCode.ZENO, 1), dt
+        assert traj.events[0].time == pytest.approx(math.sqrt(2.0 * height / 9.81), abs=1e-12)
+
+
+def test_the_end_of_a_run_is_its_last_node():
+    """Impacts that accumulate end a run after an impact: `at` gives the state after it there too."""
+    scene, q0 = falling_ball(0.5, 0.5)
+    traj = cvi.simulate(scene, q0, duration=3.0, throw=False)
+    assert traj.status.code == cvi.StatusCode.ZENO
+    assert traj.error_estimate <= traj.options.tol
+    assert traj.at(traj.t[-1]).v == pytest.approx(traj.v[-1], abs=1e-15)
+
+
+def test_a_global_reference_with_damping_is_refused():
+    scene = wall()
+    scene.set_joint("joint_1", damping=0.1)
+    with pytest.raises(cvi.InputError, match="conservative"):
+        cvi.simulate(scene, duration=1.0, dt="auto", impact="mhc", mhc_reference="global")
+
+
+def test_progress_comes_with_short_arcs_too():
+    """A ball that bounces for four hours: every arc is a few steps, and the whole takes long enough for some reports."""
+    scene, q0 = falling_ball(1.0, 0.5)
+    calls: list[tuple[float, int]] = []
+    traj = cvi.simulate(scene, q0, duration=15_000.0, dt="auto", progress=lambda t, n: calls.append((t, n)))
+    assert traj.status.ok
+    assert len(traj.events) > 10_000
+    assert calls
 
 
 def test_the_same_again():

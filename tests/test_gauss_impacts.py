@@ -281,3 +281,36 @@ def test_bouncing_ball_is_exact(method, order, restitution):
     assert np.abs(result.log["gamma_minus"] - ball.approach_speeds(n)).max() <= 1e-10
     heights = [ball.height(t) for t in result.t]
     assert np.abs(result.q[:, 2] - 0.1 - heights).max() <= 1e-10
+
+
+@pytest.mark.parametrize("force", [0.5, 5.0])
+def test_mhc_counts_the_work_of_the_pieces_of_a_cut_step(force):
+    """The ball spins too fast for one step, so steps are cut; what the input does in each piece is no impact's."""
+    import contactvi as cvi
+
+    scene = cvi.Scene()
+    scene.add_sphere("ball", radius=0.1, mass=1.0)
+    scene.add_halfspace()
+    scene.set_contact(restitution=1.0)
+    simulator = cvi.Simulator(scene, dt=0.1, order=8, impact="mhc")
+    simulator.reset(np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 1.0]), np.array([5.0, 0.0, 0.0, 60.0, 0.0, 0.0]))
+    for _ in range(8):
+        assert simulator.step(np.array([force, 0.0, 0.0, 0.0, 0.0, 0.0])).ok
+    event = simulator.events[0]
+    assert simulator.trajectory().stats.halved > 0
+    assert event.fallback is None
+    assert event.gamma_plus == pytest.approx(-event.gamma_minus, rel=1e-12)
+
+
+def test_a_step_of_minus_one_second_is_like_its_neighbours():
+    """-1 was once the mark of a factor that is not there."""
+    from battery_models import case
+    from engine import core_scene
+
+    c = case("joint_revolute_x")
+    model = c.model()
+    scene = core_scene(model, damping=np.full(model.nv, 0.01))
+    q, v = c.state(model)
+    p = scene.momentum(q[None], 0.01 * v[None])[0]
+    counts = [scene.step(q, p, h, None, 1e-12, 8)[3] for h in (-1.0, -1.0 - 1e-9)]
+    assert abs(counts[0] - counts[1]) <= 1

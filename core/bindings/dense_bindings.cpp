@@ -52,7 +52,9 @@ auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int orde
   const Tree& tree = s.tree;
   const Eigen::Index n = pieces.t.size();
   const int stages = order / 2;
-  if (n == 0 || pieces.q.cols() != tree.nq || pieces.rates.cols() != tree.nv * stages)
+  if (n == 0 || stages < 1 || stages > kMaxStages || pieces.h.size() != n || pieces.q.rows() != n ||
+      pieces.p.rows() != n || pieces.p1.rows() != n || pieces.rates.rows() != n || pieces.p.cols() != tree.nv ||
+      pieces.p1.cols() != tree.nv || pieces.q.cols() != tree.nq || pieces.rates.cols() != tree.nv * stages)
     throw Error("the segments do not belong to this scene and order");
   Integrator integrator(tree, stages, 1e-15, 60);
   StepPath path(tree, stages);

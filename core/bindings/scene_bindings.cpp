@@ -144,6 +144,7 @@ auto dynamics(const Scene& s, const VecX& q, const VecX& v) {
 
 auto step(const Scene& s, const VecX& q, const VecX& p, double h, std::optional<VecX> tau, double tol, int order) {
   need_state(s, q, p);
+  need(!tau || tau->size() == s.tree.nv, "tau: expected shape (nv,)");
   Integrator integrator(s.tree, stages_of(order), tol, 100);
   VecX p0 = p, q1(s.tree.nq), p1(s.tree.nv);
   public_to_engine(s.tree, q, p0);

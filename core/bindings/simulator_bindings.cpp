@@ -100,7 +100,7 @@ void add_status(const Scene& s, const Status& status, nb::dict& d) {
 nb::dict stats(const Simulator& sim, double seconds) {
   nb::dict d;
   d["steps"] = sim.steps();
-  d["sweeps"] = d["iterations"] = sim.step_counters().sweeps;
+  d["sweeps"] = d["iterations"] = d["residuals"] = sim.step_counters().sweeps;
   d["halved"] = sim.halved();
   d["rejected"] = sim.rejected();
   d["factorizations"] = sim.step_counters().factorizations;

@@ -313,7 +313,8 @@ inline void backward(const Group<V>& g) {
     }
     put_joint_force<full>(g, j, m, l);
     if (full) {
-      V* momentum = g.storage + j.at + j.velocity + 9 + (j.velocity == 9 || j.type == kLaneTranslate ? 24 : 7);
+      V* momentum = g.storage + j.at + j.velocity + 9 +
+                    (j.velocity == 9 || j.type == kLaneTranslate ? kLaneFactor3 : kLaneFactor1);
       put3(momentum, l.n);
       put3(momentum + 3, l.f);
     }

@@ -20,11 +20,10 @@ struct Axis {  // a motion or a force: three angular, three linear numbers
 
 // Storage of a joint behind its factor: momentum (6), D^-1 (9), then for each axis motion (6), row (6), Uc (6), Ur
 // (6).
-const int kNewtonStorage1 = 6 + 9 + 24, kNewtonStorage3 = 6 + 9 + 72;
 
 template <class V>
 LANE_INLINE V* newton_storage(const Group<V>& g, const LaneJoint& j) {
-  return g.storage + j.at + j.velocity + 9 + (has_three(j) ? 24 : 7);
+  return g.storage + j.at + j.velocity + 9 + (has_three(j) ? kLaneFactor3 : kLaneFactor1);
 }
 
 template <class V>

@@ -44,6 +44,10 @@ struct LaneJoint {
   double gravity[3];  // roots: gravity before the joint's own turn
 };
 
+// Storage of a joint in vectors, by its dofs: behind the kinematics the factor (lane_factor.hpp), then the Newton
+// factor (lane_newton.hpp).
+const int kLaneFactor1 = 7, kLaneFactor3 = 24, kLaneNewton1 = 6 + 9 + 24, kLaneNewton3 = 6 + 9 + 72;
+
 struct LaneTree {
   int joints, nv, balls, slots;
   int storage;  // vectors per group of lanes
