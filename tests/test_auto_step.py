@@ -245,6 +245,13 @@ def test_a_plastic_impact_is_one_impact(order, height):
         assert traj.events[0].time == pytest.approx(math.sqrt(2.0 * height / 9.81), abs=1e-12)
 
 
+def test_what_no_step_can_reach_ends_soon():
+    """Below rounding shorter steps help nothing."""
+    with pytest.warns(cvi.AccuracyWarning):
+        traj = cvi.simulate(wall(), duration=1.0, dt="auto", order=4, tol=1e-15)
+    assert traj.stats.steps < 20_000
+
+
 def test_the_end_of_a_run_is_its_last_node():
     """Impacts that accumulate end a run after an impact: `at` gives the state after it there too."""
     scene, q0 = falling_ball(0.5, 0.5)
@@ -262,7 +269,7 @@ def test_a_global_reference_with_damping_is_refused():
 
 
 def test_progress_comes_with_short_arcs_too():
-    """A ball that bounces for four hours: every arc is a few steps, and the whole takes long enough for some reports."""
+    """A ball that bounces for four hours: every arc is a few steps, the whole is long enough for reports."""
     scene, q0 = falling_ball(1.0, 0.5)
     calls: list[tuple[float, int]] = []
     traj = cvi.simulate(scene, q0, duration=15_000.0, dt="auto", progress=lambda t, n: calls.append((t, n)))

@@ -134,10 +134,11 @@ Progress wrap(const nb::object& callback) {
 // Momenta row after row into public coordinates, at the configurations of q.
 void make_public(const Tree& tree, const std::vector<double>& q, std::vector<double>& p) {
   if (tree.split.empty()) return;
+  VecX qi(tree.nq), pi(tree.nv);
   for (std::size_t i = 0; i * tree.nv < p.size(); ++i) {
     Eigen::Map<VecX> row(p.data() + i * tree.nv, tree.nv);
-    const VecX qi = Eigen::Map<const VecX>(q.data() + i * tree.nq, tree.nq);
-    VecX pi = row;
+    qi = Eigen::Map<const VecX>(q.data() + i * tree.nq, tree.nq);
+    pi = row;
     engine_to_public(tree, qi, pi);
     row = pi;
   }
