@@ -71,11 +71,16 @@ def test_unknown_name_is_refused_and_changes_nothing(sets):
 
 
 @pytest.mark.parametrize("name", ["base", "", "sse9"])
-def test_environment_chooses_at_import(sets, name):
+def test_environment_chooses_at_import(sets, name, tmp_path):
     code = "from contactvi import _core; print(_core.instruction_set())"
     done = subprocess.run(
         [sys.executable, "-c", code],
-        env={**os.environ, "CONTACTVI_INSTRUCTION_SET": name, "PYTHONPATH": os.pathsep.join(sys.path)},
+        cwd=tmp_path,  # the source root would shadow the installed package
+        env={
+            **os.environ,
+            "CONTACTVI_INSTRUCTION_SET": name,
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        },
         capture_output=True,
         text=True,
     )
