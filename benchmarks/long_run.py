@@ -37,6 +37,7 @@ STEPS = {  # order -> dt [s]
     16: [0.2, 0.1, 0.05, 0.1 / 3],
 }
 RTOLS = [1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13]
+RIVALS = {"scipy": "#000000", "compiled": "#888888"}
 Row = dict[str, Any]
 
 
@@ -159,7 +160,8 @@ def picture(rows: list[Row], path: Path) -> None:
     for row in rows:
         groups.setdefault(f"order {row['order']} {row['impact']}" if "order" in row else row["code"], []).append(row)
     for k, (name, group) in enumerate(groups.items()):
-        style = {"color": f"C{k % 10}", "ls": "--" if "mhc" in name or name == "compiled" else "-", "label": name}
+        color = RIVALS.get(name, f"C{k // 2}")  # one color per order, one line style per map
+        style = {"color": color, "ls": "--" if "mhc" in name else "-", "label": name}
         group = sorted(group, key=lambda r: r["ms_per_s"])
         left.loglog([r["ms_per_s"] for r in group], [max(r["max"], 1e-16) for r in group], "o", ms=4, **style)
         if name != "compiled":
