@@ -24,6 +24,10 @@ Layers = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
 # C++: a unit is a header with its source (core/NAME.hpp, core/NAME.cpp); core/bindings/ and core/lanes/ are one each.
 CPP_LAYERS: Layers = {
     "base": (("error", "numerics", "gauss", "lanes"), ()),
+    "cone": (
+        ("cone_problem", "cone_map", "cone_linear", "cone_newton", "cone_local", "cone_fallback", "cone"),
+        ("base",),
+    ),
     "scene": (("tree", "coordinates", "placement", "flat_model", "erosion", "load", "scene"), ("base",)),
     "path": (("path",), ("scene",)),
     "step": (("stages", "start_values", "acceleration", "integrator", "energy"), ("path",)),
@@ -32,7 +36,7 @@ CPP_LAYERS: Layers = {
     "event": (("gap_path", "event", "event_locate"), ("guard", "step")),
     "impact": (("impact", "impact_ctec", "impact_dtec", "impact_mhc"), ("step",)),
     "simulator": (("recording", "simulator", "arcs"), ("event", "impact")),
-    "bindings": (("bindings",), ("simulator",)),
+    "bindings": (("bindings",), ("simulator", "cone")),
 }
 
 # Python: a unit is a module of contactvi. `_core` is the compiled engine.

@@ -7,6 +7,7 @@ namespace contactvi {
 
 void expose_scene(nanobind::module_& m);
 void expose_simulator(nanobind::module_& m);
+void expose_cone(nanobind::module_& m);
 void expose_dense(nanobind::module_& m);
 void expose_kernel(nanobind::module_& m);
 void expose_reference(nanobind::module_& m);

@@ -16,6 +16,7 @@ NB_MODULE(_core, m) {
             .c_str());
   contactvi::settle_box_support();
   contactvi::expose_scene(m);
+  contactvi::expose_cone(m);
   contactvi::expose_dense(m);
   contactvi::expose_kernel(m);
   contactvi::expose_simulator(m);

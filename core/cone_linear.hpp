@@ -1,0 +1,34 @@
+// Small dense linear systems on buffers that are allocated once.
+#pragma once
+
+#include <vector>
+
+namespace contactvi {
+
+// A x = c for one square A of changing size. Fill at(), then factor() and substitute(), or minimum_norm().
+class SmallLinear {
+ public:
+  void reserve(int size);
+  // Contents are undefined afterwards.
+  void resize(int size) { n_ = size; }
+  double& at(int i, int j) { return a_[i + j * n_]; }
+
+  // LU with partial pivoting of the row-scaled matrix; false if a pivot is below 1e-9 of the largest.
+  bool factor();
+  // x: c on entry, solution on return. After a factor() that was true.
+  void substitute(double* x);
+  // Solution of least norm of sum (weight_i x_i)^2 and of least squares, with directions below 1e-11 cut off
+  // (complete orthogonal decomposition). x as above, weight: n positive numbers.
+  void minimum_norm(const double* weight, double* x);
+
+ private:
+  int pivoted_qr(double* c);
+  void trapezoid_solve(int rank, const double* c);
+
+  int n_ = 0;
+  std::vector<double> a_, f_, t_;  // the matrix, its factors, the transposed trapezoid
+  std::vector<double> scale_, y_, norms_;
+  std::vector<int> order_;
+};
+
+}  // namespace contactvi

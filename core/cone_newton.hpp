@@ -1,0 +1,51 @@
+// Semismooth Newton on the natural map of the cone problem.
+#pragma once
+
+#include <vector>
+
+#include "cone_linear.hpp"
+#include "cone_map.hpp"
+
+namespace contactvi {
+
+class ConeNewton {
+ public:
+  // What to do where the linearised law has no unique solution (redundant contacts).
+  enum class Singular { kStop, kMinimumNorm };
+
+  void reserve(int rows);
+  // Newton steps with line search from lambda until the residual is a few rounding errors or no step lessens it.
+  // lambda: best on return. map: prepared, with or without shift. True if the residual is <= kConeTolerance.
+  bool run(const ConeProblem& problem, NaturalMap& map, Singular singular, int max_iterations, double* lambda);
+
+  double residual() const { return residual_; }
+  int iterations() const { return iterations_; }  // of all runs since reset()
+  void reset() { iterations_ = 0; }
+  bool singular() const { return singular_; }  // kStop ended the last run
+
+ private:
+  // One unknown of a step, delta, and the equation that belongs to it: lambda changes by column * delta in the rows of
+  // its contact, the equation is test . w + diagonal * delta = right side.
+  struct Unknown {
+    int contact, row, rows;
+    double column[3], test[3];
+    double diagonal;
+  };
+
+  void build(const ConeProblem& problem, const NaturalMap& map, const double* lambda);
+  void add(int contact, const ConeContact& c, int size_of_column);
+  void assemble(const ConeProblem& problem, const NaturalMap& map);
+  bool solve(Singular singular);
+  bool search(const ConeProblem& problem, NaturalMap& map, double* lambda);
+
+  SmallLinear linear_;
+  std::vector<Unknown> unknowns_;
+  int count_ = 0;
+  std::vector<double> w_, next_, next_w_, trial_, trial_w_;  // velocity here; the step's end; a trial on the way
+  std::vector<double> product_, delta_, weight_;
+  double residual_ = 0.0;
+  int iterations_ = 0;
+  bool singular_ = false;
+};
+
+}  // namespace contactvi

@@ -1,0 +1,41 @@
+// The Coulomb cone problem: contacts with a normal and, where there is friction, two tangential rows.
+//
+//   w = b + G lambda                                     velocities and impulses, per contact rows (n) or (n, t1, t2)
+//   normal      lambda_n >= lower, w_n >= 0, (lambda_n - lower) w_n = 0
+//   tangential  |lambda_t| <= mu lambda_n; w_t != 0 => lambda_t = -mu lambda_n w_t/|w_t|   (maximal dissipation)
+//   frozen      lambda_t = -mu lambda_n d with a given unit vector d, whatever w_t
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "numerics.hpp"
+
+namespace contactvi {
+
+struct ConeContact {
+  int row = 0;   // first row
+  int rows = 3;  // 3, or 1: frictionless contact, joint limit
+  double mu = 0.0;
+  double lower = 0.0;  // >= 0; Poisson's expansion asks for e times the impulse of the compression
+  bool frozen = false;
+  Eigen::Vector2d d = Eigen::Vector2d::Zero();
+};
+
+// The contacts cover all rows, in order and without gaps. G (m, m) may be nonsymmetric (a step's G is, by O(h)).
+struct ConeProblem {
+  const std::vector<ConeContact>& contacts;
+  Eigen::Ref<const MatX> G;
+  Eigen::Ref<const VecX> b;
+};
+
+struct ConeResult {
+  bool ok = false;        // residual <= kConeTolerance
+  double residual = 0.0;  // natural map, relative (cone_map.hpp); infinity for data that is not finite
+  int iterations = 0;     // Newton steps, of all starts
+  int fallbacks = 0;      // times a start had to be found by sweeps (1) or by ADMM (2, then also 3 and 4 without shift)
+};
+
+constexpr double kConeTolerance = 1e-12;
+
+}  // namespace contactvi
