@@ -27,7 +27,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi import dense, engine
 from contactvi.errors import AccuracyWarning, PenetrationError
-from contactvi.ledger import Ledger, Watch
+from contactvi.ledger import Ledger
+from contactvi.ledger_watch import Watch
 from contactvi.map_checks import check_map
 from contactvi.options import Options
 from contactvi.prepared import Prepared
@@ -308,8 +309,9 @@ def _watch(record: Record) -> None:
     t, q, p = record.nodes()
     prepared, options = record.prepared, record.options
     ledger = Ledger(
-        prepared.core, options, t, q, p, record.log(), damping=prepared.damping, forced=False, start=record.start
-    )
+        prepared.core, options, t, q, p, record.log(), model=prepared.built.model, collision=prepared.built.collision,
+        forced=False, start=record.start, contacts=record.contact_log(), phases=record.phases_joined(),
+    )  # fmt: skip
     excess = Watch(options.ledger or {}).check(ledger)
     if excess is not None:
         record.status = Status(StatusCode.LEDGER, str(excess), excess.time)

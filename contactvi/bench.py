@@ -34,7 +34,8 @@ from contactvi.bench_runs import (
     still,
 )
 from contactvi.errors import InputError, PenetrationError
-from contactvi.options import IMPACT_MAPS, ORDERS
+from contactvi.option_checks import ORDERS
+from contactvi.options import IMPACT_MAPS
 
 if TYPE_CHECKING:
     from contactvi.scene import Scene

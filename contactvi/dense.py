@@ -27,6 +27,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "p": ("v",),  # momentum at the start, in the engine's coordinates
     "p1": ("v",),  # momentum at the end, before an impact there, in the engine's coordinates
     "rates": ("sv",),  # chart rates at the stages, one after the other, in the engine's coordinates
+    "held": (),  # 1 where contacts were held: a midpoint step whatever the order
 }
 FRAME_DT = 1.0 / 60.0  # [s] between two frames of a picture
 MAX_FRAMES = 6000
@@ -49,6 +50,7 @@ class Segments:
     """
 
     def __init__(self, arrays: Mapping[str, NDArray[Any]], order: int) -> None:
+        arrays = {"held": np.zeros(len(arrays["t"])), **arrays}
         self.arrays = {name: np.ascontiguousarray(arrays[name], dtype=float) for name in FIELDS}
         self.order = order
 
@@ -59,9 +61,24 @@ class Segments:
         """Return q (N, nq) and v (N, nv) at times [s], at an impact those after it. `core`: the engine's scene.
 
         exact : by steps of the lengths in between, which start from the polynomials and are as accurate as the nodes;
-        not of runs with inputs, which segments do not keep.
+        not of runs with inputs, which segments do not keep. Where contacts are held it is always the polynomial: the
+        step is one of equations that segments do not keep either.
         """
-        return engine_states(core, self.arrays, np.ascontiguousarray(times, dtype=float), self.order, exact)
+        times = np.ascontiguousarray(times, dtype=float)
+        held = self.held_at(times) if exact else np.ones(len(times), dtype=bool)
+        if held.all() or not held.any():
+            return engine_states(core, self.arrays, times, self.order, exact and not held.any())
+        parts = [(chosen, engine_states(core, self.arrays, times[chosen], self.order, free))
+                 for chosen, free in ((held, False), (~held, True))]  # fmt: skip
+        q, v = (np.empty((len(times), parts[0][1][k].shape[1])) for k in (0, 1))
+        for chosen, (part_q, part_v) in parts:
+            q[chosen], v[chosen] = part_q, part_v
+        return q, v
+
+    def held_at(self, times: Array) -> NDArray[np.bool_]:
+        """Return at which of these times [s] contacts were held, shape (N,)."""
+        at = np.searchsorted(self.arrays["t"], times, side="right") - 1
+        return np.asarray(self.arrays["held"][np.clip(at, 0, None)] != 0.0)
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int) -> Segments | None:
@@ -71,7 +88,8 @@ def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int) -> Segments 
         return None
     if len(parts) == 1:
         return Segments(parts[0], order)
-    return Segments({name: np.concatenate([part[name] for part in parts]) for name in FIELDS}, order)
+    whole = [Segments(part, order).arrays for part in parts]
+    return Segments({name: np.concatenate([part[name] for part in whole]) for name in FIELDS}, order)
 
 
 def sample_times(start: float, end: float, step: float) -> Array:

@@ -20,7 +20,9 @@ FALLBACKS = (
     "no convergence: no root near CTEC's impulse",
     "inadmissible: the root pulls or does not separate",
     "grazing: too slow for the equation to fix the impulse, its root is far from CTEC's",
+    "held: while contacts are held what the map conserves is not known",
 )
+HELD = 5  # place in FALLBACKS
 
 # name -> (width, dtype) of one event's entry; width 0 is a scalar, "q" and "v" the size of the configuration and of
 # the velocity. The order is that of the file format.
@@ -46,6 +48,11 @@ FIELDS: dict[str, tuple[int | str, type]] = {
     "q": ("q", float),
     "p_minus": ("v", float),
     "p_plus": ("v", float),
+    "impulse_vector": (3, float),
+    "points": (0, np.int64),
+    "friction": (0, float),
+    "loss": (0, float),
+    "energy_change": (0, float),
 }
 
 
@@ -58,8 +65,9 @@ class Event:
     pair : names of the two shapes; for a limit (joint, "lower limit") or (joint, "upper limit").
     point : contact point [m], world frame, shape (3,); NaN for a limit.
     normal : unit normal from the first shape to the second, world frame, shape (3,); NaN for a limit.
-    impulse : lambda >= 0 [N s; N m s for the limit of a revolute joint]; the second shape gets +impulse * normal.
-    gamma_minus, gamma_plus : normal speed W v before and after [m/s; rad/s].
+    impulse : lambda >= 0 [N s; N m s for the limit of a revolute joint], of all points along their normals; without
+        friction the second shape gets +impulse * normal.
+    gamma_minus, gamma_plus : normal speed W v before and after [m/s; rad/s]; of several points that which closed most.
     G_c : inverse inertia W M^-1 W^T seen by the contact [1/kg].
     gap : signed distance at the located configuration [m; rad].
     restitution : coefficient used.
@@ -70,6 +78,12 @@ class Event:
     before, after : lengths [s] of the partial step that ends at the impact (since the last event or node) and of the
         rest of the step after it; NaN in runs stored before they were kept.
     q : configuration at the impact, shape (nq,). p_minus, p_plus : momentum before and after, shape (nv,).
+    impulse_vector : on the second shape, friction included [N s], world frame, shape (3,); NaN for a limit.
+    points : how many points of the pair took part. friction : Coulomb coefficient used.
+    loss : what the law of the impact takes from the kinetic energy, by restitution and friction [J]; at one point
+        without friction (1 - e^2) gamma_minus^2 / (2 G_c).
+    energy_change : H(p_plus) - H(p_minus) [J]; -loss with CTEC, at one point without friction
+        (gamma_plus^2 - gamma_minus^2) / (2 G_c).
     """
 
     time: float
@@ -93,11 +107,11 @@ class Event:
     q: NDArray[np.float64]
     p_minus: NDArray[np.float64]
     p_plus: NDArray[np.float64]
-
-    @property
-    def energy_change(self) -> float:
-        """H(p_plus) - H(p_minus) [J] = (gamma_plus^2 - gamma_minus^2) / (2 G_c), <= 0 for restitution <= 1."""
-        return (self.gamma_plus**2 - self.gamma_minus**2) / (2.0 * self.G_c)
+    impulse_vector: NDArray[np.float64]
+    points: int
+    friction: float
+    loss: float
+    energy_change: float
 
     def __str__(self) -> str:
         return (
@@ -130,7 +144,7 @@ class EventLog(Sequence[Event]):
     def _arrays(self) -> dict[str, NDArray[Any]]:
         arrays = self._source() if callable(self._source) else self._source
         self._source = {}
-        return {name: np.asarray(arrays[name]) for name in FIELDS}
+        return complete(arrays)
 
     def array(self, name: str) -> NDArray[Any]:
         """Return one field of all events as an array, shape (n,) or (n, width)."""
@@ -148,14 +162,12 @@ class EventLog(Sequence[Event]):
     @property
     def energy_change(self) -> NDArray[np.float64]:
         """H(p_plus) - H(p_minus) of every event [J], shape (n,)."""
-        before, after = self._arrays["gamma_minus"], self._arrays["gamma_plus"]
-        return np.asarray((after**2 - before**2) / (2.0 * self._arrays["G_c"]))
+        return self._arrays["energy_change"]
 
     @property
     def loss(self) -> NDArray[np.float64]:
-        """What restitution takes at every event, (1 - e^2) gamma_minus^2 / (2 G_c) [J], shape (n,)."""
-        kept = 1.0 - self._arrays["restitution"] ** 2
-        return np.asarray(kept * self._arrays["gamma_minus"] ** 2 / (2.0 * self._arrays["G_c"]))
+        """What the law takes at every event, by restitution and friction [J], shape (n,)."""
+        return self._arrays["loss"]
 
     def total(self, values: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the sum of `values` (n,) of the events until each of these times [s], those at it included."""
@@ -196,6 +208,42 @@ class EventLog(Sequence[Event]):
         return Event(**values)
 
 
+def complete(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return all fields; what is not there as for one point without friction, for which it follows from the others."""
+    found = {name: np.asarray(arrays[name]) for name in FIELDS if name in arrays}
+    impulse, count = found["impulse"], len(found["time"])
+    before, after, twice = found["gamma_minus"], found["gamma_plus"], 2.0 * found["G_c"]
+    if "impulse_vector" not in found:
+        found["impulse_vector"] = impulse[:, None] * found["normal"]
+    if "points" not in found:
+        found["points"] = np.ones(count, dtype=np.int64)
+    if "friction" not in found:
+        found["friction"] = np.zeros(count)
+    if "loss" not in found:
+        found["loss"] = (1.0 - found["restitution"] ** 2) * before**2 / twice
+    if "energy_change" not in found:
+        found["energy_change"] = (after**2 - before**2) / twice
+    return {name: found[name] for name in FIELDS}
+
+
+def with_energy_change(
+    arrays: Mapping[str, NDArray[Any]], kinetic_energy: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+) -> dict[str, NDArray[Any]]:
+    """Return all fields, the change of energy measured where one speed and G_c do not say it: points that act together.
+
+    kinetic_energy : (q (k, nq), p (k, nv)) -> (k,) [J].
+    """
+    found = complete(arrays)
+    formula = (1.0 - found["restitution"] ** 2) * found["gamma_minus"] ** 2 / (2.0 * found["G_c"])
+    alone = (found["points"] <= 1) & (found["friction"] == 0.0)
+    rows = np.flatnonzero(~alone | (np.abs(found["loss"] - formula) > 1e-9 * formula))
+    if len(rows):
+        q, p_minus, p_plus = (found[name][rows] for name in ("q", "p_minus", "p_plus"))
+        found["energy_change"] = found["energy_change"].copy()
+        found["energy_change"][rows] = kinetic_energy(q, p_plus) - kinetic_energy(q, p_minus)
+    return found
+
+
 def empty_arrays(nq: int, nv: int) -> dict[str, NDArray[Any]]:
     """Return the arrays of a log without events."""
     widths = {"q": nq, "v": nv}
@@ -211,6 +259,7 @@ def join(parts: Sequence[Mapping[str, NDArray[Any]]], nq: int, nv: int) -> dict[
     empty = empty_arrays(nq, nv)
     if not parts:
         return empty
+    parts = [complete(part) for part in parts]
     return {
         name: np.concatenate([np.asarray(part[name]).reshape((-1, *empty[name].shape[1:])) for part in parts]).astype(
             kind, copy=False

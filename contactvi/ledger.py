@@ -1,7 +1,8 @@
 """The ledger of a run: what should be conserved, node by node and impact by impact, and tolerances on it.
 
-Energies [J], momenta [N s, N m s] about the world's origin, in world axes. A loss is what restitution takes,
-(1 - e^2) gamma_minus^2 / (2 G_c); a jump has it added back: what an impact changes beyond its loss.
+Energies [J], momenta [N s, N m s] about the world's origin, in world axes. A loss is what the law of an impact takes by
+restitution and friction; a jump has it added back: what an impact changes beyond its loss. What held contacts do is in
+`Ledger.contacts` (contactvi.contact_ledger).
 
 Jumps of the three scalars at an impact (q_c, p_minus -> p_plus; `before` and `after` the parts of the step):
 
@@ -15,30 +16,37 @@ Jumps of the three scalars at an impact (q_c, p_minus -> p_plus; `before` and `a
 What damping does between the two things compared (the stages of the parts, the two nodes) is no jump, and taken off: by
 the Gauss weights of the stages.
 
-Tolerances, the keys of `ledger` of a run (options.LEDGER_TOLERANCES), are upper bounds of
+Tolerances, the keys of `ledger` of a run (option_checks.LEDGER_TOLERANCES), are upper bounds of
 
 - energy, modified_energy, discrete_energy: drift from the start at the recorded nodes, losses added back, relative to
   the largest kinetic energy so far. Damping and inputs change these energies; a tolerance is for runs without.
 - energy_jump, modified_energy_jump, discrete_energy_jump, own_jump (of the map used): likewise relative.
 - linear_momentum, angular_momentum: distance from the start [N s], [N m s], for free bodies without gravity;
   linear_momentum_jump, angular_momentum_jump: at an impact of free bodies.
-- impulse: how far one is below zero [N s]. complementarity: |gap * impulse| [N m s]. gap: |gap| at an impact [m].
+- energy_rise: how far the energy at a node is above the least one before it, relative to the largest kinetic energy so
+  far: more than the error of the integrator is an error of a contact. For runs without inputs.
+- impulse: how far one is below zero [N s]. complementarity: |gap * impulse| [N m s]. gap: |gap| [m]. Of impacts and of
+  held contacts. impulse_balance: between two nodes, of free bodies [N s].
 
 Inputs are not kept in a run; what needs a step to be made again (discrete energy, jumps but that of the energy) is NaN
-where a run had some, and where the run had to cut that step in two because its sweeps did not converge.
+where a run had some, and where the run had to cut that step in two because its sweeps did not converge. The same where
+contacts are held: the discrete energy and the modified Hamiltonian are those of free steps.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.events import EventLog
+from contactvi.contact_ledger import ContactLedger, free_trees
+from contactvi.contacts import ContactLog, empty_contacts
+from contactvi.events import HELD, EventLog
 from contactvi.options import Options
 
 Array = NDArray[np.float64]
@@ -49,7 +57,8 @@ class Ledger:
     """See the module. Every array is computed when first asked for and kept.
 
     Per node, shapes (N,) and (N, 3): energy, modified_energy, discrete_energy (of the step that starts there; NaN where
-    an impact cuts that step, and at the last node), linear_momentum, angular_momentum, loss (of all impacts so far).
+    an impact cuts that step, and at the last node), linear_momentum, angular_momentum, loss (so far), friction_loss,
+    energy_rise, impulse_balance, held (whether contacts are held in the step that starts there).
     Per event, shapes (n,) and (n, 3): energy_jump, modified_energy_jump, discrete_energy_jump, own_jump, event_loss,
     impulse, gap, complementarity, linear_momentum_jump, angular_momentum_jump.
     """
@@ -63,21 +72,26 @@ class Ledger:
         p: Array,
         events: EventLog,
         *,
-        damping: Array,
+        model: pin.Model,
+        collision: pin.GeometryModel,
         forced: bool,
         start: float,
+        contacts: ContactLog | None = None,
+        phases: Mapping[str, Array] | None = None,
     ) -> None:
-        """Of nodes t (N,) [s], q (N, nq), p (N, nv) and events of a run that began at `start` [s].
+        """Of nodes t (N,) [s], q (N, nq), p (N, nv), events, contacts and phases of a run that began at `start` [s].
 
-        options: its settings; of them the order, and dt where all steps have one length. damping: of the joints, (nv,).
-        forced: whether there were inputs, which are not known here.
+        options: its settings; of them the order, and dt where all steps have one length. model, collision: those of the
+        complete scene. forced: whether there were inputs, which are not known here.
         """
         self._core, self._forced, self._start = core, forced, start
         self._dt = float("nan") if options.auto else options.fixed_dt
         self._order = options.order
         c, b = np.polynomial.legendre.leggauss(options.order // 2)
         self._gauss = 0.5 * (1.0 + c), 0.5 * b
-        self._damping = np.array(damping, dtype=float)
+        self._damping = np.array(model.damping, dtype=float)
+        self._bodies = model, collision
+        self._contact_log, self._phases = empty_contacts() if contacts is None else contacts, phases
         self.t, self._q, self._p, self.events = t, q, p, events
 
     # -- per node ------------------------------------------------------------------------------------------------------
@@ -107,7 +121,7 @@ class Ledger:
         index = np.rint(step).astype(np.int64)
         whole = np.abs(step - index) < 1e-6  # a run that ended inside a step has its last node there
         whole[-1:] = False
-        whole &= ~np.isin(index, self.events.array("step"))
+        whole &= ~np.isin(index, self.events.array("step")) & ~self.held
         if not self._forced:
             values[whole] = self._discrete(self._q[whole], self._p[whole], np.full(int(whole.sum()), self._dt))
         return values
@@ -124,14 +138,43 @@ class Ledger:
 
     @cached_property
     def loss(self) -> Array:
-        """What restitution took until each node [J], >= 0, shape (N,)."""
-        return self.events.total(self.event_loss, self.t)
+        """What impacts and the friction of held contacts took until each node [J], >= 0, shape (N,)."""
+        return self.events.total(self.event_loss, self.t) + self.friction_loss
+
+    @property
+    def friction_loss(self) -> Array:
+        """What sliding took in held contacts until each node [J], shape (N,)."""
+        return self.contacts.friction_loss
+
+    @cached_property
+    def energy_rise(self) -> Array:
+        """H at the node less the least H at a node before it, >= 0 [J], shape (N,)."""
+        return np.asarray(self.energy - np.minimum.accumulate(self.energy))
+
+    @property
+    def impulse_balance(self) -> Array:
+        """What of the impulses on free bodies is not accounted for since the node before [N s], shape (N,)."""
+        return self.contacts.impulse_balance
+
+    @cached_property
+    def held(self) -> NDArray[np.bool_]:
+        """Whether contacts are held after the node, shape (N,)."""
+        return self._held(self.t)
+
+    # -- of held contacts ----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def contacts(self) -> ContactLedger:
+        """How exactly contacts are held, row by row of the run's contacts."""
+        model, trees = self._bodies[0], free_trees(*self._bodies)
+        gravity = np.array(model.gravity.linear)
+        return ContactLedger(self._contact_log, self.t, self._q, self._p, trees, gravity, self._forced)
 
     # -- per event -----------------------------------------------------------------------------------------------------
 
     @property
     def event_loss(self) -> Array:
-        """(1 - e^2) gamma_minus^2 / (2 G_c) [J], shape (n,)."""
+        """What the law of the impact takes by restitution and friction [J], shape (n,)."""
         return self.events.loss
 
     @property
@@ -164,7 +207,7 @@ class Ledger:
         end = self._discrete(q, self.events.array("p_plus"), after) - self._after[3]
         chained = self._follows("step", "time", "before")
         start[chained] = end[np.flatnonzero(chained) - 1]
-        return end - start + self.event_loss
+        return np.where(self.event_held, np.nan, end - start + self.event_loss)
 
     @cached_property
     def modified_energy_jump(self) -> Array:
@@ -184,7 +227,8 @@ class Ledger:
     @cached_property
     def own_jump(self) -> Array:
         """Of the scalar that the map of the event conserves, against its own reference [J], shape (n,)."""
-        return np.where(self.events.array("method") == 0, self.energy_jump, self.events.array("jump"))
+        explicit = (self.events.array("method") == 0) | (self.events.array("fallback") == HELD)
+        return np.where(explicit, self.energy_jump, self.events.array("jump"))
 
     @property
     def linear_momentum_jump(self) -> Array:
@@ -215,6 +259,19 @@ class Ledger:
     def event_kinetic_energy(self) -> Array:
         """T before each impact [J], shape (n,)."""
         return np.asarray(self._core.energy(self.events.array("q"), self.events.array("p_minus")))[:, 0]
+
+    @cached_property
+    def event_held(self) -> NDArray[np.bool_]:
+        """Whether contacts are held just before or just after the impact, shape (n,)."""
+        time = self.events.array("time")
+        return self._held(time) | self._held(time, "left")
+
+    def _held(self, t: Array, side: Literal["left", "right"] = "right") -> NDArray[np.bool_]:
+        """Return whether contacts are held just after (or before: "left") these times, shape (N,)."""
+        if self._phases is None:
+            return np.zeros(len(t), dtype=bool)
+        at = np.searchsorted(self._phases["t"], t, side=side) - 1
+        return np.asarray((at >= 0) & (self._phases["held"][np.clip(at, 0, None)] != 0.0))
 
     def _follows(self, *names: str) -> NDArray[np.bool_]:
         """Return which events share these fields with the event before them, shape (n,)."""
@@ -273,82 +330,3 @@ class Ledger:
             whole[i] = abs(h[i]) * float(b @ power)
             near[i] = abs(h[i]) * float((b * (1.0 - c)) @ power)
         return q, p, whole, near
-
-
-class Excess(NamedTuple):
-    """A tolerance that was exceeded: its name, the value and the bound, time [s]."""
-
-    name: str
-    value: float
-    bound: float
-    time: float
-
-    def __str__(self) -> str:
-        relative = " of the largest kinetic energy" if self.name in _RELATIVE else ""
-        return f"{self.name} is {self.value:.3g}{relative}, more than {self.bound:.3g}"
-
-
-class Watch:
-    """Holds the ledger of a growing run to its tolerances, block by block."""
-
-    def __init__(self, tolerances: Mapping[str, float]) -> None:
-        self._tolerances = dict(tolerances)
-        self._start: dict[str, Any] = {}
-        self._lost = 0.0
-        self._scale = 0.0
-
-    def check(self, block: Ledger) -> Excess | None:
-        """Return the first excess in time of a block, None where all holds.
-
-        A block starts with the last node of the one before it, and has the events since.
-        """
-        nodes = np.maximum.accumulate(np.append(self._scale, block.kinetic_energy))[1:]
-        hits = np.maximum.accumulate(np.append(self._scale, block.event_kinetic_energy))[1:]
-        found: list[Excess] = []
-        for name, bound in self._tolerances.items():
-            if name in _NODE:
-                time, value = block.t, self._drift(block, name)
-                scale = nodes
-            else:
-                time, value = block.events.array("time"), _EVENT[name](block)
-                scale = hits
-            if name in _RELATIVE:
-                value = np.divide(value, scale, out=np.where(value > 0, np.inf, 0.0), where=scale > 0)
-            holds = value <= bound
-            if name == "discrete_energy":
-                holds |= np.isnan(value)  # of steps cut by an impact; any other NaN holds nothing
-            over = np.flatnonzero(~holds)
-            if len(over):
-                found.append(Excess(name, float(value[over[0]]), bound, float(time[over[0]])))
-        self._scale = max(self._scale, *nodes[-1:], *hits[-1:])
-        self._lost += float(block.event_loss.sum())
-        return min(found, key=lambda excess: excess.time, default=None)
-
-    def _drift(self, block: Ledger, name: str) -> Array:
-        """Distance of a quantity at the nodes from the start of the run, losses added back, shape (N,)."""
-        value = getattr(block, name)
-        if name in _RELATIVE:
-            value = value + self._lost + block.loss
-            known = value[np.isfinite(value)]
-            if name not in self._start and len(known):
-                self._start[name] = known[0]
-            return np.abs(value - self._start.get(name, 0.0))
-        return np.linalg.norm(value - self._start.setdefault(name, value[0]), axis=1)
-
-
-_NODE = ("energy", "modified_energy", "discrete_energy", "linear_momentum", "angular_momentum")
-_RELATIVE = (
-    *("energy", "modified_energy", "discrete_energy"),
-    *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
-)
-_EVENT: dict[str, Callable[[Ledger], Array]] = {
-    "energy_jump": lambda ledger: np.abs(ledger.energy_jump),
-    "modified_energy_jump": lambda ledger: np.abs(ledger.modified_energy_jump),
-    "discrete_energy_jump": lambda ledger: np.abs(ledger.discrete_energy_jump),
-    "own_jump": lambda ledger: np.abs(ledger.own_jump),
-    "impulse": lambda ledger: -ledger.impulse,
-    "complementarity": lambda ledger: np.abs(ledger.complementarity),
-    "gap": lambda ledger: np.abs(ledger.gap),
-    "linear_momentum_jump": lambda ledger: np.linalg.norm(ledger.linear_momentum_jump, axis=1),
-    "angular_momentum_jump": lambda ledger: np.linalg.norm(ledger.angular_momentum_jump, axis=1),
-}

@@ -12,7 +12,10 @@ from contactvi.events import EventLog
 from contactvi.options import Options
 from contactvi.prepared import Prepared
 
-UNFORCED_TOLERANCES = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")
+UNFORCED_TOLERANCES = (
+    *("discrete_energy", "discrete_energy_jump", "modified_energy_jump"),
+    *("energy_rise", "impulse_balance"),
+)
 NO_ANSWER_DTEC = (
     "DTEC cannot answer there: the energy it shifts at an impact, m g h times a part of the step, does not shrink with "
     "the flights"
@@ -67,7 +70,7 @@ def check_unforced(options: Options) -> None:
         raise InputError(
             f"The ledger cannot hold {blind[0]} in a run with inputs",
             name="ledger",
-            expected="tolerances that need no step to be made again",
+            expected="tolerances that need to know no inputs",
             got=", ".join(blind),
             remedy="Leave it out; own_jump is the engine's own and works with inputs",
         )

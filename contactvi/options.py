@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-import math
-import numbers
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 from contactvi.errors import InputError, did_you_mean
+from contactvi.option_checks import (
+    AUTO,
+    CONTACT_DT,
+    check_choice,
+    check_whole,
+    contact_step,
+    count,
+    flag,
+    integrator_order,
+    kept_dense,
+    real,
+    tolerances,
+)
 
 IMPACT_MAPS = ("ctec", "dtec", "mhc")  # in the engine's order
 MHC_REFERENCES = ("local", "global")
-LEDGER_TOLERANCES = (
-    *("energy", "modified_energy", "discrete_energy", "linear_momentum", "angular_momentum"),
-    *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
-    *("linear_momentum_jump", "angular_momentum_jump", "impulse", "complementarity", "gap"),
-)
-AUTO = "auto"
-ORDERS = tuple(range(2, 17, 2))
-AUTO_ORDER = 16
+ZENO = ("hold", "end")  # in the engine's order
+SUPPORTS = ("sequence", "stiff")
 DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
 _FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # tolerances of steps made again
 _OF_THE_KIND = ("tol", "record_every")  # options that mean something else, or nothing, with the other kind of dt
-_STEP_TOLERANCE = 1e-9  # decimal input such as 0.1 / 1e-3 is off by a few eps * steps, a wrong number by far more
 _UNSET: Any = None  # the default depends on other options; resolved in __post_init__
 
 
@@ -59,6 +63,15 @@ class Options:
         steps: the steps stay what they are, the samples are taken from their polynomials.
     dense : keep the polynomial of every step, which Trajectory.at evaluates; by default from order 4 on, and with
         sample_dt.
+    dt_contact : step while contacts are held [s], at most dt: it is a midpoint step whatever the order. By default dt
+        at order 2 and min(dt, 1e-3) above. With dt="auto" the run finds it ("auto", the default), and a number is the
+        longest one allowed. Trajectory.phases says which step was taken where.
+    zeno : where impacts accumulate: "hold" makes the last of them plastic and holds the contact, "end" ends the run
+        with the status ZENO. Runs with "dtec", which has no answer there, end in both cases.
+    support : an impact on a body that others hold: "sequence" of single impacts, each contact with its own restitution;
+        "stiff": held contacts stay closed during it, as if what holds the body were infinitely stiff.
+    contact_points : points that a pair of shapes has at most, >= 1; a face needs 3, by default 4.
+    record_contacts : keep the impulses of all contacts (Trajectory.contacts).
 
     Raises
     ------
@@ -77,32 +90,39 @@ class Options:
     ledger: Mapping[str, float] | None = field(default=None, hash=False)
     sample_dt: float | None = None
     dense: bool = _UNSET
+    dt_contact: float | Literal["auto"] | None = None
+    zeno: str = "hold"
+    support: str = "sequence"
+    contact_points: int = 4
+    record_contacts: bool = True
 
     def __post_init__(self) -> None:
         if not self.auto:
-            _set(self, "dt", _real("dt", self.dt, "the time step in seconds, > 0, for example 1e-3, or 'auto'"))
+            _set(self, "dt", real("dt", self.dt, "the time step in seconds, > 0, for example 1e-3, or 'auto'"))
         tol = (AUTO_TOL if self.auto else STEP_TOL) if self.tol is None else self.tol
-        _set(
-            self, "tol", _real("tol", tol, f"a number between 0 and 1, for example {'1e-6' if self.auto else '1e-12'}")
-        )
+        _set(self, "tol", real("tol", tol, f"a number between 0 and 1, for example {'1e-6' if self.auto else '1e-12'}"))
         if self.tol >= 1.0:
             raise InputError("tol is too large", name="tol", expected="a number below 1", got=self.tol)
-        for name in ("record_every", "max_impacts_per_step", "max_iterations"):
-            _set(self, name, _count(name, getattr(self, name)))
-        _check_choice("impact", self.impact, IMPACT_MAPS, "Unknown impact map")
-        _check_choice("mhc_reference", self.mhc_reference, MHC_REFERENCES, "Unknown reference of MHC")
-        _set(self, "order", _order(self.order, self.auto))
-        _set(self, "ledger", _tolerances(self.ledger))
+        _set(self, "dt_contact", contact_step(self.dt_contact, self.dt))
+        _set(self, "record_contacts", flag("record_contacts", self.record_contacts))
+        for name in ("record_every", "max_impacts_per_step", "max_iterations", "contact_points"):
+            _set(self, name, count(name, getattr(self, name)))
+        check_choice("impact", self.impact, IMPACT_MAPS, "Unknown impact map")
+        check_choice("mhc_reference", self.mhc_reference, MHC_REFERENCES, "Unknown reference of MHC")
+        check_choice("zeno", self.zeno, ZENO, "Unknown answer to accumulating impacts")
+        check_choice("support", self.support, SUPPORTS, "Unknown reading of a support")
+        _set(self, "order", integrator_order(self.order, self.auto))
+        _set(self, "ledger", tolerances(self.ledger))
         if self.duration is not None:
-            _set(self, "duration", _real("duration", self.duration, "the simulated time in seconds, > 0"))
+            _set(self, "duration", real("duration", self.duration, "the simulated time in seconds, > 0"))
         if self.sample_dt is not None:
-            _set(self, "sample_dt", _real("sample_dt", self.sample_dt, "the time between samples in seconds, > 0"))
-        _set(self, "dense", _dense(self.dense, self.order, self.sample_dt))
+            _set(self, "sample_dt", real("sample_dt", self.sample_dt, "the time between samples in seconds, > 0"))
+        _set(self, "dense", kept_dense(self.dense, self.order, self.sample_dt))
         _check_nodes(self)
         if self.auto:
             _check_auto(self)
         elif self.duration is not None:
-            _check_whole(self.duration, self.fixed_dt)
+            check_whole(self.duration, self.fixed_dt)
 
     @property
     def auto(self) -> bool:
@@ -125,6 +145,15 @@ class Options:
                 remedy="Give dt=..., for example dt=1e-3",
             )
         return self.dt
+
+    @property
+    def contact_dt(self) -> float:
+        """The longest step while contacts are held [s]."""
+        if isinstance(self.dt_contact, float):
+            return self.dt_contact
+        if isinstance(self.dt, str):
+            return CONTACT_DT
+        return self.dt if self.order == 2 else min(self.dt, CONTACT_DT)
 
     @property
     def span(self) -> float:
@@ -220,82 +249,6 @@ def _set(options: Options, name: str, value: Any) -> None:
     object.__setattr__(options, name, value)
 
 
-def _real(name: str, value: Any, expected: str) -> float:
-    good = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not good or not math.isfinite(value) or value <= 0:
-        raise InputError(f"{name} is not usable", name=name, expected=expected, got=repr(value))
-    return float(value)
-
-
-def _count(name: str, value: Any) -> int:
-    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or int(value) < 1:
-        raise InputError(f"{name} is not usable", name=name, expected="a whole number >= 1", got=repr(value))
-    return int(value)
-
-
-def _check_choice(name: str, value: Any, choices: Sequence[str], what: str) -> None:
-    if isinstance(value, str) and value in choices:
-        return
-    expected = " | ".join(repr(choice) for choice in choices)
-    raise InputError(what, name=name, expected=expected, got=repr(value), remedy=did_you_mean(str(value), choices))
-
-
-def _tolerances(ledger: Any) -> dict[str, float] | None:
-    if not ledger and (ledger is None or isinstance(ledger, Mapping)):
-        return None
-    if not isinstance(ledger, Mapping):
-        raise InputError(
-            "The tolerances of the ledger are not usable",
-            name="ledger",
-            expected='names and bounds, for example {"own_jump": 1e-10}',
-            got=repr(ledger),
-        )
-    for name, bound in ledger.items():
-        if name not in LEDGER_TOLERANCES:
-            raise InputError(
-                f"The ledger has no tolerance {name!r}",
-                name="ledger",
-                expected=" | ".join(LEDGER_TOLERANCES),
-                got=repr(name),
-                remedy=did_you_mean(str(name), LEDGER_TOLERANCES),
-            )
-        if not isinstance(bound, numbers.Real) or isinstance(bound, bool) or not float(bound) >= 0:
-            raise InputError(f"Tolerance {name!r}", name="ledger", expected="a number >= 0", got=repr(bound))
-    return {str(name): float(bound) for name, bound in ledger.items()}
-
-
-def _order(order: Any, auto: bool) -> int:
-    if order is None:
-        return AUTO_ORDER if auto else 2
-    whole = isinstance(order, numbers.Integral) and not isinstance(order, bool)
-    if whole and order in ORDERS:
-        return int(order)
-    near = 2 if not whole else min(max(int(order) + int(order) % 2, 2), 16)
-    raise InputError(
-        "The order of the integrator is not usable",
-        name="order",
-        expected="an even number from 2 to 16",
-        got=repr(order),
-        remedy=f"Use order={near}",
-    )
-
-
-def _dense(dense: Any, order: int, sample_dt: float | None) -> bool:
-    if dense is None:
-        return order >= 4 or sample_dt is not None
-    if not isinstance(dense, bool):
-        raise InputError("dense is not usable", name="dense", expected="True or False", got=repr(dense))
-    if sample_dt is not None and not dense:
-        raise InputError(
-            "Samples are taken from the polynomials of the steps",
-            name="dense",
-            expected="True with sample_dt",
-            got="False",
-            remedy="Leave dense out, or sample_dt",
-        )
-    return dense
-
-
 def _check_nodes(options: Options) -> None:
     """Only steps of one length are counted, and samples are no steps."""
     if options.record_every == 1 or not (options.auto or options.sample_dt is not None):
@@ -327,20 +280,3 @@ def _check_auto(options: Options) -> None:
     if blind:
         expected = "tolerances of quantities that need no step of a fixed length"
         raise InputError(what, name="ledger", expected=expected, got=", ".join(blind), remedy=remedy)
-
-
-def _check_whole(duration: float, dt: float) -> None:
-    ratio = duration / dt
-    if not math.isfinite(ratio):
-        raise InputError("duration / dt overflows", name="dt", expected="a finite number of steps", got=f"dt={dt!r}")
-    steps = round(ratio)
-    if steps >= 1 and abs(ratio - steps) <= _STEP_TOLERANCE * max(1.0, ratio):
-        return
-    near = max(1, steps)
-    raise InputError(
-        "duration is not a whole number of steps",
-        name="duration",
-        expected="duration / dt a whole number (to 1e-9)",
-        got=f"{duration!r} / {dt!r} = {ratio:.12g}",
-        remedy=f"Use duration={near * dt:.12g}, or dt={duration / near:.12g}",
-    )

@@ -1,4 +1,4 @@
-"""What the engine has left of a run so far: nodes, impacts, segments, counts and how it stands."""
+"""What the engine has left of a run so far: nodes, impacts, contacts, segments, counts and how it stands."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi import dense
+from contactvi import contacts, dense
 from contactvi import events as event_log
 from contactvi.endings import describe
 from contactvi.options import Options
@@ -31,7 +31,11 @@ class Record:
         self.p: list[Array] = [p[None]]
         self.events: list[Mapping[str, NDArray[Any]]] = []
         self.segments: list[Mapping[str, NDArray[Any]]] = []
+        self.contacts: list[Mapping[str, NDArray[Any]]] = []
+        self.changes: list[Mapping[str, NDArray[Any]]] = []
+        self.phases: list[Mapping[str, NDArray[Any]]] = []
         self.arcs: Mapping[str, Array] | None = None
+        self._reached = t
         self.stats = Stats()
         self.forced = False
         self.status = Status(StatusCode.SUCCESS, "the run has started", t)
@@ -47,8 +51,18 @@ class Record:
             self.t.append(t[keep])
             self.q.append(np.asarray(result["q"])[keep])
             self.p.append(np.asarray(result["p"])[keep])
-        if result["events"] is not None:
-            self.events.append(result["events"])
+        for part, name in (
+            (self.events, "events"),
+            (self.contacts, "contacts"),
+            (self.changes, "changes"),
+            (self.phases, "phases"),
+        ):
+            if result.get(name) is not None:
+                part.append(result[name])
+            elif part is self.phases and part and part[-1]["held"][-1]:  # what was held is free again
+                free = {"t": self._reached, "dt": self.options.fixed_dt, "held": 0.0}
+                part.append({name: np.array([value]) for name, value in free.items()})
+        self._reached = float(result["time"])
         if self.options.dense:
             self.segments.append(result["segments"])
         if self.options.auto:
@@ -80,7 +94,7 @@ class Record:
         """Return the events of the blocks from `first` on."""
         parts, states = self.events[first:], self.prepared.states
         return event_log.EventLog(
-            partial(event_log.join, parts, states.nq, states.nv),
+            partial(_events, self.prepared.core, parts, states.nq, states.nv),
             self.prepared.pair_names,
             self.prepared.joint_names,
             self.options.impact,
@@ -89,6 +103,26 @@ class Record:
     def segments_joined(self) -> dense.Segments | None:
         """Return the segments of all blocks; None where none were kept."""
         return dense.joined(self.segments, self.options.order)
+
+    def contact_log(self, first: int = 0) -> contacts.ContactLog:
+        """Return the contacts of the blocks from `first` on."""
+        rows = contacts.joined(self.contacts[first:], contacts.FIELDS)
+        return contacts.ContactLog(rows, self.prepared.pair_names, self.prepared.joint_names)
+
+    def change_log(self) -> contacts.ChangeLog:
+        """Return the changes of contacts of all blocks."""
+        rows = contacts.joined(self.changes, contacts.CHANGE_FIELDS)
+        return contacts.ChangeLog(rows, self.prepared.pair_names, self.prepared.joint_names)
+
+    def phases_joined(self) -> dict[str, Array] | None:
+        """Return {"t", "dt", "held"}: from these times on steps have these lengths; None where nothing was held."""
+        if not self.phases:
+            return None
+        whole = {name: np.concatenate([np.asarray(part[name], dtype=float) for part in self.phases])
+                 for name in ("t", "dt", "held")}  # fmt: skip
+        new = np.ones(len(whole["t"]), dtype=bool)
+        new[1:] = (np.diff(whole["dt"]) != 0.0) | (np.diff(whole["held"]) != 0.0)
+        return {name: values[new] for name, values in whole.items()}
 
     @property
     def impacts(self) -> int:
@@ -107,7 +141,9 @@ class Record:
         self.t, self.q, self.p = [t[:count]], [q[:count]], [p[:count]]
         last = max(time, float(self.t[0][-1]))
         self.events = [_rows(part, part["time"] <= last) for part in self.events]
-        self.segments = [_rows(part, part["t"] < last) for part in self.segments]
+        for name in ("segments", "contacts", "phases"):
+            setattr(self, name, [_rows(part, part["t"] < last) for part in getattr(self, name)])
+        self.changes = [_rows(part, part["time"] <= last) for part in self.changes]
 
     def trajectory(self, engine: Any, error_estimate: float = float("nan")) -> Trajectory:
         """Return what was recorded, with the present state of the engine where the run ended inside a step."""
@@ -124,7 +160,13 @@ class Record:
         return Trajectory(
             self.prepared, self.options, t, q, p, self.log(), self.status, self.stats,
             forced=self.forced, segments=segments, arcs=self.arcs, error_estimate=error_estimate,
+            contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(),
         )  # fmt: skip
+
+
+def _events(core: Any, parts: list[Mapping[str, NDArray[Any]]], nq: int, nv: int) -> dict[str, NDArray[Any]]:
+    joined = event_log.join(parts, nq, nv)
+    return event_log.with_energy_change(joined, lambda q, p: np.asarray(core.energy(q, p))[:, 0])
 
 
 def _rows(part: Mapping[str, NDArray[Any]], chosen: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:

@@ -17,7 +17,8 @@ from contactvi import auto_step, engine
 from contactvi import events as event_log
 from contactvi.endings import REMEDY
 from contactvi.errors import InputError, PenetrationError, SimulationError
-from contactvi.ledger import Ledger, Watch
+from contactvi.ledger import Ledger
+from contactvi.ledger_watch import Watch
 from contactvi.map_checks import Stall, check_map, check_unforced
 from contactvi.options import Options, merged
 from contactvi.prepared import Prepared, prepare
@@ -215,7 +216,7 @@ class Simulator:
         self._watch = Watch(self.options.ledger) if self.options.ledger else None
         inelastic = self.options.impact == "dtec" and self._scene.loses_energy
         self._stall = Stall(self.options.fixed_dt) if inelastic else None
-        self._seen = (0, 0)  # blocks of nodes and of events that the watch has seen
+        self._seen = (0, 0, 0)  # blocks of nodes, of events and of contacts that the watch has seen
         self._record, refused = engine.start(self._engine, self._scene, self.options, q0, v0, t)
         if refused is not None:
             raise refused
@@ -253,16 +254,17 @@ class Simulator:
 
     def _inspect(self, record: Record) -> Status:
         """Look for stalled bouncing and for broken tolerances in what was recorded since the last call."""
-        nodes, events = self._seen
+        nodes, events, contacts = self._seen
         if self._watch is None and events == len(record.events):
             return record.status
         t, q, p = record.nodes(max(0, nodes - 1))
         log = record.log(events)
-        self._seen = len(record.t), len(record.events)
+        self._seen = len(record.t), len(record.events), len(record.contacts)
         cut = max(0, len(record.t[max(0, nodes - 1)]) - 1)  # of the block before only the last node
         block = Ledger(
             self._scene.core, self.options, t[cut:], q[cut:], p[cut:], log,
-            damping=self._scene.damping, forced=record.forced, start=record.start,
+            model=self._scene.built.model, collision=self._scene.built.collision, forced=record.forced,
+            start=record.start, contacts=record.contact_log(contacts), phases=record.phases_joined(),
         )  # fmt: skip
         stalled = None if self._stall is None else self._stall.find(log)
         if stalled is not None and record.status.ok:

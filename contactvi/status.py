@@ -49,6 +49,9 @@ class Stats:
     halved : steps cut in two because their sweeps did not converge. rejected : steps that "auto" made again shorter.
     guards_evaluated, guards_skipped : pairs and limits looked at, and those that could not be reached in the step.
     impacts : number of them. seconds : wall time inside the engine.
+    held_steps : steps and parts of steps with held contacts. contact_rounds : rounds of their equations.
+    cone_problems, cone_iterations : contact problems solved, and Newton iterations for them; cone_fallbacks : of the
+        problems, those that needed another solver. contact_seconds : wall time inside held steps.
     """
 
     steps: int = 0
@@ -62,6 +65,12 @@ class Stats:
     sweeps: int = 0
     halved: int = 0
     rejected: int = 0
+    held_steps: int = 0
+    contact_rounds: int = 0
+    cone_problems: int = 0
+    cone_iterations: int = 0
+    cone_fallbacks: int = 0
+    contact_seconds: float = 0.0
 
     @classmethod
     def of(cls, counts: Mapping[str, Any], seconds: float = 0.0) -> Stats:

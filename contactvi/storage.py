@@ -1,7 +1,7 @@
-"""The file of a run: one npz (a zip of npy arrays), schema 3. Nothing in it is pickled, nothing is executed on loading.
+"""The file of a run: one npz (a zip of npy arrays), schema 4. Nothing in it is pickled, nothing is executed on loading.
 
-N nodes, n events, m segments, s stages (order / 2), nq and nv sizes of configuration and velocity; SI units; everything
-float64 unless it says int64.
+N nodes, n events, c contacts, m segments, s stages (order / 2), nq and nv sizes of configuration and velocity; SI
+units; everything float64 unless it says int64.
 
 ===================== ============== ===========================================================================
 entry                 shape          meaning
@@ -38,12 +38,40 @@ event/after           (n,)           length of the rest of the step after it [s]
 event/q               (n, nq)        configuration at the impact
 event/p_minus         (n, nv)        momentum before
 event/p_plus          (n, nv)        momentum after
+event/impulse_vector  (n, 3)         on the second shape, friction included [N s], world axes; NaN for limits
+event/points          (n,) int64     points of the pair that took part
+event/friction        (n,)           Coulomb coefficient used
+event/loss            (n,)           what the law of the impact takes from the kinetic energy [J]
+event/energy_change   (n,)           H after less H before [J]
+contact/t             (c,)           start of a held step, or time of an impact [s]; only in runs with contacts
+contact/h             (c,)           length of the step [s], 0 for an impact
+contact/step          (c,) int64     index of the step
+contact/kind          (c,) int64     as event/kind
+contact/index         (c,) int64     as event/index
+contact/point         (c,) int64     number of the point within the pair
+contact/mode          (c,) int64     0 stick, 1 slip, 2 frictionless, 3 impact
+contact/position      (c, 3)         contact point at the end of the step [m], world frame
+contact/normal        (c, 3)         unit normal there, from the first shape to the second
+contact/start         (c, 3)         impulse on the second shape of the kick at the start [N s], of an impact all of it
+contact/end           (c, 3)         of the kick at the end [N s]; of limits the first component counts
+contact/gap           (c,)           signed distance at the end [m or rad]
+contact/slip          (c, 3)         tangential velocity of the second shape against the first at the end [m/s]
+change/time           (d,)           when a contact changed [s]; changes only in runs that have some
+change/kind           (d,) int64     as event/kind
+change/index          (d,) int64     as event/index
+change/point          (d,) int64     number of the point within the pair
+change/change         (d,) int64     what became of it, a place in contactvi.contacts.CHANGES
+change/value          (d,)           see contactvi.contacts.ContactChange
+phase/t               (r,)           from these times on [s]; phases only in runs with held contacts
+phase/dt              (r,)           the steps have these lengths [s]
+phase/held            (r,)           and contacts are held (1) or not (0)
 segment/t             (m,)           start of a solved step or partial step [s]; segments only in runs that kept them
 segment/h             (m,)           its length [s]
 segment/q             (m, nq)        configuration at its start
 segment/p             (m, nv)        momentum at its start, this and the next two in the engine's coordinates
 segment/p1            (m, nv)        momentum at its end, before an impact there
 segment/rates         (m, s nv)      chart rates at the Gauss stages (core/path.hpp)
+segment/held          (m,)           1 where contacts were held: a midpoint step whatever the order
 arc/t                 (k,)           with dt "auto" only: from these times on [s]
 arc/dt                (k,)           the steps have these lengths [s]
 frame/time            (f,)           times of frames for pictures between nodes far apart [s], f may be 0
@@ -53,7 +81,7 @@ array/0, array/1 ...  any            arrays (meshes) that the header refers to
 
 The header is an object with the keys
 
-- format: "contactvi-trajectory"; schema: 3; version: of the contactvi that wrote it
+- format: "contactvi-trajectory"; schema: 4; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (contactvi.Stats)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
 - forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
@@ -61,9 +89,10 @@ The header is an object with the keys
 
 in which {"$array": k} stands for the entry array/k, and NaN, Infinity, -Infinity are written as such.
 
-Schema 2 knew order 2 and steps of one length, and had no segments, arcs and frames; it is read. Schema 1 knew CTEC
-only; it is read, with event/method, iterations, fallback and jump 0, before and after NaN, and forced true, since it
-did not say.
+Schema 3 knew no lasting contact and no friction: it has neither contacts, changes and phases nor segment/held and the
+last five entries of events; it is read. Schema 2 knew order 2 and steps of one length, and had no segments, arcs and
+frames; it is read. Schema 1 knew CTEC only; it is read, with event/method, iterations, fallback and jump 0, before and
+after NaN, and forced true, since it did not say.
 """
 
 from __future__ import annotations
@@ -75,23 +104,25 @@ import zipfile
 import zlib
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactvi import dense
 from contactvi import events as event_log
+from contactvi.contacts import ChangeLog, ContactLog
 from contactvi.errors import ContactviError, SceneError
 from contactvi.files import write_atomic
 from contactvi.options import Options
 from contactvi.scene import Scene
 from contactvi.status import Stats, Status, StatusCode
+from contactvi.storage_entries import arcs, check_indices, contact_logs, entry, events, frames, nodes, refuse, segments
 from contactvi.version import version
 from contactvi.visuals import Visual
 
 FORMAT = "contactvi-trajectory"
-SCHEMA = 3
+SCHEMA = 4
 _OLD_EVENTS = {"method": 0.0, "iterations": 0.0, "fallback": 0.0, "jump": 0.0, "before": np.nan, "after": np.nan}
 
 _NODES: dict[str, str | None] = {
@@ -127,6 +158,9 @@ class Run(Protocol):
     forced: bool
     segments: dense.Segments | None
     arcs: dict[str, NDArray[np.float64]] | None
+    phases: dict[str, NDArray[np.float64]] | None
+    contacts: ContactLog
+    contact_changes: ChangeLog
     error_estimate: float
 
     @property
@@ -169,6 +203,9 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
         entries |= {f"segment/{name}": values for name, values in traj.segments.arrays.items()}
     entries |= {f"arc/{name}": values for name, values in (traj.arcs or {}).items()}
     entries |= {f"event/{name}": values for name, values in traj.events.arrays.items()}
+    entries |= {f"phase/{name}": values for name, values in (traj.phases or {}).items()}
+    for group, log in (("contact", traj.contacts), ("change", traj.contact_changes)):
+        entries |= {f"{group}/{name}": values for name, values in log.arrays.items() if len(log)}
     entries |= {f"array/{k}": values for k, values in enumerate(arrays)}
     return write_atomic(path, lambda file: np.savez(file, header=np.array(text), **entries))
 
@@ -180,15 +217,15 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     path = Path(path)
     if not path.is_file():
-        _refuse(path, "there is no such file")
+        refuse(path, "there is no such file")
     try:
         file = np.load(path, allow_pickle=False)
         if isinstance(file, np.ndarray):
-            _refuse(path, "one array, not an npz")
+            refuse(path, "one array, not an npz")
         with file:
             entries = {name: file[name] for name in file.files}
     except _UNREADABLE as error:
-        _refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
+        refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
     header = _read_header(path, entries)
     try:
         if header["schema"] == 1:
@@ -199,19 +236,19 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     except ContactviError:
         raise
     except Exception as error:  # whatever a wrong header makes the scene or the options stumble over
-        _refuse(path, f"{type(error).__name__}: {error}", error)
+        refuse(path, f"{type(error).__name__}: {error}", error)
 
 
 def _read_header(path: Path, entries: dict[str, NDArray[Any]]) -> dict[str, Any]:
     text = entries.get("header")
     if text is None or text.ndim != 0 or text.dtype.kind != "U":
-        _refuse(path, "an npz without the entry 'header'")
+        refuse(path, "an npz without the entry 'header'")
     try:
         header = json.loads(str(text))
     except (ValueError, RecursionError) as error:
-        _refuse(path, "a header that is not JSON", error)
+        refuse(path, "a header that is not JSON", error)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        _refuse(path, "an npz of another format")
+        refuse(path, "an npz of another format")
     if header.get("schema") not in range(1, SCHEMA + 1):
         raise SceneError(
             f"{path} has another schema",
@@ -241,134 +278,40 @@ def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any])
     scene = Scene.from_dict(header["scene"])
     sizes = {"q": int(scene.model.nq), "v": int(scene.model.nv)}
     options = Options.from_dict(header["options"])
-    nodes = _nodes(path, entries, sizes, _stored_nodes(options))
-    log = event_log.EventLog(
-        _events(path, entries, sizes),
-        [(a, b) for a, b in header["pair_names"]],
-        header["joint_names"],
-        header["method"],
-    )
-    _check_indices(path, log, len(header["pair_names"]), len(header["joint_names"]))
+    found = nodes(path, entries, sizes, _stored_nodes(options))
+    names = [(str(a), str(b)) for a, b in header["pair_names"]], list(header["joint_names"])
+    log = event_log.EventLog(events(path, entries, sizes, header["schema"]), *names, header["method"])
+    check_indices(path, log, len(names[0]), len(names[1]))
     pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]
-    times = _entry(path, entries, "gap/time", (None,), float)
+    times = entry(path, entries, "gap/time", (None,), float)
     status = header["status"]
     visuals = [Visual.from_dict(fields) for fields in header["visuals"]]
     if not all(0 <= visual.joint < scene.model.njoints for visual in visuals):
-        _refuse(path, "pictures on joints that do not exist")
+        refuse(path, "pictures on joints that do not exist")
     return {
         "scene": scene,
         "options": options,
-        "t": nodes.pop("t"),
-        "q": nodes.pop("q"),
-        "p": nodes.pop("p"),
+        "t": found.pop("t"),
+        "q": found.pop("q"),
+        "p": found.pop("p"),
         "events": log,
         "status": Status(StatusCode(status["code"]), str(status["message"]), float(status["time"])),
         "stats": Stats(**header["stats"]),
         "forced": bool(header["forced"]),
-        "segments": _segments(path, entries, sizes, options) if "segment/t" in entries else None,
-        "arcs": _arcs(path, entries) if "arc/t" in entries else None,
+        "segments": segments(path, entries, sizes, options, header["schema"]) if "segment/t" in entries else None,
+        "arcs": arcs(path, entries) if "arc/t" in entries else None,
         "error_estimate": float(header["error_estimate"]),
-        "frames": _frames(path, entries, sizes),
-        "derived": nodes,
-        "gaps": (times, pairs, _entry(path, entries, "gap/value", (len(times), len(pairs)), float)),
+        "frames": frames(path, entries, sizes),
+        "derived": found,
+        "gaps": (times, pairs, entry(path, entries, "gap/value", (len(times), len(pairs)), float)),
         "visuals": visuals,
+        **contact_logs(path, entries, names),
     }
 
 
 def _stored_nodes(options: Options) -> dict[str, str | None]:
     """Return the entries per node; the discrete energy costs a step per node and is kept where it is conserved."""
     return _NODES | {"discrete_energy": None} if options.impact == "dtec" else _NODES
-
-
-def _nodes(
-    path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int], names: dict[str, str | None]
-) -> dict[str, NDArray[Any]]:
-    t = _entry(path, entries, "t", (None,), float)
-    if len(t) == 0 or not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0):
-        _refuse(path, "times that do not increase")
-    nodes = {"t": t}
-    for name, width in names.items():
-        shape = (len(t),) if width is None else (len(t), sizes[width])
-        nodes[name] = _entry(path, entries, name, shape, float)
-    if not np.all(np.isfinite(nodes["q"])):
-        _refuse(path, "configurations that are not finite")
-    return nodes
-
-
-def _segments(path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int], options: Options) -> dense.Segments:
-    count = len(_entry(path, entries, "segment/t", (None,), float))
-    sizes = sizes | {"sv": options.order // 2 * sizes["v"]}
-    arrays = {}
-    for name, axes in dense.FIELDS.items():
-        arrays[name] = _entry(path, entries, f"segment/{name}", (count, *(sizes[axis] for axis in axes)), float)
-        if not np.all(np.isfinite(arrays[name])):
-            _refuse(path, "segments that are not finite")
-    if (
-        count == 0
-        or np.any(np.diff(arrays["t"]) < -8.0 * np.finfo(float).eps * np.abs(arrays["t"][1:]))
-        or np.any(arrays["h"] <= 0)
-    ):
-        _refuse(path, "segments that do not follow each other")
-    return dense.Segments(arrays, options.order)
-
-
-def _arcs(path: Path, entries: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    count = len(_entry(path, entries, "arc/t", (None,), float))
-    return {name: _entry(path, entries, f"arc/{name}", (count,), float) for name in ("t", "dt")}
-
-
-def _frames(
-    path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    times = _entry(path, entries, "frame/time", (None,), float)
-    values = _entry(path, entries, "frame/q", (len(times), sizes["q"]), float)
-    if not np.all(np.isfinite(times)) or not np.all(np.isfinite(values)):
-        _refuse(path, "frames that are not finite")
-    return times, values
-
-
-def _events(path: Path, entries: dict[str, NDArray[Any]], sizes: dict[str, int]) -> dict[str, NDArray[Any]]:
-    count = len(_entry(path, entries, "event/time", (None,), float))
-    arrays = {}
-    for name, (width, kind) in event_log.FIELDS.items():
-        size = sizes[width] if isinstance(width, str) else width
-        shape = (count, size) if width else (count,)
-        arrays[name] = _entry(path, entries, f"event/{name}", shape, kind)
-    return arrays
-
-
-def _check_indices(path: Path, log: event_log.EventLog, pairs: int, joints: int) -> None:
-    for name, known in (("method", len(event_log.METHODS)), ("fallback", len(event_log.FALLBACKS))):
-        if not np.all((log.array(name) >= 0) & (log.array(name) < known)):
-            _refuse(path, f"events of an unknown {name}")
-    kind, index = log.array("kind"), log.array("index")
-    bound = np.where(kind == 0, pairs, 2 * joints)
-    if not np.all(np.isin(kind, (0, 1)) & (index >= 0) & (index < bound)):
-        _refuse(path, "events that name unknown pairs")
-
-
-def _entry(
-    path: Path, entries: dict[str, NDArray[Any]], name: str, shape: tuple[int | None, ...], kind: type
-) -> NDArray[Any]:
-    values = entries.get(name)
-    if values is None:
-        _refuse(path, f"a file without the entry {name!r}")
-    fits = values.ndim == len(shape) and all(
-        want is None or have == want for have, want in zip(values.shape, shape, strict=True)
-    )
-    if not fits or values.dtype != np.dtype(kind):
-        _refuse(path, f"{name!r} of shape {values.shape} and type {values.dtype}, not {shape} {np.dtype(kind)}")
-    return values
-
-
-def _refuse(path: Path, got: str, cause: BaseException | None = None) -> NoReturn:
-    raise SceneError(
-        f"Cannot read the run {path}",
-        path=path,
-        expected="an npz file written by Trajectory.save",
-        got=got,
-        remedy="Check the path; a damaged file has to be computed again",
-    ) from cause
 
 
 def _pack(item: Any, arrays: list[NDArray[Any]], seen: dict[tuple[Any, ...], int]) -> Any:

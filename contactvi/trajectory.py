@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi.contacts import ChangeLog, ContactLog, empty_changes, empty_contacts
 from contactvi.dense import Segments, State, frame_times
 from contactvi.errors import InputError
 from contactvi.events import EventLog
@@ -39,6 +40,10 @@ class Trajectory:
     status : how the run ended. stats : what it cost.
     forced : whether the run had inputs (control) other than zero; they are not kept.
     segments : the polynomials of its steps (contactvi.dense), None without; `at` evaluates them.
+    contacts : every contact of every held step and impact, with its forces (a `ContactLog`); empty without, and with
+        record_contacts=False. contact_changes : when contacts began, stuck, slipped, ended (a `ChangeLog`).
+    phases : where something was held, {"t": (k,), "dt": (k,), "held": (k,)}: from these times [s] on steps have these
+        lengths [s], and contacts are held (1) or not (0); else None.
     arcs : with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths [s]; else None.
     error_estimate : with dt="auto", the measured error of q over the run [m, rad], see contactvi.auto_step; else NaN.
     """
@@ -61,6 +66,9 @@ class Trajectory:
         derived: Mapping[str, Array] | None = None,
         gaps: tuple[Array, list[tuple[str, str]], Array] | None = None,
         frames: tuple[Array, Array] | None = None,
+        contacts: ContactLog | None = None,
+        changes: ChangeLog | None = None,
+        phases: Mapping[str, Array] | None = None,
         visuals: list[Any] | None = None,
     ) -> None:
         self._scene = scene
@@ -74,6 +82,9 @@ class Trajectory:
         self.forced = forced
         self.segments = segments
         self.arcs = None if arcs is None else dict(arcs)
+        self.phases = None if phases is None else dict(phases)
+        self.contacts = empty_contacts() if contacts is None else contacts
+        self.contact_changes = empty_changes() if changes is None else changes
         self.error_estimate = error_estimate
         self._derived: dict[str, Array] = dict(derived or {})
         self._gaps = gaps
@@ -102,11 +113,17 @@ class Trajectory:
         """How it was stepped, in words, for example "order 2, dt = 0.01 s"."""
         order = f"order {self.options.order}"
         if not self.options.auto:
-            return f"{order}, dt = {self.options.fixed_dt:.6g} s"
-        steps = np.zeros(0) if self.arcs is None else self.arcs["dt"]
-        low, high = (f"{x:.3g}" for x in (steps.min(initial=np.inf), steps.max(initial=0.0)))
-        lengths = f" = {low} s" if low == high else f" = {low} to {high} s" if len(steps) else ""
-        return f"{order}, dt{lengths} (auto), error of q about {self.error_estimate:.1g}"
+            return f"{order}, dt = {self.options.fixed_dt:.6g} s{self._held_stepping()}"
+        lengths = _lengths(np.zeros(0) if self.arcs is None else self.arcs["dt"])
+        return f"{order}, dt{lengths} (auto){self._held_stepping()}, error of q about {self.error_estimate:.1g}"
+
+    def _held_stepping(self) -> str:
+        """How long contacts were held and with which steps, in words."""
+        if self.phases is None:
+            return ""
+        held, ends = self.phases["held"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
+        span = float((ends - self.phases["t"])[held].sum())
+        return f", in contact order 2, dt{_lengths(self.phases['dt'][held])} ({span:.4g} s of the run)"
 
     @property
     def v(self) -> Array:
@@ -145,7 +162,8 @@ class Trajectory:
         if self._ledger is None:
             self._ledger = Ledger(
                 self._engine(), self.options, self.t, self.q, self.p, self.events,
-                damping=self.scene.model.damping, forced=self.forced, start=float(self.t[0]),
+                model=self.scene.model, collision=self.scene.collision_model, forced=self.forced,
+                start=float(self.t[0]), contacts=self.contacts, phases=self.phases,
             )  # fmt: skip
         return self._ledger
 
@@ -161,8 +179,13 @@ class Trajectory:
 
     @property
     def impact_loss(self) -> Array:
-        """What restitution took up to each node (>= 0) [J], shape (N,); what every impact map takes from its scalar."""
+        """What the laws of impacts took up to each node, by restitution and friction (>= 0) [J], shape (N,)."""
         return self.events.total(self.events.loss, self.t)
+
+    @property
+    def friction_loss(self) -> Array:
+        """What sliding took in held contacts up to each node [J], shape (N,); to O(dt_contact^2)."""
+        return self.ledger.friction_loss
 
     @property
     def visuals(self) -> list[Any]:
@@ -180,7 +203,8 @@ class Trajectory:
         The times are nodes; where these are too far apart for pictures, `frames` and impacts too.
         """
         if self._gaps is None:
-            index = np.unique(self.events.array("index")[self.events.array("kind") == 0])
+            index = np.unique(np.concatenate([log.array("index")[log.array("kind") == 0]
+                                              for log in (self.events, self.contacts)]))  # fmt: skip
             t, q = self.t, self.q
             if len(self.frames[0]):
                 t = np.concatenate([t, self.frames[0], self.events.array("time")])
@@ -304,6 +328,12 @@ class Trajectory:
             values = np.asarray(self._engine().energy(self.q, self.p), dtype=float)
             self._derived["kinetic_energy"] = values[:, 0]
             self._derived["potential_energy"] = values[:, 1]
+
+
+def _lengths(steps: Array) -> str:
+    """Return " = 0.01 s" or " = 0.01 to 0.02 s", nothing for none."""
+    low, high = (f"{x:.3g}" for x in (steps.min(initial=np.inf), steps.max(initial=0.0)))
+    return f" = {low} s" if low == high else f" = {low} to {high} s" if len(steps) else ""
 
 
 def _linear_entries(model: pin.Model) -> NDArray[np.int64]:

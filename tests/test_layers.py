@@ -42,7 +42,10 @@ CPP_LAYERS: Layers = {
 # Python: a unit is a module of contactvi. `_core` is the compiled engine.
 PYTHON_LAYERS: Layers = {
     "engine": (("_core",), ()),
-    "base": (("errors", "version", "files", "inputs", "checks", "options", "status", "events"), ()),
+    "base": (
+        ("errors", "version", "files", "inputs", "checks", "option_checks", "options", "status", "events", "contacts"),
+        (),
+    ),
     "model": (("paths", "report", "xml_input", "urdf", "mjcf", "hulls", "model_checks"), ("base",)),
     "scene": (
         (
@@ -53,14 +56,18 @@ PYTHON_LAYERS: Layers = {
     ),
     "prepared": (("prepared",), ("scene",)),
     "page": (("visuals", "animation", "shapes", "page"), ("scene",)),
-    "trajectory": (("dense", "ledger", "storage", "trajectory"), ("page", "prepared")),
+    "trajectory": (
+        ("dense", "contact_ledger", "ledger", "storage_entries", "storage", "trajectory"),
+        ("page", "prepared"),
+    ),
     "progress": (("progress",), ("base",)),
     "simulation": (
-        ("map_checks", "endings", "record", "engine", "auto_step", "simulation"),
+        ("map_checks", "endings", "ledger_watch", "record", "engine", "auto_step", "simulation"),
         ("trajectory", "progress"),
     ),
+    "simultaneous": (("impact_sequences", "simultaneous"), ("prepared",)),
     "pictures": (("viewer", "plots"), ("trajectory",)),
-    "face": (("__init__",), ("simulation", "pictures")),
+    "face": (("__init__",), ("simulation", "simultaneous", "pictures")),
     "bench": (("bench_runs", "bench", "bench_report"), ("simulation",)),
     "reproduce": (
         (

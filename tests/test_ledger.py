@@ -16,7 +16,7 @@ from run_scenes import slider_scene
 
 import contactvi as cvi
 from contactvi.events import METHODS
-from contactvi.options import LEDGER_TOLERANCES
+from contactvi.option_checks import LEDGER_TOLERANCES
 
 FILE = pathlib.Path(__file__).resolve().parents[1] / "models" / "double_pendulum_wall.toml"
 EPS = float(np.finfo(float).eps)

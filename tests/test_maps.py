@@ -347,16 +347,17 @@ def test_a_stored_run_says_all_of_its_events(impact, tmp_path):
     assert loaded.forced is traj.forced is False
     with np.load(tmp_path / "run.npz") as file:
         assert ("discrete_energy" in file.files) == (impact == "dtec")
-        assert re.search('"schema": 3', str(file["header"]))
+        assert re.search('"schema": 4', str(file["header"]))
     np.testing.assert_array_equal(loaded.discrete_energy, traj.discrete_energy)
 
 
 def test_a_run_of_schema_1_is_read_with_defaults(tmp_path):
     traj = run("double pendulum", "ctec", 0.5)
     new = ("method", "fallback", "jump", "before", "after")
+    new += ("impulse_vector", "points", "friction", "loss", "energy_change")  # of schema 4
     with np.load(traj.save(tmp_path / "new.npz")) as file:
         entries = {name: file[name] for name in file.files if name not in {f"event/{field}" for field in new}}
-    header = str(entries["header"]).replace('"schema": 3', '"schema": 1').replace('"forced": false, ', "")
+    header = str(entries["header"]).replace('"schema": 4', '"schema": 1').replace('"forced": false, ', "")
     header = header.replace('"mhc_reference": "local", ', "")
     entries["header"] = np.array(header)
     np.savez(tmp_path / "old.npz", **entries)

@@ -18,7 +18,7 @@ import pytest
 from run_scenes import FIRST_IMPACT, GRAVITY, HEIGHT, RADIUS, ball_scene, hand_scene, slider_scene
 
 import contactvi as cvi
-from contactvi import dense, storage
+from contactvi import contacts, dense, storage
 
 EPS = np.finfo(float).eps
 ARRAYS = ("t", "q", "p", "v", "energy", "kinetic_energy", "potential_energy", "modified_energy", "impact_energy")
@@ -180,6 +180,8 @@ def test_every_entry_is_documented(ball, tmp_path):
     described = set(re.findall(r"^([a-zA-Z_]+(?:/[a-zA-Z_0-9]+)?) {2,}\(", storage.__doc__, re.MULTILINE))
     stored |= {"discrete_energy"}  # of DTEC's runs, tests/test_maps.py
     stored |= {f"segment/{name}" for name in dense.FIELDS}  # of runs that keep their polynomials, tests/test_dense.py
+    stored |= {f"contact/{name}" for name in contacts.FIELDS}  # of runs with contacts, tests/test_contacts_face.py
+    stored |= {f"change/{name}" for name in contacts.CHANGE_FIELDS} | {f"phase/{name}" for name in ("t", "dt", "held")}
     stored |= {"arc/t", "arc/dt"}  # of runs with dt "auto", tests/test_auto_step.py
     assert described == {name for name in stored if not name.startswith("array/")}
 
@@ -293,8 +295,8 @@ def test_nothing_is_unpickled(saved, tmp_path):
 
 
 def test_other_schema(saved):
-    rewrite(saved, header=np.array(header(saved).replace('"schema": 3', '"schema": 4')))
-    with pytest.raises(cvi.SceneError, match="expected schema 1 to 3, got schema 4"):
+    rewrite(saved, header=np.array(header(saved).replace('"schema": 4', '"schema": 5')))
+    with pytest.raises(cvi.SceneError, match="expected schema 1 to 4, got schema 5"):
         cvi.Trajectory.load(saved)
 
 
@@ -304,7 +306,7 @@ def test_other_schema(saved):
         {"header": None},
         {"header": np.array("not json")},
         {"header": np.array("[1, 2]")},
-        {"header": np.array('{"format": "contactvi-trajectory", "schema": 3}')},
+        {"header": np.array('{"format": "contactvi-trajectory", "schema": 4}')},
         {"header": np.array("[" * 100_000)},
         {"header": np.zeros(3)},
         {"t": None},
