@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from contactvi.scene import Scene
     from contactvi.scene_file import load_scene
     from contactvi.simulation import Simulator, simulate
+    from contactvi.simultaneous import SimultaneousOutcomes, simultaneous_outcomes
     from contactvi.status import Stats, Status, StatusCode
     from contactvi.trajectory import Trajectory
     from contactvi.viewer import view
@@ -55,6 +56,8 @@ _HOME = {
     "load_scene": "scene_file",
     "simulate": "simulation",  # not "simulate": a submodule of that name would shadow the function
     "Simulator": "simulation",
+    "SimultaneousOutcomes": "simultaneous",
+    "simultaneous_outcomes": "simultaneous",
     "State": "dense",
     "Stats": "status",
     "Status": "status",
@@ -76,6 +79,7 @@ __all__ = [
     "SceneError",
     "SimulationError",
     "Simulator",
+    "SimultaneousOutcomes",
     "State",
     "Stats",
     "Status",
@@ -87,6 +91,7 @@ __all__ = [
     "load_scene",
     "plot",
     "simulate",
+    "simultaneous_outcomes",
     "view",
 ]
 
