@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from contactvi import parts as shapes
-from contactvi.assembly import Assembly, assemble, assemble_visual
-from contactvi.contact_rules import FRICTION, RESTITUTION, Rule
+from contactvi.assembly import assemble_visual
 from contactvi.errors import InputError
-from contactvi.importers import import_mjcf, import_pinocchio, import_urdf
-from contactvi.inputs import pose, real, vector
+from contactvi.importers import import_pinocchio
+from contactvi.inputs import real, vector
 from contactvi.joints import JointSettings, joint_settings, joint_value, joint_velocity
-from contactvi.parts import Part, shape_part, take_names
+from contactvi.parts import take_names
 from contactvi.report import ImportReport
-from contactvi.scene_build import Built, Edits, build, engine_scene, scene_report
+from contactvi.scene_build import Built, build, engine_scene, scene_report
 from contactvi.scene_data import scene_from_dict, scene_to_dict
-from contactvi.selection import BodyHandle, Names, PartHandle, Selector
+from contactvi.scene_parts import GRAVITY, SceneParts
+from contactvi.selection import PartHandle, Selector
 
-GRAVITY = (0.0, 0.0, -9.81)
+__all__ = ["GRAVITY", "Scene"]
 
 
-class Scene:
+class Scene(SceneParts):
     """A set of rigid bodies with joints, contact geometry and contact data.
 
     Parameters
@@ -39,112 +37,16 @@ class Scene:
     """
 
     def __init__(self, gravity: Sequence[float] | np.ndarray = GRAVITY) -> None:
-        self._gravity = vector("gravity", gravity, 3)
+        super().__init__(gravity)
         self.q0: np.ndarray | None = None
         self.v0: np.ndarray | None = None
         self.settings: dict[str, Any] = {}
-        self._parts: list[Part] = []
-        self._taken: dict[str, set[str]] = {}  # names by kind
-        self._groups: dict[str, PartHandle] = {}  # names that stand for several bodies
-        self._edits = Edits(Rule(RESTITUTION), Rule(FRICTION))
-        self._base: tuple[Assembly, Names] | None = None  # of the parts alone
-        self._built: Built | None = None  # of everything; dropped by every edit
-        self._visual: pin.GeometryModel | None = None
         self._prepared: Any = None  # contactvi.prepared, of the last run
 
     @property
     def gravity(self) -> np.ndarray:
         """Acceleration of free fall [m/s^2], world frame, shape (3,); a constant of the scene."""
         return self._gravity.copy()
-
-    def add_urdf(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        base: str = "fixed",
-        placement: Any = None,
-        package_dirs: Sequence[str | os.PathLike[str]] = (),
-        srdf: str | os.PathLike[str] | None = None,
-        prefix: str = "",
-    ) -> PartHandle:
-        """Add a URDF model. Meshes become convex hulls, mimic joints become independent (see `report`).
-
-        Parameters
-        ----------
-        path : file, or `package://...`, `example-robot-data://robots/...`.
-        base : "fixed" to the world or "free" (a free-flyer named root_joint).
-        placement : of the base in the world: None, xyz [m], (xyz, rpy [rad]), 7 numbers (xyz, quaternion xyzw) or
-            pin.SE3. For a free base it is where neutral() puts it.
-        package_dirs : folders in which to look for packages first.
-        srdf : file whose disable_collisions are left out of the collision pairs.
-        prefix : put before all names, to add the same model twice.
-
-        Raises
-        ------
-        SceneError, UnsupportedJointError, InputError
-        """
-        dirs = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else list(package_dirs)
-        where = pose("placement", placement)
-        part = import_urdf(path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix)
-        return self._add(part)
-
-    def add_mjcf(self, path: str | os.PathLike[str], *, placement: Any = None, prefix: str = "") -> PartHandle:
-        """Add an MJCF model: bodies, joints, geometries; planes are halfspaces. Arguments and errors as in add_urdf."""
-        return self._add(import_mjcf(path, placement=pose("placement", placement), prefix=prefix))
-
-    def add_sphere(
-        self, name: str, radius: float, mass: float = 1.0, free: bool = True, placement: Any = None, color: Any = None
-    ) -> BodyHandle:
-        """Add a solid sphere: radius [m], mass [kg]. `free`: moves freely, else fixed to the world.
-
-        `placement` as in add_urdf (for a free body the pose that neutral() gives it), color rgba in 0..1.
-        """
-        return self._add_shape(name, shapes.sphere(name, radius, mass), free, placement, color)
-
-    def add_box(
-        self,
-        name: str,
-        size: Sequence[float],
-        mass: float = 1.0,
-        free: bool = True,
-        placement: Any = None,
-        color: Any = None,
-    ) -> BodyHandle:
-        """Add a solid box: full edge lengths [m], shape (3,). The rest as in add_sphere."""
-        return self._add_shape(name, shapes.box(name, size, mass), free, placement, color)
-
-    def add_capsule(
-        self,
-        name: str,
-        radius: float,
-        length: float,
-        mass: float = 1.0,
-        free: bool = True,
-        placement: Any = None,
-        color: Any = None,
-    ) -> BodyHandle:
-        """Add a solid capsule along z: radius, length without the caps [m]. The rest as in add_sphere."""
-        return self._add_shape(name, shapes.capsule(name, radius, length, mass), free, placement, color)
-
-    def add_cylinder(
-        self,
-        name: str,
-        radius: float,
-        length: float,
-        mass: float = 1.0,
-        free: bool = True,
-        placement: Any = None,
-        color: Any = None,
-    ) -> BodyHandle:
-        """Add a solid cylinder along z: radius, length [m]. The rest as in add_sphere."""
-        return self._add_shape(name, shapes.cylinder(name, radius, length, mass), free, placement, color)
-
-    def add_halfspace(
-        self, normal: Sequence[float] = (0.0, 0.0, 1.0), offset: float = 0.0, name: str = "ground", color: Any = None
-    ) -> BodyHandle:
-        """Add the solid halfspace n . x <= offset [m], fixed to the world; n is the normal made a unit vector."""
-        shape = shapes.halfspace(normal, offset, name)
-        return self._add(shape_part(name, shape, None, pin.SE3.Identity(), color), BodyHandle)
 
     @classmethod
     def from_pinocchio(
@@ -163,21 +65,6 @@ class Scene:
         scene._add(part)
         return scene
 
-    def _add_shape(self, name: str, body: Any, free: bool, placement: Any, color: Any) -> BodyHandle:
-        shape, inertia = body
-        where = pose("placement", placement)
-        return self._add(shape_part(name, shape, inertia if free else None, where, color), BodyHandle)
-
-    def _add(self, part: Part, handle_type: type = PartHandle) -> Any:
-        take_names(part, self._taken)
-        handle = handle_type(
-            part.name, tuple(part.joint_names()), tuple(part.body_names()), tuple(part.geometry_names())
-        )
-        self._parts.append(part)
-        self._groups[part.name] = handle
-        self._base = self._built = self._visual = None
-        return handle
-
     def set_contact(
         self,
         a: Selector | None = None,
@@ -186,11 +73,13 @@ class Scene:
         restitution: float | None = None,
         friction: float | None = None,
     ) -> None:
-        """Set restitution in [0, 1] and Coulomb friction >= 0 (stored, not used yet) of contacts.
+        """Set restitution in [0, 1] and Coulomb friction >= 0 of contacts; by default 0.5 and 0.
 
-        Without a and b: the scene's default (and that of joint limits). With a: of one body, part or geometry. With
-        a and b: of the contacts between them. A pair uses its own value, else the smaller one of its two sides' values,
-        else the default.
+        Restitution is Poisson's, the ratio of the impulses of expansion and compression, which without friction is that
+        of the speeds; friction is isotropic and acts in impacts and in lasting contact. Without a and b: the scene's
+        default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
+        contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else the
+        default.
         """
         if a is None and b is not None:
             a, b = b, None
@@ -259,12 +148,6 @@ class Scene:
         all_names = list(names.geometries)
         return [all_names[index] for index in names.select_geometries(selector, argument)]
 
-    def _assembled(self) -> tuple[Assembly, Names]:
-        if self._base is None:
-            assembly = assemble(self._parts, self._gravity)
-            self._base = assembly, Names(assembly.model, assembly.collision, self._groups)
-        return self._base
-
     def _complete(self) -> Built:
         if self._built is None:
             assembly, names = self._assembled()
@@ -308,7 +191,7 @@ class Scene:
 
     @property
     def pair_friction(self) -> np.ndarray:
-        """Coulomb friction of each tested pair (stored, not used yet), shape (npairs,)."""
+        """Coulomb friction of each tested pair, shape (npairs,)."""
         return self._complete().friction.copy()
 
     @property

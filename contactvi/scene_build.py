@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from contactvi.errors import SceneError
 from contactvi.joints import JointArrays, JointSettings, apply_settings
 from contactvi.pairs import choose_pairs
 from contactvi.parts import Part
-from contactvi.report import ImportReport, Note, RemovedPair, number
+from contactvi.report import ImportReport, Note, PartReport, RemovedPair, number
 from contactvi.selection import Names
 
 
@@ -120,7 +120,8 @@ def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
 def scene_report(parts: Sequence[Part], built: Built, joints: Mapping[str, JointSettings]) -> ImportReport:
     """Return the report: what the parts found, joint settings that replace file data, pairs, rounded shapes."""
     damped = {name for name, settings in joints.items() if settings.damping is not None}
-    found = [part.report.without("suspicious", damped, "damping") for part in parts]
+    limited = dict(zip(built.model.names, built.arrays.limits, strict=True))
+    found = [_with_limits(part.report.without("suspicious", damped, "damping"), limited) for part in parts]
     report = ImportReport(found, list(built.pairs), list(built.removed))
     for name, settings in joints.items():
         if settings.damping is not None:
@@ -132,6 +133,9 @@ def scene_report(parts: Sequence[Part], built: Built, joints: Mapping[str, Joint
         if settings.stiffness:
             text = f"spring of {number(settings.stiffness)} N m/rad or N/m"
             report.notes.append(Note("used", "joint", name, text))
+    if built.pairs:
+        text = f"restitution {_range(built.restitution)}, Coulomb friction {_range(built.friction)}"
+        report.notes.append(Note("used", "pairs", f"{len(built.pairs)}", text))
     try:
         rounding = list(engine_scene(built).rounding)
     except SceneError as error:
@@ -144,6 +148,12 @@ def scene_report(parts: Sequence[Part], built: Built, joints: Mapping[str, Joint
     return report
 
 
-def _range(values: Sequence[float]) -> str:
-    low, high = number(min(values)), number(max(values))
+def _with_limits(report: PartReport, limited: Mapping[str, bool]) -> PartReport:
+    """Return the report with the limits that are simulated: the scene may switch them off, or give others."""
+    rows = [replace(row, limited=bool(limited.get(row.name, row.limited))) for row in report.joints]
+    return replace(report, joints=rows)
+
+
+def _range(values: Sequence[float] | np.ndarray) -> str:
+    low, high = number(float(min(values))), number(float(max(values)))
     return low if low == high else f"{low} to {high}"

@@ -1,8 +1,8 @@
 """Scene files: one readable TOML page that says what is simulated, how it starts and how it is run.
 
     [scene]                 gravity = [0, 0, -9.81]                 title, description: for the reader
-    [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix
-    [[mjcf]]                path, xyz, rpy, prefix
+    [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true
+    [[mjcf]]                path, xyz, rpy, prefix, limits = true
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
     [[halfspace]]           normal, offset, name, color
@@ -13,7 +13,7 @@
     [initial]               q = { joint = value }, v = { joint = value }, springs_at_rest = true | false
     [[initial.body]]        name, xyz, rpy or quaternion, velocity, angular_velocity    of a free body
     [run]                   dt = number | "auto", duration, order, tol, impact, mhc_reference, sample_dt, record_every,
-                            dense, ...                              (options.Options)
+                            dense, dt_contact, zeno, support, ...   (options.Options)
     [run.ledger]            own_jump = 1e-10, ...                   tolerances (contactvi.ledger)
 
 SI units and radians; rpy is roll-pitch-yaw as in URDF, a quaternion is (x, y, z, w), velocities are in world axes.
@@ -51,8 +51,8 @@ _PLACE = ("xyz", "rpy")
 _BODY = ("name", "mass", "free", "color", *_PLACE)
 KEYS: dict[str, tuple[str, ...]] = {
     "scene": ("title", "description", "gravity"),
-    "urdf": ("path", "base", "package_dirs", "srdf", "prefix", *_PLACE),
-    "mjcf": ("path", "prefix", *_PLACE),
+    "urdf": ("path", "base", "package_dirs", "srdf", "prefix", "limits", *_PLACE),
+    "mjcf": ("path", "prefix", "limits", *_PLACE),
     "sphere": ("radius", *_BODY),
     "box": ("size", *_BODY),
     "capsule": ("radius", "length", *_BODY),
@@ -197,10 +197,10 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
             prefix=entry.get("prefix", ""),
             folder=folder,
         )
-        scene._add(part)
+        scene.add_model(part, entry.get("limits", True))
     elif section == "mjcf":
         part = import_mjcf(entry["path"], placement=placement, prefix=entry.get("prefix", ""), folder=folder)
-        scene._add(part)
+        scene.add_model(part, entry.get("limits", True))
     elif section == "halfspace":
         scene.add_halfspace(**entry)
     else:

@@ -50,7 +50,7 @@ PYTHON_LAYERS: Layers = {
     "scene": (
         (
             *("parts", "importers", "assembly", "pairs", "joints", "contact_rules", "selection"),
-            *("scene_build", "scene_data", "scene", "scene_file"),
+            *("scene_build", "scene_data", "scene_parts", "scene", "scene_file"),
         ),
         ("model", "engine"),
     ),
