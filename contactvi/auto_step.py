@@ -7,6 +7,9 @@ level. Its distance from the run is the difference of the two errors, whose rati
 steps. Where the error is above tol the level is lowered by the law and the run made again; the one before is then the
 companion.
 
+While contacts are held the steps are midpoint steps of one length, whatever the order. They are as long as the level
+times a constant, so that their error goes with the square of the level too and the same comparison measures it.
+
 The estimate is for the largest error of q over the nodes, norm of the tangent difference [m, rad]. It is no bound: it
 takes the law for granted while successive distances follow it, and the whole distance where they do not. Rounding and
 the tolerance of the stage equations are counted as a floor that no level can undercut. Motions that part for good
@@ -51,6 +54,8 @@ _FOLLOWS = 5.0  # times what the law expects: more is not the law
 _LOST = 0.1  # of the size of the motion: two runs this far apart no longer follow the same motion
 _TIMES = 6  # at which two runs are compared
 _STARTS = 3  # flights whose first step is looked at
+_CONTACT = 3.0  # [s/m] step in contact / level: about 1e-3 s for tol = 1e-6
+_CONTACT_DT = (1e-6, 2e-2)  # [s] shortest and longest one
 _LEVELS = (1e-8, 3e-3)  # below: errors under rounding, and steps without end at low orders
 _EPS = float(np.finfo(float).eps)
 
@@ -97,8 +102,8 @@ def run(
 class _Found:
     """A run at a level: its record, and the engine at its end."""
 
-    def __init__(self, level: float, record: Record, simulator: Any) -> None:
-        self.level, self.record, self.engine = level, record, simulator
+    def __init__(self, level: float, record: Record, simulator: Any, dt_contact: float = math.nan) -> None:
+        self.level, self.record, self.engine, self.dt_contact = level, record, simulator, dt_contact
 
     @property
     def steps(self) -> Array:
@@ -110,6 +115,11 @@ class _Found:
         """Its segments (contactvi.dense)."""
         joined = self.record.segments_joined()
         return {name: np.zeros(0) for name in dense.FIELDS} if joined is None else joined.arrays
+
+    @property
+    def held(self) -> bool:
+        """Whether contacts were held."""
+        return bool(np.any(self.segments["held"]))
 
 
 class _Search:
@@ -160,14 +170,21 @@ class _Search:
             law = (coarser.level / level) ** (1.0 / self._stages)
             count = self._options.span / coarser.steps[0]
             guess = self._options.span / math.ceil(max(count * law, count + 1.0) - 1e-6)
-        simulator = engine.make(self._prepared, self._options, guess, slack)
+        dt_contact = self._contact_dt(level)
+        simulator = engine.make(self._prepared, self._options, guess, slack, dt_contact)
         self.last, refused = engine.start(simulator, self._prepared, self._options, *self._start)
         if refused is not None:
             raise refused
         self._engine = simulator
         engine.take(self.last, engine.call(simulator.run_auto, self._options.span, level, self._progress))
         self.seconds += self.last.stats.seconds
-        return _Found(level, self.last, simulator)
+        return _Found(level, self.last, simulator, dt_contact)
+
+    def _contact_dt(self, level: float) -> float:
+        """Return the step in contact at a level [s]; a given number is the longest one of the run."""
+        given, first = self._options.dt_contact, _clip(_START * math.sqrt(self._options.tol))
+        longest = given if isinstance(given, float) else math.inf
+        return min(max(min(longest, _CONTACT * first) * level / first, _CONTACT_DT[0]), _CONTACT_DT[1])
 
     def _estimate(self, companion: _Found, found: _Found, expected: float) -> float:
         """Estimate the error of a run from its distance to its companion, whose error is expected so large (or NaN)."""
@@ -203,9 +220,11 @@ class _Search:
         if count > _MOST * len(found.segments["t"]):
             return math.inf
         fixed = replace(
-            self._options, dt=self._options.span / count, tol=self._options.stage_tol, ledger=None, sample_dt=None
-        )
-        simulator = engine.make(self._prepared, fixed, slack=1.0 / _COMPANION)
+            self._options, dt=self._options.span / count, tol=self._options.stage_tol, ledger=None, sample_dt=None,
+            dt_contact=None,
+        )  # fmt: skip
+        finer = min(_FINER * found.dt_contact, fixed.fixed_dt)
+        simulator = engine.make(self._prepared, fixed, slack=1.0 / _COMPANION, dt_contact=finer)
         record, _ = engine.start(simulator, self._prepared, fixed, *self._start)
         engine.advance(simulator, record, count, None, self._progress)
         self.seconds += record.stats.seconds
@@ -218,17 +237,19 @@ def _share(companion: _Found, found: _Found, power: int) -> float:
     """Return error / (companion's error - error) by the lengths h of the segments: an error is their sum of h^power.
 
     Lengths are counted in steps of the arc of `found` that a segment lies in, because the factor of the law is what
-    made these steps so long. Infinite where flights (between two impacts) that matter have all but the same segments.
+    made these steps so long; in contact, in its steps in contact. Where the two runs do not meet the same impacts but
+    both hold contacts, by the levels alone. Infinite where flights (between two impacts) that matter have all but the
+    same segments.
     """
     arcs = found.record.arcs
     if arcs is None or not len(arcs["t"]) or found.record.impacts != companion.record.impacts:
-        return math.inf
+        return 1.0 / ((companion.level / found.level) ** 2 - 1.0) if found.held and companion.held else math.inf
     sums = []
     for run in (found, companion):
-        t, h = run.segments["t"], run.segments["h"]
+        t, h, held = (run.segments[name] for name in ("t", "h", "held"))
         arc = np.clip(np.searchsorted(arcs["t"], t + 0.5 * h, side="right") - 1, 0, len(arcs["t"]) - 1)
         flight = np.searchsorted(run.record.impact_times(), t + 0.5 * h)
-        weights = (h / arcs["dt"][arc]) ** power
+        weights = np.where(held != 0.0, (h / found.dt_contact) ** 3, (h / arcs["dt"][arc]) ** power)
         sums.append(np.bincount(flight, weights, minlength=found.record.impacts + 1))
     own, other = sums
     whole = float(own.sum())
@@ -249,6 +270,8 @@ def _transient(found: _Found) -> float:
     first = np.searchsorted(segments["t"], chosen)
     largest = 0.0
     for k in {0, *(int(k) for k in first if k < len(segments["t"]))}:
+        if segments["held"][k]:
+            continue
         q, p, h = segments["q"][k], segments["p"][k], float(segments["h"][k])
         p = record.prepared.core.momentum_to_public(q, p)
         whole, half = _step(record, q, p, h), _step(record, q, p, 0.5 * h)
@@ -276,13 +299,16 @@ def _distance(other: Record, found: Record, ended: bool = False) -> float:
     nodes = np.unique(np.linspace(0, count - 1, _TIMES + 1)[1:].round().astype(int))
     segments = other.segments_joined()
     assert segments is not None
-    states = np.array([_state(other, segments.arrays, float(t[node])) for node in nodes])
+    states = np.array([_state(other, segments, float(t[node])) for node in nodes])
     return _largest(found.prepared.states.distance(states, q[nodes]))
 
 
-def _state(run: Record, segments: dict[str, Array], time: float) -> Array:
+def _state(run: Record, pieces: dense.Segments, time: float) -> Array:
     """Return q of a run at a time [s] as accurate as its nodes: by the partial step that its polynomial stands for."""
+    segments = pieces.arrays
     k = max(0, int(segments["t"].searchsorted(time, side="right")) - 1)
+    if segments["held"][k]:
+        return pieces.states(run.prepared.core, np.array([time]))[0][0]
     q, h = segments["q"][k], min(time - float(segments["t"][k]), float(segments["h"][k]))
     if h <= 0.0:
         return q

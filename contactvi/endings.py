@@ -9,7 +9,7 @@ from contactvi.map_checks import NO_ANSWER_DTEC
 from contactvi.status import StatusCode
 
 REMEDY = {
-    StatusCode.ZENO: "Lasting contact is not available yet: end the run before that time, or use restitution 1",
+    StatusCode.ZENO: "Use zeno='hold' and impact='ctec' or 'mhc': the contact is then held and the run goes on",
     StatusCode.NEWTON_FAILED: "Use a smaller dt",
     StatusCode.NOT_FINITE: "Use a smaller dt, and look for huge forces or tiny masses",
     StatusCode.EVENT_UNRESOLVED: "Use a smaller dt",

@@ -18,10 +18,17 @@ from contactvi.status import Status, StatusCode
 _FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects in the first arc
 
 
-def make(prepared: Prepared, options: Options, first_dt: float | None = None, slack: float = 1.0) -> Any:
+def make(
+    prepared: Prepared,
+    options: Options,
+    first_dt: float | None = None,
+    slack: float = 1.0,
+    dt_contact: float | None = None,
+) -> Any:
     """Return a new simulator of the engine (_core.Simulator).
 
     first_dt : of "auto", the step to begin with [s]. slack : factor on the tolerance of the stage equations.
+    dt_contact : longest step in contact [s], by default that of the options.
     """
     return _core.Simulator(
         prepared.core,

@@ -16,7 +16,7 @@ UNFORCED_TOLERANCES = (
     *("discrete_energy", "discrete_energy_jump", "modified_energy_jump"),
     *("energy_rise", "impulse_balance"),
 )
-NO_ANSWER_DTEC = (
+NO_ANSWER_DTEC = (  # accumulating impacts end a run of DTEC whatever options.zeno says
     "DTEC cannot answer there: the energy it shifts at an impact, m g h times a part of the step, does not shrink with "
     "the flights"
 )
