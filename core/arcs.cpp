@@ -22,7 +22,18 @@ constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
 
 Simulator::ArcStart Simulator::arc_start(const Recording& recording) const {
-  ArcStart arc{time_, target_, speed_scale_, q_, p_, {}, bouncing_, recording.mark(), impacts_, step_, target_step_};
+  ArcStart arc{time_,
+               sequence_.target,
+               speed_scale_,
+               q_,
+               p_,
+               {},
+               bouncing_,
+               held_.contacts(),
+               recording.mark(),
+               sequence_.impacts,
+               step_,
+               target_step_};
   arc.touching.resize(guards_.count());
   for (int g = 0; g < guards_.count(); ++g) arc.touching[g] = finder_.touching(g) ? 1 : 0;
   return arc;
@@ -31,16 +42,19 @@ Simulator::ArcStart Simulator::arc_start(const Recording& recording) const {
 void Simulator::go_back(const ArcStart& arc, Recording& recording) {
   rejected_ += step_ - arc.step + 1;
   time_ = arc.time;
-  target_ = arc.target;
+  sequence_.target = arc.target;
   speed_scale_ = arc.speed_scale;
   q_ = arc.q;
   p_ = arc.p;
   bouncing_ = arc.bouncing;
-  impacts_ = arc.impacts;
+  sequence_.impacts = arc.impacts;
+  held_.contacts() = arc.held;
+  held_.changed();
   step_ = arc.step;
   target_step_ = arc.target_step;
   for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, arc.touching[g] != 0);
   guards_.unmark_all();
+  sync_held();
   integrator_.forget();
   recording.cut(arc.mark);
   status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
@@ -89,7 +103,7 @@ bool Simulator::run_arc(double end, double level, Recording& recording) {
       time_ = k + 1 == static_cast<long>(count) ? end : start + h;
       record_node(time_, recording);
       if (!report(time_)) return false;
-      if (impacts_ > arc.impacts) break;
+      if (sequence_.impacts > arc.impacts) break;
     }
     if (!rejected) {
       recording.arc_t.push_back(arc.time);

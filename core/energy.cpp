@@ -3,6 +3,8 @@
 #include <limits>
 #include <vector>
 
+#include "coordinates.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -190,6 +192,27 @@ double modified_hamiltonian(Integrator& integrator, const VecCRef& q, const VecC
     bracket += p.segment<3>(joint.iv).dot(v.segment<3>(joint.iv).cross(Vec3(a.segment<3>(joint.iv))));
   }
   return H.kinetic + H.potential - h * h / 24.0 * (G_a - dG_v + bracket);
+}
+
+void forward_dynamics(Integrator& integrator, const VecCRef& q, const VecCRef& v, const VecX& tau, VecRef a) {
+  const Tree& tree = integrator.tree();
+  Placements at(tree);
+  place(tree, q, at);
+  const std::vector<BodyState> bodies = body_states(tree, at, v);
+  std::vector<Twist> bias(tree.joints.size());
+  bias_accelerations(tree, bodies, v, bias);
+  VecX springs = VecX::Zero(tree.nv);
+  add_spring_forces(tree, q, springs);
+  a = -springs;
+  if (tree.has_damping) a -= tree.damping.cwiseProduct(v);
+  if (tau.size() > 0) {
+    VecX applied = tau;
+    public_to_engine(tree, q, applied);
+    a += applied;
+  }
+  // Gravity as an acceleration of the world: every body falls.
+  for (std::size_t i = 0; i < bodies.size(); ++i) bias[i].lin -= bodies[i].gravity;
+  free_acceleration(tree, bodies, bias, v, integrator, tree.armature, a);
 }
 
 Eigen::Matrix<double, 6, 1> spatial_momentum(const Tree& tree, const VecCRef& q, const VecCRef& v) {

@@ -18,6 +18,10 @@ Energy energy(Integrator& integrator, const VecCRef& q, const VecCRef& p);
 // error analysis; on vector spaces -H''(J dH, J dH)/24). It varies O(h^4) where H varies O(h^2).
 double modified_hamiltonian(Integrator& integrator, const VecCRef& q, const VecCRef& p, double h);
 
+// a = M^-1 (forces) at (q, v): gravity, springs, damping and the inputs tau (public coordinates, or empty), without
+// contact. The integrator's node must be placed at q.
+void forward_dynamics(Integrator& integrator, const VecCRef& q, const VecCRef& v, const VecX& tau, VecRef a);
+
 // Total linear momentum and angular momentum about the origin, world frame, (6,).
 Eigen::Matrix<double, 6, 1> spatial_momentum(const Tree& tree, const VecCRef& q, const VecCRef& v);
 

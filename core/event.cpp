@@ -5,9 +5,9 @@
 
 namespace contactvi {
 
-EventFinder::EventFinder(const Scene& scene, Integrator& integrator, Guards& guards)
+EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
     : scene_(&scene),
-      integrator_(&integrator),
+      stepper_(&stepper),
       guards_(&guards),
       gaps_(guards),
       touching_(guards.count(), 0),
@@ -97,7 +97,7 @@ bool EventFinder::bound_step() {
     W_ = v1_ - last_rate_;
     add_size(scene_->tree, W_, 1.0, bound_);
   } else {
-    if (!integrator_->node_velocity(*q0_, *p0_, v0_)) return false;
+    if (!stepper_->node_velocity(*q0_, *p0_, v0_)) return false;
     W_ = v1_ - v0_;
     add_size(scene_->tree, W_, 2.0, bound_);
   }
@@ -107,14 +107,14 @@ bool EventFinder::bound_step() {
 
 bool EventFinder::raise_path() {
   if (path_->raised()) return true;
-  if (!integrator_->node_velocity(*q0_, *p0_, v0_)) return false;
+  if (!stepper_->node_velocity(*q0_, *p0_, v0_)) return false;
   if (path_->stages() == 1) {
-    if (!integrator_->solve_part(*path_, 0.5, *q0_, *p0_, *tau_)) return false;
-    v1_ = integrator_->rates().col(0);
+    if (!stepper_->solve_part(*path_, 0.5, *q0_, *p0_, *tau_)) return false;
+    v1_ = stepper_->rates().col(0);
     path_->raise_by_half_step(v0_, v1_);
     return true;
   }
-  if (!integrator_->node_velocity(*q1_, *p1_, v1_)) return false;
+  if (!stepper_->node_velocity(*q1_, *p1_, v1_)) return false;
   path_->raise(v0_, v1_);
   return true;
 }
@@ -136,6 +136,7 @@ bool EventFinder::collect() {
   suspects_.clear();
   guards_->place(*q1_);
   for (int g = 0; g < guards_->count(); ++g) {
+    if (!exempt_.empty() && std::find(exempt_.begin(), exempt_.end(), g) != exempt_.end()) continue;
     if (!touching_[g] && guards_->skip(g)) {
       ++guards_->counters.skipped;
       continue;
@@ -244,8 +245,14 @@ bool EventFinder::someone_is_earlier(const Suspect& first) {
   return earlier;
 }
 
+void EventFinder::cut() {
+  for (int g : pass_) guards_->unmark(g);
+  last_h_ = 0.0;
+}
+
 // Nothing happens in the step.
 void EventFinder::settle() {
+  exempt_.clear();
   for (const Suspect& s : suspects_) {
     if (s.end_gap > guards_->touch_tolerance(s.guard)) touching_[s.guard] = 0;
     if (!touching_[s.guard]) guards_->mark(s.guard, s.end_gap);

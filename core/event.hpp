@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "gap_path.hpp"
-#include "integrator.hpp"
+#include "stepper.hpp"
 
 namespace contactvi {
 
@@ -25,7 +25,17 @@ enum class Search { kNone, kFound, kNewtonFailed, kUnresolved };
 
 class EventFinder {
  public:
-  EventFinder(const Scene& scene, Integrator& integrator, Guards& guards);
+  EventFinder(const Scene& scene, Stepper& stepper, Guards& guards);
+
+  // What makes the steps that are searched from now on.
+  void set_stepper(Stepper& stepper) {
+    if (&stepper != stepper_) last_h_ = 0.0;
+    stepper_ = &stepper;
+  }
+  // The step of the last search was not taken to its end.
+  void cut();
+  // A guard that is not looked at until the next step has been taken: a contact that has just left.
+  void exempt(int guard) { exempt_.push_back(guard); }
 
   // Look through the step of length h from (q0, p0) to (q1, p1); path: its collocation polynomial, which is raised if
   // some guard comes into question. On kFound event() is filled, and the integrator holds the partial step to it.
@@ -76,7 +86,8 @@ class EventFinder {
   Search fail(Search why, int guard, double gap);
 
   const Scene* scene_;
-  Integrator* integrator_;
+  Stepper* stepper_;
+  std::vector<int> exempt_;
   Guards* guards_;
   GapPath gaps_;
   Event event_;

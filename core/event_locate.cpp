@@ -18,12 +18,12 @@ constexpr int kMaxDipProbes = 12;
 }  // namespace
 
 bool EventFinder::exact_at(int guard, double tau, Point& point) {
-  if (!integrator_->solve_part(*path_, tau, *q0_, *p0_, *tau_)) {
+  if (!stepper_->solve_part(*path_, tau, *q0_, *p0_, *tau_)) {
     // Where the path is no good start solve() has others, but for those of the steps taken: they end after this one.
-    integrator_->forget();
-    if (!integrator_->solve(*q0_, *p0_, tau * h_, *tau_)) return false;
+    stepper_->forget();
+    if (!stepper_->solve(*q0_, *p0_, tau * h_, *tau_)) return false;
   }
-  integrator_->finish(event_.q, event_.p);
+  stepper_->finish(event_.q, event_.p);
   guards_->place(event_.q);
   point = {tau, guards_->evaluate(guard, contact_), 0.0};
   guards_->gradient(guard, contact_, W_);

@@ -23,10 +23,12 @@ void settle_box_support() {
   coal::details::getSupport<coal::details::SupportOptions::WithSweptSphere>(&box, coal::Vec3s(1, 2, 3), hint);
 }
 
-Guards::Guards(const Scene& scene)
+Guards::Guards(const Scene& scene, int contact_points)
     : scene_(&scene),
       count_(scene.guard_count()),
       pairs_(static_cast<int>(scene.pairs.size())),
+      manifolds_(scene, contact_points),
+      held_(count_),
       placements_(scene.tree),
       q_(VecX::Zero(scene.tree.nq)),
       functors_(new Functors),
@@ -84,7 +86,30 @@ double Guards::limit_gap(int guard, const VecCRef& q) const {
   return limit.upper ? limit.bound - value : value - limit.bound;
 }
 
+void Guards::set_held(int guard, std::vector<const ContactPoint*> points) {
+  held_[guard] = std::move(points);
+  unmark(guard);
+}
+
 double Guards::evaluate(int guard, Contact& contact) {
+  const std::vector<const ContactPoint*>& held = held_[guard];
+  if (held.empty()) return evaluate_witness(guard, contact);
+  double gap = std::numeric_limits<double>::infinity();
+  Contact witness{};
+  if (held[0]->kind == PointKind::kVertex || held[0]->kind == PointKind::kRim) {
+    evaluate_witness(guard, witness);
+    contact = witness;
+    gap = manifolds_.rest(guard, placements(), held.data(), static_cast<int>(held.size()), witness, contact);
+  }
+  if (gap == std::numeric_limits<double>::infinity()) {
+    contact = {kNothingElse, Vec3::Zero(), Vec3::Zero(), Vec3::Zero(), -1, -1};
+    return kNothingElse;
+  }
+  contact.gap = gap;
+  return gap;
+}
+
+double Guards::evaluate_witness(int guard, Contact& contact) {
   ++counters.evaluated;
   if (guard >= pairs_) {
     const JointLimit& limit = scene_->tree.limits[guard - pairs_];
@@ -115,6 +140,14 @@ void Guards::gradient(int guard, const Contact& contact, VecRef W) const {
   const JointLimit& limit = scene_->tree.limits[guard - pairs_];
   W.setZero();
   W[scene_->tree.joints[limit.joint].iv] = limit.upper ? -1.0 : 1.0;
+}
+
+void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W) {
+  if (guard >= pairs_) {
+    gradient(guard, contact, W.col(0));
+    return;
+  }
+  contact_rows(scene_->tree, placements(), contact, t1, W);
 }
 
 double Guards::touch_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-11; }

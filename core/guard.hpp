@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "contact.hpp"
+#include "manifold.hpp"
 #include "scene.hpp"
 
 namespace contactvi {
@@ -30,7 +31,8 @@ void settle_box_support();
 
 class Guards {
  public:
-  explicit Guards(const Scene& scene);
+  // At most contact_points points of a pair are held.
+  explicit Guards(const Scene& scene, int contact_points = 4);
   ~Guards();
 
   int count() const { return count_; }
@@ -40,10 +42,24 @@ class Guards {
   // asks.
   void place(const VecCRef& q);
 
-  // Exact gap [m] or [rad] at the placed configuration. Not finite if coal fails.
+  // Exact gap [m] or [rad] at the placed configuration. Not finite if coal fails. Of a guard with held points that of
+  // what is not held, kNothingElse if nothing else can touch.
   double evaluate(int guard, Contact& contact);
+  static constexpr double kNothingElse = 1e9;
+  // The same whether or not points are held.
+  double evaluate_witness(int guard, Contact& contact);
+  const Placements& placements() {
+    place_bodies();
+    return placements_;
+  }
+  const Manifolds& manifolds() const { return manifolds_; }
+  // The points of a guard that are held from now on; they must stay where they are.
+  void set_held(int guard, std::vector<const ContactPoint*> points);
+  bool is_held(int guard) const { return !held_[guard].empty(); }
   // W = d(gap)/dq, shape (nv,).
   void gradient(int guard, const Contact& contact, VecRef W) const;
+  // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3).
+  void rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
   // How far from zero a gap may be and still count as touching.
   double touch_tolerance(int guard) const;
   // To what a root is located: 1e-12, or the noise of the distance itself where curved shapes are iterated.
@@ -82,6 +98,8 @@ class Guards {
 
   const Scene* scene_;
   int count_, pairs_;
+  Manifolds manifolds_;
+  std::vector<std::vector<const ContactPoint*>> held_;
   Placements placements_;
   bool placed_ = false;  // at q_
   VecX q_;

@@ -25,7 +25,7 @@ ImpactResult solve_impact(const ImpactProblem& problem, const ImpactResult& ctec
   const double normal_energy = 0.5 * problem.gamma_minus * problem.gamma_minus / problem.G_c;
   const double exact =
       kExact * (std::abs(problem.target) + problem.p_minus.dot(problem.MinvW) / problem.G_c * problem.gamma_minus);
-  const double slope = -problem.restitution * problem.gamma_minus;  // gamma+ of CTEC: dH/dlambda
+  const double slope = problem.gamma_minus + ctec.impulse * problem.G_c;  // gamma+ of CTEC: dH/dlambda
   VecX p_plus(p.size());
   double lambda = ctec.impulse, previous_lambda = 0.0, previous = 0.0, best = INFINITY, best_lambda = lambda;
   for (int k = 0; k < kMaxIterations; ++k) {

@@ -20,7 +20,11 @@ double energy_after(const ImpactProblem& problem, const VecX& p_plus) {
 
 ImpactResult impact_dtec(const ImpactProblem& problem, VecRef p) {
   const ImpactResult ctec = impact_ctec(problem, p);
-  return ctec.ok ? solve_impact(problem, ctec, &energy_after, p) : ctec;
+  return ctec.ok ? impact_dtec(problem, ctec, p) : ctec;
+}
+
+ImpactResult impact_dtec(const ImpactProblem& problem, const ImpactResult& ctec, VecRef p) {
+  return solve_impact(problem, ctec, &energy_after, p);
 }
 
 }  // namespace contactvi

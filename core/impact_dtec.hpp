@@ -10,5 +10,8 @@ namespace contactvi {
 
 // p becomes p+, shape (nv,). problem.target: E_d before the impact less the loss.
 ImpactResult impact_dtec(const ImpactProblem& problem, VecRef p);
+// The same beside another impulse than CTEC's, that of an impact with friction or several points: p_minus + impulse W
+// is what it leads to, and only its size is changed.
+ImpactResult impact_dtec(const ImpactProblem& problem, const ImpactResult& ctec, VecRef p);
 
 }  // namespace contactvi

@@ -23,7 +23,11 @@ double modified_energy_at_end(const ImpactProblem& problem, const VecX& p_plus) 
 
 ImpactResult impact_mhc(const ImpactProblem& problem, VecRef p) {
   const ImpactResult ctec = impact_ctec(problem, p);
-  return ctec.ok ? solve_impact(problem, ctec, &modified_energy_at_end, p) : ctec;
+  return ctec.ok ? impact_mhc(problem, ctec, p) : ctec;
+}
+
+ImpactResult impact_mhc(const ImpactProblem& problem, const ImpactResult& ctec, VecRef p) {
+  return solve_impact(problem, ctec, &modified_energy_at_end, p);
 }
 
 }  // namespace contactvi

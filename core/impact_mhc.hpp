@@ -11,5 +11,8 @@ namespace contactvi {
 // p becomes p+, shape (nv,). problem.target: the reference ("local": its value at the start of the step, "global":
 // the one carried from the start of the run) less all losses since.
 ImpactResult impact_mhc(const ImpactProblem& problem, VecRef p);
+// The same beside another impulse than CTEC's, that of an impact with friction or several points: p_minus + impulse W
+// is what it leads to, and only its size is changed.
+ImpactResult impact_mhc(const ImpactProblem& problem, const ImpactResult& ctec, VecRef p);
 
 }  // namespace contactvi

@@ -10,6 +10,7 @@
 #include "placement.hpp"
 #include "stages.hpp"
 #include "start_values.hpp"
+#include "stepper.hpp"
 
 namespace contactvi {
 
@@ -18,35 +19,35 @@ struct StepCounters {
   long retries = 0;  // steps whose first start values did not converge
 };
 
-class Integrator {
+class Integrator final : public Stepper {
  public:
   // tol: see above; at most max_sweeps per attempt.
   Integrator(const Tree& tree, int stages, double tol, int max_sweeps);
   Integrator(const Integrator&) = delete;
   Integrator& operator=(const Integrator&) = delete;
 
-  int stages() const { return stages_.count(); }
+  int stages() const override { return stages_.count(); }
   const Tree& tree() const { return *tree_; }
 
   // Solve the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
   // when the sweeps do not converge from any start; why() says it.
-  bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
   // The same to rounding, for what is differenced: impact maps.
   bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   // To rounding for the part alpha of a step whose path is known.
-  bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau);
+  bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) override;
   // End state of the step just solved.
-  void finish(VecRef q1, VecRef p1);
+  void finish(VecRef q1, VecRef p1) override;
   // The step just finished is taken: the next one starts from its polynomial, and from the digits that its sums lost.
   void accept();
   // The next step starts elsewhere.
-  void forget();
+  void forget() override;
 
   int sweeps() const { return sweeps_; }
   double residual_norm() const { return residual_; }
-  const char* why() const { return why_; }
+  const char* why() const override { return why_; }
   // X' at the stages of the step just solved, shape (nv, s).
-  const MatX& rates();
+  const MatX& rates() override;
   const MatX& velocities();  // v there
   // Size of the highest mode of the stage velocities: what the polynomial of the path hardly resolves any more [m;
   // rad].
@@ -58,11 +59,26 @@ class Integrator {
   double discrete_energy();
 
   // v = M(q)^-1 p; the factor stays for solve_mass. False if M is not positive.
-  bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v);
-  // x <- M^-1 x at the q of the last node_velocity.
+  bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override;
+  // x <- M^-1 x at the q of the last node_velocity, or place_node.
   void solve_mass(VecRef x);
+  // The same for the columns of X, (nv, m), as many at once as there are lanes.
+  void solve_masses(Eigen::Ref<MatX> X);
+  void place_node(const VecCRef& q);
   // P = M v and G = dT/dq - dV/dq of gravity, shapes (nv,).
   void dynamics(const VecCRef& q, const VecCRef& v, VecRef P, VecRef G);
+
+  // A midpoint step whose start momentum is changed while it is solved, as contact impulses do (integrator_kicked.cpp).
+  void begin_kicked(const VecCRef& q0, double h, const VecX& tau, const VecCRef& v);
+  // One sweep with the start momentum p: v += D^-1 (p - p(v)), D the symmetric part of the step's Newton matrix, made
+  // anew if factor. Returns the largest |change| of v; NaN if something is not finite.
+  double sweep_kicked(const VecCRef& p, bool factor, bool first);
+  // The start momentum that finish() takes.
+  void start_kicked(const VecCRef& p) { p0_ = p; }
+  // X <- D^-1 X, after a sweep that made D.
+  void solve_kicked(Eigen::Ref<MatX> X);
+  void add_velocity(const VecCRef& dv);
+  void stage_velocity(VecRef v) const;
 
   StepCounters counters;
 
@@ -75,6 +91,7 @@ class Integrator {
   void start_constant(const VecCRef& v0);
   bool start_by_ramp(const VecX& tau);
   bool turns_too_far();
+  void solve_columns(Stages& stages, Eigen::Ref<MatX> X);
 
   const Tree* tree_;
   double tol_;

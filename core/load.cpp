@@ -274,11 +274,16 @@ Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, 
   pinocchio::GeometryModel geometry;
   unpack(geometry, geometry_bytes, "geometry");
   for (const auto& object : geometry.geometryObjects) scene.geometries.push_back(make_geometry(object, scene.tree));
-  if (parameters.pair_restitution.size() != static_cast<Eigen::Index>(geometry.collisionPairs.size()))
-    throw Error("one restitution per collision pair is needed");
+  const Eigen::Index pairs = static_cast<Eigen::Index>(geometry.collisionPairs.size());
+  if (parameters.pair_restitution.size() != pairs || parameters.pair_friction.size() != pairs)
+    throw Error("one restitution and one friction per collision pair are needed");
   for (std::size_t k = 0; k < geometry.collisionPairs.size(); ++k) {
-    Pair pair{static_cast<int>(geometry.collisionPairs[k].first), static_cast<int>(geometry.collisionPairs[k].second),
-              parameters.pair_restitution[k], false, false};
+    Pair pair{static_cast<int>(geometry.collisionPairs[k].first),
+              static_cast<int>(geometry.collisionPairs[k].second),
+              parameters.pair_restitution[k],
+              parameters.pair_friction[k],
+              false,
+              false};
     Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
     if (a.unbounded && b.unbounded) throw Error("two halfspaces cannot be a collision pair");
     if (!needs_no_rounding(a.sharp->getNodeType()) && !needs_no_rounding(b.sharp->getNodeType())) {

@@ -33,6 +33,7 @@ struct Geometry {
 struct Pair {
   int a, b;  // geometry indices
   double restitution;
+  double friction;  // Coulomb's coefficient
   bool rounded;  // both shapes are taken rounded: GJK hands over to EPA with wrong normals on sharp ones near contact
   bool curved;   // GJK iterates towards a curved surface: the distance carries noise of up to 1e-9 m
 };
@@ -44,6 +45,7 @@ struct Scene {
 
   int guard_count() const { return static_cast<int>(pairs.size() + tree.limits.size()); }
   bool is_pair(int guard) const { return guard < static_cast<int>(pairs.size()); }
+  double friction(int guard) const { return is_pair(guard) ? pairs[guard].friction : 0.0; }
   double restitution(int guard) const {
     return is_pair(guard) ? pairs[guard].restitution : tree.limits[guard - pairs.size()].restitution;
   }
@@ -52,6 +54,7 @@ struct Scene {
 // Per joint and per pair data that Pinocchio's archives do not carry; indices are the public model's.
 struct SceneParameters {
   VecX pair_restitution;   // npairs
+  VecX pair_friction;      // npairs
   VecX stiffness;          // njoints
   VecX rest;               // nq
   VecX damping;            // nv

@@ -6,7 +6,8 @@
 
 #include "error.hpp"
 #include "event.hpp"
-#include "impact.hpp"
+#include "held_step.hpp"
+#include "impact_sequence.hpp"
 #include "recording.hpp"
 
 namespace contactvi {
@@ -18,8 +19,13 @@ struct SimulatorOptions {
   bool mhc_global = false;  // MHC's reference: carried from the start of the run, else from the start of each step
   int max_iterations = 50;  // sweeps per attempt at a step
   long max_impacts_per_step = 100000;
-  int stages = 1;      // s of order 2s
-  bool dense = false;  // keep the polynomials of the steps
+  int stages = 1;              // s of order 2s
+  bool dense = false;          // keep the polynomials of the steps
+  double dt_contact = 0.0;     // step while contacts are held [s]; 0: dt
+  bool end_at_zeno = false;    // end the run where impacts accumulate or a contact stays closed
+  bool stiff_support = false;  // held contacts take part in an impact as rigid supports, not as partners
+  int contact_points = 4;      // of a pair, at most
+  bool record_contacts = true;
 };
 
 // Called now and then with (time, impacts so far); false asks the run to stop.
@@ -47,42 +53,37 @@ class Simulator {
   const StepCounters& step_counters() const { return integrator_.counters; }
   const GuardCounters& guard_counters() const { return guards_.counters; }
   long steps() const { return step_; }
-  long impacts() const { return impacts_; }
+  long impacts() const { return sequence_.impacts; }
   long halved() const { return halved_; }
   long rejected() const { return rejected_; }
+  const HeldCounters& held_counters() const { return held_.counters; }
+  double held_seconds() const { return held_seconds_; }
 
  private:
   // What is known of the bouncing of one guard, to tell accumulation from chatter.
   struct Bouncing {
     double last_time = 0, last_flight = 0, longest_flight = 0;
-    int hits = 0, contracting = 0;
+    int hits = 0, contracting = 0, short_hits = 0;
   };
-  // One closed contact during the resolution of an event.
-  struct Closed {
-    int guard;
-    Contact contact;
-    VecX W, MinvW;
-    double G_c;
-    bool hit;
-  };
-
-  // Where in time an event is: [s], lengths of the partial step that ends there and of the rest of the step.
-  struct Instant {
-    double time, before, after;
-    const VecX& tau;
-  };
-
   // What run_auto goes back to.
   struct ArcStart {
     double time, target, speed_scale;
     VecX q, p;
     std::vector<char> touching;
     std::vector<Bouncing> bouncing;
+    std::vector<HeldContact> held;
     Recording::Mark mark;
     long impacts, step, target_step;
   };
 
+  // An interval on its way: [s], done and remaining add up to length.
+  struct Piece {
+    double start, length, done, remaining;
+    const VecX& tau;
+  };
+
   bool interval(double start, double length, const VecX& tau, Recording& recording);
+  bool free_piece(Piece& piece, long halved, Recording& recording);
   bool smooth_step(double time, double h, const VecX& tau, bool last_try);
   void record_node(double t, Recording& recording) const;
   void record_segment(double t, double h, const VecX& p1, Recording& recording);
@@ -93,13 +94,34 @@ class Simulator {
   bool run_arc(double end, double level, Recording& recording);
   bool search_failed(Search outcome, double time);
   void set_reference();
-  bool resolve_event(const Instant& at, Recording& recording);
+  bool resolve_event(int first, bool persistent, const Instant& at, Recording& recording);
   double energy_target(double before);
-  ImpactResult apply_map(const ImpactProblem& problem);
-  bool collect_closed(double time);
-  bool hit_until_separate(const Instant& at, Recording& recording);
-  bool hit(Closed& closed, double gamma, double e, const Instant& at, Recording& recording);
-  bool judge_accumulation(double time, bool touched);
+  void find_accumulating(double time);
+  bool judge_accumulation(int first, bool stays, double time, Recording& recording);
+  bool holds() const { return options_.impact != 1 && !options_.end_at_zeno; }
+  void reanchor();
+
+  // Lasting contact (lasting.cpp, contact_book.cpp).
+  bool held_piece(Piece& piece, Recording& recording);
+  bool held_step_failed(double h, double time);
+  bool first_change(const Piece& piece, double h, double& alpha, bool& hit, bool& again, Recording& recording);
+  bool find_release(const VecX& tau, double& alpha, bool& at_start);
+  bool find_stick(const VecX& tau, double& alpha);
+  bool release_value(const VecX& tau, double alpha, double& value);
+  bool stick_value(const VecX& tau, double alpha, double& value);
+  void take_held_step(double time, double h, bool dense, Recording& recording);
+  void record_held(double time, double h, Recording& recording);
+  void drop_leaving(double time, Recording& recording);
+  bool points_may_change(int guard);
+  bool refresh_points(const Piece& piece, Recording& recording);
+  void hold_closed(double time, Recording& recording);
+  void hold_at_start();
+  HeldContact make_held(const ContactPoint& point, const Contact& contact, const Vec3& slip);
+  void sync_held();
+  void note_phase(double time, double dt, bool held, Recording& recording) const;
+  void note(double time, const ContactPoint& point, Change change, double value, Recording& recording) const;
+  double contact_step() const { return options_.dt_contact > 0.0 ? options_.dt_contact : options_.dt; }
+
   bool end(StatusCode code, double time, std::string message, int guard = -1);
 
   const Scene* scene_;
@@ -118,13 +140,21 @@ class Simulator {
   std::chrono::steady_clock::time_point reported_;
   const Progress* progress_ = nullptr;  // of the call under way
   double speed_scale_ = 0;              // largest closing speed of a closed contact so far
-  long step_ = 0, impacts_ = 0, impacts_in_step_ = 0, halved_ = 0, rejected_ = 0;
+  long step_ = 0, halved_ = 0, rejected_ = 0;
   std::vector<Bouncing> bouncing_;
-  std::vector<Closed> closed_;
-  int closed_count_ = 0;
+  HeldStep held_;
+  StepPath held_path_;
+  ImpactSequence sequence_;
+  std::vector<char> plastic_;     // guards whose impacts of this event count as plastic
+  std::vector<int> held_guards_;  // that guards_ knows to be held
+  std::vector<HeldContact> kept_;
+  std::vector<ContactPoint> points_;
+  int releasing_ = -1, sticking_ = -1;  // contacts sought by the root searches
+  VecX forces_;
+  double held_trial_ = 0, held_seconds_ = 0;
+  int held_easy_ = 0, without_progress_ = 0;
   Status status_;
   VecX q_node_, p_node_;   // start of the step, for MHC's local reference
-  double target_ = 0;      // of the map's scalar, all losses so far subtracted
   long target_step_ = -1;  // step that MHC's local reference belongs to
 };
 

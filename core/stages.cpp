@@ -229,6 +229,10 @@ void Stages::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& t
   set_base(q0);
   set_step(h);
   set_forces(q0, tau);
+  start_from(p0);
+}
+
+void Stages::start_from(const VecCRef& p0) {
   for (int d = 0; d < tree_->nv; ++d) p0_[d] = p0[d];
 }
 

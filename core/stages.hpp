@@ -45,6 +45,8 @@ class Stages {
 
   // The step from (q0, p0) of length h; tau: generalized force in public coordinates, shape (nv,) or empty.
   void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  // The same step from another momentum.
+  void start_from(const VecCRef& p0);
   // Only the configuration, for what is asked of a single state.
   void at(const VecCRef& q0);
 

@@ -30,12 +30,16 @@ CPP_LAYERS: Layers = {
     ),
     "scene": (("tree", "coordinates", "placement", "flat_model", "erosion", "load", "scene"), ("base",)),
     "path": (("path",), ("scene",)),
-    "step": (("stages", "start_values", "acceleration", "integrator", "energy"), ("path",)),
+    "step": (("stepper", "stages", "start_values", "acceleration", "integrator", "integrator_kicked", "energy"), ("path",)),
     "contact": (("contact",), ("scene",)),
-    "guard": (("guard",), ("contact",)),
+    "manifold": (("manifold",), ("contact",)),
+    "guard": (("guard",), ("manifold",)),
     "event": (("gap_path", "event", "event_locate"), ("guard", "step")),
     "impact": (("impact", "impact_ctec", "impact_dtec", "impact_mhc"), ("step",)),
-    "simulator": (("recording", "simulator", "arcs"), ("event", "impact")),
+    "held": (("held_contact", "held_step", "held_end", "held_forces"), ("guard", "step", "cone")),
+    "recording": (("recording",), ("base",)),
+    "sequence": (("impact_block", "impact_sequence"), ("event", "impact", "held", "recording")),
+    "simulator": (("simulator", "lasting", "contact_book", "arcs"), ("sequence",)),
     "bindings": (("bindings",), ("simulator", "cone")),
 }
 
@@ -55,7 +59,7 @@ PYTHON_LAYERS: Layers = {
         ("model", "engine"),
     ),
     "prepared": (("prepared",), ("scene",)),
-    "page": (("visuals", "animation", "shapes", "page"), ("scene",)),
+    "page": (("visuals", "animation", "force_arrows", "shapes", "page"), ("scene",)),
     "trajectory": (
         ("dense", "contact_ledger", "ledger", "storage_entries", "storage", "trajectory"),
         ("page", "prepared"),

@@ -37,9 +37,11 @@ void need_states(const Scene& s, const Rows& q, const Rows& w) {
 }
 
 Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
-                 const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution) {
+                 const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
+                 const std::optional<VecX>& pair_friction) {
+  const VecX friction = pair_friction ? *pair_friction : VecX(VecX::Zero(pair_restitution.size()));
   return load_scene({model.c_str(), model.size()}, {geometry.c_str(), geometry.size()},
-                    {pair_restitution, stiffness, rest, damping, limits, limit_restitution});
+                    {pair_restitution, friction, stiffness, rest, damping, limits, limit_restitution});
 }
 
 nb::object velocity(const Scene& s, const Rows& q, const Rows& p) {
@@ -203,12 +205,13 @@ void expose_scene(nb::module_& m) {
       .def(
           "__init__",
           [](Scene* self, nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
-             const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution) {
-            new (self) Scene(
-                make_scene(model, geometry, pair_restitution, stiffness, rest, damping, limits, limit_restitution));
+             const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
+             std::optional<VecX> pair_friction) {
+            new (self) Scene(make_scene(model, geometry, pair_restitution, stiffness, rest, damping, limits,
+                                        limit_restitution, pair_friction));
           },
           "model"_a, "geometry"_a, "pair_restitution"_a, "stiffness"_a, "rest"_a, "damping"_a, "limits"_a,
-          "limit_restitution"_a,
+          "limit_restitution"_a, "pair_friction"_a = nb::none(),
           "From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data.")
       .def_prop_ro("nq", [](const Scene& s) { return s.tree.nq; })
       .def_prop_ro("nv", [](const Scene& s) { return s.tree.nv; })

@@ -7,6 +7,7 @@
 #include <chrono>
 
 #include "arrays.hpp"
+#include "contact_results.hpp"
 #include "coordinates.hpp"
 #include "expose.hpp"
 #include "simulator.hpp"
@@ -25,19 +26,12 @@ VecX converted(const Tree& tree, const VecX& q, VecX p) {
   return p;
 }
 
-// The numbers of a guard on the Python side: kind 0 and the pair, or kind 1 and 2 * joint + upper.
-std::pair<int, int> public_guard(const Scene& s, int guard) {
-  if (guard < 0) return {-1, -1};
-  if (s.is_pair(guard)) return {0, guard};
-  const JointLimit& limit = s.tree.limits[guard - s.pairs.size()];
-  return {1, 2 * limit.source_joint + (limit.upper ? 1 : 0)};
-}
-
 nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
   const Eigen::Index n = static_cast<Eigen::Index>(impacts.size());
   VecX time(n), impulse(n), gamma_minus(n), gamma_plus(n), G_c(n), gap(n), restitution(n), jump(n), before(n), after(n);
-  IntVec kind(n), index(n), iterations(n), step(n), method(n), fallback(n);
-  Rows point(n, 3), normal(n, 3), q(n, s.tree.nq), p_minus(n, s.tree.nv), p_plus(n, s.tree.nv);
+  VecX friction(n), loss(n);
+  IntVec kind(n), index(n), iterations(n), step(n), method(n), fallback(n), points(n);
+  Rows point(n, 3), normal(n, 3), impulse_vector(n, 3), q(n, s.tree.nq), p_minus(n, s.tree.nv), p_plus(n, s.tree.nv);
   for (Eigen::Index i = 0; i < n; ++i) {
     const ImpactRecord& r = impacts[i];
     std::tie(kind[i], index[i]) = public_guard(s, r.guard);
@@ -48,6 +42,10 @@ nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
     G_c[i] = r.G_c;
     gap[i] = r.gap;
     restitution[i] = r.restitution;
+    friction[i] = r.friction;
+    loss[i] = r.loss;
+    points[i] = r.points;
+    impulse_vector.row(i) = r.impulse_vector;
     iterations[i] = r.iterations;
     step[i] = r.step;
     method[i] = r.method;
@@ -73,6 +71,10 @@ nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
   d["G_c"] = hand_over(std::move(G_c));
   d["gap"] = hand_over(std::move(gap));
   d["restitution"] = hand_over(std::move(restitution));
+  d["friction"] = hand_over(std::move(friction));
+  d["loss"] = hand_over(std::move(loss));
+  d["points"] = points;
+  d["impulse_vector"] = hand_over(std::move(impulse_vector));
   d["iterations"] = iterations;
   d["step"] = step;
   d["method"] = method;
@@ -108,6 +110,7 @@ nb::dict stats(const Simulator& sim, double seconds) {
   d["guards_skipped"] = sim.guard_counters().skipped;
   d["impacts"] = sim.impacts();
   d["seconds"] = seconds;
+  add_contact_stats(sim, d);
   return d;
 }
 
@@ -152,6 +155,7 @@ nb::dict segments(const Tree& tree, int stages, Segments& s) {
   d["q"] = hand_over(std::move(s.q), n, tree.nq);
   d["p"] = hand_over(std::move(s.p), n, tree.nv);
   d["p1"] = hand_over(std::move(s.p1), n, tree.nv);
+  d["held"] = hand_over(std::move(s.held));
   d["rates"] = hand_over(std::move(s.rates), n, static_cast<std::size_t>(tree.nv) * stages);
   return d;
 }
@@ -191,6 +195,9 @@ nb::dict run(Simulator& sim, nb::object progress, Run call) {
     arcs["dt"] = hand_over(std::move(recording.arc_dt));
     d["arcs"] = arcs;
   }
+  d["contacts"] = contact_rows(s, recording.contacts);
+  d["changes"] = contact_changes(s, recording.changes);
+  d["phases"] = step_phases(recording);
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);
   return d;
@@ -239,14 +246,17 @@ void expose_simulator(nb::module_& m) {
       .def(
           "__init__",
           [](Simulator* self, const Scene& scene, double dt, double tol, int impact, long max_impacts_per_step,
-             int max_iterations, bool mhc_global, int order, bool dense) {
+             int max_iterations, bool mhc_global, int order, bool dense, double dt_contact, int zeno,
+             bool stiff_support, int contact_points, bool record_contacts) {
             if (order < 2 || order > 2 * kMaxStages || order % 2 != 0)
               throw Error("expected an even order from 2 to 16");
-            new (self)
-                Simulator(scene, {dt, tol, impact, mhc_global, max_iterations, max_impacts_per_step, order / 2, dense});
+            new (self) Simulator(scene, {dt, tol, impact, mhc_global, max_iterations, max_impacts_per_step, order / 2,
+                                         dense, dt_contact, zeno != 0, stiff_support, contact_points, record_contacts});
           },
           "scene"_a, "dt"_a, "tol"_a = 1e-12, "impact"_a = 0, "max_impacts_per_step"_a = 100000,
-          "max_iterations"_a = 50, "mhc_global"_a = false, "order"_a = 2, "dense"_a = false, nb::keep_alive<1, 2>())
+          "max_iterations"_a = 50, "mhc_global"_a = false, "order"_a = 2, "dense"_a = false, "dt_contact"_a = 0.0,
+          "zeno"_a = 0, "stiff_support"_a = false, "contact_points"_a = 4, "record_contacts"_a = true,
+          nb::keep_alive<1, 2>())
       .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0, "Status fields as a dict.")
       .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
            "Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.")

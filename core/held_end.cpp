@@ -1,0 +1,158 @@
+// HeldStep: the second kick of a step, at its end, and what the step has done to its contacts.
+#include <algorithm>
+#include <cmath>
+
+#include "held_step.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kClosed = 1e-12;    // [m] a gap below which a contact without load takes part in the end kick
+constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
+}  // namespace
+
+// From the end of the smooth step with its start kicks to the node: p1 and v1.
+bool HeldStep::end_kick() {
+  p_start_.noalias() += node0_.W * change_;  // the last correction of the impulses
+  integrator_.start_kicked(p_start_);
+  integrator_.stage_velocity(v_);
+  integrator_.finish(q1_, p_minus_);
+  end_node(q1_);
+  integrator_.place_node(q1_);
+  MinvW_ = node1_.W;
+  integrator_.solve_masses(MinvW_);
+  v1_ = p_minus_;
+  integrator_.solve_mass(v1_);
+  if (!v1_.allFinite()) {
+    why_ = "a number is not finite";
+    return false;
+  }
+  G_end_.noalias() = node1_.W.transpose() * MinvW_;
+  w_end_.noalias() = node1_.W.transpose() * v1_;
+  active_.clear();
+  const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    HeldOutcome& out = outcomes_[i];
+    const int r = row_[i];
+    const double noise =
+        guards_->is_noisy(contacts_[i].point.guard) ? guards_->root_tolerance(contacts_[i].point.guard) : kClosed;
+    out.active = lambda_[r] > 0.0 || node1_.at[i].gap <= noise;
+    out.slipped = false;
+    out.reversed = out.paradox = 0.0;
+    if (out.active) active_.push_back(static_cast<int>(i));
+    if (contacts_[i].mu == 0.0) continue;
+    const Eigen::Vector2d s = y_.segment<2>(r + 1) + G_.block(r + 1, 0, 2, rows_) * change_;
+    const double limit = contacts_[i].mu * lambda_[r];
+    const bool on_cone = lambda_.segment<2>(r + 1).norm() >= limit * (1.0 - 1e-9);
+    out.slipped = on_cone && s.norm() > kSlipping * speed;
+    if (out.slipped) cones_[i].d = s.normalized();
+  }
+  lambda_end_ = lambda_;
+  if (!solve_end(lambda_end_)) {
+    why_ = "the contact forces at the end of a step were not found";
+    return false;
+  }
+  p1_ = p_minus_;
+  p1_.noalias() += node1_.W * lambda_end_;
+  v1_.noalias() += MinvW_ * lambda_end_;
+  w_end_.noalias() += G_end_ * lambda_end_;
+  describe();
+  return true;
+}
+
+// The cone problem of the active contacts; directions of friction stay those of the step where that turns no slip round.
+bool HeldStep::solve_end(VecX& lambda) {
+  int rows = 0;
+  end_cones_.clear();
+  for (int i : active_) {
+    ConeContact cone = cones_[i];
+    cone.row = rows;
+    cone.frozen = outcomes_[i].slipped;
+    end_cones_.push_back(cone);
+    rows += cone.rows;
+  }
+  // Rows of the active contacts only.
+  MatX& G = G_sub_;
+  G.resize(rows, rows);
+  b_sub_.resize(rows);
+  x_.resize(rows);
+  for (std::size_t a = 0; a < active_.size(); ++a) {
+    const int i = active_[a], ri = row_[i], m = end_cones_[a].rows, at = end_cones_[a].row;
+    b_sub_.segment(at, m) = w_end_.segment(ri, m);
+    x_.segment(at, m) = lambda.segment(ri, m);
+    for (std::size_t c = 0; c < active_.size(); ++c)
+      G.block(at, end_cones_[c].row, m, end_cones_[c].rows) = G_end_.block(ri, row_[active_[c]], m, end_cones_[c].rows);
+  }
+  const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
+  lambda.setZero();
+  if (rows == 0) return true;
+  for (int attempt = 0; attempt < 3; ++attempt) {
+    if (!solve_cone({end_cones_, G, b_sub_}, x_, redundant_)) return false;
+    bool turned = false;
+    for (std::size_t a = 0; a < active_.size(); ++a) {
+      ConeContact& cone = end_cones_[a];
+      if (!cone.frozen) continue;
+      const Eigen::Vector2d w = b_sub_.segment<2>(cone.row + 1) + G.middleRows<2>(cone.row + 1) * x_;
+      outcomes_[active_[a]].reversed = w.dot(cone.d);
+      if (w.dot(cone.d) > kSlipping * speed) continue;
+      cone.frozen = false;
+      turned = true;
+    }
+    if (!turned) break;
+  }
+  for (std::size_t a = 0; a < active_.size(); ++a)
+    lambda.segment(row_[active_[a]], end_cones_[a].rows) = x_.segment(end_cones_[a].row, end_cones_[a].rows);
+  return true;
+}
+
+void HeldStep::describe() {
+  const double speed = 1.0 + v1_.cwiseAbs().maxCoeff();
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    HeldOutcome& out = outcomes_[i];
+    const HeldContact& held = contacts_[i];
+    const int r = row_[i];
+    const Contact &c0 = node0_.at[i], &c1 = node1_.at[i];
+    out.contact = c1;
+    out.t1 = node1_.t1[i];
+    out.t2 = c1.normal.cross(out.t1);
+    out.w_n = w_end_[r];
+    out.start = Vec3(lambda_[r], 0, 0);
+    out.end = Vec3(lambda_end_[r], 0, 0);
+    out.slip_W.setZero();
+    out.slips = false;
+    if (held.mu > 0.0) {
+      out.start.tail<2>() = lambda_.segment<2>(r + 1);
+      out.end.tail<2>() = lambda_end_.segment<2>(r + 1);
+      out.slip_W = w_end_[r + 1] * out.t1 + w_end_[r + 2] * out.t2;
+      out.slips = out.slip_W.norm() > kSlipping * speed;
+      if (out.slipped) {
+        out.paradox = G_(r, r) - held.mu * (G_.block<1, 2>(r, r + 1) * cones_[i].d)(0);
+      }
+    }
+    const Vec3 s1 = node0_.t1[i], s2 = c0.normal.cross(s1);
+    out.start_W = out.start[0] * c0.normal + out.start[1] * s1 + out.start[2] * s2;
+    out.end_W = out.end[0] * c1.normal + out.end[1] * out.t1 + out.end[2] * out.t2;
+  }
+}
+
+void HeldStep::commit() {
+  guards_->place(q1_);
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    HeldContact& held = contacts_[i];
+    const HeldOutcome& out = outcomes_[i];
+    held.force = (out.start + out.end) / h_;
+    if (held.mu > 0.0 && held.point.kind != PointKind::kVertex) held.tangent = node1_.t1[i];
+    held.sticks = !out.slips;
+    if (!held.point.material) continue;
+    if (out.slips || out.slipped) held.anchored = false;
+    if (!out.slips && !held.anchored) {
+      held.anchor = place_on_plane(held.point);
+      held.anchored = true;
+    }
+    y_ref_[i] = held.anchored ? held.anchor : place_on_plane(held.point);
+  }
+  std::swap(node0_, node1_);
+  node1_.known = false;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,121 @@
+// Lasting contact: the midpoint step with unilateral constraints and Coulomb friction, in RATTLE form.
+//
+// Two impulses per step, one with W(q0) before it, one with W(q1) after it:
+//   p0 + W0^T Lambda = smooth equation of v, q1 = q0 (+) h v     0 <= Lambda_n _|_ phi(q1) >= 0
+//   p1 = p^- + W1^T Lambda'                                      0 <= Lambda'_n _|_ w_n >= 0,  w = W1 M^-1 p1
+// with Coulomb's law between Lambda_t and the slip s over the step, between Lambda'_t and w_t at its end: constraints at
+// position level, velocities projected at the node (Hairer, Lubich, Wanner, Geometric Numerical Integration, VII.1, for
+// bilateral constraints). The slip of a point fixed to a body is its displacement on the support, from an anchor where it
+// stuck: no creep. That of rolling surfaces is W_t v, the mean of both ends. A contact that slipped keeps its direction of
+// friction in the end kick unless that would turn its slip round: order 2 for turning slip.
+#pragma once
+
+#include <vector>
+
+#include "cone.hpp"
+#include "guard.hpp"
+#include "held_contact.hpp"
+#include "integrator.hpp"
+
+namespace contactvi {
+
+struct HeldCounters {
+  long steps = 0, rounds = 0, problems = 0, iterations = 0, fallbacks = 0;
+};
+
+class HeldStep final : public Stepper {
+ public:
+  // integrator: one stage, of its own.
+  HeldStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol);
+  HeldStep(const HeldStep&) = delete;
+  HeldStep& operator=(const HeldStep&) = delete;
+
+  std::vector<HeldContact>& contacts() { return contacts_; }
+  const std::vector<HeldContact>& contacts() const { return contacts_; }
+  bool empty() const { return contacts_.empty(); }
+  // Usual length of a step: what the gaps are off is taken back over it.
+  void set_nominal(double h) { nominal_h_ = h; }
+  // Contacts were added or dropped, or the state is not the end of the last step.
+  void changed() { node0_.known = false; }
+
+  int stages() const override { return 1; }
+  bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
+  bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) override;
+  void finish(VecRef q1, VecRef p1) override;
+  void forget() override {}
+  const char* why() const override { return why_; }
+  const MatX& rates() override;
+  bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override {
+    return integrator_.node_velocity(q, p, v);
+  }
+
+  // Of the step just solved.
+  double h() const { return h_; }
+  const std::vector<HeldOutcome>& outcomes() const { return outcomes_; }
+  const VecX& end_velocity() const { return v1_; }
+  double work() const { return integrator_.work(); }
+  // The step is taken: modes, anchors, forces and tangents become those of its end.
+  void commit();
+
+  // Forces that would hold the contacts at the end of the step just solved, against what separates them: per contact
+  // f_n - a_n / G_nn, f_n the continuous normal force, a_n the normal acceleration, one of which is zero [N]. A contact
+  // whose value is negative leaves. False if it could not be found.
+  bool holding_forces(const VecX& tau, VecX& value);
+  // The same at (q, p), of which no step is known.
+  bool holding_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value);
+  // Whether a contact may have left: its forces of this step fall towards zero.
+  bool may_release() const;
+
+  const StepCounters& step_counters() const { return integrator_.counters; }
+  HeldCounters counters;
+
+ private:
+  // Geometry and velocity rows of all contacts at a configuration.
+  struct Node {
+    bool known = false;
+    VecX q;
+    std::vector<Contact> at;
+    std::vector<Vec3> t1;
+    MatX W;  // nv x rows
+  };
+
+  void set_rows();
+  void start_node(const VecCRef& q0);
+  void end_node(const VecX& q1);
+  void evaluate(const HeldContact& held, Contact& contact);
+  Vec3 tangent_at(const HeldContact& held, const Contact& contact, const Contact& before, const Vec3& t1) const;
+  Vec3 place_on_plane(const ContactPoint& point) const;
+  bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
+  void measure(double h);
+  bool solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize);
+  bool end_kick();
+  bool solve_end(VecX& lambda);
+  void describe();
+  bool accelerations(const VecCRef& q, const VecCRef& v, const VecX& tau);
+  bool force_problem(VecX& value);
+
+  const Scene* scene_;
+  Guards* guards_;
+  const Manifolds* manifolds_;
+  Integrator integrator_;
+  ConeSolver solver_;
+  double tol_;
+  std::vector<HeldContact> contacts_;
+  std::vector<HeldOutcome> outcomes_;
+  std::vector<int> row_;  // first row of each contact
+  std::vector<ConeContact> cones_, end_cones_;
+  std::vector<int> active_;  // contacts of the end kick
+  int rows_ = 0;
+  bool redundant_ = false, noisy_ = false;
+  Node node0_, node1_;
+  std::vector<Vec3> y_ref_;  // where the material points are on their planes, or were when they stuck
+  VecX y_, lambda_, lambda_end_, b_, change_, v_, p_start_, p_minus_, q1_, p1_, v1_, dv_;
+  MatX DinvW_, S_, G_, MinvW_, G_end_, G_sub_, rates_;
+  VecX b_sub_, x_;
+  std::vector<ConeContact> force_cones_;
+  VecX w_end_, guess_, q_side_, v_side_, acceleration_;
+  double h_ = 0, nominal_h_ = 0;
+  const char* why_ = "";
+};
+
+}  // namespace contactvi

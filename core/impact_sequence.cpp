@@ -1,0 +1,351 @@
+#include "impact_sequence.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "impact_ctec.hpp"
+#include "impact_dtec.hpp"
+#include "impact_mhc.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
+constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
+constexpr int kDtec = 1, kMhc = 2;
+}  // namespace
+
+ImpactSequence::ImpactSequence(const Scene& scene, Integrator& integrator, Guards& guards, const ImpactOptions& options)
+    : scene_(&scene),
+      integrator_(&integrator),
+      guards_(&guards),
+      options_(options),
+      q_(scene.tree.nq),
+      v_(scene.tree.nv) {}
+
+bool ImpactSequence::fail(StatusCode code, const char* message, int guard) {
+  code_ = code;
+  message_ = message;
+  guard_ = guard;
+  return false;
+}
+
+// The points of a guard that are closed at q_, held ones among them; false if there are none.
+bool ImpactSequence::add(int guard, const std::vector<HeldContact>& held, double margin) {
+  if (count_ == static_cast<int>(closed_.size())) closed_.emplace_back();
+  ClosedGuard& c = closed_[count_];
+  c.guard = guard;
+  c.e = scene_->restitution(guard);
+  c.mu = scene_->friction(guard);
+  c.hit = c.held = false;
+  c.points.clear();
+  Contact witness;
+  const double gap = guards_->evaluate_witness(guard, witness);
+  if (scene_->is_pair(guard)) {
+    guards_->manifolds().find(guard, guards_->placements(), witness, std::max(margin, gap), c.points);
+  } else {
+    ContactPoint limit{};
+    limit.guard = guard;
+    limit.kind = PointKind::kLimit;
+    c.points.push_back(limit);
+  }
+  for (const HeldContact& h : held) {
+    if (h.point.guard != guard) continue;
+    c.held = true;
+    bool found = false;
+    for (const ContactPoint& p : c.points) found |= p.kind == h.point.kind && p.feature == h.point.feature;
+    if (!found) c.points.push_back(h.point);
+  }
+  c.count = static_cast<int>(c.points.size());
+  if (c.count == 0) return false;
+  const int m = c.rows_per_point(), nv = scene_->tree.nv;
+  c.rows = m * c.count;
+  c.contacts.resize(c.points.size());
+  c.t1.resize(c.points.size());
+  if (c.W.rows() != nv || c.W.cols() < c.rows) {
+    c.W.resize(nv, c.rows);
+    c.MinvW.resize(nv, c.rows);
+  }
+  for (int i = 0; i < c.count; ++i) {
+    const ContactPoint& point = c.points[i];
+    if (point.kind == PointKind::kWitness || point.kind == PointKind::kLimit) {
+      c.contacts[i] = witness;
+    } else {
+      guards_->manifolds().evaluate(point, guards_->placements(), c.contacts[i]);
+    }
+    c.t1[i] = c.mu > 0.0 ? any_tangent(c.contacts[i].normal) : Vec3(Vec3::Zero());
+    guards_->rows(guard, c.contacts[i], c.t1[i], c.W.middleCols(m * i, m));
+  }
+  c.MinvW.leftCols(c.rows) = c.W.leftCols(c.rows);
+  integrator_->solve_masses(c.MinvW.leftCols(c.rows));
+  any_held_ |= c.held;
+  ++count_;
+  return true;
+}
+
+bool ImpactSequence::collect(const VecX& q, const VecX& p, const std::vector<int>& active, int first,
+                             const std::vector<HeldContact>& held) {
+  count_ = 0;
+  any_held_ = false;
+  q_ = q;
+  guards_->place(q);
+  if (!integrator_->node_velocity(q, p, v_))
+    return fail(StatusCode::kNewtonFailed, "the mass matrix is not positive definite", -1);
+  std::vector<int> guards(active);
+  if (first >= 0) guards.push_back(first);
+  for (const HeldContact& h : held) guards.push_back(h.point.guard);
+  std::sort(guards.begin(), guards.end());
+  guards.erase(std::unique(guards.begin(), guards.end()), guards.end());
+  for (int g : guards) {
+    const double tolerance = guards_->touch_tolerance(g);
+    bool is_held = false;
+    for (const HeldContact& h : held) is_held |= h.point.guard == g;
+    Contact contact;
+    if (g != first && !is_held && !(guards_->evaluate_witness(g, contact) <= tolerance)) continue;
+    add(g, held, tolerance);
+  }
+  return true;
+}
+
+double ImpactSequence::largest_speed(const VecX& p) const {
+  double largest = 0.0;
+  for (int i = 0; i < count_; ++i)
+    for (int k = 0; k < closed_[i].count; ++k) largest = std::max(largest, std::abs(closed_[i].gamma_n(k, p)));
+  return largest;
+}
+
+// The elastic contact that closes fastest; null if none closes. False: it closes too slowly to go on with e > 0.
+bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic, double scale,
+                                 ClosedGuard*& worst) const {
+  worst = nullptr;
+  double gamma = -kSeparated * scale;
+  for (int i = 0; i < count_; ++i) {
+    const ClosedGuard& c = closed_[i];
+    if (c.e == 0.0 || plastic[c.guard]) continue;
+    const double candidate = c.gamma_n(p);
+    if (!(candidate < gamma)) continue;
+    gamma = candidate;
+    worst = const_cast<ClosedGuard*>(&c);
+  }
+  return worst == nullptr || gamma <= -kPlasticSpeed * scale;
+}
+
+bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, VecX& p, Recording& recording) {
+  code_ = StatusCode::kSuccess;
+  const double scale = largest_speed(p);
+  for (;;) {
+    ClosedGuard* worst = nullptr;
+    if (closes_most(p, plastic, scale, worst)) {
+      if (worst != nullptr) {
+        const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_held_);
+        if (!(single ? hit_point(*worst, worst->e, at, p, recording) : hit_block(*worst, worst->e, at, p, recording)))
+          return false;
+        if (++impacts_in_step > options_.max_impacts_per_step)
+          return fail(StatusCode::kTooManyImpacts, "too many impacts in one step", worst->guard);
+        continue;
+      }
+    }
+    bool any = false;
+    if (!hit_plastic(plastic, worst, at, scale, p, any, recording)) return false;
+    if (!any) return true;
+    if (++impacts_in_step > options_.max_impacts_per_step)
+      return fail(StatusCode::kTooManyImpacts, "too many impacts in one step", count_ > 0 ? closed_[0].guard : -1);
+  }
+}
+
+ImpactResult ImpactSequence::apply_map(const ImpactProblem& problem, VecX& p) {
+  if (options_.map == 0 || !any_held_) {
+    switch (options_.map) {
+      case kDtec:
+        return impact_dtec(problem, p);
+      case kMhc:
+        return impact_mhc(problem, p);
+      default:
+        return impact_ctec(problem, p);
+    }
+  }
+  // The rest of the step is not a smooth one: its scalar is not what the map conserves.
+  ImpactResult result = impact_ctec(problem, p);
+  result.fallback = Fallback::kHeld;
+  return result;
+}
+
+// One point without friction: the maps as they are.
+bool ImpactSequence::hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording) {
+  const VecX p_minus = p, W = closed.W.col(0), MinvW = closed.MinvW.col(0);
+  const double gamma = MinvW.dot(p), G_c = W.dot(MinvW);
+  ImpactProblem problem{*integrator_, q_, p_minus, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, 0.0};
+  target -= problem.loss();
+  problem.target = target;
+  const ImpactResult result = apply_map(problem, p);
+  if (!result.ok) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
+  // After a fallback the scalar is what it is: the next impact must not be made to pay the difference back.
+  if (result.fallback != Fallback::kNone && !options_.mhc_global && std::isfinite(result.jump)) target += result.jump;
+  closed.hit = true;
+  VecX lambda = VecX::Constant(1, result.impulse);
+  record(closed, lambda, p_minus, p, result, e, problem.loss(), gamma, MinvW.dot(p), at, recording);
+  return true;
+}
+
+// What DTEC or MHC changes of a block's impulse: the same normal force on all its points, scaled.
+ImpactResult ImpactSequence::corrected(const ClosedGuard& closed, const BlockResult& block, double e, const Instant& at,
+                                       VecX& p) {
+  ImpactResult ctec;
+  ctec.ok = true;
+  const int m = closed.rows_per_point();
+  for (int i = 0; i < closed.count; ++i) ctec.impulse += block.lambda[m * i];
+  VecX W = VecX::Zero(p.size()), MinvW = W;
+  for (int i = 0; i < closed.count && ctec.impulse > 0.0; ++i) {
+    const double share = block.lambda[m * i] / ctec.impulse;
+    W += share * closed.W.col(m * i);
+    MinvW += share * closed.MinvW.col(m * i);
+  }
+  ImpactResult result = ctec;
+  if (options_.map == 0) return result;
+  if (any_held_ || !(ctec.impulse > 0.0)) {
+    result.fallback = Fallback::kHeld;
+    return result;
+  }
+  const VecX base = p - ctec.impulse * W;  // so that p = base + impulse W
+  const double G_c = W.dot(MinvW), gamma = MinvW.dot(base);
+  const ImpactProblem problem{*integrator_, q_, base, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, target};
+  return options_.map == kDtec ? impact_dtec(problem, ctec, p) : impact_mhc(problem, ctec, p);
+}
+
+bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording) {
+  std::vector<BlockMember> members{{&closed, e}};
+  if (options_.stiff_support)
+    for (int i = 0; i < count_; ++i)
+      if (closed_[i].held && &closed_[i] != &closed) members.push_back({&closed_[i], 0.0});
+  const BlockResult block = poisson_.solve(members, p);
+  if (!block.ok) return fail(StatusCode::kNotFinite, "an impact with friction was not solved", closed.guard);
+  target -= block.loss;
+  VecX p_minus = p;
+  for (std::size_t k = 1; k < members.size(); ++k) {
+    // The reactions of the supports first: they belong to the same instant.
+    ClosedGuard& support = *members[k].closed;
+    int row = 0;
+    for (std::size_t j = 0; j < k; ++j) row += members[j].closed->rows;
+    const VecX lambda = block.lambda.segment(row, support.rows);
+    if (lambda.isZero(0)) continue;
+    p = p_minus + support.W.leftCols(support.rows) * lambda;
+    ImpactResult result;
+    result.impulse = lambda.sum();
+    support.hit = true;
+    const double loss = -0.5 * lambda.dot(support.MinvW.leftCols(support.rows).transpose() * (p_minus + p));
+    record(support, lambda, p_minus, p, result, 0.0, loss, block.gamma_minus.segment(row, support.rows).minCoeff(),
+           block.gamma_plus.segment(row, support.rows).minCoeff(), at, recording);
+    p_minus = p;
+  }
+  VecX lambda = block.lambda.head(closed.rows);
+  p = p_minus + closed.W.leftCols(closed.rows) * lambda;
+  const double loss = -0.5 * lambda.dot(closed.MinvW.leftCols(closed.rows).transpose() * (p_minus + p));
+  const double gamma = closed.gamma_n(p_minus);
+  ImpactResult result = corrected(closed, block, e, at, p);
+  result.iterations += block.iterations;
+  if (!result.ok || !p.allFinite())
+    return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
+  if (result.fallback != Fallback::kNone && !options_.mhc_global && std::isfinite(result.jump)) target += result.jump;
+  closed.hit = true;
+  const int m = closed.rows_per_point();
+  double normal = 0.0;
+  for (int i = 0; i < closed.count; ++i) normal += lambda[m * i];
+  for (int i = 0; i < closed.count && normal > 0.0; ++i) lambda[m * i] *= result.impulse / normal;
+  record(closed, lambda, p_minus, p, result, e * block.restitution, loss, gamma, closed.gamma_n(p), at, recording);
+  return true;
+}
+
+// All plastic contacts together, and one whose endless sequence is cut. any: whether one of them closed.
+bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, ClosedGuard* cut, const Instant& at, double scale,
+                                 VecX& p, bool& any, Recording& recording) {
+  std::vector<BlockMember> members;
+  any = false;
+  for (int i = 0; i < count_; ++i) {
+    ClosedGuard& c = closed_[i];
+    if (&c != cut && c.e > 0.0 && !plastic[c.guard]) continue;
+    any |= c.gamma_n(p) < -kSeparated * scale;
+    members.push_back({&c, 0.0});
+  }
+  if (!any) return true;
+  const BlockResult block = poisson_.solve(members, p);
+  if (!block.ok) return fail(StatusCode::kNotFinite, "a plastic impact was not solved", members[0].closed->guard);
+  target -= block.loss;
+  int row = 0;
+  const VecX start = p;
+  for (const BlockMember& member : members) {
+    ClosedGuard& c = *member.closed;
+    const VecX lambda = block.lambda.segment(row, c.rows);
+    const int m = c.rows_per_point();
+    double least = 0.0, after = INFINITY;
+    for (int i = 0; i < c.count; ++i) {
+      least = std::min(least, block.gamma_minus[row + m * i]);
+      after = std::min(after, block.gamma_plus[row + m * i]);
+    }
+    row += c.rows;
+    if (lambda.isZero(0)) continue;
+    const VecX p_minus = p;
+    p += c.W.leftCols(c.rows) * lambda;
+    ImpactResult result;
+    for (int i = 0; i < c.count; ++i) result.impulse += lambda[m * i];
+    result.iterations = block.iterations;
+    if (options_.map != 0) result.fallback = any_held_ ? Fallback::kHeld : Fallback::kPlastic;
+    c.hit = true;
+    const double loss = -0.5 * lambda.dot(c.MinvW.leftCols(c.rows).transpose() * (p_minus + p));
+    record(c, lambda, p_minus, p, result, 0.0, loss, least, after, at, recording);
+  }
+  if (!p.allFinite()) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", members[0].closed->guard);
+  return true;
+}
+
+void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
+                            const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
+                            const Instant& at, Recording& recording) {
+  ++impacts;
+  ImpactRecord r;
+  const int m = closed.rows_per_point();
+  double weight = 0.0;
+  int deepest = 0;
+  r.impulse_vector.setZero();
+  r.point.setZero();
+  for (int i = 0; i < closed.count; ++i) {
+    const Contact& c = closed.contacts[i];
+    const Vec3 middle = 0.5 * (c.point_a + c.point_b);
+    Vec3 impulse = lambda[m * i] * c.normal;
+    if (m == 3) impulse += lambda[m * i + 1] * closed.t1[i] + lambda[m * i + 2] * c.normal.cross(closed.t1[i]);
+    r.impulse_vector += impulse;
+    r.point += lambda[m * i] * middle;
+    weight += lambda[m * i];
+    if (c.gap < closed.contacts[deepest].gap) deepest = i;
+    if (options_.record_contacts && scene_->is_pair(closed.guard))
+      recording.contacts.push(at.time, 0.0, closed.guard, closed.points[i].feature, 3, at.step, middle, c.normal,
+                              impulse, Vec3::Zero(), c.gap, Vec3::Zero());
+  }
+  const Contact& c = closed.contacts[deepest];
+  if (closed.count == 1 && m == 1) r.impulse_vector = result.impulse * c.normal;
+  r.point = weight > 0.0 && closed.count > 1 ? Vec3(r.point / weight) : Vec3(0.5 * (c.point_a + c.point_b));
+  r.time = at.time;
+  r.guard = closed.guard;
+  r.normal = c.normal;
+  r.impulse = result.impulse;
+  r.gamma_minus = gamma_minus;
+  r.gamma_plus = gamma_plus;
+  r.G_c = closed.W.col(m * deepest).dot(closed.MinvW.col(m * deepest));
+  r.gap = c.gap;
+  r.restitution = e;
+  r.friction = closed.mu;
+  r.points = closed.count;
+  r.loss = loss;
+  r.method = options_.map;
+  r.iterations = result.iterations;
+  r.fallback = static_cast<int>(result.fallback);
+  r.jump = result.jump;
+  r.before = at.before;
+  r.after = at.after;
+  r.step = at.step;
+  r.q = q_;
+  r.p_minus = p_minus;
+  r.p_plus = p_plus;
+  recording.impacts.push_back(std::move(r));
+}
+
+}  // namespace contactvi
