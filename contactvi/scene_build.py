@@ -91,6 +91,7 @@ def engine_scene(built: Built) -> Any:
             np.asarray(built.model.damping),
             built.arrays.limits,
             built.arrays.limit_restitution,
+            built.friction,
         )
     except RuntimeError as error:  # CoreError is one; Pinocchio and coal raise others
         raise SceneError("The engine refuses the scene", got=str(error).strip().splitlines()[-1]) from error
