@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi.contacts import ContactLog
 from contactvi.events import EventLog
 from contactvi.scene import Scene
 from contactvi.visuals import Visual
@@ -32,6 +33,7 @@ class Run(Protocol):
 
     t: Array
     events: EventLog
+    contacts: ContactLog
 
     @property
     def scene(self) -> Scene: ...
@@ -156,7 +158,7 @@ def markers_of(run: Run) -> list[Marker]:
         free.start.append(time)
         free.end.append(time + hold)
         free.point.append(points[k])
-        free.direction.append(normals[k] * _side(run.scene, int(events.array("index")[k])))
+        free.direction.append(normals[k] * drawn_side(run.scene, int(events.array("index")[k])))
         free.impulse.append(float(events.array("impulse")[k]))
     return markers
 
@@ -167,9 +169,11 @@ def shown_impacts(run: Run) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, min(count, MAX_IMPACTS)).astype(np.int64))
 
 
-def _side(scene: Scene, pair: int) -> float:
-    """Return +1 to draw the impulse on the second shape of a pair, -1 for the first: a free body before a linked one,
-    a linked one before the world, the second before the first."""
+def drawn_side(scene: Scene, pair: int) -> float:
+    """Return +1 to draw impulse or force on the second shape of a pair, -1 for the first.
+
+    A free body comes before a linked one, a linked one before the world, the second before the first.
+    """
     solids, pairs = scene.collision_model.geometryObjects, scene.collision_model.collisionPairs
     if pair >= len(pairs):
         return 1.0

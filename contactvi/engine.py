@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from contactvi import _core, checks
 from contactvi.endings import REMEDY
 from contactvi.errors import ContactviError, PenetrationError, SimulationError
-from contactvi.options import IMPACT_MAPS, Options
+from contactvi.options import IMPACT_MAPS, ZENO, Options
 from contactvi.prepared import Prepared
 from contactvi.record import Record
 from contactvi.status import Status, StatusCode
@@ -40,6 +40,11 @@ def make(
         options.mhc_reference == "global",
         options.order,
         options.dense,
+        dt_contact=options.contact_dt if dt_contact is None else dt_contact,
+        zeno=ZENO.index(options.zeno),
+        stiff_support=options.support == "stiff",
+        contact_points=options.contact_points,
+        record_contacts=options.record_contacts,
     )
 
 

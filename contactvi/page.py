@@ -27,7 +27,8 @@ from contactvi.animation import Frames, Marker, Poses, frames_of, shown_impacts
 from contactvi.animation import Run as AnimatedRun
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
-from contactvi.shapes import ARROW_COLOR, arrow, draw, fit, floor, point_marker
+from contactvi.force_arrows import Arrow, Forces, forces_of
+from contactvi.shapes import ARROW_COLOR, ARROW_LENGTH, FORCE_COLOR, arrow, draw, fit, floor, point_marker
 from contactvi.status import Status
 from contactvi.version import version
 
@@ -46,7 +47,13 @@ class Run(AnimatedRun, Protocol):
 
 
 def write_html(
-    run: Run, path: str | os.PathLike[str], *, fps: float = 60.0, title: str = "", play: bool = True
+    run: Run,
+    path: str | os.PathLike[str],
+    *,
+    fps: float = 60.0,
+    title: str = "",
+    play: bool = True,
+    forces: bool = True,
 ) -> Path:
     """Write the page that plays `run`; return its path.
 
@@ -55,22 +62,24 @@ def write_html(
     path : file to write, replaced whole or not at all.
     fps : frames per second of simulated time, > 0; impacts get a frame of their own. Long runs get fewer.
     title : heading and name of the page. play : start playing when the page is opened.
+    forces : show the forces of lasting contacts as arrows, where the run has kept some.
     """
-    text = make_html(run, fps=fps, title=title, play=play)
+    text = make_html(run, fps=fps, title=title, play=play, forces=forces)
     return write_atomic(path, lambda file: file.write(text.encode("utf-8")))
 
 
-def make_html(run: Run, *, fps: float = 60.0, title: str = "", play: bool = True) -> str:
+def make_html(run: Run, *, fps: float = 60.0, title: str = "", play: bool = True, forces: bool = True) -> str:
     """Return the text of the page; arguments as in `write_html`."""
     if not isinstance(fps, (int, float)) or not 0 < fps < 1e6:
         raise InputError("fps is not usable", name="fps", expected="frames per second of simulated time", got=repr(fps))
     frames = frames_of(run, float(fps))
     view = fit(run.visuals, frames)
-    packed = [umsgpack.packb(command) for command in _commands(run, frames, view)]
+    shown = forces_of(run, run.t[0] + frames.times) if forces else None
+    packed = [umsgpack.packb(command) for command in _commands(run, frames, view, shown)]
     title = title or _title(run)
     parts = {
         "@TITLE@": html.escape(title),
-        "@RUN@": _script(_description(run, frames, view, title, play)),
+        "@RUN@": _script(_description(run, frames, view, shown, title, play)),
         "@COMMANDS@": json.dumps([base64.b64encode(data).decode("ascii") for data in packed]),
         "@MESHCAT@": _meshcat_script(),
     }
@@ -80,7 +89,7 @@ def make_html(run: Run, *, fps: float = 60.0, title: str = "", play: bool = True
     return text
 
 
-def _commands(run: Run, frames: Frames, view: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _commands(run: Run, frames: Frames, view: dict[str, Any], forces: Forces | None) -> Iterator[dict[str, Any]]:
     """Yield the drawing commands, lowered to plain data."""
     yield from _properties(
         ("/Background", "top_color", [0.97, 0.98, 1.0]),
@@ -110,6 +119,13 @@ def _commands(run: Run, frames: Frames, view: dict[str, Any]) -> Iterator[dict[s
             yield from _object(f"{path}/arrow/{j}", *part)
         yield from _properties((path, "visible", False))
         tracks |= _marker_tracks(path, marker, largest)
+    if forces is not None:
+        for k, shown in enumerate(forces.arrows):
+            path = f"{_ROOT}/forces/{k}"
+            for j, part in enumerate(arrow(view["size"], FORCE_COLOR)):
+                yield from _object(f"{path}/{j}", *part)
+            yield from _properties((path, "visible", False))
+            tracks[path] = _force_tracks(shown, forces.length(shown), float(run.t[0]))
     if tracks:
         yield _animation(tracks)
 
@@ -133,6 +149,24 @@ def _marker_tracks(path: str, marker: Marker, largest: float) -> dict[str, list[
     }
 
 
+def _force_tracks(arrow: Arrow, length: Array, start: float) -> list[dict[str, Any]]:
+    """Return the tracks that move one arrow with its contact point, as long as the force is strong."""
+    time = np.array(arrow.time) - start
+    width = 0.5 + 0.3 * length
+    turns = np.array([_turn(force) for force in arrow.force])
+    near = np.cumprod(np.where(np.sum(turns[1:] * turns[:-1], axis=1) < 0, -1.0, 1.0))
+    turns[1:] *= near[:, None]  # of the two quaternions of a rotation the one near the last: they are interpolated
+    # An arrow that shows from later on is hidden until then, whatever its track says before its first key.
+    key, shown = np.append(0.0, time) if time[0] > 0.0 else time, arrow.shown
+    shown = [False, *shown] if time[0] > 0.0 else shown
+    return [
+        {"name": ".visible", "type": "bool", "times": _floats(key), "values": shown},
+        _track("position", "vector3", time, np.array(arrow.point)),
+        _track("quaternion", "quaternion", time, turns),
+        _track("scale", "vector3", time, np.column_stack([width, width, length])),
+    ]
+
+
 def _switches(marker: Marker) -> tuple[Array, NDArray[np.bool_]]:
     """Return the times at which a marker is switched and whether it is on from then; the last word at a time counts."""
     switch = {0.0: False}
@@ -144,7 +178,9 @@ def _switches(marker: Marker) -> tuple[Array, NDArray[np.bool_]]:
     return np.array(times), np.array([switch[time] for time in times])
 
 
-def _description(run: Run, frames: Frames, view: dict[str, Any], title: str, play: bool) -> dict[str, Any]:
+def _description(
+    run: Run, frames: Frames, view: dict[str, Any], forces: Forces | None, title: str, play: bool
+) -> dict[str, Any]:
     """Return what the page says in words, and its camera."""
     events = run.events
     duration = float(frames.times[-1])
@@ -154,6 +190,10 @@ def _description(run: Run, frames: Frames, view: dict[str, Any], title: str, pla
         {"text": f"{duration:.6g} s simulated, {run.stepping}, {len(events)} impacts", "bad": False},
         {"text": f"impact map {run.events.method.upper()}, contactvi {version()}", "bad": False},
     ]
+    if forces is not None:
+        drawn = ARROW_LENGTH * view["size"] * forces.reference / forces.full
+        text = f"blue arrows: contact forces, {_metres(drawn)} for {forces.reference:g} N"
+        facts.append({"text": text + (", not all of them" if forces.hidden else ""), "bad": False})
     if not run.status.ok:
         facts.append({"text": str(run.status), "bad": True})
     if len(listed) < len(events):
@@ -166,6 +206,10 @@ def _description(run: Run, frames: Frames, view: dict[str, Any], title: str, pla
         "view": {name: view[name] for name in ("center", "radius", "direction", "spread")},
         "play": bool(play),
     }
+
+
+def _metres(length: float) -> str:
+    return f"{length:.2g} m" if length >= 1.0 else f"{100.0 * length:.2g} cm"
 
 
 def _title(run: Run) -> str:

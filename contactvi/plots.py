@@ -1,4 +1,4 @@
-"""Pictures of a run that are no animation: energy, impacts and gaps over time."""
+"""Pictures of a run that are no animation: energy, impacts and gaps over time; the forces of lasting contacts."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _ENERGY, _MODIFIED, _CORRECTED, _IMPACT, _LIMIT = "#1f5fa8", "#e08a00", "#2f9e83", "#c8371b", "#7a5ab5"
 _DISCRETE = "#7d6608"
+_CHANGE = {"slip": "#c77ca3", "stick": "#56b4e9", "release": "#8c8f94", "begin": "#8c8f94"}
 _MAX_MARKS = 400  # impacts drawn as lines
 _MAX_PAIRS = 6  # gaps drawn
 _FEW_NODES = 200
@@ -55,6 +56,67 @@ def save_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
     return write_atomic(path, lambda file: figure.savefig(file, format="png", dpi=130))
 
 
+def plot_forces(traj: Trajectory) -> Figure:
+    """Return a figure of the contact forces of a run: along the normal and along the surface, a line per pair.
+
+    Of each pair the sum of its points, mean over every step in which it was held; impacts have no force. A run without
+    forces has an empty figure. The figure belongs to no window, as that of `plot`.
+    """
+    figure = Figure(figsize=(9.0, 5.8), layout="constrained")
+    axes = figure.subplots(2, 1, sharex=True)
+    forces = [(pair, *_pair_force(traj, pair)) for pair in traj.contacts.pairs]
+    forces = [entry for entry in forces if len(entry[1])]
+    forces.sort(key=lambda entry: -float(entry[2].max()))
+    for (a, b), time, normal, along in forces[:_MAX_PAIRS]:
+        for axis, values in zip(axes, (normal, along), strict=True):
+            axis.plot(time, values, lw=1.2, label=f"{a} | {b}")
+    for axis in axes:
+        _mark_changes(axis, traj, named=axis is axes[1])
+        axis.grid(alpha=0.25)
+        axis.margins(x=0.01)
+        if forces:
+            _legend(axis)
+    more = f" ({_MAX_PAIRS} of {len(forces)} pairs)" if len(forces) > _MAX_PAIRS else ""
+    axes[0].set_ylabel(f"normal force [N]{more}")
+    axes[1].set_ylabel("friction force [N]")
+    axes[1].set_xlabel("time [s]")
+    figure.suptitle(f"Contact forces, {traj.stepping}", fontsize=11)
+    return figure
+
+
+def save_force_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
+    """Write the figure of `plot_forces` as a PNG file, whole or not at all; return its path."""
+    figure = plot_forces(traj)
+    return write_atomic(path, lambda file: figure.savefig(file, format="png", dpi=130))
+
+
+def _pair_force(traj: Trajectory, pair: tuple[str, str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return times (k,) [s] and the force of a pair along its normals and across them, (k,) [N]; gaps are NaN."""
+    log = traj.contacts.of(*pair)
+    held = np.flatnonzero((log.h > 0.0) & (log.array("kind") == 0))
+    start, group = np.unique(log.t[held], return_inverse=True)
+    group = group.reshape(-1)
+    normal = np.bincount(group, log.normal_impulse[held] / log.h[held], minlength=len(start))
+    along = log.normal_impulse[held, None] * log.array("normal")[held]
+    across = (log.impulse[held] - along) / log.h[held, None]
+    total = np.zeros((len(start), 3))
+    np.add.at(total, group, across)
+    end = np.zeros(len(start))
+    end[group] = log.end[held]
+    # Lines are broken where the pair was apart.
+    apart = 1 + np.flatnonzero(start[1:] > end[:-1] + 1e-9 * np.maximum(1.0, np.abs(end[:-1])))
+    columns = (0.5 * (start + end), normal, np.linalg.norm(total, axis=1))
+    time, *values = (np.insert(column, apart, np.nan) for column in columns)
+    return time, values[0], values[1]
+
+
+def _mark_changes(axis: Axes, traj: Trajectory, named: bool) -> None:
+    for kind, color in _CHANGE.items():
+        chosen = [change.time for change in traj.contact_changes if change.change == kind][:_MAX_MARKS]
+        for k, time in enumerate(chosen):
+            axis.axvline(time, color=color, lw=0.7, alpha=0.6, zorder=0, label=kind if named and k == 0 else None)
+
+
 def _draw_energy(axis: Axes, traj: Trajectory) -> None:
     """Energy with its jumps: the impacts are put in as points of their own, before and after."""
     t, change = _with_jumps(traj)
@@ -68,7 +130,7 @@ def _draw_error(axis: Axes, traj: Trajectory) -> None:
 
     For a system without damping and inputs the rest is the error of the integrator and of the impact map.
     """
-    own, lost = traj.events.method, traj.impact_loss
+    own, lost = traj.events.method, traj.impact_loss + traj.friction_loss
     curves = [
         ("ctec", "H - H(0) + losses", traj.energy, _CORRECTED, "-"),
         ("mhc", "the same of the modified H", traj.modified_energy, _MODIFIED, (0, (4, 3))),

@@ -15,7 +15,9 @@ from contactvi.visuals import Visual
 Array = NDArray[np.float64]
 Part = tuple[Any, Any, Array]  # geometry, material, placement of shape (4, 4)
 
-ARROW_COLOR = 0xE0431F
+ARROW_COLOR = 0xE0431F  # of an impulse
+FORCE_COLOR = 0x1E4FBF
+ARROW_LENGTH = 0.4  # of the size of the things
 _MARKER_COLOR = 0xF6A21B
 _FLOOR_COLOR = 0xD3DAE2
 _WALL_COLOR = 0xB8C6D6
@@ -97,13 +99,13 @@ def point_marker(size: float) -> Part:
     return _sphere(0.014 * size), _sign(_MARKER_COLOR), np.eye(4)
 
 
-def arrow(size: float) -> Iterator[Part]:
-    """Yield an arrow of length 0.4 size along z from the origin; scaled by the impulse."""
-    length = 0.4 * size
+def arrow(size: float, color: int = ARROW_COLOR) -> Iterator[Part]:
+    """Yield an arrow of length ARROW_LENGTH size along z from the origin; scaled by the impulse or force."""
+    length = ARROW_LENGTH * size
     head, radius = 0.25 * length, 0.02 * length
     shaft = length - head
-    yield _cylinder(radius, radius, shaft), _sign(ARROW_COLOR), _shift(0, 0, 0.5 * shaft) @ _Y_TO_Z
-    yield _cylinder(0.0, 3.0 * radius, head), _sign(ARROW_COLOR), _shift(0, 0, shaft + 0.5 * head) @ _Y_TO_Z
+    yield _cylinder(radius, radius, shaft), _sign(color), _shift(0, 0, 0.5 * shaft) @ _Y_TO_Z
+    yield _cylinder(0.0, 3.0 * radius, head), _sign(color), _shift(0, 0, shaft + 0.5 * head) @ _Y_TO_Z
 
 
 def fit(visuals: list[Visual], frames: Frames) -> dict[str, Any]:

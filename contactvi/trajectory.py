@@ -123,7 +123,10 @@ class Trajectory:
             return ""
         held, ends = self.phases["held"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
         span = float((ends - self.phases["t"])[held].sum())
-        return f", in contact order 2, dt{_lengths(self.phases['dt'][held])} ({span:.4g} s of the run)"
+        lengths, same = _lengths(self.phases["dt"][held]), self.options.order == 2 and not self.options.auto
+        if same and np.all(self.phases["dt"][held] == self.options.fixed_dt):
+            return f", contacts held for {span:.4g} s"
+        return f", contacts held for {span:.4g} s with order 2, dt{lengths}"
 
     @property
     def v(self) -> Array:
