@@ -10,7 +10,7 @@ namespace contactvi {
 
 namespace {
 
-constexpr int kIterations = 40;
+constexpr int kIterations = 40, kIterationsWarm = 12;
 constexpr int kSweeps = 200;
 
 }  // namespace
@@ -39,19 +39,32 @@ bool ConeSolver::one_contact(const ConeProblem& problem, double* lambda) {
   return result_.residual <= kConeTolerance;
 }
 
+// The unique solution with the shift. A start far from it is worth little there: what redundant contacts share moves w
+// by eps only, and Newton creeps; then from nothing, over larger shifts.
+bool ConeSolver::shifted(const ConeProblem& problem, double* lambda) {
+  using Singular = ConeNewton::Singular;
+  map_.set_shift(1.0);
+  if (newton_.run(problem, map_, Singular::kMinimumNorm, kIterationsWarm, lambda)) return true;
+  std::fill_n(lambda, problem.b.size(), 0.0);
+  for (double times : {1e3, 30.0, 1.0}) {
+    map_.set_shift(times);
+    newton_.run(problem, map_, Singular::kMinimumNorm, kIterations, lambda);
+  }
+  return newton_.residual() <= kConeTolerance;
+}
+
 // Newton from lambda. Redundant contacts are told by a singular step, or by one that touches without load.
 bool ConeSolver::attempt(const ConeProblem& problem, bool regularize, double* lambda) {
   const int m = static_cast<int>(problem.b.size());
   using Singular = ConeNewton::Singular;
-  map_.set_shift(false);
+  map_.set_shift(0.0);
   if (!regularize) return newton_.run(problem, map_, Singular::kMinimumNorm, kIterations, lambda);
   std::copy_n(lambda, m, start_.data());
   if (newton_.run(problem, map_, Singular::kStop, kIterations, lambda) && !newton_.singular() && !map_.touching())
     return true;
   std::copy_n(start_.data(), m, lambda);
-  map_.set_shift(true);
-  newton_.run(problem, map_, Singular::kMinimumNorm, kIterations, lambda);
-  map_.set_shift(false);
+  shifted(problem, lambda);
+  map_.set_shift(0.0);
   return newton_.run(problem, map_, Singular::kMinimumNorm, kIterations, lambda);
 }
 
@@ -70,14 +83,14 @@ bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lam
     if (shift && !regularize) continue;
     for (bool by_sweeps : {true, false}) {
       ++result_.fallbacks;
-      map_.set_shift(shift);
+      map_.set_shift(shift ? 1.0 : 0.0);
       std::fill_n(lambda, m, 0.0);
       if (by_sweeps)
         fallback_.sweep(problem, map_, kSweeps, lambda);
       else
         fallback_.admm(problem, map_, lambda);
       if (shift) newton_.run(problem, map_, ConeNewton::Singular::kMinimumNorm, kIterations, lambda);
-      map_.set_shift(false);
+      map_.set_shift(0.0);
       newton_.run(problem, map_, ConeNewton::Singular::kMinimumNorm, kIterations, lambda);
       if (keep_better(lambda, m)) return true;
     }

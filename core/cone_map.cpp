@@ -71,10 +71,10 @@ void NaturalMap::velocity(const ConeProblem& problem, const double* lambda, doub
       size[k] += std::abs(g[k]) * a;
     }
   }
-  if (!shifted_) return;
+  if (shift_times_ == 0.0) return;
   int i = 0;
   for (const ConeContact& c : problem.contacts) {
-    for (int k = c.row; k < c.row + c.rows; ++k) w[k] += shift_[i] * lambda[k];
+    for (int k = c.row; k < c.row + c.rows; ++k) w[k] += shift(i) * lambda[k];
     ++i;
   }
 }
@@ -120,7 +120,7 @@ void NaturalMap::evaluate(const ConeProblem& problem, const double* lambda, cons
       worst = std::max({worst, std::abs(f_t[0]), std::abs(f_t[1])});
       size = std::max({size, size_[n + 1], size_[n + 2]});
     }
-    if (!mode.closed && w[n] <= kTouching * size) touching_ = true;
+    if (std::max(w[n], (lambda[n] - c.lower) * normal_[i]) <= kTouching * size) touching_ = true;
     if (worst > 0.0) residual_ = std::max(residual_, size > 0.0 ? worst / size : 1.0);
     ++i;
   }

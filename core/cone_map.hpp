@@ -30,8 +30,9 @@ class NaturalMap {
   // Scales of a problem; false if its numbers are not finite or its contacts do not cover its rows.
   bool prepare(const ConeProblem& problem);
   // With the shift G is replaced by G + eps I, eps = 1e-5 max diag G (at most a hundredth of a contact's own diagonal).
-  void set_shift(bool on) { shifted_ = on; }
-  double shift(int contact) const { return shifted_ ? shift_[contact] : 0.0; }
+  // `times` such an eps; 0: none.
+  void set_shift(double times) { shift_times_ = times; }
+  double shift(int contact) const { return shift_times_ * shift_[contact]; }
 
   // w = b + (G + shift) lambda. Also the size of the terms in each row, by which the residual is relative.
   void velocity(const ConeProblem& problem, const double* lambda, double* w);
@@ -44,7 +45,7 @@ class NaturalMap {
   double merit() const { return merit_; }
   // Largest |F/r| of a contact over the size of the terms it is the sum of: the relative backward error.
   double residual() const { return residual_; }
-  // Some contact is open but touches (w_n = 0 to 1e-9): its share of the load is a choice.
+  // Some contact touches without load (w_n = 0 and lambda_n = lower to 1e-9): its share may be a choice.
   bool touching() const { return touching_; }
 
  private:
@@ -52,7 +53,8 @@ class NaturalMap {
   std::vector<double> size_;                      // per row
   std::vector<ConeMode> modes_;
   double merit_ = 0.0, residual_ = 0.0;
-  bool shifted_ = false, touching_ = false;
+  double shift_times_ = 0.0;
+  bool touching_ = false;
 };
 
 }  // namespace contactvi

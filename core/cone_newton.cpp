@@ -125,10 +125,11 @@ bool ConeNewton::solve(Singular singular) {
   return true;
 }
 
-// From lambda towards next_; the merit must fall. On success lambda and w_ are the new point, evaluated by map.
+// From lambda towards next_. On success lambda and w_ are the new point, evaluated by map.
 bool ConeNewton::search(const ConeProblem& problem, NaturalMap& map, double* lambda) {
   const int m = static_cast<int>(problem.b.size());
-  const double merit = map.merit();
+  past_[visited_++ % kMemory] = map.merit();
+  const double merit = *std::max_element(past_, past_ + std::min(kMemory, visited_));
   map.velocity(problem, next_.data(), next_w_.data());
   map.evaluate(problem, next_.data(), next_w_.data());
   if (map.merit() <= (1.0 - 2.0 * kDescent) * merit || map.residual() <= kGoal) {
@@ -156,6 +157,7 @@ bool ConeNewton::search(const ConeProblem& problem, NaturalMap& map, double* lam
 bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singular, int max_iterations,
                      double* lambda) {
   singular_ = false;
+  visited_ = 0;
   map.velocity(problem, lambda, w_.data());
   map.evaluate(problem, lambda, w_.data());
   residual_ = map.residual();

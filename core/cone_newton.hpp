@@ -14,7 +14,8 @@ class ConeNewton {
   enum class Singular { kStop, kMinimumNorm };
 
   void reserve(int rows);
-  // Newton steps with line search from lambda until the residual is a few rounding errors or no step lessens it.
+  // Newton steps with line search from lambda until the residual is a few rounding errors or no step lessens the merit
+  // below the largest of the last four (the natural map has kinks: asked to fall each time, it falls ever more slowly).
   // lambda: best on return. map: prepared, with or without shift. True if the residual is <= kConeTolerance.
   bool run(const ConeProblem& problem, NaturalMap& map, Singular singular, int max_iterations, double* lambda);
 
@@ -43,6 +44,9 @@ class ConeNewton {
   int count_ = 0;
   std::vector<double> w_, next_, next_w_, trial_, trial_w_;  // velocity here; the step's end; a trial on the way
   std::vector<double> product_, delta_, weight_;
+  static constexpr int kMemory = 4;
+  double past_[kMemory] = {};  // merits of the last points
+  int visited_ = 0;            // points of this run
   double residual_ = 0.0;
   int iterations_ = 0;
   bool singular_ = false;
