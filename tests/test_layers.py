@@ -32,7 +32,7 @@ CPP_LAYERS: Layers = {
     "path": (("path",), ("scene",)),
     "step": (("stepper", "stages", "start_values", "acceleration", "integrator", "integrator_kicked", "energy"), ("path",)),
     "contact": (("contact",), ("scene",)),
-    "manifold": (("manifold",), ("contact",)),
+    "manifold": (("outline", "candidates", "selection", "manifold", "manifold_point"), ("contact",)),
     "guard": (("guard",), ("manifold",)),
     "event": (("gap_path", "event", "event_locate"), ("guard", "step")),
     "impact": (("impact", "impact_ctec", "impact_dtec", "impact_mhc"), ("step",)),
@@ -80,7 +80,7 @@ PYTHON_LAYERS: Layers = {
         ),
         ("simulation",),
     ),
-    "cli": (("cli",), ("face", "bench", "reproduce")),
+    "cli": (("run_summary", "cli"), ("face", "bench", "reproduce")),
 }
 USERS_OF_THE_ENGINE = {"scene", "scene_build", "engine"}
 

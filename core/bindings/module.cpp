@@ -20,5 +20,6 @@ NB_MODULE(_core, m) {
   contactvi::expose_dense(m);
   contactvi::expose_kernel(m);
   contactvi::expose_simulator(m);
+  contactvi::expose_manifold(m);
   contactvi::expose_reference(m);
 }

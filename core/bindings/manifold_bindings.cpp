@@ -1,0 +1,116 @@
+// Contact points of a pair at one configuration, for tests.
+#include <nanobind/eigen/dense.h>
+#include <nanobind/stl/vector.h>
+
+#include <cmath>
+
+#include "arrays.hpp"
+#include "error.hpp"
+#include "expose.hpp"
+#include "guard.hpp"
+#include "manifold.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace contactvi {
+
+namespace {
+
+// A pair at a configuration.
+struct Touch {
+  Touch(const Scene& scene, const VecX& q, int pair, int max_points)
+      : at(scene.tree), guards(scene), manifolds(scene, max_points) {
+    if (q.size() != scene.tree.nq) throw Error("expected shape (nq,)");
+    if (pair < 0 || pair >= static_cast<int>(scene.pairs.size())) throw Error("there is no such pair");
+    place(scene.tree, q, at);
+    guards.place(q);
+    guards.evaluate(pair, witness);
+  }
+
+  void evaluate(const ContactPoint& p, Contact& contact) const {
+    contact = witness;
+    if (p.kind != PointKind::kWitness) manifolds.evaluate(p, at, contact);
+  }
+
+  Placements at;
+  Guards guards;
+  Manifolds manifolds;
+  Contact witness;
+};
+
+nb::dict describe(const Touch& touch, const std::vector<ContactPoint>& points) {
+  const auto n = static_cast<Eigen::Index>(points.size());
+  std::vector<std::int64_t> feature;
+  std::vector<int> kind;
+  std::vector<bool> material, valid;
+  VecX gap(n);
+  Rows a(n, 3), b(n, 3), normal(n, 3);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const ContactPoint& p = points[i];
+    Contact c;
+    touch.evaluate(p, c);
+    feature.push_back(p.feature);
+    kind.push_back(static_cast<int>(p.kind));
+    material.push_back(p.material);
+    valid.push_back(touch.manifolds.valid(p, touch.at));
+    gap[i] = c.gap;
+    a.row(i) = c.point_a;
+    b.row(i) = c.point_b;
+    normal.row(i) = c.normal;
+  }
+  nb::dict d;
+  d["kind"] = kind;
+  d["feature"] = feature;
+  d["material"] = material;
+  d["valid"] = valid;
+  d["gap"] = hand_over(std::move(gap));
+  d["point_a"] = hand_over(std::move(a));
+  d["point_b"] = hand_over(std::move(b));
+  d["normal"] = hand_over(std::move(normal));
+  return d;
+}
+
+nb::dict contact_points(const Scene& s, const VecX& q, int pair, double margin, int max_points) {
+  const Touch touch(s, q, pair, max_points);
+  std::vector<ContactPoint> points;
+  touch.manifolds.find(pair, touch.at, touch.witness, margin, points);
+  return describe(touch, points);
+}
+
+std::vector<ContactPoint> points_of(const Touch& touch, int pair, const std::vector<std::int64_t>& features) {
+  std::vector<ContactPoint> points;
+  for (std::int64_t f : features) points.push_back(touch.manifolds.point(pair, touch.at, touch.witness, f));
+  return points;
+}
+
+nb::dict points_of_features(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features) {
+  const Touch touch(s, q, pair, 4);
+  return describe(touch, points_of(touch, pair, features));
+}
+
+nb::tuple rest_gap(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features,
+                   int max_points) {
+  const Touch touch(s, q, pair, max_points);
+  const std::vector<ContactPoint> points = points_of(touch, pair, features);
+  std::vector<const ContactPoint*> held;
+  for (const ContactPoint& p : points) held.push_back(&p);
+  Contact c{};
+  const double gap =
+      touch.manifolds.rest(pair, touch.at, held.data(), static_cast<int>(held.size()), touch.witness, c);
+  return nb::make_tuple(gap, c.gap, Vec3(c.normal), Vec3(0.5 * (c.point_a + c.point_b)));
+}
+
+}  // namespace
+
+void expose_manifold(nb::module_& m) {
+  m.def("contact_points", &contact_points, "scene"_a, "q"_a, "pair"_a, "margin"_a, "max_points"_a = 4,
+        "Points at which a collision pair touches at q: dict of kind, feature, material, valid (lists), gap (n,), "
+        "point_a, point_b, normal (n, 3), world frame.");
+  m.def("contact_points_of", &points_of_features, "scene"_a, "q"_a, "pair"_a, "features"_a,
+        "The same for known features, wherever they are at q.");
+  m.def("rest_gap", &rest_gap, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,
+        "(least gap over all features but these, slack included; that feature's gap, normal and point).");
+}
+
+}  // namespace contactvi
