@@ -12,6 +12,7 @@ constexpr double kShift = 1e-5;          // of max diag G: smaller amplifies rou
 constexpr double kLargestShift = 1e-2;   // of a contact's own diagonal (rows of other units)
 constexpr double kSmallestScale = 1e-8;  // of max diag G: r stays finite for a contact that nothing can move
 constexpr double kTouching = 1e-9;
+constexpr double kAmplified = 1e-4;  // so much of the error beside b counts: 1e-12 of the terms, but at most 1e-8 of b
 
 bool covers_rows(const ConeProblem& problem) {
   int row = 0;
@@ -37,6 +38,7 @@ bool NaturalMap::prepare(const ConeProblem& problem) {
   const auto& G = problem.G;
   const double largest = G.rows() > 0 ? G.diagonal().cwiseAbs().maxCoeff() : 0.0;
   const double smallest = largest > 0.0 ? kSmallestScale * largest : 1.0;
+  energy_ = 0.0;
   int i = 0;
   for (const ConeContact& c : problem.contacts) {
     const int n = c.row;
@@ -49,6 +51,9 @@ bool NaturalMap::prepare(const ConeProblem& problem) {
       own = std::max({own, t1, t2});
     }
     shift_[i] = own > 0.0 ? std::min(kShift * largest, kLargestShift * own) : kShift * largest;
+    const double speed = std::max(std::abs(problem.b[n]), c.lower * normal_[i]);
+    energy_ = std::max(energy_, speed * speed / normal_[i]);
+    if (c.rows == 3) energy_ = std::max(energy_, problem.b.segment<2>(n + 1).squaredNorm() / tangent_[i]);
     ++i;
   }
   return true;
@@ -124,6 +129,7 @@ void NaturalMap::evaluate(const ConeProblem& problem, const double* lambda, cons
     if (worst > 0.0) residual_ = std::max(residual_, size > 0.0 ? worst / size : 1.0);
     ++i;
   }
+  if (merit_ > 0.0) residual_ = std::max(residual_, energy_ > 0.0 ? kAmplified * std::sqrt(merit_ / energy_) : 1.0);
   // std::max lets a NaN pass; the merit does not.
   if (!std::isfinite(merit_)) residual_ = merit_ = std::numeric_limits<double>::infinity();
 }
