@@ -21,7 +21,6 @@ from contactvi.version import version
 
 if TYPE_CHECKING:
     from contactvi.scene import Scene
-    from contactvi.status import Stats
     from contactvi.trajectory import Trajectory
 
 WRONG_INPUT, ENDED_EARLY = 2, 3
@@ -87,13 +86,25 @@ def run(
         float | None,
         typer.Option(help="With a number as dt: what a step is solved to, relative. With auto: accuracy of q."),
     ] = None,
+    dt_contact: Annotated[
+        float | None, typer.Option(help="Step in seconds while contacts are held, by default --dt, above order 2 1e-3.")
+    ] = None,
+    zeno: Annotated[
+        str | None, typer.Option(help="Where impacts accumulate: hold (the contact) or end (the run).")
+    ] = None,
+    support: Annotated[
+        str | None,
+        typer.Option(help="Impacts on a body that others hold: sequence, or stiff (the others stay closed)."),
+    ] = None,
     record_every: Annotated[int | None, typer.Option(help="Keep the state every so many steps.")] = None,
     sample_dt: Annotated[float | None, typer.Option(help="Keep the state every so many seconds instead.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per simulated second of the playback.")] = 60.0,
     html: Annotated[bool, typer.Option("--html/--no-html", help="Write playback.html.")] = True,
-    plot: Annotated[bool, typer.Option("--plot/--no-plot", help="Write energy.png.")] = True,
+    plot: Annotated[
+        bool, typer.Option("--plot/--no-plot", help="Write energy.png, and forces.png where something was held.")
+    ] = True,
 ) -> None:
-    """Run a scene file; write trajectory.npz, playback.html and energy.png."""
+    """Run a scene file; write trajectory.npz, playback.html, energy.png, and forces.png where something was held."""
     import contactvi as cvi
     from contactvi.progress import RunProgress
     from contactvi.simulation import settings_of
@@ -102,6 +113,7 @@ def run(
     chosen: dict[str, Any] = {
         "dt": _step(dt), "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order,
         "tol": tol, "record_every": record_every, "sample_dt": sample_dt,
+        "dt_contact": dt_contact, "zeno": zeno, "support": support,
     }  # fmt: skip
     settings = settings_of(scene, chosen)
     folder = output if output is not None else Path(scene_file.stem)
@@ -117,9 +129,11 @@ def run(
     if html:
         written.append(traj.to_html(folder / "playback.html", fps=fps, title=scene_file.stem))
     if plot:
-        from contactvi.plots import save_plot
+        from contactvi.plots import save_force_plot, save_plot
 
         written.append(save_plot(traj, folder / "energy.png"))
+        if np.any(traj.contacts.h > 0.0):
+            written.append(save_force_plot(traj, folder / "forces.png"))
     _print_summary(traj, written, time.perf_counter() - started)
     if not traj.status.ok:
         raise typer.Exit(ENDED_EARLY)
@@ -290,6 +304,8 @@ def _title(file: Path) -> str:
 
 
 def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> None:
+    from contactvi.run_summary import summary
+
     lines = summary(traj)
     for k, path in enumerate(written):
         lines.append(("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)"))
@@ -303,54 +319,6 @@ def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> Non
         )
     if not traj.status.ok:
         _err.print(f"[bold yellow]The run ended early:[/] {escape(str(traj.status))}")
-
-
-def summary(traj: Trajectory) -> list[tuple[str, str]]:
-    """Return what there is to say about a run, as pairs of a name and a text."""
-    stats, events = traj.stats, traj.events
-    limits = int((events.array("kind") == 1).sum())
-    span = float(traj.t[-1] - traj.t[0])
-    energy, taken = traj.energy, float(traj.impact_energy[-1])
-    rest = float(energy[-1] - energy[0]) - taken
-    scale = float(traj.kinetic_energy.max())
-    share = f" ({rest / scale:+.2g} of the largest kinetic energy)" if scale > 0 else ""
-    guards = stats.guards_evaluated + stats.guards_skipped
-    skipped = f", {100.0 * stats.guards_skipped / guards:.3g} % of the guards skipped" if guards else ""
-    factor = f"{span / stats.seconds:.4g} x real time" if stats.seconds > 0 else ""
-    return [
-        ("status", f"{traj.status.code.name}: {traj.status.message}"),
-        ("time", f"{span:.9g} s simulated in {stats.steps} steps{_rejected(stats)}"),
-        ("method", traj.stepping),
-        ("impacts", f"{len(events)}" + (f", {limits} of them at joint limits" if limits else "")),
-        *_map_lines(traj, scale),
-        ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
-        ("", f"{taken:+.6g} J by impacts, {rest:+.3g} J by damping, inputs and integration error{share}"),
-        ("wall time", f"{stats.seconds:.3g} s, {factor}"),
-        ("work", f"{stats.iterations} sweeps, {stats.factorizations} factorizations{skipped}"),
-    ]
-
-
-def _rejected(stats: Stats) -> str:
-    """Return what became of steps that were no good, in words."""
-    texts = [f"{stats.halved} cut in two" * bool(stats.halved), f"{stats.rejected} made again" * bool(stats.rejected)]
-    said = ", ".join(text for text in texts if text)
-    return f" ({said})" if said else ""
-
-
-def _map_lines(traj: Trajectory, scale: float) -> list[tuple[str, str]]:
-    """Return what there is to say about the impact map of a run."""
-    events = traj.events
-    if events.method == "ctec" or not len(events):
-        return []
-    fallbacks = int((events.array("fallback") != 0).sum())
-    solved = np.abs(events.array("jump")[events.array("fallback") == 0])
-    own = {"dtec": "discrete energy", "mhc": "modified Hamiltonian"}[events.method]
-    text = f"{events.method.upper()}, {int(events.array('iterations').sum())} evaluations"
-    if len(solved) and scale > 0:
-        text += f", {own} kept to {solved.max() / scale:.2g} of the largest kinetic energy"
-    if fallbacks:
-        text += f", {fallbacks} fallbacks to CTEC"
-    return [("map", text)]
 
 
 if __name__ == "__main__":

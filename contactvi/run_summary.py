@@ -1,0 +1,88 @@
+"""What the command line says about a run, as pairs of a name and a text."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from contactvi.status import Stats
+    from contactvi.trajectory import Trajectory
+
+
+def summary(traj: Trajectory) -> list[tuple[str, str]]:
+    """Return what there is to say about a run, as pairs of a name and a text."""
+    stats, events = traj.stats, traj.events
+    limits = int((events.array("kind") == 1).sum())
+    span = float(traj.t[-1] - traj.t[0])
+    energy, taken = traj.energy, float(traj.impact_energy[-1])
+    slid = float(traj.friction_loss[-1]) if len(traj.contacts) else 0.0
+    rest = float(energy[-1] - energy[0]) - taken + slid
+    scale = float(traj.kinetic_energy.max())
+    share = f" ({rest / scale:+.2g} of the largest kinetic energy)" if scale > 0 else ""
+    guards = stats.guards_evaluated + stats.guards_skipped
+    skipped = f", {100.0 * stats.guards_skipped / guards:.3g} % of the guards skipped" if guards else ""
+    factor = f"{span / stats.seconds:.4g} x real time" if stats.seconds > 0 else ""
+    return [
+        ("status", f"{traj.status.code.name}: {traj.status.message}"),
+        ("time", f"{span:.9g} s simulated in {stats.steps} steps{_rejected(stats)}"),
+        ("method", traj.stepping),
+        ("impacts", f"{len(events)}" + (f", {limits} of them at joint limits" if limits else "")),
+        *_map_lines(traj, scale),
+        *_contact_lines(traj),
+        ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
+        ("", f"{taken:+.6g} J by impacts{_slid(slid)}, {rest:+.3g} J by damping, inputs and integration error{share}"),
+        ("wall time", f"{stats.seconds:.3g} s, {factor}"),
+        ("work", f"{stats.iterations} sweeps, {stats.factorizations} factorizations{skipped}"),
+    ]
+
+
+def _rejected(stats: Stats) -> str:
+    """Return what became of steps that were no good, in words."""
+    texts = [f"{stats.halved} cut in two" * bool(stats.halved), f"{stats.rejected} made again" * bool(stats.rejected)]
+    said = ", ".join(text for text in texts if text)
+    return f" ({said})" if said else ""
+
+
+def _map_lines(traj: Trajectory, scale: float) -> list[tuple[str, str]]:
+    """Return what there is to say about the impact map of a run."""
+    events = traj.events
+    if events.method == "ctec" or not len(events):
+        return []
+    fallbacks = int((events.array("fallback") != 0).sum())
+    solved = np.abs(events.array("jump")[events.array("fallback") == 0])
+    own = {"dtec": "discrete energy", "mhc": "modified Hamiltonian"}[events.method]
+    text = f"{events.method.upper()}, {int(events.array('iterations').sum())} evaluations"
+    if len(solved) and scale > 0:
+        text += f", {own} kept to {solved.max() / scale:.2g} of the largest kinetic energy"
+    if fallbacks:
+        text += f", {fallbacks} fallbacks to CTEC"
+    return [("map", text)]
+
+
+def _slid(loss: float) -> str:
+    return f", {-loss:+.6g} J by sliding" if loss else ""
+
+
+def _contact_lines(traj: Trajectory) -> list[tuple[str, str]]:
+    """Return what there is to say about lasting contact: how long, how exact, what it cost."""
+    stats = traj.stats
+    if not stats.held_steps:
+        return []
+    lines = []
+    if len(traj.contacts):
+        ledger = traj.ledger.contacts
+        gap, complementarity = (float(np.abs(values).max()) for values in (ledger.gap, ledger.complementarity))
+        force = np.linalg.norm(traj.contacts.force, axis=1)
+        strongest = float(np.nanmax(force)) if np.isfinite(force).any() else 0.0
+        pairs = len(traj.contacts.pairs)
+        text = f"{pairs} {'pairs' if pairs > 1 else 'pair'} touched, largest force at a point {strongest:.4g} N"
+        lines.append(text)
+        lines.append(f"gaps kept to {gap:.2g} m, gap times impulse to {complementarity:.2g} N s m")
+    each = 1e6 * stats.contact_seconds / stats.held_steps
+    work = f"{stats.contact_rounds / stats.held_steps:.3g} rounds and {each:.3g} us per step"
+    solver = f"{stats.cone_problems} contact problems, {stats.cone_iterations} iterations"
+    fallbacks = f", {stats.cone_fallbacks} by another solver" if stats.cone_fallbacks else ""
+    lines.append(f"{stats.held_steps} steps in contact, {work}, {solver}{fallbacks}")
+    return [("" if k else "contact", line) for k, line in enumerate(lines)]
