@@ -16,6 +16,7 @@ a step, against the change of its momentum less its weight. It needs runs withou
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -62,11 +63,22 @@ class ContactLedger:
     """See the module. Every array is computed when first asked for and kept."""
 
     def __init__(
-        self, contacts: ContactLog, t: Array, q: Array, p: Array, trees: list[FreeTree], gravity: Array, forced: bool
+        self,
+        contacts: ContactLog,
+        t: Array,
+        q: Array,
+        p: Array,
+        trees: Sequence[FreeTree] = (),
+        gravity: Array | None = None,
+        forced: bool = False,
     ) -> None:
-        """Of nodes t (N,) [s], q (N, nq), p (N, nv); trees: from `free_trees`; gravity [m/s^2], shape (3,)."""
+        """Of nodes t (N,) [s], q (N, nq), p (N, nv).
+
+        For the balance only: trees from `free_trees`, gravity [m/s^2], shape (3,), and whether there were inputs.
+        """
         self._contacts, self._t, self._q, self._p = contacts, t, q, p
-        self._trees, self._gravity, self._forced = trees, gravity, forced
+        self._trees, self._forced = trees, forced
+        self._gravity = np.zeros(3) if gravity is None else gravity
 
     @property
     def time(self) -> Array:

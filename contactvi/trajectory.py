@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi.contact_ledger import ContactLedger
 from contactvi.contacts import ChangeLog, ContactLog, empty_changes, empty_contacts
 from contactvi.dense import Segments, State, frame_times
 from contactvi.errors import InputError
@@ -188,7 +189,9 @@ class Trajectory:
     @property
     def friction_loss(self) -> Array:
         """What sliding took in held contacts up to each node [J], shape (N,); to O(dt_contact^2)."""
-        return self.ledger.friction_loss
+        if not len(self.contacts):
+            return np.zeros(len(self))
+        return ContactLedger(self.contacts, self.t, self.q, self.p).friction_loss  # needs no engine, as pictures do not
 
     @property
     def visuals(self) -> list[Any]:

@@ -44,7 +44,7 @@ def test_run_with_other_settings(command, tmp_path):
 
 
 def test_run_that_ends_early(command, tmp_path):
-    result = command("run", ball_file(tmp_path, restitution=0.5, duration=3.0), "-o", "out")
+    result = command("run", ball_file(tmp_path, restitution=0.5, duration=3.0), "-o", "out", "--zeno", "end")
     assert result.exit_code == ENDED_EARLY
     assert "ended early: ZENO" in result.stderr
     assert "'ball' and 'ground' accumulate" in result.stderr

@@ -101,8 +101,7 @@ def test_laws_of_an_impact(name, impact, e):
     if impact == "dtec" and e == 0.0:
         pytest.skip("refused: test_dtec_without_rebound_is_refused")
     traj = run(name, impact, e)
-    # without rebound the contact stays closed, which is no sequence of impacts
-    assert traj.status.code == (cvi.StatusCode.ZENO if e == 0.0 else cvi.StatusCode.SUCCESS), traj.status
+    assert traj.status.ok, traj.status
     assert len(traj.events) >= (SCENES[name][3] if e == 1.0 else 1)
     for event in traj.events:
         assert event.method == impact

@@ -36,7 +36,7 @@ def test_elastic_ball():
 
 def test_accumulating_impacts_end_the_run():
     with pytest.raises(cvi.SimulationError, match="'ball' and 'ground' accumulate") as caught:
-        cvi.simulate(ball_scene(restitution=0.5), duration=3.0, dt=1e-2)
+        cvi.simulate(ball_scene(restitution=0.5), duration=3.0, dt=1e-2, zeno="end")
     traj = caught.value.trajectory
     zeno = FIRST_IMPACT * (1 + 0.5) / (1 - 0.5)
     assert caught.value.status == traj.status
@@ -49,8 +49,9 @@ def test_accumulating_impacts_end_the_run():
 
 
 def test_no_throw_returns_the_same():
-    thrown = pytest.raises(cvi.SimulationError, cvi.simulate, ball_scene(0.5), duration=3.0, dt=1e-2)
-    kept = cvi.simulate(ball_scene(0.5), duration=3.0, dt=1e-2, throw=False)
+    ending = {"duration": 3.0, "dt": 1e-2, "zeno": "end"}
+    thrown = pytest.raises(cvi.SimulationError, cvi.simulate, ball_scene(0.5), **ending)
+    kept = cvi.simulate(ball_scene(0.5), **ending, throw=False)
     assert kept.status == thrown.value.status
     np.testing.assert_array_equal(kept.q, thrown.value.trajectory.q)
 
@@ -206,7 +207,7 @@ def test_simulator_runs_like_simulate():
 
 
 def test_simulator_says_when_it_cannot_step():
-    sim = cvi.Simulator(ball_scene(0.5), dt=1e-2)
+    sim = cvi.Simulator(ball_scene(0.5), dt=1e-2, zeno="end")
     with pytest.raises(cvi.SimulationError, match="reset"):
         sim.step()
     sim.reset(t=5.0)
