@@ -1,17 +1,16 @@
-// The features by which a collision shape touches: vertices, edges, faces and
-// rims of a core that is swept by a sphere.
+// The features by which a collision shape touches: vertices, edges, faces and rims of a core that is swept by a sphere.
 //
-//   shape      vertices  edges        faces          rims  swept by (besides
-//   coal's own swept sphere) sphere     1         -            -              -
-//   its radius capsule    2         its axis     -              -     its
-//   radius box        8         12           6              -     - convex N
-//   all          all            -     - cylinder   -         its axis     2
-//   discs        2     - (the axis, as an edge, by the cylinder's radius)
-//   halfspace  -         -            1, unbounded   -     -
-//   ellipsoid  -         -            -              -     -
+//   shape      vertices  edges     faces         rims  swept by its
+//   sphere     1         -         -             -     radius
+//   capsule    2         its axis  -             -     radius
+//   box        8         12        6             -     -
+//   convex     N         all       all           -     -
+//   cylinder   -         its axis  2 discs       2     - (the axis by the cylinder's radius)
+//   halfspace  -         -         1, unbounded  -     -
+//   ellipsoid  -         -         -             -     -
 //
-// Coplanar triangles of a hull are one face; vertices inside of a face or an
-// edge of it are dropped.
+// and all of them by coal's own swept sphere. Coplanar triangles of a hull are one face; points inside of a face or an
+// edge are dropped.
 #pragma once
 
 #include <cmath>
@@ -23,58 +22,47 @@ namespace contactvi {
 
 struct Outline {
   struct Face {
-    Vec3 normal;      // outward; the core lies at normal.x <= offset
-    double offset;    // [m]
-    int first, count; // its corners in `ring`, anticlockwise seen from outside;
-                      // 0: a disc, or unbounded
-    Vec3 center;      // of a disc
-    double radius;    // of a disc; infinite for a halfspace, 0 for a polygon
+    Vec3 normal;       // outward; the core lies at normal.x <= offset
+    double offset;     // [m]
+    int first, count;  // corners: ring[first ..], anticlockwise seen from outside; none: a disc, or unbounded
+    Vec3 center;       // of a disc
+    double radius;     // of a disc; infinite for a halfspace, 0 for a polygon
     int plate;
   };
-  // Directed so that normal(left) x normal(right) points along it; no faces:
-  // -1.
   struct Edge {
     int v0, v1;
-    Vec3 start, direction; // direction: unit
+    Vec3 start, direction;  // direction: unit
     double length;
-    int left, right;
-    double radius; // swept by this besides Outline::radius
+    int left, right;  // faces, normal(left) x normal(right) points along the edge; -1: none
+    double radius;    // swept by this besides Outline::radius
   };
   struct Rim {
-    Vec3 center, axis;  // axis: unit, outward of the shape
-    Vec3 zero, quarter; // unit vectors across the axis: where its material
-                        // points are counted from
+    Vec3 center, axis;   // axis: unit, outward of the shape
+    Vec3 zero, quarter;  // unit vectors across the axis, where its material points are counted from
     double radius;
   };
 
-  int body = -1;     // engine joint, -1: world; all vectors are in its frame
-  double radius = 0; // the core is swept by this
+  int body = -1;      // engine joint, -1: world; all vectors are in its frame
+  double radius = 0;  // the core is swept by this
   std::vector<Vec3> vertices;
   std::vector<Edge> edges;
   std::vector<Face> faces;
   std::vector<Rim> rims;
-  std::vector<int> ring;      // vertices of the polygons
-  std::vector<int> ring_edge; // the edge from ring[i] to the next corner
+  std::vector<int> ring;       // vertices of the polygons
+  std::vector<int> ring_edge;  // the edge from ring[i] to the next corner
   std::vector<int> ring_face;
-  std::vector<Vec3>
-      side; // outward normal of the polygon's side there, in its plane
+  std::vector<Vec3> side;  // outward normal of the polygon's side there, in its plane
   std::vector<double> side_offset;
   std::vector<std::vector<int>> vertex_edges, vertex_faces;
-  std::vector<std::vector<int>>
-      plates; // faces that meet at less than 1e-4 rad: together one flat side
+  std::vector<std::vector<int>> plates;  // faces that meet at less than 1e-4 rad: together one flat side
 
-  bool is_unbounded() const {
-    return !faces.empty() && std::isinf(faces[0].radius);
-  }
+  bool is_unbounded() const { return !faces.empty() && std::isinf(faces[0].radius); }
 };
 
-// Radius 0 of the shape's features is taken from the shape that distances of
-// the pair refer to: rounded or sharp.
-Outline make_outline(const Geometry &geometry, bool rounded);
+// Of the shape that distances of a pair refer to: rounded or sharp. Throws Error for a hull without triangles.
+Outline make_outline(const Geometry& geometry, bool rounded);
 
-// How far x lies outside of the prism over a face [m], negative inside; 0 over
-// a halfspace.
-double outside_of(const Outline &outline, const Outline::Face &face,
-                  const Vec3 &x);
+// How far x lies outside of the prism over a face [m], negative inside; 0 over a halfspace.
+double outside_of(const Outline& outline, const Outline::Face& face, const Vec3& x);
 
-} // namespace contactvi
+}  // namespace contactvi
