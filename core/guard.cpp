@@ -96,7 +96,7 @@ double Guards::evaluate(int guard, Contact& contact) {
   if (held.empty()) return evaluate_witness(guard, contact);
   double gap = std::numeric_limits<double>::infinity();
   Contact witness{};
-  if (held[0]->kind == PointKind::kVertex || held[0]->kind == PointKind::kRim) {
+  if (held[0]->kind != PointKind::kWitness && held[0]->kind != PointKind::kLimit) {
     evaluate_witness(guard, witness);
     contact = witness;
     gap = manifolds_.rest(guard, placements(), held.data(), static_cast<int>(held.size()), witness, contact);
