@@ -10,8 +10,8 @@ namespace contactvi {
 
 namespace {
 
-constexpr int kIterations = 40, kIterationsWarm = 12;
-constexpr int kSweeps = 200;
+constexpr int kIterations = 40, kIterationsPlain = 20, kIterationsWarm = 12;
+constexpr int kSweeps = 200, kFewSweeps = 30;
 
 }  // namespace
 
@@ -53,19 +53,33 @@ bool ConeSolver::shifted(const ConeProblem& problem, double* lambda) {
   return newton_.residual() <= kConeTolerance;
 }
 
-// Newton from lambda. Redundant contacts are told by a singular step, or by one that touches without load.
+// Newton with G alone, where that has one solution. Redundant contacts are told by a singular step, or by one that
+// touches without load.
+bool ConeSolver::plain(const ConeProblem& problem, double* lambda) {
+  map_.set_shift(0.0);
+  for (bool swept : {false, true}) {
+    if (swept) {
+      ++result_.fallbacks;
+      std::fill_n(lambda, problem.b.size(), 0.0);
+      fallback_.sweep(problem, map_, kFewSweeps, lambda);
+    }
+    if (newton_.run(problem, map_, ConeNewton::Singular::kStop, swept ? kIterations : kIterationsPlain, lambda))
+      return !newton_.singular() && !map_.touching();
+    if (newton_.singular()) return false;
+  }
+  return false;
+}
+
 bool ConeSolver::attempt(const ConeProblem& problem, bool regularize, double* lambda) {
   const int m = static_cast<int>(problem.b.size());
-  using Singular = ConeNewton::Singular;
+  if (regularize) {
+    std::copy_n(lambda, m, start_.data());
+    if (plain(problem, lambda)) return true;
+    std::copy_n(start_.data(), m, lambda);
+    shifted(problem, lambda);
+  }
   map_.set_shift(0.0);
-  if (!regularize) return newton_.run(problem, map_, Singular::kMinimumNorm, kIterations, lambda);
-  std::copy_n(lambda, m, start_.data());
-  if (newton_.run(problem, map_, Singular::kStop, kIterations, lambda) && !newton_.singular() && !map_.touching())
-    return true;
-  std::copy_n(start_.data(), m, lambda);
-  shifted(problem, lambda);
-  map_.set_shift(0.0);
-  return newton_.run(problem, map_, Singular::kMinimumNorm, kIterations, lambda);
+  return newton_.run(problem, map_, ConeNewton::Singular::kMinimumNorm, kIterations, lambda);
 }
 
 // best_ and the result are the better of what they were and lambda.

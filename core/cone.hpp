@@ -24,6 +24,7 @@ class ConeSolver {
 
  private:
   bool one_contact(const ConeProblem& problem, double* lambda);
+  bool plain(const ConeProblem& problem, double* lambda);
   bool shifted(const ConeProblem& problem, double* lambda);
   bool attempt(const ConeProblem& problem, bool regularize, double* lambda);
   bool rescue(const ConeProblem& problem, bool regularize, double* lambda);

@@ -33,7 +33,7 @@ struct ConeResult {
   bool ok = false;        // residual <= kConeTolerance
   double residual = 0.0;  // natural map, relative (cone_map.hpp); infinity for data that is not finite
   int iterations = 0;     // Newton steps, of all starts
-  int fallbacks = 0;      // times a start had to be found by sweeps (1) or by ADMM (2, then also 3 and 4 without shift)
+  int fallbacks = 0;      // starts that had to be found by sweeps or by ADMM
 };
 
 constexpr double kConeTolerance = 1e-12;
