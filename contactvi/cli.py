@@ -1,6 +1,7 @@
-"""The command line: `contactvi run`, `contactvi bench`, `contactvi reproduce`, `contactvi play`, `contactvi check`.
+"""The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `check`.
 
-Exit codes: 0 done; 2 wrong input, said as expected, got, remedy; 3 the run ended before its time (its files are there).
+Exit codes: 0 done; 1 a case of verify failed; 2 wrong input, said as expected, got, remedy; 3 the run ended before
+its time (its files are there).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from contactvi.scene import Scene
     from contactvi.trajectory import Trajectory
 
-WRONG_INPUT, ENDED_EARLY = 2, 3
+FAILED, WRONG_INPUT, ENDED_EARLY = 1, 2, 3
 _MODEL_ENDINGS = (".urdf", ".xml", ".mjcf", ".toml")
 _out = Console(highlight=False, soft_wrap=True)
 _err = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -196,6 +197,33 @@ def reproduce(
         _out.print(f"[bold]{row.key:<18}[/]{escape(f'{verdict(row):<34} {row.measured}')}")
     _out.print(escape(verdicts(result.rows).replace("**", "")))
     _out.print(f"Report: {escape(str(result.files[0]))}")
+
+
+@app.command()
+def verify(
+    cases: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[CASE]...", help="Names of cases, by default all.", show_default=False),
+    ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="Print the names of the cases and stop.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
+) -> None:
+    """Measure the cases with known answers: expected, got, tolerance, verdict; exit code 1 unless all pass."""
+    from contactvi import verify as verification
+    from contactvi.progress import JobProgress
+
+    wanted = verification.chosen(cases or [])
+    if listed:
+        for line in verification.listing(wanted):
+            _out.print(line, markup=False)
+        return
+    with JobProgress(_err, time_left=False) as bar:
+        results = verification.verify(wanted, bar)
+    for line in [verification.as_json(results)] if json else [*verification.table(results), ""]:
+        _out.print(line, markup=False)
+    (_err if json else _out).print(verification.summary(results), markup=False)
+    if not verification.passed(results):
+        raise typer.Exit(FAILED)
 
 
 @app.command()

@@ -30,7 +30,10 @@ CPP_LAYERS: Layers = {
     ),
     "scene": (("tree", "coordinates", "placement", "flat_model", "erosion", "load", "scene"), ("base",)),
     "path": (("path",), ("scene",)),
-    "step": (("stepper", "stages", "start_values", "acceleration", "integrator", "integrator_kicked", "energy"), ("path",)),
+    "step": (
+        ("stepper", "stages", "start_values", "acceleration", "integrator", "integrator_kicked", "energy"),
+        ("path",),
+    ),
     "contact": (("contact",), ("scene",)),
     "manifold": (("outline", "candidates", "selection", "manifold", "manifold_point"), ("contact",)),
     "guard": (("guard",), ("manifold",)),
@@ -80,7 +83,14 @@ PYTHON_LAYERS: Layers = {
         ),
         ("simulation",),
     ),
-    "cli": (("run_summary", "cli"), ("face", "bench", "reproduce")),
+    "verify": (
+        (
+            *("verify_check", "verify_model", "verify_cases_impact", "verify_cases_several", "verify_cases_contact"),
+            "verify",
+        ),
+        ("reproduce", "simultaneous"),
+    ),
+    "cli": (("run_summary", "cli"), ("face", "bench", "reproduce", "verify")),
 }
 USERS_OF_THE_ENGINE = {"scene", "scene_build", "engine"}
 
