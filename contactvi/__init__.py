@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from contactvi import errors
+    from contactvi.contacts import ChangeLog, Contact, ContactChange, ContactLog
     from contactvi.dense import State
     from contactvi.errors import (
         AccuracyWarning,
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     )
     from contactvi.events import Event, EventLog
     from contactvi.options import Options
-    from contactvi.plots import plot
+    from contactvi.plots import plot, plot_forces
     from contactvi.scene import Scene
     from contactvi.scene_file import load_scene
     from contactvi.simulation import Simulator, simulate
@@ -49,6 +50,10 @@ _HOME = {
     "SceneError": "errors",
     "SimulationError": "errors",
     "UnsupportedJointError": "errors",
+    "ChangeLog": "contacts",
+    "Contact": "contacts",
+    "ContactChange": "contacts",
+    "ContactLog": "contacts",
     "Event": "events",
     "EventLog": "events",
     "Options": "options",
@@ -65,10 +70,15 @@ _HOME = {
     "Trajectory": "trajectory",
     "view": "viewer",
     "plot": "plots",
+    "plot_forces": "plots",
 }
 
 __all__ = [
     "AccuracyWarning",
+    "ChangeLog",
+    "Contact",
+    "ContactChange",
+    "ContactLog",
     "ContactviError",
     "Event",
     "EventLog",
@@ -90,6 +100,7 @@ __all__ = [
     "errors",
     "load_scene",
     "plot",
+    "plot_forces",
     "simulate",
     "simultaneous_outcomes",
     "view",
