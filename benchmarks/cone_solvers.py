@@ -138,6 +138,18 @@ def cell(results: list[Solved]) -> str:
     )
 
 
+def depends_on_start(first: list[Problem], solutions: list[np.ndarray], seed: int) -> str:
+    """Solved again from 0 to 2 times their impulses: how many have other impulses, other velocities."""
+    rng = np.random.default_rng(seed)
+    impulses, velocities = [], []
+    for p, x in zip(first, solutions, strict=True):
+        again = _core.solve_cone(p.G, p.b, p.rows, p.mu, p.lower, None, x * rng.uniform(0.0, 2.0, len(x)))[0]
+        impulses.append(np.abs(again - x).max() / max(np.abs(x).max(), 1e-300))
+        velocities.append(np.abs(p.G @ (again - x)).max() / np.abs(p.b).max())
+    shares = [100 * np.mean(np.array(impulses) > limit) for limit in (1e-9, 1e-7, 1e-5)]
+    return " | ".join(f"{share:.3g} %" for share in [*shares, 100 * np.mean(np.array(velocities) > 1e-5)])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=200, help="problems of each kind")
@@ -153,6 +165,11 @@ def main() -> None:
         for start, cases in (("cold", cold), ("warm", warm)):
             cells = [cell([solve(p, guess) for p, guess in cases]) for solve in table.values()]
             print(f"| {kind} | {start} | " + " | ".join(cells) + " |", flush=True)
+    print("\nSolved again by contactvi from another start: problems whose impulses differ by more, relative.\n")
+    print("| problem | 1e-9 | 1e-7 | 1e-5 | velocities by 1e-5 |\n|---|---|---|---|---|")
+    for kind in args.kinds.split(","):
+        first, _, solutions = problems(kind, 5 * args.count, args.seed)
+        print(f"| {kind} | {depends_on_start(first, solutions, args.seed)} |", flush=True)
 
 
 if __name__ == "__main__":
