@@ -8,7 +8,8 @@ own; their losses are those of their events and no friction work.
 
 Friction work is the impulses of a step against the slip between its ends, the first impulse as the force at a third
 of the step and the second at two thirds, where the held step has them: exact where the slip changes evenly, else to
-O(h^2). Where the slip at the start is not known (a contact just begun without an impact) that of the end is taken.
+O(h^2). Where the slip at the start is not known (a contact just begun without an impact) it is what the step after goes
+back to, as long as that slips, else that of the end.
 
 The balance is that of the trees of bodies that hang on a free joint without damping: what the contacts gave each one in
 a step, against the change of its momentum less its weight. It needs runs without inputs and whole steps between nodes.
@@ -25,7 +26,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.contacts import ContactLog
+from contactvi.contacts import MODES, ContactLog
 from contactvi.model_checks import joint_kind
 
 Array = NDArray[np.float64]
@@ -111,10 +112,15 @@ class ContactLedger:
         order = np.lexsort((h, log.t, *keys))  # of each point in the order of time, an impact before the step after it
         same = np.all([np.diff(key[order]) == 0 for key in keys], axis=0)
         same &= np.abs(log.t[order[1:]] - log.end[order[:-1]]) <= 1e-9 * (h[order[1:]] + h[order[:-1]])
-        before[order[1:][same]] = slip[order[:-1][same]]
-        first = np.sum(log.array("start") * (2.0 * before + slip), axis=1) / 3.0
-        second = np.sum(log.array("end") * (before + 2.0 * slip), axis=1) / 3.0
-        return np.where((h > 0.0) & (log.array("kind") == 0), first + second, 0.0)
+        first, second = order[:-1][same], order[1:][same]
+        before[second] = slip[first]
+        new = np.ones(len(h), dtype=bool)
+        new[second] = False
+        guessed = new[first] & (h[first] > 0.0) & (h[second] > 0.0) & (log.array("mode")[second] == MODES.index("slip"))
+        first, second = first[guessed], second[guessed]
+        before[first] += (slip[first] - slip[second]) * (h[first] / h[second])[:, None]
+        work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
+        return np.where((h > 0.0) & (log.array("kind") == 0), work.sum(axis=1) / 3.0, 0.0)
 
     @cached_property
     def friction_loss(self) -> Array:

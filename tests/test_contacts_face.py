@@ -186,13 +186,11 @@ def test_the_ledger_of_the_box(box):
 
 
 def test_friction_takes_the_energy(box):
-    """To rounding while the slip changes evenly; not in the first step, whose start is not known, and the last."""
+    """To rounding while the slip changes evenly; in the step in which the box stops to O(h^2)."""
     loss, kinetic = box.friction_loss, box.kinetic_energy
-    first = MU * MASS * GRAVITY * STEP * 0.5 * MU * GRAVITY * STEP  # slip of the end taken for that of the start
-    for k in (1, 10, 25):
-        assert abs(loss[k] - (kinetic[0] - kinetic[k])) <= 1.01 * first
-        assert loss[k] - loss[1] == pytest.approx(kinetic[1] - kinetic[k], abs=1e-13)
-    assert loss[-1] == pytest.approx(0.5 * MASS * SPEED**2, rel=2e-3)
+    sliding = box.t < STOP
+    assert loss[sliding] == pytest.approx(kinetic[0] - kinetic[sliding], abs=1e-13)
+    assert loss[-1] == pytest.approx(0.5 * MASS * SPEED**2, rel=1e-3)
     assert np.all(np.diff(loss) >= 0.0)
     np.testing.assert_array_equal(loss, box.ledger.friction_loss)
 
