@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contact_runs import CORNERS, MU, SPEED, STEP, place, sliding_box
 from run_scenes import GRAVITY, ball_scene, hand_scene
 
 import contactvi as cvi
@@ -42,6 +43,11 @@ return bodies[name[0]].object.position.toArray();
 VISIBLE_MARKERS = """
 return Object.values(viewer.scene_tree.find(["contactvi", "impacts"]).children)
   .filter(node => node.object.visible).map(node => node.object.position.toArray());
+"""
+
+VISIBLE_FORCES = """
+return Object.values(viewer.scene_tree.find(["contactvi", "forces"]).children)
+  .filter(node => node.object.visible).map(node => [...node.object.position.toArray(), node.object.scale.z]);
 """
 
 
@@ -154,6 +160,26 @@ def test_impacts_are_shown_at_their_time(browser, ball, tmp_path):
     set_slider(browser, event.time + 0.3)
     assert browser.execute_script(VISIBLE_MARKERS) == []
     assert len(browser.find_elements("css selector", "#ticks i")) == 4
+
+
+def test_forces_are_shown_where_they_act(browser, tmp_path):
+    box = sliding_box()
+    open_page(browser, box, tmp_path, play=False)
+    set_slider(browser, 0.3)
+    arrows = np.array(browser.execute_script(VISIBLE_FORCES))
+    assert len(arrows) == 4
+    # between two frames an arrow goes from point to point, each that of the end of a step
+    center = arrows[:, :2].mean(axis=0)
+    assert center == pytest.approx([place(np.array(0.3)), 0.0], abs=STEP * SPEED)
+    assert np.sort(arrows[:, 0] - center[0]) == pytest.approx(np.sort(CORNERS[:, 0]), abs=1e-6)
+    assert arrows[:, 3] == pytest.approx(np.full(4, 1.0), abs=1e-3)  # sliding: friction and weight
+    set_slider(browser, 0.9)
+    assert np.array(browser.execute_script(VISIBLE_FORCES))[:, 3] == pytest.approx(1 / math.hypot(1, MU), abs=1e-3)
+    assert errors(browser) == []
+    image = picture(browser, tmp_path / "forces.png")
+    assert (np.abs(image - (0x1E, 0x4F, 0xBF)).max(axis=2) < 25).sum() > 200
+    open_page(browser, box, tmp_path, play=False, forces=False)
+    assert browser.execute_script("return viewer.scene_tree.find(['contactvi']).children.forces") is None
 
 
 # Calls back with the time shown once the condition holds, at the latest after 20 s.
