@@ -111,6 +111,17 @@ def engine_states(
     return np.asarray(q), np.asarray(v)
 
 
+def engine_points(core: Any, q: np.ndarray, pair: int, margin: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the points at which a pair touches at q: on its first and second shape and their normals, (n, 3) [m].
+
+    World frame. Up to four, chosen to span a face; none where the gap is above `margin` [m]. `core`: from engine_scene.
+    """
+    from contactvi import _core
+
+    found = _core.contact_points(core, q, pair, margin)
+    return tuple(np.asarray(found[name]) for name in ("point_a", "point_b", "normal"))  # type: ignore[return-value]
+
+
 def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
     """Return Pinocchio's own binary archive, the only form in which models cross to C++ (in one process)."""
     buffer = pin.serialization.StreamBuffer()

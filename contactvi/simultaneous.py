@@ -10,16 +10,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.errors import InputError, PenetrationError, did_you_mean
-from contactvi.events import label
+from contactvi.closed_contacts import ClosedContact, closed_contacts
 from contactvi.impact_sequences import End, Impacts
 from contactvi.inputs import real
-from contactvi.prepared import Prepared, prepare
+from contactvi.prepared import prepare
 
 if TYPE_CHECKING:
     from contactvi.scene import Scene
@@ -29,26 +29,6 @@ Pair = tuple[str, str]
 
 _ANGLE = 1e-9  # [rad] to which an angle has to be pi / n; normals of round shapes are good to rounding
 _RANK = 1e-10  # relative: normals that depend on each other
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedContact:
-    """A contact that takes part.
-
-    pair : names of the two shapes, or (joint, "lower limit"), (joint, "upper limit"). restitution : e in [0, 1].
-    gap : [m; rad]. gamma_minus : normal speed before, negative where it closes [m/s; rad/s].
-    G_c : inverse inertia W M^-1 W^T [1/kg]. W : d(gap)/dq, shape (nv,).
-    """
-
-    pair: Pair
-    restitution: float
-    gap: float
-    gamma_minus: float
-    G_c: float
-    W: Array
-
-    def __str__(self) -> str:
-        return f"{self.pair[0]} | {self.pair[1]}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +60,8 @@ class Certificate:
     reflection in one of its walls. Where all walls meet at angles pi/n, n = 2, 3, ..., the reflections generate a
     finite group with the cone as its fundamental domain, so every sequence ends at the same velocity.
 
-    angles : beta_ij between the walls of contacts i and j [rad], shape (n, n), NaN on the diagonal:
+    angles : beta_ij between the walls of contacts i and j [rad], shape (n, n), NaN on the diagonal and for contacts of
+        several points (faces, edges):
         cos beta = -W_i M^-1 W_j^T / sqrt(G_ii G_jj).
     orders : n_ij where beta_ij = pi/n_ij with a whole n_ij >= 2, else 0, shape (n, n).
     certified : whether that proves the outcome unique. reason : why, or why not.
@@ -130,9 +111,13 @@ class SimultaneousOutcomes:
     def __str__(self) -> str:
         lines = [f"{len(self.contacts)} closed contact{'s' if len(self.contacts) > 1 else ''}, T = {self.energy:.9g} J"]
         for k, contact in enumerate(self.contacts):
-            lines.append(f"  [{k}] {contact}  e = {contact.restitution:g}, gamma {contact.gamma_minus:.6g}")
-        for i, j in zip(*np.triu_indices(len(self.contacts), 1), strict=True):
+            lines.append(
+                f"  [{k}] {contact}{_points(contact)}  e = {contact.restitution:g}, gamma {contact.gamma_minus:.6g}"
+            )
+        for i, j in combinations(range(len(self.contacts)), 2):
             beta = self.certificate.angles[i, j]
+            if not np.isfinite(beta):
+                continue
             share = f" = pi/{self.certificate.orders[i, j]}" if self.certificate.orders[i, j] else ""
             lines.append(f"  angle [{i}] to [{j}]: {math.degrees(beta):.6g} deg{share}")
         lines.append(f"{'certified unique' if self.certificate.certified else 'no certificate'}: {self._reason()}")
@@ -160,7 +145,7 @@ def simultaneous_outcomes(
     tolerance: float = 1e-8,
     max_states: int = 20_000,
 ) -> SimultaneousOutcomes:
-    """Return all outcomes of the impacts at (q, v), frictionless, one point per pair (contactvi.impact_sequences).
+    """Return all outcomes of the impacts at (q, v), frictionless; a pair with all its points is one impact.
 
     Parameters
     ----------
@@ -184,119 +169,25 @@ def simultaneous_outcomes(
     limit = int(real("max_states", max_states, 1.0))
     mass = np.asarray(prepared.core.momentum(np.tile(q0, (states.nv, 1)), np.eye(states.nv)))
     lower = np.linalg.cholesky(0.5 * (mass + mass.T))
-    contacts = _contacts(prepared, q0, v0, lower, pairs, e, margin)
-    a = np.linalg.solve(lower, np.array([contact.W for contact in contacts]).T).T
+    contacts = closed_contacts(prepared, q0, v0, pairs, e, margin)
+    rows = [np.asarray(np.linalg.solve(lower, contact.W.T).T, dtype=float) for contact in contacts]
     x = lower.T @ v0
-    impacts = Impacts([row[None] for row in a], [contact.restitution for contact in contacts], x)
+    impacts = Impacts(rows, [contact.restitution for contact in contacts], x)
     ends, complete = impacts.every_order(limit)
     chosen = impacts.chosen(limit)
     others = [end for end in ends if np.linalg.norm(end.x - chosen.x) > 1e-8 * np.linalg.norm(x)]
     outcomes = tuple(_outcome(end, lower, contacts) for end in (chosen, *others))
-    return SimultaneousOutcomes(contacts, outcomes, complete, _certificate(contacts, a), 0.5 * float(x @ x))
+    return SimultaneousOutcomes(contacts, outcomes, complete, _certificate(contacts, rows), 0.5 * float(x @ x))
 
 
-def _contacts(
-    prepared: Prepared,
-    q: Array,
-    v: Array,
-    lower: Array,
-    pairs: Sequence[Sequence[str]] | None,
-    e: float | Sequence[float] | None,
-    margin: float,
-) -> tuple[ClosedContact, ...]:
-    gaps, names, restitution = _guards(prepared, q)
-    if pairs is None:
-        deep = np.flatnonzero(gaps < -margin)
-        if len(deep):
-            worst = int(gaps.argmin())
-            raise PenetrationError(
-                f"{' and '.join(names[worst])} overlap",
-                pair=names[worst],
-                depth=float(-gaps[worst]),
-                expected=f"gaps >= {-margin:g}",
-                got=f"{gaps[worst]:.6g}",
-                remedy="Move the bodies apart, or raise tolerance=...",
-            )
-        chosen = [int(k) for k in np.flatnonzero(gaps <= margin)]
-    else:
-        chosen = _chosen(pairs, names)
-    if not chosen:
-        least = int(gaps.argmin()) if len(gaps) else -1
-        raise InputError(
-            "No contact is closed here",
-            name="q",
-            expected=f"a gap <= {margin:g}",
-            got=f"{gaps[least]:.6g} between {' and '.join(names[least])}" if least >= 0 else "a scene without contacts",
-            remedy="Name the contacts with pairs=[...]",
-        )
-    values = _restitution(e, restitution[chosen])
-    rows = np.asarray(prepared.core.gap_gradients(q))[chosen]
-    gamma = rows @ v
-    inverse = np.sum(np.linalg.solve(lower, rows.T) ** 2, axis=0)
-    for k, number in enumerate(chosen):
-        if not inverse[k] > 0.0:
-            raise InputError(
-                f"{' and '.join(names[number])} cannot move against each other",
-                name="pairs",
-                expected="a gap that some joint changes",
-                got="none",
-            )
-    return tuple(
-        ClosedContact(names[n], float(values[k]), float(gaps[n]), float(gamma[k]), float(inverse[k]), rows[k])
-        for k, n in enumerate(chosen)
-    )
-
-
-def _guards(prepared: Prepared, q: Array) -> tuple[Array, list[Pair], Array]:
-    """Return gaps, names and restitution of all guards in the engine's order: pairs, then joint limits."""
-    built = prepared.built
-    gaps = [np.asarray(prepared.core.gaps(q)[0])]
-    names, restitution = list(prepared.pair_names), list(built.restitution)
-    for index in np.flatnonzero(built.arrays.limits):
-        value = q[built.model.joints[int(index)].idx_q]
-        at = built.model.joints[int(index)].idx_q
-        for side, bound in enumerate((built.model.lowerPositionLimit[at], built.model.upperPositionLimit[at])):
-            if np.isfinite(bound):
-                gaps.append(np.array([bound - value if side else value - bound]))
-                names.append(label(1, 2 * int(index) + side, prepared.pair_names, prepared.joint_names))
-                restitution.append(built.arrays.limit_restitution[int(index)])
-    return np.concatenate(gaps), names, np.array(restitution, dtype=float)
-
-
-def _chosen(pairs: Any, names: Sequence[Pair]) -> list[int]:
-    """Return the numbers of the named guards, in the engine's order."""
-    known = {key: k for k, (a, b) in enumerate(names) for key in ((a, b), (b, a))}
-    found = []
-    for pair in pairs:
-        key = tuple(pair) if not isinstance(pair, str) else (pair,)
-        if key not in known:
-            raise InputError(
-                f"There is no contact {key!r}",
-                name="pairs",
-                expected="two names of one tested pair or limit",
-                got=repr(pair),
-                remedy=did_you_mean(" | ".join(map(str, key)), [f"{a} | {b}" for a, b in names]),
-            )
-        found.append(known[key])
-    return sorted(set(found))
-
-
-def _restitution(e: Any, own: Array) -> Array:
-    if e is None:
-        return own
-    if np.ndim(e) == 0:
-        return np.full(len(own), real("e", e, 0.0, 1.0))
-    values = [real("e", value, 0.0, 1.0) for value in e]
-    if len(values) != len(own):
-        raise InputError("e", name="e", expected=f"one number, or one for each of {len(own)} contacts", got=len(values))
-    return np.array(values)
-
-
-def _certificate(contacts: Sequence[ClosedContact], a: Array) -> Certificate:
-    n = len(a)
+def _certificate(contacts: Sequence[ClosedContact], rows: Sequence[Array]) -> Certificate:
+    n = len(rows)
     angles, orders = np.full((n, n), np.nan), np.zeros((n, n), dtype=np.int64)
-    unit = a / np.linalg.norm(a, axis=1)[:, None]
-    for i, j in zip(*np.triu_indices(n, 1), strict=True):
+    points = all(len(a) == 1 for a in rows)
+    unit = np.array([a[0] / np.linalg.norm(a[0]) for a in rows])
+    for i, j in combinations(range(n), 2):
+        if len(rows[i]) > 1 or len(rows[j]) > 1:
+            continue
         # twice the angle of the half sum and half difference: no digits lost where arccos is flat
         between = 2.0 * math.atan2(np.linalg.norm(unit[i] - unit[j]), np.linalg.norm(unit[i] + unit[j]))
         angles[i, j] = angles[j, i] = beta = math.pi - between
@@ -308,6 +199,8 @@ def _certificate(contacts: Sequence[ClosedContact], a: Array) -> Certificate:
     others = ~np.eye(n, dtype=bool)
     if n == 1:
         certified, reason = True, "one contact"
+    elif not points:
+        certified, reason = False, "a contact of several points is no single reflection"
     elif not elastic:
         certified, reason = False, "the reflections need e = 1"
     elif not np.all(orders[others] > 0):
@@ -317,7 +210,7 @@ def _certificate(contacts: Sequence[ClosedContact], a: Array) -> Certificate:
     else:
         certified, reason = True, "elastic, every angle is pi/n: the order does not matter"
     bound = None
-    if n == 2 and elastic and angles[0, 1] > _ANGLE:
+    if n == 2 and points and elastic and angles[0, 1] > _ANGLE:
         bound = int(orders[0, 1]) or math.ceil(math.pi / angles[0, 1] - _ANGLE)
     return Certificate(angles, orders, certified, reason, bound)
 
@@ -331,6 +224,10 @@ def _outcome(end: End, lower: Array, contacts: Sequence[ClosedContact]) -> Outco
         energy=0.5 * float(end.x @ end.x),
         cut=end.cut,
     )
+
+
+def _points(contact: ClosedContact) -> str:
+    return f" ({len(contact.W)} points)" if len(contact.W) > 1 else ""
 
 
 def _order(outcome: Outcome, numbers: dict[Pair, int]) -> str:

@@ -72,7 +72,7 @@ PYTHON_LAYERS: Layers = {
         ("map_checks", "endings", "ledger_watch", "record", "engine", "auto_step", "simulation"),
         ("trajectory", "progress"),
     ),
-    "simultaneous": (("impact_sequences", "simultaneous"), ("prepared",)),
+    "simultaneous": (("impact_sequences", "closed_contacts", "simultaneous"), ("prepared",)),
     "pictures": (("viewer", "plots"), ("trajectory",)),
     "face": (("__init__",), ("simulation", "simultaneous", "pictures")),
     "bench": (("bench_runs", "bench", "bench_report"), ("simulation",)),

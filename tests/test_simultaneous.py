@@ -162,7 +162,7 @@ def test_carnot_of_plastic_contacts():
     made, q, pairs = balls([2.0, 1.0, 3.0])
     v = np.array([1.0, 0.2, -0.7])
     found = cvi.simultaneous_outcomes(made, q, v, pairs=pairs, e=0.0)
-    W = np.array([contact.W for contact in found.contacts])
+    W = np.vstack([contact.W for contact in found.contacts])
     gamma, G = W @ v, W @ np.diag([0.5, 1.0, 1.0 / 3.0]) @ W.T
     assert np.abs(W @ found.chosen.v_plus).max() <= 1e-14
     assert found.energy - found.chosen.energy == pytest.approx(0.5 * gamma @ np.linalg.solve(G, gamma), abs=1e-14)
@@ -203,13 +203,33 @@ def test_laws_of_any_row(bodies, e):
     masses, v = np.array(bodies).T
     made, q, pairs = balls(masses)
     found = cvi.simultaneous_outcomes(made, q, v, pairs=pairs, e=e[: len(pairs)], max_states=2000)
-    W = np.array([contact.W for contact in found.contacts])
+    W = np.vstack([contact.W for contact in found.contacts])
     size = max(1e-3, np.abs(v).max())
     for outcome in found:
         assert np.abs(outcome.p_plus - masses * v - W.T @ outcome.impulses).max() <= 1e-11 * size * masses.sum()
         assert outcome.energy <= found.energy * (1.0 + 1e-12)
         assert (W @ outcome.v_plus).min() >= -1e-8 * size
         assert outcome.impulses.min() >= -1e-12 * size
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.1, 10.0), st.floats(-1.0, 1.0)), min_size=2, max_size=4),
+    st.lists(st.sampled_from([0.0, 0.3, 0.8, 1.0]), min_size=3, max_size=3),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_run_takes_the_chosen_outcome(bodies, e):
+    """Two codes of one rule: the engine's sequence at an instant, and this one."""
+    masses, v = np.array(bodies).T
+    made, q, pairs = balls(masses)
+    for pair, value in zip(pairs, e, strict=False):
+        made.set_contact(*pair, restitution=value)
+    q += 1.0
+    found = cvi.simultaneous_outcomes(made, q, v, pairs=pairs)
+    closing = np.diff(v)
+    if np.any(np.abs(closing - closing.min()) <= 1e-9 * np.abs(v).max(), where=closing != closing.min()):
+        return  # a tie, which rounding decides
+    traj = cvi.simulate(made, q, v, 1e-6, 1e-6)
+    assert np.abs(traj.v[-1] - found.chosen.v_plus).max() <= 1e-8 * max(1e-3, np.abs(v).max())
 
 
 # --- the interface --------------------------------------------------------------------------------------------------
@@ -291,6 +311,55 @@ def test_two_sides_of_one_body_count_as_they_are():
     assert found.certificate.angles[0, 1] == pytest.approx(math.pi / 3.0, abs=1e-14)
     assert found.certificate.certified
     assert np.abs(found.chosen.v_plus - (1.0, 0.0)).max() <= 8 * EPS
+
+
+# --- faces ----------------------------------------------------------------------------------------------------------
+def box_on_ground(e: float) -> tuple[cvi.Scene, np.ndarray]:
+    made = cvi.Scene()
+    made.add_box("box", (0.2, 0.3, 0.1), mass=2.0, placement=(0.0, 0.0, 0.05))
+    made.add_halfspace(name="ground")
+    made.set_contact(restitution=e)
+    return made, made.neutral()
+
+
+def test_a_face_is_one_impact():
+    """A box that lands flat with e = 0.5 comes back straight up with half its speed, not with a spin."""
+    made, q = box_on_ground(0.5)
+    found = cvi.simultaneous_outcomes(made, q, np.array([0.3, 0.0, -2.0, 0.0, 0.0, 0.0]))
+    assert [len(contact.W) for contact in found.contacts] == [4]
+    assert found.unique
+    assert np.abs(found.chosen.v_plus - [0.3, 0.0, 1.0, 0.0, 0.0, 0.0]).max() <= 1e-14
+    assert found.chosen.impulses == pytest.approx([6.0], rel=1e-14)
+    assert "box | ground (4 points)" in str(found)
+
+
+def test_a_struck_face_has_no_certificate():
+    """A ball falls on the middle of a box that lies on the ground: e = 1 of equal masses, by the sequence."""
+    made, q = box_on_ground(1.0)
+    made.add_sphere("ball", radius=0.0625, mass=2.0, placement=(0.0, 0.0, 0.1625))
+    q = made.neutral()
+    v = np.zeros(12)
+    v[8] = -1.0
+    found = cvi.simultaneous_outcomes(made, q, v, e=1.0)
+    assert not found.certificate.certified
+    assert "several points" in found.certificate.reason
+    assert found.unique
+    assert np.abs(found.chosen.v_plus - -v).max() <= 1e-12
+
+
+def test_rows_of_points_are_the_gradients_of_gaps():
+    """A box on its edge has two points; the mean of their rows is the change of its least gap."""
+    made, q = box_on_ground(0.0)
+    turned = pin.Quaternion(pin.exp3(np.array([0.0, 0.4, 0.0])))
+    q[2], q[3:7] = 0.1 * math.sin(0.4) + 0.05 * math.cos(0.4), turned.coeffs()
+    contact = cvi.simultaneous_outcomes(made, q, np.zeros(6)).contacts[0]
+    assert contact.W.shape == (2, 6)
+    step = 1e-6
+    for k, direction in enumerate(np.eye(6)):
+        if k in (3, 5):  # turns that lift one end of the edge: the least gap has a kink there
+            continue
+        ahead, behind = (made.core().gaps(pin.integrate(made.model, q, s * direction))[0][0] for s in (step, -step))
+        assert contact.W[:, k].mean() == pytest.approx((ahead - behind) / (2 * step), abs=1e-8)
 
 
 # --- the cradle -----------------------------------------------------------------------------------------------------
