@@ -79,7 +79,9 @@ bool ConeSolver::attempt(const ConeProblem& problem, bool regularize, double* la
     shifted(problem, lambda);
   }
   map_.set_shift(0.0);
-  return newton_.run(problem, map_, ConeNewton::Singular::kMinimumNorm, kIterations, lambda);
+  using Singular = ConeNewton::Singular;
+  return newton_.run(problem, map_, regularize ? Singular::kLeastImpulses : Singular::kMinimumNorm, kIterations,
+                     lambda);
 }
 
 // best_ and the result are the better of what they were and lambda.
@@ -105,7 +107,8 @@ bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lam
         fallback_.admm(problem, map_, lambda);
       if (shift) newton_.run(problem, map_, ConeNewton::Singular::kMinimumNorm, kIterations, lambda);
       map_.set_shift(0.0);
-      newton_.run(problem, map_, ConeNewton::Singular::kMinimumNorm, kIterations, lambda);
+      newton_.run(problem, map_, shift ? ConeNewton::Singular::kLeastImpulses : ConeNewton::Singular::kMinimumNorm,
+                  kIterations, lambda);
       if (keep_better(lambda, m)) return true;
     }
   }

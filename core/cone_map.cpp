@@ -34,7 +34,8 @@ void NaturalMap::reserve(int rows) {
 }
 
 bool NaturalMap::prepare(const ConeProblem& problem) {
-  if (!covers_rows(problem) || !problem.b.allFinite() || !problem.G.allFinite()) return false;
+  if (!covers_rows(problem) || !problem.b.allFinite() || !(problem.noise >= 0.0) || !problem.G.allFinite())
+    return false;
   const auto& G = problem.G;
   const double largest = G.rows() > 0 ? G.diagonal().cwiseAbs().maxCoeff() : 0.0;
   const double smallest = largest > 0.0 ? kSmallestScale * largest : 1.0;
@@ -62,9 +63,10 @@ bool NaturalMap::prepare(const ConeProblem& problem) {
 void NaturalMap::velocity(const ConeProblem& problem, const double* lambda, double* w) {
   const int m = static_cast<int>(problem.b.size());
   double* size = size_.data();
+  const double excused = problem.noise / kConeTolerance;
   for (int k = 0; k < m; ++k) {
     w[k] = problem.b[k];
-    size[k] = std::abs(problem.b[k]);
+    size[k] = std::abs(problem.b[k]) + excused;
   }
   for (int j = 0; j < m; ++j) {
     const double x = lambda[j];

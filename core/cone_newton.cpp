@@ -13,6 +13,12 @@ constexpr double kGoal = 16.0 * std::numeric_limits<double>::epsilon();
 constexpr double kDescent = 1e-4;
 constexpr int kHalvings = 12;
 
+bool slips(const ConeProblem& problem, const NaturalMap& map) {
+  for (int i = 0; i < static_cast<int>(problem.contacts.size()); ++i)
+    if (map.mode(i).tangent == TangentMode::kSlip || map.mode(i).tangent == TangentMode::kFrozen) return true;
+  return false;
+}
+
 }  // namespace
 
 void ConeNewton::reserve(int rows) {
@@ -23,16 +29,17 @@ void ConeNewton::reserve(int rows) {
 }
 
 // The step as unknowns and equations. next_ becomes a point that obeys what the modes fix (an open contact's normal
-// impulse, the direction of slip); the unknowns lead from it to the step's end. A slipping contact keeps two:
+// impulse, the direction of slip), else lambda's (or zero); the unknowns lead from it to the step's end. A slipping contact keeps two:
 //   normal   w_n = 0 along (1, mu e);   across e   (1 - beta) r_t^-1 tau + beta t.w = 0, tau = t.lambda_t
 // (Alart-Curnier's derivative with the first equation inserted).
-void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const double* lambda) {
+void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const double* lambda, bool from_nothing) {
+  static constexpr double kNothing[3] = {0.0, 0.0, 0.0};
   count_ = 0;
   int i = 0;
   for (const ConeContact& c : problem.contacts) {
     const ConeMode& mode = map.mode(i);
     double* x = next_.data() + c.row;
-    const double* old = lambda + c.row;
+    const double* old = from_nothing ? kNothing : lambda + c.row;
     x[0] = mode.closed ? old[0] : c.lower;
     Unknown normal{i, c.row, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, 0.0};
     if (c.rows == 3) {
@@ -161,10 +168,11 @@ bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singu
   map.velocity(problem, lambda, w_.data());
   map.evaluate(problem, lambda, w_.data());
   residual_ = map.residual();
+  bool from_nothing = singular == Singular::kLeastImpulses && !slips(problem, map);
   for (int k = 0; k < max_iterations; ++k) {
     // At least one factorisation where singular ones are to be told: a start may solve the problem all by itself.
     if (residual_ <= kGoal && (k > 0 || singular == Singular::kMinimumNorm)) break;
-    build(problem, map, lambda);
+    build(problem, map, lambda, from_nothing);
     map.velocity(problem, next_.data(), next_w_.data());
     assemble(problem, map);
     ++iterations_;
@@ -172,14 +180,20 @@ bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singu
       singular_ = true;
       break;
     }
-    if (residual_ <= kGoal) break;
+    if (residual_ <= kGoal && singular == Singular::kStop) break;
     for (int j = 0; j < count_; ++j) {
       const Unknown& u = unknowns_[j];
       for (int i = 0; i < u.rows; ++i) next_[u.row + i] += u.column[i] * delta_[j];
     }
     const double before = residual_;
     std::copy_n(lambda, problem.b.size(), product_.data());
-    if (!search(problem, map, lambda)) break;
+    const bool moved = search(problem, map, lambda);
+    if (!moved && !from_nothing) break;
+    from_nothing = false;
+    if (!moved) {
+      map.evaluate(problem, lambda, w_.data());
+      continue;
+    }
     residual_ = map.residual();
     // Rounding: no better any more.
     if (before <= kConeTolerance && residual_ > 0.25 * before) {

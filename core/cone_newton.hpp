@@ -10,8 +10,10 @@ namespace contactvi {
 
 class ConeNewton {
  public:
-  // What to do where the linearised law has no unique solution (redundant contacts).
-  enum class Singular { kStop, kMinimumNorm };
+  // What to do where the linearised law has no unique solution (redundant contacts): stop, take the step of least norm,
+  // or let the first step, if nothing slips, go to the impulses of least norm. That forgets what lambda had in the null
+  // space, errors of b over the shift; with slip the shift selects other impulses than those of least norm, and keeps.
+  enum class Singular { kStop, kMinimumNorm, kLeastImpulses };
 
   void reserve(int rows);
   // Newton steps with line search from lambda until the residual is a few rounding errors or no step lessens the merit
@@ -33,7 +35,7 @@ class ConeNewton {
     double diagonal;
   };
 
-  void build(const ConeProblem& problem, const NaturalMap& map, const double* lambda);
+  void build(const ConeProblem& problem, const NaturalMap& map, const double* lambda, bool from_nothing);
   void add(int contact, const ConeContact& c, int size_of_column);
   void assemble(const ConeProblem& problem, const NaturalMap& map);
   bool solve(Singular singular);
