@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 
 from contactvi import verify_cases_contact, verify_cases_impact, verify_cases_several
 from contactvi.errors import InputError, did_you_mean
-from contactvi.verify_check import Case, Check, Runs
+from contactvi.verify_check import LIMIT, Case, Check, Runs
 
 PASSED, FAILED, NOT_APPLICABLE = "ok", "FAILED", "not applicable"
 COLUMNS = ("case", "what", "expected", "got", "tolerance", "verdict", "s", "reason of the tolerance")
@@ -62,11 +62,11 @@ def verify(cases: Sequence[Case] | None = None, progress: Progress | None = None
     return results
 
 
-def measure(case: Case) -> Result:
-    """Measure one case."""
+def measure(case: Case, limit: float = LIMIT) -> Result:
+    """Measure one case; it fails where its runs take longer than `limit` [s]."""
     if case.run is None:
         return Result(case, (), 0.0)
-    started, runs = time.perf_counter(), Runs()
+    started, runs = time.perf_counter(), Runs(limit)
     try:
         checks = [*case.run(runs), *runs.laws()]
     except Exception as error:  # whatever goes wrong is this case's failure and must not hide the others

@@ -5,6 +5,7 @@ Expectations come from closed forms or from the published digits of a case, neve
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi.errors import SimulationError
 from contactvi.prepared import prepare
 from contactvi.scene import Scene
 from contactvi.simulation import simulate
@@ -20,6 +22,7 @@ from contactvi.trajectory import Trajectory
 Array = NDArray[np.float64]
 
 GAP, COMPLEMENTARITY = -1e-10, 1e-12  # [m; rad], [N m s]: what every run has to keep
+LIMIT = 30.0  # [s] of wall time for a case: many times what any of them takes
 _NODES = 400  # of a run whose gaps are looked at: a stack of 1000 nodes would be measured for longer than simulated
 
 
@@ -78,8 +81,9 @@ def same(what: str, expected: object, got: object, reason: str = "a count or a c
 class Runs:
     """Makes the runs of a case and keeps what each of them has to keep: phi, lambda, complementarity, its end."""
 
-    def __init__(self) -> None:
-        self.count = 0
+    def __init__(self, limit: float = LIMIT) -> None:
+        """limit : wall time allowed for all of them together [s]."""
+        self.count, self._end = 0, time.perf_counter() + limit
         self._gap, self._impulse, self._complementarity = np.inf, np.inf, 0.0
         self._endings: list[str] = []
 
@@ -92,8 +96,11 @@ class Runs:
         dt: Any = None,
         **options: Any,
     ) -> Trajectory:
-        """Run a scene as contactvi.simulate does; a run that ends early is returned as it is, and fails the case."""
-        traj = simulate(scene, q, v, duration, dt, throw=False, **options)
+        """Run a scene as contactvi.simulate does; a run that ends early is returned as it is, and fails the case.
+
+        Raises SimulationError where the case takes too long.
+        """
+        traj = simulate(scene, q, v, duration, dt, throw=False, progress=self._in_time, **options)
         self.count += 1
         if not traj.status.ok:
             self._endings.append(str(traj.status))
@@ -101,6 +108,13 @@ class Runs:
         self._gap, self._impulse = np.fmin(self._gap, gap), np.fmin(self._impulse, impulse)
         self._complementarity = np.fmax(self._complementarity, product)
         return traj
+
+    def _in_time(self, t: float, impacts: int) -> None:
+        """Stop a run that hangs: the engine calls this about ten times a second."""
+        if time.perf_counter() > self._end:
+            raise SimulationError(
+                "The case takes too long", expected="an end of its runs", got=f"t = {t:.6g} s after {impacts} impacts"
+            )
 
     def laws(self) -> list[Check]:
         """Return the checks that hold for every run, of all runs made."""

@@ -140,6 +140,18 @@ def test_a_run_that_ends_early_fails_its_case():
     assert "ZENO" in ended.got
 
 
+def test_a_case_that_hangs_fails():
+    def hangs(runs: Runs) -> list[Check]:
+        scene = ball_scene(1.0)
+        runs.simulate(scene, None, None, 1e6, 0.01)
+        return [same("never seen", 1, 1)]
+
+    result = verification.measure(Case("hangs", "a run without end", hangs), limit=0.3)
+    assert result.verdict == "FAILED"
+    assert "takes too long" in result.checks[-1].got
+    assert result.seconds < 5.0
+
+
 def test_gaps_count_at_the_nodes():
     """A run that starts apart and is moved into its floor afterwards is found out."""
     traj = cvi.simulate(ball_scene(1.0), duration=1.0, dt=0.01)
