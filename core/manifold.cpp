@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <limits>
 
-#include "selection.hpp"
-
 namespace contactvi {
 
 namespace {
@@ -108,7 +106,7 @@ Manifolds::Manifolds(const Scene& scene, int max_points) : max_points_(std::max(
     auto is_point = [](const Outline& o) { return o.vertices.size() == 1; };
     bool single = is_empty(a) || is_empty(b) || (a.faces.empty() && b.faces.empty());
     single |= (is_point(a) && !b.is_unbounded()) || (is_point(b) && !a.is_unbounded());
-    shapes_.push_back({i, j, single, pair.curved ? 2e-8 : 1e-9});
+    shapes_.push_back({i, j, single, (pair.curved ? 2e-8 : 1e-9) + a.roughness + b.roughness});
   }
 }
 
@@ -148,8 +146,7 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
   } else {
     found_.push_back(nearest);
   }
-  select_candidates(found_, n, max_points_, chosen_);
-  for (int i : chosen_) points.push_back(make_point(pair, v, found_[i], n));
+  for (int i : selection_.choose(found_, n, max_points_)) points.push_back(make_point(pair, v, found_[i], n));
 }
 
 double Manifolds::rest(int pair, const Placements& at, const ContactPoint* const* held, int count,

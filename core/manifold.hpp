@@ -29,6 +29,7 @@
 
 #include "candidates.hpp"
 #include "contact.hpp"
+#include "selection.hpp"
 
 namespace contactvi {
 
@@ -88,7 +89,7 @@ class Manifolds {
   struct Shapes {
     int a, b;      // in outlines_
     bool single;   // coal's point is the only one
-    double noise;  // of the pair's distance by coal
+    double noise;  // of the pair's distance by coal, against ours
   };
   class Least;
   PairView view(int pair, const Placements& at) const;
@@ -102,7 +103,7 @@ class Manifolds {
   std::vector<Shapes> shapes_;
   // Scratch; grows to the largest manifold seen.
   mutable std::vector<Candidate> found_;
-  mutable std::vector<int> chosen_;
+  mutable Selection selection_;
   mutable EdgeLists edges_;
 };
 

@@ -14,10 +14,11 @@ namespace contactvi {
 
 namespace {
 
-// Points nearer than this part of the hull's size to a plane lie on it: the vertices of eroded hulls are intersections
-// of planes, not exact.
-constexpr double kFlat = 1e-9;
-// Hulls of meshes in single precision have flat sides whose triangles differ by this [rad].
+// Points nearer than this part of the hull's size to a plane lie on it: meshes come in single precision, and the
+// vertices of eroded hulls are intersections of such planes.
+constexpr double kFlat = 4e-7;
+// Points nearer than this part of its size are one.
+constexpr double kSame = 1e-9;
 constexpr double kPlateAngle = 1e-4;
 
 using Points = std::vector<Vec3>;
@@ -58,7 +59,7 @@ std::vector<int> order_corners(const Points& points, std::vector<int> all, const
 
 // The faces of a hull from its triangles, largest first: each takes all points of its plane.
 std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coal::Triangle>& triangles, double size,
-                                     const std::vector<int>& same) {
+                                     const std::vector<int>& same, double& roughness) {
   struct Seed {
     double area;
     int i;
@@ -68,7 +69,7 @@ std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coa
   for (std::size_t i = 0; i < triangles.size(); ++i) {
     const coal::Triangle& t = triangles[i];
     const Vec3 c = (points[t[1]] - points[t[0]]).cross(points[t[2]] - points[t[0]]);
-    if (c.norm() > kFlat * kFlat * size * size) seeds.push_back({c.norm(), static_cast<int>(i), c.normalized()});
+    if (c.norm() > kSame * kSame * size * size) seeds.push_back({c.norm(), static_cast<int>(i), c.normalized()});
   }
   std::stable_sort(seeds.begin(), seeds.end(), [](const Seed& s, const Seed& t) { return s.area > t.area; });
   Vec3 center = Vec3::Zero();
@@ -101,6 +102,7 @@ std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coa
     face.normal = n.normalized();
     face.offset = -std::numeric_limits<double>::infinity();
     for (int i : face.corners) face.offset = std::max(face.offset, face.normal.dot(points[i]));
+    for (int i : face.corners) roughness = std::max(roughness, face.offset - face.normal.dot(points[i]));
     faces.push_back(std::move(face));
     on.push_back(std::move(in));
   }
@@ -207,12 +209,12 @@ void add_hull(Outline& o, const Geometry& g, const coal::ConvexBase& shape) {
   for (std::size_t i = 0; i < points.size(); ++i) {
     same[i] = static_cast<int>(i);
     for (std::size_t j = 0; j < i; ++j)
-      if ((points[i] - points[j]).squaredNorm() <= kFlat * kFlat * size * size) {
+      if ((points[i] - points[j]).squaredNorm() <= kSame * kSame * size * size) {
         same[i] = same[j];
         break;
       }
   }
-  add_polygons(o, points, merge_triangles(points, *hull->polygons, size, same));
+  add_polygons(o, points, merge_triangles(points, *hull->polygons, size, same, o.roughness));
 }
 
 void add_axis(Outline& o, const Geometry& g, double half, double radius) {

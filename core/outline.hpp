@@ -9,8 +9,8 @@
 //   halfspace  -         -         1, unbounded  -     -
 //   ellipsoid  -         -         -             -     -
 //
-// and all of them by coal's own swept sphere. Coplanar triangles of a hull are one face; points inside of a face or an
-// edge are dropped.
+// and all of them by coal's own swept sphere. Coplanar triangles of a hull are one face, also where they are so only in
+// single precision; points inside of a face or an edge are dropped.
 #pragma once
 
 #include <cmath>
@@ -42,8 +42,9 @@ struct Outline {
     double radius;
   };
 
-  int body = -1;      // engine joint, -1: world; all vectors are in its frame
-  double radius = 0;  // the core is swept by this
+  int body = -1;         // engine joint, -1: world; all vectors are in its frame
+  double radius = 0;     // the core is swept by this
+  double roughness = 0;  // how far corners of a face may lie below its plane [m]
   std::vector<Vec3> vertices;
   std::vector<Edge> edges;
   std::vector<Face> faces;
