@@ -2,6 +2,7 @@
 Engine of contactvi. Checks sizes only: users go through the Python face.
 """
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy
@@ -12,7 +13,7 @@ class CoreError(RuntimeError):
     pass
 
 class Scene:
-    def __init__(self, model: bytes, geometry: bytes, pair_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stiffness: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], damping: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limit_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+    def __init__(self, model: bytes, geometry: bytes, pair_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stiffness: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], damping: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limit_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair_friction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None) -> None:
         """
         From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data.
         """
@@ -73,6 +74,16 @@ class Scene:
 
     def momentum_to_public(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
+def solve_cone(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], b: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], frozen: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='F')] | None = None, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, regularize: bool = True, noise: float = 0.0) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], bool, float, int, int]:
+    """
+    Coulomb cone problem w = b + G lambda of n contacts with rows[i] = 1 or 3 rows (n, t1, t2) each: G (m, m) [1/kg], b (m,) [m/s], mu (n,), lower (n,) [N s] bounds of the normal impulses, frozen (n, 2) unit slip directions (NaN: free), start (m,) [N s], noise [m/s] by which rows of b may disagree. Returns (lambda (m,) [N s], ok, relative residual, Newton iterations, fallbacks).
+    """
+
+def cone_seconds(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], b: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], frozen: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='F')] | None = None, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, regularize: bool = True, calls: int = 100, repeats: int = 5) -> float:
+    """
+    Seconds of one solve_cone, without Python, fastest of several blocks; for benchmarks.
+    """
+
 def dense(scene: Scene, segments: dict, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int, exact: bool = False) -> tuple[object, object]:
     """
     States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by the steps of the lengths in between (of runs without inputs).
@@ -92,7 +103,7 @@ def kernel_seconds(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape
     """
 
 class Simulator:
-    def __init__(self, scene: Scene, dt: float, tol: float = 1e-12, impact: int = 0, max_impacts_per_step: int = 100000, max_iterations: int = 50, mhc_global: bool = False, order: int = 2, dense: bool = False) -> None: ...
+    def __init__(self, scene: Scene, dt: float, tol: float = 1e-12, impact: int = 0, max_impacts_per_step: int = 100000, max_iterations: int = 50, mhc_global: bool = False, order: int = 2, dense: bool = False, dt_contact: float = 0.0, zeno: int = 0, stiff_support: bool = False, contact_points: int = 4, record_contacts: bool = True) -> None: ...
 
     def reset(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> dict:
         """Status fields as a dict."""
@@ -118,6 +129,19 @@ class Simulator:
 
     @property
     def v(self) -> object: ...
+
+def contact_points(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, margin: float, max_points: int = 4) -> dict:
+    """
+    Points at which a collision pair touches at q: dict of kind, feature, material, valid (lists), gap (n,), point_a, point_b, normal (n, 3), world frame.
+    """
+
+def contact_points_of(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int]) -> dict:
+    """The same for known features, wherever they are at q."""
+
+def rest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int], max_points: int = 4) -> tuple:
+    """
+    (least gap over all features but these, slack included; that feature's gap, normal and point).
+    """
 
 def rnea_seconds(model: bytes, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], calls: int = 2000, repeats: int = 5) -> float:
     """

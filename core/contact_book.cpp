@@ -62,8 +62,8 @@ HeldContact Simulator::make_held(const ContactPoint& point, const Contact& conta
   return held;
 }
 
-// After an event: what is closed and neither closes nor separates is held from now on.
-void Simulator::hold_closed(double time, Recording& recording) {
+// After an event: what is closed and neither closes nor separates is held from now on, and the guard `forced`.
+void Simulator::hold_closed(int forced, double time, Recording& recording) {
   guards_.place(q_);
   integrator_.node_velocity(q_, p_, v_);
   const double slow = kStays * (1.0 + v_.cwiseAbs().maxCoeff());
@@ -74,7 +74,7 @@ void Simulator::hold_closed(double time, Recording& recording) {
     ClosedGuard& c = sequence_.closed(i);
     bool all = true;
     for (int k = 0; k < c.count; ++k) {
-      if (std::abs(c.gamma_n(k, p_)) > slow) {
+      if (std::abs(c.gamma_n(k, p_)) > slow && c.guard != forced) {
         all = false;
         continue;
       }
@@ -118,7 +118,7 @@ void Simulator::hold_at_start() {
     if (finder_.touching(g)) touching.push_back(g);
   if (touching.empty() || !sequence_.collect(q_, p_, touching, -1, {})) return;
   Recording nothing;
-  hold_closed(time_, nothing);
+  hold_closed(-1, time_, nothing);
 }
 
 // After a held step: contacts without load that have separated are dropped, changes noted.
@@ -195,7 +195,7 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
     if (!sequence_.run(now, plastic_, p_, recording))
       return end(sequence_.code(), now.time, sequence_.message(), sequence_.guard());
   }
-  hold_closed(now.time, recording);
+  hold_closed(-1, now.time, recording);
   return true;
 }
 

@@ -87,7 +87,7 @@ bool HeldStep::solve_end(VecX& lambda) {
   lambda.setZero();
   if (rows == 0) return true;
   for (int attempt = 0; attempt < 3; ++attempt) {
-    if (!solve_cone({end_cones_, G, b_sub_}, x_, redundant_)) return false;
+    if (!solve_cone({end_cones_, G, b_sub_, kSlipping * 1e-3 * speed}, x_, true)) return false;
     bool turned = false;
     for (std::size_t a = 0; a < active_.size(); ++a) {
       ConeContact& cone = end_cones_[a];

@@ -56,7 +56,7 @@ bool HeldStep::force_problem(VecX& value) {
     cone.d = Eigen::Vector2d(out.slip_W.dot(out.t1), out.slip_W.dot(out.t2)).normalized();
   }
   change_ = h_ > 0.0 ? VecX((2.0 / h_) * lambda_end_) : VecX(VecX::Zero(rows_));
-  if (!solve_cone({force_cones_, G_end_, b_}, change_, redundant_)) return false;
+  if (!solve_cone({force_cones_, G_end_, b_, 1e-9 * b_.cwiseAbs().maxCoeff()}, change_, true)) return false;
   b_.noalias() += G_end_ * change_;
   value.resize(static_cast<Eigen::Index>(contacts_.size()));
   for (std::size_t i = 0; i < contacts_.size(); ++i) {

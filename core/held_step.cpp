@@ -163,6 +163,7 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   double best = INFINITY;
   int idle = 0;
   bool settled = false;
+  const double noise = std::max(kGapRounding, noisy_ ? 1e-11 : 0.0) / h;  // of the rows, as a velocity
   for (int k = 0; k < kMaxRounds; ++k) {
     ++counters.rounds;
     p_start_ = p0;
@@ -180,7 +181,7 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
     change_ = lambda_;
-    if (!solve_cone({cones_, G_, b_}, lambda_, k == 0 && redundant_)) {
+    if (!solve_cone({cones_, G_, b_, noise}, lambda_, k == 0)) {
       why_ = "the contact forces were not found";
       return false;
     }
@@ -189,7 +190,7 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     integrator_.add_velocity(dv_);
     const double size = 1.0 + v_.cwiseAbs().maxCoeff(), change = std::max(swept, dv_.cwiseAbs().maxCoeff());
     if (!std::isfinite(change)) break;
-    const double floor = std::max({kRounding, kGapRounding / h, noisy_ ? 1e-11 / h : 0.0}) * size;
+    const double floor = std::max(kRounding, noise) * size;
     settled = change < kSettled * size;
     if (change <= floor) return true;
     idle = change < 0.7 * best ? 0 : idle + 1;

@@ -7,7 +7,8 @@
 namespace contactvi {
 
 namespace {
-constexpr double kGain = 1e-12;  // of the energy of the closing motion: rounding
+constexpr double kGain = 1e-12;      // of the energy of the closing motion: rounding
+constexpr double kRounding = 2e-14;  // of the speeds
 constexpr int kBisections = 50;
 }  // namespace
 
@@ -25,7 +26,8 @@ bool PoissonImpact::cone(const VecX& start, bool expansion, double share, const 
       cones_[k].lower = expansion ? share * member.e * std::max(0.0, first_[cones_[k].row]) : 0.0;
   lambda.setZero(G_.rows());
   for (const ConeContact& c : cones_) lambda[c.row] = c.lower;
-  const ConeResult result = solver_.solve({cones_, G_, start}, lambda, cones_.size() > 1);
+  const ConeResult result =
+      solver_.solve({cones_, G_, start, kRounding * (1.0 + start.cwiseAbs().maxCoeff())}, lambda, true);
   iterations_ += result.iterations;
   return result.ok && lambda.allFinite();
 }

@@ -12,6 +12,8 @@ namespace contactvi {
 namespace {
 constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
 constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
+constexpr double kSolved = 1e-11;       // of all speeds of the closed points: what a plastic problem leaves
+constexpr int kManyHits = 256;          // of inelastic contacts at one instant, per contact: the same
 constexpr int kDtec = 1, kMhc = 2;
 }  // namespace
 
@@ -132,10 +134,14 @@ bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic
 
 bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, VecX& p, Recording& recording) {
   code_ = StatusCode::kSuccess;
+  impacts_here_ = 0;
   const double scale = largest_speed(p);
-  for (;;) {
+  bool elastic = false;  // without losses a long sequence is no endless one
+  for (int i = 0; i < count_; ++i) elastic |= closed_[i].e == 1.0;
+  for (int hits = 0;; ++hits) {
     ClosedGuard* worst = nullptr;
-    if (closes_most(p, plastic, scale, worst)) {
+    const bool goes_on = closes_most(p, plastic, scale, worst) && (elastic || hits < kManyHits * count_);
+    if (goes_on) {
       if (worst != nullptr) {
         const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_held_);
         if (!(single ? hit_point(*worst, worst->e, at, p, recording) : hit_block(*worst, worst->e, at, p, recording)))
@@ -146,7 +152,7 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
       }
     }
     bool any = false;
-    if (!hit_plastic(plastic, worst, at, scale, p, any, recording)) return false;
+    if (!hit_plastic(plastic, !goes_on, at, scale, p, any, recording)) return false;
     if (!any) return true;
     if (++impacts_in_step > options_.max_impacts_per_step)
       return fail(StatusCode::kTooManyImpacts, "too many impacts in one step", count_ > 0 ? closed_[0].guard : -1);
@@ -255,15 +261,19 @@ bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at,
   return true;
 }
 
-// All plastic contacts together, and one whose endless sequence is cut. any: whether one of them closed.
-bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, ClosedGuard* cut, const Instant& at, double scale,
-                                 VecX& p, bool& any, Recording& recording) {
+// All plastic contacts together; all contacts where an endless sequence is cut. any: whether one of them closed.
+bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p,
+                                 bool& any, Recording& recording) {
   std::vector<BlockMember> members;
   any = false;
+  double speeds = 0.0;  // tangential ones too: they share the problem's rounding
+  for (int i = 0; i < count_; ++i)
+    speeds = std::max(speeds, (closed_[i].MinvW.leftCols(closed_[i].rows).transpose() * p).cwiseAbs().maxCoeff());
+  const double closing = std::max(kSeparated * scale, impacts_here_ > 0 ? kSolved * speeds : 0.0);
   for (int i = 0; i < count_; ++i) {
     ClosedGuard& c = closed_[i];
-    if (&c != cut && c.e > 0.0 && !plastic[c.guard]) continue;
-    any |= c.gamma_n(p) < -kSeparated * scale;
+    if (!all && c.e > 0.0 && !plastic[c.guard]) continue;
+    any |= c.gamma_n(p) < -closing;
     members.push_back({&c, 0.0});
   }
   if (!any) return true;
@@ -301,6 +311,7 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
                             const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
                             const Instant& at, Recording& recording) {
   ++impacts;
+  ++impacts_here_;
   ImpactRecord r;
   const int m = closed.rows_per_point();
   double weight = 0.0;

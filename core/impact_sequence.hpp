@@ -57,8 +57,8 @@ class ImpactSequence {
   bool closes_most(const VecX& p, const std::vector<char>& plastic, double scale, ClosedGuard*& worst) const;
   bool hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
   bool hit_block(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
-  bool hit_plastic(const std::vector<char>& plastic, ClosedGuard* cut, const Instant& at, double scale, VecX& p,
-                   bool& any, Recording& recording);
+  bool hit_plastic(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p, bool& any,
+                   Recording& recording);
   ImpactResult corrected(const ClosedGuard& closed, const BlockResult& block, double e, const Instant& at, VecX& p);
   ImpactResult apply_map(const ImpactProblem& problem, VecX& p);
   void record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
@@ -73,6 +73,7 @@ class ImpactSequence {
   std::vector<ClosedGuard> closed_;
   int count_ = 0;
   bool any_held_ = false;
+  int impacts_here_ = 0;
   VecX q_, v_;
   PoissonImpact poisson_;
   StatusCode code_ = StatusCode::kSuccess;

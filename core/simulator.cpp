@@ -264,7 +264,10 @@ bool Simulator::resolve_event(int first, bool persistent, const Instant& at, Rec
     return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
   if (!judge_accumulation(first, persistent || touched, time, recording)) return false;
-  if (holds()) hold_closed(time, recording);
+  bool any_hit = false;
+  for (int i = 0; i < sequence_.count(); ++i) any_hit |= sequence_.closed(i).hit;
+  // What closes again without a flight to be seen, though it separates, is held: the step decides.
+  if (holds()) hold_closed(persistent && !any_hit ? first : -1, time, recording);
   if (was_held && held_.empty()) reanchor();
   return true;
 }
