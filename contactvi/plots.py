@@ -94,6 +94,8 @@ def _pair_force(traj: Trajectory, pair: tuple[str, str]) -> tuple[np.ndarray, np
     """Return times (k,) [s] and the force of a pair along its normals and across them, (k,) [N]; gaps are NaN."""
     log = traj.contacts.of(*pair)
     held = np.flatnonzero((log.h > 0.0) & (log.array("kind") == 0))
+    if not len(held):
+        return np.zeros(0), np.zeros(0), np.zeros(0)
     start, group = np.unique(log.t[held], return_inverse=True)
     group = group.reshape(-1)
     normal = np.bincount(group, log.normal_impulse[held] / log.h[held], minlength=len(start))

@@ -161,6 +161,11 @@ def test_plot_of_the_forces(box, tmp_path):
     (line,) = [line for line in along.lines if len(line.get_xdata()) == 50]
     assert line.get_ydata()[0] == pytest.approx(MU * MASS * GRAVITY, rel=1e-12)
     assert plots.save_force_plot(box, tmp_path / "forces.png").stat().st_size > 10_000
+    h = box.contacts.h.copy()
+    h[80:100] = 0.0
+    apart = plots.plot_forces(sliding_box(h=h)).axes[0].lines  # the line is broken where the box is not held
+    assert any(np.isnan(line.get_ydata()).sum() == 1 and len(line.get_ydata()) == 46 for line in apart)
+    assert not any(len(line.get_ydata()) > 2 for line in plots.plot_forces(sliding_box(h=0.0 * h)).axes[0].lines)
     plots.plot_forces(cvi.simulate(ball_scene(), duration=0.1, dt=0.01))  # nothing held: empty, no error
 
 
