@@ -21,6 +21,7 @@ from contactvi.events import KINDS, label
 Array = NDArray[np.float64]
 
 MODES = ("stick", "slip", "frictionless", "impact")  # in the engine's order
+_BRIEF = 1e-3  # of the longest step
 CHANGES = (
     "begin",
     "release",
@@ -143,6 +144,15 @@ class ContactLog(Sequence[Contact]):
         """Mean over the step, impulse / h, on the second shape [N], world axes, shape (m, 3); NaN for impacts."""
         h = self.h[:, None]
         return np.divide(self.impulse, h, out=np.full(self.impulse.shape, np.nan), where=h > 0.0)
+
+    @cached_property
+    def lasting(self) -> NDArray[np.bool_]:
+        """Whether a row is long enough for its force to mean something, shape (m,): for pictures and largest values.
+
+        Neither impacts nor parts of steps between two changes that are shorter than a thousandth of the longest step:
+        an impulse of the size of rounding over no time is no force.
+        """
+        return np.asarray(self.h > _BRIEF * self.h.max(initial=0.0))
 
     @cached_property
     def normal_impulse(self) -> Array:

@@ -93,7 +93,7 @@ def save_force_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
 def _pair_force(traj: Trajectory, pair: tuple[str, str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return times (k,) [s] and the force of a pair along its normals and across them, (k,) [N]; gaps are NaN."""
     log = traj.contacts.of(*pair)
-    held = np.flatnonzero((log.h > 0.0) & (log.array("kind") == 0))
+    held = np.flatnonzero(log.lasting & (log.array("kind") == 0))
     if not len(held):
         return np.zeros(0), np.zeros(0), np.zeros(0)
     start, group = np.unique(log.t[held], return_inverse=True)
@@ -105,8 +105,8 @@ def _pair_force(traj: Trajectory, pair: tuple[str, str]) -> tuple[np.ndarray, np
     np.add.at(total, group, across)
     end = np.zeros(len(start))
     end[group] = log.end[held]
-    # Lines are broken where the pair was apart.
-    apart = 1 + np.flatnonzero(start[1:] > end[:-1] + 1e-9 * np.maximum(1.0, np.abs(end[:-1])))
+    # Lines are broken where the pair was apart, not where a part of a step is too short to be drawn.
+    apart = 1 + np.flatnonzero(start[1:] - end[:-1] > 1e-2 * log.h.max())
     columns = (0.5 * (start + end), normal, np.linalg.norm(total, axis=1))
     time, *values = (np.insert(column, apart, np.nan) for column in columns)
     return time, values[0], values[1]

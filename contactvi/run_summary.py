@@ -74,8 +74,8 @@ def _contact_lines(traj: Trajectory) -> list[tuple[str, str]]:
     if len(traj.contacts):
         ledger = traj.ledger.contacts
         gap, complementarity = (float(np.abs(values).max()) for values in (ledger.gap, ledger.complementarity))
-        force = np.linalg.norm(traj.contacts.force, axis=1)
-        strongest = float(np.nanmax(force)) if np.isfinite(force).any() else 0.0
+        force = np.linalg.norm(traj.contacts.force[traj.contacts.lasting], axis=1)
+        strongest = float(force.max(initial=0.0))
         pairs = len(traj.contacts.pairs)
         text = f"{pairs} {'pairs' if pairs > 1 else 'pair'} touched, largest force at a point {strongest:.4g} N"
         lines.append(text)

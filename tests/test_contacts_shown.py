@@ -169,6 +169,17 @@ def test_plot_of_the_forces(box, tmp_path):
     plots.plot_forces(cvi.simulate(ball_scene(), duration=0.1, dt=0.01))  # nothing held: empty, no error
 
 
+def test_what_lasts_no_time_has_no_force_to_show(box):
+    """A part of a step of 1e-9 s with an impulse of rounding would be the strongest force of the run."""
+    h = box.contacts.h.copy()
+    h[40] = 1e-9
+    brief = sliding_box(h=h)
+    assert np.linalg.norm(brief.contacts.force[40]) > 1e6
+    assert force_arrows.forces_of(brief, brief.t).full < 6.0
+    assert max(float(np.nanmax(line.get_ydata())) for line in plots.plot_forces(brief).axes[0].lines[:1]) < 20.0
+    assert "largest force at a point 5.1" in str(summary(brief))
+
+
 def test_words_of_the_command_line(box):
     text = "\n".join(f"{name} {said}" for name, said in summary(box))
     assert "1 pair touched, largest force at a point 5.1" in text
