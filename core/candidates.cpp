@@ -139,19 +139,26 @@ double outside_arc(const Outline& o, const Outline::Edge& e, const Vec3& n) {
   return -std::min(l.cross(n).dot(e.direction), n.cross(r).dot(e.direction));
 }
 
-void edges_across(const PairView& v, const Sides& sides, bool coming, const EdgeLists& edges, CandidateSink& sink) {
+void edges_across(const PairView& v, const Sides& sides, bool coming, EdgeLists& edges, CandidateSink& sink) {
+  edges.lines_b.clear();
+  for (int j : edges.b) edges.lines_b.push_back(line_of(*v.b, v.pose_b, j));
   Crossing c;
-  for (int i : edges.a)
-    for (int j : edges.b) {
-      if (!cross_edges(v, i, j, sides.n_W, c)) continue;
+  for (int i : edges.a) {
+    const Line a = line_of(*v.a, v.pose_a, i);
+    for (std::size_t k = 0; k < edges.b.size(); ++k) {
+      const Line& b = edges.lines_b[k];
+      const int j = edges.b[k];
+      if (!cross_lines(a, b, sides.n_W, kBorder, c)) continue;
       const bool over = c.beyond <= kBorder;
-      if (!coming && !(over && c.outside_cone <= kNormalCone)) continue;
+      if (!coming && !over) continue;
       // The height of a lying cylinder's axis, whose ends are flat, tells nothing beyond these.
       const bool polygons = v.a->edges[i].radius == 0.0 && v.b->edges[j].radius == 0.0;
       if (!over && !(polygons && c.beyond_in_view <= 0.0)) continue;
       const double gap = over ? c.gap : c.height;
-      if (gap <= sink.limit) sink.add({feature_number(Feature::kEdges, i, j), gap, 0.5 * (c.point_a + c.point_b)});
+      if (gap > sink.limit || (!coming && outside_cone(v, i, j, c.normal) > kNormalCone)) continue;
+      sink.add({feature_number(Feature::kEdges, i, j), gap, 0.5 * (c.point_a + c.point_b)});
     }
+  }
 }
 
 }  // namespace
@@ -194,27 +201,32 @@ Vec3 rim_point(const Outline::Rim& rim, int k) {
   return rim.center + rim.radius * (x[quarter] * rim.zero + y[quarter] * rim.quarter);
 }
 
-bool cross_edges(const PairView& v, int edge_a, int edge_b, const Vec3& n, Crossing& c) {
-  const Outline::Edge &a = v.a->edges[edge_a], &b = v.b->edges[edge_b];
-  const Vec3 ea = v.pose_a.R * a.direction, eb = v.pose_b.R * b.direction;
-  const Vec3 cross = ea.cross(eb);
+Line line_of(const Outline& o, const Pose& pose, int edge) {
+  const Outline::Edge& e = o.edges[edge];
+  return {pose.point(e.start), pose.R * e.direction, e.length, o.radius + e.radius};
+}
+
+bool cross_lines(const Line& a, const Line& b, const Vec3& n, double border, Crossing& c) {
+  const Vec3 cross = a.direction.cross(b.direction);
   const double in_view = n.dot(cross);
   if (std::abs(in_view) < kParallel) return false;
-  const Vec3 pa = v.pose_a.point(a.start), pb = v.pose_b.point(b.start), d = pb - pa;
-  const Vec3 d_eb = d.cross(eb), d_ea = d.cross(ea);
+  const Vec3 d = b.start - a.start, d_b = d.cross(b.direction), d_a = d.cross(a.direction);
   auto beyond = [&](double s, double t) { return std::max({-s, s - a.length, -t, t - b.length}); };
-  c.beyond_in_view = beyond(n.dot(d_eb) / in_view, n.dot(d_ea) / in_view);
-  const double square = cross.squaredNorm(), s = d_eb.dot(cross) / square, t = d_ea.dot(cross) / square;
+  c.beyond_in_view = beyond(n.dot(d_b) / in_view, n.dot(d_a) / in_view);
+  const double square = cross.squaredNorm(), s = d_b.dot(cross) / square, t = d_a.dot(cross) / square;
   c.beyond = beyond(s, t);
-  const double radius_a = v.a->radius + a.radius, radius_b = v.b->radius + b.radius;
-  c.height = d.dot(cross) / in_view - radius_a - radius_b;
+  if (c.beyond > border && c.beyond_in_view > border) return false;
+  c.height = d.dot(cross) / in_view - a.radius - b.radius;
   c.normal = (in_view > 0.0 ? 1.0 : -1.0) / std::sqrt(square) * cross;
-  c.point_a = pa + s * ea;
-  c.point_b = pb + t * eb;
-  c.gap = d.dot(c.normal) - radius_a - radius_b;
-  c.outside_cone = std::max(outside_arc(*v.a, a, v.pose_a.R.transpose() * c.normal),
-                            outside_arc(*v.b, b, -(v.pose_b.R.transpose() * c.normal)));
+  c.point_a = a.start + s * a.direction;
+  c.point_b = b.start + t * b.direction;
+  c.gap = d.dot(c.normal) - a.radius - b.radius;
   return true;
+}
+
+double outside_cone(const PairView& v, int edge_a, int edge_b, const Vec3& normal_W) {
+  return std::max(outside_arc(*v.a, v.a->edges[edge_a], v.pose_a.R.transpose() * normal_W),
+                  outside_arc(*v.b, v.b->edges[edge_b], -(v.pose_b.R.transpose() * normal_W)));
 }
 
 void list_candidates(const PairView& v, const Sides& sides, bool coming, EdgeLists& edges, CandidateSink& sink) {

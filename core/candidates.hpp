@@ -62,8 +62,15 @@ struct Sides {
   Vec3 n_W;
 };
 
+// An edge in the world, swept by the radius.
+struct Line {
+  Vec3 start, direction;  // direction: unit
+  double length, radius;
+};
+
 struct EdgeLists {
   std::vector<int> a, b;
+  std::vector<Line> lines_b;
 };
 
 // How far over the border of a face or the end of an edge a point still counts as over it [m]; at 1 mm of rounding the
@@ -95,17 +102,20 @@ inline double rim_tilt(double radius, const Vec3& axis, const Vec3& n) { return 
 Vec3 lowest_of_rim(const Vec3& center, const Vec3& axis, double radius, const Vec3& n);
 Vec3 rim_point(const Outline::Rim& rim, int k);
 
-// Two edges in the view along n, world frame.
+// Two lines in the view along n, world frame.
 struct Crossing {
   double gap;             // along the common normal of the two
   double height;          // along n
   Vec3 normal;            // unit, n.normal > 0
-  Vec3 point_a, point_b;  // nearest points of the two lines
+  Vec3 point_a, point_b;  // nearest points of the two lines, not swept
   double beyond;          // how far these lie beyond the ends of the edges, negative inside
   double beyond_in_view;  // the same of the crossing in view
-  double outside_cone;    // how far the normal lies outside of those of the edges' faces [rad], negative inside
 };
-// False where they are nearly parallel in view.
-bool cross_edges(const PairView& v, int edge_a, int edge_b, const Vec3& n_W, Crossing& c);
+Line line_of(const Outline& outline, const Pose& pose, int edge);
+// False where they are nearly parallel in view, or neither their crossing in view nor their nearest points lie within
+// `border` of both edges (then c is not complete).
+bool cross_lines(const Line& a, const Line& b, const Vec3& n_W, double border, Crossing& c);
+// How far the common normal of two edges lies outside of those of the edges' faces [rad], negative inside.
+double outside_cone(const PairView& v, int edge_a, int edge_b, const Vec3& normal_W);
 
 }  // namespace contactvi

@@ -171,9 +171,11 @@ bool Manifolds::valid(const ContactPoint& point, const Placements& at) const {
   if (point.kind == PointKind::kEdge) {
     Contact contact;
     evaluate(point, at, contact);
+    const int i = feature_i(point.feature), j = feature_j(point.feature);
+    const double border = kStay * kBorder;
     Crossing c;
-    return cross_edges(v, feature_i(point.feature), feature_j(point.feature), contact.normal, c) &&
-           c.beyond <= kStay * kBorder && c.outside_cone <= kStay * kNormalCone;
+    return cross_lines(line_of(*v.a, v.pose_a, i), line_of(*v.b, v.pose_b, j), contact.normal, border, c) &&
+           c.beyond <= border && outside_cone(v, i, j, c.normal) <= kStay * kNormalCone;
   }
   const Parts parts = parts_of(v, point.feature);
   const Outline::Face& face = parts.plane->faces[parts.face];
