@@ -52,11 +52,10 @@ def test_gradients_are_the_derivative_of_the_gap():
     rate = sum(w / eps * points.gaps(split.integrate(q, s * eps * v)) for s, w in laws._STENCIL)
     assert np.abs(found[:, 0] - rate).max() <= 1e-12  # rounding over eps
     place = sum(w / eps * points.places(split.integrate(q, s * eps * v))[0] for s, w in laws._STENCIL)
-    # the support's point of W lies on its plane, the one of `places` moves with the corner: equal along the plane
-    # up to the turning of the support over the gap
-    corner = points.touches(q)[0]
-    turn = points.rotations(q)[0] @ v[3:6]
-    along = points.rotations(q)[0] @ place + corner.gap * np.cross(turn, corner.normal)
+    # `places` speaks of the corner, W of the middle of the gap: the difference turns with both bodies
+    corner, turn = points.touches(q)[0], points.rotations(q)[0] @ v[3:6]
+    spin = pin.Quaternion(q[10:14]).matrix() @ v[9:12] - turn
+    along = points.rotations(q)[0] @ place - 0.5 * corner.gap * np.cross(spin, corner.normal)
     assert np.abs(bases[0][:, 1:].T @ along - found[0, 1:]).max() <= 1e-11
 
 
