@@ -115,9 +115,10 @@ def test_laws_of_an_impact(name, impact, e):
             assert event.gamma_plus > 0.0
         if impact == "ctec":
             assert event.gamma_plus == pytest.approx(-e * event.gamma_minus, abs=1e-12 * (1.0 + speed))
-        # the impulse is all that happens: gamma+ - gamma- = G_c lambda
+        # the impulse is all that happens: gamma+ - gamma- = G_c lambda, where it has one point
         change = event.gamma_plus - event.gamma_minus
-        assert change == pytest.approx(event.G_c * event.impulse, rel=1e-11)
+        if event.points == 1:
+            assert change == pytest.approx(event.G_c * event.impulse, rel=1e-11)
 
 
 @everywhere
