@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import coal
@@ -9,12 +10,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from contactvi.errors import SceneError, UnsupportedJointError
+from contactvi.errors import InputError, SceneError, UnsupportedJointError
 from contactvi.hulls import hull_of_points
 from contactvi.report import ImportReport
 from contactvi.scene import Scene
+from contactvi.scene_file import load_scene
 
 ROBOTS = "example-robot-data://robots/"
+HAND = ROBOTS + "allegro_hand_description/urdf/allegro_right_hand.urdf"
 MJCF = """<mujoco model="toy">
   <option timestep="0.002"/>
   <worldbody>
@@ -71,6 +74,39 @@ def test_damping_that_was_replaced_is_no_longer_suspicious():
     scene.set_joint("joint_1*", damping=1e-3)
     assert len(names(scene.report, "suspicious", "damping")) == 9
     assert len(names(scene.report, "changed", "damping set to 0.001")) == 7
+
+
+def test_limits_of_a_model(tmp_path):
+    """On by default, off for a whole model in code and in files; the report says what is simulated."""
+    on, off = Scene(), Scene()
+    on.add_urdf(HAND)
+    hand = off.add_urdf(HAND, limits=False, prefix="a/")
+    assert on._complete().arrays.limits.sum() == 16
+    assert not off._complete().arrays.limits.any()
+    off.set_joint("a/joint_0.0", limits=True)
+    assert off._complete().arrays.limits.sum() == 1
+    rows = {row.name: row.limited for row in off.report.parts[0].joints}
+    assert [name for name, limited in rows.items() if limited] == ["a/joint_0.0"]
+    assert len(hand.joints) == 16
+    text = f'[[urdf]]\npath = "{HAND}"\nlimits = false\n'
+    (tmp_path / "hand.toml").write_text(text)
+    assert not load_scene(tmp_path / "hand.toml")._complete().arrays.limits.any()
+    (tmp_path / "hand.toml").write_text(text.replace("false", "[0.0, 1.0]"))
+    with pytest.raises(InputError, match=r"\[\[urdf\]\] 1: Argument limits: expected True or False"):
+        load_scene(tmp_path / "hand.toml")
+
+
+def test_limits_upside_down_are_none(tmp_path):
+    (tmp_path / "arm.urdf").write_text(
+        '<robot name="arm"><link name="base"/><link name="rod"><inertial><mass value="1"/><inertia ixx="1" iyy="1"'
+        ' izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j" type="revolute"><parent link="base"/>'
+        '<child link="rod"/><axis xyz="0 1 0"/><limit lower="0" upper="0" effort="1" velocity="1"/></joint></robot>'
+    )
+    scene = Scene()
+    scene.add_urdf(tmp_path / "arm.urdf")
+    assert not scene._complete().arrays.limits.any()
+    assert "limits lower >= upper (0, 0): treated as no limit" in str(scene.report)
+    assert re.search(r"j +revolute +universe +0 +0 +none", str(scene.report))
 
 
 def test_talos_mimic_tags_and_hulls():
