@@ -126,15 +126,7 @@ def run(
     except SimulationError as error:
         traj = error.trajectory
     started = time.perf_counter()
-    written = [traj.save(folder / "trajectory.npz")]
-    if html:
-        written.append(traj.to_html(folder / "playback.html", fps=fps, title=scene_file.stem))
-    if plot:
-        from contactvi.plots import save_force_plot, save_plot
-
-        written.append(save_plot(traj, folder / "energy.png"))
-        if np.any(traj.contacts.h > 0.0):
-            written.append(save_force_plot(traj, folder / "forces.png"))
+    written = _write(traj, folder, scene_file.stem, fps if html else None, plot)
     _print_summary(traj, written, time.perf_counter() - started)
     if not traj.status.ok:
         raise typer.Exit(ENDED_EARLY)
@@ -323,6 +315,20 @@ def _make_folder(folder: Path) -> None:
             got=error.strerror,
             remedy="Choose another with -o",
         ) from error
+
+
+def _write(traj: Trajectory, folder: Path, title: str, fps: float | None, plot: bool) -> list[Path]:
+    """Write the files of a run, the playback where it has a frame rate; return their paths."""
+    written = [traj.save(folder / "trajectory.npz")]
+    if fps is not None:
+        written.append(traj.to_html(folder / "playback.html", fps=fps, title=title))
+    if plot:
+        from contactvi.plots import save_force_plot, save_plot
+
+        written.append(save_plot(traj, folder / "energy.png"))
+        if np.any(traj.contacts.h > 0.0):
+            written.append(save_force_plot(traj, folder / "forces.png"))
+    return written
 
 
 def _title(file: Path) -> str:
