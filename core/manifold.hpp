@@ -80,8 +80,8 @@ class Manifolds {
   // Least gap [m] over the features of the pair that may touch next while `held` touch; +infinity if there are none.
   // contact: of that feature. Features that touch merely because the held ones do (further corners of a face that is
   // held at three points, the rim of which points are held) count from kRestSlack on, so that they do not flicker about
-  // zero: contact.gap is lower than the result by that much. For the same reason the far side of a rim that comes down
-  // counts as touching at kRestSlack.
+  // zero: contact.gap is lower than the result by that much. The far side of a rim that comes down counts as down
+  // 5e-12 m early.
   double rest(int pair, const Placements& at, const ContactPoint* const* held, int count, const Contact& witness,
               Contact& contact) const;
 

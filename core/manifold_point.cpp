@@ -10,6 +10,8 @@ namespace {
 
 // From this tilt [rad] on, the far side of a rim that rolls cannot come down before the point is looked for again.
 constexpr double kNearlyFlat = 0.1;
+// The far side of a rim counts as down this much early [m]: less than what counts as touching, or it would not be found.
+constexpr double kFarSlack = 5e-12;
 // How much beyond the limits of find a point stays valid, so that what was just found is.
 constexpr double kStay = 2.0;
 
@@ -195,12 +197,12 @@ bool Manifolds::valid(const ContactPoint& point, const Placements& at) const {
 }
 
 // Gap of the point of a rim that was farthest from the plane, as long as the rim is nearly flat. It comes down to
-// zero and no further where the rim falls flat, hence less the slack: a flat rim is to be found in time.
+// zero and no further where the rim falls flat, hence less the slack.
 double Manifolds::far_of_rim(const ContactPoint& point, const Placements& at, Contact& contact) {
   const Vec3 axis = turned_W(at, point.point_body, point.axis_B);
   const Vec3 n = turned_W(at, point.plane_body, point.normal_B);
   if (axis.cross(n).norm() > kNearlyFlat) return std::numeric_limits<double>::infinity();
-  return vertex_gap(point, point.far_B, at, contact) - kRestSlack;
+  return vertex_gap(point, point.far_B, at, contact) - kFarSlack;
 }
 
 Sides Manifolds::sides_of_point(const PairView& v, const ContactPoint& point, const Placements& at) const {
