@@ -11,16 +11,19 @@
 namespace contactvi {
 
 namespace {
-constexpr double kShortest = 1e-6;  // of a contact step: halving ends there
-constexpr int kEasySteps = 4;       // short steps in a row before a longer one is tried
-constexpr double kAlpha = 1e-13;    // of a step: to what its events are located
-constexpr int kMaxProbes = 60;      // partial steps to one of them
+constexpr double kShortest = 1e-6;                         // of a contact step: halving ends there
+constexpr int kEasySteps = 4;                              // short steps in a row before a longer one is tried
+constexpr double kAlpha = 1e-13;                           // of a step: to what its events are located
+constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of the speeds: nothing to improve
+constexpr int kMostSticks = 3;  // of an interval that are located; the others cost O(h^2), as their places do
+constexpr int kMaxProbes = 60;  // partial steps to one of them
 constexpr int kMaxWithoutProgress = 200;
 constexpr double kNoForce = 1e-9;  // of the largest force: holding forces below it are rounding
 
 // Root of value in (0, high], where it falls to high_value < 0 from low_value >= 0: the Illinois method.
+// Ends where |value| <= small.
 template <class Value>
-bool first_root(double low_value, double high, double high_value, Value value, double& root) {
+bool first_root(double low_value, double high, double high_value, double small, Value value, double& root) {
   double a = 0.0, b = high, fa = low_value, fb = high_value;
   root = high;
   int side = 0;
@@ -38,7 +41,7 @@ bool first_root(double low_value, double high, double high_value, Value value, d
     } else {
       a = x;
       fa = fx;
-      if (fx == 0.0) return true;
+      if (fx <= small) return true;
       if (side > 0) fb *= 0.5;
       side = 1;
     }
@@ -85,7 +88,9 @@ bool Simulator::find_release(const VecX& tau, double& alpha, bool& at_start) {
     } else {
       high_value = at_end[i];
     }
-    if (!first_root(before[i], first, high_value, [&](double x, double& f) { return release_value(tau, x, f); }, root))
+    if (!first_root(
+            before[i], first, high_value, kSmallForce * largest,
+            [&](double x, double& f) { return release_value(tau, x, f); }, root))
       return false;
     first = root;
     leaving = static_cast<int>(i);
@@ -106,6 +111,8 @@ bool Simulator::stick_value(const VecX& tau, double alpha, double& value) {
 // The held step just solved ends at alpha; where the first slip comes to rest before, alpha becomes when.
 bool Simulator::find_stick(const VecX& tau, double& alpha) {
   sticking_ = -1;
+  if (sticks_located_ >= kMostSticks) return true;
+  const double small = kSmallSlip * (1.0 + held_.end_velocity().cwiseAbs().maxCoeff());
   for (std::size_t i = 0; i < held_.contacts().size(); ++i) {
     const HeldContact& held = held_.contacts()[i];
     const HeldOutcome& out = held_.outcomes()[i];
@@ -115,11 +122,14 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
     if (!stick_value(tau, alpha, high_value)) return false;
     if (high_value >= 0.0) continue;
     // The slip at the start of the step is not kept; any positive number brackets.
-    if (!first_root(-high_value, alpha, high_value, [&](double x, double& f) { return stick_value(tau, x, f); }, root))
+    if (!first_root(
+            -high_value, alpha, high_value, small, [&](double x, double& f) { return stick_value(tau, x, f); }, root))
       return false;
     alpha = root;
+    ++sticks_located_;
+    break;  // what else comes to rest does so in the next piece
   }
-  return held_.solve_part(held_path_, alpha, q_, p_, tau);
+  return sticking_ < 0 || held_.solve_part(held_path_, alpha, q_, p_, tau);
 }
 
 bool Simulator::held_step_failed(double h, double time) {

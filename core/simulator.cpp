@@ -176,6 +176,7 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
   const long halved = halved_;
   long pieces = 0;
   sequence_.impacts_in_step = 0;
+  sticks_located_ = 0;
   set_reference();
   while (piece.remaining > 0.0) {
     if (++pieces % 64 == 0 && !report(start + piece.done)) return false;

@@ -152,7 +152,7 @@ class Simulator {
   int releasing_ = -1, sticking_ = -1;  // contacts sought by the root searches
   VecX forces_;
   double held_trial_ = 0, held_seconds_ = 0;
-  int held_easy_ = 0, without_progress_ = 0;
+  int held_easy_ = 0, without_progress_ = 0, sticks_located_ = 0;
   Status status_;
   VecX q_node_, p_node_;   // start of the step, for MHC's local reference
   long target_step_ = -1;  // step that MHC's local reference belongs to
