@@ -87,6 +87,32 @@ def test_step_by_step_is_the_run(name):
     same(whole, sim.trajectory())
 
 
+@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize("h", [0.01, 0.005])
+def test_falling_body_is_not_disturbed_by_a_resting_one(h, apart):
+    """One ball lies, one falls beside it or onto it: the hit comes when the closed form says, free flight is exact."""
+    scene, q, v = two_balls(0.05, apart)
+    traj = cvi.simulate(scene, q, v, 0.3, h)
+    hit = math.sqrt(0.1 / GRAVITY)
+    assert traj.events[0].time == pytest.approx(hit, abs=1e-11)
+    falls = traj.t < hit
+    exact = q[9] - 0.5 * GRAVITY * traj.t[falls] ** 2
+    assert traj.q[falls, 9] == pytest.approx(exact, abs=1e-12)
+    check_contacts(traj)
+    check_sums(traj, [1.0, 1.0], ["low", "high"])
+
+
+def two_balls(gap: float, apart: bool):
+    """A ball on the floor and one at rest `gap` over it, or over the floor beside it."""
+    scene = cvi.Scene(gravity=(0.0, 0.0, -GRAVITY))
+    scene.add_halfspace(name="ground")
+    for name in ("low", "high"):
+        scene.add_sphere(name, radius=0.05)
+    scene.set_contact(restitution=0.0, friction=0.0)
+    high = [1.0, 0.0, 0.05 + gap] if apart else [0.0, 0.0, 0.15 + gap]
+    return scene, np.concatenate([held_runs.pose([0.0, 0.0, 0.05]), held_runs.pose(high)]), np.zeros(12)
+
+
 # --- the step is the oracle's -----------------------------------------------------------------------------------------
 def oracle_points(name):
     """The points of one free body (split joint 2) as the oracle knows them."""
