@@ -186,6 +186,25 @@ def cradle(runs: Runs) -> list[Check]:
     ]  # fmt: skip
 
 
+def beside(runs: Runs) -> list[Check]:
+    """A ball bounces (e = 1, from 1 m) while another rests 1 m beside it: the closed form of N01 with e = 1."""
+    checks, first = [], math.sqrt(2.0 / models.GRAVITY)
+    for h in (0.02, 0.01, 0.005, 0.001):
+        scene = models.ball(1.0)
+        scene.add_sphere("resting", radius=0.1, placement=(1.0, 0.0, 0.1))
+        q = scene.neutral()
+        q[2] = 1.1
+        traj = runs.simulate(scene, q, np.zeros(12), 5.0, h)
+        times = traj.events.array("time")[traj.events.array("gamma_minus") < -1.0]
+        count = int((5.0 / first + 1.0) / 2.0)
+        checks += [
+            near(f"times of impacts [s], h = {h:g}", first * (1.0 + 2.0 * np.arange(count)), times, 1e-10,
+                 "a free flight is exact; located to 1e-12 m"),
+            at_most(f"the other moved [m], h = {h:g}", 1e-12, float(np.abs(traj.q[:, 7:] - q[7:]).max()), "no creep"),
+        ]  # fmt: skip
+    return checks
+
+
 def stack(runs: Runs) -> list[Check]:
     """Five cubes of 1 kg on each other for 10 s: nothing moves, every one carries the weight above it."""
     scene = models.stack(5, 0.25)
@@ -210,6 +229,7 @@ CASES = (
     Case("plastic", "plastic impacts on two contacts: Carnot's loss", carnot),
     Case("supports", "a ball falls on one that lies on the ground", supports),
     Case("cradle", "Newton's cradle", cradle),
+    Case("beside", "a ball bounces while another one rests", beside),
     Case("stack", "five boxes on each other for 10 s", stack),
     Case("N22", "slider-crank with clearance", None, "it is a closed loop; models are trees so far"),
 )
