@@ -13,6 +13,7 @@ constexpr double kShortFlight = 1e-3;  // of the longest flight: what a step cou
 constexpr int kZenoFlights = 4;        // flights in a row, each shorter than the one before
 constexpr int kShortHits = 8;          // flights in a row below kZenoFlight of a step, shrinking or not
 constexpr double kStays = 1e-11;       // of the speeds: a closed contact slower than this is held
+constexpr double kHardly = 1e5;        // of that: a contact that was held leaves so slowly that the step may decide it
 constexpr double kLeaves = 1e-10;      // of the speeds: a held one faster than this has left
 constexpr double kApart = 1e-12;       // [m] a gap beyond which a contact without load has left
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
@@ -74,7 +75,8 @@ void Simulator::hold_closed(int forced, double time, Recording& recording) {
     ClosedGuard& c = sequence_.closed(i);
     bool all = true;
     for (int k = 0; k < c.count; ++k) {
-      if (std::abs(c.gamma_n(k, p_)) > slow && c.guard != forced) {
+      const double gamma = c.gamma_n(k, p_);
+      if (std::abs(gamma) > slow && c.guard != forced && !(c.held && gamma > 0.0 && gamma < kHardly * slow)) {
         all = false;
         continue;
       }

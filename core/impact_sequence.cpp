@@ -135,6 +135,9 @@ bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic
 bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, VecX& p, Recording& recording) {
   code_ = StatusCode::kSuccess;
   impacts_here_ = 0;
+  speeds_ = 0.0;
+  for (int i = 0; i < count_; ++i)
+    speeds_ = std::max(speeds_, (closed_[i].MinvW.leftCols(closed_[i].rows).transpose() * p).cwiseAbs().maxCoeff());
   const double scale = largest_speed(p);
   bool elastic = false;  // without losses a long sequence is no endless one
   for (int i = 0; i < count_; ++i) elastic |= closed_[i].e == 1.0;
@@ -266,10 +269,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
                                  bool& any, Recording& recording) {
   std::vector<BlockMember> members;
   any = false;
-  double speeds = 0.0;  // tangential ones too: they share the problem's rounding
-  for (int i = 0; i < count_; ++i)
-    speeds = std::max(speeds, (closed_[i].MinvW.leftCols(closed_[i].rows).transpose() * p).cwiseAbs().maxCoeff());
-  const double closing = std::max(kSeparated * scale, impacts_here_ > 0 ? kSolved * speeds : 0.0);
+  const double closing = std::max(kSeparated * scale, impacts_here_ > 0 ? kSolved * speeds_ : 0.0);
   for (int i = 0; i < count_; ++i) {
     ClosedGuard& c = closed_[i];
     if (!all && c.e > 0.0 && !plastic[c.guard]) continue;
