@@ -172,4 +172,11 @@ double Manifolds::rest(int pair, const Placements& at, const ContactPoint* const
   return value;
 }
 
+bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) const {
+  const Shapes& s = shapes_[pair];
+  if (s.single || !(outlines_[s.a].is_unbounded() || outlines_[s.b].is_unbounded())) return false;
+  rest(pair, at, nullptr, 0, Contact{}, contact);
+  return true;
+}
+
 }  // namespace contactvi

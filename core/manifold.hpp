@@ -71,6 +71,10 @@ class Manifolds {
   // The point of a known feature (not one where a rim crosses a side), whether it touches or not.
   ContactPoint point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const;
 
+  // The nearest feature of a pair with a halfspace, without coal; false for other pairs and for ellipsoids. Coal makes
+  // cylinders 1e-10 of their size larger where they stand or lie exactly along the normal.
+  bool nearest(int pair, const Placements& at, Contact& contact) const;
+
   // Gap, normal, points and bodies, world frame. Not for kWitness and kLimit.
   void evaluate(const ContactPoint& point, const Placements& at, Contact& contact) const;
 

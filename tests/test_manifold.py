@@ -67,6 +67,7 @@ def test_halfspace_gaps_are_the_oracles_and_coals(kind, swapped):
         assert np.min(found["gap"]) == pytest.approx(np.min(gaps), abs=1e-12)
         assert np.min(found["gap"]) == pytest.approx(two.gap(a, b), abs=1e-12)
         assert two.rest(a, b, []) == pytest.approx(np.min(gaps), abs=1e-12)
+        assert two.nearest(a, b) == pytest.approx(two.rest(a, b, []), abs=1e-14)
         # Each point is one of the vertices, its contact points lie on its normal.
         for gap in found["gap"]:
             assert np.min(np.abs(gap - np.asarray(gaps))) < 1e-12

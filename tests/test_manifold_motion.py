@@ -36,6 +36,7 @@ def test_cylinder_lying_upright_and_tilted():
     assert not any(lying["material"])
     assert two.rest(IDENTITY, pose(z=R, R=turn([1, 0, 0], np.pi / 2)), lying["feature"]) == np.inf
     np.testing.assert_allclose(np.sort(lying["x"][:, 1]), [-half, half], atol=1e-15)
+    assert two.nearest(IDENTITY, pose(z=half)) == 0.0  # coal: -2.5e-11
     for tilt in (0.0, 1e-15, 1e-10):
         body = pose(z=half, R=turn([1, 0.2, 0], tilt))
         upright = two.points(IDENTITY, body)

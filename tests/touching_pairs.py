@@ -76,6 +76,9 @@ class Two:
     def rest(self, a: pin.SE3, b: pin.SE3, features: list[int], most: int = 4) -> float:
         return _core.rest_gap(self.core, self.q(a, b), 0, features, most)[0]
 
+    def nearest(self, a: pin.SE3, b: pin.SE3) -> float:
+        return _core.nearest_gap(self.core, self.q(a, b), 0)
+
     def gap(self, a: pin.SE3, b: pin.SE3) -> float:
         return self.core.gaps(self.q(a, b))[0][0]
 

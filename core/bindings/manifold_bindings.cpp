@@ -2,7 +2,7 @@
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/vector.h>
 
-#include <cmath>
+#include <limits>
 
 #include "arrays.hpp"
 #include "error.hpp"
@@ -99,6 +99,13 @@ nb::tuple rest_gap(const Scene& s, const VecX& q, int pair, const std::vector<st
   return nb::make_tuple(gap, c.gap, Vec3(c.normal), Vec3(0.5 * (c.point_a + c.point_b)));
 }
 
+// NaN for pairs without a halfspace.
+double nearest_gap(const Scene& s, const VecX& q, int pair) {
+  const Touch touch(s, q, pair, 4);
+  Contact c{};
+  return touch.manifolds.nearest(pair, touch.at, c) ? c.gap : std::numeric_limits<double>::quiet_NaN();
+}
+
 }  // namespace
 
 void expose_manifold(nb::module_& m) {
@@ -107,6 +114,8 @@ void expose_manifold(nb::module_& m) {
         "point_a, point_b, normal (n, 3), world frame.");
   m.def("contact_points_of", &points_of_features, "scene"_a, "q"_a, "pair"_a, "features"_a,
         "The same for known features, wherever they are at q.");
+  m.def("nearest_gap", &nearest_gap, "scene"_a, "q"_a, "pair"_a,
+        "Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.");
   m.def("rest_gap", &rest_gap, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,
         "(least gap over all features but these, slack included; that feature's gap, normal and point).");
 }
