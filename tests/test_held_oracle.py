@@ -52,10 +52,9 @@ def test_gradients_are_the_derivative_of_the_gap():
     rate = sum(w / eps * points.gaps(split.integrate(q, s * eps * v)) for s, w in laws._STENCIL)
     assert np.abs(found[:, 0] - rate).max() <= 1e-12  # rounding over eps
     place = sum(w / eps * points.places(split.integrate(q, s * eps * v))[0] for s, w in laws._STENCIL)
-    # `places` speaks of the corner, W of the middle of the gap: the difference turns with both bodies
+    # `places` speaks of the corner over a support that turns on; W's point of the support lies on its plane
     corner, turn = points.touches(q)[0], points.rotations(q)[0] @ v[3:6]
-    spin = pin.Quaternion(q[10:14]).matrix() @ v[9:12] - turn
-    along = points.rotations(q)[0] @ place - 0.5 * corner.gap * np.cross(spin, corner.normal)
+    along = points.rotations(q)[0] @ place + corner.gap * np.cross(turn, corner.normal)
     assert np.abs(bases[0][:, 1:].T @ along - found[0, 1:]).max() <= 1e-11
 
 

@@ -2,8 +2,7 @@
 
 `body` touches `support`; the normal n points from the support to the body, W = (W_n; W_t) gives the velocity of the
 body's point relative to the support's, rows (n, t1, t2). Joints are those of the split model (oracles.split), 0 is the
-world; velocities are split ones. Where there is a gap, both points are taken in its middle: the normal row does not
-know the difference, and slip at the middle of a step, where the gap is O(h^2), changes by as much.
+world; velocities are split ones. Where there is a gap, each body has its own point (design.md, section 5).
 """
 
 from __future__ import annotations
@@ -140,8 +139,7 @@ class Points:
             if isinstance(p, Limit):
                 w[i, 0, self.split.joints[p.joint - 1].v] = p.side
                 continue
-            x = 0.5 * (t.on_support + t.on_body)
-            for joint, sign in ((p.support, -1.0), (p.body, 1.0)):
+            for joint, x, sign in ((p.support, t.on_support, -1.0), (p.body, t.on_body, 1.0)):
                 if joint > 0:
                     j = pin.getJointJacobian(model, data, joint, pin.WORLD)
                     w[i] += sign * bases[i].T @ (j[:3] - np.cross(x, j[3:], axisb=0, axisc=0))
