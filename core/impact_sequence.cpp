@@ -281,7 +281,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
   if (!block.ok) return fail(StatusCode::kNotFinite, "a plastic impact was not solved", members[0].closed->guard);
   target -= block.loss;
   int row = 0;
-  const VecX start = p;
+  bool acted = false;
   for (const BlockMember& member : members) {
     ClosedGuard& c = *member.closed;
     const VecX lambda = block.lambda.segment(row, c.rows);
@@ -293,6 +293,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
     }
     row += c.rows;
     if (lambda.isZero(0)) continue;
+    acted = true;
     const VecX p_minus = p;
     p += c.W.leftCols(c.rows) * lambda;
     ImpactResult result;
@@ -304,6 +305,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
     record(c, lambda, p_minus, p, result, 0.0, loss, least, after, at, recording);
   }
   if (!p.allFinite()) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", members[0].closed->guard);
+  any = acted;  // what closes slower than the problem can be solved is at rest
   return true;
 }
 
