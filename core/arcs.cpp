@@ -50,6 +50,8 @@ void Simulator::go_back(const ArcStart& arc, Recording& recording) {
   sequence_.impacts = arc.impacts;
   held_.contacts() = arc.held;
   held_.changed();
+  left_.clear();
+  flight_trial_ = 0.0;
   step_ = arc.step;
   target_step_ = arc.target_step;
   for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, arc.touching[g] != 0);
@@ -122,6 +124,8 @@ Status Simulator::run_auto(double duration, double level, const Progress& progre
   status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
   const double end = time_ + duration;
   if (recording.t.empty()) record_node(time_, recording);
+  recording.changes.insert(recording.changes.end(), begun_.begin(), begun_.end());
+  begun_.clear();
   reported_ = std::chrono::steady_clock::now();
   progress_ = &progress;
   level_ = level;

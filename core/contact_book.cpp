@@ -9,7 +9,7 @@ namespace contactvi {
 
 namespace {
 constexpr double kZenoFlight = 0.05;   // of a step: e times the last flight below it ends the bouncing
-constexpr double kShortFlight = 1e-3;  // of the longest flight: what a step counts for there at most
+constexpr double kShortFlight = 6e-4;  // of the longest flight: what a step counts for there at most
 constexpr int kZenoFlights = 4;        // flights in a row, each shorter than the one before
 constexpr int kShortHits = 8;          // flights in a row below kZenoFlight of a step, shrinking or not
 constexpr double kStays = 1e-11;       // of the speeds: a closed contact slower than this is held
@@ -76,6 +76,15 @@ void Simulator::hold_closed(int forced, double time, Recording& recording) {
     bool all = true;
     for (int k = 0; k < c.count; ++k) {
       const double gamma = c.gamma_n(k, p_);
+      const std::pair<int, std::int64_t> key(c.guard, c.points[k].feature);
+      const auto left = std::find(left_.begin(), left_.end(), key);
+      if (left != left_.end()) {
+        if (!c.hit && c.guard != forced) {
+          all = false;  // it has just left and has not closed again
+          continue;
+        }
+        left_.erase(left);
+      }
       if (std::abs(gamma) > slow && c.guard != forced && !(c.held && gamma > 0.0 && gamma < kHardly * slow)) {
         all = false;
         continue;
@@ -119,8 +128,9 @@ void Simulator::hold_at_start() {
   for (int g = 0; g < guards_.count(); ++g)
     if (finder_.touching(g)) touching.push_back(g);
   if (touching.empty() || !sequence_.collect(q_, p_, touching, -1, {})) return;
-  Recording nothing;
-  hold_closed(-1, time_, nothing);
+  Recording begun;
+  hold_closed(-1, time_, begun);
+  begun_ = begun.changes;
 }
 
 // After a held step: contacts without load that have separated are dropped, changes noted.
@@ -139,6 +149,7 @@ void Simulator::drop_leaving(double time, Recording& recording) {
     note(time, point, Change::kRelease, 0.0, recording);
     contacts.erase(contacts.begin() + i);
     finder_.set_touching(point.guard, true);
+    left_.emplace_back(point.guard, point.feature);
     if (i == releasing_) finder_.exempt(point.guard);
     dropped = true;
   }
@@ -169,6 +180,18 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
     const double gap = guards_.evaluate_witness(g, witness), margin = std::max(guards_.touch_tolerance(g), gap);
     points_.clear();
     guards_.manifolds().find(g, guards_.placements(), witness, margin + 1e-12, points_);
+    for (std::size_t k = left_.size(); k-- > 0;) {
+      if (left_[k].first != g) continue;
+      bool near = false;
+      for (const ContactPoint& p : points_) near |= p.feature == left_[k].second;
+      if (!near) left_.erase(left_.begin() + static_cast<std::ptrdiff_t>(k));
+    }
+    points_.erase(std::remove_if(points_.begin(), points_.end(),
+                                 [&](const ContactPoint& p) {
+                                   const std::pair<int, std::int64_t> key(g, p.feature);
+                                   return std::find(left_.begin(), left_.end(), key) != left_.end();
+                                 }),
+                  points_.end());
     bool same = true;
     int held_count = 0;
     for (const HeldContact& held : held_.contacts()) {
@@ -214,7 +237,14 @@ void Simulator::record_held(double time, double h, Recording& recording) {
     if (held.mu > 0.0 && held.force[0] > 0.0 &&
         ((out.slipped && out.paradox <= 0.0) || sudden > force_share * held.force[0]))
       note(time, held.point, Change::kInconsistent, out.paradox, recording);
-    if (!options_.record_contacts || !scene_->is_pair(held.point.guard)) continue;
+    if (!options_.record_contacts) continue;
+    if (!scene_->is_pair(held.point.guard)) {
+      // A joint limit has no place: its impulse is the first number.
+      const Vec3 zero = Vec3::Zero();
+      recording.contacts.push(time, h, held.point.guard, 0, 2, step_, zero, zero, out.start, out.end, out.contact.gap,
+                              zero);
+      continue;
+    }
     const Vec3 middle = 0.5 * (out.contact.point_a + out.contact.point_b);
     const int mode = held.mu == 0.0 ? 2 : out.slips || out.slipped ? 1 : 0;
     recording.contacts.push(time, h, held.point.guard, held.point.feature, mode, step_, middle, out.contact.normal,
@@ -241,14 +271,26 @@ void Simulator::find_accumulating(double time) {
   }
 }
 
+// Of the contacts just hit, the last flight [s]; 0 if none has flown.
+double Simulator::shortest_flight() const {
+  double shortest = 0.0;
+  for (int g : hit_) {
+    const double flight = bouncing_[g].last_flight;
+    if (flight > 0.0 && (shortest == 0.0 || flight < shortest)) shortest = flight;
+  }
+  return shortest;
+}
+
 // first: the event's guard; stays: it was closed before. False: the run ends there (DTEC, or as asked).
 bool Simulator::judge_accumulation(int first, bool stays, double time, Recording& recording) {
   const double step = std::min({arc_h_, contact_step(), options_.dt});
   bool any = false;
+  hit_.clear();
   for (int i = 0; i < sequence_.count(); ++i) {
     const ClosedGuard& c = sequence_.closed(i);
     if (!c.hit) continue;
     any = true;
+    hit_.push_back(c.guard);
     Bouncing& b = bouncing_[c.guard];
     const double flight = time - b.last_time;
     if (b.hits > 0 && flight > 0.0) {

@@ -119,6 +119,8 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   place_bodies();
+  // Coal makes cylinders larger by 1e-10 of their size where they stand or lie along the normal.
+  if (a.unbounded != b.unbounded && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
   Mat3 R_a, R_b;
   Vec3 p_a, p_b;
   geometry_pose(a, placements_, R_a, p_a);

@@ -159,14 +159,15 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
     alpha = finder_.event().alpha;
     if (alpha <= 0.0) return true;
     if (!held_.solve_part(held_path_, alpha, q_, p_, piece.tau)) return false;
-  } else if (!held_path_.raised() && (held_.h() != h)) {
-    return false;
+  } else if (held_.h() != h && !held_.solve_part(held_path_, 1.0, q_, p_, piece.tau)) {
+    return false;  // the search has looked at parts of the step
   }
   const double limit = alpha;
   bool at_start = false;
   if (!find_release(piece.tau, alpha, at_start)) return false;
   if (at_start) {
     const HeldContact gone = held_.contacts()[releasing_];
+    left_.emplace_back(gone.point.guard, gone.point.feature);
     held_.contacts().erase(held_.contacts().begin() + releasing_);
     sync_held();
     finder_.set_touching(gone.point.guard, true);

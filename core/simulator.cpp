@@ -13,6 +13,8 @@ constexpr double kSeparated = 1e-13;  // of the event's speeds: closing slower t
 constexpr double kShortest = 1e-6;    // of a step: halving ends there,
 constexpr int kMostHalvings = 4000;   // and after so many in one step
 constexpr int kEasySteps = 4;         // short steps in a row before a longer one is tried
+constexpr double kFlights = 20.0;     // a free step after a flight shorter than dt by so much again is so many flights,
+constexpr double kGrowth = 8.0;       // and grows by this while nothing happens
 constexpr int kCtec = 0, kDtec = 1, kMhc = 2;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
@@ -59,6 +61,9 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   held_trial_ = contact_step();
   held_seconds_ = 0.0;
   held_.contacts().clear();
+  left_.clear();
+  begun_.clear();
+  flight_trial_ = 0.0;
   held_.counters = HeldCounters();
   sync_held();
   arc_h_ = options_.dt;
@@ -120,6 +125,8 @@ Status Simulator::advance(long steps, const MatX& tau, long record_every, const 
   status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
   VecX force;
   if (recording.t.empty()) record_node(time_, recording);
+  recording.changes.insert(recording.changes.end(), begun_.begin(), begun_.end());
+  begun_.clear();
   reported_ = std::chrono::steady_clock::now();
   progress_ = &progress;
   for (long k = 0; k < steps; ++k) {
@@ -190,8 +197,9 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
 bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   const double at = piece.start + piece.done;
   if (!recording.phase_t.empty()) note_phase(at, level_ > 0.0 ? arc_h_ : options_.dt, false, recording);
-  const bool shorter = trial_ < piece.remaining * (1.0 - 1e-9);
-  const double h = shorter ? trial_ : piece.remaining;
+  const double longest = flight_trial_ > 0.0 ? std::min(trial_, flight_trial_) : trial_;
+  const bool shorter = longest < piece.remaining * (1.0 - 1e-9);
+  const double h = shorter ? longest : piece.remaining;
   const bool last_try = level_ > 0.0 || h < kShortest * options_.dt || halved_ - halved >= kMostHalvings;
   if (!smooth_step(at, h, piece.tau, last_try)) {
     if (last_try) return false;
@@ -209,11 +217,12 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
     halve(h);
     return true;
   }
-  if (shorter && ++easy_ >= kEasySteps) {
+  if (shorter && longest == trial_ && ++easy_ >= kEasySteps) {
     trial_ *= 2.0;
     easy_ = 0;
   }
   if (found == Search::kNone) {
+    flight_trial_ = kGrowth * flight_trial_ < options_.dt ? kGrowth * flight_trial_ : 0.0;
     without_progress_ = 0;
     record_segment(at, h, p1_, recording);
     q_.swap(q1_);
@@ -235,6 +244,10 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   p_ = event.p;
   if (!resolve_event(event.guard, event.persistent, {at, before, piece.remaining, piece.tau, step_}, recording))
     return false;
+  // A path over the whole step would be too coarse to see the next flight.
+  const double flight = shortest_flight();
+  flight_trial_ =
+      options_.impact == kCtec && flight > 0.0 && kFlights * kFlights * flight < options_.dt ? kFlights * flight : 0.0;
   // An implicit map has chosen its impulse for the rest of the step in one piece.
   if (options_.impact != kCtec) trial_ = std::max(trial_, piece.remaining);
   return true;

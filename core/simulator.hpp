@@ -97,6 +97,7 @@ class Simulator {
   bool resolve_event(int first, bool persistent, const Instant& at, Recording& recording);
   double energy_target(double before);
   void find_accumulating(double time);
+  double shortest_flight() const;
   bool judge_accumulation(int first, bool stays, double time, Recording& recording);
   bool holds() const { return options_.impact != 1 && !options_.end_at_zeno; }
   void reanchor();
@@ -148,6 +149,10 @@ class Simulator {
   std::vector<char> plastic_;     // guards whose impacts of this event count as plastic
   std::vector<int> held_guards_;  // that guards_ knows to be held
   std::vector<HeldContact> kept_;
+  std::vector<int> hit_;                            // guards of the last event
+  std::vector<std::pair<int, std::int64_t>> left_;  // guard and feature of points that have left and are still closed
+  std::vector<ChangeRecord> begun_;                 // by reset, not recorded yet
+  double flight_trial_ = 0;                         // longest free step after a short flight; 0: any
   std::vector<ContactPoint> points_;
   int releasing_ = -1, sticking_ = -1;  // contacts sought by the root searches
   VecX forces_;
