@@ -138,6 +138,11 @@ def contact_points(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape
 def contact_points_of(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int]) -> dict:
     """The same for known features, wherever they are at q."""
 
+def nearest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int) -> float:
+    """
+    Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.
+    """
+
 def rest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int], max_points: int = 4) -> tuple:
     """
     (least gap over all features but these, slack included; that feature's gap, normal and point).

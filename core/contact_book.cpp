@@ -15,6 +15,7 @@ constexpr int kShortHits = 8;          // flights in a row below kZenoFlight of 
 constexpr double kStays = 1e-11;       // of the speeds: a closed contact slower than this is held
 constexpr double kHardly = 1e5;        // of that: a contact that was held leaves so slowly that the step may decide it
 constexpr double kLeaves = 1e-10;      // of the speeds: a held one faster than this has left
+constexpr double kUnloaded = 1e-9;     // of the forces: less is none
 constexpr double kApart = 1e-12;       // [m] a gap beyond which a contact without load has left
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
@@ -64,7 +65,7 @@ HeldContact Simulator::make_held(const ContactPoint& point, const Contact& conta
 }
 
 // After an event: what is closed and neither closes nor separates is held from now on, and the guard `forced`.
-void Simulator::hold_closed(int forced, double time, Recording& recording) {
+void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording& recording) {
   guards_.place(q_);
   integrator_.node_velocity(q_, p_, v_);
   const double slow = kStays * (1.0 + v_.cwiseAbs().maxCoeff());
@@ -107,12 +108,16 @@ void Simulator::hold_closed(int forced, double time, Recording& recording) {
           held.anchor = before->anchor;
         }
       } else {
-        note(time, held.point, Change::kBegin, 0.0, recording);
+        held.force[1] = -1.0;  // new
       }
       now.push_back(held);
     }
     if (all && c.count > 0) finder_.set_touching(c.guard, false);
   }
+  leave_unloaded(forced, tau);
+  for (const HeldContact& held : now)
+    if (held.force[1] < 0.0) note(time, held.point, Change::kBegin, 0.0, recording);
+  for (HeldContact& held : now) held.force.setZero();
   for (const HeldContact& old : kept_) {
     bool stays = false;
     for (const HeldContact& held : now)
@@ -122,6 +127,22 @@ void Simulator::hold_closed(int forced, double time, Recording& recording) {
   sync_held();
 }
 
+// New contacts that no force presses together, or that separate at once, stay touching guards: steps stay smooth ones.
+void Simulator::leave_unloaded(int forced, const VecX& tau) {
+  std::vector<HeldContact>& now = held_.contacts();
+  bool any = false;
+  for (const HeldContact& held : now) any |= held.force[1] < 0.0 && held.point.guard != forced;
+  if (!any) return;
+  sync_held();
+  if (!held_.holding_forces_at(q_, p_, tau, forces_)) return;
+  const double scale = held_.force_scale();
+  for (int i = static_cast<int>(now.size()) - 1; i >= 0; --i) {
+    if (now[i].force[1] >= 0.0 || now[i].point.guard == forced || forces_[i] > kUnloaded * scale) continue;
+    finder_.set_touching(now[i].point.guard, true);
+    now.erase(now.begin() + i);
+  }
+}
+
 // What touches at the start of a run and does not move apart is held.
 void Simulator::hold_at_start() {
   std::vector<int> touching;
@@ -129,7 +150,7 @@ void Simulator::hold_at_start() {
     if (finder_.touching(g)) touching.push_back(g);
   if (touching.empty() || !sequence_.collect(q_, p_, touching, -1, {})) return;
   Recording begun;
-  hold_closed(-1, time_, begun);
+  hold_closed(-1, time_, VecX(), begun);
   begun_ = begun.changes;
 }
 
@@ -220,7 +241,7 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
     if (!sequence_.run(now, plastic_, p_, recording))
       return end(sequence_.code(), now.time, sequence_.message(), sequence_.guard());
   }
-  hold_closed(-1, now.time, recording);
+  hold_closed(-1, now.time, piece.tau, recording);
   return true;
 }
 
@@ -233,9 +254,10 @@ void Simulator::record_held(double time, double h, Recording& recording) {
     const double now = time + h;
     if (held.mu > 0.0 && held.sticks != !out.slips)
       note(now, held.point, out.slips ? Change::kSlip : Change::kStick, 0.0, recording);
+    // An impulse that does not go to zero with the step is the impact without collision of the paradox.
     const double sudden = (out.start[0] + out.end[0]) / h;
-    if (held.mu > 0.0 && held.force[0] > 0.0 &&
-        ((out.slipped && out.paradox <= 0.0) || sudden > force_share * held.force[0]))
+    const bool jumps = held.force[0] > 0.0 && !held.sticks && out.paradox < 1.0 && sudden > force_share * held.force[0];
+    if (held.mu > 0.0 && (out.paradox <= 0.0 || jumps))
       note(time, held.point, Change::kInconsistent, out.paradox, recording);
     if (!options_.record_contacts) continue;
     if (!scene_->is_pair(held.point.guard)) {

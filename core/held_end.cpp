@@ -38,7 +38,7 @@ bool HeldStep::end_kick() {
         guards_->is_noisy(contacts_[i].point.guard) ? guards_->root_tolerance(contacts_[i].point.guard) : kClosed;
     out.active = lambda_[r] > 0.0 || node1_.at[i].gap <= noise;
     out.slipped = false;
-    out.reversed = out.paradox = 0.0;
+    out.reversed = 0.0;
     if (out.active) active_.push_back(static_cast<int>(i));
     if (contacts_[i].mu == 0.0) continue;
     const Eigen::Vector2d s = y_.segment<2>(r + 1) + G_.block(r + 1, 0, 2, rows_) * change_;
@@ -87,7 +87,17 @@ bool HeldStep::solve_end(VecX& lambda) {
   lambda.setZero();
   if (rows == 0) return true;
   for (int attempt = 0; attempt < 3; ++attempt) {
-    if (!solve_cone({end_cones_, G, b_sub_, kSlipping * 1e-3 * speed}, x_, true)) return false;
+    if (!solve_cone({end_cones_, G, b_sub_, kSlipping * 1e-3 * speed}, x_, true)) {
+      // In Painleve's paradox no force holds a contact that goes on slipping.
+      bool frozen = false;
+      for (ConeContact& cone : end_cones_) {
+        frozen |= cone.frozen;
+        cone.frozen = false;
+      }
+      if (!frozen) return false;
+      x_.setZero();
+      continue;
+    }
     bool turned = false;
     for (std::size_t a = 0; a < active_.size(); ++a) {
       ConeContact& cone = end_cones_[a];
@@ -125,9 +135,7 @@ void HeldStep::describe() {
       out.end.tail<2>() = lambda_end_.segment<2>(r + 1);
       out.slip_W = w_end_[r + 1] * out.t1 + w_end_[r + 2] * out.t2;
       out.slips = out.slip_W.norm() > kSlipping * speed;
-      if (out.slipped) {
-        out.paradox = G_(r, r) - held.mu * (G_.block<1, 2>(r, r + 1) * cones_[i].d)(0);
-      }
+      out.paradox = paradox_[i];
     }
     const Vec3 s1 = node0_.t1[i], s2 = c0.normal.cross(s1);
     out.start_W = out.start[0] * c0.normal + out.start[1] * s1 + out.start[2] * s2;

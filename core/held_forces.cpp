@@ -58,6 +58,9 @@ bool HeldStep::force_problem(VecX& value) {
   change_ = h_ > 0.0 ? VecX((2.0 / h_) * lambda_end_) : VecX(VecX::Zero(rows_));
   if (!solve_cone({force_cones_, G_end_, b_, 1e-9 * b_.cwiseAbs().maxCoeff()}, change_, true)) return false;
   b_.noalias() += G_end_ * change_;
+  double stiffest = 0.0;
+  for (std::size_t i = 0; i < contacts_.size(); ++i) stiffest = std::max(stiffest, G_end_(row_[i], row_[i]));
+  force_scale_ = stiffest > 0.0 ? std::max(scene_->tree.gravity.norm() / stiffest, change_.cwiseAbs().maxCoeff()) : 0.0;
   value.resize(static_cast<Eigen::Index>(contacts_.size()));
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const int r = row_[i];

@@ -40,6 +40,7 @@ void HeldStep::set_rows() {
   cones_.resize(n);
   outcomes_.resize(n);
   y_ref_.resize(n);
+  paradox_.resize(n);
   rows_ = 0;
   redundant_ = noisy_ = false;
   for (std::size_t i = 0; i < n; ++i) {
@@ -178,6 +179,7 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     measure(h);
     if (!y_.allFinite()) break;
     if (!settled) G_.noalias() = S_.transpose() * DinvW_;
+    if (k == 0) find_paradox(v);
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
     change_ = lambda_;
@@ -200,6 +202,21 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   }
   why_ = "the step with held contacts does not converge";
   return false;
+}
+
+// A of the contacts that slip at the start of the step; of single points only: those of a face share their load.
+void HeldStep::find_paradox(const VecX& v) {
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    const int r = row_[i];
+    paradox_[i] = 1.0;
+    bool single = contacts_[i].mu > 0.0 && !contacts_[i].sticks;
+    for (std::size_t j = 0; j < contacts_.size() && single; ++j)
+      single = j == i || contacts_[j].point.guard != contacts_[i].point.guard;
+    if (!single) continue;
+    const Eigen::Vector2d slip(node0_.W.col(r + 1).dot(v), node0_.W.col(r + 2).dot(v));
+    const double speed = slip.norm();
+    if (speed > 0.0) paradox_[i] = G_(r, r) - contacts_[i].mu * (G_.block<1, 2>(r, r + 1) * slip)(0) / speed;
+  }
 }
 
 bool HeldStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {

@@ -63,6 +63,8 @@ class HeldStep final : public Stepper {
   bool holding_forces(const VecX& tau, VecX& value);
   // The same at (q, p), of which no step is known.
   bool holding_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value);
+  // Size of the forces that the last holding_forces could have met: gravity's weight on a contact, or the largest [N].
+  double force_scale() const { return force_scale_; }
   // Whether a contact may have left: its forces of this step fall towards zero.
   bool may_release() const;
 
@@ -87,6 +89,7 @@ class HeldStep final : public Stepper {
   Vec3 place_on_plane(const ContactPoint& point) const;
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
   void measure(double h);
+  void find_paradox(const VecX& v);
   bool solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize);
   bool end_kick();
   bool solve_end(VecX& lambda);
@@ -108,13 +111,14 @@ class HeldStep final : public Stepper {
   int rows_ = 0;
   bool redundant_ = false, noisy_ = false;
   Node node0_, node1_;
-  std::vector<Vec3> y_ref_;  // where the material points are on their planes, or were when they stuck
+  std::vector<double> paradox_;  // A per contact, 1 where it does not apply
+  std::vector<Vec3> y_ref_;      // where the material points are on their planes, or were when they stuck
   VecX y_, lambda_, lambda_end_, b_, change_, v_, p_start_, p_minus_, q1_, p1_, v1_, dv_;
   MatX DinvW_, S_, G_, MinvW_, G_end_, G_sub_, rates_;
   VecX b_sub_, x_;
   std::vector<ConeContact> force_cones_;
   VecX w_end_, guess_, q_side_, v_side_, acceleration_;
-  double h_ = 0, nominal_h_ = 0;
+  double h_ = 0, nominal_h_ = 0, force_scale_ = 0;
   const char* why_ = "";
 };
 

@@ -13,6 +13,8 @@ namespace {
 constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
 constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
 constexpr double kSolved = 1e-11;       // of all speeds of the closed points: what a plastic problem leaves
+constexpr double kFloor = 2e-14;        // of all speeds: rounding
+constexpr double kTie = 1e-12;          // of the speeds: who closes faster by less does not go first
 constexpr int kManyHits = 256;          // of inelastic contacts at one instant, per contact: the same
 constexpr int kDtec = 1, kMhc = 2;
 }  // namespace
@@ -120,12 +122,12 @@ double ImpactSequence::largest_speed(const VecX& p) const {
 bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic, double scale,
                                  ClosedGuard*& worst) const {
   worst = nullptr;
-  double gamma = -kSeparated * scale;
+  double gamma = -std::max(kSeparated * scale, kFloor * speeds_);
   for (int i = 0; i < count_; ++i) {
     const ClosedGuard& c = closed_[i];
     if (c.e == 0.0 || plastic[c.guard]) continue;
     const double candidate = c.gamma_n(p);
-    if (!(candidate < gamma)) continue;
+    if (!(candidate < gamma * (worst == nullptr ? 1.0 : 1.0 + kTie))) continue;
     gamma = candidate;
     worst = const_cast<ClosedGuard*>(&c);
   }

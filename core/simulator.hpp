@@ -115,7 +115,8 @@ class Simulator {
   void drop_leaving(double time, Recording& recording);
   bool points_may_change(int guard);
   bool refresh_points(const Piece& piece, Recording& recording);
-  void hold_closed(int forced, double time, Recording& recording);
+  void hold_closed(int forced, double time, const VecX& tau, Recording& recording);
+  void leave_unloaded(int forced, const VecX& tau);
   void hold_at_start();
   HeldContact make_held(const ContactPoint& point, const Contact& contact, const Vec3& slip);
   void sync_held();

@@ -259,14 +259,15 @@ def _ideal_cradle(scene: Scene) -> np.ndarray:
     return np.array(out)
 
 
-def to_urdf(scene: Scene) -> str:
-    """The model as URDF, for peers that read one; the balls are its collision geometry."""
-    model = scene.model
+def to_urdf(scene: Scene, shapes: dict[int, list[str]] | None = None) -> str:
+    """The model as URDF, for peers that read one; the balls are its collision geometry, and `shapes` (URDF, by joint)."""
+    model, shapes = scene.model, shapes or {}
+    base = "".join(["<link name=\"base\">", *shapes.get(0, []), "</link>"])
 
     def text(values) -> str:
         return " ".join(repr(float(x)) for x in values)
 
-    out = [f'<robot name="{scene.name}">' + ("" if scene.free else '<link name="base"/>')]
+    out = [f'<robot name="{scene.name}">' + ("" if scene.free else base)]
     for j in range(1, model.njoints):
         inertia, place = model.inertias[j], model.jointPlacements[j]
         moments = " ".join(f'{k}="{float(x)!r}"' for k, x in _components(inertia.inertia))
@@ -276,7 +277,7 @@ def to_urdf(scene: Scene) -> str:
             if joint == j:
                 out.append(f'<collision><origin xyz="{text(centre)}"/><geometry><sphere radius="{radius!r}"/>'
                            "</geometry></collision>")  # fmt: skip
-        out.append("</link>")
+        out += [*shapes.get(j, []), "</link>"]
         if model.parents[j] == 0 and scene.free:
             continue
         parent = "base" if model.parents[j] == 0 else f"L{model.parents[j]}"
