@@ -14,7 +14,7 @@ scene.add_sphere("ball", radius=0.1, mass=1.0, placement=(0, 0, 0.1 + height))
 scene.add_halfspace()
 scene.set_contact(restitution=restitution)
 
-# The impacts accumulate at t1 (1+e)/(1-e) = 8.58 s; a longer run would end there with the status ZENO.
+# The impacts accumulate at t1 (1+e)/(1-e) = 8.58 s; in a longer run the ball rests from then on (traj.contact_changes).
 traj = cvi.simulate(scene, duration=8.0, dt=1e-2)
 
 first = np.sqrt(2 * height / gravity)
