@@ -35,8 +35,13 @@ def test_example_runs(path, tmp_path):
     assert len(path.read_text().splitlines()) <= 100
 
 
+def readme_code() -> list[str]:
+    """The README's Python: the first use, the impact maps, lasting contact."""
+    return re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+
+
 def test_readme_code_runs(tmp_path):
-    code, _ = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    code, _, _ = readme_code()
     (tmp_path / "readme.py").write_text(code)
     printed = run(["readme.py"], tmp_path)
     assert "palm_link_0" in printed.splitlines()[-1]  # the ball hits the palm
@@ -46,9 +51,30 @@ def test_readme_code_runs(tmp_path):
 
 def test_readme_code_of_the_impact_maps_runs(tmp_path):
     """And prints the three jumps that it says."""
-    _, maps = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    _, maps, _ = readme_code()
     script = tmp_path / "maps.py"
     script.write_text(f"import contactvi as cvi\n{maps}")
     energy, discrete, modified = (abs(float(x)) for x in run([str(script)], ROOT).split())
     assert min(energy, discrete) > 1e-4
     assert modified < 1e-12
+
+
+def test_readme_code_of_lasting_contact_runs(tmp_path):
+    """The box touches down, stops, and its corners carry it."""
+    *_, lasting = readme_code()
+    script = tmp_path / "lasting.py"
+    script.write_text(f"import contactvi as cvi\n{lasting}")
+    printed = run([str(script)], tmp_path).splitlines()
+    assert [line.split()[-1] for line in printed[:8]] == ["begin"] * 4 + ["stick"] * 4
+    corners = [line for line in printed[8:] if line.startswith("('ground', 'box') stick")]
+    assert len(corners) == 4
+    assert all(abs(float(line.rstrip(" ]").split()[-1]) - 2.0 * 9.81 / 4.0) < 1e-6 for line in corners)
+
+
+def test_guide_code_runs(tmp_path):
+    """The guide's snippets one after the other, beside the models."""
+    code = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "guide.md").read_text(), re.DOTALL)
+    script = tmp_path / "guide.py"
+    script.write_text("import contactvi as cvi\n" + "".join(code))
+    (tmp_path / "models").symlink_to(ROOT / "models")
+    assert run([str(script)], tmp_path).strip()
