@@ -245,13 +245,16 @@ class TestModels:
         assert np.all(model.lowerPositionLimit[hand] < q[hand])
         assert np.all(q[hand] < model.upperPositionLimit[hand])
         assert np.array_equal(q[hand], scene.spring_rest()[hand])
-        # The palm looks up, the ball (6 cm, 0.1 kg) is above it.
+        # The palm looks up, its fingers lowered by 0.4 rad; the ball (6 cm, 0.1 kg) falls straight onto it.
         palm = next(g for g in scene.collision_model.geometryObjects if g.name == "palm_link_0")
-        assert palm.placement.rotation @ [1, 0, 0] == pytest.approx([0, 0, 1], abs=4 * EPS)
+        normal, fingers = palm.placement.rotation[:, 0], palm.placement.rotation[:, 2]
+        assert normal == pytest.approx([np.sin(0.4), 0.0, np.cos(0.4)], abs=4 * EPS)
+        assert fingers == pytest.approx([np.cos(0.4), 0.0, -np.sin(0.4)], abs=4 * EPS)
         ball = q[scene.q_index("ball")]
-        top = palm.placement.translation + [0, 0, 0.0204]
-        assert np.all(np.abs(ball[:2] - top[:2]) < 0.0475)
-        assert 0.2 < ball[2] - 0.03 - top[2] < 0.3
+        height = normal @ (ball[:3] - palm.placement.translation) - 0.0204 - 0.03
+        hit = ball[:3] - [0.0, 0.0, height / normal[2]] - 0.03 * normal - palm.placement.translation
+        assert np.all(np.abs(palm.placement.rotation.T @ hit)[1:] < [0.0565, 0.0475])  # half edges of the palm
+        assert 0.14 < height / normal[2] < 0.15
         assert model.inertias[model.getJointId("ball")].mass == 0.1
 
     def test_allegro_springs_are_what_the_file_says(self):
