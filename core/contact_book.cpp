@@ -194,6 +194,11 @@ bool Simulator::points_may_change(int guard) {
 bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
   bool closing = false, changed = false;
   int first = -1;
+  for (HeldContact& held : held_.contacts()) {
+    if (held.point.kind != PointKind::kRim) continue;
+    guards_.place(q_);
+    guards_.manifolds().renew(held.point, guards_.placements());
+  }
   for (int g : held_guards_) {
     if (!scene_->is_pair(g) || !points_may_change(g)) continue;
     guards_.place(q_);

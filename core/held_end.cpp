@@ -8,6 +8,7 @@ namespace contactvi {
 
 namespace {
 constexpr double kClosed = 1e-12;    // [m] a gap below which a contact without load takes part in the end kick
+constexpr double kSwing = 0.7;       // cosine of the angle by which a rim's contact may run round in a step
 constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
 }  // namespace
 
@@ -141,6 +142,12 @@ void HeldStep::describe() {
     out.start_W = out.start[0] * c0.normal + out.start[1] * s1 + out.start[2] * s2;
     out.end_W = out.end[0] * c1.normal + out.end[1] * out.t1 + out.end[2] * out.t2;
   }
+}
+
+bool HeldStep::swings() const {
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    if (contacts_[i].point.kind == PointKind::kRim && node0_.side[i].dot(node1_.side[i]) < kSwing) return true;
+  return false;
 }
 
 void HeldStep::commit() {

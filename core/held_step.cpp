@@ -55,6 +55,7 @@ void HeldStep::set_rows() {
   for (Node* node : {&node0_, &node1_}) {
     node->at.resize(n);
     node->t1.resize(n);
+    node->side.resize(n);
     if (node->W.cols() != rows_ || node->W.rows() != nv) node->W.resize(nv, rows_);
   }
   if (S_.cols() == rows_) return;
@@ -99,6 +100,7 @@ void HeldStep::start_node(const VecCRef& q0) {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const HeldContact& held = contacts_[i];
     evaluate(held, node0_.at[i]);
+    node0_.side[i] = Manifolds::side_of_rim(held.point, guards_->placements());
     node0_.t1[i] = held.mu == 0.0 ? Vec3(Vec3::Zero())
                    : held.point.kind == PointKind::kVertex
                        ? tangent_at(held, node0_.at[i], node0_.at[i], held.tangent)
@@ -115,6 +117,7 @@ void HeldStep::end_node(const VecX& q1) {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const HeldContact& held = contacts_[i];
     evaluate(held, node1_.at[i]);
+    node1_.side[i] = Manifolds::side_of_rim(held.point, guards_->placements());
     node1_.t1[i] = tangent_at(held, node1_.at[i], node0_.at[i], node0_.t1[i]);
     guards_->rows(held.point.guard, node1_.at[i], node1_.t1[i], node1_.W.middleCols(row_[i], held.rows()));
   }

@@ -54,6 +54,8 @@ class HeldStep final : public Stepper {
   const std::vector<HeldOutcome>& outcomes() const { return outcomes_; }
   const VecX& end_velocity() const { return v1_; }
   double work() const { return integrator_.work(); }
+  // Whether the contact of a rim runs round so far in the step that its start says nothing of its end.
+  bool swings() const;
   // The step is taken: modes, anchors, forces and tangents become those of its end.
   void commit();
 
@@ -78,6 +80,7 @@ class HeldStep final : public Stepper {
     VecX q;
     std::vector<Contact> at;
     std::vector<Vec3> t1;
+    std::vector<Vec3> side;  // of rims: where their contact lies
     MatX W;  // nv x rows
   };
 

@@ -271,7 +271,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
                                  bool& any, Recording& recording) {
   std::vector<BlockMember> members;
   any = false;
-  const double closing = std::max(kSeparated * scale, impacts_here_ > 0 ? kSolved * speeds_ : 0.0);
+  const double closing = std::max(kSeparated * scale, (impacts_here_ > 0 ? kSolved : kFloor) * speeds_);
   for (int i = 0; i < count_; ++i) {
     ClosedGuard& c = closed_[i];
     if (!all && c.e > 0.0 && !plastic[c.guard]) continue;

@@ -12,12 +12,15 @@ namespace contactvi {
 
 namespace {
 constexpr double kShortest = 1e-6;                         // of a contact step: halving ends there
+constexpr double kShortestSwing = 1e-12;  // the same where a rim falls all but flat
 constexpr int kEasySteps = 4;                              // short steps in a row before a longer one is tried
 constexpr double kAlpha = 1e-13;                           // of a step: to what its events are located
 constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of the speeds: nothing to improve
 constexpr int kMostSticks = 3;  // of an interval that are located; the others cost O(h^2), as their places do
 constexpr int kMaxProbes = 60;  // partial steps to one of them
 constexpr int kMaxWithoutProgress = 200;
+constexpr int kStandstill = 3;     // events in place that hit nothing
+constexpr double kPastIt = 1e-4;   // of a contact step, past such a one
 constexpr double kNoForce = 1e-9;  // of the largest force: holding forces below it are rounding
 
 // Root of value in (0, high], where it falls to high_value < 0 from low_value >= 0: the Illinois method.
@@ -133,7 +136,7 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
 }
 
 bool Simulator::held_step_failed(double h, double time) {
-  if (h < kShortest * contact_step())
+  if (h < (held_.swings() ? kShortestSwing : kShortest) * contact_step())
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with held contacts was not solved: ") + held_.why());
   held_trial_ = 0.5 * h;
@@ -186,7 +189,7 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
     hit = false;
     finder_.cut();
   }
-  return true;
+  return alpha <= 0.0 || !held_.swings() || h <= kShortestSwing * contact_step();
 }
 
 // One held step, to the end of the interval, to an event, or to a change of the contacts.
@@ -229,8 +232,15 @@ bool Simulator::held_piece(Piece& piece, Recording& recording) {
     if (taken <= 0.0 && ++without_progress_ > kMaxWithoutProgress)
       return end(StatusCode::kTooManyImpacts, at, "impacts without end at one instant", finder_.event().guard);
     const Event& event = finder_.event();
+    const std::size_t held_before = held_.contacts().size();
     const bool resolved =
         resolve_event(event.guard, event.persistent, {now, 0.0, piece.remaining, piece.tau, step_}, recording);
+    // What closes in place but not in speed, again and again, is rounding of the places: a short step leads past it.
+    if (resolved && taken <= 0.0 && hit_.empty() && without_progress_ >= kStandstill &&
+        held_.contacts().size() == held_before) {
+      finder_.exempt(event.guard);
+      held_trial_ = std::min(held_trial_, kPastIt * nominal);
+    }
     held_seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
     return resolved;
   }

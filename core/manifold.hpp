@@ -75,6 +75,11 @@ class Manifolds {
   // cylinders 1e-10 of their size larger where they stand or lie exactly along the normal.
   bool nearest(int pair, const Placements& at, Contact& contact) const;
 
+  // A rim's farthest point moves as it rolls: the one of these placements.
+  void renew(ContactPoint& point, const Placements& at) const;
+  // Where the contact lies as seen from a rim's centre, unit, world frame, in the plane; zero of other points.
+  static Vec3 side_of_rim(const ContactPoint& point, const Placements& at);
+
   // Gap, normal, points and bodies, world frame. Not for kWitness and kLimit.
   void evaluate(const ContactPoint& point, const Placements& at, Contact& contact) const;
 

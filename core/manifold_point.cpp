@@ -205,6 +205,21 @@ double Manifolds::far_of_rim(const ContactPoint& point, const Placements& at, Co
   return vertex_gap(point, point.far_B, at, contact) - kFarSlack;
 }
 
+void Manifolds::renew(ContactPoint& point, const Placements& at) const {
+  if (point.kind != PointKind::kRim) return;
+  const Vec3 n_W = turned_W(at, point.plane_body, point.normal_B);
+  const Vec3 n = point.point_body < 0 ? n_W : Vec3(at.R_W[point.point_body].transpose() * n_W);
+  point.far_B = lowest_of_rim(point.center_B, point.axis_B, point.rim_radius, -n);
+}
+
+Vec3 Manifolds::side_of_rim(const ContactPoint& point, const Placements& at) {
+  if (point.kind != PointKind::kRim) return Vec3::Zero();
+  const Vec3 axis = turned_W(at, point.point_body, point.axis_B), n = turned_W(at, point.plane_body, point.normal_B);
+  Vec3 side = n.dot(axis) * axis - n;
+  side -= side.dot(n) * n;
+  return side.normalized();
+}
+
 Sides Manifolds::sides_of_point(const PairView& v, const ContactPoint& point, const Placements& at) const {
   Contact contact;
   evaluate(point, at, contact);

@@ -281,7 +281,7 @@ bool Simulator::resolve_event(int first, bool persistent, const Instant& at, Rec
   bool any_hit = false;
   for (int i = 0; i < sequence_.count(); ++i) any_hit |= sequence_.closed(i).hit;
   // What closes again without a flight to be seen, though it separates, is held: the step decides.
-  if (holds()) hold_closed(persistent && !any_hit ? first : -1, time, at.tau, recording);
+  if (holds()) hold_closed((persistent || touched) && !any_hit ? first : -1, time, at.tau, recording);
   if (was_held && held_.empty()) reanchor();
   return true;
 }
