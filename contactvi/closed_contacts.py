@@ -24,6 +24,8 @@ Pair = tuple[str, str]
 class ClosedContact:
     """A contact that takes part.
 
+    Attributes
+    ----------
     pair : names of the two shapes, or (joint, "lower limit"), (joint, "upper limit"). restitution : e in [0, 1].
     gap : [m; rad]. gamma_minus : normal speed before, of the point that closes most; negative where it closes
         [m/s; rad/s].

@@ -1,8 +1,9 @@
 """Contacts of a run: who pushed whom, where, how strongly and how long; and when contacts began, slipped and ended.
 
-The engine gives one row per contact point and held step, and one per point of an impact, whose length is 0 and whose
-mode is "impact". Impulses act on the second shape of a pair, minus them on the first, and are in world axes. A limit
-pushes its joint back by a number >= 0 [N s; N m s for a revolute joint], the first component of its impulse.
+The engine gives one row per contact point and held step, and one per point of an impact of two shapes, whose length is
+0 and whose mode is "impact"; impacts at joint limits are events only. Impulses act on the second shape of a pair, minus
+them on the first, and are in world axes. A held limit pushes its joint back by a number >= 0 [N s; N m s for a revolute
+joint], the first component of its impulse.
 """
 
 from __future__ import annotations
@@ -60,13 +61,17 @@ CHANGE_FIELDS: dict[str, tuple[int, type]] = {
 class Contact:
     """One contact point over one step, or in one impact.
 
+    Attributes
+    ----------
     t, h : start and length of the step [s]; h is 0 for an impact. step : its index.
     kind, pair : as of an `Event`. point : number of the point within the pair, the same from step to step.
-    mode : "stick", "slip", "frictionless" or "impact".
+    mode : "stick", "slip" (it slid in a part of the step at least), "frictionless" or "impact".
     position : of the point at the end of the step [m], normal : unit, from the first shape to the second, both in world
-        axes, shape (3,); NaN for a limit.
-    impulse : on the second shape [N s], world axes, shape (3,). force : impulse / h [N]; NaN for an impact.
-    gap : at the end [m; rad]. slip : tangential velocity of the second shape against the first, at the end [m/s], (3,).
+        axes, shape (3,); zero for a limit.
+    impulse : on the second shape [N s], friction included, world axes, shape (3,); of a limit its first component.
+    force : impulse / h [N], shape (3,): the mean over the step; NaN for an impact.
+    gap : at the end [m; rad].
+    slip : tangential velocity of the second shape against the first, at the end [m/s], world axes, shape (3,).
     """
 
     t: float
@@ -280,6 +285,8 @@ class ContactLog(Sequence[Contact]):
 class ContactChange:
     """One change of a contact.
 
+    Attributes
+    ----------
     time : [s]. kind, pair : as of an `Event`. point : number of the point within the pair.
     change : "begin", "release", "stick", "slip", "bouncing ended" or "inconsistent".
     value : of "bouncing ended" the time when impacts would have accumulated [s], of "inconsistent" (Painleve) A [1/kg].

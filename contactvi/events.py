@@ -60,11 +60,13 @@ FIELDS: dict[str, tuple[int | str, type]] = {
 class Event:
     """One impact.
 
+    Attributes
+    ----------
     time : [s]. step : index of the step in which it happened.
     kind : "contact" between two shapes or "limit" of a joint.
     pair : names of the two shapes; for a limit (joint, "lower limit") or (joint, "upper limit").
-    point : contact point [m], world frame, shape (3,); NaN for a limit.
-    normal : unit normal from the first shape to the second, world frame, shape (3,); NaN for a limit.
+    point : contact point [m], world frame, shape (3,); zero for a limit.
+    normal : unit normal from the first shape to the second, world frame, shape (3,); zero for a limit.
     impulse : lambda >= 0 [N s; N m s for the limit of a revolute joint], of all points along their normals; without
         friction the second shape gets +impulse * normal.
     gamma_minus, gamma_plus : normal speed W v before and after [m/s; rad/s]; of several points that which closed most.
@@ -78,7 +80,7 @@ class Event:
     before, after : lengths [s] of the partial step that ends at the impact (since the last event or node) and of the
         rest of the step after it; NaN in runs stored before they were kept.
     q : configuration at the impact, shape (nq,). p_minus, p_plus : momentum before and after, shape (nv,).
-    impulse_vector : on the second shape, friction included [N s], world frame, shape (3,); NaN for a limit.
+    impulse_vector : on the second shape, friction included [N s], world frame, shape (3,); zero for a limit.
     points : how many points of the pair took part. friction : Coulomb coefficient used.
     loss : what the law of the impact takes from the kinetic energy, by restitution and friction [J]; at one point
         without friction (1 - e^2) gamma_minus^2 / (2 G_c).

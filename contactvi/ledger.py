@@ -25,8 +25,8 @@ Tolerances, the keys of `ledger` of a run (option_checks.LEDGER_TOLERANCES), are
   linear_momentum_jump, angular_momentum_jump: at an impact of free bodies.
 - energy_rise: how far the energy at a node is above the least one before it, relative to the largest kinetic energy so
   far: more than the error of the integrator is an error of a contact. For runs without inputs.
-- impulse: how far one is below zero [N s]. complementarity: |gap * impulse| [N m s]. gap: |gap| [m]. Of impacts and of
-  held contacts. impulse_balance: between two nodes, of free bodies [N s].
+- impulse: how far one is below zero [N s]. complementarity: abs(gap * impulse) [N m s]. gap: abs(gap) [m]. Of impacts
+  and of held contacts. impulse_balance: between two nodes, of free bodies [N s].
 
 Inputs are not kept in a run; what needs a step to be made again (discrete energy, jumps but that of the energy) is NaN
 where a run had some, and where the run had to cut that step in two because its sweeps did not converge. The same where

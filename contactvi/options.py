@@ -66,11 +66,11 @@ class Options:
     dt_contact : step while contacts are held [s], at most dt: it is a midpoint step whatever the order. By default dt
         at order 2 and min(dt, 1e-3) above. With dt="auto" the run finds it ("auto", the default), and a number is the
         longest one allowed. Trajectory.phases says which step was taken where.
-    zeno : where impacts accumulate: "hold" makes the last of them plastic and holds the contact, "end" ends the run
-        with the status ZENO. Runs with "dtec", which has no answer there, end in both cases.
+    zeno : where impacts accumulate: "hold" makes one of them plastic and holds the contact, "end" ends the run with the
+        status ZENO. Runs with "dtec", which has no answer there, end in both cases.
     support : an impact on a body that others hold: "sequence" of single impacts, each contact with its own restitution;
         "stiff": held contacts stay closed during it, as if what holds the body were infinitely stiff.
-    contact_points : points that a pair of shapes has at most, >= 1; a face needs 3, by default 4.
+    contact_points : points that a pair of shapes has at most, >= 1, by default 4; fewer only where no faces touch.
     record_contacts : keep the impulses of all contacts (Trajectory.contacts).
 
     Raises

@@ -170,7 +170,7 @@ def _follow(simulator: Simulator, steps: int, control: Control, progress: Progre
 
 
 class Simulator:
-    """A scene stepped by the caller, for control loops.
+    """A scene stepped by the caller, for control loops::
 
         sim = Simulator(scene, dt=1e-3)
         sim.reset(q0, v0)

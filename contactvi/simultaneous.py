@@ -35,6 +35,8 @@ _RANK = 1e-10  # relative: normals that depend on each other
 class Outcome:
     """Where one sequence of impacts ends.
 
+    Attributes
+    ----------
     v_plus, p_plus : velocity and momentum after, shapes (nv,), Pinocchio's coordinates.
     impulses : total normal impulse of each contact [N s; N m s], shape (ncontacts,).
     sequence : the pairs in the order in which they were struck; each entry is a tuple of the pairs struck as one
@@ -60,6 +62,8 @@ class Certificate:
     reflection in one of its walls. Where all walls meet at angles pi/n, n = 2, 3, ..., the reflections generate a
     finite group with the cone as its fundamental domain, so every sequence ends at the same velocity.
 
+    Attributes
+    ----------
     angles : beta_ij between the walls of contacts i and j [rad], shape (n, n), NaN on the diagonal and for contacts of
         several points (faces, edges):
         cos beta = -W_i M^-1 W_j^T / sqrt(G_ii G_jj).
@@ -79,6 +83,8 @@ class Certificate:
 class SimultaneousOutcomes:
     """What the sequences of single impacts at one state lead to; a sequence of `Outcome`, printable.
 
+    Attributes
+    ----------
     contacts : those that take part. outcomes : all different ends; the first is `chosen`.
     chosen : what a run takes: the elastic contact (e > 0) that closes fastest first, the lowest guard number on ties;
         where none closes, all plastic contacts as one problem; again until none closes.

@@ -43,6 +43,8 @@ class Status:
 class Stats:
     """What a run cost.
 
+    Attributes
+    ----------
     steps : accepted steps of length dt, or with dt="auto" of the lengths chosen.
     iterations, sweeps : sweeps over the stages of a step (two names of one number).
     residuals : evaluations of the step equation. factorizations : of the mass matrix or the Newton matrix.

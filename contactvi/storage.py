@@ -21,8 +21,8 @@ event/time            (n,)           [s]
 event/step            (n,) int64     index of the step
 event/kind            (n,) int64     0 contact, 1 joint limit
 event/index           (n,) int64     pair index (header["pair_names"]), or 2 * joint + {0 lower, 1 upper}
-event/point           (n, 3)         contact point [m], world frame; NaN for limits
-event/normal          (n, 3)         unit normal from the first shape to the second, world frame; NaN for limits
+event/point           (n, 3)         contact point [m], world frame; zero for limits
+event/normal          (n, 3)         unit normal from the first shape to the second, world frame; zero for limits
 event/impulse         (n,)           [N s], or [N m s] for the limit of a revolute joint
 event/gamma_minus     (n,)           normal speed before [m/s or rad/s]
 event/gamma_plus      (n,)           normal speed after
@@ -38,7 +38,7 @@ event/after           (n,)           length of the rest of the step after it [s]
 event/q               (n, nq)        configuration at the impact
 event/p_minus         (n, nv)        momentum before
 event/p_plus          (n, nv)        momentum after
-event/impulse_vector  (n, 3)         on the second shape, friction included [N s], world axes; NaN for limits
+event/impulse_vector  (n, 3)         on the second shape, friction included [N s], world axes; zero for limits
 event/points          (n,) int64     points of the pair that took part
 event/friction        (n,)           Coulomb coefficient used
 event/loss            (n,)           what the law of the impact takes from the kinetic energy [J]
