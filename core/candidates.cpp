@@ -82,6 +82,16 @@ bool reaches_over(const Outline& o, const Outline::Face& face, const Vec3& cente
   return false;
 }
 
+// The material point of a rim lowest over a plane of the normal n, in the plane's frame.
+Vec3 lowest_rim_point(const Over& o, const Outline::Rim& rim, const Vec3& n) {
+  Vec3 lowest = o.R * rim_point(rim, 0) + o.p;
+  for (int k = 1; k < kRimPoints; ++k) {
+    const Vec3 x = o.R * rim_point(rim, k) + o.p;
+    if (n.dot(x) < n.dot(lowest)) lowest = x;
+  }
+  return lowest;
+}
+
 void rims_over(const Over& o, int f, bool coming, CandidateSink& sink) {
   const Outline::Face& face = o.plane->faces[f];
   const double radii = o.plane->radius + o.other->radius;
@@ -92,12 +102,15 @@ void rims_over(const Over& o, int f, bool coming, CandidateSink& sink) {
     const double gap = face.normal.dot(center) - tilt - face.offset - radii;
     if (gap > sink.limit) continue;
     if (coming || tilt > kUpright) {
-      const Vec3 x = lowest_of_rim(center, axis, rim.radius, face.normal);
+      // Flat, the lowest of the points that would be found: what closes must be something that can be hit.
+      const Vec3 x =
+          tilt > kUpright ? lowest_of_rim(center, axis, rim.radius, face.normal) : lowest_rim_point(o, rim, face.normal);
       // Flat, every point of the rim is lowest.
       const bool over =
           tilt > kUpright ? outside_of(*o.plane, face, x) <= kBorder : reaches_over(*o.plane, face, center, rim.radius);
       if (!over) continue;
-      sink.add({feature_number(o.on_b ? Feature::kRimB : Feature::kRimA, r, f), gap, o.plane_pose.point(x)});
+      const double at_x = tilt > kUpright ? gap : face.normal.dot(x) - face.offset - radii;
+      sink.add({feature_number(o.on_b ? Feature::kRimB : Feature::kRimA, r, f), at_x, o.plane_pose.point(x)});
       continue;
     }
     for (int k = 0; k < kRimPoints; ++k) {

@@ -14,6 +14,7 @@ constexpr int kZenoFlights = 4;        // flights in a row, each shorter than th
 constexpr int kShortHits = 8;          // flights in a row below kZenoFlight of a step, shrinking or not
 constexpr double kStays = 1e-11;       // of the speeds: a closed contact slower than this is held
 constexpr double kHardly = 1e5;        // of that: a contact that was held leaves so slowly that the step may decide it
+constexpr double kLow = 2e6;           // the same for several points: lower than their gaps differ by
 constexpr double kLeaves = 1e-10;      // of the speeds: a held one faster than this has left
 constexpr double kUnloaded = 1e-9;     // of the forces: less is none
 constexpr double kApart = 1e-12;       // [m] a gap beyond which a contact without load has left
@@ -75,6 +76,7 @@ void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording&
   for (int i = 0; i < sequence_.count(); ++i) {
     ClosedGuard& c = sequence_.closed(i);
     bool all = true;
+    const std::size_t first_of_guard = now.size();
     for (int k = 0; k < c.count; ++k) {
       const double gamma = c.gamma_n(k, p_);
       const std::pair<int, std::int64_t> key(c.guard, c.points[k].feature);
@@ -86,7 +88,8 @@ void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording&
         }
         left_.erase(left);
       }
-      if (std::abs(gamma) > slow && c.guard != forced && !(c.held && gamma > 0.0 && gamma < kHardly * slow)) {
+      const double hardly = slow * (c.count > 1 ? kLow : c.held ? kHardly : 0.0);
+      if (std::abs(gamma) > slow && c.guard != forced && !(gamma > 0.0 && gamma < hardly)) {
         all = false;
         continue;
       }
@@ -112,6 +115,8 @@ void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording&
       }
       now.push_back(held);
     }
+    // Of a face that stays as a whole those that span it are enough.
+    if (all && c.chosen < c.count && c.chosen > 2) now.resize(first_of_guard + c.chosen);
     if (all && c.count > 0) finder_.set_touching(c.guard, false);
   }
   leave_unloaded(forced, tau);

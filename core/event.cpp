@@ -5,6 +5,11 @@
 
 namespace contactvi {
 
+namespace {
+// How deep features beside held ones may be [m]: those of a face that is flat to rounding differ by that.
+constexpr double kHeldRounding = 1e-10;
+}  // namespace
+
 EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
     : scene_(&scene),
       stepper_(&stepper),
@@ -169,7 +174,8 @@ Search EventFinder::start(Suspect& s) {
   if (touching_[s.guard] && a.gap > tolerance) touching_[s.guard] = 0;
   if (!touching_[s.guard] && a.gap <= 0.0) {
     // Rounding: it touches although nothing hit it yet. Deeper is a contradiction.
-    if (a.gap < -tolerance) return fail(Search::kUnresolved, s.guard, a.gap);
+    const double deepest = guards_->is_held(s.guard) ? std::max(tolerance, kHeldRounding) : tolerance;
+    if (a.gap < -deepest) return fail(Search::kUnresolved, s.guard, a.gap);
     touching_[s.guard] = 1;
   }
   if (touching_[s.guard]) return leave(s, a);

@@ -23,6 +23,9 @@ struct ClosedGuard {
   bool hit = false;
   int count = 0;  // of points in use below
   std::vector<ContactPoint> points;
+  std::vector<ContactPoint> spare;  // closed ones that are not in use: they close only if the body tips about the others
+  int chosen = 0;                   // of points: those that span the contact
+  Contact witness;
   std::vector<Contact> contacts;
   std::vector<Vec3> t1;
   int rows = 0;

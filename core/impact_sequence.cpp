@@ -43,47 +43,87 @@ bool ImpactSequence::add(int guard, const std::vector<HeldContact>& held, double
   c.mu = scene_->friction(guard);
   c.hit = c.held = false;
   c.points.clear();
-  Contact witness;
+  c.spare.clear();
+  Contact& witness = c.witness;
   const double gap = guards_->evaluate_witness(guard, witness);
   if (scene_->is_pair(guard)) {
-    guards_->manifolds().find(guard, guards_->placements(), witness, std::max(margin, gap), c.points);
+    guards_->manifolds().find(guard, guards_->placements(), witness, std::max(margin, gap), c.points, &c.spare);
   } else {
     ContactPoint limit{};
     limit.guard = guard;
     limit.kind = PointKind::kLimit;
     c.points.push_back(limit);
   }
+  c.chosen = static_cast<int>(c.points.size());
+  auto is = [](const ContactPoint& a, const ContactPoint& b) { return a.kind == b.kind && a.feature == b.feature; };
   for (const HeldContact& h : held) {
     if (h.point.guard != guard) continue;
     c.held = true;
     bool found = false;
-    for (const ContactPoint& p : c.points) found |= p.kind == h.point.kind && p.feature == h.point.feature;
-    if (!found) c.points.push_back(h.point);
+    for (const ContactPoint& p : c.points) found |= is(p, h.point);
+    if (found) continue;
+    c.points.push_back(h.point);
+    for (std::size_t k = c.spare.size(); k-- > 0;)
+      if (is(c.spare[k], h.point)) c.spare.erase(c.spare.begin() + static_cast<std::ptrdiff_t>(k));
   }
-  c.count = static_cast<int>(c.points.size());
-  if (c.count == 0) return false;
-  const int m = c.rows_per_point(), nv = scene_->tree.nv;
-  c.rows = m * c.count;
-  c.contacts.resize(c.points.size());
-  c.t1.resize(c.points.size());
-  if (c.W.rows() != nv || c.W.cols() < c.rows) {
-    c.W.resize(nv, c.rows);
-    c.MinvW.resize(nv, c.rows);
-  }
-  for (int i = 0; i < c.count; ++i) {
-    const ContactPoint& point = c.points[i];
-    if (point.kind == PointKind::kWitness || point.kind == PointKind::kLimit) {
-      c.contacts[i] = witness;
-    } else {
-      guards_->manifolds().evaluate(point, guards_->placements(), c.contacts[i]);
-    }
-    c.t1[i] = c.mu > 0.0 ? any_tangent(c.contacts[i].normal) : Vec3(Vec3::Zero());
-    guards_->rows(guard, c.contacts[i], c.t1[i], c.W.middleCols(m * i, m));
-  }
-  c.MinvW.leftCols(c.rows) = c.W.leftCols(c.rows);
-  integrator_->solve_masses(c.MinvW.leftCols(c.rows));
+  if (c.points.empty()) return false;
+  c.count = c.rows = 0;
+  c.contacts.clear();
+  c.t1.clear();
+  for (int i = 0; i < static_cast<int>(c.points.size()); ++i) add_rows(c);
   any_held_ |= c.held;
   ++count_;
+  return true;
+}
+
+// The next of a guard's points comes into use.
+void ImpactSequence::add_rows(ClosedGuard& c) {
+  const ContactPoint& point = c.points[c.count];
+  const int m = c.rows_per_point(), nv = scene_->tree.nv, total = m * static_cast<int>(c.points.size());
+  if (c.W.rows() != nv || c.W.cols() < total) {
+    c.W.conservativeResize(nv, total);
+    c.MinvW.conservativeResize(nv, total);
+  }
+  Contact contact = c.witness;
+  if (point.kind != PointKind::kWitness && point.kind != PointKind::kLimit)
+    guards_->manifolds().evaluate(point, guards_->placements(), contact);
+  const Vec3 t1 = c.mu > 0.0 ? any_tangent(contact.normal) : Vec3(Vec3::Zero());
+  guards_->rows(c.guard, contact, t1, c.W.middleCols(c.rows, m));
+  c.MinvW.middleCols(c.rows, m) = c.W.middleCols(c.rows, m);
+  integrator_->solve_masses(c.MinvW.middleCols(c.rows, m));
+  c.contacts.push_back(contact);
+  c.t1.push_back(t1);
+  c.rows += m;
+  ++c.count;
+}
+
+// A face of many points that tips: of those not in use the one that closes fastest is taken in. False: none closes.
+bool ImpactSequence::take_spare(const VecX& p) {
+  ClosedGuard* tips = nullptr;
+  std::size_t best = 0;
+  double most = -kSolved * std::max(speeds_, largest_speed(p));
+  bool any = false;
+  for (int i = 0; i < count_; ++i) any |= !closed_[i].spare.empty();
+  if (!any || !integrator_->node_velocity(q_, p, v_)) return false;
+  guards_->place(q_);
+  MatX row(scene_->tree.nv, 3);
+  for (int i = 0; i < count_; ++i) {
+    ClosedGuard& c = closed_[i];
+    for (std::size_t k = 0; k < c.spare.size(); ++k) {
+      Contact contact;
+      guards_->manifolds().evaluate(c.spare[k], guards_->placements(), contact);
+      guards_->rows(c.guard, contact, any_tangent(contact.normal), row);
+      const double gamma = row.col(0).dot(v_);
+      if (gamma >= most) continue;
+      most = gamma;
+      tips = &c;
+      best = k;
+    }
+  }
+  if (tips == nullptr) return false;
+  tips->points.push_back(tips->spare[best]);
+  tips->spare.erase(tips->spare.begin() + static_cast<std::ptrdiff_t>(best));
+  add_rows(*tips);
   return true;
 }
 
@@ -158,7 +198,10 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
     }
     bool any = false;
     if (!hit_plastic(plastic, !goes_on, at, scale, p, any, recording)) return false;
-    if (!any) return true;
+    if (!any) {
+      if (take_spare(p)) continue;
+      return true;
+    }
     if (++impacts_in_step > options_.max_impacts_per_step)
       return fail(StatusCode::kTooManyImpacts, "too many impacts in one step", count_ > 0 ? closed_[0].guard : -1);
   }

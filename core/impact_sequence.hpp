@@ -54,6 +54,8 @@ class ImpactSequence {
 
  private:
   bool add(int guard, const std::vector<HeldContact>& held, double margin);
+  void add_rows(ClosedGuard& closed);
+  bool take_spare(const VecX& p);
   bool closes_most(const VecX& p, const std::vector<char>& plastic, double scale, ClosedGuard*& worst) const;
   bool hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
   bool hit_block(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);

@@ -128,7 +128,7 @@ Sides Manifolds::sides_of_witness(const PairView& v, const Contact& witness) con
 }
 
 void Manifolds::find(int pair, const Placements& at, const Contact& witness, double margin,
-                     std::vector<ContactPoint>& points) const {
+                     std::vector<ContactPoint>& points, std::vector<ContactPoint>* others) const {
   if (!(witness.gap <= margin)) return;
   const PairView v = view(pair, at);
   found_.clear();
@@ -146,7 +146,12 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
   } else {
     found_.push_back(nearest);
   }
-  for (int i : selection_.choose(found_, n, max_points_)) points.push_back(make_point(pair, v, found_[i], n));
+  const std::vector<int>& chosen = selection_.choose(found_, n, max_points_);
+  for (int i : chosen) points.push_back(make_point(pair, v, found_[i], n));
+  if (others == nullptr || chosen.size() == found_.size()) return;
+  for (int i = 0; i < static_cast<int>(found_.size()); ++i)
+    if (found_[i].feature != 0 && !std::binary_search(chosen.begin(), chosen.end(), i))
+      others->push_back(make_point(pair, v, found_[i], n));
 }
 
 double Manifolds::rest(int pair, const Placements& at, const ContactPoint* const* held, int count,

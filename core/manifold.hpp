@@ -66,7 +66,9 @@ class Manifolds {
   // Appends the points of the pair with gap <= margin, at most max_points of them: the deepest, then those that span
   // the largest area; points that add none are left out. The same input gives the same points. witness: the pair's
   // contact by coal there; at least one point if its gap is <= margin.
-  void find(int pair, const Placements& at, const Contact& witness, double margin, std::vector<ContactPoint>&) const;
+  // others: if given, gets the points within the margin that were not chosen.
+  void find(int pair, const Placements& at, const Contact& witness, double margin, std::vector<ContactPoint>&,
+            std::vector<ContactPoint>* others = nullptr) const;
 
   // The point of a known feature (not one where a rim crosses a side), whether it touches or not.
   ContactPoint point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const;
