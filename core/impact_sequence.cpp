@@ -179,7 +179,7 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
   impacts_here_ = 0;
   speeds_ = 0.0;
   for (int i = 0; i < count_; ++i)
-    speeds_ = std::max(speeds_, (closed_[i].MinvW.leftCols(closed_[i].rows).transpose() * p).cwiseAbs().maxCoeff());
+    speeds_ = std::max(speeds_, (closed_[i].MinvW.leftCols(closed_[i].rows).cwiseAbs().transpose() * p.cwiseAbs()).maxCoeff());
   const double scale = largest_speed(p);
   bool elastic = false;  // without losses a long sequence is no endless one
   for (int i = 0; i < count_; ++i) elastic |= closed_[i].e == 1.0;

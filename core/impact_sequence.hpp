@@ -76,7 +76,7 @@ class ImpactSequence {
   int count_ = 0;
   bool any_held_ = false;
   int impacts_here_ = 0;
-  double speeds_ = 0;  // of the closed points before the event, tangential ones too: they share the rounding
+  double speeds_ = 0;  // of the closed points before the event, of what they are sums of: it has the rounding
   VecX q_, v_;
   PoissonImpact poisson_;
   StatusCode code_ = StatusCode::kSuccess;
