@@ -12,7 +12,7 @@ namespace contactvi {
 
 namespace {
 constexpr double kShortest = 1e-6;                         // of a contact step: halving ends there
-constexpr double kShortestSwing = 1e-12;  // the same where a rim falls all but flat
+constexpr double kShortestSwing = 1e-9;  // the same where a rim falls all but flat
 constexpr int kEasySteps = 4;                              // short steps in a row before a longer one is tried
 constexpr double kAlpha = 1e-13;                           // of a step: to what its events are located
 constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of the speeds: nothing to improve

@@ -79,7 +79,7 @@ class Manifolds {
 
   // A rim's farthest point moves as it rolls: the one of these placements.
   void renew(ContactPoint& point, const Placements& at) const;
-  // Where the contact lies as seen from a rim's centre, unit, world frame, in the plane; zero of other points.
+  // Where the contact lies as seen from a rim's centre, unit, world frame; zero of other points.
   static Vec3 side_of_rim(const ContactPoint& point, const Placements& at);
 
   // Gap, normal, points and bodies, world frame. Not for kWitness and kLimit.

@@ -215,9 +215,7 @@ void Manifolds::renew(ContactPoint& point, const Placements& at) const {
 Vec3 Manifolds::side_of_rim(const ContactPoint& point, const Placements& at) {
   if (point.kind != PointKind::kRim) return Vec3::Zero();
   const Vec3 axis = turned_W(at, point.point_body, point.axis_B), n = turned_W(at, point.plane_body, point.normal_B);
-  Vec3 side = n.dot(axis) * axis - n;
-  side -= side.dot(n) * n;
-  return side.normalized();
+  return (n.dot(axis) * axis - n).normalized();
 }
 
 Sides Manifolds::sides_of_point(const PairView& v, const ContactPoint& point, const Placements& at) const {
