@@ -1,13 +1,14 @@
 """MuJoCo. setting: integrator, dt; with contacts kdt2, the contact stiffness being kdt2 / dt^2.
 
 Its contact is soft by design. Here it is a spring of that stiffness (solref = -k, -b, impedance 0.9999) with the
-damping that gives the wanted restitution. All steps between two samples are one call.
+damping that gives the wanted restitution. All steps between two samples are one call. S7: hand_mujoco.py.
 """
 
 from __future__ import annotations
 
 import math
 
+import hand_mujoco
 import mujoco
 import numpy as np
 from worker import Run, measure, steps_per_sample
@@ -29,6 +30,8 @@ def damping_ratio(restitution: float) -> float:
 
 
 def prepare(job: dict, setting: dict) -> Run:
+    if job["name"] == "S7":
+        return hand_mujoco.prepare(job, setting)
     dt, plane = setting["dt"], mujoco.mjtGeom.mjGEOM_PLANE
     spec = mujoco.MjSpec.from_file(job["urdf_file"])
     if job["wall"] is not None:

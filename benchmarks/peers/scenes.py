@@ -260,9 +260,9 @@ def _ideal_cradle(scene: Scene) -> np.ndarray:
 
 
 def to_urdf(scene: Scene, shapes: dict[int, list[str]] | None = None) -> str:
-    """The model as URDF, for peers that read one; the balls are its collision geometry, and `shapes` (URDF, by joint)."""
+    """The model as URDF, for peers that read one. Collision geometry: the balls, and `shapes` (URDF, by joint)."""
     model, shapes = scene.model, shapes or {}
-    base = "".join(["<link name=\"base\">", *shapes.get(0, []), "</link>"])
+    base = "".join(['<link name="base">', *shapes.get(0, []), "</link>"])
 
     def text(values) -> str:
         return " ".join(repr(float(x)) for x in values)

@@ -24,8 +24,24 @@ DTEC_ORDERS = (2, 8)  # its order is lost across impacts
 
 Settings = list[dict[str, Any]]
 
+# S7. MuJoCo: as it comes (pyramidal cone, contact time constant 0.02 s), and nearer to hard contact with dry friction
+# (elliptic cone, the shortest time constant it allows, 2 dt). contactvi: order 2 throughout, or order 8 in flight.
+HAND: dict[str, Settings] = {
+    "contactvi": [
+        {"order": 2, "dt": 1e-3}, {"order": 2, "dt": 1e-4}, {"order": 8, "dt": 0.01, "dt_contact": 1e-3},
+    ],
+    "mujoco": [
+        {"integrator": "Euler", "dt": 1e-3}, {"integrator": "implicitfast", "dt": 1e-3},
+        {"integrator": "implicitfast", "dt": 1e-3, "cone": "elliptic", "stiff": True},
+        {"integrator": "implicitfast", "dt": 1e-4},
+        {"integrator": "implicitfast", "dt": 1e-4, "cone": "elliptic", "stiff": True},
+    ],
+}  # fmt: skip
+
 
 def settings(peer: str, scene: str) -> Settings:
+    if scene == "S7":
+        return HAND.get(peer, [])
     return {
         "contactvi": _contactvi, "contactvi auto": _contactvi_auto, "scipy": _scipy, "mujoco": _mujoco,
         "drake": _drake, "jiminy": _jiminy, "pybullet": _pybullet,

@@ -1,0 +1,61 @@
+"""S7 in MuJoCo. setting: integrator, dt, cone, stiff (the contact's time constant is 2 dt, else as MuJoCo has it).
+
+Springs and dampers are those of its joints (implicit in the damping); ball against hand only, by contact bits.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from worker import Run, steps_per_sample
+
+
+def build(job: dict, setting: dict) -> mujoco.MjModel:
+    spec, ball = mujoco.MjSpec.from_file(job["urdf_file"]), job["ball"]
+    friction = [job["friction"], 0.005, 0.0001]  # sliding; the others need condim > 3
+    for geom in spec.geoms:
+        geom.contype, geom.conaffinity, geom.friction = 1, 2, friction
+    body = spec.worldbody.add_body(name="ball", pos=ball["position"])
+    body.add_freejoint()
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[ball["radius"], 0, 0], mass=ball["mass"], contype=2, conaffinity=1,
+        friction=friction,
+    )  # fmt: skip
+    model = spec.compile()
+    model.opt.timestep = setting["dt"]
+    model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{setting['integrator'].upper()}")
+    model.opt.cone = getattr(mujoco.mjtCone, f"mjCONE_{setting.get('cone', 'pyramidal').upper()}")
+    model.opt.gravity[:] = 0.0, 0.0, -job["gravity"]
+    model.jnt_limited[:] = 0
+    if setting.get("stiff"):
+        model.geom_solref[:, 0] = 2.0 * setting["dt"]
+    for name, goal in zip(job["joints"], job["goal"], strict=True):
+        j = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+        model.jnt_stiffness[j], model.qpos_spring[model.jnt_qposadr[j]] = job["stiffness"], goal
+        model.dof_damping[model.jnt_dofadr[j]] = job["damping"]
+    return model
+
+
+def prepare(job: dict, setting: dict) -> Run:
+    model = build(job, setting)
+    data = mujoco.MjData(model)
+    joints = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in job["joints"]]
+    at_q, at_v = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+    ball_q, ball_v = model.nq - 7, model.nv - 6
+    steps, samples = steps_per_sample(job, setting["dt"]), round(job["duration"] / job["sample"])
+
+    def run() -> tuple[list, list, dict]:
+        mujoco.mj_resetData(model, data)
+        data.qpos[at_q] = job["q0"]
+        q: list[np.ndarray] = []
+        v: list[np.ndarray] = []
+        overlap = 0.0
+        for _ in range(samples):
+            mujoco.mj_step(model, data, steps)
+            q.append(np.concatenate([data.qpos[at_q], data.qpos[ball_q : ball_q + 3]]))
+            v.append(np.concatenate([data.qvel[at_v], data.qvel[ball_v:]]))
+            overlap = max(overlap, -float(data.contact.dist.min(initial=0.0)))
+        iterations = int(data.solver_niter[: max(1, data.nisland)].sum())
+        return q, v, {"overlap": overlap, "contacts": int(data.ncon), "iterations": iterations}
+
+    return run
