@@ -6,8 +6,8 @@
 namespace contactvi {
 
 namespace {
-// How deep features beside held ones may be [m]: those of a face that is flat to rounding differ by that.
-constexpr double kHeldRounding = 1e-10;
+// How deep a feature beside held ones, or that were, may be [m]: those of a face that is flat to rounding differ by that.
+constexpr double kRounding = 1e-10;
 }  // namespace
 
 EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
@@ -141,7 +141,12 @@ bool EventFinder::collect() {
   suspects_.clear();
   guards_->place(*q1_);
   for (int g = 0; g < guards_->count(); ++g) {
-    if (!exempt_.empty() && std::find(exempt_.begin(), exempt_.end(), g) != exempt_.end()) continue;
+    const auto exempted = std::find(exempt_.begin(), exempt_.end(), g);
+    if (exempted != exempt_.end()) {
+      const double deepest = guards_->is_held(g) ? kRounding : guards_->touch_tolerance(g);
+      if (guards_->evaluate(g, contact_) >= -deepest) continue;
+      exempt_.erase(exempted);  // it does not leave
+    }
     if (!touching_[g] && guards_->skip(g)) {
       ++guards_->counters.skipped;
       continue;
@@ -174,8 +179,7 @@ Search EventFinder::start(Suspect& s) {
   if (touching_[s.guard] && a.gap > tolerance) touching_[s.guard] = 0;
   if (!touching_[s.guard] && a.gap <= 0.0) {
     // Rounding: it touches although nothing hit it yet. Deeper is a contradiction.
-    const double deepest = guards_->is_held(s.guard) ? std::max(tolerance, kHeldRounding) : tolerance;
-    if (a.gap < -deepest) return fail(Search::kUnresolved, s.guard, a.gap);
+    if (a.gap < -std::max(tolerance, kRounding)) return fail(Search::kUnresolved, s.guard, a.gap);
     touching_[s.guard] = 1;
   }
   if (touching_[s.guard]) return leave(s, a);

@@ -9,6 +9,8 @@ namespace {
 constexpr int kMaxRounds = 40;
 constexpr double kRounding = 1e-14;     // of the velocities: nothing left to improve,
 constexpr double kGapRounding = 2e-16;  // [m] that the gaps carry, as a velocity over the step
+constexpr double kPlaceRounding = 4e-15;  // [m] that the places of sticking points disagree by, the same
+constexpr double kAccept = 1e-9;          // residual of a cone problem that counts as solved if nothing better is found
 constexpr double kStalled = 1e3;        // of that: rounds which no longer gain may end
 constexpr int kIdle = 4;                // such rounds
 constexpr double kSettled = 1e-3;       // relative change of v from which on the contact matrix is kept
@@ -156,7 +158,7 @@ bool HeldStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regular
   ++counters.problems;
   counters.iterations += result.iterations;
   counters.fallbacks += result.fallbacks;
-  return result.ok;
+  return result.ok || result.residual <= kAccept;
 }
 
 bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
@@ -186,7 +188,7 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
     change_ = lambda_;
-    if (!solve_cone({cones_, G_, b_, noise}, lambda_, k == 0)) {
+    if (!solve_cone({cones_, G_, b_, std::max(noise, kPlaceRounding / h)}, lambda_, k == 0)) {
       why_ = "the contact forces were not found";
       return false;
     }

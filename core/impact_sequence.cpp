@@ -60,7 +60,11 @@ bool ImpactSequence::add(int guard, const std::vector<HeldContact>& held, double
     if (h.point.guard != guard) continue;
     c.held = true;
     bool found = false;
-    for (const ContactPoint& p : c.points) found |= is(p, h.point);
+    // A flat rim's points stand for the rim.
+    for (const ContactPoint& p : c.points)
+      found |= is(p, h.point) || (h.point.kind == PointKind::kRim && feature_rim(h.point.feature) >= 0 &&
+                                  feature_rim(p.feature) == feature_rim(h.point.feature) &&
+                                  feature_on_b(p.feature) == feature_on_b(h.point.feature));
     if (found) continue;
     c.points.push_back(h.point);
     for (std::size_t k = c.spare.size(); k-- > 0;)
