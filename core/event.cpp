@@ -143,8 +143,7 @@ bool EventFinder::collect() {
   for (int g = 0; g < guards_->count(); ++g) {
     const auto exempted = std::find(exempt_.begin(), exempt_.end(), g);
     if (exempted != exempt_.end()) {
-      const double deepest = guards_->is_held(g) ? kRounding : guards_->touch_tolerance(g);
-      if (guards_->evaluate(g, contact_) >= -deepest) continue;
+      if (guards_->evaluate(g, contact_) >= -std::max(kRounding, guards_->touch_tolerance(g))) continue;
       exempt_.erase(exempted);  // it does not leave
     }
     if (!touching_[g] && guards_->skip(g)) {

@@ -8,7 +8,7 @@ namespace contactvi {
 
 namespace {
 constexpr double kClosed = 1e-12;    // [m] a gap below which a contact without load takes part in the end kick
-constexpr double kSwing = 0.7;       // cosine of the angle by which a rim's contact may run round in a step
+constexpr double kSwing = 0.95;      // cosine of the angle by which a rim's contact may run round in a step
 constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
 }  // namespace
 

@@ -16,6 +16,8 @@ constexpr double kSolved = 1e-11;       // of all speeds of the closed points: w
 constexpr double kFloor = 2e-14;        // of all speeds: rounding
 constexpr double kTie = 1e-12;          // of the speeds: who closes faster by less does not go first
 constexpr int kManyHits = 256;          // of inelastic contacts at one instant, per contact: the same
+constexpr double kOnCone = 1e-10;       // friction beyond the cone by so much is rounding
+using ImpactMap = ImpactResult(const ImpactProblem&, const ImpactResult&, VecRef);
 constexpr int kDtec = 1, kMhc = 2;
 }  // namespace
 
@@ -32,127 +34,6 @@ bool ImpactSequence::fail(StatusCode code, const char* message, int guard) {
   message_ = message;
   guard_ = guard;
   return false;
-}
-
-// The points of a guard that are closed at q_, held ones among them; false if there are none.
-bool ImpactSequence::add(int guard, const std::vector<HeldContact>& held, double margin) {
-  if (count_ == static_cast<int>(closed_.size())) closed_.emplace_back();
-  ClosedGuard& c = closed_[count_];
-  c.guard = guard;
-  c.e = scene_->restitution(guard);
-  c.mu = scene_->friction(guard);
-  c.hit = c.held = false;
-  c.points.clear();
-  c.spare.clear();
-  Contact& witness = c.witness;
-  const double gap = guards_->evaluate_witness(guard, witness);
-  if (scene_->is_pair(guard)) {
-    guards_->manifolds().find(guard, guards_->placements(), witness, std::max(margin, gap), c.points, &c.spare);
-  } else {
-    ContactPoint limit{};
-    limit.guard = guard;
-    limit.kind = PointKind::kLimit;
-    c.points.push_back(limit);
-  }
-  c.chosen = static_cast<int>(c.points.size());
-  auto is = [](const ContactPoint& a, const ContactPoint& b) { return a.kind == b.kind && a.feature == b.feature; };
-  for (const HeldContact& h : held) {
-    if (h.point.guard != guard) continue;
-    c.held = true;
-    bool found = false;
-    // A flat rim's points stand for the rim.
-    for (const ContactPoint& p : c.points)
-      found |= is(p, h.point) || (h.point.kind == PointKind::kRim && feature_rim(h.point.feature) >= 0 &&
-                                  feature_rim(p.feature) == feature_rim(h.point.feature) &&
-                                  feature_on_b(p.feature) == feature_on_b(h.point.feature));
-    if (found) continue;
-    c.points.push_back(h.point);
-    for (std::size_t k = c.spare.size(); k-- > 0;)
-      if (is(c.spare[k], h.point)) c.spare.erase(c.spare.begin() + static_cast<std::ptrdiff_t>(k));
-  }
-  if (c.points.empty()) return false;
-  c.count = c.rows = 0;
-  c.contacts.clear();
-  c.t1.clear();
-  for (int i = 0; i < static_cast<int>(c.points.size()); ++i) add_rows(c);
-  any_held_ |= c.held;
-  ++count_;
-  return true;
-}
-
-// The next of a guard's points comes into use.
-void ImpactSequence::add_rows(ClosedGuard& c) {
-  const ContactPoint& point = c.points[c.count];
-  const int m = c.rows_per_point(), nv = scene_->tree.nv, total = m * static_cast<int>(c.points.size());
-  if (c.W.rows() != nv || c.W.cols() < total) {
-    c.W.conservativeResize(nv, total);
-    c.MinvW.conservativeResize(nv, total);
-  }
-  Contact contact = c.witness;
-  if (point.kind != PointKind::kWitness && point.kind != PointKind::kLimit)
-    guards_->manifolds().evaluate(point, guards_->placements(), contact);
-  const Vec3 t1 = c.mu > 0.0 ? any_tangent(contact.normal) : Vec3(Vec3::Zero());
-  guards_->rows(c.guard, contact, t1, c.W.middleCols(c.rows, m));
-  c.MinvW.middleCols(c.rows, m) = c.W.middleCols(c.rows, m);
-  integrator_->solve_masses(c.MinvW.middleCols(c.rows, m));
-  c.contacts.push_back(contact);
-  c.t1.push_back(t1);
-  c.rows += m;
-  ++c.count;
-}
-
-// A face of many points that tips: of those not in use the one that closes fastest is taken in. False: none closes.
-bool ImpactSequence::take_spare(const VecX& p) {
-  ClosedGuard* tips = nullptr;
-  std::size_t best = 0;
-  double most = -kSolved * std::max(speeds_, largest_speed(p));
-  bool any = false;
-  for (int i = 0; i < count_; ++i) any |= !closed_[i].spare.empty();
-  if (!any || !integrator_->node_velocity(q_, p, v_)) return false;
-  guards_->place(q_);
-  MatX row(scene_->tree.nv, 3);
-  for (int i = 0; i < count_; ++i) {
-    ClosedGuard& c = closed_[i];
-    for (std::size_t k = 0; k < c.spare.size(); ++k) {
-      Contact contact;
-      guards_->manifolds().evaluate(c.spare[k], guards_->placements(), contact);
-      guards_->rows(c.guard, contact, any_tangent(contact.normal), row);
-      const double gamma = row.col(0).dot(v_);
-      if (gamma >= most) continue;
-      most = gamma;
-      tips = &c;
-      best = k;
-    }
-  }
-  if (tips == nullptr) return false;
-  tips->points.push_back(tips->spare[best]);
-  tips->spare.erase(tips->spare.begin() + static_cast<std::ptrdiff_t>(best));
-  add_rows(*tips);
-  return true;
-}
-
-bool ImpactSequence::collect(const VecX& q, const VecX& p, const std::vector<int>& active, int first,
-                             const std::vector<HeldContact>& held) {
-  count_ = 0;
-  any_held_ = false;
-  q_ = q;
-  guards_->place(q);
-  if (!integrator_->node_velocity(q, p, v_))
-    return fail(StatusCode::kNewtonFailed, "the mass matrix is not positive definite", -1);
-  std::vector<int> guards(active);
-  if (first >= 0) guards.push_back(first);
-  for (const HeldContact& h : held) guards.push_back(h.point.guard);
-  std::sort(guards.begin(), guards.end());
-  guards.erase(std::unique(guards.begin(), guards.end()), guards.end());
-  for (int g : guards) {
-    const double tolerance = guards_->touch_tolerance(g);
-    bool is_held = false;
-    for (const HeldContact& h : held) is_held |= h.point.guard == g;
-    Contact contact;
-    if (g != first && !is_held && !(guards_->evaluate_witness(g, contact) <= tolerance)) continue;
-    add(g, held, tolerance);
-  }
-  return true;
 }
 
 double ImpactSequence::largest_speed(const VecX& p) const {
@@ -266,8 +147,27 @@ ImpactResult ImpactSequence::corrected(const ClosedGuard& closed, const BlockRes
   }
   const VecX base = p - ctec.impulse * W;  // so that p = base + impulse W
   const double G_c = W.dot(MinvW), gamma = MinvW.dot(base);
-  const ImpactProblem problem{*integrator_, q_, base, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, target};
-  return options_.map == kDtec ? impact_dtec(problem, ctec, p) : impact_mhc(problem, ctec, p);
+  ImpactProblem problem{*integrator_, q_, base, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, target};
+  auto* map = options_.map == kDtec ? static_cast<ImpactMap*>(&impact_dtec) : static_cast<ImpactMap*>(&impact_mhc);
+  result = map(problem, ctec, p);
+  if (!leaves_cone(closed, block.lambda, result.impulse)) return result;
+  // The correction acts along the normals: where it leaves less than friction needs, CTEC's impulse stands.
+  problem.restitution = 0.0;
+  result = map(problem, ctec, p);
+  result.fallback = Fallback::kInadmissible;
+  return result;
+}
+
+// Whether friction would be too large for the normal impulses scaled to a total of `normal`.
+bool ImpactSequence::leaves_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const {
+  if (closed.mu == 0.0) return false;
+  double before = 0.0;
+  for (int i = 0; i < closed.count; ++i) before += lambda[3 * i];
+  if (!(before > 0.0) || normal >= before) return false;
+  const double share = normal / before;
+  for (int i = 0; i < closed.count; ++i)
+    if (lambda.segment<2>(3 * i + 1).norm() > closed.mu * share * lambda[3 * i] * (1.0 + kOnCone)) return true;
+  return false;
 }
 
 bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording) {

@@ -62,6 +62,7 @@ class ImpactSequence {
   bool hit_plastic(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p, bool& any,
                    Recording& recording);
   ImpactResult corrected(const ClosedGuard& closed, const BlockResult& block, double e, const Instant& at, VecX& p);
+  bool leaves_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const;
   ImpactResult apply_map(const ImpactProblem& problem, VecX& p);
   void record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
               const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,

@@ -81,6 +81,11 @@ bool Simulator::find_release(const VecX& tau, double& alpha, bool& at_start) {
     if (!(at_end[i] < -kNoForce * largest)) continue;
     releasing_ = static_cast<int>(i);
     if (before[i] <= kNoForce * largest) {
+      // Found closed again and again it stays: the step can do without its force as well.
+      if (without_progress_ >= kStandstill) {
+        releasing_ = -1;
+        continue;
+      }
       at_start = true;
       return true;
     }
@@ -192,6 +197,14 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
   return alpha <= 0.0 || !held_.swings() || h <= kShortestSwing * contact_step();
 }
 
+// What closes in place but not in speed, again and again, is rounding of the places: a short step leads past it.
+void Simulator::step_past(int guard) {
+  if (!hit_.empty() || without_progress_ < kStandstill) return;
+  finder_.exempt(guard);
+  held_trial_ = std::min(held_trial_, kPastIt * contact_step());
+  trial_ = std::min(trial_, kPastIt * options_.dt);
+}
+
 // One held step, to the end of the interval, to an event, or to a change of the contacts.
 bool Simulator::held_piece(Piece& piece, Recording& recording) {
   const auto clock = std::chrono::steady_clock::now();
@@ -232,15 +245,9 @@ bool Simulator::held_piece(Piece& piece, Recording& recording) {
     if (taken <= 0.0 && ++without_progress_ > kMaxWithoutProgress)
       return end(StatusCode::kTooManyImpacts, at, "impacts without end at one instant", finder_.event().guard);
     const Event& event = finder_.event();
-    const std::size_t held_before = held_.contacts().size();
     const bool resolved =
         resolve_event(event.guard, event.persistent, {now, 0.0, piece.remaining, piece.tau, step_}, recording);
-    // What closes in place but not in speed, again and again, is rounding of the places: a short step leads past it.
-    if (resolved && taken <= 0.0 && hit_.empty() && without_progress_ >= kStandstill &&
-        held_.contacts().size() == held_before) {
-      finder_.exempt(event.guard);
-      held_trial_ = std::min(held_trial_, kPastIt * nominal);
-    }
+    if (resolved && taken <= 0.0) step_past(event.guard);
     held_seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
     return resolved;
   }

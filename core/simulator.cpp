@@ -15,6 +15,7 @@ constexpr int kMostHalvings = 4000;   // and after so many in one step
 constexpr int kEasySteps = 4;         // short steps in a row before a longer one is tried
 constexpr double kFlights = 20.0;     // a free step after a flight shorter than dt by so much again is so many flights,
 constexpr double kGrowth = 8.0;       // and grows by this while nothing happens
+constexpr int kMaxWithoutProgress = 200;  // events in place that hit nothing
 constexpr int kCtec = 0, kDtec = 1, kMhc = 2;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
@@ -244,12 +245,17 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   p_ = event.p;
   if (!resolve_event(event.guard, event.persistent, {at, before, piece.remaining, piece.tau, step_}, recording))
     return false;
+  if (before <= 0.0 && hit_.empty()) {
+    if (++without_progress_ > kMaxWithoutProgress)
+      return end(StatusCode::kTooManyImpacts, at, "contacts open and close without end at one instant", event.guard);
+    step_past(event.guard);
+  }
   // A path over the whole step would be too coarse to see the next flight.
   const double flight = shortest_flight();
   flight_trial_ =
       options_.impact == kCtec && flight > 0.0 && kFlights * kFlights * flight < options_.dt ? kFlights * flight : 0.0;
   // An implicit map has chosen its impulse for the rest of the step in one piece.
-  if (options_.impact != kCtec) trial_ = std::max(trial_, piece.remaining);
+  if (options_.impact != kCtec && !hit_.empty()) trial_ = std::max(trial_, piece.remaining);
   return true;
 }
 

@@ -106,6 +106,7 @@ class Simulator {
   bool held_piece(Piece& piece, Recording& recording);
   bool held_step_failed(double h, double time);
   bool first_change(const Piece& piece, double h, double& alpha, bool& hit, bool& again, Recording& recording);
+  void step_past(int guard);
   bool find_release(const VecX& tau, double& alpha, bool& at_start);
   bool find_stick(const VecX& tau, double& alpha);
   bool release_value(const VecX& tau, double alpha, double& value);
