@@ -11,6 +11,7 @@ constexpr double kRounding = 1e-14;     // of the velocities: nothing left to im
 constexpr double kGapRounding = 2e-16;  // [m] that the gaps carry, as a velocity over the step
 constexpr double kPlaceRounding = 4e-15;  // [m] that the places of sticking points disagree by, the same
 constexpr double kAccept = 1e-9;          // residual of a cone problem that counts as solved if nothing better is found
+constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_place
 constexpr double kStalled = 1e3;        // of that: rounds which no longer gain may end
 constexpr int kIdle = 4;                // such rounds
 constexpr double kSettled = 1e-3;       // relative change of v from which on the contact matrix is kept
@@ -125,6 +126,12 @@ void HeldStep::end_node(const VecX& q1) {
   }
 }
 
+// Part of a step below which a gap is followed by its rate.
+double HeldStep::shortest_place(const HeldContact& held) const {
+  if (guards_->is_noisy(held.point.guard)) return kShortNoisy;
+  return held.point.kind == PointKind::kRim ? kShortRim : kShort;  // a rim's rate turns with it
+}
+
 // y = (phi(q1)/h; s) at the velocity v_, and its derivative S^T along v.
 void HeldStep::measure(double h) {
   integrate(scene_->tree, node0_.q, v_, h, q1_);
@@ -135,7 +142,13 @@ void HeldStep::measure(double h) {
     const int r = row_[i];
     // What the gap was off at the start goes away over a whole step, not over a part of any shortness.
     const double left = h < nominal_h_ ? (1.0 - h / nominal_h_) * node0_.at[i].gap : 0.0;
-    y_[r] = (node1_.at[i].gap - left) / h;
+    if (h < shortest_place(held) * nominal_h_) {
+      // Over so short a time the difference of two gaps is rounding: their rate instead.
+      S_.col(r) = 0.5 * (node0_.W.col(r) + node1_.W.col(r));
+      y_[r] = S_.col(r).dot(v_) + node0_.at[i].gap / nominal_h_;
+    } else {
+      y_[r] = (node1_.at[i].gap - left) / h;
+    }
     if (held.mu == 0.0) continue;
     if (held.point.material) {
       const Vec3 moved = (place_on_plane(held.point) - y_ref_[i]) / h;

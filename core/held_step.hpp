@@ -92,6 +92,7 @@ class HeldStep final : public Stepper {
   Vec3 place_on_plane(const ContactPoint& point) const;
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
   void measure(double h);
+  double shortest_place(const HeldContact& held) const;
   void find_paradox(const VecX& v);
   bool solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize);
   bool end_kick();

@@ -13,6 +13,7 @@ namespace contactvi {
 namespace {
 constexpr double kShortest = 1e-6;                         // of a contact step: halving ends there
 constexpr double kShortestSwing = 1e-9;  // the same where a rim falls all but flat
+constexpr double kNoTime = 1e-10;  // of a contact step: an event so early is one at its start
 constexpr int kEasySteps = 4;                              // short steps in a row before a longer one is tried
 constexpr double kAlpha = 1e-13;                           // of a step: to what its events are located
 constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of the speeds: nothing to improve
@@ -165,6 +166,7 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
   if (found == Search::kFound) {
     hit = true;
     alpha = finder_.event().alpha;
+    if (alpha * h < kNoTime * contact_step()) alpha = 0.0;
     if (alpha <= 0.0) return true;
     if (!held_.solve_part(held_path_, alpha, q_, p_, piece.tau)) return false;
   } else if (held_.h() != h && !held_.solve_part(held_path_, 1.0, q_, p_, piece.tau)) {
@@ -172,7 +174,13 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
   }
   const double limit = alpha;
   bool at_start = false;
-  if (!find_release(piece.tau, alpha, at_start)) return false;
+  // Where a release or the end of a slip cannot be located the step stands as it is, unilateral and within the cone.
+  if (!find_release(piece.tau, alpha, at_start)) {
+    releasing_ = -1;
+    alpha = limit;
+    at_start = false;
+    if (!held_.solve_part(held_path_, alpha, q_, p_, piece.tau)) return false;
+  }
   if (at_start) {
     const HeldContact gone = held_.contacts()[releasing_];
     left_.emplace_back(gone.point.guard, gone.point.feature);
@@ -188,7 +196,10 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
   const bool released = alpha < limit;
   const int releasing = releasing_;
   const double before_stick = alpha;
-  if (!find_stick(piece.tau, alpha)) return false;
+  if (!find_stick(piece.tau, alpha)) {
+    alpha = before_stick;
+    if (!held_.solve_part(held_path_, alpha, q_, p_, piece.tau)) return false;
+  }
   releasing_ = released && alpha == before_stick ? releasing : -1;
   if (alpha < limit) {
     hit = false;

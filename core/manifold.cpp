@@ -174,7 +174,24 @@ double Manifolds::rest(int pair, const Placements& at, const ContactPoint* const
     value = gap;
     contact = far;
   }
-  return value;
+  return count > 0 ? with_witness(pair, at, held, count, witness, value, contact) : value;
+}
+
+// Where coal sees the pair deeper than its held points are, a feature has come down that none of the faces lists.
+double Manifolds::with_witness(int pair, const Placements& at, const ContactPoint* const* held, int count,
+                               const Contact& witness, double value, Contact& contact) const {
+  const double noise = shapes_[pair].noise;
+  double least = 0.0;
+  for (int i = 0; i < count; ++i) {
+    if (held[i]->kind == PointKind::kWitness || held[i]->kind == PointKind::kLimit) return value;
+    Contact c;
+    evaluate(*held[i], at, c);
+    least = std::min(least, c.gap);
+  }
+  const double deeper = witness.gap - least;
+  if (!(deeper < -0.5 * noise) || deeper + 2.0 * noise >= value) return value;
+  contact = witness;
+  return deeper + 2.0 * noise;
 }
 
 bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) const {

@@ -97,6 +97,8 @@ class Manifolds {
               Contact& contact) const;
 
  private:
+  double with_witness(int pair, const Placements& at, const ContactPoint* const* held, int count,
+                      const Contact& witness, double value, Contact& contact) const;
   struct Shapes {
     int a, b;      // in outlines_
     bool single;   // coal's point is the only one
