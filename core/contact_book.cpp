@@ -61,6 +61,7 @@ HeldContact Simulator::make_held(const ContactPoint& point, const Contact& conta
   held.tangent = any_tangent(contact.normal);
   if (point.kind == PointKind::kVertex && point.plane_body >= 0)
     held.tangent = guards_.placements().R_W[point.plane_body].transpose() * held.tangent;
+  held.slip = slip;
   held.sticks = slip.norm() <= kStays * (1.0 + v_.cwiseAbs().maxCoeff());
   return held;
 }

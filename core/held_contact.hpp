@@ -9,6 +9,7 @@ struct HeldContact {
   ContactPoint point;
   double mu = 0;       // 0: one row, no friction
   bool sticks = true;  // at the node: its points do not slip on each other
+  Vec3 slip = Vec3::Zero();  // there [m/s], world
   bool anchored = false;
   Vec3 anchor;                // of a material point that sticks: its place in the plane's body frame
   Vec3 tangent;               // t1; of a vertex in the plane's body frame, else world, carried along with the normal
@@ -27,6 +28,7 @@ struct HeldOutcome {
   double w_n = 0;        // normal speed at the end
   bool slipped = false;  // during the step
   bool slips = false;    // at its end
+  bool turned = false;   // the step's slip is against that at its start
   double reversed = 0;   // w_t . d of a contact that slipped along d, if its friction had gone on; else 0
   bool active = false;   // took part in the end kick
   double paradox = 0;    // A = W_n M^-1 (W_n - mu W_t^T d)^T of a slipping contact: <= 0 is Painleve's

@@ -40,13 +40,17 @@ bool HeldStep::end_kick() {
     out.active = lambda_[r] > 0.0 || node1_.at[i].gap <= noise;
     out.slipped = false;
     out.reversed = 0.0;
+    out.turned = false;
     if (out.active) active_.push_back(static_cast<int>(i));
     if (contacts_[i].mu == 0.0) continue;
     const Eigen::Vector2d s = y_.segment<2>(r + 1) + G_.block(r + 1, 0, 2, rows_) * change_;
     const double limit = contacts_[i].mu * lambda_[r];
     const bool on_cone = lambda_.segment<2>(r + 1).norm() >= limit * (1.0 - 1e-9);
     out.slipped = on_cone && s.norm() > kSlipping * speed;
-    if (out.slipped) cones_[i].d = s.normalized();
+    if (!out.slipped) continue;
+    cones_[i].d = s.normalized();
+    const Vec3 t1 = node1_.t1[i], t2 = node1_.at[i].normal.cross(t1);
+    out.turned = contacts_[i].slip.dot(s[0] * t1 + s[1] * t2) < 0.0;
   }
   lambda_end_ = lambda_;
   if (!solve_end(lambda_end_)) {
@@ -158,6 +162,7 @@ void HeldStep::commit() {
     held.force = (out.start + out.end) / h_;
     if (held.mu > 0.0 && held.point.kind != PointKind::kVertex) held.tangent = node1_.t1[i];
     held.sticks = !out.slips;
+    held.slip = out.slip_W;
     if (!held.point.material) continue;
     if (out.slips || out.slipped) held.anchored = false;
     if (!out.slips && !held.anchored) {

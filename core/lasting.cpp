@@ -113,7 +113,7 @@ bool Simulator::find_release(const VecX& tau, double& alpha, bool& at_start) {
 bool Simulator::stick_value(const VecX& tau, double alpha, double& value) {
   if (!held_.solve_part(held_path_, alpha, q_, p_, tau)) return false;
   const HeldOutcome& out = held_.outcomes()[sticking_];
-  value = out.slipped ? out.reversed : -1e-3;
+  value = out.slipped && !out.turned ? out.reversed : -1e-3;
   return true;
 }
 
@@ -125,7 +125,8 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
   for (std::size_t i = 0; i < held_.contacts().size(); ++i) {
     const HeldContact& held = held_.contacts()[i];
     const HeldOutcome& out = held_.outcomes()[i];
-    if (held.mu == 0.0 || held.sticks || !out.active || out.slips) continue;
+    const bool turns = out.slips && (out.turned || out.slip_W.dot(held.slip) < 0.0);
+    if (held.mu == 0.0 || held.sticks || !out.active || (out.slips && !turns)) continue;
     sticking_ = static_cast<int>(i);
     double high_value = 0.0, root = alpha;
     if (!stick_value(tau, alpha, high_value)) return false;
