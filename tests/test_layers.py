@@ -41,7 +41,7 @@ CPP_LAYERS: Layers = {
     "impact": (("impact", "impact_ctec", "impact_dtec", "impact_mhc"), ("step",)),
     "held": (("held_contact", "held_step", "held_end", "held_forces"), ("guard", "step", "cone")),
     "recording": (("recording",), ("base",)),
-    "sequence": (("impact_block", "impact_sequence"), ("event", "impact", "held", "recording")),
+    "sequence": (("impact_block", "impact_closed", "impact_sequence"), ("event", "impact", "held", "recording")),
     "simulator": (("simulator", "lasting", "contact_book", "arcs"), ("sequence",)),
     "bindings": (("bindings",), ("simulator", "cone")),
 }
