@@ -36,10 +36,12 @@ def lawful(scene, result, ends: tuple[int, ...] = (SUCCESS,), gap: float = 1e-12
     assert np.all(np.diff(log["time"]) >= 0.0)
     assert np.all(log["impulse"] >= 0.0)
     assert np.all(log["gamma_minus"] < 0.0)
-    assert np.all(log["gamma_plus"] >= 0.0)
+    # an impact counted as plastic, at the end of a bouncing, leaves rounding
+    assert np.all(log["gamma_plus"] >= -1e-13 * np.abs(log["p_plus"]).max()), log["gamma_plus"].min()
     assert np.abs(log["gap"]).max() <= gap
     ctec = -(1.0 + log["restitution"]) * log["gamma_minus"] / log["G_c"]
-    explicit = (log["fallback"] != 0) | (result.method == "ctec")
+    # several plastic contacts of one instant are one problem
+    explicit = ((log["fallback"] != 0) | (result.method == "ctec")) & (log["restitution"] > 0.0)
     assert np.all(np.abs(log["impulse"] - ctec)[explicit] <= 1e-12 * ctec[explicit])
     # the scalar of each map, a sum of energies: the solver's 1e-12 of the largest of them and their rounding
     scale = 1.0 + np.abs(core.energy(result.q, result.p)).max()
