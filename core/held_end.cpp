@@ -171,6 +171,10 @@ void HeldStep::commit() {
     }
     y_ref_[i] = held.anchored ? held.anchor : place_on_plane(held.point);
   }
+  v_node_ = v1_;
+  v_last_ = v_;
+  h_last_ = h_;
+  follows_ = true;
   std::swap(node0_, node1_);
   node1_.known = false;
 }

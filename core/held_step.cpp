@@ -14,6 +14,7 @@ constexpr double kAccept = 1e-9;          // residual of a cone problem that cou
 constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_place
 constexpr double kStalled = 1e3;        // of that: rounds which no longer gain may end
 constexpr int kIdle = 4;                // such rounds
+constexpr double kBest = 1e-4;           // contraction of a round: no better one is believed
 constexpr double kSettled = 1e-3;       // relative change of v from which on the contact matrix is kept
 }  // namespace
 
@@ -181,6 +182,7 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     lambda_.segment(row_[i], contacts_[i].rows()) = 0.5 * h * contacts_[i].force.head(contacts_[i].rows());
   double best = INFINITY;
   int idle = 0;
+  double last = INFINITY;
   bool settled = false;
   const double noise = std::max(kGapRounding, noisy_ ? 1e-11 : 0.0) / h;  // of the rows, as a velocity
   for (int k = 0; k < kMaxRounds; ++k) {
@@ -212,7 +214,10 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     if (!std::isfinite(change)) break;
     const double floor = std::max(kRounding, noise) * size;
     settled = change < kSettled * size;
-    if (change <= floor) return true;
+    // What the next round would change is known from the contraction so far.
+    const double theta = k > 0 ? std::max(kBest, change / last) : 1.0;
+    last = change;
+    if (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= floor)) return true;
     idle = change < 0.7 * best ? 0 : idle + 1;
     best = std::min(best, change);
     if (idle >= kIdle && best < kStalled * floor) return true;
@@ -239,11 +244,15 @@ void HeldStep::find_paradox(const VecX& v) {
 
 bool HeldStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
   why_ = "";
-  if (!integrator_.node_velocity(q0, p0, v1_)) {
-    why_ = "the mass matrix is not positive definite";
-    return false;
+  if (node0_.known && follows_ && (node0_.q.array() == q0.array()).all()) {
+    guess_ = v_node_ + (h / h_last_) * (v_node_ - v_last_);  // at the middle, from the last step's
+  } else {
+    if (!integrator_.node_velocity(q0, p0, v1_)) {
+      why_ = "the mass matrix is not positive definite";
+      return false;
+    }
+    guess_ = v1_;
   }
-  guess_ = v1_;
   h_ = h;
   ++counters.steps;
   return iterate(q0, p0, h, tau, guess_) && end_kick();

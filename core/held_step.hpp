@@ -36,7 +36,7 @@ class HeldStep final : public Stepper {
   // Usual length of a step: what the gaps are off is taken back over it.
   void set_nominal(double h) { nominal_h_ = h; }
   // Contacts were added or dropped, or the state is not the end of the last step.
-  void changed() { node0_.known = false; }
+  void changed() { node0_.known = follows_ = false; }
 
   int stages() const override { return 1; }
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
@@ -122,6 +122,9 @@ class HeldStep final : public Stepper {
   VecX b_sub_, x_;
   std::vector<ConeContact> force_cones_;
   VecX w_end_, guess_, q_side_, v_side_, acceleration_;
+  VecX v_node_, v_last_;  // of the last step: at its end, in its middle
+  double h_last_ = 1;
+  bool follows_ = false;  // the next step is the one after it
   double h_ = 0, nominal_h_ = 0, force_scale_ = 0;
   const char* why_ = "";
 };

@@ -143,7 +143,6 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
 }
 
 bool Simulator::held_step_failed(double h, double time) {
-  if (getenv("DBG")) fprintf(stderr, "held step failed t=%.17g h=%.3g %s rel %d stick %d\n", time, h, held_.why(), releasing_, sticking_);  //DBG
   if (h < (held_.swings() ? kShortestSwing : kShortest) * contact_step())
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with held contacts was not solved: ") + held_.why());
@@ -164,7 +163,6 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
   held_.finish(q1_, p1_);
   finder_.set_stepper(held_);
   const Search found = finder_.search(q_, p_, q1_, p1_, h, piece.tau, held_path_);
-  if (getenv("DBG")) { fprintf(stderr, "held t=%.17g h=%.3g found %d alpha %.3g pers %d swings %d:", piece.start + piece.done, h, (int)found, found == Search::kFound ? finder_.event().alpha : -1., found == Search::kFound ? finder_.event().persistent : -1, held_.swings()); for (std::size_t i = 0; i < held_.contacts().size(); ++i) fprintf(stderr, " [g%d %lld gap %.3g s %.3g %.3g e %.3g w %.3g]", held_.contacts()[i].point.guard, (long long)(held_.contacts()[i].point.feature >> 40) * 1000 + ((held_.contacts()[i].point.feature >> 20) & 0xfffff), held_.outcomes()[i].contact.gap, held_.outcomes()[i].start[0], held_.outcomes()[i].start[1], held_.outcomes()[i].end[0], held_.outcomes()[i].w_n); fprintf(stderr, " failed %d %.3g\n", finder_.failed_guard(), finder_.failed_gap()); }  //DBG
   if (found != Search::kNone && found != Search::kFound) return false;
   if (found == Search::kFound) {
     hit = true;

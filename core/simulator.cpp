@@ -222,7 +222,6 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
     trial_ *= 2.0;
     easy_ = 0;
   }
-  if (getenv("DBG")) fprintf(stderr, "step t=%.17g h=%.3g found %d\n", at, h, (int)found);  //DBG
   if (found == Search::kNone) {
     flight_trial_ = kGrowth * flight_trial_ < options_.dt ? kGrowth * flight_trial_ : 0.0;
     without_progress_ = 0;
@@ -237,7 +236,6 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   if (found != Search::kFound) return search_failed(found, at);
   const Event& event = finder_.event();
   const double before = event.alpha * h;
-  if (getenv("DBG")) fprintf(stderr, "free t=%.17g h=%.3g alpha=%.3g guard %d pers %d gap %.3g ft %.3g trial %.3g\n", at, h, event.alpha, event.guard, event.persistent, event.gap, flight_trial_, trial_);  //DBG
   if (options_.dense && before > 0.0) rates_ = integrator_.rates();
   if (before > 0.0) record_segment(at, before, event.p, recording);
   integrator_.forget();
@@ -288,7 +286,6 @@ bool Simulator::resolve_event(int first, bool persistent, const Instant& at, Rec
   if (!judge_accumulation(first, persistent || touched, time, recording)) return false;
   bool any_hit = false;
   for (int i = 0; i < sequence_.count(); ++i) any_hit |= sequence_.closed(i).hit;
-  if (getenv("DBG")) { fprintf(stderr, "  resolve scale %.3g rounding %d touched %d hit %d washeld %d:", scale, rounding, touched, any_hit, was_held); for (int i = 0; i < sequence_.count(); ++i) for (int k = 0; k < sequence_.closed(i).count; ++k) fprintf(stderr, " [g%d %lld gap %.3g gam %.3g]", sequence_.closed(i).guard, (long long)(sequence_.closed(i).points[k].feature >> 40) * 1000 + ((sequence_.closed(i).points[k].feature >> 20) & 0xfffff), sequence_.closed(i).contacts[k].gap, sequence_.closed(i).gamma_n(k, p_)); fprintf(stderr, "\n"); }  //DBG
   // What closes again without a flight to be seen, though it separates, is held: the step decides.
   if (holds()) hold_closed((persistent || touched) && !any_hit ? first : -1, time, at.tau, recording);
   if (was_held && held_.empty()) reanchor();
