@@ -344,7 +344,13 @@ bool Simulator::judge_accumulation(int first, bool stays, double time, Recording
     }
     b.last_time = time;
     ++b.hits;
-    if (plastic_[c.guard]) b = Bouncing();  // what comes next is another story
+    if (plastic_[c.guard]) {  // what comes next is another story, unless it comes at once
+      const int hits = b.short_hits >= kShortHits ? 1 : 0;
+      b = Bouncing();
+      b.hits = hits;
+      b.last_time = time;
+      b.short_hits = hits * (kShortHits - 1);
+    }
   }
   if (!any && stays && !holds()) {
     end(StatusCode::kZeno, time, "a contact stays closed", first);

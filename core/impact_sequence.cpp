@@ -12,6 +12,7 @@ namespace contactvi {
 namespace {
 constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
 constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
+constexpr double kLowBounce = 1e-7;     // the same among held contacts: flights of 1e-15 m
 constexpr double kSolved = 1e-11;       // of all speeds of the closed points: what a plastic problem leaves
 constexpr double kFloor = 2e-14;        // of all speeds: rounding
 constexpr double kTie = 1e-12;          // of the speeds: who closes faster by less does not go first
@@ -44,7 +45,7 @@ double ImpactSequence::largest_speed(const VecX& p) const {
 }
 
 // The elastic contact that closes fastest; null if none closes. False: it closes too slowly to go on with e > 0.
-bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic, double scale,
+bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic,
                                  ClosedGuard*& worst) const {
   worst = nullptr;
   double gamma = -std::max(kSeparated * scale, kFloor * speeds_);
@@ -56,7 +57,8 @@ bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic
     gamma = candidate;
     worst = const_cast<ClosedGuard*>(&c);
   }
-  return worst == nullptr || gamma <= -kPlasticSpeed * scale;
+  // What bounces among contacts that are at rest anyway is not followed as far down.
+  return worst == nullptr || gamma <= -std::max(kPlasticSpeed * scale, any_held_ && !elastic ? kLowBounce * speeds_ : 0.0);
 }
 
 bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, VecX& p, Recording& recording) {
@@ -70,7 +72,7 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
   for (int i = 0; i < count_; ++i) elastic |= closed_[i].e == 1.0;
   for (int hits = 0;; ++hits) {
     ClosedGuard* worst = nullptr;
-    const bool goes_on = closes_most(p, plastic, scale, worst) && (elastic || hits < kManyHits * count_);
+    const bool goes_on = closes_most(p, plastic, scale, elastic, worst) && (elastic || hits < kManyHits * count_);
     if (goes_on) {
       if (worst != nullptr) {
         const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_held_);

@@ -56,7 +56,8 @@ class ImpactSequence {
   bool add(int guard, const std::vector<HeldContact>& held, double margin);
   void add_rows(ClosedGuard& closed);
   bool take_spare(const VecX& p);
-  bool closes_most(const VecX& p, const std::vector<char>& plastic, double scale, ClosedGuard*& worst) const;
+  bool closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic,
+                   ClosedGuard*& worst) const;
   bool hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
   bool hit_block(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
   bool hit_plastic(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p, bool& any,
