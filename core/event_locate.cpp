@@ -12,6 +12,8 @@ constexpr double kTarget = 1e-13;   // a gap at which nothing is left to improve
 constexpr double kClosing = 1e-12;  // a touching guard below -this has closed again
 constexpr double kHeight = 1e-16;   // a flight lower than this is rounding
 constexpr double kBeyond = 1.001;   // of the step, as far as an event at its end may seem to lie beyond it
+constexpr double kRounding = 1e-10;  // [m] by which features of a face differ
+constexpr double kJump = 1e-12;      // width of a bracket in which a gap jumps
 constexpr int kMaxCuts = 1000;      // of the step, looking for where a touching guard separates
 constexpr int kMaxProbes = 80;      // exact partial steps to one event
 constexpr int kMaxDipProbes = 12;
@@ -80,7 +82,10 @@ Search EventFinder::leave(Suspect& s, Point a) {
       if (used < 1e-15) return close(s, a, m);
     }
   }
-  return fail(Search::kUnresolved, g, a.gap);
+  // Neither: it hangs about zero, and what holds it decides.
+  s.crosses = s.persistent = true;
+  s.root = 0.0;
+  return Search::kNone;
 }
 
 // A touching guard that is at a and below zero at below without having separated.
@@ -233,7 +238,9 @@ Search EventFinder::polish(Suspect& s, bool lo_seen, bool& exists) {
     before = p;
     x = next;
   }
-  return std::abs(p.gap) <= tolerance ? accept(g, p, false) : fail(Search::kUnresolved, g, p.gap);
+  // Where a feature comes into being the gap of a pair jumps, by rounding.
+  const bool jumps = hi - lo <= kJump * hi && std::abs(p.gap) <= kRounding;
+  return std::abs(p.gap) <= tolerance || jumps ? accept(g, p, false) : fail(Search::kUnresolved, g, p.gap);
 }
 
 }  // namespace contactvi

@@ -16,6 +16,7 @@ constexpr double kLowBounce = 1e-7;     // the same among held contacts: flights
 constexpr double kSolved = 1e-11;       // of all speeds of the closed points: what a plastic problem leaves
 constexpr double kFloor = 2e-14;        // of all speeds: rounding
 constexpr double kTie = 1e-12;          // of the speeds: who closes faster by less does not go first
+constexpr int kFewHits = 32;            // the same among held contacts
 constexpr int kManyHits = 256;          // of inelastic contacts at one instant, per contact: the same
 constexpr double kOnCone = 1e-10;       // friction beyond the cone by so much is rounding
 using ImpactMap = ImpactResult(const ImpactProblem&, const ImpactResult&, VecRef);
@@ -72,7 +73,7 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
   for (int i = 0; i < count_; ++i) elastic |= closed_[i].e == 1.0;
   for (int hits = 0;; ++hits) {
     ClosedGuard* worst = nullptr;
-    const bool goes_on = closes_most(p, plastic, scale, elastic, worst) && (elastic || hits < kManyHits * count_);
+    const bool goes_on = closes_most(p, plastic, scale, elastic, worst) && (elastic || hits < (any_held_ ? kFewHits : kManyHits) * count_);
     if (goes_on) {
       if (worst != nullptr) {
         const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_held_);
