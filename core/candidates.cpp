@@ -103,8 +103,8 @@ void rims_over(const Over& o, int f, bool coming, CandidateSink& sink) {
     if (gap > sink.limit) continue;
     if (coming || tilt > kUpright) {
       // Flat, the lowest of the points that would be found: what closes must be something that can be hit.
-      const Vec3 x =
-          tilt > kUpright ? lowest_of_rim(center, axis, rim.radius, face.normal) : lowest_rim_point(o, rim, face.normal);
+      const Vec3 x = tilt > kUpright ? lowest_of_rim(center, axis, rim.radius, face.normal)
+                                     : lowest_rim_point(o, rim, face.normal);
       // Flat, every point of the rim is lowest.
       const bool over =
           tilt > kUpright ? outside_of(*o.plane, face, x) <= kBorder : reaches_over(*o.plane, face, center, rim.radius);

@@ -12,7 +12,7 @@ namespace contactvi {
 
 // One contact directly; more by Newton's method on the natural map, and where that stalls from better starts: sweeps,
 // then ADMM. Where the forces are not unique (four corners on a plane) the solution is
-//   regularize       near the least-norm one, whatever the start: G + eps I first, then minimum-norm Newton steps with G;
+//   regularize       near the least-norm one, whatever the start: G + eps I first, then minimum-norm Newton steps;
 //   not regularize   the one that minimum-norm Newton steps reach from the start.
 // Among several solutions that differ in their velocities none is preferred; the same input gives the same output.
 class ConeSolver {

@@ -43,8 +43,8 @@ class NaturalMap {
   double tangent_scale(int contact) const { return tangent_[contact]; }
   // Sum of F_n^2/r_n + |F_t|^2/r_t [J].
   double merit() const { return merit_; }
-  // Largest |F/r| of a contact over the size of the terms it is the sum of, the relative backward error; at least 1e-4 of
-  // the root of merit over the largest b^2 r [J], lest endless impulses excuse a contact that they do not open.
+  // Largest |F/r| of a contact over the size of the terms it is the sum of, the relative backward error; at least 1e-4
+  // of the root of merit over the largest b^2 r [J], lest endless impulses excuse a contact that they do not open.
   double residual() const { return residual_; }
   // Some contact touches without load (w_n = 0 and lambda_n = lower to 1e-9): its share may be a choice.
   bool touching() const { return touching_; }

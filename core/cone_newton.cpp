@@ -29,7 +29,8 @@ void ConeNewton::reserve(int rows) {
 }
 
 // The step as unknowns and equations. next_ becomes a point that obeys what the modes fix (an open contact's normal
-// impulse, the direction of slip), else lambda's (or zero); the unknowns lead from it to the step's end. A slipping contact keeps two:
+// impulse, the direction of slip), else lambda's (or zero); the unknowns lead from it to the step's end. A slipping
+// contact keeps two:
 //   normal   w_n = 0 along (1, mu e);   across e   (1 - beta) r_t^-1 tau + beta t.w = 0, tau = t.lambda_t
 // (Alart-Curnier's derivative with the first equation inserted).
 void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const double* lambda, bool from_nothing) {

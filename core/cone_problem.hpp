@@ -27,8 +27,8 @@ struct ConeProblem {
   const std::vector<ConeContact>& contacts;
   Eigen::Ref<const MatX> G;
   Eigen::Ref<const VecX> b;
-  // Error of b [m/s] that its rows may disagree by: four corners of a face have gaps that rounding makes not quite those
-  // of a plane, and gap/h stands in b. Errors of w up to it are no errors.
+  // Error of b [m/s] that its rows may disagree by: four corners of a face have gaps that rounding makes not quite
+  // those of a plane, and gap/h stands in b. Errors of w up to it are no errors.
   double noise = 0.0;
 };
 

@@ -196,7 +196,8 @@ bool Simulator::points_may_change(int guard) {
   return false;
 }
 
-// Points of faces change as bodies slide on each other: they are found again at the node. What has closed meanwhile is hit.
+// Points of faces change as bodies slide on each other: they are found again at the node. What has closed meanwhile is
+// hit.
 bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
   bool closing = false, changed = false;
   int first = -1;

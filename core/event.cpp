@@ -6,7 +6,8 @@
 namespace contactvi {
 
 namespace {
-// How deep a feature beside held ones, or that were, may be [m]: those of a face that is flat to rounding differ by that.
+// How deep a feature beside held ones, or that were, may be [m]: those of a face that is flat to rounding differ by
+// that.
 constexpr double kRounding = 1e-10;
 }  // namespace
 

@@ -8,14 +8,14 @@
 namespace contactvi {
 
 namespace {
-constexpr double kTarget = 1e-13;   // a gap at which nothing is left to improve
-constexpr double kClosing = 1e-12;  // a touching guard below -this has closed again
-constexpr double kHeight = 1e-16;   // a flight lower than this is rounding
-constexpr double kBeyond = 1.001;   // of the step, as far as an event at its end may seem to lie beyond it
+constexpr double kTarget = 1e-13;    // a gap at which nothing is left to improve
+constexpr double kClosing = 1e-12;   // a touching guard below -this has closed again
+constexpr double kHeight = 1e-16;    // a flight lower than this is rounding
+constexpr double kBeyond = 1.001;    // of the step, as far as an event at its end may seem to lie beyond it
 constexpr double kRounding = 1e-10;  // [m] by which features of a face differ
 constexpr double kJump = 1e-12;      // width of a bracket in which a gap jumps
-constexpr int kMaxCuts = 1000;      // of the step, looking for where a touching guard separates
-constexpr int kMaxProbes = 80;      // exact partial steps to one event
+constexpr int kMaxCuts = 1000;       // of the step, looking for where a touching guard separates
+constexpr int kMaxProbes = 80;       // exact partial steps to one event
 constexpr int kMaxDipProbes = 12;
 }  // namespace
 

@@ -7,8 +7,8 @@ namespace contactvi {
 
 struct HeldContact {
   ContactPoint point;
-  double mu = 0;       // 0: one row, no friction
-  bool sticks = true;  // at the node: its points do not slip on each other
+  double mu = 0;             // 0: one row, no friction
+  bool sticks = true;        // at the node: its points do not slip on each other
   Vec3 slip = Vec3::Zero();  // there [m/s], world
   bool anchored = false;
   Vec3 anchor;                // of a material point that sticks: its place in the plane's body frame

@@ -65,7 +65,8 @@ bool HeldStep::end_kick() {
   return true;
 }
 
-// The cone problem of the active contacts; directions of friction stay those of the step where that turns no slip round.
+// The cone problem of the active contacts; directions of friction stay those of the step where that turns no slip
+// round.
 bool HeldStep::solve_end(VecX& lambda) {
   int rows = 0;
   end_cones_.clear();

@@ -7,15 +7,15 @@ namespace contactvi {
 
 namespace {
 constexpr int kMaxRounds = 40;
-constexpr double kRounding = 1e-14;     // of the velocities: nothing left to improve,
-constexpr double kGapRounding = 2e-16;  // [m] that the gaps carry, as a velocity over the step
+constexpr double kRounding = 1e-14;       // of the velocities: nothing left to improve,
+constexpr double kGapRounding = 2e-16;    // [m] that the gaps carry, as a velocity over the step
 constexpr double kPlaceRounding = 4e-15;  // [m] that the places of sticking points disagree by, the same
 constexpr double kAccept = 1e-9;          // residual of a cone problem that counts as solved if nothing better is found
 constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_place
-constexpr double kStalled = 1e3;        // of that: rounds which no longer gain may end
-constexpr int kIdle = 4;                // such rounds
-constexpr double kBest = 1e-4;           // contraction of a round: no better one is believed
-constexpr double kSettled = 1e-3;       // relative change of v from which on the contact matrix is kept
+constexpr double kStalled = 1e3;                                       // of that: rounds which no longer gain may end
+constexpr int kIdle = 4;                                               // such rounds
+constexpr double kBest = 1e-4;     // contraction of a round: no better one is believed
+constexpr double kSettled = 1e-3;  // relative change of v from which on the contact matrix is kept
 }  // namespace
 
 HeldStep::HeldStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol)

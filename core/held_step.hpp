@@ -3,11 +3,11 @@
 // Two impulses per step, one with W(q0) before it, one with W(q1) after it:
 //   p0 + W0^T Lambda = smooth equation of v, q1 = q0 (+) h v     0 <= Lambda_n _|_ phi(q1) >= 0
 //   p1 = p^- + W1^T Lambda'                                      0 <= Lambda'_n _|_ w_n >= 0,  w = W1 M^-1 p1
-// with Coulomb's law between Lambda_t and the slip s over the step, between Lambda'_t and w_t at its end: constraints at
-// position level, velocities projected at the node (Hairer, Lubich, Wanner, Geometric Numerical Integration, VII.1, for
-// bilateral constraints). The slip of a point fixed to a body is its displacement on the support, from an anchor where it
-// stuck: no creep. That of rolling surfaces is W_t v, the mean of both ends. A contact that slipped keeps its direction of
-// friction in the end kick unless that would turn its slip round: order 2 for turning slip.
+// with Coulomb's law between Lambda_t and the slip s over the step, between Lambda'_t and w_t at its end: constraints
+// at position level, velocities projected at the node (Hairer, Lubich, Wanner, Geometric Numerical Integration, VII.1,
+// for bilateral constraints). The slip of a point fixed to a body is its displacement on the support, from an anchor
+// where it stuck: no creep. That of rolling surfaces is W_t v, the mean of both ends. A contact that slipped keeps its
+// direction of friction in the end kick unless that would turn its slip round: order 2 for turning slip.
 #pragma once
 
 #include <vector>
@@ -81,7 +81,7 @@ class HeldStep final : public Stepper {
     std::vector<Contact> at;
     std::vector<Vec3> t1;
     std::vector<Vec3> side;  // of rims: where their contact lies
-    MatX W;  // nv x rows
+    MatX W;                  // nv x rows
   };
 
   void set_rows();

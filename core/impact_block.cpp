@@ -9,7 +9,7 @@ namespace contactvi {
 namespace {
 constexpr double kGain = 1e-12;      // of the energy of the closing motion: rounding
 constexpr double kRounding = 2e-14;  // of the speeds
-constexpr double kAccept = 1e-9;      // residual of a cone problem that did not converge
+constexpr double kAccept = 1e-9;     // residual of a cone problem that did not converge
 constexpr int kBisections = 50;
 }  // namespace
 

@@ -2,9 +2,10 @@
 //
 //   compression  gamma_1 = gamma + G Lambda_1, e = 0 with Coulomb's law (maximal dissipation);
 //   expansion    gamma+ = gamma_1 + G Lambda_2,  Lambda_2n >= e Lambda_1n, gamma+_n >= 0, complementary, Coulomb again.
-// All points of a pair are one impact: a box that falls flat rises straight. Newton's e on the normal speed with Coulomb
-// friction can gain energy; Poisson's was never seen to (Brach; Glocker, Pfeiffer, "Multiple impacts with friction in rigid
-// multibody systems", 1995), and that is checked: where it would, e is lowered until it does not (e = 0 never gains).
+// All points of a pair are one impact: a box that falls flat rises straight. Newton's e on the normal speed with
+// Coulomb friction can gain energy; Poisson's was never seen to (Brach; Glocker, Pfeiffer, "Multiple impacts with
+// friction in rigid multibody systems", 1995), and that is checked: where it would, e is lowered until it does not (e =
+// 0 never gains).
 #pragma once
 
 #include <vector>
@@ -23,8 +24,9 @@ struct ClosedGuard {
   bool hit = false;
   int count = 0;  // of points in use below
   std::vector<ContactPoint> points;
-  std::vector<ContactPoint> spare;  // closed ones that are not in use: they close only if the body tips about the others
-  int chosen = 0;                   // of points: those that span the contact
+  // Closed ones that are not in use: they close only if the body tips about the others
+  std::vector<ContactPoint> spare;
+  int chosen = 0;  // of points: those that span the contact
   Contact witness;
   std::vector<Contact> contacts;
   std::vector<Vec3> t1;

@@ -59,21 +59,25 @@ bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic
     worst = const_cast<ClosedGuard*>(&c);
   }
   // What bounces among contacts that are at rest anyway is not followed as far down.
-  return worst == nullptr || gamma <= -std::max(kPlasticSpeed * scale, any_held_ && !elastic ? kLowBounce * speeds_ : 0.0);
+  const double low = any_held_ && !elastic ? kLowBounce * speeds_ : 0.0;
+  return worst == nullptr || gamma <= -std::max(kPlasticSpeed * scale, low);
 }
 
 bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, VecX& p, Recording& recording) {
   code_ = StatusCode::kSuccess;
   impacts_here_ = 0;
   speeds_ = 0.0;
-  for (int i = 0; i < count_; ++i)
-    speeds_ = std::max(speeds_, (closed_[i].MinvW.leftCols(closed_[i].rows).cwiseAbs().transpose() * p.cwiseAbs()).maxCoeff());
+  for (int i = 0; i < count_; ++i) {
+    const auto MinvW = closed_[i].MinvW.leftCols(closed_[i].rows);
+    speeds_ = std::max(speeds_, (MinvW.cwiseAbs().transpose() * p.cwiseAbs()).maxCoeff());
+  }
   const double scale = largest_speed(p);
   bool elastic = false;  // without losses a long sequence is no endless one
   for (int i = 0; i < count_; ++i) elastic |= closed_[i].e == 1.0;
   for (int hits = 0;; ++hits) {
     ClosedGuard* worst = nullptr;
-    const bool goes_on = closes_most(p, plastic, scale, elastic, worst) && (elastic || hits < (any_held_ ? kFewHits : kManyHits) * count_);
+    const bool endless = !elastic && hits >= (any_held_ ? kFewHits : kManyHits) * count_;
+    const bool goes_on = closes_most(p, plastic, scale, elastic, worst) && !endless;
     if (goes_on) {
       if (worst != nullptr) {
         const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_held_);

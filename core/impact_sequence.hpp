@@ -1,9 +1,9 @@
 // What happens at the instant of an event: single impacts, one pair (with all its points) after the other, until every
 // closed contact separates or stays.
 //
-// Order (deterministic): the elastic contact that closes fastest, the lowest guard on ties; when none closes, all plastic
-// contacts together as one problem with e = 0, the limit of their endless sequence; again until none closes. A held contact
-// is an ordinary partner with its own e, or, as an option, a support of infinite stiffness.
+// Order (deterministic): the elastic contact that closes fastest, the lowest guard on ties; when none closes, all
+// plastic contacts together as one problem with e = 0, the limit of their endless sequence; again until none closes. A
+// held contact is an ordinary partner with its own e, or, as an option, a support of infinite stiffness.
 #pragma once
 
 #include "error.hpp"

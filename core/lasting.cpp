@@ -1,7 +1,7 @@
 // Simulator: steps while contacts are held, and what ends or changes them inside a step, located like events.
 //
-// A held step ends early at the first of: another guard's impact; a contact's release, where its continuous force comes to
-// zero; a slip that comes to rest. What is cut off is solved again as a partial step that ends there.
+// A held step ends early at the first of: another guard's impact; a contact's release, where its continuous force comes
+// to zero; a slip that comes to rest. What is cut off is solved again as a partial step that ends there.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -12,8 +12,8 @@ namespace contactvi {
 
 namespace {
 constexpr double kShortest = 1e-6;                         // of a contact step: halving ends there
-constexpr double kShortestSwing = 1e-9;  // the same where a rim falls all but flat
-constexpr double kNoTime = 1e-10;  // of a contact step: an event so early is one at its start
+constexpr double kShortestSwing = 1e-9;                    // the same where a rim falls all but flat
+constexpr double kNoTime = 1e-10;                          // of a contact step: an event so early is one at its start
 constexpr int kEasySteps = 4;                              // short steps in a row before a longer one is tried
 constexpr double kAlpha = 1e-13;                           // of a step: to what its events are located
 constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of the speeds: nothing to improve

@@ -10,7 +10,8 @@ namespace {
 
 // From this tilt [rad] on, the far side of a rim that rolls cannot come down before the point is looked for again.
 constexpr double kNearlyFlat = 0.1;
-// The far side of a rim counts as down this much early [m]: less than what counts as touching, or it would not be found.
+// The far side of a rim counts as down this much early [m]: less than what counts as touching, or it would not be
+// found.
 constexpr double kFarSlack = 5e-12;
 // How much beyond the limits of find a point stays valid, so that what was just found is.
 constexpr double kStay = 2.0;
