@@ -24,6 +24,7 @@ CONE = (
 )
 # [m]: rounding of places, some tens of that of a metre, and of the distances that coal finds by iterations
 PLACE, PLACE_ITERATED = 1e-14, 1e-11
+COMPLEMENTARITY = 1e-12  # [N s m]
 ROUND = ("Sphere", "Capsule")
 
 
@@ -156,11 +157,12 @@ def contact_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
     known = len(traj.scene.pair_names) > 0
     mu = np.where(limit | (not known), 0.0, traj.scene.pair_friction[pair] if known else 0.0)
     overlap = np.where(limit | (not known), GAP, pair_tolerances(traj.scene)[pair] if known else GAP)
+    overlap = of_the_step(log, overlap)  # a step that holds an iterated pair is as good as that pair
     normals, gaps = starts(log)
     sides = (("start", normals, gaps), ("end", log.array("normal"), log.array("gap")))
     # a step's problem is solved to a part of all its impulses; places, to their rounding, make speeds over the step
     sizes = np.maximum(*(np.linalg.norm(log.array(name), axis=1) for name in ("start", "end")))
-    place = np.where(of_the_step(log, overlap) > GAP, PLACE_ITERATED, PLACE)
+    place = np.where(overlap > GAP, PLACE_ITERATED, PLACE)
     rounding = CONE * of_the_step(log, sizes) + place * mass_of(traj) / np.where(held, log.h, 1.0)
     for name, normal, gap in sides:
         unit = np.where(limit[:, None], [1.0, 0.0, 0.0], normal)  # a limit's impulse is its first component
@@ -171,7 +173,9 @@ def contact_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
         yield from worst(f"impulse pulls ({name})", -along[k], rounding[k], t[k])
         yield from worst(f"cone ({name})", (across - mu * along)[k], rounding[k], t[k])
         k &= held & np.isfinite(gap)
-        yield from worst(f"complementarity ({name})", np.abs(along * gap)[k], overlap[k] * along[k] + 1e-15, t[k])
+        yield from worst(
+            f"complementarity ({name})", np.abs(along * gap)[k], np.maximum(overlap * along, COMPLEMENTARITY)[k], t[k]
+        )
     yield from worst("gap of a held point", -log.array("gap")[held], overlap[held], t[held])
     stuck = held & (log.array("mode") == STICK) & ~limit
     yield from worst("slip where it sticks", np.linalg.norm(log.array("slip")[stuck], axis=1), 1e-9, t[stuck])
