@@ -6,9 +6,7 @@
 namespace contactvi {
 
 namespace {
-// How deep a feature beside held ones, or that were, may be [m]: those of a face that is flat to rounding differ by
-// that.
-constexpr double kRounding = 1e-10;
+constexpr std::size_t kClose = 16;  // candidates for the first event, from which on rounding may decide among them
 }  // namespace
 
 EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
@@ -79,7 +77,7 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
     bool exists = true;
     outcome = locate(*first, exists);
     if (outcome != Search::kFound) return outcome;
-    if (!exists || someone_is_earlier(*first)) continue;
+    if (!exists || someone_is_earlier(*first, k >= kClose)) continue;
     for (int g : pass_) guards_->unmark(g);  // their marks are for the end of the whole step
     guards_->commit();
     last_h_ = 0.0;
@@ -144,7 +142,7 @@ bool EventFinder::collect() {
   for (int g = 0; g < guards_->count(); ++g) {
     const auto exempted = std::find(exempt_.begin(), exempt_.end(), g);
     if (exempted != exempt_.end()) {
-      if (guards_->evaluate(g, contact_) >= -std::max(kRounding, guards_->touch_tolerance(g))) continue;
+      if (guards_->evaluate(g, contact_) >= -guards_->depth_tolerance(g)) continue;
       exempt_.erase(exempted);  // it does not leave
     }
     if (!touching_[g] && guards_->skip(g)) {
@@ -179,7 +177,7 @@ Search EventFinder::start(Suspect& s) {
   if (touching_[s.guard] && a.gap > tolerance) touching_[s.guard] = 0;
   if (!touching_[s.guard] && a.gap <= 0.0) {
     // Rounding: it touches although nothing hit it yet. Deeper is a contradiction.
-    if (a.gap < -std::max(tolerance, kRounding)) return fail(Search::kUnresolved, s.guard, a.gap);
+    if (a.gap < -guards_->depth_tolerance(s.guard)) return fail(Search::kUnresolved, s.guard, a.gap);
     touching_[s.guard] = 1;
   }
   if (touching_[s.guard]) return leave(s, a);
@@ -237,13 +235,13 @@ void EventFinder::cross(Suspect& s, const Point& lo, const Point& hi, double off
 
 // With the guards placed at the event: is another one below zero there? Then it crosses earlier, or the search did
 // not see its dip.
-bool EventFinder::someone_is_earlier(const Suspect& first) {
+bool EventFinder::someone_is_earlier(const Suspect& first, bool coarse) {
   const double alpha = event_.alpha;
   bool earlier = false;
   for (Suspect& s : suspects_) {
     if (&s == &first) continue;
     const double gap = guards_->evaluate(s.guard, contact_);
-    if (gap >= -guards_->touch_tolerance(s.guard)) continue;
+    if (gap >= -(coarse ? guards_->depth_tolerance(s.guard) : guards_->touch_tolerance(s.guard))) continue;
     earlier = true;
     const Point before = s.crosses ? s.lo : s.from;
     s.lo_sure = before.tau < alpha && before.gap > gaps_.doubt(s.guard, before.tau);

@@ -78,7 +78,7 @@ class EventFinder {
   Search locate(Suspect& s, bool& exists);
   Search separate(Suspect& s);
   Search polish(Suspect& s, bool lo_seen, bool& exists);
-  bool someone_is_earlier(const Suspect& first);
+  bool someone_is_earlier(const Suspect& first, bool coarse);
   bool exact_at(int guard, double tau, Point& point);  // false: no convergence
   void cross(Suspect& s, const Point& lo, const Point& hi, double offset);
   Search accept(int guard, const Point& at, bool persistent);

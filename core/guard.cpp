@@ -154,6 +154,10 @@ void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<
 
 double Guards::touch_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-11; }
 
+double Guards::depth_tolerance(int guard) const {
+  return guard < pairs_ ? std::max(1e-10, 1.2 * manifolds_.noise(guard)) : 1e-10;
+}
+
 double Guards::root_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-12; }
 
 Guards::Reach Guards::make_reach() const {

@@ -12,6 +12,7 @@ namespace contactvi {
 namespace {
 constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
 constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
+constexpr double kAtRest = 1e-11;        // [m/s] the same
 constexpr double kLowBounce = 1e-7;     // the same among held contacts: flights of 1e-15 m
 constexpr double kSolved = 1e-11;       // of all speeds of the closed points: what a plastic problem leaves
 constexpr double kFloor = 2e-14;        // of all speeds: rounding
@@ -59,7 +60,7 @@ bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic
     worst = const_cast<ClosedGuard*>(&c);
   }
   // What bounces among contacts that are at rest anyway is not followed as far down.
-  const double low = any_held_ && !elastic ? kLowBounce * speeds_ : 0.0;
+  const double low = std::max(kAtRest, any_held_ && !elastic ? kLowBounce * speeds_ : 0.0);
   return worst == nullptr || gamma <= -std::max(kPlasticSpeed * scale, low);
 }
 
@@ -292,7 +293,8 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
   const Contact& c = closed.contacts[deepest];
   if (closed.count == 1 && m == 1) r.impulse_vector = result.impulse * c.normal;
   r.point = weight > 0.0 && closed.count > 1 ? Vec3(r.point / weight) : Vec3(0.5 * (c.point_a + c.point_b));
-  r.time = at.time;
+  // A partial step may end a rounding before the last one did.
+  r.time = recording.impacts.empty() ? at.time : std::max(at.time, recording.impacts.back().time);
   r.guard = closed.guard;
   r.normal = c.normal;
   r.impulse = result.impulse;

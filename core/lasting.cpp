@@ -145,7 +145,8 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
 bool Simulator::held_step_failed(double h, double time) {
   if (h < (held_.swings() ? kShortestSwing : kShortest) * contact_step())
     return end(StatusCode::kNewtonFailed, time,
-               std::string("a step with held contacts was not solved: ") + held_.why());
+               std::string("a step with held contacts was not solved: ") +
+                   (*held_.why() != 0 ? held_.why() : "an event in it was not located"));
   held_trial_ = 0.5 * h;
   held_easy_ = 0;
   ++halved_;

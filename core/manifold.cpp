@@ -10,6 +10,8 @@ namespace {
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // A nearest point counts as one of a face's plane up to this [m]; coal's are that good.
 constexpr double kOnFace = 1e-6;
+// Of the noise of coal's distance: so much deeper than the held points counts as another feature.
+constexpr double kBelow = 1.1;
 
 // The face of o that contains x (its core's surface point, world) and looks most along n; -1 if none looks that way.
 int facing_face(const Outline& o, const Pose& pose, const Vec3& n_W, const Vec3& x_W) {
@@ -189,9 +191,9 @@ double Manifolds::with_witness(int pair, const Placements& at, const ContactPoin
     least = std::min(least, c.gap);
   }
   const double deeper = witness.gap - least;
-  if (!(deeper < -0.5 * noise) || deeper + 2.0 * noise >= value) return value;
+  if (!(deeper < -0.5 * noise) || deeper + kBelow * noise >= value) return value;
   contact = witness;
-  return deeper + 2.0 * noise;
+  return deeper + kBelow * noise;
 }
 
 bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) const {

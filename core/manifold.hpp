@@ -96,6 +96,9 @@ class Manifolds {
   double rest(int pair, const Placements& at, const ContactPoint* const* held, int count, const Contact& witness,
               Contact& contact) const;
 
+  // Of the pair's distance by coal, against that of its features [m].
+  double noise(int pair) const { return shapes_[pair].noise; }
+
  private:
   double with_witness(int pair, const Placements& at, const ContactPoint* const* held, int count,
                       const Contact& witness, double value, Contact& contact) const;
