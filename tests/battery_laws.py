@@ -17,15 +17,13 @@ from contactvi.contact_ledger import free_trees
 Array = np.ndarray
 EXPLICIT, HELD = 0, 5  # impact map "ctec" and the fallback to it while contacts are held, as in EventLog
 STICK, LIMIT = 0, 1  # mode and kind, as in ContactLog
-# [m]; the second of pairs whose distance coal finds by iterations
-GAP, GAP_ITERATED = 1e-10, 1e-8
-CONE = (
-    1e-8  # of the largest impulse of the step; contact problems are solved to 1e-9 of what they are made of, at worst
-)
+# [m]: closed forms; what coal iterates on, without and with a curved surface: by how much its distances are noise
+GAP, GAP_ITERATED, GAP_CURVED = 1e-10, 1e-8, 2.5e-8
+CONE = 1e-8  # of the largest impulse of the step: its contact problem is solved to 1e-9 of its terms, at worst
 # [m]: rounding of places, some tens of that of a metre, and of the distances that coal finds by iterations
 PLACE, PLACE_ITERATED = 1e-14, 1e-11
 COMPLEMENTARITY = 1e-12  # [N s m]
-ROUND = ("Sphere", "Capsule")
+ROUND, CURVED = ("Sphere", "Capsule"), ("Cylinder",)
 
 
 @dataclass
@@ -67,9 +65,13 @@ def number_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
 def pair_tolerances(scene: cvi.Scene) -> Array:
     """How far each pair may overlap [m], shape (npairs,)."""
     kind = {g.name: type(g.geometry).__name__ for g in scene.collision_model.geometryObjects}
-    kinds = [(kind[a], kind[b]) for a, b in scene.pair_names]
-    exact = ["Halfspace" in pair or ("Sphere" in pair and all(k in ROUND for k in pair)) for pair in kinds]
-    return np.where(exact, GAP, GAP_ITERATED)
+    bounds = []
+    for pair in scene.pair_names:
+        kinds = [kind[name] for name in pair]
+        exact = "Halfspace" in kinds or ("Sphere" in kinds and all(k in ROUND for k in kinds))
+        curved = any(k in CURVED for k in kinds) and "Sphere" not in kinds
+        bounds.append(GAP if exact else GAP_CURVED if curved else GAP_ITERATED)
+    return np.array(bounds)
 
 
 def gap_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
@@ -105,7 +107,7 @@ def event_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
     yield from worst("impact does not separate", -a["gamma_plus"], 1e-11 * (1.0 + np.abs(a["gamma_minus"])), times)
     pairs = a["kind"] == 0
     overlap = pair_tolerances(traj.scene)[np.where(pairs, a["index"], 0)] if pairs.any() else GAP
-    yield from worst("gap of an impact", np.abs(a["gap"]), 2.0 * np.where(pairs, overlap, GAP), times)
+    yield from worst("gap of an impact", np.abs(a["gap"]), np.where(pairs, overlap, GAP), times)
     yield from energy_at_impacts(traj)
 
 
