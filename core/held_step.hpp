@@ -49,6 +49,8 @@ class HeldStep final : public Stepper {
     return integrator_.node_velocity(q, p, v);
   }
 
+  void refuse(const char* why) { why_ = why; }
+
   // Of the step just solved.
   double h() const { return h_; }
   const std::vector<HeldOutcome>& outcomes() const { return outcomes_; }

@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cmath>
 
+#include "energy.hpp"
 #include "simulator.hpp"
 
 namespace contactvi {
@@ -20,9 +21,12 @@ constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of 
 constexpr int kMostSticks = 3;  // of an interval that are located; the others cost O(h^2), as their places do
 constexpr int kMaxProbes = 60;  // partial steps to one of them
 constexpr int kMaxWithoutProgress = 200;
-constexpr int kStandstill = 3;     // events in place that hit nothing
-constexpr double kPastIt = 1e-4;   // of a contact step, past such a one
-constexpr double kNoForce = 1e-9;  // of the largest force: holding forces below it are rounding
+constexpr int kStandstill = 3;            // events in place that hit nothing
+constexpr double kPastIt = 1e-4;          // of a contact step, past such a one
+constexpr double kMoreSpeed = 1.2;        // of the kinetic energy: a step with less than this is not looked at
+constexpr double kMostRise = 0.05;        // of the kinetic energy that a step may gain by being coarse
+constexpr double kEnergyRounding = 1e-7;  // [J] of 1 J
+constexpr double kNoForce = 1e-9;         // of the largest force: holding forces below it are rounding
 
 // Root of value in (0, high], where it falls to high_value < 0 from low_value >= 0: the Illinois method.
 // Ends where |value| <= small.
@@ -210,6 +214,28 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
   return alpha <= 0.0 || !held_.swings() || h <= kShortestSwing * contact_step();
 }
 
+// Contacts take energy or leave it. A step in which a contact jumps from one place of two shapes to another (a rim that
+// falls flat on a face, seen as coal's one point) can give some: it is refused. Of the step just solved.
+bool Simulator::gains_energy() {
+  held_.finish(q1_, p1_);
+  const double T1 = 0.5 * p1_.dot(held_.end_velocity());
+  if (T1 <= kMoreSpeed * kinetic_ || !(T1 > 0.0)) {
+    kinetic_ = T1;
+    return false;
+  }
+  const double work = held_.work();
+  const Energy after = energy(integrator_, q1_, p1_), before = energy(integrator_, q_, p_);
+  const double rise = after.kinetic + after.potential - before.kinetic - before.potential - work;
+  const double rounding = kEnergyRounding * (1.0 + std::abs(before.potential));
+  if (rise > kMostRise * std::max(before.kinetic, after.kinetic) + rounding) {
+    held_.refuse("its energy rises");
+    kinetic_ = 0.0;
+    return true;
+  }
+  kinetic_ = T1;
+  return false;
+}
+
 // What closes in place but not in speed, again and again, is rounding of the places: a short step leads past it.
 void Simulator::step_past(int guard) {
   if (!hit_.empty() || without_progress_ < kStandstill) return;
@@ -246,6 +272,7 @@ bool Simulator::held_piece(Piece& piece, Recording& recording) {
     return true;
   }
   const double taken = alpha * h;
+  if (taken > 0.0 && gains_energy()) return held_step_failed(h, at);
   if (taken > 0.0) {
     take_held_step(at, taken, options_.dense, recording);
     piece.done += taken;

@@ -107,6 +107,7 @@ class Simulator {
   bool held_step_failed(double h, double time);
   bool first_change(const Piece& piece, double h, double& alpha, bool& hit, bool& again, Recording& recording);
   void step_past(int guard);
+  bool gains_energy();
   bool find_release(const VecX& tau, double& alpha, bool& at_start);
   bool find_stick(const VecX& tau, double& alpha);
   bool release_value(const VecX& tau, double alpha, double& value);
@@ -159,6 +160,7 @@ class Simulator {
   int releasing_ = -1, sticking_ = -1;  // contacts sought by the root searches
   VecX forces_;
   double held_trial_ = 0, held_seconds_ = 0;
+  double kinetic_ = 0;  // at the end of the last held step [J]
   int held_easy_ = 0, without_progress_ = 0, sticks_located_ = 0;
   Status status_;
   VecX q_node_, p_node_;   // start of the step, for MHC's local reference
