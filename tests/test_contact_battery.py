@@ -46,11 +46,11 @@ HEAPS = 10  # seeds of stack and balls as drawn in the long run; then balls go o
 BOUNCING = {"restitution": 1.0, "friction": 0.0, "duration": 100.0}
 KNOWN: list[tuple[str, int, dict[str, Any], str]] = [
     ("room", 6, {}, "NEWTON_FAILED: an event in a held step was not located"),
-    ("room", 9, {}, "HANG: three held bodies and a hull in a corner, parts of steps of 1e-5 s"),
+    ("room", 9, {}, "no answer within 170 s, steps cut to 1e-5 s"),
     ("pile", 20, {}, "a corner is loaded 3e-10 m over the ground"),
     ("stack", 0, {}, "NEWTON_FAILED, points of box and cylinder 3e-6 m off"),
     ("stack", 3, {}, "TOO_MANY_IMPACTS: two cylinders, tilt of rounding, e = 1"),
-    ("stack", 4, {}, "HANG: three boxes, parts of steps of 1e-5 s"),
+    ("stack", 4, {}, "NOT_FINITE after 155 s: an impact with friction was not solved, three boxes"),
     ("stack", 6, {}, "TOO_MANY_IMPACTS: four boxes"),
     ("stack", 8, {}, "NEWTON_FAILED: an event in a held step was not located"),
     ("stack", 9, {}, "NEWTON_FAILED, points of box and cylinder 5e-7 m off"),
