@@ -17,6 +17,7 @@ constexpr double kHardly = 1e5;        // of that: a contact that was held leave
 constexpr double kLow = 2e6;           // the same for several points: lower than their gaps differ by
 constexpr double kLeaves = 1e-10;      // of the speeds: a held one faster than this has left
 constexpr double kUnloaded = 1e-9;     // of the forces: less is none
+constexpr double kOpen = 1e-9;         // [m] a gap of a pair beyond which none of its points is held any more
 constexpr double kApart = 1e-12;       // [m] a gap beyond which a contact without load has left
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
@@ -196,10 +197,22 @@ bool Simulator::points_may_change(int guard) {
   return false;
 }
 
+// All points of a guard are free again.
+void Simulator::let_go(int guard, double time, Recording& recording) {
+  std::vector<HeldContact>& contacts = held_.contacts();
+  for (int i = static_cast<int>(contacts.size()) - 1; i >= 0; --i) {
+    if (contacts[i].point.guard != guard) continue;
+    note(time, contacts[i].point, Change::kRelease, 0.0, recording);
+    contacts.erase(contacts.begin() + i);
+  }
+  finder_.set_touching(guard, false);
+  sync_held();
+}
+
 // Points of faces change as bodies slide on each other: they are found again at the node. What has closed meanwhile is
 // hit.
 bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
-  bool closing = false, changed = false;
+  bool changed = false;
   int first = -1;
   for (HeldContact& held : held_.contacts()) {
     if (held.point.kind != PointKind::kRim) continue;
@@ -211,6 +224,10 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
     guards_.place(q_);
     Contact witness;
     const double gap = guards_.evaluate_witness(g, witness), margin = std::max(guards_.touch_tolerance(g), gap);
+    if (gap > std::max(guards_.touch_tolerance(g), kOpen)) {
+      opened_.push_back(g);  // its points went over an edge in the last step
+      continue;
+    }
     points_.clear();
     guards_.manifolds().find(g, guards_.placements(), witness, margin + 1e-12, points_);
     for (std::size_t k = left_.size(); k-- > 0;) {
@@ -235,11 +252,12 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
       same &= found;
     }
     if (same && held_count == static_cast<int>(points_.size())) continue;
-    changed = closing = true;
+    changed = true;
     first = g;
   }
+  for (int g : opened_) let_go(g, piece.start + piece.done, recording);
+  opened_.clear();
   if (!changed) return true;
-  (void)closing;
   // As at an event: what closes is hit, what neither closes nor separates is held.
   const std::vector<int> none(held_guards_);
   if (!sequence_.collect(q_, p_, none, first, {}))

@@ -115,6 +115,7 @@ class Simulator {
   void take_held_step(double time, double h, bool dense, Recording& recording);
   void record_held(double time, double h, Recording& recording);
   void drop_leaving(double time, Recording& recording);
+  void let_go(int guard, double time, Recording& recording);
   bool points_may_change(int guard);
   bool refresh_points(const Piece& piece, Recording& recording);
   void hold_closed(int forced, double time, const VecX& tau, Recording& recording);
@@ -157,6 +158,7 @@ class Simulator {
   std::vector<ChangeRecord> begun_;                 // by reset, not recorded yet
   double flight_trial_ = 0;                         // longest free step after a short flight; 0: any
   std::vector<ContactPoint> points_;
+  std::vector<int> opened_;             // guards whose points are no longer closed
   int releasing_ = -1, sticking_ = -1;  // contacts sought by the root searches
   VecX forces_;
   double held_trial_ = 0, held_seconds_ = 0;
