@@ -214,7 +214,7 @@ def test_laws_of_any_row(bodies, e):
 
 @given(
     # what closes slower than 1e-3 m/s does not cross the search's 1e-12 m in the time of the run
-    st.lists(st.tuples(st.floats(0.1, 10.0), st.integers(-1000, 1000).map(1e-3.__mul__)), min_size=2, max_size=4),
+    st.lists(st.tuples(st.floats(0.1, 10.0), st.integers(-1000, 1000).map((1e-3).__mul__)), min_size=2, max_size=4),
     st.lists(st.sampled_from([0.0, 0.3, 0.8, 1.0]), min_size=3, max_size=3),
 )
 @settings(max_examples=60, deadline=None)
