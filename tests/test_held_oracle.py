@@ -38,7 +38,7 @@ def test_gradients_are_the_derivative_of_the_gap():
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
         model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.3), pin.SE3.Identity())
     split, rng = SplitModel(model), np.random.default_rng(3)
-    q = pin.randomConfiguration(model, -np.ones(14), np.ones(14))
+    q = pin.integrate(model, pin.neutral(model), rng.uniform(-1.0, 1.0, 12))
     n = np.array([0.6, 0.0, 0.8])
     listed = [
         VertexPlane(4, (0.1, 0.2, 0.3), support=2, normal=tuple(n), offset=0.1, radius=0.0),
