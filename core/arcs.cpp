@@ -51,7 +51,7 @@ void Simulator::go_back(const ArcStart& arc, Recording& recording) {
   held_.contacts() = arc.held;
   held_.changed();
   left_.clear();
-  flight_trial_ = 0.0;
+  flight_trial_ = kinetic_ = 0.0;
   step_ = arc.step;
   target_step_ = arc.target_step;
   for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, arc.touching[g] != 0);

@@ -8,14 +8,13 @@
 namespace contactvi {
 
 namespace {
-constexpr double kTarget = 1e-13;    // a gap at which nothing is left to improve
-constexpr double kClosing = 1e-12;   // a touching guard below -this has closed again
-constexpr double kHeight = 1e-16;    // a flight lower than this is rounding
-constexpr double kBeyond = 1.001;    // of the step, as far as an event at its end may seem to lie beyond it
-constexpr double kRounding = 1e-10;  // [m] by which features of a face differ
-constexpr double kJump = 1e-12;      // width of a bracket in which a gap jumps
-constexpr int kMaxCuts = 1000;       // of the step, looking for where a touching guard separates
-constexpr int kMaxProbes = 80;       // exact partial steps to one event
+constexpr double kTarget = 1e-13;   // a gap at which nothing is left to improve
+constexpr double kClosing = 1e-12;  // a touching guard below -this has closed again
+constexpr double kHeight = 1e-16;   // a flight lower than this is rounding
+constexpr double kBeyond = 1.001;   // of the step, as far as an event at its end may seem to lie beyond it
+constexpr double kJump = 1e-12;     // width of a bracket in which a gap jumps
+constexpr int kMaxCuts = 1000;      // of the step, looking for where a touching guard separates
+constexpr int kMaxProbes = 80;      // exact partial steps to one event
 constexpr int kMaxDipProbes = 12;
 }  // namespace
 
@@ -239,7 +238,7 @@ Search EventFinder::polish(Suspect& s, bool lo_seen, bool& exists) {
     x = next;
   }
   // Where a feature comes into being the gap of a pair jumps, by rounding.
-  const bool jumps = hi - lo <= kJump * hi && std::abs(p.gap) <= kRounding;
+  const bool jumps = hi - lo <= kJump * hi && std::abs(p.gap) <= Guards::kFeatureRounding;
   return std::abs(p.gap) <= tolerance || jumps ? accept(g, p, false) : fail(Search::kUnresolved, g, p.gap);
 }
 

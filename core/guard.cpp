@@ -155,7 +155,7 @@ void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<
 double Guards::touch_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-11; }
 
 double Guards::depth_tolerance(int guard) const {
-  return guard < pairs_ ? std::max(1e-10, 1.2 * manifolds_.noise(guard)) : 1e-10;
+  return guard < pairs_ ? std::max(kFeatureRounding, 1.2 * manifolds_.noise(guard)) : kFeatureRounding;
 }
 
 double Guards::root_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-12; }

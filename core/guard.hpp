@@ -62,6 +62,8 @@ class Guards {
   void rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
   // How far from zero a gap may be and still count as touching.
   double touch_tolerance(int guard) const;
+  // [m] by which the features of a face that is flat to rounding differ.
+  static constexpr double kFeatureRounding = 1e-10;
   // How deep a gap may be at the start of a step: features of a face differ by rounding, coal's distances by theirs.
   double depth_tolerance(int guard) const;
   // To what a root is located: 1e-12, or the noise of the distance itself where curved shapes are iterated.

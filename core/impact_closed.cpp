@@ -6,10 +6,6 @@
 
 namespace contactvi {
 
-namespace {
-constexpr double kSolved = 1e-11;  // of the speeds: closing slower than this is at rest
-}  // namespace
-
 // The points of a guard that are closed at q_, held ones among them; false if there are none.
 bool ImpactSequence::add(int guard, const std::vector<HeldContact>& held, double margin) {
   if (count_ == static_cast<int>(closed_.size())) closed_.emplace_back();

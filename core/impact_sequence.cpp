@@ -14,7 +14,6 @@ constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower
 constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
 constexpr double kAtRest = 1e-11;       // [m/s] the same
 constexpr double kLowBounce = 1e-7;     // the same among held contacts: flights of 1e-15 m
-constexpr double kSolved = 1e-11;       // of all speeds of the closed points: what a plastic problem leaves
 constexpr double kFloor = 2e-14;        // of all speeds: rounding
 constexpr double kTie = 1e-12;          // of the speeds: who closes faster by less does not go first
 constexpr int kFewHits = 32;            // the same among held contacts

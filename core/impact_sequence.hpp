@@ -53,6 +53,8 @@ class ImpactSequence {
   long impacts = 0, impacts_in_step = 0;
 
  private:
+  static constexpr double kSolved = 1e-11;  // of all speeds of the closed points: closing slower than this is at rest
+
   bool add(int guard, const std::vector<HeldContact>& held, double margin);
   void add_rows(ClosedGuard& closed);
   bool take_spare(const VecX& p);

@@ -18,9 +18,8 @@ constexpr double kNoTime = 1e-10;                          // of a contact step:
 constexpr int kEasySteps = 4;                              // short steps in a row before a longer one is tried
 constexpr double kAlpha = 1e-13;                           // of a step: to what its events are located
 constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of the speeds: nothing to improve
-constexpr int kMostSticks = 3;  // of an interval that are located; the others cost O(h^2), as their places do
-constexpr int kMaxProbes = 60;  // partial steps to one of them
-constexpr int kMaxWithoutProgress = 200;
+constexpr int kMostSticks = 3;            // of an interval that are located; the others cost O(h^2), as their places do
+constexpr int kMaxProbes = 60;            // partial steps to one of them
 constexpr int kStandstill = 3;            // events in place that hit nothing
 constexpr double kPastIt = 1e-4;          // of a contact step, past such a one
 constexpr double kMoreSpeed = 1.2;        // of the kinetic energy: a step with less than this is not looked at
@@ -219,7 +218,7 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
 bool Simulator::gains_energy() {
   held_.finish(q1_, p1_);
   const double T1 = 0.5 * p1_.dot(held_.end_velocity());
-  if (T1 <= kMoreSpeed * kinetic_ || !(T1 > 0.0)) {
+  if (T1 <= std::max(kMoreSpeed * kinetic_, kEnergyRounding)) {
     kinetic_ = T1;
     return false;
   }

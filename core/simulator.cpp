@@ -15,7 +15,6 @@ constexpr int kMostHalvings = 4000;   // and after so many in one step
 constexpr int kEasySteps = 4;         // short steps in a row before a longer one is tried
 constexpr double kFlights = 20.0;     // a free step after a flight shorter than dt by so much again is so many flights,
 constexpr double kGrowth = 8.0;       // and grows by this while nothing happens
-constexpr int kMaxWithoutProgress = 200;  // events in place that hit nothing
 constexpr int kCtec = 0, kDtec = 1, kMhc = 2;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
@@ -60,7 +59,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   trial_ = options_.dt;
   easy_ = held_easy_ = without_progress_ = 0;
   held_trial_ = contact_step();
-  held_seconds_ = 0.0;
+  held_seconds_ = kinetic_ = 0.0;
   held_.contacts().clear();
   left_.clear();
   begun_.clear();

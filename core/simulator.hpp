@@ -82,6 +82,8 @@ class Simulator {
     const VecX& tau;
   };
 
+  static constexpr int kMaxWithoutProgress = 200;  // changes and events in place that hit nothing
+
   bool interval(double start, double length, const VecX& tau, Recording& recording);
   bool free_piece(Piece& piece, long halved, Recording& recording);
   bool smooth_step(double time, double h, const VecX& tau, bool last_try);
