@@ -17,24 +17,12 @@ import battery_scenes
 import numpy as np
 import pytest
 from battery_run import Report, Runner
+from battery_scenes import run_of
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 import contactvi as cvi
 from contactvi.contacts import ContactLog
-
-
-def run_of(impact: str, reference: str, restitution: float, friction: float, order: int, dt: float) -> dict[str, Any]:
-    """All settings of a run, as `battery_scenes.settings_of` draws them."""
-    return {
-        "impact": impact,
-        "mhc_reference": reference,
-        "restitution": restitution,
-        "friction": friction,
-        "order": order,
-        "dt": dt,
-    }
-
 
 IMPACTS = 100_000  # of the long run
 LIMIT = 60.0  # [s] of wall time of one run; the slowest that is not in KNOWN takes a sixth
@@ -101,7 +89,7 @@ def test_every_map_restitution_and_friction(runner, impact, reference, small):
 def drawn_settings(family: str) -> st.SearchStrategy[dict[str, Any]]:
     """Map, restitution, friction, order and step of a run, each by itself."""
     return st.builds(
-        lambda pair, **others: {"impact": pair[0], "mhc_reference": pair[1], **others},
+        lambda pair, **others: run_of(*pair, **others),
         pair=st.sampled_from(battery_scenes.MAPS),
         restitution=st.sampled_from(battery_scenes.RESTITUTIONS),
         friction=st.sampled_from(battery_scenes.FRICTIONS),
