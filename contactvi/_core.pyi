@@ -97,6 +97,14 @@ class Scene:
     def add_constraint(self, kind: str, joint_a: int, R_a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_a: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], joint_b: int, R_b: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_b: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], numbers: Sequence[float], signal: object | None = None) -> None:
         """See constraints.hpp."""
 
+    def set_servo(self, kp: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], kd: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], effort: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+        """
+        Gains and largest torque of the servos of joints with one number in q, (nv,) each.
+        """
+
+    def set_actuator_limits(self, effort: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], velocity: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+        """(nv,) each, inf: none."""
+
     @property
     def constraint_rows(self) -> list[int]: ...
 
@@ -137,13 +145,16 @@ def kernel_seconds(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape
     Seconds per stage of evaluate, factor, solve, f(q, p) and sweep, fastest of several blocks; for benchmarks.
     """
 
+class Snapshot:
+    """All that the rest of a run depends on."""
+
 class Simulator:
     def __init__(self, scene: Scene, dt: float, tol: float = 1e-12, impact: int = 0, max_impacts_per_step: int = 100000, max_iterations: int = 50, mhc_global: bool = False, order: int = 2, dense: bool = False, dt_contact: float = 0.0, zeno: int = 0, stiff_support: bool = False, contact_points: int = 4, record_contacts: bool = True) -> None: ...
 
     def reset(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> dict:
         """Status fields as a dict."""
 
-    def advance(self, steps: int, tau: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, record_every: int = 1, progress: object | None = None) -> dict:
+    def advance(self, steps: int, tau: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, record_every: int = 1, progress: object | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None) -> dict:
         """
         Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.
         """
@@ -152,6 +163,12 @@ class Simulator:
         """
         Run with a step chosen per smooth arc; level [m; rad] bounds what the stage polynomials leave out.
         """
+
+    def save(self) -> Snapshot:
+        """A snapshot to go back to."""
+
+    def load(self, snapshot: Snapshot) -> None:
+        """Go back; what follows has the same digits."""
 
     @property
     def t(self) -> float: ...

@@ -33,7 +33,10 @@ Simulator::ArcStart Simulator::arc_start(const Recording& recording) const {
                recording.mark(),
                sequence_.impacts,
                step_,
-               target_step_};
+               target_step_,
+               work_,
+               reactions_,
+               node_time_};
   arc.touching.resize(guards_.count());
   for (int g = 0; g < guards_.count(); ++g) arc.touching[g] = finder_.touching(g) ? 1 : 0;
   return arc;
@@ -52,6 +55,9 @@ void Simulator::go_back(const ArcStart& arc, Recording& recording) {
   held_.changed();
   left_.clear();
   flight_trial_ = kinetic_ = 0.0;
+  work_ = arc.work;
+  reactions_ = arc.reactions;
+  node_time_ = arc.node_time;
   step_ = arc.step;
   target_step_ = arc.target_step;
   for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, arc.touching[g] != 0);

@@ -23,7 +23,12 @@ double correction(const ConeContact& c, const double* w) {
 }
 
 // Nearest point of the contact's set: half line, cone cut off at the lower bound, or ray.
-void project(const ConeContact& c, double lower, const double* p, double* y) {
+void project(const ConeContact& c, double scale, const double* p, double* y) {
+  const double lower = c.lower / scale, box = c.box / scale;
+  if (c.box > 0.0) {
+    y[0] = c.frozen ? -box * c.d[0] : std::min(box, std::max(-box, p[0]));
+    return;
+  }
   if (c.rows == 1) {
     y[0] = std::max(lower, p[0]);
     return;
@@ -118,7 +123,7 @@ bool ConeFallback::admm(const ConeProblem& problem, const NaturalMap& map, doubl
     for (const ConeContact& c : problem.contacts) {
       double p[3] = {0.0, 0.0, 0.0};
       for (int k = 0; k < c.rows; ++k) p[k] = x_[c.row + k] - z_[c.row + k] / rho;
-      project(c, c.lower / scale_[c.row], p, y_.data() + c.row);
+      project(c, scale_[c.row], p, y_.data() + c.row);
     }
     for (int k = 0; k < m; ++k) {
       z_[k] -= rho * (x_[k] - y_[k]);

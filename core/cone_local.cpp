@@ -152,6 +152,15 @@ bool solve_ray(const ConeContact& c, double slope, double b_n, const Vec2& ray, 
 }  // namespace
 
 bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3& lambda) {
+  if (c.box > 0.0) {
+    lambda.setZero();
+    if (c.frozen || !(A(0, 0) > 0.0)) {
+      lambda[0] = c.frozen ? -c.box * c.d[0] : b[0] == 0.0 ? 0.0 : -std::copysign(c.box, b[0]);
+    } else {
+      lambda[0] = std::min(c.box, std::max(-c.box, -b[0] / A(0, 0)));
+    }
+    return true;
+  }
   if (c.rows == 1) return solve_ray(c, A(0, 0), b[0], Vec2::Zero(), lambda);
   if (c.frozen || !(c.mu > 0.0)) {
     const Vec2 ray = c.frozen ? Vec2(-c.mu * c.d) : Vec2(Vec2::Zero());

@@ -19,6 +19,7 @@ bool covers_rows(const ConeProblem& problem) {
   for (const ConeContact& c : problem.contacts) {
     if (c.row != row || (c.rows != 1 && c.rows != 3)) return false;
     if (!std::isfinite(c.mu) || !std::isfinite(c.lower) || c.mu < 0.0 || c.lower < 0.0) return false;
+    if (!std::isfinite(c.box) || c.box < 0.0 || (c.box > 0.0 && c.rows != 1)) return false;
     if (c.frozen && !c.d.allFinite()) return false;
     row += c.rows;
   }
@@ -94,9 +95,10 @@ void NaturalMap::evaluate(const ConeProblem& problem, const double* lambda, cons
     const int n = c.row;
     ConeMode& mode = modes_[i];
     const double z_n = lambda[n] - w[n] / normal_[i];
-    mode.closed = z_n > c.lower;
-    const double rho = mode.closed ? z_n : c.lower;
-    const double f_n = mode.closed ? w[n] : (lambda[n] - c.lower) * normal_[i];  // F_n / r_n without cancellation
+    mode.closed = c.box > 0.0 ? !c.frozen && std::abs(z_n) <= c.box : z_n > c.lower;
+    mode.bound = c.box > 0.0 ? (c.frozen ? -c.box * c.d[0] : std::copysign(c.box, z_n)) : c.lower;
+    const double rho = mode.closed ? z_n : mode.bound;
+    const double f_n = mode.closed ? w[n] : (lambda[n] - mode.bound) * normal_[i];  // F_n / r_n without cancellation
     double size = size_[n], worst = std::abs(f_n);
     merit_ += f_n * f_n / normal_[i];
     mode.tangent = TangentMode::kNone;
@@ -127,7 +129,7 @@ void NaturalMap::evaluate(const ConeProblem& problem, const double* lambda, cons
       worst = std::max({worst, std::abs(f_t[0]), std::abs(f_t[1])});
       size = std::max({size, size_[n + 1], size_[n + 2]});
     }
-    if (std::max(w[n], (lambda[n] - c.lower) * normal_[i]) <= kTouching * size) touching_ = true;
+    if (c.box == 0.0 && std::max(w[n], (lambda[n] - c.lower) * normal_[i]) <= kTouching * size) touching_ = true;
     if (worst > 0.0) residual_ = std::max(residual_, size > 0.0 ? worst / size : 1.0);
     ++i;
   }

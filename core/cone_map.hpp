@@ -18,7 +18,8 @@ enum class TangentMode { kNone, kZero, kStick, kSlip, kFrozen };
 
 // Mode of a contact at some (lambda, w): which piece of the natural map holds there.
 struct ConeMode {
-  bool closed = false;  // normal: w_n = 0 is asked for, else lambda_n = lower
+  bool closed = false;  // normal: w_n = 0 is asked for, else lambda_n = bound
+  double bound = 0.0;   // lower, or an end of the box
   TangentMode tangent = TangentMode::kNone;
   Eigen::Vector2d e = Eigen::Vector2d::Zero();  // slip: unit vector along lambda_t - r_t w_t
   double beta = 1.0;                            // slip: mu rho / |lambda_t - r_t w_t|

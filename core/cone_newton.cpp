@@ -41,7 +41,7 @@ void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const 
     const ConeMode& mode = map.mode(i);
     double* x = next_.data() + c.row;
     const double* old = from_nothing ? kNothing : lambda + c.row;
-    x[0] = mode.closed ? old[0] : c.lower;
+    x[0] = mode.closed ? old[0] : mode.bound;
     Unknown normal{i, c.row, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, 0.0};
     if (c.rows == 3) {
       const double friction = c.mu * x[0];

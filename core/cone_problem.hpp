@@ -4,6 +4,7 @@
 //   normal      lambda_n >= lower, w_n >= 0, (lambda_n - lower) w_n = 0
 //   tangential  |lambda_t| <= mu lambda_n; w_t != 0 => lambda_t = -mu lambda_n w_t/|w_t|   (maximal dissipation)
 //   frozen      lambda_t = -mu lambda_n d with a given unit vector d, whatever w_t
+// Among them may be rows of dry friction with a given bound (`box`).
 #pragma once
 
 #include <Eigen/Core>
@@ -20,6 +21,8 @@ struct ConeContact {
   double lower = 0.0;  // >= 0; Poisson's expansion asks for e times the impulse of the compression
   bool frozen = false;
   Eigen::Vector2d d = Eigen::Vector2d::Zero();
+  // > 0: dry friction of a joint, one row. |lambda| <= box; w != 0 => lambda = -box sign(w); frozen: lambda = -box d_0.
+  double box = 0.0;
 };
 
 // The contacts cover all rows, in order and without gaps. G (m, m) may be nonsymmetric (a step's G is, by O(h)).

@@ -98,7 +98,7 @@ void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording&
       Vec3 slip = Vec3::Zero();
       if (c.mu > 0.0) {
         const int r = 3 * k;
-        slip = c.MinvW.col(r + 1).dot(p_) * c.t1[k] + c.MinvW.col(r + 2).dot(p_) * c.contacts[k].normal.cross(c.t1[k]);
+        slip = c.speed(r + 1, p_) * c.t1[k] + c.speed(r + 2, p_) * c.contacts[k].normal.cross(c.t1[k]);
       }
       HeldContact held = make_held(c.points[k], c.contacts[k], slip);
       const HeldContact* before = nullptr;
@@ -260,6 +260,7 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
   if (!changed) return true;
   // As at an event: what closes is hit, what neither closes nor separates is held.
   const std::vector<int> none(held_guards_);
+  sequence_.time = piece.start + piece.done;
   if (!sequence_.collect(q_, p_, none, first, {}))
     return end(sequence_.code(), piece.start + piece.done, sequence_.message());
   const Instant now{piece.start + piece.done, 0.0, piece.remaining, piece.tau, step_};
@@ -270,6 +271,7 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
     find_accumulating(now.time);
     if (!sequence_.run(now, plastic_, p_, recording))
       return end(sequence_.code(), now.time, sequence_.message(), sequence_.guard());
+    count_impacts();
   }
   hold_closed(-1, now.time, piece.tau, recording);
   return true;

@@ -69,6 +69,10 @@ struct Constraint {
 
 struct Elements {
   VecX dry_friction;  // nv, or empty
+  // Servos of joints with one number in q: gains [N m/rad; N m s/rad] and largest torque; empty: none.
+  VecX servo_kp, servo_kd, servo_effort;
+  // Largest effort and speed of the joints' actuators; empty: no limits.
+  VecX effort, speed;
   std::vector<JointPotential> joint_potentials;
   std::vector<PathSpring> path_springs;
   std::vector<AppliedWrench> wrenches;

@@ -48,6 +48,23 @@ class EventFinder {
   // Guards that are closed at the placed configuration of guards(): touching or not, within tolerance.
   bool touching(int guard) const { return touching_[guard]; }
   void set_touching(int guard, bool value) { touching_[guard] = value; }
+  // What the next search knows of the last one.
+  struct Memory {
+    std::vector<char> touching;
+    std::vector<int> exempt;
+    VecX rate, q, p;
+    double h;
+  };
+  Memory memory() const { return {touching_, exempt_, last_rate_, last_q_, last_p_, last_h_}; }
+  void recall(const Memory& memory) {
+    touching_ = memory.touching;
+    exempt_ = memory.exempt;
+    last_rate_ = memory.rate;
+    last_q_ = memory.q;
+    last_p_ = memory.p;
+    last_h_ = memory.h;
+  }
+  const Stepper* stepper() const { return stepper_; }
   // Guards that came into question in the last search, touching ones included: candidates for simultaneous contact.
   const std::vector<int>& active() const { return active_; }
 

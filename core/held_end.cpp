@@ -18,7 +18,7 @@ bool HeldStep::end_kick() {
   integrator_.start_kicked(p_start_);
   integrator_.stage_velocity(v_);
   integrator_.finish(q1_, p_minus_);
-  end_node(q1_);
+  end_node(q1_, integrator_.time() + h_);
   integrator_.place_node(q1_);
   MinvW_ = node1_.W;
   integrator_.solve_masses(MinvW_);
@@ -30,6 +30,7 @@ bool HeldStep::end_kick() {
   }
   G_end_.noalias() = node1_.W.transpose() * MinvW_;
   w_end_.noalias() = node1_.W.transpose() * v1_;
+  w_end_.head(bilateral_) += node1_.rate;
   active_.clear();
   const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
@@ -48,7 +49,7 @@ bool HeldStep::end_kick() {
     const bool on_cone = lambda_.segment<2>(r + 1).norm() >= limit * (1.0 - 1e-9);
     out.slipped = on_cone && s.norm() > kSlipping * speed;
     if (!out.slipped) continue;
-    cones_[i].d = s.normalized();
+    cones_[dry_ + i].d = s.normalized();
     const Vec3 t1 = node1_.t1[i], t2 = node1_.at[i].normal.cross(t1);
     out.turned = contacts_[i].slip.dot(s[0] * t1 + s[1] * t2) < 0.0;
   }
@@ -62,38 +63,52 @@ bool HeldStep::end_kick() {
   v1_.noalias() += MinvW_ * lambda_end_;
   w_end_.noalias() += G_end_ * lambda_end_;
   describe();
-  return true;
+  return constraints_met(h_);
+}
+
+double HeldStep::dry_loss() const {
+  double total = 0.0;
+  for (int k = 0; k < dry_; ++k)
+    total -= (lambda_[bilateral_ + k] + lambda_end_[bilateral_ + k]) * v_[dry_joints_[k].dof];
+  return total;
+}
+
+// The force of a constraint that moves by itself has power: the rows' velocities are -rate.
+double HeldStep::drive_work() const {
+  if (bilateral_ == 0) return 0.0;
+  return -lambda_.head(bilateral_).dot(node0_.rate) - lambda_end_.head(bilateral_).dot(node1_.rate);
 }
 
 // The cone problem of the active contacts; directions of friction stay those of the step where that turns no slip
 // round.
 bool HeldStep::solve_end(VecX& lambda) {
-  int rows = 0;
   end_cones_.clear();
+  sub_rows_.clear();
+  for (int k = 0; k < bilateral_ + dry_; ++k) sub_rows_.push_back(k);
+  for (int k = 0; k < dry_; ++k) end_cones_.push_back(cones_[k]);
   for (int i : active_) {
-    ConeContact cone = cones_[i];
-    cone.row = rows;
+    ConeContact cone = cones_[dry_ + i];
+    cone.row = static_cast<int>(sub_rows_.size()) - bilateral_;
     cone.frozen = outcomes_[i].slipped;
     end_cones_.push_back(cone);
-    rows += cone.rows;
+    for (int k = 0; k < cone.rows; ++k) sub_rows_.push_back(row_[i] + k);
   }
   // Rows of the active contacts only.
+  const int rows = static_cast<int>(sub_rows_.size());
   MatX& G = G_sub_;
   G.resize(rows, rows);
   b_sub_.resize(rows);
   x_.resize(rows);
-  for (std::size_t a = 0; a < active_.size(); ++a) {
-    const int i = active_[a], ri = row_[i], m = end_cones_[a].rows, at = end_cones_[a].row;
-    b_sub_.segment(at, m) = w_end_.segment(ri, m);
-    x_.segment(at, m) = lambda.segment(ri, m);
-    for (std::size_t c = 0; c < active_.size(); ++c)
-      G.block(at, end_cones_[c].row, m, end_cones_[c].rows) = G_end_.block(ri, row_[active_[c]], m, end_cones_[c].rows);
+  for (int a = 0; a < rows; ++a) {
+    b_sub_[a] = w_end_[sub_rows_[a]];
+    x_[a] = lambda[sub_rows_[a]];
+    for (int c = 0; c < rows; ++c) G(a, c) = G_end_(sub_rows_[a], sub_rows_[c]);
   }
   const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
   lambda.setZero();
   if (rows == 0) return true;
   for (int attempt = 0; attempt < 3; ++attempt) {
-    if (!solve_cone({end_cones_, G, b_sub_, kSlipping * 1e-3 * speed}, x_, true)) {
+    if (!solve_rows(end_cones_, G, b_sub_, kSlipping * 1e-3 * speed, x_, true)) {
       // In Painleve's paradox no force holds a contact that goes on slipping.
       bool frozen = false;
       for (ConeContact& cone : end_cones_) {
@@ -106,9 +121,10 @@ bool HeldStep::solve_end(VecX& lambda) {
     }
     bool turned = false;
     for (std::size_t a = 0; a < active_.size(); ++a) {
-      ConeContact& cone = end_cones_[a];
+      ConeContact& cone = end_cones_[dry_ + a];
       if (!cone.frozen) continue;
-      const Eigen::Vector2d w = b_sub_.segment<2>(cone.row + 1) + G.middleRows<2>(cone.row + 1) * x_;
+      const int row = bilateral_ + cone.row + 1;
+      const Eigen::Vector2d w = b_sub_.segment<2>(row) + G.middleRows<2>(row) * x_;
       outcomes_[active_[a]].reversed = w.dot(cone.d);
       if (w.dot(cone.d) > kSlipping * speed) continue;
       cone.frozen = false;
@@ -116,8 +132,7 @@ bool HeldStep::solve_end(VecX& lambda) {
     }
     if (!turned) break;
   }
-  for (std::size_t a = 0; a < active_.size(); ++a)
-    lambda.segment(row_[active_[a]], end_cones_[a].rows) = x_.segment(end_cones_[a].row, end_cones_[a].rows);
+  for (int a = 0; a < rows; ++a) lambda[sub_rows_[a]] = x_[a];
   return true;
 }
 
@@ -149,6 +164,28 @@ void HeldStep::describe() {
   }
 }
 
+HeldStep::Memory HeldStep::memory() const {
+  return {contacts_, outcomes_, node0_, y_ref_, dry_joints_, fixed_force_, v_node_, v_last_, v1_, h_last_, nominal_h_,
+          follows_};
+}
+
+void HeldStep::recall(const Memory& memory) {
+  contacts_ = memory.contacts;
+  set_rows();
+  outcomes_ = memory.outcomes;
+  node0_ = memory.node;
+  node1_.known = false;
+  y_ref_ = memory.y_ref;
+  dry_joints_ = memory.dry_joints;
+  fixed_force_ = memory.fixed_force;
+  v_node_ = memory.v_node;
+  v_last_ = memory.v_last;
+  v1_ = memory.v1;
+  h_last_ = memory.h_last;
+  nominal_h_ = memory.nominal_h;
+  follows_ = memory.follows;
+}
+
 bool HeldStep::swings() const {
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     if (contacts_[i].point.kind == PointKind::kRim && node0_.side[i].dot(node1_.side[i]) < kSwing) return true;
@@ -172,6 +209,14 @@ void HeldStep::commit() {
     }
     y_ref_[i] = held.anchored ? held.anchor : place_on_plane(held.point);
   }
+  const double still = kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
+  for (DryJoint& joint : dry_joints_) {
+    const bool sticks = std::abs(v1_[joint.dof]) <= still && joint.iq >= 0;
+    if (sticks && !joint.anchored) joint.anchor = q1_[joint.iq];
+    joint.anchored = sticks;
+    joint.reference = joint.iq < 0 ? 0.0 : sticks ? joint.anchor : q1_[joint.iq];
+  }
+  fixed_force_ = (lambda_.head(bilateral_ + dry_) + lambda_end_.head(bilateral_ + dry_)) / h_;
   v_node_ = v1_;
   v_last_ = v_;
   h_last_ = h_;

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "constraints.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -15,6 +17,10 @@ constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see sh
 constexpr double kStalled = 1e3;                                       // of that: rounds which no longer gain may end
 constexpr int kIdle = 4;                                               // such rounds
 constexpr double kBest = 1e-4;     // contraction of a round: no better one is believed
+constexpr double kConstraintRounding = 1e-15;  // [m] the same of the constraints' residuals
+constexpr double kMet = 1e-10;      // of the configuration: a constraint is met to it,
+constexpr double kMetRate = 1e-7;   // and its rate to this, of the speeds
+constexpr double kSameTime = 1e-13;
 constexpr double kSettled = 1e-3;  // relative change of v from which on the contact matrix is kept
 }  // namespace
 
@@ -32,25 +38,42 @@ HeldStep::HeldStep(const Scene& scene, Guards& guards, const Manifolds& manifold
       v1_(scene.tree.nv),
       dv_(scene.tree.nv),
       rates_(scene.tree.nv, 1),
+      bilateral_(scene.tree.elements.constraint_rows),
+      dry_(static_cast<int>(scene.tree.elements.dry_dofs.size())),
       guess_(scene.tree.nv),
       q_side_(scene.tree.nq),
       v_side_(scene.tree.nv),
-      acceleration_(scene.tree.nv) {}
+      acceleration_(scene.tree.nv) {
+  const Tree& tree = scene.tree;
+  for (int dof : tree.elements.dry_dofs) {
+    const Joint& joint = tree.joints[tree.dof_joint[dof]];
+    dry_joints_.push_back({dof, joint.nq == 1 ? joint.iq : -1, tree.elements.dry_friction[dof]});
+  }
+  restart();
+}
+
+void HeldStep::restart() {
+  for (DryJoint& joint : dry_joints_) joint.anchored = false;
+  fixed_force_.setZero(bilateral_ + dry_);
+}
 
 // Sizes for the contacts as they are.
 void HeldStep::set_rows() {
   const std::size_t n = contacts_.size();
   row_.resize(n);
-  cones_.resize(n);
+  cones_.resize(dry_ + n);
   outcomes_.resize(n);
   y_ref_.resize(n);
   paradox_.resize(n);
-  rows_ = 0;
+  rows_ = bilateral_ + dry_;
   redundant_ = noisy_ = false;
   for (std::size_t i = 0; i < n; ++i) {
     row_[i] = rows_;
     rows_ += contacts_[i].rows();
-    cones_[i] = ConeContact{row_[i], contacts_[i].rows(), contacts_[i].mu, 0.0, false, Eigen::Vector2d::Zero()};
+    cones_[dry_ + i] = ConeContact();
+    cones_[dry_ + i].row = row_[i] - bilateral_;
+    cones_[dry_ + i].rows = contacts_[i].rows();
+    cones_[dry_ + i].mu = contacts_[i].mu;
     noisy_ |= guards_->is_noisy(contacts_[i].point.guard);
     // Two points of one pair share the friction along their line; four the load.
     for (std::size_t j = 0; j < i; ++j) redundant_ |= contacts_[j].point.guard == contacts_[i].point.guard;
@@ -60,6 +83,8 @@ void HeldStep::set_rows() {
     node->at.resize(n);
     node->t1.resize(n);
     node->side.resize(n);
+    node->phi.resize(bilateral_);
+    node->rate.resize(bilateral_);
     if (node->W.cols() != rows_ || node->W.rows() != nv) node->W.resize(nv, rows_);
   }
   if (S_.cols() == rows_) return;
@@ -67,7 +92,16 @@ void HeldStep::set_rows() {
   for (MatX* X : {&DinvW_, &S_, &MinvW_}) X->resize(nv, rows_);
   G_.resize(rows_, rows_);
   G_end_.resize(rows_, rows_);
-  solver_.reserve(rows_);
+  solver_.reserve(rows_ - bilateral_);
+}
+
+// Rows of the constraints and of dry friction; the guards are placed at q.
+void HeldStep::constraint_node(const VecCRef& q, double t, Node& node) {
+  node.t = t;
+  if (bilateral_ > 0)
+    evaluate_constraints(scene_->tree, guards_->placements(), q, t, node.phi, node.W.leftCols(bilateral_), node.rate);
+  if (dry_ > 0) node.W.middleCols(bilateral_, dry_).setZero();
+  for (int k = 0; k < dry_; ++k) node.W(dry_joints_[k].dof, bilateral_ + k) = 1.0;
 }
 
 void HeldStep::evaluate(const HeldContact& held, Contact& contact) {
@@ -96,11 +130,16 @@ Vec3 HeldStep::place_on_plane(const ContactPoint& point) const {
 }
 
 void HeldStep::start_node(const VecCRef& q0) {
-  if (node0_.known && (node0_.q.array() == q0.array()).all()) return;
+  const double t = integrator_.time();
+  const bool same_time = bilateral_ == 0 || std::abs(node0_.t - t) <= kSameTime * (1.0 + std::abs(t));
+  if (node0_.known && same_time && (node0_.q.array() == q0.array()).all()) return;
   set_rows();
   guards_->place(q0);
   node0_.q = q0;
   node0_.known = true;
+  constraint_node(q0, t, node0_);
+  for (DryJoint& joint : dry_joints_)
+    joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? q0[joint.iq] : 0.0;
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const HeldContact& held = contacts_[i];
     evaluate(held, node0_.at[i]);
@@ -114,10 +153,11 @@ void HeldStep::start_node(const VecCRef& q0) {
   }
 }
 
-void HeldStep::end_node(const VecX& q1) {
+void HeldStep::end_node(const VecX& q1, double t1) {
   guards_->place(q1);
   node1_.q = q1;
   node1_.known = true;
+  constraint_node(q1, t1, node1_);
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const HeldContact& held = contacts_[i];
     evaluate(held, node1_.at[i]);
@@ -133,11 +173,77 @@ double HeldStep::shortest_place(const HeldContact& held) const {
   return held.point.kind == PointKind::kRim ? kShortRim : kShort;  // a rim's rate turns with it
 }
 
+// The same of constraints and dry friction. What a constraint was off at the start goes away over a whole step.
+void HeldStep::measure_constraints(double h) {
+  if (bilateral_ > 0) {
+    auto S = S_.leftCols(bilateral_);
+    auto y = y_.head(bilateral_);
+    if (h < kShort * nominal_h_) {
+      S = 0.5 * (node0_.W.leftCols(bilateral_) + node1_.W.leftCols(bilateral_));
+      y.noalias() = S.transpose() * v_;
+      y += 0.5 * (node0_.rate + node1_.rate) + node0_.phi / nominal_h_;
+    } else {
+      y = (node1_.phi - (h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0) * node0_.phi) / h;
+    }
+  }
+  for (int k = 0; k < dry_; ++k) {
+    const DryJoint& joint = dry_joints_[k];
+    const bool place = joint.iq >= 0 && h >= kShort * nominal_h_;
+    y_[bilateral_ + k] = place ? (q1_[joint.iq] - joint.reference) / h : v_[joint.dof];
+  }
+}
+
+// Whether the constraints hold at the end of the step just solved; else which does not (unmet_).
+bool HeldStep::constraints_met(double h) {
+  unmet_ = -1;
+  if (bilateral_ == 0) return true;
+  const VecX rates = node1_.W.leftCols(bilateral_).transpose() * v1_ + node1_.rate;
+  const double speed = 1.0 + v1_.cwiseAbs().maxCoeff() + node1_.rate.cwiseAbs().maxCoeff();
+  const double left = h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0, reach = 1.0 + q1_.cwiseAbs().maxCoeff();
+  double worst = 1.0;
+  for (const Constraint& c : scene_->tree.elements.constraints)
+    for (int k = c.row; k < c.row + c.rows; ++k) {
+      const double place = std::abs(node1_.phi[k]) - left * std::abs(node0_.phi[k]);
+      const double off = std::max(place / (kMet * reach), std::abs(rates[k]) / (kMetRate * speed));
+      if (off <= worst) continue;
+      worst = off;
+      unmet_ = static_cast<int>(&c - scene_->tree.elements.constraints.data());
+    }
+  if (unmet_ >= 0) why_ = "the constraints cannot be met";
+  return unmet_ < 0;
+}
+
+ConeContact HeldStep::dry_cone(int k, double bound) const {
+  ConeContact cone;
+  cone.row = k;
+  cone.rows = 1;
+  cone.box = bound;
+  return cone;
+}
+
+// The cone problem of all rows, the constraints eliminated.
+bool HeldStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise,
+                          VecX& lambda, bool regularize) {
+  if (bilateral_ == 0) return solve_cone({cones, G, b, noise}, lambda, regularize);
+  reduction_.set(G, bilateral_);
+  const VecX& right = reduction_.right_side(b);
+  rest_ = lambda.tail(right.size());
+  if (right.size() > 0 && !solve_cone({cones, reduction_.matrix(), right, noise}, rest_, regularize)) return false;
+  reduction_.complete(rest_, lambda);
+  return lambda.allFinite();
+}
+
+// Of the contact matrix of the step, without what the constraints take up.
+double HeldStep::contact_matrix(int row, int column) const {
+  return bilateral_ == 0 ? G_(row, column) : reduction_.matrix()(row - bilateral_, column - bilateral_);
+}
+
 // y = (phi(q1)/h; s) at the velocity v_, and its derivative S^T along v.
 void HeldStep::measure(double h) {
   integrate(scene_->tree, node0_.q, v_, h, q1_);
-  end_node(q1_);
+  end_node(q1_, integrator_.time() + h);
   S_ = node1_.W;
+  measure_constraints(h);
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const HeldContact& held = contacts_[i];
     const int r = row_[i];
@@ -180,11 +286,13 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   integrator_.begin_kicked(q0, h, tau, v);
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     lambda_.segment(row_[i], contacts_[i].rows()) = 0.5 * h * contacts_[i].force.head(contacts_[i].rows());
+  lambda_.head(bilateral_ + dry_) = 0.5 * h * fixed_force_;
+  for (int k = 0; k < dry_; ++k) cones_[k] = dry_cone(k, 0.5 * h * dry_joints_[k].limit);
   double best = INFINITY;
   int idle = 0;
   double last = INFINITY;
   bool settled = false;
-  const double noise = std::max(kGapRounding, noisy_ ? 1e-11 : 0.0) / h;  // of the rows, as a velocity
+  const double noise = std::max(kGapRounding, noisy_ ? 1e-11 : bilateral_ > 0 ? kConstraintRounding : 0.0) / h;  // of the rows, as a velocity
   for (int k = 0; k < kMaxRounds; ++k) {
     ++counters.rounds;
     p_start_ = p0;
@@ -199,11 +307,12 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     measure(h);
     if (!y_.allFinite()) break;
     if (!settled) G_.noalias() = S_.transpose() * DinvW_;
-    if (k == 0) find_paradox(v);
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
     change_ = lambda_;
-    if (!solve_cone({cones_, G_, b_, std::max(noise, kPlaceRounding / h)}, lambda_, k == 0)) {
+    const bool solved = solve_rows(cones_, G_, b_, std::max(noise, kPlaceRounding / h), lambda_, k == 0);
+    if (k == 0) find_paradox(v);
+    if (!solved) {
       why_ = "the contact forces were not found";
       return false;
     }
@@ -238,7 +347,10 @@ void HeldStep::find_paradox(const VecX& v) {
     if (!single) continue;
     const Eigen::Vector2d slip(node0_.W.col(r + 1).dot(v), node0_.W.col(r + 2).dot(v));
     const double speed = slip.norm();
-    if (speed > 0.0) paradox_[i] = G_(r, r) - contacts_[i].mu * (G_.block<1, 2>(r, r + 1) * slip)(0) / speed;
+    if (speed > 0.0)
+      paradox_[i] =
+          contact_matrix(r, r) -
+          contacts_[i].mu * (contact_matrix(r, r + 1) * slip[0] + contact_matrix(r, r + 2) * slip[1]) / speed;
   }
 }
 

@@ -8,6 +8,11 @@
 // for bilateral constraints). The slip of a point fixed to a body is its displacement on the support, from an anchor
 // where it stuck: no creep. That of rolling surfaces is W_t v, the mean of both ends. A contact that slipped keeps its
 // direction of friction in the end kick unless that would turn its slip round: order 2 for turning slip.
+//
+// Constraints phi(q, t) = 0 are rows of the same kind without a cone: phi(q1, t1) = 0 by the first impulse, d phi/dt = 0
+// at the node by the second. They come first among the rows and are eliminated (reduction.hpp). Dry friction of joints
+// are rows with a bound f h/2 for each impulse, from an anchor where the joint sticks. Such scenes make all their steps
+// here, with contacts or without.
 #pragma once
 
 #include <vector>
@@ -16,6 +21,7 @@
 #include "guard.hpp"
 #include "held_contact.hpp"
 #include "integrator.hpp"
+#include "reduction.hpp"
 
 namespace contactvi {
 
@@ -32,7 +38,11 @@ class HeldStep final : public Stepper {
 
   std::vector<HeldContact>& contacts() { return contacts_; }
   const std::vector<HeldContact>& contacts() const { return contacts_; }
-  bool empty() const { return contacts_.empty(); }
+  // Whether steps need no impulses at all.
+  bool empty() const { return contacts_.empty() && bilateral_ + dry_ == 0; }
+  bool constrained() const { return bilateral_ > 0; }
+  void set_time(double t) { integrator_.set_time(t); }
+  void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
   // Usual length of a step: what the gaps are off is taken back over it.
   void set_nominal(double h) { nominal_h_ = h; }
   // Contacts were added or dropped, or the state is not the end of the last step.
@@ -55,7 +65,18 @@ class HeldStep final : public Stepper {
   double h() const { return h_; }
   const std::vector<HeldOutcome>& outcomes() const { return outcomes_; }
   const VecX& end_velocity() const { return v1_; }
-  double work() const { return integrator_.work(); }
+  // Of inputs, what damping took, what the dry friction of joints took, of driven constraints [J].
+  double input_work() const { return integrator_.input_work(); }
+  double damping_loss() const { return integrator_.damping_loss(); }
+  double dry_loss() const;
+  double drive_work() const;
+  double work() const { return integrator_.work() + drive_work() - dry_loss(); }
+  // Impulses of the constraints' rows in both kicks [N s; N m s].
+  VecX constraint_impulses() const { return lambda_.head(bilateral_) + lambda_end_.head(bilateral_); }
+  // What starts from rest: no joint sticks anywhere yet.
+  void restart();
+  // Constraint that the last step could not meet, -1: none.
+  int unmet() const { return unmet_; }
   // Whether the contact of a rim runs round so far in the step that its start says nothing of its end.
   bool swings() const;
   // The step is taken: modes, anchors, forces and tangents become those of its end.
@@ -75,20 +96,50 @@ class HeldStep final : public Stepper {
   const StepCounters& step_counters() const { return integrator_.counters; }
   HeldCounters counters;
 
- private:
   // Geometry and velocity rows of all contacts at a configuration.
   struct Node {
     bool known = false;
-    VecX q;
+    double t = 0;
+    VecX q, phi, rate;  // residuals of the constraints and their rates at fixed q
     std::vector<Contact> at;
     std::vector<Vec3> t1;
     std::vector<Vec3> side;  // of rims: where their contact lies
     MatX W;                  // nv x rows
   };
 
+  // Dry friction of a joint.
+  struct DryJoint {
+    int dof, iq;  // iq: -1 if it has more than one number in q
+    double limit;
+    bool anchored = false;
+    double anchor = 0, reference = 0;
+  };
+
+  // What the next step is started from, to go on from here later with the same digits.
+  struct Memory {
+    std::vector<HeldContact> contacts;
+    std::vector<HeldOutcome> outcomes;
+    Node node;
+    std::vector<Vec3> y_ref;
+    std::vector<DryJoint> dry_joints;
+    VecX fixed_force, v_node, v_last, v1;
+    double h_last, nominal_h;
+    bool follows;
+  };
+  Memory memory() const;
+  void recall(const Memory& memory);
+
+ private:
   void set_rows();
+  void constraint_node(const VecCRef& q, double t, Node& node);
+  void measure_constraints(double h);
+  bool constraints_met(double h);
+  ConeContact dry_cone(int k, double bound) const;
+  bool solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise, VecX& lambda,
+                  bool regularize);
+  double contact_matrix(int row, int column) const;
   void start_node(const VecCRef& q0);
-  void end_node(const VecX& q1);
+  void end_node(const VecX& q1, double t1);
   void evaluate(const HeldContact& held, Contact& contact);
   Vec3 tangent_at(const HeldContact& held, const Contact& contact, const Contact& before, const Vec3& t1) const;
   Vec3 place_on_plane(const ContactPoint& point) const;
@@ -112,8 +163,14 @@ class HeldStep final : public Stepper {
   std::vector<HeldContact> contacts_;
   std::vector<HeldOutcome> outcomes_;
   std::vector<int> row_;  // first row of each contact
-  std::vector<ConeContact> cones_, end_cones_;
+  std::vector<ConeContact> cones_, end_cones_;  // of the dry friction first, then of the contacts
   std::vector<int> active_;  // contacts of the end kick
+  std::vector<int> sub_rows_;
+  std::vector<DryJoint> dry_joints_;
+  Reduction reduction_;
+  int bilateral_ = 0, dry_ = 0;  // rows of constraints, of dry friction; those of the contacts follow
+  int unmet_ = -1;
+  VecX fixed_force_;  // of these rows in the last step
   int rows_ = 0;
   bool redundant_ = false, noisy_ = false;
   Node node0_, node1_;
@@ -121,7 +178,7 @@ class HeldStep final : public Stepper {
   std::vector<Vec3> y_ref_;      // where the material points are on their planes, or were when they stuck
   VecX y_, lambda_, lambda_end_, b_, change_, v_, p_start_, p_minus_, q1_, p1_, v1_, dv_;
   MatX DinvW_, S_, G_, MinvW_, G_end_, G_sub_, rates_;
-  VecX b_sub_, x_;
+  VecX b_sub_, x_, rest_;
   std::vector<ConeContact> force_cones_;
   VecX w_end_, guess_, q_side_, v_side_, acceleration_;
   VecX v_node_, v_last_;  // of the last step: at its end, in its middle

@@ -57,7 +57,7 @@ BlockResult PoissonImpact::solve(const std::vector<BlockMember>& members, const 
   int at = 0;
   for (const BlockMember& a : members) {
     const auto Wa = a.closed->W.leftCols(a.closed->rows);
-    result.gamma_minus.segment(at, a.closed->rows) = a.closed->MinvW.leftCols(a.closed->rows).transpose() * p;
+    result.gamma_minus.segment(at, a.closed->rows) = a.closed->speeds(p);
     int from = 0;
     for (const BlockMember& b : members) {
       G_.block(at, from, a.closed->rows, b.closed->rows).noalias() =

@@ -31,11 +31,19 @@ struct ClosedGuard {
   std::vector<Contact> contacts;
   std::vector<Vec3> t1;
   int rows = 0;
-  MatX W, MinvW;  // nv x rows at least
+  MatX W, MinvW;  // nv x rows at least; projected on the constraints
+  MatX mu_fixed;  // answers of the constraints, their rows x rows
+  VecX offset;    // of the rows' velocities
 
   int rows_per_point() const { return mu > 0.0 ? 3 : 1; }
   // Normal speed of a point, of the most closing one.
-  double gamma_n(int point, const VecX& p) const { return MinvW.col(point * rows_per_point()).dot(p); }
+  double gamma_n(int point, const VecX& p) const { return speed(point * rows_per_point(), p); }
+  double speed(int row, const VecX& p) const { return MinvW.col(row).dot(p) + offset[row]; }
+  VecX speeds(const VecX& p) const { return MinvW.leftCols(rows).transpose() * p + offset.head(rows); }
+  // T- - T+ of impulses, less what moving constraints give.
+  double loss(const VecX& lambda, const VecX& p_minus, const VecX& p_plus) const {
+    return -0.5 * lambda.dot(speeds(p_minus) + speeds(p_plus));
+  }
   double gamma_n(const VecX& p) const;
 };
 

@@ -59,7 +59,9 @@ void ImpactSequence::add_rows(ClosedGuard& c) {
   if (c.W.rows() != nv || c.W.cols() < total) {
     c.W.conservativeResize(nv, total);
     c.MinvW.conservativeResize(nv, total);
+    c.mu_fixed.conservativeResize(projection_.rate().size(), total);
   }
+  if (c.offset.size() < c.W.cols()) c.offset.conservativeResize(c.W.cols());
   Contact contact = c.witness;
   if (point.kind != PointKind::kWitness && point.kind != PointKind::kLimit)
     guards_->manifolds().evaluate(point, guards_->placements(), contact);
@@ -67,6 +69,10 @@ void ImpactSequence::add_rows(ClosedGuard& c) {
   guards_->rows(c.guard, contact, t1, c.W.middleCols(c.rows, m));
   c.MinvW.middleCols(c.rows, m) = c.W.middleCols(c.rows, m);
   integrator_->solve_masses(c.MinvW.middleCols(c.rows, m));
+  c.offset.segment(c.rows, m).setZero();
+  if (projection_.any())
+    projection_.apply(c.W.middleCols(c.rows, m), c.MinvW.middleCols(c.rows, m), c.mu_fixed.middleCols(c.rows, m),
+                      c.offset.segment(c.rows, m));
   c.contacts.push_back(contact);
   c.t1.push_back(t1);
   c.rows += m;
@@ -111,6 +117,7 @@ bool ImpactSequence::collect(const VecX& q, const VecX& p, const std::vector<int
   guards_->place(q);
   if (!integrator_->node_velocity(q, p, v_))
     return fail(StatusCode::kNewtonFailed, "the mass matrix is not positive definite", -1);
+  if (projection_.any()) projection_.set(*integrator_, guards_->placements(), q, time);
   std::vector<int> guards(active);
   if (first >= 0) guards.push_back(first);
   for (const HeldContact& h : held) guards.push_back(h.point.guard);

@@ -28,6 +28,7 @@ ImpactSequence::ImpactSequence(const Scene& scene, Integrator& integrator, Guard
       integrator_(&integrator),
       guards_(&guards),
       options_(options),
+      projection_(scene.tree),
       q_(scene.tree.nq),
       v_(scene.tree.nv) {}
 
@@ -100,7 +101,7 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
 }
 
 ImpactResult ImpactSequence::apply_map(const ImpactProblem& problem, VecX& p) {
-  if (options_.map == 0 || !any_held_) {
+  if (options_.map == 0 || !held()) {
     switch (options_.map) {
       case kDtec:
         return impact_dtec(problem, p);
@@ -119,7 +120,7 @@ ImpactResult ImpactSequence::apply_map(const ImpactProblem& problem, VecX& p) {
 // One point without friction: the maps as they are.
 bool ImpactSequence::hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording) {
   const VecX p_minus = p, W = closed.W.col(0), MinvW = closed.MinvW.col(0);
-  const double gamma = MinvW.dot(p), G_c = W.dot(MinvW);
+  const double gamma = closed.speed(0, p), G_c = W.dot(MinvW);
   ImpactProblem problem{*integrator_, q_, p_minus, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, 0.0};
   target -= problem.loss();
   problem.target = target;
@@ -129,7 +130,7 @@ bool ImpactSequence::hit_point(ClosedGuard& closed, double e, const Instant& at,
   if (result.fallback != Fallback::kNone && !options_.mhc_global && std::isfinite(result.jump)) target += result.jump;
   closed.hit = true;
   VecX lambda = VecX::Constant(1, result.impulse);
-  record(closed, lambda, p_minus, p, result, e, problem.loss(), gamma, MinvW.dot(p), at, recording);
+  record(closed, lambda, p_minus, p, result, e, problem.loss(), gamma, closed.speed(0, p), at, recording);
   return true;
 }
 
@@ -148,7 +149,7 @@ ImpactResult ImpactSequence::corrected(const ClosedGuard& closed, const BlockRes
   }
   ImpactResult result = ctec;
   if (options_.map == 0) return result;
-  if (any_held_ || !(ctec.impulse > 0.0)) {
+  if (held() || !(ctec.impulse > 0.0)) {
     result.fallback = Fallback::kHeld;
     return result;
   }
@@ -197,14 +198,14 @@ bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at,
     ImpactResult result;
     result.impulse = lambda.sum();
     support.hit = true;
-    const double loss = -0.5 * lambda.dot(support.MinvW.leftCols(support.rows).transpose() * (p_minus + p));
+    const double loss = support.loss(lambda, p_minus, p);
     record(support, lambda, p_minus, p, result, 0.0, loss, block.gamma_minus.segment(row, support.rows).minCoeff(),
            block.gamma_plus.segment(row, support.rows).minCoeff(), at, recording);
     p_minus = p;
   }
   VecX lambda = block.lambda.head(closed.rows);
   p = p_minus + closed.W.leftCols(closed.rows) * lambda;
-  const double loss = -0.5 * lambda.dot(closed.MinvW.leftCols(closed.rows).transpose() * (p_minus + p));
+  const double loss = closed.loss(lambda, p_minus, p);
   const double gamma = closed.gamma_n(p_minus);
   ImpactResult result = corrected(closed, block, e, at, p);
   result.iterations += block.iterations;
@@ -255,9 +256,9 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
     ImpactResult result;
     for (int i = 0; i < c.count; ++i) result.impulse += lambda[m * i];
     result.iterations = block.iterations;
-    if (options_.map != 0) result.fallback = any_held_ ? Fallback::kHeld : Fallback::kPlastic;
+    if (options_.map != 0) result.fallback = held() ? Fallback::kHeld : Fallback::kPlastic;
     c.hit = true;
-    const double loss = -0.5 * lambda.dot(c.MinvW.leftCols(c.rows).transpose() * (p_minus + p));
+    const double loss = c.loss(lambda, p_minus, p);
     record(c, lambda, p_minus, p, result, 0.0, loss, least, after, at, recording);
   }
   if (!p.allFinite()) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", members[0].closed->guard);
@@ -270,6 +271,11 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
                             const Instant& at, Recording& recording) {
   ++impacts;
   ++impacts_here_;
+  if (projection_.any()) {
+    const VecX answer = closed.mu_fixed.leftCols(closed.rows) * lambda;
+    constraint_impulses -= answer;
+    drive_work += answer.dot(projection_.rate());
+  }
   ImpactRecord r;
   const int m = closed.rows_per_point();
   double weight = 0.0;

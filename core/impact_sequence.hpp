@@ -11,6 +11,7 @@
 #include "held_contact.hpp"
 #include "impact.hpp"
 #include "impact_block.hpp"
+#include "projection.hpp"
 #include "recording.hpp"
 
 namespace contactvi {
@@ -49,6 +50,9 @@ class ImpactSequence {
   const char* message() const { return message_; }
   int guard() const { return guard_; }
 
+  double time = 0;             // of the event, for constraints that depend on it [s]
+  VecX constraint_impulses;    // that impacts have caused, summed up; rows of the constraints
+  double drive_work = 0;       // of constraints that move by themselves, in impacts [J]
   double target = 0;  // of the map's scalar, losses so far subtracted
   long impacts = 0, impacts_in_step = 0;
 
@@ -70,6 +74,8 @@ class ImpactSequence {
   void record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
               const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
               const Instant& at, Recording& recording);
+  // Whether the rest of the step is not a smooth one.
+  bool held() const { return any_held_ || projection_.any(); }
   bool fail(StatusCode code, const char* message, int guard);
 
   const Scene* scene_;
@@ -81,6 +87,7 @@ class ImpactSequence {
   bool any_held_ = false;
   int impacts_here_ = 0;
   double speeds_ = 0;  // of the closed points before the event, of what they are sums of: it has the rounding
+  Projection projection_;
   VecX q_, v_;
   PoissonImpact poisson_;
   StatusCode code_ = StatusCode::kSuccess;

@@ -297,6 +297,19 @@ void Integrator::forget() {
   start_.forget();
 }
 
+Integrator::Memory Integrator::memory() {
+  solved_ = false;  // the stages are not remembered
+  return {start_, carry_q_, carry_p_, newton_};
+}
+
+void Integrator::recall(const Memory& memory) {
+  start_ = memory.start;
+  carry_q_ = memory.carry_q;
+  carry_p_ = memory.carry_p;
+  newton_ = memory.newton;
+  solved_ = false;
+}
+
 const MatX& Integrator::rates() {
   if (model_.lanes.balls > 0) stages_.rates();
   for (int i = 0; i < stages_.count(); ++i)

@@ -50,6 +50,14 @@ class Integrator final : public Stepper {
   void accept();
   // The next step starts elsewhere.
   void forget() override;
+  // What the next step is started from, to go on from here later with the same digits.
+  struct Memory {
+    StartValues start;
+    VecX carry_q, carry_p;
+    bool newton;
+  };
+  Memory memory();
+  void recall(const Memory& memory);
 
   int sweeps() const { return sweeps_; }
   double residual_norm() const { return residual_; }

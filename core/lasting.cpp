@@ -146,6 +146,7 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
 }
 
 bool Simulator::held_step_failed(double h, double time) {
+  if (user_failed(time)) return false;
   if (h < (held_.swings() ? kShortestSwing : kShortest) * contact_step())
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with held contacts was not solved: ") +
@@ -246,7 +247,8 @@ void Simulator::step_past(int guard) {
 // One held step, to the end of the interval, to an event, or to a change of the contacts.
 bool Simulator::held_piece(Piece& piece, Recording& recording) {
   const auto clock = std::chrono::steady_clock::now();
-  const double at = piece.start + piece.done, nominal = contact_step();
+  const double at = piece.start + piece.done, nominal = held_step();
+  held_.set_time(at);
   if (!refresh_points(piece, recording)) return false;
   if (held_.empty()) {
     reanchor();
@@ -273,6 +275,7 @@ bool Simulator::held_piece(Piece& piece, Recording& recording) {
   const double taken = alpha * h;
   if (taken > 0.0 && gains_energy()) return held_step_failed(h, at);
   if (taken > 0.0) {
+    count_held_work();
     take_held_step(at, taken, options_.dense, recording);
     piece.done += taken;
     piece.remaining = alpha >= 1.0 && h >= piece.remaining * (1.0 - 1e-12) ? 0.0 : piece.length - piece.done;

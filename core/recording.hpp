@@ -81,6 +81,8 @@ struct ChangeRecord {
 
 struct Recording {
   std::vector<double> t, q, p;  // row-major (N, nq), (N, nv)
+  // Per node: work since reset [J], four kinds (Simulator::Work); mean forces of the constraints since the node before.
+  std::vector<double> work, reactions;
   std::vector<ImpactRecord> impacts;
   Segments segments;
   std::vector<double> arc_t, arc_dt;  // of run_auto: start and step of each smooth arc
@@ -98,11 +100,14 @@ struct Recording {
     return {t.size(), impacts.size(), segments.t.size(), contacts.t.size(), changes.size(), phase_t.size()};
   }
   void cut(const Mark& mark) {
-    const std::size_t nq = t.empty() ? 0 : q.size() / t.size(), nv = t.empty() ? 0 : p.size() / t.size();
+    const std::size_t nodes = t.size() > 0 ? t.size() : 1;
+    const std::size_t nq = q.size() / nodes, nv = p.size() / nodes, rows = reactions.size() / nodes;
     const std::size_t count = segments.t.size(), rates = count == 0 ? 0 : segments.rates.size() / count;
     t.resize(mark.nodes);
     q.resize(mark.nodes * nq);
     p.resize(mark.nodes * nv);
+    work.resize(mark.nodes * work.size() / nodes);
+    reactions.resize(mark.nodes * rows);
     impacts.resize(mark.impacts);
     segments.t.resize(mark.segments);
     segments.h.resize(mark.segments);

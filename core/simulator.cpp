@@ -61,6 +61,21 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   held_trial_ = contact_step();
   held_seconds_ = kinetic_ = 0.0;
   held_.contacts().clear();
+  held_.restart();
+  work_ = Work();
+  reactions_.setZero(scene_->tree.elements.constraint_rows);
+  mean_reactions_ = sequence_.constraint_impulses = reactions_;
+  sequence_.drive_work = 0.0;
+  node_time_ = t;
+  saturated_ = 0;
+  *scene_->tree.elements.failed = false;
+  servo_.any = false;
+  integrator_.set_time(t);
+  integrator_.set_servo(&servo_);
+  held_.set_time(t);
+  held_.set_servo(&servo_);
+  held_.set_nominal(options_.dt);
+  sequence_.time = t;
   left_.clear();
   begun_.clear();
   flight_trial_ = 0.0;
@@ -93,10 +108,18 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   return status_;
 }
 
-void Simulator::record_node(double t, Recording& recording) const {
+void Simulator::record_node(double t, Recording& recording) {
   recording.t.push_back(t);
   recording.q.insert(recording.q.end(), q_.data(), q_.data() + q_.size());
   recording.p.insert(recording.p.end(), p_.data(), p_.data() + p_.size());
+  recording.work.insert(recording.work.end(), {work_.input, work_.damping, work_.dry, work_.drive});
+  if (t > node_time_) {
+    mean_reactions_ = reactions_ / (t - node_time_);
+    reactions_.setZero();
+    node_time_ = t;
+  }
+  recording.reactions.insert(recording.reactions.end(), mean_reactions_.data(),
+                             mean_reactions_.data() + mean_reactions_.size());
 }
 
 // The step of length h from (q_, p_) whose rates are in rates_.
@@ -120,8 +143,8 @@ bool Simulator::report(double time) {
   return (*progress_)(time, sequence_.impacts) || end(StatusCode::kInterrupted, time, "interrupted");
 }
 
-Status Simulator::advance(long steps, const MatX& tau, long record_every, const Progress& progress,
-                          Recording& recording) {
+Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long record_every,
+                          const Progress& progress, Recording& recording) {
   status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
   VecX force;
   if (recording.t.empty()) record_node(time_, recording);
@@ -131,7 +154,8 @@ Status Simulator::advance(long steps, const MatX& tau, long record_every, const 
   progress_ = &progress;
   for (long k = 0; k < steps; ++k) {
     if (tau.rows() > 0) force = tau.row(k).transpose();
-    if (!interval(t0_ + static_cast<double>(step_) * options_.dt, options_.dt, force, recording)) {
+    set_drive(force, target, k);
+    if (!interval(t0_ + static_cast<double>(step_) * options_.dt, options_.dt, force_, recording)) {
       // The run ends inside of a step: its last node is the state there.
       if (status_.code != StatusCode::kNotFinite && status_.time > recording.t.back())
         record_node(status_.time, recording);
@@ -156,6 +180,7 @@ void Simulator::halve(double h) {
 // Smooth step of length h from (q_, p_) into (q1_, p1_); false also when it has to be tried shorter.
 bool Simulator::smooth_step(double time, double h, const VecX& tau, bool last_try) {
   if (!integrator_.solve(q_, p_, h, tau)) {
+    if (user_failed(time)) return false;
     if (!last_try) return false;
     const bool finite = q_.allFinite() && p_.allFinite();
     return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, time,
@@ -201,11 +226,13 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   const bool shorter = longest < piece.remaining * (1.0 - 1e-9);
   const double h = shorter ? longest : piece.remaining;
   const bool last_try = level_ > 0.0 || h < kShortest * options_.dt || halved_ - halved >= kMostHalvings;
+  integrator_.set_time(at);
   if (!smooth_step(at, h, piece.tau, last_try)) {
-    if (last_try) return false;
+    if (last_try || *scene_->tree.elements.failed) return false;
     halve(h);
     return true;
   }
+  const double input = integrator_.input_work(), damping = integrator_.damping_loss();
   Search found = Search::kNone;
   if (guards_.count() > 0) {
     path_.set(q_, h, rates_);
@@ -222,6 +249,8 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
     easy_ = 0;
   }
   if (found == Search::kNone) {
+    work_.input += input;
+    work_.damping += damping;
     flight_trial_ = kGrowth * flight_trial_ < options_.dt ? kGrowth * flight_trial_ : 0.0;
     without_progress_ = 0;
     record_segment(at, h, p1_, recording);
@@ -235,6 +264,10 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   if (found != Search::kFound) return search_failed(found, at);
   const Event& event = finder_.event();
   const double before = event.alpha * h;
+  if (before > 0.0) {
+    work_.input += integrator_.input_work();
+    work_.damping += integrator_.damping_loss();
+  }
   if (options_.dense && before > 0.0) rates_ = integrator_.rates();
   if (before > 0.0) record_segment(at, before, event.p, recording);
   integrator_.forget();
@@ -272,6 +305,9 @@ bool Simulator::resolve_event(int first, bool persistent, const Instant& at, Rec
   const Instant now{time, at.before, at.after, at.tau, at.step};
   const bool touched = finder_.touching(first), was_held = !held_.empty();
   if (options_.impact != kCtec && held_.empty()) sequence_.target = energy_target(at.before);
+  sequence_.time = time;
+  integrator_.set_time(time);
+  held_.set_time(time);
   if (!sequence_.collect(q_, p_, finder_.active(), first, held_.contacts()))
     return end(sequence_.code(), time, sequence_.message());
   const double scale = sequence_.largest_speed(p_);
@@ -281,6 +317,7 @@ bool Simulator::resolve_event(int first, bool persistent, const Instant& at, Rec
   const bool rounding = (persistent || touched) && scale <= kSeparated * speed_scale_;
   if (!rounding && !sequence_.run(now, plastic_, p_, recording))
     return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
+  count_impacts();
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
   if (!judge_accumulation(first, persistent || touched, time, recording)) return false;
   bool any_hit = false;

@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <functional>
+#include <memory>
 
 #include "error.hpp"
 #include "event.hpp"
@@ -37,9 +38,11 @@ class Simulator {
 
   // State in engine coordinates. Fails with kPenetration or kNotFinite.
   Status reset(const VecX& q, const VecX& v, double t);
-  // steps steps of dt with the generalized force tau (steps x nv, public coordinates, or empty) constant over each;
-  // nodes are recorded every record_every steps. The run may end early: see the status.
-  Status advance(long steps, const MatX& tau, long record_every, const Progress& progress, Recording& recording);
+  // steps steps of dt with the generalized force tau (steps x nv, public coordinates, or empty) constant over each, and
+  // references of the servos (steps x 2 nv: q_ref, v_ref, or empty: as they were); nodes are recorded every record_every
+  // steps. The run may end early: see the status.
+  Status advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
+                 Recording& recording);
   // Until time + duration with steps of equal length within each smooth arc, such that the highest mode of the stage
   // velocities moves nothing by more than level [m; rad] per step (Integrator::truncation); an arc where it does is
   // redone with a shorter step. Every step's end is a node.
@@ -58,8 +61,19 @@ class Simulator {
   long rejected() const { return rejected_; }
   const HeldCounters& held_counters() const { return held_.counters; }
   double held_seconds() const { return held_seconds_; }
+  long saturated() const { return saturated_; }
+
+  // All that the rest of a run depends on; what comes after restore() has the same digits.
+  struct Snapshot;
+  std::shared_ptr<const Snapshot> save();
+  void restore(const Snapshot& snapshot);
 
  private:
+  // [J] since reset: of inputs, servos and wrenches; what damping took; what the dry friction of joints took; of
+  // constraints that move by themselves.
+  struct Work {
+    double input = 0, damping = 0, dry = 0, drive = 0;
+  };
   // What is known of the bouncing of one guard, to tell accumulation from chatter.
   struct Bouncing {
     double last_time = 0, last_flight = 0, longest_flight = 0;
@@ -74,6 +88,9 @@ class Simulator {
     std::vector<HeldContact> held;
     Recording::Mark mark;
     long impacts, step, target_step;
+    Work work;
+    VecX reactions;
+    double node_time;
   };
 
   // An interval on its way: [s], done and remaining add up to length.
@@ -87,7 +104,7 @@ class Simulator {
   bool interval(double start, double length, const VecX& tau, Recording& recording);
   bool free_piece(Piece& piece, long halved, Recording& recording);
   bool smooth_step(double time, double h, const VecX& tau, bool last_try);
-  void record_node(double t, Recording& recording) const;
+  void record_node(double t, Recording& recording);
   void record_segment(double t, double h, const VecX& p1, Recording& recording);
   void halve(double h);
   bool report(double time);
@@ -95,6 +112,12 @@ class Simulator {
   void go_back(const ArcStart& arc, Recording& recording);
   bool run_arc(double end, double level, Recording& recording);
   bool search_failed(Search outcome, double time);
+  // What pushes in the next step (drive.cpp): tau and the servos within their limits.
+  void set_drive(const VecX& tau, const MatX& target, long k);
+  void count_free_work();
+  void count_held_work();
+  void count_impacts();
+  bool user_failed(double time);
   void set_reference();
   bool resolve_event(int first, bool persistent, const Instant& at, Recording& recording);
   double energy_target(double before);
@@ -127,6 +150,7 @@ class Simulator {
   void sync_held();
   void note_phase(double time, double dt, bool held, Recording& recording) const;
   void note(double time, const ContactPoint& point, Change change, double value, Recording& recording) const;
+  double held_step() const { return held_.contacts().empty() ? options_.dt : contact_step(); }
   double contact_step() const { return options_.dt_contact > 0.0 ? options_.dt_contact : options_.dt; }
 
   bool end(StatusCode code, double time, std::string message, int guard = -1);
@@ -167,6 +191,12 @@ class Simulator {
   double kinetic_ = 0;  // at the end of the last held step [J]
   int held_easy_ = 0, without_progress_ = 0, sticks_located_ = 0;
   Status status_;
+  VecX force_;             // of the step under way
+  Servo servo_;
+  long saturated_ = 0;     // joints at their limits, summed over steps
+  Work work_;
+  VecX reactions_, mean_reactions_;  // impulses of the constraints since the last node; their mean force before it
+  double node_time_ = 0;
   VecX q_node_, p_node_;   // start of the step, for MHC's local reference
   long target_step_ = -1;  // step that MHC's local reference belongs to
 };

@@ -47,6 +47,15 @@ AlignedArray::AlignedArray(std::size_t size) : size_(size) {
   fill(0.0);
 }
 
+AlignedArray::AlignedArray(const AlignedArray& other) : AlignedArray(other.size_) {
+  std::copy_n(other.data_, size_, data_);
+}
+
+AlignedArray& AlignedArray::operator=(const AlignedArray& other) {
+  if (this != &other) *this = AlignedArray(other);
+  return *this;
+}
+
 void AlignedArray::fill(double value) { std::fill(data_, data_ + size_, value); }
 
 Stages::Stages(const Tree& tree, const FlatModel& model, int stages)

@@ -18,6 +18,11 @@ namespace contactvi {
 class AlignedArray {
  public:
   explicit AlignedArray(std::size_t size);
+  AlignedArray(const AlignedArray& other);
+  AlignedArray& operator=(const AlignedArray& other);
+  AlignedArray(AlignedArray&&) = default;
+  AlignedArray& operator=(AlignedArray&&) = default;
+  ~AlignedArray() = default;
   double* data() { return data_; }
   const double* data() const { return data_; }
   double& operator[](std::size_t i) { return data_[i]; }

@@ -140,6 +140,23 @@ void set_dry_friction(Scene& s, const VecX& limits) {
   }
 }
 
+void set_servo(Scene& s, const VecX& kp, const VecX& kd, const VecX& effort) {
+  for (const VecX* x : {&kp, &kd, &effort}) need(x->size() == s.tree.nv && x->minCoeff() >= 0.0, "expected (nv,) >= 0");
+  for (int d = 0; d < s.tree.nv; ++d) {
+    const Joint& joint = s.tree.joints[s.tree.dof_joint[d]];
+    need((kp[d] == 0.0 || joint.nq == 1) && (kd[d] == 0.0 || joint.nv == 1), "a servo needs one number in q");
+  }
+  s.tree.elements.servo_kp = kp;
+  s.tree.elements.servo_kd = kd;
+  s.tree.elements.servo_effort = effort;
+}
+
+void set_actuator_limits(Scene& s, const VecX& effort, const VecX& velocity) {
+  for (const VecX* x : {&effort, &velocity}) need(x->size() == s.tree.nv && x->minCoeff() >= 0.0, "expected (nv,) >= 0");
+  s.tree.elements.effort = effort;
+  s.tree.elements.speed = velocity;
+}
+
 void add_joint_potential(Scene& s, int joint, double rest, const std::vector<double>& coefficients) {
   s.tree.elements.joint_potentials.push_back({one_dof(s.tree, joint, false), rest, coefficients});
 }
@@ -297,6 +314,9 @@ void expose_elements(nb::class_<Scene>& scene) {
            "value(q) [J], gradient(q) -> (nv,).")
       .def("add_constraint", &add_constraint, "kind"_a, "joint_a"_a, "R_a"_a.none(), "p_a"_a, "joint_b"_a,
            "R_b"_a.none(), "p_b"_a, "numbers"_a, "signal"_a = nb::none(), "See constraints.hpp.")
+      .def("set_servo", &set_servo, "kp"_a, "kd"_a, "effort"_a,
+           "Gains and largest torque of the servos of joints with one number in q, (nv,) each.")
+      .def("set_actuator_limits", &set_actuator_limits, "effort"_a, "velocity"_a, "(nv,) each, inf: none.")
       .def_prop_ro("constraint_rows", &rows_per_constraint)
       .def("constraint_residual", [](const Scene& s, const VecX& q, double t) { return hand_over(evaluate(s, q, t).phi); },
            "q"_a, "t"_a = 0.0, "phi(q, t), (m,).")

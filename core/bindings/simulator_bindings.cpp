@@ -11,6 +11,7 @@
 #include "coordinates.hpp"
 #include "expose.hpp"
 #include "simulator.hpp"
+#include "user_calls.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -110,6 +111,7 @@ nb::dict stats(const Simulator& sim, double seconds) {
   d["guards_skipped"] = sim.guard_counters().skipped;
   d["impacts"] = sim.impacts();
   d["seconds"] = seconds;
+  d["saturated"] = sim.saturated();
   add_contact_stats(sim, d);
   return d;
 }
@@ -180,7 +182,10 @@ nb::dict run(Simulator& sim, nb::object progress, Run call) {
     nb::python_error error;
     d["error"] = error.value();
   }
-  const std::size_t n = recording.t.size();
+  if (UserErrors::any()) d["error"] = UserErrors::take();
+  const std::size_t n = recording.t.size(), rows = static_cast<std::size_t>(s.tree.elements.constraint_rows);
+  d["work"] = hand_over(std::move(recording.work), n, 4);
+  d["reactions"] = rows == 0 ? nb::object(nb::none()) : hand_over(std::move(recording.reactions), n, rows);
   make_public(s.tree, recording.q, recording.p);
   d["t"] = hand_over(std::move(recording.t));
   d["q"] = hand_over(std::move(recording.q), n, s.tree.nq);
@@ -203,15 +208,24 @@ nb::dict run(Simulator& sim, nb::object progress, Run call) {
   return d;
 }
 
-nb::dict advance(Simulator& sim, long steps, std::optional<Rows> tau, long record_every, nb::object progress) {
+nb::dict advance(Simulator& sim, long steps, std::optional<Rows> tau, long record_every, nb::object progress,
+                 std::optional<Rows> target) {
   if (tau && (tau->rows() != steps || tau->cols() != sim.scene().tree.nv))
     throw Error("tau: expected shape (steps, nv)");
+  if (target && (target->rows() != steps || target->cols() != 2 * sim.scene().tree.nv))
+    throw Error("target: expected shape (steps, 2 nv)");
   if (steps < 0 || record_every < 1) throw Error("steps must be >= 0 and record_every >= 1");
-  const MatX force = tau ? MatX(*tau) : MatX();
+  const MatX force = tau ? MatX(*tau) : MatX(), reference = target ? MatX(*target) : MatX();
   return run(sim, progress, [&](const Progress& callback, Recording& recording) {
-    return sim.advance(steps, force, record_every, callback, recording);
+    return sim.advance(steps, force, reference, record_every, callback, recording);
   });
 }
+
+// A snapshot with the scene it belongs to.
+struct Kept {
+  std::shared_ptr<const Simulator::Snapshot> snapshot;
+  const Scene* scene;
+};
 
 nb::dict run_auto(Simulator& sim, double duration, double level, nb::object progress) {
   if (!(duration > 0.0) || !(level > 0.0)) throw Error("duration and level must be > 0");
@@ -242,6 +256,7 @@ nb::object current_velocity(Simulator& sim) {
 }  // namespace
 
 void expose_simulator(nb::module_& m) {
+  nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.");
   nb::class_<Simulator>(m, "Simulator")
       .def(
           "__init__",
@@ -259,9 +274,18 @@ void expose_simulator(nb::module_& m) {
           nb::keep_alive<1, 2>())
       .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0, "Status fields as a dict.")
       .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
+           "target"_a = nb::none(),
            "Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.")
       .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(),
            "Run with a step chosen per smooth arc; level [m; rad] bounds what the stage polynomials leave out.")
+      .def("save", [](Simulator& sim) { return Kept{sim.save(), &sim.scene()}; }, "A snapshot to go back to.")
+      .def(
+          "load",
+          [](Simulator& sim, const Kept& kept) {
+            if (kept.scene != &sim.scene()) throw Error("the snapshot is of another scene");
+            sim.restore(*kept.snapshot);
+          },
+          "snapshot"_a, "Go back; what follows has the same digits.")
       .def_prop_ro("t", &Simulator::time)
       .def_prop_ro("q", [](const Simulator& sim) { return hand_over(VecX(sim.q())); })
       .def_prop_ro("p", [](const Simulator& sim) { return hand_over(converted(sim.scene().tree, sim.q(), sim.p())); })
