@@ -1,43 +1,74 @@
-"""S7 in contactvi. setting: order, dt, dt_contact. Timed: simulate() as a user calls it, all contact forces kept."""
+"""S7 in contactvi. setting: order, dt, dt_contact. Timed: simulate() as a user calls it, all contact forces kept.
+
+The PD controller is the engine's servo where this version has one, else a spring and a damper of the joints, which is
+the same law without the effort limit.
+"""
 
 from __future__ import annotations
+
+import inspect
 
 import numpy as np
 from worker import Run, steps_per_sample
 
 import contactvi as cvi
+from contactvi import _core
 
+# Both the face and the engine have to know it.
+SERVO = hasattr(_core.Scene, "set_servo") and "target" in inspect.signature(cvi.simulate).parameters
 COUNTS = (
     "steps", "sweeps", "impacts", "seconds", "guards_evaluated", "guards_skipped", "held_steps", "contact_rounds",
     "cone_problems", "cone_iterations", "cone_fallbacks", "contact_seconds",
 )  # fmt: skip
 
 
-def build(job: dict) -> tuple[cvi.Scene, np.ndarray]:
-    """The scene and its start."""
-    scene, ball = cvi.Scene(), job["ball"]
+def build(job: dict) -> tuple[cvi.Scene, dict]:
+    """The scene and what simulate needs for its controller."""
+    scene, ball = cvi.Scene(gravity=(0.0, 0.0, -job["gravity"])), job["ball"]
     hand = scene.add_urdf(job["urdf_file"], base="fixed")
-    scene.add_sphere("ball", ball["radius"], ball["mass"], placement=ball["position"])
+    scene.add_sphere("ball", ball["radius"], ball["mass"], placement=job["start"]["q"][16:])
     scene.set_contact(restitution=0.0, friction=job["friction"])
     scene.disable_pair(hand, hand)
-    for name, goal in zip(job["joints"], job["goal"], strict=True):
-        scene.set_joint(name, stiffness=job["stiffness"], damping=job["damping"], rest=goal, limits=False)
-    q0 = scene.neutral()
-    q0[[scene.model.joints[scene.model.getJointId(name)].idx_q for name in job["joints"]]] = job["q0"]
-    return scene, q0
+    goals = dict(zip(job["joints"], job["goal"], strict=True))
+    for name, goal in goals.items():
+        if SERVO:
+            scene.set_joint(name, damping=0.0, limits=False)
+            scene.set_servo(name, job["kp"], job["kd"], effort=job["effort"])
+        else:
+            scene.set_joint(name, stiffness=job["kp"], damping=job["kd"], rest=goal, limits=False)
+    return scene, {"target": [goals[name] for name in scene.servo_joints]} if SERVO else {}
+
+
+def _places(scene: cvi.Scene, job: dict) -> list[int]:
+    """Where the job's joints stand in q and, the same, in v."""
+    return [scene.model.joints[scene.model.getJointId(name)].idx_q for name in job["joints"]]
+
+
+def _to_world(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """The ball's velocities, (N, 6), from its own axes (those of its quaternion q[:, 3:7]) to the world's."""
+    vec, w = q[:, 3:6], q[:, 6:7]
+    out = []
+    for part in (v[:, :3], v[:, 3:]):
+        turn = 2.0 * np.cross(vec, part)
+        out.append(part + w * turn + np.cross(vec, turn))
+    return np.hstack(out)
 
 
 def prepare(job: dict, setting: dict) -> Run:
-    scene, q0 = build(job)
-    at = [scene.model.joints[scene.model.getJointId(name)].idx_q for name in job["joints"]]  # idx_v is the same
-    every = steps_per_sample(job, setting["dt"])
+    options = dict(setting)
+    start = options.pop("start", job["start"])
+    scene, control = build(job)
+    at, every = _places(scene, job), steps_per_sample(job, setting["dt"])
+    q0, v0 = scene.neutral(), np.zeros(scene.nv)
+    q0[at], q0[16:19] = start["q"][:16], start["q"][16:]
+    v0[at], v0[16:] = start["v"][:16], start["v"][16:]
 
     def run() -> tuple[np.ndarray, np.ndarray, dict]:
-        traj = cvi.simulate(scene, q0, np.zeros(scene.nv), job["duration"], record_every=every, **setting)
+        traj = cvi.simulate(scene, q0, v0, job["duration"], record_every=every, **control, **options)
         counts = {name: getattr(traj.stats, name) for name in COUNTS}
-        counts["overlap"] = -float(traj.contacts.array("gap").min())  # of every step
-        counts["contacts"] = len(traj.contacts.at(traj.t[-1]))
+        counts["gap_error"] = -float(traj.contacts.array("gap").min(initial=0.0))  # of every step
+        counts["servo"] = SERVO
         q, v = traj.q[1:], traj.v[1:]
-        return np.hstack([q[:, at], q[:, 16:19]]), np.hstack([v[:, at], v[:, 16:]]), counts
+        return np.hstack([q[:, at], q[:, 16:19]]), np.hstack([v[:, at], _to_world(q[:, 16:], v[:, 16:])]), counts
 
     return run

@@ -1,12 +1,15 @@
-"""PyBullet, fixed step. setting: dt. One call from Python per step: there is no batched one."""
+"""PyBullet, fixed step. setting: dt. One call from Python per step: there is no batched one. S7: hand_pybullet.py."""
 
 from __future__ import annotations
 
+import hand_pybullet
 import pybullet as pb
 from worker import Run, measure, steps_per_sample
 
 
 def prepare(job: dict, setting: dict) -> Run:
+    if job["name"] == "S7":
+        return hand_pybullet.prepare(job, setting)
     world = {"physicsClientId": pb.connect(pb.DIRECT)}
     pb.setGravity(0, 0, -job["gravity"], **world)
     pb.setTimeStep(setting["dt"], **world)

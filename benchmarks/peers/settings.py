@@ -24,19 +24,32 @@ DTEC_ORDERS = (2, 8)  # its order is lost across impacts
 
 Settings = list[dict[str, Any]]
 
-# S7. MuJoCo: as it comes (pyramidal cone, contact time constant 0.02 s), and nearer to hard contact with dry friction
-# (elliptic cone, the shortest time constant it allows, 2 dt). contactvi: order 2 throughout, or order 8 in flight.
+# S7, each peer at its usual steps, coarse to fine. contactvi: order 2 throughout, or order 8 in flight. MuJoCo, Drake:
+# as they come, and nearer to hard contact with dry friction (hand_mujoco.py, hand_drake.py: `stiff`).
 HAND: dict[str, Settings] = {
     "contactvi": [
-        {"order": 2, "dt": 1e-3}, {"order": 2, "dt": 1e-4}, {"order": 8, "dt": 0.01, "dt_contact": 1e-3},
+        {"order": 2, "dt": 5e-3}, {"order": 2, "dt": 2e-3}, {"order": 2, "dt": 1e-3}, {"order": 2, "dt": 1e-4},
+        {"order": 8, "dt": 0.01, "dt_contact": 1e-3},
     ],
     "mujoco": [
+        {"integrator": "implicitfast", "dt": 5e-3}, {"integrator": "implicitfast", "dt": 2e-3},
         {"integrator": "Euler", "dt": 1e-3}, {"integrator": "implicitfast", "dt": 1e-3},
-        {"integrator": "implicitfast", "dt": 1e-3, "cone": "elliptic", "stiff": True},
         {"integrator": "implicitfast", "dt": 1e-4},
+        {"integrator": "implicitfast", "dt": 2e-3, "cone": "elliptic", "stiff": True},
+        {"integrator": "implicitfast", "dt": 1e-3, "cone": "elliptic", "stiff": True},
         {"integrator": "implicitfast", "dt": 1e-4, "cone": "elliptic", "stiff": True},
     ],
+    "drake": [
+        {"approximation": "sap", "dt": 5e-3}, {"approximation": "sap", "dt": 2e-3},
+        {"approximation": "sap", "dt": 1e-3}, {"approximation": "lagged", "dt": 1e-3},
+        {"approximation": "sap", "dt": 1e-4},
+        {"approximation": "sap", "dt": 1e-3, "stiff": True}, {"approximation": "sap", "dt": 1e-4, "stiff": True},
+        {"integrator": "cenic", "accuracy": 1e-2}, {"integrator": "cenic", "accuracy": 1e-3},
+        {"integrator": "cenic", "accuracy": 1e-4},
+    ],
+    "pybullet": [{"dt": 1 / 240}, {"dt": 1e-3}, {"dt": 5e-4}, {"dt": 1e-4}],
 }  # fmt: skip
+HAND_FINE = {"order": 2, "dt": 2e-5}  # contactvi's, not timed: what all others are held against
 
 
 def settings(peer: str, scene: str) -> Settings:
