@@ -253,11 +253,22 @@ nb::object current_velocity(Simulator& sim) {
   return hand_over(converted(tree, sim.q(), v));
 }
 
+// The scene that a simulator keeps alive, for the garbage collector: the functions of its user may hold the simulator.
+int traverse(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  if (!nb::inst_ready(self)) return 0;
+  const nb::object scene = nb::find(nb::inst_ptr<Simulator>(self)->scene());
+  Py_VISIT(scene.ptr());
+  return 0;
+}
+
+PyType_Slot simulator_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse)}, {0, nullptr}};
+
 }  // namespace
 
 void expose_simulator(nb::module_& m) {
   nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.");
-  nb::class_<Simulator>(m, "Simulator")
+  nb::class_<Simulator>(m, "Simulator", nb::type_slots(simulator_slots))
       .def(
           "__init__",
           [](Simulator* self, const Scene& scene, double dt, double tol, int impact, long max_impacts_per_step,
