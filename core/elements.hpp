@@ -5,6 +5,7 @@
 #include <array>
 #include <functional>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "numerics.hpp"
@@ -60,11 +61,12 @@ enum class ConstraintKind { kPoint, kDistance, kWeld, kScrew, kEquality, kPrescr
 // See constraints.hpp for the residuals.
 struct Constraint {
   ConstraintKind kind;
-  BodyFrame a, b;                // kPoint to kScrew
+  BodyFrame a, b;                  // kPoint to kScrew
   int joint_a = -1, joint_b = -1;  // kEquality, kPrescribed: engine joints
   std::vector<double> numbers;
   Signal signal;  // empty: numbers
   int row = 0, rows = 0;
+  std::string name = {};
 };
 
 struct Elements {

@@ -16,6 +16,8 @@ enum class StatusCode : int {
   kTooManyImpacts = 5,
   kPenetration = 6,  // the start state has a negative gap
   kInterrupted = 7,
+  // 8 is the face's
+  kConstraint = 9,  // the constraints cannot be met
 };
 
 struct Status {

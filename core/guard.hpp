@@ -87,6 +87,16 @@ class Guards {
   void unmark_all();
   void commit();  // the step is taken: odometers advance
 
+  // What is known of the motion since guards were last looked at.
+  struct Memory {
+    std::vector<double> odometer, marks;
+  };
+  Memory memory() const { return {odometer_, marks_}; }
+  void recall(const Memory& memory) {
+    odometer_ = memory.odometer;
+    marks_ = memory.marks;
+  }
+
   GuardCounters counters;
 
  private:

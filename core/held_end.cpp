@@ -63,20 +63,7 @@ bool HeldStep::end_kick() {
   v1_.noalias() += MinvW_ * lambda_end_;
   w_end_.noalias() += G_end_ * lambda_end_;
   describe();
-  return constraints_met(h_);
-}
-
-double HeldStep::dry_loss() const {
-  double total = 0.0;
-  for (int k = 0; k < dry_; ++k)
-    total -= (lambda_[bilateral_ + k] + lambda_end_[bilateral_ + k]) * v_[dry_joints_[k].dof];
-  return total;
-}
-
-// The force of a constraint that moves by itself has power: the rows' velocities are -rate.
-double HeldStep::drive_work() const {
-  if (bilateral_ == 0) return 0.0;
-  return -lambda_.head(bilateral_).dot(node0_.rate) - lambda_end_.head(bilateral_).dot(node1_.rate);
+  return constraints_met(h_, true);
 }
 
 // The cone problem of the active contacts; directions of friction stay those of the step where that turns no slip
@@ -104,6 +91,7 @@ bool HeldStep::solve_end(VecX& lambda) {
     x_[a] = lambda[sub_rows_[a]];
     for (int c = 0; c < rows; ++c) G(a, c) = G_end_(sub_rows_[a], sub_rows_[c]);
   }
+  if (bilateral_ > 0) reduction_.set(G, bilateral_);
   const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
   lambda.setZero();
   if (rows == 0) return true;
@@ -165,8 +153,8 @@ void HeldStep::describe() {
 }
 
 HeldStep::Memory HeldStep::memory() const {
-  return {contacts_, outcomes_, node0_, y_ref_, dry_joints_, fixed_force_, v_node_, v_last_, v1_, h_last_, nominal_h_,
-          follows_};
+  return {contacts_, outcomes_, node0_, y_ref_,  dry_joints_, fixed_force_,
+          v_node_,   v_last_,   v1_,    h_last_, nominal_h_,  follows_};
 }
 
 void HeldStep::recall(const Memory& memory) {

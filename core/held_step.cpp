@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "constraints.hpp"
-
 namespace contactvi {
 
 namespace {
@@ -16,10 +14,8 @@ constexpr double kAccept = 1e-9;          // residual of a cone problem that cou
 constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_place
 constexpr double kStalled = 1e3;                                       // of that: rounds which no longer gain may end
 constexpr int kIdle = 4;                                               // such rounds
-constexpr double kBest = 1e-4;     // contraction of a round: no better one is believed
+constexpr double kBest = 1e-4;                 // contraction of a round: no better one is believed
 constexpr double kConstraintRounding = 1e-15;  // [m] the same of the constraints' residuals
-constexpr double kMet = 1e-10;      // of the configuration: a constraint is met to it,
-constexpr double kMetRate = 1e-7;   // and its rate to this, of the speeds
 constexpr double kSameTime = 1e-13;
 constexpr double kSettled = 1e-3;  // relative change of v from which on the contact matrix is kept
 }  // namespace
@@ -95,15 +91,6 @@ void HeldStep::set_rows() {
   solver_.reserve(rows_ - bilateral_);
 }
 
-// Rows of the constraints and of dry friction; the guards are placed at q.
-void HeldStep::constraint_node(const VecCRef& q, double t, Node& node) {
-  node.t = t;
-  if (bilateral_ > 0)
-    evaluate_constraints(scene_->tree, guards_->placements(), q, t, node.phi, node.W.leftCols(bilateral_), node.rate);
-  if (dry_ > 0) node.W.middleCols(bilateral_, dry_).setZero();
-  for (int k = 0; k < dry_; ++k) node.W(dry_joints_[k].dof, bilateral_ + k) = 1.0;
-}
-
 void HeldStep::evaluate(const HeldContact& held, Contact& contact) {
   if (held.point.kind == PointKind::kWitness || held.point.kind == PointKind::kLimit) {
     guards_->evaluate_witness(held.point.guard, contact);
@@ -173,71 +160,6 @@ double HeldStep::shortest_place(const HeldContact& held) const {
   return held.point.kind == PointKind::kRim ? kShortRim : kShort;  // a rim's rate turns with it
 }
 
-// The same of constraints and dry friction. What a constraint was off at the start goes away over a whole step.
-void HeldStep::measure_constraints(double h) {
-  if (bilateral_ > 0) {
-    auto S = S_.leftCols(bilateral_);
-    auto y = y_.head(bilateral_);
-    if (h < kShort * nominal_h_) {
-      S = 0.5 * (node0_.W.leftCols(bilateral_) + node1_.W.leftCols(bilateral_));
-      y.noalias() = S.transpose() * v_;
-      y += 0.5 * (node0_.rate + node1_.rate) + node0_.phi / nominal_h_;
-    } else {
-      y = (node1_.phi - (h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0) * node0_.phi) / h;
-    }
-  }
-  for (int k = 0; k < dry_; ++k) {
-    const DryJoint& joint = dry_joints_[k];
-    const bool place = joint.iq >= 0 && h >= kShort * nominal_h_;
-    y_[bilateral_ + k] = place ? (q1_[joint.iq] - joint.reference) / h : v_[joint.dof];
-  }
-}
-
-// Whether the constraints hold at the end of the step just solved; else which does not (unmet_).
-bool HeldStep::constraints_met(double h) {
-  unmet_ = -1;
-  if (bilateral_ == 0) return true;
-  const VecX rates = node1_.W.leftCols(bilateral_).transpose() * v1_ + node1_.rate;
-  const double speed = 1.0 + v1_.cwiseAbs().maxCoeff() + node1_.rate.cwiseAbs().maxCoeff();
-  const double left = h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0, reach = 1.0 + q1_.cwiseAbs().maxCoeff();
-  double worst = 1.0;
-  for (const Constraint& c : scene_->tree.elements.constraints)
-    for (int k = c.row; k < c.row + c.rows; ++k) {
-      const double place = std::abs(node1_.phi[k]) - left * std::abs(node0_.phi[k]);
-      const double off = std::max(place / (kMet * reach), std::abs(rates[k]) / (kMetRate * speed));
-      if (off <= worst) continue;
-      worst = off;
-      unmet_ = static_cast<int>(&c - scene_->tree.elements.constraints.data());
-    }
-  if (unmet_ >= 0) why_ = "the constraints cannot be met";
-  return unmet_ < 0;
-}
-
-ConeContact HeldStep::dry_cone(int k, double bound) const {
-  ConeContact cone;
-  cone.row = k;
-  cone.rows = 1;
-  cone.box = bound;
-  return cone;
-}
-
-// The cone problem of all rows, the constraints eliminated.
-bool HeldStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise,
-                          VecX& lambda, bool regularize) {
-  if (bilateral_ == 0) return solve_cone({cones, G, b, noise}, lambda, regularize);
-  reduction_.set(G, bilateral_);
-  const VecX& right = reduction_.right_side(b);
-  rest_ = lambda.tail(right.size());
-  if (right.size() > 0 && !solve_cone({cones, reduction_.matrix(), right, noise}, rest_, regularize)) return false;
-  reduction_.complete(rest_, lambda);
-  return lambda.allFinite();
-}
-
-// Of the contact matrix of the step, without what the constraints take up.
-double HeldStep::contact_matrix(int row, int column) const {
-  return bilateral_ == 0 ? G_(row, column) : reduction_.matrix()(row - bilateral_, column - bilateral_);
-}
-
 // y = (phi(q1)/h; s) at the velocity v_, and its derivative S^T along v.
 void HeldStep::measure(double h) {
   integrate(scene_->tree, node0_.q, v_, h, q1_);
@@ -292,7 +214,10 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   int idle = 0;
   double last = INFINITY;
   bool settled = false;
-  const double noise = std::max(kGapRounding, noisy_ ? 1e-11 : bilateral_ > 0 ? kConstraintRounding : 0.0) / h;  // of the rows, as a velocity
+  const double noise = std::max(kGapRounding, noisy_           ? 1e-11
+                                              : bilateral_ > 0 ? kConstraintRounding
+                                                               : 0.0) /
+                       h;  // of the rows, as a velocity
   for (int k = 0; k < kMaxRounds; ++k) {
     ++counters.rounds;
     p_start_ = p0;
@@ -306,7 +231,10 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     integrator_.stage_velocity(v_);
     measure(h);
     if (!y_.allFinite()) break;
-    if (!settled) G_.noalias() = S_.transpose() * DinvW_;
+    if (!settled) {
+      G_.noalias() = S_.transpose() * DinvW_;
+      if (bilateral_ > 0) reduction_.set(G_, bilateral_);
+    }
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
     change_ = lambda_;
@@ -333,6 +261,7 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     if (idle >= 4 * kIdle) break;
   }
   why_ = "the step with held contacts does not converge";
+  if (node1_.known) constraints_met(h, false);
   return false;
 }
 
@@ -348,14 +277,14 @@ void HeldStep::find_paradox(const VecX& v) {
     const Eigen::Vector2d slip(node0_.W.col(r + 1).dot(v), node0_.W.col(r + 2).dot(v));
     const double speed = slip.norm();
     if (speed > 0.0)
-      paradox_[i] =
-          contact_matrix(r, r) -
-          contacts_[i].mu * (contact_matrix(r, r + 1) * slip[0] + contact_matrix(r, r + 2) * slip[1]) / speed;
+      paradox_[i] = contact_matrix(r, r) -
+                    contacts_[i].mu * (contact_matrix(r, r + 1) * slip[0] + contact_matrix(r, r + 2) * slip[1]) / speed;
   }
 }
 
 bool HeldStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
   why_ = "";
+  unmet_ = -1;
   if (node0_.known && follows_ && (node0_.q.array() == q0.array()).all()) {
     guess_ = v_node_ + (h / h_last_) * (v_node_ - v_last_);  // at the middle, from the last step's
   } else {

@@ -9,7 +9,7 @@
 // where it stuck: no creep. That of rolling surfaces is W_t v, the mean of both ends. A contact that slipped keeps its
 // direction of friction in the end kick unless that would turn its slip round: order 2 for turning slip.
 //
-// Constraints phi(q, t) = 0 are rows of the same kind without a cone: phi(q1, t1) = 0 by the first impulse, d phi/dt = 0
+// Constraints phi(q, t) = 0 are rows of the same kind without a cone: phi(q1, t1) = 0 by the first impulse, its rate 0
 // at the node by the second. They come first among the rows and are eliminated (reduction.hpp). Dry friction of joints
 // are rows with a bound f h/2 for each impulse, from an anchor where the joint sticks. Such scenes make all their steps
 // here, with contacts or without.
@@ -133,7 +133,7 @@ class HeldStep final : public Stepper {
   void set_rows();
   void constraint_node(const VecCRef& q, double t, Node& node);
   void measure_constraints(double h);
-  bool constraints_met(double h);
+  bool constraints_met(double h, bool rates);
   ConeContact dry_cone(int k, double bound) const;
   bool solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise, VecX& lambda,
                   bool regularize);
@@ -162,9 +162,9 @@ class HeldStep final : public Stepper {
   double tol_;
   std::vector<HeldContact> contacts_;
   std::vector<HeldOutcome> outcomes_;
-  std::vector<int> row_;  // first row of each contact
+  std::vector<int> row_;                        // first row of each contact
   std::vector<ConeContact> cones_, end_cones_;  // of the dry friction first, then of the contacts
-  std::vector<int> active_;  // contacts of the end kick
+  std::vector<int> active_;                     // contacts of the end kick
   std::vector<int> sub_rows_;
   std::vector<DryJoint> dry_joints_;
   Reduction reduction_;

@@ -50,10 +50,10 @@ class ImpactSequence {
   const char* message() const { return message_; }
   int guard() const { return guard_; }
 
-  double time = 0;             // of the event, for constraints that depend on it [s]
-  VecX constraint_impulses;    // that impacts have caused, summed up; rows of the constraints
-  double drive_work = 0;       // of constraints that move by themselves, in impacts [J]
-  double target = 0;  // of the map's scalar, losses so far subtracted
+  double time = 0;           // of the event, for constraints that depend on it [s]
+  VecX constraint_impulses;  // that impacts have caused, summed up; rows of the constraints
+  double drive_work = 0;     // of constraints that move by themselves, in impacts [J]
+  double target = 0;         // of the map's scalar, losses so far subtracted
   long impacts = 0, impacts_in_step = 0;
 
  private:

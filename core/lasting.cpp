@@ -147,7 +147,11 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
 
 bool Simulator::held_step_failed(double h, double time) {
   if (user_failed(time)) return false;
-  if (h < (held_.swings() ? kShortestSwing : kShortest) * contact_step())
+  const bool shortest = h < (held_.swings() ? kShortestSwing : kShortest) * held_step();
+  if (shortest && held_.unmet() >= 0)
+    return end(StatusCode::kConstraint, time,
+               "the constraints cannot be met, first " + scene_->tree.elements.constraints[held_.unmet()].name);
+  if (shortest)
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with held contacts was not solved: ") +
                    (*held_.why() != 0 ? held_.why() : "an event in it was not located"));

@@ -143,8 +143,8 @@ bool Simulator::report(double time) {
   return (*progress_)(time, sequence_.impacts) || end(StatusCode::kInterrupted, time, "interrupted");
 }
 
-Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long record_every,
-                          const Progress& progress, Recording& recording) {
+Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
+                          Recording& recording) {
   status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
   VecX force;
   if (recording.t.empty()) record_node(time_, recording);

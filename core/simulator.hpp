@@ -39,8 +39,8 @@ class Simulator {
   // State in engine coordinates. Fails with kPenetration or kNotFinite.
   Status reset(const VecX& q, const VecX& v, double t);
   // steps steps of dt with the generalized force tau (steps x nv, public coordinates, or empty) constant over each, and
-  // references of the servos (steps x 2 nv: q_ref, v_ref, or empty: as they were); nodes are recorded every record_every
-  // steps. The run may end early: see the status.
+  // references of the servos (steps x 2 nv: q_ref, v_ref, or empty: as they were); nodes are recorded every
+  // record_every steps. The run may end early: see the status.
   Status advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
                  Recording& recording);
   // Until time + duration with steps of equal length within each smooth arc, such that the highest mode of the stage
@@ -191,9 +191,9 @@ class Simulator {
   double kinetic_ = 0;  // at the end of the last held step [J]
   int held_easy_ = 0, without_progress_ = 0, sticks_located_ = 0;
   Status status_;
-  VecX force_;             // of the step under way
+  VecX force_;  // of the step under way
   Servo servo_;
-  long saturated_ = 0;     // joints at their limits, summed over steps
+  long saturated_ = 0;  // joints at their limits, summed over steps
   Work work_;
   VecX reactions_, mean_reactions_;  // impulses of the constraints since the last node; their mean force before it
   double node_time_ = 0;

@@ -8,6 +8,7 @@ struct Simulator::Snapshot {
   Integrator::Memory integrator;
   HeldStep::Memory held;
   EventFinder::Memory finder;
+  Guards::Memory guards;
   bool searched_held;
   Status status;
   Servo servo;
@@ -17,17 +18,41 @@ struct Simulator::Snapshot {
   long halved, rejected, saturated;
   std::vector<std::pair<int, std::int64_t>> left;
   std::vector<ChangeRecord> begun;
-  StepCounters steps;
-  GuardCounters guards;
-  HeldCounters helds;
+  StepCounters step_counters;
+  GuardCounters guard_counters;
+  HeldCounters held_counters;
 };
 
 std::shared_ptr<const Simulator::Snapshot> Simulator::save() {
-  return std::make_shared<const Snapshot>(Snapshot{
-      arc_start(Recording()), integrator_.memory(), held_.memory(), finder_.memory(), finder_.stepper() == &held_,
-      status_, servo_, q_node_, p_node_, mean_reactions_, t0_, trial_, arc_h_, flight_trial_, held_trial_,
-      held_seconds_, kinetic_, easy_, held_easy_, without_progress_, halved_, rejected_, saturated_, left_, begun_,
-      integrator_.counters, guards_.counters, held_.counters});
+  return std::make_shared<const Snapshot>(Snapshot{arc_start(Recording()),
+                                                   integrator_.memory(),
+                                                   held_.memory(),
+                                                   finder_.memory(),
+                                                   guards_.memory(),
+                                                   finder_.stepper() == &held_,
+                                                   status_,
+                                                   servo_,
+                                                   q_node_,
+                                                   p_node_,
+                                                   mean_reactions_,
+                                                   t0_,
+                                                   trial_,
+                                                   arc_h_,
+                                                   flight_trial_,
+                                                   held_trial_,
+                                                   held_seconds_,
+                                                   kinetic_,
+                                                   easy_,
+                                                   held_easy_,
+                                                   without_progress_,
+                                                   halved_,
+                                                   rejected_,
+                                                   saturated_,
+                                                   left_,
+                                                   begun_,
+                                                   integrator_.counters,
+                                                   guards_.counters,
+                                                   held_.counters});
 }
 
 void Simulator::restore(const Snapshot& s) {
@@ -62,9 +87,10 @@ void Simulator::restore(const Snapshot& s) {
   integrator_.recall(s.integrator);
   finder_.set_stepper(s.searched_held ? static_cast<Stepper&>(held_) : static_cast<Stepper&>(integrator_));
   finder_.recall(s.finder);
-  integrator_.counters = s.steps;
-  guards_.counters = s.guards;
-  held_.counters = s.helds;
+  guards_.recall(s.guards);
+  integrator_.counters = s.step_counters;
+  guards_.counters = s.guard_counters;
+  held_.counters = s.held_counters;
 }
 
 }  // namespace contactvi

@@ -5,39 +5,14 @@
 #pragma once
 
 #include <limits>
-#include <memory>
 #include <utility>
 
+#include "aligned_array.hpp"
 #include "flat_model.hpp"
 #include "forces.hpp"
 #include "gauss.hpp"
 
 namespace contactvi {
-
-// Numbers in memory aligned for any vector.
-class AlignedArray {
- public:
-  explicit AlignedArray(std::size_t size);
-  AlignedArray(const AlignedArray& other);
-  AlignedArray& operator=(const AlignedArray& other);
-  AlignedArray(AlignedArray&&) = default;
-  AlignedArray& operator=(AlignedArray&&) = default;
-  ~AlignedArray() = default;
-  double* data() { return data_; }
-  const double* data() const { return data_; }
-  double& operator[](std::size_t i) { return data_[i]; }
-  double operator[](std::size_t i) const { return data_[i]; }
-  void fill(double value);
-  std::size_t size() const { return size_; }
-
- private:
-  struct Free {
-    void operator()(double* p) const;
-  };
-  std::unique_ptr<double[], Free> owner_;
-  double* data_;
-  std::size_t size_;
-};
 
 // What pushes the joints during one control step, besides the generalized force: one-dof joints follow references,
 // torque kp (q_ref - q) + kd (v_ref - v) + feed.

@@ -23,15 +23,24 @@ Layers = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
 
 # C++: a unit is a header with its source (core/NAME.hpp, core/NAME.cpp); core/bindings/ and core/lanes/ are one each.
 CPP_LAYERS: Layers = {
-    "base": (("error", "numerics", "gauss", "lanes"), ()),
+    "base": (("error", "numerics", "gauss", "lanes", "aligned_array", "reduction"), ()),
     "cone": (
         ("cone_problem", "cone_map", "cone_linear", "cone_newton", "cone_local", "cone_fallback", "cone"),
         ("base",),
     ),
-    "scene": (("tree", "coordinates", "placement", "flat_model", "erosion", "load", "scene"), ("base",)),
+    "scene": (
+        (
+            *("elements", "tree", "coordinates", "placement", "point_row", "forces", "constraints"),
+            *("flat_model", "erosion", "load", "scene"),
+        ),
+        ("base",),
+    ),
     "path": (("path",), ("scene",)),
     "step": (
-        ("stepper", "stages", "start_values", "acceleration", "integrator", "integrator_kicked", "energy"),
+        (
+            *("stepper", "stages", "stage_forces", "start_values", "acceleration", "stiff_terms"),
+            *("integrator", "integrator_kicked", "integrator_sums", "energy", "projection"),
+        ),
         ("path",),
     ),
     "contact": (("contact",), ("scene",)),
@@ -39,10 +48,10 @@ CPP_LAYERS: Layers = {
     "guard": (("guard",), ("manifold",)),
     "event": (("gap_path", "event", "event_locate"), ("guard", "step")),
     "impact": (("impact", "impact_ctec", "impact_dtec", "impact_mhc"), ("step",)),
-    "held": (("held_contact", "held_step", "held_end", "held_forces"), ("guard", "step", "cone")),
+    "held": (("held_contact", "held_step", "held_rows", "held_end", "held_forces"), ("guard", "step", "cone")),
     "recording": (("recording",), ("base",)),
     "sequence": (("impact_block", "impact_closed", "impact_sequence"), ("event", "impact", "held", "recording")),
-    "simulator": (("simulator", "lasting", "contact_book", "arcs"), ("sequence",)),
+    "simulator": (("simulator", "drive", "snapshot", "lasting", "contact_book", "arcs"), ("sequence",)),
     "bindings": (("bindings",), ("simulator", "cone")),
 }
 

@@ -152,7 +152,8 @@ void set_servo(Scene& s, const VecX& kp, const VecX& kd, const VecX& effort) {
 }
 
 void set_actuator_limits(Scene& s, const VecX& effort, const VecX& velocity) {
-  for (const VecX* x : {&effort, &velocity}) need(x->size() == s.tree.nv && x->minCoeff() >= 0.0, "expected (nv,) >= 0");
+  for (const VecX* x : {&effort, &velocity})
+    need(x->size() == s.tree.nv && x->minCoeff() >= 0.0, "expected (nv,) >= 0");
   s.tree.elements.effort = effort;
   s.tree.elements.speed = velocity;
 }
@@ -195,7 +196,8 @@ void add_user_force(Scene& s, nb::object value, nb::object derivatives) {
     });
   };
   if (!derivatives.is_none())
-    force.derivative = [derivatives = keep(s, derivatives), nv, failed](double t, const VecX& q, const VecX& v, MatX& dq, MatX& dv) {
+    force.derivative = [derivatives = keep(s, derivatives), nv, failed](double t, const VecX& q, const VecX& v,
+                                                                        MatX& dq, MatX& dv) {
       const MatX nan = MatX::Constant(nv, nv, kNaN);
       std::tie(dq, dv) = guarded(failed, std::make_tuple(nan, nan), [&] {
         const nb::object result = derivatives(t, q, v);
@@ -235,11 +237,11 @@ void add_user_potential(Scene& s, nb::object value, nb::object gradient, nb::obj
 
 void add_constraint(Scene& s, const std::string& kind, int joint_a, std::optional<Mat3> R_a, const Vec3& p_a,
                     int joint_b, std::optional<Mat3> R_b, const Vec3& p_b, const std::vector<double>& numbers,
-                    nb::object signal) {
+                    nb::object signal, const std::string& name) {
   static const std::map<std::string, ConstraintKind> kinds{
-      {"point", ConstraintKind::kPoint}, {"distance", ConstraintKind::kDistance}, {"weld", ConstraintKind::kWeld},
-      {"screw", ConstraintKind::kScrew}, {"equality", ConstraintKind::kEquality},
-      {"prescribed", ConstraintKind::kPrescribed}};
+      {"point", ConstraintKind::kPoint},       {"distance", ConstraintKind::kDistance},
+      {"weld", ConstraintKind::kWeld},         {"screw", ConstraintKind::kScrew},
+      {"equality", ConstraintKind::kEquality}, {"prescribed", ConstraintKind::kPrescribed}};
   const auto found = kinds.find(kind);
   need(found != kinds.end(), "unknown kind of constraint");
   Elements& e = s.tree.elements;
@@ -260,6 +262,7 @@ void add_constraint(Scene& s, const std::string& kind, int joint_a, std::optiona
       need(c.kind != ConstraintKind::kDistance || c.signal || numbers.size() == 1, "a distance has one number");
   }
   c.rows = constraint_rows(c.kind);
+  c.name = name.empty() ? "constraint " + std::to_string(e.constraints.size()) : name;
   e.constraint_rows += c.rows;
   e.constraints.push_back(std::move(c));
 }
@@ -296,13 +299,11 @@ std::vector<int> rows_per_constraint(const Scene& s) {
 
 }  // namespace
 
-PyType_Slot scene_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse)},
-                             {Py_tp_clear, reinterpret_cast<void*>(&clear)},
-                             {0, nullptr}};
+PyType_Slot scene_slots[] = {
+    {Py_tp_traverse, reinterpret_cast<void*>(&traverse)}, {Py_tp_clear, reinterpret_cast<void*>(&clear)}, {0, nullptr}};
 
 void expose_elements(nb::class_<Scene>& scene) {
-  scene
-      .def("set_dry_friction", &set_dry_friction, "limits"_a, "Largest dry friction of each dof [N; N m], (nv,).")
+  scene.def("set_dry_friction", &set_dry_friction, "limits"_a, "Largest dry friction of each dof [N; N m], (nv,).")
       .def("add_joint_potential", &add_joint_potential, "joint"_a, "rest"_a, "coefficients"_a,
            "V = sum_k c[k] x^(k+2), x = q - rest.")
       .def("add_path_spring", &add_path_spring, "joints"_a, "points"_a, "stiffness"_a, "rest_length"_a, "damping"_a,
@@ -313,16 +314,19 @@ void expose_elements(nb::class_<Scene>& scene) {
       .def("add_user_potential", &add_user_potential, "value"_a, "gradient"_a, "hessian"_a = nb::none(),
            "value(q) [J], gradient(q) -> (nv,).")
       .def("add_constraint", &add_constraint, "kind"_a, "joint_a"_a, "R_a"_a.none(), "p_a"_a, "joint_b"_a,
-           "R_b"_a.none(), "p_b"_a, "numbers"_a, "signal"_a = nb::none(), "See constraints.hpp.")
+           "R_b"_a.none(), "p_b"_a, "numbers"_a, "signal"_a = nb::none(), "name"_a = "", "See constraints.hpp.")
       .def("set_servo", &set_servo, "kp"_a, "kd"_a, "effort"_a,
            "Gains and largest torque of the servos of joints with one number in q, (nv,) each.")
       .def("set_actuator_limits", &set_actuator_limits, "effort"_a, "velocity"_a, "(nv,) each, inf: none.")
       .def_prop_ro("constraint_rows", &rows_per_constraint)
-      .def("constraint_residual", [](const Scene& s, const VecX& q, double t) { return hand_over(evaluate(s, q, t).phi); },
-           "q"_a, "t"_a = 0.0, "phi(q, t), (m,).")
+      .def(
+          "constraint_residual",
+          [](const Scene& s, const VecX& q, double t) { return hand_over(evaluate(s, q, t).phi); }, "q"_a, "t"_a = 0.0,
+          "phi(q, t), (m,).")
       .def("constraint_jacobian", &jacobian, "q"_a, "t"_a = 0.0, "d phi/dq in public coordinates, (m, nv).")
-      .def("constraint_rate", [](const Scene& s, const VecX& q, double t) { return hand_over(evaluate(s, q, t).rate); },
-           "q"_a, "t"_a = 0.0, "d phi/dt at fixed q, (m,).");
+      .def(
+          "constraint_rate", [](const Scene& s, const VecX& q, double t) { return hand_over(evaluate(s, q, t).rate); },
+          "q"_a, "t"_a = 0.0, "d phi/dt at fixed q, (m,).");
 }
 
 }  // namespace contactvi

@@ -45,6 +45,12 @@ Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restituti
                     {pair_restitution, friction, stiffness, rest, damping, limits, limit_restitution});
 }
 
+// What a function of the user raised while the engine was asked something.
+void raise_user_errors(const Scene& s) {
+  *s.tree.elements.failed = false;
+  UserErrors::raise();
+}
+
 nb::object velocity(const Scene& s, const Rows& q, const Rows& p) {
   need_states(s, q, p);
   Integrator integrator(s.tree, 1, 1e-12, 1);
@@ -88,6 +94,7 @@ nb::object energies(const Scene& s, const Rows& q, const Rows& p) {
     const Energy e = energy(integrator, qi, pi);
     result.row(i) << e.kinetic, e.potential;
   }
+  raise_user_errors(s);
   return hand_over(std::move(result));
 }
 
@@ -101,6 +108,7 @@ nb::object modified_energies(const Scene& s, const Rows& q, const Rows& p, doubl
     public_to_engine(s.tree, qi, pi);
     result[i] = modified_hamiltonian(integrator, qi, pi, h);
   }
+  raise_user_errors(s);
   return hand_over(std::move(result));
 }
 
@@ -118,6 +126,7 @@ nb::object discrete_energies(const Scene& s, const Rows& q, const Rows& p, const
     result[i] = integrator.solve(qi, pi, h[i], VecX()) ? integrator.discrete_energy()
                                                        : std::numeric_limits<double>::quiet_NaN();
   }
+  raise_user_errors(s);
   return hand_over(std::move(result));
 }
 

@@ -241,7 +241,9 @@ nb::dict reset(Simulator& sim, const VecX& q, const VecX& v, double t) {
   VecX w = v;
   public_to_engine(s.tree, q, w);
   nb::dict d;
-  add_status(s, sim.reset(q, w, t), d);
+  const Status status = sim.reset(q, w, t);
+  UserErrors::raise();
+  add_status(s, status, d);
   return d;
 }
 
@@ -289,7 +291,8 @@ void expose_simulator(nb::module_& m) {
            "Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.")
       .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(),
            "Run with a step chosen per smooth arc; level [m; rad] bounds what the stage polynomials leave out.")
-      .def("save", [](Simulator& sim) { return Kept{sim.save(), &sim.scene()}; }, "A snapshot to go back to.")
+      .def(
+          "save", [](Simulator& sim) { return Kept{sim.save(), &sim.scene()}; }, "A snapshot to go back to.")
       .def(
           "load",
           [](Simulator& sim, const Kept& kept) {
