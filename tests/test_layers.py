@@ -50,14 +50,18 @@ CPP_LAYERS: Layers = {
 PYTHON_LAYERS: Layers = {
     "engine": (("_core",), ()),
     "base": (
-        ("errors", "version", "files", "inputs", "checks", "option_checks", "options", "status", "events", "contacts"),
+        (
+            *("errors", "version", "files", "inputs", "checks", "option_checks", "options", "status", "events"),
+            *("contacts", "user_functions", "signals"),
+        ),
         (),
     ),
     "model": (("paths", "report", "xml_input", "urdf", "mjcf", "hulls", "model_checks"), ("base",)),
     "scene": (
         (
-            *("parts", "importers", "assembly", "pairs", "joints", "contact_rules", "selection"),
-            *("scene_build", "scene_data", "scene_parts", "scene", "scene_file"),
+            *("parts", "importers", "assembly", "pairs", "joint_values", "joints", "contact_rules", "selection"),
+            *("elements", "element_build", "loops", "scene_build", "scene_data", "scene_parts", "scene_elements"),
+            *("scene_report", "scene", "scene_file"),
         ),
         ("model", "engine"),
     ),
