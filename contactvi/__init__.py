@@ -20,21 +20,26 @@ if TYPE_CHECKING:
     from contactvi import errors
     from contactvi.contacts import ChangeLog, Contact, ContactChange, ContactLog
     from contactvi.dense import State
+    from contactvi.derivative_check import check_derivatives
     from contactvi.errors import (
         AccuracyWarning,
+        ConstraintError,
         ContactviError,
+        DerivativeError,
         InputError,
         PenetrationError,
         SceneError,
         SimulationError,
         UnsupportedJointError,
+        UserFunctionError,
     )
     from contactvi.events import Event, EventLog
     from contactvi.options import Options
     from contactvi.plots import plot, plot_forces
     from contactvi.scene import Scene
     from contactvi.scene_file import load_scene
-    from contactvi.simulation import Simulator, simulate
+    from contactvi.simulation import simulate
+    from contactvi.simulator import Simulator
     from contactvi.simultaneous import SimultaneousOutcomes, simultaneous_outcomes
     from contactvi.status import Stats, Status, StatusCode
     from contactvi.trajectory import Trajectory
@@ -44,12 +49,16 @@ if TYPE_CHECKING:
 
 _HOME = {
     "AccuracyWarning": "errors",
+    "ConstraintError": "errors",
     "ContactviError": "errors",
+    "DerivativeError": "errors",
     "InputError": "errors",
     "PenetrationError": "errors",
     "SceneError": "errors",
     "SimulationError": "errors",
     "UnsupportedJointError": "errors",
+    "UserFunctionError": "errors",
+    "check_derivatives": "derivative_check",
     "ChangeLog": "contacts",
     "Contact": "contacts",
     "ContactChange": "contacts",
@@ -60,7 +69,7 @@ _HOME = {
     "Scene": "scene",
     "load_scene": "scene_file",
     "simulate": "simulation",  # not "simulate": a submodule of that name would shadow the function
-    "Simulator": "simulation",
+    "Simulator": "simulator",
     "SimultaneousOutcomes": "simultaneous",
     "simultaneous_outcomes": "simultaneous",
     "State": "dense",
@@ -76,10 +85,12 @@ _HOME = {
 __all__ = [
     "AccuracyWarning",
     "ChangeLog",
+    "ConstraintError",
     "Contact",
     "ContactChange",
     "ContactLog",
     "ContactviError",
+    "DerivativeError",
     "Event",
     "EventLog",
     "InputError",
@@ -96,7 +107,9 @@ __all__ = [
     "StatusCode",
     "Trajectory",
     "UnsupportedJointError",
+    "UserFunctionError",
     "__version__",
+    "check_derivatives",
     "errors",
     "load_scene",
     "plot",

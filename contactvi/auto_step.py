@@ -336,7 +336,8 @@ def _watch(record: Record) -> None:
     prepared, options = record.prepared, record.options
     ledger = Ledger(
         prepared.core, options, t, q, p, record.log(), model=prepared.built.model, collision=prepared.built.collision,
-        forced=False, start=record.start, contacts=record.contact_log(), phases=record.phases_joined(),
+        forced=record.forced, start=record.start, contacts=record.contact_log(), phases=record.phases_joined(),
+        elements=prepared.built.elements.any,
     )  # fmt: skip
     excess = Watch(options.ledger or {}).check(ledger)
     if excess is not None:

@@ -59,6 +59,19 @@ class Built:
         return bool(self.elements.constraints) or bool(np.any(self.arrays.dry_friction))
 
     @property
+    def needs_fixed_step(self) -> str | None:
+        """What of the scene needs steps of one length, in words; None where nothing does."""
+        found, arrays = self.elements, self.arrays
+        reasons = {
+            "constraints": bool(found.constraints),
+            "dry friction of joints": bool(np.any(arrays.dry_friction)),
+            "servos": bool(np.any(arrays.servo[:2])),
+            "wrenches that vary": found.time_varying,
+            "forces given in Python": bool(found.forces),
+        }
+        return next((what for what, is_there in reasons.items() if is_there), None)
+
+    @property
     def servo_joints(self) -> list[str]:
         """The joints with a servo, in the order of v."""
         some = np.any(self.arrays.servo[:2] != 0.0, axis=0)

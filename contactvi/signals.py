@@ -86,6 +86,10 @@ class Signal:
             self._last = t, self._call(t)
         return self._last[1]
 
+    def given(self, t: float) -> tuple[float, ...]:
+        """Return what a function of the user gives at t [s]: value, perhaps rate and acceleration."""
+        return self(t) if self._call != self._differenced else self._ask(t)
+
     def __deepcopy__(self, memo: Any) -> Signal:
         return self  # nothing in it changes; the user's function is not to be copied
 

@@ -52,7 +52,7 @@ PYTHON_LAYERS: Layers = {
     "base": (
         (
             *("errors", "version", "files", "inputs", "checks", "option_checks", "options", "status", "events"),
-            *("contacts", "user_functions", "signals"),
+            *("contacts", "user_functions", "signals", "forces"),
         ),
         (),
     ),
@@ -65,7 +65,7 @@ PYTHON_LAYERS: Layers = {
         ),
         ("model", "engine"),
     ),
-    "prepared": (("prepared",), ("scene",)),
+    "prepared": (("derivative_check", "prepared"), ("scene",)),
     "page": (("visuals", "animation", "force_arrows", "shapes", "page"), ("scene",)),
     "trajectory": (
         ("dense", "contact_ledger", "ledger", "storage_entries", "storage", "trajectory"),
@@ -73,12 +73,15 @@ PYTHON_LAYERS: Layers = {
     ),
     "progress": (("progress",), ("base",)),
     "simulation": (
-        ("map_checks", "endings", "ledger_watch", "record", "engine", "auto_step", "simulation"),
+        (
+            *("map_checks", "endings", "ledger_watch", "record", "engine", "auto_step", "targets"),
+            *("simulator", "simulation"),
+        ),
         ("trajectory", "progress"),
     ),
     "simultaneous": (("impact_sequences", "closed_contacts", "simultaneous"), ("prepared",)),
     "pictures": (("viewer", "plots"), ("trajectory",)),
-    "face": (("__init__",), ("simulation", "simultaneous", "pictures")),
+    "face": (("__init__",), ("simulation", "simultaneous", "pictures", "prepared")),
     "bench": (("bench_runs", "bench", "bench_report"), ("simulation",)),
     "reproduce": (
         (
