@@ -14,6 +14,7 @@ from contactvi.errors import InputError, did_you_mean
 from contactvi.inputs import vector
 from contactvi.joints import JointSettings, joint_settings, one_number, servo_settings
 from contactvi.scene_build import Built, engine_scene
+from contactvi.scene_data import target_name
 from contactvi.scene_parts import SceneParts
 from contactvi.selection import Selector
 
@@ -235,6 +236,8 @@ class SceneElements(SceneParts):
         model = self._assembled()[0].model
         names = self._joints(joint)
         new = {name: servo_settings(model, name, kp, kd, effort, target) for name in names}
+        given = {target_name(name) for name in names}
+        self._edits.missing = [missing for missing in self._edits.missing if missing not in given]
         self._update_joints(new)
 
     def set_actuator(

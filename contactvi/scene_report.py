@@ -10,11 +10,11 @@ import numpy as np
 from contactvi.elements import Constraint, Element
 from contactvi.errors import SceneError
 from contactvi.joints import JointSettings
+from contactvi.model_checks import FILE_FRICTION
 from contactvi.parts import Part
 from contactvi.report import ImportReport, Note, PartReport, Use, number
 from contactvi.scene_build import Built, Edits, engine_scene
-
-FILE_FRICTION, FILE_LIMITS = "Coulomb friction", "effort and velocity limits"  # how notes of importers begin
+from contactvi.urdf import FILE_LIMITS
 
 
 def scene_report(parts: Sequence[Part], built: Built, edits: Edits) -> ImportReport:
