@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from contactvi.plots import plot, plot_forces
     from contactvi.scene import Scene
     from contactvi.scene_file import load_scene
+    from contactvi.sensors import ContactSensor, Imu, JointEncoder
     from contactvi.simulation import simulate
     from contactvi.simulator import Simulator
     from contactvi.simultaneous import SimultaneousOutcomes, simultaneous_outcomes
@@ -68,6 +69,9 @@ _HOME = {
     "Options": "options",
     "Scene": "scene",
     "load_scene": "scene_file",
+    "ContactSensor": "sensors",
+    "Imu": "sensors",
+    "JointEncoder": "sensors",
     "simulate": "simulation",  # not "simulate": a submodule of that name would shadow the function
     "Simulator": "simulator",
     "SimultaneousOutcomes": "simultaneous",
@@ -89,11 +93,14 @@ __all__ = [
     "Contact",
     "ContactChange",
     "ContactLog",
+    "ContactSensor",
     "ContactviError",
     "DerivativeError",
     "Event",
     "EventLog",
+    "Imu",
     "InputError",
+    "JointEncoder",
     "Options",
     "PenetrationError",
     "Scene",

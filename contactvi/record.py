@@ -113,9 +113,9 @@ class Record:
         rows = contacts.joined(self.contacts[first:], contacts.FIELDS)
         return contacts.ContactLog(rows, self.prepared.pair_names, self.prepared.joint_names)
 
-    def change_log(self) -> contacts.ChangeLog:
-        """Return the changes of contacts of all blocks."""
-        rows = contacts.joined(self.changes, contacts.CHANGE_FIELDS)
+    def change_log(self, first: int = 0) -> contacts.ChangeLog:
+        """Return the changes of contacts of the blocks from `first` on."""
+        rows = contacts.joined(self.changes[first:], contacts.CHANGE_FIELDS)
         return contacts.ChangeLog(rows, self.prepared.pair_names, self.prepared.joint_names)
 
     def phases_joined(self) -> dict[str, Array] | None:

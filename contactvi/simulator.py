@@ -5,8 +5,10 @@ Every input is checked here; the engine (contactvi._core) only sees arrays of th
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi import engine
 from contactvi import events as event_log
-from contactvi.errors import SimulationError
+from contactvi.contacts import Contact
+from contactvi.errors import InputError, SimulationError
 from contactvi.ledger import Ledger
 from contactvi.ledger_watch import Watch
 from contactvi.map_checks import Stall, check_map, check_unforced
@@ -43,6 +46,17 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
     """
     fixed = forced or scene._complete().needs_fixed_step is not None
     return Options.from_dict(merged(scene.settings, chosen, fixed))
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The state of a `Simulator`, opaque; it belongs to one scene and its options."""
+
+    scene: Prepared
+    options: Options
+    engine: Any
+    record: Record
+    kept: Any
 
 
 class Simulator:
@@ -220,6 +234,69 @@ class Simulator:
     def events(self) -> event_log.EventLog:
         """The impacts since `reset`."""
         return self._started().log()
+
+    @property
+    def contacts(self) -> list[Contact]:
+        """The contacts that are held now, as the last step left them: one `Contact` per point (contactvi.contacts)."""
+        record = self._started()
+        now = self.t
+        log = record.contact_log(max(0, len(record.contacts) - 1))
+        slack = 1e-9 * self.options.fixed_dt
+        held = np.flatnonzero((np.abs(log.end - now) <= slack) & (log.h > 0.0))
+        ended = {
+            (change.pair, change.point)
+            for change in record.change_log(max(0, len(record.changes) - 1))
+            if change.change == "release" and change.time >= now - slack
+        }
+        return [log[int(k)] for k in held if (log[int(k)].pair, log[int(k)].point) not in ended]
+
+    def reaction(self, name: str) -> Array:
+        """Return the force of a constraint, the mean over the last step, shape (rows,); see Trajectory.reactions."""
+        forces = self._started().forces.joined(-1)
+        if forces is None:
+            raise SimulationError("The engine reported no reactions", remedy="Make a step first")
+        return forces.of(name)[-1].copy()
+
+    def save(self) -> Snapshot:
+        """Return all of the present state, with what was recorded, for `load`."""
+        record = self._started()
+        kept = (self._watch, self._stall, self._seen, self._targets, self._before)
+        return Snapshot(self._scene, self.options, self._engine.save(), record.copy(), copy.deepcopy(kept))
+
+    def load(self, snapshot: Snapshot) -> None:
+        """Go back to a state of `save`, of this simulator or another one of the same scene and options.
+
+        What follows is equal to the bit. Raises InputError for a snapshot of another scene or other options.
+        """
+        if not isinstance(snapshot, Snapshot) or snapshot.scene is not self._scene or snapshot.options != self.options:
+            got = "of another scene or other options" if isinstance(snapshot, Snapshot) else repr(snapshot)
+            raise InputError("Snapshot", name="snapshot", expected="one of this scene and these options", got=got)
+        if self._engine is None:
+            self._engine = engine.make(self._scene, self.options)
+        engine.call(self._engine.load, snapshot.engine)
+        self._record = snapshot.record.copy()
+        self._watch, self._stall, self._seen, self._targets, self._before = copy.deepcopy(snapshot.kept)
+
+    def copy(self) -> Simulator:
+        """Return a simulator in the same state that goes on by itself."""
+        twin = Simulator._prepared(self._scene, self.options)
+        if self._record is not None:
+            twin.load(self.save())
+        return twin
+
+    def last_step(self) -> tuple[float, Array, Array]:
+        """Return time [s], q (nq,) and v (nv,) at the start of the last step; of several steps by `run`, of the last
+        node that was recorded before now. Raises SimulationError before the first step."""
+        record = self._started()
+        if self._before is not None and self._before[0] < self.t:
+            t, q, p = self._before
+        else:
+            times, states, momenta = record.nodes(max(0, len(record.t) - 2))
+            earlier = np.flatnonzero(times < self.t)
+            if not len(earlier):
+                raise SimulationError("No step was made yet", remedy="Call step() first")
+            t, q, p = float(times[earlier[-1]]), states[earlier[-1]], momenta[earlier[-1]]
+        return t, q, np.asarray(self._scene.core.velocity(q[None], p[None]))[0]
 
     def trajectory(self) -> Trajectory:
         """Return what was recorded since `reset`, the present state included."""

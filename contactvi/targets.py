@@ -40,6 +40,9 @@ class Targets:
         self._prepared = prepared
         self._motions = {name: motion for name, motion in prepared.built.arrays.targets.items() if name in self.joints}
 
+    def __deepcopy__(self, memo: Any) -> Targets:
+        return self  # nothing in it changes
+
     def rows(self, target: Any, times: Array) -> Array | None:
         """Return the references of steps that start at times (steps,) [s], shape (steps, 2 nv); None without servos.
 

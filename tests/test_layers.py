@@ -84,7 +84,7 @@ PYTHON_LAYERS: Layers = {
     "simulation": (
         (
             *("map_checks", "endings", "ledger_watch", "record", "engine", "auto_step", "targets"),
-            *("simulator", "simulation"),
+            *("simulator", "simulation", "sensors"),
         ),
         ("trajectory", "progress"),
     ),
