@@ -32,7 +32,7 @@ from contactvi import dense, engine
 from contactvi.errors import AccuracyWarning, PenetrationError
 from contactvi.ledger import Ledger
 from contactvi.ledger_watch import Watch
-from contactvi.map_checks import check_map
+from contactvi.map_checks import check_elements, check_map
 from contactvi.options import Options
 from contactvi.prepared import Prepared
 from contactvi.record import Record
@@ -73,6 +73,7 @@ def run(
     Raises PenetrationError where `throw`. Warns with AccuracyWarning where tol was not reached.
     """
     check_map(prepared, options)
+    check_elements(prepared, options)
     search = _Search(prepared, options if options.dense else replace(options, dense=True), q0, v0, progress)
     try:
         found, estimate = search.search()

@@ -26,6 +26,7 @@ Move = Callable[[Array, Array], Array]
 TOLERANCE = 1e-5
 _STEP = 1e-4
 _ROUNDING = 1e3 * float(np.finfo(float).eps) / _STEP
+_NOISE = 1e-11  # of the largest entry, and at all: what cancels inside the user's function is not seen here
 _GENERIC = 0.1
 
 
@@ -127,8 +128,8 @@ def _compare(
         fine = (far - 8.0 * near + 8.0 * ahead - away) / (12.0 * _STEP)
         expected[..., j] = fine
         slack[..., j] = _ROUNDING * np.max(np.abs(values), axis=0) + 0.01 * np.abs(fine - coarse)
-    error = np.abs(given - expected)
-    excess = error - tolerance * np.maximum(np.abs(given), np.abs(expected)) - slack
+    error, size = np.abs(given - expected), np.maximum(np.abs(given), np.abs(expected))
+    excess = error - tolerance * size - slack - _NOISE * (1.0 + size.max(initial=0.0))
     if not np.any(excess > 0.0):
         return
     worst = np.unravel_index(int(np.argmax(excess)), excess.shape)

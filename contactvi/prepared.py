@@ -77,6 +77,18 @@ class Prepared:
         dampers = any(damping > 0.0 for *_, damping, _only in found.springs)
         return bool(self.built.constrained or found.wrenches or found.forces or dampers or np.any(arrays.servo[:2]))
 
+    @cached_property
+    def driven(self) -> str | None:
+        """What of the scene puts energy in, in words; None where nothing does."""
+        found, arrays = self.built.elements, self.built.arrays
+        reasons = {
+            "servos": bool(np.any(arrays.servo[:2])),
+            "wrenches": bool(found.wrenches),
+            "forces given in Python": bool(found.forces),
+            "driven constraints": any(row.signal is not None for row in found.constraints),
+        }
+        return next((what for what, is_there in reasons.items() if is_there), None)
+
     def start_velocity(self, q: NDArray[np.float64], t: float) -> NDArray[np.float64]:
         """Return the velocity of a start at q (nq,) for which none was given: rest, or the nearest to it, (nv,)."""
         v = np.zeros(self.states.nv)

@@ -21,7 +21,7 @@ from contactvi.contacts import Contact
 from contactvi.errors import InputError, SimulationError
 from contactvi.ledger import Ledger
 from contactvi.ledger_watch import Watch
-from contactvi.map_checks import Stall, check_map, check_unforced
+from contactvi.map_checks import Stall, check_elements, check_map, check_unforced
 from contactvi.options import Options, merged
 from contactvi.prepared import Prepared, prepare
 from contactvi.record import Record
@@ -88,8 +88,7 @@ class Simulator:
     def _set_up(self, prepared: Prepared, options: Options) -> None:
         self._scene, self.options = prepared, options
         check_map(prepared, options)
-        if prepared.forced:
-            check_unforced(options)
+        check_elements(prepared, options)
         self._engine: Any = None
         self._record: Record | None = None
 
