@@ -291,7 +291,7 @@ def test_bad_scene_files(tmp_path: Path, text: str, expected: str):
     assert expected in str(caught.value)
 
 
-# -- constraints of models' files ---------------------------------------------------------------------------------------
+# -- constraints of models' files -------------------------------------------------------------------------------------
 
 
 def test_mimic_tags_are_constraints(tmp_path: Path):
@@ -367,7 +367,7 @@ def test_equality_of_mjcf(tmp_path: Path):
     assert not off.elements
 
 
-# -- stored scenes ------------------------------------------------------------------------------------------------------
+# -- stored scenes ----------------------------------------------------------------------------------------------------
 
 
 def everything() -> cvi.Scene:
