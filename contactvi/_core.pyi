@@ -74,6 +74,41 @@ class Scene:
 
     def momentum_to_public(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
+    def set_dry_friction(self, limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+        """Largest dry friction of each dof [N; N m], (nv,)."""
+
+    def add_joint_potential(self, joint: int, rest: float, coefficients: Sequence[float]) -> None:
+        """V = sum_k c[k] x^(k+2), x = q - rest."""
+
+    def add_path_spring(self, joints: Sequence[int], points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], stiffness: float, rest_length: float, damping: float, tension_only: bool) -> None:
+        """Along a line through points (n, 3) in the frames of joints."""
+
+    def add_wrench(self, joint: int, point: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], R: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, wrench: object) -> None:
+        """
+        (force, torque) (6,) or a function of t, in the axes R of the joint's frame, or None: of the world.
+        """
+
+    def add_user_force(self, value: object, derivatives: object | None = None) -> None:
+        """value(t, q, v) -> (nv,)."""
+
+    def add_user_potential(self, value: object, gradient: object, hessian: object | None = None) -> None:
+        """value(q) [J], gradient(q) -> (nv,)."""
+
+    def add_constraint(self, kind: str, joint_a: int, R_a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_a: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], joint_b: int, R_b: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_b: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], numbers: Sequence[float], signal: object | None = None) -> None:
+        """See constraints.hpp."""
+
+    @property
+    def constraint_rows(self) -> list[int]: ...
+
+    def constraint_residual(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> object:
+        """phi(q, t), (m,)."""
+
+    def constraint_jacobian(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> object:
+        """d phi/dq in public coordinates, (m, nv)."""
+
+    def constraint_rate(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> object:
+        """d phi/dt at fixed q, (m,)."""
+
 def solve_cone(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], b: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], frozen: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='F')] | None = None, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, regularize: bool = True, noise: float = 0.0) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], bool, float, int, int]:
     """
     Coulomb cone problem w = b + G lambda of n contacts with rows[i] = 1 or 3 rows (n, t1, t2) each: G (m, m) [1/kg], b (m,) [m/s], mu (n,), lower (n,) [N s] bounds of the normal impulses, frozen (n, 2) unit slip directions (NaN: free), start (m,) [N s], noise [m/s] by which rows of b may disagree. Returns (lambda (m,) [N s], ok, relative residual, Newton iterations, fallbacks).

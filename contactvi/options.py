@@ -76,6 +76,7 @@ class Options:
     support : an impact on a body that others hold: "sequence" of single impacts, each contact with its own restitution;
         "stiff": held contacts stay closed during it, as if what holds the body were infinitely stiff.
     contact_points : points that a pair of shapes has at most, >= 1, by default 4; fewer only where no faces touch.
+        While a face tips more may be hit at one instant: spare points of the face, so that none penetrates.
     record_contacts : keep the impulses of all contacts (Trajectory.contacts).
 
     Raises

@@ -1,50 +1,21 @@
 #include "contact.hpp"
 
+#include "point_row.hpp"
+
 namespace contactvi {
-
-namespace {
-
-// Adds sign * n^T J(x) of a point x fixed to the body.
-template <class Row>
-void add_point(const Tree& tree, const Placements& at, int body, const Vec3& x, const Vec3& n, double sign, Row&& W) {
-  for (int j = body; j >= 0; j = tree.joints[j].parent) {
-    const Joint& joint = tree.joints[j];
-    const Mat3& R = at.R_W[j];
-    switch (joint.type) {
-      case JointType::kRevolute:
-      case JointType::kContinuous:
-        W[joint.iv] += sign * R.col(2).dot((x - at.p_W[j]).cross(n));
-        break;
-      case JointType::kPrismatic:
-        W[joint.iv] += sign * R.col(2).dot(n);
-        break;
-      case JointType::kHelical:
-        W[joint.iv] += sign * R.col(2).dot((x - at.p_W[j]).cross(n) + joint.pitch * n);
-        break;
-      case JointType::kTranslation:
-        W.template segment<3>(joint.iv) += sign * (R.transpose() * n);
-        break;
-      case JointType::kSpherical:
-        W.template segment<3>(joint.iv) += sign * (R.transpose() * (x - at.p_W[j]).cross(n));
-        break;
-    }
-  }
-}
-
-}  // namespace
 
 void gap_gradient(const Tree& tree, const Placements& at, const Contact& contact, VecRef W) {
   W.setZero();
-  add_point(tree, at, contact.body_b, contact.point_b, contact.normal, 1.0, W);
-  add_point(tree, at, contact.body_a, contact.point_a, contact.normal, -1.0, W);
+  add_point_row(tree, at, contact.body_b, contact.point_b, contact.normal, 1.0, W);
+  add_point_row(tree, at, contact.body_a, contact.point_a, contact.normal, -1.0, W);
 }
 
 void contact_rows(const Tree& tree, const Placements& at, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W) {
   W.setZero();
   const Vec3 directions[3] = {contact.normal, t1, contact.normal.cross(t1)};
   for (int k = 0; k < static_cast<int>(W.cols()); ++k) {
-    add_point(tree, at, contact.body_b, contact.point_b, directions[k], 1.0, W.col(k));
-    add_point(tree, at, contact.body_a, contact.point_a, directions[k], -1.0, W.col(k));
+    add_point_row(tree, at, contact.body_b, contact.point_b, directions[k], 1.0, W.col(k));
+    add_point_row(tree, at, contact.body_a, contact.point_a, directions[k], -1.0, W.col(k));
   }
 }
 

@@ -153,6 +153,16 @@ double spring_power_rate(const Tree& tree, const VecCRef& q, const VecCRef& v, c
   return sum;
 }
 
+void add_servo(const Tree& tree, const Servo* servo, const VecCRef& q, const VecCRef& v, VecRef f) {
+  if (servo == nullptr || !servo->any) return;
+  for (const Joint& joint : tree.joints) {
+    if (joint.nv != 1) continue;
+    const int d = joint.iv;
+    if (servo->kp[d] != 0.0) f[d] += servo->kp[d] * (servo->q_ref[d] - q[joint.iq]);
+    f[d] += servo->feed[d] + servo->kd[d] * (servo->v_ref[d] - v[d]);
+  }
+}
+
 }  // namespace
 
 Energy energy(Integrator& integrator, const VecCRef& q, const VecCRef& p) {
@@ -162,7 +172,7 @@ Energy energy(Integrator& integrator, const VecCRef& q, const VecCRef& p) {
     return {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::quiet_NaN()};
   Placements at(tree);
   place(tree, q, at);
-  return {0.5 * p.dot(v), gravity_potential(tree, at) + spring_potential(tree, q)};
+  return {0.5 * p.dot(v), total_potential(tree, integrator.field(), at, q)};
 }
 
 double modified_hamiltonian(Integrator& integrator, const VecCRef& q, const VecCRef& p, double h) {
@@ -177,6 +187,7 @@ double modified_hamiltonian(Integrator& integrator, const VecCRef& q, const VecC
   integrator.dynamics(q, v, P, G);
   VecX springs = VecX::Zero(tree.nv);
   add_spring_forces(tree, q, springs);
+  integrator.field().add_gradient(q, springs);
   Placements at(tree);
   place(tree, q, at);
   const std::vector<BodyState> bodies = body_states(tree, at, v);
@@ -185,7 +196,8 @@ double modified_hamiltonian(Integrator& integrator, const VecCRef& q, const VecC
   VecX a = -dV - springs;
   free_acceleration(tree, bodies, bias, v, integrator, tree.armature, a);
   const double G_a = (G - springs).dot(a);
-  const double dG_v = power_rate(tree, bodies, bias, v, a) - spring_power_rate(tree, q, v, a) - G_a;
+  const double dG_v = power_rate(tree, bodies, bias, v, a) - spring_power_rate(tree, q, v, a) -
+                      integrator.field().power_rate(q, v, a) - G_a;
   double bracket = 0;
   for (const Joint& joint : tree.joints) {
     if (joint.type != JointType::kSpherical) continue;
@@ -209,6 +221,11 @@ void forward_dynamics(Integrator& integrator, const VecCRef& q, const VecCRef& v
     VecX applied = tau;
     public_to_engine(tree, q, applied);
     a += applied;
+  }
+  add_servo(tree, integrator.servo(), q, v, a);
+  if (integrator.field().any()) {
+    VecX size = VecX::Zero(tree.nv);
+    integrator.field().add(integrator.time(), q, v, a, size);
   }
   // Gravity as an acceleration of the world: every body falls.
   for (std::size_t i = 0; i < bodies.size(); ++i) bias[i].lin -= bodies[i].gravity;

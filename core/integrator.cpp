@@ -29,6 +29,7 @@ Integrator::Integrator(const Tree& tree, int stages, double tol, int max_sweeps)
       model_(tree),
       stages_(tree, model_, stages),
       node_(tree, model_, 1),
+      stiff_(tree, stages_),
       start_(tree.nv, stages_),
       acceleration_(tree.nv, stages_),
       placements_(tree),
@@ -47,10 +48,12 @@ Integrator::Integrator(const Tree& tree, int stages, double tol, int max_sweeps)
       rates_(tree.nv, stages),
       velocities_(tree.nv, stages) {}
 
-void Integrator::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
+// after: the step begins so much later than time().
+void Integrator::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double after) {
   if (q0.data() != q0_.data()) q0_ = q0;
   if (p0.data() != p0_.data()) p0_ = p0;
   h_ = h;
+  stages_.set_time(time_ + after);
   stages_.begin(q0_, p0_, h, tau);
 }
 
@@ -96,6 +99,10 @@ bool Integrator::iterate() {
   bool factor = true;
   for (int k = 0; k < max_sweeps_; ++k) {
     stages_.sweep((factor ? kLaneFactor : 0) | (k == 0 ? kLaneFirst : 0) | (newton ? kLaneNewton : 0));
+    if (stiff_.any()) {
+      if (factor) stiff_.factor(stages_, q0_);
+      stiff_.correct(stages_);
+    }
     ++counters.sweeps;
     ++sweeps_;
     counters.factorizations += factor;
@@ -199,7 +206,7 @@ bool Integrator::start_by_ramp(const VecX& tau) {
   double done = 0.0;
   for (int k = 0; k < 4; ++k) {
     const double h = parts[k] * whole;
-    begin(q_ramp_, p_ramp_, h, tau);
+    begin(q_ramp_, p_ramp_, h, tau, done);
     if (k == 0) {
       start_constant(v0_);
     } else {
@@ -315,10 +322,20 @@ double Integrator::truncation() const {
   return std::abs(h_) * std::sqrt(sum);
 }
 
-double Integrator::work() const {
+// Gauss's sum of what value(i) says at the stages.
+template <class Value>
+double Integrator::quadrature(Value value) const {
   double total = 0.0;
-  for (int i = 0; i < stages_.count(); ++i) total += h_ * stages_.table().b[i] * stages_.power(i);
+  for (int i = 0; i < stages_.count(); ++i) total += h_ * stages_.table().b[i] * value(i);
   return total;
+}
+
+double Integrator::input_work() const {
+  return quadrature([&](int i) { return stages_.input_power(i); });
+}
+
+double Integrator::damping_loss() const {
+  return quadrature([&](int i) { return stages_.dissipation(i); });
 }
 
 double Integrator::mean_work() const {
@@ -327,7 +344,7 @@ double Integrator::mean_work() const {
   for (int j = 0; j < stages_.count(); ++j) {
     double weight = 0.0;
     for (int i = 0; i < stages_.count(); ++i) weight += table.b[i] * table.A[i][j];
-    total += h_ * weight * stages_.power(j);
+    total += h_ * weight * (stages_.input_power(j) - stages_.dissipation(j));
   }
   return total;
 }
@@ -338,7 +355,7 @@ double Integrator::discrete_energy() {
   for (int i = 0; i < stages_.count(); ++i) {
     stages_.configuration(q0_, i, q_stage_);
     place(*tree_, q_stage_, placements_);
-    double energy = gravity_potential(*tree_, placements_) + spring_potential(*tree_, q_stage_);
+    double energy = total_potential(*tree_, stages_.field(), placements_, q_stage_);
     // P belongs to the velocity before the last correction: 1/2 (v - dv) M (v - dv) + ... = 1/2 P.(v + dv) to second
     // order.
     for (int d = 0; d < tree_->nv; ++d)

@@ -11,6 +11,7 @@
 #include "stages.hpp"
 #include "start_values.hpp"
 #include "stepper.hpp"
+#include "stiff_terms.hpp"
 
 namespace contactvi {
 
@@ -28,6 +29,13 @@ class Integrator final : public Stepper {
 
   int stages() const override { return stages_.count(); }
   const Tree& tree() const { return *tree_; }
+
+  // Time at which the steps that are solved from now on start [s]; what else pushes there, null: nothing.
+  void set_time(double t) { time_ = t; }
+  void set_servo(const Servo* servo) { stages_.set_servo(servo); }
+  double time() const { return time_; }
+  const Servo* servo() const { return stages_.servo(); }
+  ForceField& field() { return stages_.field(); }
 
   // Solve the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
   // when the sweeps do not converge from any start; why() says it.
@@ -53,8 +61,11 @@ class Integrator final : public Stepper {
   // rad].
   double truncation() const;
 
-  // Of the step just solved [J]: work of damping and inputs; its mean over the step; sum b_i E(q_i, v_i).
-  double work() const;
+  // Of the step just solved [J]: work of inputs (wrenches and servos among them); what damping took; their difference
+  // and its mean over the step; sum b_i E(q_i, v_i).
+  double input_work() const;
+  double damping_loss() const;
+  double work() const { return input_work() - damping_loss(); }
   double mean_work() const;
   double discrete_energy();
 
@@ -87,7 +98,9 @@ class Integrator final : public Stepper {
   bool converged(double error, double theta, bool accelerated) const;
   double relative_error() const;
   double energy() const;
-  void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double after = 0.0);
+  template <class Value>
+  double quadrature(Value value) const;
   void start_constant(const VecCRef& v0);
   bool start_by_ramp(const VecX& tau);
   bool turns_too_far();
@@ -98,13 +111,14 @@ class Integrator final : public Stepper {
   int max_sweeps_;
   FlatModel model_;
   Stages stages_, node_;
+  StiffTerms stiff_;
   StartValues start_;
   Acceleration acceleration_;
   Placements placements_;
   VecX q0_, p0_, q_ramp_, p_ramp_, q_ramp1_, p_ramp1_, v0_, q_stage_;
   VecX carry_q_, carry_p_, next_carry_q_, next_carry_p_;
   MatX rates_, velocities_;
-  double h_ = 0.0, residual_ = 0.0, energy_scale_ = 0.0;
+  double time_ = 0.0, h_ = 0.0, residual_ = 0.0, energy_scale_ = 0.0;
   int sweeps_ = 0;
   bool solved_ = false, part_ = false;
   bool newton_ = false;  // the last step needed the Newton matrix

@@ -22,6 +22,10 @@ double Integrator::sweep_kicked(const VecCRef& p, bool factor, bool first) {
   p0_ = p;
   stages_.start_from(p);
   stages_.sweep((factor ? kLaneFactor : 0) | (first ? kLaneFirst : 0));
+  if (stiff_.any()) {
+    if (factor) stiff_.factor(stages_, q0_);
+    stiff_.correct(stages_);
+  }
   ++counters.sweeps;
   counters.factorizations += factor;
   double largest = 0.0;
@@ -45,7 +49,10 @@ void Integrator::solve_columns(Stages& stages, Eigen::Ref<MatX> X) {
   }
 }
 
-void Integrator::solve_kicked(Eigen::Ref<MatX> X) { solve_columns(stages_, X); }
+void Integrator::solve_kicked(Eigen::Ref<MatX> X) {
+  solve_columns(stages_, X);
+  if (stiff_.any()) stiff_.correct(X);
+}
 
 void Integrator::solve_masses(Eigen::Ref<MatX> X) { solve_columns(node_, X); }
 

@@ -56,9 +56,16 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages)
       kernel_(&lane_kernel(stages)),
       work_{},
       memory_(0),
+      field_(tree),
       q0_(VecX::Zero(tree.nq)),
       tau_(VecX::Zero(tree.nv)),
-      q_stage_(tree.nq) {
+      q_stage_(tree.nq),
+      X_stage_(tree.nv),
+      v_stage_(tree.nv),
+      force_(tree.nv),
+      size_(tree.nv),
+      element_input_(VecX::Zero(stages)),
+      element_dissipation_(VecX::Zero(stages)) {
   work_.s = stages;
   work_.S = (stages + kernel_->lanes - 1) / kernel_->lanes * kernel_->lanes;
   allocate();
@@ -193,15 +200,38 @@ void Stages::set_step(double h) {
         const int stage = std::min(i, s - 1);
         const double c = table_->c[stage];
         diagonal_[d * S + i] = tree_->armature[d] + h * kDampingShare[s - 1][stage] * damping_[d] +
-                               h * h * share * c * c * joint.stiffness;
+                               h * h * share * c * c * std::max(joint.stiffness, stiffness_[d]);
       }
   }
   diagonal_h_ = h;
 }
 
+std::pair<double, double> Stages::shares(int i) const {
+  const double c = table_->c[i], h = work_.h;
+  return {h * kDampingShare[work_.s - 1][i], h * h * spring_share(work_.s) * c * c};
+}
+
+// The joints' springs and damping, those of the servos among them.
+void Stages::set_servo(const Servo* servo) {
+  const bool before = servo_ != nullptr && servo_->any, now = servo != nullptr && servo->any;
+  servo_ = servo;
+  if (!before && !now) return;
+  for (const Joint& joint : tree_->joints)
+    for (int d = joint.iv; d < joint.iv + joint.nv; ++d) {
+      const bool ball = joint.type == JointType::kSpherical;
+      const double stiffness = (ball ? 0.0 : joint.stiffness) + (now ? servo->kp[d] : 0.0);
+      const double damping = tree_->damping[d] + (now ? servo->kd[d] : 0.0);
+      if (stiffness == stiffness_[d] && damping == damping_[d]) continue;
+      stiffness_[d] = stiffness;
+      damping_[d] = damping;
+      diagonal_h_ = std::numeric_limits<double>::quiet_NaN();
+    }
+}
+
 void Stages::set_forces(const VecCRef& q0, const VecX& tau) {
   has_inputs_ = tau.size() > 0;
-  const bool linear = tree_->has_springs || tree_->has_damping;
+  const bool servo = servo_ != nullptr && servo_->any;
+  const bool linear = tree_->has_springs || tree_->has_damping || servo;
   work_.stiffness = linear ? stiffness_ : nullptr;
   if (tree_->has_springs) {
     q0_ = q0;
@@ -209,6 +239,16 @@ void Stages::set_forces(const VecCRef& q0, const VecX& tau) {
       if (joint.stiffness == 0 || joint.type == JointType::kSpherical) continue;
       const Vec3 deflection = spring_deflection(*tree_, joint, q0);
       for (int d = 0; d < joint.nv; ++d) deflection_[joint.iv + d] = deflection[d];
+    }
+  }
+  if (servo) {
+    q0_ = q0;
+    for (const Joint& joint : tree_->joints) {
+      const int d = joint.iv;
+      if (joint.nv != 1 || servo_->kp[d] == 0.0) continue;
+      // Two springs are one: that of the joint and that of the servo.
+      const double own = joint.stiffness != 0.0 ? joint.stiffness * deflection_[d] : 0.0;
+      deflection_[d] = (own + servo_->kp[d] * (q0[joint.iq] - servo_->q_ref[d])) / stiffness_[d];
     }
   }
   work_.tau = nullptr;
@@ -222,7 +262,13 @@ void Stages::set_forces(const VecCRef& q0, const VecX& tau) {
       for (int d = 0; d < (joint.planar ? 2 : 3); ++d) input_[joint.iv + d] = 0.0;
     work_.tau = input_;
   }
-  work_.extra = split || has_ball_springs_ ? &Stages::add_extra : nullptr;
+  if (servo) {
+    if (!has_inputs_) std::fill_n(input_, tree_->nv, 0.0);
+    for (int d = 0; d < tree_->nv; ++d) input_[d] += servo_->feed[d] + servo_->kd[d] * servo_->v_ref[d];
+    work_.tau = input_;
+  }
+  if (field_.any()) q0_ = q0;
+  work_.extra = split || has_ball_springs_ || field_.any() ? &Stages::add_extra : nullptr;
 }
 
 void Stages::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
@@ -262,20 +308,34 @@ Vec3 Stages::ball_end(const Joint& joint, const VecCRef& p0) {
   return so3_apply(-X1, k.sin_t, k.cos_t, total);
 }
 
-void Stages::configuration(const VecCRef& q0, int i, VecRef q) const {
-  VecX X(tree_->nv);
-  for (int d = 0; d < tree_->nv; ++d) X[d] = X_[static_cast<std::size_t>(d) * work_.S + i];
-  integrate(*tree_, q0, X, 1.0, q);
+void Stages::configuration(const VecCRef& q0, int i, VecRef q) {
+  for (int d = 0; d < tree_->nv; ++d) X_stage_[d] = X_[static_cast<std::size_t>(d) * work_.S + i];
+  integrate(*tree_, q0, X_stage_, 1.0, q);
 }
 
-double Stages::power(int i) const {
-  double total = 0.0;
+double Stages::input_power(int i) const {
+  double total = element_input_[i];
   const int S = work_.S;
-  for (int d = 0; d < tree_->nv; ++d) {
-    const double v = v_[d * S + i];
-    if (tree_->has_damping) total -= damping_[d] * v * v;
-    if (has_inputs_) total += (input_[d] + (!tree_->split.empty() ? applied_[d * S + i] : 0.0)) * v;
+  if (work_.tau != nullptr)
+    for (int d = 0; d < tree_->nv; ++d)
+      total += (input_[d] + (has_inputs_ && !tree_->split.empty() ? applied_[d * S + i] : 0.0)) * v_[d * S + i];
+  if (servo_ == nullptr || !servo_->any) return total;
+  // input_ has the feed and what belongs to v_ref.
+  for (const Joint& joint : tree_->joints) {
+    const int d = joint.iv;
+    if (joint.nv != 1) continue;
+    const double v = v_[d * S + i], kp = servo_->kp[d];
+    if (kp != 0.0) total += kp * (servo_->q_ref[d] - q0_[joint.iq] - X_[d * S + i]) * v;
+    total -= servo_->kd[d] * v * v;
   }
+  return total;
+}
+
+double Stages::dissipation(int i) const {
+  double total = element_dissipation_[i];
+  const int S = work_.S;
+  if (tree_->has_damping)
+    for (int d = 0; d < tree_->nv; ++d) total += tree_->damping[d] * v_[d * S + i] * v_[d * S + i];
   return total;
 }
 
@@ -283,6 +343,26 @@ void Stages::add_extra(void* self) {
   Stages& stages = *static_cast<Stages*>(self);
   if (stages.has_inputs_ && !stages.tree_->split.empty()) stages.add_split_inputs();
   if (stages.has_ball_springs_) stages.add_ball_springs();
+  if (stages.field_.any()) stages.add_elements();
+}
+
+void Stages::add_elements() {
+  const int S = work_.S, n = tree_->nv;
+  for (int i = 0; i < work_.s; ++i) {
+    configuration(q0_, i, q_stage_);
+    for (int d = 0; d < n; ++d) v_stage_[d] = v_[d * S + i];
+    force_.setZero();
+    size_.setZero();
+    field_.add(time(i), q_stage_, v_stage_, force_, size_);
+    element_input_[i] = field_.input();
+    element_dissipation_[i] = field_.dissipation();
+    const int last = i + 1 == work_.s ? S : i + 1;  // lanes without a stage of their own get the last one's
+    for (int d = 0; d < n; ++d)
+      for (int k = i; k < last; ++k) {
+        G_[d * S + k] += force_[d];
+        magnitude_[d * S + k] += size_[d];
+      }
+  }
 }
 
 void Stages::add_split_inputs() {

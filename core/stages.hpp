@@ -6,8 +6,10 @@
 
 #include <limits>
 #include <memory>
+#include <utility>
 
 #include "flat_model.hpp"
+#include "forces.hpp"
 #include "gauss.hpp"
 
 namespace contactvi {
@@ -32,6 +34,13 @@ class AlignedArray {
   std::size_t size_;
 };
 
+// What pushes the joints during one control step, besides the generalized force: one-dof joints follow references,
+// torque kp (q_ref - q) + kd (v_ref - v) + feed.
+struct Servo {
+  bool any = false;
+  VecX kp, kd, q_ref, v_ref, feed;  // nv
+};
+
 class Stages {
  public:
   Stages(const Tree& tree, const FlatModel& model, int stages);
@@ -45,6 +54,16 @@ class Stages {
 
   // The step from (q0, p0) of length h; tau: generalized force in public coordinates, shape (nv,) or empty.
   void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  // Of the steps that begin from now on: time of their start [s]; null: no servo.
+  void set_time(double t) { t0_ = t; }
+  void set_servo(const Servo* servo);
+  double time(int i) const { return t0_ + table_->c[i] * work_.h; }
+  double start_time() const { return t0_; }
+  const Servo* servo() const { return servo_; }
+  ForceField& field() { return field_; }
+  const ForceField& field() const { return field_; }
+  // By which damping and stiffness enter the matrix of stage i: [s], [s^2].
+  std::pair<double, double> shares(int i) const;
   // The same step from another momentum.
   void start_from(const VecCRef& p0);
   // Only the configuration, for what is asked of a single state.
@@ -72,15 +91,17 @@ class Stages {
   double error(int i) const { return per_stage_[i]; }
   double kinetic(int i) const { return per_stage_[work_.S + i]; }
   double floor(int i) const { return per_stage_[2 * work_.S + i]; }
+  void set_error(int i, double value) { per_stage_[i] = value; }
 
   // h sum_j b_j x_j of a stage array.
   double sum(const double* array, int dof) const;
   // Momentum of the ball at joint at the end of the step.
   Vec3 ball_end(const Joint& joint, const VecCRef& p0);
-  // Power of damping and inputs at stage i [W].
-  double power(int i) const;
+  // Powers at stage i [W]: of inputs, servos and wrenches; taken by damping.
+  double input_power(int i) const;
+  double dissipation(int i) const;
   // Configuration at stage i.
-  void configuration(const VecCRef& q0, int i, VecRef q) const;
+  void configuration(const VecCRef& q0, int i, VecRef q);
 
  private:
   void allocate();
@@ -90,6 +111,7 @@ class Stages {
   static void add_extra(void* self);
   void add_split_inputs();
   void add_ball_springs();
+  void add_elements();
 
   const Tree* tree_;
   const FlatModel* model_;
@@ -99,7 +121,11 @@ class Stages {
   AlignedArray memory_;  // all arrays below
   double *X_, *v_, *rate_, *P_, *G_, *Y_, *px_, *dv_, *magnitude_, *diagonal_, *applied_, *storage_, *slots_;
   double *per_stage_, *hA_, *he_, *hb_, *base_, *ball_base_, *p0_, *stiffness_, *deflection_, *damping_, *input_;
-  VecX q0_, tau_, q_stage_;
+  ForceField field_;
+  const Servo* servo_ = nullptr;
+  double t0_ = 0.0;
+  VecX q0_, tau_, q_stage_, X_stage_, v_stage_, force_, size_;
+  VecX element_input_, element_dissipation_;  // per stage
   bool has_ball_springs_ = false, has_inputs_ = false;
   double diagonal_h_ = std::numeric_limits<double>::quiet_NaN(), tableau_h_ = 0.0;  // h they are for; NaN: none
 };

@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "elements.hpp"
 #include "numerics.hpp"
 
 namespace contactvi {
@@ -67,6 +68,7 @@ struct Tree {
   bool has_springs = false, has_damping = false;
   std::vector<SplitJoint> split;
   std::vector<JointLimit> limits;
+  Elements elements;
   // From Pinocchio's joints to ours: the last joint of a split, and the public joint frame in that body's frame.
   std::vector<int> body_of_source;
   std::vector<Mat3> R_body_source;

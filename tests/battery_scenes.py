@@ -302,12 +302,8 @@ def hand(rng: np.random.Generator):
 FAMILIES: dict[str, Callable] = {f.__name__: f for f in (drop, rest, room, pile, stack, balls, chain, hand)}
 
 
-def settings_of(rng: np.random.Generator, family: str) -> dict[str, Any]:
-    """Impact map, reference of MHC, restitution, friction, order and dt of a run."""
-    impact, reference = MAPS[int(rng.integers(len(MAPS)))]
-    restitution, friction = float(rng.choice(RESTITUTIONS)), float(rng.choice(FRICTIONS))
-    order = int(rng.choice(ORDERS))
-    dt = float(rng.choice(STEPS[family == "hand"]))
+def run_of(impact: str, reference: str, restitution: float, friction: float, order: int, dt: float) -> dict[str, Any]:
+    """All settings of a run: impact map, reference of MHC, restitution, friction, order and dt."""
     return {
         "impact": impact,
         "mhc_reference": reference,
@@ -318,8 +314,16 @@ def settings_of(rng: np.random.Generator, family: str) -> dict[str, Any]:
     }
 
 
+def settings_of(rng: np.random.Generator, family: str) -> dict[str, Any]:
+    """Random settings of a run."""
+    impact, reference = MAPS[int(rng.integers(len(MAPS)))]
+    restitution, friction = float(rng.choice(RESTITUTIONS)), float(rng.choice(FRICTIONS))
+    order = int(rng.choice(ORDERS))
+    return run_of(impact, reference, restitution, friction, order, float(rng.choice(STEPS[family == "hand"])))
+
+
 def draw(family: str, seed: int, duration: float = 1.0, **chosen: Any) -> Drawn:
-    """The seed-th scene of a family, with its settings; `chosen`: some of `settings_of`, in place of the drawn ones."""
+    """The seed-th scene of a family, with its settings; `chosen`: some of `run_of`, in place of the drawn ones."""
     rng = np.random.default_rng([sorted(FAMILIES).index(family), seed])
     settings = {**settings_of(rng, family), **chosen}
     if settings["impact"] == "dtec":

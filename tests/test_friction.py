@@ -101,6 +101,31 @@ def test_box_slides_down(mu):
     assert force == pytest.approx(np.tile(want, (len(force), 1)), abs=1e-9)
 
 
+@pytest.mark.parametrize(("h", "order"), [(0.05, 2), (0.02, 2), (0.01, 2), (0.005, 2), (0.00125, 2), (0.05, 8)])
+def test_slip_turns_round_on_a_slope(h, order):
+    """A box thrown up a slope too steep for its friction slides up, stops, and slides down: all of it exact."""
+    slope, mu, speed = math.radians(20.0), 0.2, 1.0
+    falling = held_scenes.block_on_slope(slope, mu)
+    braking = GRAVITY * (math.sin(slope) + mu * math.cos(slope))
+    stop = speed / braking
+    scene, q, v = held_runs.box(mu=mu, slope=slope)
+    v[0] = -speed
+    traj = cvi.simulate(scene, q, v, 1.0, h, order=order)
+    t, rising = traj.t, traj.t < stop
+    velocity = np.where(rising, braking * t - speed, falling * (t - stop))
+    place = np.where(rising, 0.5 * braking * t**2 - speed * t, 0.5 * (falling * (t - stop) ** 2 - speed * stop))
+    # pieces of constant force are stepped exactly: rounding over a thousand steps
+    assert (traj.q[:, :3] - q[:3]) @ held_runs.down(slope) == pytest.approx(place, abs=1e-12)
+    assert traj.v[:, 0] == pytest.approx(velocity, abs=1e-12)
+    assert np.abs(traj.v[:, 1:]).max() <= 1e-12
+    assert traj.energy[0] - traj.energy == pytest.approx(traj.friction_loss, abs=1e-12)
+    assert {c.point for c in changes(traj, "slip")} == {c.point for c in changes(traj, "begin")}  # all go on
+    assert max(abs(c.time - stop) for c in changes(traj, "stick")) <= 1e-12
+    assert set(traj.contacts.array("mode").tolist()) == {1}  # in no step do they only stick
+    check_contacts(traj, mu)
+    check_sums(traj, [2.0], ["box"])
+
+
 @pytest.mark.parametrize("h", [0.02, 0.007])
 def test_box_stops_where_and_when_it_should(h):
     """On the flat: x = v^2 / (2 mu g), t = v / (mu g), located, so for any h (2e-11 on the prototype)."""

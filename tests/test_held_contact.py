@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import battery_energy
+import battery_laws
 import held_runs
 import laws
 import numpy as np
@@ -335,3 +337,24 @@ def test_pendulum_bounces_to_rest_on_its_limit():
     # the hits come O(h^2) late or early; the extrapolation itself leaves the square of the last flight
     assert errors[-1] <= 1e-4
     assert np.all(np.diff(errors) < 0.0), errors
+
+
+@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("restitution", [0.0, 0.2, 0.5])
+def test_limp_arm_falls_on_its_limits(restitution, order):
+    """The Panda without motors: several joints hit, bounce, rest on their limits and part, some at the same time."""
+    scene = cvi.Scene()
+    scene.add_urdf("example-robot-data://robots/panda_description/urdf/panda.urdf")
+    scene.set_contact(restitution=restitution)
+    traj = cvi.simulate(scene, duration=1.0, dt=1e-3, order=order)
+    assert traj.status.code is cvi.StatusCode.SUCCESS
+    assert traj.t[-1] == 1.0
+    low, high = scene.model.lowerPositionLimit, scene.model.upperPositionLimit
+    assert np.max(low - traj.q) <= 1e-10
+    assert np.max(traj.q - high) <= 1e-10
+    assert len({event.pair for event in traj.events}) >= 3
+    assert traj.stats.held_steps > 0
+    check_contacts(traj)
+    assert not list(battery_laws.event_laws(traj))
+    assert not list(battery_laws.contact_laws(traj))
+    assert not list(battery_energy.energy_laws(traj, 1e-3))

@@ -5,7 +5,10 @@
 
 namespace contactvi {
 
+struct Scene;
+
 void expose_scene(nanobind::module_& m);
+void expose_elements(nanobind::class_<Scene>& scene);
 void expose_simulator(nanobind::module_& m);
 void expose_cone(nanobind::module_& m);
 void expose_dense(nanobind::module_& m);

@@ -11,6 +11,7 @@
 #include "error.hpp"
 #include "expose.hpp"
 #include "guard.hpp"
+#include "user_calls.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -201,7 +202,8 @@ VecX converted(const Scene& s, const VecX& q, const VecX& w) {
 }  // namespace
 
 void expose_scene(nb::module_& m) {
-  nb::class_<Scene>(m, "Scene")
+  nb::class_<Scene> scene(m, "Scene", nb::type_slots(scene_slots));
+  scene
       .def(
           "__init__",
           [](Scene* self, nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
@@ -245,6 +247,7 @@ void expose_scene(nb::module_& m) {
       .def("to_public", &converted<engine_to_public>, "q"_a, "v"_a)
       .def("momentum_to_engine", &converted<public_to_engine>, "q"_a, "p"_a)
       .def("momentum_to_public", &converted<engine_to_public>, "q"_a, "p"_a);
+  expose_elements(scene);
 }
 
 }  // namespace contactvi

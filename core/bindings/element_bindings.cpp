@@ -1,0 +1,308 @@
+// What pushes, drives and closes a scene: added once, before any simulator is made.
+#include <nanobind/eigen/dense.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <cmath>
+#include <limits>
+#include <map>
+
+#include "arrays.hpp"
+#include "constraints.hpp"
+#include "coordinates.hpp"
+#include "error.hpp"
+#include "expose.hpp"
+#include "scene.hpp"
+#include "user_calls.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace contactvi {
+
+nb::object& UserErrors::kept() {
+  static nb::object* error = new nb::object(nb::none());  // never destroyed: the interpreter may be gone by then
+  return *error;
+}
+
+void UserErrors::keep(nb::python_error& error) {
+  if (!any()) kept() = nb::borrow(error.value());
+}
+
+nb::object UserErrors::take() {
+  nb::object error = kept();
+  kept() = nb::none();
+  return error;
+}
+
+void UserErrors::raise() {
+  if (!any()) return;
+  const nb::object error = take();
+  PyErr_SetObject(reinterpret_cast<PyObject*>(Py_TYPE(error.ptr())), error.ptr());
+  throw nb::python_error();
+}
+
+namespace {
+
+UserFunctions* functions_of(PyObject* self) {
+  if (!nb::inst_ready(self)) return nullptr;
+  return static_cast<UserFunctions*>(nb::inst_ptr<Scene>(self)->tree.elements.functions.get());
+}
+
+int traverse(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  if (UserFunctions* functions = functions_of(self))
+    for (const nb::object& function : functions->list) Py_VISIT(function.ptr());
+  return 0;
+}
+
+int clear(PyObject* self) {
+  if (UserFunctions* functions = functions_of(self))
+    for (nb::object& function : functions->list) function = nb::none();
+  return 0;
+}
+
+// Keeps a function with the scene; what is returned finds it again.
+struct UserFunction {
+  const UserFunctions* kept;
+  std::size_t index;
+  template <class... Arguments>
+  nb::object operator()(Arguments&&... arguments) const {
+    return kept->list[index](std::forward<Arguments>(arguments)...);
+  }
+};
+
+UserFunction keep(Scene& s, const nb::object& function) {
+  std::shared_ptr<void>& owner = s.tree.elements.functions;
+  if (!owner) owner = std::make_shared<UserFunctions>();
+  auto* functions = static_cast<UserFunctions*>(owner.get());
+  functions->list.push_back(function);
+  return {functions, functions->list.size() - 1};
+}
+
+using Vec6 = Eigen::Matrix<double, 6, 1>;
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+void need(bool condition, const char* what) {
+  if (!condition) throw Error(what);
+}
+
+// Calls the function with the interpreter lock; where it fails, `otherwise` and a note in the scene.
+template <class Result, class Call>
+Result guarded(const std::shared_ptr<bool>& failed, const Result& otherwise, Call call) {
+  nb::gil_scoped_acquire gil;
+  try {
+    return call();
+  } catch (nb::python_error& error) {
+    UserErrors::keep(error);
+  } catch (const std::exception&) {  // what is returned has the wrong type
+  }
+  *failed = true;
+  return otherwise;
+}
+
+BodyFrame frame(const Tree& tree, int joint, const std::optional<Mat3>& R, const Vec3& p) {
+  need(joint >= 0 && joint < static_cast<int>(tree.body_of_source.size()), "a frame's joint does not exist");
+  const Mat3& R_BS = tree.R_body_source[joint];
+  return {tree.body_of_source[joint], R_BS * R.value_or(Mat3(Mat3::Identity())), R_BS * p};
+}
+
+// The engine joint of a public joint with one degree of freedom.
+int one_dof(const Tree& tree, int joint, bool continuous) {
+  need(joint > 0 && joint < static_cast<int>(tree.body_of_source.size()), "the joint does not exist");
+  const int found = tree.body_of_source[joint];
+  const Joint& j = tree.joints[found];
+  need(j.nv == 1 && (j.nq == 1 || continuous), "the joint has not one number in q");
+  return found;
+}
+
+Signal signal_of(Scene& s, const nb::object& function) {
+  if (function.is_none()) return {};
+  return [call = keep(s, function), failed = s.tree.elements.failed](double t) -> std::array<double, 3> {
+    return guarded(failed, std::array<double, 3>{kNaN, kNaN, kNaN}, [&] {
+      const nb::object value = call(t);
+      return std::array<double, 3>{nb::cast<double>(value[0]), nb::cast<double>(value[1]), nb::cast<double>(value[2])};
+    });
+  };
+}
+
+void set_dry_friction(Scene& s, const VecX& limits) {
+  Elements& e = s.tree.elements;
+  need(limits.size() == s.tree.nv, "expected shape (nv,)");
+  e.dry_friction = limits;
+  e.dry_dofs.clear();
+  for (int d = 0; d < s.tree.nv; ++d) {
+    need(limits[d] >= 0.0, "dry friction must be >= 0");
+    if (limits[d] == 0.0) continue;
+    need(s.tree.joints[s.tree.dof_joint[d]].nv == 1, "dry friction is for joints with one degree of freedom");
+    e.dry_dofs.push_back(d);
+  }
+}
+
+void add_joint_potential(Scene& s, int joint, double rest, const std::vector<double>& coefficients) {
+  s.tree.elements.joint_potentials.push_back({one_dof(s.tree, joint, false), rest, coefficients});
+}
+
+void add_path_spring(Scene& s, const std::vector<int>& joints, const Rows& points, double stiffness, double rest_length,
+                     double damping, bool tension_only) {
+  need(joints.size() >= 2 && points.rows() == static_cast<Eigen::Index>(joints.size()) && points.cols() == 3,
+       "expected at least two points of shape (3,)");
+  PathSpring spring{{}, stiffness, rest_length, damping, tension_only};
+  for (std::size_t i = 0; i < joints.size(); ++i)
+    spring.points.push_back(frame(s.tree, joints[i], std::nullopt, points.row(i).transpose()));
+  s.tree.elements.path_springs.push_back(std::move(spring));
+}
+
+void add_wrench(Scene& s, int joint, const Vec3& point, std::optional<Mat3> R, nb::object wrench) {
+  AppliedWrench w{frame(s.tree, joint, R, point), !R, Vec6::Zero(), {}};
+  if (PyCallable_Check(wrench.ptr()) != 0) {
+    w.signal = [wrench = keep(s, wrench), failed = s.tree.elements.failed](double t) -> Vec6 {
+      return guarded(failed, Vec6(Vec6::Constant(kNaN)), [&] { return nb::cast<Vec6>(wrench(t)); });
+    };
+  } else {
+    w.value = nb::cast<Vec6>(wrench);
+  }
+  s.tree.elements.wrenches.push_back(std::move(w));
+}
+
+void add_user_force(Scene& s, nb::object value, nb::object derivatives) {
+  UserForce force;
+  const int nv = s.tree.nv;
+  const auto failed = s.tree.elements.failed;
+  force.value = [value = keep(s, value), nv, failed](double t, const VecX& q, const VecX& v, VecX& f) {
+    f = guarded(failed, VecX(VecX::Constant(nv, kNaN)), [&] {
+      VecX result = nb::cast<VecX>(value(t, q, v));
+      if (result.size() != nv) throw Error("a user's force has the wrong size");
+      return result;
+    });
+  };
+  if (!derivatives.is_none())
+    force.derivative = [derivatives = keep(s, derivatives), nv, failed](double t, const VecX& q, const VecX& v, MatX& dq, MatX& dv) {
+      const MatX nan = MatX::Constant(nv, nv, kNaN);
+      std::tie(dq, dv) = guarded(failed, std::make_tuple(nan, nan), [&] {
+        const nb::object result = derivatives(t, q, v);
+        auto both = std::make_tuple(nb::cast<MatX>(result[0]), nb::cast<MatX>(result[1]));
+        for (const MatX* m : {&std::get<0>(both), &std::get<1>(both)})
+          if (m->rows() != nv || m->cols() != nv) throw Error("a user's derivative has the wrong size");
+        return both;
+      });
+    };
+  s.tree.elements.forces.push_back(std::move(force));
+}
+
+void add_user_potential(Scene& s, nb::object value, nb::object gradient, nb::object hessian) {
+  UserPotential p;
+  const int nv = s.tree.nv;
+  const auto failed = s.tree.elements.failed;
+  p.value = [value = keep(s, value), failed](const VecX& q) {
+    return guarded(failed, kNaN, [&] { return nb::cast<double>(value(q)); });
+  };
+  p.gradient = [gradient = keep(s, gradient), nv, failed](const VecX& q, VecX& g) {
+    g = guarded(failed, VecX(VecX::Constant(nv, kNaN)), [&] {
+      VecX result = nb::cast<VecX>(gradient(q));
+      if (result.size() != nv) throw Error("a user's gradient has the wrong size");
+      return result;
+    });
+  };
+  if (!hessian.is_none())
+    p.hessian = [hessian = keep(s, hessian), nv, failed](const VecX& q, MatX& H) {
+      H = guarded(failed, MatX(MatX::Constant(nv, nv, kNaN)), [&] {
+        MatX result = nb::cast<MatX>(hessian(q));
+        if (result.rows() != nv || result.cols() != nv) throw Error("a user's hessian has the wrong size");
+        return result;
+      });
+    };
+  s.tree.elements.potentials.push_back(std::move(p));
+}
+
+void add_constraint(Scene& s, const std::string& kind, int joint_a, std::optional<Mat3> R_a, const Vec3& p_a,
+                    int joint_b, std::optional<Mat3> R_b, const Vec3& p_b, const std::vector<double>& numbers,
+                    nb::object signal) {
+  static const std::map<std::string, ConstraintKind> kinds{
+      {"point", ConstraintKind::kPoint}, {"distance", ConstraintKind::kDistance}, {"weld", ConstraintKind::kWeld},
+      {"screw", ConstraintKind::kScrew}, {"equality", ConstraintKind::kEquality},
+      {"prescribed", ConstraintKind::kPrescribed}};
+  const auto found = kinds.find(kind);
+  need(found != kinds.end(), "unknown kind of constraint");
+  Elements& e = s.tree.elements;
+  Constraint c{found->second, {}, {}, -1, -1, numbers, signal_of(s, signal), e.constraint_rows, 0};
+  switch (c.kind) {
+    case ConstraintKind::kEquality:
+      c.joint_a = one_dof(s.tree, joint_a, false);
+      c.joint_b = one_dof(s.tree, joint_b, false);
+      break;
+    case ConstraintKind::kPrescribed:
+      need(static_cast<bool>(c.signal), "a prescribed joint needs a signal");
+      c.joint_b = one_dof(s.tree, joint_b, true);
+      break;
+    default:
+      c.a = frame(s.tree, joint_a, R_a, p_a);
+      c.b = frame(s.tree, joint_b, R_b, p_b);
+      need(c.kind != ConstraintKind::kScrew || numbers.size() == 2, "a screw has two numbers");
+      need(c.kind != ConstraintKind::kDistance || c.signal || numbers.size() == 1, "a distance has one number");
+  }
+  c.rows = constraint_rows(c.kind);
+  e.constraint_rows += c.rows;
+  e.constraints.push_back(std::move(c));
+}
+
+// phi (m,), W (nv, m) in engine coordinates, rate (m,).
+struct Evaluated {
+  VecX phi, rate;
+  MatX W;
+};
+
+Evaluated evaluate(const Scene& s, const VecX& q, double t) {
+  need(q.size() == s.tree.nq, "expected shape (nq,)");
+  const int m = s.tree.elements.constraint_rows;
+  Evaluated e{VecX::Zero(m), VecX::Zero(m), MatX::Zero(s.tree.nv, m)};
+  Placements at(s.tree);
+  place(s.tree, q, at);
+  evaluate_constraints(s.tree, at, q, t, e.phi, e.W, e.rate);
+  *s.tree.elements.failed = false;
+  UserErrors::raise();
+  return e;
+}
+
+nb::object jacobian(const Scene& s, const VecX& q, double t) {
+  Evaluated e = evaluate(s, q, t);
+  for (Eigen::Index k = 0; k < e.W.cols(); ++k) engine_to_public(s.tree, q, e.W.col(k));
+  return hand_over(Rows(e.W.transpose()));
+}
+
+std::vector<int> rows_per_constraint(const Scene& s) {
+  std::vector<int> rows;
+  for (const Constraint& c : s.tree.elements.constraints) rows.push_back(c.rows);
+  return rows;
+}
+
+}  // namespace
+
+PyType_Slot scene_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse)},
+                             {Py_tp_clear, reinterpret_cast<void*>(&clear)},
+                             {0, nullptr}};
+
+void expose_elements(nb::class_<Scene>& scene) {
+  scene
+      .def("set_dry_friction", &set_dry_friction, "limits"_a, "Largest dry friction of each dof [N; N m], (nv,).")
+      .def("add_joint_potential", &add_joint_potential, "joint"_a, "rest"_a, "coefficients"_a,
+           "V = sum_k c[k] x^(k+2), x = q - rest.")
+      .def("add_path_spring", &add_path_spring, "joints"_a, "points"_a, "stiffness"_a, "rest_length"_a, "damping"_a,
+           "tension_only"_a, "Along a line through points (n, 3) in the frames of joints.")
+      .def("add_wrench", &add_wrench, "joint"_a, "point"_a, "R"_a.none(), "wrench"_a,
+           "(force, torque) (6,) or a function of t, in the axes R of the joint's frame, or None: of the world.")
+      .def("add_user_force", &add_user_force, "value"_a, "derivatives"_a = nb::none(), "value(t, q, v) -> (nv,).")
+      .def("add_user_potential", &add_user_potential, "value"_a, "gradient"_a, "hessian"_a = nb::none(),
+           "value(q) [J], gradient(q) -> (nv,).")
+      .def("add_constraint", &add_constraint, "kind"_a, "joint_a"_a, "R_a"_a.none(), "p_a"_a, "joint_b"_a,
+           "R_b"_a.none(), "p_b"_a, "numbers"_a, "signal"_a = nb::none(), "See constraints.hpp.")
+      .def_prop_ro("constraint_rows", &rows_per_constraint)
+      .def("constraint_residual", [](const Scene& s, const VecX& q, double t) { return hand_over(evaluate(s, q, t).phi); },
+           "q"_a, "t"_a = 0.0, "phi(q, t), (m,).")
+      .def("constraint_jacobian", &jacobian, "q"_a, "t"_a = 0.0, "d phi/dq in public coordinates, (m, nv).")
+      .def("constraint_rate", [](const Scene& s, const VecX& q, double t) { return hand_over(evaluate(s, q, t).rate); },
+           "q"_a, "t"_a = 0.0, "d phi/dt at fixed q, (m,).");
+}
+
+}  // namespace contactvi
