@@ -90,7 +90,6 @@ def resolve(elements: Sequence[kinds.Element], model: pin.Model, start: np.ndarr
             result.potentials.append(element)
         elif isinstance(element, kinds.UserForce):
             result.forces.append(element)
-            result.time_varying = True
     return result
 
 

@@ -105,7 +105,7 @@ class Growing:
         if result.get("work") is None:
             self.known = False
             return
-        reactions = np.asarray(result["reactions"], dtype=float).reshape(len(t), self._rows)
+        reactions = np.zeros((len(t), 0)) if self._rows == 0 else np.asarray(result["reactions"], dtype=float)
         new = t > self._last
         spans = np.diff(np.append(self._last, t[new]))[:, None]
         impulse = self._pending + np.cumsum(reactions[new] * spans, axis=0)
