@@ -20,6 +20,7 @@ from contactvi.inputs import pose
 from contactvi.simulator import Simulator
 
 Array = NDArray[np.float64]
+_ROUNDING = 1e-9  # of a step: an impact at its end may be a digit later than the step
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +161,8 @@ class ContactSensor:
 
 def _within(log: ContactLog, start: float, end: float) -> NDArray[np.bool_]:
     """Return which rows lie in (start, end]: steps by their middle, impacts by their time."""
-    middle = log.t + 0.5 * log.h
-    return np.asarray((middle > start) & (middle <= end))
+    middle, slack = log.t + 0.5 * log.h, _ROUNDING * (end - start)
+    return np.asarray((middle > start + slack) & (middle <= end + slack))
 
 
 def _frame(simulator: Simulator, body: Any) -> tuple[int, pin.SE3]:

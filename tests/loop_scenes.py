@@ -42,3 +42,19 @@ def four_bar_start(scene: cvi.Scene) -> np.ndarray:
     """A configuration on the loop: the first rod at 60 degrees upwards."""
     q = scene.configuration({"j1": -np.pi / 3, "j2": 1.0, "j3": 1.0})
     return scene.assemble(q, fixed=["j1"])
+
+
+URDF = """<robot name="arm"><link name="base"/>
+{links}
+<joint name="j1" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="4" velocity="1"/><dynamics friction="0.3" damping="0"/>{one}</joint>
+<joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="4" velocity="1"/>{two}</joint></robot>"""
+LINK = (
+    '<link name="l{}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    "</inertial></link>"
+)
+
+
+def urdf(one: str = "", two: str = "") -> str:
+    return URDF.format(links=LINK.format(1) + LINK.format(2), one=one, two=two)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loop_scenes import BAR, arm_scene, four_bar, four_bar_start
+from loop_scenes import BAR, arm_scene, four_bar, four_bar_start, urdf
 
 import contactvi as cvi
 from contactvi.scene_file import load_scene
@@ -237,20 +237,6 @@ velocity = 3
 [initial]
 assemble = true
 """
-URDF = """<robot name="arm"><link name="base"/>
-{links}
-<joint name="j1" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
-<limit lower="-2" upper="2" effort="4" velocity="1"/><dynamics friction="0.3" damping="0"/>{one}</joint>
-<joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
-<limit lower="-2" upper="2" effort="4" velocity="1"/>{two}</joint></robot>"""
-LINK = (
-    '<link name="l{}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-    "</inertial></link>"
-)
-
-
-def urdf(one: str = "", two: str = "") -> str:
-    return URDF.format(links=LINK.format(1) + LINK.format(2), one=one, two=two)
 
 
 def test_scene_files(tmp_path: Path):
