@@ -101,11 +101,22 @@ class PenetrationError(ContactviError):
 class ConstraintError(ContactviError):
     """Constraints that do not hold, or cannot.
 
-    `residuals` : name -> largest residual [m, rad; m/s, rad/s], worst first.
+    `residuals` : name -> largest residual [m, rad; m/s, rad/s], worst first. `status`, `trajectory`: of a run that came
+    to where they cannot be met, its end and the part that was computed.
     """
 
-    def __init__(self, what: str, *, residuals: Mapping[str, float] | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        what: str,
+        *,
+        residuals: Mapping[str, float] | None = None,
+        status: Any = None,
+        trajectory: Any = None,
+        **kwargs: Any,
+    ) -> None:
         self.residuals = dict(residuals or {})
+        self.status = status
+        self.trajectory = trajectory
         super().__init__(what, **kwargs)
 
     @property

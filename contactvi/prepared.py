@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from contactvi import loops
 from contactvi.checks import States
 from contactvi.derivative_check import check_element, mover
-from contactvi.errors import SceneError
+from contactvi.errors import ConstraintError, SceneError, UserFunctionError
 from contactvi.forces import ConstraintRows
 from contactvi.scene import Scene
 
@@ -94,6 +94,19 @@ class Prepared:
         v = np.zeros(self.states.nv)
         rows = self.built.elements.constraints
         return loops.consistent_velocity(self.core, rows, q, v, t) if rows else v
+
+    def unreachable(self, q: NDArray[np.float64], t: float) -> ConstraintError | None:
+        """Return the error that names the constraints which cannot be met at t [s] near q (nq,), None if they can."""
+        rows = self.built.elements.constraints
+        if not rows:
+            return None
+        try:
+            loops.assemble(self.core, self.built.model, rows, q, (), t)
+        except ConstraintError as error:
+            return error
+        except UserFunctionError:  # of a motion that ends there; the run has said so if it matters
+            return None
+        return None
 
     def check_start(self, q: NDArray[np.float64], v: NDArray[np.float64], t: float) -> None:
         """Raise ConstraintError where (q, v) at t [s] is not on the constraints, DerivativeError for wrong ones."""

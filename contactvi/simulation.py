@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi import auto_step
 from contactvi.endings import REMEDY
-from contactvi.errors import InputError, PenetrationError, SimulationError
+from contactvi.errors import ConstraintError, InputError, PenetrationError, SimulationError
 from contactvi.options import Options
 from contactvi.prepared import Prepared, prepare
 from contactvi.simulator import PROGRESS_PERIOD, Simulator, settings_of
@@ -73,8 +73,9 @@ def simulate(
     Raises
     ------
     InputError : for arguments of the wrong shape or range. PenetrationError, SimulationError : see `throw`.
-    ConstraintError : for a start that is not on the constraints. UserFunctionError : for functions of the user (control
-        among them) that fail or return what cannot be used. DerivativeError : for wrong derivatives of theirs.
+    ConstraintError : for a start that is not on the constraints, and where motions or lengths cannot be reached.
+    UserFunctionError : for functions of the user (control among them) that fail or return what cannot be used.
+    DerivativeError : for wrong derivatives of theirs.
 
     Warns
     -----
@@ -153,7 +154,23 @@ def _run(
             simulator._run(options.steps, control, target, progress)
     except KeyboardInterrupt:
         simulator.interrupt()
+    if throw and simulator.unreachable is not None:
+        raise _unreachable(simulator.unreachable, simulator.trajectory())
     return simulator.trajectory()
+
+
+def _unreachable(found: ConstraintError, traj: Trajectory) -> ConstraintError:
+    """Return the error of a run that came to where its constraints cannot be met."""
+    names = ", ".join(repr(name) for name in found.constraints)
+    return ConstraintError(
+        f"The run came to where there is no way on for the constraints {names}, at t = {traj.status.time:.9g} s",
+        residuals=found.residuals,
+        expected="loops that stay closed, lengths and motions that can be reached",
+        got=found.got,
+        remedy="Mend the prescribed motions and lengths; error.trajectory is what was computed",
+        status=traj.status,
+        trajectory=traj,
+    )
 
 
 def _follow(simulator: Simulator, steps: int, control: Control, target: Any, progress: Progress | None) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi import engine
 from contactvi import events as event_log
 from contactvi.contacts import Contact
-from contactvi.errors import InputError, SimulationError
+from contactvi.errors import ConstraintError, InputError, SimulationError
 from contactvi.ledger import Ledger
 from contactvi.ledger_watch import Watch
 from contactvi.map_checks import Stall, check_elements, check_map, check_unforced
@@ -91,6 +91,7 @@ class Simulator:
         check_elements(prepared, options)
         self._engine: Any = None
         self._record: Record | None = None
+        self.unreachable: ConstraintError | None = None  # why a run ended where constraints could not be met
 
     @cached_property
     def scene(self) -> Scene:
@@ -103,6 +104,7 @@ class Simulator:
         Raises InputError for a bad state and PenetrationError (pair, depth) where shapes overlap or a joint is beyond
         its limit.
         """
+        self.unreachable = None
         self._engine = engine.make(self._scene, self.options)  # a new one: its counters start at zero
         self._watch = Watch(self.options.ledger) if self.options.ledger else None
         inelastic = self.options.impact == "dtec" and self._scene.loses_energy
@@ -147,6 +149,16 @@ class Simulator:
     def _advance(
         self, steps: int, forces: Array | None, goals: Array | None, progress: Progress | None = None
     ) -> Status:
+        status = self._stepped(steps, forces, goals, progress)
+        if status.code in (StatusCode.NEWTON_FAILED, StatusCode.EVENT_UNRESOLVED) and self._scene.constraint_rows:
+            self.unreachable = self._scene.unreachable(self.q, status.time + self.options.fixed_dt)
+            if self.unreachable is not None:
+                names = ", ".join(repr(name) for name in self.unreachable.constraints)
+                text = f"{status.message}: there is no way on for the constraints {names}"
+                status = self._started().status = Status(status.code, text, status.time)
+        return status
+
+    def _stepped(self, steps: int, forces: Array | None, goals: Array | None, progress: Progress | None) -> Status:
         record = self._running()
         self._before = (self.t, self.q, self.p) if steps == 1 else None
         if forces is not None and np.any(forces):

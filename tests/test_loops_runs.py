@@ -164,6 +164,35 @@ def test_a_motion_that_fails_ends_the_run_by_name():
         cvi.simulate(scene, duration=0.3, dt=1e-3)
 
 
+def test_a_motion_out_of_reach_is_named():
+    """A linkage with a crank that cannot turn so far; a winch that gives more rope than there are rods."""
+    scene = four_bar(ground=0.7)
+    q = four_bar_start(scene)
+    scene.prescribe("j1", lambda t: (q[0] - t, -1.0, 0.0), name="crank")
+    with pytest.raises(cvi.ConstraintError) as caught:
+        cvi.simulate(scene, q, duration=3.0, dt=1e-3)
+    error = caught.value
+    assert set(error.constraints) <= {"loop", "crank"}
+    assert 0.4 < error.trajectory.t[-1] < 0.6
+    assert "no way on for the constraints" in str(error)
+    stopped = cvi.simulate(scene, q, duration=3.0, dt=1e-3, throw=False)
+    assert "'loop'" in stopped.status.message
+    assert residuals(stopped) <= PHI
+    winch = arm_scene(2)
+    winch.add_distance("world", "j2", (0, 0, 0.5), (BAR, 0, 0), length=lambda t: 1.0 + t, name="winch")
+    with pytest.raises(cvi.ConstraintError, match=r"'winch', at t = 0\.(29|3)"):
+        cvi.simulate(winch, winch.assemble(), duration=1.0, dt=1e-3)
+
+
+def test_drives_that_part_are_named():
+    scene = arm_scene(1)
+    scene.prescribe("j1", 0.0, name="a")
+    scene.prescribe("j1", lambda t: max(0.0, t - 0.5) ** 3, name="b")
+    with pytest.raises(cvi.ConstraintError) as caught:
+        cvi.simulate(scene, duration=1.0, dt=1e-3)
+    assert set(caught.value.constraints) == {"a", "b"}
+
+
 def test_continuous_joints_turn_round_and_round():
     scene = cvi.Scene.from_pinocchio(_wheel(), name="wheel")
     scene.prescribe("j1", lambda t: (20.0 * t, 20.0, 0.0))
