@@ -27,7 +27,7 @@ def chain(links: int) -> pin.Model:
 def urdf_model(path: str, base: str) -> pin.Model:
     """pin.Model of a robot of example-robot-data, without its joint damping."""
     scene = cvi.Scene()
-    scene.add_urdf(ROBOTS + path, base=base)
+    scene.add_urdf(ROBOTS + path, base=base, mimic=False)
     model = pin.Model(scene.model)
     model.damping[:] = 0.0
     return model

@@ -20,21 +20,27 @@ if TYPE_CHECKING:
     from contactvi import errors
     from contactvi.contacts import ChangeLog, Contact, ContactChange, ContactLog
     from contactvi.dense import State
+    from contactvi.derivative_check import check_derivatives
     from contactvi.errors import (
         AccuracyWarning,
+        ConstraintError,
         ContactviError,
+        DerivativeError,
         InputError,
         PenetrationError,
         SceneError,
         SimulationError,
         UnsupportedJointError,
+        UserFunctionError,
     )
     from contactvi.events import Event, EventLog
     from contactvi.options import Options
     from contactvi.plots import plot, plot_forces
     from contactvi.scene import Scene
     from contactvi.scene_file import load_scene
-    from contactvi.simulation import Simulator, simulate
+    from contactvi.sensors import ContactSensor, Imu, JointEncoder
+    from contactvi.simulation import simulate
+    from contactvi.simulator import Simulator
     from contactvi.simultaneous import SimultaneousOutcomes, simultaneous_outcomes
     from contactvi.status import Stats, Status, StatusCode
     from contactvi.trajectory import Trajectory
@@ -44,12 +50,16 @@ if TYPE_CHECKING:
 
 _HOME = {
     "AccuracyWarning": "errors",
+    "ConstraintError": "errors",
     "ContactviError": "errors",
+    "DerivativeError": "errors",
     "InputError": "errors",
     "PenetrationError": "errors",
     "SceneError": "errors",
     "SimulationError": "errors",
     "UnsupportedJointError": "errors",
+    "UserFunctionError": "errors",
+    "check_derivatives": "derivative_check",
     "ChangeLog": "contacts",
     "Contact": "contacts",
     "ContactChange": "contacts",
@@ -59,8 +69,11 @@ _HOME = {
     "Options": "options",
     "Scene": "scene",
     "load_scene": "scene_file",
+    "ContactSensor": "sensors",
+    "Imu": "sensors",
+    "JointEncoder": "sensors",
     "simulate": "simulation",  # not "simulate": a submodule of that name would shadow the function
-    "Simulator": "simulation",
+    "Simulator": "simulator",
     "SimultaneousOutcomes": "simultaneous",
     "simultaneous_outcomes": "simultaneous",
     "State": "dense",
@@ -76,13 +89,18 @@ _HOME = {
 __all__ = [
     "AccuracyWarning",
     "ChangeLog",
+    "ConstraintError",
     "Contact",
     "ContactChange",
     "ContactLog",
+    "ContactSensor",
     "ContactviError",
+    "DerivativeError",
     "Event",
     "EventLog",
+    "Imu",
     "InputError",
+    "JointEncoder",
     "Options",
     "PenetrationError",
     "Scene",
@@ -96,7 +114,9 @@ __all__ = [
     "StatusCode",
     "Trajectory",
     "UnsupportedJointError",
+    "UserFunctionError",
     "__version__",
+    "check_derivatives",
     "errors",
     "load_scene",
     "plot",

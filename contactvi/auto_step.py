@@ -32,7 +32,7 @@ from contactvi import dense, engine
 from contactvi.errors import AccuracyWarning, PenetrationError
 from contactvi.ledger import Ledger
 from contactvi.ledger_watch import Watch
-from contactvi.map_checks import check_map
+from contactvi.map_checks import check_elements, check_map
 from contactvi.options import Options
 from contactvi.prepared import Prepared
 from contactvi.record import Record
@@ -73,6 +73,7 @@ def run(
     Raises PenetrationError where `throw`. Warns with AccuracyWarning where tol was not reached.
     """
     check_map(prepared, options)
+    check_elements(prepared, options)
     search = _Search(prepared, options if options.dense else replace(options, dense=True), q0, v0, progress)
     try:
         found, estimate = search.search()
@@ -336,7 +337,8 @@ def _watch(record: Record) -> None:
     prepared, options = record.prepared, record.options
     ledger = Ledger(
         prepared.core, options, t, q, p, record.log(), model=prepared.built.model, collision=prepared.built.collision,
-        forced=False, start=record.start, contacts=record.contact_log(), phases=record.phases_joined(),
+        forced=record.forced, start=record.start, contacts=record.contact_log(), phases=record.phases_joined(),
+        elements=prepared.built.elements.any,
     )  # fmt: skip
     excess = Watch(options.ledger or {}).check(ledger)
     if excess is not None:

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.errors import InputError
+from contactvi.errors import InputError, UserFunctionError
 
 Array = NDArray[np.float64]
 _NORM_TOLERANCE = 1e-6  # a quaternion typed with seven digits passes and is normalised, a forgotten one does not
@@ -107,6 +107,22 @@ class States:
     def force(self, tau: Any, name: str = "tau") -> Array:
         """Return one generalized force as an array of shape (nv,)."""
         return array(name, tau, (self.nv,), "one generalized force")
+
+    def controlled(self, tau: Any, t: float) -> Array:
+        """Return what a control function returned at t [s] as one generalized force, shape (nv,).
+
+        Raises UserFunctionError, which says when.
+        """
+        try:
+            return self.force(tau)
+        except InputError as error:
+            raise UserFunctionError(
+                f"The control returned what cannot be used at t = {t:.9g} s, {error.what}",
+                function="control",
+                time=t,
+                expected=error.expected,
+                got=error.got,
+            ) from None
 
     def forces(self, tau: Any, steps: int, name: str = "control") -> Array:
         """Return the generalized forces of all steps as an array of shape (steps, nv)."""

@@ -58,8 +58,10 @@ def start(
     """
     states = prepared.states
     q = states.configuration(prepared.q0 if q0 is None else q0)
-    v = states.velocity(prepared.v0 if v0 is None else v0)
     begin = t if type(t) is float and t == 0.0 else float(checks.array("t", t, (), "the start time in seconds"))
+    given = prepared.v0 if v0 is None else v0
+    v = prepared.start_velocity(q, begin) if given is None else states.velocity(given)
+    prepared.check_start(q, v, begin)
     result = call(engine.reset, q, v, begin)
     record = Record(prepared, options, begin, q, engine.p)
     if result["code"] == StatusCode.SUCCESS:
@@ -68,13 +70,24 @@ def start(
     return record, _refusal(status, record.names(result), float(result["depth"]))
 
 
-def advance(engine: Any, record: Record, steps: int, forces: Any, progress: Callable[..., object] | None) -> Status:
-    """Make steps with forces (steps, nv) or None and record them; errors of the progress callback are raised."""
-    return take(record, call(engine.advance, steps, forces, record.options.record_every, progress))
+def advance(
+    engine: Any,
+    record: Record,
+    steps: int,
+    forces: Any,
+    progress: Callable[..., object] | None,
+    targets: Any = None,
+) -> Status:
+    """Make steps with forces (steps, nv) or None and record them; targets (steps, 2 nv) of servos, None without.
+
+    Errors of the progress callback and of functions of the user are raised.
+    """
+    more = () if targets is None else (targets,)
+    return take(record, call(engine.advance, steps, forces, record.options.record_every, progress, *more))
 
 
 def take(record: Record, result: dict[str, Any]) -> Status:
-    """Record what the engine did; raise the error of the progress callback, except Ctrl-C, which ends the run."""
+    """Record what the engine did; raise the error of a callback, except Ctrl-C, which ends the run."""
     status = record.collect(result)
     error = result["error"]
     if error is not None and not isinstance(error, KeyboardInterrupt):

@@ -6,7 +6,7 @@ Every message says what was expected, what was got and how to remedy it.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 
@@ -96,6 +96,80 @@ class PenetrationError(ContactviError):
         self.pair = pair
         self.depth = depth
         super().__init__(what, **kwargs)
+
+
+class ConstraintError(ContactviError):
+    """Constraints that do not hold, or cannot.
+
+    `residuals` : name -> largest residual [m, rad; m/s, rad/s], worst first. `status`, `trajectory`: of a run that came
+    to where they cannot be met, its end and the part that was computed.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        residuals: Mapping[str, float] | None = None,
+        status: Any = None,
+        trajectory: Any = None,
+        **kwargs: Any,
+    ) -> None:
+        self.residuals = dict(residuals or {})
+        self.status = status
+        self.trajectory = trajectory
+        super().__init__(what, **kwargs)
+
+    @property
+    def constraints(self) -> tuple[str, ...]:
+        """Names of the constraints, worst first."""
+        return tuple(self.residuals)
+
+
+class UserFunctionError(InputError):
+    """A function of the user that fails or returns what cannot be used.
+
+    `function` is its name, `time` when it was called [s] (None: it is no function of time), `entry` which of the
+    numbers it returned is wrong. What it raised is the error's `__cause__`.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        function: str | None = None,
+        time: float | None = None,
+        entry: str | None = None,
+        **kwargs: Any,
+    ) -> None:
+        self.function = function
+        self.time = time
+        self.entry = entry
+        super().__init__(what, name=function, **kwargs)
+
+
+class DerivativeError(InputError):
+    """A derivative given by the user that is not that of the function.
+
+    `function` is the derivative's name, `row` and `column` the wrong entry (None: there is none such), `dof` the names
+    of the joints these belong to, `error` the difference from central differences.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        function: str | None = None,
+        row: int | None = None,
+        column: int | None = None,
+        dof: tuple[str, ...] = (),
+        error: float | None = None,
+        **kwargs: Any,
+    ) -> None:
+        self.function = function
+        self.row, self.column = row, column
+        self.dof = dof
+        self.error = error
+        super().__init__(what, name=function, **kwargs)
 
 
 class SimulationError(ContactviError):

@@ -16,7 +16,9 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import ContactviError, InputError, SceneError
+from contactvi.file_constraints import equality_constraints, mimic_constraints
 from contactvi.hulls import describe, prepare_geometry
+from contactvi.inputs import flag
 from contactvi.mjcf import STATIC, read_mjcf
 from contactvi.model_checks import check_joints, check_numbers, describe_model, has_limits, joint_kind
 from contactvi.parts import Part, plate_of
@@ -37,6 +39,7 @@ def import_urdf(
     srdf: str | os.PathLike[str] | None = None,
     prefix: str = "",
     folder: Path | None = None,
+    mimic: Any = True,
 ) -> Part:
     """Return the part described by a URDF; arguments as in Scene.add_urdf, a relative path is relative to `folder`.
 
@@ -73,13 +76,19 @@ def import_urdf(
             mimics=text.mimics,
         )
         _finish(part, file.name)
+        part.constraints = mimic_constraints(part, text.mimics, flag("mimic", mimic))
     if base == "free":
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
     return part
 
 
 def import_mjcf(
-    path: str | os.PathLike[str], *, placement: pin.SE3, prefix: str = "", folder: Path | None = None
+    path: str | os.PathLike[str],
+    *,
+    placement: pin.SE3,
+    prefix: str = "",
+    folder: Path | None = None,
+    equality: Any = True,
 ) -> Part:
     """Return the part described by an MJCF; arguments as in Scene.add_mjcf. Raises like import_urdf."""
     file = resolve_path(path, folder)
@@ -110,6 +119,7 @@ def import_mjcf(
             disabled=text.excluded,
         )
         _finish(part, file.name)
+        part.constraints = equality_constraints(part, text.constraints, flag("equality", equality))
     start = {entry.key(): entry.data() for entry in model.referenceConfigurations}.get("qpos0")
     if start is not None:
         _take_free_poses(part, start)

@@ -34,6 +34,13 @@ def _interval(low: float, high: float, open_low: bool) -> str:
     return f"a number in {'(' if open_low else '['}{low:g}, {high:g}]"
 
 
+def flag(name: str, value: Any) -> bool:
+    """Return True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"Argument {name}", name=name, expected="True or False", got=repr(value))
+    return bool(value)
+
+
 def vector(name: str, value: Any, size: int) -> np.ndarray:
     """Return `value` as a finite float array of shape (size,)."""
     try:

@@ -23,14 +23,17 @@ Tolerances, the keys of `ledger` of a run (option_checks.LEDGER_TOLERANCES), are
 - energy_jump, modified_energy_jump, discrete_energy_jump, own_jump (of the map used): likewise relative.
 - linear_momentum, angular_momentum: distance from the start [N s], [N m s], for free bodies without gravity;
   linear_momentum_jump, angular_momentum_jump: at an impact of free bodies.
+- energy_balance: of what H changed beyond the work of inputs and drives and the losses of damping, friction and
+  impacts, relative to the largest kinetic energy so far. It is O(dt^2) in every run with steps of one length.
 - energy_rise: how far the energy at a node is above the least one before it, relative to the largest kinetic energy so
   far: more than the error of the integrator is an error of a contact. For runs without inputs.
 - impulse: how far one is below zero [N s]. complementarity: abs(gap * impulse) [N m s]. gap: abs(gap) [m]. Of impacts
   and of held contacts. impulse_balance: between two nodes, of free bodies [N s].
 
 Inputs are not kept in a run; what needs a step to be made again (discrete energy, jumps but that of the energy) is NaN
-where a run had some, and where the run had to cut that step in two because its sweeps did not converge. The same where
-contacts are held: the discrete energy and the modified Hamiltonian are those of free steps.
+where a run had some (or constraints, dry friction, servos, wrenches, dampers, forces of the user), and where the run
+had to cut that step in two because its sweeps did not converge. The same where contacts are held or the scene has
+constraints or dry friction: the discrete energy and the modified Hamiltonian are those of free steps.
 """
 
 from __future__ import annotations
@@ -47,6 +50,7 @@ from numpy.typing import NDArray
 from contactvi.contact_ledger import ContactLedger, free_trees
 from contactvi.contacts import ContactLog, empty_contacts
 from contactvi.events import HELD, EventLog
+from contactvi.forces import Forces
 from contactvi.options import Options
 
 Array = NDArray[np.float64]
@@ -58,7 +62,7 @@ class Ledger:
 
     Per node, shapes (N,) and (N, 3): energy, modified_energy, discrete_energy (of the step that starts there; NaN where
     an impact cuts that step, and at the last node), linear_momentum, angular_momentum, loss (so far), friction_loss,
-    energy_rise, impulse_balance, held (whether contacts are held in the step that starts there).
+    energy_balance, energy_rise, impulse_balance, held (whether contacts are held in the step that starts there).
     Per event, shapes (n,) and (n, 3): energy_jump, modified_energy_jump, discrete_energy_jump, own_jump, event_loss,
     impulse, gap, complementarity, linear_momentum_jump, angular_momentum_jump.
     """
@@ -78,13 +82,19 @@ class Ledger:
         start: float,
         contacts: ContactLog | None = None,
         phases: Mapping[str, Array] | None = None,
+        forces: Forces | None = None,
+        elements: bool = False,
+        constrained: bool = False,
     ) -> None:
         """Of nodes t (N,) [s], q (N, nq), p (N, nv), events, contacts and phases of a run that began at `start` [s].
 
         options: its settings; of them the order, and dt where all steps have one length. model, collision: those of the
-        complete scene. forced: whether there were inputs, which are not known here.
+        complete scene. forced: whether there were inputs or forces that no step made again here has; forces: the work
+        they did, None where it is not known. elements: whether the scene has some; constrained: whether all its steps
+        have constraints or dry friction.
         """
         self._core, self._forced, self._start = core, forced, start
+        self._forces, self._elements, self._constrained = forces, elements, constrained
         self._dt = float("nan") if options.auto else options.fixed_dt
         self._order = options.order
         c, b = np.polynomial.legendre.leggauss(options.order // 2)
@@ -147,6 +157,28 @@ class Ledger:
         return self.contacts.friction_loss
 
     @cached_property
+    def undriven_energy(self) -> Array:
+        """H less what inputs and drives put in, plus what damping and dry friction of joints took [J], shape (N,).
+
+        NaN where that was not recorded: with dt="auto" and damping or forces.
+        """
+        if self._forces is not None:
+            work = self._forces.work
+            return np.asarray(self.energy - work.input - work.drive + work.damping + work.dry)
+        lossless = not self._forced and not np.any(self._damping)
+        return self.energy if lossless else np.full(len(self.t), np.nan)
+
+    @cached_property
+    def energy_balance(self) -> Array:
+        """Change of H that is not accounted for since the first node [J], shape (N,): of O(dt^2).
+
+        H less the work of inputs and drives, plus what damping, dry friction, friction of held contacts and impacts
+        took.
+        """
+        known = self.undriven_energy + self.loss
+        return np.asarray(known - known[0])
+
+    @cached_property
     def energy_rise(self) -> Array:
         """H at the node less the least H at a node before it, >= 0 [J], shape (N,)."""
         return np.asarray(self.energy - np.minimum.accumulate(self.energy))
@@ -168,7 +200,8 @@ class Ledger:
         """How exactly contacts are held, row by row of the run's contacts."""
         model, trees = self._bodies[0], free_trees(*self._bodies)
         gravity = np.array(model.gravity.linear)
-        return ContactLedger(self._contact_log, self.t, self._q, self._p, trees, gravity, self._forced)
+        unknown = self._forced or self._elements
+        return ContactLedger(self._contact_log, self.t, self._q, self._p, trees, gravity, unknown)
 
     # -- per event -----------------------------------------------------------------------------------------------------
 
@@ -268,8 +301,8 @@ class Ledger:
 
     def _held(self, t: Array, side: Literal["left", "right"] = "right") -> NDArray[np.bool_]:
         """Return whether contacts are held just after (or before: "left") these times, shape (N,)."""
-        if self._phases is None:
-            return np.zeros(len(t), dtype=bool)
+        if self._constrained or self._phases is None:
+            return np.full(len(t), self._constrained)
         at = np.searchsorted(self._phases["t"], t, side=side) - 1
         return np.asarray((at >= 0) & (self._phases["held"][np.clip(at, 0, None)] != 0.0))
 

@@ -82,6 +82,7 @@ class Watch:
         if name == "impulse_balance":
             return value
         if name in _RELATIVE:
+            value = block.undriven_energy if name == "energy_balance" else value
             value = value + self._lost + block.loss
             known = value[np.isfinite(value)]
             if name not in self._start and len(known):
@@ -92,11 +93,11 @@ class Watch:
 
 _NODE = (
     *("energy", "modified_energy", "discrete_energy", "linear_momentum", "angular_momentum"),
-    *("energy_rise", "impulse_balance"),
+    *("energy_rise", "impulse_balance", "energy_balance"),
 )
 _FREE = ("modified_energy", "discrete_energy")  # defined for free steps only
 _RELATIVE = (
-    *("energy", "modified_energy", "discrete_energy", "energy_rise"),
+    *("energy", "modified_energy", "discrete_energy", "energy_rise", "energy_balance"),
     *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
 )
 _EVENT: dict[str, Callable[[Ledger], Array]] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ UNFORCED_TOLERANCES = (
     *("discrete_energy", "discrete_energy_jump", "modified_energy_jump"),
     *("energy_rise", "impulse_balance"),
 )
+_REMADE_TOLERANCES = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")
 NO_ANSWER_DTEC = (  # accumulating impacts end a run of DTEC whatever options.zeno says
     "DTEC cannot answer there: the energy it shifts at an impact, m g h times a part of the step, does not shrink with "
     "the flights"
@@ -65,17 +67,34 @@ def check_map(prepared: Prepared, options: Options) -> None:
 
 def check_unforced(options: Options) -> None:
     """Raise InputError where inputs spoil the impact map (it carries an energy) or a tolerance of the ledger."""
-    blind = [name for name in options.ledger or () if name in UNFORCED_TOLERANCES]
-    if blind:
-        raise InputError(
-            f"The ledger cannot hold {blind[0]} in a run with inputs",
-            name="ledger",
-            expected="tolerances that need to know no inputs",
-            got=", ".join(blind),
-            remedy="Leave it out; own_jump is the engine's own and works with inputs",
-        )
+    _refuse_blind(options, UNFORCED_TOLERANCES, "inputs")
     if _carries_reference(options):
         _refuse_global("control", "forces put in from outside", "Use mhc_reference='local'")
+
+
+def check_elements(prepared: Prepared, options: Options) -> None:
+    """The same for what the scene has besides potentials and joint damping."""
+    if prepared.driven is not None:
+        _refuse_blind(options, UNFORCED_TOLERANCES, prepared.driven)
+    elif prepared.forced:
+        _refuse_blind(options, _REMADE_TOLERANCES, "constraints, dampers or dry friction")
+    if prepared.built.elements.any:
+        _refuse_blind(options, ("impulse_balance",), "forces or constraints on bodies")
+    if prepared.forced and _carries_reference(options):
+        what = prepared.driven or "constraints, dampers or dry friction"
+        _refuse_global(what, f"a scene with {what}", "Use mhc_reference='local'")
+
+
+def _refuse_blind(options: Options, names: Collection[str], what: str) -> None:
+    blind = [name for name in options.ledger or () if name in names]
+    if blind:
+        raise InputError(
+            f"The ledger cannot hold {blind[0]} in a run with {what}",
+            name="ledger",
+            expected=f"tolerances that need to know no {what}",
+            got=", ".join(blind),
+            remedy="Leave it out; own_jump is the engine's own and works with inputs, and so does energy_balance",
+        )
 
 
 def _carries_reference(options: Options) -> bool:

@@ -10,9 +10,11 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 from contactvi.errors import SceneError
+from contactvi.mjcf_equality import read_equality
 from contactvi.report import PartReport
 from contactvi.xml_input import Element, named, numbers, read_xml
 
@@ -22,18 +24,22 @@ NUMERIC = {
     "joint": ("pos", "axis", "range", "damping", "armature", "frictionloss", "stiffness", "ref"),
     "inertial": ("pos", "quat", "mass", "diaginertia", "fullinertia"),
 }
-IGNORED_SECTIONS = ("actuator", "sensor", "tendon", "equality", "contact", "keyframe", "custom", "statistic", "visual")
+IGNORED_SECTIONS = ("actuator", "sensor", "tendon", "contact", "keyframe", "custom", "statistic", "visual")
 REFUSED_ELEMENTS = ("replicate", "composite", "flexcomp", "attach", "frame")
 STATIC = "mjcf_world"  # name of the static body that gathers the top bodies
 
 
 @dataclass
 class MjcfText:
-    """A checked MJCF: its model name, the rewritten XML, and its <exclude> pairs of bodies with the reason."""
+    """A checked MJCF: its model name, the rewritten XML, its <exclude> pairs of bodies with the reason.
+
+    constraints : as mjcf_equality.read_equality returns them.
+    """
 
     name: str
     xml: str
     excluded: list[tuple[str, str, str]]
+    constraints: list[dict[str, Any]]
 
 
 def read_mjcf(path: Path, report: PartReport) -> MjcfText:
@@ -61,10 +67,13 @@ def read_mjcf(path: Path, report: PartReport) -> MjcfText:
         world.remove(body)
         static.append(body)
     world.append(static)
-    for section in IGNORED_SECTIONS:
+    constraints = read_equality(root, path, report)
+    for section in (*IGNORED_SECTIONS, "equality"):
         for element in root.findall(section):
             root.remove(element)
-    return MjcfText(root.get("model") or path.stem, ElementTree.tostring(root, encoding="unicode"), excluded)
+    return MjcfText(
+        root.get("model") or path.stem, ElementTree.tostring(root, encoding="unicode"), excluded, constraints
+    )
 
 
 def _include(root: Element, path: Path, depth: int) -> None:

@@ -32,6 +32,7 @@ ONE_DOF = ("revolute", "continuous", "prismatic", "helical")
 PLACING = ("free", "planar", "translation", "prismatic")  # root joints by which the start places a whole tree
 SINGULAR = 1e-12  # a pivot of the scaled mass matrix below this is a motion without inertia
 NO_LIMIT = 1e300  # Pinocchio writes both inf and the largest double for "no limit"
+FILE_FRICTION = "Coulomb friction"  # how the note of a joint's dry friction begins
 FAST_DAMPING = 1e3  # [1/s] damping / inertia above this acts within one millisecond step
 
 
@@ -215,7 +216,7 @@ def check_mass(model: pin.Model, q: np.ndarray, source: str) -> np.ndarray:
 
 
 def describe_model(
-    model: pin.Model, report: PartReport, q: np.ndarray, prefix: str = "", mimics: Mapping[str, str] | None = None
+    model: pin.Model, report: PartReport, q: np.ndarray, prefix: str = "", mimics: Mapping[str, object] | None = None
 ) -> None:
     """Fill the body and joint tables of the report and note suspicious data; q is the neutral pose, shape (nq,)."""
     names = list(model.names)
@@ -223,7 +224,7 @@ def describe_model(
         report.bodies.append(BodyRow(prefix + body, prefix + names[joint] if joint else names[0], mass))
     diagonal = check_mass(model, q, report.title.partition(":")[0])
     for i in range(1, model.njoints):
-        _describe_joint(model, i, report, prefix, (mimics or {}).get(names[i], ""), diagonal)
+        _describe_joint(model, i, report, prefix, str((mimics or {}).get(names[i], "")), diagonal)
         _describe_inertia(model, i, report, prefix)
 
 
@@ -249,9 +250,7 @@ def _describe_joint(
     parent = prefix + model.names[model.parents[i]] if model.parents[i] else "universe"
     report.joints.append(JointRow(name, kind, parent, lower, upper, damping, friction, limited, mimic))
     if friction > 0.0:
-        report.note("ignored", "joint", name, "Coulomb friction in the joint")
-    if mimic:
-        report.note("suspicious", "joint", name, "the file couples it to another joint (mimic), here it moves freely")
+        report.note("ignored", "joint", name, f"{FILE_FRICTION} in the joint: set_joint(joint, friction=True)")
     rate = np.max(model.damping[dofs] / diagonal[dofs])
     if rate > FAST_DAMPING:
         text = (

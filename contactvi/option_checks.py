@@ -13,7 +13,7 @@ LEDGER_TOLERANCES = (
     *("energy", "modified_energy", "discrete_energy", "linear_momentum", "angular_momentum"),
     *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
     *("linear_momentum_jump", "angular_momentum_jump", "impulse", "complementarity", "gap"),
-    *("energy_rise", "impulse_balance"),
+    *("energy_rise", "impulse_balance", "energy_balance"),
 )
 AUTO = "auto"
 ORDERS = tuple(range(2, 17, 2))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import coal
 import numpy as np
 import pinocchio as pin
 
+from contactvi.elements import Constraint
 from contactvi.errors import InputError
 from contactvi.hulls import describe
 from contactvi.inputs import real, unit_vector, vector
@@ -37,6 +38,7 @@ class Part:
     start : neutral configuration of the part, shape (nq,).
     disabled : link pairs switched off by the SRDF, with its reason.
     given_pairs : collision pairs (geometry indices) given with the model; None = the default choice.
+    mimics : mimic tags by joint, for the report. constraints : those of the file, with the scene's names.
     """
 
     name: str
@@ -50,7 +52,8 @@ class Part:
     placement: pin.SE3 = field(default_factory=pin.SE3.Identity)
     disabled: list[tuple[str, str, str]] = field(default_factory=list)
     given_pairs: list[tuple[int, int]] | None = None
-    mimics: dict[str, str] = field(default_factory=dict)
+    mimics: Mapping[str, object] = field(default_factory=dict)
+    constraints: list[Constraint] = field(default_factory=list)
 
     def joint_names(self) -> list[str]:
         return [self.prefix + name for name in list(self.model.names)[1:]]

@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi import loops
 from contactvi.checks import States
+from contactvi.derivative_check import check_element, mover
+from contactvi.errors import ConstraintError, SceneError, UserFunctionError
+from contactvi.forces import ConstraintRows
 from contactvi.scene import Scene
 
 
@@ -25,6 +29,7 @@ class Prepared:
 
     def __init__(self, scene: Scene) -> None:
         built = scene._complete()
+        _refuse_missing(scene)
         self.core = scene.core()
         self.built = built
         self._scene = _copy(scene)
@@ -32,6 +37,7 @@ class Prepared:
         self.pair_names = [(str(a), str(b)) for a, b in built.pairs]
         self.joint_names = [str(name) for name in built.model.names]
         self.damping: NDArray[np.float64] = np.array(built.model.damping, dtype=float)
+        self._derivatives_checked = False
 
     def scene(self) -> Scene:
         """Return a new copy of the scene as it was, for the caller to keep and edit; what is built is shared."""
@@ -53,11 +59,78 @@ class Prepared:
         """Velocity with which runs start, shape (nv,); None is rest."""
         return self._scene.v0
 
+    @property
+    def constraint_rows(self) -> list[ConstraintRows]:
+        """The constraints in the engine's order."""
+        return [ConstraintRows(row.name, row.kind, row.rows) for row in self.built.elements.constraints]
+
     @cached_property
     def loses_energy(self) -> bool:
         """Whether some pair or limit has a restitution below 1."""
         arrays = self.built.arrays
         return bool(np.any(self.built.restitution < 1.0) or np.any(arrays.limit_restitution[arrays.limits] < 1.0))
+
+    @cached_property
+    def forced(self) -> bool:
+        """Whether something besides potentials and joint damping acts: then a step is not made again without it."""
+        found, arrays = self.built.elements, self.built.arrays
+        dampers = any(damping > 0.0 for *_, damping, _only in found.springs)
+        return bool(self.built.constrained or found.wrenches or found.forces or dampers or np.any(arrays.servo[:2]))
+
+    @cached_property
+    def driven(self) -> str | None:
+        """What of the scene puts energy in, in words; None where nothing does."""
+        found, arrays = self.built.elements, self.built.arrays
+        reasons = {
+            "servos": bool(np.any(arrays.servo[:2])),
+            "wrenches": bool(found.wrenches),
+            "forces given in Python": bool(found.forces),
+            "driven constraints": any(row.signal is not None for row in found.constraints),
+        }
+        return next((what for what, is_there in reasons.items() if is_there), None)
+
+    def start_velocity(self, q: NDArray[np.float64], t: float) -> NDArray[np.float64]:
+        """Return the velocity of a start at q (nq,) for which none was given: rest, or the nearest to it, (nv,)."""
+        v = np.zeros(self.states.nv)
+        rows = self.built.elements.constraints
+        return loops.consistent_velocity(self.core, rows, q, v, t) if rows else v
+
+    def unreachable(self, q: NDArray[np.float64], t: float) -> ConstraintError | None:
+        """Return the error that names the constraints which cannot be met at t [s] near q (nq,), None if they can."""
+        rows = self.built.elements.constraints
+        if not rows:
+            return None
+        try:
+            loops.assemble(self.core, self.built.model, rows, q, (), t)
+        except ConstraintError as error:
+            return error
+        except UserFunctionError:  # of a motion that ends there; the run has said so if it matters
+            return None
+        return None
+
+    def check_start(self, q: NDArray[np.float64], v: NDArray[np.float64], t: float) -> None:
+        """Raise ConstraintError where (q, v) at t [s] is not on the constraints, DerivativeError for wrong ones."""
+        rows = self.built.elements.constraints
+        if rows:
+            loops.check_configuration(self.core, rows, q, t)
+            loops.check_velocity(self.core, rows, q, v, t)
+        if not self._derivatives_checked:
+            self._derivatives_checked = True
+            generic = v + np.sin(1.0 + np.arange(len(v)))
+            for element in self._scene.elements:
+                if getattr(element, "check", True):
+                    check_element(element, self.built.elements.dofs, mover(self.built.model), q, generic, t)
+
+
+def _refuse_missing(scene: Scene) -> None:
+    missing = scene._edits.missing
+    if missing:
+        raise SceneError(
+            f"The scene lacks {', '.join(repr(name) for name in missing)}",
+            expected="every element that the stored scene had",
+            got="elements given by Python functions, which files do not hold",
+            remedy="Add them again under their names, or take them out: scene.remove(name)",
+        )
 
 
 def prepare(scene: Scene) -> Prepared:

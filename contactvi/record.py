@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from contactvi import contacts, dense
 from contactvi import events as event_log
 from contactvi.endings import describe
+from contactvi.forces import Growing
 from contactvi.options import Options
 from contactvi.prepared import Prepared
 from contactvi.status import Stats, Status, StatusCode
@@ -37,7 +39,8 @@ class Record:
         self.arcs: Mapping[str, Array] | None = None
         self._reached = t
         self.stats = Stats()
-        self.forced = False
+        self.forced = prepared.forced
+        self.forces = Growing(t, prepared.constraint_rows)
         self.status = Status(StatusCode.SUCCESS, "the run has started", t)
 
     def collect(self, result: Mapping[str, Any]) -> Status:
@@ -51,6 +54,7 @@ class Record:
             self.t.append(t[keep])
             self.q.append(np.asarray(result["q"])[keep])
             self.p.append(np.asarray(result["p"])[keep])
+        self.forces.add(result, t, keep)
         for part, name in (
             (self.events, "events"),
             (self.contacts, "contacts"),
@@ -109,9 +113,9 @@ class Record:
         rows = contacts.joined(self.contacts[first:], contacts.FIELDS)
         return contacts.ContactLog(rows, self.prepared.pair_names, self.prepared.joint_names)
 
-    def change_log(self) -> contacts.ChangeLog:
-        """Return the changes of contacts of all blocks."""
-        rows = contacts.joined(self.changes, contacts.CHANGE_FIELDS)
+    def change_log(self, first: int = 0) -> contacts.ChangeLog:
+        """Return the changes of contacts of the blocks from `first` on."""
+        rows = contacts.joined(self.changes[first:], contacts.CHANGE_FIELDS)
         return contacts.ChangeLog(rows, self.prepared.pair_names, self.prepared.joint_names)
 
     def phases_joined(self) -> dict[str, Array] | None:
@@ -134,11 +138,21 @@ class Record:
         times = [part["time"] for part in self.events]
         return np.concatenate(times) if times else np.zeros(0)
 
+    def copy(self) -> Record:
+        """Return a copy that grows on its own; what was recorded is shared, it does not change."""
+        twin = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, list):
+                setattr(twin, name, list(value))
+        twin.forces = self.forces.copy()
+        return twin
+
     def cut(self, time: float) -> None:
         """Forget what was recorded after the first node at or after `time` [s]."""
         t, q, p = self.nodes()
         count = int(np.searchsorted(t, time)) + 1
         self.t, self.q, self.p = [t[:count]], [q[:count]], [p[:count]]
+        self.forces.cut(count)
         last = max(time, float(self.t[0][-1]))
         self.events = [_rows(part, part["time"] <= last) for part in self.events]
         for name in ("segments", "contacts", "phases"):
@@ -148,6 +162,7 @@ class Record:
     def trajectory(self, engine: Any, error_estimate: float = float("nan")) -> Trajectory:
         """Return what was recorded, with the present state of the engine where the run ended inside a step."""
         t, q, p = self.nodes()
+        forces = self.forces.joined()
         if self.status.time > t[-1]:
             t, q, p = np.append(t, self.status.time), np.vstack([q, engine.q]), np.vstack([p, engine.p])
         segments = self.segments_joined()
@@ -157,10 +172,12 @@ class Record:
             inner_q, inner_v = segments.states(self.prepared.core, times[1:-1], exact=not self.forced)
             inner_p = np.asarray(self.prepared.core.momentum(inner_q, inner_v))
             t, q, p = times, np.vstack([q[:1], inner_q, q[-1:]]), np.vstack([p[:1], inner_p, p[-1:]])
+        if forces is not None and (len(forces.t) != len(t) or np.any(forces.t != t)):
+            forces = forces.sampled(t)
         return Trajectory(
             self.prepared, self.options, t, q, p, self.log(), self.status, self.stats,
             forced=self.forced, segments=segments, arcs=self.arcs, error_estimate=error_estimate,
-            contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(),
+            contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(), forces=forces,
         )  # fmt: skip
 
 

@@ -12,18 +12,21 @@ from contactvi.assembly import assemble_visual
 from contactvi.errors import InputError
 from contactvi.importers import import_pinocchio
 from contactvi.inputs import real, vector
-from contactvi.joints import JointSettings, joint_settings, joint_value, joint_velocity
+from contactvi.joint_values import joint_value, joint_velocity
+from contactvi.joints import joint_settings
 from contactvi.parts import take_names
 from contactvi.report import ImportReport
-from contactvi.scene_build import Built, build, engine_scene, scene_report
+from contactvi.scene_build import Built, build, engine_scene
 from contactvi.scene_data import scene_from_dict, scene_to_dict
-from contactvi.scene_parts import GRAVITY, SceneParts
+from contactvi.scene_elements import SceneElements
+from contactvi.scene_parts import GRAVITY
+from contactvi.scene_report import scene_report
 from contactvi.selection import PartHandle, Selector
 
 __all__ = ["GRAVITY", "Scene"]
 
 
-class Scene(SceneParts):
+class Scene(SceneElements):
     """A set of rigid bodies with joints, contact geometry and contact data.
 
     Parameters
@@ -108,24 +111,35 @@ class Scene(SceneParts):
         damping: Any = None,
         limits: bool | Sequence[float] | None = None,
         restitution: float | None = None,
+        friction: bool | float | None = None,
+        spring: Sequence[float] | None = None,
+        armature: float | None = None,
+        gear_ratio: float | None = None,
+        rotor_inertia: float | None = None,
     ) -> None:
-        """Set spring, damping and limits of a joint, of all joints that match a pattern, or of a part's joints.
+        """Set what acts in a joint, in all joints that match a pattern, or in a part's joints.
 
         Parameters
         ----------
         stiffness : [N m/rad or N/m]; for 1-dof, spherical and translation joints.
-        rest : value of the joint where the spring rests (as in `configuration`); neutral when not given.
+        rest : value of the joint where its springs rest (as in `configuration`); neutral when not given.
         damping : [N m s/rad or N s/m], replaces the file's; free and planar joints also take (linear, angular).
         limits : whether the model's limits stop the joint, or new ones (lower, upper).
         restitution : of impacts at the limits, in [0, 1]; the default contact restitution when not given.
+        friction : dry friction [N m or N] of 1-dof joints: the force of slip, and what a joint at rest holds; True is
+            the file's, False none (the default).
+        spring : k1, k2, ... of a nonlinear spring besides `stiffness`: torque -(k1 x + k2 x^2 + ...), x = q - rest; of
+            joints with one number in q.
+        armature : inertia about the joint that moves no body [kg m^2 or kg], replaces the file's; not of free and
+            planar joints. rotor_inertia, gear_ratio : add rotor_inertia * gear_ratio^2 to it (1 when not given).
         """
-        assembly, names = self._assembled()
-        chosen = names.select_joints(joint)
-        values = (stiffness, rest, damping, limits, restitution)
-        new = {name: joint_settings(assembly.model, name, *values) for name in chosen}
-        for name, settings in new.items():
-            self._edits.joints.setdefault(name, JointSettings()).update(settings)
-        self._built = None
+        model = self._assembled()[0].model
+        values = {
+            "stiffness": stiffness, "rest": rest, "damping": damping, "limits": limits, "restitution": restitution,
+            "friction": friction, "spring": spring, "armature": armature, "gear_ratio": gear_ratio,
+            "rotor_inertia": rotor_inertia,
+        }  # fmt: skip
+        self._update_joints({name: joint_settings(model, name, **values) for name in self._joints(joint)})
 
     def disable_pair(self, a: Selector, b: Selector) -> None:
         """Take all pairs between a and b out of the collision pairs."""
@@ -202,7 +216,7 @@ class Scene(SceneParts):
     @property
     def report(self) -> ImportReport:
         """What of the models is used, changed, ignored, suspicious; pairs that are not tested; rounded shapes."""
-        return scene_report(self._parts, self._complete(), self._edits.joints)
+        return scene_report(self._parts, self._complete(), self._edits)
 
     def core(self) -> Any:
         """Return the engine's scene (contactvi._core.Scene), built on first use and again after an edit."""

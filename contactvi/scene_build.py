@@ -1,10 +1,10 @@
-"""What a scene becomes once it is complete: one model with its pairs, joint arrays, report and engine scene."""
+"""What a scene becomes once it is complete: one model with its pairs, joint arrays, elements and engine scene."""
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,23 +12,30 @@ import pinocchio as pin
 
 from contactvi.assembly import Assembly
 from contactvi.contact_rules import Rule
+from contactvi.element_build import Resolved, install, resolve
+from contactvi.elements import Element, EqualityConstraint
 from contactvi.errors import SceneError
 from contactvi.joints import JointArrays, JointSettings, apply_settings
 from contactvi.pairs import choose_pairs
 from contactvi.parts import Part
-from contactvi.report import ImportReport, Note, PartReport, RemovedPair, number
+from contactvi.report import RemovedPair
 from contactvi.selection import Names
 
 
 @dataclass
 class Edits:
-    """What the user said beyond the parts: contact rules, joint settings, pairs switched off and on (by name)."""
+    """What the user said beyond the parts: contact rules, joint settings, pairs off and on (by name), elements.
+
+    missing : names of elements that a stored scene had and could not keep: functions of the user.
+    """
 
     restitution: Rule
     friction: Rule
     joints: dict[str, JointSettings] = field(default_factory=dict)
     disabled: list[tuple[str, str]] = field(default_factory=list)
     enabled: list[tuple[str, str]] = field(default_factory=list)
+    elements: list[Element] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -43,13 +50,40 @@ class Built:
     removed: list[RemovedPair]
     restitution: np.ndarray
     friction: np.ndarray
+    elements: Resolved
     core: Any = None  # _core.Scene, made on first use
+
+    @property
+    def constrained(self) -> bool:
+        """Whether every step has to satisfy something: constraints, dry friction of joints."""
+        return bool(self.elements.constraints) or bool(np.any(self.arrays.dry_friction))
+
+    @property
+    def needs_fixed_step(self) -> str | None:
+        """What of the scene needs steps of one length, in words; None where nothing does."""
+        found, arrays = self.elements, self.arrays
+        reasons = {
+            "constraints": bool(found.constraints),
+            "dry friction of joints": bool(np.any(arrays.dry_friction)),
+            "servos": bool(np.any(arrays.servo[:2])),
+            "wrenches that vary": found.time_varying,
+            "forces given in Python": bool(found.forces),
+        }
+        return next((what for what, is_there in reasons.items() if is_there), None)
+
+    @property
+    def servo_joints(self) -> list[str]:
+        """The joints with a servo, in the order of v."""
+        some = np.any(self.arrays.servo[:2] != 0.0, axis=0)
+        model = self.model
+        return [model.names[i] for i in range(1, model.njoints) if some[model.idx_vs[i] : model.idx_vs[i] + 1].any()]
 
 
 def build(base: Assembly, parts: Sequence[Part], names: Names, edits: Edits) -> Built:
     """Return the complete scene; `base` is left as it is."""
     model, start = base.model.copy(), base.start.copy()
-    arrays = apply_settings(model, start, edits.joints, edits.restitution.default)
+    equalities = [element for element in edits.elements if isinstance(element, EqualityConstraint)]
+    arrays = apply_settings(model, start, edits.joints, edits.restitution.default, equalities)
     collision = pin.GeometryModel(base.collision)
     assembly = Assembly(
         model, collision, start, base.part_of_joint, base.part_of_geometry, base.root_of_joint, base.placed
@@ -72,6 +106,7 @@ def build(base: Assembly, parts: Sequence[Part], names: Names, edits: Edits) -> 
         removed,
         edits.restitution.values(pairs),
         edits.friction.values(pairs),
+        resolve(edits.elements, model, start),
     )
 
 
@@ -82,7 +117,7 @@ def engine_scene(built: Built) -> Any:
     if built.core is not None:
         return built.core
     try:
-        built.core = _core.Scene(
+        core = _core.Scene(
             to_bytes(built.model),
             to_bytes(built.collision),
             built.restitution,
@@ -93,6 +128,8 @@ def engine_scene(built: Built) -> Any:
             built.arrays.limit_restitution,
             built.friction,
         )
+        install(core, built.model, built.arrays, built.elements)
+        built.core = core
     except RuntimeError as error:  # CoreError is one; Pinocchio and coal raise others
         raise SceneError("The engine refuses the scene", got=str(error).strip().splitlines()[-1]) from error
     return built.core
@@ -127,45 +164,3 @@ def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
     buffer = pin.serialization.StreamBuffer()
     item.saveToBinary(buffer)
     return bytes(buffer.tobytes())
-
-
-def scene_report(parts: Sequence[Part], built: Built, joints: Mapping[str, JointSettings]) -> ImportReport:
-    """Return the report: what the parts found, joint settings that replace file data, pairs, rounded shapes."""
-    damped = {name for name, settings in joints.items() if settings.damping is not None}
-    limited = dict(zip(built.model.names, built.arrays.limits, strict=True))
-    found = [_with_limits(part.report.without("suspicious", damped, "damping"), limited) for part in parts]
-    report = ImportReport(found, list(built.pairs), list(built.removed))
-    for name, settings in joints.items():
-        if settings.damping is not None:
-            text = f"damping set to {number(float(np.max(settings.damping)))}, whatever the file says"
-            report.notes.append(Note("changed", "joint", name, text))
-        if settings.limits is not None:
-            text = "limits not used" if settings.limits is False else "limits set"
-            report.notes.append(Note("changed", "joint", name, text))
-        if settings.stiffness:
-            text = f"spring of {number(settings.stiffness)} N m/rad or N/m"
-            report.notes.append(Note("used", "joint", name, text))
-    if built.pairs:
-        text = f"restitution {_range(built.restitution)}, Coulomb friction {_range(built.friction)}"
-        report.notes.append(Note("used", "pairs", f"{len(built.pairs)}", text))
-    try:
-        rounding = list(engine_scene(built).rounding)
-    except SceneError as error:
-        report.notes.append(Note("refused", "scene", "", str(error)))
-        rounding = []
-    rounded = [float(r) for r in rounding if r > 0.0]
-    if rounded:
-        text = f"edges rounded with radius {_range(rounded)} m inside the shape, for exact normals"
-        report.notes.append(Note("changed", "pairs", f"{len(rounded)} of {len(rounding)}", text))
-    return report
-
-
-def _with_limits(report: PartReport, limited: Mapping[str, bool]) -> PartReport:
-    """Return the report with the limits that are simulated: the scene may switch them off, or give others."""
-    rows = [replace(row, limited=bool(limited.get(row.name, row.limited))) for row in report.joints]
-    return replace(report, joints=rows)
-
-
-def _range(values: Sequence[float] | np.ndarray) -> str:
-    low, high = number(float(min(values))), number(float(max(values)))
-    return low if low == high else f"{low} to {high}"

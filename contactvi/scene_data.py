@@ -11,6 +11,10 @@ geometries  [{name, body, joint, placement, shape: {type, sizes | normal, offset
             trajectory are stored beside the scene (visuals.py)
 pairs, pair_restitution, pair_friction, restitution, friction (defaults)
 stiffness, rest, limits, limit_restitution; start (neutral q); parts {name: {joints, bodies, geometries}}
+dry_friction (nv), servo (3 x nv: kp, kd, effort), actuator (2 x nv: effort, velocity limits; inf: none), targets of
+            servos {joint: motion}, polynomials [[joint (index), rest, [k1, k2, ...]]] of nonlinear springs
+elements    as Element.to_data (elements.py); a motion is a number or {times, values}. missing: names of elements and
+            targets that Python functions gave, which are not stored
 q0, v0, settings
 """
 
@@ -25,16 +29,18 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.contact_rules import Rule
+from contactvi.elements import element_from_data
 from contactvi.errors import SceneError
 from contactvi.hulls import PRIMITIVES, faces_of, hull_from_faces, shape_sizes
 from contactvi.importers import copy_geometry
 from contactvi.inputs import vector
-from contactvi.joints import JointSettings
+from contactvi.joints import JointSettings, Servo
 from contactvi.model_checks import ONE_DOF, joint_kind, motion_axis
 from contactvi.parts import Part
 from contactvi.report import PartReport
 from contactvi.scene_build import Built, Edits
 from contactvi.selection import PartHandle
+from contactvi.signals import Signal
 
 FORMAT = "contactvi-scene"
 VERSION = 1
@@ -77,6 +83,13 @@ def scene_to_dict(built: Built, edits: Edits, groups: Sequence[PartHandle]) -> d
         "limits": [bool(used) for used in arrays.limits],
         "limit_restitution": arrays.limit_restitution.tolist(),
         "start": built.start.tolist(),
+        **_drives_to_dict(built),
+        "elements": [element.to_data() for element in edits.elements if element.storable],
+        "missing": [
+            *edits.missing,
+            *(element.name for element in edits.elements if not element.storable),
+            *(target_name(name) for name, goal in arrays.targets.items() if not goal.storable),
+        ],
         "parts": {
             part.name: {"joints": list(part.joints), "bodies": list(part.bodies), "geometries": list(part.geometries)}
             for part in groups
@@ -123,6 +136,41 @@ def _read(data: Mapping[str, Any]) -> SceneData:
     return SceneData(vector("gravity", data["gravity"], 3), part, groups, _edits(data, model))
 
 
+def target_name(joint: str) -> str:
+    """Return how the target of a servo is called where it is missing."""
+    return f"target of {joint}"
+
+
+def _drives_to_dict(built: Built) -> dict[str, Any]:
+    arrays = built.arrays
+    return {
+        "dry_friction": arrays.dry_friction.tolist(),
+        "servo": arrays.servo.tolist(),
+        "actuator": arrays.actuator.tolist(),
+        "targets": {name: goal.to_data() for name, goal in arrays.targets.items() if goal.storable},
+        "polynomials": [[int(i), float(rest), torque.tolist()] for i, rest, torque in arrays.polynomials],
+    }
+
+
+def _drives(data: Mapping[str, Any], model: pin.Model, joints: Mapping[str, JointSettings]) -> None:
+    """Put friction, servos, actuators and nonlinear springs into the settings of joints; older data have none."""
+    for index, _rest, torque in data.get("polynomials", ()):
+        joints[model.names[int(index)]].spring = np.array(torque, dtype=float)
+    if "servo" not in data:
+        return
+    friction, servo, actuator = (np.array(data[key], dtype=float) for key in ("dry_friction", "servo", "actuator"))
+    for i in range(1, model.njoints):
+        if model.nvs[i] != 1:
+            continue
+        own, v = joints[model.names[i]], model.idx_vs[i]
+        own.friction = float(friction[v]) or None
+        own.effort, own.velocity = (float(limit) if np.isfinite(limit) else None for limit in actuator[:, v])
+        if np.any(servo[:2, v]):
+            goal = data["targets"].get(model.names[i])
+            target = None if goal is None else Signal(goal, f"target of joint {model.names[i]!r}")
+            own.servo = Servo(float(servo[0, v]), float(servo[1, v]), float(servo[2, v]), target)
+
+
 def _edits(data: Mapping[str, Any], model: pin.Model) -> Edits:
     edits = Edits(Rule(float(data["restitution"])), Rule(float(data["friction"])))
     for (a, b), e, mu in zip(data["pairs"], data["pair_restitution"], data["pair_friction"], strict=True):
@@ -136,6 +184,9 @@ def _edits(data: Mapping[str, Any], model: pin.Model) -> Edits:
             limits=None if data["limits"][i] else False,
             restitution=float(data["limit_restitution"][i]),
         )
+    _drives(data, model, edits.joints)
+    edits.elements = [element_from_data(element) for element in data.get("elements", ())]
+    edits.missing = [str(name) for name in data.get("missing", ())]
     return edits
 
 

@@ -1,16 +1,27 @@
 """Scene files: one readable TOML page that says what is simulated, how it starts and how it is run.
 
     [scene]                 gravity = [0, 0, -9.81]                 title, description: for the reader
-    [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true
-    [[mjcf]]                path, xyz, rpy, prefix, limits = true
+    [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true,
+                            friction = false, mimic = true
+    [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
     [[halfspace]]           normal, offset, name, color
     [contact]               restitution, friction (defaults), disable = [["a", "b"]], enable = [["a", "b"]]
     [[contact.body]]        name, restitution, friction             of one body, part or geometry
     [[contact.pair]]        a, b, restitution, friction
-    [[joint]]               name (patterns such as "joint_*" allowed), stiffness, rest, damping, limits, restitution
-    [initial]               q = { joint = value }, v = { joint = value }, springs_at_rest = true | false
+    [[joint]]               name (patterns such as "joint_*" allowed), stiffness, rest, damping, limits, restitution,
+                            friction, spring = [k1, k2, ...], armature, gear_ratio, rotor_inertia
+    [[point]], [[distance]] a, b, point_a, point_b, name; [[distance]] also length
+    [[weld]], [[screw]]     a, b, name; [[weld]] xyz, rpy; [[screw]] pitch, frame_a, frame_b = { xyz, rpy }
+    [[equality]]            joint, other, coefficients = [c0, c1, ...], name
+    [[prescribe]]           joint, motion, name
+    [[spring]]              a, b, point_a, point_b, stiffness, rest_length, damping, tension_only, name
+    [[tape_spring]]         points = [["body", [x, y, z]], ...], and the rest of [[spring]]
+    [[wrench]]              body, force, torque, point, axes = "world" | "body", name
+    [[servo]], [[actuator]] joint; [[servo]] kp, kd, effort, target; [[actuator]] effort, velocity = true | number
+    [initial]               q = { joint = value }, v = { joint = value }, springs_at_rest = true | false,
+                            assemble = true | false (the nearest start that goes with the constraints)
     [[initial.body]]        name, xyz, rpy or quaternion, velocity, angular_velocity    of a free body
     [run]                   dt = number | "auto", duration, order, tol, impact, mhc_reference, sample_dt, record_every,
                             dense, dt_contact, zeno, support, ...   (options.Options)
@@ -19,8 +30,9 @@
 SI units and radians; rpy is roll-pitch-yaw as in URDF, a quaternion is (x, y, z, w), velocities are in world axes.
 Relative paths are relative to the file; `example-robot-data://robots/...` and `package://...` are understood. Parts are
 added in the order of the list above, then file order. Without [initial] the scene starts at rest in its neutral pose;
-springs_at_rest starts every joint that has a spring where the spring rests. Where entries speak of the same thing the
-later one wins. An unknown key is an error.
+springs_at_rest starts every joint that has a spring where the spring rests. Motions, lengths and targets are numbers or
+{ times = [...], values = [...] }; the elements are those of Scene.add_point and its siblings. Where entries speak of
+the same thing the later one wins. An unknown key is an error.
 """
 
 from __future__ import annotations
@@ -37,10 +49,11 @@ import pinocchio as pin
 
 from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
 from contactvi.importers import import_mjcf, import_urdf
-from contactvi.inputs import pose, unit_quaternion
+from contactvi.inputs import flag, pose, unit_quaternion
 from contactvi.options import Options
 from contactvi.paths import resolve_path
 from contactvi.scene import GRAVITY, Scene
+from contactvi.scene_file_elements import SECTIONS, add_element
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -51,8 +64,8 @@ _PLACE = ("xyz", "rpy")
 _BODY = ("name", "mass", "free", "color", *_PLACE)
 KEYS: dict[str, tuple[str, ...]] = {
     "scene": ("title", "description", "gravity"),
-    "urdf": ("path", "base", "package_dirs", "srdf", "prefix", "limits", *_PLACE),
-    "mjcf": ("path", "prefix", "limits", *_PLACE),
+    "urdf": ("path", "base", "package_dirs", "srdf", "prefix", "limits", "friction", "mimic", *_PLACE),
+    "mjcf": ("path", "prefix", "limits", "friction", "equality", *_PLACE),
     "sphere": ("radius", *_BODY),
     "box": ("size", *_BODY),
     "capsule": ("radius", "length", *_BODY),
@@ -61,12 +74,16 @@ KEYS: dict[str, tuple[str, ...]] = {
     "contact": ("restitution", "friction", "disable", "enable", "body", "pair"),
     "contact.body": ("name", "restitution", "friction"),
     "contact.pair": ("a", "b", "restitution", "friction"),
-    "joint": ("name", "stiffness", "rest", "damping", "limits", "restitution"),
-    "initial": ("q", "v", "springs_at_rest", "body"),
+    "joint": (
+        *("name", "stiffness", "rest", "damping", "limits", "restitution"),
+        *("friction", "spring", "armature", "gear_ratio", "rotor_inertia"),
+    ),
+    **{section: keys for section, (keys, _) in SECTIONS.items()},
+    "initial": ("q", "v", "springs_at_rest", "assemble", "body"),
     "initial.body": ("name", "quaternion", "velocity", "angular_velocity", *_PLACE),
     "run": tuple(f.name for f in fields(Options)),
 }
-LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "halfspace", "joint")
+LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "halfspace", "joint", *SECTIONS)
 NEEDED = {
     "urdf": ("path",),
     "mjcf": ("path",),
@@ -78,6 +95,7 @@ NEEDED = {
     "contact.body": ("name",),
     "contact.pair": ("a", "b"),
     "initial.body": ("name",),
+    **{section: needed for section, (_, needed) in SECTIONS.items()},
 }
 
 
@@ -93,7 +111,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
     data = _read(file)
     _check_keys(data, file)
     scene = Scene(data.get("scene", {}).get("gravity", GRAVITY))
-    for section in LISTS[:-1]:
+    for section in LISTS[: LISTS.index("joint")]:
         for number, entry in enumerate(data.get(section, ())):
             with _at(file, section, number):
                 _add(scene, section, dict(entry), file)
@@ -102,6 +120,10 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         with _at(file, "joint", number):
             values = dict(entry)
             scene.set_joint(values.pop("name"), **values)
+    for section in SECTIONS:
+        for number, entry in enumerate(data.get(section, ())):
+            with _at(file, section, number):
+                add_element(scene, section, entry)
     _set_start(scene, data, file)
     scene.settings = dict(data.get("run", {}))
     if "dt" in scene.settings:
@@ -196,11 +218,13 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
             srdf=entry.get("srdf"),
             prefix=entry.get("prefix", ""),
             folder=folder,
+            mimic=entry.get("mimic", True),
         )
-        scene.add_model(part, entry.get("limits", True))
+        scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
     elif section == "mjcf":
-        part = import_mjcf(entry["path"], placement=placement, prefix=entry.get("prefix", ""), folder=folder)
-        scene.add_model(part, entry.get("limits", True))
+        prefix, equality = entry.get("prefix", ""), entry.get("equality", True)
+        part = import_mjcf(entry["path"], placement=placement, prefix=prefix, folder=folder, equality=equality)
+        scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
     elif section == "halfspace":
         scene.add_halfspace(**entry)
     else:
@@ -262,6 +286,11 @@ def _set_start(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
             speeds[name] = (entry.get("velocity", zero), entry.get("angular_velocity", zero))
     with _at(file, "initial"):
         scene.q0, scene.v0 = q, scene.velocity(speeds, q)
+        if flag("assemble", initial.get("assemble", False)):
+            scene.q0 = scene.assemble(q)
+            scene.v0 = scene.consistent_velocity(scene.q0, scene.v0)
+        elif not speeds and scene._edits.elements:
+            scene.v0 = None  # a run takes what goes with driven constraints
 
 
 def _body_pose(entry: Mapping[str, Any], now: np.ndarray) -> pin.SE3:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,8 @@ import pinocchio as pin
 from contactvi import parts as shapes
 from contactvi.assembly import Assembly, assemble
 from contactvi.contact_rules import FRICTION, RESTITUTION, Rule
-from contactvi.errors import InputError
 from contactvi.importers import import_mjcf, import_urdf
-from contactvi.inputs import pose, vector
+from contactvi.inputs import flag, pose, vector
 from contactvi.joints import JointSettings
 from contactvi.model_checks import has_limits
 from contactvi.parts import Part, shape_part, take_names
@@ -47,8 +47,10 @@ class SceneParts:
         srdf: str | os.PathLike[str] | None = None,
         prefix: str = "",
         limits: bool = True,
+        friction: bool = False,
+        mimic: bool = True,
     ) -> PartHandle:
-        """Add a URDF model. Meshes become convex hulls, mimic joints become independent (see `report`).
+        """Add a URDF model. Meshes become convex hulls, mimic tags become constraints (see `report`).
 
         Parameters
         ----------
@@ -60,6 +62,9 @@ class SceneParts:
         srdf : file whose disable_collisions are left out of the collision pairs.
         prefix : put before all names, to add the same model twice.
         limits : whether the limits of its joints stop them (lower >= upper means none); one by one: `set_joint`.
+        friction : whether its joints have the dry friction of the file; one by one: `set_joint(friction=True)`.
+        mimic : whether joints with a mimic tag follow the other joint (joint equality constraints, which need steps of
+            one length); else they are independent.
 
         Raises
         ------
@@ -67,24 +72,42 @@ class SceneParts:
         """
         dirs = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else list(package_dirs)
         where = pose("placement", placement)
-        part = import_urdf(path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix)
-        return self.add_model(part, limits)
+        part = import_urdf(path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic)
+        return self.add_model(part, limits, friction)
 
     def add_mjcf(
-        self, path: str | os.PathLike[str], *, placement: Any = None, prefix: str = "", limits: bool = True
+        self,
+        path: str | os.PathLike[str],
+        *,
+        placement: Any = None,
+        prefix: str = "",
+        limits: bool = True,
+        friction: bool = False,
+        equality: bool = True,
     ) -> PartHandle:
-        """Add an MJCF model: bodies, joints, geometries; planes are halfspaces. Arguments and errors as in add_urdf."""
-        return self.add_model(import_mjcf(path, placement=pose("placement", placement), prefix=prefix), limits)
+        """Add an MJCF model: bodies, joints, geometries; planes are halfspaces. Arguments and errors as in add_urdf.
 
-    def add_model(self, part: Part, limits: Any) -> PartHandle:
-        """Add an imported model (for scene files); `limits` as in add_urdf."""
-        if not isinstance(limits, bool):
-            raise InputError("Argument limits", name="limits", expected="True or False", got=repr(limits))
+        equality : whether connect, weld and joint of its <equality> become constraints. friction : its frictionloss.
+        """
+        where = pose("placement", placement)
+        return self.add_model(import_mjcf(path, placement=where, prefix=prefix, equality=equality), limits, friction)
+
+    def add_model(self, part: Part, limits: Any, friction: Any = False) -> PartHandle:
+        """Add an imported model (for scene files); `limits` and `friction` as in add_urdf."""
+        limits, friction = flag("limits", limits), flag("friction", friction)
         handle: PartHandle = self._add(part)
-        if not limits:
-            for i in range(1, part.model.njoints):
-                if has_limits(part.model, i):
-                    self._edits.joints[part.prefix + part.model.names[i]] = JointSettings(limits=False)
+        for i in range(1, part.model.njoints):
+            own = JointSettings(limits=False if not limits and has_limits(part.model, i) else None)
+            if friction and part.model.nvs[i] == 1 and part.model.upperDryFrictionLimit[part.model.idx_vs[i]] > 0.0:
+                own.friction = True
+            if own != JointSettings():
+                self._edits.joints[part.prefix + part.model.names[i]] = own
+        taken = {element.name for element in self._edits.elements}
+        for constraint in part.constraints:
+            names = (constraint.name, *(f"{constraint.name}_{k}" for k in range(2, len(taken) + 3)))
+            name = next(name for name in names if name not in taken)
+            taken.add(name)
+            self._edits.elements.append(replace(constraint, name=name))
         return handle
 
     def add_sphere(

@@ -111,6 +111,30 @@ class Names:
             found.update(self.bodies[name])
         return sorted(found) or None
 
+    def select_body(self, selector: Selector, argument: str = "body") -> str:
+        """Return the name of one body: "world", a body's name, or a handle or part that has one body.
+
+        Raises
+        ------
+        InputError : unknown name, or a part of several bodies.
+        """
+        if isinstance(selector, str) and selector in ("world", "universe"):
+            return "world"
+        if isinstance(selector, str) and selector in self.bodies:
+            return selector
+        part = selector if isinstance(selector, PartHandle) else self.parts.get(str(selector))
+        bodies = () if part is None else tuple(name for name in part.bodies if name in self.bodies)
+        if len(bodies) == 1:
+            return bodies[0]
+        known = ["world", *self.bodies]
+        raise InputError(
+            f"Unknown {argument}" if not bodies else f"{str(selector)!r} has {len(bodies)} bodies",
+            name=argument,
+            expected="'world', the name of a body, or the handle of a part with one body",
+            got=repr(str(selector)),
+            remedy=did_you_mean(str(selector), bodies or known),
+        )
+
     def select_joints(self, selector: Selector, argument: str = "joint") -> list[str]:
         """Return the names of the selected joints: a joint name, a pattern over them, or a part (all its joints).
 

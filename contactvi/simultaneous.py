@@ -177,6 +177,10 @@ def simultaneous_outcomes(
     lower = np.linalg.cholesky(0.5 * (mass + mass.T))
     contacts = closed_contacts(prepared, q0, v0, pairs, e, margin)
     rows = [np.asarray(np.linalg.solve(lower, contact.W.T).T, dtype=float) for contact in contacts]
+    if prepared.built.elements.constraints:  # impulses act along what the constraints leave free
+        J = np.asarray(prepared.core.constraint_jacobian(q0, 0.0))
+        closed = np.linalg.solve(lower, J.T).T
+        rows = [row - row @ np.linalg.pinv(closed, rcond=1e-9) @ closed for row in rows]
     x = lower.T @ v0
     impacts = Impacts(rows, [contact.restitution for contact in contacts], x)
     ends, complete = impacts.every_order(limit)

@@ -1,4 +1,4 @@
-"""The file of a run: one npz (a zip of npy arrays), schema 4. Nothing in it is pickled, nothing is executed on loading.
+"""The file of a run: one npz (a zip of npy arrays), schema 5. Nothing in it is pickled, nothing is executed on loading.
 
 N nodes, n events, c contacts, m segments, s stages (order / 2), nq and nv sizes of configuration and velocity; SI
 units; everything float64 unless it says int64.
@@ -76,23 +76,27 @@ arc/t                 (k,)           with dt "auto" only: from these times on [s
 arc/dt                (k,)           the steps have these lengths [s]
 frame/time            (f,)           times of frames for pictures between nodes far apart [s], f may be 0
 frame/q               (f, nq)        configurations there
+force/work            (N, 4)         work since the start [J]: input, damping, dry, drive; where the engine reported it
+force/reactions       (N, r)         mean forces of header["constraints"] since the node before [N; N m]
 array/0, array/1 ...  any            arrays (meshes) that the header refers to
 ===================== ============== ===========================================================================
 
 The header is an object with the keys
 
-- format: "contactvi-trajectory"; schema: 4; version: of the contactvi that wrote it
+- format: "contactvi-trajectory"; schema: 5; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (contactvi.Stats)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
 - forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
+- constraints: [[name, kind, rows], ...] of the columns of force/reactions, in runs with force/work
 - scene: Scene.to_dict(); visuals: what the viewer draws, a list of contactvi.visuals.Visual fields
 
 in which {"$array": k} stands for the entry array/k, and NaN, Infinity, -Infinity are written as such.
 
-Schema 3 knew no lasting contact and no friction: it has neither contacts, changes and phases nor segment/held and the
-last five entries of events; it is read. Schema 2 knew order 2 and steps of one length, and had no segments, arcs and
-frames; it is read. Schema 1 knew CTEC only; it is read, with event/method, iterations, fallback and jump 0, before and
-after NaN, and forced true, since it did not say.
+Schema 4 knew no constraints and no forces beyond joint springs; it is read. Schema 3 knew no lasting contact and no
+friction: it has neither contacts, changes and phases nor segment/held and the last five entries of events; it is read.
+Schema 2 knew order 2 and steps of one length, and had no segments, arcs and frames; it is read. Schema 1 knew CTEC
+only; it is read, with event/method, iterations, fallback and jump 0, before and after NaN, and forced true, since it
+did not say.
 """
 
 from __future__ import annotations
@@ -114,15 +118,27 @@ from contactvi import events as event_log
 from contactvi.contacts import ChangeLog, ContactLog
 from contactvi.errors import ContactviError, SceneError
 from contactvi.files import write_atomic
+from contactvi.forces import Forces
 from contactvi.options import Options
 from contactvi.scene import Scene
 from contactvi.status import Stats, Status, StatusCode
-from contactvi.storage_entries import arcs, check_indices, contact_logs, entry, events, frames, nodes, refuse, segments
+from contactvi.storage_entries import (
+    arcs,
+    check_indices,
+    contact_logs,
+    entry,
+    events,
+    forces,
+    frames,
+    nodes,
+    refuse,
+    segments,
+)
 from contactvi.version import version
 from contactvi.visuals import Visual
 
 FORMAT = "contactvi-trajectory"
-SCHEMA = 4
+SCHEMA = 5
 _OLD_EVENTS = {"method": 0.0, "iterations": 0.0, "fallback": 0.0, "jump": 0.0, "before": np.nan, "after": np.nan}
 
 _NODES: dict[str, str | None] = {
@@ -162,6 +178,7 @@ class Run(Protocol):
     contacts: ContactLog
     contact_changes: ChangeLog
     error_estimate: float
+    forces: Forces | None
 
     @property
     def scene(self) -> Scene: ...
@@ -193,6 +210,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
         "pair_names": traj.scene.pair_names,
         "joint_names": list(traj.scene.model.names),
         "gap_pairs": gap_pairs,
+        "constraints": [] if traj.forces is None else [list(row) for row in traj.forces.constraints],
         "scene": traj.scene.to_dict(),
         "visuals": [visual.to_dict() for visual in traj.visuals],
     }
@@ -206,6 +224,8 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
     entries |= {f"phase/{name}": values for name, values in (traj.phases or {}).items()}
     for group, log in (("contact", traj.contacts), ("change", traj.contact_changes)):
         entries |= {f"{group}/{name}": values for name, values in log.arrays.items() if len(log)}
+    if traj.forces is not None:
+        entries |= {"force/work": traj.forces.values, "force/reactions": traj.forces.reactions}
     entries |= {f"array/{k}": values for k, values in enumerate(arrays)}
     return write_atomic(path, lambda file: np.savez(file, header=np.array(text), **entries))
 
@@ -230,7 +250,7 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         if header["schema"] == 1:
             _from_schema_1(entries, header)
-        if header["schema"] < SCHEMA:
+        if header["schema"] < 3:
             _from_schema_2(entries, header)
         return _build(path, entries, _unpack(header, entries))
     except ContactviError:
@@ -288,10 +308,11 @@ def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any])
     visuals = [Visual.from_dict(fields) for fields in header["visuals"]]
     if not all(0 <= visual.joint < scene.model.njoints for visual in visuals):
         refuse(path, "pictures on joints that do not exist")
+    t = found.pop("t")
     return {
         "scene": scene,
         "options": options,
-        "t": found.pop("t"),
+        "t": t,
         "q": found.pop("q"),
         "p": found.pop("p"),
         "events": log,
@@ -305,6 +326,7 @@ def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any])
         "derived": found,
         "gaps": (times, pairs, entry(path, entries, "gap/value", (len(times), len(pairs)), float)),
         "visuals": visuals,
+        "forces": forces(path, entries, t, header["constraints"]) if "force/work" in entries else None,
         **contact_logs(path, entries, names),
     }
 

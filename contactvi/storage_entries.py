@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from contactvi import contacts, dense
 from contactvi import events as event_log
 from contactvi.errors import SceneError
+from contactvi.forces import WORKS, ConstraintRows, Forces
 from contactvi.options import Options
 
 NEW_EVENTS = ("impulse_vector", "points", "friction", "loss", "energy_change")  # of schema 4
@@ -59,6 +60,14 @@ def arcs(path: Path, entries: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]
     """Return {"t", "dt"} of a run with dt "auto"."""
     count = len(entry(path, entries, "arc/t", (None,), float))
     return {name: entry(path, entries, f"arc/{name}", (count,), float) for name in ("t", "dt")}
+
+
+def forces(path: Path, entries: dict[str, NDArray[Any]], t: NDArray[np.float64], constraints: list[Any]) -> Forces:
+    """Return the work and the reactions of a run with nodes t (N,) [s]; constraints: (name, kind, rows) of columns."""
+    rows = [ConstraintRows(str(name), str(kind), int(count)) for name, kind, count in constraints]
+    work = entry(path, entries, "force/work", (len(t), len(WORKS)), float)
+    reactions = entry(path, entries, "force/reactions", (len(t), sum(row.rows for row in rows)), float)
+    return Forces(t, work, reactions, rows)
 
 
 def frames(

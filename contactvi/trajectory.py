@@ -16,6 +16,7 @@ from contactvi.contacts import ChangeLog, ContactLog, empty_changes, empty_conta
 from contactvi.dense import Segments, State, frame_times
 from contactvi.errors import InputError
 from contactvi.events import EventLog
+from contactvi.forces import ConstraintRows, Forces, Work
 from contactvi.ledger import Ledger
 from contactvi.options import Options
 from contactvi.prepared import Prepared
@@ -39,7 +40,9 @@ class Trajectory:
     options : the settings of the run.
     events : the impacts, a sequence of `Event` (an `EventLog`).
     status : how the run ended. stats : what it cost.
-    forced : whether the run had inputs (control) other than zero; they are not kept.
+    forced : whether the run had inputs (control) other than zero, which are not kept, or constraints, dry friction,
+        servos, wrenches, dampers or forces given in Python.
+    forces : work and reactions as arrays (contactvi.forces.Forces), see `work` and `reactions`; None without.
     segments : the polynomials of its steps (contactvi.dense), None without; `at` evaluates them.
     contacts : every contact of every held step and impact, with its forces (a `ContactLog`); empty without, and with
         record_contacts=False. contact_changes : when contacts began, stuck, slipped, ended (a `ChangeLog`).
@@ -71,6 +74,7 @@ class Trajectory:
         changes: ChangeLog | None = None,
         phases: Mapping[str, Array] | None = None,
         visuals: list[Any] | None = None,
+        forces: Forces | None = None,
     ) -> None:
         self._scene = scene
         # the engine's scene at the time of the run: the Python scene may be edited afterwards
@@ -91,6 +95,7 @@ class Trajectory:
         self._gaps = gaps
         self._frames = frames
         self._visuals = visuals
+        self.forces = forces
         self._ledger: Ledger | None = None
 
     @property
@@ -167,7 +172,8 @@ class Trajectory:
             self._ledger = Ledger(
                 self._engine(), self.options, self.t, self.q, self.p, self.events,
                 model=self.scene.model, collision=self.scene.collision_model, forced=self.forced,
-                start=float(self.t[0]), contacts=self.contacts, phases=self.phases,
+                start=float(self.t[0]), contacts=self.contacts, phases=self.phases, forces=self.forces,
+                elements=self.scene._complete().elements.any, constrained=self.scene._complete().constrained,
             )  # fmt: skip
         return self._ledger
 
@@ -192,6 +198,33 @@ class Trajectory:
         if not len(self.contacts):
             return np.zeros(len(self))
         return ContactLedger(self.contacts, self.t, self.q, self.p).friction_loss  # needs no engine, as pictures do not
+
+    @property
+    def work(self) -> Work:
+        """Work since the start at each node [J]: fields input, damping, dry, drive, shapes (N,); see `Work`."""
+        return self._forces().work
+
+    @property
+    def constraints(self) -> list[ConstraintRows]:
+        """The constraints of the run: (name, kind, rows)."""
+        return [] if self.forces is None else list(self.forces.constraints)
+
+    def reactions(self, name: str) -> Array:
+        """Return the mean force of a constraint over the time since the node before, impacts included, (N, rows).
+
+        [N; N m], zero at the start: the force lambda with which J^T lambda acts on the momentum. Of a point in world
+        axes on body b; of a weld in the axes of a, force then torque; of a distance the push along the line, negative
+        for a pull; of a prescribed or following joint what acts on it. Raises InputError for an unknown name.
+        """
+        return self._forces().of(name)
+
+    def _forces(self) -> Forces:
+        if self.forces is None:
+            raise InputError(
+                "The work of forces was not recorded", name="dt", expected="a run with steps of one length",
+                got="a run with dt='auto', or one stored by an older contactvi", remedy="Run it with dt=1e-3",
+            )  # fmt: skip
+        return self.forces
 
     @property
     def visuals(self) -> list[Any]:

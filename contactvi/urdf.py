@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 from contactvi.errors import SceneError, did_you_mean
@@ -19,15 +20,27 @@ from contactvi.xml_input import Element, check_positive, named, numbers, read_xm
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 SHAPES = ("box", "sphere", "cylinder", "mesh")
 KNOWN = ("link", "joint", "material")
+FILE_LIMITS = "effort and velocity limits"
+
+
+class Mimic(NamedTuple):
+    """A mimic tag: q = multiplier * q of `joint` + offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+    def __str__(self) -> str:
+        return f"{self.multiplier:g} * {self.joint} + {self.offset:g}"
 
 
 @dataclass
 class UrdfText:
-    """A checked URDF: its name, its XML with resolved meshes, and its mimic tags as joint -> text."""
+    """A checked URDF: its name, its XML with resolved meshes, and its mimic tags by joint."""
 
     name: str
     xml: str
-    mimics: dict[str, str]
+    mimics: dict[str, Mimic]
 
 
 def read_urdf(path: Path, package_dirs: Sequence[object], report: PartReport) -> UrdfText:
@@ -49,7 +62,8 @@ def read_urdf(path: Path, package_dirs: Sequence[object], report: PartReport) ->
         _check_joint(name, joint, path)
     for name, link in links.items():
         _check_link(name, link, path, package_dirs, report)
-    mimics = _note_joints(joints, report)
+    mimics = _mimics(joints, path)
+    _note_joints(joints, report)
     for tag in sorted({str(child.tag) for child in root if child.tag not in KNOWN}):
         names = [child.get("name") or child.get("reference") or "" for child in root.findall(tag)]
         given = ", ".join(dict.fromkeys(n for n in names if n)) or f"{len(names)} of them"
@@ -97,7 +111,7 @@ def _check_tree(links: dict[str, Element], joints: dict[str, Element], path: Pat
                 body=ends["child"],
                 expected="a tree",
                 got="a loop",
-                remedy="Cut the loop: closed chains are not supported",
+                remedy="Cut the loop, and close it in the scene: scene.add_point or scene.add_weld",
             )
         parent_of[ends["child"]] = ends["parent"]
     roots = [link for link in links if link not in parent_of]
@@ -200,18 +214,35 @@ def _check_shape(holder: Element, link: str, path: Path, package_dirs: Sequence[
         shape.set("filename", str(resolve_resource(shape.get("filename", ""), path.parent, package_dirs)))
 
 
-def _note_joints(joints: dict[str, Element], report: PartReport) -> dict[str, str]:
-    """Note what a URDF says about joints and the engine does not use; return the mimic tags."""
-    mimics: dict[str, str] = {}
+def _note_joints(joints: dict[str, Element], report: PartReport) -> None:
+    """Note what a URDF says about joints and the engine does not use by itself."""
     for name, joint in joints.items():
-        if (mimic := joint.find("mimic")) is not None:
-            factor, offset = mimic.get("multiplier", "1"), mimic.get("offset", "0")
-            mimics[name] = f"{factor} * {mimic.get('joint')} + {offset}"
-            report.note("ignored", "joint", name, "mimic tag: treated as an independent joint")
         limit = joint.find("limit")
         if limit is not None and joint.get("type") != "fixed":
-            report.note("ignored", "joint", name, "effort and velocity limits")
+            report.note("ignored", "joint", name, f"{FILE_LIMITS}: set_actuator(joint, effort=True, velocity=True)")
         for tag in ("safety_controller", "calibration"):
             if joint.find(tag) is not None:
                 report.note("ignored", "joint", name, tag)
+
+
+def _mimics(joints: dict[str, Element], path: Path) -> dict[str, Mimic]:
+    """Return the mimic tags of joints that move."""
+    mimics: dict[str, Mimic] = {}
+    for name, joint in joints.items():
+        mimic = joint.find("mimic")
+        if mimic is None or joint.get("type") == "fixed":
+            continue
+        other = mimic.get("joint", "")
+        if other not in joints or other == name:
+            raise SceneError(
+                f"{path.name}: mimic tag of joint {name!r}",
+                path=path,
+                joint=name,
+                expected="the name of another joint",
+                got=repr(other),
+                remedy=did_you_mean(other, [known for known in joints if known != name]),
+            )
+        values = [numbers(mimic, key, path, f"joint {name!r}", 1) for key in ("multiplier", "offset")]
+        factor, offset = values[0] or [1.0], values[1] or [0.0]
+        mimics[name] = Mimic(other, factor[0], offset[0])
     return mimics

@@ -59,18 +59,31 @@ CPP_LAYERS: Layers = {
 PYTHON_LAYERS: Layers = {
     "engine": (("_core",), ()),
     "base": (
-        ("errors", "version", "files", "inputs", "checks", "option_checks", "options", "status", "events", "contacts"),
+        (
+            *("errors", "version", "files", "inputs", "checks", "option_checks", "options", "status", "events"),
+            *("contacts", "user_functions", "signals", "forces"),
+        ),
         (),
     ),
-    "model": (("paths", "report", "xml_input", "urdf", "mjcf", "hulls", "model_checks"), ("base",)),
+    "model": (("paths", "report", "xml_input", "urdf", "mjcf_equality", "mjcf", "hulls", "model_checks"), ("base",)),
     "scene": (
         (
-            *("parts", "importers", "assembly", "pairs", "joints", "contact_rules", "selection"),
-            *("scene_build", "scene_data", "scene_parts", "scene", "scene_file"),
+            *("parts", "importers", "assembly", "pairs", "joint_values", "joints", "contact_rules", "selection"),
+            *(
+                "elements",
+                "file_constraints",
+                "element_build",
+                "loops",
+                "scene_build",
+                "scene_data",
+                "scene_parts",
+                "scene_elements",
+            ),
+            *("scene_report", "scene", "scene_file_elements", "scene_file"),
         ),
         ("model", "engine"),
     ),
-    "prepared": (("prepared",), ("scene",)),
+    "prepared": (("derivative_check", "prepared"), ("scene",)),
     "page": (("visuals", "animation", "force_arrows", "shapes", "page"), ("scene",)),
     "trajectory": (
         ("dense", "contact_ledger", "ledger", "storage_entries", "storage", "trajectory"),
@@ -78,12 +91,15 @@ PYTHON_LAYERS: Layers = {
     ),
     "progress": (("progress",), ("base",)),
     "simulation": (
-        ("map_checks", "endings", "ledger_watch", "record", "engine", "auto_step", "simulation"),
+        (
+            *("map_checks", "endings", "ledger_watch", "record", "engine", "auto_step", "targets"),
+            *("simulator", "simulation", "sensors"),
+        ),
         ("trajectory", "progress"),
     ),
     "simultaneous": (("impact_sequences", "closed_contacts", "simultaneous"), ("prepared",)),
     "pictures": (("viewer", "plots"), ("trajectory",)),
-    "face": (("__init__",), ("simulation", "simultaneous", "pictures")),
+    "face": (("__init__",), ("simulation", "simultaneous", "pictures", "prepared")),
     "bench": (("bench_runs", "bench", "bench_report"), ("simulation",)),
     "reproduce": (
         (

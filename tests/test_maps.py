@@ -351,7 +351,7 @@ def test_a_stored_run_says_all_of_its_events(impact, tmp_path):
     assert loaded.forced is traj.forced is False
     with np.load(tmp_path / "run.npz") as file:
         assert ("discrete_energy" in file.files) == (impact == "dtec")
-        assert re.search('"schema": 4', str(file["header"]))
+        assert re.search('"schema": 5', str(file["header"]))
     np.testing.assert_array_equal(loaded.discrete_energy, traj.discrete_energy)
 
 
@@ -361,7 +361,7 @@ def test_a_run_of_schema_1_is_read_with_defaults(tmp_path):
     new += ("impulse_vector", "points", "friction", "loss", "energy_change")  # of schema 4
     with np.load(traj.save(tmp_path / "new.npz")) as file:
         entries = {name: file[name] for name in file.files if name not in {f"event/{field}" for field in new}}
-    header = str(entries["header"]).replace('"schema": 4', '"schema": 1').replace('"forced": false, ', "")
+    header = str(entries["header"]).replace('"schema": 5', '"schema": 1').replace('"forced": false, ', "")
     header = header.replace('"mhc_reference": "local", ', "")
     entries["header"] = np.array(header)
     np.savez(tmp_path / "old.npz", **entries)

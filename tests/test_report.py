@@ -39,10 +39,14 @@ MJCF = """<mujoco model="toy">
 </mujoco>"""
 
 
-def report_of(file: str, **options) -> ImportReport:
+def loaded(file: str, **options) -> Scene:
     scene = Scene()
     scene.add_urdf(ROBOTS + file, **options)
-    return scene.report
+    return scene
+
+
+def report_of(file: str, **options) -> ImportReport:
+    return loaded(file, **options).report
 
 
 def names(report: ImportReport, use: str, text: str) -> set[str]:
@@ -110,12 +114,17 @@ def test_limits_upside_down_are_none(tmp_path):
 
 
 def test_talos_mimic_tags_and_hulls():
-    report = report_of("talos_data/robots/talos_full_v2.urdf", base="free")
+    scene = loaded("talos_data/robots/talos_full_v2.urdf", base="free")
+    report = scene.report
     (part,) = report.parts
     tagged = {joint.name for joint in part.joints if joint.mimic}
     # A text search finds 24: twelve are <mimicJoint> of Gazebo plugins.
     assert len(tagged) == 12
-    assert tagged == names(report, "suspicious", "mimic") == names(report, "ignored", "mimic tag")
+    assert tagged == names(report, "used", "mimic tag: a constraint")
+    assert {element.name for element in scene.elements} == {f"mimic_{name}" for name in tagged}
+    free = loaded("talos_data/robots/talos_full_v2.urdf", base="free", mimic=False)
+    assert tagged == names(free.report, "suspicious", "mimic") == names(free.report, "ignored", "mimic tag")
+    assert not free.elements
     assert part.joints[0].type == "free"
     assert len(names(report, "changed", "convex hull")) == 47
     assert all("hull of" in shape.note for shape in part.geometries if "Hull" in shape.shape)
@@ -146,7 +155,8 @@ def test_mjcf(tmp_path: Path):
     report = scene.report
     assert [joint.type for joint in report.parts[0].joints] == ["revolute", "free", "prismatic"]
     ignored = {note.name for note in report.all_notes("ignored")}
-    assert {"<actuator>", "<equality>", "<keyframe>", "m_upper", "m_hinge", "timestep"} <= ignored
+    assert names(report, "used", "constraint: m_hinge = 0") == {"m_joint_1"}
+    assert {"<actuator>", "<keyframe>", "m_upper", "m_hinge", "timestep"} <= ignored
     assert names(report, "changed", "named by its place") == {"m_body_3"}
     # All bodies are read (Pinocchio alone stops after the first), the plane is a halfspace, the exclude is kept.
     assert isinstance(scene.collision_model.geometryObjects[0].geometry, coal.Halfspace)

@@ -82,7 +82,7 @@ def assert_same(a: Any, b: Any, path: str = "") -> None:
         assert a.keys() == b.keys(), path
         for key in a:
             assert_same(a[key], b[key], f"{path}/{key}")
-    elif isinstance(a, (list, np.ndarray)) and len(np.shape(a)) > 0 and not isinstance(a[0], (dict, str)):
+    elif isinstance(a, (list, np.ndarray)) and len(a) > 0 and not isinstance(a[0], (dict, str)):
         assert np.array_equal(a, b), path
     elif isinstance(a, list):
         assert len(a) == len(b), path

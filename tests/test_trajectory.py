@@ -182,6 +182,7 @@ def test_every_entry_is_documented(ball, tmp_path):
     stored |= {f"segment/{name}" for name in dense.FIELDS}  # of runs that keep their polynomials, tests/test_dense.py
     stored |= {f"contact/{name}" for name in contacts.FIELDS}  # of runs with contacts, tests/test_contacts_face.py
     stored |= {f"change/{name}" for name in contacts.CHANGE_FIELDS} | {f"phase/{name}" for name in ("t", "dt", "held")}
+    stored |= {"force/work", "force/reactions"}  # tests/test_elements.py
     stored |= {"arc/t", "arc/dt"}  # of runs with dt "auto", tests/test_auto_step.py
     assert described == {name for name in stored if not name.startswith("array/")}
 
@@ -295,8 +296,8 @@ def test_nothing_is_unpickled(saved, tmp_path):
 
 
 def test_other_schema(saved):
-    rewrite(saved, header=np.array(header(saved).replace('"schema": 4', '"schema": 5')))
-    with pytest.raises(cvi.SceneError, match="expected schema 1 to 4, got schema 5"):
+    rewrite(saved, header=np.array(header(saved).replace('"schema": 5', '"schema": 6')))
+    with pytest.raises(cvi.SceneError, match="expected schema 1 to 5, got schema 6"):
         cvi.Trajectory.load(saved)
 
 
@@ -306,7 +307,7 @@ def test_other_schema(saved):
         {"header": None},
         {"header": np.array("not json")},
         {"header": np.array("[1, 2]")},
-        {"header": np.array('{"format": "contactvi-trajectory", "schema": 4}')},
+        {"header": np.array('{"format": "contactvi-trajectory", "schema": 5}')},
         {"header": np.array("[" * 100_000)},
         {"header": np.zeros(3)},
         {"t": None},
