@@ -120,7 +120,7 @@ def install(core: Any, model: pin.Model, arrays: JointArrays, found: Resolved) -
         ]
         _method(core, "add_user_potential")(*wrapped)
     for row in found.constraints:
-        _method(core, "add_constraint")(row.engine_kind, *row.a, *row.b, row.numbers, row.signal)
+        _method(core, "add_constraint")(row.engine_kind, *row.a, *row.b, row.numbers, row.signal, row.name)
     if np.any(arrays.servo[:2]):
         _method(core, "set_servo")(*(np.ascontiguousarray(part) for part in arrays.servo))
     if np.any(np.isfinite(arrays.actuator)):

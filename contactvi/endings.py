@@ -15,6 +15,7 @@ REMEDY = {
     StatusCode.EVENT_UNRESOLVED: "Use a smaller dt",
     StatusCode.TOO_MANY_IMPACTS: "Use a smaller dt, or raise max_impacts_per_step",
     StatusCode.PENETRATION: "Move the start apart, or take the pair out with scene.disable_pair",
+    StatusCode.CONSTRAINT: "Mend the prescribed motions and lengths, or use a smaller dt",
     StatusCode.LEDGER: "Look at error.trajectory.ledger there; use a smaller dt, or another tolerance",
 }
 

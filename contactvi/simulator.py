@@ -59,6 +59,9 @@ class Snapshot:
     kept: Any
 
 
+_NO_WAY_ON = (StatusCode.NEWTON_FAILED, StatusCode.EVENT_UNRESOLVED, StatusCode.CONSTRAINT)
+
+
 class Simulator:
     """A scene stepped by the caller, for control loops::
 
@@ -150,7 +153,7 @@ class Simulator:
         self, steps: int, forces: Array | None, goals: Array | None, progress: Progress | None = None
     ) -> Status:
         status = self._stepped(steps, forces, goals, progress)
-        if status.code in (StatusCode.NEWTON_FAILED, StatusCode.EVENT_UNRESOLVED) and self._scene.constraint_rows:
+        if status.code in _NO_WAY_ON and self._scene.constraint_rows:
             self.unreachable = self._scene.unreachable(self.q, status.time + self.options.fixed_dt)
             if self.unreachable is not None:
                 names = ", ".join(repr(name) for name in self.unreachable.constraints)

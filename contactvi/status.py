@@ -20,6 +20,7 @@ class StatusCode(IntEnum):
     PENETRATION = 6
     INTERRUPTED = 7
     LEDGER = 8
+    CONSTRAINT = 9
 
 
 @dataclass(frozen=True)
