@@ -6,6 +6,11 @@
 
 namespace contactvi {
 
+namespace {
+constexpr double kImmobile = 1e-12;  // of the inverse inertia without constraints
+constexpr double kDriven = 1e-9;     // of the speeds: a constraint that closes a contact faster is a fault
+}  // namespace
+
 // The points of a guard that are closed at q_, held ones among them; false if there are none.
 bool ImpactSequence::add(int guard, const std::vector<HeldContact>& held, double margin) {
   if (count_ == static_cast<int>(closed_.size())) closed_.emplace_back();
@@ -129,9 +134,26 @@ bool ImpactSequence::collect(const VecX& q, const VecX& p, const std::vector<int
     for (const HeldContact& h : held) is_held |= h.point.guard == g;
     Contact contact;
     if (g != first && !is_held && !(guards_->evaluate_witness(g, contact) <= tolerance)) continue;
-    add(g, held, tolerance);
+    if (!add(g, held, tolerance) || !projection_.any() || mobile(closed_[count_ - 1])) continue;
+    const double gamma = closed_[--count_].gamma_n(p);
+    if (gamma < -kDriven * (1.0 + v_.cwiseAbs().maxCoeff()))
+      return fail(StatusCode::kConstraint, "what the constraints drive or hold runs into what cannot give way", g);
   }
   return true;
+}
+
+// Whether an impulse could change any normal speed of the contact: else the constraints say it.
+bool ImpactSequence::mobile(const ClosedGuard& c) {
+  VecX free(scene_->tree.nv);
+  for (int r = 0; r < c.rows; r += c.rows_per_point()) {
+    // M^-1 W W of the row as it was: projected W and what the constraints answered.
+    free = c.W.col(r) + projection_.gradients() * c.mu_fixed.col(r);
+    VecX answer = free;
+    integrator_->solve_mass(answer);
+    const double before = free.dot(answer);
+    if (c.W.col(r).dot(c.MinvW.col(r)) > kImmobile * before) return true;
+  }
+  return false;
 }
 
 }  // namespace contactvi

@@ -61,6 +61,7 @@ class ImpactSequence {
 
   bool add(int guard, const std::vector<HeldContact>& held, double margin);
   void add_rows(ClosedGuard& closed);
+  bool mobile(const ClosedGuard& closed);
   bool take_spare(const VecX& p);
   bool closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic,
                    ClosedGuard*& worst) const;

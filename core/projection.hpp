@@ -20,6 +20,7 @@ class Projection {
   // Rows W (nv, k) and M^-1 W become projected ones; mu (rows, k), offset (k,).
   void apply(Eigen::Ref<MatX> W, Eigen::Ref<MatX> MinvW, Eigen::Ref<MatX> mu, VecRef offset);
   const VecX& rate() const { return rate_; }
+  const MatX& gradients() const { return Phi_; }
 
  private:
   const Tree* tree_;
