@@ -90,7 +90,8 @@ void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording&
         }
         left_.erase(left);
       }
-      const double hardly = slow * (c.count > 1 ? kLow : c.held ? kHardly : 0.0);
+      double hardly = slow * (c.count > 1 ? kLow : c.held ? kHardly : 0.0);
+      if (c.held && without_progress_ >= kStandstill) hardly = INFINITY;  // contacts that push each other out
       if (std::abs(gamma) > slow && c.guard != forced && !(gamma > 0.0 && gamma < hardly)) {
         all = false;
         continue;

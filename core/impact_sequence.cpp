@@ -39,6 +39,12 @@ bool ImpactSequence::fail(StatusCode code, const char* message, int guard) {
   return false;
 }
 
+// What is driven may leave contacts no way out.
+bool ImpactSequence::not_solved(const char* message, int guard) {
+  if (!scene_->tree.elements.driven()) return fail(StatusCode::kNotFinite, message, guard);
+  return fail(StatusCode::kConstraint, "what the constraints drive leaves these contacts no way out", guard);
+}
+
 double ImpactSequence::largest_speed(const VecX& p) const {
   double largest = 0.0;
   for (int i = 0; i < count_; ++i)
@@ -184,7 +190,7 @@ bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at,
     for (int i = 0; i < count_; ++i)
       if (closed_[i].held && &closed_[i] != &closed) members.push_back({&closed_[i], 0.0});
   const BlockResult block = poisson_.solve(members, p);
-  if (!block.ok) return fail(StatusCode::kNotFinite, "an impact with friction was not solved", closed.guard);
+  if (!block.ok) return not_solved("an impact with friction was not solved", closed.guard);
   target -= block.loss;
   VecX p_minus = p;
   for (std::size_t k = 1; k < members.size(); ++k) {
@@ -235,7 +241,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
   }
   if (!any) return true;
   const BlockResult block = poisson_.solve(members, p);
-  if (!block.ok) return fail(StatusCode::kNotFinite, "a plastic impact was not solved", members[0].closed->guard);
+  if (!block.ok) return not_solved("a plastic impact was not solved", members[0].closed->guard);
   target -= block.loss;
   int row = 0;
   bool acted = false;

@@ -77,6 +77,7 @@ class ImpactSequence {
               const Instant& at, Recording& recording);
   // Whether the rest of the step is not a smooth one.
   bool held() const { return any_held_ || projection_.any(); }
+  bool not_solved(const char* message, int guard);
   bool fail(StatusCode code, const char* message, int guard);
 
   const Scene* scene_;

@@ -20,7 +20,6 @@ constexpr double kAlpha = 1e-13;                           // of a step: to what
 constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of the speeds: nothing to improve
 constexpr int kMostSticks = 3;            // of an interval that are located; the others cost O(h^2), as their places do
 constexpr int kMaxProbes = 60;            // partial steps to one of them
-constexpr int kStandstill = 3;            // events in place that hit nothing
 constexpr double kPastIt = 1e-4;          // of a contact step, past such a one
 constexpr double kMoreSpeed = 1.2;        // of the kinetic energy: a step with less than this is not looked at
 constexpr double kMostRise = 0.05;        // of the kinetic energy that a step may gain by being coarse

@@ -99,6 +99,7 @@ class Simulator {
     const VecX& tau;
   };
 
+  static constexpr int kStandstill = 3;            // events in place that hit nothing
   static constexpr int kMaxWithoutProgress = 200;  // changes and events in place that hit nothing
 
   bool interval(double start, double length, const VecX& tau, Recording& recording);
