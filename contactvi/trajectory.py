@@ -221,8 +221,8 @@ class Trajectory:
     def _forces(self) -> Forces:
         if self.forces is None:
             raise InputError(
-                "The work of forces was not recorded", name="dt", expected="a run with steps of one length",
-                got="a run with dt='auto', or one stored by an older contactvi", remedy="Run it with dt=1e-3",
+                "The work of forces was not recorded", name="work", expected="a run that has it",
+                got="one that an older contactvi has stored", remedy="Run it again",
             )  # fmt: skip
         return self.forces
 
