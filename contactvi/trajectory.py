@@ -173,7 +173,8 @@ class Trajectory:
                 self._engine(), self.options, self.t, self.q, self.p, self.events,
                 model=self.scene.model, collision=self.scene.collision_model, forced=self.forced,
                 start=float(self.t[0]), contacts=self.contacts, phases=self.phases, forces=self.forces,
-                elements=self.scene._complete().elements.any, constrained=self.scene._complete().constrained,
+                elements=self.scene._complete().elements.any or bool(self.scene._edits.missing),
+                constrained=self.scene._complete().constrained,
             )  # fmt: skip
         return self._ledger
 
@@ -278,7 +279,7 @@ class Trajectory:
                 remedy="Run it with dense=True; resample interpolates between the nodes",
             )
         core = self._engine()
-        q, v = self.segments.states(core, times, exact=not self.forced)
+        q, v = self.segments.states(core, times, exact=not self.forced and not self.scene._edits.missing)
         last = times >= self.t[-1]  # of a run that ended with an impact the segments know only what was before it
         q[last], v[last] = self.q[-1], core.velocity(self.q[-1:], self.p[-1:])[0]
         p = np.asarray(core.momentum(q, v))
