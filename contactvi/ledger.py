@@ -118,7 +118,7 @@ class Ledger:
 
     @cached_property
     def modified_energy(self) -> Array:
-        """Modified Hamiltonian of the full step [J], shape (N,); H from order 4 on."""
+        """Modified Hamiltonian of the full step [J], shape (N,); H from order 4 on and with constraints."""
         return self._modified(self._q, self._p)
 
     @cached_property
@@ -329,6 +329,8 @@ class Ledger:
         return values
 
     def _modified(self, q: Array, p: Array) -> Array:
+        if self._constrained:  # of its steps no such quantity is known
+            return np.asarray(self._core.energy(q, p)).sum(axis=1)
         return np.asarray(self._core.modified_energy(q, p, self._dt, self._order))
 
     @cached_property

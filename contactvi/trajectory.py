@@ -127,6 +127,8 @@ class Trajectory:
         """How long contacts were held and with which steps, in words."""
         if self.phases is None:
             return ""
+        if self.scene._complete().constrained:
+            return f", constrained steps of order 2, dt{_lengths(self.phases['dt'][self.phases['held'] != 0.0])}"
         held, ends = self.phases["held"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
         span = float((ends - self.phases["t"])[held].sum())
         lengths, same = _lengths(self.phases["dt"][held]), self.options.order == 2 and not self.options.auto
@@ -161,7 +163,7 @@ class Trajectory:
         """The modified Hamiltonian [J], shape (N,).
 
         At order 2 what the midpoint rule with step dt conserves to O(dt^4); from order 4 on H itself, whose nodes are
-        within O(dt^order) of what the integrator conserves.
+        within O(dt^order) of what the integrator conserves; H too with constraints and dry friction of joints.
         """
         return self._get("modified_energy", lambda core: self.ledger.modified_energy)
 
