@@ -338,7 +338,7 @@ def _watch(record: Record) -> None:
     ledger = Ledger(
         prepared.core, options, t, q, p, record.log(), model=prepared.built.model, collision=prepared.built.collision,
         forced=record.forced, start=record.start, contacts=record.contact_log(), phases=record.phases_joined(),
-        elements=prepared.built.elements.any,
+        elements=prepared.built.elements.any, forces=record.forces.joined(),
     )  # fmt: skip
     excess = Watch(options.ledger or {}).check(ledger)
     if excess is not None:

@@ -29,7 +29,7 @@ def advice(result: Bench) -> str:
     for target in targets([row.error for row in good]):
         row = result.best(target)
         assert row is not None
-        chosen[_setting(row)] = f"error {10.0 ** np.ceil(np.log10(row.error)):.0e}"
+        chosen[_setting(row)] = f"error {10.0 ** np.ceil(np.log10(max(row.error, 1e-16))):.0e}"
     smallest = min(good, key=lambda row: row.error)
     if result.best(smallest.error) is smallest:
         chosen.setdefault(_setting(smallest), f"smallest measured, {smallest.error:.1e}")

@@ -92,6 +92,8 @@ def take(record: Record, result: dict[str, Any]) -> Status:
     error = result["error"]
     if error is not None and not isinstance(error, KeyboardInterrupt):
         raise error
+    if error is not None and status.code != StatusCode.INTERRUPTED:  # pressed while a function of the user ran
+        status = record.status = Status(StatusCode.INTERRUPTED, "stopped by the user", status.time)
     return status
 
 

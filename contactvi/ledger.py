@@ -24,7 +24,7 @@ Tolerances, the keys of `ledger` of a run (option_checks.LEDGER_TOLERANCES), are
 - linear_momentum, angular_momentum: distance from the start [N s], [N m s], for free bodies without gravity;
   linear_momentum_jump, angular_momentum_jump: at an impact of free bodies.
 - energy_balance: of what H changed beyond the work of inputs and drives and the losses of damping, friction and
-  impacts, relative to the largest kinetic energy so far. It is O(dt^2) in every run with steps of one length.
+  impacts, relative to the largest kinetic energy so far. It is O(dt^2).
 - energy_rise: how far the energy at a node is above the least one before it, relative to the largest kinetic energy so
   far: more than the error of the integrator is an error of a contact. For runs without inputs.
 - impulse: how far one is below zero [N s]. complementarity: abs(gap * impulse) [N m s]. gap: abs(gap) [m]. Of impacts
@@ -118,7 +118,7 @@ class Ledger:
 
     @cached_property
     def modified_energy(self) -> Array:
-        """Modified Hamiltonian of the full step [J], shape (N,); H from order 4 on."""
+        """Modified Hamiltonian of the full step [J], shape (N,); H from order 4 on and with constraints."""
         return self._modified(self._q, self._p)
 
     @cached_property
@@ -160,7 +160,7 @@ class Ledger:
     def undriven_energy(self) -> Array:
         """H less what inputs and drives put in, plus what damping and dry friction of joints took [J], shape (N,).
 
-        NaN where that was not recorded: with dt="auto" and damping or forces.
+        NaN where that was not recorded, in runs with damping or forces.
         """
         if self._forces is not None:
             work = self._forces.work
@@ -329,6 +329,8 @@ class Ledger:
         return values
 
     def _modified(self, q: Array, p: Array) -> Array:
+        if self._constrained:  # of its steps no such quantity is known
+            return np.asarray(self._core.energy(q, p)).sum(axis=1)
         return np.asarray(self._core.modified_energy(q, p, self._dt, self._order))
 
     @cached_property

@@ -250,7 +250,12 @@ def _describe_joint(
     parent = prefix + model.names[model.parents[i]] if model.parents[i] else "universe"
     report.joints.append(JointRow(name, kind, parent, lower, upper, damping, friction, limited, mimic))
     if friction > 0.0:
-        report.note("ignored", "joint", name, f"{FILE_FRICTION} in the joint: set_joint(joint, friction=True)")
+        report.note(
+            "ignored",
+            "joint",
+            name,
+            f"{FILE_FRICTION} in the joint: not used, unless by set_joint(joint, friction=True)",
+        )
     rate = np.max(model.damping[dofs] / diagonal[dofs])
     if rate > FAST_DAMPING:
         text = (

@@ -27,12 +27,7 @@ ZENO = ("hold", "end")  # in the engine's order
 SUPPORTS = ("sequence", "stiff")
 DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
-_FIXED_ONLY = (
-    "discrete_energy",
-    "discrete_energy_jump",
-    "modified_energy_jump",
-    "energy_balance",
-)  # tolerances of steps made again
+_FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # tolerances of steps made again
 _OF_THE_KIND = ("tol", "record_every")  # options that mean something else, or nothing, with the other kind of dt
 _UNSET: Any = None  # the default depends on other options; resolved in __post_init__
 

@@ -18,9 +18,11 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
     span = float(traj.t[-1] - traj.t[0])
     energy, taken = traj.energy, float(traj.impact_energy[-1])
     slid = float(traj.friction_loss[-1]) if len(traj.contacts) else 0.0
-    rest = float(energy[-1] - energy[0]) - taken + slid
+    put_in, known = _works(traj)
+    rest = float(energy[-1] - energy[0]) - taken + slid - known
     scale = float(traj.kinetic_energy.max())
     share = f" ({rest / scale:+.2g} of the largest kinetic energy)" if scale > 0 else ""
+    cause = "integration error" if traj.forces is not None else "damping, inputs and integration error"
     guards = stats.guards_evaluated + stats.guards_skipped
     skipped = f", {100.0 * stats.guards_skipped / guards:.3g} % of the guards skipped" if guards else ""
     factor = f"{span / stats.seconds:.4g} x real time" if stats.seconds > 0 else ""
@@ -31,8 +33,9 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
         ("impacts", f"{len(events)}" + (f", {limits} of them at joint limits" if limits else "")),
         *_map_lines(traj, scale),
         *_contact_lines(traj),
+        *_constraint_lines(traj),
         ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
-        ("", f"{taken:+.6g} J by impacts{_slid(slid)}, {rest:+.3g} J by damping, inputs and integration error{share}"),
+        ("", f"{taken:+.6g} J by impacts{_slid(slid)}{put_in}, {rest:+.3g} J by {cause}{share}"),
         ("wall time", f"{stats.seconds:.3g} s, {factor}"),
         ("work", f"{stats.iterations} sweeps, {stats.factorizations} factorizations{skipped}"),
     ]
@@ -61,12 +64,37 @@ def _map_lines(traj: Trajectory, scale: float) -> list[tuple[str, str]]:
     return [("map", text)]
 
 
+def _works(traj: Trajectory) -> tuple[str, float]:
+    """Return in words what inputs, drives, damping and dry friction did to the energy, and their sum [J]."""
+    if traj.forces is None:
+        return "", 0.0
+    work = traj.work
+    parts = {
+        "inputs": float(work.input[-1]),
+        "drives": float(work.drive[-1]),
+        "damping": -float(work.damping[-1]),
+        "dry friction": -float(work.dry[-1]),
+    }
+    return "".join(f", {value:+.6g} J by {name}" for name, value in parts.items() if value), sum(parts.values())
+
+
+def _constraint_lines(traj: Trajectory) -> list[tuple[str, str]]:
+    """Return what there is to say about constraints: how many, and the largest reaction."""
+    if not traj.constraints:
+        return []
+    largest = {row.name: float(np.abs(traj.reactions(row.name)).max()) for row in traj.constraints}
+    name = max(largest, key=lambda key: largest[key])
+    count, rows = len(largest), sum(row.rows for row in traj.constraints)
+    text = f"{count} constraints with {rows} equations, largest {largest[name]:.4g} N or N m at {name!r}"
+    return [("reactions", text)]
+
+
 def _slid(loss: float) -> str:
     return f", {-loss:+.6g} J by sliding" if loss else ""
 
 
 def _contact_lines(traj: Trajectory) -> list[tuple[str, str]]:
-    """Return what there is to say about lasting contact: how long, how exact, what it cost."""
+    """Return what there is to say about lasting contact and constrained steps: how long, how exact, at what cost."""
     stats = traj.stats
     if not stats.held_steps:
         return []
@@ -80,9 +108,10 @@ def _contact_lines(traj: Trajectory) -> list[tuple[str, str]]:
         text = f"{pairs} {'pairs' if pairs > 1 else 'pair'} touched, largest force at a point {strongest:.4g} N"
         lines.append(text)
         lines.append(f"gaps kept to {gap:.2g} m, gap times impulse to {complementarity:.2g} N s m")
+    what = "constrained steps" if traj.scene._complete().constrained else "steps in contact"
     each = 1e6 * stats.contact_seconds / stats.held_steps
     work = f"{stats.contact_rounds / stats.held_steps:.3g} rounds and {each:.3g} us per step"
     solver = f"{stats.cone_problems} contact problems, {stats.cone_iterations} iterations"
     fallbacks = f", {stats.cone_fallbacks} by another solver" if stats.cone_fallbacks else ""
-    lines.append(f"{stats.held_steps} steps in contact, {work}, {solver}{fallbacks}")
+    lines.append(f"{stats.held_steps} {what}, {work}, {solver}{fallbacks}")
     return [("" if k else "contact", line) for k, line in enumerate(lines)]

@@ -127,6 +127,8 @@ class Trajectory:
         """How long contacts were held and with which steps, in words."""
         if self.phases is None:
             return ""
+        if self.scene._complete().constrained:
+            return f", constrained steps of order 2, dt{_lengths(self.phases['dt'][self.phases['held'] != 0.0])}"
         held, ends = self.phases["held"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
         span = float((ends - self.phases["t"])[held].sum())
         lengths, same = _lengths(self.phases["dt"][held]), self.options.order == 2 and not self.options.auto
@@ -161,7 +163,7 @@ class Trajectory:
         """The modified Hamiltonian [J], shape (N,).
 
         At order 2 what the midpoint rule with step dt conserves to O(dt^4); from order 4 on H itself, whose nodes are
-        within O(dt^order) of what the integrator conserves.
+        within O(dt^order) of what the integrator conserves; H too with constraints and dry friction of joints.
         """
         return self._get("modified_energy", lambda core: self.ledger.modified_energy)
 
@@ -173,7 +175,8 @@ class Trajectory:
                 self._engine(), self.options, self.t, self.q, self.p, self.events,
                 model=self.scene.model, collision=self.scene.collision_model, forced=self.forced,
                 start=float(self.t[0]), contacts=self.contacts, phases=self.phases, forces=self.forces,
-                elements=self.scene._complete().elements.any, constrained=self.scene._complete().constrained,
+                elements=self.scene._complete().elements.any or bool(self.scene._edits.missing),
+                constrained=self.scene._complete().constrained,
             )  # fmt: skip
         return self._ledger
 
@@ -221,8 +224,8 @@ class Trajectory:
     def _forces(self) -> Forces:
         if self.forces is None:
             raise InputError(
-                "The work of forces was not recorded", name="dt", expected="a run with steps of one length",
-                got="a run with dt='auto', or one stored by an older contactvi", remedy="Run it with dt=1e-3",
+                "The work of forces was not recorded", name="work", expected="a run that has it",
+                got="one that an older contactvi has stored", remedy="Run it again",
             )  # fmt: skip
         return self.forces
 
@@ -278,7 +281,7 @@ class Trajectory:
                 remedy="Run it with dense=True; resample interpolates between the nodes",
             )
         core = self._engine()
-        q, v = self.segments.states(core, times, exact=not self.forced)
+        q, v = self.segments.states(core, times, exact=not self.forced and not self.scene._edits.missing)
         last = times >= self.t[-1]  # of a run that ended with an impact the segments know only what was before it
         q[last], v[last] = self.q[-1], core.velocity(self.q[-1:], self.p[-1:])[0]
         p = np.asarray(core.momentum(q, v))

@@ -219,7 +219,7 @@ def _note_joints(joints: dict[str, Element], report: PartReport) -> None:
     for name, joint in joints.items():
         limit = joint.find("limit")
         if limit is not None and joint.get("type") != "fixed":
-            report.note("ignored", "joint", name, f"{FILE_LIMITS}: set_actuator(joint, effort=True, velocity=True)")
+            report.note("ignored", "joint", name, f"{FILE_LIMITS}: not used, unless by set_actuator(joint, ...)")
         for tag in ("safety_controller", "calibration"):
             if joint.find(tag) is not None:
                 report.note("ignored", "joint", name, tag)

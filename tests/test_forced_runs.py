@@ -62,6 +62,21 @@ def test_functions_that_fail_end_the_run_by_name(add, name, function, text, thro
         assert f"at t = {caught.value.time:.9g} s" in str(caught.value)
 
 
+def test_ctrl_c_in_a_function_interrupts_the_run():
+    scene, calls = ball_scene(), []
+
+    def force(t, q, v):
+        calls.append(t)
+        if len(calls) > 50:
+            raise KeyboardInterrupt
+        return np.zeros(6)
+
+    scene.add_force(force)
+    traj = cvi.simulate(scene, duration=1.0, dt=1e-3, throw=False)
+    assert traj.status.code == cvi.StatusCode.INTERRUPTED
+    assert 10 < len(traj) < 100
+
+
 def test_the_control_is_named_with_the_time():
     def control(t, q, v):
         return np.zeros(6) if t < 0.0055 else np.full(6, math.nan)
