@@ -299,13 +299,15 @@ void Integrator::forget() {
 
 Integrator::Memory Integrator::memory() {
   solved_ = false;  // the stages are not remembered
-  return {start_, carry_q_, carry_p_, newton_};
+  const double* P = stages_.P();
+  return {start_, carry_q_, carry_p_, std::vector<double>(P, P + tree_->nv * stages_.padded()), newton_};
 }
 
 void Integrator::recall(const Memory& memory) {
   start_ = memory.start;
   carry_q_ = memory.carry_q;
   carry_p_ = memory.carry_p;
+  std::copy(memory.momenta.begin(), memory.momenta.end(), stages_.P());
   newton_ = memory.newton;
   solved_ = false;
 }

@@ -54,6 +54,7 @@ class Integrator final : public Stepper {
   struct Memory {
     StartValues start;
     VecX carry_q, carry_p;
+    std::vector<double> momenta;  // at the stages: the first sweep measures with them
     bool newton;
   };
   Memory memory();

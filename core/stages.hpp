@@ -60,6 +60,7 @@ class Stages {
   double* X() { return X_; }
   double* v() { return v_; }
   double* rate() { return work_.rate; }
+  double* P() { return P_; }
   const double* P() const { return P_; }
   const double* G() const { return G_; }
   double* dv() { return dv_; }
