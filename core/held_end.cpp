@@ -53,6 +53,7 @@ bool HeldStep::end_kick() {
     const Vec3 t1 = node1_.t1[i], t2 = node1_.at[i].normal.cross(t1);
     out.turned = contacts_[i].slip.dot(s[0] * t1 + s[1] * t2) < 0.0;
   }
+  judge_dry(speed);
   lambda_end_ = lambda_;
   if (!solve_end(lambda_end_)) {
     why_ = "the contact forces at the end of a step were not found";
@@ -72,7 +73,10 @@ bool HeldStep::solve_end(VecX& lambda) {
   end_cones_.clear();
   sub_rows_.clear();
   for (int k = 0; k < bilateral_ + dry_; ++k) sub_rows_.push_back(k);
-  for (int k = 0; k < dry_; ++k) end_cones_.push_back(cones_[k]);
+  for (int k = 0; k < dry_; ++k) {
+    end_cones_.push_back(cones_[k]);
+    end_cones_.back().frozen = dry_outcomes_[k].slipped;
+  }
   for (int i : active_) {
     ConeContact cone = cones_[dry_ + i];
     cone.row = static_cast<int>(sub_rows_.size()) - bilateral_;
@@ -91,7 +95,7 @@ bool HeldStep::solve_end(VecX& lambda) {
     x_[a] = lambda[sub_rows_[a]];
     for (int c = 0; c < rows; ++c) G(a, c) = G_end_(sub_rows_[a], sub_rows_[c]);
   }
-  if (bilateral_ > 0) reduction_.set(G, bilateral_);
+  if (bilateral_ > 0) reduction_.set(G, bilateral_, dry_);
   const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
   lambda.setZero();
   if (rows == 0) return true;
@@ -108,6 +112,15 @@ bool HeldStep::solve_end(VecX& lambda) {
       continue;
     }
     bool turned = false;
+    for (int k = 0; k < dry_; ++k) {
+      ConeContact& cone = end_cones_[k];
+      if (!cone.frozen) continue;
+      const int row = bilateral_ + k;
+      dry_outcomes_[k].reversed = cone.d[0] * (b_sub_[row] + G.row(row) * x_);
+      if (dry_outcomes_[k].reversed > kSlipping * speed) continue;
+      cone.frozen = false;
+      turned = true;
+    }
     for (std::size_t a = 0; a < active_.size(); ++a) {
       ConeContact& cone = end_cones_[dry_ + a];
       if (!cone.frozen) continue;
@@ -125,6 +138,8 @@ bool HeldStep::solve_end(VecX& lambda) {
 }
 
 void HeldStep::describe() {
+  for (int k = 0; k < dry_; ++k)
+    dry_outcomes_[k].slips = std::abs(v1_[dry_joints_[k].dof]) > kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
   const double speed = 1.0 + v1_.cwiseAbs().maxCoeff();
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     HeldOutcome& out = outcomes_[i];
@@ -202,7 +217,6 @@ void HeldStep::commit() {
     const bool sticks = std::abs(v1_[joint.dof]) <= still && joint.iq >= 0;
     if (sticks && !joint.anchored) joint.anchor = q1_[joint.iq];
     joint.anchored = sticks;
-    joint.reference = joint.iq < 0 ? 0.0 : sticks ? joint.anchor : q1_[joint.iq];
   }
   fixed_force_ = (lambda_.head(bilateral_ + dry_) + lambda_end_.head(bilateral_ + dry_)) / h_;
   v_node_ = v1_;

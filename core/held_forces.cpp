@@ -65,7 +65,7 @@ bool HeldStep::force_problem(VecX& value) {
     cone.d = Eigen::Vector2d(out.slip_W.dot(out.t1), out.slip_W.dot(out.t2)).normalized();
   }
   change_ = h_ > 0.0 ? VecX((2.0 / h_) * lambda_end_) : VecX(VecX::Zero(rows_));
-  if (bilateral_ > 0) reduction_.set(G_end_, bilateral_);
+  if (bilateral_ > 0) reduction_.set(G_end_, bilateral_, dry_);
   if (!solve_rows(force_cones_, G_end_, b_, 1e-9 * b_.cwiseAbs().maxCoeff(), change_, true)) return false;
   b_.noalias() += G_end_ * change_;
   double stiffest = 0.0;

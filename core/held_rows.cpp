@@ -9,6 +9,7 @@ namespace contactvi {
 
 namespace {
 constexpr double kShort = 1e-5;    // of a step below which places are followed by their rates
+constexpr double kStill = 1e-11;   // of the speeds: slip below it is rounding
 constexpr double kMet = 1e-10;     // of the configuration: a constraint is met to it,
 constexpr double kMetRate = 1e-7;  // and its rate to this, of the speeds
 }  // namespace
@@ -40,6 +41,51 @@ void HeldStep::measure_constraints(double h) {
     const bool place = joint.iq >= 0 && h >= kShort * nominal_h_;
     y_[bilateral_ + k] = place ? (q1_[joint.iq] - joint.reference) / h : v_[joint.dof];
   }
+}
+
+// Speeds at the start of a step; a joint that moves has no anchor.
+void HeldStep::start_dry(const VecCRef& v) {
+  const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
+  for (DryJoint& joint : dry_joints_) {
+    joint.speed = std::abs(v[joint.dof]) > still ? v[joint.dof] : 0.0;
+    joint.anchored &= joint.speed == 0.0;
+  }
+}
+
+// What the first kick says of the slip of joints.
+void HeldStep::judge_dry(double speed) {
+  for (int k = 0; k < dry_; ++k) {
+    DryOutcome& out = dry_outcomes_[k];
+    const int r = bilateral_ + k;
+    const double s = y_[r] + G_.row(r) * change_;
+    out = DryOutcome();
+    out.slipped = std::abs(lambda_[r]) >= cones_[k].box * (1.0 - 1e-9) && std::abs(s) > kStill * speed;
+    if (!out.slipped) continue;
+    cones_[k].d[0] = s > 0.0 ? 1.0 : -1.0;
+    out.turned = dry_joints_[k].speed * s < 0.0;
+  }
+}
+
+bool HeldStep::slip_ends(int i) const {
+  const int n = static_cast<int>(contacts_.size());
+  if (i >= n) {
+    const DryOutcome& out = dry_outcomes_[i - n];
+    return dry_joints_[i - n].speed != 0.0 && (!out.slips || out.turned);
+  }
+  const HeldContact& held = contacts_[i];
+  const HeldOutcome& out = outcomes_[i];
+  const bool turns = out.slips && (out.turned || out.slip_W.dot(held.slip) < 0.0);
+  return held.mu > 0.0 && !held.sticks && out.active && (!out.slips || turns);
+}
+
+double HeldStep::slip_left(int i) const {
+  constexpr double kTurned = -1e-3;
+  const int n = static_cast<int>(contacts_.size());
+  if (i >= n) {
+    const DryOutcome& out = dry_outcomes_[i - n];
+    return out.slipped && !out.turned ? out.reversed : kTurned;
+  }
+  return outcomes_[i].slipped && !outcomes_[i].turned ? outcomes_[i].reversed : kTurned;
 }
 
 // Whether the constraints hold at the end of the step; else which does not (unmet_). rates: and their rates.

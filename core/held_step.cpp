@@ -43,6 +43,7 @@ HeldStep::HeldStep(const Scene& scene, Guards& guards, const Manifolds& manifold
   const Tree& tree = scene.tree;
   for (int dof : tree.elements.dry_dofs) {
     const Joint& joint = tree.joints[tree.dof_joint[dof]];
+    dry_outcomes_.emplace_back();
     dry_joints_.push_back({dof, joint.nq == 1 ? joint.iq : -1, tree.elements.dry_friction[dof]});
   }
   restart();
@@ -125,8 +126,6 @@ void HeldStep::start_node(const VecCRef& q0) {
   node0_.q = q0;
   node0_.known = true;
   constraint_node(q0, t, node0_);
-  for (DryJoint& joint : dry_joints_)
-    joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? q0[joint.iq] : 0.0;
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const HeldContact& held = contacts_[i];
     evaluate(held, node0_.at[i]);
@@ -205,6 +204,8 @@ bool HeldStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regular
 
 bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
   start_node(q0);
+  for (DryJoint& joint : dry_joints_)
+    joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? q0[joint.iq] : 0.0;
   integrator_.begin_kicked(q0, h, tau, v);
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     lambda_.segment(row_[i], contacts_[i].rows()) = 0.5 * h * contacts_[i].force.head(contacts_[i].rows());
@@ -233,7 +234,7 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     if (!y_.allFinite()) break;
     if (!settled) {
       G_.noalias() = S_.transpose() * DinvW_;
-      if (bilateral_ > 0) reduction_.set(G_, bilateral_);
+      if (bilateral_ > 0) reduction_.set(G_, bilateral_, dry_);
     }
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
@@ -287,12 +288,14 @@ bool HeldStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX&
   unmet_ = -1;
   if (node0_.known && follows_ && (node0_.q.array() == q0.array()).all()) {
     guess_ = v_node_ + (h / h_last_) * (v_node_ - v_last_);  // at the middle, from the last step's
+    start_dry(v_node_);
   } else {
     if (!integrator_.node_velocity(q0, p0, v1_)) {
       why_ = "the mass matrix is not positive definite";
       return false;
     }
     guess_ = v1_;
+    start_dry(v1_);
   }
   h_ = h;
   ++counters.steps;

@@ -90,6 +90,11 @@ class HeldStep final : public Stepper {
   bool holding_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value);
   // Size of the forces that the last holding_forces could have met: gravity's weight on a contact, or the largest [N].
   double force_scale() const { return force_scale_; }
+  // Slips of the contacts, then those of the joints with dry friction: whether one came to rest or turned round in the
+  // step, and the speed that is left of it at the end as if the friction had gone on, negative if that has turned.
+  int slips() const { return static_cast<int>(contacts_.size()) + dry_; }
+  bool slip_ends(int i) const;
+  double slip_left(int i) const;
   // Whether a contact may have left: its forces of this step fall towards zero.
   bool may_release() const;
 
@@ -113,6 +118,12 @@ class HeldStep final : public Stepper {
     double limit;
     bool anchored = false;
     double anchor = 0, reference = 0;
+    double speed = 0;  // at the start of the step; 0 where it sticks
+  };
+  // What a step did to it; as HeldOutcome.
+  struct DryOutcome {
+    bool slipped = false, slips = false, turned = false;
+    double reversed = 0;
   };
 
   // What the next step is started from, to go on from here later with the same digits.
@@ -133,6 +144,8 @@ class HeldStep final : public Stepper {
   void set_rows();
   void constraint_node(const VecCRef& q, double t, Node& node);
   void measure_constraints(double h);
+  void start_dry(const VecCRef& v);
+  void judge_dry(double speed);
   bool constraints_met(double h, bool rates);
   ConeContact dry_cone(int k, double bound) const;
   bool solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise, VecX& lambda,
@@ -167,6 +180,7 @@ class HeldStep final : public Stepper {
   std::vector<int> active_;                     // contacts of the end kick
   std::vector<int> sub_rows_;
   std::vector<DryJoint> dry_joints_;
+  std::vector<DryOutcome> dry_outcomes_;
   Reduction reduction_;
   int bilateral_ = 0, dry_ = 0;  // rows of constraints, of dry friction; those of the contacts follow
   int unmet_ = -1;

@@ -21,6 +21,7 @@ constexpr double kSmallForce = 1e-12, kSmallSlip = 1e-11;  // of the forces, of 
 constexpr int kMostSticks = 3;            // of an interval that are located; the others cost O(h^2), as their places do
 constexpr int kMaxProbes = 60;            // partial steps to one of them
 constexpr double kPastIt = 1e-4;          // of a contact step, past such a one
+constexpr double kTogether = 1e-6;        // of a step: ends of slips nearer to each other are one
 constexpr double kMoreSpeed = 1.2;        // of the kinetic energy: a step with less than this is not looked at
 constexpr double kMostRise = 0.05;        // of the kinetic energy that a step may gain by being coarse
 constexpr double kEnergyRounding = 1e-7;  // [J] of 1 J
@@ -114,8 +115,7 @@ bool Simulator::find_release(const VecX& tau, double& alpha, bool& at_start) {
 // Speed that is left of the slip at alpha, as if the friction went on beyond its end.
 bool Simulator::stick_value(const VecX& tau, double alpha, double& value) {
   if (!held_.solve_part(held_path_, alpha, q_, p_, tau)) return false;
-  const HeldOutcome& out = held_.outcomes()[sticking_];
-  value = out.slipped && !out.turned ? out.reversed : -1e-3;
+  value = held_.slip_left(sticking_);
   return true;
 }
 
@@ -124,23 +124,25 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
   sticking_ = -1;
   if (sticks_located_ >= kMostSticks) return true;
   const double small = kSmallSlip * (1.0 + held_.end_velocity().cwiseAbs().maxCoeff());
-  for (std::size_t i = 0; i < held_.contacts().size(); ++i) {
-    const HeldContact& held = held_.contacts()[i];
-    const HeldOutcome& out = held_.outcomes()[i];
-    const bool turns = out.slips && (out.turned || out.slip_W.dot(held.slip) < 0.0);
-    if (held.mu == 0.0 || held.sticks || !out.active || (out.slips && !turns)) continue;
-    sticking_ = static_cast<int>(i);
-    double high_value = 0.0, root = alpha;
-    if (!stick_value(tau, alpha, high_value)) return false;
+  slip_ends_.clear();
+  for (int i = 0; i < held_.slips(); ++i)
+    if (held_.slip_ends(i)) slip_ends_.push_back(i);
+  bool located = false;
+  for (int i : slip_ends_) {
+    sticking_ = i;
+    // Points of a face come to rest together: only what does so clearly before is another end.
+    const double high = located ? alpha * (1.0 - kTogether) : alpha;
+    double high_value = 0.0, root = high;
+    if (!stick_value(tau, high, high_value)) return false;
     if (high_value >= 0.0) continue;
     // The slip at the start of the step is not kept; any positive number brackets.
     if (!first_root(
-            -high_value, alpha, high_value, small, [&](double x, double& f) { return stick_value(tau, x, f); }, root))
+            -high_value, high, high_value, small, [&](double x, double& f) { return stick_value(tau, x, f); }, root))
       return false;
     alpha = root;
-    ++sticks_located_;
-    break;  // what else comes to rest does so in the next piece
+    located = true;
   }
+  if (located) ++sticks_located_;
   return sticking_ < 0 || held_.solve_part(held_path_, alpha, q_, p_, tau);
 }
 

@@ -6,9 +6,10 @@ namespace contactvi {
 
 namespace {
 constexpr double kRedundant = 1e-9;  // of the scaled matrix: rows that depend on each other
+constexpr double kIdle = 1e-12;      // of a row's own diagonal without the equations
 }  // namespace
 
-void Reduction::set(const Eigen::Ref<const MatX>& G, int equations) {
+void Reduction::set(const Eigen::Ref<const MatX>& G, int equations, int checked) {
   equations_ = equations;
   const Eigen::Index rest = G.rows() - equations;
   scale_.resize(equations);
@@ -26,12 +27,22 @@ void Reduction::set(const Eigen::Ref<const MatX>& G, int equations) {
     G_.resize(0, 0);
   }
   A_ = G.bottomLeftCorner(rest, equations);  // for the right side
+  idle_.clear();
+  for (int k = 0; k < checked; ++k) {
+    const double own = G(equations + k, equations + k);
+    if (!(G_(k, k) <= kIdle * own)) continue;
+    idle_.push_back(k);
+    G_.row(k).setZero();
+    G_.col(k).setZero();
+    G_(k, k) = own > 0.0 ? own : 1.0;
+  }
 }
 
 const VecX& Reduction::right_side(const VecCRef& b) {
   first_ = scale_.asDiagonal() * factor_.solve(VecX(scale_.asDiagonal() * b.head(equations_)));
   b_ = b.tail(b.size() - equations_);
   if (b_.size() > 0) b_.noalias() -= A_ * first_;
+  for (int k : idle_) b_[k] = 0.0;
   return b_;
 }
 

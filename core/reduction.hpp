@@ -6,6 +6,7 @@
 #pragma once
 
 #include <Eigen/QR>
+#include <vector>
 
 #include "numerics.hpp"
 
@@ -13,7 +14,9 @@ namespace contactvi {
 
 class Reduction {
  public:
-  void set(const Eigen::Ref<const MatX>& G, int equations);
+  // Of the rest the first `checked` rows are without effect, and get no impulse, where the equations leave them no
+  // motion.
+  void set(const Eigen::Ref<const MatX>& G, int equations, int checked = 0);
   const MatX& matrix() const { return G_; }
   const VecX& right_side(const VecCRef& b);
   // all = (lambda_e, rest).
@@ -24,6 +27,7 @@ class Reduction {
   int equations_ = 0, rank_ = 0;
   VecX scale_, b_, first_;
   MatX A_, across_, G_;  // across: G_ee^+ G_er
+  std::vector<int> idle_;
   Eigen::CompleteOrthogonalDecomposition<MatX> factor_;
 };
 

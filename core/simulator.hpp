@@ -185,6 +185,7 @@ class Simulator {
   std::vector<ChangeRecord> begun_;                 // by reset, not recorded yet
   double flight_trial_ = 0;                         // longest free step after a short flight; 0: any
   std::vector<ContactPoint> points_;
+  std::vector<int> slip_ends_;          // that are looked for in the step
   std::vector<int> opened_;             // guards whose points are no longer closed
   int releasing_ = -1, sticking_ = -1;  // contacts sought by the root searches
   VecX forces_;
