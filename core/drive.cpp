@@ -8,20 +8,17 @@ namespace contactvi {
 
 namespace {
 
+constexpr double kOverEffort = 1e-9;
+
 double bound(const VecX& limits, int dof) { return limits.size() > 0 ? limits[dof] : INFINITY; }
 
 }  // namespace
 
-// Row k of target, if there are any, are the references from now on. Where an actuator is at its limit at the start of
-// the step its torque is constant over the step.
+// Row k of target, if there are any, are the references from now on.
 void Simulator::set_drive(const VecX& tau, const MatX& target, long k) {
   const Tree& tree = scene_->tree;
-  const Elements& e = tree.elements;
-  const bool servo = e.servo_kp.size() > 0, limited = e.effort.size() > 0 || e.speed.size() > 0;
-  force_ = tau;
-  if (!servo && !limited) return;
-  if (limited && force_.size() == 0) force_.setZero(tree.nv);
-  if (servo) {
+  tau_ = tau;
+  if (tree.elements.servo_kp.size() > 0) {
     if (servo_.q_ref.size() == 0) {
       servo_.q_ref.setZero(tree.nv);
       servo_.v_ref.setZero(tree.nv);
@@ -30,6 +27,19 @@ void Simulator::set_drive(const VecX& tau, const MatX& target, long k) {
       servo_.q_ref = target.row(k).head(tree.nv).transpose();
       servo_.v_ref = target.row(k).tail(tree.nv).transpose();
     }
+  }
+  limit_drive();
+}
+
+// What pushes from here on. Where an actuator is at its limit its torque is constant until the next part of the step.
+void Simulator::limit_drive() {
+  const Tree& tree = scene_->tree;
+  const Elements& e = tree.elements;
+  const bool servo = e.servo_kp.size() > 0, limited = e.effort.size() > 0 || e.speed.size() > 0;
+  force_ = tau_;
+  if (!servo && !limited) return;
+  if (limited && force_.size() == 0) force_.setZero(tree.nv);
+  if (servo) {
     servo_.any = true;
     servo_.kp = e.servo_kp;
     servo_.kd = e.servo_kd;
@@ -45,8 +55,7 @@ void Simulator::set_drive(const VecX& tau, const MatX& target, long k) {
       follow = servo_.kd[d] * (servo_.v_ref[d] - v_[d]);
       if (servo_.kp[d] != 0.0) follow += servo_.kp[d] * (servo_.q_ref[d] - q_[joint.iq]);
     }
-    const double own = force_.size() > 0 ? force_[d] : 0.0, wanted = own + follow;
-    const double most = std::min(bound(e.effort, d), driven ? bound(e.servo_effort, d) : INFINITY);
+    const double own = force_.size() > 0 ? force_[d] : 0.0, wanted = own + follow, most = most_effort(d);
     double given = std::clamp(wanted, -most, most);
     if (std::abs(v_[d]) >= bound(e.speed, d) && given * v_[d] > 0.0) given = 0.0;
     if (given == wanted) continue;
@@ -58,8 +67,45 @@ void Simulator::set_drive(const VecX& tau, const MatX& target, long k) {
       force_[d] = given;
     }
   }
-  integrator_.set_servo(servo ? &servo_ : nullptr);
-  held_.set_servo(servo ? &servo_ : nullptr);
+  apply_servo();
+}
+
+double Simulator::most_effort(int d) const {
+  const Elements& e = scene_->tree.elements;
+  const bool driven = e.servo_kp.size() > 0 && (e.servo_kp[d] != 0.0 || e.servo_kd[d] != 0.0);
+  return std::min(bound(e.effort, d), driven ? bound(e.servo_effort, d) : INFINITY);
+}
+
+void Simulator::apply_servo() {
+  const Servo* servo = scene_->tree.elements.servo_kp.size() > 0 ? &servo_ : nullptr;
+  integrator_.set_servo(servo);
+  held_.set_servo(servo);
+}
+
+// Whether a servo was beyond its effort in the step just solved: it is at its limit then, and the step is to be solved
+// again.
+bool Simulator::exceeds_effort(const Integrator& integrator) {
+  if (!servo_.any) return false;
+  bool exceeds = false;
+  for (const Joint& joint : scene_->tree.joints) {
+    const int d = joint.iv;
+    if (joint.nv != 1 || (servo_.kp[d] == 0.0 && servo_.kd[d] == 0.0)) continue;
+    const double most = most_effort(d);
+    if (!std::isfinite(most)) continue;
+    const double own = force_.size() > 0 ? force_[d] : 0.0;
+    double largest = 0.0;
+    for (int i = 0; i < integrator.stages(); ++i) {
+      const double torque = own + integrator.servo_torque(d, i);
+      if (std::abs(torque) > std::abs(largest)) largest = torque;
+    }
+    if (!(std::abs(largest) > most * (1.0 + kOverEffort))) continue;
+    servo_.kp[d] = servo_.kd[d] = 0.0;
+    servo_.feed[d] = std::copysign(most, largest) - own;
+    ++saturated_;
+    exceeds = true;
+  }
+  if (exceeds) apply_servo();
+  return exceeds;
 }
 
 void Simulator::count_held_work() {

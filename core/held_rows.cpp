@@ -70,7 +70,8 @@ bool HeldStep::slip_ends(int i) const {
   const int n = static_cast<int>(contacts_.size());
   if (i >= n) {
     const DryOutcome& out = dry_outcomes_[i - n];
-    return dry_joints_[i - n].speed != 0.0 && (!out.slips || out.turned);
+    const DryJoint& joint = dry_joints_[i - n];
+    return joint.speed != 0.0 && (!out.slips || out.turned || joint.speed * v1_[joint.dof] < 0.0);
   }
   const HeldContact& held = contacts_[i];
   const HeldOutcome& out = outcomes_[i];

@@ -98,6 +98,7 @@ class HeldStep final : public Stepper {
   // Whether a contact may have left: its forces of this step fall towards zero.
   bool may_release() const;
 
+  const Integrator& integrator() const { return integrator_; }
   const StepCounters& step_counters() const { return integrator_.counters; }
   HeldCounters counters;
 

@@ -37,6 +37,9 @@ class Integrator final : public Stepper {
   const Servo* servo() const { return stages_.servo(); }
   ForceField& field() { return stages_.field(); }
 
+  // Torque of the servo of dof d at stage i of the step just solved [N; N m].
+  double servo_torque(int d, int i) const { return stages_.servo_torque(d, i); }
+
   // Solve the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
   // when the sweeps do not converge from any start; why() says it.
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;

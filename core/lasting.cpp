@@ -265,8 +265,12 @@ bool Simulator::held_piece(Piece& piece, Recording& recording) {
   held_.set_nominal(nominal);
   double alpha = 1.0;
   bool hit = false, again = false;
-  if (!held_.solve(q_, p_, h, piece.tau) || !first_change(piece, h, alpha, hit, again, recording))
-    return held_step_failed(h, at);
+  bool solved = held_.solve(q_, p_, h, piece.tau);
+  while (solved && exceeds_effort(held_.integrator())) {
+    held_.changed();
+    solved = held_.solve(q_, p_, h, piece.tau);
+  }
+  if (!solved || !first_change(piece, h, alpha, hit, again, recording)) return held_step_failed(h, at);
   if (h < whole && ++held_easy_ >= kEasySteps) {
     held_trial_ *= 2.0;
     held_easy_ = 0;

@@ -6,6 +6,7 @@ namespace contactvi {
 
 namespace {
 constexpr double kRedundant = 1e-9;  // of the scaled matrix: rows that depend on each other
+constexpr double kNothing = 1e-20;   // of the largest diagonal: a row that is rounding
 constexpr double kIdle = 1e-12;      // of a row's own diagonal without the equations
 }  // namespace
 
@@ -13,7 +14,8 @@ void Reduction::set(const Eigen::Ref<const MatX>& G, int equations, int checked)
   equations_ = equations;
   const Eigen::Index rest = G.rows() - equations;
   scale_.resize(equations);
-  for (int k = 0; k < equations; ++k) scale_[k] = G(k, k) > 0.0 ? 1.0 / std::sqrt(G(k, k)) : 1.0;
+  const double nothing = kNothing * G.diagonal().head(equations).maxCoeff();
+  for (int k = 0; k < equations; ++k) scale_[k] = G(k, k) > nothing ? 1.0 / std::sqrt(G(k, k)) : 0.0;
   A_ = scale_.asDiagonal() * G.topLeftCorner(equations, equations) * scale_.asDiagonal();
   factor_.setThreshold(kRedundant);
   factor_.compute(A_);

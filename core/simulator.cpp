@@ -179,7 +179,12 @@ void Simulator::halve(double h) {
 
 // Smooth step of length h from (q_, p_) into (q1_, p1_); false also when it has to be tried shorter.
 bool Simulator::smooth_step(double time, double h, const VecX& tau, bool last_try) {
-  if (!integrator_.solve(q_, p_, h, tau)) {
+  bool solved = integrator_.solve(q_, p_, h, tau);
+  while (solved && exceeds_effort(integrator_)) {
+    integrator_.forget();
+    solved = integrator_.solve(q_, p_, h, tau);
+  }
+  if (!solved) {
     if (user_failed(time)) return false;
     if (!last_try) return false;
     const bool finite = q_.allFinite() && p_.allFinite();
@@ -212,6 +217,7 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
   set_reference();
   while (piece.remaining > 0.0) {
     if (++pieces % 64 == 0 && !report(start + piece.done)) return false;
+    if (pieces > 1) limit_drive();
     if (!(held_.empty() ? free_piece(piece, halved, recording) : held_piece(piece, recording))) return false;
   }
   if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, start + length, "the state is not finite");

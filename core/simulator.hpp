@@ -115,6 +115,10 @@ class Simulator {
   bool search_failed(Search outcome, double time);
   // What pushes in the next step (drive.cpp): tau and the servos within their limits.
   void set_drive(const VecX& tau, const MatX& target, long k);
+  void limit_drive();
+  double most_effort(int d) const;
+  void apply_servo();
+  bool exceeds_effort(const Integrator& integrator);
   void count_free_work();
   void count_held_work();
   void count_impacts();
@@ -193,7 +197,7 @@ class Simulator {
   double kinetic_ = 0;  // at the end of the last held step [J]
   int held_easy_ = 0, without_progress_ = 0, sticks_located_ = 0;
   Status status_;
-  VecX force_;  // of the step under way
+  VecX tau_, force_;  // of the step under way: as given, within the limits
   Servo servo_;
   long saturated_ = 0;  // joints at their limits, summed over steps
   Work work_;

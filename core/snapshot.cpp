@@ -60,8 +60,7 @@ void Simulator::restore(const Snapshot& s) {
   go_back(s.arc, none);
   status_ = s.status;
   servo_ = s.servo;
-  integrator_.set_servo(servo_.any ? &servo_ : nullptr);
-  held_.set_servo(servo_.any ? &servo_ : nullptr);
+  apply_servo();
   q_node_ = s.q_node;
   p_node_ = s.p_node;
   mean_reactions_ = s.mean_reactions;

@@ -67,6 +67,14 @@ void Stages::set_forces(const VecCRef& q0, const VecX& tau) {
   work_.extra = split || has_ball_springs_ || field_.any() ? &Stages::add_extra : nullptr;
 }
 
+double Stages::servo_torque(int d, int i) const {
+  const Joint& joint = tree_->joints[tree_->dof_joint[d]];
+  const int at = d * work_.S + i;
+  double torque = servo_->feed[d] + servo_->kd[d] * (servo_->v_ref[d] - v_[at]);
+  if (servo_->kp[d] != 0.0) torque += servo_->kp[d] * (servo_->q_ref[d] - q0_[joint.iq] - X_[at]);
+  return torque;
+}
+
 double Stages::input_power(int i) const {
   double total = element_input_[i];
   const int S = work_.S;

@@ -79,6 +79,7 @@ class Stages {
   // Momentum of the ball at joint at the end of the step.
   Vec3 ball_end(const Joint& joint, const VecCRef& p0);
   // Powers at stage i [W]: of inputs, servos and wrenches; taken by damping.
+  double servo_torque(int d, int i) const;
   double input_power(int i) const;
   double dissipation(int i) const;
   // Configuration at stage i.
