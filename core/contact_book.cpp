@@ -8,17 +8,18 @@
 namespace contactvi {
 
 namespace {
-constexpr double kZenoFlight = 0.05;   // of a step: e times the last flight below it ends the bouncing
-constexpr double kShortFlight = 6e-4;  // of the longest flight: what a step counts for there at most
-constexpr int kZenoFlights = 4;        // flights in a row, each shorter than the one before
-constexpr int kShortHits = 8;          // flights in a row below kZenoFlight of a step, shrinking or not
-constexpr double kStays = 1e-11;       // of the speeds: a closed contact slower than this is held
-constexpr double kHardly = 1e5;        // of that: a contact that was held leaves so slowly that the step may decide it
-constexpr double kLow = 2e6;           // the same for several points: lower than their gaps differ by
-constexpr double kLeaves = 1e-10;      // of the speeds: a held one faster than this has left
-constexpr double kUnloaded = 1e-9;     // of the forces: less is none
-constexpr double kOpen = 1e-9;         // [m] a gap of a pair beyond which none of its points is held any more
-constexpr double kApart = 1e-12;       // [m] a gap beyond which a contact without load has left
+constexpr double kZenoFlight = 0.05;     // of a step: e times the last flight below it ends the bouncing
+constexpr double kElasticFlight = 1e-2;  // the same of e = 1, where the forces take energy
+constexpr double kShortFlight = 6e-4;    // of the longest flight: what a step counts for there at most
+constexpr int kZenoFlights = 4;          // flights in a row, each shorter than the one before
+constexpr int kShortHits = 8;            // flights in a row below kZenoFlight of a step, shrinking or not
+constexpr double kStays = 1e-11;         // of the speeds: a closed contact slower than this is held
+constexpr double kHardly = 1e5;     // of that: a contact that was held leaves so slowly that the step may decide it
+constexpr double kLow = 2e6;        // the same for several points: lower than their gaps differ by
+constexpr double kLeaves = 1e-10;   // of the speeds: a held one faster than this has left
+constexpr double kUnloaded = 1e-9;  // of the forces: less is none
+constexpr double kOpen = 1e-9;      // [m] a gap of a pair beyond which none of its points is held any more
+constexpr double kApart = 1e-12;    // [m] a gap beyond which a contact without load has left
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
 
@@ -307,6 +308,9 @@ void Simulator::record_held(double time, double h, Recording& recording) {
   }
 }
 
+// Of a step: flights that may be chatter. Elastic contacts bounce on for ever unless something takes energy.
+double Simulator::short_flight(double e) const { return e < 1.0 ? kZenoFlight : dissipative_ ? kElasticFlight : 0.0; }
+
 // Closed guards whose impacts accumulate: their next impact is plastic.
 void Simulator::find_accumulating(double time) {
   std::fill(plastic_.begin(), plastic_.end(), 0);
@@ -316,12 +320,12 @@ void Simulator::find_accumulating(double time) {
     const ClosedGuard& c = sequence_.closed(i);
     const Bouncing& b = bouncing_[c.guard];
     const double flight = time - b.last_time;
-    if (c.e >= 1.0 || c.e == 0.0 || b.hits == 0 || !(flight > 0.0)) continue;
+    if ((c.e >= 1.0 && !dissipative_) || c.e == 0.0 || b.hits == 0 || !(flight > 0.0)) continue;
     const bool shorter = b.hits > 1 && flight < b.last_flight;
     const double longest = std::max(b.longest_flight, flight);
-    const bool shrinking = shorter && b.contracting + 1 >= kZenoFlights &&
+    const bool shrinking = c.e < 1.0 && shorter && b.contracting + 1 >= kZenoFlights &&
                            c.e * flight < kZenoFlight * std::min(step, kShortFlight * longest);
-    const bool chatter = flight < kZenoFlight * step && b.short_hits + 1 >= kShortHits;
+    const bool chatter = flight < short_flight(c.e) * step && b.short_hits + 1 >= kShortHits;
     if (shrinking || chatter) plastic_[c.guard] = 1;
   }
 }
@@ -351,10 +355,11 @@ bool Simulator::judge_accumulation(int first, bool stays, double time, Recording
     if (b.hits > 0 && flight > 0.0) {
       const bool shorter = b.hits > 1 && flight < b.last_flight;
       b.contracting = shorter ? b.contracting + 1 : 0;
-      b.short_hits = flight < kZenoFlight * step ? b.short_hits + 1 : 0;
+      b.short_hits = flight < short_flight(c.e) * step ? b.short_hits + 1 : 0;
       b.longest_flight = std::max(b.longest_flight, flight);
       // Flights shrink geometrically; their measured ratio, not e, is right for articulated bodies too.
-      const double ratio = shorter ? flight / b.last_flight : c.e, ends = time + flight * ratio / (1.0 - ratio);
+      const double ratio = shorter ? flight / b.last_flight : c.e,
+                   ends = ratio < 1.0 ? time + flight * ratio / (1.0 - ratio) : time;
       if (plastic_[c.guard] && c.count > 0) note(time, c.points[0], Change::kBouncingEnds, ends, recording);
       if (!holds() && c.e < 1.0 && b.contracting >= kZenoFlights &&
           c.e * flight < kZenoFlight * std::min(arc_h_, 0.02 * b.longest_flight)) {

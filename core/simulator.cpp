@@ -39,6 +39,9 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
                 {options.impact, options.mhc_global, options.dt, options.stiff_support, options.max_impacts_per_step,
                  options.record_contacts}),
       plastic_(scene.guard_count(), 0) {
+  const Elements& e = scene.tree.elements;
+  dissipative_ = scene.tree.has_damping || !e.dry_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
+  for (const PathSpring& spring : e.path_springs) dissipative_ |= spring.damping > 0.0;
   if (options.impact < kCtec || options.impact > kMhc) throw Error("unknown impact map");
 }
 
@@ -321,9 +324,9 @@ bool Simulator::resolve_event(int first, bool persistent, const Instant& at, Rec
   find_accumulating(time);
   // A contact that has not separated but by rounding is not hit again by what rounding left of its speed.
   const bool rounding = (persistent || touched) && scale <= kSeparated * speed_scale_;
-  if (!rounding && !sequence_.run(now, plastic_, p_, recording))
-    return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
+  const bool ran = rounding || sequence_.run(now, plastic_, p_, recording);
   count_impacts();
+  if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
   if (!judge_accumulation(first, persistent || touched, time, recording)) return false;
   bool any_hit = false;

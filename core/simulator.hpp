@@ -127,6 +127,7 @@ class Simulator {
   bool resolve_event(int first, bool persistent, const Instant& at, Recording& recording);
   double energy_target(double before);
   void find_accumulating(double time);
+  double short_flight(double e) const;
   double shortest_flight() const;
   bool judge_accumulation(int first, bool stays, double time, Recording& recording);
   bool holds() const { return options_.impact != 1 && !options_.end_at_zeno; }
@@ -181,6 +182,7 @@ class Simulator {
   HeldStep held_;
   StepPath held_path_;
   ImpactSequence sequence_;
+  bool dissipative_ = false;      // whether forces take energy
   std::vector<char> plastic_;     // guards whose impacts of this event count as plastic
   std::vector<int> held_guards_;  // that guards_ knows to be held
   std::vector<HeldContact> kept_;
