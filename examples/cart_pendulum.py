@@ -40,7 +40,7 @@ def measure(dt):
     off = np.abs(traj.q[:, 0] - place).max()
     error = np.abs(traj.reactions("drive")[1:, 0] - force).max()
     balance = np.abs(traj.energy - traj.energy[0] - traj.work.drive).max()
-    print(f"dt {dt:.4f} s  cart off by {off:.1e} m  force off by {error:.2e} N of {np.abs(force).max():.1f} N", end="  ")
+    print(f"dt {dt:.3f} s  cart off by {off:.1e} m  force off by {error:.2e} of {np.abs(force).max():.1f} N", end="  ")
     print(f"energy less the drive's work {balance:.2e} J")
     return off, error, balance
 

@@ -48,7 +48,7 @@ exact = (bar * stages**2 + (platform + slider) * stages) * np.sqrt(1 - x**2) + p
 hold = -(bar * stages**2 + (platform + slider) * stages) * gravity * x[-1] / np.sqrt(1 - x[-1] ** 2)
 force = traj.reactions("motor")[-1, 0]
 order = np.log2(balance[0] / balance[1])
-print(f"{len(traj) - 1} steps, platform from {stages * np.sqrt(1 - x[0]**2):.4f} to {stages * np.sin(high):.4f} m")
+print(f"{len(traj) - 1} steps, platform from {stages * np.sqrt(1 - x[0] ** 2):.4f} to {stages * np.sin(high):.4f} m")
 print(f"loops open by at most {loop:.1e}; heights off by {np.abs(height - exact).max():.1e} kg m")
 print(f"work of the motor {traj.work.drive[-1]:.6f} J, energy less work off by {balance[1]:.1e} J, order {order:.3f}")
 print(f"force at rest {force:.9f} N, by virtual work {hold:.9f} N")
