@@ -213,8 +213,10 @@ class Trajectory:
         """Return the mean force of a constraint over the time since the node before, impacts included, (N, rows).
 
         [N; N m], zero at the start: the force lambda with which J^T lambda acts on the momentum. Of a point in world
-        axes on body b; of a weld in the axes of a, force then torque; of a distance the push along the line, negative
-        for a pull; of a prescribed or following joint what acts on it. Raises InputError for an unknown name.
+        axes on body b; of a weld force, then torque, on b at its origin, in the axes that `placement` has on a; of a
+        distance the push along the line, negative for a pull; of a screw the forces along x and y, the moments about y
+        and -x and the force along z on b, in the axes of frame_a; of a prescribed or following joint what acts on it.
+        Raises InputError for an unknown name.
         """
         return self._forces().of(name)
 
