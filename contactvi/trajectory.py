@@ -124,15 +124,17 @@ class Trajectory:
         return f"{order}, dt{lengths} (auto){self._held_stepping()}, error of q about {self.error_estimate:.1g}"
 
     def _held_stepping(self) -> str:
-        """How long contacts were held and with which steps, in words."""
+        """How long contacts were held and with which steps, in words; of a scene with constraints the steps alone."""
         if self.phases is None:
             return ""
         held, ends = self.phases["held"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
         span = float((ends - self.phases["t"])[held].sum())
+        constrained = bool(self.forces is not None and self.forces.constraints) or self.scene._complete().constrained
+        what = "constraints met" if constrained else f"contacts held for {span:.4g} s"
         lengths, same = _lengths(self.phases["dt"][held]), self.options.order == 2 and not self.options.auto
         if same and np.all(self.phases["dt"][held] == self.options.fixed_dt):
-            return f", contacts held for {span:.4g} s"
-        return f", contacts held for {span:.4g} s with order 2, dt{lengths}"
+            return "" if constrained else f", {what}"
+        return f", {what} with order 2, dt{lengths}"
 
     @property
     def v(self) -> Array:

@@ -106,6 +106,14 @@ def test_a_linkage_swings_on_for_a_hundred_thousand_steps():
     assert np.ptp(tenths) < 0.02 * np.ptp(traj.energy)  # no drift: means over parts of wiggles
 
 
+def test_a_run_with_constraints_is_no_contact():
+    """What a run says of its steps: its constraints are no contacts that are held."""
+    scene, q0, v0 = BY_NAME["four_bar"].start()
+    assert cvi.simulate(scene, q0, v0, duration=0.01, dt=1e-3).stepping == "order 2, dt = 0.001 s"
+    high = cvi.simulate(scene, q0, v0, duration=0.01, dt=1e-3, order=4).stepping
+    assert high == "order 4, dt = 0.001 s, constraints met with order 2, dt = 0.001 s"
+
+
 # -- redundant rows ---------------------------------------------------------------------------------------------------
 
 
