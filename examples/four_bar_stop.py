@@ -3,7 +3,6 @@
 python examples/four_bar_stop.py
 """
 
-from math import cos, sin
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +29,9 @@ for dt in (2e-3, 1e-3):
     spread.append(np.ptp(traj.energy))
 
 loop = max(np.abs(core.constraint_residual(q, t)).max() for t, q in zip(traj.t, traj.q, strict=True))
-ends = [q[0] + np.array([0, 1, 1]) * q[1] + np.array([0, 0, 1]) * q[2] for q in traj.q]
-places = [sum(l * np.array([cos(a), sin(a)]) for l, a in zip((0.3, 0.9, 0.7), a3, strict=True)) for a3 in ends]  # noqa: E741
-closed = np.abs(np.array(places) - [1, 0]).max()
+angles = np.cumsum(traj.q, axis=1)  # from the horizontal
+end = np.array([np.cos(angles), np.sin(angles)]) @ [0.3, 0.9, 0.7]  # of the rocker
+closed = np.abs(end.T - [1, 0]).max()
 jump = max(abs(event.energy_change) for event in traj.events) / traj.kinetic_energy.max()
 restitution = max(abs(event.gamma_plus + event.gamma_minus) for event in traj.events)
 after = [core.constraint_jacobian(e.q, e.time) @ core.velocity(e.q[None], e.p_plus[None])[0] for e in traj.events]

@@ -23,7 +23,7 @@ scene.set_contact(restitution=0.4, friction=0.01)
 # Stretched; crank at 150 rad/s, rod at -75 rad/s, slider without spin: differences, as the joints' angles are relative.
 v0 = scene.velocity({"hinge_crank": 150.0, "hinge_rod": -225.0, "hinge_slider": 75.0})
 
-runs, gains = [], []
+runs, gains, balance = [], [], []
 for dt in (1e-5, 2.5e-6):
     traj = cvi.simulate(scene, v0=v0, duration=0.2, dt=dt)
     runs.append(traj)
@@ -33,13 +33,13 @@ for dt in (1e-5, 2.5e-6):
     print(f"h {dt:.1e} s  {len(traj.events)} impacts, {len(traj.contact_changes)} changes of held contact, ", end="")
     print(f"energy {traj.energy[0]:.5f} -> {traj.energy[-1]:.5f} J, largest change at an impact {gains[-1]:.1e} J")
     print(f"    first five impacts off by {first:.1e} s, lost at impacts {traj.impact_loss[-1]:.5f} J, ", end="")
-    balance = np.abs(traj.ledger.energy_balance).max()
-    print(f"by sliding {traj.friction_loss[-1]:.5f} J, balance off by {balance:.1e} J")
+    balance.append(np.abs(traj.ledger.energy_balance).max())
+    print(f"by sliding {traj.friction_loss[-1]:.5f} J, balance off by {balance[-1]:.1e} J")
 
 coarse, fine = runs
 difference = np.abs(coarse.q - fine.q[::4]).max()
 print(f"h against h/4: angles differ by {difference:.1e} rad after {coarse.q[-1, 0] / (2 * np.pi):.2f} turns")
 if len(sys.argv) > 1:
     coarse.to_html(sys.argv[1], title="slider-crank with clearance")
-if max(gains) > 0.0 or first > 1e-7 or difference > 1e-4 or balance > 1e-4:
-    raise SystemExit("an impact gains energy, or the two runs part")
+if max(gains) > 0.0 or first > 1e-7 or difference > 1e-4 or balance[1] > balance[0] / 12:
+    raise SystemExit("an impact gains energy, loses some unaccounted for, or the two runs part")

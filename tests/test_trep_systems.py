@@ -282,3 +282,24 @@ def test_first_impacts_of_the_slider(mu, turned):
         assert abs(events[0].gamma_minus - hits[0].gamma_minus.min()) < 1e-4 * (dt / 2e-5) ** 2
     ratio = np.array(errors[:-1]) / errors[1:]
     assert np.all((ratio > 3.6) & (ratio < 4.4)), errors
+
+
+def test_energy_of_the_slider_is_accounted_for():
+    """Impacts, touchdowns with friction, sliding: what is left of the balance falls by 16 for a quarter of the step."""
+    back, left = np.array([[1.0, 0, 0], [-1.0, 1.0, 0], [0, -1.0, 1.0]]), []
+    for dt in (2e-5, 5e-6):
+        traj = cvi.simulate(slider(0.01), v0=back @ SPEEDS, duration=0.1, dt=dt)
+        assert traj.friction_loss[-1] > 1e-3
+        left.append(np.abs(traj.ledger.energy_balance).max())
+    assert left[0] / left[1] == pytest.approx(16.0, rel=0.1)
+
+
+def test_a_touchdown_with_friction_is_accounted_for():
+    """A box that falls flat and slides: constant forces, which the midpoint rule has exactly."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    box = scene.add_box("box", (0.2, 0.2, 0.1), mass=2.0, placement=(0, 0, 0.1))
+    scene.set_contact(restitution=0.0, friction=0.4)
+    traj = cvi.simulate(scene, v0=scene.velocity({box: (2, 0, 0)}), duration=0.45, dt=2e-3)
+    assert traj.friction_loss[-1] > 1.0
+    assert np.abs(traj.ledger.energy_balance).max() < 1e-12
