@@ -8,7 +8,7 @@ own; their losses are those of their events and no friction work.
 
 Friction work is the impulses of a step against the slip between its ends, the first impulse as the force at a third
 of the step and the second at two thirds, where the held step has them: exact where the slip changes evenly, else to
-O(h^2). Where the slip at the start is not known (a contact just begun) it is what the step after goes
+O(h^2). Where the slip at the start is not known (a contact just begun, or hit) it is what the step after goes
 back to, as long as that slips, else that of the end.
 
 The balance is that of the trees of bodies that hang on a free joint without damping: what the contacts gave each one in
@@ -111,7 +111,7 @@ class ContactLedger:
         keys = [log.array(name) for name in ("kind", "index", "point")]
         order = np.lexsort((h, log.t, *keys))  # of each point in the order of time, an impact before the step after it
         same = np.all([np.diff(key[order]) == 0 for key in keys], axis=0)
-        same &= h[order[:-1]] > 0.0  # what slips after an impact its row does not say
+        same &= h[order[:-1]] > 0.0  # rows of impacts do not say what slips after them
         same &= np.abs(log.t[order[1:]] - log.end[order[:-1]]) <= 1e-9 * (h[order[1:]] + h[order[:-1]])
         first, second = order[:-1][same], order[1:][same]
         before[second] = slip[first]

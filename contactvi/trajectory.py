@@ -124,17 +124,19 @@ class Trajectory:
         return f"{order}, dt{lengths} (auto){self._held_stepping()}, error of q about {self.error_estimate:.1g}"
 
     def _held_stepping(self) -> str:
-        """How long contacts were held and with which steps, in words."""
+        """How long contacts were held and with which steps, in words; of a scene with constraints the steps alone."""
         if self.phases is None:
             return ""
         if self.scene._complete().constrained:
             return f", constrained steps of order 2, dt{_lengths(self.phases['dt'][self.phases['held'] != 0.0])}"
         held, ends = self.phases["held"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
         span = float((ends - self.phases["t"])[held].sum())
+        constrained = bool(self.forces is not None and self.forces.constraints) or self.scene._complete().constrained
+        what = "constraints met" if constrained else f"contacts held for {span:.4g} s"
         lengths, same = _lengths(self.phases["dt"][held]), self.options.order == 2 and not self.options.auto
         if same and np.all(self.phases["dt"][held] == self.options.fixed_dt):
-            return f", contacts held for {span:.4g} s"
-        return f", contacts held for {span:.4g} s with order 2, dt{lengths}"
+            return "" if constrained else f", {what}"
+        return f", {what} with order 2, dt{lengths}"
 
     @property
     def v(self) -> Array:
@@ -216,8 +218,10 @@ class Trajectory:
         """Return the mean force of a constraint over the time since the node before, impacts included, (N, rows).
 
         [N; N m], zero at the start: the force lambda with which J^T lambda acts on the momentum. Of a point in world
-        axes on body b; of a weld in the axes of a, force then torque; of a distance the push along the line, negative
-        for a pull; of a prescribed or following joint what acts on it. Raises InputError for an unknown name.
+        axes on body b; of a weld force, then torque, on b at its origin, in the axes that `placement` has on a; of a
+        distance the push along the line, negative for a pull; of a screw the forces along x and y, the moments about y
+        and -x and the force along z on b, in the axes of frame_a; of a prescribed or following joint what acts on it.
+        Raises InputError for an unknown name.
         """
         return self._forces().of(name)
 
