@@ -127,8 +127,6 @@ class Trajectory:
         """How long contacts were held and with which steps, in words; of a scene with constraints the steps alone."""
         if self.phases is None:
             return ""
-        if self.scene._complete().constrained:
-            return f", constrained steps of order 2, dt{_lengths(self.phases['dt'][self.phases['held'] != 0.0])}"
         held, ends = self.phases["held"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
         span = float((ends - self.phases["t"])[held].sum())
         constrained = bool(self.forces is not None and self.forces.constraints) or self.scene._complete().constrained
