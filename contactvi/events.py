@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +24,7 @@ FALLBACKS = (
     "held: while contacts are held what the map conserves is not known",
 )
 HELD = 5  # place in FALLBACKS
+_SAME_TIME = 1e-13  # relative: an event at the start of a step
 
 # name -> (width, dtype) of one event's entry; width 0 is a scalar, "q" and "v" the size of the configuration and of
 # the velocity. The order is that of the file format.
@@ -171,10 +173,19 @@ class EventLog(Sequence[Event]):
         """What the law takes at every event, by restitution and friction [J], shape (n,)."""
         return self._arrays["loss"]
 
-    def total(self, values: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sum of `values` (n,) of the events until each of these times [s], those at it included."""
+    def total(
+        self, values: NDArray[np.float64], t: NDArray[np.float64], start: float = 0.0, dt: float = math.nan
+    ) -> NDArray[np.float64]:
+        """Return the sum of `values` (n,) of the events until each of these times [s], those at it included.
+
+        With steps of length dt from `start` on: events at the very start of a step belong to it, not to its node.
+        """
+        times = self._arrays["time"]
+        if math.isfinite(dt) and len(times):
+            late = np.abs(times - (start + self._arrays["step"] * dt)) <= _SAME_TIME * (1.0 + np.abs(times))
+            times = np.where(late, np.maximum(times, start + self._arrays["step"] * dt) + 2.0 * _SAME_TIME, times)
         sums = np.concatenate([[0.0], np.cumsum(values)])
-        return np.asarray(sums[np.searchsorted(self._arrays["time"], t, side="right")])
+        return np.asarray(sums[np.searchsorted(np.maximum.accumulate(times), t, side="right")])
 
     def __len__(self) -> int:
         return int(self._arrays["time"].shape[0])

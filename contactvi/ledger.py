@@ -149,7 +149,7 @@ class Ledger:
     @cached_property
     def loss(self) -> Array:
         """What impacts and the friction of held contacts took until each node [J], >= 0, shape (N,)."""
-        return self.events.total(self.event_loss, self.t) + self.friction_loss
+        return self.events.total(self.event_loss, self.t, self._start, self._dt) + self.friction_loss
 
     @property
     def friction_loss(self) -> Array:

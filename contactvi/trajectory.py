@@ -186,14 +186,19 @@ class Trajectory:
         return self._get("discrete_energy", lambda core: self.ledger.discrete_energy)
 
     @property
+    def _dt(self) -> float:
+        """Length of all steps [s]; NaN where they have several."""
+        return float("nan") if self.options.auto else self.options.fixed_dt
+
+    @property
     def impact_energy(self) -> Array:
         """H(p_plus) - H(p_minus) of the impacts up to each node [J], shape (N,); minus the loss with CTEC."""
-        return self.events.total(self.events.energy_change, self.t)
+        return self.events.total(self.events.energy_change, self.t, float(self.t[0]), self._dt)
 
     @property
     def impact_loss(self) -> Array:
         """What the laws of impacts took up to each node, by restitution and friction (>= 0) [J], shape (N,)."""
-        return self.events.total(self.events.loss, self.t)
+        return self.events.total(self.events.loss, self.t, float(self.t[0]), self._dt)
 
     @property
     def friction_loss(self) -> Array:
