@@ -105,7 +105,14 @@ class Growing:
         if result.get("work") is None:
             self.known = False
             return
-        reactions = np.zeros((len(t), 0)) if self._rows == 0 else np.asarray(result["reactions"], dtype=float)
+        if self._rows == 0:  # what a control loop without constraints does in every step
+            if keep.any():
+                self._t.append(t[keep])
+                self._work.append(np.asarray(result["work"])[keep])
+                self._reactions.append(np.zeros((len(self._t[-1]), 0)))
+            self._last = float(t[-1])
+            return
+        reactions = np.asarray(result["reactions"], dtype=float)
         new = t > self._last
         spans = np.diff(np.append(self._last, t[new]))[:, None]
         impulse = self._pending + np.cumsum(reactions[new] * spans, axis=0)

@@ -163,7 +163,7 @@ class Simulator:
 
     def _stepped(self, steps: int, forces: Array | None, goals: Array | None, progress: Progress | None) -> Status:
         record = self._running()
-        self._before = (self.t, self.q, self.p) if steps == 1 else None
+        self._before = self._present(record) if steps == 1 else None
         if forces is not None and np.any(forces):
             check_unforced(self.options)
             record.forced = True
@@ -181,6 +181,12 @@ class Simulator:
                 last = time.perf_counter()
                 progress(self.t, self.impacts)
         return record.status
+
+    def _present(self, record: Record) -> tuple[float, Array, Array]:
+        """Return t, q and p as they are; the last node has them where every step leaves one."""
+        if self.options.record_every == 1:
+            return float(record.t[-1][-1]), record.q[-1][-1], record.p[-1][-1]
+        return self.t, self.q, self.p
 
     def _inspect(self, record: Record) -> Status:
         """Look for stalled bouncing and for broken tolerances in what was recorded since the last call."""

@@ -42,6 +42,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
   const Elements& e = scene.tree.elements;
   dissipative_ = scene.tree.has_damping || !e.dry_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
   for (const PathSpring& spring : e.path_springs) dissipative_ |= spring.damping > 0.0;
+  accounts_ = dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0;
   if (options.impact < kCtec || options.impact > kMhc) throw Error("unknown impact map");
 }
 
@@ -115,6 +116,7 @@ void Simulator::record_node(double t, Recording& recording) {
   recording.t.push_back(t);
   recording.q.insert(recording.q.end(), q_.data(), q_.data() + q_.size());
   recording.p.insert(recording.p.end(), p_.data(), p_.data() + p_.size());
+  if (!accounts_) return;
   recording.work.insert(recording.work.end(), {work_.input, work_.damping, work_.dry, work_.drive});
   if (t > node_time_) {
     mean_reactions_ = reactions_ / (t - node_time_);
@@ -150,6 +152,7 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
                           Recording& recording) {
   status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
   VecX force;
+  accounts_ |= tau.rows() > 0;
   if (recording.t.empty()) record_node(time_, recording);
   recording.changes.insert(recording.changes.end(), begun_.begin(), begun_.end());
   begun_.clear();
@@ -241,7 +244,8 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
     halve(h);
     return true;
   }
-  const double input = integrator_.input_work(), damping = integrator_.damping_loss();
+  const double input = accounts_ ? integrator_.input_work() : 0.0,
+               damping = accounts_ ? integrator_.damping_loss() : 0.0;
   Search found = Search::kNone;
   if (guards_.count() > 0) {
     path_.set(q_, h, rates_);

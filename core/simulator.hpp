@@ -203,6 +203,7 @@ class Simulator {
   Servo servo_;
   long saturated_ = 0;  // joints at their limits, summed over steps
   Work work_;
+  bool accounts_ = false;            // whether anything does work
   VecX reactions_, mean_reactions_;  // impulses of the constraints since the last node; their mean force before it
   double node_time_ = 0;
   VecX q_node_, p_node_;   // start of the step, for MHC's local reference

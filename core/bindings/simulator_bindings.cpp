@@ -184,6 +184,7 @@ nb::dict run(Simulator& sim, nb::object progress, Run call) {
   }
   if (UserErrors::any()) d["error"] = UserErrors::take();
   const std::size_t n = recording.t.size(), rows = static_cast<std::size_t>(s.tree.elements.constraint_rows);
+  recording.work.resize(4 * n, 0.0);  // empty where nothing does work
   d["work"] = hand_over(std::move(recording.work), n, 4);
   d["reactions"] = rows == 0 ? nb::object(nb::none()) : hand_over(std::move(recording.reactions), n, rows);
   make_public(s.tree, recording.q, recording.p);
