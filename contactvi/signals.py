@@ -27,6 +27,7 @@ from contactvi.user_functions import at, called
 
 Array = NDArray[np.float64]
 _RATE_STEP, _ACCELERATION_STEP = 1e-4, 1e-3  # [s] of the differences
+_JUMP, _SLOW = 100.0, 1e-3  # of the other slopes; [rad/s, m/s]
 _PARTS = ("value", "rate", "acceleration")
 _SLACK = 1e-9  # of the span of a table: a run's last time is off by rounding
 
@@ -122,11 +123,27 @@ class Signal:
         )
         return value, rate, acceleration
 
+    def _refuse_jump(self, around: list[float], t: float) -> None:
+        """Raise UserFunctionError where one of the differences between five points is far from the others."""
+        slopes = np.abs(np.diff(around) / np.array([1.0, 2.0, 1.0])) / _RATE_STEP
+        if slopes.max() <= _JUMP * (slopes.sum() - slopes.max()) + _SLOW:
+            return
+        raise UserFunctionError(
+            f"{self.name} jumps{at(t)}",
+            function=self.name,
+            time=t,
+            expected="a continuous motion",
+            got=f"a change of {np.ptp(around):.6g} within {4.0 * _RATE_STEP:g} s",
+            remedy="Let it go there in some time, or give its rate too if it is meant",
+        )
+
     def _differenced(self, t: float) -> tuple[float, float, float]:
         known = self._ask(t)
         if len(known) == 3:
             return known[0], known[1], known[2]
         around = [self._ask(t + k * _RATE_STEP)[-1] for k in (-2, -1, 1, 2)]
+        if len(known) == 1:
+            self._refuse_jump(around, t)
         first = (around[0] - 8.0 * around[1] + 8.0 * around[2] - around[3]) / (12.0 * _RATE_STEP)
         if len(known) == 2:
             return known[0], known[1], first

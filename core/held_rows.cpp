@@ -8,10 +8,12 @@
 namespace contactvi {
 
 namespace {
-constexpr double kShort = 1e-5;    // of a step below which places are followed by their rates
-constexpr double kStill = 1e-11;   // of the speeds: slip below it is rounding
-constexpr double kMet = 1e-10;     // of the configuration: a constraint is met to it,
-constexpr double kMetRate = 1e-7;  // and its rate to this, of the speeds
+constexpr double kShort = 1e-5;   // of a step below which places are followed by their rates
+constexpr double kStill = 1e-11;  // of the speeds: slip below it is rounding
+constexpr double kJump = 2.0;     // of the rates of a motion at both ends of a step, by which its mean may differ,
+constexpr double kJumpRounding = 1e-9;  // and [rad; m], [rad/s; m/s]
+constexpr double kMet = 1e-10;          // of the configuration: a constraint is met to it,
+constexpr double kMetRate = 1e-7;       // and its rate to this, of the speeds
 }  // namespace
 
 // Rows of the constraints and of dry friction; the guards are placed at q.
@@ -109,8 +111,22 @@ bool HeldStep::constraints_met(double h, bool rates) {
       worst = off;
       unmet_ = static_cast<int>(&c - scene_->tree.elements.constraints.data());
     }
+  if (unmet_ < 0 && rates) unmet_ = find_jump(h);
   if (unmet_ >= 0) why_ = "the constraints cannot be met";
   return unmet_ < 0;
+}
+
+// A joint whose prescribed motion has not gone where its rates lead: the motion jumps. -1: none.
+int HeldStep::find_jump(double h) const {
+  const std::vector<Constraint>& all = scene_->tree.elements.constraints;
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    if (all[i].kind != ConstraintKind::kPrescribed) continue;
+    const double rate0 = -node0_.rate[all[i].row], rate1 = -node1_.rate[all[i].row];
+    const double gone = v_[scene_->tree.joints[all[i].joint_b].iv];
+    const double most = kJump * (std::abs(rate0) + std::abs(rate1)) + kJumpRounding * (1.0 + 1.0 / h);
+    if (std::abs(gone - 0.5 * (rate0 + rate1)) > most) return static_cast<int>(i);
+  }
+  return -1;
 }
 
 ConeContact HeldStep::dry_cone(int k, double bound) const {

@@ -148,6 +148,7 @@ class HeldStep final : public Stepper {
   void start_dry(const VecCRef& v);
   void judge_dry(double speed);
   bool constraints_met(double h, bool rates);
+  int find_jump(double h) const;
   ConeContact dry_cone(int k, double bound) const;
   bool solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise, VecX& lambda,
                   bool regularize);

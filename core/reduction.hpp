@@ -2,10 +2,13 @@
 //
 // The rest is a cone problem again, with the Delassus matrix of the system that obeys the equations,
 //   G' = G_rr - G_re G_ee^+ G_er,   b' = b_r - G_re G_ee^+ b_e,   lambda_e = -G_ee^+ (b_e + G_er lambda_r).
-// Equations may be redundant: the pseudoinverse, in rows scaled to a diagonal of ones, takes the least multipliers.
+// Equations may be redundant: the pseudoinverse, in rows scaled to a diagonal of ones, takes the least multipliers. What
+// they leave of the rest may be singular too (a rod held at one end that leans on the ground): directions that could not
+// move anyway are taken out of G' and b', so that rounding asks for no impulse in them.
 #pragma once
 
 #include <Eigen/QR>
+#include <Eigen/SVD>
 #include <vector>
 
 #include "numerics.hpp"
@@ -27,7 +30,12 @@ class Reduction {
   int equations_ = 0, rank_ = 0;
   VecX scale_, b_, first_;
   MatX A_, across_, G_;  // across: G_ee^+ G_er
+  void cut(const Eigen::Ref<const MatX>& G);
+
   std::vector<int> idle_;
+  bool cut_ = false;
+  VecX own_;   // scales of the rest, of G without the equations
+  MatX kept_;  // projector on the directions that can move, in scaled rows
   Eigen::CompleteOrthogonalDecomposition<MatX> factor_;
 };
 

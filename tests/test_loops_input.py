@@ -235,3 +235,19 @@ def test_derivatives_of_a_screw(pitch):
     scene.add_screw("b0", "b1", pitch, ((0.1, 0.2, 0.3), (0.3, 0.2, 0.1)))
     away = pin.integrate(scene.model, scene.neutral(), 0.3 * np.sin(np.arange(scene.nv)))
     check_gradients(scene, scene.assemble(away))
+
+
+@pytest.mark.parametrize("dt", [1e-3, 1e-2])
+def test_a_motion_that_jumps_is_refused(dt):
+    """At a node by the differences around it; between nodes because no rate leads there."""
+    scene = arm_scene(1)
+    scene.prescribe("j1", lambda t: 0.0 if t < 0.255 else 0.3, name="jump")
+    with pytest.raises((cvi.UserFunctionError, cvi.ConstraintError, cvi.SimulationError), match="jump"):
+        cvi.simulate(scene, duration=0.5, dt=dt)
+
+
+def test_a_motion_with_a_kink_is_followed():
+    scene = arm_scene(1)
+    scene.prescribe("j1", lambda t: 0.3 * abs(t - 0.2503), name="kink")
+    traj = cvi.simulate(scene, duration=0.5, dt=1e-3)
+    assert traj.q[-1, 0] == pytest.approx(0.3 * (0.5 - 0.2503), abs=1e-12)
