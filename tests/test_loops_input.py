@@ -249,5 +249,5 @@ def test_a_motion_that_jumps_is_refused(dt):
 def test_a_motion_with_a_kink_is_followed():
     scene = arm_scene(1)
     scene.prescribe("j1", lambda t: 0.3 * abs(t - 0.2503), name="kink")
-    traj = cvi.simulate(scene, duration=0.5, dt=1e-3)
+    traj = cvi.simulate(scene, scene.assemble(), duration=0.5, dt=1e-3)
     assert traj.q[-1, 0] == pytest.approx(0.3 * (0.5 - 0.2503), abs=1e-12)
