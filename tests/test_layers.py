@@ -84,7 +84,7 @@ PYTHON_LAYERS: Layers = {
         ("model", "engine"),
     ),
     "prepared": (("derivative_check", "prepared"), ("scene",)),
-    "page": (("visuals", "animation", "force_arrows", "shapes", "page"), ("scene",)),
+    "page": (("visuals", "animation", "lines", "force_arrows", "shapes", "page"), ("scene",)),
     "trajectory": (
         ("dense", "contact_ledger", "ledger", "storage_entries", "storage", "trajectory"),
         ("page", "prepared"),
