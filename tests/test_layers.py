@@ -111,6 +111,7 @@ PYTHON_LAYERS: Layers = {
     "verify": (
         (
             *("verify_check", "verify_model", "verify_cases_impact", "verify_cases_several", "verify_cases_contact"),
+            *("verify_model_forced", "verify_cases_forced", "verify_cases_loops"),
             "verify",
         ),
         ("reproduce", "simultaneous"),
