@@ -21,7 +21,7 @@ from contactvi.visuals import Visual
 Array = NDArray[np.float64]
 
 MAX_FRAMES = 6000
-MAX_POSES = 130_000  # frames x moving bodies, 32 bytes each: about 4 MB of the page
+MAX_POSES = 130_000  # frames x (moving bodies and pieces of lines), 32 bytes each: about 4 MB of the page
 MAX_IMPACTS = 3000  # shown of a run, about 0.3 MB of the page
 MAX_MARKERS = 24  # impacts shown at the same time
 _MARKER_TIME = 0.25  # s an impact stays visible
@@ -86,8 +86,9 @@ def frames_of(run: Run, fps: float) -> Frames:
 
     Long runs get fewer: at most MAX_FRAMES, and MAX_POSES poses in all.
     """
-    joints = sorted({visual.joint for visual in run.visuals})
-    times = frame_times(run, fps, max(1, len(joints)))
+    joints = sorted({joint for visual in run.visuals for joint in visual.joints})
+    pieces = sum(len(visual.vertices) - 1 for visual in run.visuals if visual.shape == "line")
+    times = frame_times(run, fps, max(1, len(joints) + pieces))
     poses = joint_poses(run.scene.model, run.resample(times), joints)
     return Frames(times - run.t[0], poses, markers_of(run))
 
@@ -129,12 +130,17 @@ def joint_poses(model: pin.Model, configurations: Array, joints: Sequence[int]) 
             quaternion[k, row] = pin.Quaternion(pose.rotation).coeffs()
     poses = {}
     for k, joint in enumerate(joints):
-        flip = np.cumprod(np.where(np.sum(quaternion[k, 1:] * quaternion[k, :-1], axis=1) < 0, -1.0, 1.0))
-        quaternion[k, 1:] *= flip[:, None]  # q and -q are the same rotation, interpolation wants the near one
+        quaternion[k] = near_turns(quaternion[k])
         still = max(np.ptp(position[k], axis=0).max(), np.ptp(quaternion[k], axis=0).max()) < _STILL
         rows = slice(0, 1) if still else slice(None)
         poses[joint] = Poses(position[k, rows], quaternion[k, rows])
     return poses
+
+
+def near_turns(quaternion: Array) -> Array:
+    """Return quaternions (F, 4) with the signs with which each is near the last: q and -q are the same rotation."""
+    flip = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
+    return np.concatenate([quaternion[:1], quaternion[1:] * flip[:, None]])
 
 
 def markers_of(run: Run) -> list[Marker]:

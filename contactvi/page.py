@@ -28,13 +28,17 @@ from contactvi.animation import Run as AnimatedRun
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
 from contactvi.force_arrows import Arrow, Forces, forces_of
-from contactvi.shapes import ARROW_COLOR, ARROW_LENGTH, FORCE_COLOR, arrow, draw, fit, floor, point_marker
+from contactvi.lines import Piece, pieces_of
+from contactvi.shapes import ARROW_COLOR, ARROW_LENGTH, FORCE_COLOR, arrow, draw, fit, floor, line, point_marker
 from contactvi.status import Status
 from contactvi.version import version
+from contactvi.visuals import SPRING_COLOR, STRING_COLOR
 
 Array = NDArray[np.float64]
 _DISCRETE, _LINEAR = 2300, 2301  # three.js: InterpolateDiscrete, InterpolateLinear
 _ROOT = "/contactvi"
+_LINES = {SPRING_COLOR: "green: springs", STRING_COLOR: "dark: strings and rods"}
+_LINE_RADIUS = 0.004  # of the radius of the picture
 
 
 class Run(AnimatedRun, Protocol):
@@ -97,12 +101,19 @@ def _commands(run: Run, frames: Frames, view: dict[str, Any], forces: Forces | N
         ("/Grid", "visible", False),
         ("/Axes", "visible", False),
     )
+    tracks: dict[str, list[dict[str, Any]]] = {}
     for k, visual in enumerate(run.visuals):
+        if visual.shape == "line":
+            for j, piece in enumerate(pieces_of(visual, frames.poses)):
+                path = f"{_ROOT}/lines/{k}_{_path_name(visual.name)}/{j}"
+                yield from _object(f"{path}/piece", *line(visual, _LINE_RADIUS * view["radius"]))
+                yield commands.SetTransform(_stretched(piece), path=_Path(path)).lower()
+                tracks |= {path: _piece_tracks(piece, frames.times)} if piece.moves else {}
+            continue
         path = f"{_ROOT}/{_joint_path(run, visual.joint)}/{k}_{_path_name(visual.name)}"
         parts = floor(visual, view) if visual.shape == "halfspace" else draw(visual, k)
         for j, (piece, material, matrix) in enumerate(parts):
             yield from _object(f"{path}/{j}", piece, material, visual.placement @ matrix)
-    tracks: dict[str, list[dict[str, Any]]] = {}
     for joint, poses in frames.poses.items():
         path = f"{_ROOT}/{_joint_path(run, joint)}"
         yield commands.SetTransform(_matrix(poses), path=_Path(path)).lower()
@@ -167,6 +178,16 @@ def _force_tracks(arrow: Arrow, length: Array, start: float) -> list[dict[str, A
     ]
 
 
+def _piece_tracks(piece: Piece, times: Array) -> list[dict[str, Any]]:
+    """Return the tracks that move, turn and stretch a piece of a line."""
+    ones = np.ones(len(piece.length))
+    return [
+        _track("position", "vector3", times, piece.start),
+        _track("quaternion", "quaternion", times, piece.quaternion),
+        _track("scale", "vector3", times, np.column_stack([ones, ones, piece.length])),
+    ]
+
+
 def _switches(marker: Marker) -> tuple[Array, NDArray[np.bool_]]:
     """Return the times at which a marker is switched and whether it is on from then; the last word at a time counts."""
     switch = {0.0: False}
@@ -194,6 +215,10 @@ def _description(
         drawn = ARROW_LENGTH * view["size"] * forces.reference / forces.full
         text = f"blue arrows: contact forces, {_metres(drawn)} for {forces.reference:g} N"
         facts.append({"text": text + (", not all of them" if forces.hidden else ""), "bad": False})
+    colors = {visual.color for visual in run.visuals if visual.shape == "line"}
+    said = [words for color, words in _LINES.items() if color in colors]
+    if said:
+        facts.append({"text": f"lines, {', '.join(said)}", "bad": False})
     if not run.status.ok:
         facts.append({"text": str(run.status), "bad": True})
     if len(listed) < len(events):
@@ -264,6 +289,11 @@ def _matrix(poses: Poses) -> Array:
 
     x, y, z, w = poses.quaternion[0]
     return np.asarray(pin.SE3(pin.Quaternion(w, x, y, z), poses.position[0]).homogeneous)
+
+
+def _stretched(piece: Piece) -> Array:
+    """Return the matrix of a piece of a line in the first frame."""
+    return _matrix(Poses(piece.start, piece.quaternion)) @ np.diag([1.0, 1.0, float(piece.length[0]), 1.0])
 
 
 def _turn(direction: Array) -> Array:

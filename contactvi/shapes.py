@@ -9,7 +9,8 @@ import numpy as np
 from meshcat import geometry as mg
 from numpy.typing import NDArray
 
-from contactvi.animation import Frames, Poses
+from contactvi.animation import Frames
+from contactvi.lines import path_of, rotate
 from contactvi.visuals import Visual
 
 Array = NDArray[np.float64]
@@ -94,6 +95,11 @@ def _grid(half: float, step: float) -> Any:
     return mg.PointsGeometry(points.T)
 
 
+def line(visual: Visual, radius: float) -> Part:
+    """Return a piece of a line, [0, 1] along z; its length comes by its scale."""
+    return _cylinder(radius, radius, 1.0), _material(visual, 0), _shift(0, 0, 0.5) @ _Y_TO_Z
+
+
 def point_marker(size: float) -> Part:
     """Return the sphere that marks a contact point."""
     return _sphere(0.014 * size), _sign(_MARKER_COLOR), np.eye(4)
@@ -115,7 +121,7 @@ def fit(visuals: list[Visual], frames: Frames) -> dict[str, Any]:
     Halfspaces do not count, they have no end; nor does what flies far away from where everything starts.
     """
     solid = [visual for visual in visuals if visual.shape != "halfspace"]
-    spots = [_Spot.of(visual, frames.poses[visual.joint]) for visual in solid] or [_Spot(np.zeros((1, 1, 3)), 1.0)]
+    spots = [_Spot.of(visual, frames) for visual in solid] or [_Spot(np.zeros((1, 1, 3)), 1.0)]
     home, far = _home(spots)
     near = [spot for spot in (spot.within(home, far) for spot in spots) if len(spot.points)]
     low, high = _box(near)
@@ -129,7 +135,7 @@ def fit(visuals: list[Visual], frames: Frames) -> dict[str, Any]:
     return {
         "center": center.tolist(),
         "radius": radius,
-        "size": min(radius, 6.0 * max(spot.size for spot in spots)),
+        "size": min(radius, 6.0 * max((spot.size for spot in spots if not spot.thin), default=radius)),
         "direction": direction.tolist(),
         "spread": np.max(reach, axis=0).tolist(),
     }
@@ -138,17 +144,25 @@ def fit(visuals: list[Visual], frames: Frames) -> dict[str, Any]:
 class _Spot:
     """Where a shape is in the course of a run: points (F, k, 3) and a margin around them [m]."""
 
-    def __init__(self, points: Array, margin: float) -> None:
-        self.points, self.margin = points, margin
+    def __init__(self, points: Array, margin: float, thin: bool = False) -> None:
+        self.points, self.margin, self.thin = points, margin, thin
 
     @classmethod
-    def of(cls, visual: Visual, poses: Poses) -> _Spot:
-        """Return the spot of a shape: a sphere is a point with a margin, other shapes are the corners of their box."""
+    def of(cls, visual: Visual, frames: Frames) -> _Spot:
+        """Return the spot of a shape: a sphere is a point with a margin, other shapes are the corners of their box.
+
+        A line is its points; thin: it says nothing of the size of the things.
+        """
+        if visual.shape == "line":
+            path = np.broadcast_arrays(*path_of(visual, frames.poses))
+            rows = np.unique(np.linspace(0, len(path[0]) - 1, _FITTED).astype(int))
+            return cls(np.stack([points[rows] for points in path], axis=1), 0.0, thin=True)
+        poses = frames.poses[visual.joint]
         low, high, margin = _bounds(visual)
         corners = np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
         corners = np.unique(corners, axis=0) @ visual.placement[:3, :3].T + visual.placement[:3, 3]
         rows = np.unique(np.linspace(0, len(poses.position) - 1, _FITTED).astype(int))
-        turned = np.stack([_rotate(poses.quaternion[rows], corner) for corner in corners], axis=1)
+        turned = np.stack([rotate(poses.quaternion[rows], corner) for corner in corners], axis=1)
         return cls(poses.position[rows, None] + turned, margin)
 
     @property
@@ -158,7 +172,8 @@ class _Spot:
 
     def within(self, home: Array, far: float) -> _Spot:
         """Return the part of the spot that is not further than `far` from `home`."""
-        return _Spot(self.points[np.linalg.norm(self.points - home, axis=2).max(axis=1) <= far], self.margin)
+        near = np.linalg.norm(self.points - home, axis=2).max(axis=1) <= far
+        return _Spot(self.points[near], self.margin, self.thin)
 
 
 def _home(spots: list[_Spot]) -> tuple[Array, float]:
@@ -207,13 +222,6 @@ def _bounds(visual: Visual) -> tuple[Array, Array, float]:
         return -end, end, float(sizes[0])
     half = sizes[[0, 0, 1]] if visual.shape in ("cylinder", "cone") else sizes
     return -half, half, 0.0
-
-
-def _rotate(quaternion: Array, vector: Array) -> Array:
-    """Rotate one vector by quaternions x y z w, shape (F, 4) -> (F, 3)."""
-    axis, w = quaternion[:, :3], quaternion[:, 3:]
-    twice = 2.0 * np.cross(axis, vector)
-    return np.asarray(vector + w * twice + np.cross(axis, twice))
 
 
 def _material(visual: Visual, index: int) -> Any:

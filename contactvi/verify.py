@@ -7,13 +7,25 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
-from contactvi import verify_cases_contact, verify_cases_impact, verify_cases_several
+from contactvi import (
+    verify_cases_contact,
+    verify_cases_forced,
+    verify_cases_impact,
+    verify_cases_loops,
+    verify_cases_several,
+)
 from contactvi.errors import InputError, did_you_mean
 from contactvi.verify_check import LIMIT, Case, Check, Runs
 
 PASSED, FAILED, NOT_APPLICABLE = "ok", "FAILED", "not applicable"
 COLUMNS = ("case", "what", "expected", "got", "tolerance", "verdict", "s", "reason of the tolerance")
-CASES: tuple[Case, ...] = (*verify_cases_impact.CASES, *verify_cases_several.CASES, *verify_cases_contact.CASES)
+CASES: tuple[Case, ...] = (
+    *verify_cases_impact.CASES,
+    *verify_cases_several.CASES,
+    *verify_cases_contact.CASES,
+    *verify_cases_forced.CASES,
+    *verify_cases_loops.CASES,
+)
 Progress = Callable[[float, str], object]  # called with the fraction that is done and the case at work
 
 

@@ -231,5 +231,4 @@ CASES = (
     Case("cradle", "Newton's cradle", cradle),
     Case("beside", "a ball bounces while another one rests", beside),
     Case("stack", "five boxes on each other for 10 s", stack),
-    Case("N22", "slider-crank with clearance", None, "it is a closed loop; models are trees so far"),
 )

@@ -1,22 +1,28 @@
 """What a picture of a scene consists of: shapes on joints, as plain data that can be stored.
 
 Taken from the scene's visual model, which pictures what has no mesh by its collision shapes. Halfspaces are taken from
-the collision geometry, so that the viewer can make them as large as the scene needs. Heavy meshes are thinned out by
-merging the vertices within a cell of a grid (Rossignac, Borrel 1993).
+the collision geometry, so that the viewer can make them as large as the scene needs. Springs and distances are lines.
+Heavy meshes are thinned out by merging the vertices within a cell of a grid (Rossignac, Borrel 1993).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from contactvi.elements import PathSpring
 
 if TYPE_CHECKING:
     from contactvi.scene import Scene
 
+Color = tuple[float, float, float, float]
+SPRING_COLOR: Color = (0.12, 0.55, 0.42, 1.0)
+STRING_COLOR: Color = (0.2, 0.22, 0.26, 1.0)
 MAX_TRIANGLES = 150_000  # of a whole scene: about 4 MB of page, what a browser turns at 60 frames per second
 _UNSET_COLORS = ((0.9, 0.9, 0.9, 1.0), (0.0, 0.0, 0.0, 1.0))  # Pinocchio's own: the file named no colour
 _SIZES: dict[str, tuple[str, ...]] = {
@@ -37,11 +43,12 @@ class Visual:
 
     name : of the geometry. joint : index of the joint that carries it, 0 for the world.
     placement : in the frame of the joint, homogeneous matrix, shape (4, 4).
-    shape : "sphere", "box", "capsule", "cylinder", "cone", "ellipsoid", "halfspace" or "mesh".
+    shape : "sphere", "box", "capsule", "cylinder", "cone", "ellipsoid", "halfspace", "mesh" or "line".
     sizes : [m] sphere (radius), box (half sides), capsule, cylinder and cone (radius, half length along z),
-        ellipsoid (radii), halfspace (normal, offset: the solid is n.x <= offset), mesh ().
+        ellipsoid (radii), halfspace (normal, offset: the solid is n.x <= offset), mesh (); of a line no lengths but the
+        joints that carry its vertices, each in the frame of its own (`joint` is 0, `placement` is not used).
     color : red, green, blue, opacity in 0..1; None where the model names none.
-    vertices : [m], shape (n, 3) float32. faces : shape (m, 3) uint32. Empty unless it is a mesh.
+    vertices : [m], shape (n, 3) float32. faces : shape (m, 3) uint32. Empty unless it is a mesh; a line has vertices.
     """
 
     name: str
@@ -49,9 +56,14 @@ class Visual:
     placement: NDArray[np.float64]
     shape: str
     sizes: tuple[float, ...]
-    color: tuple[float, float, float, float] | None
+    color: Color | None
     vertices: NDArray[np.float32]
     faces: NDArray[np.uint32]
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Indices of the joints that carry it."""
+        return tuple(int(joint) for joint in self.sizes) if self.shape == "line" else (self.joint,)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as plain data and arrays."""
@@ -75,7 +87,8 @@ class Visual:
             raise ValueError(f"mesh {fields['name']!r} refers to vertices it does not have")
         shape, sizes = str(fields["shape"]), tuple(float(size) for size in fields["sizes"])
         placement = np.array(fields["placement"], dtype=float).reshape(4, 4)
-        if _COUNTS.get(shape) != len(sizes) or not (_finite(sizes) and _finite(placement) and _finite(vertices)):
+        count = max(2, len(vertices)) if shape == "line" else _COUNTS.get(shape)
+        if count != len(sizes) or not (_finite(sizes) and _finite(placement) and _finite(vertices)):
             raise ValueError(f"shape {shape!r} with {len(sizes)} sizes, or numbers that are not finite")
         return cls(
             name=str(fields["name"]),
@@ -95,7 +108,27 @@ def from_scene(scene: Scene) -> list[Visual]:
     shown = [shape for shape in scene.visual_model.geometryObjects if shape.name not in planes]
     found = [visual for shape in shown if (visual := from_geometry(shape)) is not None]
     found += [visual for plane in planes.values() if (visual := from_geometry(plane)) is not None]
-    return thin_out(found, MAX_TRIANGLES)
+    return thin_out(found + _lines(scene), MAX_TRIANGLES)
+
+
+def _lines(scene: Scene) -> list[Visual]:
+    """Return the springs and the distances of a scene."""
+    resolved = scene._complete().elements
+    springs = [element for element in scene.elements if isinstance(element, PathSpring)]
+    lines = [
+        _line(own.name, found[0], found[1], SPRING_COLOR) for own, found in zip(springs, resolved.springs, strict=True)
+    ]
+    for row in resolved.constraints:
+        if row.kind == "distance":
+            (a, _, point_a), (b, _, point_b) = row.a, row.b
+            lines.append(_line(row.name, (a, b), (point_a, point_b), STRING_COLOR))
+    return lines
+
+
+def _line(name: str, joints: Sequence[int], points: ArrayLike, color: Color) -> Visual:
+    vertices = np.asarray(points, dtype=np.float32).reshape(-1, 3)
+    carriers = tuple(float(joint) for joint in joints)
+    return Visual(name, 0, np.eye(4), "line", carriers, color, vertices, np.zeros((0, 3), np.uint32))
 
 
 def from_geometry(shape: pin.GeometryObject) -> Visual | None:
@@ -183,7 +216,7 @@ def _is_plane(shape: pin.GeometryObject) -> bool:
     return type(shape.geometry).__name__ in ("Halfspace", "Plane")
 
 
-def _color(shape: pin.GeometryObject) -> tuple[float, float, float, float] | None:
+def _color(shape: pin.GeometryObject) -> Color | None:
     red, green, blue, opacity = (round(float(x), 6) for x in shape.meshColor)
     if (red, green, blue, opacity) in _UNSET_COLORS and not shape.overrideMaterial:
         return None

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from contact_runs import CORNERS, MU, SPEED, STEP, place, sliding_box
+from line_scenes import hung_ball
 from run_scenes import GRAVITY, ball_scene, hand_scene
 
 import contactvi as cvi
@@ -180,6 +181,34 @@ def test_forces_are_shown_where_they_act(browser, tmp_path):
     assert (np.abs(image - (0x1E, 0x4F, 0xBF)).max(axis=2) < 25).sum() > 200
     open_page(browser, box, tmp_path, play=False, forces=False)
     assert browser.execute_script("return viewer.scene_tree.find(['contactvi']).children.forces") is None
+
+
+LINES = """
+const end = (node, z) => node.object.up.clone().set(0, 0, z).applyMatrix4(node.object.matrix).toArray();
+return Object.values(viewer.scene_tree.find(["contactvi", "lines"]).children).map(line =>
+  Object.values(line.children).map(node => {
+    node.object.updateMatrix();
+    return [...end(node, 0), ...end(node, 1)];
+  }));
+"""
+
+
+def test_springs_and_strings_follow_their_ends(browser, tmp_path):
+    traj = hung_ball()
+    open_page(browser, traj, tmp_path, play=False)
+    for time in (0.0, 0.37, 1.0):
+        set_slider(browser, time)
+        (tape, string) = (np.reshape(line, (-1, 6)) for line in browser.execute_script(LINES))
+        ball = traj.resample([time])[0, :3]
+        chords = 1e-3  # between two frames (1/60 s) a piece goes straight: accelerations are below 20 m/s^2
+        assert string == pytest.approx(np.array([[0, 0, 1, *ball]]), abs=chords)
+        assert tape[:, :3] == pytest.approx(np.array([[-1, 0, 0], [-0.5, 0, 0.5]]), abs=8 * SINGLE)
+        assert tape[:, 3:] == pytest.approx(np.array([[-0.5, 0, 0.5], ball]), abs=chords)
+    assert errors(browser) == []
+    image = picture(browser, tmp_path / "lines.png").astype(int)
+    green = (image[..., 1] > image[..., 0] + 40) & (image[..., 1] > image[..., 2] + 10)
+    assert green.sum() > 200
+    assert (image.max(axis=2) < 110)[: int(0.8 * len(image)), : image.shape[1] // 2 + 200].sum() > 200
 
 
 # Calls back with the time shown once the condition holds, at the latest after 20 s.

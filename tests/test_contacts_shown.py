@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
-import re
 
 import numpy as np
 import pytest
-import umsgpack
 from contact_runs import GRAVITY, MASS, MU, SPAN, STOP, contact_arrays, sliding_box
+from playback_data import commands
 from run_scenes import ball_scene
 
 import contactvi as cvi
@@ -89,12 +87,6 @@ def test_a_run_of_schema_3_is_read(tmp_path):
 # -- pictures ---------------------------------------------------------------------------------------------------------
 
 
-def page_commands(page: str) -> list[dict]:
-    found = re.search(r"for \(const command of (\[.*?\])\) \{", page)
-    assert found is not None
-    return [umsgpack.unpackb(base64.b64decode(text)) for text in json.loads(found.group(1))]
-
-
 def test_arrows_of_the_box(box):
     times = np.linspace(0.0, SPAN, 61)
     forces = force_arrows.forces_of(box, times)
@@ -140,17 +132,15 @@ def test_more_points_than_arrows(box, monkeypatch):
 
 def test_the_page_shows_forces(box):
     page = make_html(box)
-    paths = {command["path"] for command in page_commands(page) if command["type"] == "set_object"}
+    paths = {command["path"] for command in commands(page) if command["type"] == "set_object"}
     assert sum(path.startswith("/contactvi/forces/") for path in paths) == 8  # shaft and head
     assert "blue arrows: contact forces, " in page
-    animations = next(c["animations"] for c in page_commands(page) if c["type"] == "set_animation")
+    animations = next(c["animations"] for c in commands(page) if c["type"] == "set_animation")
     moved = [item["clip"]["tracks"] for item in animations if item["path"].startswith("/contactvi/forces/")]
     assert [[track["name"] for track in tracks] for tracks in moved] == [
         [".visible", ".position", ".quaternion", ".scale"]
     ] * 4
-    assert "/contactvi/forces/" not in json.dumps(
-        [c.get("path", "") for c in page_commands(make_html(box, forces=False))]
-    )
+    assert "/contactvi/forces/" not in json.dumps([c.get("path", "") for c in commands(make_html(box, forces=False))])
 
 
 def test_plot_of_the_forces(box, tmp_path):

@@ -36,12 +36,12 @@ def test_example_runs(path, tmp_path):
 
 
 def readme_code() -> list[str]:
-    """The README's Python: the first use, the impact maps, lasting contact."""
+    """The README's Python: the first use, the impact maps, lasting contact, a linkage."""
     return re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
 
 
 def test_readme_code_runs(tmp_path):
-    code, _, _ = readme_code()
+    code, _, _, _ = readme_code()
     (tmp_path / "readme.py").write_text(code)
     printed = run(["readme.py"], tmp_path)
     assert "palm_link_0" in printed.splitlines()[-1]  # the ball hits the palm
@@ -51,7 +51,7 @@ def test_readme_code_runs(tmp_path):
 
 def test_readme_code_of_the_impact_maps_runs(tmp_path):
     """And prints the three jumps that it says."""
-    _, maps, _ = readme_code()
+    _, maps, _, _ = readme_code()
     script = tmp_path / "maps.py"
     script.write_text(f"import contactvi as cvi\n{maps}")
     energy, discrete, modified = (abs(float(x)) for x in run([str(script)], ROOT).split())
@@ -61,7 +61,7 @@ def test_readme_code_of_the_impact_maps_runs(tmp_path):
 
 def test_readme_code_of_lasting_contact_runs(tmp_path):
     """The box touches down, stops, and its corners carry it."""
-    *_, lasting = readme_code()
+    _, _, lasting, _ = readme_code()
     script = tmp_path / "lasting.py"
     script.write_text(f"import contactvi as cvi\n{lasting}")
     printed = run([str(script)], tmp_path).splitlines()
@@ -69,6 +69,21 @@ def test_readme_code_of_lasting_contact_runs(tmp_path):
     corners = [line for line in printed[8:] if line.startswith("('ground', 'box') stick")]
     assert len(corners) == 4
     assert all(abs(float(line.rstrip(" ]").split()[-1]) - 2.0 * 9.81 / 4.0) < 1e-6 for line in corners)
+
+
+def test_readme_code_of_a_linkage_runs(tmp_path):
+    """And prints the numbers that it says; the works account for the energy, up to the balance."""
+    *_, linkage = readme_code()
+    script = tmp_path / "linkage.py"
+    script.write_text(f"import contactvi as cvi\n{linkage}\nprint(traj.energy[-1] - traj.energy[0])")
+    power, balance, opened, gained = (
+        [float(x) for x in line.split()] for line in run([str(script)], ROOT).splitlines()
+    )
+    least, most, drive, damping = power
+    assert (round(least, 2), round(most, 2)) == (-1.25, 1.56)
+    assert damping > 0.1
+    assert abs(drive - damping - gained[0]) <= balance[0] < 1.3e-5
+    assert opened[0] <= 1e-14
 
 
 def test_guide_code_runs(tmp_path):

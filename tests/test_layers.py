@@ -84,7 +84,7 @@ PYTHON_LAYERS: Layers = {
         ("model", "engine"),
     ),
     "prepared": (("derivative_check", "prepared"), ("scene",)),
-    "page": (("visuals", "animation", "force_arrows", "shapes", "page"), ("scene",)),
+    "page": (("visuals", "animation", "lines", "force_arrows", "shapes", "page"), ("scene",)),
     "trajectory": (
         ("dense", "contact_ledger", "ledger", "storage_entries", "storage", "trajectory"),
         ("page", "prepared"),
@@ -111,6 +111,7 @@ PYTHON_LAYERS: Layers = {
     "verify": (
         (
             *("verify_check", "verify_model", "verify_cases_impact", "verify_cases_several", "verify_cases_contact"),
+            *("verify_model_forced", "verify_cases_forced", "verify_cases_loops"),
             "verify",
         ),
         ("reproduce", "simultaneous"),

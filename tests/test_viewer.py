@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import json
 import math
 import re
 import urllib.error
@@ -13,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import umsgpack
+from playback_data import FLOAT_ARRAY, commands, run_data, tracks
 from run_scenes import FIRST_IMPACT, RADIUS, ball_scene, hand_scene
 
 import contactvi as cvi
@@ -20,7 +19,6 @@ from contactvi import animation, shapes, visuals
 from contactvi.page import make_html
 
 SINGLE = float(np.finfo(np.float32).eps)
-FLOAT_ARRAY = 0x17  # meshcat's code of a Float32Array
 
 
 @pytest.fixture(scope="module")
@@ -34,33 +32,6 @@ def ball() -> cvi.Trajectory:
 def hand() -> cvi.Trajectory:
     scene, q0 = hand_scene()
     return cvi.simulate(scene, q0, duration=2.0, dt=1e-3, throw=False)
-
-
-def commands(page: str) -> list[dict]:
-    """The meshcat commands of a page, unpacked."""
-    found = re.search(r"for \(const command of (\[.*?\])\) \{", page)
-    assert found is not None
-    return [umsgpack.unpackb(base64.b64decode(text)) for text in json.loads(found.group(1))]
-
-
-def run_data(page: str) -> dict:
-    found = re.search(r"^const run = (.*);$", page, re.MULTILINE)
-    assert found is not None
-    return json.loads(found.group(1))
-
-
-def tracks(page: str) -> dict[str, dict[str, dict]]:
-    """path -> track name -> track, arrays unpacked."""
-    animations = next(command["animations"] for command in commands(page) if command["type"] == "set_animation")
-    found: dict[str, dict[str, dict]] = {}
-    for item in animations:
-        assert item["clip"]["fps"] == 1  # times are seconds
-        for track in item["clip"]["tracks"]:
-            values = track["values"]
-            track["times"] = np.frombuffer(track["times"].data, np.float32)
-            track["values"] = np.frombuffer(values.data, np.float32) if isinstance(values, umsgpack.Ext) else values
-            found.setdefault(item["path"], {})[track["name"]] = track
-    return found
 
 
 # -- frames -----------------------------------------------------------------------------------------------------------
