@@ -8,8 +8,9 @@ namespace contactvi {
 
 namespace {
 
-constexpr double kPlain = 1e-9;  // ratio of pivots from which on LU is not trusted
-constexpr double kCut = 1e-11;   // rank: relative to the largest pivot of QR
+constexpr double kPlain = 1e-9;     // ratio of pivots from which on LU is not trusted
+constexpr double kCut = 1e-11;      // rank: relative to the largest pivot of QR
+constexpr double kNothing = 1e-13;  // of the largest number: a row of such numbers is rounding
 
 double dot(const double* x, const double* y, int n) {
   double sum = 0.0;
@@ -41,14 +42,21 @@ void SmallLinear::reserve(int size) {
   order_.resize(size);
 }
 
+double SmallLinear::largest_scale() const {
+  double largest = 0.0;
+  for (int i = 0; i < n_; ++i) largest = std::max(largest, scale_[i]);
+  return largest;
+}
+
 bool SmallLinear::factor() {
   const int n = n_;
   double* f = f_.data();
   std::fill_n(scale_.data(), n, 0.0);
   for (int j = 0; j < n; ++j)
     for (int i = 0; i < n; ++i) scale_[i] = std::max(scale_[i], std::abs(a_[i + j * n]));
+  const double nothing = kNothing * largest_scale();
   for (int i = 0; i < n; ++i) {
-    if (!(scale_[i] > 0.0)) return false;
+    if (!(scale_[i] > nothing)) return false;
     scale_[i] = 1.0 / scale_[i];
   }
   for (int j = 0; j < n; ++j)
@@ -141,8 +149,9 @@ void SmallLinear::minimum_norm(const double* weight, double* x) {
     order_[j] = j;
     for (int i = 0; i < n; ++i) scale_[i] = std::max(scale_[i], std::abs(a_[i + j * n]));
   }
+  const double nothing = kNothing * largest_scale();
   for (int i = 0; i < n; ++i) {
-    scale_[i] = scale_[i] > 0.0 ? 1.0 / scale_[i] : 0.0;
+    scale_[i] = scale_[i] > nothing ? 1.0 / scale_[i] : 0.0;
     x[i] *= scale_[i];
   }
   for (int j = 0; j < n; ++j)

@@ -22,6 +22,7 @@ class SmallLinear {
   void minimum_norm(const double* weight, double* x);
 
  private:
+  double largest_scale() const;
   int pivoted_qr(double* c);
   void trapezoid_solve(int rank, const double* c);
 

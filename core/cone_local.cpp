@@ -1,6 +1,7 @@
 #include "cone_local.hpp"
 
 #include <Eigen/LU>
+#include <Eigen/SVD>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -15,6 +16,7 @@ using Mat2 = Eigen::Matrix2d;
 
 constexpr double kRounding = 64.0 * std::numeric_limits<double>::epsilon();
 constexpr double kSmallestPivot = 1e-9;
+constexpr double kNearly = 1e-9;  // of the terms: what the rows of a singular contact may disagree by
 constexpr int kSamples = 24;
 
 struct Circle {
@@ -74,7 +76,7 @@ struct SlipDirections {
 
 class OneContact {
  public:
-  OneContact(const ConeContact& c, const Mat3& A, const Vec3& b) : c_(c), A_(A), b_(b) {
+  OneContact(const ConeContact& c, const Mat3& A, const Vec3& b, double noise) : c_(c), A_(A), b_(b), noise_(noise) {
     scale_ = std::max(A.diagonal().cwiseAbs().maxCoeff(), std::numeric_limits<double>::min());
   }
 
@@ -100,8 +102,59 @@ class OneContact {
   bool open() { return c_.lower == 0.0 && b_[0] >= 0.0 && keep(Vec3::Zero()); }
   bool stick() {
     const Eigen::PartialPivLU<Mat3> lu(A_);
-    if (!(lu.matrixLU().diagonal().cwiseAbs().minCoeff() > kSmallestPivot * scale_)) return false;
-    return keep(lu.solve(-b_));
+    if (lu.matrixLU().diagonal().cwiseAbs().minCoeff() > kSmallestPivot * scale_) return keep(lu.solve(-b_));
+    return stick_held();
+  }
+  // Joints or constraints hold the contact in some direction: of the impulses that keep it at rest within the cone the
+  // least, which is at the edge of the cone where the least of all is outside.
+  bool stick_held() {
+    const Eigen::JacobiSVD<Mat3> svd(A_, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    int rank = 0;
+    while (rank < 3 && svd.singularValues()[rank] > kSmallestPivot * svd.singularValues()[0]) ++rank;
+    Vec3 lambda = Vec3::Zero();
+    for (int k = 0; k < rank; ++k)
+      lambda -= svd.matrixU().col(k).dot(b_) / svd.singularValues()[k] * svd.matrixV().col(k);
+    const auto in_cone = [&] { return lambda[0] >= c_.lower && lambda.tail<2>().norm() <= c_.mu * lambda[0]; };
+    if (!in_cone() && rank == 1) lambda = edge_on_plane(svd.matrixV().col(0), svd.matrixV().col(0).dot(lambda));
+    if (!in_cone() && rank == 2) lambda = edge_on_line(lambda, svd.matrixV().col(2));
+    const Vec3 w = b_ + A_ * lambda;
+    const double size = (b_.cwiseAbs() + A_.cwiseAbs() * lambda.cwiseAbs()).maxCoeff();
+    if (!(w.cwiseAbs().maxCoeff() <= std::max(noise_, kNearly * size))) return keep(lambda);
+    if (lambda.tail<2>().norm() > c_.mu * lambda[0] * (1.0 + kRounding) || lambda[0] < c_.lower) return keep(lambda);
+    best_ = lambda;
+    error_ = 0.0;
+    return true;
+  }
+  // Least point of the cone's edge with g.lambda = value.
+  Vec3 edge_on_plane(const Vec3& g, double value) const {
+    const double across = g.tail<2>().norm();
+    const Vec2 u = across > 0.0 ? Vec2(g.tail<2>() / across) : Vec2(Vec2::Zero());
+    Vec3 best = Vec3::Zero();
+    for (const double side : {1.0, -1.0}) {
+      const double lambda_n = value / (g[0] + side * c_.mu * across);
+      if (!(lambda_n > 0.0) || (best[0] > 0.0 && lambda_n >= best[0])) continue;
+      best = Vec3(lambda_n, side * c_.mu * lambda_n * u[0], side * c_.mu * lambda_n * u[1]);
+    }
+    return best;
+  }
+  // Where the line from + s n enters the cone, with the least |s|.
+  Vec3 edge_on_line(const Vec3& from, const Vec3& n) const {
+    const double mu2 = c_.mu * c_.mu, a = n.tail<2>().squaredNorm() - mu2 * n[0] * n[0];
+    const double b = from.tail<2>().dot(n.tail<2>()) - mu2 * from[0] * n[0];
+    const double c = from.tail<2>().squaredNorm() - mu2 * from[0] * from[0], root = b * b - a * c;
+    Vec3 best = from;
+    double least = std::numeric_limits<double>::infinity();
+    if (!(root >= 0.0)) return from;
+    const double q = -(b + std::copysign(std::sqrt(root), b));
+    for (const double s : {q / a, c / q}) {
+      if (!std::isfinite(s) || std::abs(s) >= least || from[0] + s * n[0] < 0.0) continue;
+      least = std::abs(s);
+      best = from + s * n;
+    }
+    // To the edge to rounding: the friction is what the normal impulse allows.
+    const double length = best.tail<2>().norm();
+    if (length > c_.mu * best[0] && length > 0.0) best.tail<2>() *= c_.mu * best[0] / length;
+    return best;
   }
   // w_n = 0 with lambda = lambda_n (1, -mu u): lambda_n = -b_n/(A_nn - mu A_nt u), w_t parallel to u.
   bool slip() {
@@ -137,6 +190,7 @@ class OneContact {
   const ConeContact& c_;
   const Mat3& A_;
   const Vec3& b_;
+  double noise_;
   double scale_;
   double error_ = std::numeric_limits<double>::infinity();
   Vec3 best_ = Vec3::Zero();
@@ -151,7 +205,7 @@ bool solve_ray(const ConeContact& c, double slope, double b_n, const Vec2& ray, 
 
 }  // namespace
 
-bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3& lambda) {
+bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3& lambda, double noise) {
   if (c.box > 0.0) {
     lambda.setZero();
     if (c.frozen || !(A(0, 0) > 0.0)) {
@@ -166,7 +220,7 @@ bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3&
     const Vec2 ray = c.frozen ? Vec2(-c.mu * c.d) : Vec2(Vec2::Zero());
     return solve_ray(c, A(0, 0) + A.block<1, 2>(0, 1).dot(ray), b[0], ray, lambda);
   }
-  OneContact one(c, A, b);
+  OneContact one(c, A, b, noise);
   const bool solved = one.solve();
   lambda = one.best();
   return solved;

@@ -144,6 +144,13 @@ bool HeldStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, 
   const VecX& right = reduction_.right_side(b);
   rest_ = lambda.tail(right.size());
   if (right.size() > 0 && !solve_cone({cones, reduction_.matrix(), right, noise}, rest_, regularize)) return false;
+  // Friction of a joint that constraints move: it takes its part whatever comes, and they bear it.
+  for (std::size_t i = 0; i < reduction_.idle().size(); ++i) {
+    const int k = reduction_.idle()[i];
+    const double speed = reduction_.idle_speed(i);
+    const double still = std::max(noise, kStill * (1.0 + v_.cwiseAbs().maxCoeff()));
+    rest_[k] = std::abs(speed) > still ? -std::copysign(cones[k].box, speed) : 0.0;
+  }
   reduction_.complete(rest_, lambda);
   return lambda.allFinite();
 }

@@ -38,41 +38,17 @@ void Reduction::set(const Eigen::Ref<const MatX>& G, int equations, int checked)
     G_.col(k).setZero();
     G_(k, k) = own > 0.0 ? own : 1.0;
   }
-  cut_ = false;
-  if (rest > 0) cut(G);
-}
-
-// Takes directions out of G_ that the equations hold.
-void Reduction::cut(const Eigen::Ref<const MatX>& G) {
-  const Eigen::Index rest = G_.rows();
-  own_.resize(rest);
-  for (Eigen::Index k = 0; k < rest; ++k) {
-    const double own = G(equations_ + k, equations_ + k);
-    own_[k] = own > 0.0 ? 1.0 / std::sqrt(own) : 1.0;
-  }
-  const MatX scaled = own_.asDiagonal() * G_ * own_.asDiagonal();
-  Eigen::ColPivHouseholderQR<MatX> qr(scaled);
-  qr.setThreshold(kRedundant);
-  if (qr.rank() == rest) return;
-  const Eigen::JacobiSVD<MatX> svd(scaled, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  Eigen::Index kept = 0;
-  while (kept < rest && svd.singularValues()[kept] > kRedundant) ++kept;
-  if (kept == rest) return;
-  cut_ = true;
-  const auto U = svd.matrixU().leftCols(kept);
-  kept_.noalias() = U * U.transpose();
-  const VecX back = own_.cwiseInverse();
-  G_ = back.asDiagonal() *
-       (U * svd.singularValues().head(kept).asDiagonal() * svd.matrixV().leftCols(kept).transpose()) *
-       back.asDiagonal();
 }
 
 const VecX& Reduction::right_side(const VecCRef& b) {
   first_ = scale_.asDiagonal() * factor_.solve(VecX(scale_.asDiagonal() * b.head(equations_)));
   b_ = b.tail(b.size() - equations_);
   if (b_.size() > 0) b_.noalias() -= A_ * first_;
-  for (int k : idle_) b_[k] = 0.0;
-  if (cut_) b_ = own_.cwiseInverse().asDiagonal() * (kept_ * (own_.asDiagonal() * b_)).eval();
+  idle_speed_.clear();
+  for (int k : idle_) {
+    idle_speed_.push_back(b_[k]);
+    b_[k] = 0.0;
+  }
   return b_;
 }
 
