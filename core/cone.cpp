@@ -11,7 +11,7 @@ namespace contactvi {
 namespace {
 
 constexpr int kIterations = 40, kIterationsPlain = 20, kIterationsWarm = 12;
-constexpr double kDisagree = 1e-9;  // residual of one contact, directly solved, that stands
+constexpr double kDisagree = 1e-3;  // residual of one contact, directly solved, that stands
 constexpr int kSweeps = 200, kFewSweeps = 30;
 
 }  // namespace
@@ -32,14 +32,14 @@ bool ConeSolver::one_contact(const ConeProblem& problem, double* lambda) {
     b[k] = problem.b[k];
     for (int j = 0; j < c.rows; ++j) A(k, j) = problem.G(k, j);
   }
-  if (!solve_one_contact(c, A, b, found, problem.noise)) return false;
+  bool held = false;
+  if (!solve_one_contact(c, A, b, found, problem.noise, &held)) return false;
   std::copy_n(found.data(), c.rows, lambda);
   map_.velocity(problem, lambda, w_.data());
   map_.evaluate(problem, lambda, w_.data());
   result_.residual = map_.residual();
   // Rows that disagree have no better solution but one of endless impulses.
-  const bool singular = c.rows == 3 && c.mu > 0.0 && result_.residual <= kDisagree;
-  return result_.residual <= kConeTolerance || singular;
+  return result_.residual <= (held ? kDisagree : kConeTolerance);
 }
 
 // The unique solution with the shift. A start far from it is worth little there: what redundant contacts share moves w

@@ -15,7 +15,8 @@ using Vec2 = Eigen::Vector2d;
 using Mat2 = Eigen::Matrix2d;
 
 constexpr double kRounding = 64.0 * std::numeric_limits<double>::epsilon();
-constexpr double kSmallestPivot = 1e-9;
+constexpr double kSmallestPivot = 1e-7;
+constexpr double kRoughly = 1e-4;
 constexpr double kNearly = 1e-9;  // of the terms: what the rows of a singular contact may disagree by
 constexpr int kSamples = 24;
 
@@ -82,6 +83,7 @@ class OneContact {
 
   bool solve() { return open() || stick() || slip() || stick_open() || slip_open(); }
   const Vec3& best() const { return best_; }
+  bool held() const { return held_; }
 
  private:
   // Keeps lambda if it obeys the law better than what was found before; true if to rounding.
@@ -109,21 +111,28 @@ class OneContact {
   // least, which is at the edge of the cone where the least of all is outside.
   bool stick_held() {
     const Eigen::JacobiSVD<Mat3> svd(A_, Eigen::ComputeFullU | Eigen::ComputeFullV);
-    int rank = 0;
-    while (rank < 3 && svd.singularValues()[rank] > kSmallestPivot * svd.singularValues()[0]) ++rank;
+    // As few directions as will do: what is singular but for rounding would ask for endless impulses.
     Vec3 lambda = Vec3::Zero();
-    for (int k = 0; k < rank; ++k)
-      lambda -= svd.matrixU().col(k).dot(b_) / svd.singularValues()[k] * svd.matrixV().col(k);
-    const auto in_cone = [&] { return lambda[0] >= c_.lower && lambda.tail<2>().norm() <= c_.mu * lambda[0]; };
-    if (!in_cone() && rank == 1) lambda = edge_on_plane(svd.matrixV().col(0), svd.matrixV().col(0).dot(lambda));
-    if (!in_cone() && rank == 2) lambda = edge_on_line(lambda, svd.matrixV().col(2));
-    const Vec3 w = b_ + A_ * lambda;
-    const double size = (b_.cwiseAbs() + A_.cwiseAbs() * lambda.cwiseAbs()).maxCoeff();
-    if (!(w.cwiseAbs().maxCoeff() <= std::max(noise_, kNearly * size))) return keep(lambda);
-    if (lambda.tail<2>().norm() > c_.mu * lambda[0] * (1.0 + kRounding) || lambda[0] < c_.lower) return keep(lambda);
-    best_ = lambda;
-    error_ = 0.0;
-    return true;
+    for (int rank = 1; rank <= 3 && svd.singularValues()[rank - 1] > 0.0; ++rank) {
+      lambda = Vec3::Zero();
+      for (int k = 0; k < rank; ++k)
+        lambda -= svd.matrixU().col(k).dot(b_) / svd.singularValues()[k] * svd.matrixV().col(k);
+      if (rank == 1 && !in_cone(lambda)) lambda = edge_on_plane(svd.matrixV().col(0), svd.matrixV().col(0).dot(lambda));
+      if (rank == 2 && !in_cone(lambda)) lambda = edge_on_line(lambda, svd.matrixV().col(2));
+      const Vec3 w = b_ + A_ * lambda;
+      const double size = (b_.cwiseAbs() + A_.cwiseAbs() * lambda.cwiseAbs()).maxCoeff();
+      // In the first round of a step even the rows of a singular contact agree but roughly.
+      const bool last = rank < 3 && svd.singularValues()[rank] < kRoughly * svd.singularValues()[0];
+      const double off = w.cwiseAbs().maxCoeff();
+      if (!(off <= std::max(noise_, (last ? kRoughly : kNearly) * size)) || !in_cone(lambda)) continue;
+      best_ = lambda;
+      error_ = 0.0;
+      return held_ = true;
+    }
+    return keep(lambda);
+  }
+  bool in_cone(const Vec3& lambda) const {
+    return lambda[0] >= c_.lower && lambda.tail<2>().norm() <= c_.mu * lambda[0] * (1.0 + kRounding);
   }
   // Least point of the cone's edge with g.lambda = value.
   Vec3 edge_on_plane(const Vec3& g, double value) const {
@@ -192,6 +201,7 @@ class OneContact {
   const Vec3& b_;
   double noise_;
   double scale_;
+  bool held_ = false;
   double error_ = std::numeric_limits<double>::infinity();
   Vec3 best_ = Vec3::Zero();
 };
@@ -205,7 +215,7 @@ bool solve_ray(const ConeContact& c, double slope, double b_n, const Vec2& ray, 
 
 }  // namespace
 
-bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3& lambda, double noise) {
+bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3& lambda, double noise, bool* held) {
   if (c.box > 0.0) {
     lambda.setZero();
     if (c.frozen || !(A(0, 0) > 0.0)) {
@@ -223,6 +233,7 @@ bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3&
   OneContact one(c, A, b, noise);
   const bool solved = one.solve();
   lambda = one.best();
+  if (held != nullptr) *held = one.held();
   return solved;
 }
 
