@@ -8,7 +8,7 @@ own; their losses are those of their events and no friction work.
 
 Friction work is the impulses of a step against the slip between its ends, the first impulse as the force at a third
 of the step and the second at two thirds, where the held step has them: exact where the slip changes evenly, else to
-O(h^2). Where the slip at the start is not known (a contact just begun without an impact) it is what the step after goes
+O(h^2). Where the slip at the start is not known (a contact just begun, an impact just before) it is what the step after goes
 back to, as long as that slips, else that of the end.
 
 The balance is that of the trees of bodies that hang on a free joint without damping: what the contacts gave each one in
@@ -113,6 +113,8 @@ class ContactLedger:
         same = np.all([np.diff(key[order]) == 0 for key in keys], axis=0)
         same &= np.abs(log.t[order[1:]] - log.end[order[:-1]]) <= 1e-9 * (h[order[1:]] + h[order[:-1]])
         first, second = order[:-1][same], order[1:][same]
+        slipped = h[first] > 0.0  # rows of impacts know no slip
+        first, second = first[slipped], second[slipped]
         before[second] = slip[first]
         new = np.ones(len(h), dtype=bool)
         new[second] = False
