@@ -19,9 +19,9 @@ import contactvi as cvi
 class Built:
     """A scene as it is put together: its start, the bodies, the joints with one number, what was put on them.
 
-    driven : a motion is prescribed. inputs : something besides it puts energy in. constrained : there are constraints
-    or dry friction. python : there are functions of the user. closed : nothing but contact, gravity and `pushes` [N]
-    (constant forces) acts on the sum of all bodies, which all are free.
+    drives : elements that prescribe a motion. inputs : something else puts energy in. constrained : there are
+    constraints or dry friction. python : there are functions of the user. closed : nothing but contact, gravity and
+    `pushes` [N] (constant forces) acts on the sum of all bodies, which all are free.
     """
 
     rng: np.random.Generator
@@ -30,13 +30,18 @@ class Built:
     v: np.ndarray
     bodies: list[str]
     joints: list[str]
-    driven: bool = False
+    drives: list[str] = field(default_factory=list)
     inputs: bool = False
     constrained: bool = False
     python: bool = False
     closed: bool = True
     pushes: np.ndarray = field(default_factory=lambda: np.zeros(3))
     elements: list[str] = field(default_factory=list)
+
+    @property
+    def driven(self) -> bool:
+        """Whether a motion is prescribed."""
+        return bool(self.drives)
 
     def value(self, joint: str) -> float:
         """The joint's number at the start [rad or m]."""
@@ -168,7 +173,8 @@ def prescribe(b: Built, joint: str = "") -> None:
     b.scene.prescribe(
         joint, lambda t: (x0 + a * math.sin(w * t), a * w * math.cos(w * t), -a * w * w * math.sin(w * t)), name="drive"
     )
-    b.driven = b.constrained = b.python = True
+    b.drives.append("drive")
+    b.constrained = b.python = True
 
 
 def distance(b: Built, winch: bool = False) -> None:
@@ -177,10 +183,10 @@ def distance(b: Built, winch: bool = False) -> None:
     length = float(np.linalg.norm(b.place(one) * points[0] - b.place(two) * points[1]))
     a, w = 0.1 * length, float(b.rng.uniform(2, 10))
     motion = (lambda t: (length + a * math.sin(w * t), a * w * math.cos(w * t), -a * w * w * math.sin(w * t)),)
-    b.scene.add_distance(one, two, *points, motion[0] if winch else length)
+    name = b.scene.add_distance(one, two, *points, motion[0] if winch else length)
     b.constrained = True
-    b.driven |= winch
     b.python |= winch
+    b.drives += [name] * winch
 
 
 def winch(b: Built) -> None:

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import battery_elements as e
+import coal
 import numpy as np
 import pinocchio as pin
 from battery_elements import CLOSED, FORCES, JOINT_FORCES, Built
+from battery_models import JOINTS, Builder
 from battery_scenes import GRAVITY, WORLD, radius_of, random_turn, run_of, solid
 from contact_models import geometry, halfspace
 
@@ -169,6 +171,28 @@ def pushed(rng: np.random.Generator) -> Built:
     return put(b, (e.damping, e.dry, e.polynomial, e.servo), 2)
 
 
+def kinds(rng: np.random.Generator) -> Built:
+    """A tree of joints of any kind, a small ball on every one of them, over the ground."""
+    made, joint = Builder(int(rng.integers(2**31))), 0
+    for _ in range(int(rng.integers(2, 6))):
+        joint = made.add(str(rng.choice(list(JOINTS))), joint if rng.integers(4) else 0)
+    model = made.model
+    q = pin.integrate(model, pin.neutral(model), rng.uniform(-1, 1, model.nv))
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    low = min(data.oMi[i].translation[2] for i in range(1, model.njoints))
+    shapes = {f"ball{i}": (i, WORLD, coal.Sphere(0.05)) for i in range(1, model.njoints)}
+    pairs = [("ground", name) for name in shapes]
+    shapes["ground"] = (0, WORLD, halfspace(0.0, 0.0, 1.0, low - 0.05 - float(rng.uniform(0.001, 0.1))))
+    scene = cvi.Scene.from_pinocchio(model, geometry(shapes, pairs))
+    names = list(model.names)[1:]
+    joints = [name for name in names if model.nqs[model.getJointId(name)] == 1]
+    b = Built(rng, scene, q, rng.uniform(-1, 1, model.nv), names, joints, closed=False)
+    return put(
+        b, (e.spring, e.tape, e.push, e.shake, e.drag, e.distance, e.point, *((e.dry, e.servo) * bool(joints))), 3
+    )
+
+
 def put(b: Built, chosen: tuple, at_most: int) -> Built:
     """Put up to `at_most` of the elements on the scene, at least one."""
     for _ in range(int(b.rng.integers(1, at_most + 1))):
@@ -180,7 +204,10 @@ def put(b: Built, chosen: tuple, at_most: int) -> Built:
     return b
 
 
-FAMILIES: dict[str, Callable] = {f.__name__: f for f in (arm, smooth, closed_arm, group, joined, strings, pushed)}
+# The place of a family is part of its seeds: new ones go to the end.
+FAMILIES: dict[str, Callable] = {
+    f.__name__: f for f in (arm, closed_arm, group, joined, pushed, smooth, strings, kinds)
+}
 
 
 @dataclass
@@ -204,7 +231,7 @@ class Drawn:
 
 def draw(family: str, seed: int, duration: float = DURATION, **chosen: Any) -> Drawn:
     """The seed-th scene of a family, with its settings; `chosen`: some of `run_of`, in place of the drawn ones."""
-    rng = np.random.default_rng([7, sorted(FAMILIES).index(family), seed])
+    rng = np.random.default_rng([7, list(FAMILIES).index(family), seed])
     impact, reference = MAPS[int(rng.integers(len(MAPS)))]
     drawn = float(rng.choice(RESTITUTIONS)), float(rng.choice(FRICTIONS)), int(rng.choice(ORDERS))
     settings = {**run_of(impact, reference, *drawn, float(rng.choice(STEPS))), **chosen}
@@ -221,7 +248,8 @@ def draw(family: str, seed: int, duration: float = DURATION, **chosen: Any) -> D
     try:
         v = b.scene.consistent_velocity(b.q, b.v)
     except cvi.ConstraintError:  # what is driven cannot move like that
-        b.scene.remove("drive")
-        b.driven = False
+        for name in b.drives:
+            b.scene.remove(name)
+        b.drives.clear()
         v = b.scene.consistent_velocity(b.q, b.v)
     return Drawn(family, seed, b, b.q, v, options)

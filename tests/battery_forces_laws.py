@@ -122,6 +122,7 @@ def rest_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
             ends = np.flatnonzero(~still | np.isin(np.arange(len(q)) - 1, traj.events.array("step")))
             for nodes in np.split(np.arange(len(q)), ends):
                 inner = nodes[still[nodes]]
+                inner = inner[: None if still[-1] and len(q) - 1 in inner else -1]  # where it begins to slip
                 yield from worst("creep", np.abs(q[inner] - q[inner[:1]]), CREEP, traj.t[inner])
 
 
@@ -215,6 +216,29 @@ def energy_laws(traj: cvi.Trajectory, b: Built, dt: float) -> Iterator[Finding]:
         yield from worst("energy rises", rise, 2.0 * allowed, traj.t)
 
 
+def force_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
+    """Nothing pushes out of all proportion: what constraints and contacts leave open between them is not noise.
+
+    Bound: a thousand times (a toggle of 1 mrad) what stops all that moves and carries its weight in a step.
+    """
+    log, dt = traj.contacts, traj.options.fixed_dt
+    if b.driven or len(traj.t) < 2:
+        return
+    springs = np.abs(np.diff(traj.p, axis=0)).max() + np.ptp(traj.potential_energy) * dt
+    weight = sum(inertia.mass for inertia in traj.scene.model.inertias) * 10.0 * dt
+    bound = 1e3 * (np.abs(traj.p).max() + weight + springs)
+    yield from worst("contact force", np.linalg.norm(log.impulse, axis=1), bound, log.t)
+    if traj.constraints:
+        reactions = np.abs(traj.forces.reactions).max(axis=1) * dt
+        yield from worst("reaction", reactions, bound, traj.t)
+
+
+def jams(traj: cvi.Trajectory, b: Built) -> bool:
+    """Whether what is driven came to where there is no way on: its energy grew without bound in the last step."""
+    kinetic = traj.kinetic_energy
+    return b.driven and not traj.status.ok and bool(kinetic[-1] > 1e3 * np.median(kinetic))
+
+
 def contact_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
     """Those of battery_laws; what is driven may gain in an impact."""
     found = [*battery_laws.gap_laws(traj), *battery_laws.event_laws(traj), *battery_laws.contact_laws(traj)]
@@ -224,13 +248,13 @@ def contact_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
 def broken(traj: cvi.Trajectory, b: Built) -> list[Finding]:
     """All laws but those that need a second run; NaN hides what comes after it.
 
-    Energy is that of runs that came to their end: where constraints cannot be met, what they drive grows without bound.
+    Energy is that of runs that came to their end; nothing is asked of what jams but numbers that are numbers.
     """
     found = list(battery_laws.number_laws(traj))
-    if not found:
+    if not found and not jams(traj, b):
         found = [
             *contact_laws(traj, b), *constraint_laws(traj), *restitution_laws(traj), *work_laws(traj, b),
-            *rest_laws(traj), *effort_laws(traj, b), *momentum_laws(traj, b), *drive_laws(traj),
+            *rest_laws(traj), *effort_laws(traj, b), *momentum_laws(traj, b), *drive_laws(traj), *force_laws(traj, b),
         ]  # fmt: skip
         if traj.status.ok:
             found += energy_laws(traj, b, traj.options.fixed_dt)

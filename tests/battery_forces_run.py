@@ -16,11 +16,14 @@ from battery_run import Report
 
 import contactvi as cvi
 
+SLOW = 2e-2  # [s] of a step, in the mean; twenty times what is usual for steps with impacts in them
 
-def expected(drawn: battery_forces.Drawn, status: cvi.Status) -> bool:
+
+def expected(drawn: battery_forces.Drawn, traj: cvi.Trajectory) -> bool:
     """Whether a run may end like this: DTEC has no answer where impacts accumulate, a drive none where it jams."""
-    allowed = battery_run.ENDINGS[drawn.options["impact"]]
-    return status.code.name in allowed or (drawn.built.driven and status.code.name == "CONSTRAINT")
+    code = traj.status.code.name
+    jammed = battery_forces_laws.jams(traj, drawn.built) or (drawn.built.driven and code == "CONSTRAINT")
+    return code in battery_run.ENDINGS[drawn.options["impact"]] or jammed
 
 
 def examine(family: str, seed: int, **chosen: Any) -> Report:
@@ -29,9 +32,11 @@ def examine(family: str, seed: int, **chosen: Any) -> Report:
     start = time.perf_counter()
     traj = cvi.simulate(drawn.built.scene, drawn.q, drawn.v, throw=False, **drawn.options)
     found = [str(f) for f in battery_forces_laws.broken(traj, drawn.built)]
-    if not expected(drawn, traj.status):
+    if not expected(drawn, traj):
         found.insert(0, str(traj.status))
     seconds, stats = time.perf_counter() - start, traj.stats
+    if stats.seconds > SLOW * (stats.steps + 1):
+        found.append(f"slow: {1e3 * stats.seconds / (stats.steps + 1):.3g} ms a step")
     return Report(
         str(drawn), traj.status.code.name, found, traj.status.time, len(traj.events), stats.held_steps, seconds
     )

@@ -57,6 +57,33 @@ def falling_ring(restitution: float, friction: float) -> Case:
     return scene, q, None, {"duration": 0.5, "dt": 1e-3}
 
 
+def wedged_rod(angle: float) -> Case:
+    """A rod on a pin that falls onto the ground, `angle` off the vertical: inside the friction cone it can wedge."""
+    scene, length, radius, tilt = cvi.Scene(), 0.4, 0.03, angle + 0.02
+    scene.add_halfspace()
+    scene.add_capsule("rod", radius=radius, length=length, mass=1.0)
+    scene.set_contact(restitution=0.0, friction=0.8)
+    height = length * math.cos(angle) + radius
+    q = scene.neutral()
+    q[:3] = 0.5 * length * math.sin(tilt), 0.0, height - 0.5 * length * math.cos(tilt)
+    q[3:] = 0.0, -math.sin(0.5 * tilt), 0.0, math.cos(0.5 * tilt)
+    scene.add_point("world", "rod", (0.0, 0.0, height), (0.0, 0.0, 0.5 * length), name="pin")
+    return scene, q, None, {"duration": 0.6, "dt": 2e-3}
+
+
+def hinged_rod(angle: float) -> Case:
+    """The same on a hinge, without a constraint: one degree of freedom, which the contact takes."""
+    model = pin.Model()
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.0, 0.0, -0.2]), 0.01 * np.eye(3)), pin.SE3.Identity())
+    ground = halfspace(0.0, 0.0, 1.0, -0.4 * math.cos(angle) - 0.03)
+    shapes = {"ground": (0, place(), ground), "tip": (1, place(z=-0.4), coal.Sphere(0.03))}
+    scene = cvi.Scene.from_pinocchio(model, geometry(shapes, [("ground", "tip")]))
+    scene.set_contact(restitution=0.0, friction=0.8)
+    return scene, [-angle - 0.05], None, {"duration": 0.6, "dt": 1e-3}
+
+
 def box_on_strings(restitution: float, friction: float) -> Case:
     """A box that falls into ropes and onto the ground, and is pulled by five of them."""
     scene = cvi.Scene()

@@ -19,25 +19,30 @@ import battery_forces_run
 import numpy as np
 import pytest
 from battery_run import Report, Runner
-from forces_scenes import VIOLENT, ring
+from forces_scenes import VIOLENT, hinged_rod, ring, wedged_rod
 from loop_scenes import arm_scene
 from test_contact_battery import Altered, table
 
 import contactvi as cvi
 
-SEEDS, LIMIT = 24, 60.0  # of each family in the normal run; [s] of wall time of one run
+SEEDS, LIMIT = 20, 60.0  # of each family in the normal run; [s] of wall time of one run
 IMPACTS = 20_000  # of the long run
 FAMILIES = tuple(battery_forces.FAMILIES)
 
 # (family, seed, what goes wrong): left out of all other runs, and expected to fail in the long one, so that an entry
 # that is mended has to go.
 KNOWN: list[tuple[str, int, str]] = [
-    ("arm", 4, "e = 1 against damping: bounces without end"),
+    ("arm", 44, "a link that sticks has no freedom left: contact forces of 1e9 N"),
     ("closed_arm", 4, "two joints on one axis, loop and equality, dry friction: NEWTON_FAILED"),
+    ("group", 28, "a corner pushes at a gap of 5e-10 m"),
+    ("group", 54, "DTEC, e = 1, a force that damps: bounces without end, 80 ms a step"),
     ("joined", 8, "a tilt of rounding: an impact at a gap of 1.1e-10 m"),
-    ("strings", 0, "strings and a sticking point lock what is driven: NEWTON_FAILED, not CONSTRAINT"),
+    ("joined", 121, "wedged between a screw and a sticking point: forces of 1e6 N, NEWTON_FAILED"),
+    ("joined", 198, "wedged between a point and a sticking point: forces of 1e6 N, NEWTON_FAILED"),
+    ("kinds", 183, "DTEC jams with friction: NOT_FINITE"),
+    ("smooth", 65, "a link that sticks has no freedom left: contact forces of 1e10 N"),
+    ("smooth", 74, "a link that sticks has no freedom left: contact forces of 1e7 N"),
     ("strings", 22, "an edge hit at once after a corner at a gap of -5.6e-10 m"),
-    ("pushed", 20, "a servo above its effort in the step of a reversal"),
 ]
 
 
@@ -95,9 +100,31 @@ def test_a_ring_twice_closed_is_the_ring():
     assert two.q == pytest.approx(one.q, abs=1e-8)
 
 
+@pytest.mark.xfail(reason="what is not determined is noise of up to 6e5 N", strict=True)
+@pytest.mark.parametrize("angle", [0.3, 0.4, 0.6])
+def test_a_wedged_rod_rests_with_the_least_force(angle):
+    """Along the line from pin to contact the force is not determined; the weight asks for less than itself."""
+    scene, q, v, options = wedged_rod(angle)
+    traj = cvi.simulate(scene, q, v, **options)
+    force = np.linalg.norm(traj.contacts.force[traj.contacts.h > 0.0], axis=1)
+    assert len(force) > 200
+    assert force.max() < 9.81
+    assert np.abs(traj.reactions("pin")[150:]).max() < 9.81
+
+
+@pytest.mark.xfail(reason="what is not determined is noise of up to 1e10 N", strict=True)
+@pytest.mark.parametrize("angle", [0.2, 0.4, 0.6])
+def test_a_hinged_rod_rests_with_the_least_force(angle):
+    scene, q, v, options = hinged_rod(angle)
+    traj = cvi.simulate(scene, q, v, **options)
+    force = np.linalg.norm(traj.contacts.force[traj.contacts.h > 0.0], axis=1)
+    assert len(force) > 200
+    assert force.max() < 9.81
+
+
 @pytest.mark.parametrize("name", VIOLENT)
 def test_violent(name):
-    """What may be steep, but not wrong: bounded energy, constraints and gaps kept, less than a ms a step."""
+    """What may be steep, but not wrong: bounded energy, constraints and gaps kept, in time."""
     scene, q, v, options = VIOLENT[name]()
     traj = cvi.simulate(scene, q, v, throw=False, **options)
     assert traj.status.ok, str(traj.status)
@@ -107,7 +134,7 @@ def test_violent(name):
     assert not found, [str(f) for f in found]
     if not np.any(traj.work.drive):
         assert traj.energy.max() <= traj.energy[0] + 1e-2 * battery_forces_laws.energy_scale(traj)
-    assert traj.stats.seconds < 5e-3 * traj.stats.steps  # five times, for a busy machine
+    assert traj.stats.seconds < battery_forces_run.SLOW * traj.stats.steps
 
 
 # --- the long run -----------------------------------------------------------------------------------------------------
