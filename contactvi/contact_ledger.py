@@ -6,10 +6,10 @@ Per node, shapes (N,): friction_loss, impulse_balance.
 A row that carries no impulse may be open: its gap counts only as far as it is negative. Impacts count as rows of their
 own; their losses are those of their events and no friction work.
 
-Friction work is the impulses of a step against the slip between its ends, the first impulse as the force at a third
-of the step and the second at two thirds, where the held step has them: exact where the slip changes evenly, else to
-O(h^2). Where the slip at the start is not known (a contact just begun, an impact just before) it is what the step after goes
-back to, as long as that slips, else that of the end.
+Friction work is the impulses of a step against the slip between its ends, the first impulse as the force at a third of
+the step and the second at two thirds, where the held step has them: exact where the slip changes evenly, else to
+O(h^2). Where the slip at the start is not known (a contact just begun, an impact just before) it is what the step after
+goes back to, as long as that slips, else that of the end.
 
 The balance is that of the trees of bodies that hang on a free joint without damping: what the contacts gave each one in
 a step, against the change of its momentum less its weight. It needs runs without inputs and whole steps between nodes.
