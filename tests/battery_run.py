@@ -12,6 +12,7 @@ import select
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -57,9 +58,13 @@ def examine(family: str, seed: int, **chosen: Any) -> Report:
 
 
 class Runner:
-    """A process that examines one scene after the other; it is started again after one that hung or crashed."""
+    """A process that examines one scene after the other; it is started again after one that hung or crashed.
 
-    def __init__(self) -> None:
+    program : the file that it runs, whose `main` is called with its own `examine`.
+    """
+
+    def __init__(self, program: str = __file__) -> None:
+        self._program = program
         self._process: subprocess.Popen[str] | None = None
 
     def __enter__(self) -> Runner:
@@ -91,7 +96,7 @@ class Runner:
         package = str(Path(contactvi.__file__).parents[1])  # the one under test, wherever it is
         paths = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH")]))
         self._process = subprocess.Popen(
-            [sys.executable, __file__],
+            [sys.executable, self._program],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -106,7 +111,7 @@ class Runner:
             self._process = None
 
 
-def main() -> None:
+def main(examine: Callable[..., Report] = examine) -> None:
     """Answer requests until there are no more."""
     for line in sys.stdin:
         request = json.loads(line)
