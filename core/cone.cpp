@@ -33,13 +33,13 @@ bool ConeSolver::one_contact(const ConeProblem& problem, double* lambda) {
     for (int j = 0; j < c.rows; ++j) A(k, j) = problem.G(k, j);
   }
   bool held = false;
-  if (!solve_one_contact(c, A, b, found, problem.noise, &held)) return false;
+  if (!solve_one_contact(c, A, b, found, problem.noise, problem.rough, &held)) return false;
   std::copy_n(found.data(), c.rows, lambda);
   map_.velocity(problem, lambda, w_.data());
   map_.evaluate(problem, lambda, w_.data());
   result_.residual = map_.residual();
   // Rows that disagree have no better solution but one of endless impulses.
-  return result_.residual <= (held ? kDisagree : kConeTolerance);
+  return result_.residual <= (held && problem.rough > 0.0 ? kDisagree : kConeTolerance);
 }
 
 // The unique solution with the shift. A start far from it is worth little there: what redundant contacts share moves w

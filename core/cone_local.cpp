@@ -16,7 +16,7 @@ using Mat2 = Eigen::Matrix2d;
 
 constexpr double kRounding = 64.0 * std::numeric_limits<double>::epsilon();
 constexpr double kSmallestPivot = 1e-7;
-constexpr double kRoughly = 1e-4;
+constexpr double kHeld = 1e-4;    // of the largest singular value: directions in which a contact may be held
 constexpr double kNearly = 1e-9;  // of the terms: what the rows of a singular contact may disagree by
 constexpr int kSamples = 24;
 
@@ -77,7 +77,8 @@ struct SlipDirections {
 
 class OneContact {
  public:
-  OneContact(const ConeContact& c, const Mat3& A, const Vec3& b, double noise) : c_(c), A_(A), b_(b), noise_(noise) {
+  OneContact(const ConeContact& c, const Mat3& A, const Vec3& b, double noise, double rough)
+      : c_(c), A_(A), b_(b), noise_(noise), rough_(rough) {
     scale_ = std::max(A.diagonal().cwiseAbs().maxCoeff(), std::numeric_limits<double>::min());
   }
 
@@ -121,10 +122,10 @@ class OneContact {
       if (rank == 2 && !in_cone(lambda)) lambda = edge_on_line(lambda, svd.matrixV().col(2));
       const Vec3 w = b_ + A_ * lambda;
       const double size = (b_.cwiseAbs() + A_.cwiseAbs() * lambda.cwiseAbs()).maxCoeff();
-      // In the first round of a step even the rows of a singular contact agree but roughly.
-      const bool last = rank < 3 && svd.singularValues()[rank] < kRoughly * svd.singularValues()[0];
+      // In the rounds of a step the rows of a singular contact agree but roughly.
+      const bool last = rank < 3 && svd.singularValues()[rank] < kHeld * svd.singularValues()[0];
       const double off = w.cwiseAbs().maxCoeff();
-      if (!(off <= std::max(noise_, (last ? kRoughly : kNearly) * size)) || !in_cone(lambda)) continue;
+      if (!(off <= std::max(noise_, (last ? std::max(rough_, kNearly) : kNearly) * size)) || !in_cone(lambda)) continue;
       best_ = lambda;
       error_ = 0.0;
       return held_ = true;
@@ -200,6 +201,7 @@ class OneContact {
   const Mat3& A_;
   const Vec3& b_;
   double noise_;
+  double rough_;
   double scale_;
   bool held_ = false;
   double error_ = std::numeric_limits<double>::infinity();
@@ -215,7 +217,8 @@ bool solve_ray(const ConeContact& c, double slope, double b_n, const Vec2& ray, 
 
 }  // namespace
 
-bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3& lambda, double noise, bool* held) {
+bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3& lambda, double noise, double rough,
+                       bool* held) {
   if (c.box > 0.0) {
     lambda.setZero();
     if (c.frozen || !(A(0, 0) > 0.0)) {
@@ -230,7 +233,7 @@ bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3&
     const Vec2 ray = c.frozen ? Vec2(-c.mu * c.d) : Vec2(Vec2::Zero());
     return solve_ray(c, A(0, 0) + A.block<1, 2>(0, 1).dot(ray), b[0], ray, lambda);
   }
-  OneContact one(c, A, b, noise);
+  OneContact one(c, A, b, noise, rough);
   const bool solved = one.solve();
   lambda = one.best();
   if (held != nullptr) *held = one.held();

@@ -33,6 +33,8 @@ struct ConeProblem {
   // Error of b [m/s] that its rows may disagree by: four corners of a face have gaps that rounding makes not quite
   // those of a plane, and gap/h stands in b. Errors of w up to it are no errors.
   double noise = 0.0;
+  // Of the terms: what the rows of a single contact that is held in some direction may disagree by.
+  double rough = 0.0;
 };
 
 struct ConeResult {

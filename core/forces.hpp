@@ -11,8 +11,6 @@ class ForceField {
   explicit ForceField(const Tree& tree);
 
   bool any() const { return any_; }
-  // Whether some force depends on the state so that an implicit step should know its derivative.
-  bool any_stiff() const { return stiff_columns_ > 0; }
   // Columns of the Newton terms.
   int stiff_columns() const { return stiff_columns_; }
 

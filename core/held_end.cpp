@@ -67,6 +67,31 @@ bool HeldStep::end_kick() {
   return constraints_met(h_, true);
 }
 
+// After an attempt at the end kick: slips that it would turn round lose their direction. False: none does.
+bool HeldStep::unfreeze_turned(const MatX& G, double still) {
+  bool turned = false;
+  for (int k = 0; k < dry_; ++k) {
+    ConeContact& cone = end_cones_[k];
+    if (!cone.frozen) continue;
+    const int row = bilateral_ + k;
+    dry_outcomes_[k].reversed = cone.d[0] * (b_sub_[row] + G.row(row) * x_);
+    if (dry_outcomes_[k].reversed > still) continue;
+    cone.frozen = false;
+    turned = true;
+  }
+  for (std::size_t a = 0; a < active_.size(); ++a) {
+    ConeContact& cone = end_cones_[dry_ + a];
+    if (!cone.frozen) continue;
+    const int row = bilateral_ + cone.row + 1;
+    const Eigen::Vector2d w = b_sub_.segment<2>(row) + G.middleRows<2>(row) * x_;
+    outcomes_[active_[a]].reversed = w.dot(cone.d);
+    if (w.dot(cone.d) > still) continue;
+    cone.frozen = false;
+    turned = true;
+  }
+  return turned;
+}
+
 // The cone problem of the active contacts; directions of friction stay those of the step where that turns no slip
 // round.
 bool HeldStep::solve_end(VecX& lambda) {
@@ -111,27 +136,7 @@ bool HeldStep::solve_end(VecX& lambda) {
       x_.setZero();
       continue;
     }
-    bool turned = false;
-    for (int k = 0; k < dry_; ++k) {
-      ConeContact& cone = end_cones_[k];
-      if (!cone.frozen) continue;
-      const int row = bilateral_ + k;
-      dry_outcomes_[k].reversed = cone.d[0] * (b_sub_[row] + G.row(row) * x_);
-      if (dry_outcomes_[k].reversed > kSlipping * speed) continue;
-      cone.frozen = false;
-      turned = true;
-    }
-    for (std::size_t a = 0; a < active_.size(); ++a) {
-      ConeContact& cone = end_cones_[dry_ + a];
-      if (!cone.frozen) continue;
-      const int row = bilateral_ + cone.row + 1;
-      const Eigen::Vector2d w = b_sub_.segment<2>(row) + G.middleRows<2>(row) * x_;
-      outcomes_[active_[a]].reversed = w.dot(cone.d);
-      if (w.dot(cone.d) > kSlipping * speed) continue;
-      cone.frozen = false;
-      turned = true;
-    }
-    if (!turned) break;
+    if (!unfreeze_turned(G, kSlipping * speed)) break;
   }
   for (int a = 0; a < rows; ++a) lambda[sub_rows_[a]] = x_[a];
   return true;

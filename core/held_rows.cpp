@@ -12,7 +12,8 @@ constexpr double kShort = 1e-5;   // of a step below which places are followed b
 constexpr double kStill = 1e-11;  // of the speeds: slip below it is rounding
 constexpr double kJump = 2.0;     // of the rates of a motion at both ends of a step, by which its mean may differ,
 constexpr double kJumpRounding = 1e-9;  // and [rad; m], [rad/s; m/s]
-constexpr double kMet = 1e-10;          // of the configuration: a constraint is met to it,
+constexpr double kFar = 1e-4;           // of the configuration: numbers beyond its inverse have more rounding
+constexpr double kMet = 1e-10;          // [m; rad] to which a constraint is met,
 constexpr double kMetRate = 1e-7;       // and its rate to this, of the speeds
 }  // namespace
 
@@ -101,7 +102,8 @@ bool HeldStep::constraints_met(double h, bool rates) {
     rate = node1_.W.leftCols(bilateral_).transpose() * v1_ + node1_.rate;
     speed += v1_.cwiseAbs().maxCoeff() + node1_.rate.cwiseAbs().maxCoeff();
   }
-  const double left = h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0, reach = 1.0 + node1_.q.cwiseAbs().maxCoeff();
+  const double left = h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0,
+               reach = std::max(1.0, kFar * node1_.q.cwiseAbs().maxCoeff());
   double worst = 1.0;
   for (const Constraint& c : scene_->tree.elements.constraints)
     for (int k = c.row; k < c.row + c.rows; ++k) {
@@ -139,11 +141,12 @@ ConeContact HeldStep::dry_cone(int k, double bound) const {
 
 // The cone problem of all rows, the constraints eliminated (reduction_ has been made for G).
 bool HeldStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise,
-                          VecX& lambda, bool regularize) {
-  if (bilateral_ == 0) return solve_cone({cones, G, b, noise}, lambda, regularize);
+                          VecX& lambda, bool regularize, double rough) {
+  if (bilateral_ == 0) return solve_cone({cones, G, b, noise, rough}, lambda, regularize);
   const VecX& right = reduction_.right_side(b);
   rest_ = lambda.tail(right.size());
-  if (right.size() > 0 && !solve_cone({cones, reduction_.matrix(), right, noise}, rest_, regularize)) return false;
+  if (right.size() > 0 && !solve_cone({cones, reduction_.matrix(), right, noise, rough}, rest_, regularize))
+    return false;
   // Friction of a joint that constraints move: it takes its part whatever comes, and they bear it.
   for (std::size_t i = 0; i < reduction_.idle().size(); ++i) {
     const int k = reduction_.idle()[i];

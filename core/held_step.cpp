@@ -11,6 +11,7 @@ constexpr double kRounding = 1e-14;       // of the velocities: nothing left to 
 constexpr double kGapRounding = 2e-16;    // [m] that the gaps carry, as a velocity over the step
 constexpr double kPlaceRounding = 4e-15;  // [m] that the places of sticking points disagree by, the same
 constexpr double kAccept = 1e-9;          // residual of a cone problem that counts as solved if nothing better is found
+constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // by which rows of a contact that is held agree in the rounds
 constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_place
 constexpr double kStalled = 1e3;                                       // of that: rounds which no longer gain may end
 constexpr int kIdle = 4;                                               // such rounds
@@ -202,15 +203,20 @@ bool HeldStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regular
   return result.ok || result.residual <= kAccept;
 }
 
-bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
-  start_node(q0);
-  for (DryJoint& joint : dry_joints_)
-    joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? q0[joint.iq] : 0.0;
-  integrator_.begin_kicked(q0, h, tau, v);
+// Those of the last step's forces, bounds of the dry friction, where it counts its places from.
+void HeldStep::start_impulses(double h) {
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     lambda_.segment(row_[i], contacts_[i].rows()) = 0.5 * h * contacts_[i].force.head(contacts_[i].rows());
   lambda_.head(bilateral_ + dry_) = 0.5 * h * fixed_force_;
   for (int k = 0; k < dry_; ++k) cones_[k] = dry_cone(k, 0.5 * h * dry_joints_[k].limit);
+  for (DryJoint& joint : dry_joints_)
+    joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? node0_.q[joint.iq] : 0.0;
+}
+
+bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
+  start_node(q0);
+  integrator_.begin_kicked(q0, h, tau, v);
+  start_impulses(h);
   double best = INFINITY;
   int idle = 0;
   double last = INFINITY;
@@ -239,7 +245,8 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
     change_ = lambda_;
-    const bool solved = solve_rows(cones_, G_, b_, std::max(noise, kPlaceRounding / h), lambda_, k == 0);
+    const bool solved = solve_rows(cones_, G_, b_, std::max(noise, kPlaceRounding / h), lambda_, k == 0,
+                                   settled ? kAgree : kAgreeFirst);
     if (k == 0) find_paradox(v);
     if (!solved) {
       why_ = "the contact forces were not found";

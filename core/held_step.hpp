@@ -151,7 +151,7 @@ class HeldStep final : public Stepper {
   int find_jump(double h) const;
   ConeContact dry_cone(int k, double bound) const;
   bool solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise, VecX& lambda,
-                  bool regularize);
+                  bool regularize, double rough = 0.0);
   double contact_matrix(int row, int column) const;
   void start_node(const VecCRef& q0);
   void end_node(const VecX& q1, double t1);
@@ -159,12 +159,14 @@ class HeldStep final : public Stepper {
   Vec3 tangent_at(const HeldContact& held, const Contact& contact, const Contact& before, const Vec3& t1) const;
   Vec3 place_on_plane(const ContactPoint& point) const;
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
+  void start_impulses(double h);
   void measure(double h);
   double shortest_place(const HeldContact& held) const;
   void find_paradox(const VecX& v);
   bool solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize);
   bool end_kick();
   bool solve_end(VecX& lambda);
+  bool unfreeze_turned(const MatX& G, double still);
   void describe();
   bool accelerations(const VecCRef& q, const VecCRef& v, const VecX& tau);
   bool force_problem(VecX& value);

@@ -38,7 +38,6 @@ class Stages {
   void set_time(double t) { t0_ = t; }
   void set_servo(const Servo* servo);
   double time(int i) const { return t0_ + table_->c[i] * work_.h; }
-  double start_time() const { return t0_; }
   const Servo* servo() const { return servo_; }
   ForceField& field() { return field_; }
   const ForceField& field() const { return field_; }

@@ -22,7 +22,8 @@ using namespace nb::literals;
 namespace contactvi {
 
 nb::object& UserErrors::kept() {
-  static nb::object* error = new nb::object(nb::none());  // never destroyed: the interpreter may be gone by then
+  // Of the thread whose run it is. Never destroyed: the interpreter may be gone by then.
+  thread_local nb::object* error = new nb::object(nb::none());
   return *error;
 }
 
