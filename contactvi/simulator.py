@@ -134,6 +134,8 @@ class Simulator:
         self, steps: int, tau: ArrayLike | None = None, progress: Progress | None = None, target: Any = None
     ) -> Status:
         """Make `steps` steps, tau of shape (steps, nv) or None; return the status. Ends early as `simulate` does."""
+        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 0:
+            raise InputError("Number of steps", name="steps", expected="a whole number >= 0", got=repr(steps))
         forces = None if tau is None else self._scene.states.forces(tau, steps, "tau")
         return self._run(steps, forces, target, progress)
 

@@ -136,3 +136,14 @@ def test_the_start_of_a_run_checks_too():
     scene.remove(name)
     scene.add_potential(Anchor(scene, 3), check=False)
     cvi.Simulator(scene, dt=1e-3).reset(q)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"v": [1.0]}, {"v": "ab"}, {"t": "now"}, {"t": math.nan}, {"tolerance": -1.0}, {"q": [1.0]}, {"scene": 3}]
+)
+def test_bad_arguments_are_named(bad):
+    scene = scene_with_ball()
+    (name,) = bad
+    with pytest.raises(cvi.InputError) as caught:
+        cvi.check_derivatives(scene, **bad)
+    assert caught.value.name == name
