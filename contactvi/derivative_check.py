@@ -28,7 +28,7 @@ TOLERANCE = 1e-5
 _STEP = 1e-4
 _ROUNDING = 1e3 * float(np.finfo(float).eps) / _STEP
 _NOISE = 1e-11  # of the largest entry, and at all: what cancels inside the user's function is not seen here
-_GENERIC = 0.1
+GENERIC = 0.1  # [rad, m] beside a special place
 
 
 def check_derivatives(
@@ -175,6 +175,6 @@ def mover(model: pin.Model) -> Move:
 
 def _state(scene: Scene, q: Any, v: Any) -> tuple[Array, Array]:
     generic = np.sin(1.0 + np.arange(scene.nv))
-    near = pin.integrate(scene.model, scene.neutral(), _GENERIC * generic)
+    near = pin.integrate(scene.model, scene.neutral(), GENERIC * generic)
     configuration = near if q is None else scene._state(q)
     return np.asarray(configuration), generic if v is None else vector("v", v, scene.nv)
