@@ -85,16 +85,19 @@ class Ledger:
         forces: Forces | None = None,
         elements: bool = False,
         constrained: bool = False,
+        energies: Array | None = None,
     ) -> None:
         """Of nodes t (N,) [s], q (N, nq), p (N, nv), events, contacts and phases of a run that began at `start` [s].
 
         options: its settings; of them the order, and dt where all steps have one length. model, collision: those of the
         complete scene. forced: whether there were inputs or forces that no step made again here has; forces: the work
         they did, None where it is not known. elements: whether the scene has some; constrained: whether all its steps
-        have constraints or dry friction.
+        have constraints or dry friction. energies: T and V at the nodes (N, 2) of a run whose scene lacks functions of
+        the user: what would have to be computed with them is NaN.
         """
         self._core, self._forced, self._start = core, forced, start
         self._forces, self._elements, self._constrained = forces, elements, constrained
+        self._given = energies
         self._dt = float("nan") if options.auto else options.fixed_dt
         self._order = options.order
         c, b = np.polynomial.legendre.leggauss(options.order // 2)
@@ -277,7 +280,7 @@ class Ledger:
 
     @cached_property
     def _energies(self) -> Array:
-        return np.asarray(self._core.energy(self._q, self._p))
+        return np.asarray(self._core.energy(self._q, self._p)) if self._given is None else self._given
 
     @cached_property
     def _momenta(self) -> Array:
@@ -316,6 +319,8 @@ class Ledger:
 
     def _discrete(self, q: Array, p: Array, h: Array) -> Array:
         """E_d of steps h (n,) from these states; H where the step has no length, NaN where its length is not known."""
+        if self._given is not None:
+            return np.full(len(q), np.nan)
         values = np.asarray(self._core.energy(q, p)).sum(axis=1)
         some = np.flatnonzero(h != 0.0)
         try:
@@ -329,6 +334,8 @@ class Ledger:
         return values
 
     def _modified(self, q: Array, p: Array) -> Array:
+        if self._given is not None:
+            return np.full(len(q), np.nan)
         if self._constrained:  # of its steps no such quantity is known
             return np.asarray(self._core.energy(q, p)).sum(axis=1)
         return np.asarray(self._core.modified_energy(q, p, self._dt, self._order))
