@@ -204,6 +204,22 @@ def test_equality_of_mjcf(tmp_path: Path):
     assert not off.elements
 
 
+@pytest.mark.parametrize(
+    ("element", "reason"),
+    [
+        ('<joint joint2="x"/>', "of a joint that the file does not have"),
+        ('<joint name="gear" joint1="gear"/>', "of a joint that the file does not have"),
+        ('<connect body2="a" anchor="0 0 0"/>', "of a body that the file does not have"),
+    ],
+)
+def test_an_equality_of_nothing_is_ignored(tmp_path: Path, element: str, reason: str):
+    (tmp_path / "m.xml").write_text(MJCF.split("<equality>")[0] + f"<equality>{element}</equality></mujoco>")
+    scene = cvi.Scene()
+    scene.add_mjcf(tmp_path / "m.xml")
+    assert not scene.elements
+    assert reason in "".join(note.text for note in scene.report.all_notes("ignored", "equality"))
+
+
 # -- stored scenes ----------------------------------------------------------------------------------------------------
 
 
