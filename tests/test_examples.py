@@ -36,12 +36,12 @@ def test_example_runs(path, tmp_path):
 
 
 def readme_code() -> list[str]:
-    """The README's Python: the first use, the impact maps, lasting contact."""
+    """The README's Python: the first use, the impact maps, lasting contact, forces and loops."""
     return re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
 
 
 def test_readme_code_runs(tmp_path):
-    code, _, _ = readme_code()
+    code, _, _, _ = readme_code()
     (tmp_path / "readme.py").write_text(code)
     printed = run(["readme.py"], tmp_path)
     assert "palm_link_0" in printed.splitlines()[-1]  # the ball hits the palm
@@ -51,7 +51,7 @@ def test_readme_code_runs(tmp_path):
 
 def test_readme_code_of_the_impact_maps_runs(tmp_path):
     """And prints the three jumps that it says."""
-    _, maps, _ = readme_code()
+    _, maps, _, _ = readme_code()
     script = tmp_path / "maps.py"
     script.write_text(f"import contactvi as cvi\n{maps}")
     energy, discrete, modified = (abs(float(x)) for x in run([str(script)], ROOT).split())
@@ -61,7 +61,7 @@ def test_readme_code_of_the_impact_maps_runs(tmp_path):
 
 def test_readme_code_of_lasting_contact_runs(tmp_path):
     """The box touches down, stops, and its corners carry it."""
-    *_, lasting = readme_code()
+    _, _, lasting, _ = readme_code()
     script = tmp_path / "lasting.py"
     script.write_text(f"import contactvi as cvi\n{lasting}")
     printed = run([str(script)], tmp_path).splitlines()
@@ -69,6 +69,17 @@ def test_readme_code_of_lasting_contact_runs(tmp_path):
     corners = [line for line in printed[8:] if line.startswith("('ground', 'box') stick")]
     assert len(corners) == 4
     assert all(abs(float(line.rstrip(" ]").split()[-1]) - 2.0 * 9.81 / 4.0) < 1e-6 for line in corners)
+
+
+def test_readme_code_of_forces_runs(tmp_path):
+    """The loop stays closed, and the energy is accounted for."""
+    *_, forces = readme_code()
+    script = tmp_path / "forces.py"
+    ends = 'print(np.abs(traj.ledger.energy_balance).max(), traj.reactions("rod")[-1, 0])'
+    script.write_text(f"import numpy as np\nimport contactvi as cvi\n{forces}\n{ends}\n")
+    balance, push = (float(x) for x in run([str(script)], ROOT).split())
+    assert balance < 1e-5
+    assert push != 0.0
 
 
 def test_guide_code_runs(tmp_path):
