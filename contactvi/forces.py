@@ -74,7 +74,7 @@ class Forces:
         return Forces(self.t[first:], self.values[first:], self.reactions[first:], self.constraints)
 
     def sampled(self, t: Array) -> Forces:
-        """Return the same at other nodes t (n,) [s]: work between nodes in proportion, reactions as means."""
+        """Return the same at other nodes t (n,) [s]: work between nodes in proportion (O(dt^2)), reactions as means."""
         spans = np.diff(self.t, prepend=self.t[:1])[:, None]
         impulse = np.cumsum(self.reactions * spans, axis=0)
         work, impulse = (

@@ -210,7 +210,10 @@ class Trajectory:
 
     @property
     def work(self) -> Work:
-        """Work since the start at each node [J]: fields input, damping, dry, drive, shapes (N,); see `Work`."""
+        """Work since the start at each node [J]: fields input, damping, dry, drive, shapes (N,); see `Work`.
+
+        Known at the ends of steps; at samples (sample_dt) within a step in proportion, the ledger's balance too.
+        """
         return self._forces().work
 
     @property

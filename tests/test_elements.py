@@ -142,6 +142,15 @@ def test_armature_and_rotor():
     assert cvi.Scene.from_dict(scene.to_dict()).model.armature == pytest.approx([0.26, 0.01])
 
 
+def test_a_gear_without_a_rotor_is_reported():
+    scene = arm_scene(1)
+    scene.set_joint("j1", gear_ratio=100.0)
+    assert "rotor_inertia" in notes(scene, "ignored")["j1"]
+    scene.set_joint("j1", rotor_inertia=1e-4)
+    assert "j1" not in notes(scene, "ignored") or "gear_ratio" not in notes(scene, "ignored")["j1"]
+    assert scene.model.armature[0] == pytest.approx(1.0)
+
+
 def test_limits_of_the_file_are_off_by_default():
     scene = arm_scene(2, effort=3.0, velocity=2.0, friction=0.5)
     arrays = scene._complete().arrays
