@@ -153,13 +153,3 @@ class Growing:
             for parts in (self._t[first:], self._work[first:], self._reactions[first:])
         )
         return Forces(t, work, reactions, self.constraints)
-
-    @property
-    def blocks(self) -> int:
-        """Number of blocks, one per call that kept a node."""
-        return len(self._t)
-
-    @property
-    def last_reactions(self) -> Array:
-        """Mean reactions since the node before the last one that was kept, (m,)."""
-        return self._reactions[-1][-1]

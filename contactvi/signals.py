@@ -171,11 +171,6 @@ class Signal:
         return source, rate, called(rate.derivative, f"derivative of {self.name}", None)
 
 
-def signal(name: str, source: Any) -> Signal:
-    """Return a checked signal; `source` as in the module. Raises InputError."""
-    return Signal(source, name)
-
-
 def _plain(source: Any) -> Any:
     try:
         return np.asarray(source, dtype=float)
