@@ -306,6 +306,12 @@ class Simulator:
             twin.load(self.save())
         return twin
 
+    def __copy__(self) -> Simulator:
+        return self.copy()
+
+    def __deepcopy__(self, memo: Any) -> Simulator:
+        return self.copy()
+
     def last_step(self) -> tuple[float, Array, Array]:
         """Return time [s], q (nq,) and v (nv,) at the start of the last step; of several steps by `run`, of the last
         node that was recorded before now. Raises SimulationError before the first step."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -219,3 +220,14 @@ def test_copy_and_save_before_a_start():
     assert sim.copy().status is None
     with pytest.raises(cvi.SimulationError):
         sim.save()
+
+
+@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy])
+def test_copies_of_the_standard_library_go_on_by_themselves(twin_of):
+    _, sim = resting_box()
+    sim.run(3)
+    twin = twin_of(sim)
+    sim.step([1.0, 0, 0, 0, 0, 0])
+    assert twin.t == pytest.approx(3e-3)
+    twin.step([1.0, 0, 0, 0, 0, 0])
+    assert np.array_equal(twin.q, sim.q)
