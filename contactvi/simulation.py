@@ -17,7 +17,6 @@ from contactvi.prepared import Prepared, prepare
 from contactvi.simulator import PROGRESS_PERIOD, Simulator, settings_of
 from contactvi.status import StatusCode
 from contactvi.trajectory import Trajectory
-from contactvi.user_functions import called
 
 if TYPE_CHECKING:
     from contactvi.scene import Scene
@@ -75,7 +74,8 @@ def simulate(
     ------
     InputError : for arguments of the wrong shape or range. PenetrationError, SimulationError : see `throw`.
     ConstraintError : for a start that is not on the constraints, and where motions or lengths cannot be reached.
-    UserFunctionError : for functions of the user (control among them) that fail or return what cannot be used.
+    UserFunctionError : for functions of the user that fail or return what cannot be used. What control
+        or progress raises itself comes through as it is.
     DerivativeError : for wrong derivatives of theirs.
 
     Warns
@@ -179,7 +179,7 @@ def _follow(simulator: Simulator, steps: int, control: Control, target: Any, pro
     goals = simulator._goals(target, steps)
     for k in range(steps):
         t = simulator.t
-        tau = states.controlled(called(control, "control", t, t, simulator.q, simulator.v), t)
+        tau = states.controlled(control(t, simulator.q, simulator.v), t)
         if not simulator._advance(1, tau[None], None if goals is None else goals[k : k + 1]).ok:
             return
         if progress is not None and time.perf_counter() - last > PROGRESS_PERIOD:

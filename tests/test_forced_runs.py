@@ -86,17 +86,6 @@ def test_the_control_is_named_with_the_time():
     assert caught.value.time == pytest.approx(0.006)
 
 
-@pytest.mark.parametrize(
-    ("control", "text"),
-    [(lambda t, q, v: failing(), "ZeroDivisionError: mine"), (lambda t, q: np.zeros(6), "3 were given")],
-)
-def test_a_control_that_fails_is_named(control, text):
-    with pytest.raises(cvi.UserFunctionError, match=rf"control failed at t = 0 s.*{text}") as caught:
-        cvi.simulate(ball_scene(), duration=0.1, dt=1e-3, control=control)
-    assert caught.value.function == "control"
-    assert caught.value.__cause__ is not None
-
-
 def test_dt_auto_is_refused_where_the_step_matters():
     scene = ball_scene()
     scene.add_force(lambda t, q, v: np.zeros(6))
