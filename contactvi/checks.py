@@ -19,7 +19,7 @@ def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: s
     """Return `value` as a C-contiguous float array of this shape with finite numbers, or raise InputError."""
     try:
         result = np.array(value, dtype=float, order="C")
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{name} is not an array of numbers",
             name=name,

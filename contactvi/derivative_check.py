@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from contactvi import elements as kinds
 from contactvi.element_build import dof_names
 from contactvi.errors import DerivativeError, InputError
+from contactvi.inputs import real, short, vector
 from contactvi.scene import Scene
 from contactvi.signals import Signal
 from contactvi.user_functions import checked_force, checked_force_derivatives, checked_of_q, entry_name
@@ -27,7 +28,7 @@ TOLERANCE = 1e-5
 _STEP = 1e-4
 _ROUNDING = 1e3 * float(np.finfo(float).eps) / _STEP
 _NOISE = 1e-11  # of the largest entry, and at all: what cancels inside the user's function is not seen here
-_GENERIC = 0.1
+GENERIC = 0.1  # [rad, m] beside a special place
 
 
 def check_derivatives(
@@ -54,23 +55,26 @@ def check_derivatives(
     DerivativeError : names the derivative and its worst entry (row, column, names of the joints, expected, got).
     UserFunctionError : a function that fails, or returns another shape.
     """
+    time, tolerance = real("t", t), real("tolerance", tolerance, 0.0)
+    if scene is not None and not isinstance(scene, Scene):
+        raise InputError("Argument scene", name="scene", expected="a Scene or None", got=short(scene))
     if isinstance(item, Scene):
         model = item.model
         dofs, move = dof_names(model), mover(model)
         q, v = _state(item, q, v)
         for element in item.elements:
-            check_element(element, dofs, move, q, v, float(t), tolerance)
+            check_element(element, dofs, move, q, v, time, tolerance)
         for goal in item._complete().arrays.targets.values():
-            _check_signal(goal, float(t), tolerance)
+            _check_signal(goal, time, tolerance)
         return
     if scene is not None:
         dofs, move = dof_names(scene.model), mover(scene.model)
         q, v = _state(scene, q, v)
     else:
-        q = np.zeros(0) if q is None else np.array(q, dtype=float).reshape(-1)
+        q = np.zeros(0) if q is None else vector("q", q, np.size(q))
         dofs, move = [f"q[{k}]" for k in range(len(q))], lambda at, by: at + by
-        v = np.sin(1.0 + np.arange(len(q))) if v is None else np.array(v, dtype=float).reshape(-1)
-    check_element(_element(item), dofs, move, q, v, float(t), tolerance)
+        v = np.sin(1.0 + np.arange(len(q))) if v is None else vector("v", v, len(q))
+    check_element(_element(item), dofs, move, q, v, time, tolerance)
 
 
 def check_element(
@@ -171,6 +175,6 @@ def mover(model: pin.Model) -> Move:
 
 def _state(scene: Scene, q: Any, v: Any) -> tuple[Array, Array]:
     generic = np.sin(1.0 + np.arange(scene.nv))
-    near = pin.integrate(scene.model, scene.neutral(), _GENERIC * generic)
+    near = pin.integrate(scene.model, scene.neutral(), GENERIC * generic)
     configuration = near if q is None else scene._state(q)
-    return np.asarray(configuration), generic if v is None else np.array(v, dtype=float).reshape(scene.nv)
+    return np.asarray(configuration), generic if v is None else vector("v", v, scene.nv)

@@ -260,7 +260,7 @@ class Wrench(Element):
             if value is not None and not callable(value):
                 self._put(**{part: vector(f"{part} of {self.name!r}", value, 3)})
         self._put(point=_point(self, "point", self.point))
-        if self.axes not in AXES:
+        if not isinstance(self.axes, str) or self.axes not in AXES:
             raise InputError("Axes of a wrench", name="axes", expected="'world' or 'body'", got=repr(self.axes))
 
     @property
@@ -326,7 +326,8 @@ def element_from_data(data: Mapping[str, Any]) -> Element:
 
 def coefficients_of(name: str, value: Any) -> np.ndarray:
     """Return polynomial coefficients, lowest power first, shape (n,), n >= 1."""
-    count = len(value) if isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str) else 0
+    listed = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim == 1)
+    count = len(value) if listed and not isinstance(value, str) else 0
     if count == 0:
         raise InputError(f"Value of {name}", name=name, expected="a list of numbers", got=repr(value))
     return vector(name, value, count)

@@ -74,7 +74,7 @@ class Forces:
         return Forces(self.t[first:], self.values[first:], self.reactions[first:], self.constraints)
 
     def sampled(self, t: Array) -> Forces:
-        """Return the same at other nodes t (n,) [s]: work between nodes in proportion, reactions as means."""
+        """Return the same at other nodes t (n,) [s]: work between nodes in proportion (O(dt^2)), reactions as means."""
         spans = np.diff(self.t, prepend=self.t[:1])[:, None]
         impulse = np.cumsum(self.reactions * spans, axis=0)
         work, impulse = (
@@ -153,13 +153,3 @@ class Growing:
             for parts in (self._t[first:], self._work[first:], self._reactions[first:])
         )
         return Forces(t, work, reactions, self.constraints)
-
-    @property
-    def blocks(self) -> int:
-        """Number of blocks, one per call that kept a node."""
-        return len(self._t)
-
-    @property
-    def last_reactions(self) -> Array:
-        """Mean reactions since the node before the last one that was kept, (m,)."""
-        return self._reactions[-1][-1]

@@ -18,11 +18,11 @@ def real(name: str, value: Any, low: float = -math.inf, high: float = math.inf, 
     """Return `value` as a finite float in [low, high], or (low, high] with `open_low`."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     inside = low < number <= high if open_low else low <= number <= high
     if isinstance(value, (bool, str)) or not math.isfinite(number) or not inside:
-        raise InputError(f"Value of {name}", name=name, expected=_interval(low, high, open_low), got=repr(value))
+        raise InputError(f"Value of {name}", name=name, expected=_interval(low, high, open_low), got=short(value))
     return number
 
 
@@ -32,6 +32,12 @@ def _interval(low: float, high: float, open_low: bool) -> str:
     if high == math.inf:
         return f"a finite number {'>' if open_low else '>='} {low:g}"
     return f"a number in {'(' if open_low else '['}{low:g}, {high:g}]"
+
+
+def short(value: Any) -> str:
+    """Return repr(value), its end cut off where it is long."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def flag(name: str, value: Any) -> bool:
@@ -45,8 +51,8 @@ def vector(name: str, value: Any, size: int) -> np.ndarray:
     """Return `value` as a finite float array of shape (size,)."""
     try:
         array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"Value of {name}", name=name, expected=f"{size} numbers", got=repr(value)) from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"Value of {name}", name=name, expected=f"{size} numbers", got=short(value)) from None
     if array.shape != (size,):
         raise InputError(f"Shape of {name}", name=name, expected=f"({size},)", got=str(array.shape))
     if not np.all(np.isfinite(array)):

@@ -62,7 +62,8 @@ class Ledger:
 
     Per node, shapes (N,) and (N, 3): energy, modified_energy, discrete_energy (of the step that starts there; NaN where
     an impact cuts that step, and at the last node), linear_momentum, angular_momentum, loss (so far), friction_loss,
-    energy_balance, energy_rise, impulse_balance, held (whether contacts are held in the step that starts there).
+    energy_balance, constraint_residual, energy_rise, impulse_balance, held (whether contacts are held in the step that
+    starts there).
     Per event, shapes (n,) and (n, 3): energy_jump, modified_energy_jump, discrete_energy_jump, own_jump, event_loss,
     impulse, gap, complementarity, linear_momentum_jump, angular_momentum_jump.
     """
@@ -85,16 +86,19 @@ class Ledger:
         forces: Forces | None = None,
         elements: bool = False,
         constrained: bool = False,
+        energies: Array | None = None,
     ) -> None:
         """Of nodes t (N,) [s], q (N, nq), p (N, nv), events, contacts and phases of a run that began at `start` [s].
 
         options: its settings; of them the order, and dt where all steps have one length. model, collision: those of the
         complete scene. forced: whether there were inputs or forces that no step made again here has; forces: the work
         they did, None where it is not known. elements: whether the scene has some; constrained: whether all its steps
-        have constraints or dry friction.
+        have constraints or dry friction. energies: T and V at the nodes (N, 2) of a run whose scene lacks functions of
+        the user: what would have to be computed with them is NaN.
         """
         self._core, self._forced, self._start = core, forced, start
         self._forces, self._elements, self._constrained = forces, elements, constrained
+        self._given = energies
         self._dt = float("nan") if options.auto else options.fixed_dt
         self._order = options.order
         c, b = np.polynomial.legendre.leggauss(options.order // 2)
@@ -177,6 +181,14 @@ class Ledger:
         """
         known = self.undriven_energy + self.loss
         return np.asarray(known - known[0])
+
+    @cached_property
+    def constraint_residual(self) -> Array:
+        """Largest residual of the scene's constraints at the node [m; rad], shape (N,); 0 without constraints."""
+        if not sum(self._core.constraint_rows):
+            return np.zeros(len(self.t))
+        pairs = zip(self._q, self.t, strict=True)
+        return np.array([np.abs(self._core.constraint_residual(q, t)).max() for q, t in pairs])
 
     @cached_property
     def energy_rise(self) -> Array:
@@ -277,7 +289,7 @@ class Ledger:
 
     @cached_property
     def _energies(self) -> Array:
-        return np.asarray(self._core.energy(self._q, self._p))
+        return np.asarray(self._core.energy(self._q, self._p)) if self._given is None else self._given
 
     @cached_property
     def _momenta(self) -> Array:
@@ -316,6 +328,8 @@ class Ledger:
 
     def _discrete(self, q: Array, p: Array, h: Array) -> Array:
         """E_d of steps h (n,) from these states; H where the step has no length, NaN where its length is not known."""
+        if self._given is not None:
+            return np.full(len(q), np.nan)
         values = np.asarray(self._core.energy(q, p)).sum(axis=1)
         some = np.flatnonzero(h != 0.0)
         try:
@@ -329,6 +343,8 @@ class Ledger:
         return values
 
     def _modified(self, q: Array, p: Array) -> Array:
+        if self._given is not None:
+            return np.full(len(q), np.nan)
         if self._constrained:  # of its steps no such quantity is known
             return np.asarray(self._core.energy(q, p)).sum(axis=1)
         return np.asarray(self._core.modified_energy(q, p, self._dt, self._order))

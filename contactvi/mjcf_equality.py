@@ -22,7 +22,8 @@ def read_equality(root: Element, path: Path, report: PartReport) -> list[dict[st
     coefficients. Raises SceneError for numbers that are none.
     """
     bodies = {body.get("name") for body in root.iter("body")}
-    referred = {joint.get("name"): joint.get("ref", "0") for joint in root.iter("joint")}
+    joints = (joint for body in root.iter("body") for joint in body.findall("joint"))
+    referred = {joint.get("name"): joint.get("ref", "0") for joint in joints}
     found: list[dict[str, Any]] = []
     for section in root.findall("equality"):
         for element in section:
@@ -59,13 +60,17 @@ def _unused(element: Element, bodies: set[str | None], joints: dict[str | None, 
     if tag == "joint":
         names = [element.get("joint1"), element.get("joint2")]
         names = names if names[1] else names[:1]
-        if any(name not in joints for name in names):
+        if any(name is None or name not in joints for name in names):
             return "of a joint that the file does not have"
         return "of a joint with ref" if any(float(joints[name]) != 0.0 for name in names) else ""
     if element.get("site1") or element.get("site2"):
         return "sites are not supported: give body1, body2 and anchor"
     names = [element.get("body1"), element.get("body2") or WORLD]
-    return "" if all(name in bodies or name == WORLD for name in names) else "of a body that the file does not have"
+    return (
+        ""
+        if all(name is not None and (name in bodies or name == WORLD) for name in names)
+        else "of a body that the file does not have"
+    )
 
 
 def _relpose(element: Element, path: Path, where: str) -> list[float] | None:

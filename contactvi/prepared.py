@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 from functools import cached_property
 from typing import Any
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 
 from contactvi import loops
 from contactvi.checks import States
-from contactvi.derivative_check import check_element, mover
+from contactvi.derivative_check import GENERIC, check_element, mover
+from contactvi.elements import UserForce, UserPotential
 from contactvi.errors import ConstraintError, SceneError, UserFunctionError
 from contactvi.forces import ConstraintRows
 from contactvi.scene import Scene
@@ -116,10 +118,19 @@ class Prepared:
             loops.check_velocity(self.core, rows, q, v, t)
         if not self._derivatives_checked:
             self._derivatives_checked = True
-            generic = v + np.sin(1.0 + np.arange(len(v)))
-            for element in self._scene.elements:
-                if getattr(element, "check", True):
-                    check_element(element, self.built.elements.dofs, mover(self.built.model), q, generic, t)
+            self._check_derivatives(q, v, t)
+
+    def _check_derivatives(self, q: NDArray[np.float64], v: NDArray[np.float64], t: float) -> None:
+        """Check the user's derivatives at (q, v) and beside it: much vanishes at a start such as neutral."""
+        dofs, move = self.built.elements.dofs, mover(self.built.model)
+        generic = np.sin(1.0 + np.arange(len(v)))
+        for element in self._scene.elements:
+            if not getattr(element, "check", True):
+                continue
+            check_element(element, dofs, move, q, v + generic, t)
+            if isinstance(element, (UserPotential, UserForce)):
+                with contextlib.suppress(UserFunctionError):  # it need not be defined there
+                    check_element(element, dofs, move, move(q, GENERIC * generic), v + generic, t)
 
 
 def _refuse_missing(scene: Scene) -> None:

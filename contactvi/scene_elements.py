@@ -11,7 +11,7 @@ from contactvi import elements as kinds
 from contactvi import loops
 from contactvi.checks import States
 from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import vector
+from contactvi.inputs import flag, real, short, vector
 from contactvi.joints import JointSettings, joint_settings, one_number, servo_settings
 from contactvi.scene_build import Built, engine_scene
 from contactvi.scene_data import target_name
@@ -193,7 +193,9 @@ class SceneElements(SceneParts):
         """
         if not callable(value) and gradient is None and hasattr(value, "value"):
             value, gradient, hessian = value.value, getattr(value, "gradient", None), getattr(value, "hessian", None)
-        return self._put(kinds.UserPotential(self._name("potential", name), value, gradient, hessian, bool(check)))
+        return self._put(
+            kinds.UserPotential(self._name("potential", name), value, gradient, hessian, flag("check", check))
+        )
 
     def add_force(self, function: Any, derivatives: Any = None, *, check: bool = True, name: str | None = None) -> str:
         """Add generalized forces given by a Python function; return the name.
@@ -204,15 +206,15 @@ class SceneElements(SceneParts):
         derivatives : (t, q, v) -> (df_dq, df_dv), (nv, nv) each, in the tangent space; for stiff forces.
         check : as in add_potential.
         """
-        return self._put(kinds.UserForce(self._name("force", name), function, derivatives, bool(check)))
+        return self._put(kinds.UserForce(self._name("force", name), function, derivatives, flag("check", check)))
 
     def remove(self, name: str) -> None:
         """Take an element out again."""
         known = [element.name for element in self._edits.elements] + list(self._edits.missing)
-        if name not in known:
+        if not isinstance(name, str) or name not in known:
             raise InputError(
-                "Unknown element", name="name", expected="an element of the scene", got=repr(name),
-                remedy=did_you_mean(name, known),
+                "Unknown element", name="name", expected="an element of the scene", got=short(name),
+                remedy=did_you_mean(str(name), known),
             )  # fmt: skip
         self._edits.elements = [element for element in self._edits.elements if element.name != name]
         self._edits.missing = [missing for missing in self._edits.missing if missing != name]
@@ -268,12 +270,12 @@ class SceneElements(SceneParts):
         ------
         ConstraintError : there is none near q; it names the constraints that stay open.
         """
-        built, start = self._complete(), self._state(q)
-        if not built.elements.constraints:
-            return start
+        built, start, time = self._complete(), self._state(q), real("t", t)
         dofs = [dof for selector in _several(fixed) for dof in self._dofs(selector)]
         rows = built.elements.constraints
-        return loops.assemble(engine_scene(built), built.model, rows, start, sorted(set(dofs)), float(t))
+        if not rows:
+            return start
+        return loops.assemble(engine_scene(built), built.model, rows, start, sorted(set(dofs)), time)
 
     def consistent_velocity(self, q: Any = None, v: Any = None, t: float = 0.0) -> np.ndarray:
         """Return the velocity (nv,) nearest to v (in the metric of the mass) that goes with the constraints at q.
@@ -281,11 +283,11 @@ class SceneElements(SceneParts):
         q : (nq,), by default neutral. v : (nv,), by default rest. t : [s].
         Raises ConstraintError where constraints ask for different speeds.
         """
-        built, start = self._complete(), self._state(q)
+        built, start, time = self._complete(), self._state(q), real("t", t)
         velocity = np.zeros(built.model.nv) if v is None else vector("v", v, built.model.nv)
         if not built.elements.constraints:
             return velocity
-        return loops.consistent_velocity(engine_scene(built), built.elements.constraints, start, velocity, float(t))
+        return loops.consistent_velocity(engine_scene(built), built.elements.constraints, start, velocity, time)
 
     # -- helpers -------------------------------------------------------------------------------------------------------
 
@@ -328,6 +330,8 @@ class SceneElements(SceneParts):
         taken = {element.name for element in self._edits.elements}
         if name is None:
             return next(f"{kind}_{k}" for k in range(1, len(taken) + 2) if f"{kind}_{k}" not in taken)
+        if not isinstance(name, str) or not name:
+            raise InputError("Name of an element", name="name", expected="a non-empty str", got=short(name))
         if name in taken:
             raise InputError(
                 f"There is an element called {name!r} already", name="name", expected="a new name", got=repr(name),

@@ -62,6 +62,8 @@ def _joint_notes(name: str, own: JointSettings, built: Built) -> Iterator[tuple[
     dof = int(built.model.idx_vs[built.model.getJointId(name)])
     if own.armature is not None or own.rotor_inertia is not None:
         yield "changed", f"armature {number(float(built.model.armature[dof]))} kg m^2 or kg"
+    if own.gear_ratio is not None and not own.rotor_inertia:
+        yield "ignored", "gear_ratio: it says what rotor_inertia adds to the armature, and there is none"
     if own.friction is not None and own.friction is not False:
         where = " of the file" if own.friction is True else ""
         yield "used", f"dry friction{where} {number(float(built.arrays.dry_friction[dof]))} N m or N"

@@ -55,7 +55,7 @@ class JointEncoder:
     """Reads a joint's value and velocity at the present time: JointEncoder(sim, "elbow").read()."""
 
     def __init__(self, simulator: Simulator, joint: Any) -> None:
-        scene = simulator.scene
+        scene = _checked(simulator).scene
         self._simulator = simulator
         self._q, self._v = scene.q_index(joint), scene.v_index(joint)
 
@@ -76,7 +76,7 @@ class Imu:
     """
 
     def __init__(self, simulator: Simulator, body: Any, placement: Any = None) -> None:
-        self._simulator = simulator
+        self._simulator = _checked(simulator)
         built = simulator._scene.built
         self._model: pin.Model = built.model
         self._data = self._model.createData()
@@ -110,7 +110,7 @@ class ContactSensor:
     """
 
     def __init__(self, simulator: Simulator, body: Any) -> None:
-        if not simulator.options.record_contacts:
+        if not _checked(simulator).options.record_contacts:
             raise InputError(
                 "Contacts are not recorded", name="record_contacts", expected="True", got="False",
                 remedy="Make the simulator with record_contacts=True",
@@ -163,6 +163,13 @@ def _within(log: ContactLog, start: float, end: float) -> NDArray[np.bool_]:
     """Return which rows lie in (start, end]: steps by their middle, impacts by their time."""
     middle, slack = log.t + 0.5 * log.h, _ROUNDING * (end - start)
     return np.asarray((middle > start + slack) & (middle <= end + slack))
+
+
+def _checked(simulator: Any) -> Simulator:
+    if not isinstance(simulator, Simulator):
+        got = type(simulator).__name__
+        raise InputError("What a sensor reads", name="simulator", expected="a contactvi.Simulator", got=got)
+    return simulator
 
 
 def _frame(simulator: Simulator, body: Any) -> tuple[int, pin.SE3]:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, UserFunctionError
-from contactvi.inputs import real
+from contactvi.inputs import real, short
 from contactvi.user_functions import at, called
 
 Array = NDArray[np.float64]
@@ -188,26 +188,21 @@ class Signal:
         return source, rate, called(rate.derivative, f"derivative of {self.name}", None)
 
 
-def signal(name: str, source: Any) -> Signal:
-    """Return a checked signal; `source` as in the module. Raises InputError."""
-    return Signal(source, name)
-
-
 def _plain(source: Any) -> Any:
     try:
         return np.asarray(source, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return [()]  # of another dimension than a number
 
 
 def _table(source: Any, name: str) -> tuple[Array, Array]:
     expected = "a number, (times, values) of one length, or a function of t"
     if not isinstance(source, (tuple, list)) or len(source) != 2:
-        raise InputError(f"Signal {name}", name=name, expected=expected, got=_short(source))
+        raise InputError(f"Signal {name}", name=name, expected=expected, got=short(source))
     try:
         times, values = (np.array(part, dtype=float) for part in source)
-    except (TypeError, ValueError):
-        raise InputError(f"Signal {name}", name=name, expected=expected, got=_short(source)) from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"Signal {name}", name=name, expected=expected, got=short(source)) from None
     if times.ndim != 1 or times.shape != values.shape or len(times) < 2:
         got = f"shapes {times.shape} and {values.shape}"
         raise InputError(f"Table of {name}", name=name, expected="two arrays of one length >= 2", got=got)
@@ -225,8 +220,3 @@ def _spline(times: Array, values: Array) -> tuple[Any, Any, Any]:
 
     spline = CubicSpline(times, values, bc_type="not-a-knot")
     return spline, spline.derivative(), spline.derivative(2)
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

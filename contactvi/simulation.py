@@ -74,7 +74,8 @@ def simulate(
     ------
     InputError : for arguments of the wrong shape or range. PenetrationError, SimulationError : see `throw`.
     ConstraintError : for a start that is not on the constraints, and where motions or lengths cannot be reached.
-    UserFunctionError : for functions of the user (control among them) that fail or return what cannot be used.
+    UserFunctionError : for functions of the user that fail or return what cannot be used. What control
+        or progress raises itself comes through as it is.
     DerivativeError : for wrong derivatives of theirs.
 
     Warns

@@ -134,6 +134,8 @@ class Simulator:
         self, steps: int, tau: ArrayLike | None = None, progress: Progress | None = None, target: Any = None
     ) -> Status:
         """Make `steps` steps, tau of shape (steps, nv) or None; return the status. Ends early as `simulate` does."""
+        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 0:
+            raise InputError("Number of steps", name="steps", expected="a whole number >= 0", got=repr(steps))
         forces = None if tau is None else self._scene.states.forces(tau, steps, "tau")
         return self._run(steps, forces, target, progress)
 
@@ -303,6 +305,12 @@ class Simulator:
         if self._record is not None:
             twin.load(self.save())
         return twin
+
+    def __copy__(self) -> Simulator:
+        return self.copy()
+
+    def __deepcopy__(self, memo: Any) -> Simulator:
+        return self.copy()
 
     def last_step(self) -> tuple[float, Array, Array]:
         """Return time [s], q (nq,) and v (nv,) at the start of the last step; of several steps by `run`, of the last

@@ -12,7 +12,7 @@ q                     (N, nq)        configurations, Pinocchio's numbers (quater
 p                     (N, nv)        momenta M(q) v
 v                     (N, nv)        Pinocchio's tangent velocities (body twist for a free body) [m/s, rad/s]
 kinetic_energy        (N,)           T [J]
-potential_energy      (N,)           V [J], gravity and joint springs
+potential_energy      (N,)           V [J], of gravity, springs and potentials
 modified_energy       (N,)           modified Hamiltonian of the midpoint rule, from order 4 on H [J]
 discrete_energy       (N,)           of the step that starts at the node [J], NaN without one; only in runs with DTEC
 gap/time              (M,)           times at which gaps were measured [s], M <= 2000

@@ -149,7 +149,7 @@ class Trajectory:
 
     @property
     def potential_energy(self) -> Array:
-        """V [J], gravity and joint springs, shape (N,)."""
+        """V [J], of gravity, springs and potentials, shape (N,)."""
         self._energies()
         return self._derived["potential_energy"]
 
@@ -171,12 +171,13 @@ class Trajectory:
     def ledger(self) -> Ledger:
         """What should be conserved, node by node and impact by impact (contactvi.ledger)."""
         if self._ledger is None:
+            built, lacking = self.scene._complete(), bool(self.scene._edits.missing)
             self._ledger = Ledger(
                 self._engine(), self.options, self.t, self.q, self.p, self.events,
                 model=self.scene.model, collision=self.scene.collision_model, forced=self.forced,
                 start=float(self.t[0]), contacts=self.contacts, phases=self.phases, forces=self.forces,
-                elements=self.scene._complete().elements.any or bool(self.scene._edits.missing),
-                constrained=self.scene._complete().constrained,
+                elements=built.elements.any or lacking, constrained=bool(self.constraints) or built.constrained,
+                energies=np.column_stack([self.kinetic_energy, self.potential_energy]) if lacking else None,
             )  # fmt: skip
         return self._ledger
 
@@ -209,7 +210,10 @@ class Trajectory:
 
     @property
     def work(self) -> Work:
-        """Work since the start at each node [J]: fields input, damping, dry, drive, shapes (N,); see `Work`."""
+        """Work since the start at each node [J]: fields input, damping, dry, drive, shapes (N,); see `Work`.
+
+        Known at the ends of steps; at samples (sample_dt) within a step in proportion, the ledger's balance too.
+        """
         return self._forces().work
 
     @property

@@ -136,3 +136,27 @@ def test_the_start_of_a_run_checks_too():
     scene.remove(name)
     scene.add_potential(Anchor(scene, 3), check=False)
     cvi.Simulator(scene, dt=1e-3).reset(q)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"v": [1.0]}, {"v": "ab"}, {"t": "now"}, {"t": math.nan}, {"tolerance": -1.0}, {"q": [1.0]}, {"scene": 3}]
+)
+def test_bad_arguments_are_named(bad):
+    scene = scene_with_ball()
+    (name,) = bad
+    with pytest.raises(cvi.InputError) as caught:
+        cvi.check_derivatives(scene, **bad)
+    assert caught.value.name == name
+
+
+def test_what_vanishes_at_the_start_is_checked_beside_it():
+    scene = arm_scene(2)
+    scene.add_potential(lambda q: q[0] ** 2 * q[1], lambda q: np.array([2.0 * q[0] * q[1], -(q[0] ** 2)]), name="hill")
+    with pytest.raises(cvi.DerivativeError, match=r"gradient of 'hill' is wrong at entry 1"):
+        cvi.simulate(scene, scene.neutral(), duration=0.01, dt=1e-3)
+
+
+def test_a_function_need_not_be_defined_beside_the_start():
+    scene = arm_scene(1)
+    scene.add_potential(lambda q: 0.0 if q[0] < 1e-3 else math.sqrt(-q[0]), lambda q: np.zeros(1))
+    cvi.simulate(scene, scene.neutral(), np.zeros(1), duration=2e-3, dt=1e-3)

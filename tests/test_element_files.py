@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from loop_scenes import four_bar, four_bar_start, urdf
+from loop_scenes import arm_scene, four_bar, four_bar_start, urdf
 
 import contactvi as cvi
 from contactvi.scene_file import load_scene
@@ -204,6 +204,22 @@ def test_equality_of_mjcf(tmp_path: Path):
     assert not off.elements
 
 
+@pytest.mark.parametrize(
+    ("element", "reason"),
+    [
+        ('<joint joint2="x"/>', "of a joint that the file does not have"),
+        ('<joint name="gear" joint1="gear"/>', "of a joint that the file does not have"),
+        ('<connect body2="a" anchor="0 0 0"/>', "of a body that the file does not have"),
+    ],
+)
+def test_an_equality_of_nothing_is_ignored(tmp_path: Path, element: str, reason: str):
+    (tmp_path / "m.xml").write_text(MJCF.split("<equality>")[0] + f"<equality>{element}</equality></mujoco>")
+    scene = cvi.Scene()
+    scene.add_mjcf(tmp_path / "m.xml")
+    assert not scene.elements
+    assert reason in "".join(note.text for note in scene.report.all_notes("ignored", "equality"))
+
+
 # -- stored scenes ----------------------------------------------------------------------------------------------------
 
 
@@ -255,3 +271,17 @@ def test_functions_are_not_stored_and_said_to_be_missing():
     again.remove("crank")
     assert not again._edits.missing
     assert four_bar_start(again).shape == (3,)
+
+
+def test_the_ledger_of_a_stored_run_without_its_functions(tmp_path: Path):
+    scene = arm_scene(2)
+    scene.add_potential(lambda q: 3.0 * math.sin(q[0]), lambda q: np.array([3.0 * math.cos(q[0]), 0.0]), name="hill")
+    scene.prescribe("j2", lambda t: 0.1 * t * t, name="crank")
+    traj = cvi.simulate(scene, duration=0.1, dt=1e-3)
+    again = cvi.Trajectory.load(traj.save(tmp_path / "run.npz"))
+    assert np.array_equal(again.ledger.energy, traj.ledger.energy)
+    assert np.array_equal(again.ledger.energy_balance, traj.ledger.energy_balance)
+    assert np.abs(again.ledger.energy_balance).max() < 1e-4
+    assert np.array_equal(again.ledger.held, traj.ledger.held)
+    assert np.array_equal(again.modified_energy, traj.modified_energy)
+    assert np.isnan(again.ledger.modified_energy).all()

@@ -37,6 +37,19 @@ def notes(scene: cvi.Scene, use: str) -> dict[str, str]:
         (lambda s: s.add_joint_equality("j1", "j2", []), "coefficients of 'equality_1'", "a list of numbers"),
         (lambda s: s.add_joint_equality("j*", "j2"), "joint", "one joint"),
         (lambda s: s.add_joint_equality("ball", "j2"), "joint", "a free joint"),
+        (
+            lambda s: s.add_joint_equality("j1", "j2", np.array("x")),
+            "coefficients of 'equality_1'",
+            "a list of numbers",
+        ),
+        (lambda s: s.add_point("world", "j1", name=["rod"]), "name", "a non-empty str"),
+        (lambda s: s.add_wrench("j1", (1, 0, 0), axes=np.eye(2)), "axes", "'world' or 'body'"),
+        (lambda s: s.add_spring("world", "j1", 10**400), "stiffness of 'spring_1'", ">= 0"),
+        (lambda s: s.add_force(np.sin, check=[]), "check", "True or False"),
+        (lambda s: s.remove(None), "name", "an element of the scene"),
+        (lambda s: s.assemble(fixed="j9"), "joint", "Unknown joint"),
+        (lambda s: s.assemble(t=math.nan), "t", "a finite number"),
+        (lambda s: s.consistent_velocity(t="now"), "t", "a finite number"),
         (lambda s: s.prescribe("ball", 1.0), "joint", "6 degrees of freedom"),
         (lambda s: s.prescribe("j1", ([0, 1], [0])), "motion of joint 'j1'", "shapes (2,) and (1,)"),
         (lambda s: s.add_spring("j1", "j2", -1.0), "stiffness of 'spring_1'", ">= 0"),
@@ -127,6 +140,15 @@ def test_armature_and_rotor():
     assert scene.model.armature == pytest.approx([0.01 + 1e-4 * 2500.0, 0.01])
     assert scene.to_dict()["joints"][0]["armature"] == pytest.approx([0.26])
     assert cvi.Scene.from_dict(scene.to_dict()).model.armature == pytest.approx([0.26, 0.01])
+
+
+def test_a_gear_without_a_rotor_is_reported():
+    scene = arm_scene(1)
+    scene.set_joint("j1", gear_ratio=100.0)
+    assert "rotor_inertia" in notes(scene, "ignored")["j1"]
+    scene.set_joint("j1", rotor_inertia=1e-4)
+    assert "j1" not in notes(scene, "ignored") or "gear_ratio" not in notes(scene, "ignored")["j1"]
+    assert scene.model.armature[0] == pytest.approx(1.0)
 
 
 def test_limits_of_the_file_are_off_by_default():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -282,3 +283,25 @@ def test_the_tangent_of_free_bodies():
     traj = cvi.simulate(scene, duration=2.0, dt=1e-2, order=8)
     assert np.ptp(traj.potential_energy) > 0.01
     assert np.ptp(traj.energy) < 1e-12
+
+
+def test_a_drive_bears_the_friction_of_what_it_drags():
+    """Dry friction of the driven joint, and a ball that is dragged without turning: both in the drive's force, exactly."""
+    model = pin.Model()
+    slide = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    lift = model.addJoint(slide, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
+    model.appendBodyToJoint(lift, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    for name in ("lowerPositionLimit", "upperPositionLimit"):
+        getattr(model, name)[:] = -np.inf if "lower" in name else np.inf
+    shapes = pin.GeometryModel()
+    shapes.addGeometryObject(pin.GeometryObject("ball", lift, pin.SE3.Identity(), coal.Sphere(0.1)))
+    scene = cvi.Scene.from_pinocchio(model, shapes)
+    scene.add_halfspace(offset=-0.1)
+    scene.set_contact(restitution=0.0, friction=0.4)
+    scene.set_joint("slide", friction=1.5)
+    scene.prescribe("slide", lambda t: (t, 1.0, 0.0), name="drive")
+    traj = cvi.simulate(scene, duration=0.1, dt=1e-3)
+    assert traj.reactions("drive")[5:, 0] == pytest.approx(0.4 * 9.81 + 1.5, abs=1e-9)
+    assert traj.work.dry[-1] == pytest.approx(1.5 * 0.1, abs=1e-9)
+    assert np.abs(traj.ledger.energy_balance).max() < 1e-9
+    assert traj.ledger.constraint_residual.max() <= 1e-12

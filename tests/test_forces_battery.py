@@ -32,6 +32,7 @@ FAMILIES = tuple(battery_forces.FAMILIES)
 # (family, seed, what goes wrong): left out of all other runs, and expected to fail in the long one, so that an entry
 # that is mended has to go.
 KNOWN: list[tuple[str, int, str]] = [
+    ("closed_arm", 4, "two frictions of one axis in a loop: NEWTON_FAILED"),
     ("arm", 44, "a link that sticks has no freedom left: contact forces of 1e9 N"),
     ("group", 28, "a corner pushes at a gap of 5e-10 m"),
     ("group", 54, "DTEC, e = 1, a force that damps: bounces without end, 80 ms a step"),
@@ -109,7 +110,6 @@ def test_a_wedged_rod_rests_with_the_least_force(angle):
     assert np.abs(traj.reactions("pin")[150:]).max() < 9.81
 
 
-@pytest.mark.xfail(reason="what is not determined is noise of up to 1e10 N", strict=True)
 @pytest.mark.parametrize("angle", [0.2, 0.4, 0.6])
 def test_a_hinged_rod_rests_with_the_least_force(angle):
     scene, q, v, options = hinged_rod(angle)

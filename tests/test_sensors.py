@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import math
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -38,9 +41,20 @@ def test_sensors_of_nothing_are_refused():
     blind = cvi.Simulator(sim.scene, dt=1e-3, record_contacts=False)
     with pytest.raises(cvi.InputError, match="record_contacts=True"):
         cvi.ContactSensor(blind, "box")
+    for sensor in (cvi.JointEncoder, cvi.Imu, cvi.ContactSensor):
+        with pytest.raises(cvi.InputError, match=r"expected a contactvi.Simulator, got Scene"):
+            sensor(sim.scene, "box")
     arm = cvi.Simulator(arm_scene(1), dt=1e-3)
     with pytest.raises(cvi.InputError, match="no shape"):
         cvi.ContactSensor(arm, "j1")
+
+
+@pytest.mark.parametrize("steps", [-1, 1.5, None, "two", True, math.inf])
+def test_a_bad_number_of_steps_is_refused(steps):
+    _, sim = resting_box()
+    with pytest.raises(cvi.InputError, match="a whole number >= 0"):
+        sim.run(steps)
+    assert sim.t == 0.0
 
 
 def test_snapshots_of_others_are_refused():
@@ -206,3 +220,14 @@ def test_copy_and_save_before_a_start():
     assert sim.copy().status is None
     with pytest.raises(cvi.SimulationError):
         sim.save()
+
+
+@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy])
+def test_copies_of_the_standard_library_go_on_by_themselves(twin_of):
+    _, sim = resting_box()
+    sim.run(3)
+    twin = twin_of(sim)
+    sim.step([1.0, 0, 0, 0, 0, 0])
+    assert twin.t == pytest.approx(3e-3)
+    twin.step([1.0, 0, 0, 0, 0, 0])
+    assert np.array_equal(twin.q, sim.q)
