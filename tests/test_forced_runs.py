@@ -286,7 +286,7 @@ def test_the_tangent_of_free_bodies():
 
 
 def test_a_drive_bears_the_friction_of_what_it_drags():
-    """Dry friction of the driven joint, and a ball that is dragged without turning: both in the drive's force, exactly."""
+    """Dry friction of the driven joint, and a ball that is dragged without turning: both in the drive's force."""
     model = pin.Model()
     slide = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
     lift = model.addJoint(slide, pin.JointModelPZ(), pin.SE3.Identity(), "lift")

@@ -33,14 +33,11 @@ FAMILIES = tuple(battery_forces.FAMILIES)
 # that is mended has to go.
 KNOWN: list[tuple[str, int, str]] = [
     ("closed_arm", 4, "two frictions of one axis in a loop: NEWTON_FAILED"),
-    ("arm", 44, "a link that sticks has no freedom left: contact forces of 1e9 N"),
     ("group", 28, "a corner pushes at a gap of 5e-10 m"),
     ("group", 54, "DTEC, e = 1, a force that damps: bounces without end, 80 ms a step"),
     ("joined", 8, "a tilt of rounding: an impact at a gap of 1.1e-10 m"),
     ("joined", 198, "wedged between a point and a sticking point: forces of 1e6 N, NEWTON_FAILED"),
     ("kinds", 183, "DTEC jams with friction: NOT_FINITE"),
-    ("smooth", 65, "a link that sticks has no freedom left: contact forces of 1e10 N"),
-    ("smooth", 74, "a link that sticks has no freedom left: contact forces of 1e7 N"),
     ("strings", 22, "an edge hit at once after a corner at a gap of -5.6e-10 m"),
 ]
 
