@@ -99,7 +99,7 @@ class Scene:
 
     def set_servo(self, kp: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], kd: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], effort: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
         """
-        Gains and largest torque of the servos of joints with one number in q, (nv,) each.
+        Gains and largest torque of the servos of joints with one degree of freedom, (nv,) each.
         """
 
     def set_actuator_limits(self, effort: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], velocity: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:

@@ -147,6 +147,10 @@ def import_pinocchio(
     visual = copy_geometry(visual_model) if visual_model is not None else collision
     report = PartReport(f"{title}: pin.Model, {model.njoints - 1} joints")
     with _reported(report):
+        for i in range(1, model.njoints):
+            if np.any(model.rotorInertia[model.idx_vs[i] : model.idx_vs[i] + model.nvs[i]]):
+                text = "rotorInertia, rotorGearRatio: set_joint(rotor_inertia=, gear_ratio=) takes them"
+                report.note("ignored", "joint", model.names[i], text)
         _name_bodies(model)
         _check_geometry_parents(model, collision, title)
         part = Part(

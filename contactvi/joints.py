@@ -124,8 +124,10 @@ def joint_settings(model: pin.Model, name: str, **values: Any) -> JointSettings:
 
 
 def servo_settings(model: pin.Model, name: str, kp: Any, kd: Any, effort: Any, target: Any) -> JointSettings:
-    """Return checked settings of a servo on a joint with one number in q. Raises InputError."""
-    one_number(model, name, "servo")
+    """Return checked settings of a servo on a joint with one degree of freedom. Raises InputError."""
+    kind = joint_kind(model.joints[model.getJointId(name)])
+    if kind not in ONE_DOF:
+        _refuse_kind("A servo", name, "joint", "a joint with one degree of freedom", str(kind))
     values = [real(f"{what} of the servo of {name!r}", value, 0.0) for what, value in (("kp", kp), ("kd", kd))]
     limit = None if effort is None else _positive(f"effort of the servo of {name!r}", effort)
     goal = None if target is None else Signal(target, f"target of joint {name!r}")

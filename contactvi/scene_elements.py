@@ -230,7 +230,7 @@ class SceneElements(SceneParts):
 
         Parameters
         ----------
-        joint : joints with one number in q, by name, pattern or part.
+        joint : joints with one degree of freedom, by name, pattern or part; continuous ones go the shorter way.
         kp, kd : [N m/rad or N/m], [N m s/rad or N s/m], >= 0. They are implicit in the step and may be stiff.
         effort : largest torque [N m or N]; None: the file's limit, float("inf"): none.
         target : where to when the run says nothing (`simulate(target=)`): a motion as in `prescribe`; None: the start.

@@ -35,7 +35,7 @@ class Targets:
         self.joints = prepared.built.servo_joints
         ids = [model.getJointId(name) for name in self.joints]
         self._dofs = np.array([model.idx_vs[i] for i in ids], dtype=int)
-        self._hold = np.array([q0[model.idx_qs[i]] for i in ids], dtype=float)
+        self._hold = np.array([_place(model, i, q0) for i in ids], dtype=float)
         self._nv = int(model.nv)
         self._prepared = prepared
         self._motions = {name: motion for name, motion in prepared.built.arrays.targets.items() if name in self.joints}
@@ -130,3 +130,9 @@ def _with_rates(values: Array, count: int) -> Array:
     if values.shape[-1] == 2 * count:
         return values
     return np.concatenate([values, np.zeros_like(values)], axis=-1)
+
+
+def _place(model: Any, joint: int, q: Array) -> float:
+    """Return the position of a joint with one degree of freedom at q (nq,): an angle [rad] or [m]."""
+    first = model.idx_qs[joint]
+    return float(q[first] if model.nqs[joint] == 1 else np.arctan2(q[first + 1], q[first]))

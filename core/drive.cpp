@@ -53,7 +53,7 @@ void Simulator::limit_drive() {
     double follow = 0.0;
     if (driven) {
       follow = servo_.kd[d] * (servo_.v_ref[d] - v_[d]);
-      if (servo_.kp[d] != 0.0) follow += servo_.kp[d] * (servo_.q_ref[d] - q_[joint.iq]);
+      if (servo_.kp[d] != 0.0) follow += servo_.kp[d] * joint_error(joint, q_, servo_.q_ref[d]);
     }
     const double own = force_.size() > 0 ? force_[d] : 0.0, wanted = own + follow, most = most_effort(d);
     double given = std::clamp(wanted, -most, most);

@@ -158,7 +158,7 @@ void add_servo(const Tree& tree, const Servo* servo, const VecCRef& q, const Vec
   for (const Joint& joint : tree.joints) {
     if (joint.nv != 1) continue;
     const int d = joint.iv;
-    if (servo->kp[d] != 0.0) f[d] += servo->kp[d] * (servo->q_ref[d] - q[joint.iq]);
+    if (servo->kp[d] != 0.0) f[d] += servo->kp[d] * joint_error(joint, q, servo->q_ref[d]);
     f[d] += servo->feed[d] + servo->kd[d] * (servo->v_ref[d] - v[d]);
   }
 }

@@ -44,7 +44,7 @@ void Stages::set_forces(const VecCRef& q0, const VecX& tau) {
       if (joint.nv != 1 || servo_->kp[d] == 0.0) continue;
       // Two springs are one: that of the joint and that of the servo.
       const double own = joint.stiffness != 0.0 ? joint.stiffness * deflection_[d] : 0.0;
-      deflection_[d] = (own + servo_->kp[d] * (q0[joint.iq] - servo_->q_ref[d])) / stiffness_[d];
+      deflection_[d] = (own - servo_->kp[d] * joint_error(joint, q0, servo_->q_ref[d])) / stiffness_[d];
     }
   }
   work_.tau = nullptr;
@@ -71,7 +71,7 @@ double Stages::servo_torque(int d, int i) const {
   const Joint& joint = tree_->joints[tree_->dof_joint[d]];
   const int at = d * work_.S + i;
   double torque = servo_->feed[d] + servo_->kd[d] * (servo_->v_ref[d] - v_[at]);
-  if (servo_->kp[d] != 0.0) torque += servo_->kp[d] * (servo_->q_ref[d] - q0_[joint.iq] - X_[at]);
+  if (servo_->kp[d] != 0.0) torque += servo_->kp[d] * (joint_error(joint, q0_, servo_->q_ref[d]) - X_[at]);
   return torque;
 }
 
@@ -87,7 +87,7 @@ double Stages::input_power(int i) const {
     const int d = joint.iv;
     if (joint.nv != 1) continue;
     const double v = v_[d * S + i], kp = servo_->kp[d];
-    if (kp != 0.0) total += kp * (servo_->q_ref[d] - q0_[joint.iq] - X_[d * S + i]) * v;
+    if (kp != 0.0) total += kp * (joint_error(joint, q0_, servo_->q_ref[d]) - X_[d * S + i]) * v;
     total -= servo_->kd[d] * v * v;
   }
   return total;

@@ -34,6 +34,11 @@ void integrate(const Tree& tree, const VecCRef& q, const VecCRef& w, double fact
   }
 }
 
+double joint_error(const Joint& joint, const VecCRef& q, double value) {
+  if (joint.type != JointType::kContinuous) return value - q[joint.iq];
+  return std::remainder(value - std::atan2(q[joint.iq + 1], q[joint.iq]), 6.283185307179586476925);
+}
+
 Vec3 spring_deflection(const Tree& tree, const Joint& joint, const VecCRef& q) {
   const int iq = joint.iq;
   const VecX& rest = tree.rest;

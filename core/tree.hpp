@@ -78,6 +78,9 @@ struct Tree {
 // is fine.
 void integrate(const Tree& tree, const VecCRef& q, const VecCRef& w, double factor, VecRef q1);
 
+// What is missing to `value` at a joint with one degree of freedom [rad; m]; of (cos, sin) joints the shorter way.
+double joint_error(const Joint& joint, const VecCRef& q, double value);
+
 // Tangent vector from the springs' rest configuration to q for one joint, shape (nv of the joint,) in the first
 // entries.
 Vec3 spring_deflection(const Tree& tree, const Joint& joint, const VecCRef& q);

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from loop_scenes import arm_scene
 
@@ -157,3 +158,26 @@ def test_stiff_servos_on_a_hand():
     assert traj.status.ok
     assert np.abs(traj.q[-1] - q0).max() < 0.11
     assert np.abs(traj.v).max() < 10.0
+
+
+@pytest.mark.parametrize("order", [2, 6])
+def test_a_wheel_goes_the_shorter_way(order):
+    """A continuous joint, q = (cos, sin): as a revolute one with the target a turn away; a velocity alone as well."""
+    scenes = []
+    for kind in (pin.JointModelRUBZ(), pin.JointModelRZ()):
+        model = pin.Model()
+        wheel = model.addJoint(0, kind, pin.SE3.Identity(), "wheel")
+        model.appendBodyToJoint(wheel, pin.Inertia.FromCylinder(2.0, 0.2, 0.05), pin.SE3.Identity())
+        model.lowerPositionLimit[:], model.upperPositionLimit[:] = -np.inf, np.inf
+        scenes.append(cvi.Scene.from_pinocchio(model))
+    for scene in scenes:
+        scene.set_servo("wheel", kp=20.0, kd=0.8, effort=1.5)
+    wheel, hinge = (
+        cvi.simulate(scene, q, duration=1.0, dt=1e-3, order=order, target=[goal])
+        for scene, q, goal in ((scenes[0], [np.cos(3.0), np.sin(3.0)], -3.0), (scenes[1], [3.0], 2 * np.pi - 3.0))
+    )
+    turned = np.unwrap(np.arctan2(wheel.q[:, 1], wheel.q[:, 0]))
+    assert turned == pytest.approx(hinge.q[:, 0], abs=1e-11)
+    scenes[0].set_servo("wheel", kp=0.0, kd=2.0)
+    spun = cvi.simulate(scenes[0], [1.0, 0.0], duration=2.0, dt=1e-3, order=order, target=[0.0, 40.0])
+    assert spun.v[-1, 0] == pytest.approx(40.0, rel=1e-9)

@@ -145,7 +145,7 @@ void set_servo(Scene& s, const VecX& kp, const VecX& kd, const VecX& effort) {
   for (const VecX* x : {&kp, &kd, &effort}) need(x->size() == s.tree.nv && x->minCoeff() >= 0.0, "expected (nv,) >= 0");
   for (int d = 0; d < s.tree.nv; ++d) {
     const Joint& joint = s.tree.joints[s.tree.dof_joint[d]];
-    need((kp[d] == 0.0 || joint.nq == 1) && (kd[d] == 0.0 || joint.nv == 1), "a servo needs one number in q");
+    need((kp[d] == 0.0 && kd[d] == 0.0) || joint.nv == 1, "a servo needs a joint with one degree of freedom");
   }
   s.tree.elements.servo_kp = kp;
   s.tree.elements.servo_kd = kd;
@@ -317,7 +317,7 @@ void expose_elements(nb::class_<Scene>& scene) {
       .def("add_constraint", &add_constraint, "kind"_a, "joint_a"_a, "R_a"_a.none(), "p_a"_a, "joint_b"_a,
            "R_b"_a.none(), "p_b"_a, "numbers"_a, "signal"_a = nb::none(), "name"_a = "", "See constraints.hpp.")
       .def("set_servo", &set_servo, "kp"_a, "kd"_a, "effort"_a,
-           "Gains and largest torque of the servos of joints with one number in q, (nv,) each.")
+           "Gains and largest torque of the servos of joints with one degree of freedom, (nv,) each.")
       .def("set_actuator_limits", &set_actuator_limits, "effort"_a, "velocity"_a, "(nv,) each, inf: none.")
       .def_prop_ro("constraint_rows", &rows_per_constraint)
       .def(
