@@ -38,12 +38,17 @@ def check_configuration(core: Any, rows: Sequence[Rows], q: Array, t: float) -> 
         )
 
 
-def check_velocity(core: Any, rows: Sequence[Rows], q: Array, v: Array, t: float) -> None:
-    """Raise ConstraintError where J v + phi_t is not 0 to 1e-8 of the speeds in it, at q (nq,), v (nv,), t [s]."""
+def _broken_rates(core: Any, rows: Sequence[Rows], q: Array, v: Array, t: float) -> Any:
+    """Return by name what of J v + phi_t is not 0 to 1e-8 of the speeds in it, or to rounding."""
     J, rate = np.asarray(core.constraint_jacobian(q, t)), np.asarray(core.constraint_rate(q, t))
     speed = J @ v + rate
     allowed = START_TOLERANCE * (np.abs(J) @ np.abs(v) + np.abs(rate)) + 1e-12
-    bad = by_name(rows, np.where(np.abs(speed) > allowed, speed, 0.0))
+    return by_name(rows, np.where(np.abs(speed) > allowed, speed, 0.0))
+
+
+def check_velocity(core: Any, rows: Sequence[Rows], q: Array, v: Array, t: float) -> None:
+    """Raise ConstraintError where J v + phi_t is not 0 to 1e-8 of the speeds in it, at q (nq,), v (nv,), t [s]."""
+    bad = _broken_rates(core, rows, q, v, t)
     if bad:
         raise ConstraintError(
             f"The initial velocity does not go with {_listed(bad)}",
@@ -102,9 +107,7 @@ def consistent_velocity(core: Any, rows: Sequence[Rows], q: Array, v: Array, t: 
     scaled = np.linalg.solve(lower, J.T).T
     for _ in range(2):  # the second time takes off what rounding left
         v = v - np.linalg.solve(lower.T, np.linalg.lstsq(scaled, J @ v + rate, rcond=_RANK)[0])
-    speed = J @ v + rate
-    allowed = START_TOLERANCE * (np.abs(J) @ np.abs(v) + np.abs(rate)) + 1e-12
-    bad = by_name(rows, np.where(np.abs(speed) > allowed, speed, 0.0))
+    bad = _broken_rates(core, rows, q, v, t)
     if bad:
         raise ConstraintError(
             f"No velocity goes with {_listed(bad)}",
