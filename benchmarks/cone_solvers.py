@@ -23,7 +23,7 @@ import pinocchio as pin
 from contactvi import _core
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from cone_problems import PLAIN, Problem
+from helpers.cone_problems import PLAIN, Problem
 
 SOLVED = 1e-12
 REPEATS = 3

@@ -39,7 +39,7 @@ class Options:
     Parameters
     ----------
     dt : time step [s], > 0: all steps have this length. Or "auto": the step is chosen so that q is accurate to `tol`;
-        it is constant between impacts (contactvi.auto_step). Not with "dtec", inputs or order 2.
+        it is constant between impacts (contactvi.simulation.adaptive). Not with "dtec", inputs or order 2.
     duration : simulated time [s]. With a number as dt a whole number of steps: `steps = round(duration / dt)`, and an
         error when duration / dt is further than 1e-9 (relative) from a whole number, because the modified Hamiltonian
         that the integrator conserves belongs to one step length. None where the caller decides step by step
@@ -56,8 +56,8 @@ class Options:
         are then solved to `stage_tol`.
     record_every : every how many steps the state is kept; the first and the last one always are. 1 with "auto".
     max_impacts_per_step : a run with more impacts in one step ends with the status TOO_MANY_IMPACTS.
-    ledger : tolerances on the ledger of the run, name -> bound >= 0 (contactvi.ledger says what is bounded, relative to
-        what); the run ends with the status LEDGER where one is exceeded.
+    ledger : tolerances on the ledger of the run, name -> bound >= 0 (see contactvi.trajectory.ledger for what is
+        bounded, relative to what); the run ends with the status LEDGER where one is exceeded.
     max_iterations : sweeps per attempt at a step before it is tried from other start values, or shorter.
     sample_dt : keep the states at every sample_dt [s] from the start, and the last one, instead of those at the ends of
         steps: the steps stay what they are, the samples are taken from their polynomials.

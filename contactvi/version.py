@@ -13,3 +13,6 @@ def version() -> str:
         return importlib.metadata.version("contactvi")
     except importlib.metadata.PackageNotFoundError:
         return "unknown"
+
+
+__version__: str = version()

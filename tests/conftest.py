@@ -27,7 +27,7 @@ def command(tmp_path, monkeypatch):
     # Imported here: most tests need no command line.
     from typer.testing import CliRunner
 
-    from contactvi.cli import app
+    from contactvi.commands.cli import app
 
     monkeypatch.chdir(tmp_path)
     # Wide enough that no line is broken, whatever terminal the tests run in.

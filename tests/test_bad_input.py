@@ -16,7 +16,7 @@ import pytest
 
 import contactvi
 from contactvi.errors import ContactviError, InputError, SceneError
-from contactvi.scene import Scene
+from contactvi.scene.scene import Scene
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
 

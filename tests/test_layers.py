@@ -1,7 +1,8 @@
-"""The import direction of the code: what stands left may be used by what stands right, never the reverse.
+"""The folder graph of the code: what stands on the left may be used by what stands on the right, never the reverse.
 
-Every import counts, wherever it stands (in a function, under TYPE_CHECKING, through import_module): a cycle hidden
-from the interpreter is still a cycle. Where a file belongs is written down below; a new file is added to its layer.
+Every import counts, wherever it stands (in a function, under TYPE_CHECKING, through import_module): a circle hidden
+from the interpreter is still a circle. A new file belongs to the folder it stands in and needs no entry here; a new
+folder does.
 """
 
 from __future__ import annotations
@@ -15,110 +16,45 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CORE = ROOT / "core"
-MAX_FILE_LINES = 400
 MAX_COLUMNS = 120
 
-# layer -> (its units, the layers it may use; what those may use it may use too)
-Layers = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
+# folder -> the folders it may use; what those may use it may use too. "base" are the modules beside the folders.
+Folders = dict[str, tuple[str, ...]]
 
-# C++: a unit is a header with its source (core/NAME.hpp, core/NAME.cpp); core/bindings/ and core/lanes/ are one each.
-CPP_LAYERS: Layers = {
-    "base": (("error", "numerics", "gauss", "lanes", "aligned_array", "reduction"), ()),
-    "cone": (
-        ("cone_problem", "cone_map", "cone_linear", "cone_newton", "cone_local", "cone_fallback", "cone"),
-        ("base",),
-    ),
-    "scene": (
-        (
-            *("elements", "tree", "coordinates", "placement", "point_row", "forces", "constraints"),
-            *("flat_model", "erosion", "load", "scene"),
-        ),
-        ("base",),
-    ),
-    "path": (("path",), ("scene",)),
-    "step": (
-        (
-            *("stepper", "stages", "stage_forces", "start_values", "acceleration", "stiff_terms"),
-            *("integrator", "integrator_kicked", "integrator_sums", "energy", "projection"),
-        ),
-        ("path",),
-    ),
-    "contact": (("contact",), ("scene",)),
-    "manifold": (("outline", "candidates", "selection", "manifold", "manifold_point"), ("contact",)),
-    "guard": (("guard",), ("manifold",)),
-    "event": (("gap_path", "event", "event_locate"), ("guard", "step")),
-    "impact": (("impact", "impact_ctec", "impact_dtec", "impact_mhc"), ("step",)),
-    "held": (("held_contact", "held_step", "held_rows", "held_end", "held_forces"), ("guard", "step", "cone")),
-    "recording": (("recording",), ("base",)),
-    "sequence": (("impact_block", "impact_closed", "impact_sequence"), ("event", "impact", "held", "recording")),
-    "simulator": (("simulator", "drive", "snapshot", "lasting", "contact_book", "arcs"), ("sequence",)),
-    "bindings": (("bindings",), ("simulator", "cone")),
+PYTHON_FOLDERS: Folders = {
+    "_core": (),  # the compiled engine
+    "base": (),
+    "elements": ("base",),
+    "records": ("base",),
+    "importing": ("elements",),
+    "scene": ("importing", "_core"),
+    "playback": ("scene", "records"),
+    "trajectory": ("playback",),
+    "simulation": ("trajectory",),
+    "simultaneous": ("trajectory",),
+    "bench": ("simulation",),
+    "reproduce": ("simulation",),
+    "verify": ("reproduce", "simultaneous"),
+    "commands": ("bench", "reproduce", "verify", "public"),
+    "public": ("simulation", "simultaneous"),  # contactvi/__init__.py, which names what is public
 }
 
-# Python: a unit is a module of contactvi. `_core` is the compiled engine.
-PYTHON_LAYERS: Layers = {
-    "engine": (("_core",), ()),
-    "base": (
-        (
-            *("errors", "version", "files", "inputs", "checks", "option_checks", "options", "status", "events"),
-            *("contacts", "user_functions", "signals", "forces"),
-        ),
-        (),
-    ),
-    "model": (("paths", "report", "xml_input", "urdf", "mjcf_equality", "mjcf", "hulls", "model_checks"), ("base",)),
-    "scene": (
-        (
-            *("parts", "importers", "assembly", "pairs", "joint_values", "joints", "contact_rules", "selection"),
-            *(
-                "elements",
-                "file_constraints",
-                "element_build",
-                "loops",
-                "scene_build",
-                "scene_data",
-                "scene_parts",
-                "scene_elements",
-            ),
-            *("scene_report", "scene", "scene_file_elements", "scene_file"),
-        ),
-        ("model", "engine"),
-    ),
-    "prepared": (("derivative_check", "prepared"), ("scene",)),
-    "page": (("visuals", "animation", "lines", "force_arrows", "shapes", "page"), ("scene",)),
-    "trajectory": (
-        ("dense", "contact_ledger", "ledger", "storage_entries", "storage", "trajectory"),
-        ("page", "prepared"),
-    ),
-    "progress": (("progress",), ("base",)),
-    "simulation": (
-        (
-            *("map_checks", "endings", "ledger_watch", "record", "engine", "auto_step", "targets"),
-            *("simulator", "simulation", "sensors"),
-        ),
-        ("trajectory", "progress"),
-    ),
-    "simultaneous": (("impact_sequences", "closed_contacts", "simultaneous"), ("prepared",)),
-    "pictures": (("viewer", "plots"), ("trajectory",)),
-    "face": (("__init__",), ("simulation", "simultaneous", "pictures", "prepared")),
-    "bench": (("bench_runs", "bench", "bench_report"), ("simulation",)),
-    "reproduce": (
-        (
-            *("reproduce_row", "reproduce_model", "reproduce_reference", "reproduce_laws", "reproduce_runs"),
-            *("reproduce_figures", "reproduce_report", "reproduce"),
-        ),
-        ("simulation",),
-    ),
-    "verify": (
-        (
-            *("verify_check", "verify_model", "verify_cases_impact", "verify_cases_several", "verify_cases_contact"),
-            *("verify_model_forced", "verify_cases_forced", "verify_cases_loops"),
-            "verify",
-        ),
-        ("reproduce", "simultaneous"),
-    ),
-    "cli": (("run_summary", "cli"), ("face", "bench", "reproduce", "verify")),
+CPP_FOLDERS: Folders = {
+    "base": (),
+    "lanes": (),
+    "cone": ("base",),
+    "model": ("base", "lanes"),
+    "step": ("model",),
+    "geometry": ("model",),
+    "record": ("base",),
+    "event": ("step", "geometry"),
+    "contact": ("step", "geometry", "cone"),
+    "impact": ("event", "contact", "record"),
+    "run": ("impact",),
+    "bindings": ("run",),
 }
-USERS_OF_THE_ENGINE = {"scene", "scene_build", "engine"}
+# A saved run is read and shown without the compiled engine: only these modules load it.
+USERS_OF_THE_ENGINE = {"scene.scene", "scene.build", "simulation.engine"}
 
 # A header found by one of these names belongs to Python or to a parser: neither has a place in the engine.
 PYTHON_HEADERS = re.compile(r"^(nanobind/|pybind11/|boost/python|Python\.h|numpy/)")
@@ -126,7 +62,7 @@ PARSER_HEADERS = re.compile(r"^(pinocchio/parsers/|urdf)")
 INCLUDE = re.compile(r'^\s*#\s*include\s*([<"])([^>"]+)[>"]', re.MULTILINE)
 
 
-def python_folder() -> Path:
+def python_root() -> Path:
     """The package's source; the installed package where the tests were copied away from it."""
     source = ROOT / "contactvi"
     if source.is_dir():
@@ -136,16 +72,16 @@ def python_folder() -> Path:
     return Path(contactvi.__file__).parent
 
 
-def layer_of(layers: Layers) -> dict[str, str]:
-    return {unit: layer for layer, (units, _) in layers.items() for unit in units}
+def reachable(folders: Folders, folder: str) -> set[str]:
+    """The folders that `folder` may use, itself included."""
+    return {folder}.union(*(reachable(folders, below) for below in folders[folder]))
 
 
-def reachable(layers: Layers, layer: str) -> set[str]:
-    """The layers that `layer` may use, itself included."""
-    found = {layer}
-    for below in layers[layer][1]:
-        found |= reachable(layers, below)
-    return found
+# --- what uses what: unit -> units, where a unit is "folder.file" -----------------------------------------------------
+
+
+def folder_of(unit: str) -> str:
+    return unit.partition(".")[0]
 
 
 def cpp_files() -> list[Path]:
@@ -153,9 +89,9 @@ def cpp_files() -> list[Path]:
 
 
 def cpp_unit(path: Path) -> str:
-    """`core/bindings/*` and `core/lanes/*` are one unit each, else the name without its ending."""
-    parts = path.relative_to(CORE).parts
-    return parts[0] if len(parts) > 1 else path.stem
+    """A header and its source are one unit."""
+    folder, *rest = path.relative_to(CORE).with_suffix("").parts
+    return ".".join([folder, *rest])
 
 
 def cpp_includes(path: Path) -> list[tuple[str, str]]:
@@ -164,7 +100,6 @@ def cpp_includes(path: Path) -> list[tuple[str, str]]:
 
 
 def cpp_uses() -> dict[str, set[str]]:
-    """unit -> units of core/ whose header it includes."""
     uses: dict[str, set[str]] = {}
     for path in cpp_files():
         unit = cpp_unit(path)
@@ -179,13 +114,12 @@ def cpp_uses() -> dict[str, set[str]]:
 
 
 def imported_names(node: ast.AST) -> Iterator[str]:
-    """What one statement or call imports, as dotted names: `contactvi`, `contactvi.NAME`, `numpy`, ..."""
+    """What one statement or call imports, as dotted names; `from a import b` is a.b, which may be a module or not."""
     if isinstance(node, ast.Import):
         yield from (alias.name for alias in node.names)
     elif isinstance(node, ast.ImportFrom):
         base = ".".join(filter(None, ["contactvi" if node.level else "", node.module]))
-        # `from . import a` names modules (or names of __init__); `from .a import f` names the module a.
-        yield from (f"{base}.{alias.name}" for alias in node.names) if base == "contactvi" else (base,)
+        yield from (f"{base}.{alias.name}" for alias in node.names)
     elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
         function = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
         name = node.args[0].value
@@ -193,39 +127,52 @@ def imported_names(node: ast.AST) -> Iterator[str]:
             yield f"contactvi{name}" if name.startswith(".") else name
 
 
+def python_unit(parts: tuple[str, ...], root: Path) -> str:
+    """The unit of a dotted name below contactvi: the longest beginning that is a module, else the public names."""
+    if parts[:1] == ("_core",):
+        return "_core"
+    if parts and (root / f"{parts[0]}.py").is_file():
+        return f"base.{parts[0]}"
+    if len(parts) > 1 and (root / parts[0] / f"{parts[1]}.py").is_file():
+        return f"{parts[0]}.{parts[1]}"
+    if parts and (root / parts[0]).is_dir():
+        return f"{parts[0]}.__init__"
+    return "public"
+
+
 def python_uses() -> dict[str, set[str]]:
-    """module -> modules of contactvi that it imports; `from contactvi import name` uses __init__."""
-    known = set(layer_of(PYTHON_LAYERS))
-    uses: dict[str, set[str]] = {"_core": set()}
-    for path in sorted(python_folder().glob("*.py")):
-        own = uses.setdefault(path.stem, set())
+    root = python_root()
+    uses: dict[str, set[str]] = {"_core": set(), "public": set()}
+    for path in sorted(root.rglob("*.py")):
+        parts = path.relative_to(root).with_suffix("").parts
+        unit = "public" if parts == ("__init__",) else python_unit(parts, root)
+        own = uses.setdefault(unit, set())
         for node in ast.walk(ast.parse(path.read_text())):
             for name in imported_names(node):
-                package, _, rest = name.partition(".")
-                module = rest.partition(".")[0]
+                package, *rest = name.split(".")
                 if package == "contactvi":
-                    own.add(module if module in known or (path.parent / f"{module}.py").is_file() else "__init__")
-        own.discard(path.stem)
+                    own.add(python_unit(tuple(rest), root))
+        own.discard(unit)
     return uses
 
 
-def check_layers(uses: dict[str, set[str]], layers: Layers, table: str) -> None:
-    layer = layer_of(layers)
-    unlisted = sorted((set(uses) | set().union(*uses.values())) - set(layer))
-    assert not unlisted, f"{unlisted}: in no layer. Add each to its layer in {table} of tests/test_layers.py"
-    gone = sorted(set(layer) - set(uses))
-    assert not gone, f"{gone}: listed in {table} of tests/test_layers.py, but there is no such file"
+def check_folders(uses: dict[str, set[str]], folders: Folders, table: str) -> None:
+    units = set(uses) | set().union(*uses.values())
+    unlisted = sorted({folder_of(unit) for unit in units} - set(folders))
+    assert not unlisted, f"{unlisted}: no such folder in {table} of tests/test_layers.py; add it with what it may use"
+    gone = sorted(set(folders) - {folder_of(unit) for unit in units})
+    assert not gone, f"{gone}: listed in {table} of tests/test_layers.py, but there is no such folder"
     wrong = [
-        f"{unit} (layer {layer[unit]}) uses {used} (layer {layer[used]})"
+        f"{unit} uses {used}"
         for unit in sorted(uses)
         for used in sorted(uses[unit])
-        if layer[used] not in reachable(layers, layer[unit])
+        if folder_of(used) not in reachable(folders, folder_of(unit))
     ]
-    assert not wrong, f"against the import direction of {table}:\n" + "\n".join(wrong)
+    assert not wrong, f"against the direction of {table}:\n" + "\n".join(wrong)
 
 
-def find_cycle(uses: dict[str, set[str]]) -> list[str]:
-    """One cycle of the graph as a list of units, empty where there is none."""
+def find_circle(uses: dict[str, set[str]]) -> list[str]:
+    """One circle of the graph as a list of units, empty where there is none."""
     done: set[str] = set()
 
     def visit(unit: str, path: list[str]) -> list[str]:
@@ -234,20 +181,36 @@ def find_cycle(uses: dict[str, set[str]]) -> list[str]:
         if unit in done:
             return []
         for used in sorted(uses.get(unit, set())):
-            if cycle := visit(used, [*path, unit]):
-                return cycle
+            if circle := visit(used, [*path, unit]):
+                return circle
         done.add(unit)
         return []
 
-    return next((cycle for unit in sorted(uses) if (cycle := visit(unit, []))), [])
+    return next((circle for unit in sorted(uses) if (circle := visit(unit, []))), [])
 
 
-def test_cpp_includes_point_left():
-    check_layers(cpp_uses(), CPP_LAYERS, "CPP_LAYERS")
+def between_folders(uses: dict[str, set[str]]) -> dict[str, set[str]]:
+    """The same graph with folders as units."""
+    found: dict[str, set[str]] = {}
+    for unit, used in uses.items():
+        found.setdefault(folder_of(unit), set()).update(map(folder_of, used))
+    return {folder: used - {folder} for folder, used in found.items()}
 
 
-def test_python_imports_point_left():
-    check_layers(python_uses(), PYTHON_LAYERS, "PYTHON_LAYERS")
+def test_cpp_folders_point_left():
+    check_folders(cpp_uses(), CPP_FOLDERS, "CPP_FOLDERS")
+
+
+def test_python_folders_point_left():
+    check_folders(python_uses(), PYTHON_FOLDERS, "PYTHON_FOLDERS")
+
+
+@pytest.mark.parametrize("uses", [cpp_uses, python_uses])
+def test_no_circles(uses):
+    """Neither between folders nor between the files of one."""
+    for graph in (between_folders(uses()), uses()):
+        circle = find_circle(graph)
+        assert not circle, "circle: " + " -> ".join(circle)
 
 
 def test_replay_needs_no_engine():
@@ -255,10 +218,15 @@ def test_replay_needs_no_engine():
     assert users <= USERS_OF_THE_ENGINE, "a saved run is read and shown without the compiled engine"
 
 
-@pytest.mark.parametrize("uses", [cpp_uses, python_uses])
-def test_no_cycles(uses):
-    cycle = find_cycle(uses())
-    assert not cycle, "import cycle: " + " -> ".join(cycle)
+def test_no_module_reaches_into_another():
+    """`from contactvi.x import _name` takes what its owner keeps to itself."""
+    wrong = []
+    for path in sorted(python_root().rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("contactvi"):
+                private = [a.name for a in node.names if a.name.startswith("_") and a.name not in {"_core"}]
+                wrong += [f"{path.name}: {node.module}.{name}" for name in private if not name.startswith("__")]
+    assert not wrong, "\n".join(wrong)
 
 
 def test_core_knows_neither_python_nor_parsers():
@@ -266,36 +234,37 @@ def test_core_knows_neither_python_nor_parsers():
         f"core/{path.relative_to(CORE)} includes <{header}>"
         for path in cpp_files()
         for _, header in cpp_includes(path)
-        if PARSER_HEADERS.match(header) or (PYTHON_HEADERS.match(header) and cpp_unit(path) != "bindings")
+        if PARSER_HEADERS.match(header) or (PYTHON_HEADERS.match(header) and folder_of(cpp_unit(path)) != "bindings")
     ]
     assert not wrong, "Python belongs into core/bindings only, parsing into contactvi/:\n" + "\n".join(wrong)
 
 
-def test_python_package_is_flat():
-    nested = [str(path) for path in python_folder().rglob("*.py") if path.parent != python_folder()]
-    assert not nested, f"{nested}: contactvi is one flat package; the layers above name modules, not folders"
-
-
-def test_files_and_lines_are_short():
-    folders = [python_folder(), CORE, *(ROOT / name for name in ("tests", "examples", "benchmarks"))]
-    paths = [path for folder in folders for path in folder.rglob("*") if path.suffix in {".py", ".hpp", ".cpp"}]
-    lines = {path: path.read_text().splitlines() for path in paths}
-    long = {str(path): len(text) for path, text in lines.items() if len(text) > MAX_FILE_LINES}
-    assert not long, f"more than {MAX_FILE_LINES} lines, is it two concepts? {long}"
-    # clang-format leaves comments alone; ruff watches the lines of Python.
-    wide = [f"{p}:{n}" for p in paths for n, line in enumerate(lines[p], 1) if len(line) > MAX_COLUMNS]
+def test_lines_are_short():
+    """clang-format leaves comments alone; ruff watches the lines of Python."""
+    wide = [
+        f"{path.relative_to(CORE)}:{number}"
+        for path in cpp_files()
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if len(line) > MAX_COLUMNS
+    ]
     assert not wide, f"longer than {MAX_COLUMNS} columns:\n" + "\n".join(wide)
 
 
 def test_the_checks_can_fail():
-    """A wrong direction, an unlisted file and a cycle are each found: the tests above are no empty gates."""
-    layers: Layers = {"low": (("a",), ()), "high": (("b",), ("low",))}
-    check_layers({"a": set(), "b": {"a"}}, layers, "layers")
-    with pytest.raises(AssertionError, match="a .layer low. uses b"):
-        check_layers({"a": {"b"}, "b": set()}, layers, "layers")
-    with pytest.raises(AssertionError, match="in no layer"):
-        check_layers({"a": set(), "b": set(), "c": set()}, layers, "layers")
-    assert find_cycle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
-    hidden = "def f():\n    from .viewer import show\n    importlib.import_module('.cli', 'contactvi')"
+    """A wrong direction, an unlisted folder and a circle are each found: the tests above are no empty gates."""
+    folders: Folders = {"low": (), "high": ("low",)}
+    check_folders({"low.a": set(), "high.b": {"low.a"}}, folders, "folders")
+    with pytest.raises(AssertionError, match=r"low\.a uses high\.b"):
+        check_folders({"low.a": {"high.b"}, "high.b": set()}, folders, "folders")
+    with pytest.raises(AssertionError, match="no such folder in"):
+        check_folders({"low.a": set(), "high.b": set(), "other.c": set()}, folders, "folders")
+    with pytest.raises(AssertionError, match="there is no such folder"):
+        check_folders({"low.a": set()}, folders, "folders")
+    assert find_circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+    assert between_folders({"low.a": {"high.b"}, "high.b": {"low.c"}}) == {"low": {"high"}, "high": {"low"}}
+    hidden = (
+        "def f():\n    from .playback.viewer import view\n    importlib.import_module('.commands.cli', 'contactvi')"
+    )
     found = {name for node in ast.walk(ast.parse(hidden)) for name in imported_names(node)}
-    assert found == {"contactvi.viewer", "contactvi.cli"}
+    assert found == {"contactvi.playback.viewer.view", "contactvi.commands.cli"}
+    assert python_unit(("playback", "viewer", "view"), python_root()) == "playback.viewer"

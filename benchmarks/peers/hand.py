@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 import scenes
 
-from contactvi.paths import resolve_path
+from contactvi.importing.paths import resolve_path
 
 FILE = "example-robot-data://robots/allegro_hand_description/urdf/allegro_right_hand.urdf"
 # The palm's normal (+x of the hand) points up, the fingers along -x.

@@ -24,7 +24,7 @@ import pinocchio as pin
 from scipy.integrate import solve_ivp
 from worker import coordinate_rate
 
-from contactvi.paths import resolve_path
+from contactvi.importing.paths import resolve_path
 
 SAMPLE = 0.1  # s
 GRAVITY = 9.81

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "numerics.hpp"
+#include "base/numerics.hpp"
 
 namespace contactvi {
 

@@ -10,8 +10,8 @@
 #include <tuple>
 #include <vector>
 
-#include "cone.hpp"
-#include "expose.hpp"
+#include "bindings/expose.hpp"
+#include "cone/solver.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

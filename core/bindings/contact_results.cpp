@@ -1,8 +1,8 @@
-#include "contact_results.hpp"
+#include "bindings/contact_results.hpp"
 
 #include <nanobind/eigen/dense.h>
 
-#include "arrays.hpp"
+#include "bindings/arrays.hpp"
 
 namespace nb = nanobind;
 

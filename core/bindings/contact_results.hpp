@@ -5,7 +5,7 @@
 
 #include <utility>
 
-#include "simulator.hpp"
+#include "run/simulator.hpp"
 
 namespace contactvi {
 

@@ -4,12 +4,12 @@
 
 #include <algorithm>
 
-#include "arrays.hpp"
-#include "coordinates.hpp"
-#include "error.hpp"
-#include "expose.hpp"
-#include "integrator.hpp"
-#include "scene.hpp"
+#include "base/error.hpp"
+#include "bindings/arrays.hpp"
+#include "bindings/expose.hpp"
+#include "model/coordinates.hpp"
+#include "model/scene.hpp"
+#include "step/integrator.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

@@ -8,13 +8,13 @@
 #include <limits>
 #include <map>
 
-#include "arrays.hpp"
-#include "constraints.hpp"
-#include "coordinates.hpp"
-#include "error.hpp"
-#include "expose.hpp"
-#include "scene.hpp"
-#include "user_calls.hpp"
+#include "base/error.hpp"
+#include "bindings/arrays.hpp"
+#include "bindings/expose.hpp"
+#include "bindings/user_calls.hpp"
+#include "model/constraints.hpp"
+#include "model/coordinates.hpp"
+#include "model/scene.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

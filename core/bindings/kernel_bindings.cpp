@@ -7,11 +7,11 @@
 #include <limits>
 #include <string>
 
-#include "coordinates.hpp"
-#include "error.hpp"
-#include "expose.hpp"
-#include "integrator.hpp"
-#include "scene.hpp"
+#include "base/error.hpp"
+#include "bindings/expose.hpp"
+#include "model/coordinates.hpp"
+#include "model/scene.hpp"
+#include "step/integrator.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

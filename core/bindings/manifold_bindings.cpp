@@ -4,11 +4,11 @@
 
 #include <limits>
 
-#include "arrays.hpp"
-#include "error.hpp"
-#include "expose.hpp"
-#include "guard.hpp"
-#include "manifold.hpp"
+#include "base/error.hpp"
+#include "bindings/arrays.hpp"
+#include "bindings/expose.hpp"
+#include "geometry/guard.hpp"
+#include "geometry/manifold.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

@@ -1,10 +1,10 @@
 #include <cstdlib>
 #include <string>
 
-#include "error.hpp"
-#include "expose.hpp"
-#include "flat_model.hpp"
-#include "guard.hpp"
+#include "base/error.hpp"
+#include "bindings/expose.hpp"
+#include "geometry/guard.hpp"
+#include "model/flat_model.hpp"
 
 NB_MODULE(_core, m) {
   m.doc() = "Engine of contactvi. Checks sizes only: users go through the Python face.";

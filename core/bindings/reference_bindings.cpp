@@ -11,9 +11,9 @@
 
 #include <chrono>
 
-#include "error.hpp"
-#include "expose.hpp"
-#include "numerics.hpp"
+#include "base/error.hpp"
+#include "base/numerics.hpp"
+#include "bindings/expose.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

@@ -5,13 +5,13 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
-#include "arrays.hpp"
-#include "coordinates.hpp"
-#include "energy.hpp"
-#include "error.hpp"
-#include "expose.hpp"
-#include "guard.hpp"
-#include "user_calls.hpp"
+#include "base/error.hpp"
+#include "bindings/arrays.hpp"
+#include "bindings/expose.hpp"
+#include "bindings/user_calls.hpp"
+#include "geometry/guard.hpp"
+#include "model/coordinates.hpp"
+#include "step/energy.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

@@ -6,12 +6,12 @@
 
 #include <chrono>
 
-#include "arrays.hpp"
-#include "contact_results.hpp"
-#include "coordinates.hpp"
-#include "expose.hpp"
-#include "simulator.hpp"
-#include "user_calls.hpp"
+#include "bindings/arrays.hpp"
+#include "bindings/contact_results.hpp"
+#include "bindings/expose.hpp"
+#include "bindings/user_calls.hpp"
+#include "model/coordinates.hpp"
+#include "run/simulator.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

@@ -9,8 +9,9 @@ import itertools
 from collections.abc import Iterator
 
 import numpy as np
-from cone_problems import Problem
 from scipy import optimize
+
+from helpers.cone_problems import Problem
 
 
 def law_errors(p: Problem, lam: np.ndarray) -> dict[str, float]:

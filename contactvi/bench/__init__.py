@@ -1,0 +1,1 @@
+"""`contactvi bench`: run time against error of a scene."""

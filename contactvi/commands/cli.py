@@ -1,0 +1,359 @@
+"""The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `check`.
+
+Exit codes: 0 done; 1 a case of verify failed; 2 wrong input, said as expected, got, remedy; 3 the run ended before
+its time (its files are there).
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from contactvi.errors import ContactviError, InputError, SceneError, SimulationError, did_you_mean
+from contactvi.version import version
+
+if TYPE_CHECKING:
+    from contactvi.scene.scene import Scene
+    from contactvi.trajectory.trajectory import Trajectory
+
+FAILED, WRONG_INPUT, ENDED_EARLY = 1, 2, 3
+_MODEL_ENDINGS = (".urdf", ".xml", ".mjcf", ".toml")
+_out = Console(highlight=False, soft_wrap=True)
+_err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+class _Commands(typer.core.TyperGroup):
+    """The commands; a ContactviError becomes a message and the exit code 2, never a traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except ContactviError as error:
+            print_error(error)
+            raise typer.Exit(WRONG_INPUT) from error
+
+
+app = typer.Typer(
+    cls=_Commands,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        _out.print(f"contactvi {version()}")
+        raise typer.Exit()
+
+
+@app.callback()
+def main(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version and stop.", is_eager=True, callback=_show_version)
+    ] = False,
+) -> None:
+    """Accurate rigid contact for URDF and MJCF models."""
+
+
+@app.command()
+def run(
+    scene_file: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.", show_default=False)],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for the results, by default the name of the scene."),
+    ] = None,
+    dt: Annotated[
+        str | None,
+        typer.Option(metavar="NUMBER|auto", help="Time step in seconds, or auto: chosen and measured to meet --tol."),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated time in seconds; a whole number of steps where dt is a number.")
+    ] = None,
+    impact: Annotated[str | None, typer.Option(help="Impact map: ctec, dtec or mhc.")] = None,
+    mhc_reference: Annotated[
+        str | None, typer.Option(help="What mhc conserves: local (value of the step) or global (of the run's start).")
+    ] = None,
+    order: Annotated[int | None, typer.Option(help="Order of the integrator: 2, 4, ... 16.")] = None,
+    tol: Annotated[
+        float | None,
+        typer.Option(help="With a number as dt: what a step is solved to, relative. With auto: accuracy of q."),
+    ] = None,
+    dt_contact: Annotated[
+        float | None, typer.Option(help="Step in seconds while contacts are held, by default --dt, above order 2 1e-3.")
+    ] = None,
+    zeno: Annotated[
+        str | None, typer.Option(help="Where impacts accumulate: hold (the contact) or end (the run).")
+    ] = None,
+    support: Annotated[
+        str | None,
+        typer.Option(help="Impacts on a body that others hold: sequence, or stiff (the others stay closed)."),
+    ] = None,
+    record_every: Annotated[int | None, typer.Option(help="Keep the state every so many steps.")] = None,
+    sample_dt: Annotated[float | None, typer.Option(help="Keep the state every so many seconds instead.")] = None,
+    fps: Annotated[float, typer.Option(help="Frames per simulated second of the playback.")] = 60.0,
+    html: Annotated[bool, typer.Option("--html/--no-html", help="Write playback.html.")] = True,
+    plot: Annotated[
+        bool, typer.Option("--plot/--no-plot", help="Write energy.png, and forces.png where something was held.")
+    ] = True,
+) -> None:
+    """Run a scene file; write trajectory.npz, playback.html, energy.png, and forces.png where something was held."""
+    import contactvi as cvi
+    from contactvi.progress import RunProgress
+    from contactvi.simulation.simulation import settings_of
+
+    scene = cvi.load_scene(scene_file)
+    chosen: dict[str, Any] = {
+        "dt": _step(dt), "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order,
+        "tol": tol, "record_every": record_every, "sample_dt": sample_dt,
+        "dt_contact": dt_contact, "zeno": zeno, "support": support,
+    }  # fmt: skip
+    settings = settings_of(scene, chosen)
+    folder = output if output is not None else Path(scene_file.stem)
+    _make_folder(folder)  # before the run: hours of it must not end in "no such folder"
+    try:
+        with RunProgress(settings.span, _err) as bar, warnings.catch_warnings():
+            warnings.simplefilter("ignore", cvi.AccuracyWarning)  # said below in our own form
+            traj = cvi.simulate(scene, progress=bar, **chosen)
+    except SimulationError as error:
+        traj = error.trajectory
+    started = time.perf_counter()
+    written = _write(traj, folder, scene_file.stem, fps if html else None, plot)
+    _print_summary(traj, written, time.perf_counter() - started)
+    if not traj.status.ok:
+        raise typer.Exit(ENDED_EARLY)
+
+
+@app.command()
+def bench(
+    scene_file: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.", show_default=False)],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for the results, by default SCENE-bench."),
+    ] = None,
+    dt: Annotated[float | None, typer.Option(help="Time step in seconds around which the ladder is built.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Simulated time in seconds, a whole number of steps.")] = None,
+    tol: Annotated[float | None, typer.Option(help="Tolerance of a step, relative.")] = None,
+    orders: Annotated[str, typer.Option(metavar="2,4,...", help="Orders to compare, from 2, 4, ... 16.")] = "2,4,8,16",
+    budget: Annotated[float, typer.Option(help="Wall time allowed in seconds.")] = 60.0,
+) -> None:
+    """Measure run time against error of a scene over orders, impact maps and steps; write bench.png and bench.csv."""
+    import contactvi as cvi
+    from contactvi.bench import report as bench_report
+    from contactvi.bench.bench import bench as measure
+    from contactvi.progress import JobProgress
+
+    scene = cvi.load_scene(scene_file)
+    folder = output if output is not None else Path(f"{scene_file.stem}-bench")
+    _make_folder(folder)
+    with JobProgress(_err, time_left=False) as bar:
+        chosen = [int(order) if order.strip().isdigit() else 0 for order in orders.split(",")]
+        result = measure(scene, budget=budget, orders=chosen, progress=bar, dt=dt, duration=duration, tol=tol)
+    for line in bench_report.table(result):
+        _out.print(line, markup=False)
+    _out.print(f"[bold]advice[/]    {escape(bench_report.advice(result))}")
+    for path in (
+        bench_report.save_csv(result, folder / "bench.csv"),
+        bench_report.save_plot(result, folder / "bench.png", scene_file.stem),
+    ):
+        _out.print(f"[bold]written[/]   {escape(str(path))}")
+
+
+@app.command()
+def reproduce(
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")] = Path(
+        "reproduction"
+    ),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer random starts and repeats: well under a minute.")
+    ] = False,
+) -> None:
+    """Measure the claims of the paper's Table I and draw its Fig. 1; write report.md, table.csv and pictures."""
+    from contactvi.progress import JobProgress
+    from contactvi.reproduce import reproduce as reproduction
+    from contactvi.reproduce.report import summary as verdicts
+    from contactvi.reproduce.report import verdict
+
+    _make_folder(output)
+    with JobProgress(_err) as bar:
+        result = reproduction.reproduce(output, quick=quick, progress=bar)
+    for row in result.rows:
+        _out.print(f"[bold]{row.key:<18}[/]{escape(f'{verdict(row):<34} {row.measured}')}")
+    _out.print(escape(verdicts(result.rows).replace("**", "")))
+    _out.print(f"Report: {escape(str(result.files[0]))}")
+
+
+@app.command()
+def verify(
+    cases: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[CASE]...", help="Names of cases, by default all.", show_default=False),
+    ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="Print the names of the cases and stop.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
+) -> None:
+    """Measure the cases with known answers: expected, got, tolerance, verdict; exit code 1 unless all pass."""
+    from contactvi.progress import JobProgress
+    from contactvi.verify import verify as verification
+
+    wanted = verification.chosen(cases or [])
+    if listed:
+        for line in verification.listing(wanted):
+            _out.print(line, markup=False)
+        return
+    with JobProgress(_err, time_left=False) as bar:
+        results = verification.verify(wanted, bar)
+    for line in [verification.as_json(results)] if json else [*verification.table(results), ""]:
+        _out.print(line, markup=False)
+    (_err if json else _out).print(verification.summary(results), markup=False)
+    if not verification.passed(results):
+        raise typer.Exit(FAILED)
+
+
+@app.command()
+def play(
+    file: Annotated[Path, typer.Argument(metavar="RUN.npz", help="File written by a run.", show_default=False)],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="PAGE.html", help="Page to write, by default beside the run."),
+    ] = None,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
+    fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
+) -> None:
+    """Write the playback of a run as a page of its own and open it in the browser."""
+    import contactvi as cvi
+
+    traj = cvi.Trajectory.load(file)
+    page = traj.to_html(output or file.with_suffix(".html"), fps=fps, title=_title(file))
+    _out.print(f"Playback: {escape(str(page))}")
+    if browser and not webbrowser.open(page.resolve().as_uri(), new=2):
+        _out.print("No browser was found: open the page by hand.")
+
+
+@app.command()
+def check(
+    model: Annotated[
+        str,
+        typer.Argument(
+            metavar="MODEL",
+            help="URDF, MJCF (.xml) or scene file (.toml); example-robot-data://robots/... works too.",
+            show_default=False,
+        ),
+    ],
+    package_dir: Annotated[
+        list[str] | None, typer.Option("--package-dir", help="Folder in which package:// is looked for; repeatable.")
+    ] = None,
+    base: Annotated[str, typer.Option(help="Base of a URDF: fixed or free.")] = "fixed",
+) -> None:
+    """Print what of a model is used, changed, ignored or refused, and which of its data look wrong."""
+    try:
+        scene = _read_model(model, package_dir or [], base)
+    except SceneError as error:
+        if error.report is not None:
+            from contactvi.importing.report import ImportReport
+
+            _out.print(str(ImportReport([error.report])), markup=False)
+        raise
+    _out.print(str(scene.report), markup=False)
+
+
+def print_error(error: ContactviError) -> None:
+    """Print an error as what happened, expected, got, remedy."""
+    _err.print(f"[bold red]Error:[/] {escape(error.what)}")
+    for name in ("expected", "got", "remedy"):
+        value = getattr(error, name)
+        if value is not None:
+            _err.print(f"  [bold]{name + ':':<10}[/]{escape(str(value))}")
+
+
+def _read_model(model: str, package_dirs: list[str], base: str) -> Scene:
+    import contactvi as cvi
+
+    ending = Path(model).suffix.lower()
+    if ending not in _MODEL_ENDINGS:
+        raise InputError(
+            f"{model!r} is not a model that can be checked",
+            name="model",
+            expected="a file ending in " + ", ".join(_MODEL_ENDINGS),
+            got=repr(ending) if ending else "no ending",
+            remedy=did_you_mean(ending, _MODEL_ENDINGS),
+        )
+    if ending == ".toml":
+        return cvi.load_scene(model)
+    scene = cvi.Scene()
+    if ending == ".urdf":
+        scene.add_urdf(model, package_dirs=package_dirs, base=base)
+    else:
+        scene.add_mjcf(model)
+    return scene
+
+
+def _step(dt: str | None) -> float | str | None:
+    """Return what --dt says: a number, or the text for the checks of the options."""
+    try:
+        return None if dt is None else float(dt)
+    except ValueError:
+        return dt
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"Cannot make the folder {folder}",
+            name="output",
+            expected="a folder that can be written",
+            got=error.strerror,
+            remedy="Choose another with -o",
+        ) from error
+
+
+def _write(traj: Trajectory, folder: Path, title: str, fps: float | None, plot: bool) -> list[Path]:
+    """Write the files of a run, the playback where it has a frame rate; return their paths."""
+    written = [traj.save(folder / "trajectory.npz")]
+    if fps is not None:
+        written.append(traj.to_html(folder / "playback.html", fps=fps, title=title))
+    if plot:
+        from contactvi.trajectory.plots import save_force_plot, save_plot
+
+        written.append(save_plot(traj, folder / "energy.png"))
+        if np.any(traj.contacts.h > 0.0):
+            written.append(save_force_plot(traj, folder / "forces.png"))
+    return written
+
+
+def _title(file: Path) -> str:
+    """Return a name for the playback: the file's, or its folder's where the file has the name every run has."""
+    parent = file.resolve().parent.name
+    return parent if file.stem == "trajectory" and parent else file.stem
+
+
+def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> None:
+    from contactvi.commands.summary import summary
+
+    lines = summary(traj)
+    for k, path in enumerate(written):
+        lines.append(("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)"))
+    lines.append(("", f"in {writing:.2g} s"))
+    for name, text in lines:
+        _out.print(f"[bold]{name:<10}[/]{escape(text)}")
+    if traj.status.ok and traj.options.auto and not traj.error_estimate <= traj.options.tol:
+        _err.print(
+            f"[bold yellow]The accuracy asked for was not reached:[/] error of q about {traj.error_estimate:.2g}, "
+            f"tol = {traj.options.tol:.2g}"
+        )
+    if not traj.status.ok:
+        _err.print(f"[bold yellow]The run ended early:[/] {escape(str(traj.status))}")
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,281 @@
+"""Checks of a pin.Model before the engine sees it: supported joints, depth-first order, numbers, mass.
+
+What cannot be simulated raises; what merely looks wrong is a "suspicious" note in the report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+
+from contactvi.errors import SceneError, UnsupportedJointError
+from contactvi.importing.report import BodyRow, JointRow, PartReport, number
+
+_AXES = ("X", "Y", "Z")
+REVOLUTE = {*(f"JointModelR{a}" for a in _AXES), "JointModelRevoluteUnaligned"}
+CONTINUOUS = {*(f"JointModelRUB{a}" for a in _AXES), "JointModelRevoluteUnboundedUnaligned"}
+PRISMATIC = {*(f"JointModelP{a}" for a in _AXES), "JointModelPrismaticUnaligned"}
+HELICAL = {*(f"JointModelH{a}" for a in _AXES), "JointModelHelicalUnaligned"}
+KINDS = {
+    **dict.fromkeys(REVOLUTE, "revolute"),
+    **dict.fromkeys(CONTINUOUS, "continuous"),
+    **dict.fromkeys(PRISMATIC, "prismatic"),
+    **dict.fromkeys(HELICAL, "helical"),
+    "JointModelPlanar": "planar",
+    "JointModelTranslation": "translation",
+    "JointModelSpherical": "spherical",
+    "JointModelFreeFlyer": "free",
+}
+ONE_DOF = ("revolute", "continuous", "prismatic", "helical")
+PLACING = ("free", "planar", "translation", "prismatic")  # root joints by which the start places a whole tree
+SINGULAR = 1e-12  # a pivot of the scaled mass matrix below this is a motion without inertia
+NO_LIMIT = 1e300  # Pinocchio writes both inf and the largest double for "no limit"
+FILE_FRICTION = "Coulomb friction"  # how the note of a joint's dry friction begins
+FAST_DAMPING = 1e3  # [1/s] damping / inertia above this acts within one millisecond step
+
+
+def joint_kind(joint: pin.JointModel) -> str | None:
+    """Return the public name of a joint's type, None when the engine does not support it."""
+    return KINDS.get(joint.shortname())
+
+
+def has_limits(model: pin.Model, index: int) -> bool:
+    """Return whether a joint has one dof with finite lower < upper: the only limits that mean something."""
+    joint = model.joints[index]
+    if joint_kind(joint) not in ONE_DOF or joint.nq != 1:
+        return False
+    lower, upper = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+    return bool(-NO_LIMIT < lower < upper < NO_LIMIT)
+
+
+def motion_axis(joint: pin.JointModel) -> np.ndarray:
+    """Return the constant motion subspace of a 1-dof joint, shape (6,): linear, angular, in the joint frame."""
+    data = joint.createData()
+    joint.calc(data, np.array([1.0, 0.0]) if joint.nq == 2 else np.zeros(1))
+    return np.asarray(data.S, dtype=float).reshape(6)
+
+
+def check_joints(model: pin.Model, report: PartReport, source: str) -> None:
+    """Refuse unsupported joints (all are noted, the first is raised), a wrong order and duplicate names."""
+    refused = [i for i in range(1, model.njoints) if joint_kind(model.joints[i]) is None]
+    for i in refused:
+        report.note("refused", "joint", model.names[i], f"type {model.joints[i].shortname()} is not supported")
+    if refused:
+        name, kind = model.names[refused[0]], model.joints[refused[0]].shortname()
+        remedy = "Use a spherical joint, or a chain of revolute joints with a body each"
+        if kind == "JointModelMimic":
+            remedy = "Build the model with mimic=False: the joint becomes independent"
+        raise UnsupportedJointError(
+            f"Joint {name!r} of {source}",
+            joint=name,
+            joint_type=kind,
+            expected="revolute, continuous, prismatic, helical, planar, translation, spherical or free-flyer",
+            got=kind,
+            remedy=remedy,
+        )
+    names = list(model.names)
+    for name in names:
+        if names.count(name) > 1:
+            raise SceneError(
+                f"{source}: two joints are called {name!r}", joint=name, expected="distinct names", got=name
+            )
+    branch = [0]  # the joints from the world to the last one
+    for i in range(1, model.njoints):
+        while branch and branch[-1] != model.parents[i]:
+            branch.pop()
+        if not branch:
+            raise SceneError(
+                f"{source}: joint {names[i]!r} does not follow its parent's other descendants",
+                joint=names[i],
+                expected="joints in depth-first order",
+                got=f"parents {list(model.parents)}",
+                remedy="Add each joint's whole subtree before its next sibling",
+            )
+        branch.append(i)
+    for i in range(1, model.njoints):
+        if joint_kind(model.joints[i]) in ONE_DOF:
+            length = np.linalg.norm(motion_axis(model.joints[i])[3:]) or np.linalg.norm(motion_axis(model.joints[i]))
+            if not abs(length - 1.0) < 1e-6:
+                raise SceneError(
+                    f"{source}: axis of joint {names[i]!r}",
+                    joint=names[i],
+                    expected="a unit vector",
+                    got=f"length {length:g}",
+                )
+
+
+def check_numbers(model: pin.Model, source: str) -> None:
+    """Refuse numbers that are not finite, negative masses and negative damping."""
+    for i in range(model.njoints):
+        inertia, name = model.inertias[i], model.names[i]
+        values = [inertia.mass, *inertia.lever, *inertia.inertia.ravel(), *model.jointPlacements[i].homogeneous.ravel()]
+        if not np.all(np.isfinite(values)):
+            raise SceneError(f"{source}: numbers of joint {name!r}", joint=name, expected="finite", got="nan or inf")
+        if inertia.mass < 0.0:
+            raise SceneError(
+                f"{source}: mass moved by joint {name!r}", joint=name, expected=">= 0 kg", got=f"{inertia.mass:g} kg"
+            )
+    for what, values in (("damping", model.damping), ("armature", model.armature)):
+        bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
+        if len(bad):
+            name = dof_joint(model, int(bad[0]))
+            raise SceneError(
+                f"{source}: {what} of joint {name!r}", joint=name, expected="finite, >= 0", got=values[bad[0]]
+            )
+        _check_isotropy(model, what, np.asarray(values), source)
+    for frame in model.frames:
+        if not frame.inertia.mass >= 0.0:
+            raise SceneError(
+                f"{source}: mass of frame {frame.name!r}", body=frame.name, expected=">= 0 kg", got=frame.inertia.mass
+            )
+
+
+def _check_isotropy(model: pin.Model, what: str, values: np.ndarray, source: str) -> None:
+    """Refuse damping or armature that differs between directions, and armature on free and planar joints.
+
+    The engine turns the axes of joints as suits it and splits free and planar joints in two.
+    """
+    for i in range(1, model.njoints):
+        joint, kind = model.joints[i], str(joint_kind(model.joints[i]))
+        own = values[joint.idx_v : joint.idx_v + joint.nv]
+        halves = np.split(own, {"free": [3], "planar": [2]}.get(kind, []))
+        wanted = "the same number in all directions"
+        bad = any(np.ptp(half) > 0.0 for half in halves)
+        if what == "armature" and len(halves) == 2:
+            wanted, bad = "none", bool(np.any(own))
+        if bad:
+            title = f"{source}: {what} of the {kind} joint {model.names[i]!r}"
+            raise SceneError(title, joint=model.names[i], expected=wanted, got=str(own))
+
+
+def body_masses(model: pin.Model) -> list[tuple[str, int, float]]:
+    """Return (body, joint index, mass [kg]) of every body frame.
+
+    Pinocchio sums the links of a joint into one inertia and leaves the mass of a link behind a fixed joint on that
+    joint's frame; the first body of a joint has the rest.
+    """
+    rest = [inertia.mass for inertia in model.inertias]
+    first: dict[int, int] = {}
+    result: list[tuple[str, int, float]] = []
+    for frame in model.frames:
+        joint, mass = frame.parentJoint, frame.inertia.mass
+        if frame.type == pin.FrameType.BODY:
+            above = model.frames[frame.parentFrame]
+            if above.type == pin.FrameType.FIXED_JOINT and above.parentJoint == joint:
+                mass += above.inertia.mass
+            first.setdefault(joint, len(result))
+            result.append((frame.name, joint, mass))
+        rest[joint] -= frame.inertia.mass
+    for joint, row in first.items():
+        name, _, mass = result[row]
+        left = rest[joint] if rest[joint] > 1e-12 * model.inertias[joint].mass else 0.0  # the sum's rounding
+        result[row] = (name, joint, mass + left)
+    return result
+
+
+def dof_joint(model: pin.Model, dof: int) -> str:
+    """Return the name of the joint that owns velocity index `dof`."""
+    for i in range(1, model.njoints):
+        if model.idx_vs[i] <= dof < model.idx_vs[i] + model.nvs[i]:
+            return str(model.names[i])
+    return "universe"
+
+
+def check_mass(model: pin.Model, q: np.ndarray, source: str) -> np.ndarray:
+    """Return the diagonal of the mass matrix at q, shape (nv,).
+
+    Raises
+    ------
+    SceneError : some motion has no inertia (a joint that moves nothing), at a generic pose near q.
+    """
+    if model.nv == 0:
+        return np.zeros(0)
+    data = model.createData()
+    # A generic pose: at a special one even a good model may look singular, and a bad one regular.
+    generic = pin.integrate(model, q, 0.3 * np.sin(1.0 + np.arange(model.nv)))
+    upper = np.triu(pin.crba(model, data, generic))
+    mass = upper + np.triu(upper, 1).T
+    diagonal = np.diag(mass).copy()
+    worst = int(np.argmin(diagonal))
+    if diagonal[worst] > 0.0:
+        scale = 1.0 / np.sqrt(diagonal)
+        values, vectors = np.linalg.eigh(mass * np.outer(scale, scale))
+        worst = int(np.argmax(np.abs(vectors[:, 0])))
+    if diagonal[worst] <= 0.0 or values[0] < SINGULAR:
+        name = dof_joint(model, worst)
+        raise SceneError(
+            f"{source}: joint {name!r} moves no mass",
+            joint=name,
+            expected="a positive mass or inertia behind every joint",
+            got=f"inertia {diagonal[worst]:g} about it",
+            remedy="Give its link an <inertial>, or make the joint fixed",
+        )
+    return diagonal
+
+
+def describe_model(
+    model: pin.Model, report: PartReport, q: np.ndarray, prefix: str = "", mimics: Mapping[str, object] | None = None
+) -> None:
+    """Fill the body and joint tables of the report and note suspicious data; q is the neutral pose, shape (nq,)."""
+    names = list(model.names)
+    for body, joint, mass in body_masses(model):
+        report.bodies.append(BodyRow(prefix + body, prefix + names[joint] if joint else names[0], mass))
+    diagonal = check_mass(model, q, report.title.partition(":")[0])
+    for i in range(1, model.njoints):
+        _describe_joint(model, i, report, prefix, str((mimics or {}).get(names[i], "")), diagonal)
+        _describe_inertia(model, i, report, prefix)
+
+
+def _describe_joint(
+    model: pin.Model, i: int, report: PartReport, prefix: str, mimic: str, diagonal: np.ndarray
+) -> None:
+    joint, name = model.joints[i], prefix + model.names[i]
+    kind = joint_kind(joint) or joint.shortname()
+    dofs = slice(joint.idx_v, joint.idx_v + joint.nv)
+    damping, friction = np.max(model.damping[dofs]), np.max(model.upperDryFrictionLimit[dofs])
+    lower = upper = np.nan
+    limited = has_limits(model, i)
+    if kind in ONE_DOF and joint.nq == 1:
+        lower, upper = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+        lower, upper = (x if abs(x) < NO_LIMIT else np.nan for x in (lower, upper))
+        if not limited and not np.isnan(lower) and not np.isnan(upper):
+            text = f"limits lower >= upper ({number(lower)}, {number(upper)}): treated as no limit"
+            report.note("suspicious", "joint", name, text)
+        elif not limited:
+            report.note("used", "joint", name, "no limits")
+    elif kind == "continuous":
+        report.note("used", "joint", name, "unbounded: no limits")
+    parent = prefix + model.names[model.parents[i]] if model.parents[i] else "universe"
+    report.joints.append(JointRow(name, kind, parent, lower, upper, damping, friction, limited, mimic))
+    if friction > 0.0:
+        report.note(
+            "ignored",
+            "joint",
+            name,
+            f"{FILE_FRICTION} in the joint: not used, unless by set_joint(joint, friction=True)",
+        )
+    rate = np.max(model.damping[dofs] / diagonal[dofs])
+    if rate > FAST_DAMPING:
+        text = (
+            f"damping {number(damping)} is unusually large for the joint-space inertia "
+            f"{number(np.min(diagonal[dofs]))}: a motion dies within {number(1.0 / rate)} s; "
+            "set_joint(damping=) replaces it"
+        )
+        report.note("suspicious", "joint", name, text)
+
+
+def _describe_inertia(model: pin.Model, i: int, report: PartReport, prefix: str) -> None:
+    inertia, name = model.inertias[i], prefix + model.names[i]
+    if inertia.mass <= 0.0:
+        report.note("suspicious", "body", name, "no mass of its own (the joints behind it carry some)")
+        return
+    moments = np.linalg.eigvalsh(inertia.inertia)
+    # Files give 4 to 6 digits, and a thin plate or a point mass stands exactly on the bound.
+    slack = 1e-3 * max(moments[2], 0.0)
+    if moments[0] < -slack:
+        report.note("suspicious", "body", name, f"negative moment of inertia {number(moments[0])}")
+    elif moments[0] + moments[1] < moments[2] - slack:
+        values = ", ".join(number(m) for m in moments)
+        report.note("suspicious", "body", name, f"moments of inertia ({values}) break the triangle inequality")

@@ -1,0 +1,64 @@
+"""The constraints that a model's file brings: mimic tags of a URDF, <equality> of an MJCF; noted in its report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pinocchio as pin
+
+from contactvi.elements.elements import WORLD, Constraint, EqualityConstraint, PointConstraint, WeldConstraint
+from contactvi.importing.checks import joint_kind
+from contactvi.importing.part import Part
+from contactvi.importing.urdf import Mimic
+
+
+def mimic_constraints(part: Part, mimics: Mapping[str, Mimic], use: bool) -> list[Constraint]:
+    """Return a joint equality for each mimic tag between joints with one number in q; none unless `use`."""
+    found: list[Constraint] = []
+    for name, mimic in mimics.items():
+        free = _many_numbers(part.model, name, mimic.joint)
+        joint, other = part.prefix + name, part.prefix + mimic.joint
+        if use and not free:
+            coefficients = (mimic.offset, mimic.multiplier)
+            found.append(EqualityConstraint(f"mimic_{joint}", joint, other, coefficients))
+            part.report.note("used", "joint", joint, f"mimic tag: a constraint, {mimic}")
+            continue
+        reason = f" ({free})" if free else ""
+        part.report.note("ignored", "joint", joint, f"mimic tag: treated as an independent joint{reason}")
+        text = "the file couples it to another joint (mimic), here it moves freely"
+        part.report.note("suspicious", "joint", joint, text)
+    return found
+
+
+def equality_constraints(part: Part, given: Sequence[Mapping[str, Any]], use: bool) -> list[Constraint]:
+    """Return the constraints of mjcf_equality.read_equality; none unless `use`."""
+    found: list[Constraint] = []
+    for data in given:
+        values, kind = dict(data), data["kind"]
+        name = values.pop("name")
+        del values["kind"]
+        free = ""
+        if kind == "equality":
+            free = _many_numbers(part.model, *(values[key] for key in ("joint", "other") if values[key]))
+        if free or not use:
+            part.report.note("ignored", "equality", part.prefix + name, free or "equality=False")
+            continue
+        for key in ("a", "b", "joint", "other"):
+            if values.get(key) not in (None, WORLD):
+                values[key] = part.prefix + values[key]
+        values["name"] = part.prefix + name
+        found.append({"point": PointConstraint, "weld": WeldConstraint, "equality": EqualityConstraint}[kind](**values))
+        part.report.note("used", "equality", part.prefix + name, found[-1].describe())
+    return found
+
+
+def _many_numbers(model: pin.Model, *names: str) -> str:
+    """Return why these joints cannot be made equal: one with more numbers in q than one; nothing where they can."""
+    for name in names:
+        index = model.getJointId(name) if model.existJointName(name) else 0
+        if index == 0:
+            return f"{name!r} does not move"
+        if model.nqs[index] != 1:
+            return f"{name!r} is {joint_kind(model.joints[index])}, it has no single number in q"
+    return ""

@@ -1,0 +1,166 @@
+"""Collision shapes the engine can use: convex primitives as they are, meshes as their convex hulls.
+
+A triangle soup has no inside and no penetration depth (coal), so every mesh becomes its hull. The hull is first found
+with SciPy, which raises on flat or broken meshes where coal 3.0's buildConvexHull ends the process.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+from scipy.spatial import ConvexHull, QhullError
+
+from contactvi.errors import SceneError
+from contactvi.importing.report import PartReport, number
+
+MOST_NEIGHBOURS = 100  # coal counts to 255; the engine rounds hulls, which may join the faces around a vertex
+PRIMITIVES = (coal.Sphere, coal.Box, coal.Capsule, coal.Cylinder, coal.Ellipsoid)
+
+
+def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
+    """Return the convex hull of points (n, 3) [m], and the grid [m] to which it was thinned (0 = exact).
+
+    A hull with a vertex of more neighbours than coal can count (a finely divided disc) is thinned until it fits: of the
+    vertices in one cell of the grid the first is kept, so the result lies inside, at most a cell's diagonal away.
+
+    Raises
+    ------
+    SceneError : not finite, fewer than 4 points, or all in a plane.
+    """
+    points = np.asarray(points, dtype=float).reshape(-1, 3)
+    outer = _outer_points(points, name)
+    size = float(np.max(np.ptp(outer, axis=0)))
+    for grid in (0.0, *(size * 1e-4 * 2.0**k for k in range(10))):
+        thin = outer
+        if grid > 0.0:
+            _, first = np.unique(np.round(outer / grid).astype(np.int64), axis=0, return_index=True)
+            thin = _outer_points(outer[np.sort(first)], name)
+        vertices = coal.StdVec_Vec3s()
+        for vertex in thin:
+            vertices.append(vertex)
+        try:
+            hull = coal.Convex.convexHull(vertices, True, "Qt")
+        except RuntimeError as error:
+            if "neighbors" not in str(error):
+                raise SceneError(f"Mesh of geometry {name!r}", body=name, got=str(error).splitlines()[-1]) from error
+            continue
+        if max(len(hull.neighbors(i)) for i in range(hull.num_points)) <= MOST_NEIGHBOURS:
+            return _finished(hull), grid
+    raise SceneError(f"Hull of geometry {name!r}", body=name, expected="few neighbours per vertex", got="too many")
+
+
+def _outer_points(points: np.ndarray, name: str) -> np.ndarray:
+    """Return the vertices of the hull of points (n, 3)."""
+    remedy = "Replace the mesh by a box or mend it"
+    if len(points) < 4 or not np.all(np.isfinite(points)):
+        what = "fewer than 4 vertices" if len(points) < 4 else "vertices that are not finite"
+        raise SceneError(f"Mesh of geometry {name!r}", body=name, expected="a solid", got=what, remedy=remedy)
+    try:
+        return points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
+        raise SceneError(
+            f"Mesh of geometry {name!r}", body=name, expected="a solid", got="points in a plane", remedy=remedy
+        ) from None
+
+
+def hull_from_faces(vertices: np.ndarray, faces: np.ndarray) -> coal.Convex:
+    """Return the convex polytope with these vertices (n, 3) and outward triangles (m, 3)."""
+    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for vertex in np.asarray(vertices, dtype=float):
+        points.append(vertex)
+    for a, b, c in np.asarray(faces, dtype=int):
+        triangles.append(coal.Triangle(int(a), int(b), int(c)))
+    return _finished(coal.Convex(points, triangles))
+
+
+def faces_of(hull: coal.Convex) -> np.ndarray:
+    """Return the triangles of a hull as vertex indices, shape (m, 3)."""
+    polygons = [hull.polygons(k) for k in range(hull.num_polygons)]
+    return np.array([[polygon[0], polygon[1], polygon[2]] for polygon in polygons], dtype=int).reshape(-1, 3)
+
+
+def _finished(hull: coal.Convex) -> coal.Convex:
+    hull.computeLocalAABB()  # coal leaves it at +-1e308 otherwise
+    return hull
+
+
+def prepare_geometry(geometry: pin.GeometryObject, report: PartReport) -> str:
+    """Put a usable shape into a collision geometry and return what was done to it ("" = nothing).
+
+    Raises
+    ------
+    SceneError : a shape the engine cannot use, or a size that is not positive and finite.
+    """
+    shape = geometry.geometry
+    if isinstance(shape, coal.BVHModelBase):
+        return _hull_mesh(geometry, report)
+    if isinstance(shape, coal.Halfspace):
+        if not np.all(np.isfinite([*shape.n, shape.d])) or abs(np.linalg.norm(shape.n) - 1.0) > 1e-9:
+            raise SceneError(f"Halfspace {geometry.name!r}", body=geometry.name, expected="a unit normal", got=shape.n)
+        return ""
+    if isinstance(shape, coal.Convex):
+        if not np.all(np.isfinite(shape.points())) or shape.num_points < 4:
+            raise SceneError(f"Hull {geometry.name!r}", body=geometry.name, expected="finite vertices", got="none")
+        _finished(shape)
+        return f"{shape.num_points} vertices"
+    if isinstance(shape, PRIMITIVES):
+        sizes = np.array(list(shape_sizes(shape).values()), dtype=float)
+        if not np.all(np.isfinite(sizes)) or np.any(sizes <= 0.0):
+            raise SceneError(
+                f"Shape of geometry {geometry.name!r}", body=geometry.name, expected="sizes > 0", got=describe(shape)
+            )
+        return ""
+    remedies = {"Plane": "A plane has two sides: use coal.Halfspace, a solid with one"}
+    kind = type(shape).__name__
+    raise SceneError(
+        f"Shape of geometry {geometry.name!r}",
+        body=geometry.name,
+        expected="sphere, box, capsule, cylinder, ellipsoid, halfspace, convex hull or mesh",
+        got=kind,
+        remedy=remedies.get(kind, "Replace it by convex shapes"),
+    )
+
+
+def _hull_mesh(geometry: pin.GeometryObject, report: PartReport) -> str:
+    mesh = geometry.geometry
+    file = f" ({Path(geometry.meshPath).name})" if geometry.meshPath else ""
+    hull, grid = hull_of_points(mesh.vertices(), geometry.name + file)
+    volume, filled = hull.computeVolume(), abs(mesh.computeVolume())  # negative when mirrored
+    geometry.geometry = hull
+    # An open or badly oriented surface encloses no volume worth a ratio.
+    ratio = volume / filled if 0.0 < filled <= volume * (1.0 + 1e-9) else np.nan
+    text = f"mesh of {mesh.num_vertices} vertices -> hull of {hull.num_points}"
+    if np.isfinite(ratio):
+        text += f", volume x {number(ratio)}"
+    if grid > 0.0:
+        text += f", thinned to a grid of {number(grid)} m"
+    report.note("changed", "mesh", geometry.name, "replaced by its convex hull")
+    if np.isfinite(ratio) and ratio > 2.0:
+        report.note("suspicious", "mesh", geometry.name, "the hull has more than twice the volume of the mesh")
+    return text
+
+
+def shape_sizes(shape: coal.CollisionGeometry) -> dict[str, float]:
+    """Return the sizes [m] of a primitive by name; lengths are full lengths without the caps."""
+    if isinstance(shape, coal.Sphere):
+        return {"radius": float(shape.radius)}
+    if isinstance(shape, coal.Box):
+        return dict(zip(("x", "y", "z"), (2.0 * shape.halfSide).tolist(), strict=True))
+    if isinstance(shape, coal.Ellipsoid):
+        return dict(zip(("radius_x", "radius_y", "radius_z"), shape.radii.tolist(), strict=True))
+    return {"radius": float(shape.radius), "length": 2.0 * float(shape.halfLength)}
+
+
+def describe(shape: coal.CollisionGeometry) -> str:
+    """Return a short text for a shape: name and sizes [m]."""
+    if isinstance(shape, PRIMITIVES):
+        sizes = " x ".join(number(s) for s in shape_sizes(shape).values())
+        return f"{type(shape).__name__} {sizes}"
+    if isinstance(shape, coal.Halfspace):
+        return f"Halfspace n = ({', '.join(number(x) for x in shape.n)}), offset {number(shape.d)}"
+    if isinstance(shape, coal.Convex):
+        return f"Hull of {shape.num_points} vertices"
+    return type(shape).__name__

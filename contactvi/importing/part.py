@@ -1,0 +1,198 @@
+"""A part: one imported model or one primitive, before the scene assembles its parts into a single pin.Model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from contactvi.elements.elements import Constraint
+from contactvi.errors import InputError
+from contactvi.importing.hulls import describe
+from contactvi.importing.report import BodyRow, GeometryRow, PartReport
+from contactvi.inputs import real, unit_vector, vector
+
+COLORS = (
+    (0.90, 0.40, 0.20, 1.0),
+    (0.25, 0.50, 0.85, 1.0),
+    (0.40, 0.70, 0.35, 1.0),
+    (0.80, 0.65, 0.20, 1.0),
+    (0.55, 0.40, 0.75, 1.0),
+)
+GROUND_COLOR = (0.75, 0.75, 0.72, 1.0)
+GROUND_SIZE = 2.0  # [m] edge of the plate that pictures a halfspace
+GROUND_THICKNESS = 0.01
+
+
+@dataclass
+class Part:
+    """One addition to the scene.
+
+    kind : "urdf", "mjcf", "pinocchio" or "primitive".
+    model, collision : Pinocchio models without the prefix and without the placement.
+    load_visual : returns the visual GeometryModel (loaded late: pictures are slow and not needed to simulate).
+    placement : where the part's own world frame lies in the scene's.
+    start : neutral configuration of the part, shape (nq,).
+    disabled : link pairs switched off by the SRDF, with its reason.
+    given_pairs : collision pairs (geometry indices) given with the model; None = the default choice.
+    mimics : mimic tags by joint, for the report. constraints : those of the file, with the scene's names.
+    """
+
+    name: str
+    kind: str
+    model: pin.Model
+    collision: pin.GeometryModel
+    start: np.ndarray
+    report: PartReport
+    load_visual: Callable[[], pin.GeometryModel]
+    prefix: str = ""
+    placement: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    disabled: list[tuple[str, str, str]] = field(default_factory=list)
+    given_pairs: list[tuple[int, int]] | None = None
+    mimics: Mapping[str, object] = field(default_factory=dict)
+    constraints: list[Constraint] = field(default_factory=list)
+
+    def joint_names(self) -> list[str]:
+        return [self.prefix + name for name in list(self.model.names)[1:]]
+
+    def body_names(self) -> list[str]:
+        return [self.prefix + frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY]
+
+    def geometry_names(self) -> list[str]:
+        return [self.prefix + geometry.name for geometry in self.collision.geometryObjects]
+
+
+def shape_part(
+    name: str,
+    shape: coal.CollisionGeometry,
+    inertia: pin.Inertia | None,
+    placement: pin.SE3,
+    color: Sequence[float] | None,
+) -> Part:
+    """Return a part with one body and one shape: free (inertia given) or fixed to the world (None).
+
+    The joint of a free body, its body and its geometry all carry the body's name.
+    """
+    if not isinstance(name, str) or not name:
+        raise InputError("Name of a body", name="name", expected="a non-empty str", got=repr(name))
+    rgba = None if color is None else vector(f"color of {name!r}", color, 4)
+    model = pin.Model()
+    model.name = name
+    joint = 0
+    start = np.zeros(0)
+    if inertia is not None:
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+        model.addJointFrame(joint, 0)
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        start = pin.SE3ToXYZQUAT(placement)
+    frame = model.addFrame(
+        pin.Frame(name, joint, joint, pin.SE3.Identity(), pin.FrameType.BODY, inertia or pin.Inertia.Zero()), False
+    )
+    collision = pin.GeometryModel()
+    geometry = pin.GeometryObject(name, joint, frame, pin.SE3.Identity(), shape)
+    collision.addGeometryObject(geometry)
+    report = PartReport(f"{name}: {describe(shape)}, {'free' if joint else 'fixed to the world'}")
+    part = Part(
+        name=name,
+        kind="primitive",
+        model=model,
+        collision=collision,
+        start=start,
+        report=report,
+        load_visual=lambda: visual_of(collision, rgba if rgba is not None else _color(name, bool(joint))),
+        placement=pin.SE3.Identity() if joint else placement,
+    )
+    if joint:
+        report.bodies.append(BodyRow(name, name, model.inertias[joint].mass))
+    report.geometries.append(GeometryRow(name, name, describe(shape)))
+    return part
+
+
+def _color(name: str, free: bool) -> Sequence[float]:
+    """Return the colour of a body without one: the same for the same name in every process."""
+    return COLORS[sum(name.encode()) % len(COLORS)] if free else GROUND_COLOR
+
+
+def visual_of(collision: pin.GeometryModel, color: Sequence[float] | np.ndarray) -> pin.GeometryModel:
+    """Return pictures of collision shapes; a halfspace is pictured by a plate."""
+    visual = pin.GeometryModel()
+    for geometry in collision.geometryObjects:
+        picture = geometry.copy()
+        picture.meshColor = np.asarray(color, dtype=float)
+        if isinstance(picture.geometry, coal.Halfspace):
+            picture = plate_of(picture)
+        visual.addGeometryObject(picture)
+    return visual
+
+
+def plate_of(geometry: pin.GeometryObject) -> pin.GeometryObject:
+    """Return a plate whose upper face is the surface of a halfspace geometry."""
+    halfspace = geometry.geometry
+    normal = np.asarray(halfspace.n)
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), normal).toRotationMatrix()
+    centre = pin.SE3(rotation, normal * (halfspace.d - 0.5 * GROUND_THICKNESS))
+    plate = geometry.copy()
+    plate.geometry = coal.Box(GROUND_SIZE, GROUND_SIZE, GROUND_THICKNESS)
+    plate.placement = geometry.placement * centre
+    return plate
+
+
+def sphere(name: str, radius: float, mass: float) -> tuple[coal.CollisionGeometry, pin.Inertia]:
+    """Return shape and inertia of a solid sphere: radius [m], mass [kg]."""
+    radius, mass = _size(name, "radius", radius), _size(name, "mass", mass)
+    return coal.Sphere(radius), pin.Inertia.FromSphere(mass, radius)
+
+
+def box(name: str, size: Sequence[float], mass: float) -> tuple[coal.CollisionGeometry, pin.Inertia]:
+    """Return shape and inertia of a solid box: full edge lengths [m], mass [kg]."""
+    edges = vector(f"size of {name!r}", size, 3)
+    for edge in edges:
+        _size(name, "size", edge)
+    return coal.Box(*edges.tolist()), pin.Inertia.FromBox(_size(name, "mass", mass), *edges.tolist())
+
+
+def capsule(name: str, radius: float, length: float, mass: float) -> tuple[coal.CollisionGeometry, pin.Inertia]:
+    """Return shape and inertia of a solid capsule along z: radius and length without caps [m], mass [kg]."""
+    radius, length = _size(name, "radius", radius), _size(name, "length", length)
+    mass = _size(name, "mass", mass)
+    return coal.Capsule(radius, length), pin.Inertia.FromCapsule(mass, radius, length)
+
+
+def cylinder(name: str, radius: float, length: float, mass: float) -> tuple[coal.CollisionGeometry, pin.Inertia]:
+    """Return shape and inertia of a solid cylinder along z: radius and length [m], mass [kg]."""
+    radius, length = _size(name, "radius", radius), _size(name, "length", length)
+    return coal.Cylinder(radius, length), pin.Inertia.FromCylinder(_size(name, "mass", mass), radius, length)
+
+
+def halfspace(normal: Sequence[float], offset: float, name: str) -> coal.CollisionGeometry:
+    """Return the solid halfspace n.x <= offset [m]; the free side is where the normal points."""
+    return coal.Halfspace(unit_vector(f"normal of {name!r}", normal), real(f"offset of {name!r}", offset))
+
+
+def _size(name: str, what: str, value: float) -> float:
+    return real(f"{what} of {name!r}", value, 0.0, open_low=True)
+
+
+def take_names(part: Part, taken: dict[str, set[str]]) -> None:
+    """Add the names of the part to those taken (by kind), or raise an InputError when one is taken already."""
+    kinds = {
+        "part": [part.name],
+        "joint": part.joint_names(),
+        "body": part.body_names(),
+        "geometry": part.geometry_names(),
+    }
+    for kind, new in kinds.items():
+        double = next((name for name in new if name in taken.get(kind, ())), None)
+        if double is not None:
+            raise InputError(
+                f"There is a {kind} called {double!r} already",
+                name="name",
+                expected="a new name",
+                got=repr(double),
+                remedy="Give another name, or a prefix: prefix='left_'",
+            )
+    for kind, new in kinds.items():
+        taken.setdefault(kind, set()).update(new)

@@ -1,0 +1,333 @@
+"""Turn files and Pinocchio models into parts of a scene: checked, hulled, reported.
+
+Parsing is Pinocchio's (`pin`); what its readers drop or crash on is caught before, in urdf.py, mjcf.py and hulls.py.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from contactvi.errors import ContactviError, InputError, SceneError
+from contactvi.importing.checks import check_joints, check_numbers, describe_model, has_limits, joint_kind
+from contactvi.importing.constraints import equality_constraints, mimic_constraints
+from contactvi.importing.hulls import describe, prepare_geometry
+from contactvi.importing.mjcf import STATIC, read_mjcf
+from contactvi.importing.part import Part, plate_of
+from contactvi.importing.paths import resolve_path
+from contactvi.importing.report import GeometryRow, PartReport
+from contactvi.importing.urdf import read_urdf
+from contactvi.importing.xml import read_xml
+from contactvi.inputs import flag
+
+ROOT_JOINT = "root_joint"  # Pinocchio's name for the free-flyer of a free base
+
+
+def import_urdf(
+    path: str | os.PathLike[str],
+    *,
+    base: str = "fixed",
+    placement: pin.SE3,
+    package_dirs: Sequence[object] = (),
+    srdf: str | os.PathLike[str] | None = None,
+    prefix: str = "",
+    folder: Path | None = None,
+    mimic: Any = True,
+) -> Part:
+    """Return the part described by a URDF; arguments as in Scene.add_urdf, a relative path is relative to `folder`.
+
+    Raises
+    ------
+    SceneError : with the finding as `expected`, `got`; its attribute `report` holds the PartReport up to there.
+    """
+    if base not in ("fixed", "free"):
+        raise InputError("Argument base", name="base", expected="'fixed' or 'free'", got=repr(base))
+    file = resolve_path(path, folder, package_dirs)
+    report = PartReport(f"{prefix}{file.stem}: URDF {file}, base {base}")
+    with _reported(report, file):
+        text = read_urdf(file, package_dirs, report)
+        report.prefix_names(prefix)
+        report.title = f"{prefix}{text.name}: URDF {file}, base {base}"
+        if base == "free":
+            model = _parse(file, lambda: pin.buildModelFromXML(text.xml, pin.JointModelFreeFlyer(), ROOT_JOINT))
+        else:
+            model = _parse(file, lambda: pin.buildModelFromXML(text.xml))
+        collision = _parse(file, lambda: pin.buildGeomFromUrdfString(model, text.xml, pin.GeometryType.COLLISION))
+        part = Part(
+            name=prefix + text.name,
+            kind="urdf",
+            model=model,
+            collision=collision,
+            start=np.zeros(model.nq),
+            report=report,
+            load_visual=lambda: _visual(
+                file, lambda: pin.buildGeomFromUrdfString(model, text.xml, pin.GeometryType.VISUAL), collision
+            ),
+            prefix=prefix,
+            placement=pin.SE3.Identity() if base == "free" else placement,
+            disabled=[] if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report),
+            mimics=text.mimics,
+        )
+        _finish(part, file.name)
+        part.constraints = mimic_constraints(part, text.mimics, flag("mimic", mimic))
+    if base == "free":
+        part.start[:7] = pin.SE3ToXYZQUAT(placement)
+    return part
+
+
+def import_mjcf(
+    path: str | os.PathLike[str],
+    *,
+    placement: pin.SE3,
+    prefix: str = "",
+    folder: Path | None = None,
+    equality: Any = True,
+) -> Part:
+    """Return the part described by an MJCF; arguments as in Scene.add_mjcf. Raises like import_urdf."""
+    file = resolve_path(path, folder)
+    report = PartReport(f"{prefix}{file.stem}: MJCF {file}")
+    with _reported(report, file):
+        text = read_mjcf(file, report)
+        report.prefix_names(prefix)
+        report.title = f"{prefix}{text.name}: MJCF {file}"
+        # Pinocchio reads MJCF from a file only; the rewritten text goes through a temporary one.
+        with tempfile.TemporaryDirectory() as scratch:
+            copy = Path(scratch) / file.name
+            copy.write_text(text.xml, encoding="utf-8")
+            model = _parse(file, lambda: pin.buildModelFromMJCF(str(copy)))
+            model = model[0] if isinstance(model, tuple) else model
+            collision = _parse(file, lambda: pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.COLLISION))
+            visual = _parse(file, lambda: pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.VISUAL))
+        _mend_free_joints(model)
+        part = Part(
+            name=prefix + text.name,
+            kind="mjcf",
+            model=model,
+            collision=collision,
+            start=np.zeros(model.nq),
+            report=report,
+            load_visual=lambda: visual,
+            prefix=prefix,
+            placement=placement,
+            disabled=text.excluded,
+        )
+        _finish(part, file.name)
+        part.constraints = equality_constraints(part, text.constraints, flag("equality", equality))
+    start = {entry.key(): entry.data() for entry in model.referenceConfigurations}.get("qpos0")
+    if start is not None:
+        _take_free_poses(part, start)
+    return part
+
+
+def import_pinocchio(
+    model: pin.Model,
+    collision_model: pin.GeometryModel | None = None,
+    visual_model: pin.GeometryModel | None = None,
+    name: str | None = None,
+) -> Part:
+    """Return a part that holds copies of any pin.Model and its geometry. Raises like import_urdf."""
+    for what, value, kind in (
+        ("model", model, pin.Model),
+        ("collision_model", collision_model, pin.GeometryModel),
+        ("visual_model", visual_model, pin.GeometryModel),
+    ):
+        if not isinstance(value, kind) and not (value is None and what != "model"):
+            raise InputError(f"Argument {what}", name=what, expected=f"pin.{kind.__name__}", got=type(value).__name__)
+    model = model.copy()
+    title = name or model.name or "model"
+    collision = copy_geometry(collision_model)
+    given = [(int(p.first), int(p.second)) for p in collision_model.collisionPairs] if collision_model else []
+    visual = copy_geometry(visual_model) if visual_model is not None else collision
+    report = PartReport(f"{title}: pin.Model, {model.njoints - 1} joints")
+    with _reported(report):
+        for i in range(1, model.njoints):
+            if np.any(model.rotorInertia[model.idx_vs[i] : model.idx_vs[i] + model.nvs[i]]):
+                text = "rotorInertia, rotorGearRatio: set_joint(rotor_inertia=, gear_ratio=) takes them"
+                report.note("ignored", "joint", model.names[i], text)
+        _name_bodies(model)
+        _check_geometry_parents(model, collision, title)
+        part = Part(
+            name=title,
+            kind="pinocchio",
+            model=model,
+            collision=collision,
+            start=np.zeros(model.nq),
+            report=report,
+            load_visual=lambda: visual,
+            given_pairs=given or None,
+        )
+        _finish(part, title)
+    return part
+
+
+def copy_geometry(source: pin.GeometryModel | None) -> pin.GeometryModel:
+    """Return a GeometryModel with copies of the objects (shapes shared) and without collision pairs."""
+    result = pin.GeometryModel()
+    for geometry in source.geometryObjects if source is not None else ():
+        result.addGeometryObject(geometry.copy())
+    return result
+
+
+def read_srdf(file: Path, model: pin.Model, report: PartReport) -> list[tuple[str, str, str]]:
+    """Return the disabled link pairs of an SRDF with their reasons.
+
+    Raises
+    ------
+    SceneError : broken XML or not an SRDF.
+    """
+    root = read_xml(file, "robot", "an SRDF")
+    known = {frame.name for frame in model.frames}
+    pairs = []
+    for element in root.iter("disable_collisions"):
+        first, second = element.get("link1", ""), element.get("link2", "")
+        if first in known and second in known:
+            pairs.append((first, second, element.get("reason", "")))
+        else:
+            missing = first if first not in known else second
+            report.note("suspicious", "SRDF", missing, "disable_collisions of a link the model does not have")
+    return pairs
+
+
+class _reported:
+    """Attach file and report so far to an error that leaves the block, so that `contactvi check` can still print it."""
+
+    def __init__(self, report: PartReport, file: Path | None = None) -> None:
+        self.report = report
+        self.file = file
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, SceneError):
+            if not any(note.use == "refused" for note in self.report.notes):
+                self.report.note("refused", "model", error.joint or error.body or "", str(error))
+            error.report = self.report
+            if error.path is None and self.file is not None:
+                error.path = str(self.file)
+
+
+def _parse(file: Path, build: Callable[[], Any]) -> Any:
+    """Run a Pinocchio reader; its exceptions (of many kinds) become SceneErrors."""
+    try:
+        return build()
+    except ContactviError:
+        raise
+    except Exception as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        said = next((line for line in reversed(lines) if not line.startswith("Hint")), type(error).__name__)
+        resource = next((line.rpartition("resource ")[2] for line in lines if "Could not load resource" in line), None)
+        if resource is not None:
+            raise SceneError(f"Cannot read the mesh {resource}", path=resource, got=said) from error
+        raise SceneError(
+            f"Pinocchio cannot read {file.name}", path=file, expected="a model it understands", got=said
+        ) from error
+
+
+def _finish(part: Part, source: str) -> None:
+    """Check the model, hull its meshes, set the neutral pose and fill the report."""
+    model, report = part.model, part.report
+    check_joints(model, report, source)
+    check_numbers(model, source)
+    part.start = neutral(model)
+    describe_model(model, report, part.start, part.prefix, part.mimics)
+    report.bodies = [body for body in report.bodies if body.name != part.prefix + STATIC]
+    for geometry in part.collision.geometryObjects:
+        frame = geometry.parentFrame
+        body = part.prefix + model.frames[frame].name if frame else "universe"
+        kind = describe(geometry.geometry)
+        try:
+            done = prepare_geometry(geometry, report)
+        except SceneError as error:
+            error.path = error.path or geometry.meshPath or None
+            report.geometries.append(GeometryRow(part.prefix + geometry.name, body, kind, "refused"))
+            raise
+        shape = describe(geometry.geometry)
+        report.geometries.append(GeometryRow(part.prefix + geometry.name, body, shape, done))
+    for name in (entry.key() for entry in model.referenceConfigurations):
+        if name != "qpos0":
+            report.note("ignored", "configuration", name, "reference configuration: set the start with q0")
+
+
+def neutral(model: pin.Model) -> np.ndarray:
+    """Return Pinocchio's neutral configuration moved into the joint limits, shape (nq,)."""
+    q = pin.neutral(model)
+    for i in range(1, model.njoints):
+        if has_limits(model, i):
+            k = model.idx_qs[i]
+            q[k] = min(max(q[k], model.lowerPositionLimit[k]), model.upperPositionLimit[k])
+    return q
+
+
+def _mend_free_joints(model: pin.Model) -> None:
+    """Give the free joints of an MJCF the identity placement, so that q holds the pose in the world.
+
+    pin 4.1 multiplies the body's frame with a wrong inverse of itself: exact without rotation, off with one.
+    """
+    for i in range(1, model.njoints):
+        if joint_kind(model.joints[i]) == "free" and model.parents[i] == 0:
+            model.jointPlacements[i] = pin.SE3.Identity()
+
+
+def _take_free_poses(part: Part, start: np.ndarray) -> None:
+    """Start free bodies where the file puts them (moved with the part)."""
+    model = part.model
+    for i in range(1, model.njoints):
+        if joint_kind(model.joints[i]) == "free" and model.parents[i] == 0:
+            q = slice(model.idx_qs[i], model.idx_qs[i] + 7)
+            part.start[q] = start[q]
+
+
+def _name_bodies(model: pin.Model) -> None:
+    """Give every joint without a body frame one of its own name: a model built in Python has none."""
+    named = {frame.parentJoint for frame in model.frames if frame.type == pin.FrameType.BODY}
+    for i in range(1, model.njoints):
+        if i not in named and not model.existFrame(model.names[i], pin.FrameType.BODY):
+            inertia = pin.Inertia.Zero()
+            model.addFrame(pin.Frame(model.names[i], i, 0, pin.SE3.Identity(), pin.FrameType.BODY, inertia), False)
+
+
+def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, source: str) -> None:
+    names = [geometry.name for geometry in collision.geometryObjects]
+    for geometry in collision.geometryObjects:
+        name = geometry.name
+        if geometry.parentJoint >= model.njoints:
+            raise SceneError(
+                f"{source}: geometry {name!r}",
+                body=name,
+                expected=f"a parent joint below {model.njoints}",
+                got=geometry.parentJoint,
+            )
+        if names.count(name) > 1:
+            raise SceneError(
+                f"{source}: two geometries are called {name!r}", body=name, expected="distinct names", got=name
+            )
+        frame = geometry.parentFrame
+        if frame >= model.nframes or model.frames[frame].parentJoint != geometry.parentJoint:
+            body, joint = pin.FrameType.BODY, geometry.parentJoint
+            frames = [k for k, f in enumerate(model.frames) if f.type == body and f.parentJoint == joint]
+            geometry.parentFrame = frames[0] if frames and joint else 0
+
+
+def _visual(file: Path, build: Callable[[], pin.GeometryModel], collision: pin.GeometryModel) -> pin.GeometryModel:
+    """Load pictures; a model without any is pictured by its collision shapes."""
+    visual = _parse(file, build)
+    return visual if len(visual.geometryObjects) else copy_geometry(collision)
+
+
+def pictures(part: Part) -> list[pin.GeometryObject]:
+    """Return the part's pictures, halfspaces as plates."""
+    return [
+        plate_of(geometry) if isinstance(geometry.geometry, coal.Halfspace) else geometry.copy()
+        for geometry in part.load_visual().geometryObjects
+    ]
+
+
+__all__ = ["STATIC", "copy_geometry", "import_mjcf", "import_pinocchio", "import_urdf", "neutral", "pictures"]

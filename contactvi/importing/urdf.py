@@ -1,0 +1,248 @@
+"""Read and check a URDF before Pinocchio does, which drops silently what it cannot parse.
+
+Seen in pin 4.1: a mass that is no number becomes zero, a collision whose shape is unknown or not a number disappears,
+a zero axis stays zero, negative sizes are kept. Mesh references are replaced by absolute paths here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+from contactvi.errors import SceneError, did_you_mean
+from contactvi.importing.paths import resolve_resource
+from contactvi.importing.report import PartReport
+from contactvi.importing.xml import Element, check_positive, named, numbers, read_xml
+
+JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+SHAPES = ("box", "sphere", "cylinder", "mesh")
+KNOWN = ("link", "joint", "material")
+FILE_LIMITS = "effort and velocity limits"
+
+
+class Mimic(NamedTuple):
+    """A mimic tag: q = multiplier * q of `joint` + offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+    def __str__(self) -> str:
+        return f"{self.multiplier:g} * {self.joint} + {self.offset:g}"
+
+
+@dataclass
+class UrdfText:
+    """A checked URDF: its name, its XML with resolved meshes, and its mimic tags by joint."""
+
+    name: str
+    xml: str
+    mimics: dict[str, Mimic]
+
+
+def read_urdf(path: Path, package_dirs: Sequence[object], report: PartReport) -> UrdfText:
+    """Read, check and complete a URDF; what is ignored or changed goes to the report.
+
+    Raises
+    ------
+    SceneError : whatever makes the file unusable, with path, joint or body.
+    """
+    root = read_xml(path, "robot", "a URDF")
+    _check_expanded(root, path)
+    if not root.get("name"):
+        root.set("name", path.stem)
+        report.note("changed", "file", path.name, f"the robot has no name, it is called {path.stem!r}")
+    links = named(root.findall("link"), path, "link")
+    joints = named(root.findall("joint"), path, "joint")
+    _check_tree(links, joints, path)
+    for name, joint in joints.items():
+        _check_joint(name, joint, path)
+    for name, link in links.items():
+        _check_link(name, link, path, package_dirs, report)
+    mimics = _mimics(joints, path)
+    _note_joints(joints, report)
+    for tag in sorted({str(child.tag) for child in root if child.tag not in KNOWN}):
+        names = [child.get("name") or child.get("reference") or "" for child in root.findall(tag)]
+        given = ", ".join(dict.fromkeys(n for n in names if n)) or f"{len(names)} of them"
+        report.note("ignored", "element", f"<{tag}>", given if len(given) < 90 else f"{len(names)} of them")
+    return UrdfText(str(root.get("name")), ElementTree.tostring(root, encoding="unicode"), mimics)
+
+
+def _check_expanded(root: Element, path: Path) -> None:
+    for element in root.iter():
+        if "xacro" in str(element.tag) or any("${" in value or "$(" in value for value in element.attrib.values()):
+            raise SceneError(
+                f"{path.name} is a xacro macro file",
+                path=path,
+                expected="a plain URDF",
+                got=f"<{element.tag}>",
+                remedy=f"Expand it first: xacro {path.name} > {path.stem}.urdf",
+            )
+
+
+def _check_tree(links: dict[str, Element], joints: dict[str, Element], path: Path) -> None:
+    """Check that the links form one tree: Pinocchio only says 'not a valid URDF model'."""
+    if not links:
+        raise SceneError(f"{path.name} has no link", path=path, expected="at least one <link>", got="none")
+    parent_of: dict[str, str] = {}
+    for name, joint in joints.items():
+        ends = {}
+        for side in ("parent", "child"):
+            element = joint.find(side)
+            link = element.get("link", "") if element is not None else ""
+            if link not in links:
+                raise SceneError(
+                    f"{path.name}: {side} of joint {name!r}",
+                    path=path,
+                    joint=name,
+                    expected="the name of a link",
+                    got=repr(link),
+                    remedy=did_you_mean(link, links),
+                )
+            ends[side] = link
+        if ends["child"] in parent_of:
+            raise SceneError(
+                f"{path.name}: link {ends['child']!r} is the child of two joints",
+                path=path,
+                joint=name,
+                body=ends["child"],
+                expected="a tree",
+                got="a loop",
+                remedy="Cut the loop, and close it in the scene: scene.add_point or scene.add_weld",
+            )
+        parent_of[ends["child"]] = ends["parent"]
+    roots = [link for link in links if link not in parent_of]
+    if len(roots) != 1:
+        raise SceneError(
+            f"{path.name}: the links do not form one tree",
+            path=path,
+            expected="one link without a parent joint",
+            got=", ".join(roots) or "none (the joints form a loop)",
+            remedy="Join the links, or put separate bodies in separate files",
+        )
+
+
+def _check_joint(name: str, joint: Element, path: Path) -> None:
+    where = f"joint {name!r}"
+    kind = joint.get("type", "")
+    if kind not in JOINT_TYPES:
+        raise SceneError(
+            f"{path.name}: type of {where}",
+            path=path,
+            joint=name,
+            expected=" | ".join(JOINT_TYPES),
+            got=repr(kind),
+            remedy=did_you_mean(kind, JOINT_TYPES),
+        )
+    if (origin := joint.find("origin")) is not None:
+        numbers(origin, "xyz", path, where, 3)
+        numbers(origin, "rpy", path, where, 3)
+    if (axis := joint.find("axis")) is not None and kind not in ("fixed", "floating"):
+        values = numbers(axis, "xyz", path, where, 3)
+        if values is not None and not any(values):
+            raise SceneError(
+                f"{path.name}: axis of {where}", path=path, joint=name, expected="a nonzero vector", got="0 0 0"
+            )
+    if kind in ("revolute", "prismatic") and joint.find("limit") is None:
+        raise SceneError(
+            f"{path.name}: {where} of type {kind} has no <limit>",
+            path=path,
+            joint=name,
+            expected="<limit lower= upper= effort= velocity=>",
+            got="none",
+            remedy="Add it, or make the joint continuous",
+        )
+    for tag, keys in (("limit", ("lower", "upper", "effort", "velocity")), ("dynamics", ("damping", "friction"))):
+        if (element := joint.find(tag)) is not None:
+            for key in keys:
+                numbers(element, key, path, where, 1)
+
+
+def _check_link(name: str, link: Element, path: Path, package_dirs: Sequence[object], report: PartReport) -> None:
+    where = f"link {name!r}"
+    for inertial in link.findall("inertial"):
+        mass = inertial.find("mass")
+        inertia = inertial.find("inertia")
+        if mass is None or inertia is None:
+            missing = "mass" if mass is None else "inertia"  # urdfdom would drop the other one too
+            raise SceneError(
+                f"{path.name}: inertial of {where}", path=path, body=name, expected=f"<{missing}>", got="none"
+            )
+        numbers(mass, "value", path, where, 1)
+        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
+            numbers(inertia, key, path, where, 1)
+        if (origin := inertial.find("origin")) is not None:
+            numbers(origin, "xyz", path, where, 3)
+            numbers(origin, "rpy", path, where, 3)
+    for collision in link.findall("collision"):
+        _check_shape(collision, name, path, package_dirs)
+    for visual in link.findall("visual"):
+        try:
+            _check_shape(visual, name, path, package_dirs)
+        except SceneError as error:  # a picture is no reason to refuse a model
+            link.remove(visual)
+            report.note("ignored", "visual", name, str(error))
+
+
+def _check_shape(holder: Element, link: str, path: Path, package_dirs: Sequence[object]) -> None:
+    """Check a <collision> or <visual> and put the absolute path of its mesh in place."""
+    where = f"link {link!r}"
+    geometry = holder.find("geometry")
+    shape = next(iter(geometry), None) if geometry is not None else None
+    if shape is None or shape.tag not in SHAPES:
+        raise SceneError(
+            f"{path.name}: shape of a <{holder.tag}> of {where}",
+            path=path,
+            body=link,
+            expected=" | ".join(SHAPES),
+            got="none" if shape is None else f"<{shape.tag}>",
+            remedy="Replace it by one of these shapes",
+        )
+    if (origin := holder.find("origin")) is not None:
+        numbers(origin, "xyz", path, where, 3)
+        numbers(origin, "rpy", path, where, 3)
+    sizes = {"box": (("size", 3),), "sphere": (("radius", 1),), "cylinder": (("radius", 1), ("length", 1)), "mesh": ()}
+    for key, count in sizes[shape.tag]:
+        check_positive(shape, key, path, where, count)
+    if shape.tag == "mesh":
+        scale = numbers(shape, "scale", path, where, 3)
+        if scale is not None and not all(scale):
+            raise SceneError(f"{path.name}: mesh scale in {where}", path=path, body=link, expected="nonzero", got=scale)
+        shape.set("filename", str(resolve_resource(shape.get("filename", ""), path.parent, package_dirs)))
+
+
+def _note_joints(joints: dict[str, Element], report: PartReport) -> None:
+    """Note what a URDF says about joints and the engine does not use by itself."""
+    for name, joint in joints.items():
+        limit = joint.find("limit")
+        if limit is not None and joint.get("type") != "fixed":
+            report.note("ignored", "joint", name, f"{FILE_LIMITS}: not used, unless by set_actuator(joint, ...)")
+        for tag in ("safety_controller", "calibration"):
+            if joint.find(tag) is not None:
+                report.note("ignored", "joint", name, tag)
+
+
+def _mimics(joints: dict[str, Element], path: Path) -> dict[str, Mimic]:
+    """Return the mimic tags of joints that move."""
+    mimics: dict[str, Mimic] = {}
+    for name, joint in joints.items():
+        mimic = joint.find("mimic")
+        if mimic is None or joint.get("type") == "fixed":
+            continue
+        other = mimic.get("joint", "")
+        if other not in joints or other == name:
+            raise SceneError(
+                f"{path.name}: mimic tag of joint {name!r}",
+                path=path,
+                joint=name,
+                expected="the name of another joint",
+                got=repr(other),
+                remedy=did_you_mean(other, [known for known in joints if known != name]),
+            )
+        values = [numbers(mimic, key, path, f"joint {name!r}", 1) for key in ("multiplier", "offset")]
+        factor, offset = values[0] or [1.0], values[1] or [0.0]
+        mimics[name] = Mimic(other, factor[0], offset[0])
+    return mimics

@@ -1,0 +1,1 @@
+"""Pictures that move: the page and the live view, their shapes, lines, force arrows and animations."""

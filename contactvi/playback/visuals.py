@@ -1,0 +1,223 @@
+"""What a picture of a scene consists of: shapes on joints, as plain data that can be stored.
+
+Taken from the scene's visual model, which pictures what has no mesh by its collision shapes. Halfspaces are taken from
+the collision geometry, so that the viewer can make them as large as the scene needs. Springs and distances are lines.
+Heavy meshes are thinned out by merging the vertices within a cell of a grid (Rossignac, Borrel 1993).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from contactvi.elements.elements import PathSpring
+
+if TYPE_CHECKING:
+    from contactvi.scene.scene import Scene
+
+Color = tuple[float, float, float, float]
+SPRING_COLOR: Color = (0.12, 0.55, 0.42, 1.0)
+STRING_COLOR: Color = (0.2, 0.22, 0.26, 1.0)
+MAX_TRIANGLES = 150_000  # of a whole scene: about 4 MB of page, what a browser turns at 60 frames per second
+_UNSET_COLORS = ((0.9, 0.9, 0.9, 1.0), (0.0, 0.0, 0.0, 1.0))  # Pinocchio's own: the file named no colour
+_SIZES: dict[str, tuple[str, ...]] = {
+    "Sphere": ("radius",),
+    "Capsule": ("radius", "halfLength"),
+    "Cylinder": ("radius", "halfLength"),
+    "Cone": ("radius", "halfLength"),
+}
+# How many sizes a shape has.
+_COUNTS = {
+    "sphere": 1, "box": 3, "capsule": 2, "cylinder": 2, "cone": 2, "ellipsoid": 3, "halfspace": 4, "mesh": 0,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Visual:
+    """One shape.
+
+    name : of the geometry. joint : index of the joint that carries it, 0 for the world.
+    placement : in the frame of the joint, homogeneous matrix, shape (4, 4).
+    shape : "sphere", "box", "capsule", "cylinder", "cone", "ellipsoid", "halfspace", "mesh" or "line".
+    sizes : [m] sphere (radius), box (half sides), capsule, cylinder and cone (radius, half length along z),
+        ellipsoid (radii), halfspace (normal, offset: the solid is n.x <= offset), mesh (); of a line no lengths but the
+        joints that carry its vertices, each in the frame of its own (`joint` is 0, `placement` is not used).
+    color : red, green, blue, opacity in 0..1; None where the model names none.
+    vertices : [m], shape (n, 3) float32. faces : shape (m, 3) uint32. Empty unless it is a mesh; a line has vertices.
+    """
+
+    name: str
+    joint: int
+    placement: NDArray[np.float64]
+    shape: str
+    sizes: tuple[float, ...]
+    color: Color | None
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Indices of the joints that carry it."""
+        return tuple(int(joint) for joint in self.sizes) if self.shape == "line" else (self.joint,)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as plain data and arrays."""
+        return {
+            "name": self.name,
+            "joint": self.joint,
+            "placement": self.placement.tolist(),
+            "shape": self.shape,
+            "sizes": list(self.sizes),
+            "color": None if self.color is None else list(self.color),
+            "vertices": self.vertices,
+            "faces": self.faces,
+        }
+
+    @classmethod
+    def from_dict(cls, fields: dict[str, Any]) -> Visual:
+        """Return the visual that `to_dict` described; ValueError where the fields do not fit together."""
+        vertices = np.asarray(fields["vertices"], dtype=np.float32).reshape(-1, 3)
+        faces = np.asarray(fields["faces"], dtype=np.uint32).reshape(-1, 3)
+        if len(faces) and int(faces.max()) >= len(vertices):
+            raise ValueError(f"mesh {fields['name']!r} refers to vertices it does not have")
+        shape, sizes = str(fields["shape"]), tuple(float(size) for size in fields["sizes"])
+        placement = np.array(fields["placement"], dtype=float).reshape(4, 4)
+        count = max(2, len(vertices)) if shape == "line" else _COUNTS.get(shape)
+        if count != len(sizes) or not (_finite(sizes) and _finite(placement) and _finite(vertices)):
+            raise ValueError(f"shape {shape!r} with {len(sizes)} sizes, or numbers that are not finite")
+        return cls(
+            name=str(fields["name"]),
+            joint=int(fields["joint"]),
+            placement=placement,
+            shape=shape,
+            sizes=sizes,
+            color=None if fields["color"] is None else tuple(fields["color"]),
+            vertices=vertices,
+            faces=faces,
+        )
+
+
+def from_scene(scene: Scene) -> list[Visual]:
+    """Return what is to be drawn of a scene, at most MAX_TRIANGLES triangles."""
+    planes = {solid.name: solid for solid in scene.collision_model.geometryObjects if _is_plane(solid)}
+    shown = [shape for shape in scene.visual_model.geometryObjects if shape.name not in planes]
+    found = [visual for shape in shown if (visual := from_geometry(shape)) is not None]
+    found += [visual for plane in planes.values() if (visual := from_geometry(plane)) is not None]
+    return thin_out(found + _lines(scene), MAX_TRIANGLES)
+
+
+def _lines(scene: Scene) -> list[Visual]:
+    """Return the springs and the distances of a scene."""
+    resolved = scene._complete().elements
+    springs = [element for element in scene.elements if isinstance(element, PathSpring)]
+    lines = [
+        _line(own.name, found[0], found[1], SPRING_COLOR) for own, found in zip(springs, resolved.springs, strict=True)
+    ]
+    for row in resolved.constraints:
+        if row.kind == "distance":
+            (a, _, point_a), (b, _, point_b) = row.a, row.b
+            lines.append(_line(row.name, (a, b), (point_a, point_b), STRING_COLOR))
+    return lines
+
+
+def _line(name: str, joints: Sequence[int], points: ArrayLike, color: Color) -> Visual:
+    vertices = np.asarray(points, dtype=np.float32).reshape(-1, 3)
+    carriers = tuple(float(joint) for joint in joints)
+    return Visual(name, 0, np.eye(4), "line", carriers, color, vertices, np.zeros((0, 3), np.uint32))
+
+
+def from_geometry(shape: pin.GeometryObject) -> Visual | None:
+    """Return the picture of one geometry object; None for a kind that cannot be drawn and for an empty mesh."""
+    solid = shape.geometry
+    kind = type(solid).__name__
+    vertices, faces = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint32)
+    if kind in _SIZES:
+        name, sizes = kind.lower(), tuple(float(getattr(solid, size)) for size in _SIZES[kind])
+    elif kind == "Box":
+        name, sizes = "box", tuple(float(size) for size in solid.halfSide)
+    elif kind == "Ellipsoid":
+        name, sizes = "ellipsoid", tuple(float(size) for size in solid.radii)
+    elif kind in ("Halfspace", "Plane"):
+        name, sizes = "halfspace", (*(float(x) for x in solid.n), float(solid.d))
+    elif kind.startswith("BVHModel"):
+        name, sizes = "mesh", ()
+        vertices = np.array(solid.vertices(), dtype=np.float32)
+        faces = np.array([_corners(solid.tri_indices(k)) for k in range(solid.num_tris)], dtype=np.uint32)
+    elif kind == "Convex":
+        name, sizes = "mesh", ()
+        vertices = np.array(solid.points(), dtype=np.float32)
+        faces = np.array([_corners(solid.polygons(k)) for k in range(solid.num_polygons)], dtype=np.uint32)
+    else:
+        return None
+    if name == "mesh" and not len(faces):
+        return None
+    return Visual(
+        name=str(shape.name),
+        joint=int(shape.parentJoint),
+        placement=np.array(shape.placement.homogeneous),
+        shape=name,
+        sizes=sizes,
+        color=_color(shape),
+        vertices=vertices.reshape(-1, 3),
+        faces=faces.reshape(-1, 3),
+    )
+
+
+def thin_out(visuals: list[Visual], most: int) -> list[Visual]:
+    """Return the visuals with their meshes reduced in proportion, to about `most` triangles in all."""
+    total = sum(len(visual.faces) for visual in visuals)
+    if total <= most:
+        return visuals
+    thinned = []
+    for visual in visuals:
+        vertices, faces = _clustered(visual.vertices, visual.faces, max(200, len(visual.faces) * most // total))
+        thinned.append(replace(visual, vertices=vertices, faces=faces))
+    return thinned
+
+
+def _clustered(
+    vertices: NDArray[np.float32], faces: NDArray[np.uint32], most: int
+) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Return vertices and faces of the mesh with at most `most` triangles (coarser grids are tried until it is)."""
+    # About two triangles per occupied cell, and a surface crosses about 3 k^2 cells of a grid of k^3.
+    cells = max(2, int(np.sqrt(most)))
+    while len(faces) > most:
+        low = vertices.min(axis=0)
+        size = max(float(np.ptp(vertices, axis=0).max()), 1e-9) / cells
+        _, group = np.unique(np.floor((vertices - low) / size).astype(np.int64), axis=0, return_inverse=True)
+        group = group.reshape(-1)
+        count = np.bincount(group)
+        merged = np.stack([np.bincount(group, vertices[:, k]) / count for k in range(3)], axis=1)
+        corners = group[faces]
+        a, b, c = corners.T
+        corners = corners[(a != b) & (b != c) & (c != a)]
+        # One triangle per set of corners: merging lays several on top of each other.
+        _, first = np.unique(np.sort(corners, axis=1), axis=0, return_index=True)
+        if len(first) <= most or cells <= 2:
+            return merged.astype(np.float32), corners[np.sort(first)].astype(np.uint32)
+        cells = int(cells * 0.8)
+    return vertices, faces
+
+
+def _finite(values: Any) -> bool:
+    return bool(np.isfinite(values).all())
+
+
+def _corners(triangle: Any) -> tuple[int, int, int]:
+    return triangle[0], triangle[1], triangle[2]
+
+
+def _is_plane(shape: pin.GeometryObject) -> bool:
+    return type(shape.geometry).__name__ in ("Halfspace", "Plane")
+
+
+def _color(shape: pin.GeometryObject) -> Color | None:
+    red, green, blue, opacity = (round(float(x), 6) for x in shape.meshColor)
+    if (red, green, blue, opacity) in _UNSET_COLORS and not shape.overrideMaterial:
+        return None
+    return red, green, blue, max(opacity, 0.1)

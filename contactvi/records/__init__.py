@@ -1,0 +1,1 @@
+"""What a run records of impacts, contacts, works and reactions, as sequences and as arrays."""

@@ -1,0 +1,383 @@
+"""Contacts of a run: who pushed whom, where, how strongly and how long; and when contacts began, slipped and ended.
+
+The engine gives one row per contact point and held step, and one per point of an impact of two shapes, whose length is
+0 and whose mode is "impact"; impacts at joint limits are events only. Impulses act on the second shape of a pair, minus
+them on the first, and are in world axes. A held limit pushes its joint back by a number >= 0 [N s; N m s for a revolute
+joint], the first component of its impulse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi.errors import InputError, did_you_mean
+from contactvi.records.events import KINDS, label
+
+Array = NDArray[np.float64]
+
+MODES = ("stick", "slip", "frictionless", "impact")  # in the engine's order
+_BRIEF = 1e-3  # of the longest step
+CHANGES = (
+    "begin",
+    "release",
+    "stick",
+    "slip",
+    "bouncing ended",  # value: when impacts would have accumulated [s]
+    "inconsistent",  # Painleve: rigid bodies with friction have no answer without an impulse; value: A [1/kg]
+)
+# name -> (width, dtype) of one row; width 0 is a scalar. The order is that of the file format.
+FIELDS: dict[str, tuple[int, type]] = {
+    "t": (0, float),
+    "h": (0, float),
+    "step": (0, np.int64),
+    "kind": (0, np.int64),
+    "index": (0, np.int64),
+    "point": (0, np.int64),
+    "mode": (0, np.int64),
+    "position": (3, float),
+    "normal": (3, float),
+    "start": (3, float),
+    "end": (3, float),
+    "gap": (0, float),
+    "slip": (3, float),
+}
+CHANGE_FIELDS: dict[str, tuple[int, type]] = {
+    "time": (0, float),
+    "kind": (0, np.int64),
+    "index": (0, np.int64),
+    "point": (0, np.int64),
+    "change": (0, np.int64),
+    "value": (0, float),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """One contact point over one step, or in one impact.
+
+    Attributes
+    ----------
+    t, h : start and length of the step [s]; h is 0 for an impact. step : its index.
+    kind, pair : as of an `Event`. point : number of the point within the pair, the same from step to step.
+    mode : "stick", "slip" (it slid in a part of the step at least), "frictionless" or "impact".
+    position : of the point at the end of the step [m], normal : unit, from the first shape to the second, both in world
+        axes, shape (3,); zero for a limit.
+    impulse : on the second shape [N s], friction included, world axes, shape (3,); of a limit its first component.
+    force : impulse / h [N], shape (3,): the mean over the step; NaN for an impact.
+    gap : at the end [m; rad].
+    slip : tangential velocity of the second shape against the first, at the end [m/s], world axes, shape (3,).
+    """
+
+    t: float
+    h: float
+    step: int
+    kind: str
+    pair: tuple[str, str]
+    point: int
+    mode: str
+    position: Array
+    normal: Array
+    impulse: Array
+    force: Array
+    gap: float
+    slip: Array
+
+    @property
+    def normal_force(self) -> float:
+        """Force along the normal [N; of a limit N or N m], >= 0."""
+        return float(self.force[0] if self.kind == "limit" else self.force @ self.normal)
+
+
+class ContactLog(Sequence[Contact]):
+    """The contacts of a run, a sequence of `Contact` in the order of time, and the same data as arrays.
+
+    `log[3]` is a Contact; `log.impulse`, `log.force`, `log.t`, ... are arrays of all rows, shape (m,) or (m, 3);
+    `log.array(name)` is one of FIELDS; kind and mode are places in KINDS and MODES there.
+    """
+
+    def __init__(
+        self,
+        arrays: Mapping[str, NDArray[Any]],
+        pair_names: Sequence[tuple[str, str]],
+        joint_names: Sequence[str],
+    ) -> None:
+        self._arrays = {name: np.asarray(arrays[name]) for name in FIELDS}
+        self._names = pair_names, joint_names
+
+    def array(self, name: str) -> NDArray[Any]:
+        """Return one field of all rows as an array, shape (m,) or (m, 3)."""
+        return self._arrays[name]
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All fields as arrays (the dictionary is a copy, the arrays are not)."""
+        return dict(self._arrays)
+
+    @property
+    def t(self) -> Array:
+        """Starts of the steps [s], shape (m,)."""
+        return self._arrays["t"]
+
+    @property
+    def h(self) -> Array:
+        """Lengths of the steps [s], 0 for impacts, shape (m,)."""
+        return self._arrays["h"]
+
+    @property
+    def end(self) -> Array:
+        """Ends of the steps [s], shape (m,)."""
+        return self.t + self.h
+
+    @property
+    def position(self) -> Array:
+        """Contact points at the ends of the steps [m], world frame, shape (m, 3)."""
+        return self._arrays["position"]
+
+    @cached_property
+    def impulse(self) -> Array:
+        """On the second shape over the step [N s], world axes, shape (m, 3)."""
+        return np.asarray(self._arrays["start"] + self._arrays["end"])
+
+    @cached_property
+    def force(self) -> Array:
+        """Mean over the step, impulse / h, on the second shape [N], world axes, shape (m, 3); NaN for impacts."""
+        h = self.h[:, None]
+        return np.divide(self.impulse, h, out=np.full(self.impulse.shape, np.nan), where=h > 0.0)
+
+    @cached_property
+    def lasting(self) -> NDArray[np.bool_]:
+        """Whether a row is long enough for its force to mean something, shape (m,): for pictures and largest values.
+
+        Neither impacts nor parts of steps between two changes that are shorter than a thousandth of the longest step:
+        an impulse of the size of rounding over no time is no force.
+        """
+        return np.asarray(self.h > _BRIEF * self.h.max(initial=0.0))
+
+    @cached_property
+    def normal_impulse(self) -> Array:
+        """Along the normal [N s; N m s at the limit of a revolute joint], shape (m,)."""
+        along = np.sum(self.impulse * self._arrays["normal"], axis=1)
+        return np.where(self._arrays["kind"] == 1, self.impulse[:, 0], along)
+
+    @property
+    def total_impulse(self) -> Array:
+        """Of all rows on their second shapes [N s], world axes, shape (3,); of one pair: `log.of(a, b).total_impulse`.
+
+        Limits are left out.
+        """
+        return np.asarray(self.impulse[self._arrays["kind"] == 0].sum(axis=0))
+
+    @cached_property
+    def pairs(self) -> list[tuple[str, str]]:
+        """The pairs that touched (for a limit the joint and which one), in the engine's order."""
+        keys = np.unique(np.column_stack([self._arrays["kind"], self._arrays["index"]]), axis=0)
+        return [label(int(kind), int(index), *self._names) for kind, index in keys]
+
+    def at(self, t: float) -> list[Contact]:
+        """Return the contacts that act at time t [s]: those of the step around it (the later of two), and impacts."""
+        now = (self.t <= t) & ((t < self.end) | (self.t == t))
+        if not np.any(now & (self.h > 0.0)) and len(self) and t == self.end.max():
+            now |= self.end == t  # the run ends with a held step
+        return [self[int(k)] for k in np.flatnonzero(now)]
+
+    def of(self, a: str, b: str) -> ContactLog:
+        """Return the contacts of one pair of names, in whichever order (of a limit: joint, "lower limit").
+
+        The impulses stay those on the second shape of the pair as `pairs` names it. Raises InputError for two names
+        that never touched.
+        """
+        for pair in self.pairs:
+            if (a, b) in (pair, pair[::-1]):
+                return self._rows(self._of_pair(pair))
+        raise InputError(
+            f"{a!r} and {b!r} have no contact in this run",
+            name="pair",
+            expected="one of contacts.pairs",
+            got=f"({a!r}, {b!r})",
+            remedy=did_you_mean(f"{a} {b}", [" ".join(pair) for pair in self.pairs]),
+        )
+
+    def force_of(self, a: str, b: str) -> tuple[Array, Array]:
+        """Return (t (k,) [s], force (k, 3) [N]) of a pair over the steps it was held: middle of a step, sum of points.
+
+        The force is on the second shape of the pair as `pairs` names it; for a limit its first component.
+        """
+        rows = self.of(a, b)
+        rows = rows._rows(rows.h > 0.0)
+        return _summed(rows, rows.force)
+
+    def on(self, body: Any) -> tuple[Array, Array]:
+        """Return (t (k,) [s], force (k, 3) [N]): the sum of all contact forces on a body, step by step.
+
+        body : name of a shape, several of them, or a handle of the scene, whose shapes count as one body. Times are the
+        middles of the steps in which it was held.
+        """
+        shapes = set(_shapes(body))
+        signs = self._signs(shapes)
+        if not signs.any() and not shapes & {name for pair in self._names[0] for name in pair}:
+            known = sorted({name for pair in self._names[0] for name in pair})
+            raise InputError(
+                f"No shape called {body!r}", name="body", expected="a shape of the tested pairs", got=repr(body),
+                remedy=did_you_mean(str(body), known),
+            )  # fmt: skip
+        chosen = (signs != 0.0) & (self.h > 0.0)
+        rows = self._rows(chosen)
+        return _summed(rows, signs[chosen, None] * rows.force)
+
+    def impulse_on(self, body: Any) -> Array:
+        """Return the sum of all contact impulses on a body, impacts included [N s], world axes; `body` as in `on`."""
+        signs = self._signs(set(_shapes(body)))[:, None]
+        return np.asarray(np.where(signs != 0.0, signs * self.impulse, 0.0).sum(axis=0))
+
+    def _signs(self, shapes: set[str]) -> Array:
+        """+1 where the second shape is one of these, -1 where the first is, 0 where both or none are, shape (m,)."""
+        of_pair = np.array([(b in shapes) * 1.0 - (a in shapes) * 1.0 for a, b in self._names[0]] or [0.0])
+        index = np.where(self._arrays["kind"] == 0, self._arrays["index"], 0)
+        return np.where(self._arrays["kind"] == 0, of_pair[index], 0.0)
+
+    def _of_pair(self, pair: tuple[str, str]) -> NDArray[np.bool_]:
+        keys = np.column_stack([self._arrays["kind"], self._arrays["index"]])
+        kept = [key for key in np.unique(keys, axis=0) if label(int(key[0]), int(key[1]), *self._names) == pair]
+        return np.asarray(np.any([np.all(keys == key, axis=1) for key in kept], axis=0))
+
+    def _rows(self, chosen: NDArray[Any]) -> ContactLog:
+        return ContactLog({name: values[chosen] for name, values in self._arrays.items()}, *self._names)
+
+    def __len__(self) -> int:
+        return int(self._arrays["t"].shape[0])
+
+    @overload
+    def __getitem__(self, item: int) -> Contact: ...
+    @overload
+    def __getitem__(self, item: slice) -> list[Contact]: ...
+    def __getitem__(self, item: int | slice) -> Contact | list[Contact]:
+        if isinstance(item, slice):
+            return [self._contact(i) for i in range(*item.indices(len(self)))]
+        i = item + len(self) if item < 0 else item
+        if not 0 <= i < len(self):
+            raise IndexError(f"contact {item} of {len(self)}")
+        return self._contact(i)
+
+    def __iter__(self) -> Iterator[Contact]:
+        return (self._contact(i) for i in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"<ContactLog: {len(self)} rows of {len(self.pairs)} pairs>"
+
+    def _contact(self, i: int) -> Contact:
+        row = {name: values[i] for name, values in self._arrays.items()}
+        kind = int(row["kind"])
+        return Contact(
+            t=float(row["t"]), h=float(row["h"]), step=int(row["step"]), kind=KINDS[kind],
+            pair=label(kind, int(row["index"]), *self._names), point=int(row["point"]), mode=MODES[int(row["mode"])],
+            position=row["position"], normal=row["normal"], impulse=self.impulse[i], force=self.force[i],
+            gap=float(row["gap"]), slip=row["slip"],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ContactChange:
+    """One change of a contact.
+
+    Attributes
+    ----------
+    time : [s]. kind, pair : as of an `Event`. point : number of the point within the pair.
+    change : "begin", "release", "stick", "slip", "bouncing ended" or "inconsistent".
+    value : of "bouncing ended" the time when impacts would have accumulated [s], of "inconsistent" (Painleve) A [1/kg].
+    """
+
+    time: float
+    kind: str
+    pair: tuple[str, str]
+    point: int
+    change: str
+    value: float
+
+    def __str__(self) -> str:
+        return f"t = {self.time:.9g} s  {self.pair[0]} | {self.pair[1]}  {self.change}"
+
+
+class ChangeLog(Sequence[ContactChange]):
+    """The changes of contacts in a run, in the order of time; `log.array("time")` is one of CHANGE_FIELDS as array."""
+
+    def __init__(
+        self, arrays: Mapping[str, NDArray[Any]], pair_names: Sequence[tuple[str, str]], joint_names: Sequence[str]
+    ) -> None:
+        self._arrays = {name: np.asarray(arrays[name]) for name in CHANGE_FIELDS}
+        self._names = pair_names, joint_names
+
+    def array(self, name: str) -> NDArray[Any]:
+        """Return one field of all changes as an array, shape (n,); change is a place in CHANGES."""
+        return self._arrays[name]
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All fields as arrays (the dictionary is a copy, the arrays are not)."""
+        return dict(self._arrays)
+
+    def __len__(self) -> int:
+        return int(self._arrays["time"].shape[0])
+
+    @overload
+    def __getitem__(self, item: int) -> ContactChange: ...
+    @overload
+    def __getitem__(self, item: slice) -> list[ContactChange]: ...
+    def __getitem__(self, item: int | slice) -> ContactChange | list[ContactChange]:
+        if isinstance(item, slice):
+            return [self._change(i) for i in range(*item.indices(len(self)))]
+        i = item + len(self) if item < 0 else item
+        if not 0 <= i < len(self):
+            raise IndexError(f"change {item} of {len(self)}")
+        return self._change(i)
+
+    def __repr__(self) -> str:
+        return f"<ChangeLog: {len(self)} changes>"
+
+    def _change(self, i: int) -> ContactChange:
+        row = {name: values[i] for name, values in self._arrays.items()}
+        kind = int(row["kind"])
+        pair = label(kind, int(row["index"]), *self._names)
+        change = CHANGES[int(row["change"])]
+        return ContactChange(float(row["time"]), KINDS[kind], pair, int(row["point"]), change, float(row["value"]))
+
+
+def joined(
+    parts: Sequence[Mapping[str, NDArray[Any]]], fields: Mapping[str, tuple[int, type]]
+) -> dict[str, NDArray[Any]]:
+    """Return the rows of several parts, one after the other; `fields`: FIELDS or CHANGE_FIELDS."""
+    found: dict[str, NDArray[Any]] = {}
+    for name, (width, kind) in fields.items():
+        shape = (-1, width) if width else (-1,)
+        columns = [np.zeros((0, width) if width else 0), *(np.asarray(part[name]).reshape(shape) for part in parts)]
+        found[name] = np.concatenate(columns).astype(kind)
+    return found
+
+
+def empty_contacts() -> ContactLog:
+    """Return a log without contacts."""
+    return ContactLog(joined((), FIELDS), (), ())
+
+
+def empty_changes() -> ChangeLog:
+    """Return a log without changes."""
+    return ChangeLog(joined((), CHANGE_FIELDS), (), ())
+
+
+def _summed(rows: ContactLog, force: Array) -> tuple[Array, Array]:
+    """Return the middles of the steps (k,) and the sums of the forces (k, 3) of the rows of one step."""
+    middle, group = np.unique(rows.t + 0.5 * rows.h, return_inverse=True)
+    total = np.zeros((len(middle), 3))
+    np.add.at(total, group.reshape(-1), force)
+    return middle, total
+
+
+def _shapes(body: Any) -> Iterable[str]:
+    if isinstance(body, str):
+        return (body,)
+    return tuple(getattr(body, "geometries", body))

@@ -1,0 +1,155 @@
+"""What forces did in a run: work of inputs, damping, dry friction and drives, and the reactions of constraints.
+
+Nodes as in contactvi.trajectory.trajectory: N of them, the first at the start.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi.errors import InputError, did_you_mean
+
+Array = NDArray[np.float64]
+WORKS = ("input", "damping", "dry", "drive")  # in the engine's order
+
+
+class Work(NamedTuple):
+    """Work since the start at each node [J], shapes (N,).
+
+    input : put in by control, servos, wrenches and forces given in Python. drive : put in by prescribed motions and
+    driven lengths. damping : taken by dampers, of joints and springs, >= 0. dry : taken by the dry friction of joints,
+    >= 0.
+    """
+
+    input: Array
+    damping: Array
+    dry: Array
+    drive: Array
+
+
+class ConstraintRows(NamedTuple):
+    """A constraint of a run: its name, its kind (as in Scene.add_KIND), its number of rows."""
+
+    name: str
+    kind: str
+    rows: int
+
+
+class Forces:
+    """Work (N, 4) and mean reactions (N, m) of a run at its nodes t (N,) [s]; `constraints` name the columns."""
+
+    def __init__(self, t: Array, work: Array, reactions: Array, constraints: Sequence[ConstraintRows]) -> None:
+        self.t = t
+        self.values, self.reactions = work, reactions
+        self.constraints = [ConstraintRows(*row) for row in constraints]
+
+    @property
+    def work(self) -> Work:
+        """The work by name."""
+        return Work(*self.values.T)
+
+    def of(self, name: str) -> Array:
+        """Return the reaction of a constraint, see `Trajectory.reactions`."""
+        first = 0
+        for row in self.constraints:
+            if row.name == name:
+                return self.reactions[:, first : first + row.rows]
+            first += row.rows
+        raise InputError(
+            "Unknown constraint",
+            name="name",
+            expected="one of traj.constraints",
+            got=repr(name),
+            remedy=did_you_mean(str(name), [row.name for row in self.constraints]),
+        )
+
+    def since(self, t: float) -> Forces:
+        """Return the nodes from t [s] on."""
+        first = int(np.searchsorted(self.t, t))
+        return Forces(self.t[first:], self.values[first:], self.reactions[first:], self.constraints)
+
+    def sampled(self, t: Array) -> Forces:
+        """Return the same at other nodes t (n,) [s]: work between nodes in proportion (O(dt^2)), reactions as means."""
+        spans = np.diff(self.t, prepend=self.t[:1])[:, None]
+        impulse = np.cumsum(self.reactions * spans, axis=0)
+        work, impulse = (
+            np.column_stack([np.interp(t, self.t, column) for column in values.T]) if values.size else
+            np.zeros((len(t), values.shape[1]))
+            for values in (self.values, impulse)
+        )  # fmt: skip
+        means = np.zeros(impulse.shape)
+        np.divide(np.diff(impulse, axis=0), np.diff(t)[:, None], out=means[1:])
+        return Forces(t, work, means, self.constraints)
+
+
+class Growing:
+    """Work and reactions of a run as it grows: what the engine reports node by node, at the nodes that are kept."""
+
+    def __init__(self, t: float, constraints: Sequence[ConstraintRows]) -> None:
+        self.constraints = list(constraints)
+        self._rows = sum(row.rows for row in constraints)
+        self._t: list[Array] = [np.array([t])]
+        self._work: list[Array] = [np.zeros((1, len(WORKS)))]
+        self._reactions: list[Array] = [np.zeros((1, self._rows))]
+        self._last = t  # node that was seen last
+        self._pending = np.zeros(self._rows)  # impulse since the node that was kept last [N s, N m s]
+        self.known = True
+
+    def add(self, result: Mapping[str, Any], t: Array, keep: NDArray[np.bool_]) -> None:
+        """Take over a result of the engine with nodes t (n,) [s]; keep (n,): which of them are kept."""
+        if result.get("work") is None:
+            self.known = False
+            return
+        if self._rows == 0:  # what a control loop without constraints does in every step
+            if keep.any():
+                self._t.append(t[keep])
+                self._work.append(np.asarray(result["work"])[keep])
+                self._reactions.append(np.zeros((len(self._t[-1]), 0)))
+            self._last = float(t[-1])
+            return
+        reactions = np.asarray(result["reactions"], dtype=float)
+        new = t > self._last
+        spans = np.diff(np.append(self._last, t[new]))[:, None]
+        impulse = self._pending + np.cumsum(reactions[new] * spans, axis=0)
+        kept = keep[new]
+        if kept.any():
+            times = t[new][kept]
+            before = np.append(self._t[-1][-1], times[:-1])
+            sums = np.diff(impulse[kept], axis=0, prepend=np.zeros((1, self._rows)))
+            exact = bool(np.all(kept)) and not self._pending.any()  # a mean of one is itself
+            self._reactions.append(reactions[new] if exact else sums / (times - before)[:, None])
+            self._work.append(np.asarray(result["work"], dtype=float)[new][kept])
+            self._t.append(times)
+            last = np.flatnonzero(kept)[-1]
+            self._pending = impulse[-1] - impulse[last]
+        elif len(impulse):
+            self._pending = impulse[-1]
+        if new.any():
+            self._last = float(t[-1])
+
+    def copy(self) -> Growing:
+        """Return a copy that grows on its own."""
+        twin = copy.copy(self)
+        for name in ("_t", "_work", "_reactions"):
+            setattr(twin, name, list(getattr(self, name)))
+        return twin
+
+    def cut(self, count: int) -> None:
+        """Forget all but the first `count` nodes."""
+        for name in ("_t", "_work", "_reactions"):
+            setattr(self, name, [np.concatenate(getattr(self, name))[:count]])
+
+    def joined(self, first: int = 0) -> Forces | None:
+        """Return work and reactions of the blocks from `first` on; None where the engine reported none."""
+        if not self.known:
+            return None
+        t, work, reactions = (
+            parts[0] if len(parts) == 1 else np.concatenate(parts)
+            for parts in (self._t[first:], self._work[first:], self._reactions[first:])
+        )
+        return Forces(t, work, reactions, self.constraints)

@@ -1,0 +1,1 @@
+"""`contactvi reproduce`: the paper's table and figure, measured."""

@@ -1,0 +1,174 @@
+"""Join the parts of a scene into one pin.Model and one collision GeometryModel.
+
+Joint by joint and not with pin.appendModel, which in pin 4.1 loses the armature. Parts come in the order they were
+added, each depth-first, so the whole is depth-first: Pinocchio's sparse algorithms need that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from contactvi.importing.checks import PLACING, joint_kind
+from contactvi.importing.part import Part
+from contactvi.importing.readers import pictures
+
+_PER_Q = ("lowerPositionLimit", "upperPositionLimit", "positionLimitMargin")
+_PER_V = (
+    "lowerEffortLimit",
+    "upperEffortLimit",
+    "lowerVelocityLimit",
+    "upperVelocityLimit",
+    "lowerDryFrictionLimit",
+    "upperDryFrictionLimit",
+    "damping",
+    "armature",
+    "rotorInertia",
+    "rotorGearRatio",
+)
+
+
+@dataclass
+class Assembly:
+    """The assembled scene.
+
+    start : neutral configuration, shape (nq,).
+    part_of_joint, part_of_geometry : index of the part, shapes (njoints,) (universe: -1), (ngeoms,).
+    root_of_joint : first joint on the way from the world, shape (njoints,).
+    placed : whether the tree of a joint is placed by its start (free, planar, translation, prismatic root),
+        shape (njoints,).
+    """
+
+    model: pin.Model
+    collision: pin.GeometryModel
+    start: np.ndarray
+    part_of_joint: np.ndarray
+    part_of_geometry: np.ndarray
+    root_of_joint: np.ndarray
+    placed: np.ndarray
+
+
+def assemble(parts: Sequence[Part], gravity: np.ndarray) -> Assembly:
+    """Return the one model of all parts; collision pairs are chosen later (pairs.py)."""
+    model = pin.Model()
+    model.name = "scene"
+    model.gravity.linear = gravity
+    collision = pin.GeometryModel()
+    part_of_joint, part_of_geometry = [-1], []
+    for index, part in enumerate(parts):
+        joints = _add_joints(model, part)
+        frames = _add_frames(model, part, joints)
+        part_of_joint += [index] * (len(joints) - 1)
+        for geometry in part.collision.geometryObjects:
+            collision.addGeometryObject(_moved(geometry, part, joints, frames))
+            part_of_geometry.append(index)
+    roots = np.zeros(model.njoints, dtype=int)
+    placed = np.zeros(model.njoints, dtype=bool)
+    for i in range(1, model.njoints):
+        roots[i] = roots[model.parents[i]] or i
+        placed[i] = joint_kind(model.joints[int(roots[i])]) in PLACING
+    start = np.concatenate([part.start for part in parts]) if parts else np.zeros(0)
+    return Assembly(
+        model, collision, start, np.array(part_of_joint), np.array(part_of_geometry, dtype=int), roots, placed
+    )
+
+
+def assemble_visual(parts: Sequence[Part], model: pin.Model) -> pin.GeometryModel:
+    """Return the pictures of all parts, attached to the joints of the assembled model."""
+    visual = pin.GeometryModel()
+    for part in parts:
+        joints = [0] + [model.getJointId(name) for name in part.joint_names()]
+        for geometry in pictures(part):
+            geometry.name = _unused(visual, geometry.name, part.prefix)
+            visual.addGeometryObject(_moved(geometry, part, joints, None))
+    return visual
+
+
+def _add_joints(model: pin.Model, part: Part) -> list[int]:
+    """Add the part's joints with all they carry; return the assembled index of each of its joints."""
+    source = part.model
+    joints = [0]
+    for i in range(1, source.njoints):
+        parent = joints[source.parents[i]]
+        placement = source.jointPlacements[i]
+        if source.parents[i] == 0:
+            placement = part.placement * placement
+        joint = model.addJoint(parent, source.joints[i], placement, part.prefix + source.names[i])
+        joints.append(joint)
+        model.inertias[joint] = source.inertias[i]
+        _copy_slices(source, model, i, joint)
+    model.inertias[0] = model.inertias[0] + part.placement.act(source.inertias[0])
+    return joints
+
+
+def _copy_slices(source: pin.Model, model: pin.Model, i: int, joint: int) -> None:
+    for names, starts, sizes in ((_PER_Q, "idx_qs", "nqs"), (_PER_V, "idx_vs", "nvs")):
+        first, size = getattr(source, starts)[i], getattr(source, sizes)[i]
+        target = getattr(model, starts)[joint]
+        for name in names:
+            getattr(model, name)[target : target + size] = getattr(source, name)[first : first + size]
+
+
+def _add_frames(model: pin.Model, part: Part, joints: list[int]) -> list[int]:
+    """Add the part's frames; return the assembled index of each."""
+    source = list(part.model.frames)
+    frames = [0] * len(source)
+    parents = [_parent_frame(part.model, i) for i in range(len(source))]
+    for i in _parents_first(parents):
+        frame = source[i]
+        placement = frame.placement
+        if frame.parentJoint == 0:
+            placement = part.placement * placement
+        copy = pin.Frame(
+            part.prefix + frame.name,
+            joints[frame.parentJoint],
+            frames[parents[i]],
+            placement,
+            frame.type,
+            frame.inertia,
+        )
+        # The inertia is in the joint's already.
+        frames[i] = model.addFrame(copy, False)
+    return frames
+
+
+def _parent_frame(model: pin.Model, i: int) -> int:
+    """Return the frame that frame i stands on; buildReducedModel makes locked joints frames that name themselves."""
+    frame = model.frames[i]
+    if frame.parentFrame != i or i == 0:
+        return int(frame.parentFrame)
+    own = model.names[frame.parentJoint]
+    return int(model.getFrameId(own, pin.FrameType.JOINT)) if model.existFrame(own, pin.FrameType.JOINT) else 0
+
+
+def _parents_first(parents: list[int]) -> list[int]:
+    """Return the indices from 1 on, each after its parent; what has no way to frame 0 comes last."""
+    order, waiting = [0], list(range(1, len(parents)))
+    while waiting:
+        ready = [i for i in waiting if parents[i] in order] or waiting
+        order += ready
+        waiting = [i for i in waiting if i not in ready]
+    return order[1:]
+
+
+def _moved(geometry: pin.GeometryObject, part: Part, joints: list[int], frames: list[int] | None) -> pin.GeometryObject:
+    copy = geometry.copy()
+    copy.parentJoint = joints[geometry.parentJoint]
+    copy.parentFrame = frames[geometry.parentFrame] if frames is not None else 0
+    if frames is not None:
+        copy.name = part.prefix + geometry.name
+    if copy.parentJoint == 0:
+        copy.placement = part.placement * geometry.placement
+    return copy
+
+
+def _unused(visual: pin.GeometryModel, name: str, prefix: str) -> str:
+    """Return a name no picture has yet: two parts may picture links of the same name."""
+    candidate, count = prefix + name, 1
+    while visual.existGeometryName(candidate):
+        count += 1
+        candidate = f"{prefix}{name}_{count}"
+    return candidate

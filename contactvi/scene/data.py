@@ -1,0 +1,310 @@
+"""A scene as plain data and back: what a saved trajectory carries, readable without the model files and the engine.
+
+Layout (lists, numbers, strings, None; NumPy arrays only under "vertices" and "faces"; lengths in m, angles in rad):
+
+format "contactvi-scene", version 1, gravity
+joints      [{name, parent (index, 0 = world), type, axis, pitch, placement, mass, lever, inertia (3x3, about the centre
+            of mass), lower, upper, damping, friction, armature}] in Pinocchio order without the universe; placement
+            is {xyz, rotation (3x3)} in the parent joint's frame; lower and upper have nq numbers, the others nv
+bodies      [{name, joint, placement}]
+geometries  [{name, body, joint, placement, shape: {type, sizes | normal, offset | vertices, faces}}]; the pictures of a
+            trajectory are stored beside the scene (visuals.py)
+pairs, pair_restitution, pair_friction, restitution, friction (defaults)
+stiffness, rest, limits, limit_restitution; start (neutral q); parts {name: {joints, bodies, geometries}}
+dry_friction (nv), servo (3 x nv: kp, kd, effort), actuator (2 x nv: effort, velocity limits; inf: none), targets of
+            servos {joint: motion}, polynomials [[joint (index), rest, [k1, k2, ...]]] of nonlinear springs
+elements    as Element.to_data (elements.py); a motion is a number or {times, values}. missing: names of elements and
+            targets that Python functions gave, which are not stored
+q0, v0, settings
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from contactvi.elements.elements import element_from_data
+from contactvi.elements.signals import Signal
+from contactvi.errors import SceneError
+from contactvi.importing.checks import ONE_DOF, joint_kind, motion_axis
+from contactvi.importing.hulls import PRIMITIVES, faces_of, hull_from_faces, shape_sizes
+from contactvi.importing.part import Part
+from contactvi.importing.readers import copy_geometry
+from contactvi.importing.report import PartReport
+from contactvi.inputs import vector
+from contactvi.scene.build import Built, Edits
+from contactvi.scene.contact_rules import Rule
+from contactvi.scene.joints import JointSettings, Servo
+from contactvi.scene.selection import PartHandle
+
+FORMAT = "contactvi-scene"
+VERSION = 1
+_SHAPES = {shape.__name__.lower(): shape for shape in PRIMITIVES}
+_ALIGNED = {"revolute": "R", "continuous": "RUB", "prismatic": "P", "helical": "H"}
+_OTHER = {"planar": "Planar", "translation": "Translation", "spherical": "Spherical", "free": "FreeFlyer"}
+
+
+@dataclass
+class SceneData:
+    """What a scene is made of when it is read back."""
+
+    gravity: np.ndarray
+    part: Part
+    groups: dict[str, PartHandle]
+    edits: Edits
+
+
+def scene_to_dict(built: Built, edits: Edits, groups: Sequence[PartHandle]) -> dict[str, Any]:
+    """Return a complete scene as plain data (layout above, without q0, v0 and settings)."""
+    model, arrays = built.model, built.arrays
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "gravity": model.gravity.linear.tolist(),
+        "joints": [_joint_to_dict(model, i) for i in range(1, model.njoints)],
+        "bodies": [
+            {"name": f.name, "joint": int(f.parentJoint), "placement": _place(f.placement)}
+            for f in model.frames
+            if f.type == pin.FrameType.BODY
+        ],
+        "geometries": [_geometry_to_dict(model, g) for g in built.collision.geometryObjects],
+        "pairs": [list(pair) for pair in built.pairs],
+        "pair_restitution": built.restitution.tolist(),
+        "pair_friction": built.friction.tolist(),
+        "restitution": edits.restitution.default,
+        "friction": edits.friction.default,
+        "stiffness": arrays.stiffness.tolist(),
+        "rest": arrays.rest.tolist(),
+        "limits": [bool(used) for used in arrays.limits],
+        "limit_restitution": arrays.limit_restitution.tolist(),
+        "start": built.start.tolist(),
+        **_drives_to_dict(built),
+        "elements": [element.to_data() for element in edits.elements if element.storable],
+        "missing": [
+            *edits.missing,
+            *(element.name for element in edits.elements if not element.storable),
+            *(target_name(name) for name, goal in arrays.targets.items() if not goal.storable),
+        ],
+        "parts": {
+            part.name: {"joints": list(part.joints), "bodies": list(part.bodies), "geometries": list(part.geometries)}
+            for part in groups
+        },
+    }
+
+
+def scene_from_dict(data: Mapping[str, Any]) -> SceneData:
+    """Return what scene_to_dict described.
+
+    Raises
+    ------
+    SceneError : another format or version, or data that are missing or damaged.
+    """
+    if not isinstance(data, Mapping) or data.get("format") != FORMAT or data.get("version") != VERSION:
+        got = f"{data.get('format')} {data.get('version')}" if isinstance(data, Mapping) else type(data).__name__
+        raise SceneError("Description of a scene", expected=f"{FORMAT} {VERSION}", got=got)
+    try:
+        return _read(data)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, RuntimeError) as error:
+        got = f"{type(error).__name__}: {error}"
+        raise SceneError("Damaged description of a scene", expected="the data of Scene.to_dict", got=got) from error
+
+
+def _read(data: Mapping[str, Any]) -> SceneData:
+    model = _model(data)
+    collision = _collision(data, model)
+    index = {g.name: k for k, g in enumerate(collision.geometryObjects)}
+    part = Part(
+        name="stored",
+        kind="pinocchio",
+        model=model,
+        collision=collision,
+        start=vector("start", data["start"], model.nq),
+        report=PartReport("scene from stored data"),
+        load_visual=lambda: copy_geometry(collision),
+        # An empty choice is a choice too: nothing is tested.
+        given_pairs=[(index[a], index[b]) for a, b in data["pairs"]],
+    )
+    groups = {
+        name: PartHandle(name, *(tuple(group[key]) for key in ("joints", "bodies", "geometries")))
+        for name, group in data["parts"].items()
+    }
+    return SceneData(vector("gravity", data["gravity"], 3), part, groups, _edits(data, model))
+
+
+def target_name(joint: str) -> str:
+    """Return how the target of a servo is called where it is missing."""
+    return f"target of {joint}"
+
+
+def _drives_to_dict(built: Built) -> dict[str, Any]:
+    arrays = built.arrays
+    return {
+        "dry_friction": arrays.dry_friction.tolist(),
+        "servo": arrays.servo.tolist(),
+        "actuator": arrays.actuator.tolist(),
+        "targets": {name: goal.to_data() for name, goal in arrays.targets.items() if goal.storable},
+        "polynomials": [[int(i), float(rest), torque.tolist()] for i, rest, torque in arrays.polynomials],
+    }
+
+
+def _drives(data: Mapping[str, Any], model: pin.Model, joints: Mapping[str, JointSettings]) -> None:
+    """Put friction, servos, actuators and nonlinear springs into the settings of joints; older data have none."""
+    for index, _rest, torque in data.get("polynomials", ()):
+        joints[model.names[int(index)]].spring = np.array(torque, dtype=float)
+    if "servo" not in data:
+        return
+    friction, servo, actuator = (np.array(data[key], dtype=float) for key in ("dry_friction", "servo", "actuator"))
+    for i in range(1, model.njoints):
+        if model.nvs[i] != 1:
+            continue
+        own, v = joints[model.names[i]], model.idx_vs[i]
+        own.friction = float(friction[v]) or None
+        own.effort, own.velocity = (float(limit) if np.isfinite(limit) else None for limit in actuator[:, v])
+        if np.any(servo[:2, v]):
+            goal = data["targets"].get(model.names[i])
+            target = None if goal is None else Signal(goal, f"target of joint {model.names[i]!r}")
+            own.servo = Servo(float(servo[0, v]), float(servo[1, v]), float(servo[2, v]), target)
+
+
+def _edits(data: Mapping[str, Any], model: pin.Model) -> Edits:
+    edits = Edits(Rule(float(data["restitution"])), Rule(float(data["friction"])))
+    for (a, b), e, mu in zip(data["pairs"], data["pair_restitution"], data["pair_friction"], strict=True):
+        edits.restitution.set_pair([a], [b], float(e))
+        edits.friction.set_pair([a], [b], float(mu))
+    for i in range(1, model.njoints):
+        q = slice(model.idx_qs[i], model.idx_qs[i] + model.nqs[i])
+        edits.joints[model.names[i]] = JointSettings(
+            stiffness=float(data["stiffness"][i]),
+            rest=np.array(data["rest"][q], dtype=float),
+            limits=None if data["limits"][i] else False,
+            restitution=float(data["limit_restitution"][i]),
+        )
+    _drives(data, model, edits.joints)
+    edits.elements = [element_from_data(element) for element in data.get("elements", ())]
+    edits.missing = [str(name) for name in data.get("missing", ())]
+    return edits
+
+
+def _place(placement: pin.SE3) -> dict[str, Any]:
+    return {"xyz": placement.translation.tolist(), "rotation": placement.rotation.tolist()}
+
+
+def _placed(data: Mapping[str, Any]) -> pin.SE3:
+    return pin.SE3(np.array(data["rotation"], dtype=float).reshape(3, 3), np.array(data["xyz"], dtype=float))
+
+
+def _joint_to_dict(model: pin.Model, i: int) -> dict[str, Any]:
+    joint, inertia = model.joints[i], model.inertias[i]
+    kind = str(joint_kind(joint))
+    axis: list[float] | None = None
+    pitch = 0.0
+    if kind in ONE_DOF:
+        motion = motion_axis(joint)
+        direction = motion[:3] if kind == "prismatic" else motion[3:]
+        axis = direction.tolist()
+        pitch = float(joint.extract().pitch) if kind == "helical" else 0.0
+    q, v = slice(joint.idx_q, joint.idx_q + joint.nq), slice(joint.idx_v, joint.idx_v + joint.nv)
+    return {
+        "name": model.names[i],
+        "parent": int(model.parents[i]),
+        "type": kind,
+        "axis": axis,
+        "pitch": pitch,
+        "placement": _place(model.jointPlacements[i]),
+        "mass": float(inertia.mass),
+        "lever": inertia.lever.tolist(),
+        "inertia": inertia.inertia.tolist(),
+        "lower": model.lowerPositionLimit[q].tolist(),
+        "upper": model.upperPositionLimit[q].tolist(),
+        "damping": model.damping[v].tolist(),
+        "friction": model.upperDryFrictionLimit[v].tolist(),
+        "armature": model.armature[v].tolist(),
+    }
+
+
+def _joint_model(data: Mapping[str, Any]) -> Any:
+    kind = data["type"]
+    if kind in _OTHER:
+        return getattr(pin, f"JointModel{_OTHER[kind]}")()
+    axis = np.array(data["axis"], dtype=float)
+    pitch = [float(data["pitch"])] if kind == "helical" else []
+    for letter, unit in zip("XYZ", np.eye(3), strict=True):
+        if np.array_equal(axis, unit):
+            return getattr(pin, f"JointModel{_ALIGNED[kind]}{letter}")(*pitch)
+    if kind == "continuous":
+        return _continuous(axis)
+    names = {"revolute": "Revolute", "prismatic": "Prismatic", "helical": "Helical"}
+    return getattr(pin, f"JointModel{names[kind]}Unaligned")(axis, *pitch)
+
+
+def _continuous(axis: np.ndarray) -> Any:
+    """Return an unbounded revolute joint about any axis: pin 4.1 lets Python make one only by way of a URDF."""
+    x, y, z = (repr(float(a)) for a in axis)
+    model = pin.buildModelFromXML(
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
+        f'<child link="b"/><axis xyz="{x} {y} {z}"/></joint></robot>'
+    )
+    return model.joints[1]
+
+
+def _model(data: Mapping[str, Any]) -> pin.Model:
+    model = pin.Model()
+    model.name = "scene"
+    for joint in data["joints"]:
+        i = model.addJoint(int(joint["parent"]), _joint_model(joint), _placed(joint["placement"]), str(joint["name"]))
+        model.inertias[i] = pin.Inertia(
+            float(joint["mass"]), np.array(joint["lever"], dtype=float), np.array(joint["inertia"], dtype=float)
+        )
+        q = slice(model.idx_qs[i], model.idx_qs[i] + model.nqs[i])
+        v = slice(model.idx_vs[i], model.idx_vs[i] + model.nvs[i])
+        model.lowerPositionLimit[q], model.upperPositionLimit[q] = joint["lower"], joint["upper"]
+        model.damping[v], model.armature[v] = joint["damping"], joint["armature"]
+        model.upperDryFrictionLimit[v] = joint["friction"]
+    for body in data["bodies"]:
+        joint_index = int(body["joint"])
+        zero = pin.Inertia.Zero()
+        frame = pin.Frame(body["name"], joint_index, 0, _placed(body["placement"]), pin.FrameType.BODY, zero)
+        model.addFrame(frame, False)
+    return model
+
+
+def _geometry_to_dict(model: pin.Model, geometry: pin.GeometryObject) -> dict[str, Any]:
+    shape = geometry.geometry
+    if isinstance(shape, coal.Halfspace):
+        plain: dict[str, Any] = {"type": "halfspace", "normal": shape.n.tolist(), "offset": float(shape.d)}
+    elif isinstance(shape, coal.Convex):
+        plain = {"type": "convex", "vertices": np.array(shape.points()), "faces": faces_of(shape)}
+    else:
+        plain = {"type": type(shape).__name__.lower(), "sizes": list(shape_sizes(shape).values())}
+    return {
+        "name": geometry.name,
+        "body": model.frames[geometry.parentFrame].name,
+        "joint": int(geometry.parentJoint),
+        "placement": _place(geometry.placement),
+        "shape": plain,
+    }
+
+
+def _shape(data: Mapping[str, Any]) -> coal.CollisionGeometry:
+    kind = data["type"]
+    if kind == "halfspace":
+        return coal.Halfspace(np.array(data["normal"], dtype=float), float(data["offset"]))
+    if kind == "convex":
+        return hull_from_faces(data["vertices"], data["faces"])
+    sizes = np.array(data["sizes"], dtype=float)
+    return _SHAPES[kind](sizes) if kind == "ellipsoid" else _SHAPES[kind](*sizes.tolist())
+
+
+def _collision(data: Mapping[str, Any], model: pin.Model) -> pin.GeometryModel:
+    collision = pin.GeometryModel()
+    frames = {f.name: k for k, f in enumerate(model.frames) if f.type == pin.FrameType.BODY}
+    for item in data["geometries"]:
+        frame, joint = frames.get(item["body"], 0), int(item["joint"])
+        place = _placed(item["placement"])
+        collision.addGeometryObject(pin.GeometryObject(item["name"], joint, frame, place, _shape(item["shape"])))
+    return collision

@@ -1,0 +1,258 @@
+"""From elements by name to the engine: frames, numbers and checked functions of a complete model.
+
+A frame is (joint, R, p): joint index in the model (0: world), R (3, 3) and p (3,) [m] in that joint's frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from contactvi.elements import elements as kinds
+from contactvi.elements.signals import Signal
+from contactvi.elements.user_functions import (
+    at,
+    checked_force,
+    checked_force_derivatives,
+    checked_of_q,
+    checked_wrench,
+)
+from contactvi.errors import InputError, SceneError, UserFunctionError
+from contactvi.scene.joints import JointArrays
+
+Frame = tuple[int, np.ndarray, np.ndarray]
+_LEAST_LENGTH = 1e-9  # [m] below that a distance has no direction
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A constraint as the engine takes it; `name`, `kind` (of the element) and `rows` for the face."""
+
+    name: str
+    kind: str
+    rows: int
+    engine_kind: str
+    a: Frame
+    b: Frame
+    numbers: np.ndarray
+    signal: Signal | Callable[[float], Any] | None = None
+
+
+@dataclass
+class Resolved:
+    """The elements of a complete scene. dofs: names of the degrees of freedom, (nv,)."""
+
+    dofs: list[str]
+    constraints: list[Rows] = field(default_factory=list)
+    springs: list[tuple[Any, ...]] = field(default_factory=list)
+    wrenches: list[tuple[Any, ...]] = field(default_factory=list)
+    potentials: list[kinds.UserPotential] = field(default_factory=list)
+    forces: list[kinds.UserForce] = field(default_factory=list)
+    time_varying: bool = False  # wrenches and constraints that depend on time
+
+    @property
+    def any(self) -> bool:
+        """Whether there is any element."""
+        return bool(self.constraints or self.springs or self.wrenches or self.potentials or self.forces)
+
+
+def resolve(elements: Sequence[kinds.Element], model: pin.Model, start: np.ndarray) -> Resolved:
+    """Return the elements with what is None taken from the neutral configuration `start`, shape (nq,).
+
+    Raises
+    ------
+    InputError : lengths or placements that the neutral configuration does not give.
+    """
+    result = Resolved(dof_names(model))
+    if not elements:
+        return result
+    placed = _Placed(model, start)
+    for element in elements:
+        if isinstance(element, kinds.Constraint):
+            rows = _constraint(element, placed)
+            result.constraints.append(rows)
+            result.time_varying |= rows.signal is not None
+        elif isinstance(element, kinds.PathSpring):
+            joints, points = zip(*(placed.point(body, xyz) for body, xyz in element.points), strict=True)
+            length = placed.length(element.points) if element.rest_length is None else element.rest_length
+            numbers = (element.stiffness, length, element.damping, element.tension_only)
+            result.springs.append((list(joints), np.array(points), *numbers))
+        elif isinstance(element, kinds.Wrench):
+            joint, point = placed.point(element.body, element.point)
+            axes = None if element.axes == "world" else placed.body(element.body)[1]
+            result.wrenches.append((joint, point, axes, checked_wrench(element.force, element.torque, element.name)))
+            result.time_varying |= not element.constant
+        elif isinstance(element, kinds.UserPotential):
+            result.potentials.append(element)
+        elif isinstance(element, kinds.UserForce):
+            result.forces.append(element)
+    return result
+
+
+def install(core: Any, model: pin.Model, arrays: JointArrays, found: Resolved) -> None:
+    """Hand elements and drives to the engine's scene `core`; nothing is called where there is nothing."""
+    if np.any(arrays.dry_friction):
+        _method(core, "set_dry_friction")(arrays.dry_friction)
+    for joint, rest, torque in arrays.polynomials:  # torque -k_i x^i  <-  potential k_i x^(i + 1) / (i + 1)
+        potential = torque / np.arange(2.0, len(torque) + 2.0)
+        _method(core, "add_joint_potential")(joint, rest, potential)
+    for spring in found.springs:
+        _method(core, "add_path_spring")(*spring)
+    for wrench in found.wrenches:
+        _method(core, "add_wrench")(*wrench)
+    for force in found.forces:
+        derivatives = force.derivatives
+        value = checked_force(force.function, repr(force.name), found.dofs)
+        if derivatives is None:
+            _method(core, "add_user_force")(value)
+        else:
+            name = f"the derivatives of {force.name!r}"
+            _method(core, "add_user_force")(value, checked_force_derivatives(derivatives, name, found.dofs))
+    for potential in found.potentials:
+        functions = [(potential.value, "value"), (potential.gradient, "gradient"), (potential.hessian, "hessian")]
+        wrapped = [
+            None if function is None else checked_of_q(function, f"{what} of {potential.name!r}", found.dofs, k)
+            for k, (function, what) in enumerate(functions)
+        ]
+        _method(core, "add_user_potential")(*wrapped)
+    for row in found.constraints:
+        _method(core, "add_constraint")(row.engine_kind, *row.a, *row.b, row.numbers, row.signal, row.name)
+    if np.any(arrays.servo[:2]):
+        _method(core, "set_servo")(*(np.ascontiguousarray(part) for part in arrays.servo))
+    if np.any(np.isfinite(arrays.actuator)):
+        _method(core, "set_actuator_limits")(*(np.ascontiguousarray(part) for part in arrays.actuator))
+
+
+def dof_names(model: pin.Model) -> list[str]:
+    """Return a name for each degree of freedom, (nv,): that of its joint, with a number where it has several."""
+    names: list[str] = []
+    for i in range(1, model.njoints):
+        count = int(model.nvs[i])
+        names += [model.names[i] if count == 1 else f"{model.names[i]}[{k}]" for k in range(count)]
+    return names
+
+
+def _method(core: Any, name: str) -> Any:
+    found = getattr(core, name, None)
+    if found is None:
+        raise SceneError(
+            "The engine is older than the face", expected=f"Scene.{name}", got="none", remedy="Build it anew"
+        )
+    return found
+
+
+class _Placed:
+    """Bodies of a model at the neutral configuration."""
+
+    def __init__(self, model: pin.Model, start: np.ndarray) -> None:
+        self.model, self.start = model, start
+        self.data = model.createData()
+        pin.forwardKinematics(model, self.data, start)
+
+    def body(self, name: str) -> Frame:
+        if name == kinds.WORLD:
+            return 0, np.eye(3), np.zeros(3)
+        frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.BODY)]
+        return int(frame.parentJoint), np.array(frame.placement.rotation), np.array(frame.placement.translation)
+
+    def frame(self, name: str, placement: pin.SE3 | None = None) -> Frame:
+        """Return a frame of a body; `placement` in the body's."""
+        joint, R, p = self.body(name)
+        place = pin.SE3(R, p) * (pin.SE3.Identity() if placement is None else placement)
+        return joint, np.array(place.rotation), np.array(place.translation)
+
+    def point(self, name: str, xyz: Any) -> tuple[int, np.ndarray]:
+        joint, R, p = self.body(name)
+        return joint, p + R @ np.asarray(xyz)
+
+    def world(self, name: str) -> pin.SE3:
+        """Return where a body is at neutral."""
+        joint, R, p = self.body(name)
+        return self.data.oMi[joint] * pin.SE3(R, p)
+
+    def length(self, points: Sequence[tuple[str, Any]]) -> float:
+        places = [self.world(body).act(np.asarray(xyz)) for body, xyz in points]
+        return float(sum(np.linalg.norm(b - a) for a, b in zip(places[:-1], places[1:], strict=True)))
+
+    def joint(self, name: str | None) -> Frame:
+        return 0 if name is None else int(self.model.getJointId(name)), np.eye(3), np.zeros(3)
+
+
+def _constraint(element: kinds.Constraint, placed: _Placed) -> Rows:
+    a, b, numbers, signal = _ends(element, placed)
+    values = np.atleast_1d(np.asarray(numbers, dtype=float))
+    # a joint that is equal to a number is a motion that does not move
+    engine_kind = "prescribed" if signal is not None and element.kind == "equality" else element.engine_kind
+    return Rows(element.name, element.kind, element.rows, engine_kind, a, b, values, signal)
+
+
+def _ends(element: kinds.Constraint, placed: _Placed) -> tuple[Frame, Frame, Any, Any]:
+    """Return frames, numbers and signal of a constraint."""
+    if isinstance(element, kinds.EqualityConstraint):
+        if element.other is None:
+            return placed.joint(None), placed.joint(element.joint), [], Signal(element.value(0.0), element.name)
+        return placed.joint(element.other), placed.joint(element.joint), element.coefficients, None
+    if isinstance(element, kinds.PrescribedJoint):
+        return placed.joint(None), placed.joint(element.joint), [], element.motion
+    if isinstance(element, kinds.PointConstraint):
+        point_b = element.point_b
+        if point_b is None:
+            point_b = placed.world(element.b).actInv(placed.world(element.a).act(element.point_a))
+        return _at(placed, element.a, element.point_a), _at(placed, element.b, point_b), [], None
+    if isinstance(element, kinds.DistanceConstraint):
+        ends = _at(placed, element.a, element.point_a), _at(placed, element.b, element.point_b)
+        number, signal = _length(element, placed)
+        return *ends, number, signal
+    if isinstance(element, kinds.WeldConstraint):
+        place = element.placement
+        if place is None:
+            place = placed.world(element.a).actInv(placed.world(element.b))
+        return placed.frame(element.a, place), placed.frame(element.b), [], None
+    assert isinstance(element, kinds.ScrewConstraint)
+    frame_b = element.frame_b
+    if frame_b is None:
+        frame_b = placed.world(element.b).actInv(placed.world(element.a) * element.frame_a)
+    return placed.frame(element.a, element.frame_a), placed.frame(element.b, frame_b), [element.pitch, 0.0], None
+
+
+def _at(placed: _Placed, body: str, xyz: Any) -> Frame:
+    joint, point = placed.point(body, xyz)
+    return joint, np.eye(3), point
+
+
+def _length(element: kinds.DistanceConstraint, placed: _Placed) -> tuple[list[float], Any]:
+    if element.length is None:
+        length = placed.length([(element.a, element.point_a), (element.b, element.point_b)])
+        if length < _LEAST_LENGTH:
+            raise InputError(
+                f"The two points of {element.name!r} lie on each other in the neutral configuration",
+                name="length",
+                expected="a distance > 0",
+                got=f"{length:.3g} m",
+                remedy="Give length=..., or join the points by add_point",
+            )
+        return [length], None
+    if element.length.constant is not None:
+        return [element.length.constant], None
+    return [], _positive_length(element.length)
+
+
+def _positive_length(length: Signal) -> Callable[[float], tuple[float, float, float]]:
+    def positive(t: float) -> tuple[float, float, float]:
+        value = length(t)
+        if value[0] <= 0.0:
+            raise UserFunctionError(
+                f"{length.name} is not positive{at(t)}",
+                function=length.name,
+                time=t,
+                entry="value",
+                expected="a length > 0 m",
+                got=f"{value[0]:.9g} m",
+            )
+        return value
+
+    return positive

@@ -1,0 +1,165 @@
+"""Which pairs of geometries are tested for contact, and why the others are not.
+
+By default every pair on two different bodies, except
+- adjacent bodies (one joint apart); the links of one robot base, fixed to the world, count as one body, while
+  halfspaces, fixed primitives and shapes attached to the world itself are scenery and adjacent to nothing;
+- two halfspaces;
+- pairs disabled by the part's SRDF or MJCF (exclude), or by disable_pair;
+- pairs that overlap at the neutral pose, when their relative pose there is the model's own: two bodies of which one
+  hangs on a free, planar, translation or prismatic root joint of another tree are placed by the start of a run, where
+  an overlap is an error and not a property of the model.
+Every removal is recorded with its reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from contactvi.importing.mjcf import STATIC
+from contactvi.importing.part import Part
+from contactvi.importing.report import ADJACENT, BY_FILE, BY_USER, HALFSPACES, NOT_GIVEN, OVERLAP, RemovedPair
+from contactvi.scene.assembly import Assembly
+
+TOUCHING = 1e-6  # [m] shapes that merely touch at the neutral pose stay a pair
+
+
+def choose_pairs(
+    assembly: Assembly,
+    parts: Sequence[Part],
+    disabled: Iterable[tuple[int, int]] = (),
+    enabled: Iterable[tuple[int, int]] = (),
+) -> list[RemovedPair]:
+    """Set the collision pairs of the assembled geometry and return those left out.
+
+    Parameters
+    ----------
+    disabled, enabled : pairs of geometry indices switched off or on by the user; they win over every other reason.
+    """
+    geometry = assembly.collision
+    names = [g.name for g in geometry.geometryObjects]
+    joints = np.array([g.parentJoint for g in geometry.geometryObjects], dtype=int)
+    count = len(names)
+    keep = np.triu(joints[:, None] != joints[None, :], 1)
+    removed: list[RemovedPair] = []
+    forced = np.zeros((count, count), dtype=bool)
+    for a, b in enabled:
+        forced[min(a, b), max(a, b)] = joints[a] != joints[b]
+
+    def drop(mask: np.ndarray, reason: str, details: dict[tuple[int, int], str] | None = None) -> None:
+        for i, j in np.argwhere(mask & keep & ~forced):
+            detail = (details or {}).get((int(i), int(j)), "")
+            removed.append(RemovedPair(names[i], names[j], reason, detail))
+            keep[i, j] = False
+
+    by_user = np.zeros((count, count), dtype=bool)
+    for a, b in disabled:
+        by_user[min(a, b), max(a, b)] = True
+    solid = np.array([not isinstance(g.geometry, coal.Halfspace) for g in geometry.geometryObjects], dtype=bool)
+    endless = ~(solid[:, None] | solid[None, :])
+    forced &= ~by_user & ~endless
+    drop(endless, HALFSPACES)
+    drop(by_user, BY_USER)
+    given = _given(assembly, parts)
+    drop(_adjacent(assembly, parts, joints) & ~given, ADJACENT)
+    drop(*_disabled_by_file(assembly, parts))
+    drop(_not_given(assembly, parts) & ~given, NOT_GIVEN)
+    details = _overlaps(assembly, keep & ~forced & ~given)
+    mask = np.zeros((count, count), dtype=bool)
+    for pair in details:
+        mask[pair] = True
+    drop(mask, OVERLAP, details)
+    geometry.setCollisionPairs(keep | forced)
+    return removed
+
+
+def _same_part(assembly: Assembly) -> np.ndarray:
+    part = assembly.part_of_geometry
+    return part[:, None] == part[None, :]
+
+
+def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> np.ndarray:
+    """Return the mask (ngeoms, ngeoms) of pairs of one part whose bodies are one joint apart."""
+    parents = np.array(list(assembly.model.parents), dtype=int)
+    above = parents[joints]
+    base = (joints == 0) & ~_scenery(assembly, parts)
+    # A body placed by its start is not joined to the base: a floor must hold it.
+    child = ~((above == 0) & assembly.placed[joints])
+    real = (above[:, None] == joints[None, :]) & child[:, None] & (base | (joints != 0))[None, :]
+    real &= (joints != 0)[:, None]
+    return (real | real.T) & _same_part(assembly)
+
+
+def _scenery(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
+    """Return the mask of geometries that stand in the world and are no link of a robot base."""
+    model = assembly.model
+    result = []
+    for index, geometry in zip(assembly.part_of_geometry, assembly.collision.geometryObjects, strict=True):
+        part, frame = parts[index], geometry.parentFrame
+        in_world = frame == 0 or model.frames[frame].name == part.prefix + STATIC
+        result.append(part.kind == "primitive" or in_world or isinstance(geometry.geometry, coal.Halfspace))
+    return np.array(result, dtype=bool)
+
+
+def _given(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
+    """Return the mask of pairs given with a model."""
+    count = len(assembly.part_of_geometry)
+    mask = np.zeros((count, count), dtype=bool)
+    for index, part in enumerate(parts):
+        own = np.flatnonzero(assembly.part_of_geometry == index)
+        for a, b in part.given_pairs or ():
+            i, j = sorted((int(own[a]), int(own[b])))
+            mask[i, j] = True
+    return mask
+
+
+def _not_given(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
+    """Return the mask of inner pairs of the parts that came with their own choice."""
+    closed = np.array([p.given_pairs is not None for p in parts], dtype=bool)
+    if not closed.any():
+        return np.zeros((len(assembly.part_of_geometry),) * 2, dtype=bool)
+    return _same_part(assembly) & closed[assembly.part_of_geometry][:, None]
+
+
+def _disabled_by_file(assembly: Assembly, parts: Sequence[Part]) -> tuple[np.ndarray, str, dict[tuple[int, int], str]]:
+    count = len(assembly.part_of_geometry)
+    mask = np.zeros((count, count), dtype=bool)
+    details: dict[tuple[int, int], str] = {}
+    for index, part in enumerate(parts):
+        if not part.disabled:
+            continue
+        of_link: dict[str, list[int]] = {}
+        for k in np.flatnonzero(assembly.part_of_geometry == index):
+            frame = assembly.collision.geometryObjects[int(k)].parentFrame
+            of_link.setdefault(assembly.model.frames[frame].name, []).append(int(k))
+        for first, second, reason in part.disabled:
+            for a in of_link.get(part.prefix + first, ()):
+                for b in of_link.get(part.prefix + second, ()):
+                    pair = (min(a, b), max(a, b))
+                    mask[pair] = True
+                    details[pair] = reason
+    return mask, BY_FILE, details
+
+
+def _overlaps(assembly: Assembly, candidates: np.ndarray) -> dict[tuple[int, int], str]:
+    """Return the candidate pairs that overlap at the neutral pose, with their depth as text."""
+    model, geometry = assembly.model, assembly.collision
+    joints = np.array([g.parentJoint for g in geometry.geometryObjects], dtype=int)
+    root, placed = assembly.root_of_joint[joints], assembly.placed[joints]
+    own_pose = (root[:, None] == root[None, :]) | ~(placed[:, None] | placed[None, :])
+    geometry.setCollisionPairs(candidates & own_pose)
+    if not len(geometry.collisionPairs):
+        return {}
+    data, shapes = model.createData(), geometry.createData()
+    for request in shapes.collisionRequests:
+        request.enable_contact = True  # else the depth stays zero
+    pin.computeCollisions(model, data, geometry, shapes, assembly.start, False)
+    found = {}
+    for pair, result in zip(geometry.collisionPairs, shapes.collisionResults, strict=True):
+        depth = -result.getContact(0).penetration_depth if result.isCollision() else 0.0
+        if depth > TOUCHING:
+            found[int(pair.first), int(pair.second)] = f"{1e3 * depth:.3g} mm deep"
+    return found

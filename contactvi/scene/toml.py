@@ -1,0 +1,308 @@
+"""Scene files: one readable TOML page that says what is simulated, how it starts and how it is run.
+
+    [scene]                 gravity = [0, 0, -9.81]                 title, description: for the reader
+    [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true,
+                            friction = false, mimic = true
+    [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true
+    [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
+    [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
+    [[halfspace]]           normal, offset, name, color
+    [contact]               restitution, friction (defaults), disable = [["a", "b"]], enable = [["a", "b"]]
+    [[contact.body]]        name, restitution, friction             of one body, part or geometry
+    [[contact.pair]]        a, b, restitution, friction
+    [[joint]]               name (patterns such as "joint_*" allowed), stiffness, rest, damping, limits, restitution,
+                            friction, spring = [k1, k2, ...], armature, gear_ratio, rotor_inertia
+    [[point]], [[distance]] a, b, point_a, point_b, name; [[distance]] also length
+    [[weld]], [[screw]]     a, b, name; [[weld]] xyz, rpy; [[screw]] pitch, frame_a, frame_b = { xyz, rpy }
+    [[equality]]            joint, other, coefficients = [c0, c1, ...], name
+    [[prescribe]]           joint, motion, name
+    [[spring]]              a, b, point_a, point_b, stiffness, rest_length, damping, tension_only, name
+    [[tape_spring]]         points = [["body", [x, y, z]], ...], and the rest of [[spring]]
+    [[wrench]]              body, force, torque, point, axes = "world" | "body", name
+    [[servo]], [[actuator]] joint; [[servo]] kp, kd, effort, target; [[actuator]] effort, velocity = true | number
+    [initial]               q = { joint = value }, v = { joint = value }, springs_at_rest = true | false,
+                            assemble = true | false (the nearest start that goes with the constraints)
+    [[initial.body]]        name, xyz, rpy or quaternion, velocity, angular_velocity    of a free body
+    [run]                   dt = number | "auto", duration, order, tol, impact, mhc_reference, sample_dt, record_every,
+                            dense, dt_contact, zeno, support, ...   (options.Options)
+    [run.ledger]            own_jump = 1e-10, ...                   tolerances (contactvi.trajectory.ledger)
+
+SI units and radians; rpy is roll-pitch-yaw as in URDF, a quaternion is (x, y, z, w), velocities are in world axes.
+Relative paths are relative to the file; `example-robot-data://robots/...` and `package://...` are understood. Parts are
+added in the order of the list above, then file order. Without [initial] the scene starts at rest in its neutral pose;
+springs_at_rest starts every joint that has a spring where the spring rests. Motions, lengths and targets are numbers or
+{ times = [...], values = [...] }; the elements are those of Scene.add_point and its siblings. Where entries speak of
+the same thing the later one wins. An unknown key is an error.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
+from contactvi.importing.paths import resolve_path
+from contactvi.importing.readers import import_mjcf, import_urdf
+from contactvi.inputs import flag, pose, unit_quaternion
+from contactvi.options import Options
+from contactvi.scene.scene import GRAVITY, Scene
+from contactvi.scene.toml_elements import SECTIONS, add_element
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+_PLACE = ("xyz", "rpy")
+_BODY = ("name", "mass", "free", "color", *_PLACE)
+KEYS: dict[str, tuple[str, ...]] = {
+    "scene": ("title", "description", "gravity"),
+    "urdf": ("path", "base", "package_dirs", "srdf", "prefix", "limits", "friction", "mimic", *_PLACE),
+    "mjcf": ("path", "prefix", "limits", "friction", "equality", *_PLACE),
+    "sphere": ("radius", *_BODY),
+    "box": ("size", *_BODY),
+    "capsule": ("radius", "length", *_BODY),
+    "cylinder": ("radius", "length", *_BODY),
+    "halfspace": ("normal", "offset", "name", "color"),
+    "contact": ("restitution", "friction", "disable", "enable", "body", "pair"),
+    "contact.body": ("name", "restitution", "friction"),
+    "contact.pair": ("a", "b", "restitution", "friction"),
+    "joint": (
+        *("name", "stiffness", "rest", "damping", "limits", "restitution"),
+        *("friction", "spring", "armature", "gear_ratio", "rotor_inertia"),
+    ),
+    **{section: keys for section, (keys, _) in SECTIONS.items()},
+    "initial": ("q", "v", "springs_at_rest", "assemble", "body"),
+    "initial.body": ("name", "quaternion", "velocity", "angular_velocity", *_PLACE),
+    "run": tuple(f.name for f in fields(Options)),
+}
+LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "halfspace", "joint", *SECTIONS)
+NEEDED = {
+    "urdf": ("path",),
+    "mjcf": ("path",),
+    "sphere": ("name", "radius"),
+    "box": ("name", "size"),
+    "capsule": ("name", "radius", "length"),
+    "cylinder": ("name", "radius", "length"),
+    "joint": ("name",),
+    "contact.body": ("name",),
+    "contact.pair": ("a", "b"),
+    "initial.body": ("name",),
+    **{section: needed for section, (_, needed) in SECTIONS.items()},
+}
+
+
+def load_scene(path: str | os.PathLike[str]) -> Scene:
+    """Return the scene of a TOML file, with its start in .q0 (nq,), .v0 (nv,) and its run settings in .settings.
+
+    Raises
+    ------
+    SceneError : no such file, not TOML, unknown or missing keys.
+    ContactviError : whatever the scene itself refuses, with the place in the file.
+    """
+    file = resolve_path(path)
+    data = _read(file)
+    _check_keys(data, file)
+    scene = Scene(data.get("scene", {}).get("gravity", GRAVITY))
+    for section in LISTS[: LISTS.index("joint")]:
+        for number, entry in enumerate(data.get(section, ())):
+            with _at(file, section, number):
+                _add(scene, section, dict(entry), file)
+    _set_contact(scene, data.get("contact", {}), file)
+    for number, entry in enumerate(data.get("joint", ())):
+        with _at(file, "joint", number):
+            values = dict(entry)
+            scene.set_joint(values.pop("name"), **values)
+    for section in SECTIONS:
+        for number, entry in enumerate(data.get(section, ())):
+            with _at(file, section, number):
+                add_element(scene, section, entry)
+    _set_start(scene, data, file)
+    scene.settings = dict(data.get("run", {}))
+    if "dt" in scene.settings:
+        with _at(file, "run"):
+            Options.from_dict(scene.settings)
+    return scene
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SceneError(f"{file.name} is not TOML", path=file, expected="a TOML file", got=str(error)) from None
+    except OSError as error:
+        raise SceneError(f"Cannot read {file}", path=file, got=str(error)) from None
+
+
+def _check_keys(data: Mapping[str, Any], file: Path) -> None:
+    """Check names and kinds of all tables and keys, so that a misspelt one cannot be overlooked."""
+    top = [name for name in KEYS if "." not in name]
+    _check_table(data, "", top, file)
+    for section in top:
+        if section not in data:
+            continue
+        for table in _tables(data[section], section, section in LISTS, file):
+            _check_table(table, section, KEYS[section], file)
+            for key in table:
+                inner = f"{section}.{key}"
+                for entry in _tables(table[key], inner, True, file) if inner in KEYS else ():
+                    _check_table(entry, inner, KEYS[inner], file)
+
+
+def _tables(value: Any, section: str, listed: bool, file: Path) -> Iterable[Mapping[str, Any]]:
+    """Return the tables of a section: one, or a list of them."""
+    good = isinstance(value, list) and all(isinstance(v, dict) for v in value) if listed else isinstance(value, dict)
+    if not good:
+        wanted, other = (f"[[{section}]]", f"[{section}]") if listed else (f"[{section}]", f"[[{section}]]")
+        raise SceneError(f"{file.name}: section {section}", path=file, expected=wanted, got=f"{other} or a value")
+    return value if listed else [value]
+
+
+def _check_table(table: Mapping[str, Any], section: str, known: Iterable[str], file: Path) -> None:
+    known = list(known)
+    for key in table:
+        if key not in known:
+            where = f"in [{section}]" if section else "at the top"
+            raise SceneError(
+                f"{file.name}: unknown key {key!r} {where}",
+                path=file,
+                expected=" | ".join(known),
+                got=repr(key),
+                remedy=did_you_mean(key, known),
+            )
+    for key in NEEDED.get(section, ()):
+        if key not in table:
+            raise SceneError(
+                f"{file.name}: an entry of [[{section}]] lacks {key!r}",
+                path=file,
+                expected=" and ".join(NEEDED[section]),
+                got=", ".join(table) or "nothing",
+            )
+
+
+class _at:
+    """Say in which file and section an error was made, and keep its class and fields."""
+
+    def __init__(self, file: Path, section: str, number: int | None = None) -> None:
+        self.file = file
+        self.where = f"{file.name}, [{section}]" if number is None else f"{file.name}, [[{section}]] {number + 1}"
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, ContactviError):
+            error.what = f"{self.where}: {error.what}"
+            error.args = (f"{self.where}: {error}",)
+            if isinstance(error, SceneError) and error.path is None:
+                error.path = str(self.file)
+
+
+def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
+    folder = file.parent
+    placement = _placement(entry)
+    if section == "urdf":
+        dirs = [folder / d for d in _strings(entry.get("package_dirs", []), "package_dirs")]
+        part = import_urdf(
+            entry["path"],
+            base=entry.get("base", "fixed"),
+            placement=placement,
+            package_dirs=dirs,
+            srdf=entry.get("srdf"),
+            prefix=entry.get("prefix", ""),
+            folder=folder,
+            mimic=entry.get("mimic", True),
+        )
+        scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
+    elif section == "mjcf":
+        prefix, equality = entry.get("prefix", ""), entry.get("equality", True)
+        part = import_mjcf(entry["path"], placement=placement, prefix=prefix, folder=folder, equality=equality)
+        scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
+    elif section == "halfspace":
+        scene.add_halfspace(**entry)
+    else:
+        entry.pop("xyz", None), entry.pop("rpy", None)
+        getattr(scene, f"add_{section}")(**entry, placement=placement)
+
+
+def _strings(value: Any, name: str) -> list[str]:
+    if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+        raise InputError(f"Value of {name}", name=name, expected="a list of strings", got=repr(value))
+    return value
+
+
+def _placement(entry: Mapping[str, Any]) -> pin.SE3:
+    return pose("placement", (entry.get("xyz", (0.0, 0.0, 0.0)), entry.get("rpy", (0.0, 0.0, 0.0))))
+
+
+def _set_contact(scene: Scene, contact: Mapping[str, Any], file: Path) -> None:
+    values = {key: contact[key] for key in ("restitution", "friction") if key in contact}
+    with _at(file, "contact"):
+        scene.set_contact(**values)
+        for key, switch in (("disable", scene.disable_pair), ("enable", scene.enable_pair)):
+            for pair in contact.get(key, []):
+                switch(*_two(pair, key))
+    for number, entry in enumerate(contact.get("body", ())):
+        with _at(file, "contact.body", number):
+            values = dict(entry)
+            scene.set_contact(values.pop("name"), **values)
+    for number, entry in enumerate(contact.get("pair", ())):
+        with _at(file, "contact.pair", number):
+            values = dict(entry)
+            scene.set_contact(values.pop("a"), values.pop("b"), **values)
+
+
+def _two(pair: Any, key: str) -> list[str]:
+    if not isinstance(pair, list) or len(pair) != 2:
+        raise InputError(f"Entry of {key}", name=key, expected='["a", "b"]', got=repr(pair))
+    return _strings(pair, key)
+
+
+def _set_start(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
+    initial = data.get("initial", {})
+    with _at(file, "initial"):
+        values = dict(initial.get("q", {}))
+        q = scene.neutral()
+        if initial.get("springs_at_rest", False):
+            q = scene.spring_rest()
+        q = scene.configuration(values, q)
+        speeds: dict[str, Any] = dict(initial.get("v", {}))
+    for number, entry in enumerate(initial.get("body", ())):
+        with _at(file, "initial.body", number):
+            name = entry["name"]
+            if scene.nv == 0 or len(q[scene.q_index(name)]) != 7:
+                remedy = "Set it in [initial] q, v"
+                raise InputError(f"Body {name!r}", name="name", expected="a free body", got="a joint", remedy=remedy)
+            place = _body_pose(entry, q[scene.q_index(name)])
+            q = scene.configuration({name: place}, q)
+            zero = [0.0, 0.0, 0.0]
+            speeds[name] = (entry.get("velocity", zero), entry.get("angular_velocity", zero))
+    with _at(file, "initial"):
+        scene.q0, scene.v0 = q, scene.velocity(speeds, q)
+        if flag("assemble", initial.get("assemble", False)):
+            scene.q0 = scene.assemble(q)
+            scene.v0 = scene.consistent_velocity(scene.q0, scene.v0)
+        elif not speeds and scene._edits.elements:
+            scene.v0 = None  # a run takes what goes with driven constraints
+
+
+def _body_pose(entry: Mapping[str, Any], now: np.ndarray) -> pin.SE3:
+    """Return the pose an [[initial.body]] entry gives; what it leaves out stays as it is."""
+    placement = pin.XYZQUATToSE3(now)
+    if "rpy" in entry and "quaternion" in entry:
+        raise InputError("Orientation given twice", name="rpy", expected="rpy or quaternion", got="both")
+    if "xyz" in entry:
+        placement.translation = pose("xyz", list(entry["xyz"])).translation
+    if "rpy" in entry:
+        placement.rotation = pose("rpy", ([0.0, 0.0, 0.0], entry["rpy"])).rotation
+    if "quaternion" in entry:
+        x, y, z, w = unit_quaternion("quaternion", entry["quaternion"])
+        placement.rotation = pin.Quaternion(w, x, y, z).toRotationMatrix()
+    return placement

@@ -1,0 +1,1 @@
+"""Runs: `simulate`, `Simulator`, steps chosen for an accuracy, targets of servos, sensors, messages."""

@@ -1,0 +1,355 @@
+"""dt = "auto": runs a scene with steps that make q as accurate as asked, and measures how accurate it is.
+
+The engine keeps the step h constant on each arc between impacts, so that what its stage polynomials leave out of the
+motion stays below a level [m, rad]. With s stages that goes with h^s, and the error of the run with h^2s, so with the
+square of the level. The factor in front depends on the motion and is measured, by a companion: a run with a coarser
+level. Its distance from the run is the difference of the two errors, whose ratio follows from the lengths of their
+steps. Where the error is above tol the level is lowered by the law and the run made again; the one before is then the
+companion.
+
+While contacts are held the steps are midpoint steps of one length, whatever the order. They are as long as the level
+times a constant, so that their error goes with the square of the level too and the same comparison measures it.
+
+The estimate is for the largest error of q over the nodes, norm of the tangent difference [m, rad]. It is no bound: it
+takes the law for granted while successive distances follow it, and the whole distance where they do not. Rounding and
+the tolerance of the stage equations are counted as a floor that no level can undercut. Motions that part for good
+(chaos, another sequence of impacts) show as a large distance; a run that cannot meet tol ends with an AccuracyWarning.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from contactvi.errors import AccuracyWarning, PenetrationError
+from contactvi.options import Options
+from contactvi.simulation import engine
+from contactvi.simulation.compatibility import check_elements, check_map
+from contactvi.simulation.recorder import Record
+from contactvi.simulation.tolerances import Watch
+from contactvi.status import Status, StatusCode
+from contactvi.trajectory import polynomials as dense
+from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.ledger import Ledger
+from contactvi.trajectory.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 6  # runs besides the first companion
+_START = 0.3  # level = _START sqrt(tol) to begin with
+_SEEN = 0.1  # errors / level^2 of many motions lie about this
+_COMPANION = 30.0  # times the error of the run, by the law
+_AIM = 0.3  # of tol: where the level is set to
+_LEAST = 10.0  # ratio of the errors of two runs, so that their distance is the coarser one's error
+_DISTINCT = 1.3  # ratio of errors, by the law, below which the steps of a flight are too much alike to say anything
+_MATTERS = 0.01  # share of a flight in the error, by the law, below which that does not matter
+_FINER, _MOST = 0.6, 8.0  # length of finer steps / the shortest step; number of them / that of the steps
+_FOLLOWS = 5.0  # times what the law expects: more is not the law
+_LOST = 0.1  # of the size of the motion: two runs this far apart no longer follow the same motion
+_TIMES = 6  # at which two runs are compared
+_STARTS = 3  # flights whose first step is looked at
+_CONTACT = 3.0  # [s/m] step in contact / level: about 1e-3 s for tol = 1e-6
+_CONTACT_DT = (1e-6, 2e-2)  # [s] shortest and longest one
+_LEVELS = (1e-8, 3e-3)  # below: errors under rounding, and steps without end at low orders
+_EPS = float(np.finfo(float).eps)
+
+
+def run(
+    prepared: Prepared,
+    options: Options,
+    q0: ArrayLike | None,
+    v0: ArrayLike | None,
+    progress: Callable[[float, int], object] | None,
+    throw: bool,
+) -> Trajectory:
+    """Run a scene with steps chosen for options.tol; the arguments as those of `simulate`.
+
+    Raises PenetrationError where `throw`. Warns with AccuracyWarning where tol was not reached.
+    """
+    check_map(prepared, options)
+    check_elements(prepared, options)
+    search = _Search(prepared, options if options.dense else replace(options, dense=True), q0, v0, progress)
+    try:
+        found, estimate = search.search()
+    except KeyboardInterrupt:
+        found, estimate = search.stopped(), math.nan
+    except PenetrationError:
+        if throw:
+            raise
+        return search.last.trajectory(None)
+    record = found.record
+    record.stats = replace(record.stats, seconds=search.seconds)
+    if not options.dense:  # its segments were needed for the comparison only
+        record.options, record.segments = options, []
+    if options.ledger:
+        _watch(record)
+    traj = record.trajectory(found.engine, estimate)
+    if record.status.ok and not estimate <= options.tol:
+        warnings.warn(
+            f"The accuracy asked of q was not reached: tol = {options.tol:.3g}, estimated error {estimate:.3g}. Chaotic"
+            " motion limits it: ask for a shorter duration or a larger tol",
+            AccuracyWarning,
+            stacklevel=4,
+        )
+    return traj
+
+
+class _Found:
+    """A run at a level: its record, and the engine at its end."""
+
+    def __init__(self, level: float, record: Record, simulator: Any, dt_contact: float = math.nan) -> None:
+        self.level, self.record, self.engine, self.dt_contact = level, record, simulator, dt_contact
+
+    @property
+    def steps(self) -> Array:
+        """Lengths of the steps of its arcs [s]."""
+        return np.zeros(0) if self.record.arcs is None else self.record.arcs["dt"]
+
+    @cached_property
+    def segments(self) -> dict[str, Array]:
+        """Its segments (contactvi.trajectory.polynomials)."""
+        joined = self.record.segments_joined()
+        return {name: np.zeros(0) for name in dense.FIELDS} if joined is None else joined.arrays
+
+    @property
+    def held(self) -> bool:
+        """Whether contacts were held."""
+        return bool(np.any(self.segments["held"]))
+
+
+class _Search:
+    """Looks for the level at which a run is as accurate as asked."""
+
+    def __init__(
+        self, prepared: Prepared, options: Options, q0: Any, v0: Any, progress: Callable[[float, int], object] | None
+    ) -> None:
+        self._prepared, self._options, self._start, self._progress = prepared, options, (q0, v0), progress
+        self._stages = options.order // 2
+        self.seconds = 0.0
+        self.last: Record
+        self._engine: Any = None
+
+    def search(self) -> tuple[_Found, float]:
+        """Return the run and its estimated error; an interrupted run as it is, with NaN."""
+        tol = self._options.tol
+        level = _clip(_START * math.sqrt(tol))
+        companion, estimate = self._run(level * math.sqrt(_COMPANION), slack=_COMPANION), math.nan
+        for _ in range(_ROUNDS):
+            if _interrupted(companion) or not len(companion.segments["t"]):  # it ended where it started
+                return companion, math.nan
+            found = self._run(level, companion)
+            if _interrupted(found) or not len(found.segments["t"]):
+                return found, math.nan
+            estimate = self._estimate(companion, found, estimate)
+            share = _AIM * tol / estimate if estimate > 0.0 else 0.0
+            lower = _clip(level * math.sqrt(min(share, 1.0 / _LEAST) if share else 1.0 / _COMPANION))
+            if estimate <= tol or lower >= level:
+                break
+            level, companion = lower, found
+        return found, estimate
+
+    def stopped(self) -> _Found:
+        """Return the last run as it is, INTERRUPTED; raises KeyboardInterrupt before there is one."""
+        if self._engine is None:
+            raise KeyboardInterrupt
+        self.last.status = Status(StatusCode.INTERRUPTED, "stopped by the user", float(self.last.t[-1][-1]))
+        return _Found(math.nan, self.last, self._engine)
+
+    def _run(self, level: float, coarser: _Found | None = None, slack: float = 1.0) -> _Found:
+        """Run at a level; a coarser run says with which step to begin: one that is really shorter.
+
+        slack : factor on the tolerance of the stage equations, so that their error shows in a distance too.
+        """
+        guess = None
+        if coarser is not None and len(coarser.steps):
+            law = (coarser.level / level) ** (1.0 / self._stages)
+            count = self._options.span / coarser.steps[0]
+            guess = self._options.span / math.ceil(max(count * law, count + 1.0) - 1e-6)
+        dt_contact = self._contact_dt(level)
+        simulator = engine.make(self._prepared, self._options, guess, slack, dt_contact)
+        self.last, refused = engine.start(simulator, self._prepared, self._options, *self._start)
+        if refused is not None:
+            raise refused
+        self._engine = simulator
+        engine.take(self.last, engine.call(simulator.run_auto, self._options.span, level, self._progress))
+        self.seconds += self.last.stats.seconds
+        return _Found(level, self.last, simulator, dt_contact)
+
+    def _contact_dt(self, level: float) -> float:
+        """Return the step in contact at a level [s]; a given number is the longest one of the run."""
+        given, first = self._options.dt_contact, _clip(_START * math.sqrt(self._options.tol))
+        longest = given if isinstance(given, float) else math.inf
+        return min(max(min(longest, _CONTACT * first) * level / first, _CONTACT_DT[0]), _CONTACT_DT[1])
+
+    def _estimate(self, companion: _Found, found: _Found, expected: float) -> float:
+        """Estimate the error of a run from its distance to its companion, whose error is expected so large (or NaN)."""
+        floor, size = self._floor(found)
+        floor = max(floor, _transient(found))
+        if not found.record.status.ok:
+            # Accumulating impacts end runs where they meet them: up to there they are compared.
+            same = companion.record.status.code == found.record.status.code
+            return max(floor, _distance(companion.record, found.record, ended=True)) if same else math.inf
+        share = _share(companion, found, 2 * self._stages + 1)
+        if not math.isfinite(share):
+            return max(floor, self._against_finer(found))
+        distance = _distance(companion.record, found.record)
+        lawful = distance < _LOST * size if not math.isfinite(expected) else distance < _FOLLOWS * expected
+        return max(floor, distance * max(share, 1.0 / _COMPANION) if lawful else distance)
+
+    def _floor(self, found: _Found) -> tuple[float, float]:
+        """Return what the error of a run is not below, and the size of its motion."""
+        t, q, _ = found.record.nodes()
+        size = float(self._prepared.states.distance(q[:1], q).max())
+        solved = (_EPS + self._options.stage_tol) * size * math.sqrt(len(t))
+        return max(solved, _SEEN * found.level**2), size
+
+    def _against_finer(self, found: _Found) -> float:
+        """Return the distance of a run to one with steps of one length, all shorter than its own.
+
+        For runs that have steps in common with their companion, whose errors do not show in the distance: where the
+        sweeps do not converge with longer steps, whatever the level says.
+        """
+        if not len(found.steps) or _interrupted(found):
+            return math.inf
+        count = math.ceil(self._options.span / (_FINER * float(found.steps.min())))
+        if count > _MOST * len(found.segments["t"]):
+            return math.inf
+        fixed = replace(
+            self._options, dt=self._options.span / count, tol=self._options.stage_tol, ledger=None, sample_dt=None,
+            dt_contact=None,
+        )  # fmt: skip
+        finer = min(_FINER * found.dt_contact, fixed.fixed_dt)
+        simulator = engine.make(self._prepared, fixed, slack=1.0 / _COMPANION, dt_contact=finer)
+        record, _ = engine.start(simulator, self._prepared, fixed, *self._start)
+        engine.advance(simulator, record, count, None, self._progress)
+        self.seconds += record.stats.seconds
+        if record.status.code == StatusCode.INTERRUPTED:
+            raise KeyboardInterrupt
+        return _distance(record, found.record)
+
+
+def _share(companion: _Found, found: _Found, power: int) -> float:
+    """Return error / (companion's error - error) by the lengths h of the segments: an error is their sum of h^power.
+
+    Lengths are counted in steps of the arc of `found` that a segment lies in, because the factor of the law is what
+    made these steps so long; in contact, in its steps in contact. Where the two runs do not meet the same impacts but
+    both hold contacts, by the levels alone. Infinite where flights (between two impacts) that matter have all but the
+    same segments.
+    """
+    arcs = found.record.arcs
+    if arcs is None or not len(arcs["t"]) or found.record.impacts != companion.record.impacts:
+        return 1.0 / ((companion.level / found.level) ** 2 - 1.0) if found.held and companion.held else math.inf
+    sums = []
+    for run in (found, companion):
+        t, h, held = (run.segments[name] for name in ("t", "h", "held"))
+        arc = np.clip(np.searchsorted(arcs["t"], t + 0.5 * h, side="right") - 1, 0, len(arcs["t"]) - 1)
+        flight = np.searchsorted(run.record.impact_times(), t + 0.5 * h)
+        weights = np.where(held != 0.0, (h / found.dt_contact) ** 3, (h / arcs["dt"][arc]) ** power)
+        sums.append(np.bincount(flight, weights, minlength=found.record.impacts + 1))
+    own, other = sums
+    whole = float(own.sum())
+    if np.any((other < _DISTINCT * own) & (own > _MATTERS * whole)):
+        return math.inf
+    return whole / (float(other.sum()) - whole)
+
+
+def _transient(found: _Found) -> float:
+    """Return the largest distance between a step and two halves of it, of the first ones of some flights.
+
+    A stiff motion that damping ends within a step or two errs there and then no more: later nodes do not show it. And
+    the first steps of two runs are no comparison: at the end of the shorter one both have gone there in one step.
+    """
+    segments, record = found.segments, found.record
+    times = record.impact_times()
+    chosen = times[np.linspace(0, len(times) - 1, _STARTS).astype(int)] if len(times) else times
+    first = np.searchsorted(segments["t"], chosen)
+    largest = 0.0
+    for k in {0, *(int(k) for k in first if k < len(segments["t"]))}:
+        if segments["held"][k]:
+            continue
+        q, p, h = segments["q"][k], segments["p"][k], float(segments["h"][k])
+        p = record.prepared.core.momentum_to_public(q, p)
+        whole, half = _step(record, q, p, h), _step(record, q, p, 0.5 * h)
+        halves = _step(record, half[0], half[1], 0.5 * h)
+        largest = max(largest, _largest(record.prepared.states.distance(whole[0][None], halves[0][None])))
+    return largest
+
+
+def _largest(distances: Array) -> float:
+    """Return the largest distance; infinite where one is not known."""
+    largest = float(distances.max())
+    return largest if math.isfinite(largest) else math.inf
+
+
+def _distance(other: Record, found: Record, ended: bool = False) -> float:
+    """Return the largest |q - q'| of two runs at some nodes of the second; infinite where one ended much earlier.
+
+    ended : whether both ended before their time; then up to the earlier end.
+    """
+    t, q, _ = found.nodes()
+    last = float(other.t[-1][-1])
+    if len(t) < 2 or (not ended and abs(float(t[-1]) - last) > 1e-3 * (t[-1] - t[0])):
+        return math.inf
+    count = int(np.searchsorted(t, last, side="right"))  # nodes that both runs have reached
+    nodes = np.unique(np.linspace(0, count - 1, _TIMES + 1)[1:].round().astype(int))
+    segments = other.segments_joined()
+    assert segments is not None
+    states = np.array([_state(other, segments, float(t[node])) for node in nodes])
+    return _largest(found.prepared.states.distance(states, q[nodes]))
+
+
+def _state(run: Record, pieces: dense.Segments, time: float) -> Array:
+    """Return q of a run at a time [s] as accurate as its nodes: by the partial step that its polynomial stands for."""
+    segments = pieces.arrays
+    k = max(0, int(segments["t"].searchsorted(time, side="right")) - 1)
+    if segments["held"][k]:
+        return pieces.states(run.prepared.core, np.array([time]))[0][0]
+    q, h = segments["q"][k], min(time - float(segments["t"][k]), float(segments["h"][k]))
+    if h <= 0.0:
+        return q
+    return _step(run, q, run.prepared.core.momentum_to_public(q, segments["p"][k]), h)[0]
+
+
+def _step(run: Record, q: Array, p: Array, h: float) -> tuple[Array, Array]:
+    """Return (q, p) after a smooth step h [s] of the run's order; in parts where its sweeps do not converge."""
+    options = run.options
+    for parts in (1, 2, 4, 8, 16):
+        try:
+            q1, p1 = q, p
+            for _ in range(parts):
+                found = run.prepared.core.step(q1, p1, h / parts, None, options.stage_tol, options.order)
+                q1, p1 = found[0], found[1]
+            return q1, p1
+        except RuntimeError:  # CoreError is one
+            continue
+    return np.full_like(q, np.nan), np.full_like(p, np.nan)
+
+
+def _watch(record: Record) -> None:
+    """Hold the run to the tolerances of its ledger; where one is exceeded it ends there."""
+    t, q, p = record.nodes()
+    prepared, options = record.prepared, record.options
+    ledger = Ledger(
+        prepared.core, options, t, q, p, record.log(), model=prepared.built.model, collision=prepared.built.collision,
+        forced=record.forced, start=record.start, contacts=record.contact_log(), phases=record.phases_joined(),
+        elements=prepared.built.elements.any, forces=record.forces.joined(),
+    )  # fmt: skip
+    excess = Watch(options.ledger or {}).check(ledger)
+    if excess is not None:
+        record.status = Status(StatusCode.LEDGER, str(excess), excess.time)
+        record.cut(excess.time)
+
+
+def _interrupted(found: _Found) -> bool:
+    return found.record.status.code == StatusCode.INTERRUPTED
+
+
+def _clip(level: float) -> float:
+    return min(max(level, _LEVELS[0]), _LEVELS[1])

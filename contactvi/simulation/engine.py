@@ -1,0 +1,119 @@
+"""The engine's simulator as the face uses it: made from the options, started, called; its errors turned into ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from contactvi import _core, checks
+from contactvi.errors import ContactviError, PenetrationError, SimulationError
+from contactvi.options import IMPACT_MAPS, ZENO, Options
+from contactvi.simulation.messages import REMEDY
+from contactvi.simulation.recorder import Record
+from contactvi.status import Status, StatusCode
+from contactvi.trajectory.compiled import Prepared
+
+_FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects in the first arc
+
+
+def make(
+    prepared: Prepared,
+    options: Options,
+    first_dt: float | None = None,
+    slack: float = 1.0,
+    dt_contact: float | None = None,
+) -> Any:
+    """Return a new simulator of the engine (_core.Simulator).
+
+    first_dt : of "auto", the step to begin with [s]. slack : factor on the tolerance of the stage equations.
+    dt_contact : longest step in contact [s], by default that of the options.
+    """
+    return _core.Simulator(
+        prepared.core,
+        (first_dt or _FIRST_DT) if options.auto else options.fixed_dt,
+        options.stage_tol * slack,
+        IMPACT_MAPS.index(options.impact),
+        options.max_impacts_per_step,
+        options.max_iterations,
+        options.mhc_reference == "global",
+        options.order,
+        options.dense,
+        dt_contact=options.contact_dt if dt_contact is None else dt_contact,
+        zeno=ZENO.index(options.zeno),
+        stiff_support=options.support == "stiff",
+        contact_points=options.contact_points,
+        record_contacts=options.record_contacts,
+    )
+
+
+def start(
+    engine: Any, prepared: Prepared, options: Options, q0: ArrayLike | None, v0: ArrayLike | None, t: float = 0.0
+) -> tuple[Record, ContactviError | None]:
+    """Put the engine to (q0, v0), those of the scene where None, at t [s].
+
+    Return the record of the run that starts there, and the error if the start is refused (the record says it too).
+    Raises InputError for a bad state.
+    """
+    states = prepared.states
+    q = states.configuration(prepared.q0 if q0 is None else q0)
+    begin = t if type(t) is float and t == 0.0 else float(checks.array("t", t, (), "the start time in seconds"))
+    given = prepared.v0 if v0 is None else v0
+    v = prepared.start_velocity(q, begin) if given is None else states.velocity(given)
+    prepared.check_start(q, v, begin)
+    result = call(engine.reset, q, v, begin)
+    record = Record(prepared, options, begin, q, engine.p)
+    if result["code"] == StatusCode.SUCCESS:
+        return record, None
+    status = record.end(result, begin)
+    return record, _refusal(status, record.names(result), float(result["depth"]))
+
+
+def advance(
+    engine: Any,
+    record: Record,
+    steps: int,
+    forces: Any,
+    progress: Callable[..., object] | None,
+    targets: Any = None,
+) -> Status:
+    """Make steps with forces (steps, nv) or None and record them; targets (steps, 2 nv) of servos, None without.
+
+    Errors of the progress callback and of functions of the user are raised.
+    """
+    more = () if targets is None else (targets,)
+    return take(record, call(engine.advance, steps, forces, record.options.record_every, progress, *more))
+
+
+def take(record: Record, result: dict[str, Any]) -> Status:
+    """Record what the engine did; raise the error of a callback, except Ctrl-C, which ends the run."""
+    status = record.collect(result)
+    error = result["error"]
+    if error is not None and not isinstance(error, KeyboardInterrupt):
+        raise error
+    if error is not None and status.code != StatusCode.INTERRUPTED:  # pressed while a function of the user ran
+        status = record.status = Status(StatusCode.INTERRUPTED, "stopped by the user", status.time)
+    return status
+
+
+def call(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call the engine; its own errors become ours."""
+    try:
+        return function(*arguments)
+    except _core.CoreError as error:
+        raise ContactviError(f"The engine failed: {error}", remedy="This is a bug: please report the scene") from error
+
+
+def _refusal(status: Status, pair: tuple[str, str] | None, depth: float) -> ContactviError:
+    what = f"The start is refused: {status.message}"
+    if status.code != StatusCode.PENETRATION:
+        return SimulationError(what, status=status)
+    return PenetrationError(
+        what,
+        pair=pair,
+        depth=depth,
+        expected="gaps >= 0 and joints within their limits",
+        got=f"{-depth:.6g}",
+        remedy=REMEDY[status.code],
+    )

@@ -1,0 +1,191 @@
+"""What the engine has left of a run so far: nodes, impacts, contacts, segments, counts and how it stands."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi.options import Options
+from contactvi.records import contacts
+from contactvi.records import events as event_log
+from contactvi.records.work import Growing
+from contactvi.simulation.messages import describe
+from contactvi.status import Stats, Status, StatusCode
+from contactvi.trajectory import polynomials as dense
+from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+
+class Record:
+    """Grows by what each call of the engine returns. t, q, p and events are lists of blocks, one per call."""
+
+    def __init__(self, prepared: Prepared, options: Options, t: float, q: Array, p: Array) -> None:
+        """Start with the state at t [s]: q (nq,), p (nv,)."""
+        self.prepared, self.options, self.start = prepared, options, t
+        self.t: list[Array] = [np.array([t])]
+        self.q: list[Array] = [q[None]]
+        self.p: list[Array] = [p[None]]
+        self.events: list[Mapping[str, NDArray[Any]]] = []
+        self.segments: list[Mapping[str, NDArray[Any]]] = []
+        self.contacts: list[Mapping[str, NDArray[Any]]] = []
+        self.changes: list[Mapping[str, NDArray[Any]]] = []
+        self.phases: list[Mapping[str, NDArray[Any]]] = []
+        self.arcs: Mapping[str, Array] | None = None
+        self._reached = t
+        self.stats = Stats()
+        self.forced = prepared.forced
+        self.forces = Growing(t, prepared.constraint_rows)
+        self.status = Status(StatusCode.SUCCESS, "the run has started", t)
+
+    def collect(self, result: Mapping[str, Any]) -> Status:
+        """Take over what the engine did: nodes that `record_every` wants, events, segments, counts, status."""
+        t = np.asarray(result["t"])
+        keep = t > self.t[-1][-1]
+        if self.options.record_every > 1:
+            step = np.rint((t - self.start) / self.options.fixed_dt)
+            keep &= step % self.options.record_every == 0
+        if keep.any():
+            self.t.append(t[keep])
+            self.q.append(np.asarray(result["q"])[keep])
+            self.p.append(np.asarray(result["p"])[keep])
+        self.forces.add(result, t, keep)
+        for part, name in (
+            (self.events, "events"),
+            (self.contacts, "contacts"),
+            (self.changes, "changes"),
+            (self.phases, "phases"),
+        ):
+            if result.get(name) is not None:
+                part.append(result[name])
+            elif part is self.phases and part and part[-1]["held"][-1]:  # what was held is free again
+                free = {"t": self._reached, "dt": self.options.fixed_dt, "held": 0.0}
+                part.append({name: np.array([value]) for name, value in free.items()})
+        self._reached = float(result["time"])
+        if self.options.dense:
+            self.segments.append(result["segments"])
+        if self.options.auto:
+            self.arcs = result["arcs"]
+        # The engine counts from its reset, except for the seconds, which are those of this call.
+        self.stats = Stats.of(result["stats"], self.stats.seconds)
+        return self.end(result)
+
+    def end(self, result: Mapping[str, Any], time: float | None = None) -> Status:
+        """Take over the engine's status, of `time` [s] where it says none."""
+        code = StatusCode(result["code"])
+        text = describe(code, result, self.names(result), self.options.impact)
+        self.status = Status(code, text, float(result["time"]) if time is None else time)
+        return self.status
+
+    def names(self, result: Mapping[str, Any]) -> tuple[str, str] | None:
+        """Return the names of the pair or limit that the engine's status is about."""
+        index = int(result["pair"])
+        if index < 0:
+            return None
+        return event_log.label(int(result["pair_kind"]), index, self.prepared.pair_names, self.prepared.joint_names)
+
+    def nodes(self, first: int = 0) -> tuple[Array, Array, Array]:
+        """Return t (N,), q (N, nq), p (N, nv) of the blocks from `first` on."""
+        t, q, p = self.t[first:], self.q[first:], self.p[first:]
+        return (t[0], q[0], p[0]) if len(t) == 1 else (np.concatenate(t), np.concatenate(q), np.concatenate(p))
+
+    def log(self, first: int = 0) -> event_log.EventLog:
+        """Return the events of the blocks from `first` on."""
+        parts, states = self.events[first:], self.prepared.states
+        return event_log.EventLog(
+            partial(_events, self.prepared.core, parts, states.nq, states.nv),
+            self.prepared.pair_names,
+            self.prepared.joint_names,
+            self.options.impact,
+        )
+
+    def segments_joined(self) -> dense.Segments | None:
+        """Return the segments of all blocks; None where none were kept."""
+        return dense.joined(self.segments, self.options.order)
+
+    def contact_log(self, first: int = 0) -> contacts.ContactLog:
+        """Return the contacts of the blocks from `first` on."""
+        rows = contacts.joined(self.contacts[first:], contacts.FIELDS)
+        return contacts.ContactLog(rows, self.prepared.pair_names, self.prepared.joint_names)
+
+    def change_log(self, first: int = 0) -> contacts.ChangeLog:
+        """Return the changes of contacts of the blocks from `first` on."""
+        rows = contacts.joined(self.changes[first:], contacts.CHANGE_FIELDS)
+        return contacts.ChangeLog(rows, self.prepared.pair_names, self.prepared.joint_names)
+
+    def phases_joined(self) -> dict[str, Array] | None:
+        """Return {"t", "dt", "held"}: from these times on steps have these lengths; None where nothing was held."""
+        if not self.phases:
+            return None
+        whole = {name: np.concatenate([np.asarray(part[name], dtype=float) for part in self.phases])
+                 for name in ("t", "dt", "held")}  # fmt: skip
+        new = np.ones(len(whole["t"]), dtype=bool)
+        new[1:] = (np.diff(whole["dt"]) != 0.0) | (np.diff(whole["held"]) != 0.0)
+        return {name: values[new] for name, values in whole.items()}
+
+    @property
+    def impacts(self) -> int:
+        """Number of impacts so far."""
+        return sum(len(part["time"]) for part in self.events)
+
+    def impact_times(self) -> Array:
+        """Return the times of the impacts so far [s]."""
+        times = [part["time"] for part in self.events]
+        return np.concatenate(times) if times else np.zeros(0)
+
+    def copy(self) -> Record:
+        """Return a copy that grows on its own; what was recorded is shared, it does not change."""
+        twin = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, list):
+                setattr(twin, name, list(value))
+        twin.forces = self.forces.copy()
+        return twin
+
+    def cut(self, time: float) -> None:
+        """Forget what was recorded after the first node at or after `time` [s]."""
+        t, q, p = self.nodes()
+        count = int(np.searchsorted(t, time)) + 1
+        self.t, self.q, self.p = [t[:count]], [q[:count]], [p[:count]]
+        self.forces.cut(count)
+        last = max(time, float(self.t[0][-1]))
+        self.events = [_rows(part, part["time"] <= last) for part in self.events]
+        for name in ("segments", "contacts", "phases"):
+            setattr(self, name, [_rows(part, part["t"] < last) for part in getattr(self, name)])
+        self.changes = [_rows(part, part["time"] <= last) for part in self.changes]
+
+    def trajectory(self, engine: Any, error_estimate: float = float("nan")) -> Trajectory:
+        """Return what was recorded, with the present state of the engine where the run ended inside a step."""
+        t, q, p = self.nodes()
+        forces = self.forces.joined()
+        if self.status.time > t[-1]:
+            t, q, p = np.append(t, self.status.time), np.vstack([q, engine.q]), np.vstack([p, engine.p])
+        segments = self.segments_joined()
+        if self.options.sample_dt is not None and segments is not None:
+            times = dense.sample_times(float(t[0]), float(t[-1]), self.options.sample_dt)
+            times = times if len(times) > 1 else t[[0, -1]]
+            inner_q, inner_v = segments.states(self.prepared.core, times[1:-1], exact=not self.forced)
+            inner_p = np.asarray(self.prepared.core.momentum(inner_q, inner_v))
+            t, q, p = times, np.vstack([q[:1], inner_q, q[-1:]]), np.vstack([p[:1], inner_p, p[-1:]])
+        if forces is not None and (len(forces.t) != len(t) or np.any(forces.t != t)):
+            forces = forces.sampled(t)
+        return Trajectory(
+            self.prepared, self.options, t, q, p, self.log(), self.status, self.stats,
+            forced=self.forced, segments=segments, arcs=self.arcs, error_estimate=error_estimate,
+            contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(), forces=forces,
+        )  # fmt: skip
+
+
+def _events(core: Any, parts: list[Mapping[str, NDArray[Any]]], nq: int, nv: int) -> dict[str, NDArray[Any]]:
+    joined = event_log.join(parts, nq, nv)
+    return event_log.with_energy_change(joined, lambda q, p: np.asarray(core.energy(q, p))[:, 0])
+
+
+def _rows(part: Mapping[str, NDArray[Any]], chosen: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    return {name: np.asarray(values)[chosen] for name, values in part.items()}

@@ -1,0 +1,182 @@
+"""Sensors of a `Simulator`: what is measured after a step, mean values over that step where forces are concerned.
+
+The step is the last call of `Simulator.step`. After `Simulator.run` it is what lies between the last two recorded
+nodes: the last step, or with record_every=k the last k. Impacts within it count with their impulses: divided by the
+length of the step, as a sensor that integrates would show them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from contactvi.errors import InputError
+from contactvi.inputs import pose
+from contactvi.records.contacts import ContactLog
+from contactvi.simulation.simulator import Simulator
+
+Array = NDArray[np.float64]
+_ROUNDING = 1e-9  # of a step: an impact at its end may be a digit later than the step
+
+
+@dataclass(frozen=True, eq=False)
+class EncoderReading:
+    """q, v : value and velocity of a joint, shapes (nq,), (nv,) of the joint [rad, m; rad/s, m/s]."""
+
+    q: Array
+    v: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ImuReading:
+    """Of an IMU, in its own axes, shapes (3,): specific_force [m/s^2], angular_velocity [rad/s]."""
+
+    specific_force: Array
+    angular_velocity: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ContactReading:
+    """What contacts do to a body, world axes, shapes (3,): force [N], torque [N m] about the body's origin now.
+
+    points : how many points took part, those of impacts included.
+    """
+
+    force: Array
+    torque: Array
+    points: int
+
+
+class JointEncoder:
+    """Reads a joint's value and velocity at the present time: JointEncoder(sim, "elbow").read()."""
+
+    def __init__(self, simulator: Simulator, joint: Any) -> None:
+        scene = _checked(simulator).scene
+        self._simulator = simulator
+        self._q, self._v = scene.q_index(joint), scene.v_index(joint)
+
+    def read(self) -> EncoderReading:
+        """Return what it shows now."""
+        return EncoderReading(self._simulator.q[self._q], self._simulator.v[self._v])
+
+
+class Imu:
+    """Accelerometer and gyroscope on a body: Imu(sim, "torso", placement).read().
+
+    placement : of the sensor in the body's frame, as in Scene.add_urdf.
+
+    The specific force is the mean of R^T (dv/dt - g) over the last step, v the velocity of the sensor's origin, impacts
+    included: the change of v over the step, less g times its length, divided by it, in the axes that the sensor has in
+    the middle of the step. At rest it is 9.81 m/s^2 upwards, in free fall zero. The angular velocity is that at the end
+    of the step.
+    """
+
+    def __init__(self, simulator: Simulator, body: Any, placement: Any = None) -> None:
+        self._simulator = _checked(simulator)
+        built = simulator._scene.built
+        self._model: pin.Model = built.model
+        self._data = self._model.createData()
+        self._joint, self._place = _frame(simulator, body)
+        self._place = self._place * pose("placement", placement)
+
+    def read(self) -> ImuReading:
+        """Return what it shows now. Raises SimulationError before the first step."""
+        sim = self._simulator
+        t0, q0, v0 = sim.last_step()
+        q1, h = sim.q, sim.t - t0
+        before, _, _ = self._motion(q0, v0)
+        after, angular, end = self._motion(q1, sim.v)
+        _, _, middle = self._motion(pin.interpolate(self._model, q0, q1, 0.5), np.zeros(self._model.nv))
+        force = (after - before) / h - self._model.gravity.linear
+        return ImuReading(middle.T @ force, end.T @ angular)
+
+    def _motion(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
+        """Return velocity and angular velocity of the sensor in world axes and its axes in the world."""
+        pin.forwardKinematics(self._model, self._data, q, v)
+        joint = self._data.oMi[self._joint]
+        twist = joint.act(self._data.v[self._joint]) if self._joint else pin.Motion.Zero()
+        place = joint * self._place
+        return twist.linear + np.cross(twist.angular, place.translation), twist.angular.copy(), place.rotation.copy()
+
+
+class ContactSensor:
+    """Contact force and torque on a body, the mean over the last step: ContactSensor(sim, "foot").read().
+
+    All shapes of the body count; joint limits do not. Needs a simulator with record_contacts=True (the default).
+    """
+
+    def __init__(self, simulator: Simulator, body: Any) -> None:
+        if not _checked(simulator).options.record_contacts:
+            raise InputError(
+                "Contacts are not recorded", name="record_contacts", expected="True", got="False",
+                remedy="Make the simulator with record_contacts=True",
+            )  # fmt: skip
+        self._simulator = simulator
+        self._joint, self._place = _frame(simulator, body)
+        built = simulator._scene.built
+        name = simulator.scene._body(body)
+        frames = {k for k, frame in enumerate(built.model.frames) if frame.name == name}
+        shapes = {g.name for g in built.collision.geometryObjects if g.parentFrame in frames}
+        if not shapes:
+            raise InputError(
+                f"Body {name!r} has no shape", name="body", expected="a body with collision geometry", got="none"
+            )
+        self._signs = np.array([(b in shapes) * 1.0 - (a in shapes) * 1.0 for a, b in built.pairs] or [0.0])
+
+    def read(self) -> ContactReading:
+        """Return what it shows now. Raises SimulationError before the first step."""
+        sim = self._simulator
+        start = sim.last_step()[0]
+        log = self._rows(start)
+        index = np.where(log.array("kind") == 0, log.array("index"), 0)
+        signs = np.where((log.array("kind") == 0) & _within(log, start, sim.t), self._signs[index], 0.0)
+        chosen = np.flatnonzero(signs)
+        impulse = signs[chosen, None] * log.impulse[chosen]
+        origin = self._origin()
+        moment = np.cross(log.position[chosen] - origin, impulse)
+        h = sim.t - start
+        return ContactReading(impulse.sum(axis=0) / h, moment.sum(axis=0) / h, len(chosen))
+
+    def _rows(self, start: float) -> ContactLog:
+        """Return the contacts since `start`, and perhaps some before it."""
+        record = self._simulator._started()
+        first = len(record.contacts)
+        while first > 0:
+            first -= 1
+            t = np.asarray(record.contacts[first]["t"])
+            if len(t) and t[0] < start:
+                break
+        return record.contact_log(first)
+
+    def _origin(self) -> Array:
+        model = self._simulator._scene.built.model
+        data = model.createData()
+        pin.forwardKinematics(model, data, self._simulator.q)
+        return np.asarray((data.oMi[self._joint] * self._place).translation).copy()
+
+
+def _within(log: ContactLog, start: float, end: float) -> NDArray[np.bool_]:
+    """Return which rows lie in (start, end]: steps by their middle, impacts by their time."""
+    middle, slack = log.t + 0.5 * log.h, _ROUNDING * (end - start)
+    return np.asarray((middle > start + slack) & (middle <= end + slack))
+
+
+def _checked(simulator: Any) -> Simulator:
+    if not isinstance(simulator, Simulator):
+        got = type(simulator).__name__
+        raise InputError("What a sensor reads", name="simulator", expected="a contactvi.Simulator", got=got)
+    return simulator
+
+
+def _frame(simulator: Simulator, body: Any) -> tuple[int, pin.SE3]:
+    """Return the joint that carries a body, and the body's placement in its frame."""
+    name = simulator.scene._body(body)
+    model = simulator._scene.built.model
+    if name == "world":
+        return 0, pin.SE3.Identity()
+    frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+    return int(frame.parentJoint), frame.placement.copy()

@@ -1,0 +1,191 @@
+"""Running a scene: `simulate` for a whole run; contactvi.simulation.simulator goes step by step, for control loops."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from contactvi.errors import ConstraintError, InputError, PenetrationError, SimulationError
+from contactvi.options import Options
+from contactvi.simulation import adaptive as auto_step
+from contactvi.simulation.messages import REMEDY
+from contactvi.simulation.simulator import PROGRESS_PERIOD, Simulator, settings_of
+from contactvi.status import StatusCode
+from contactvi.trajectory.compiled import Prepared, prepare
+from contactvi.trajectory.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from contactvi.scene.scene import Scene
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, int], object]
+Control = Callable[[float, Array, Array], ArrayLike]
+
+
+def simulate(
+    scene: Scene,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    duration: float | None = None,
+    dt: float | Literal["auto"] | None = None,
+    *,
+    impact: str | None = None,
+    order: int | None = None,
+    tol: float | None = None,
+    sample_dt: float | None = None,
+    control: ArrayLike | Control | None = None,
+    target: Any = None,
+    throw: bool = True,
+    progress: Progress | bool | None = None,
+    ledger: Mapping[str, float] | None = None,
+    **options: Any,
+) -> Trajectory:
+    """Run a scene from (q0, v0) and return its trajectory.
+
+    Parameters
+    ----------
+    scene : the scene. What is not given below is taken from its file (scene.q0, scene.v0, scene.settings), then from
+        the defaults: the neutral configuration, rest, and those of `Options`.
+    q0 : initial configuration, Pinocchio's numbers, shape (nq,). v0 : initial velocity, shape (nv,).
+    duration : simulated time [s]; a whole number of steps where dt is a number.
+    dt : time step [s]; or "auto": the run finds the steps with which q is accurate to `tol`, and measures it
+        (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, constraints, dry
+        friction of joints, servos, forces that vary, "dtec", order 2, record_every, or tolerances on the discrete
+        energy or on jumps of the modified one.
+    order : 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
+    tol : for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
+    sample_dt : keep the states at every sample_dt [s] instead of those at the ends of the steps.
+    impact, **options (mhc_reference, record_every, dense, ...) : see `Options`.
+    control : generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape
+        (steps, nv), or a function (t, q, v) -> (nv,) called at the start of each step.
+    target : where servos (Scene.set_servo) are to go, constant over a step: an array or a function of t, one number per
+        servo joint, or a mapping joint -> motion (contactvi.simulation.targets); by default as given to
+            set_servo.
+    throw : raise SimulationError (with .status and .trajectory) when the run ends before its time, and
+        PenetrationError when it starts in penetration; False returns what was computed, with its status.
+    ledger : tolerances on what should be conserved, name -> bound, for example {"own_jump": 1e-10}; where one is
+        exceeded the run ends with the status LEDGER. The names: contactvi.trajectory.ledger.
+    progress : called as progress(t, impacts) about ten times a second; True shows a progress bar.
+
+    Raises
+    ------
+    InputError : for arguments of the wrong shape or range. PenetrationError, SimulationError : see `throw`.
+    ConstraintError : for a start that is not on the constraints, and where motions or lengths cannot be reached.
+    UserFunctionError : for functions of the user that fail or return what cannot be used. What control
+        or progress raises itself comes through as it is.
+    DerivativeError : for wrong derivatives of theirs.
+
+    Warns
+    -----
+    AccuracyWarning : where "auto" did not reach tol; traj.error_estimate says what it reached.
+    """
+    chosen = dict(
+        options, duration=duration, dt=dt, impact=impact, order=order, tol=tol, sample_dt=sample_dt, ledger=ledger
+    )
+    settings = settings_of(scene, chosen, forced=control is not None or target is not None)
+    span = settings.span
+    prepared = prepare(scene)
+    if settings.auto:
+        _check_auto(prepared, "control" if control is not None else "target" if target is not None else None)
+    steps = 0 if settings.auto else settings.steps
+    inputs = control if control is None or callable(control) else prepared.states.forces(control, steps)
+    if progress is True:
+        from contactvi.progress import RunProgress
+
+        with RunProgress(span) as bar:
+            traj = _run(prepared, settings, q0, v0, inputs, target, bar, throw)
+    else:
+        traj = _run(prepared, settings, q0, v0, inputs, target, progress or None, throw)
+    if throw and not traj.status.ok:
+        broken = traj.status.code == StatusCode.LEDGER
+        fact = "exceeds a tolerance of its ledger" if broken else "ended before its time"
+        raise SimulationError(
+            f"The run {fact} with the status {traj.status.code.name}: {traj.status.message}",
+            expected=f"t = {span if settings.auto else steps * settings.fixed_dt:.9g} s",
+            got=f"t = {traj.status.time:.9g} s",
+            remedy=REMEDY.get(traj.status.code),
+            status=traj.status,
+            trajectory=traj,
+        )
+    return traj
+
+
+def _check_auto(prepared: Prepared, inputs: str | None) -> None:
+    """Raise InputError where the scene or its inputs need steps of one length."""
+    remedy = "Give dt=..., for example dt=1e-3"
+    if inputs is not None:
+        raise InputError(
+            "Inputs are constant over a step, so the run cannot choose it", name="dt",
+            expected=f"a time in seconds with {inputs}", got="'auto'", remedy=remedy,
+        )  # fmt: skip
+    reason = prepared.built.needs_fixed_step
+    if reason is not None:
+        raise InputError(
+            "The step cannot be chosen by the run", name="dt",
+            expected=f"a time in seconds for a scene with {reason}", got="'auto'", remedy=remedy,
+        )  # fmt: skip
+
+
+def _run(
+    prepared: Prepared,
+    options: Options,
+    q0: ArrayLike | None,
+    v0: ArrayLike | None,
+    control: Array | Control | None,
+    target: Any,
+    progress: Progress | None,
+    throw: bool,
+) -> Trajectory:
+    if options.auto:
+        return auto_step.run(prepared, options, q0, v0, progress, throw)
+    simulator = Simulator._prepared(prepared, options)
+    try:
+        simulator.reset(q0, v0)
+    except PenetrationError:
+        if throw:
+            raise
+        return simulator.trajectory()
+    try:
+        if callable(control):
+            _follow(simulator, options.steps, control, target, progress)
+        else:
+            simulator._run(options.steps, control, target, progress)
+    except KeyboardInterrupt:
+        simulator.interrupt()
+    if throw and simulator.unreachable is not None:
+        raise _unreachable(simulator.unreachable, simulator.trajectory())
+    return simulator.trajectory()
+
+
+def _unreachable(found: ConstraintError, traj: Trajectory) -> ConstraintError:
+    """Return the error of a run that came to where its constraints cannot be met."""
+    names = ", ".join(repr(name) for name in found.constraints)
+    return ConstraintError(
+        f"The run came to where there is no way on for the constraints {names}, at t = {traj.status.time:.9g} s",
+        residuals=found.residuals,
+        expected="loops that stay closed, lengths and motions that can be reached",
+        got=found.got,
+        remedy="Mend the prescribed motions and lengths; error.trajectory is what was computed",
+        status=traj.status,
+        trajectory=traj,
+    )
+
+
+def _follow(simulator: Simulator, steps: int, control: Control, target: Any, progress: Progress | None) -> None:
+    states, last = simulator._scene.states, time.perf_counter()
+    goals = simulator._goals(target, steps)
+    for k in range(steps):
+        t = simulator.t
+        tau = states.controlled(control(t, simulator.q, simulator.v), t)
+        if not simulator._advance(1, tau[None], None if goals is None else goals[k : k + 1]).ok:
+            return
+        if progress is not None and time.perf_counter() - last > PROGRESS_PERIOD:
+            last = time.perf_counter()
+            progress(simulator.t, simulator.impacts)
+
+
+__all__ = ["Simulator", "settings_of", "simulate"]

@@ -1,0 +1,1 @@
+"""Several impacts at one instant, as sequences of single impacts: all outcomes, and when the order matters."""

@@ -1,0 +1,161 @@
+"""A scene as its runs need it: taken as it is at a run, prepared once and again after an edit."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi.checks import States
+from contactvi.elements.elements import UserForce, UserPotential
+from contactvi.errors import ConstraintError, SceneError, UserFunctionError
+from contactvi.records.work import ConstraintRows
+from contactvi.scene import closure as loops
+from contactvi.scene.derivative_check import GENERIC, check_element, mover
+from contactvi.scene.scene import Scene
+
+
+class Prepared:
+    """What runs of a scene share: a copy that later edits do not reach, the engine's scene, names, checks of states.
+
+    Attributes
+    ----------
+    built : the complete scene. core : the engine's (contactvi._core.Scene). states : checks of states and forces.
+    pair_names : of the tested pairs, engine order. joint_names : of all joints, that of the world included.
+    damping : of the joints, shape (nv,).
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        built = scene._complete()
+        _refuse_missing(scene)
+        self.core = scene.core()
+        self.built = built
+        self._scene = _copy(scene)
+        self.states = States(built.model)
+        self.pair_names = [(str(a), str(b)) for a, b in built.pairs]
+        self.joint_names = [str(name) for name in built.model.names]
+        self.damping: NDArray[np.float64] = np.array(built.model.damping, dtype=float)
+        self._derivatives_checked = False
+
+    def scene(self) -> Scene:
+        """Return a new copy of the scene as it was, for the caller to keep and edit; what is built is shared."""
+        return _copy(self._scene)
+
+    def fits(self, scene: Scene) -> bool:
+        """Return whether the scene is still as it was."""
+        kept = self._scene
+        same = scene._built is self.built and scene.q0 is kept.q0 and scene.v0 is kept.v0
+        return same and scene.settings == kept.settings
+
+    @property
+    def q0(self) -> Any:
+        """Where runs start, shape (nq,): as the scene says, else neutral."""
+        return self.built.start if self._scene.q0 is None else self._scene.q0
+
+    @property
+    def v0(self) -> Any:
+        """Velocity with which runs start, shape (nv,); None is rest."""
+        return self._scene.v0
+
+    @property
+    def constraint_rows(self) -> list[ConstraintRows]:
+        """The constraints in the engine's order."""
+        return [ConstraintRows(row.name, row.kind, row.rows) for row in self.built.elements.constraints]
+
+    @cached_property
+    def loses_energy(self) -> bool:
+        """Whether some pair or limit has a restitution below 1."""
+        arrays = self.built.arrays
+        return bool(np.any(self.built.restitution < 1.0) or np.any(arrays.limit_restitution[arrays.limits] < 1.0))
+
+    @cached_property
+    def forced(self) -> bool:
+        """Whether something besides potentials and joint damping acts: then a step is not made again without it."""
+        found, arrays = self.built.elements, self.built.arrays
+        dampers = any(damping > 0.0 for *_, damping, _only in found.springs)
+        return bool(self.built.constrained or found.wrenches or found.forces or dampers or np.any(arrays.servo[:2]))
+
+    @cached_property
+    def driven(self) -> str | None:
+        """What of the scene puts energy in, in words; None where nothing does."""
+        found, arrays = self.built.elements, self.built.arrays
+        reasons = {
+            "servos": bool(np.any(arrays.servo[:2])),
+            "wrenches": bool(found.wrenches),
+            "forces given in Python": bool(found.forces),
+            "driven constraints": any(row.signal is not None for row in found.constraints),
+        }
+        return next((what for what, is_there in reasons.items() if is_there), None)
+
+    def start_velocity(self, q: NDArray[np.float64], t: float) -> NDArray[np.float64]:
+        """Return the velocity of a start at q (nq,) for which none was given: rest, or the nearest to it, (nv,)."""
+        v = np.zeros(self.states.nv)
+        rows = self.built.elements.constraints
+        return loops.consistent_velocity(self.core, rows, q, v, t) if rows else v
+
+    def unreachable(self, q: NDArray[np.float64], t: float) -> ConstraintError | None:
+        """Return the error that names the constraints which cannot be met at t [s] near q (nq,), None if they can."""
+        rows = self.built.elements.constraints
+        if not rows:
+            return None
+        try:
+            loops.assemble(self.core, self.built.model, rows, q, (), t)
+        except ConstraintError as error:
+            return error
+        except UserFunctionError:  # of a motion that ends there; the run has said so if it matters
+            return None
+        return None
+
+    def check_start(self, q: NDArray[np.float64], v: NDArray[np.float64], t: float) -> None:
+        """Raise ConstraintError where (q, v) at t [s] is not on the constraints, DerivativeError for wrong ones."""
+        rows = self.built.elements.constraints
+        if rows:
+            loops.check_configuration(self.core, rows, q, t)
+            loops.check_velocity(self.core, rows, q, v, t)
+        if not self._derivatives_checked:
+            self._derivatives_checked = True
+            self._check_derivatives(q, v, t)
+
+    def _check_derivatives(self, q: NDArray[np.float64], v: NDArray[np.float64], t: float) -> None:
+        """Check the user's derivatives at (q, v) and beside it: much vanishes at a start such as neutral."""
+        dofs, move = self.built.elements.dofs, mover(self.built.model)
+        generic = np.sin(1.0 + np.arange(len(v)))
+        for element in self._scene.elements:
+            if not getattr(element, "check", True):
+                continue
+            check_element(element, dofs, move, q, v + generic, t)
+            if isinstance(element, (UserPotential, UserForce)):
+                with contextlib.suppress(UserFunctionError):  # it need not be defined there
+                    check_element(element, dofs, move, move(q, GENERIC * generic), v + generic, t)
+
+
+def _refuse_missing(scene: Scene) -> None:
+    missing = scene._edits.missing
+    if missing:
+        raise SceneError(
+            f"The scene lacks {', '.join(repr(name) for name in missing)}",
+            expected="every element that the stored scene had",
+            got="elements given by Python functions, which files do not hold",
+            remedy="Add them again under their names, or take them out: scene.remove(name)",
+        )
+
+
+def prepare(scene: Scene) -> Prepared:
+    """Return what runs of the scene need, kept with it until it is edited."""
+    kept = scene._prepared
+    if not isinstance(kept, Prepared) or not kept.fits(scene):
+        kept = scene._prepared = Prepared(scene)
+    return kept
+
+
+def _copy(scene: Scene) -> Scene:
+    taken = copy.copy(scene)
+    for name, value in vars(scene).items():
+        if isinstance(value, (list, dict)):
+            setattr(taken, name, copy.copy(value))
+    taken._edits, taken._prepared = copy.deepcopy(scene._edits), None
+    return taken

@@ -1,0 +1,168 @@
+"""The ledger of lasting contact: how exactly the law of contact holds, and where its impulses and its work go.
+
+Per row of the run's contacts (contactvi.records.contacts), shapes (m,): gap, impulse, complementarity, friction_work.
+Per node, shapes (N,): friction_loss, impulse_balance.
+
+A row that carries no impulse may be open: its gap counts only as far as it is negative. Impacts count as rows of their
+own; their losses are those of their events and no friction work.
+
+Friction work is the impulses of a step against the slip between its ends, the first impulse as the force at a third
+of the step and the second at two thirds, where the held step has them: exact where the slip changes evenly, else to
+O(h^2). Where the slip at the start is not known (a contact just begun, or hit) it is what the step after goes
+back to, as long as that slips, else that of the end.
+
+The balance is that of the trees of bodies that hang on a free joint without damping: what the contacts gave each one in
+a step, against the change of its momentum less its weight. It needs runs without inputs and whole steps between nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from contactvi.importing.checks import joint_kind
+from contactvi.records.contacts import MODES, ContactLog
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FreeTree:
+    """Bodies on one free joint: its places in q and v, their mass [kg], +1, -1, 0 as the pairs push them (npairs,)."""
+
+    idx_q: int
+    idx_v: int
+    mass: float
+    signs: Array
+
+
+def free_trees(model: pin.Model, collision: pin.GeometryModel) -> list[FreeTree]:
+    """Return the trees of a complete scene whose free joints have no damping."""
+    root = list(range(model.njoints))
+    for i in range(1, model.njoints):
+        root[i] = root[model.parents[i]] if model.parents[i] else i
+    roots = np.array([root[geometry.parentJoint] for geometry in collision.geometryObjects] or [0])
+    pairs = np.array([(pair.first, pair.second) for pair in collision.collisionPairs], dtype=int).reshape(-1, 2)
+    found = []
+    for i in range(1, model.njoints):
+        joint = model.joints[i]
+        if root[i] != i or joint_kind(joint) != "free" or np.any(model.damping[joint.idx_v : joint.idx_v + 6]):
+            continue
+        mass = sum(float(model.inertias[k].mass) for k in range(model.njoints) if root[k] == i)
+        second, first = roots[pairs[:, 1]] == i, roots[pairs[:, 0]] == i
+        found.append(FreeTree(int(joint.idx_q), int(joint.idx_v), mass, 1.0 * second - 1.0 * first))
+    return found
+
+
+class ContactLedger:
+    """See the module. Every array is computed when first asked for and kept."""
+
+    def __init__(
+        self,
+        contacts: ContactLog,
+        t: Array,
+        q: Array,
+        p: Array,
+        trees: Sequence[FreeTree] = (),
+        gravity: Array | None = None,
+        forced: bool = False,
+    ) -> None:
+        """Of nodes t (N,) [s], q (N, nq), p (N, nv).
+
+        For the balance only: trees from `free_trees`, gravity [m/s^2], shape (3,), and whether there were inputs.
+        """
+        self._contacts, self._t, self._q, self._p = contacts, t, q, p
+        self._trees, self._forced = trees, forced
+        self._gravity = np.zeros(3) if gravity is None else gravity
+
+    @property
+    def time(self) -> Array:
+        """Ends of the steps of the rows [s], shape (m,)."""
+        return self._contacts.end
+
+    @property
+    def impulse(self) -> Array:
+        """Normal impulses [N s; N m s], shape (m,); none may be below zero."""
+        return self._contacts.normal_impulse
+
+    @cached_property
+    def gap(self) -> Array:
+        """Distance from contact at the end [m; rad], shape (m,): of what carries an impulse, and of what overlaps."""
+        gap = self._contacts.array("gap")
+        return np.where(self.impulse > 0.0, gap, np.minimum(gap, 0.0))
+
+    @property
+    def complementarity(self) -> Array:
+        """gap * impulse [N m s], shape (m,)."""
+        return np.asarray(self._contacts.array("gap") * self.impulse)
+
+    @cached_property
+    def friction_work(self) -> Array:
+        """What friction did over the step [J], <= 0 where it slows the slip, shape (m,); 0 for impacts."""
+        log = self._contacts
+        slip, h = log.array("slip"), log.h
+        before = slip.copy()
+        keys = [log.array(name) for name in ("kind", "index", "point")]
+        order = np.lexsort((h, log.t, *keys))  # of each point in the order of time, an impact before the step after it
+        same = np.all([np.diff(key[order]) == 0 for key in keys], axis=0)
+        same &= h[order[:-1]] > 0.0  # rows of impacts do not say what slips after them
+        same &= np.abs(log.t[order[1:]] - log.end[order[:-1]]) <= 1e-9 * (h[order[1:]] + h[order[:-1]])
+        first, second = order[:-1][same], order[1:][same]
+        before[second] = slip[first]
+        new = np.ones(len(h), dtype=bool)
+        new[second] = False
+        guessed = new[first] & (h[first] > 0.0) & (h[second] > 0.0) & (log.array("mode")[second] == MODES.index("slip"))
+        first, second = first[guessed], second[guessed]
+        before[first] += (slip[first] - slip[second]) * (h[first] / h[second])[:, None]
+        work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
+        return np.where((h > 0.0) & (log.array("kind") == 0), work.sum(axis=1) / 3.0, 0.0)
+
+    @cached_property
+    def friction_loss(self) -> Array:
+        """What friction in held contacts took until each node [J], shape (N,)."""
+        order = np.argsort(self.time, kind="stable")
+        sums = np.concatenate([[0.0], -np.cumsum(self.friction_work[order])])
+        return np.asarray(sums[np.searchsorted(self.time[order], self._t + self._slack, side="right")])
+
+    @cached_property
+    def impulse_balance(self) -> Array:
+        """Impulse that is not accounted for since the node before [N s], largest of all free trees, shape (N,).
+
+        NaN in runs with inputs, and where a step of a contact goes across a node.
+        """
+        result = np.zeros(len(self._t))
+        if self._forced:
+            return np.full(len(self._t), np.nan)
+        log, slack = self._contacts, self._slack
+        node = np.searchsorted(self._t, self.time - slack)  # the first node that is not before the end
+        inside = (node < len(self._t)) & (node > 0) & (log.array("kind") == 0)
+        weight = np.diff(self._t, prepend=self._t[:1])[:, None] * self._gravity
+        for tree in self._trees:
+            q, v = tree.idx_q, tree.idx_v
+            momentum = _rotated(self._q[:, q + 3 : q + 7], self._p[:, v : v + 3])
+            pushed = np.zeros((len(self._t), 3))
+            sign = tree.signs[log.array("index")[inside]]
+            np.add.at(pushed, node[inside], sign[:, None] * log.impulse[inside])
+            rest = np.diff(momentum, axis=0, prepend=momentum[:1]) - tree.mass * weight - pushed
+            result = np.maximum(result, np.linalg.norm(rest, axis=1))
+        across = inside & (log.t < self._t[np.clip(node - 1, 0, None)] - slack)
+        result[node[across]] = np.nan
+        return result
+
+    @cached_property
+    def _slack(self) -> float:
+        """By how much a step that ends at a node may miss it [s], by rounding."""
+        return 1e-6 * float(np.diff(self._t).min(initial=np.inf)) if len(self._t) > 1 else 0.0
+
+
+def _rotated(quaternion: Array, vector: Any) -> Array:
+    """Return vectors (N, 3) turned by quaternions x y z w (N, 4)."""
+    axis, w = quaternion[:, :3], quaternion[:, 3:]
+    twice = 2.0 * np.cross(axis, vector)
+    return np.asarray(vector + w * twice + np.cross(axis, twice))

@@ -1,0 +1,383 @@
+"""The ledger of a run: what should be conserved, node by node and impact by impact, and tolerances on it.
+
+Energies [J], momenta [N s, N m s] about the world's origin, in world axes. A loss is what the law of an impact takes by
+restitution and friction; a jump has it added back: what an impact changes beyond its loss. What held contacts do is in
+`Ledger.contacts` (contactvi.trajectory.contact_ledger).
+
+Jumps of the three scalars at an impact (q_c, p_minus -> p_plus; `before` and `after` the parts of the step):
+
+- energy H: T(p_plus) - T(p_minus) + loss.
+- discrete energy E_d, the mean of E over the Gauss stages, of the partial step that starts at the impact less that of
+  the one that ended there. Of several impacts at one instant each starts from what the one before it left.
+- modified Hamiltonian of the full step length (H itself from order 4 on), of the node that the step would end at
+  without further impacts less that of the node it started from; of several impacts in one step each starts from what
+  the one before it left.
+
+What damping does between the two things compared (the stages of the parts, the two nodes) is no jump, and taken off: by
+the Gauss weights of the stages.
+
+Tolerances, the keys of `ledger` of a run (option_checks.LEDGER_TOLERANCES), are upper bounds of
+
+- energy, modified_energy, discrete_energy: drift from the start at the recorded nodes, losses added back, relative to
+  the largest kinetic energy so far. Damping and inputs change these energies; a tolerance is for runs without.
+- energy_jump, modified_energy_jump, discrete_energy_jump, own_jump (of the map used): likewise relative.
+- linear_momentum, angular_momentum: distance from the start [N s], [N m s], for free bodies without gravity;
+  linear_momentum_jump, angular_momentum_jump: at an impact of free bodies.
+- energy_balance: of what H changed beyond the work of inputs and drives and the losses of damping, friction and
+  impacts, relative to the largest kinetic energy so far. It is O(dt^2).
+- energy_rise: how far the energy at a node is above the least one before it, relative to the largest kinetic energy so
+  far: more than the error of the integrator is an error of a contact. For runs without inputs.
+- impulse: how far one is below zero [N s]. complementarity: abs(gap * impulse) [N m s]. gap: abs(gap) [m]. Of impacts
+  and of held contacts. impulse_balance: between two nodes, of free bodies [N s].
+
+Inputs are not kept in a run; what needs a step to be made again (discrete energy, jumps but that of the energy) is NaN
+where a run had some (or constraints, dry friction, servos, wrenches, dampers, forces of the user), and where the run
+had to cut that step in two because its sweeps did not converge. The same where contacts are held or the scene has
+constraints or dry friction: the discrete energy and the modified Hamiltonian are those of free steps.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from contactvi.options import Options
+from contactvi.records.contacts import ContactLog, empty_contacts
+from contactvi.records.events import HELD, EventLog
+from contactvi.records.work import Forces
+from contactvi.trajectory.contact_ledger import ContactLedger, free_trees
+
+Array = NDArray[np.float64]
+_STEP_TOL = 1e-13  # of the steps made again, below that of any run
+
+
+class Ledger:
+    """See the module. Every array is computed when first asked for and kept.
+
+    Per node, shapes (N,) and (N, 3): energy, modified_energy, discrete_energy (of the step that starts there; NaN where
+    an impact cuts that step, and at the last node), linear_momentum, angular_momentum, loss (so far), friction_loss,
+    energy_balance, constraint_residual, energy_rise, impulse_balance, held (whether contacts are held in the step that
+    starts there).
+    Per event, shapes (n,) and (n, 3): energy_jump, modified_energy_jump, discrete_energy_jump, own_jump, event_loss,
+    impulse, gap, complementarity, linear_momentum_jump, angular_momentum_jump.
+    """
+
+    def __init__(
+        self,
+        core: Any,
+        options: Options,
+        t: Array,
+        q: Array,
+        p: Array,
+        events: EventLog,
+        *,
+        model: pin.Model,
+        collision: pin.GeometryModel,
+        forced: bool,
+        start: float,
+        contacts: ContactLog | None = None,
+        phases: Mapping[str, Array] | None = None,
+        forces: Forces | None = None,
+        elements: bool = False,
+        constrained: bool = False,
+        energies: Array | None = None,
+    ) -> None:
+        """Of nodes t (N,) [s], q (N, nq), p (N, nv), events, contacts and phases of a run that began at `start` [s].
+
+        options: its settings; of them the order, and dt where all steps have one length. model, collision: those of the
+        complete scene. forced: whether there were inputs or forces that no step made again here has; forces: the work
+        they did, None where it is not known. elements: whether the scene has some; constrained: whether all its steps
+        have constraints or dry friction. energies: T and V at the nodes (N, 2) of a run whose scene lacks functions of
+        the user: what would have to be computed with them is NaN.
+        """
+        self._core, self._forced, self._start = core, forced, start
+        self._forces, self._elements, self._constrained = forces, elements, constrained
+        self._given = energies
+        self._dt = float("nan") if options.auto else options.fixed_dt
+        self._order = options.order
+        c, b = np.polynomial.legendre.leggauss(options.order // 2)
+        self._gauss = 0.5 * (1.0 + c), 0.5 * b
+        self._damping = np.array(model.damping, dtype=float)
+        self._bodies = model, collision
+        self._contact_log, self._phases = empty_contacts() if contacts is None else contacts, phases
+        self.t, self._q, self._p, self.events = t, q, p, events
+
+    # -- per node ------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def kinetic_energy(self) -> Array:
+        """T [J], shape (N,)."""
+        return self._energies[:, 0]
+
+    @cached_property
+    def energy(self) -> Array:
+        """H [J], shape (N,)."""
+        return np.asarray(self._energies.sum(axis=1))
+
+    @cached_property
+    def modified_energy(self) -> Array:
+        """Modified Hamiltonian of the full step [J], shape (N,); H from order 4 on and with constraints."""
+        return self._modified(self._q, self._p)
+
+    @cached_property
+    def discrete_energy(self) -> Array:
+        """E_d of the step that starts at the node [J], shape (N,); NaN without such a step, with inputs or "auto"."""
+        values = np.full(len(self.t), np.nan)
+        if not np.isfinite(self._dt):
+            return values
+        step = (self.t - self._start) / self._dt
+        index = np.rint(step).astype(np.int64)
+        whole = np.abs(step - index) < 1e-6  # a run that ended inside a step has its last node there
+        whole[-1:] = False
+        whole &= ~np.isin(index, self.events.array("step")) & ~self.held
+        if not self._forced:
+            values[whole] = self._discrete(self._q[whole], self._p[whole], np.full(int(whole.sum()), self._dt))
+        return values
+
+    @cached_property
+    def linear_momentum(self) -> Array:
+        """Of all bodies [N s], shape (N, 3)."""
+        return self._momenta[:, :3]
+
+    @cached_property
+    def angular_momentum(self) -> Array:
+        """Of all bodies about the world's origin [N m s], shape (N, 3)."""
+        return self._momenta[:, 3:]
+
+    @cached_property
+    def loss(self) -> Array:
+        """What impacts and the friction of held contacts took until each node [J], >= 0, shape (N,)."""
+        return self.events.total(self.event_loss, self.t, self._start, self._dt) + self.friction_loss
+
+    @property
+    def friction_loss(self) -> Array:
+        """What sliding took in held contacts until each node [J], shape (N,)."""
+        return self.contacts.friction_loss
+
+    @cached_property
+    def undriven_energy(self) -> Array:
+        """H less what inputs and drives put in, plus what damping and dry friction of joints took [J], shape (N,).
+
+        NaN where that was not recorded, in runs with damping or forces.
+        """
+        if self._forces is not None:
+            work = self._forces.work
+            return np.asarray(self.energy - work.input - work.drive + work.damping + work.dry)
+        lossless = not self._forced and not np.any(self._damping)
+        return self.energy if lossless else np.full(len(self.t), np.nan)
+
+    @cached_property
+    def energy_balance(self) -> Array:
+        """Change of H that is not accounted for since the first node [J], shape (N,): of O(dt^2).
+
+        H less the work of inputs and drives, plus what damping, dry friction, friction of held contacts and impacts
+        took.
+        """
+        known = self.undriven_energy + self.loss
+        return np.asarray(known - known[0])
+
+    @cached_property
+    def constraint_residual(self) -> Array:
+        """Largest residual of the scene's constraints at the node [m; rad], shape (N,); 0 without constraints."""
+        if not sum(self._core.constraint_rows):
+            return np.zeros(len(self.t))
+        pairs = zip(self._q, self.t, strict=True)
+        return np.array([np.abs(self._core.constraint_residual(q, t)).max() for q, t in pairs])
+
+    @cached_property
+    def energy_rise(self) -> Array:
+        """H at the node less the least H at a node before it, >= 0 [J], shape (N,)."""
+        return np.asarray(self.energy - np.minimum.accumulate(self.energy))
+
+    @property
+    def impulse_balance(self) -> Array:
+        """What of the impulses on free bodies is not accounted for since the node before [N s], shape (N,)."""
+        return self.contacts.impulse_balance
+
+    @cached_property
+    def held(self) -> NDArray[np.bool_]:
+        """Whether contacts are held after the node, shape (N,)."""
+        return self._held(self.t)
+
+    # -- of held contacts ----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def contacts(self) -> ContactLedger:
+        """How exactly contacts are held, row by row of the run's contacts."""
+        model, trees = self._bodies[0], free_trees(*self._bodies)
+        gravity = np.array(model.gravity.linear)
+        unknown = self._forced or self._elements
+        return ContactLedger(self._contact_log, self.t, self._q, self._p, trees, gravity, unknown)
+
+    # -- per event -----------------------------------------------------------------------------------------------------
+
+    @property
+    def event_loss(self) -> Array:
+        """What the law of the impact takes by restitution and friction [J], shape (n,)."""
+        return self.events.loss
+
+    @property
+    def impulse(self) -> Array:
+        """lambda [N s; N m s at the limit of a revolute joint], shape (n,)."""
+        return self.events.array("impulse")
+
+    @property
+    def gap(self) -> Array:
+        """Signed distance at the impact [m; rad], shape (n,)."""
+        return self.events.array("gap")
+
+    @property
+    def complementarity(self) -> Array:
+        """gap * impulse [N m s], shape (n,): no impulse at a distance."""
+        return self.gap * self.impulse
+
+    @cached_property
+    def energy_jump(self) -> Array:
+        """Of H, loss added back [J], shape (n,)."""
+        return self.events.energy_change + self.event_loss
+
+    @cached_property
+    def discrete_energy_jump(self) -> Array:
+        """Of E_d, loss added back [J], shape (n,)."""
+        if self._forced:
+            return np.full(len(self.events), np.nan)
+        q, before, after = map(self.events.array, ("q", "before", "after"))
+        start = self._discrete(q, self.events.array("p_minus"), -before) + self._before[3]
+        end = self._discrete(q, self.events.array("p_plus"), after) - self._after[3]
+        chained = self._follows("step", "time", "before")
+        start[chained] = end[np.flatnonzero(chained) - 1]
+        return np.where(self.event_held, np.nan, end - start + self.event_loss)
+
+    @cached_property
+    def modified_energy_jump(self) -> Array:
+        """Of the modified Hamiltonian over the step, loss added back [J], shape (n,)."""
+        if self._forced:
+            return np.full(len(self.events), np.nan)
+        q_end, p_end, work_after, _ = self._after
+        q_start, p_start, work_before, _ = self._before
+        end = self._modified(q_end, p_end) - work_after
+        start = self._modified(q_start, p_start)
+        chained = self._follows("step")
+        start[chained] = end[np.flatnonzero(chained) - 1]
+        # the work until the first impact of an instant; those after it have none of their own
+        start += np.where(self._follows("step", "time", "before"), 0.0, work_before)
+        return end - start + self.event_loss
+
+    @cached_property
+    def own_jump(self) -> Array:
+        """Of the scalar that the map of the event conserves, against its own reference [J], shape (n,)."""
+        explicit = (self.events.array("method") == 0) | (self.events.array("fallback") == HELD)
+        return np.where(explicit, self.energy_jump, self.events.array("jump"))
+
+    @property
+    def linear_momentum_jump(self) -> Array:
+        """p_plus less p_minus of all bodies [N s], shape (n, 3)."""
+        return self._momentum_jumps[:, :3]
+
+    @property
+    def angular_momentum_jump(self) -> Array:
+        """Of all bodies about the world's origin [N m s], shape (n, 3)."""
+        return self._momentum_jumps[:, 3:]
+
+    # -- how -----------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _energies(self) -> Array:
+        return np.asarray(self._core.energy(self._q, self._p)) if self._given is None else self._given
+
+    @cached_property
+    def _momenta(self) -> Array:
+        return np.asarray(self._core.spatial_momentum(self._q, self._p))
+
+    @cached_property
+    def _momentum_jumps(self) -> Array:
+        q, p_minus, p_plus = map(self.events.array, ("q", "p_minus", "p_plus"))
+        return np.asarray(self._core.spatial_momentum(q, p_plus) - self._core.spatial_momentum(q, p_minus))
+
+    @cached_property
+    def event_kinetic_energy(self) -> Array:
+        """T before each impact [J], shape (n,)."""
+        return np.asarray(self._core.energy(self.events.array("q"), self.events.array("p_minus")))[:, 0]
+
+    @cached_property
+    def event_held(self) -> NDArray[np.bool_]:
+        """Whether contacts are held just before or just after the impact, shape (n,)."""
+        time = self.events.array("time")
+        return self._held(time) | self._held(time, "left")
+
+    def _held(self, t: Array, side: Literal["left", "right"] = "right") -> NDArray[np.bool_]:
+        """Return whether contacts are held just after (or before: "left") these times, shape (N,)."""
+        if self._constrained or self._phases is None:
+            return np.full(len(t), self._constrained)
+        at = np.searchsorted(self._phases["t"], t, side=side) - 1
+        return np.asarray((at >= 0) & (self._phases["held"][np.clip(at, 0, None)] != 0.0))
+
+    def _follows(self, *names: str) -> NDArray[np.bool_]:
+        """Return which events share these fields with the event before them, shape (n,)."""
+        same = np.ones(len(self.events), dtype=bool)
+        same[:1] = False
+        for name in names:
+            same[1:] &= np.diff(self.events.array(name)) == 0
+        return same
+
+    def _discrete(self, q: Array, p: Array, h: Array) -> Array:
+        """E_d of steps h (n,) from these states; H where the step has no length, NaN where its length is not known."""
+        if self._given is not None:
+            return np.full(len(q), np.nan)
+        values = np.asarray(self._core.energy(q, p)).sum(axis=1)
+        some = np.flatnonzero(h != 0.0)
+        try:
+            values[some] = self._core.discrete_energy(q[some], p[some], h[some], self._order)
+        except RuntimeError:  # CoreError is one: a step that the run had to cut in two is none to be made again
+            for i in some:
+                one = slice(i, i + 1)
+                with contextlib.suppress(RuntimeError):
+                    values[i] = np.nan
+                    values[i] = self._core.discrete_energy(q[one], p[one], h[one], self._order)[0]
+        return values
+
+    def _modified(self, q: Array, p: Array) -> Array:
+        if self._given is not None:
+            return np.full(len(q), np.nan)
+        if self._constrained:  # of its steps no such quantity is known
+            return np.asarray(self._core.energy(q, p)).sum(axis=1)
+        return np.asarray(self._core.modified_energy(q, p, self._dt, self._order))
+
+    @cached_property
+    def _before(self) -> tuple[Array, Array, Array, Array]:
+        """The part of the step that ends at each impact, see `_part`."""
+        return self._part(self.events.array("p_minus"), -self.events.array("before"))
+
+    @cached_property
+    def _after(self) -> tuple[Array, Array, Array, Array]:
+        """The rest of the step after each impact, see `_part`."""
+        return self._part(self.events.array("p_plus"), self.events.array("after"))
+
+    def _part(self, p: Array, h: Array) -> tuple[Array, Array, Array, Array]:
+        """Return where steps h (n,) from the impacts end, q and p, and what damping does over them [J], twice.
+
+        First its work over the whole part, h sum_j b_j P_j with the power P_j = -v_j D v_j at the Gauss stages; second
+        that between the impact and E_d, which is the mean of E over the stages: h sum_ij b_i a_ij P_j, and
+        sum_i b_i a_ij = b_j (1 - c_j). Negative h: where the step that ended there began. NaN where h is not known.
+        """
+        q, p, c, b = self.events.array("q").copy(), p.copy(), *self._gauss
+        whole, near = np.zeros(len(h)), np.zeros(len(h))
+        for i in np.flatnonzero(h != 0.0):
+            if not np.isfinite(h[i]):
+                p[i] = whole[i] = near[i] = np.nan
+                continue
+            try:
+                q[i], p[i], v, *_ = self._core.step(q[i], p[i], float(h[i]), None, _STEP_TOL, self._order)
+            except RuntimeError:
+                p[i] = whole[i] = near[i] = np.nan
+                continue
+            power = -np.sum(self._damping * np.asarray(v) ** 2, axis=1)  # of the stages, (s,)
+            whole[i] = abs(h[i]) * float(b @ power)
+            near[i] = abs(h[i]) * float((b * (1.0 - c)) @ power)
+        return q, p, whole, near

@@ -1,0 +1,364 @@
+"""The file of a run: one npz (a zip of npy arrays), schema 5. Nothing in it is pickled, nothing is executed on loading.
+
+N nodes, n events, c contacts, m segments, s stages (order / 2), nq and nv sizes of configuration and velocity; SI
+units; everything float64 unless it says int64.
+
+===================== ============== ===========================================================================
+entry                 shape          meaning
+===================== ============== ===========================================================================
+header                ()             JSON text, see below
+t                     (N,)           times [s], increasing
+q                     (N, nq)        configurations, Pinocchio's numbers (quaternions x y z w)
+p                     (N, nv)        momenta M(q) v
+v                     (N, nv)        Pinocchio's tangent velocities (body twist for a free body) [m/s, rad/s]
+kinetic_energy        (N,)           T [J]
+potential_energy      (N,)           V [J], of gravity, springs and potentials
+modified_energy       (N,)           modified Hamiltonian of the midpoint rule, from order 4 on H [J]
+discrete_energy       (N,)           of the step that starts at the node [J], NaN without one; only in runs with DTEC
+gap/time              (M,)           times at which gaps were measured [s], M <= 2000
+gap/value             (M, K)         signed distance [m] of the K pairs header["gap_pairs"], those that touched
+event/time            (n,)           [s]
+event/step            (n,) int64     index of the step
+event/kind            (n,) int64     0 contact, 1 joint limit
+event/index           (n,) int64     pair index (header["pair_names"]), or 2 * joint + {0 lower, 1 upper}
+event/point           (n, 3)         contact point [m], world frame; zero for limits
+event/normal          (n, 3)         unit normal from the first shape to the second, world frame; zero for limits
+event/impulse         (n,)           [N s], or [N m s] for the limit of a revolute joint
+event/gamma_minus     (n,)           normal speed before [m/s or rad/s]
+event/gamma_plus      (n,)           normal speed after
+event/G_c             (n,)           inverse inertia W M^-1 W^T [1/kg or 1/(kg m^2)]
+event/gap             (n,)           signed distance at the located configuration [m or rad]
+event/restitution     (n,)           coefficient used
+event/method          (n,) int64     impact map: 0 CTEC, 1 DTEC, 2 MHC
+event/iterations      (n,) int64     evaluations of the map's scalar equation; 0 for CTEC
+event/fallback        (n,) int64     why the impulse is CTEC's: 0 it is not, else a place in records.events.FALLBACKS
+event/jump            (n,)           what is left of the map's own scalar equation [J]
+event/before          (n,)           length of the partial step that ends at the impact [s]
+event/after           (n,)           length of the rest of the step after it [s]
+event/q               (n, nq)        configuration at the impact
+event/p_minus         (n, nv)        momentum before
+event/p_plus          (n, nv)        momentum after
+event/impulse_vector  (n, 3)         on the second shape, friction included [N s], world axes; zero for limits
+event/points          (n,) int64     points of the pair that took part
+event/friction        (n,)           Coulomb coefficient used
+event/loss            (n,)           what the law of the impact takes from the kinetic energy [J]
+event/energy_change   (n,)           H after less H before [J]
+contact/t             (c,)           start of a held step, or time of an impact [s]; only in runs with contacts
+contact/h             (c,)           length of the step [s], 0 for an impact
+contact/step          (c,) int64     index of the step
+contact/kind          (c,) int64     as event/kind
+contact/index         (c,) int64     as event/index
+contact/point         (c,) int64     number of the point within the pair
+contact/mode          (c,) int64     0 stick, 1 slip, 2 frictionless, 3 impact
+contact/position      (c, 3)         contact point at the end of the step [m], world frame
+contact/normal        (c, 3)         unit normal there, from the first shape to the second
+contact/start         (c, 3)         impulse on the second shape of the kick at the start [N s], of an impact all of it
+contact/end           (c, 3)         of the kick at the end [N s]; of limits the first component counts
+contact/gap           (c,)           signed distance at the end [m or rad]
+contact/slip          (c, 3)         tangential velocity of the second shape against the first at the end [m/s]
+change/time           (d,)           when a contact changed [s]; changes only in runs that have some
+change/kind           (d,) int64     as event/kind
+change/index          (d,) int64     as event/index
+change/point          (d,) int64     number of the point within the pair
+change/change         (d,) int64     what became of it, a place in contactvi.records.contacts.CHANGES
+change/value          (d,)           see contactvi.records.contacts.ContactChange
+phase/t               (r,)           from these times on [s]; phases only in runs with held contacts
+phase/dt              (r,)           the steps have these lengths [s]
+phase/held            (r,)           and contacts are held (1) or not (0)
+segment/t             (m,)           start of a solved step or partial step [s]; segments only in runs that kept them
+segment/h             (m,)           its length [s]
+segment/q             (m, nq)        configuration at its start
+segment/p             (m, nv)        momentum at its start, this and the next two in the engine's coordinates
+segment/p1            (m, nv)        momentum at its end, before an impact there
+segment/rates         (m, s nv)      chart rates at the Gauss stages (core/step/path.hpp)
+segment/held          (m,)           1 where contacts were held: a midpoint step whatever the order
+arc/t                 (k,)           with dt "auto" only: from these times on [s]
+arc/dt                (k,)           the steps have these lengths [s]
+frame/time            (f,)           times of frames for pictures between nodes far apart [s], f may be 0
+frame/q               (f, nq)        configurations there
+force/work            (N, 4)         work since the start [J]: input, damping, dry, drive; where the engine reported it
+force/reactions       (N, r)         mean forces of header["constraints"] since the node before [N; N m]
+array/0, array/1 ...  any            arrays (meshes) that the header refers to
+===================== ============== ===========================================================================
+
+The header is an object with the keys
+
+- format: "contactvi-trajectory"; schema: 5; version: of the contactvi that wrote it
+- options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (contactvi.Stats)
+- method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
+- forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
+- constraints: [[name, kind, rows], ...] of the columns of force/reactions, in runs with force/work
+- scene: Scene.to_dict(); visuals: what the viewer draws, a list of contactvi.playback.visuals.Visual fields
+
+in which {"$array": k} stands for the entry array/k, and NaN, Infinity, -Infinity are written as such.
+
+Schema 4 knew no constraints and no forces beyond joint springs; it is read. Schema 3 knew no lasting contact and no
+friction: it has neither contacts, changes and phases nor segment/held and the last five entries of events; it is read.
+Schema 2 knew order 2 and steps of one length, and had no segments, arcs and frames; it is read. Schema 1 knew CTEC
+only; it is read, with event/method, iterations, fallback and jump 0, before and after NaN, and forced true, since it
+did not say.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import zipfile
+import zlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi.errors import ContactviError, SceneError
+from contactvi.files import write_atomic
+from contactvi.options import Options
+from contactvi.playback.visuals import Visual
+from contactvi.records import events as event_log
+from contactvi.records.contacts import ChangeLog, ContactLog
+from contactvi.records.work import Forces
+from contactvi.scene.scene import Scene
+from contactvi.status import Stats, Status, StatusCode
+from contactvi.trajectory import polynomials as dense
+from contactvi.trajectory.storage_entries import (
+    arcs,
+    check_indices,
+    contact_logs,
+    entry,
+    events,
+    forces,
+    frames,
+    nodes,
+    refuse,
+    segments,
+)
+from contactvi.version import version
+
+FORMAT = "contactvi-trajectory"
+SCHEMA = 5
+_OLD_EVENTS = {"method": 0.0, "iterations": 0.0, "fallback": 0.0, "jump": 0.0, "before": np.nan, "after": np.nan}
+
+_NODES: dict[str, str | None] = {
+    "t": None,
+    "q": "q",
+    "p": "v",
+    "v": "v",
+    "kinetic_energy": None,
+    "potential_energy": None,
+    "modified_energy": None,
+}
+# What NumPy and zipfile raise for a file that is damaged, truncated or something else altogether.
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    EOFError,
+    KeyError,
+    zipfile.BadZipFile,
+    zlib.error,
+    pickle.UnpicklingError,
+    NotImplementedError,
+    MemoryError,
+)
+
+
+class Run(Protocol):
+    """What is stored of a run: contactvi.Trajectory has it (besides the entries per node of the table above)."""
+
+    options: Options
+    events: event_log.EventLog
+    status: Status
+    stats: Stats
+    forced: bool
+    segments: dense.Segments | None
+    arcs: dict[str, NDArray[np.float64]] | None
+    phases: dict[str, NDArray[np.float64]] | None
+    contacts: ContactLog
+    contact_changes: ChangeLog
+    error_estimate: float
+    forces: Forces | None
+
+    @property
+    def scene(self) -> Scene: ...
+
+    @property
+    def frames(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+
+    @property
+    def gaps(self) -> tuple[NDArray[np.float64], list[tuple[str, str]], NDArray[np.float64]]: ...
+
+    @property
+    def visuals(self) -> list[Visual]: ...
+
+
+def save(traj: Run, path: str | os.PathLike[str]) -> Path:
+    """Write `traj` to `path` atomically; return the path. v, energies and gaps are computed if they were not."""
+    arrays: list[NDArray[Any]] = []
+    gap_time, gap_pairs, gap_value = traj.gaps
+    header = {
+        "format": FORMAT,
+        "schema": SCHEMA,
+        "version": version(),
+        "options": traj.options.to_dict(),
+        "status": {"code": int(traj.status.code), "message": traj.status.message, "time": traj.status.time},
+        "stats": asdict(traj.stats),
+        "method": traj.events.method,
+        "forced": traj.forced,
+        "error_estimate": traj.error_estimate,
+        "pair_names": traj.scene.pair_names,
+        "joint_names": list(traj.scene.model.names),
+        "gap_pairs": gap_pairs,
+        "constraints": [] if traj.forces is None else [list(row) for row in traj.forces.constraints],
+        "scene": traj.scene.to_dict(),
+        "visuals": [visual.to_dict() for visual in traj.visuals],
+    }
+    text = json.dumps(_pack(header, arrays, {}))
+    entries: dict[str, Any] = {name: getattr(traj, name) for name in _stored_nodes(traj.options)}
+    entries |= {"gap/time": gap_time, "gap/value": gap_value, "frame/time": traj.frames[0], "frame/q": traj.frames[1]}
+    if traj.segments is not None:
+        entries |= {f"segment/{name}": values for name, values in traj.segments.arrays.items()}
+    entries |= {f"arc/{name}": values for name, values in (traj.arcs or {}).items()}
+    entries |= {f"event/{name}": values for name, values in traj.events.arrays.items()}
+    entries |= {f"phase/{name}": values for name, values in (traj.phases or {}).items()}
+    for group, log in (("contact", traj.contacts), ("change", traj.contact_changes)):
+        entries |= {f"{group}/{name}": values for name, values in log.arrays.items() if len(log)}
+    if traj.forces is not None:
+        entries |= {"force/work": traj.forces.values, "force/reactions": traj.forces.reactions}
+    entries |= {f"array/{k}": values for k, values in enumerate(arrays)}
+    return write_atomic(path, lambda file: np.savez(file, header=np.array(text), **entries))
+
+
+def load(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read a run: the arguments of contactvi.Trajectory. Needs neither the engine nor the files of the scene.
+
+    Raises ContactviError for a file that is missing, damaged, of another format or schema, or inconsistent.
+    """
+    path = Path(path)
+    if not path.is_file():
+        refuse(path, "there is no such file")
+    try:
+        file = np.load(path, allow_pickle=False)
+        if isinstance(file, np.ndarray):
+            refuse(path, "one array, not an npz")
+        with file:
+            entries = {name: file[name] for name in file.files}
+    except _UNREADABLE as error:
+        refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
+    header = _read_header(path, entries)
+    try:
+        if header["schema"] == 1:
+            _from_schema_1(entries, header)
+        if header["schema"] < 3:
+            _from_schema_2(entries, header)
+        return _build(path, entries, _unpack(header, entries))
+    except ContactviError:
+        raise
+    except Exception as error:  # whatever a wrong header makes the scene or the options stumble over
+        refuse(path, f"{type(error).__name__}: {error}", error)
+
+
+def _read_header(path: Path, entries: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    text = entries.get("header")
+    if text is None or text.ndim != 0 or text.dtype.kind != "U":
+        refuse(path, "an npz without the entry 'header'")
+    try:
+        header = json.loads(str(text))
+    except (ValueError, RecursionError) as error:
+        refuse(path, "a header that is not JSON", error)
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        refuse(path, "an npz of another format")
+    if header.get("schema") not in range(1, SCHEMA + 1):
+        raise SceneError(
+            f"{path} has another schema",
+            path=path,
+            expected=f"schema 1 to {SCHEMA}",
+            got=f"schema {header.get('schema')!r}, written by contactvi {header.get('version')}",
+            remedy="Read it with the contactvi that wrote it, or run the scene again",
+        )
+    return header
+
+
+def _from_schema_1(entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
+    """Put in what schema 1 did not have."""
+    header["forced"] = True
+    count = len(np.atleast_1d(entries["event/time"]))
+    for name, value in _OLD_EVENTS.items():
+        entries[f"event/{name}"] = np.full(count, value).astype(event_log.FIELDS[name][1])
+
+
+def _from_schema_2(entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
+    """Put in what schema 2 did not have."""
+    header["error_estimate"] = float("nan")
+    entries["frame/time"], entries["frame/q"] = np.zeros(0), np.zeros((0, np.atleast_2d(entries["q"]).shape[1]))
+
+
+def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, Any]:
+    scene = Scene.from_dict(header["scene"])
+    sizes = {"q": int(scene.model.nq), "v": int(scene.model.nv)}
+    options = Options.from_dict(header["options"])
+    found = nodes(path, entries, sizes, _stored_nodes(options))
+    names = [(str(a), str(b)) for a, b in header["pair_names"]], list(header["joint_names"])
+    log = event_log.EventLog(events(path, entries, sizes, header["schema"]), *names, header["method"])
+    check_indices(path, log, len(names[0]), len(names[1]))
+    pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]
+    times = entry(path, entries, "gap/time", (None,), float)
+    status = header["status"]
+    visuals = [Visual.from_dict(fields) for fields in header["visuals"]]
+    if not all(0 <= visual.joint < scene.model.njoints for visual in visuals):
+        refuse(path, "pictures on joints that do not exist")
+    t = found.pop("t")
+    return {
+        "scene": scene,
+        "options": options,
+        "t": t,
+        "q": found.pop("q"),
+        "p": found.pop("p"),
+        "events": log,
+        "status": Status(StatusCode(status["code"]), str(status["message"]), float(status["time"])),
+        "stats": Stats(**header["stats"]),
+        "forced": bool(header["forced"]),
+        "segments": segments(path, entries, sizes, options, header["schema"]) if "segment/t" in entries else None,
+        "arcs": arcs(path, entries) if "arc/t" in entries else None,
+        "error_estimate": float(header["error_estimate"]),
+        "frames": frames(path, entries, sizes),
+        "derived": found,
+        "gaps": (times, pairs, entry(path, entries, "gap/value", (len(times), len(pairs)), float)),
+        "visuals": visuals,
+        "forces": forces(path, entries, t, header["constraints"]) if "force/work" in entries else None,
+        **contact_logs(path, entries, names),
+    }
+
+
+def _stored_nodes(options: Options) -> dict[str, str | None]:
+    """Return the entries per node; the discrete energy costs a step per node and is kept where it is conserved."""
+    return _NODES | {"discrete_energy": None} if options.impact == "dtec" else _NODES
+
+
+def _pack(item: Any, arrays: list[NDArray[Any]], seen: dict[tuple[Any, ...], int]) -> Any:
+    """Return `item` as plain JSON data; arrays go to `arrays`, equal ones once (a hand has four equal fingers)."""
+    if isinstance(item, np.ndarray):
+        values = np.ascontiguousarray(item)
+        key = (values.shape, values.dtype.str, values.tobytes())
+        if key not in seen:
+            seen[key] = len(arrays)
+            arrays.append(values)
+        return {"$array": seen[key]}
+    if isinstance(item, dict):
+        return {str(name): _pack(value, arrays, seen) for name, value in item.items()}
+    if isinstance(item, (list, tuple)):
+        return [_pack(value, arrays, seen) for value in item]
+    if isinstance(item, np.generic):
+        return item.item()
+    return item
+
+
+def _unpack(item: Any, entries: dict[str, NDArray[Any]]) -> Any:
+    if isinstance(item, dict):
+        if set(item) == {"$array"}:
+            return entries[f"array/{item['$array']}"]
+        return {name: _unpack(value, entries) for name, value in item.items()}
+    if isinstance(item, list):
+        return [_unpack(value, entries) for value in item]
+    return item

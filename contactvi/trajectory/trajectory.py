@@ -1,0 +1,399 @@
+"""The result of a run: arrays over time, events, status, statistics."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from contactvi.errors import InputError
+from contactvi.options import Options
+from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, empty_contacts
+from contactvi.records.events import EventLog
+from contactvi.records.work import ConstraintRows, Forces, Work
+from contactvi.status import Stats, Status
+from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.contact_ledger import ContactLedger
+from contactvi.trajectory.ledger import Ledger
+from contactvi.trajectory.polynomials import Segments, State, frame_times
+
+if TYPE_CHECKING:
+    from contactvi.scene.scene import Scene
+
+Array = NDArray[np.float64]
+_MAX_GAP_SAMPLES = 2000
+
+
+class Trajectory:
+    """A run: t (N,), q (N, nq), p (N, nv) at the recorded nodes, and what follows from them.
+
+    q is Pinocchio's configuration, p = M(q) v the momentum of Pinocchio's tangent velocity v. v, energy and
+    modified_energy are computed when first asked for and kept.
+
+    Attributes
+    ----------
+    options : the settings of the run.
+    events : the impacts, a sequence of `Event` (an `EventLog`).
+    status : how the run ended. stats : what it cost.
+    forced : whether the run had inputs (control) other than zero, which are not kept, or constraints, dry friction,
+        servos, wrenches, dampers or forces given in Python.
+    forces : work and reactions as arrays (contactvi.records.work.Forces), see `work` and `reactions`; None without.
+    segments : the polynomials of its steps (contactvi.trajectory.polynomials), None without; `at` evaluates them.
+    contacts : every contact of every held step and impact, with its forces (a `ContactLog`); empty without, and with
+        record_contacts=False. contact_changes : when contacts began, stuck, slipped, ended (a `ChangeLog`).
+    phases : where something was held, {"t": (k,), "dt": (k,), "held": (k,)}: from these times [s] on steps have these
+        lengths [s], and contacts are held (1) or not (0); else None.
+    arcs : with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths [s]; else None.
+    error_estimate : with dt="auto", the measured error of q over the run [m, rad] (contactvi.simulation.adaptive);
+        else NaN.
+    """
+
+    def __init__(
+        self,
+        scene: Scene | Prepared,
+        options: Options,
+        t: Array,
+        q: Array,
+        p: Array,
+        events: EventLog,
+        status: Status,
+        stats: Stats,
+        *,
+        forced: bool = False,
+        segments: Segments | None = None,
+        arcs: Mapping[str, Array] | None = None,
+        error_estimate: float = float("nan"),
+        derived: Mapping[str, Array] | None = None,
+        gaps: tuple[Array, list[tuple[str, str]], Array] | None = None,
+        frames: tuple[Array, Array] | None = None,
+        contacts: ContactLog | None = None,
+        changes: ChangeLog | None = None,
+        phases: Mapping[str, Array] | None = None,
+        visuals: list[Any] | None = None,
+        forces: Forces | None = None,
+    ) -> None:
+        self._scene = scene
+        # the engine's scene at the time of the run: the Python scene may be edited afterwards
+        self._core = scene.core if isinstance(scene, Prepared) else None
+        self.options = options
+        self.t, self.q, self.p = t, q, p
+        self.events = events
+        self.status = status
+        self.stats = stats
+        self.forced = forced
+        self.segments = segments
+        self.arcs = None if arcs is None else dict(arcs)
+        self.phases = None if phases is None else dict(phases)
+        self.contacts = empty_contacts() if contacts is None else contacts
+        self.contact_changes = empty_changes() if changes is None else changes
+        self.error_estimate = error_estimate
+        self._derived: dict[str, Array] = dict(derived or {})
+        self._gaps = gaps
+        self._frames = frames
+        self._visuals = visuals
+        self.forces = forces
+        self._ledger: Ledger | None = None
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that was run, as it was."""
+        if isinstance(self._scene, Prepared):
+            self._scene = self._scene.scene()
+        return self._scene
+
+    def __len__(self) -> int:
+        return int(self.t.shape[0])
+
+    def __repr__(self) -> str:
+        return (
+            f"<Trajectory: {len(self)} nodes, t = {self.t[0]:.6g} .. {self.t[-1]:.6g} s, "
+            f"{len(self.events)} events, {self.status.code.name}>"
+        )
+
+    @property
+    def stepping(self) -> str:
+        """How it was stepped, in words, for example "order 2, dt = 0.01 s"."""
+        order = f"order {self.options.order}"
+        if not self.options.auto:
+            return f"{order}, dt = {self.options.fixed_dt:.6g} s{self._held_stepping()}"
+        lengths = _lengths(np.zeros(0) if self.arcs is None else self.arcs["dt"])
+        return f"{order}, dt{lengths} (auto){self._held_stepping()}, error of q about {self.error_estimate:.1g}"
+
+    def _held_stepping(self) -> str:
+        """How long contacts were held and with which steps, in words; of a scene with constraints the steps alone."""
+        if self.phases is None:
+            return ""
+        held, ends = self.phases["held"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
+        span = float((ends - self.phases["t"])[held].sum())
+        constrained = bool(self.forces is not None and self.forces.constraints) or self.scene._complete().constrained
+        what = "constraints met" if constrained else f"contacts held for {span:.4g} s"
+        lengths, same = _lengths(self.phases["dt"][held]), self.options.order == 2 and not self.options.auto
+        if same and np.all(self.phases["dt"][held] == self.options.fixed_dt):
+            return "" if constrained else f", {what}"
+        return f", {what} with order 2, dt{lengths}"
+
+    @property
+    def v(self) -> Array:
+        """Pinocchio's tangent velocity (body twist for a free body), shape (N, nv)."""
+        return self._get("v", lambda core: core.velocity(self.q, self.p))
+
+    @property
+    def kinetic_energy(self) -> Array:
+        """T [J], shape (N,)."""
+        self._energies()
+        return self._derived["kinetic_energy"]
+
+    @property
+    def potential_energy(self) -> Array:
+        """V [J], of gravity, springs and potentials, shape (N,)."""
+        self._energies()
+        return self._derived["potential_energy"]
+
+    @property
+    def energy(self) -> Array:
+        """H = T + V [J], shape (N,)."""
+        return self.kinetic_energy + self.potential_energy
+
+    @property
+    def modified_energy(self) -> Array:
+        """The modified Hamiltonian [J], shape (N,).
+
+        At order 2 what the midpoint rule with step dt conserves to O(dt^4); from order 4 on H itself, whose nodes are
+        within O(dt^order) of what the integrator conserves; H too with constraints and dry friction of joints.
+        """
+        return self._get("modified_energy", lambda core: self.ledger.modified_energy)
+
+    @property
+    def ledger(self) -> Ledger:
+        """What should be conserved, node by node and impact by impact (contactvi.trajectory.ledger)."""
+        if self._ledger is None:
+            built, lacking = self.scene._complete(), bool(self.scene._edits.missing)
+            self._ledger = Ledger(
+                self._engine(), self.options, self.t, self.q, self.p, self.events,
+                model=self.scene.model, collision=self.scene.collision_model, forced=self.forced,
+                start=float(self.t[0]), contacts=self.contacts, phases=self.phases, forces=self.forces,
+                elements=built.elements.any or lacking, constrained=bool(self.constraints) or built.constrained,
+                energies=np.column_stack([self.kinetic_energy, self.potential_energy]) if lacking else None,
+            )  # fmt: skip
+        return self._ledger
+
+    @property
+    def discrete_energy(self) -> Array:
+        """E_d [J] of the step that starts at each node, NaN where an impact cuts it (and with inputs), shape (N,)."""
+        return self._get("discrete_energy", lambda core: self.ledger.discrete_energy)
+
+    @property
+    def _dt(self) -> float:
+        """Length of all steps [s]; NaN where they have several."""
+        return float("nan") if self.options.auto else self.options.fixed_dt
+
+    @property
+    def impact_energy(self) -> Array:
+        """H(p_plus) - H(p_minus) of the impacts up to each node [J], shape (N,); minus the loss with CTEC."""
+        return self.events.total(self.events.energy_change, self.t, float(self.t[0]), self._dt)
+
+    @property
+    def impact_loss(self) -> Array:
+        """What the laws of impacts took up to each node, by restitution and friction (>= 0) [J], shape (N,)."""
+        return self.events.total(self.events.loss, self.t, float(self.t[0]), self._dt)
+
+    @property
+    def friction_loss(self) -> Array:
+        """What sliding took in held contacts up to each node [J], shape (N,); to O(dt_contact^2)."""
+        if not len(self.contacts):
+            return np.zeros(len(self))
+        return ContactLedger(self.contacts, self.t, self.q, self.p).friction_loss  # needs no engine, as pictures do not
+
+    @property
+    def work(self) -> Work:
+        """Work since the start at each node [J]: fields input, damping, dry, drive, shapes (N,); see `Work`.
+
+        Known at the ends of steps; at samples (sample_dt) within a step in proportion, the ledger's balance too.
+        """
+        return self._forces().work
+
+    @property
+    def constraints(self) -> list[ConstraintRows]:
+        """The constraints of the run: (name, kind, rows)."""
+        return [] if self.forces is None else list(self.forces.constraints)
+
+    def reactions(self, name: str) -> Array:
+        """Return the mean force of a constraint over the time since the node before, impacts included, (N, rows).
+
+        [N; N m], zero at the start: the force lambda with which J^T lambda acts on the momentum. Of a point in world
+        axes on body b; of a weld force, then torque, on b at its origin, in the axes that `placement` has on a; of a
+        distance the push along the line, negative for a pull; of a screw the forces along x and y, the moments about y
+        and -x and the force along z on b, in the axes of frame_a; of a prescribed or following joint what acts on it.
+        Raises InputError for an unknown name.
+        """
+        return self._forces().of(name)
+
+    def _forces(self) -> Forces:
+        if self.forces is None:
+            raise InputError(
+                "The work of forces was not recorded", name="work", expected="a run that has it",
+                got="one that an older contactvi has stored", remedy="Run it again",
+            )  # fmt: skip
+        return self.forces
+
+    @property
+    def visuals(self) -> list[Any]:
+        """What the viewer draws: a list of `contactvi.playback.visuals.Visual`."""
+        if self._visuals is None:
+            from contactvi.playback.visuals import from_scene
+
+            self._visuals = from_scene(self.scene)
+        return self._visuals
+
+    @property
+    def gaps(self) -> tuple[Array, list[tuple[str, str]], Array]:
+        """(times (M,), pairs, gaps (M, len(pairs)) [m]) of the pairs that touched, at not more than 2000 times.
+
+        The times are nodes; where these are too far apart for pictures, `frames` and impacts too.
+        """
+        if self._gaps is None:
+            index = np.unique(np.concatenate([log.array("index")[log.array("kind") == 0]
+                                              for log in (self.events, self.contacts)]))  # fmt: skip
+            t, q = self.t, self.q
+            if len(self.frames[0]):
+                t = np.concatenate([t, self.frames[0], self.events.array("time")])
+                t, first = np.unique(t, return_index=True)
+                q = np.concatenate([q, self.frames[1], self.events.array("q")])[first]
+            chosen = np.unique(np.linspace(0, len(t) - 1, min(len(t), _MAX_GAP_SAMPLES)).round().astype(int))
+            values = np.zeros((len(chosen), len(index)))
+            if len(index):
+                core = self._engine()
+                for row, k in enumerate(chosen):
+                    values[row] = core.gaps(q[k])[0][index]
+            self._gaps = (t[chosen], [self.events.label(0, int(i)) for i in index], values)
+        return self._gaps
+
+    def at(self, t: ArrayLike) -> State:
+        """Return the state at time t [s], as accurate as the nodes: by a step that ends there, for the price of one.
+
+        t : one time, or an array of n times; then q, v, p of the state have a first axis n. At an impact it is the
+        state after it. Of a run with inputs, which are not kept, it comes from the polynomials of the steps, accurate
+        to O(h^(order/2 + 2)). Raises InputError outside the run, and for a run whose polynomials were not kept.
+        """
+        times = self._within(t)
+        if self.segments is None:
+            if len(self) == 1:
+                q, v, p = (np.repeat(x, times.size, axis=0) for x in (self.q, self.v, self.p))
+                return State(t, q, v, p) if np.ndim(t) else State(t, q[0], v[0], p[0])
+            raise InputError(
+                "The polynomials of the steps were not kept",
+                name="dense",
+                expected="a run with dense=True, or of order >= 4",
+                got=f"dense={self.options.dense}, order {self.options.order}",
+                remedy="Run it with dense=True; resample interpolates between the nodes",
+            )
+        core = self._engine()
+        q, v = self.segments.states(core, times, exact=not self.forced and not self.scene._edits.missing)
+        last = times >= self.t[-1]  # of a run that ended with an impact the segments know only what was before it
+        q[last], v[last] = self.q[-1], core.velocity(self.q[-1:], self.p[-1:])[0]
+        p = np.asarray(core.momentum(q, v))
+        return State(np.array(t, dtype=float), q, v, p) if np.ndim(t) else State(float(times[0]), q[0], v[0], p[0])
+
+    def resample(self, times: ArrayLike) -> Array:
+        """Return configurations at these times [s] for pictures, shape (len(times), nq); `at` is the exact one.
+
+        Between two known configurations (nodes, impacts, `frames`) every joint moves with constant velocity; free and
+        planar bodies as R^3 x SO(3) and R^2 x SO(2), as the engine steps them. Raises InputError outside the run.
+        """
+        wanted = self._within(times)
+        known = np.concatenate([self.t, self.events.array("time"), self.frames[0]])
+        known, first = np.unique(known, return_index=True)
+        q = np.concatenate([self.q, self.events.array("q"), self.frames[1]])[first]
+        left = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, max(0, len(known) - 2))
+        result = np.empty((len(wanted), self.q.shape[1]))
+        linear = _linear_entries(self.scene.model)
+        for row, (time, k) in enumerate(zip(wanted, left, strict=True)):
+            right = min(k + 1, len(known) - 1)
+            span = known[right] - known[k]
+            s = min(1.0, max(0.0, (time - known[k]) / span)) if span > 0 else 0.0
+            result[row] = pin.interpolate(self.scene.model, q[k], q[right], s)
+            result[row, linear] = (1.0 - s) * q[k, linear] + s * q[right, linear]
+        return result
+
+    @property
+    def frames(self) -> tuple[Array, Array]:
+        """(times (M,) [s], configurations (M, nq)) between nodes that are too far apart for pictures, 60 a second.
+
+        None for runs whose nodes are dense enough or whose polynomials were not kept. They are stored with the run.
+        """
+        if self._frames is None:
+            times = np.zeros(0) if self.segments is None else frame_times(self.t)
+            q = self.at(times).q if len(times) else np.zeros((0, self.q.shape[1]))
+            self._frames = times, q
+        return self._frames
+
+    def _within(self, times: ArrayLike) -> Array:
+        """Return times [s] as an array (n,), checked to lie in the run."""
+        try:
+            wanted = np.asarray(times, dtype=float).reshape(-1)
+        except (TypeError, ValueError):
+            wanted = np.array([np.nan])
+        slack = 1e-9 * max(1.0, abs(float(self.t[-1])))
+        if not np.all((wanted >= self.t[0] - slack) & (wanted <= self.t[-1] + slack)):
+            raise InputError(
+                "Time outside the run",
+                name="t",
+                expected=f"a time in [{self.t[0]:.9g}, {self.t[-1]:.9g}] s",
+                got=np.array2string(wanted, threshold=4),
+            )
+        return np.clip(wanted, self.t[0], self.t[-1])
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the run as one npz file (contactvi.trajectory.storage), whole or not at all; return its path."""
+        from contactvi.trajectory.storage import save
+
+        return save(self, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Trajectory:
+        """Read a run written by `save`. Raises ContactviError for anything that is not such a file."""
+        from contactvi.trajectory.storage import load
+
+        return cls(**load(path))
+
+    def to_html(self, path: str | os.PathLike[str], **options: Any) -> Path:
+        """Write a self-contained page that plays the run (contactvi.playback.page.write_html); return its path."""
+        from contactvi.playback.page import write_html
+
+        return write_html(self, path, **options)
+
+    def _engine(self) -> Any:
+        if self._core is None:
+            self._core = self.scene.core()
+        return self._core
+
+    def _get(self, name: str, compute: Any) -> Array:
+        if name not in self._derived:
+            self._derived[name] = np.asarray(compute(self._engine()), dtype=float)
+        return self._derived[name]
+
+    def _energies(self) -> None:
+        if "kinetic_energy" not in self._derived or "potential_energy" not in self._derived:
+            values = np.asarray(self._engine().energy(self.q, self.p), dtype=float)
+            self._derived["kinetic_energy"] = values[:, 0]
+            self._derived["potential_energy"] = values[:, 1]
+
+
+def _lengths(steps: Array) -> str:
+    """Return " = 0.01 s" or " = 0.01 to 0.02 s", nothing for none."""
+    low, high = (f"{x:.3g}" for x in (steps.min(initial=np.inf), steps.max(initial=0.0)))
+    return f" = {low} s" if low == high else f" = {low} to {high} s" if len(steps) else ""
+
+
+def _linear_entries(model: pin.Model) -> NDArray[np.int64]:
+    """Return the entries of q that are Cartesian positions of free and planar bodies."""
+    entries: list[int] = []
+    for joint in model.joints[1:]:
+        count = {"JointModelFreeFlyer": 3, "JointModelPlanar": 2}.get(joint.shortname(), 0)
+        entries += range(joint.idx_q, joint.idx_q + count)
+    return np.array(entries, dtype=np.int64)

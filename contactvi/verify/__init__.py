@@ -1,0 +1,1 @@
+"""`contactvi verify`: cases with known answers."""

@@ -1,0 +1,243 @@
+"""Cases of single bodies that hit something: problem B, N01, N06 .. N08, N16, N26, N27, the thin plate."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from contactvi.reproduce.model import ABSOLUTE, START
+from contactvi.scene.scene import Scene
+from contactvi.trajectory.trajectory import Trajectory
+from contactvi.verify import model as models
+from contactvi.verify.check import Case, Check, Runs, at_most, near, same
+
+_G = models.GRAVITY
+_DIGITS = "the digits given, half a unit of the last, and the run's tol"
+_LOCATED = "impacts are located to 1e-12 m; errors add up over them"
+
+
+def problem_b(runs: Runs) -> list[Check]:
+    """Reference of the case: an event-located DOP853 run at rtol 1e-13."""
+    traj = runs.simulate(models.pendulum_b(0.0), np.linalg.solve(ABSOLUTE, START), np.zeros(2), 3.0, tol=1e-11)
+    time, speed, impulse = (traj.events.array(name) for name in ("time", "gamma_minus", "impulse"))
+    return [
+        near("times of the impacts [s]", [0.656671045, 2.017056240], time, 6e-10, _DIGITS),
+        near("gamma- [m/s]", [-1.844474252, -1.025804628], speed, 6e-10, _DIGITS),
+        near("impulses [N s]", [3.691654896, 2.131421633], impulse, 6e-10, _DIGITS),
+        near("q(3), absolute [rad]", [0.3205793585, -0.2173609757], ABSOLUTE @ traj.q[-1], 1e-10, _DIGITS),
+        near("v(3), absolute [rad/s]", [-1.1276643332, 1.2653022812], ABSOLUTE @ traj.v[-1], 2e-10, _DIGITS),
+    ]
+
+
+def bouncing_ball(runs: Runs) -> list[Check]:
+    """Closed form: t_n = t1 (1 + 2 (e + .. + e^(n-1))), apexes e^2n, accumulation at t1 (1 + e) / (1 - e)."""
+    checks, first = [], math.sqrt(2.0 / _G)
+    for e, zeno in ((0.9, 8.5789491787), (0.5, 1.354571)):
+        scene = models.ball(e)
+        traj = runs.simulate(scene, models.at_height(scene, 1.1), np.zeros(6), 10.0, 0.01)
+        events, of = traj.events, f", e = {e:g}"
+        n = len(events)
+        powers = e ** np.arange(n)
+        times = first * (1.0 + 2.0 * (np.cumsum(powers) - 1.0))
+        bounced = events.array("restitution") > 0.0
+        apex = events.array("gamma_plus")[bounced] ** 2 / (2.0 * _G)
+        ended = _changes(traj, "bouncing ended")
+        exact = first * (1.0 + e) / (1.0 - e)
+        digits = "the closed form; accumulated location error of 1e-12 m, over (1 - e)"
+        rest = traj.t >= zeno + 1e-3
+        checks += [
+            near(f"first impact [s]{of}", 0.4515236410, events.array("time")[0], 6e-11, "the digits given"),
+            at_most(f"times of impacts, largest error [s]{of}", 1e-9, _largest(events.array("time") - times), _LOCATED),
+            at_most(f"apexes, largest error [m]{of}", 1e-10, _largest(apex - e ** (2.0 * np.arange(1, n + 1))[bounced]),
+                    "half of gamma+^2 / g; the gap is located to 1e-12 m"),
+            near(f"bouncing ended [s]{of}", exact, ended[0].value if ended else math.nan, 1e-9, digits),
+            near(f"that is the case's number{of}", zeno, exact, 6e-7 if e == 0.5 else 6e-11, "the digits given"),
+            at_most(f"off the ground 1 ms later [m]{of}", 1e-10, _largest(traj.q[rest, 2] - 0.1), "held contact's phi"),
+            at_most(f"speed from then on [m/s]{of}", 1e-10, _largest(traj.v[rest]), "it is projected at the nodes"),
+        ]  # fmt: skip
+    return checks
+
+
+def dtec_ball(runs: Runs) -> list[Check]:
+    """Closed form of the midpoint rule: dH = m g^2 h (r - a) / 8 at an impact, a of the step before and r after it."""
+    scene, h = models.ball(1.0), 0.01
+    traj = runs.simulate(scene, models.at_height(scene, 1.1), np.zeros(6), 10.0, h, impact="dtec", tol=1e-14)
+    events = traj.events
+    a, r = events.array("before"), events.array("after")
+    minus, plus = events.array("p_minus")[:, 2], events.array("p_plus")[:, 2]
+    jump = 0.5 * (plus**2 - minus**2)
+    return [
+        same("impacts that DTEC solved", len(events), int((events.array("fallback") == 0).sum())),
+        at_most("dH - m g^2 h (r - a)/8, largest [J]", 1e-13, _largest(jump - _G**2 * h * (r - a) / 8.0),
+                "the case's; rounding of energies of 10 J is 2e-15"),
+        at_most("p+^2 - p-^2 - m^2 g^2 (r^2 - a^2)/4, largest", 2e-13,
+                _largest(plus**2 - minus**2 - _G**2 * (r**2 - a**2) / 4.0), "twice that of dH, m = 1"),
+    ]  # fmt: skip
+
+
+def mhc_ball(runs: Runs) -> list[Check]:
+    """On a ball under gravity MHC is CTEC: the modified energy differs from the energy by a constant."""
+    scene = models.ball(1.0)
+    found: dict[str, Trajectory] = {
+        name: runs.simulate(scene, models.at_height(scene, 1.1), np.zeros(6), 20.0, 0.01, impact=name, tol=1e-14)
+        for name in ("ctec", "mhc")
+    }
+    mhc, ctec = found["mhc"].events, found["ctec"].events
+    if len(mhc) != len(ctec):
+        return [same("impacts", len(ctec), len(mhc))]
+    drift = found["mhc"].energy / found["mhc"].energy[0] - 1.0
+    apart = mhc.array("impulse") / ctec.array("impulse") - 1.0
+    return [
+        same("impacts that MHC solved", len(mhc), int((mhc.array("fallback") == 0).sum())),
+        at_most("impulses, MHC / CTEC - 1", 1e-11, _largest(apart), "both located to 1e-12 m, over 22 impacts"),
+        at_most("energy, relative error", 1e-12, _largest(drift), "the case's"),
+    ]
+
+
+def pendulum_at_wall(runs: Runs) -> list[Check]:
+    """Closed form: 2 sqrt(l/g) K(sin(theta0/2)) between two hits of the wall at theta = 0."""
+    checks = []
+    for start, period in ((0.5, 1.0189339576), (1.0, 1.0695688003), (1.5, 1.1654933911)):
+        traj = runs.simulate(models.pendulum_at_wall(), [start], [0.0], 6.0, tol=1e-10)
+        times = traj.events.array("time")
+        name = f"time between impacts [s], theta0 = {start:g}"
+        checks += [
+            near(name, np.full(len(times) - 1, period), np.diff(times), 1e-9, "the digits given; tol 1e-10 over 6 s"),
+            same(f"impacts, theta0 = {start:g}", int(6.0 / period + 0.5), len(times)),
+        ]
+    return checks
+
+
+def rod(runs: Runs) -> list[Check]:
+    """Closed form: P = 2 / (1 + 3 cos^2 th)."""
+    checks = []
+    for degrees, v_com, omega in (
+        (0, -0.5, 3.0),
+        (30, -0.384615, 3.197632),
+        (45, -0.2, 3.394113),
+        (60, 0.142857, 3.428571),
+    ):
+        theta = math.radians(degrees)
+        scene, q = models.rod_on_ground(theta, 0.01, 1.0)
+        q[1] += 0.05
+        traj = runs.simulate(scene, q, [0.0, -1.0, 0.0], 0.1, 0.01)
+        impulse = 2.0 / (1.0 + 3.0 * math.cos(theta) ** 2)
+        event = traj.events[0]
+        checks += [
+            near(f"P [N s], {degrees} deg", impulse, event.impulse, 1e-12, "rounding of a located impact"),
+            # a turn about y, from z to x, lifts the end that hits
+            near(f"v_com, omega, {degrees} deg", [v_com, omega], event.p_plus[1:] * [1.0, 12.0], 6e-7, "digits given"),
+        ]  # fmt: skip
+    return checks
+
+
+def free_body(runs: Runs) -> list[Check]:
+    """A box thrown about its middle axis without gravity: it turns over, its angular momentum stays."""
+    scene = Scene((0.0, 0.0, 0.0))
+    scene.add_box("box", (0.1, 0.3, 0.2), mass=1.0)
+    v = np.array([0.1, 0.0, 0.0, 0.02, 0.01, 8.0])
+    traj = runs.simulate(scene, scene.neutral(), v, 50.0, 0.005)
+    momentum = traj.ledger.angular_momentum
+    size = float(np.linalg.norm(momentum[0]))
+    turned = traj.v[:, 5].min() / traj.v[:, 5].max()
+    return [
+        same("steps", 10_000, traj.stats.steps),
+        at_most(
+            "drift of the angular momentum, relative", 1e-10, _largest(momentum - momentum[0]) / size, "the case's"
+        ),
+        at_most("it turned over: least / largest spin", -0.9, turned, "the middle axis is unstable"),
+    ]
+
+
+def grazing(runs: Runs) -> list[Check]:
+    """Problem B with its wall where the tip just reaches it: depth of the free motion beyond it from 1e-2 to 1e-12 m.
+
+    The free motion comes from DOP853 at rtol 1e-13; its gap is parabolic there, so gamma- = -sqrt(2 a depth).
+    """
+
+    def speed(_t: float, y: np.ndarray) -> float:
+        return math.cos(y[0]) * y[2] + math.cos(y[1]) * y[3]
+
+    speed.direction = 1.0  # type: ignore[attr-defined]  # the tip comes, then goes
+    y = np.array([*START, 0.0, 0.0])
+    turn = solve_ivp(_rate, (0.0, 1.5), y, method="DOP853", rtol=1e-13, atol=1e-14, events=speed, dense_output=True)
+    state = turn.y_events[0][0]
+    least, when = float(np.sin(state[:2]).sum()), float(turn.t_events[0][0])
+    slope = np.array(_rate(0.0, state))[2:]
+    bend = float(np.cos(state[:2]) @ slope - np.sin(state[:2]) @ state[2:] ** 2)
+    counts, steps, speeds, jumps = [], [], [], []
+    depths = (1e-2, 1e-4, 1e-6, 1e-8, 1e-9, 1e-10, -1e-10, -1e-8, -1e-4)
+    end = 0.05 * math.ceil((when + 0.1) / 0.05)
+    for depth in depths:
+        q = np.linalg.solve(ABSOLUTE, START)
+        traj = runs.simulate(models.pendulum_b(least + depth), q, np.zeros(2), end, 0.05, order=16)
+        counts.append(len(traj.events))
+        steps.append(traj.stats.steps)
+        jumps.append(_largest(traj.energy - traj.energy[0]))
+        if depth > 0.0 and len(traj.events) == 1:
+            speeds.append(traj.events[0].gamma_minus / -math.sqrt(2.0 * bend * depth) - 1.0)
+    return [
+        same("impacts at depths 1e-2 .. 1e-10 m, then beside the wall", [1] * 6 + [0] * 3, counts),
+        at_most("energy, largest change [J]", 1e-8, max(jumps), "the case's"),
+        same("steps, each", [round(end / 0.05)] * len(depths), steps, "grazing costs no steps"),
+        at_most("gamma- / -sqrt(2 a depth) - 1 from 1e-4 m down", 0.01, _largest(np.array(speeds[1:])),
+                "the parabola is off by the depth to the power 1/2: 1 % at 1e-4 m"),
+    ]  # fmt: skip
+
+
+def thin_plate(runs: Runs) -> list[Check]:
+    """A 5 mm ball at 20 m/s moves 0.2 m per step of 1e-2 s towards a plate of 2 mm."""
+    checks = []
+    for gap in (0.25, 0.3, 0.387):
+        scene = Scene((0.0, 0.0, 0.0))
+        scene.add_sphere("ball", radius=0.0025, mass=0.001)
+        scene.add_box("plate", (0.2, 0.2, 0.002), free=False)
+        scene.set_contact(restitution=1.0)
+        q = models.at_height(scene, 0.001 + 0.0025 + gap)
+        traj = runs.simulate(scene, q, [0.0, 0.0, -20.0, 0.0, 0.0, 0.0], 0.05, 1e-2)
+        times = traj.events.array("time")
+        box = "distances of a rounded box come from an iteration, good to 1e-10 m"
+        checks += [
+            near(f"impact [s], {gap:g} m away", [gap / 20.0], times, 1e-11, box),
+            near(
+                f"height at the end [m], {gap:g} m away", 20.0 * (0.05 - gap / 20.0), traj.q[-1, 2] - 0.0035, 1e-9, box
+            ),
+        ]
+    return checks
+
+
+def _rate(_t: float, y: np.ndarray) -> list[float]:
+    """Return d(a1, a2, w1, w2)/dt of problem B without its wall, absolute angles, by hand."""
+    c, s = math.cos(y[0] - y[1]), math.sin(y[0] - y[1])
+    f1 = -s * y[3] ** 2 - 2.0 * _G * math.sin(y[0])
+    f2 = s * y[2] ** 2 - _G * math.sin(y[1])
+    return [y[2], y[3], (f1 - c * f2) / (2.0 - c * c), (2.0 * f2 - c * f1) / (2.0 - c * c)]
+
+
+def _largest(values: np.ndarray) -> float:
+    return float(np.abs(values).max()) if np.size(values) else math.inf
+
+
+def _changes(traj: Trajectory, change: str) -> list:
+    return [found for found in traj.contact_changes if found.change == change]
+
+
+CASES = (
+    Case("B", "the paper's double pendulum at a wall, elastic", problem_b),
+    Case("N01", "bouncing ball, e = .9 and .5: it comes to rest and stays", bouncing_ball),
+    Case("N06", "DTEC's closed form on an elastic ball", dtec_ball),
+    Case("N07", "on that ball MHC is CTEC", mhc_ball),
+    Case("N08", "pendulum at a wall: elliptic periods", pendulum_at_wall),
+    Case("N16", "a rod hits the ground with one end", rod),
+    Case("N26-racket", "free asymmetric body, 10^4 steps", free_body),
+    Case(
+        "N26-bowl",
+        "ball in a bowl",
+        None,
+        "contact shapes are convex; the inside of a bowl is not, and pieces of one are not smooth",
+    ),
+    Case("N27", "grazing: problem B at a wall that it barely reaches", grazing),
+    Case("plate", "a 5 mm ball at 20 m/s meets a plate of 2 mm", thin_plate),
+)

@@ -1,0 +1,141 @@
+"""`contactvi verify`: the cases with known answers, measured here, as one table with a verdict on every number."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+from contactvi.errors import InputError, did_you_mean
+from contactvi.verify import cases_contact as verify_cases_contact
+from contactvi.verify import cases_forced as verify_cases_forced
+from contactvi.verify import cases_impact as verify_cases_impact
+from contactvi.verify import cases_loops as verify_cases_loops
+from contactvi.verify import cases_several as verify_cases_several
+from contactvi.verify.check import LIMIT, Case, Check, Runs
+
+PASSED, FAILED, NOT_APPLICABLE = "ok", "FAILED", "not applicable"
+COLUMNS = ("case", "what", "expected", "got", "tolerance", "verdict", "s", "reason of the tolerance")
+CASES: tuple[Case, ...] = (
+    *verify_cases_impact.CASES,
+    *verify_cases_several.CASES,
+    *verify_cases_contact.CASES,
+    *verify_cases_forced.CASES,
+    *verify_cases_loops.CASES,
+)
+Progress = Callable[[float, str], object]  # called with the fraction that is done and the case at work
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came out of one case: its checks, wall time [s], and its verdict."""
+
+    case: Case
+    checks: tuple[Check, ...]
+    seconds: float
+
+    @property
+    def verdict(self) -> str:
+        """PASSED only where there are checks and all of them hold."""
+        if self.case.run is None:
+            return NOT_APPLICABLE
+        return PASSED if self.checks and all(check.ok for check in self.checks) else FAILED
+
+
+def chosen(names: Sequence[str], cases: Sequence[Case] | None = None) -> list[Case]:
+    """Return the cases of these names, in the order of the list; all where no name is given.
+
+    Raises InputError for a name that no case has.
+    """
+    known = {case.name: case for case in (CASES if cases is None else cases)}
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"There is no case {name!r}",
+                name="case",
+                expected="a name from contactvi verify --list",
+                got=repr(name),
+                remedy=did_you_mean(name, known),
+            )
+    return [case for case in known.values() if not names or case.name in names]
+
+
+def verify(cases: Sequence[Case] | None = None, progress: Progress | None = None) -> list[Result]:
+    """Measure cases, by default all; a case that raises has failed."""
+    wanted = list(CASES if cases is None else cases)
+    results = []
+    for k, case in enumerate(wanted):
+        if progress is not None:
+            progress(k / len(wanted), case.name)
+        results.append(measure(case))
+    return results
+
+
+def measure(case: Case, limit: float = LIMIT) -> Result:
+    """Measure one case; it fails where its runs take longer than `limit` [s]."""
+    if case.run is None:
+        return Result(case, (), 0.0)
+    started, runs = time.perf_counter(), Runs(limit)
+    try:
+        checks = [*case.run(runs), *runs.laws()]
+    except Exception as error:  # whatever goes wrong is this case's failure and must not hide the others
+        text = f"{type(error).__name__}: {error}".strip()
+        checks = [*runs.laws(), Check("the case itself", "no error", text, "exact", "it has to run", False)]
+    return Result(case, tuple(checks), time.perf_counter() - started)
+
+
+def passed(results: Sequence[Result]) -> bool:
+    """Return whether nothing failed, and something was measured."""
+    verdicts = [result.verdict for result in results]
+    return FAILED not in verdicts and PASSED in verdicts
+
+
+def table(results: Sequence[Result]) -> list[str]:
+    """Return the lines of the table, one per check; a line per case that is not applicable."""
+    rows = [list(COLUMNS)]
+    for result in results:
+        seconds = f"{result.seconds:.2f}"
+        if result.case.run is None:
+            rows.append([result.case.name, result.case.title, "", "", "", NOT_APPLICABLE, "", result.case.excuse])
+        for k, check in enumerate(result.checks):
+            verdict = PASSED if check.ok else FAILED
+            cells = [check.what, check.expected, check.got, check.tolerance, verdict]
+            rows.append([result.case.name, *cells, "" if k else seconds, check.reason])
+    width = [max(len(row[k]) for row in rows) for k in range(len(COLUMNS))]
+    return ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]
+
+
+def summary(results: Sequence[Result]) -> str:
+    """Return one line: how many cases passed, which failed, which do not apply."""
+    names = {verdict: [r.case.name for r in results if r.verdict == verdict] for verdict in (FAILED, NOT_APPLICABLE)}
+    measured = len(results) - len(names[NOT_APPLICABLE])
+    checks = [check.ok for result in results for check in result.checks]
+    text = f"{measured - len(names[FAILED])} of {measured} cases passed, {sum(checks)} of {len(checks)} numbers"
+    text += f", in {sum(result.seconds for result in results):.1f} s"
+    for verdict, listed in names.items():
+        text += f"; {verdict}: {', '.join(listed)}" if listed else ""
+    return text
+
+
+def listing(cases: Sequence[Case] | None = None) -> list[str]:
+    """Return a line per case: its name and what it is."""
+    wanted = list(CASES if cases is None else cases)
+    width = max(len(case.name) for case in wanted)
+    return [f"{case.name:<{width}}  {case.title}" + (" (not applicable)" if case.excuse else "") for case in wanted]
+
+
+def as_json(results: Sequence[Result]) -> str:
+    """Return everything as JSON: a list of cases with their checks."""
+    data = [
+        {
+            "case": result.case.name,
+            "title": result.case.title,
+            "verdict": result.verdict,
+            "reason": result.case.excuse,
+            "seconds": result.seconds,
+            "checks": [asdict(check) for check in result.checks],
+        }
+        for result in results
+    ]
+    return json.dumps(data, indent=2)

@@ -1,0 +1,211 @@
+#include "cone/newton.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+namespace contactvi {
+
+namespace {
+
+constexpr double kGoal = 16.0 * std::numeric_limits<double>::epsilon();
+constexpr double kDescent = 1e-4;
+constexpr int kHalvings = 12;
+
+bool slips(const ConeProblem& problem, const NaturalMap& map) {
+  for (int i = 0; i < static_cast<int>(problem.contacts.size()); ++i)
+    if (map.mode(i).tangent == TangentMode::kSlip || map.mode(i).tangent == TangentMode::kFrozen) return true;
+  return false;
+}
+
+}  // namespace
+
+void ConeNewton::reserve(int rows) {
+  if (static_cast<int>(w_.size()) >= rows) return;
+  linear_.reserve(rows);
+  unknowns_.resize(rows);
+  for (auto* v : {&w_, &next_, &next_w_, &trial_, &trial_w_, &product_, &delta_, &weight_}) v->resize(rows);
+}
+
+// The step as unknowns and equations. next_ becomes a point that obeys what the modes fix (an open contact's normal
+// impulse, the direction of slip), else lambda's (or zero); the unknowns lead from it to the step's end. A slipping
+// contact keeps two:
+//   normal   w_n = 0 along (1, mu e);   across e   (1 - beta) r_t^-1 tau + beta t.w = 0, tau = t.lambda_t
+// (Alart-Curnier's derivative with the first equation inserted).
+void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const double* lambda, bool from_nothing) {
+  static constexpr double kNothing[3] = {0.0, 0.0, 0.0};
+  count_ = 0;
+  int i = 0;
+  for (const ConeContact& c : problem.contacts) {
+    const ConeMode& mode = map.mode(i);
+    double* x = next_.data() + c.row;
+    const double* old = from_nothing ? kNothing : lambda + c.row;
+    x[0] = mode.closed ? old[0] : mode.bound;
+    Unknown normal{i, c.row, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, 0.0};
+    if (c.rows == 3) {
+      const double friction = c.mu * x[0];
+      double tau = 0.0;
+      Eigen::Vector2d ray = Eigen::Vector2d::Zero();
+      const Eigen::Vector2d t(-mode.e[1], mode.e[0]);
+      switch (mode.tangent) {
+        case TangentMode::kStick:
+          for (int k : {1, 2}) {
+            Unknown& u = unknowns_[count_++] = {i, c.row, 3, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0};
+            u.column[k] = u.test[k] = 1.0;
+            x[k] = old[k];
+          }
+          break;
+        case TangentMode::kSlip:
+          tau = t[0] * old[1] + t[1] * old[2];
+          ray = c.mu * mode.e;
+          delta_[count_] = tau;
+          unknowns_[count_++] = {i,
+                                 c.row,
+                                 3,
+                                 {0.0, t[0], t[1]},
+                                 {0.0, mode.beta * t[0], mode.beta * t[1]},
+                                 (1.0 - mode.beta) * map.tangent_scale(i)};
+          x[1] = friction * mode.e[0] + tau * t[0];
+          x[2] = friction * mode.e[1] + tau * t[1];
+          break;
+        case TangentMode::kFrozen:
+          ray = -c.mu * c.d;
+          x[1] = -friction * c.d[0];
+          x[2] = -friction * c.d[1];
+          break;
+        default:
+          x[1] = x[2] = 0.0;
+      }
+      if (mode.closed) {
+        normal.rows = 3;
+        normal.column[1] = ray[0];
+        normal.column[2] = ray[1];
+      }
+    }
+    if (mode.closed) unknowns_[count_++] = normal;
+    ++i;
+  }
+}
+
+// Matrix and right side of the unknowns; next_w_ holds the velocity at next_.
+void ConeNewton::assemble(const ConeProblem& problem, const NaturalMap& map) {
+  const int m = static_cast<int>(problem.b.size());
+  linear_.resize(count_);
+  for (int j = 0; j < count_; ++j) {
+    const Unknown& u = unknowns_[j];
+    double* product = product_.data();
+    std::fill_n(product, m, 0.0);
+    double norm = 0.0;
+    const double shift = map.shift(u.contact);
+    for (int k = 0; k < u.rows; ++k) {
+      const double a = u.column[k];
+      norm += a * a;
+      if (a == 0.0) continue;
+      const double* g = problem.G.data() + (u.row + k) * problem.G.outerStride();
+      for (int i = 0; i < m; ++i) product[i] += a * g[i];
+      product[u.row + k] += shift * a;
+    }
+    weight_[j] = std::sqrt(norm);
+    for (int i = 0; i < count_; ++i) {
+      const Unknown& e = unknowns_[i];
+      double value = e.test[0] * product[e.row];
+      if (e.rows == 3) value += e.test[1] * product[e.row + 1] + e.test[2] * product[e.row + 2];
+      linear_.at(i, j) = value;
+    }
+    linear_.at(j, j) += u.diagonal;
+    double rest = u.test[0] * next_w_[u.row];
+    if (u.rows == 3) rest += u.test[1] * next_w_[u.row + 1] + u.test[2] * next_w_[u.row + 2];
+    if (u.diagonal != 0.0) rest += u.diagonal * delta_[j];
+    delta_[j] = -rest;
+  }
+}
+
+// delta_: right side on entry, step on return. False: singular, and that ends the run.
+bool ConeNewton::solve(Singular singular) {
+  if (count_ == 0) return true;
+  if (linear_.factor()) {
+    linear_.substitute(delta_.data());
+    return true;
+  }
+  if (singular == Singular::kStop) return false;
+  linear_.minimum_norm(weight_.data(), delta_.data());
+  return true;
+}
+
+// From lambda towards next_. On success lambda and w_ are the new point, evaluated by map.
+bool ConeNewton::search(const ConeProblem& problem, NaturalMap& map, double* lambda) {
+  const int m = static_cast<int>(problem.b.size());
+  past_[visited_++ % kMemory] = map.merit();
+  const double merit = *std::max_element(past_, past_ + std::min(kMemory, visited_));
+  map.velocity(problem, next_.data(), next_w_.data());
+  map.evaluate(problem, next_.data(), next_w_.data());
+  if (map.merit() <= (1.0 - 2.0 * kDescent) * merit || map.residual() <= kGoal) {
+    std::copy_n(next_.data(), m, lambda);
+    std::swap(w_, next_w_);
+    return true;
+  }
+  double part = 1.0;
+  for (int halving = 0; halving < kHalvings; ++halving) {
+    part *= 0.5;
+    for (int i = 0; i < m; ++i) {
+      trial_[i] = lambda[i] + part * (next_[i] - lambda[i]);
+      trial_w_[i] = w_[i] + part * (next_w_[i] - w_[i]);
+    }
+    map.evaluate(problem, trial_.data(), trial_w_.data());
+    if (map.merit() <= (1.0 - 2.0 * kDescent * part) * merit) {
+      std::copy_n(trial_.data(), m, lambda);
+      std::swap(w_, trial_w_);
+      return true;
+    }
+  }
+  return false;
+}
+
+bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singular, int max_iterations,
+                     double* lambda) {
+  singular_ = false;
+  visited_ = 0;
+  map.velocity(problem, lambda, w_.data());
+  map.evaluate(problem, lambda, w_.data());
+  residual_ = map.residual();
+  bool from_nothing = singular == Singular::kLeastImpulses && !slips(problem, map);
+  for (int k = 0; k < max_iterations; ++k) {
+    // At least one factorisation where singular ones are to be told: a start may solve the problem all by itself.
+    if (residual_ <= kGoal && (k > 0 || singular == Singular::kMinimumNorm)) break;
+    build(problem, map, lambda, from_nothing);
+    map.velocity(problem, next_.data(), next_w_.data());
+    assemble(problem, map);
+    ++iterations_;
+    if (!solve(singular)) {
+      singular_ = true;
+      break;
+    }
+    if (residual_ <= kGoal && singular == Singular::kStop) break;
+    for (int j = 0; j < count_; ++j) {
+      const Unknown& u = unknowns_[j];
+      for (int i = 0; i < u.rows; ++i) next_[u.row + i] += u.column[i] * delta_[j];
+    }
+    const double before = residual_;
+    std::copy_n(lambda, problem.b.size(), product_.data());
+    const bool moved = search(problem, map, lambda);
+    if (!moved && !from_nothing) break;
+    from_nothing = false;
+    if (!moved) {
+      map.evaluate(problem, lambda, w_.data());
+      continue;
+    }
+    residual_ = map.residual();
+    // Rounding: no better any more.
+    if (before <= kConeTolerance && residual_ > 0.25 * before) {
+      if (residual_ > before) {
+        std::copy_n(product_.data(), problem.b.size(), lambda);
+        residual_ = before;
+      }
+      break;
+    }
+  }
+  return residual_ <= kConeTolerance;
+}
+
+}  // namespace contactvi

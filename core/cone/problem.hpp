@@ -1,0 +1,49 @@
+// The Coulomb cone problem: contacts with a normal and, where there is friction, two tangential rows.
+//
+//   w = b + G lambda                                     velocities and impulses, per contact rows (n) or (n, t1, t2)
+//   normal      lambda_n >= lower, w_n >= 0, (lambda_n - lower) w_n = 0
+//   tangential  |lambda_t| <= mu lambda_n; w_t != 0 => lambda_t = -mu lambda_n w_t/|w_t|   (maximal dissipation)
+//   frozen      lambda_t = -mu lambda_n d with a given unit vector d, whatever w_t
+// Among them may be rows of dry friction with a given bound (`box`).
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "base/numerics.hpp"
+
+namespace contactvi {
+
+struct ConeContact {
+  int row = 0;   // first row
+  int rows = 3;  // 3, or 1: frictionless contact, joint limit
+  double mu = 0.0;
+  double lower = 0.0;  // >= 0; Poisson's expansion asks for e times the impulse of the compression
+  bool frozen = false;
+  Eigen::Vector2d d = Eigen::Vector2d::Zero();
+  // > 0: dry friction of a joint, one row. |lambda| <= box; w != 0 => lambda = -box sign(w); frozen: lambda = -box d_0.
+  double box = 0.0;
+};
+
+// The contacts cover all rows, in order and without gaps. G (m, m) may be nonsymmetric (a step's G is, by O(h)).
+struct ConeProblem {
+  const std::vector<ConeContact>& contacts;
+  Eigen::Ref<const MatX> G;
+  Eigen::Ref<const VecX> b;
+  // Error of b [m/s] that its rows may disagree by: four corners of a face have gaps that rounding makes not quite
+  // those of a plane, and gap/h stands in b. Errors of w up to it are no errors.
+  double noise = 0.0;
+  // Of the terms: what the rows of a single contact that is held in some direction may disagree by.
+  double rough = 0.0;
+};
+
+struct ConeResult {
+  bool ok = false;        // residual <= kConeTolerance
+  double residual = 0.0;  // natural map, relative (cone_map.hpp); infinity for data that is not finite
+  int iterations = 0;     // Newton steps, of all starts
+  int fallbacks = 0;      // starts that had to be found by sweeps or by ADMM
+};
+
+constexpr double kConeTolerance = 1e-12;
+
+}  // namespace contactvi

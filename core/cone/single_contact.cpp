@@ -1,0 +1,243 @@
+#include "cone/single_contact.hpp"
+
+#include <Eigen/LU>
+#include <Eigen/SVD>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+
+namespace contactvi {
+
+namespace {
+
+using Vec2 = Eigen::Vector2d;
+using Mat2 = Eigen::Matrix2d;
+
+constexpr double kRounding = 64.0 * std::numeric_limits<double>::epsilon();
+constexpr double kSmallestPivot = 1e-7;
+constexpr double kHeld = 1e-4;    // of the largest singular value: directions in which a contact may be held
+constexpr double kNearly = 1e-9;  // of the terms: what the rows of a singular contact may disagree by
+constexpr int kSamples = 24;
+
+struct Circle {
+  std::array<Vec2, kSamples + 1> u;
+  Circle() {
+    for (int i = 0; i <= kSamples; ++i) {
+      const double angle = 2.0 * M_PI * i / kSamples;
+      u[i] = Vec2(std::cos(angle), std::sin(angle));
+    }
+  }
+};
+const Circle kCircle;
+
+// f(u) = v.(k - Q u) with v = u turned by 90 degrees: k - Q u is parallel to u at its roots. With u = (cos a, sin a) a
+// trigonometric polynomial of degree 2 (a quartic in tan(a/2)): at most four roots.
+struct SlipDirections {
+  Vec2 k;
+  Mat2 Q;
+
+  double value(const Vec2& u) const {
+    const Vec2 f = k - Q * u;
+    return u[0] * f[1] - u[1] * f[0];
+  }
+  double slope(const Vec2& u) const {
+    const Vec2 v(-u[1], u[0]), f = k - Q * u, df = Q * v;
+    return -u.dot(f) - v.dot(df);
+  }
+  // Roots, in a fixed order; Newton's method kept inside brackets of an even sampling. Two roots between neighbouring
+  // samples are a nearly double root: slip is then about to end, and sticking is found first.
+  template <class Found>
+  bool roots(Found found) const {
+    double last = value(kCircle.u[0]);
+    for (int i = 1; i <= kSamples; ++i) {
+      const double next = value(kCircle.u[i]);
+      if ((last <= 0.0) != (next <= 0.0) && found(refine(kCircle.u[i - 1], kCircle.u[i], last, next))) return true;
+      last = next;
+    }
+    return false;
+  }
+  Vec2 refine(Vec2 low, Vec2 high, double f_low, double f_high) const {
+    Vec2 u = (low * std::abs(f_high) + high * std::abs(f_low)).normalized();
+    for (int k = 0; k < 60; ++k) {
+      const double f = value(u);
+      if (f == 0.0) break;
+      ((f <= 0.0) == (f_low <= 0.0) ? low : high) = u;
+      const double df = slope(u), angle = df != 0.0 ? -f / df : 1.0;
+      Vec2 next = std::abs(angle) < 0.5 ? (u + angle * Vec2(-u[1], u[0])).normalized() : low;
+      if (low[0] * next[1] - low[1] * next[0] <= 0.0 || next[0] * high[1] - next[1] * high[0] <= 0.0)
+        next = (low + high).normalized();
+      const double moved = (next - u).cwiseAbs().maxCoeff();
+      u = next;
+      if (moved <= 2.0 * std::numeric_limits<double>::epsilon()) break;
+    }
+    return u;
+  }
+};
+
+class OneContact {
+ public:
+  OneContact(const ConeContact& c, const Mat3& A, const Vec3& b, double noise, double rough)
+      : c_(c), A_(A), b_(b), noise_(noise), rough_(rough) {
+    scale_ = std::max(A.diagonal().cwiseAbs().maxCoeff(), std::numeric_limits<double>::min());
+  }
+
+  bool solve() { return open() || stick() || slip() || stick_open() || slip_open(); }
+  const Vec3& best() const { return best_; }
+  bool held() const { return held_; }
+
+ private:
+  // Keeps lambda if it obeys the law better than what was found before; true if to rounding.
+  bool keep(const Vec3& lambda) {
+    const Vec3 w = b_ + A_ * lambda;
+    const double size = (b_.cwiseAbs() + A_.cwiseAbs() * lambda.cwiseAbs()).maxCoeff();
+    const double z_n = lambda[0] - w[0] / scale_, rho = std::max(c_.lower, z_n), radius = c_.mu * rho;
+    const Vec2 z = (lambda - w / scale_).tail<2>();
+    const double length = z.norm();
+    const Vec2 target = length <= radius ? z : Vec2(radius / length * z);
+    const double error = std::max(std::abs(lambda[0] - rho), (lambda.tail<2>() - target).cwiseAbs().maxCoeff());
+    const double relative = size > 0.0 ? error * scale_ / size : 0.0;
+    if (!(relative < error_)) return false;
+    error_ = relative;
+    best_ = lambda;
+    return relative <= kRounding;
+  }
+  bool open() { return c_.lower == 0.0 && b_[0] >= 0.0 && keep(Vec3::Zero()); }
+  bool stick() {
+    const Eigen::PartialPivLU<Mat3> lu(A_);
+    if (lu.matrixLU().diagonal().cwiseAbs().minCoeff() > kSmallestPivot * scale_) return keep(lu.solve(-b_));
+    return stick_held();
+  }
+  // Joints or constraints hold the contact in some direction: of the impulses that keep it at rest within the cone the
+  // least, which is at the edge of the cone where the least of all is outside.
+  bool stick_held() {
+    const Eigen::JacobiSVD<Mat3> svd(A_, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    // As few directions as will do: what is singular but for rounding would ask for endless impulses.
+    Vec3 lambda = Vec3::Zero();
+    for (int rank = 1; rank <= 3 && svd.singularValues()[rank - 1] > 0.0; ++rank) {
+      lambda = Vec3::Zero();
+      for (int k = 0; k < rank; ++k)
+        lambda -= svd.matrixU().col(k).dot(b_) / svd.singularValues()[k] * svd.matrixV().col(k);
+      if (rank == 1 && !in_cone(lambda)) lambda = edge_on_plane(svd.matrixV().col(0), svd.matrixV().col(0).dot(lambda));
+      if (rank == 2 && !in_cone(lambda)) lambda = edge_on_line(lambda, svd.matrixV().col(2));
+      const Vec3 w = b_ + A_ * lambda;
+      const double size = (b_.cwiseAbs() + A_.cwiseAbs() * lambda.cwiseAbs()).maxCoeff();
+      // In the rounds of a step the rows of a singular contact agree but roughly.
+      const bool last = rank < 3 && svd.singularValues()[rank] < kHeld * svd.singularValues()[0];
+      const double off = w.cwiseAbs().maxCoeff();
+      if (!(off <= std::max(noise_, (last ? std::max(rough_, kNearly) : kNearly) * size)) || !in_cone(lambda)) continue;
+      best_ = lambda;
+      error_ = 0.0;
+      return held_ = true;
+    }
+    return keep(lambda);
+  }
+  bool in_cone(const Vec3& lambda) const {
+    return lambda[0] >= c_.lower && lambda.tail<2>().norm() <= c_.mu * lambda[0] * (1.0 + kRounding);
+  }
+  // Least point of the cone's edge with g.lambda = value.
+  Vec3 edge_on_plane(const Vec3& g, double value) const {
+    const double across = g.tail<2>().norm();
+    const Vec2 u = across > 0.0 ? Vec2(g.tail<2>() / across) : Vec2(Vec2::Zero());
+    Vec3 best = Vec3::Zero();
+    for (const double side : {1.0, -1.0}) {
+      const double lambda_n = value / (g[0] + side * c_.mu * across);
+      if (!(lambda_n > 0.0) || (best[0] > 0.0 && lambda_n >= best[0])) continue;
+      best = Vec3(lambda_n, side * c_.mu * lambda_n * u[0], side * c_.mu * lambda_n * u[1]);
+    }
+    return best;
+  }
+  // Where the line from + s n enters the cone, with the least |s|.
+  Vec3 edge_on_line(const Vec3& from, const Vec3& n) const {
+    const double mu2 = c_.mu * c_.mu, a = n.tail<2>().squaredNorm() - mu2 * n[0] * n[0];
+    const double b = from.tail<2>().dot(n.tail<2>()) - mu2 * from[0] * n[0];
+    const double c = from.tail<2>().squaredNorm() - mu2 * from[0] * from[0], root = b * b - a * c;
+    Vec3 best = from;
+    double least = std::numeric_limits<double>::infinity();
+    if (!(root >= 0.0)) return from;
+    const double q = -(b + std::copysign(std::sqrt(root), b));
+    for (const double s : {q / a, c / q}) {
+      if (!std::isfinite(s) || std::abs(s) >= least || from[0] + s * n[0] < 0.0) continue;
+      least = std::abs(s);
+      best = from + s * n;
+    }
+    // To the edge to rounding: the friction is what the normal impulse allows.
+    const double length = best.tail<2>().norm();
+    if (length > c_.mu * best[0] && length > 0.0) best.tail<2>() *= c_.mu * best[0] / length;
+    return best;
+  }
+  // w_n = 0 with lambda = lambda_n (1, -mu u): lambda_n = -b_n/(A_nn - mu A_nt u), w_t parallel to u.
+  bool slip() {
+    const Vec2 across = A_.block<1, 2>(0, 1).transpose(), along = A_.block<2, 1>(1, 0), b_t = b_.tail<2>();
+    SlipDirections f;
+    f.k = A_(0, 0) * b_t - b_[0] * along;
+    f.Q = c_.mu * (b_t * across.transpose() - b_[0] * A_.block<2, 2>(1, 1));
+    return f.roots([&](const Vec2& u) {
+      const double lambda_n = -b_[0] / (A_(0, 0) - c_.mu * across.dot(u));
+      return lambda_n >= c_.lower && std::isfinite(lambda_n) && keep_slip(lambda_n, u);
+    });
+  }
+  // At the lower bound: the disc mu lower alone.
+  bool stick_open() {
+    if (!(c_.lower > 0.0)) return false;
+    const Eigen::PartialPivLU<Mat2> lu(A_.block<2, 2>(1, 1));
+    if (!(lu.matrixLU().diagonal().cwiseAbs().minCoeff() > kSmallestPivot * scale_)) return false;
+    const Vec2 l_t = lu.solve(-b_.tail<2>() - A_.block<2, 1>(1, 0) * c_.lower);
+    return keep(Vec3(c_.lower, l_t[0], l_t[1]));
+  }
+  bool slip_open() {
+    if (!(c_.lower > 0.0)) return false;
+    SlipDirections f;
+    f.k = b_.tail<2>() + A_.block<2, 1>(1, 0) * c_.lower;
+    f.Q = c_.mu * c_.lower * A_.block<2, 2>(1, 1);
+    return f.roots([&](const Vec2& u) { return keep_slip(c_.lower, u); });
+  }
+  bool keep_slip(double lambda_n, const Vec2& u) {
+    const double friction = c_.mu * lambda_n;
+    return keep(Vec3(lambda_n, -friction * u[0], -friction * u[1]));
+  }
+
+  const ConeContact& c_;
+  const Mat3& A_;
+  const Vec3& b_;
+  double noise_;
+  double rough_;
+  double scale_;
+  bool held_ = false;
+  double error_ = std::numeric_limits<double>::infinity();
+  Vec3 best_ = Vec3::Zero();
+};
+
+// lambda = lambda_n ray with a given ray: one equation.
+bool solve_ray(const ConeContact& c, double slope, double b_n, const Vec2& ray, Vec3& lambda) {
+  const double lambda_n = slope > 0.0 ? std::max(c.lower, -b_n / slope) : c.lower;
+  lambda = Vec3(lambda_n, lambda_n * ray[0], lambda_n * ray[1]);
+  return slope > 0.0 || b_n + slope * c.lower >= 0.0;
+}
+
+}  // namespace
+
+bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3& lambda, double noise, double rough,
+                       bool* held) {
+  if (c.box > 0.0) {
+    lambda.setZero();
+    if (c.frozen || !(A(0, 0) > 0.0)) {
+      lambda[0] = c.frozen ? -c.box * c.d[0] : b[0] == 0.0 ? 0.0 : -std::copysign(c.box, b[0]);
+    } else {
+      lambda[0] = std::min(c.box, std::max(-c.box, -b[0] / A(0, 0)));
+    }
+    return true;
+  }
+  if (c.rows == 1) return solve_ray(c, A(0, 0), b[0], Vec2::Zero(), lambda);
+  if (c.frozen || !(c.mu > 0.0)) {
+    const Vec2 ray = c.frozen ? Vec2(-c.mu * c.d) : Vec2(Vec2::Zero());
+    return solve_ray(c, A(0, 0) + A.block<1, 2>(0, 1).dot(ray), b[0], ray, lambda);
+  }
+  OneContact one(c, A, b, noise, rough);
+  const bool solved = one.solve();
+  lambda = one.best();
+  if (held != nullptr) *held = one.held();
+  return solved;
+}
+
+}  // namespace contactvi

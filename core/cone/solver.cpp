@@ -1,0 +1,144 @@
+#include "cone/solver.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "cone/single_contact.hpp"
+
+namespace contactvi {
+
+namespace {
+
+constexpr int kIterations = 40, kIterationsPlain = 20, kIterationsWarm = 12;
+constexpr double kDisagree = 1e-3;  // residual of one contact, directly solved, that stands
+constexpr int kSweeps = 200, kFewSweeps = 30;
+
+}  // namespace
+
+void ConeSolver::reserve(int rows) {
+  map_.reserve(rows);
+  newton_.reserve(rows);
+  fallback_.reserve(rows);
+  if (static_cast<int>(start_.size()) >= rows) return;
+  for (auto* v : {&start_, &best_, &w_}) v->resize(rows);
+}
+
+bool ConeSolver::one_contact(const ConeProblem& problem, double* lambda) {
+  const ConeContact& c = problem.contacts.front();
+  Mat3 A = Mat3::Zero();
+  Vec3 b = Vec3::Zero(), found;
+  for (int k = 0; k < c.rows; ++k) {
+    b[k] = problem.b[k];
+    for (int j = 0; j < c.rows; ++j) A(k, j) = problem.G(k, j);
+  }
+  bool held = false;
+  if (!solve_one_contact(c, A, b, found, problem.noise, problem.rough, &held)) return false;
+  std::copy_n(found.data(), c.rows, lambda);
+  map_.velocity(problem, lambda, w_.data());
+  map_.evaluate(problem, lambda, w_.data());
+  result_.residual = map_.residual();
+  // Rows that disagree have no better solution but one of endless impulses.
+  return result_.residual <= (held && problem.rough > 0.0 ? kDisagree : kConeTolerance);
+}
+
+// The unique solution with the shift. A start far from it is worth little there: what redundant contacts share moves w
+// by eps only, and Newton creeps; then from nothing, over larger shifts.
+bool ConeSolver::shifted(const ConeProblem& problem, double* lambda) {
+  using Singular = ConeNewton::Singular;
+  map_.set_shift(1.0);
+  if (newton_.run(problem, map_, Singular::kMinimumNorm, kIterationsWarm, lambda)) return true;
+  std::fill_n(lambda, problem.b.size(), 0.0);
+  for (double times : {1e3, 30.0, 1.0}) {
+    map_.set_shift(times);
+    newton_.run(problem, map_, Singular::kMinimumNorm, kIterations, lambda);
+  }
+  return newton_.residual() <= kConeTolerance;
+}
+
+// Newton with G alone, where that has one solution. Redundant contacts are told by a singular step, or by one that
+// touches without load.
+bool ConeSolver::plain(const ConeProblem& problem, double* lambda) {
+  map_.set_shift(0.0);
+  for (bool swept : {false, true}) {
+    if (swept) {
+      ++result_.fallbacks;
+      std::fill_n(lambda, problem.b.size(), 0.0);
+      fallback_.sweep(problem, map_, kFewSweeps, lambda);
+    }
+    if (newton_.run(problem, map_, ConeNewton::Singular::kStop, swept ? kIterations : kIterationsPlain, lambda))
+      return !newton_.singular() && !map_.touching();
+    if (newton_.singular()) return false;
+  }
+  return false;
+}
+
+bool ConeSolver::attempt(const ConeProblem& problem, bool regularize, double* lambda) {
+  const int m = static_cast<int>(problem.b.size());
+  if (regularize) {
+    std::copy_n(lambda, m, start_.data());
+    if (plain(problem, lambda)) return true;
+    std::copy_n(start_.data(), m, lambda);
+    shifted(problem, lambda);
+  }
+  map_.set_shift(0.0);
+  using Singular = ConeNewton::Singular;
+  return newton_.run(problem, map_, regularize ? Singular::kLeastImpulses : Singular::kMinimumNorm, kIterations,
+                     lambda);
+}
+
+// best_ and the result are the better of what they were and lambda.
+bool ConeSolver::keep_better(double* lambda, int rows) {
+  if (newton_.residual() < result_.residual) {
+    result_.residual = newton_.residual();
+    std::copy_n(lambda, rows, best_.data());
+  }
+  return result_.residual <= kConeTolerance;
+}
+
+bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lambda) {
+  const int m = static_cast<int>(problem.b.size());
+  for (bool shift : {true, false}) {
+    if (shift && !regularize) continue;
+    for (bool by_sweeps : {true, false}) {
+      ++result_.fallbacks;
+      map_.set_shift(shift ? 1.0 : 0.0);
+      std::fill_n(lambda, m, 0.0);
+      if (by_sweeps)
+        fallback_.sweep(problem, map_, kSweeps, lambda);
+      else
+        fallback_.admm(problem, map_, lambda);
+      if (shift) newton_.run(problem, map_, ConeNewton::Singular::kMinimumNorm, kIterations, lambda);
+      map_.set_shift(0.0);
+      newton_.run(problem, map_, shift ? ConeNewton::Singular::kLeastImpulses : ConeNewton::Singular::kMinimumNorm,
+                  kIterations, lambda);
+      if (keep_better(lambda, m)) return true;
+    }
+  }
+  return false;
+}
+
+ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool regularize) {
+  const int m = static_cast<int>(problem.b.size());
+  result_ = ConeResult();
+  reserve(m);
+  newton_.reset();
+  if (lambda.size() != m || !map_.prepare(problem)) {
+    lambda.setZero();
+    result_.residual = std::numeric_limits<double>::infinity();
+    return result_;
+  }
+  if (!lambda.allFinite()) lambda.setZero();
+  result_.ok = m == 0 || (problem.contacts.size() == 1 && one_contact(problem, lambda.data()));
+  if (!result_.ok) {
+    result_.residual = std::numeric_limits<double>::infinity();
+    std::fill_n(best_.data(), m, 0.0);
+    attempt(problem, regularize, lambda.data());
+    result_.ok = keep_better(lambda.data(), m) || rescue(problem, regularize, lambda.data());
+    std::copy_n(best_.data(), m, lambda.data());
+  }
+  result_.iterations = newton_.iterations();
+  return result_;
+}
+
+}  // namespace contactvi

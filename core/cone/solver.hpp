@@ -1,0 +1,40 @@
+// Solver of the Coulomb cone problem (cone_problem.hpp).
+#pragma once
+
+#include <vector>
+
+#include "cone/fallback.hpp"
+#include "cone/natural_map.hpp"
+#include "cone/newton.hpp"
+#include "cone/problem.hpp"
+
+namespace contactvi {
+
+// One contact directly; more by Newton's method on the natural map, and where that stalls from better starts: sweeps,
+// then ADMM. Where the forces are not unique (four corners on a plane) the solution is
+//   regularize       near the least-norm one, whatever the start: G + eps I first, then minimum-norm Newton steps;
+//   not regularize   the one that minimum-norm Newton steps reach from the start.
+// Among several solutions that differ in their velocities none is preferred; the same input gives the same output.
+class ConeSolver {
+ public:
+  // Problems of at most so many rows allocate nothing in solve().
+  void reserve(int rows);
+  // lambda: start on entry, solution on return (m,) [N s]; finite also if the result is not ok.
+  ConeResult solve(const ConeProblem& problem, VecRef lambda, bool regularize);
+
+ private:
+  bool one_contact(const ConeProblem& problem, double* lambda);
+  bool plain(const ConeProblem& problem, double* lambda);
+  bool shifted(const ConeProblem& problem, double* lambda);
+  bool attempt(const ConeProblem& problem, bool regularize, double* lambda);
+  bool rescue(const ConeProblem& problem, bool regularize, double* lambda);
+  bool keep_better(double* lambda, int rows);
+
+  NaturalMap map_;
+  ConeNewton newton_;
+  ConeFallback fallback_;
+  ConeResult result_;
+  std::vector<double> start_, best_, w_;
+};
+
+}  // namespace contactvi

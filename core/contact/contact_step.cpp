@@ -1,0 +1,329 @@
+#include "contact/contact_step.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace contactvi {
+
+namespace {
+constexpr int kMaxRounds = 40;
+constexpr double kRounding = 1e-14;       // of the velocities: nothing left to improve,
+constexpr double kGapRounding = 2e-16;    // [m] that the gaps carry, as a velocity over the step
+constexpr double kPlaceRounding = 4e-15;  // [m] that the places of sticking points disagree by, the same
+constexpr double kAccept = 1e-9;          // residual of a cone problem that counts as solved if nothing better is found
+constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // by which rows of a contact that is held agree in the rounds
+constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_place
+constexpr double kStalled = 1e3;                                       // of that: rounds which no longer gain may end
+constexpr int kIdle = 4;                                               // such rounds
+constexpr double kBest = 1e-4;                 // contraction of a round: no better one is believed
+constexpr double kConstraintRounding = 1e-15;  // [m] the same of the constraints' residuals
+constexpr double kSameTime = 1e-13;
+constexpr double kSettled = 1e-3;  // relative change of v from which on the contact matrix is kept
+}  // namespace
+
+HeldStep::HeldStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol)
+    : scene_(&scene),
+      guards_(&guards),
+      manifolds_(&manifolds),
+      integrator_(scene.tree, 1, tol, 1),
+      tol_(tol),
+      v_(scene.tree.nv),
+      p_start_(scene.tree.nv),
+      p_minus_(scene.tree.nv),
+      q1_(scene.tree.nq),
+      p1_(scene.tree.nv),
+      v1_(scene.tree.nv),
+      dv_(scene.tree.nv),
+      rates_(scene.tree.nv, 1),
+      bilateral_(scene.tree.elements.constraint_rows),
+      dry_(static_cast<int>(scene.tree.elements.dry_dofs.size())),
+      guess_(scene.tree.nv),
+      q_side_(scene.tree.nq),
+      v_side_(scene.tree.nv),
+      acceleration_(scene.tree.nv) {
+  const Tree& tree = scene.tree;
+  for (int dof : tree.elements.dry_dofs) {
+    const Joint& joint = tree.joints[tree.dof_joint[dof]];
+    dry_outcomes_.emplace_back();
+    dry_joints_.push_back({dof, joint.nq == 1 ? joint.iq : -1, tree.elements.dry_friction[dof]});
+  }
+  restart();
+}
+
+void HeldStep::restart() {
+  for (DryJoint& joint : dry_joints_) joint.anchored = false;
+  fixed_force_.setZero(bilateral_ + dry_);
+}
+
+// Sizes for the contacts as they are.
+void HeldStep::set_rows() {
+  const std::size_t n = contacts_.size();
+  row_.resize(n);
+  cones_.resize(dry_ + n);
+  outcomes_.resize(n);
+  y_ref_.resize(n);
+  paradox_.resize(n);
+  rows_ = bilateral_ + dry_;
+  redundant_ = noisy_ = false;
+  for (std::size_t i = 0; i < n; ++i) {
+    row_[i] = rows_;
+    rows_ += contacts_[i].rows();
+    cones_[dry_ + i] = ConeContact();
+    cones_[dry_ + i].row = row_[i] - bilateral_;
+    cones_[dry_ + i].rows = contacts_[i].rows();
+    cones_[dry_ + i].mu = contacts_[i].mu;
+    noisy_ |= guards_->is_noisy(contacts_[i].point.guard);
+    // Two points of one pair share the friction along their line; four the load.
+    for (std::size_t j = 0; j < i; ++j) redundant_ |= contacts_[j].point.guard == contacts_[i].point.guard;
+  }
+  const int nv = scene_->tree.nv;
+  for (Node* node : {&node0_, &node1_}) {
+    node->at.resize(n);
+    node->t1.resize(n);
+    node->side.resize(n);
+    node->phi.resize(bilateral_);
+    node->rate.resize(bilateral_);
+    if (node->W.cols() != rows_ || node->W.rows() != nv) node->W.resize(nv, rows_);
+  }
+  if (S_.cols() == rows_) return;
+  for (VecX* x : {&y_, &lambda_, &lambda_end_, &b_, &change_, &w_end_}) x->resize(rows_);
+  for (MatX* X : {&DinvW_, &S_, &MinvW_}) X->resize(nv, rows_);
+  G_.resize(rows_, rows_);
+  G_end_.resize(rows_, rows_);
+  solver_.reserve(rows_ - bilateral_);
+}
+
+void HeldStep::evaluate(const HeldContact& held, Contact& contact) {
+  if (held.point.kind == PointKind::kWitness || held.point.kind == PointKind::kLimit) {
+    guards_->evaluate_witness(held.point.guard, contact);
+  } else {
+    manifolds_->evaluate(held.point, guards_->placements(), contact);
+  }
+}
+
+Vec3 HeldStep::tangent_at(const HeldContact& held, const Contact& contact, const Contact& before,
+                          const Vec3& t1) const {
+  if (held.mu == 0.0) return Vec3::Zero();
+  if (held.point.kind != PointKind::kVertex) return carried_tangent(t1, before.normal, contact.normal);
+  const int body = held.point.plane_body;
+  return body < 0 ? held.tangent : Vec3(guards_->placements().R_W[body] * held.tangent);
+}
+
+// Where the point is, in the plane's body frame.
+Vec3 HeldStep::place_on_plane(const ContactPoint& point) const {
+  const Placements& at = guards_->placements();
+  const Vec3 c = point.point_body < 0 ? point.center_B
+                                      : Vec3(at.p_W[point.point_body] + at.R_W[point.point_body] * point.center_B);
+  if (point.plane_body < 0) return c;
+  return at.R_W[point.plane_body].transpose() * (c - at.p_W[point.plane_body]);
+}
+
+void HeldStep::start_node(const VecCRef& q0) {
+  const double t = integrator_.time();
+  const bool same_time = bilateral_ == 0 || std::abs(node0_.t - t) <= kSameTime * (1.0 + std::abs(t));
+  if (node0_.known && same_time && (node0_.q.array() == q0.array()).all()) return;
+  set_rows();
+  guards_->place(q0);
+  node0_.q = q0;
+  node0_.known = true;
+  constraint_node(q0, t, node0_);
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    const HeldContact& held = contacts_[i];
+    evaluate(held, node0_.at[i]);
+    node0_.side[i] = Manifolds::side_of_rim(held.point, guards_->placements());
+    node0_.t1[i] = held.mu == 0.0 ? Vec3(Vec3::Zero())
+                   : held.point.kind == PointKind::kVertex
+                       ? tangent_at(held, node0_.at[i], node0_.at[i], held.tangent)
+                       : carried_tangent(held.tangent, node0_.at[i].normal, node0_.at[i].normal);
+    guards_->rows(held.point.guard, node0_.at[i], node0_.t1[i], node0_.W.middleCols(row_[i], held.rows()));
+    if (held.point.material) y_ref_[i] = held.anchored ? held.anchor : place_on_plane(held.point);
+  }
+}
+
+void HeldStep::end_node(const VecX& q1, double t1) {
+  guards_->place(q1);
+  node1_.q = q1;
+  node1_.known = true;
+  constraint_node(q1, t1, node1_);
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    const HeldContact& held = contacts_[i];
+    evaluate(held, node1_.at[i]);
+    node1_.side[i] = Manifolds::side_of_rim(held.point, guards_->placements());
+    node1_.t1[i] = tangent_at(held, node1_.at[i], node0_.at[i], node0_.t1[i]);
+    guards_->rows(held.point.guard, node1_.at[i], node1_.t1[i], node1_.W.middleCols(row_[i], held.rows()));
+  }
+}
+
+// Part of a step below which a gap is followed by its rate.
+double HeldStep::shortest_place(const HeldContact& held) const {
+  if (guards_->is_noisy(held.point.guard)) return kShortNoisy;
+  return held.point.kind == PointKind::kRim ? kShortRim : kShort;  // a rim's rate turns with it
+}
+
+// y = (phi(q1)/h; s) at the velocity v_, and its derivative S^T along v.
+void HeldStep::measure(double h) {
+  integrate(scene_->tree, node0_.q, v_, h, q1_);
+  end_node(q1_, integrator_.time() + h);
+  S_ = node1_.W;
+  measure_constraints(h);
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    const HeldContact& held = contacts_[i];
+    const int r = row_[i];
+    // What the gap was off at the start goes away over a whole step, not over a part of any shortness.
+    const double left = h < nominal_h_ ? (1.0 - h / nominal_h_) * node0_.at[i].gap : 0.0;
+    if (h < shortest_place(held) * nominal_h_) {
+      // Over so short a time the difference of two gaps is rounding: their rate instead.
+      S_.col(r) = 0.5 * (node0_.W.col(r) + node1_.W.col(r));
+      y_[r] = S_.col(r).dot(v_) + node0_.at[i].gap / nominal_h_;
+    } else {
+      y_[r] = (node1_.at[i].gap - left) / h;
+    }
+    if (held.mu == 0.0) continue;
+    if (held.point.material) {
+      const Vec3 moved = (place_on_plane(held.point) - y_ref_[i]) / h;
+      // b's point moves on a plane of a, or a's on one of b's: then b moves the other way.
+      const double sign = held.point.on_b ? 1.0 : -1.0;
+      const Vec3 t1 = held.tangent, t2 = sign * held.point.normal_B.cross(t1);
+      y_[r + 1] = sign * moved.dot(t1);
+      y_[r + 2] = sign * moved.dot(t2);
+    } else {
+      for (int k = r + 1; k < r + 3; ++k) {
+        S_.col(k) = 0.5 * (node0_.W.col(k) + node1_.W.col(k));
+        y_[k] = S_.col(k).dot(v_);
+      }
+    }
+  }
+}
+
+bool HeldStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize) {
+  const ConeResult result = solver_.solve(problem, lambda, regularize);
+  ++counters.problems;
+  counters.iterations += result.iterations;
+  counters.fallbacks += result.fallbacks;
+  return result.ok || result.residual <= kAccept;
+}
+
+// Those of the last step's forces, bounds of the dry friction, where it counts its places from.
+void HeldStep::start_impulses(double h) {
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    lambda_.segment(row_[i], contacts_[i].rows()) = 0.5 * h * contacts_[i].force.head(contacts_[i].rows());
+  lambda_.head(bilateral_ + dry_) = 0.5 * h * fixed_force_;
+  for (int k = 0; k < dry_; ++k) cones_[k] = dry_cone(k, 0.5 * h * dry_joints_[k].limit);
+  for (DryJoint& joint : dry_joints_)
+    joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? node0_.q[joint.iq] : 0.0;
+}
+
+bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
+  start_node(q0);
+  integrator_.begin_kicked(q0, h, tau, v);
+  start_impulses(h);
+  double best = INFINITY;
+  int idle = 0;
+  double last = INFINITY;
+  bool settled = false;
+  const double noise = std::max(kGapRounding, noisy_           ? 1e-11
+                                              : bilateral_ > 0 ? kConstraintRounding
+                                                               : 0.0) /
+                       h;  // of the rows, as a velocity
+  for (int k = 0; k < kMaxRounds; ++k) {
+    ++counters.rounds;
+    p_start_ = p0;
+    p_start_.noalias() += node0_.W * lambda_;
+    const double swept = integrator_.sweep_kicked(p_start_, k == 0, k == 0);
+    if (!std::isfinite(swept)) break;
+    if (k == 0) {
+      DinvW_ = node0_.W;
+      integrator_.solve_kicked(DinvW_);
+    }
+    integrator_.stage_velocity(v_);
+    measure(h);
+    if (!y_.allFinite()) break;
+    if (!settled) {
+      G_.noalias() = S_.transpose() * DinvW_;
+      if (bilateral_ > 0) reduction_.set(G_, bilateral_, dry_);
+    }
+    b_ = y_;
+    b_.noalias() -= G_ * lambda_;
+    change_ = lambda_;
+    const bool solved = solve_rows(cones_, G_, b_, std::max(noise, kPlaceRounding / h), lambda_, k == 0,
+                                   settled ? kAgree : kAgreeFirst);
+    if (k == 0) find_paradox(v);
+    if (!solved) {
+      why_ = "the contact forces were not found";
+      return false;
+    }
+    change_ = lambda_ - change_;
+    dv_.noalias() = DinvW_ * change_;
+    integrator_.add_velocity(dv_);
+    const double size = 1.0 + v_.cwiseAbs().maxCoeff(), change = std::max(swept, dv_.cwiseAbs().maxCoeff());
+    if (!std::isfinite(change)) break;
+    const double floor = std::max(kRounding, noise) * size;
+    settled = change < kSettled * size;
+    // What the next round would change is known from the contraction so far.
+    const double theta = k > 0 ? std::max(kBest, change / last) : 1.0;
+    last = change;
+    if (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= floor)) return true;
+    idle = change < 0.7 * best ? 0 : idle + 1;
+    best = std::min(best, change);
+    if (idle >= kIdle && best < kStalled * floor) return true;
+    if (idle >= 4 * kIdle) break;
+  }
+  why_ = "the step with held contacts does not converge";
+  if (node1_.known) constraints_met(h, false);
+  return false;
+}
+
+// A of the contacts that slip at the start of the step; of single points only: those of a face share their load.
+void HeldStep::find_paradox(const VecX& v) {
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    const int r = row_[i];
+    paradox_[i] = 1.0;
+    bool single = contacts_[i].mu > 0.0 && !contacts_[i].sticks;
+    for (std::size_t j = 0; j < contacts_.size() && single; ++j)
+      single = j == i || contacts_[j].point.guard != contacts_[i].point.guard;
+    if (!single) continue;
+    const Eigen::Vector2d slip(node0_.W.col(r + 1).dot(v), node0_.W.col(r + 2).dot(v));
+    const double speed = slip.norm();
+    if (speed > 0.0)
+      paradox_[i] = contact_matrix(r, r) -
+                    contacts_[i].mu * (contact_matrix(r, r + 1) * slip[0] + contact_matrix(r, r + 2) * slip[1]) / speed;
+  }
+}
+
+bool HeldStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
+  why_ = "";
+  unmet_ = -1;
+  if (node0_.known && follows_ && (node0_.q.array() == q0.array()).all()) {
+    guess_ = v_node_ + (h / h_last_) * (v_node_ - v_last_);  // at the middle, from the last step's
+    start_dry(v_node_);
+  } else {
+    if (!integrator_.node_velocity(q0, p0, v1_)) {
+      why_ = "the mass matrix is not positive definite";
+      return false;
+    }
+    guess_ = v1_;
+    start_dry(v1_);
+  }
+  h_ = h;
+  ++counters.steps;
+  return iterate(q0, p0, h, tau, guess_) && end_kick();
+}
+
+bool HeldStep::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) {
+  why_ = "";
+  h_ = alpha * path.h();
+  path.velocity(0.5 * alpha, guess_);
+  return iterate(q0, p0, h_, tau, guess_) && end_kick();
+}
+
+void HeldStep::finish(VecRef q1, VecRef p1) {
+  q1 = q1_;
+  p1 = p1_;
+}
+
+const MatX& HeldStep::rates() {
+  rates_.col(0) = v_;
+  return rates_;
+}
+
+}  // namespace contactvi

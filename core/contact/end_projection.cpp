@@ -1,0 +1,235 @@
+// HeldStep: the second kick of a step, at its end, and what the step has done to its contacts.
+#include <algorithm>
+#include <cmath>
+
+#include "contact/contact_step.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kClosed = 1e-12;    // [m] a gap below which a contact without load takes part in the end kick
+constexpr double kSwing = 0.95;      // cosine of the angle by which a rim's contact may run round in a step
+constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
+}  // namespace
+
+// From the end of the smooth step with its start kicks to the node: p1 and v1.
+bool HeldStep::end_kick() {
+  p_start_.noalias() += node0_.W * change_;  // the last correction of the impulses
+  integrator_.start_kicked(p_start_);
+  integrator_.stage_velocity(v_);
+  integrator_.finish(q1_, p_minus_);
+  end_node(q1_, integrator_.time() + h_);
+  integrator_.place_node(q1_);
+  MinvW_ = node1_.W;
+  integrator_.solve_masses(MinvW_);
+  v1_ = p_minus_;
+  integrator_.solve_mass(v1_);
+  if (!v1_.allFinite()) {
+    why_ = "a number is not finite";
+    return false;
+  }
+  G_end_.noalias() = node1_.W.transpose() * MinvW_;
+  w_end_.noalias() = node1_.W.transpose() * v1_;
+  w_end_.head(bilateral_) += node1_.rate;
+  active_.clear();
+  const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    HeldOutcome& out = outcomes_[i];
+    const int r = row_[i];
+    const double noise =
+        guards_->is_noisy(contacts_[i].point.guard) ? guards_->root_tolerance(contacts_[i].point.guard) : kClosed;
+    out.active = lambda_[r] > 0.0 || node1_.at[i].gap <= noise;
+    out.slipped = false;
+    out.reversed = 0.0;
+    out.turned = false;
+    if (out.active) active_.push_back(static_cast<int>(i));
+    if (contacts_[i].mu == 0.0) continue;
+    const Eigen::Vector2d s = y_.segment<2>(r + 1) + G_.block(r + 1, 0, 2, rows_) * change_;
+    const double limit = contacts_[i].mu * lambda_[r];
+    const bool on_cone = lambda_.segment<2>(r + 1).norm() >= limit * (1.0 - 1e-9);
+    out.slipped = on_cone && s.norm() > kSlipping * speed;
+    if (!out.slipped) continue;
+    cones_[dry_ + i].d = s.normalized();
+    const Vec3 t1 = node1_.t1[i], t2 = node1_.at[i].normal.cross(t1);
+    out.turned = contacts_[i].slip.dot(s[0] * t1 + s[1] * t2) < 0.0;
+  }
+  judge_dry(speed);
+  lambda_end_ = lambda_;
+  if (!solve_end(lambda_end_)) {
+    why_ = "the contact forces at the end of a step were not found";
+    return false;
+  }
+  p1_ = p_minus_;
+  p1_.noalias() += node1_.W * lambda_end_;
+  v1_.noalias() += MinvW_ * lambda_end_;
+  w_end_.noalias() += G_end_ * lambda_end_;
+  describe();
+  return constraints_met(h_, true);
+}
+
+// After an attempt at the end kick: slips that it would turn round lose their direction. False: none does.
+bool HeldStep::unfreeze_turned(const MatX& G, double still) {
+  bool turned = false;
+  for (int k = 0; k < dry_; ++k) {
+    ConeContact& cone = end_cones_[k];
+    if (!cone.frozen) continue;
+    const int row = bilateral_ + k;
+    dry_outcomes_[k].reversed = cone.d[0] * (b_sub_[row] + G.row(row) * x_);
+    if (dry_outcomes_[k].reversed > still) continue;
+    cone.frozen = false;
+    turned = true;
+  }
+  for (std::size_t a = 0; a < active_.size(); ++a) {
+    ConeContact& cone = end_cones_[dry_ + a];
+    if (!cone.frozen) continue;
+    const int row = bilateral_ + cone.row + 1;
+    const Eigen::Vector2d w = b_sub_.segment<2>(row) + G.middleRows<2>(row) * x_;
+    outcomes_[active_[a]].reversed = w.dot(cone.d);
+    if (w.dot(cone.d) > still) continue;
+    cone.frozen = false;
+    turned = true;
+  }
+  return turned;
+}
+
+// The cone problem of the active contacts; directions of friction stay those of the step where that turns no slip
+// round.
+bool HeldStep::solve_end(VecX& lambda) {
+  end_cones_.clear();
+  sub_rows_.clear();
+  for (int k = 0; k < bilateral_ + dry_; ++k) sub_rows_.push_back(k);
+  for (int k = 0; k < dry_; ++k) {
+    end_cones_.push_back(cones_[k]);
+    end_cones_.back().frozen = dry_outcomes_[k].slipped;
+  }
+  for (int i : active_) {
+    ConeContact cone = cones_[dry_ + i];
+    cone.row = static_cast<int>(sub_rows_.size()) - bilateral_;
+    cone.frozen = outcomes_[i].slipped;
+    end_cones_.push_back(cone);
+    for (int k = 0; k < cone.rows; ++k) sub_rows_.push_back(row_[i] + k);
+  }
+  // Rows of the active contacts only.
+  const int rows = static_cast<int>(sub_rows_.size());
+  MatX& G = G_sub_;
+  G.resize(rows, rows);
+  b_sub_.resize(rows);
+  x_.resize(rows);
+  for (int a = 0; a < rows; ++a) {
+    b_sub_[a] = w_end_[sub_rows_[a]];
+    x_[a] = lambda[sub_rows_[a]];
+    for (int c = 0; c < rows; ++c) G(a, c) = G_end_(sub_rows_[a], sub_rows_[c]);
+  }
+  if (bilateral_ > 0) reduction_.set(G, bilateral_, dry_);
+  const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
+  lambda.setZero();
+  if (rows == 0) return true;
+  for (int attempt = 0; attempt < 3; ++attempt) {
+    if (!solve_rows(end_cones_, G, b_sub_, kSlipping * 1e-3 * speed, x_, true)) {
+      // In Painleve's paradox no force holds a contact that goes on slipping.
+      bool frozen = false;
+      for (ConeContact& cone : end_cones_) {
+        frozen |= cone.frozen;
+        cone.frozen = false;
+      }
+      if (!frozen) return false;
+      x_.setZero();
+      continue;
+    }
+    if (!unfreeze_turned(G, kSlipping * speed)) break;
+  }
+  for (int a = 0; a < rows; ++a) lambda[sub_rows_[a]] = x_[a];
+  return true;
+}
+
+void HeldStep::describe() {
+  for (int k = 0; k < dry_; ++k)
+    dry_outcomes_[k].slips = std::abs(v1_[dry_joints_[k].dof]) > kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
+  const double speed = 1.0 + v1_.cwiseAbs().maxCoeff();
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    HeldOutcome& out = outcomes_[i];
+    const HeldContact& held = contacts_[i];
+    const int r = row_[i];
+    const Contact &c0 = node0_.at[i], &c1 = node1_.at[i];
+    out.contact = c1;
+    out.t1 = node1_.t1[i];
+    out.t2 = c1.normal.cross(out.t1);
+    out.w_n = w_end_[r];
+    out.start = Vec3(lambda_[r], 0, 0);
+    out.end = Vec3(lambda_end_[r], 0, 0);
+    out.slip_W.setZero();
+    out.slips = false;
+    if (held.mu > 0.0) {
+      out.start.tail<2>() = lambda_.segment<2>(r + 1);
+      out.end.tail<2>() = lambda_end_.segment<2>(r + 1);
+      out.slip_W = w_end_[r + 1] * out.t1 + w_end_[r + 2] * out.t2;
+      out.slips = out.slip_W.norm() > kSlipping * speed;
+      out.paradox = paradox_[i];
+    }
+    const Vec3 s1 = node0_.t1[i], s2 = c0.normal.cross(s1);
+    out.start_W = out.start[0] * c0.normal + out.start[1] * s1 + out.start[2] * s2;
+    out.end_W = out.end[0] * c1.normal + out.end[1] * out.t1 + out.end[2] * out.t2;
+  }
+}
+
+HeldStep::Memory HeldStep::memory() const {
+  return {contacts_, outcomes_, node0_, y_ref_,  dry_joints_, fixed_force_,
+          v_node_,   v_last_,   v1_,    h_last_, nominal_h_,  follows_};
+}
+
+void HeldStep::recall(const Memory& memory) {
+  contacts_ = memory.contacts;
+  set_rows();
+  outcomes_ = memory.outcomes;
+  node0_ = memory.node;
+  node1_.known = false;
+  y_ref_ = memory.y_ref;
+  dry_joints_ = memory.dry_joints;
+  fixed_force_ = memory.fixed_force;
+  v_node_ = memory.v_node;
+  v_last_ = memory.v_last;
+  v1_ = memory.v1;
+  h_last_ = memory.h_last;
+  nominal_h_ = memory.nominal_h;
+  follows_ = memory.follows;
+}
+
+bool HeldStep::swings() const {
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    if (contacts_[i].point.kind == PointKind::kRim && node0_.side[i].dot(node1_.side[i]) < kSwing) return true;
+  return false;
+}
+
+void HeldStep::commit() {
+  guards_->place(q1_);
+  for (std::size_t i = 0; i < contacts_.size(); ++i) {
+    HeldContact& held = contacts_[i];
+    const HeldOutcome& out = outcomes_[i];
+    held.force = (out.start + out.end) / h_;
+    if (held.mu > 0.0 && held.point.kind != PointKind::kVertex) held.tangent = node1_.t1[i];
+    held.sticks = !out.slips;
+    held.slip = out.slip_W;
+    if (!held.point.material) continue;
+    if (out.slips || out.slipped) held.anchored = false;
+    if (!out.slips && !held.anchored) {
+      held.anchor = place_on_plane(held.point);
+      held.anchored = true;
+    }
+    y_ref_[i] = held.anchored ? held.anchor : place_on_plane(held.point);
+  }
+  const double still = kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
+  for (DryJoint& joint : dry_joints_) {
+    const bool sticks = std::abs(v1_[joint.dof]) <= still && joint.iq >= 0;
+    if (sticks && !joint.anchored) joint.anchor = q1_[joint.iq];
+    joint.anchored = sticks;
+  }
+  fixed_force_ = (lambda_.head(bilateral_ + dry_) + lambda_end_.head(bilateral_ + dry_)) / h_;
+  v_node_ = v1_;
+  v_last_ = v_;
+  h_last_ = h_;
+  follows_ = true;
+  std::swap(node0_, node1_);
+  node1_.known = false;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,123 @@
+#include "event/gap_path.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace contactvi {
+
+namespace {
+
+constexpr double kTarget = 1e-15;             // a gap at which nothing is left to improve
+constexpr double kSmooth = 1.0 / 16;          // of the step
+constexpr double kTurn = 0.15;                // [rad] of both bodies together
+constexpr double kFinest = 1.0 / (1L << 24);  // of the step, in the search for a dip
+constexpr int kMaxIterations = 60;
+
+bool is_dip(const GapPath::Point& a, const GapPath::Point& b) { return a.rate < 0.0 && b.rate >= 0.0; }
+
+// Of a convex gap: it lies above its tangents. Of any other smooth one: the lower end.
+double lowest(const GapPath::Point& a, const GapPath::Point& b) {
+  const double ends = std::min(a.gap, b.gap);
+  if (!is_dip(a, b)) return ends;
+  const double width = b.tau - a.tau;
+  const double meet = (b.gap - a.gap - width * b.rate) / (width * (a.rate - b.rate));
+  return meet > 0.0 && meet < 1.0 ? a.gap + width * a.rate * meet : ends;
+}
+
+}  // namespace
+
+GapPath::GapPath(Guards& guards)
+    : guards_(&guards), q_(guards.scene().tree.nq), v_(guards.scene().tree.nv), W_(guards.scene().tree.nv) {}
+
+double GapPath::rate(double tau, const VecX& W) {
+  path_->velocity(tau, v_);
+  return path_->h() * W.dot(v_);
+}
+
+GapPath::Point GapPath::at(int guard, double tau) {
+  path_->configuration(tau, q_);
+  guards_->place(q_);
+  const double gap = guards_->evaluate(guard, contact_);
+  if (!std::isfinite(gap)) return {tau, gap, gap};
+  guards_->gradient(guard, contact_, W_);
+  return {tau, gap, rate(tau, W_)};
+}
+
+double GapPath::doubt(int guard, double tau) const {
+  // Twice and more zero at both ends; a straight line is safe. Distances to curved shapes are noisy themselves.
+  const double weight = std::min(1.0, 8.0 * std::min(tau, 1.0 - tau));
+  return weight * guards_->doubt(guard) + (guards_->is_noisy(guard) ? guards_->root_tolerance(guard) : 0.0);
+}
+
+double GapPath::smooth_width(int guard) const {
+  const double turn = guards_->turn(guard);
+  return turn * kSmooth > kTurn ? kTurn / turn : kSmooth;
+}
+
+GapPath::Course GapPath::first(int guard, const Point& from, const Point& to, Point& lo, Point& hi) {
+  return search(guard, from, to, std::numeric_limits<double>::infinity(), lo, hi);
+}
+
+// mismatch: how far the gap was from the cubic over the interval that [a, b] is half of.
+GapPath::Course GapPath::search(int guard, const Point& a, const Point& b, double mismatch, Point& lo, Point& hi) {
+  const double width = b.tau - a.tau;
+  if (!std::isfinite(a.gap) || !std::isfinite(b.gap)) return Course::kFailed;
+  if (b.gap > 0.0 && a.gap + b.gap > guards_->motion(guard) * width) return Course::kClear;
+  const bool smooth = width <= smooth_width(guard), finest = width <= kFinest;
+  if (smooth) {
+    lo = a;
+    hi = b;
+    if (b.gap <= 0.0) return Course::kCrossing;
+    const bool dip = is_dip(a, b);
+    const double least = lowest(a, b);
+    const double unsure = dip ? std::max(doubt(guard, a.tau), doubt(guard, b.tau)) : 0.0;
+    if (least > mismatch + unsure) return Course::kClear;
+    if (dip && (finest || (least <= unsure && mismatch <= unsure))) return Course::kDoubtful;
+    if (finest) return Course::kClear;
+  }
+  const double mid = 0.5 * (a.tau + b.tau);
+  if (!(mid > a.tau && mid < b.tau)) return b.gap <= 0.0 ? Course::kCrossing : Course::kClear;
+  const Point m = at(guard, mid);
+  const double cubic = 0.5 * (a.gap + b.gap) + 0.125 * width * (a.rate - b.rate);
+  const double off = std::abs(m.gap - cubic);
+  const Course left = search(guard, a, m, off, lo, hi);
+  return left == Course::kClear ? search(guard, m, b, off, lo, hi) : left;
+}
+
+double GapPath::root(int guard, Point lo, Point hi, double offset) {
+  const double target = guards_->is_noisy(guard) ? 0.1 * guards_->root_tolerance(guard) : kTarget;
+  const double drop = lo.gap - hi.gap;
+  double a = lo.tau, b = hi.tau, x = drop > 0.0 ? a + (b - a) * std::clamp((lo.gap + offset) / drop, 0.0, 1.0) : b;
+  for (int k = 0; k < kMaxIterations; ++k) {
+    const Point p = at(guard, x);
+    const double gap = p.gap + offset;
+    if (!(std::abs(gap) > target)) return x;
+    (gap > 0.0 ? a : b) = x;
+    const double newton = x - gap / p.rate;
+    const bool inside = newton > a && newton < b && k % 6 != 5;  // now and then a bisection, should Newton crawl
+    const double next = inside ? newton : 0.5 * (a + b);
+    if (next == x || b - a <= 4e-16 * b) return x;
+    x = next;
+  }
+  return x;
+}
+
+double GapPath::minimum(int guard, Point a, Point b, double slope) {
+  if (a.rate + slope >= 0.0) return a.tau;
+  if (b.rate + slope <= 0.0) return b.tau;
+  for (int k = 0; k < kMaxIterations; ++k) {
+    const double width = b.tau - a.tau;
+    // The rest of the way down from either end is not worth a look.
+    if (std::max(-a.rate - slope, b.rate + slope) * width < kTarget || width < 1e-12) break;
+    const double secant = a.tau - width * (a.rate + slope) / (b.rate - a.rate);
+    const bool inside = secant > a.tau && secant < b.tau && k % 3 != 2;
+    const Point p = at(guard, inside ? secant : 0.5 * (a.tau + b.tau));
+    const double rate = p.rate + slope;
+    if (!(rate * rate * width > kTarget * (b.rate - a.rate))) return p.tau;
+    (rate < 0.0 ? a : b) = p;
+  }
+  return a.gap + slope * a.tau < b.gap + slope * b.tau ? a.tau : b.tau;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,245 @@
+// Events on the exact path: what EventFinder does with partial steps, each as dear as a step.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "event/finder.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kTarget = 1e-13;   // a gap at which nothing is left to improve
+constexpr double kClosing = 1e-12;  // a touching guard below -this has closed again
+constexpr double kHeight = 1e-16;   // a flight lower than this is rounding
+constexpr double kBeyond = 1.001;   // of the step, as far as an event at its end may seem to lie beyond it
+constexpr double kJump = 1e-12;     // width of a bracket in which a gap jumps
+constexpr int kMaxCuts = 1000;      // of the step, looking for where a touching guard separates
+constexpr int kMaxProbes = 80;      // exact partial steps to one event
+constexpr int kMaxDipProbes = 12;
+}  // namespace
+
+bool EventFinder::exact_at(int guard, double tau, Point& point) {
+  if (!stepper_->solve_part(*path_, tau, *q0_, *p0_, *tau_)) {
+    // Where the path is no good start solve() has others, but for those of the steps taken: they end after this one.
+    stepper_->forget();
+    if (!stepper_->solve(*q0_, *p0_, tau * h_, *tau_)) return false;
+  }
+  stepper_->finish(event_.q, event_.p);
+  guards_->place(event_.q);
+  point = {tau, guards_->evaluate(guard, contact_), 0.0};
+  guards_->gradient(guard, contact_, W_);
+  point.rate = gaps_.rate(tau, W_);
+  return true;
+}
+
+// The guards are placed at the event.
+Search EventFinder::accept(int guard, const Point& at, bool persistent) {
+  event_.guard = guard;
+  event_.alpha = std::min(1.0, at.tau);
+  event_.gap = at.gap;
+  event_.persistent = persistent;
+  return Search::kFound;
+}
+
+// A touching guard, a: its start. Where has it separated, or does it close without having done so?
+Search EventFinder::leave(Suspect& s, Point a) {
+  const int g = s.guard;
+  const double tolerance = guards_->touch_tolerance(g);
+  double width = gaps_.smooth_width(g);
+  bool closes = false;
+  for (int k = 0; k < kMaxCuts; ++k) {
+    Point m = gaps_.at(g, std::min(1.0, a.tau + width));
+    if (m.tau == 1.0) m.gap = s.end_gap;
+    const double unsure = gaps_.doubt(g, m.tau);
+    if (m.gap < -kClosing && m.gap > -kClosing - unsure && !exact_at(g, m.tau, m))
+      return fail(Search::kNewtonFailed, g, 0);
+    if (!std::isfinite(m.gap)) return fail(Search::kUnresolved, g, m.gap);
+    const double used = m.tau - a.tau, grown = m.gap - a.gap, promised = used * std::max(a.rate, 0.0);
+    if (m.gap > (closes ? 0.0 : tolerance) && grown >= 0.25 * promised) {
+      // It rises as it set out to. If it set out downwards, how deep was it?
+      const double curve = (grown - a.rate * used) / (used * used);
+      s.from = m;
+      if (a.rate >= 0.0) return Search::kNone;
+      const Point low = gaps_.at(g, a.tau - 0.5 * a.rate / curve);
+      return low.gap < -kClosing - gaps_.doubt(g, low.tau) ? close(s, a, low) : Search::kNone;
+    }
+    if (m.gap < -kClosing) {
+      closes = true;
+      const double curve = (promised - grown) / (used * used);
+      const double height = 0.25 * a.rate * a.rate / curve;
+      if (a.rate <= 0.0 || height < kHeight || used < 1e-15) return close(s, a, m);
+      width = std::clamp(0.5 * a.rate / curve, 1e-3 * used, 0.5 * used);
+    } else if (!closes && m.gap <= tolerance && promised <= 4.0 * tolerance) {
+      if (m.tau == 1.0) {
+        s.from = m;
+        return Search::kNone;  // it touches all along
+      }
+      a = m;
+      width = gaps_.smooth_width(g);
+    } else {
+      width = 0.5 * used;  // it flew and came back
+      if (used < 1e-15) return close(s, a, m);
+    }
+  }
+  // Neither: it hangs about zero, and what holds it decides.
+  s.crosses = s.persistent = true;
+  s.root = 0.0;
+  return Search::kNone;
+}
+
+// A touching guard that is at a and below zero at below without having separated.
+Search EventFinder::close(Suspect& s, const Point& a, const Point& below) {
+  if (a.gap > 0.0) {
+    cross(s, a, below, 0.0);  // an ordinary crossing
+    return Search::kNone;
+  }
+  s.crosses = s.persistent = true;
+  s.root = 0.0;
+  return Search::kNone;
+}
+
+// Does the exact gap dip below zero near [a, b], where that of the path has its minimum? The difference of the two is
+// taken for linear, through the probes so far.
+Search EventFinder::exact_dip(Suspect& s, const Point& a, const Point& b) {
+  const int g = s.guard;
+  const double width = b.tau - a.tau, bend = (b.rate - a.rate) / width, tolerance = guards_->root_tolerance(g);
+  const Point left = gaps_.at(g, std::max(s.from.tau, a.tau - width));
+  const Point right = gaps_.at(g, std::min(1.0, b.tau + width));
+  double x = gaps_.minimum(g, left, right, 0.0), slope = 0.0, last_slope = 0.0, last_x = x, last_offset = 0.0;
+  for (int k = 0; k < kMaxDipProbes; ++k) {
+    Point p;
+    if (!exact_at(g, x, p)) return fail(Search::kNewtonFailed, g, 0);
+    if (!std::isfinite(p.gap)) return fail(Search::kUnresolved, g, p.gap);
+    const double offset = p.gap - gaps_.at(g, x).gap, above = p.gap + tolerance;
+    if (above < 0.0) {
+      const Point& lo = left.tau < x && left.gap + offset > 0.0 ? left : s.from;
+      cross(s, lo, {x, p.gap - offset, p.rate}, offset);
+      s.hi_sure = true;
+      return Search::kNone;
+    }
+    double next;
+    if (k == 0) {
+      // So steep can the difference be; then the minimum lies that much lower beside x.
+      const double steep = 8.0 * std::max(guards_->doubt(g), std::abs(offset));
+      if (!(bend > 0.0) || above > 0.5 * steep * steep / bend) return Search::kNone;
+      const double probe = std::min(std::sqrt(2.0 * above / bend), 0.5 * width);
+      next = x + probe <= right.tau ? x + probe : x - probe;
+    } else {
+      slope = (offset - last_offset) / (x - last_x);
+      next = gaps_.minimum(g, left, right, slope);
+      const double predicted = gaps_.at(g, next).gap + offset + slope * (next - x), change = slope - last_slope;
+      // Even if the slope is wrong by as much as it has just changed, the minimum is not below zero.
+      if (p.gap - predicted + 0.5 * change * change / bend < 0.5 * above) return Search::kNone;
+      last_slope = slope;
+    }
+    last_x = x;
+    last_offset = offset;
+    if (!(std::abs(next - x) > 1e-12)) return Search::kNone;
+    x = next;
+  }
+  return Search::kNone;
+}
+
+// The path crossed before from, the exact path is still positive there: look for where the path is sure again.
+Search EventFinder::resume(Suspect& s, const Point& from) {
+  const int g = s.guard;
+  const double step = std::max(0.25 * (s.hi.tau - s.lo.tau), 1e-6);
+  const Point before = s.lo;
+  s.crosses = false;
+  s.from = before;
+  for (double tau = from.tau; tau < 1.0;) {
+    tau = std::min(1.0, tau + step);
+    Point p = gaps_.at(g, tau);
+    if (tau == 1.0) p.gap = s.end_gap;
+    if (p.gap <= (tau == 1.0 ? 0.0 : -gaps_.doubt(g, tau))) {
+      cross(s, from, p, 0.0);
+      s.lo_sure = s.hi_sure = true;
+      return Search::kNone;
+    }
+    if (p.gap <= 0.0) continue;
+    const Search outcome = exact_dip(s, before, p);
+    if (!s.crosses) s.from = p;
+    return outcome;
+  }
+  return Search::kNone;
+}
+
+// On kFound either event() is filled or the event does not exist: then the suspect is searched further.
+Search EventFinder::locate(Suspect& s, bool& exists) {
+  if (s.persistent) {
+    event_.q = *q0_;
+    event_.p = *p0_;
+    guards_->place(event_.q);
+    return accept(s.guard, {0.0, guards_->evaluate(s.guard, contact_), 0.0}, true);
+  }
+  const bool probe = !s.lo_sure;
+  if (probe) {
+    const Search outcome = separate(s);
+    if (outcome != Search::kNone || s.persistent) return outcome;
+  }
+  return polish(s, probe || s.lo.tau == 0.0, exists);
+}
+
+// A point on the exact path where the gap is positive, before the crossing.
+Search EventFinder::separate(Suspect& s) {
+  s.lo_sure = true;
+  if (!touching_[s.guard]) {
+    s.lo = {0.0, 0.0, 0.0};
+    return Search::kNone;
+  }
+  for (double tau = s.lo.tau; tau > 1e-15; tau *= 0.5) {
+    if (!exact_at(s.guard, tau, s.lo)) return fail(Search::kNewtonFailed, s.guard, 0);
+    if (s.lo.gap > 0.0) return Search::kNone;
+    s.hi = s.lo;
+    s.hi_sure = true;
+  }
+  // There is none: it never separated.
+  s.persistent = true;
+  bool exists = true;
+  return locate(s, exists);
+}
+
+// lo_seen: the gap at s.lo was seen to be positive on the exact path.
+Search EventFinder::polish(Suspect& s, bool lo_seen, bool& exists) {
+  const int g = s.guard;
+  const double tolerance = guards_->root_tolerance(g);
+  double lo = s.lo.tau, hi = s.hi.tau, x = s.root > lo && s.root <= hi ? s.root : 0.5 * (lo + hi);
+  Point p{}, before{0.0, std::numeric_limits<double>::infinity(), 0.0};
+  for (int k = 0; k < kMaxProbes; ++k) {
+    if (!exact_at(g, x, p)) return fail(Search::kNewtonFailed, g, 0);
+    if (!std::isfinite(p.gap)) return fail(Search::kUnresolved, g, p.gap);
+    const double size = std::abs(p.gap);
+    if (size <= kTarget || (size <= tolerance && size > 0.25 * std::abs(before.gap))) return accept(g, p, false);
+    if (p.gap > 0.0 && !s.hi_sure && (x >= hi || p.rate >= 0.0)) {
+      exists = false;
+      const Search outcome = resume(s, p);
+      return outcome == Search::kNone ? Search::kFound : outcome;
+    }
+    // The whole step was solved from other start values: at its end the two agree to the solver's tolerance only.
+    if (p.gap > 0.0 && x >= hi && hi == 1.0) hi = kBeyond;
+    (p.gap > 0.0 ? lo : hi) = x;
+    (p.gap > 0.0 ? lo_seen : s.hi_sure) = true;
+    // Newton with the rate of the path, then secants, whose rate is exact.
+    const double secant = (p.gap - before.gap) / (x - before.tau);
+    double next = x - p.gap / (k > 0 && secant < 0.0 ? secant : p.rate);
+    if (next <= lo && !lo_seen) {
+      s.lo_sure = false;  // the path was not so sure after all
+      s.hi = p;
+      s.root = x;
+      return locate(s, exists);
+    }
+    if (next >= hi && !s.hi_sure) {
+      next = hi;
+    } else if (!(next > lo && next < hi) || k % 8 == 7) {
+      next = 0.5 * (lo + hi);
+    }
+    if (next == x || hi - lo <= 4e-16 * hi) break;
+    before = p;
+    x = next;
+  }
+  // Where a feature comes into being the gap of a pair jumps, by rounding.
+  const bool jumps = hi - lo <= kJump * hi && std::abs(p.gap) <= Guards::kFeatureRounding;
+  return std::abs(p.gap) <= tolerance || jumps ? accept(g, p, false) : fail(Search::kUnresolved, g, p.gap);
+}
+
+}  // namespace contactvi

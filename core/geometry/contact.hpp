@@ -1,0 +1,28 @@
+// A point where two bodies may touch, and the gradient of its gap.
+#pragma once
+
+#include "model/placement.hpp"
+
+namespace contactvi {
+
+// World frame. normal points from body a to body b; gap = (point_b - point_a).normal, negative in penetration.
+struct Contact {
+  double gap;
+  Vec3 normal;
+  Vec3 point_a, point_b;
+  int body_a, body_b;  // engine joints, -1: world
+};
+
+// W = d(gap)/dq = n^T (J_B(x_B) - J_A(x_A)) in engine coordinates, shape (nv,). at: the placements at the same q.
+void gap_gradient(const Tree& tree, const Placements& at, const Contact& contact, VecRef W);
+
+// Rows n, t1, t2 of the relative velocity of the contact's two points, b less a, as the columns of W (nv, 1 or 3);
+// t1: unit tangent, world frame; t2 = n x t1.
+void contact_rows(const Tree& tree, const Placements& at, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
+
+// Some unit vector orthogonal to n.
+Vec3 any_tangent(const Vec3& n);
+// The tangent t turned with its normal from n0 to n1 (the shortest turn), so that a basis does not flip between steps.
+Vec3 carried_tangent(const Vec3& t, const Vec3& n0, const Vec3& n1);
+
+}  // namespace contactvi

@@ -1,0 +1,272 @@
+#include "geometry/guard.hpp"
+
+#include <coal/distance.h>
+#include <coal/narrowphase/support_functions.h>
+#include <coal/shape/geometric_shapes.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace contactvi {
+
+struct Guards::Functors {
+  std::vector<coal::ComputeDistance> distance;
+  coal::DistanceRequest request;
+  coal::DistanceResult result;
+};
+
+void settle_box_support() {
+  const coal::Box box(1, 1, 1);
+  int hint = 0;
+  coal::details::getSupport<coal::details::SupportOptions::NoSweptSphere>(&box, coal::Vec3s(1, 2, 3), hint);
+  coal::details::getSupport<coal::details::SupportOptions::WithSweptSphere>(&box, coal::Vec3s(1, 2, 3), hint);
+}
+
+Guards::Guards(const Scene& scene, int contact_points)
+    : scene_(&scene),
+      count_(scene.guard_count()),
+      pairs_(static_cast<int>(scene.pairs.size())),
+      manifolds_(scene, contact_points),
+      held_(count_),
+      placements_(scene.tree),
+      q_(VecX::Zero(scene.tree.nq)),
+      functors_(new Functors),
+      linear_(scene.tree.joints.size()),
+      motion_(make_reach()),
+      doubt_(make_reach()),
+      odometer_(scene.geometries.size()),
+      marks_(count_, -1.0) {
+  functors_->distance.reserve(pairs_);
+  for (const Pair& pair : scene.pairs) {
+    const Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
+    functors_->distance.emplace_back((pair.rounded ? a.rounded : a.sharp).get(),
+                                     (pair.rounded ? b.rounded : b.sharp).get());
+  }
+  functors_->request.enable_signed_distance = true;
+  functors_->request.gjk_tolerance =
+      1e-10;  // the default 1e-6 is the error of the gap; EPA's default stays, below it NaN
+}
+
+Guards::~Guards() = default;
+
+void Guards::place(const VecCRef& q) {
+  q_ = q;
+  placed_ = false;
+}
+
+void Guards::place_bodies() {
+  if (placed_) return;
+  contactvi::place(scene_->tree, q_, placements_);
+  placed_ = true;
+}
+
+namespace {
+
+void geometry_pose(const Geometry& g, const Placements& at, Mat3& R, Vec3& p) {
+  if (g.body < 0) {
+    R = g.R_BG;
+    p = g.p_BG;
+  } else {
+    R.noalias() = at.R_W[g.body] * g.R_BG;
+    p = at.p_W[g.body] + at.R_W[g.body] * g.p_BG;
+  }
+}
+
+Vec3 sphere_center(const Geometry& g, const Placements& at) {
+  if (g.body < 0) return g.center_B;
+  return at.p_W[g.body] + at.R_W[g.body] * g.center_B;
+}
+
+}  // namespace
+
+double Guards::limit_gap(int guard, const VecCRef& q) const {
+  const JointLimit& limit = scene_->tree.limits[guard - pairs_];
+  const double value = q[scene_->tree.joints[limit.joint].iq];
+  return limit.upper ? limit.bound - value : value - limit.bound;
+}
+
+void Guards::set_held(int guard, std::vector<const ContactPoint*> points) {
+  held_[guard] = std::move(points);
+  unmark(guard);
+}
+
+double Guards::evaluate(int guard, Contact& contact) {
+  const std::vector<const ContactPoint*>& held = held_[guard];
+  if (held.empty()) return evaluate_witness(guard, contact);
+  double gap = std::numeric_limits<double>::infinity();
+  Contact witness{};
+  if (held[0]->kind != PointKind::kWitness && held[0]->kind != PointKind::kLimit) {
+    evaluate_witness(guard, witness);
+    contact = witness;
+    gap = manifolds_.rest(guard, placements(), held.data(), static_cast<int>(held.size()), witness, contact);
+  }
+  if (gap == std::numeric_limits<double>::infinity()) {
+    contact = {kNothingElse, Vec3::Zero(), Vec3::Zero(), Vec3::Zero(), -1, -1};
+    return kNothingElse;
+  }
+  contact.gap = gap;
+  return gap;
+}
+
+double Guards::evaluate_witness(int guard, Contact& contact) {
+  ++counters.evaluated;
+  if (guard >= pairs_) {
+    const JointLimit& limit = scene_->tree.limits[guard - pairs_];
+    contact = {limit_gap(guard, q_), Vec3::Zero(), Vec3::Zero(), Vec3::Zero(), -1, limit.joint};
+    return contact.gap;
+  }
+  const Pair& pair = scene_->pairs[guard];
+  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  place_bodies();
+  // Coal makes cylinders larger by 1e-10 of their size where they stand or lie along the normal.
+  if (a.unbounded != b.unbounded && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
+  Mat3 R_a, R_b;
+  Vec3 p_a, p_b;
+  geometry_pose(a, placements_, R_a, p_a);
+  geometry_pose(b, placements_, R_b, p_b);
+  Functors& f = *functors_;
+  f.result.clear();
+  f.distance[guard](coal::Transform3s(R_a, p_a), coal::Transform3s(R_b, p_b), f.request, f.result);
+  contact = {f.result.min_distance,      f.result.normal, f.result.nearest_points[0],
+             f.result.nearest_points[1], a.body,          b.body};
+  if (!contact.normal.allFinite()) contact.gap = std::numeric_limits<double>::quiet_NaN();
+  return contact.gap;
+}
+
+void Guards::gradient(int guard, const Contact& contact, VecRef W) const {
+  if (guard < pairs_) {
+    gap_gradient(scene_->tree, placements_, contact, W);
+    return;
+  }
+  const JointLimit& limit = scene_->tree.limits[guard - pairs_];
+  W.setZero();
+  W[scene_->tree.joints[limit.joint].iv] = limit.upper ? -1.0 : 1.0;
+}
+
+void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W) {
+  if (guard >= pairs_) {
+    gradient(guard, contact, W.col(0));
+    return;
+  }
+  contact_rows(scene_->tree, placements(), contact, t1, W);
+}
+
+double Guards::touch_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-11; }
+
+double Guards::depth_tolerance(int guard) const {
+  return guard < pairs_ ? std::max(kFeatureRounding, 1.2 * manifolds_.noise(guard)) : kFeatureRounding;
+}
+
+double Guards::root_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-12; }
+
+Guards::Reach Guards::make_reach() const {
+  return {std::vector<double>(scene_->geometries.size()), std::vector<double>(scene_->tree.limits.size()),
+          std::vector<double>(scene_->tree.joints.size())};
+}
+
+void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) { spread(q, bound, h, motion_); }
+
+void Guards::bound_doubt(const VecCRef& q, const VecX& doubt, double h) { spread(q, doubt, h, doubt_); }
+
+void Guards::spread(const VecCRef& q, const VecX& bound, double h, Reach& reach) {
+  const Tree& tree = scene_->tree;
+  for (std::size_t k = 0; k < tree.limits.size(); ++k) reach.limit[k] = h * bound[tree.joints[tree.limits[k].joint].iv];
+  if (pairs_ == 0) return;
+  for (std::size_t i = 0; i < tree.joints.size(); ++i) {
+    const Joint& joint = tree.joints[i];
+    double angular = 0, linear = 0, arm = joint.p_PJ.norm();
+    const double path = h * bound[joint.iv];
+    switch (joint.type) {
+      case JointType::kRevolute:
+      case JointType::kContinuous:
+      case JointType::kSpherical:
+        angular = path;
+        break;
+      case JointType::kPrismatic:
+        linear = path;
+        arm += std::abs(q[joint.iq]) + path;
+        break;
+      case JointType::kHelical:
+        angular = path;
+        linear = std::abs(joint.pitch) * path;
+        arm += std::abs(joint.pitch) * (std::abs(q[joint.iq]) + path);
+        break;
+      case JointType::kTranslation:
+        linear = h * bound.segment<3>(joint.iv).norm();
+        arm += q.segment<3>(joint.iq).norm() + linear;
+        break;
+    }
+    if (joint.parent >= 0) {
+      linear += linear_[joint.parent] + reach.turn[joint.parent] * arm;
+      angular += reach.turn[joint.parent];
+    }
+    reach.turn[i] = angular;
+    linear_[i] = linear;
+  }
+  for (std::size_t g = 0; g < reach.geometry.size(); ++g) {
+    const Geometry& geometry = scene_->geometries[g];
+    const int body = geometry.body;
+    reach.geometry[g] = body < 0 ? 0.0 : linear_[body] + reach.turn[body] * geometry.reach;
+  }
+}
+
+double Guards::of(const Reach& reach, int guard) const {
+  if (guard >= pairs_) return reach.limit[guard - pairs_];
+  const Pair& pair = scene_->pairs[guard];
+  return reach.geometry[pair.a] + reach.geometry[pair.b];
+}
+
+double Guards::motion(int guard) const { return of(motion_, guard); }
+
+double Guards::doubt(int guard) const { return of(doubt_, guard); }
+
+double Guards::turn(int guard) const {
+  if (guard >= pairs_) return 0.0;
+  const Pair& pair = scene_->pairs[guard];
+  const int a = scene_->geometries[pair.a].body, b = scene_->geometries[pair.b].body;
+  return (a < 0 ? 0.0 : motion_.turn[a]) + (b < 0 ? 0.0 : motion_.turn[b]);
+}
+
+bool Guards::skip(int guard) const {
+  if (guard >= pairs_) return false;  // one subtraction: nothing to save
+  const Pair& pair = scene_->pairs[guard];
+  return odometer_[pair.a] + odometer_[pair.b] + motion(guard) < marks_[guard];
+}
+
+bool Guards::separated_at_end(int guard) {
+  if (guard >= pairs_) {
+    return limit_gap(guard, q_) > motion(guard);
+  }
+  place_bodies();
+  const Pair& pair = scene_->pairs[guard];
+  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  double bound;
+  if (a.unbounded || b.unbounded) {
+    const Geometry &half = a.unbounded ? a : b, &other = a.unbounded ? b : a;
+    Mat3 R;
+    Vec3 p;
+    geometry_pose(half, placements_, R, p);
+    bound =
+        (R * half.halfspace_normal).dot(sphere_center(other, placements_) - p) - half.halfspace_offset - other.radius;
+  } else {
+    bound = (sphere_center(a, placements_) - sphere_center(b, placements_)).norm() - a.radius - b.radius;
+  }
+  if (!(bound > motion(guard))) return false;
+  mark(guard, bound);
+  return true;
+}
+
+void Guards::mark(int guard, double gap_at_end) {
+  if (guard >= pairs_) return;
+  const Pair& pair = scene_->pairs[guard];
+  marks_[guard] = odometer_[pair.a] + odometer_[pair.b] + motion(guard) + gap_at_end;
+}
+
+void Guards::unmark_all() { std::fill(marks_.begin(), marks_.end(), -1.0); }
+
+void Guards::commit() {
+  for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += motion_.geometry[g];
+}
+
+}  // namespace contactvi

@@ -1,0 +1,128 @@
+// Guards: one gap function per collision pair and one per joint limit, and the decision which of them a step may
+// skip.
+//
+// Semantics. A guard that is > 0 at the start of a step and <= 0 at its end, or inside it, is an event in the
+// half-open interval (0, 1] of the step. A guard that was just hit, or starts at zero, is "touching": it is excluded
+// until it has separated, unless it closes again. A start below zero is an error, never projected away.
+//
+// Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was
+// d when it was last looked at stays skipped until the two odometers have advanced by d; only then its bounding
+// spheres, and only then its shapes, are looked at. Numbering: collision pairs first, then joint limits.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "geometry/contact.hpp"
+#include "geometry/manifold.hpp"
+#include "model/scene.hpp"
+
+namespace contactvi {
+
+struct GuardCounters {
+  long evaluated = 0;  // exact gaps
+  long skipped = 0;    // guards of a step settled without one
+};
+
+// To be called before coal first looks at a box: it inflates all boxes of a process by 1e-10 of their size if the
+// direction of that very first query has a zero component (a static variable in its support function), so distances
+// would depend on what the process did before.
+void settle_box_support();
+
+class Guards {
+ public:
+  // At most contact_points points of a pair are held.
+  explicit Guards(const Scene& scene, int contact_points = 4);
+  ~Guards();
+
+  int count() const { return count_; }
+  const Scene& scene() const { return *scene_; }
+
+  // Configuration that evaluate, gradient and separated_at_end refer to. The bodies are placed when a pair first
+  // asks.
+  void place(const VecCRef& q);
+
+  // Exact gap [m] or [rad] at the placed configuration. Not finite if coal fails. Of a guard with held points that of
+  // what is not held, kNothingElse if nothing else can touch.
+  double evaluate(int guard, Contact& contact);
+  static constexpr double kNothingElse = 1e9;
+  // The same whether or not points are held.
+  double evaluate_witness(int guard, Contact& contact);
+  const Placements& placements() {
+    place_bodies();
+    return placements_;
+  }
+  const Manifolds& manifolds() const { return manifolds_; }
+  // The points of a guard that are held from now on; they must stay where they are.
+  void set_held(int guard, std::vector<const ContactPoint*> points);
+  bool is_held(int guard) const { return !held_[guard].empty(); }
+  // W = d(gap)/dq, shape (nv,).
+  void gradient(int guard, const Contact& contact, VecRef W) const;
+  // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3).
+  void rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
+  // How far from zero a gap may be and still count as touching.
+  double touch_tolerance(int guard) const;
+  // [m] by which the features of a face that is flat to rounding differ.
+  static constexpr double kFeatureRounding = 1e-10;
+  // How deep a gap may be at the start of a step: features of a face differ by rounding, coal's distances by theirs.
+  double depth_tolerance(int guard) const;
+  // To what a root is located: 1e-12, or the noise of the distance itself where curved shapes are iterated.
+  double root_tolerance(int guard) const;
+
+  // Bounds on the motion over a step of length h whose velocities stay within bound, shape (nv,), from q; in all
+  // three entries of a spherical joint the bound of the whole vector.
+  void bound_motion(const VecCRef& q, const VecX& bound, double h);
+  double motion(int guard) const;  // of the guard's two bodies together in that step
+  double turn(int guard) const;    // the same of their rotation [rad]
+  // The same for velocities that are only known to within doubt: how far off a gap may be.
+  void bound_doubt(const VecCRef& q, const VecX& doubt, double h);
+  double doubt(int guard) const;
+  bool is_noisy(int guard) const { return guard < pairs_ && scene_->pairs[guard].curved; }
+  // True if the odometers say that the guard cannot reach zero in the step.
+  bool skip(int guard) const;
+  // True if the bounding spheres at the placed end of the step say so; then also moves the pair's mark.
+  bool separated_at_end(int guard);
+  void mark(int guard, double gap_at_end);  // gap at the end of the step
+  void unmark(int guard) { marks_[guard] = -1.0; }
+  void unmark_all();
+  void commit();  // the step is taken: odometers advance
+
+  // What is known of the motion since guards were last looked at.
+  struct Memory {
+    std::vector<double> odometer, marks;
+  };
+  Memory memory() const { return {odometer_, marks_}; }
+  void recall(const Memory& memory) {
+    odometer_ = memory.odometer;
+    marks_ = memory.marks;
+  }
+
+  GuardCounters counters;
+
+ private:
+  // How far everything can move in a step: per geometry any of its points, per joint limit, per body its rotation.
+  struct Reach {
+    std::vector<double> geometry, limit, turn;
+  };
+  Reach make_reach() const;
+  void spread(const VecCRef& q, const VecX& bound, double h, Reach& reach);
+  double of(const Reach& reach, int guard) const;
+  void place_bodies();
+  double limit_gap(int guard, const VecCRef& q) const;
+
+  const Scene* scene_;
+  int count_, pairs_;
+  Manifolds manifolds_;
+  std::vector<std::vector<const ContactPoint*>> held_;
+  Placements placements_;
+  bool placed_ = false;  // at q_
+  VecX q_;
+  struct Functors;  // coal's, kept out of this header
+  std::unique_ptr<Functors> functors_;
+  std::vector<double> linear_;  // per body: bound on its origin's displacement
+  Reach motion_, doubt_;
+  std::vector<double> odometer_;  // per geometry
+  std::vector<double> marks_;     // per guard: odometer sum up to which it may be skipped
+};
+
+}  // namespace contactvi

@@ -1,0 +1,129 @@
+// Manifolds: the points at which the two shapes of a collision pair touch, each with a gap function of its own.
+//
+// A shape is a core swept by a sphere (outline.hpp); pairs that coal measures between rounded shapes are taken rounded
+// here too, so that the least gap of the points is the distance of the pair. Normals point from a to b.
+//
+//   a / b         halfspace   box, convex       cylinder           capsule        sphere            ellipsoid
+//   halfspace     -           vertices          rims (1)           2 ends         1 vertex          witness
+//   box, convex   vertices    polytopes (2)     rims (1) and (2)   polytopes (2)  witness           witness
+//   cylinder      rims (1)    rims (1) and (2)  rims (1) and (2)   polytopes (2)  witness           witness
+//   capsule       2 ends      polytopes (2)     polytopes (2)      witness        witness           witness
+//   sphere        1 vertex    witness           witness            witness        witness           witness
+//   ellipsoid     witness     witness           witness            witness        witness           witness
+//
+// (1) A rim touches a plane in its lowest point, which rolls (kRim). Where it lies flat, R sin(tilt) <= 2e-11 m, that
+//     point is ill-defined, and points of the rim that are fixed to the cylinder stand for it (kVertex). They span the
+//     disc, or what of it lies over the face, together with the face's corners under the disc (kVertex).
+// (2) Vertices of either body over a face of the other (kVertex), and crossings of an edge of one with an edge of the
+//     other (kEdge), on the flat sides that face each other where the pair is nearest. The axis of a lying capsule or
+//     cylinder, swept by its radius, is one more edge. Steeply inclined pairs have one such point, and it is exact.
+// witness: the single point that coal finds (kWitness). Also where the nearest features of the others are none of
+//     theirs: vertex against edge or vertex of rounded shapes, rim against edge, parallel capsules.
+//
+// A vertex's gap is measured from the face that it lies over, never from a common plane: of a pair that tips one or two
+// points have a gap of zero, the others are above.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "geometry/candidates.hpp"
+#include "geometry/contact.hpp"
+#include "geometry/point_selection.hpp"
+
+namespace contactvi {
+
+enum class PointKind : std::uint8_t { kWitness, kVertex, kRim, kLimit, kEdge };
+
+struct ContactPoint {
+  int guard;
+  PointKind kind;
+  // Identity within the guard, the same from step to step; 0: witness or limit. See Feature.
+  std::int64_t feature;
+  // The point is fixed to a sharp body: its slip is a displacement. Else it moves over both bodies: a velocity.
+  bool material;
+  // kVertex: a sphere of radius `radius` about a point of point_body against a plane of plane_body. Vectors of the
+  // point are in point_body's frame (center_B, axis_B, far_B), those of the plane in plane_body's; -1: world.
+  bool on_b;  // the point belongs to geometry b and the plane to a, else the other way round
+  int point_body, plane_body;
+  Vec3 center_B;
+  double radius;
+  Vec3 normal_B;  // outward: gap = normal.center - offset - radius
+  double offset;
+  // kRim: the circle of radius rim_radius about center_B, unit axis axis_B, swept by `radius`, against the plane.
+  Vec3 axis_B;
+  double rim_radius;
+  Vec3 far_B;  // the circle's point farthest from the plane when the point was found
+  // kEdge: the line of b through center_B along axis_B, swept by `radius`, against the line of a through origin_B along
+  // normal_B, swept by `offset`. Directed so that normal_B x axis_B points from a to b; on_b is true.
+  Vec3 origin_B;
+};
+
+class Manifolds {
+ public:
+  Manifolds(const Scene& scene, int max_points);
+
+  // Appends the points of the pair with gap <= margin, at most max_points of them: the deepest, then those that span
+  // the largest area; points that add none are left out. The same input gives the same points. witness: the pair's
+  // contact by coal there; at least one point if its gap is <= margin.
+  // others: if given, gets the points within the margin that were not chosen.
+  void find(int pair, const Placements& at, const Contact& witness, double margin, std::vector<ContactPoint>&,
+            std::vector<ContactPoint>* others = nullptr) const;
+
+  // The point of a known feature (not one where a rim crosses a side), whether it touches or not.
+  ContactPoint point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const;
+
+  // The nearest feature of a pair with a halfspace, without coal; false for other pairs and for ellipsoids. Coal makes
+  // cylinders 1e-10 of their size larger where they stand or lie exactly along the normal.
+  bool nearest(int pair, const Placements& at, Contact& contact) const;
+
+  // A rim's farthest point moves as it rolls: the one of these placements.
+  void renew(ContactPoint& point, const Placements& at) const;
+  // Where the contact lies as seen from a rim's centre, unit, world frame; zero of other points.
+  static Vec3 side_of_rim(const ContactPoint& point, const Placements& at);
+
+  // Gap, normal, points and bodies, world frame. Not for kWitness and kLimit.
+  void evaluate(const ContactPoint& point, const Placements& at, Contact& contact) const;
+
+  // False where another feature has taken over: a vertex slid off its face, an edge off its edge, a flat rim tilted.
+  bool valid(const ContactPoint& point, const Placements& at) const;
+
+  // Least gap [m] over the features of the pair that may touch next while `held` touch; +infinity if there are none.
+  // contact: of that feature. Features that touch merely because the held ones do (further corners of a face that is
+  // held at three points, the rim of which points are held) count from kRestSlack on, so that they do not flicker about
+  // zero: contact.gap is lower than the result by that much. The far side of a rim that comes down counts as down
+  // 5e-12 m early.
+  double rest(int pair, const Placements& at, const ContactPoint* const* held, int count, const Contact& witness,
+              Contact& contact) const;
+
+  // Of the pair's distance by coal, against that of its features [m].
+  double noise(int pair) const { return shapes_[pair].noise; }
+
+ private:
+  double with_witness(int pair, const Placements& at, const ContactPoint* const* held, int count,
+                      const Contact& witness, double value, Contact& contact) const;
+  struct Shapes {
+    int a, b;      // in outlines_
+    bool single;   // coal's point is the only one
+    double noise;  // of the pair's distance by coal, against ours
+  };
+  class Least;
+  PairView view(int pair, const Placements& at) const;
+  ContactPoint make_point(int pair, const PairView& v, const Candidate& c, const Vec3& n_W) const;
+  static double far_of_rim(const ContactPoint& point, const Placements& at, Contact& contact);
+  Sides sides_of_witness(const PairView& v, const Contact& witness) const;
+  Sides sides_of_point(const PairView& v, const ContactPoint& point, const Placements& at) const;
+
+  int max_points_;
+  std::vector<Outline> outlines_;
+  std::vector<Shapes> shapes_;
+  // Scratch; grows to the largest manifold seen.
+  mutable std::vector<Candidate> found_;
+  mutable Selection selection_;
+  mutable EdgeLists edges_;
+};
+
+// See Manifolds::rest [m].
+constexpr double kRestSlack = 3e-11;
+
+}  // namespace contactvi

@@ -1,0 +1,122 @@
+#include "geometry/point_selection.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace contactvi {
+
+namespace {
+
+// What a point adds to the area must be this part of the extent squared to count.
+constexpr double kLeastArea = 1e-9;
+// Equal to rounding: the first of them is taken.
+constexpr double kTie = 1.0 + 1e-9;
+// Exchanges rarely go round more than twice.
+constexpr int kMostRounds = 8;
+
+double wedge(const Eigen::Vector2d& o, const Eigen::Vector2d& p, const Eigen::Vector2d& q) {
+  return (p[0] - o[0]) * (q[1] - o[1]) - (p[1] - o[1]) * (q[0] - o[0]);
+}
+
+}  // namespace
+
+void Selection::project(const std::vector<Candidate>& all, const Vec3& n) {
+  Eigen::Index smallest;
+  n.cwiseAbs().minCoeff(&smallest);
+  const Vec3 u = n.cross(Vec3::Unit(smallest)).normalized(), v = n.cross(u);
+  at_.clear();
+  open_.clear();
+  for (const Candidate& c : all) at_.emplace_back(u.dot(c.x_W - all[0].x_W), v.dot(c.x_W - all[0].x_W));
+  for (int i = 0; i < static_cast<int>(all.size()); ++i) {
+    auto same = std::find_if(open_.begin(), open_.end(),
+                             [&](int j) { return (at_[i] - at_[j]).squaredNorm() < kSamePlace * kSamePlace; });
+    if (same == open_.end()) {
+      open_.push_back(i);
+    } else if (all[i].gap < all[*same].gap - kSameGap) {
+      *same = i;
+    }
+  }
+}
+
+// Area of the convex hull of the chosen ones (but the one at place `skipped`) and another one (monotone chain).
+double Selection::area_with(int skipped, int added) {
+  some_.assign(1, added);
+  for (int k = 0; k < static_cast<int>(chosen_.size()); ++k)
+    if (k != skipped) some_.push_back(chosen_[k]);
+  std::sort(some_.begin(), some_.end(), [&](int i, int j) {
+    return at_[i][0] != at_[j][0] ? at_[i][0] < at_[j][0] : at_[i][1] != at_[j][1] ? at_[i][1] < at_[j][1] : i < j;
+  });
+  hull_.clear();
+  for (int pass = 0; pass < 2; ++pass) {
+    const std::size_t start = hull_.size();
+    for (int i : some_) {
+      while (hull_.size() >= start + 2 && wedge(at_[hull_[hull_.size() - 2]], at_[hull_.back()], at_[i]) <= 0.0)
+        hull_.pop_back();
+      hull_.push_back(i);
+    }
+    hull_.pop_back();
+    std::reverse(some_.begin(), some_.end());
+  }
+  double twice = 0.0;
+  for (std::size_t k = 2; k < hull_.size(); ++k) twice += wedge(at_[hull_[0]], at_[hull_[k - 1]], at_[hull_[k]]);
+  return 0.5 * twice;
+}
+
+void Selection::add_one_by_one(int most) {
+  double extent = 0.0, area = 0.0;
+  while (static_cast<int>(chosen_.size()) < most) {
+    const bool second = chosen_.size() == 1;
+    int best = -1;
+    double largest = second ? 0.0 : area + kLeastArea * extent * extent;
+    for (int i : open_) {
+      const double value = second ? (at_[i] - at_[chosen_[0]]).norm() : area_with(-1, i);
+      if (value <= largest * kTie) continue;
+      largest = value;
+      best = i;
+    }
+    if (best < 0) return;
+    chosen_.push_back(best);
+    (second ? extent : area) = largest;
+  }
+}
+
+// Each of the chosen for any other one, if that is larger and one of the deepest stays.
+void Selection::exchange() {
+  if (chosen_.size() < 3 || chosen_.size() == open_.size()) return;
+  double area = area_with(0, chosen_[0]);
+  for (int round = 0; round < kMostRounds; ++round) {
+    const double before = area;
+    for (int k = 0; k < static_cast<int>(chosen_.size()); ++k) {
+      int deep = 0;
+      for (int j = 0; j < static_cast<int>(chosen_.size()); ++j) deep += j != k && deepest_[chosen_[j]];
+      for (int i : open_) {
+        if (deep == 0 && !deepest_[i]) continue;
+        const double value = area_with(k, i);
+        if (value <= area * kTie) continue;
+        area = value;
+        chosen_[k] = i;
+      }
+    }
+    if (area == before) return;
+  }
+}
+
+const std::vector<int>& Selection::choose(const std::vector<Candidate>& all, const Vec3& n, int most) {
+  chosen_.clear();
+  if (all.size() <= 1) {
+    if (!all.empty()) chosen_.push_back(0);
+    return chosen_;
+  }
+  project(all, n);
+  double deepest = all[open_[0]].gap;
+  for (int i : open_) deepest = std::min(deepest, all[i].gap);
+  deepest_.assign(all.size(), false);
+  for (int i : open_) deepest_[i] = all[i].gap <= deepest + kSameGap;
+  chosen_.push_back(*std::find_if(open_.begin(), open_.end(), [&](int i) { return deepest_[i]; }));
+  add_one_by_one(most);
+  exchange();
+  std::sort(chosen_.begin(), chosen_.end());
+  return chosen_;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,294 @@
+#include "geometry/shape_features.hpp"
+
+#include <coal/shape/convex.h>
+#include <coal/shape/geometric_shapes.h>
+
+#include <algorithm>
+#include <limits>
+#include <map>
+#include <numeric>
+
+#include "base/error.hpp"
+
+namespace contactvi {
+
+namespace {
+
+// Points nearer than this part of the hull's size to a plane lie on it: meshes come in single precision, and the
+// vertices of eroded hulls are intersections of such planes.
+constexpr double kFlat = 4e-7;
+// Points nearer than this part of its size are one.
+constexpr double kSame = 1e-9;
+constexpr double kPlateAngle = 1e-4;
+
+using Points = std::vector<Vec3>;
+
+struct Polygon {
+  Vec3 normal;
+  double offset;
+  std::vector<int> corners;
+};
+
+// Corners in order of the convex hull of points that lie in one plane (monotone chain), without those on its sides.
+std::vector<int> order_corners(const Points& points, std::vector<int> all, const Vec3& normal, double flat) {
+  Eigen::Index smallest;
+  normal.cwiseAbs().minCoeff(&smallest);
+  const Vec3 u = normal.cross(Vec3::Unit(smallest)).normalized(), v = normal.cross(u);
+  auto x = [&](int i) { return points[i].dot(u); };
+  auto y = [&](int i) { return points[i].dot(v); };
+  std::sort(all.begin(), all.end(), [&](int i, int j) {
+    return x(i) != x(j) ? x(i) < x(j) : y(i) != y(j) ? y(i) < y(j) : i < j;
+  });
+  // Distance of k to the left of the line from i to j.
+  auto left = [&](int i, int j, int k) {
+    const double ex = x(j) - x(i), ey = y(j) - y(i), l = std::hypot(ex, ey);
+    return l == 0.0 ? 0.0 : (ex * (y(k) - y(i)) - ey * (x(k) - x(i))) / l;
+  };
+  std::vector<int> chain;
+  for (int pass = 0; pass < 2; ++pass) {
+    const std::size_t start = chain.size();
+    for (int i : all) {
+      while (chain.size() >= start + 2 && left(chain[chain.size() - 2], i, chain.back()) >= -flat) chain.pop_back();
+      chain.push_back(i);
+    }
+    chain.pop_back();
+    std::reverse(all.begin(), all.end());
+  }
+  return chain;
+}
+
+// The faces of a hull from its triangles, largest first: each takes all points of its plane.
+std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coal::Triangle>& triangles, double size,
+                                     const std::vector<int>& same, double& roughness) {
+  struct Seed {
+    double area;
+    int i;
+    Vec3 normal;
+  };
+  std::vector<Seed> seeds;
+  for (std::size_t i = 0; i < triangles.size(); ++i) {
+    const coal::Triangle& t = triangles[i];
+    const Vec3 c = (points[t[1]] - points[t[0]]).cross(points[t[2]] - points[t[0]]);
+    if (c.norm() > kSame * kSame * size * size) seeds.push_back({c.norm(), static_cast<int>(i), c.normalized()});
+  }
+  std::stable_sort(seeds.begin(), seeds.end(), [](const Seed& s, const Seed& t) { return s.area > t.area; });
+  Vec3 center = Vec3::Zero();
+  for (const Vec3& p : points) center += p / static_cast<double>(points.size());
+  std::vector<Polygon> faces;
+  std::vector<std::vector<bool>> on;
+  const double flat = kFlat * size;
+  for (const Seed& seed : seeds) {
+    const coal::Triangle& t = triangles[seed.i];
+    const int a = same[t[0]], b = same[t[1]], c = same[t[2]];
+    if (std::any_of(on.begin(), on.end(), [&](const std::vector<bool>& in) { return in[a] && in[b] && in[c]; }))
+      continue;
+    Polygon face;
+    face.normal = seed.normal.dot(points[a] - center) < 0.0 ? Vec3(-seed.normal) : seed.normal;
+    face.offset = face.normal.dot(points[a]);
+    std::vector<bool> in(points.size(), false);
+    std::vector<int> all;
+    for (int i = 0; i < static_cast<int>(points.size()); ++i) {
+      if (same[i] != i || std::abs(face.normal.dot(points[i]) - face.offset) > flat) continue;
+      in[i] = true;
+      all.push_back(i);
+    }
+    face.corners = order_corners(points, all, face.normal, flat);
+    if (face.corners.size() < 3) continue;
+    // The plane again, from the whole polygon (Newell): less rounding than from one triangle.
+    Vec3 n = Vec3::Zero();
+    for (std::size_t k = 0; k < face.corners.size(); ++k)
+      n += (points[face.corners[k]] - points[face.corners[0]])
+               .cross(points[face.corners[(k + 1) % face.corners.size()]] - points[face.corners[0]]);
+    face.normal = n.normalized();
+    face.offset = -std::numeric_limits<double>::infinity();
+    for (int i : face.corners) face.offset = std::max(face.offset, face.normal.dot(points[i]));
+    for (int i : face.corners) roughness = std::max(roughness, face.offset - face.normal.dot(points[i]));
+    faces.push_back(std::move(face));
+    on.push_back(std::move(in));
+  }
+  return faces;
+}
+
+Vec3 to_body(const Geometry& g, const Vec3& x) { return g.R_BG * x + g.p_BG; }
+
+void join_plates(Outline& o) {
+  std::vector<int> leader(o.faces.size());
+  std::iota(leader.begin(), leader.end(), 0);
+  auto find = [&](int i) {
+    while (leader[i] != i) i = leader[i];
+    return i;
+  };
+  for (const Outline::Edge& e : o.edges) {
+    if (e.left < 0 || e.right < 0) continue;
+    if (o.faces[e.left].normal.cross(o.faces[e.right].normal).norm() > kPlateAngle) continue;
+    const int i = find(e.left), j = find(e.right);
+    leader[std::max(i, j)] = std::min(i, j);
+  }
+  std::vector<int> number(o.faces.size(), -1);
+  for (std::size_t i = 0; i < o.faces.size(); ++i) {
+    int& plate = number[find(static_cast<int>(i))];
+    if (plate < 0) {
+      plate = static_cast<int>(o.plates.size());
+      o.plates.emplace_back();
+    }
+    o.faces[i].plate = plate;
+    o.plates[plate].push_back(static_cast<int>(i));
+  }
+}
+
+// Faces, sides and edges of a polytope whose corners index points of the body frame.
+void add_polygons(Outline& o, const Points& points, const std::vector<Polygon>& polygons) {
+  std::vector<int> number(points.size(), -1);
+  for (const Polygon& p : polygons)
+    for (int i : p.corners) number[i] = 0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (number[i] < 0) continue;
+    number[i] = static_cast<int>(o.vertices.size());
+    o.vertices.push_back(points[i]);
+  }
+  o.vertex_edges.resize(o.vertices.size());
+  o.vertex_faces.resize(o.vertices.size());
+  std::map<std::pair<int, int>, int> edge_of;
+  for (const Polygon& p : polygons) {
+    const int f = static_cast<int>(o.faces.size()), n = static_cast<int>(p.corners.size());
+    o.faces.push_back({p.normal, p.offset, static_cast<int>(o.ring.size()), n, Vec3::Zero(), 0.0, 0});
+    for (int k = 0; k < n; ++k) {
+      const int i = number[p.corners[k]], j = number[p.corners[(k + 1) % n]];
+      const Vec3 along = o.vertices[j] - o.vertices[i];
+      o.ring.push_back(i);
+      o.ring_face.push_back(f);
+      o.side.push_back(along.cross(p.normal).normalized());
+      o.side_offset.push_back(o.side.back().dot(o.vertices[i]));
+      o.vertex_faces[i].push_back(f);
+      const auto [at, is_new] = edge_of.emplace(std::minmax(i, j), static_cast<int>(o.edges.size()));
+      o.ring_edge.push_back(at->second);
+      if (is_new) {
+        // Going round f anticlockwise, f is at the left.
+        o.edges.push_back({i, j, o.vertices[i], along.normalized(), along.norm(), f, -1, 0.0});
+        o.vertex_edges[i].push_back(at->second);
+        o.vertex_edges[j].push_back(at->second);
+      } else {
+        o.edges[at->second].right = f;
+      }
+    }
+  }
+  for (Outline::Edge& e : o.edges) {
+    if (e.right < 0) continue;
+    if (o.faces[e.left].normal.cross(o.faces[e.right].normal).dot(e.direction) < 0.0) std::swap(e.left, e.right);
+  }
+}
+
+void add_box(Outline& o, const Geometry& g, const Vec3& half) {
+  Points points;
+  for (int i = 0; i < 8; ++i)
+    points.push_back(to_body(g, {i & 1 ? half[0] : -half[0], i & 2 ? half[1] : -half[1], i & 4 ? half[2] : -half[2]}));
+  std::vector<Polygon> faces;
+  for (int axis = 0; axis < 3; ++axis)
+    for (int sign : {-1, 1}) {
+      const int u = 1 << (axis + 1) % 3, v = 1 << (axis + 2) % 3, base = sign > 0 ? 1 << axis : 0;
+      const Vec3 normal = sign * g.R_BG.col(axis);
+      std::vector<int> corners{base, base | u, base | u | v, base | v};
+      if (sign < 0) std::reverse(corners.begin(), corners.end());
+      faces.push_back({normal, half[axis] + normal.dot(g.p_BG), std::move(corners)});
+    }
+  add_polygons(o, points, faces);
+}
+
+void add_hull(Outline& o, const Geometry& g, const coal::ConvexBase& shape) {
+  const auto* hull = dynamic_cast<const coal::Convex<coal::Triangle>*>(&shape);
+  if (hull == nullptr || !hull->polygons) throw Error("a convex shape has no triangles");
+  Points points;
+  for (unsigned i = 0; i < hull->num_points; ++i) points.push_back(to_body(g, (*hull->points)[i]));
+  Vec3 low = points[0], high = points[0];
+  for (const Vec3& p : points) {
+    low = low.cwiseMin(p);
+    high = high.cwiseMax(p);
+  }
+  const double size = (high - low).norm();
+  std::vector<int> same(points.size());  // the first point at the same place
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    same[i] = static_cast<int>(i);
+    for (std::size_t j = 0; j < i; ++j)
+      if ((points[i] - points[j]).squaredNorm() <= kSame * kSame * size * size) {
+        same[i] = same[j];
+        break;
+      }
+  }
+  add_polygons(o, points, merge_triangles(points, *hull->polygons, size, same, o.roughness));
+}
+
+void add_axis(Outline& o, const Geometry& g, double half, double radius) {
+  const Vec3 z = g.R_BG.col(2);
+  o.edges.push_back({-1, -1, g.p_BG - half * z, z, 2.0 * half, -1, -1, radius});
+}
+
+void add_cylinder(Outline& o, const Geometry& g, const coal::Cylinder& shape) {
+  add_axis(o, g, shape.halfLength, shape.radius);
+  for (int sign : {-1, 1}) {
+    const Vec3 normal = sign * g.R_BG.col(2), center = g.p_BG + shape.halfLength * normal;
+    o.faces.push_back({normal, normal.dot(center), 0, 0, center, shape.radius, 0});
+    o.rims.push_back({center, normal, g.R_BG.col(0), g.R_BG.col(1), shape.radius});
+  }
+}
+
+}  // namespace
+
+Outline make_outline(const Geometry& g, bool rounded) {
+  const coal::CollisionGeometry& shape = rounded && g.rounded ? *g.rounded : *g.sharp;
+  Outline o;
+  o.body = g.body;
+  o.radius = static_cast<const coal::ShapeBase&>(shape).getSweptSphereRadius();
+  switch (shape.getNodeType()) {
+    case coal::GEOM_SPHERE:
+      o.vertices.push_back(g.p_BG);
+      o.radius += static_cast<const coal::Sphere&>(shape).radius;
+      break;
+    case coal::GEOM_CAPSULE: {
+      const auto& capsule = static_cast<const coal::Capsule&>(shape);
+      o.radius += capsule.radius;
+      add_axis(o, g, capsule.halfLength, 0.0);
+      o.vertices = {to_body(g, {0, 0, -capsule.halfLength}), to_body(g, {0, 0, capsule.halfLength})};
+      o.edges[0].v0 = 0;
+      o.edges[0].v1 = 1;
+      break;
+    }
+    case coal::GEOM_BOX:
+      add_box(o, g, static_cast<const coal::Box&>(shape).halfSide);
+      break;
+    case coal::GEOM_CYLINDER:
+      add_cylinder(o, g, static_cast<const coal::Cylinder&>(shape));
+      break;
+    case coal::GEOM_CONVEX:
+      add_hull(o, g, static_cast<const coal::ConvexBase&>(shape));
+      break;
+    case coal::GEOM_HALFSPACE: {
+      const Vec3 normal = g.R_BG * g.halfspace_normal;
+      const double infinite = std::numeric_limits<double>::infinity();
+      o.faces.push_back({normal, g.halfspace_offset + normal.dot(g.p_BG), 0, 0, Vec3::Zero(), infinite, 0});
+      break;
+    }
+    default:
+      break;
+  }
+  o.vertex_edges.resize(o.vertices.size());
+  o.vertex_faces.resize(o.vertices.size());
+  if (o.vertices.size() == 2) o.vertex_edges = {{0}, {0}};
+  join_plates(o);
+  // The numbers of features (candidates.hpp) have room for this many.
+  if (std::max(o.ring.size(), o.edges.size()) > (1u << 19)) throw Error("a convex shape has too many edges");
+  return o;
+}
+
+double outside_of(const Outline& o, const Outline::Face& face, const Vec3& x) {
+  if (face.count == 0) {
+    if (std::isinf(face.radius)) return 0.0;
+    const Vec3 d = x - face.center;
+    return (d - face.normal.dot(d) * face.normal).norm() - face.radius;
+  }
+  double worst = -std::numeric_limits<double>::infinity();
+  for (int i = face.first; i < face.first + face.count; ++i)
+    worst = std::max(worst, o.side[i].dot(x) - o.side_offset[i]);
+  return worst;
+}
+
+}  // namespace contactvi

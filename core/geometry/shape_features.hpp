@@ -1,0 +1,69 @@
+// The features by which a collision shape touches: vertices, edges, faces and rims of a core that is swept by a sphere.
+//
+//   shape      vertices  edges     faces         rims  swept by its
+//   sphere     1         -         -             -     radius
+//   capsule    2         its axis  -             -     radius
+//   box        8         12        6             -     -
+//   convex     N         all       all           -     -
+//   cylinder   -         its axis  2 discs       2     - (the axis by the cylinder's radius)
+//   halfspace  -         -         1, unbounded  -     -
+//   ellipsoid  -         -         -             -     -
+//
+// and all of them by coal's own swept sphere. Coplanar triangles of a hull are one face, also where they are so only in
+// single precision; points inside of a face or an edge are dropped.
+#pragma once
+
+#include <cmath>
+#include <vector>
+
+#include "model/scene.hpp"
+
+namespace contactvi {
+
+struct Outline {
+  struct Face {
+    Vec3 normal;       // outward; the core lies at normal.x <= offset
+    double offset;     // [m]
+    int first, count;  // corners: ring[first ..], anticlockwise seen from outside; none: a disc, or unbounded
+    Vec3 center;       // of a disc
+    double radius;     // of a disc; infinite for a halfspace, 0 for a polygon
+    int plate;
+  };
+  struct Edge {
+    int v0, v1;
+    Vec3 start, direction;  // direction: unit
+    double length;
+    int left, right;  // faces, normal(left) x normal(right) points along the edge; -1: none
+    double radius;    // swept by this besides Outline::radius
+  };
+  struct Rim {
+    Vec3 center, axis;   // axis: unit, outward of the shape
+    Vec3 zero, quarter;  // unit vectors across the axis, where its material points are counted from
+    double radius;
+  };
+
+  int body = -1;         // engine joint, -1: world; all vectors are in its frame
+  double radius = 0;     // the core is swept by this
+  double roughness = 0;  // how far corners of a face may lie below its plane [m]
+  std::vector<Vec3> vertices;
+  std::vector<Edge> edges;
+  std::vector<Face> faces;
+  std::vector<Rim> rims;
+  std::vector<int> ring;       // vertices of the polygons
+  std::vector<int> ring_edge;  // the edge from ring[i] to the next corner
+  std::vector<int> ring_face;
+  std::vector<Vec3> side;  // outward normal of the polygon's side there, in its plane
+  std::vector<double> side_offset;
+  std::vector<std::vector<int>> vertex_edges, vertex_faces;
+  std::vector<std::vector<int>> plates;  // faces that meet at less than 1e-4 rad: together one flat side
+
+  bool is_unbounded() const { return !faces.empty() && std::isinf(faces[0].radius); }
+};
+
+// Of the shape that distances of a pair refer to: rounded or sharp. Throws Error for a hull without triangles.
+Outline make_outline(const Geometry& geometry, bool rounded);
+
+// How far x lies outside of the prism over a face [m], negative inside; 0 over a halfspace.
+double outside_of(const Outline& outline, const Outline::Face& face, const Vec3& x);
+
+}  // namespace contactvi

@@ -1,0 +1,159 @@
+// ImpactSequence: which contacts are closed at the instant of an event, with the points and rows of each.
+#include <algorithm>
+#include <cmath>
+
+#include "impact/sequence.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kImmobile = 1e-12;  // of the inverse inertia without constraints
+constexpr double kDriven = 1e-9;     // of the speeds: a constraint that closes a contact faster is a fault
+}  // namespace
+
+// The points of a guard that are closed at q_, held ones among them; false if there are none.
+bool ImpactSequence::add(int guard, const std::vector<HeldContact>& held, double margin) {
+  if (count_ == static_cast<int>(closed_.size())) closed_.emplace_back();
+  ClosedGuard& c = closed_[count_];
+  c.guard = guard;
+  c.e = scene_->restitution(guard);
+  c.mu = scene_->friction(guard);
+  c.hit = c.held = false;
+  c.points.clear();
+  c.spare.clear();
+  Contact& witness = c.witness;
+  const double gap = guards_->evaluate_witness(guard, witness);
+  if (scene_->is_pair(guard)) {
+    guards_->manifolds().find(guard, guards_->placements(), witness, std::max(margin, gap), c.points, &c.spare);
+  } else {
+    ContactPoint limit{};
+    limit.guard = guard;
+    limit.kind = PointKind::kLimit;
+    c.points.push_back(limit);
+  }
+  c.chosen = static_cast<int>(c.points.size());
+  auto is = [](const ContactPoint& a, const ContactPoint& b) { return a.kind == b.kind && a.feature == b.feature; };
+  for (const HeldContact& h : held) {
+    if (h.point.guard != guard) continue;
+    c.held = true;
+    bool found = false;
+    // A flat rim's points stand for the rim.
+    for (const ContactPoint& p : c.points)
+      found |= is(p, h.point) || (h.point.kind == PointKind::kRim && feature_rim(h.point.feature) >= 0 &&
+                                  feature_rim(p.feature) == feature_rim(h.point.feature) &&
+                                  feature_on_b(p.feature) == feature_on_b(h.point.feature));
+    if (found) continue;
+    c.points.push_back(h.point);
+    for (std::size_t k = c.spare.size(); k-- > 0;)
+      if (is(c.spare[k], h.point)) c.spare.erase(c.spare.begin() + static_cast<std::ptrdiff_t>(k));
+  }
+  if (c.points.empty()) return false;
+  c.count = c.rows = 0;
+  c.contacts.clear();
+  c.t1.clear();
+  for (int i = 0; i < static_cast<int>(c.points.size()); ++i) add_rows(c);
+  any_held_ |= c.held;
+  ++count_;
+  return true;
+}
+
+// The next of a guard's points comes into use.
+void ImpactSequence::add_rows(ClosedGuard& c) {
+  const ContactPoint& point = c.points[c.count];
+  const int m = c.rows_per_point(), nv = scene_->tree.nv, total = m * static_cast<int>(c.points.size());
+  if (c.W.rows() != nv || c.W.cols() < total) {
+    c.W.conservativeResize(nv, total);
+    c.MinvW.conservativeResize(nv, total);
+    c.mu_fixed.conservativeResize(projection_.rate().size(), total);
+  }
+  if (c.offset.size() < c.W.cols()) c.offset.conservativeResize(c.W.cols());
+  Contact contact = c.witness;
+  if (point.kind != PointKind::kWitness && point.kind != PointKind::kLimit)
+    guards_->manifolds().evaluate(point, guards_->placements(), contact);
+  const Vec3 t1 = c.mu > 0.0 ? any_tangent(contact.normal) : Vec3(Vec3::Zero());
+  guards_->rows(c.guard, contact, t1, c.W.middleCols(c.rows, m));
+  c.MinvW.middleCols(c.rows, m) = c.W.middleCols(c.rows, m);
+  integrator_->solve_masses(c.MinvW.middleCols(c.rows, m));
+  c.offset.segment(c.rows, m).setZero();
+  if (projection_.any())
+    projection_.apply(c.W.middleCols(c.rows, m), c.MinvW.middleCols(c.rows, m), c.mu_fixed.middleCols(c.rows, m),
+                      c.offset.segment(c.rows, m));
+  c.contacts.push_back(contact);
+  c.t1.push_back(t1);
+  c.rows += m;
+  ++c.count;
+}
+
+// A face of many points that tips: of those not in use the one that closes fastest is taken in. False: none closes.
+bool ImpactSequence::take_spare(const VecX& p) {
+  ClosedGuard* tips = nullptr;
+  std::size_t best = 0;
+  double most = -kSolved * std::max(speeds_, largest_speed(p));
+  bool any = false;
+  for (int i = 0; i < count_; ++i) any |= !closed_[i].spare.empty();
+  if (!any || !integrator_->node_velocity(q_, p, v_)) return false;
+  guards_->place(q_);
+  MatX row(scene_->tree.nv, 3);
+  for (int i = 0; i < count_; ++i) {
+    ClosedGuard& c = closed_[i];
+    for (std::size_t k = 0; k < c.spare.size(); ++k) {
+      Contact contact;
+      guards_->manifolds().evaluate(c.spare[k], guards_->placements(), contact);
+      guards_->rows(c.guard, contact, any_tangent(contact.normal), row);
+      const double gamma = row.col(0).dot(v_);
+      if (gamma >= most) continue;
+      most = gamma;
+      tips = &c;
+      best = k;
+    }
+  }
+  if (tips == nullptr) return false;
+  tips->points.push_back(tips->spare[best]);
+  tips->spare.erase(tips->spare.begin() + static_cast<std::ptrdiff_t>(best));
+  add_rows(*tips);
+  return true;
+}
+
+bool ImpactSequence::collect(const VecX& q, const VecX& p, const std::vector<int>& active, int first,
+                             const std::vector<HeldContact>& held) {
+  count_ = 0;
+  any_held_ = false;
+  q_ = q;
+  guards_->place(q);
+  if (!integrator_->node_velocity(q, p, v_))
+    return fail(StatusCode::kNewtonFailed, "the mass matrix is not positive definite", -1);
+  if (projection_.any()) projection_.set(*integrator_, guards_->placements(), q, time);
+  std::vector<int> guards(active);
+  if (first >= 0) guards.push_back(first);
+  for (const HeldContact& h : held) guards.push_back(h.point.guard);
+  std::sort(guards.begin(), guards.end());
+  guards.erase(std::unique(guards.begin(), guards.end()), guards.end());
+  for (int g : guards) {
+    const double tolerance = guards_->touch_tolerance(g);
+    bool is_held = false;
+    for (const HeldContact& h : held) is_held |= h.point.guard == g;
+    Contact contact;
+    if (g != first && !is_held && !(guards_->evaluate_witness(g, contact) <= tolerance)) continue;
+    if (!add(g, held, tolerance) || !projection_.any() || mobile(closed_[count_ - 1])) continue;
+    const double gamma = closed_[--count_].gamma_n(p);
+    if (gamma < -kDriven * (1.0 + v_.cwiseAbs().maxCoeff()))
+      return fail(StatusCode::kConstraint, "what the constraints drive or hold runs into what cannot give way", g);
+  }
+  return true;
+}
+
+// Whether an impulse could change any normal speed of the contact: else the constraints say it.
+bool ImpactSequence::mobile(const ClosedGuard& c) {
+  VecX free(scene_->tree.nv);
+  for (int r = 0; r < c.rows; r += c.rows_per_point()) {
+    // M^-1 W W of the row as it was: projected W and what the constraints answered.
+    free = c.W.col(r) + projection_.gradients() * c.mu_fixed.col(r);
+    VecX answer = free;
+    integrator_->solve_mass(answer);
+    const double before = free.dot(answer);
+    if (c.W.col(r).dot(c.MinvW.col(r)) > kImmobile * before) return true;
+  }
+  return false;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,61 @@
+#include "impact/scalar_map.hpp"
+
+#include <cmath>
+
+namespace contactvi {
+
+namespace {
+constexpr double kExact = 8e-16;   // of the energies that add up to the scalar: nothing left to improve
+constexpr double kAccept = 1e-12;  // of the kinetic energy of the normal motion
+constexpr double kFar = 0.5;       // of CTEC's impulse: a root beyond it belongs to a grazing impact
+constexpr int kMaxIterations = 30;
+}  // namespace
+
+ImpactResult solve_impact(const ImpactProblem& problem, const ImpactResult& ctec, StepScalar scalar, VecRef p) {
+  ImpactResult result = ctec;
+  auto fall_back = [&](Fallback reason) {
+    result.impulse = ctec.impulse;
+    result.fallback = reason;
+    const VecX p_ctec = problem.p_minus + ctec.impulse * problem.W;
+    result.jump = scalar(problem, p_ctec) - problem.target;
+    p = p_ctec;
+    return result;
+  };
+  if (problem.restitution == 0.0) return fall_back(Fallback::kPlastic);
+  const double normal_energy = 0.5 * problem.gamma_minus * problem.gamma_minus / problem.G_c;
+  const double exact =
+      kExact * (std::abs(problem.target) + problem.p_minus.dot(problem.MinvW) / problem.G_c * problem.gamma_minus);
+  const double slope = problem.gamma_minus + ctec.impulse * problem.G_c;  // gamma+ of CTEC: dH/dlambda
+  VecX p_plus(p.size());
+  double lambda = ctec.impulse, previous_lambda = 0.0, previous = 0.0, best = INFINITY, best_lambda = lambda;
+  for (int k = 0; k < kMaxIterations; ++k) {
+    p_plus = problem.p_minus + lambda * problem.W;
+    const double mismatch = scalar(problem, p_plus) - problem.target;
+    ++result.iterations;
+    if (!std::isfinite(mismatch)) break;
+    if (std::abs(mismatch) < best) {
+      best = std::abs(mismatch);
+      best_lambda = lambda;
+    } else if (best <= kAccept * normal_energy) {
+      break;  // rounding floor
+    }
+    if (std::abs(mismatch) <= exact) break;
+    const double secant = k == 0 ? slope : (mismatch - previous) / (lambda - previous_lambda);
+    const double change = -mismatch / secant;
+    if (!std::isfinite(change)) break;
+    if (std::abs(lambda + change - ctec.impulse) > kFar * ctec.impulse) return fall_back(Fallback::kGrazing);
+    if (lambda + change == lambda) break;
+    previous_lambda = lambda;
+    previous = mismatch;
+    lambda += change;
+  }
+  if (!(best <= kAccept * normal_energy || best <= 16 * exact)) return fall_back(Fallback::kNoConvergence);
+  const double gamma_plus = problem.gamma_minus + best_lambda * problem.G_c;
+  if (best_lambda < 0.0 || gamma_plus <= 0.0) return fall_back(Fallback::kInadmissible);
+  result.impulse = best_lambda;
+  result.jump = best;
+  p = problem.p_minus + best_lambda * problem.W;
+  return result;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,333 @@
+#include "impact/sequence.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "impact/ctec.hpp"
+#include "impact/dtec.hpp"
+#include "impact/mhc.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
+constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
+constexpr double kAtRest = 1e-11;       // [m/s] the same
+constexpr double kLowBounce = 1e-7;     // the same among held contacts: flights of 1e-15 m
+constexpr double kFloor = 2e-14;        // of all speeds: rounding
+constexpr double kTie = 1e-12;          // of the speeds: who closes faster by less does not go first
+constexpr int kFewHits = 32;            // the same among held contacts
+constexpr int kManyHits = 256;          // of inelastic contacts at one instant, per contact: the same
+constexpr double kOnCone = 1e-10;       // friction beyond the cone by so much is rounding
+using ImpactMap = ImpactResult(const ImpactProblem&, const ImpactResult&, VecRef);
+constexpr int kDtec = 1, kMhc = 2;
+}  // namespace
+
+ImpactSequence::ImpactSequence(const Scene& scene, Integrator& integrator, Guards& guards, const ImpactOptions& options)
+    : scene_(&scene),
+      integrator_(&integrator),
+      guards_(&guards),
+      options_(options),
+      projection_(scene.tree),
+      q_(scene.tree.nq),
+      v_(scene.tree.nv) {}
+
+bool ImpactSequence::fail(StatusCode code, const char* message, int guard) {
+  code_ = code;
+  message_ = message;
+  guard_ = guard;
+  return false;
+}
+
+// What is driven may leave contacts no way out.
+bool ImpactSequence::not_solved(const char* message, int guard) {
+  if (!scene_->tree.elements.driven()) return fail(StatusCode::kNotFinite, message, guard);
+  return fail(StatusCode::kConstraint, "what the constraints drive leaves these contacts no way out", guard);
+}
+
+double ImpactSequence::largest_speed(const VecX& p) const {
+  double largest = 0.0;
+  for (int i = 0; i < count_; ++i)
+    for (int k = 0; k < closed_[i].count; ++k) largest = std::max(largest, std::abs(closed_[i].gamma_n(k, p)));
+  return largest;
+}
+
+// The elastic contact that closes fastest; null if none closes. False: it closes too slowly to go on with e > 0.
+bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic,
+                                 ClosedGuard*& worst) const {
+  worst = nullptr;
+  double gamma = -std::max(kSeparated * scale, kFloor * speeds_);
+  for (int i = 0; i < count_; ++i) {
+    const ClosedGuard& c = closed_[i];
+    if (c.e == 0.0 || plastic[c.guard]) continue;
+    const double candidate = c.gamma_n(p);
+    if (!(candidate < gamma * (worst == nullptr ? 1.0 : 1.0 + kTie))) continue;
+    gamma = candidate;
+    worst = const_cast<ClosedGuard*>(&c);
+  }
+  // What bounces among contacts that are at rest anyway is not followed as far down.
+  const double low = std::max(kAtRest, any_held_ && !elastic ? kLowBounce * speeds_ : 0.0);
+  return worst == nullptr || gamma <= -std::max(kPlasticSpeed * scale, low);
+}
+
+bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, VecX& p, Recording& recording) {
+  code_ = StatusCode::kSuccess;
+  impacts_here_ = 0;
+  speeds_ = 0.0;
+  for (int i = 0; i < count_; ++i) {
+    const auto MinvW = closed_[i].MinvW.leftCols(closed_[i].rows);
+    speeds_ = std::max(speeds_, (MinvW.cwiseAbs().transpose() * p.cwiseAbs()).maxCoeff());
+  }
+  const double scale = largest_speed(p);
+  bool elastic = false;  // without losses a long sequence is no endless one
+  for (int i = 0; i < count_; ++i) elastic |= closed_[i].e == 1.0;
+  for (int hits = 0;; ++hits) {
+    ClosedGuard* worst = nullptr;
+    const bool endless = !elastic && hits >= (any_held_ ? kFewHits : kManyHits) * count_;
+    const bool goes_on = closes_most(p, plastic, scale, elastic, worst) && !endless;
+    if (goes_on) {
+      if (worst != nullptr) {
+        const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_held_);
+        if (!(single ? hit_point(*worst, worst->e, at, p, recording) : hit_block(*worst, worst->e, at, p, recording)))
+          return false;
+        if (++impacts_in_step > options_.max_impacts_per_step)
+          return fail(StatusCode::kTooManyImpacts, "too many impacts in one step", worst->guard);
+        continue;
+      }
+    }
+    bool any = false;
+    if (!hit_plastic(plastic, !goes_on, at, scale, p, any, recording)) return false;
+    if (!any) {
+      if (take_spare(p)) continue;
+      return true;
+    }
+    if (++impacts_in_step > options_.max_impacts_per_step)
+      return fail(StatusCode::kTooManyImpacts, "too many impacts in one step", count_ > 0 ? closed_[0].guard : -1);
+  }
+}
+
+ImpactResult ImpactSequence::apply_map(const ImpactProblem& problem, VecX& p) {
+  if (options_.map == 0 || !held()) {
+    switch (options_.map) {
+      case kDtec:
+        return impact_dtec(problem, p);
+      case kMhc:
+        return impact_mhc(problem, p);
+      default:
+        return impact_ctec(problem, p);
+    }
+  }
+  // The rest of the step is not a smooth one: its scalar is not what the map conserves.
+  ImpactResult result = impact_ctec(problem, p);
+  result.fallback = Fallback::kHeld;
+  return result;
+}
+
+// One point without friction: the maps as they are.
+bool ImpactSequence::hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording) {
+  const VecX p_minus = p, W = closed.W.col(0), MinvW = closed.MinvW.col(0);
+  const double gamma = closed.speed(0, p), G_c = W.dot(MinvW);
+  ImpactProblem problem{*integrator_, q_, p_minus, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, 0.0};
+  target -= problem.loss();
+  problem.target = target;
+  const ImpactResult result = apply_map(problem, p);
+  if (!result.ok) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
+  // After a fallback the scalar is what it is: the next impact must not be made to pay the difference back.
+  if (result.fallback != Fallback::kNone && !options_.mhc_global && std::isfinite(result.jump)) target += result.jump;
+  closed.hit = true;
+  VecX lambda = VecX::Constant(1, result.impulse);
+  record(closed, lambda, p_minus, p, result, e, problem.loss(), gamma, closed.speed(0, p), at, recording);
+  return true;
+}
+
+// What DTEC or MHC changes of a block's impulse: the same normal force on all its points, scaled.
+ImpactResult ImpactSequence::corrected(const ClosedGuard& closed, const BlockResult& block, double e, const Instant& at,
+                                       VecX& p) {
+  ImpactResult ctec;
+  ctec.ok = true;
+  const int m = closed.rows_per_point();
+  for (int i = 0; i < closed.count; ++i) ctec.impulse += block.lambda[m * i];
+  VecX W = VecX::Zero(p.size()), MinvW = W;
+  for (int i = 0; i < closed.count && ctec.impulse > 0.0; ++i) {
+    const double share = block.lambda[m * i] / ctec.impulse;
+    W += share * closed.W.col(m * i);
+    MinvW += share * closed.MinvW.col(m * i);
+  }
+  ImpactResult result = ctec;
+  if (options_.map == 0) return result;
+  if (held() || !(ctec.impulse > 0.0)) {
+    result.fallback = Fallback::kHeld;
+    return result;
+  }
+  const VecX base = p - ctec.impulse * W;  // so that p = base + impulse W
+  const double G_c = W.dot(MinvW), gamma = MinvW.dot(base);
+  ImpactProblem problem{*integrator_, q_, base, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, target};
+  auto* map = options_.map == kDtec ? static_cast<ImpactMap*>(&impact_dtec) : static_cast<ImpactMap*>(&impact_mhc);
+  result = map(problem, ctec, p);
+  if (!leaves_cone(closed, block.lambda, result.impulse)) return result;
+  // The correction acts along the normals: where it leaves less than friction needs, CTEC's impulse stands.
+  problem.restitution = 0.0;
+  result = map(problem, ctec, p);
+  result.fallback = Fallback::kInadmissible;
+  return result;
+}
+
+// Whether friction would be too large for the normal impulses scaled to a total of `normal`.
+bool ImpactSequence::leaves_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const {
+  if (closed.mu == 0.0) return false;
+  double before = 0.0;
+  for (int i = 0; i < closed.count; ++i) before += lambda[3 * i];
+  if (!(before > 0.0) || normal >= before) return false;
+  const double share = normal / before;
+  for (int i = 0; i < closed.count; ++i)
+    if (lambda.segment<2>(3 * i + 1).norm() > closed.mu * share * lambda[3 * i] * (1.0 + kOnCone)) return true;
+  return false;
+}
+
+bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording) {
+  std::vector<BlockMember> members{{&closed, e}};
+  if (options_.stiff_support)
+    for (int i = 0; i < count_; ++i)
+      if (closed_[i].held && &closed_[i] != &closed) members.push_back({&closed_[i], 0.0});
+  const BlockResult block = poisson_.solve(members, p);
+  if (!block.ok) return not_solved("an impact with friction was not solved", closed.guard);
+  target -= block.loss;
+  VecX p_minus = p;
+  for (std::size_t k = 1; k < members.size(); ++k) {
+    // The reactions of the supports first: they belong to the same instant.
+    ClosedGuard& support = *members[k].closed;
+    int row = 0;
+    for (std::size_t j = 0; j < k; ++j) row += members[j].closed->rows;
+    const VecX lambda = block.lambda.segment(row, support.rows);
+    if (lambda.isZero(0)) continue;
+    p = p_minus + support.W.leftCols(support.rows) * lambda;
+    ImpactResult result;
+    result.impulse = lambda.sum();
+    support.hit = true;
+    const double loss = support.loss(lambda, p_minus, p);
+    record(support, lambda, p_minus, p, result, 0.0, loss, block.gamma_minus.segment(row, support.rows).minCoeff(),
+           block.gamma_plus.segment(row, support.rows).minCoeff(), at, recording);
+    p_minus = p;
+  }
+  VecX lambda = block.lambda.head(closed.rows);
+  p = p_minus + closed.W.leftCols(closed.rows) * lambda;
+  const double loss = closed.loss(lambda, p_minus, p);
+  const double gamma = closed.gamma_n(p_minus);
+  ImpactResult result = corrected(closed, block, e, at, p);
+  result.iterations += block.iterations;
+  if (!result.ok || !p.allFinite())
+    return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
+  if (result.fallback != Fallback::kNone && !options_.mhc_global && std::isfinite(result.jump)) target += result.jump;
+  closed.hit = true;
+  const int m = closed.rows_per_point();
+  double normal = 0.0;
+  for (int i = 0; i < closed.count; ++i) normal += lambda[m * i];
+  for (int i = 0; i < closed.count && normal > 0.0; ++i) lambda[m * i] *= result.impulse / normal;
+  record(closed, lambda, p_minus, p, result, e * block.restitution, loss, gamma, closed.gamma_n(p), at, recording);
+  return true;
+}
+
+// All plastic contacts together; all contacts where an endless sequence is cut. any: whether one of them closed.
+bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p,
+                                 bool& any, Recording& recording) {
+  std::vector<BlockMember> members;
+  any = false;
+  const double closing = std::max(kSeparated * scale, (impacts_here_ > 0 ? kSolved : kFloor) * speeds_);
+  for (int i = 0; i < count_; ++i) {
+    ClosedGuard& c = closed_[i];
+    if (!all && c.e > 0.0 && !plastic[c.guard]) continue;
+    any |= c.gamma_n(p) < -closing;
+    members.push_back({&c, 0.0});
+  }
+  if (!any) return true;
+  const BlockResult block = poisson_.solve(members, p);
+  if (!block.ok) return not_solved("a plastic impact was not solved", members[0].closed->guard);
+  target -= block.loss;
+  int row = 0;
+  bool acted = false;
+  for (const BlockMember& member : members) {
+    ClosedGuard& c = *member.closed;
+    const VecX lambda = block.lambda.segment(row, c.rows);
+    const int m = c.rows_per_point();
+    double least = 0.0, after = INFINITY;
+    for (int i = 0; i < c.count; ++i) {
+      least = std::min(least, block.gamma_minus[row + m * i]);
+      after = std::min(after, block.gamma_plus[row + m * i]);
+    }
+    row += c.rows;
+    if (lambda.isZero(0)) continue;
+    acted = true;
+    const VecX p_minus = p;
+    p += c.W.leftCols(c.rows) * lambda;
+    ImpactResult result;
+    for (int i = 0; i < c.count; ++i) result.impulse += lambda[m * i];
+    result.iterations = block.iterations;
+    if (options_.map != 0) result.fallback = held() ? Fallback::kHeld : Fallback::kPlastic;
+    c.hit = true;
+    const double loss = c.loss(lambda, p_minus, p);
+    record(c, lambda, p_minus, p, result, 0.0, loss, least, after, at, recording);
+  }
+  if (!p.allFinite()) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", members[0].closed->guard);
+  any = acted;  // what closes slower than the problem can be solved is at rest
+  return true;
+}
+
+void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
+                            const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
+                            const Instant& at, Recording& recording) {
+  ++impacts;
+  ++impacts_here_;
+  if (projection_.any()) {
+    const VecX answer = closed.mu_fixed.leftCols(closed.rows) * lambda;
+    constraint_impulses -= answer;
+    drive_work += answer.dot(projection_.rate());
+  }
+  ImpactRecord r;
+  const int m = closed.rows_per_point();
+  double weight = 0.0;
+  int deepest = 0;
+  r.impulse_vector.setZero();
+  r.point.setZero();
+  for (int i = 0; i < closed.count; ++i) {
+    const Contact& c = closed.contacts[i];
+    const Vec3 middle = 0.5 * (c.point_a + c.point_b);
+    Vec3 impulse = lambda[m * i] * c.normal;
+    if (m == 3) impulse += lambda[m * i + 1] * closed.t1[i] + lambda[m * i + 2] * c.normal.cross(closed.t1[i]);
+    r.impulse_vector += impulse;
+    r.point += lambda[m * i] * middle;
+    weight += lambda[m * i];
+    if (c.gap < closed.contacts[deepest].gap) deepest = i;
+    if (options_.record_contacts && scene_->is_pair(closed.guard))
+      recording.contacts.push(at.time, 0.0, closed.guard, closed.points[i].feature, 3, at.step, middle, c.normal,
+                              impulse, Vec3::Zero(), c.gap, Vec3::Zero());
+  }
+  const Contact& c = closed.contacts[deepest];
+  if (closed.count == 1 && m == 1) r.impulse_vector = result.impulse * c.normal;
+  r.point = weight > 0.0 && closed.count > 1 ? Vec3(r.point / weight) : Vec3(0.5 * (c.point_a + c.point_b));
+  // A partial step may end a rounding before the last one did.
+  r.time = recording.impacts.empty() ? at.time : std::max(at.time, recording.impacts.back().time);
+  r.guard = closed.guard;
+  r.normal = c.normal;
+  r.impulse = result.impulse;
+  r.gamma_minus = gamma_minus;
+  r.gamma_plus = gamma_plus;
+  r.G_c = closed.W.col(m * deepest).dot(closed.MinvW.col(m * deepest));
+  r.gap = c.gap;
+  r.restitution = e;
+  r.friction = closed.mu;
+  r.points = closed.count;
+  r.loss = loss;
+  r.method = options_.map;
+  r.iterations = result.iterations;
+  r.fallback = static_cast<int>(result.fallback);
+  r.jump = result.jump;
+  r.before = at.before;
+  r.after = at.after;
+  r.step = at.step;
+  r.q = q_;
+  r.p_minus = p_minus;
+  r.p_plus = p_plus;
+  recording.impacts.push_back(std::move(r));
+}
+
+}  // namespace contactvi

@@ -1,0 +1,100 @@
+// What happens at the instant of an event: single impacts, one pair (with all its points) after the other, until every
+// closed contact separates or stays.
+//
+// Order (deterministic): the elastic contact that closes fastest, the lowest guard on ties; when none closes, all
+// plastic contacts together as one problem with e = 0, the limit of their endless sequence; again until none closes. A
+// held contact is an ordinary partner with its own e, or, as an option, a support of infinite stiffness.
+#pragma once
+
+#include "base/error.hpp"
+#include "contact/contact_point.hpp"
+#include "event/finder.hpp"
+#include "impact/poisson.hpp"
+#include "impact/scalar_map.hpp"
+#include "record/recording.hpp"
+#include "step/projection.hpp"
+
+namespace contactvi {
+
+struct ImpactOptions {
+  int map = 0;  // 0 CTEC, 1 DTEC, 2 MHC
+  bool mhc_global = false;
+  double dt = 0;  // full step
+  bool stiff_support = false;
+  long max_impacts_per_step = 0;
+  bool record_contacts = true;
+};
+
+// Where in time an event is: [s], lengths of the partial step that ends there and of the rest of the step.
+struct Instant {
+  double time, before, after;
+  const VecX& tau;
+  long step;
+};
+
+class ImpactSequence {
+ public:
+  ImpactSequence(const Scene& scene, Integrator& integrator, Guards& guards, const ImpactOptions& options);
+
+  // The contacts closed at q: of the guards `active` those within tolerance, `first` in any case, and the held ones.
+  // False if the mass matrix is not positive.
+  bool collect(const VecX& q, const VecX& p, const std::vector<int>& active, int first,
+               const std::vector<HeldContact>& held);
+  int count() const { return count_; }
+  ClosedGuard& closed(int i) { return closed_[i]; }
+  // Largest normal speed of a closed contact at p.
+  double largest_speed(const VecX& p) const;
+  // Until nothing closes; p changes. Otherwise code and message say why not. plastic: guards whose e counts as zero.
+  bool run(const Instant& at, const std::vector<char>& plastic, VecX& p, Recording& recording);
+  StatusCode code() const { return code_; }
+  const char* message() const { return message_; }
+  int guard() const { return guard_; }
+
+  double time = 0;           // of the event, for constraints that depend on it [s]
+  VecX constraint_impulses;  // that impacts have caused, summed up; rows of the constraints
+  double drive_work = 0;     // of constraints that move by themselves, in impacts [J]
+  double target = 0;         // of the map's scalar, losses so far subtracted
+  long impacts = 0, impacts_in_step = 0;
+
+ private:
+  static constexpr double kSolved = 1e-11;  // of all speeds of the closed points: closing slower than this is at rest
+
+  bool add(int guard, const std::vector<HeldContact>& held, double margin);
+  void add_rows(ClosedGuard& closed);
+  bool mobile(const ClosedGuard& closed);
+  bool take_spare(const VecX& p);
+  bool closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic,
+                   ClosedGuard*& worst) const;
+  bool hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
+  bool hit_block(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
+  bool hit_plastic(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p, bool& any,
+                   Recording& recording);
+  ImpactResult corrected(const ClosedGuard& closed, const BlockResult& block, double e, const Instant& at, VecX& p);
+  bool leaves_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const;
+  ImpactResult apply_map(const ImpactProblem& problem, VecX& p);
+  void record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
+              const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
+              const Instant& at, Recording& recording);
+  // Whether the rest of the step is not a smooth one.
+  bool held() const { return any_held_ || projection_.any(); }
+  bool not_solved(const char* message, int guard);
+  bool fail(StatusCode code, const char* message, int guard);
+
+  const Scene* scene_;
+  Integrator* integrator_;
+  Guards* guards_;
+  ImpactOptions options_;
+  std::vector<ClosedGuard> closed_;
+  int count_ = 0;
+  bool any_held_ = false;
+  int impacts_here_ = 0;
+  double speeds_ = 0;  // of the closed points before the event, of what they are sums of: it has the rounding
+  Projection projection_;
+  VecX q_, v_;
+  PoissonImpact poisson_;
+  StatusCode code_ = StatusCode::kSuccess;
+  const char* message_ = "";
+  int guard_ = -1;
+};
+
+}  // namespace contactvi

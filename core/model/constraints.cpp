@@ -1,0 +1,162 @@
+#include "model/constraints.hpp"
+
+#include <cmath>
+
+#include "model/point_jacobian.hpp"
+
+namespace contactvi {
+
+namespace {
+
+constexpr double kTwoPi = 6.283185307179586476925;
+constexpr double kNoLength = 1e-300;
+
+// One constraint's rows while they are written.
+struct Rows {
+  const Tree& tree;
+  const Placements& at;
+  VecRef phi;
+  Eigen::Ref<MatX> W;
+  VecRef rate;
+  int row;
+
+  // Adds a row: residual value, relative velocity of the frames' points at x along n.
+  void point(const Constraint& c, const Vec3& x, const Vec3& n) {
+    add_point_row(tree, at, c.b.body, x, n, 1.0, W.col(row));
+    add_point_row(tree, at, c.a.body, x, n, -1.0, W.col(row));
+  }
+  void turn(const Constraint& c, const Vec3& n) {
+    add_turn_row(tree, at, c.b.body, n, 1.0, W.col(row));
+    add_turn_row(tree, at, c.a.body, n, -1.0, W.col(row));
+  }
+};
+
+void point(const Constraint& c, const Vec3& x_a, const Vec3& x_b, Rows& rows) {
+  for (int k = 0; k < 3; ++k, ++rows.row) {
+    rows.phi[rows.row] = x_b[k] - x_a[k];
+    add_point_row(rows.tree, rows.at, c.b.body, x_b, Vec3::Unit(k), 1.0, rows.W.col(rows.row));
+    add_point_row(rows.tree, rows.at, c.a.body, x_a, Vec3::Unit(k), -1.0, rows.W.col(rows.row));
+  }
+}
+
+void distance(const Constraint& c, double t, const Vec3& x_a, const Vec3& x_b, Rows& rows) {
+  const Vec3 d = x_b - x_a;
+  const double length = d.norm();
+  const Vec3 u = length > kNoLength ? Vec3(d / length) : Vec3(Vec3::UnitZ());
+  double wanted = c.numbers.empty() ? 0.0 : c.numbers[0];
+  if (c.signal) {
+    const auto driven = c.signal(t);
+    wanted = driven[0];
+    rows.rate[rows.row] = -driven[1];
+  }
+  rows.phi[rows.row] = length - wanted;
+  add_point_row(rows.tree, rows.at, c.b.body, x_b, u, 1.0, rows.W.col(rows.row));
+  add_point_row(rows.tree, rows.at, c.a.body, x_a, u, -1.0, rows.W.col(rows.row));
+  ++rows.row;
+}
+
+void weld(const Constraint& c, const Mat3& R_a, const Vec3& x_a, const Mat3& R_b, const Vec3& x_b, Rows& rows) {
+  // The point of a that is at x_b now: so the rows are those of the residual in a's axes, which turn.
+  for (int k = 0; k < 3; ++k, ++rows.row) {
+    rows.phi[rows.row] = R_a.col(k).dot(x_b - x_a);
+    rows.point(c, x_b, R_a.col(k));
+  }
+  Quat turn(Mat3(R_a.transpose() * R_b));
+  if (turn.w() < 0.0) turn.coeffs() = -turn.coeffs();
+  // d(2 vec)/dt = (w - vec x) omega, omega of b against a in a's axes.
+  const Mat3 B = turn.w() * Mat3::Identity() - skew(turn.vec());
+  for (int k = 0; k < 3; ++k, ++rows.row) {
+    rows.phi[rows.row] = 2.0 * turn.vec()[k];
+    rows.turn(c, R_a * B.row(k).transpose());
+  }
+}
+
+void screw(const Constraint& c, const Mat3& R_a, const Vec3& x_a, const Mat3& R_b, const Vec3& x_b, Rows& rows) {
+  const Vec3 d = R_a.transpose() * (x_b - x_a), z_b = R_b.col(2);
+  for (int k = 0; k < 2; ++k, ++rows.row) {
+    rows.phi[rows.row] = d[k];
+    rows.point(c, x_b, R_a.col(k));
+  }
+  for (int k = 0; k < 2; ++k, ++rows.row) {
+    rows.phi[rows.row] = R_a.col(k).dot(z_b);
+    rows.turn(c, z_b.cross(R_a.col(k)));
+  }
+  const double pitch = c.numbers[0], along = d.z() - c.numbers[1];
+  double residual = along;
+  if (pitch != 0.0) {
+    const double theta = std::atan2(R_a.col(1).dot(R_b.col(0)), R_a.col(0).dot(R_b.col(0)));
+    residual = pitch * std::remainder(along / pitch - theta, kTwoPi);
+  }
+  rows.phi[rows.row] = residual;
+  rows.point(c, x_b, R_a.col(2));
+  rows.turn(c, -pitch * R_a.col(2));
+  ++rows.row;
+}
+
+void equality(const Constraint& c, const VecCRef& q, Rows& rows) {
+  const Joint &a = rows.tree.joints[c.joint_a], &b = rows.tree.joints[c.joint_b];
+  double value = 0.0, slope = 0.0;
+  for (auto k = c.numbers.rbegin(); k != c.numbers.rend(); ++k) {
+    slope = slope * q[a.iq] + value;
+    value = value * q[a.iq] + *k;
+  }
+  rows.phi[rows.row] = q[b.iq] - value;
+  rows.W(b.iv, rows.row) += 1.0;
+  rows.W(a.iv, rows.row) -= slope;
+  ++rows.row;
+}
+
+void prescribed(const Constraint& c, const VecCRef& q, double t, Rows& rows) {
+  const Joint& b = rows.tree.joints[c.joint_b];
+  const auto driven = c.signal(t);
+  rows.phi[rows.row] = b.type == JointType::kContinuous
+                           ? std::remainder(std::atan2(q[b.iq + 1], q[b.iq]) - driven[0], kTwoPi)
+                           : q[b.iq] - driven[0];
+  rows.W(b.iv, rows.row) += 1.0;
+  rows.rate[rows.row] = -driven[1];
+  ++rows.row;
+}
+
+}  // namespace
+
+int constraint_rows(ConstraintKind kind) {
+  switch (kind) {
+    case ConstraintKind::kPoint:
+      return 3;
+    case ConstraintKind::kWeld:
+      return 6;
+    case ConstraintKind::kScrew:
+      return 5;
+    default:
+      return 1;
+  }
+}
+
+void evaluate_constraints(const Tree& tree, const Placements& at, const VecCRef& q, double t, VecRef phi,
+                          Eigen::Ref<MatX> W, VecRef rate) {
+  W.setZero();
+  rate.setZero();
+  Rows rows{tree, at, phi, W, rate, 0};
+  for (const Constraint& c : tree.elements.constraints) {
+    rows.row = c.row;
+    if (c.kind == ConstraintKind::kEquality) {
+      equality(c, q, rows);
+      continue;
+    }
+    if (c.kind == ConstraintKind::kPrescribed) {
+      prescribed(c, q, t, rows);
+      continue;
+    }
+    const Vec3 x_a = world_point(at, c.a.body, c.a.p_B), x_b = world_point(at, c.b.body, c.b.p_B);
+    if (c.kind == ConstraintKind::kPoint) {
+      point(c, x_a, x_b, rows);
+    } else if (c.kind == ConstraintKind::kDistance) {
+      distance(c, t, x_a, x_b, rows);
+    } else {
+      const Mat3 R_a = world_axes(at, c.a.body, c.a.R_B), R_b = world_axes(at, c.b.body, c.b.R_B);
+      (c.kind == ConstraintKind::kWeld ? weld : screw)(c, R_a, x_a, R_b, x_b, rows);
+    }
+  }
+}
+
+}  // namespace contactvi

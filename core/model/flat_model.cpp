@@ -1,0 +1,251 @@
+#include "model/flat_model.hpp"
+
+#include <cmath>
+#include <cstdlib>
+#include <cstring>
+
+namespace contactvi {
+
+namespace {
+
+bool is_one_dof(const Joint& joint) {
+  return joint.type != JointType::kTranslation && joint.type != JointType::kSpherical;
+}
+
+// cos and sin; right angles, the common case, without the 6e-17 that rounding of pi/2 leaves.
+void cos_sin(double angle, double& c, double& s) {
+  c = std::cos(angle);
+  s = std::sin(angle);
+  if (std::abs(c) < 1e-16) c = 0.0;
+  if (std::abs(s) < 2e-16) s = 0.0;
+}
+
+Mat3 turn_z(double angle) {
+  Mat3 R = Mat3::Identity();
+  cos_sin(angle, R(0, 0), R(1, 0));
+  R(1, 1) = R(0, 0);
+  R(0, 1) = -R(1, 0);
+  return R;
+}
+
+// R = Rz(gamma) Rx(alpha) Rz(beta); gamma = 0 where only a sum or a difference counts.
+struct Euler {
+  double gamma, cos_alpha, sin_alpha, beta;
+};
+
+Euler euler(const Mat3& R) {
+  Euler e{0.0, R(2, 2), std::hypot(R(0, 2), R(1, 2)), 0.0};
+  if (std::abs(e.cos_alpha) < 2e-16) e.cos_alpha = 0.0;  // a right angle from a file
+  if (e.cos_alpha == 0.0) e.sin_alpha = 1.0;
+  if (e.sin_alpha < 1e-15) {
+    e.sin_alpha = 0.0;
+    e.cos_alpha = R(2, 2) > 0 ? 1.0 : -1.0;
+  } else {
+    e.gamma = std::atan2(R(0, 2), -R(1, 2));
+  }
+  // What is left of R after gamma and alpha, not the third row: nearly parallel axes would fix gamma and beta to few
+  // digits each, and their sum must be right.
+  const Mat3 rest = turn_z(e.gamma).transpose() * R;
+  const double x = rest(0, 0), y = e.cos_alpha * rest(1, 0) + e.sin_alpha * rest(2, 0);
+  e.beta = std::atan2(y, x);
+  return e;
+}
+
+int lane_type(JointType type) {
+  switch (type) {
+    case JointType::kPrismatic:
+      return kLaneSlide;
+    case JointType::kHelical:
+      return kLaneScrew;
+    case JointType::kTranslation:
+      return kLaneTranslate;
+    case JointType::kSpherical:
+      return kLaneBall;
+    default:
+      return kLaneTurn;
+  }
+}
+
+void copy3(const Vec3& from, double* to) {
+  for (int i = 0; i < 3; ++i) to[i] = from[i];
+}
+
+// How far each body frame is turned about its z axis: so that its largest child needs no rotation before its own
+// axis.
+std::vector<double> frame_turns(const Tree& tree) {
+  const int n = static_cast<int>(tree.joints.size());
+  std::vector<int> size(n, 1), heir(n, -1);
+  for (int i = n - 1; i >= 0; --i)
+    if (tree.joints[i].parent >= 0) size[tree.joints[i].parent] += size[i];
+  for (int i = 0; i < n; ++i) {
+    const int parent = tree.joints[i].parent;
+    if (parent >= 0 && is_one_dof(tree.joints[i]) && (heir[parent] < 0 || size[i] > size[heir[parent]]))
+      heir[parent] = i;
+  }
+  std::vector<double> turn(n, 0.0);
+  for (int i = 0; i < n; ++i) {
+    if (!is_one_dof(tree.joints[i])) continue;
+    turn[i] = heir[i] >= 0 ? euler(tree.joints[heir[i]].R_PJ).gamma : -euler(tree.joints[i].R_PJ).beta;
+  }
+  return turn;
+}
+
+void place_in_parent(const Joint& joint, double parent_turn, double own_turn, LaneJoint& j) {
+  const Mat3 back = turn_z(parent_turn).transpose();
+  copy3(back * joint.p_PJ, j.r);
+  const Mat3 C = back * joint.R_PJ;
+  for (int r = 0; r < 3; ++r)
+    for (int c = 0; c < 3; ++c) j.C[3 * r + c] = C(r, c);
+  j.has_rotation = !C.isIdentity(0);
+  if (!is_one_dof(joint)) return;
+  const Euler e = euler(joint.R_PJ);
+  const double gamma = e.gamma - parent_turn;
+  j.has_gamma = gamma != 0.0;
+  cos_sin(gamma, j.cos_gamma, j.sin_gamma);
+  j.cos_alpha = e.cos_alpha;
+  j.sin_alpha = e.sin_alpha;
+  j.alpha = e.cos_alpha == 1.0 && e.sin_alpha == 0.0   ? kLaneNoAngle
+            : e.cos_alpha == 0.0 && e.sin_alpha == 1.0 ? kLaneQuarterTurn
+                                                       : kLaneAnyAngle;
+  j.turn = e.beta + own_turn;
+  cos_sin(j.turn, j.cos_fixed, j.sin_fixed);
+}
+
+// Gravity where start_at_world() expects it.
+Vec3 root_gravity(const Tree& tree, const Joint& joint, const LaneJoint& j) {
+  if (joint.type == JointType::kSpherical) return tree.gravity;
+  if (joint.type == JointType::kTranslation) return joint.R_PJ.transpose() * tree.gravity;
+  Mat3 Rx = Mat3::Identity();
+  Rx(1, 1) = Rx(2, 2) = j.cos_alpha;
+  Rx(2, 1) = j.sin_alpha;
+  Rx(1, 2) = -j.sin_alpha;
+  return Rx.transpose() * turn_z(std::atan2(j.sin_gamma, j.cos_gamma)).transpose() * tree.gravity;
+}
+
+void add_inertia(const Joint& joint, double own_turn, LaneJoint& j) {
+  const Mat3 back = turn_z(own_turn).transpose();
+  const Mat3 I = own_turn == 0.0 ? joint.inertia : Mat3(back * joint.inertia * back.transpose());
+  const double packed[6] = {I(0, 0), I(0, 1), I(0, 2), I(1, 1), I(1, 2), I(2, 2)};
+  std::memcpy(j.inertia, packed, sizeof(packed));
+  copy3(back * joint.first_moment, j.moment);
+  j.mass = j.subtree_mass = joint.mass;
+}
+
+// Accumulators for the sums over children: a chain needs one, a branch one more for each open branch.
+int assign_slots(std::vector<LaneJoint>& joints) {
+  std::vector<int> free;
+  int count = 0;
+  for (int i = static_cast<int>(joints.size()) - 1; i >= 0; --i) {
+    LaneJoint& j = joints[i];
+    if (j.slot >= 0) free.push_back(j.slot);  // read before the parent's is written
+    if (j.parent < 0) continue;
+    LaneJoint& up = joints[j.parent];
+    j.first = up.slot < 0;
+    if (j.first) {
+      if (free.empty()) free.push_back(count++);
+      up.slot = free.back();
+      free.pop_back();
+    }
+    j.parent_slot = up.slot;
+  }
+  return count;
+}
+
+}  // namespace
+
+FlatModel::FlatModel(const Tree& tree) : joints(tree.joints.size()), lanes{} {
+  const std::vector<double> turn = frame_turns(tree);
+  int at = 0, balls = 0;
+  for (std::size_t i = 0; i < joints.size(); ++i) {
+    const Joint& joint = tree.joints[i];
+    LaneJoint& j = joints[i];
+    j = LaneJoint{};
+    j.type = lane_type(joint.type);
+    j.parent = joint.parent;
+    j.dof = joint.iv;
+    j.ball = j.type == kLaneBall ? balls++ : -1;
+    j.at = at;
+    j.velocity = j.type == kLaneBall ? 9 : 3;
+    at += j.velocity + 9 + (is_one_dof(joint) ? kLaneFactor1 + kLaneNewton1 : kLaneFactor3 + kLaneNewton3);
+    j.slot = j.parent_slot = -1;
+    place_in_parent(joint, joint.parent < 0 ? 0.0 : turn[joint.parent], turn[i], j);
+    j.pitch = joint.pitch;
+    add_inertia(joint, turn[i], j);
+    for (int d = 0; d < joint.nv; ++d) j.armature[d] = tree.armature[joint.iv + d];
+    if (joint.parent < 0) copy3(root_gravity(tree, joint, j), j.gravity);
+  }
+  for (int i = static_cast<int>(joints.size()) - 1; i >= 0; --i)
+    if (joints[i].parent >= 0) joints[joints[i].parent].subtree_mass += joints[i].subtree_mass;
+  const int slots = assign_slots(joints);
+  lanes = {static_cast<int>(joints.size()), tree.nv, balls, slots, at, joints.data()};
+}
+
+namespace {
+
+struct InstructionSet {
+  const char* name;
+  const LaneKernel* kernels;
+  bool present;
+};
+
+const std::vector<InstructionSet>& known_sets() {
+  static const std::vector<InstructionSet> sets = [] {
+    std::vector<InstructionSet> all = {{"base", contactvi_lanes_base, true}};
+#ifdef CONTACTVI_X86
+    __builtin_cpu_init();
+    const bool avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    const bool avx512 = avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") &&
+                        __builtin_cpu_supports("avx512dq");
+    all.push_back({"avx2", contactvi_lanes_avx2, avx2});
+    all.push_back({"avx512", contactvi_lanes_avx512, avx512});
+#endif
+    return all;
+  }();
+  return sets;
+}
+
+const InstructionSet* find(const char* name) {
+  for (const InstructionSet& set : known_sets())
+    if (set.present && std::strcmp(set.name, name) == 0) return &set;
+  return nullptr;
+}
+
+const InstructionSet*& chosen() {
+  static const InstructionSet* set = [] {
+    const char* wanted = std::getenv("CONTACTVI_INSTRUCTION_SET");
+    const InstructionSet* best = wanted == nullptr ? nullptr : find(wanted);
+    if (best != nullptr) return best;  // the module refuses an unknown name when it is imported
+    for (const InstructionSet& each : known_sets())
+      if (each.present) best = &each;
+    return best;
+  }();
+  return set;
+}
+
+// One stage gains nothing from lanes; it runs as plain doubles everywhere.
+const LaneKernel& of(const InstructionSet& set, int stages) {
+  if (stages == 1) return contactvi_lanes_base[0];
+  return set.kernels[stages <= 4 ? 0 : 1];
+}
+
+}  // namespace
+
+std::vector<const char*> instruction_sets() {
+  std::vector<const char*> names;
+  for (const InstructionSet& set : known_sets())
+    if (set.present) names.push_back(set.name);
+  return names;
+}
+
+const char* instruction_set() { return chosen()->name; }
+
+bool set_instruction_set(const char* name) {
+  const InstructionSet* set = find(name);
+  if (set == nullptr) return false;
+  chosen() = set;
+  return true;
+}
+
+const LaneKernel& lane_kernel(int stages) { return of(*chosen(), stages); }
+
+}  // namespace contactvi

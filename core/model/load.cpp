@@ -1,0 +1,300 @@
+// From Pinocchio's archives to the engine's Scene. The only file that knows pin.Model and pin.GeometryModel.
+#include <boost/archive/binary_iarchive.hpp>
+#include <boost/iostreams/device/array.hpp>
+#include <boost/iostreams/stream_buffer.hpp>
+#include <pinocchio/geometry.hpp>
+#include <pinocchio/multibody.hpp>
+#include <pinocchio/serialization.hpp>
+
+#include <coal/shape/geometric_shapes.h>
+
+#include <cmath>
+
+#include "base/error.hpp"
+#include "model/scene.hpp"
+
+namespace contactvi {
+
+namespace {
+
+// Rounding of GJK pairs [m]; thinner shapes take less (erosion.cpp).
+constexpr double kRounding = 1e-3;
+
+template <class T>
+void unpack(T& object, std::string_view bytes, const char* what) {
+  try {
+    boost::iostreams::stream_buffer<boost::iostreams::basic_array_source<char>> stream(bytes.data(), bytes.size());
+    boost::archive::binary_iarchive archive(stream);
+    archive >> object;
+  } catch (const std::exception& error) {
+    throw Error(std::string("the ") + what + " archive could not be read: " + error.what());
+  }
+}
+
+// Rotation whose third column is the unit vector axis; exact for coordinate axes.
+Mat3 frame_along(const Vec3& axis) {
+  Mat3 R;
+  Eigen::Index largest;
+  axis.cwiseAbs().maxCoeff(&largest);
+  const Vec3 helper = Vec3::Unit((largest + 1) % 3);
+  R.col(2) = axis;
+  R.col(0) = (helper - axis.dot(helper) * axis).normalized();
+  R.col(1) = axis.cross(R.col(0));
+  return R;
+}
+
+bool starts_with(const std::string& text, const char* prefix) { return text.rfind(prefix, 0) == 0; }
+
+class Builder {
+ public:
+  Builder(const pinocchio::Model& model, const SceneParameters& parameters, Scene& scene)
+      : model_(model), parameters_(parameters), tree_(scene.tree) {}
+
+  void build() {
+    const int n = model_.njoints;
+    tree_.nq = model_.nq;
+    tree_.nv = model_.nv;
+    tree_.gravity = model_.gravity.linear();
+    tree_.armature = model_.armature;
+    tree_.damping = parameters_.damping;
+    tree_.rest = parameters_.rest;
+    tree_.body_of_source.assign(n, -1);
+    tree_.R_body_source.assign(n, Mat3::Identity());
+    for (int i = 1; i < n; ++i) add(i);
+    tree_.has_damping = !tree_.damping.isZero(0);
+    for (const Joint& joint : tree_.joints) tree_.has_springs |= joint.stiffness != 0;
+    number_dofs();
+  }
+
+ private:
+  // Adds one engine joint whose moving frame is the source joint's frame turned by A.
+  void push(int source, JointType type, int parent, const Mat3& R_parent_source, const Vec3& p, const Mat3& A, int iq,
+            int nq, int iv, int nv, double pitch, bool last) {
+    Joint joint;
+    joint.type = type;
+    joint.parent = parent;
+    joint.iq = iq;
+    joint.nq = nq;
+    joint.iv = iv;
+    joint.nv = nv;
+    joint.pitch = pitch;
+    joint.R_PJ = R_parent_source * A;
+    joint.p_PJ = p;
+    joint.mass = 0;
+    joint.first_moment.setZero();
+    joint.inertia.setZero();
+    joint.stiffness = parameters_.stiffness[source];
+    joint.name = model_.names[source];
+    if (last) {
+      const auto& Y = model_.inertias[source];
+      const Mat3 about_com = A.transpose() * Y.inertia().matrix() * A;
+      const Vec3 c = A.transpose() * Y.lever();
+      joint.mass = Y.mass();
+      joint.first_moment = Y.mass() * c;
+      joint.inertia = about_com + Y.mass() * (c.squaredNorm() * Mat3::Identity() - c * c.transpose());
+      tree_.body_of_source[source] = static_cast<int>(tree_.joints.size());
+      // The frame that body shares with the public model: R_body_source takes its coordinates to ours.
+      tree_.R_body_source[source] = A.transpose();
+    }
+    tree_.joints.push_back(joint);
+  }
+
+  void add(int i) {
+    const auto& source = model_.joints[i];
+    const std::string name = source.shortname();
+    const int parent_source = static_cast<int>(model_.parents[i]);
+    const int parent = tree_.body_of_source[parent_source];
+    const Mat3& R_parent = tree_.R_body_source[parent_source];
+    const Mat3 R = R_parent * model_.jointPlacements[i].rotation();
+    const Vec3 p = R_parent * model_.jointPlacements[i].translation();
+    const int iq = source.idx_q(), iv = source.idx_v();
+    const Mat3 I = Mat3::Identity();
+    const Vec3 zero = Vec3::Zero();
+    const int at = static_cast<int>(tree_.joints.size());
+    if (name == "JointModelFreeFlyer" || name == "JointModelPlanar") {
+      if (!model_.armature.segment(iv, source.nv()).isZero(0) || parameters_.stiffness[i] != 0)
+        throw Error("joint " + model_.names[i] + ": armature and springs are not supported on " + name);
+      tree_.split.push_back({name == "JointModelPlanar", iq, iv});
+    }
+    if (name == "JointModelFreeFlyer") {
+      push(i, JointType::kTranslation, parent, R, p, I, iq, 3, iv, 3, 0, false);
+      push(i, JointType::kSpherical, at, I, zero, I, iq + 3, 4, iv + 3, 3, 0, true);
+    } else if (name == "JointModelPlanar") {
+      const Mat3 X = frame_along(Vec3::UnitX()), Y = frame_along(Vec3::UnitY());
+      push(i, JointType::kPrismatic, parent, R, p, X, iq, 1, iv, 1, 0, false);
+      push(i, JointType::kPrismatic, at, X.transpose(), zero, Y, iq + 1, 1, iv + 1, 1, 0, false);
+      push(i, JointType::kContinuous, at + 1, Y.transpose(), zero, I, iq + 2, 2, iv + 2, 1, 0, true);
+    } else if (name == "JointModelTranslation") {
+      push(i, JointType::kTranslation, parent, R, p, I, iq, 3, iv, 3, 0, true);
+    } else if (name == "JointModelSpherical") {
+      push(i, JointType::kSpherical, parent, R, p, I, iq, 4, iv, 3, 0, true);
+    } else {
+      add_one_dof(i, name, parent, R, p);
+    }
+  }
+
+  void add_one_dof(int i, const std::string& name, int parent, const Mat3& R, const Vec3& p) {
+    const auto& source = model_.joints[i];
+    JointType type;
+    if (starts_with(name, "JointModelRUB") || name == "JointModelRevoluteUnboundedUnaligned") {
+      type = JointType::kContinuous;
+    } else if (name == "JointModelRX" || name == "JointModelRY" || name == "JointModelRZ" ||
+               name == "JointModelRevoluteUnaligned") {
+      type = JointType::kRevolute;
+    } else if (name == "JointModelPX" || name == "JointModelPY" || name == "JointModelPZ" ||
+               name == "JointModelPrismaticUnaligned") {
+      type = JointType::kPrismatic;
+    } else if (name == "JointModelHX" || name == "JointModelHY" || name == "JointModelHZ" ||
+               name == "JointModelHelicalUnaligned") {
+      type = JointType::kHelical;
+    } else {
+      throw Error("joint " + model_.names[i] + " has the unsupported type " + name);
+    }
+    // The motion subspace carries axis and pitch whatever the joint's own type stores.
+    pinocchio::JointData data = source.createData();
+    VecX q = VecX::Zero(model_.nq);
+    if (type == JointType::kContinuous) q[source.idx_q()] = 1;
+    source.calc(data, q);
+    const Eigen::Matrix<double, 6, 1> S = data.S().matrix().col(0);
+    const Vec3 axis = type == JointType::kPrismatic ? S.head<3>() : S.tail<3>();
+    const double pitch = type == JointType::kHelical ? S.head<3>().dot(axis) : 0.0;
+    push(i, type, parent, R, p, frame_along(axis), source.idx_q(), source.nq(), source.idx_v(), 1, pitch, true);
+    if (parameters_.limits[i] != 0) add_limits(i);
+  }
+
+  void add_limits(int i) {
+    const int iq = model_.joints[i].idx_q(), joint = tree_.body_of_source[i];
+    if (model_.joints[i].nq() != 1) throw Error("joint " + model_.names[i] + ": only 1-dof joints can have limits");
+    const double lower = model_.lowerPositionLimit[iq], upper = model_.upperPositionLimit[iq];
+    const double e = parameters_.limit_restitution[i];
+    if (std::isfinite(lower)) tree_.limits.push_back({joint, i, false, lower, e});
+    if (std::isfinite(upper)) tree_.limits.push_back({joint, i, true, upper, e});
+  }
+
+  void number_dofs() {
+    tree_.dof_joint.assign(tree_.nv, -1);
+    tree_.dof_parent.assign(tree_.nv, -1);
+    for (std::size_t k = 0; k < tree_.joints.size(); ++k) {
+      const Joint& joint = tree_.joints[k];
+      for (int d = 0; d < joint.nv; ++d) {
+        const int dof = joint.iv + d;
+        tree_.dof_joint[dof] = static_cast<int>(k);
+        if (d > 0) {
+          tree_.dof_parent[dof] = dof - 1;
+        } else if (joint.parent >= 0) {
+          const Joint& parent = tree_.joints[joint.parent];
+          tree_.dof_parent[dof] = parent.iv + parent.nv - 1;
+          if (tree_.dof_parent[dof] >= dof) throw Error("joint " + joint.name + " comes before its parent");
+        }
+      }
+    }
+  }
+
+  const pinocchio::Model& model_;
+  const SceneParameters& parameters_;
+  Tree& tree_;
+};
+
+// Pairs for which coal has closed forms, or whose spheres and capsules GJK takes as points and segments.
+bool needs_no_rounding(coal::NODE_TYPE type) {
+  return type == coal::GEOM_HALFSPACE || type == coal::GEOM_SPHERE || type == coal::GEOM_CAPSULE;
+}
+
+// Measured noise of the distance near contact (gjk_tolerance 1e-10): polytopes, spheres and capsules among themselves
+// 1e-15, with an ellipsoid or a cylinder in the iteration up to 8e-10; smaller tolerances make it worse, not better.
+bool is_curved_iteration(coal::NODE_TYPE a, coal::NODE_TYPE b) {
+  auto curved = [](coal::NODE_TYPE t) { return t == coal::GEOM_ELLIPSOID || t == coal::GEOM_CYLINDER; };
+  if (a == coal::GEOM_HALFSPACE || b == coal::GEOM_HALFSPACE) return false;
+  const bool sphere_cylinder =
+      (a == coal::GEOM_SPHERE && b == coal::GEOM_CYLINDER) || (a == coal::GEOM_CYLINDER && b == coal::GEOM_SPHERE);
+  return !sphere_cylinder && (curved(a) || curved(b));
+}
+
+Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree) {
+  const coal::CollisionGeometry& shape = *object.geometry;
+  switch (shape.getNodeType()) {
+    case coal::GEOM_BOX:
+    case coal::GEOM_SPHERE:
+    case coal::GEOM_CAPSULE:
+    case coal::GEOM_CYLINDER:
+    case coal::GEOM_ELLIPSOID:
+    case coal::GEOM_CONVEX:
+    case coal::GEOM_HALFSPACE:
+      break;
+    default:
+      throw Error("geometry " + object.name + ": this kind of shape is not supported");
+  }
+  Geometry g;
+  const int source = static_cast<int>(object.parentJoint);
+  const Mat3& R_BS = tree.R_body_source[source];
+  g.body = tree.body_of_source[source];
+  g.R_BG = R_BS * object.placement.rotation();
+  g.p_BG = R_BS * object.placement.translation();
+  object.geometry->computeLocalAABB();
+  g.sharp = object.geometry;
+  g.rounding = 0;
+  g.unbounded = shape.getNodeType() == coal::GEOM_HALFSPACE;
+  if (g.unbounded) {
+    const auto& halfspace = static_cast<const coal::Halfspace&>(shape);
+    g.halfspace_normal = halfspace.n;
+    g.halfspace_offset = halfspace.d;
+    g.center_B.setZero();
+    g.radius = g.reach = 0;
+    return g;
+  }
+  g.center_B = g.R_BG * shape.aabb_center + g.p_BG;
+  g.radius = shape.aabb_radius;
+  g.reach = g.center_B.norm() + g.radius;
+  return g;
+}
+
+void ensure_rounded(Geometry& g) {
+  if (g.rounded || needs_no_rounding(g.sharp->getNodeType())) return;
+  double radius = kRounding;
+  std::shared_ptr<coal::CollisionGeometry> core = eroded_shape(*g.sharp, radius);
+  if (!core) throw Error("a collision shape could not be rounded");
+  static_cast<coal::ShapeBase&>(*core).setSweptSphereRadius(radius);
+  core->computeLocalAABB();
+  g.rounded = core;
+  g.rounding = radius;
+}
+
+}  // namespace
+
+Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, const SceneParameters& parameters) {
+  pinocchio::Model model;
+  unpack(model, model_bytes, "model");
+  Scene scene;
+  if (parameters.stiffness.size() != model.njoints || parameters.limits.size() != model.njoints ||
+      parameters.limit_restitution.size() != model.njoints || parameters.rest.size() != model.nq ||
+      parameters.damping.size() != model.nv)
+    throw Error("scene parameters do not have the sizes of the model");
+  Builder(model, parameters, scene).build();
+  if (geometry_bytes.empty()) return scene;
+  pinocchio::GeometryModel geometry;
+  unpack(geometry, geometry_bytes, "geometry");
+  for (const auto& object : geometry.geometryObjects) scene.geometries.push_back(make_geometry(object, scene.tree));
+  const Eigen::Index pairs = static_cast<Eigen::Index>(geometry.collisionPairs.size());
+  if (parameters.pair_restitution.size() != pairs || parameters.pair_friction.size() != pairs)
+    throw Error("one restitution and one friction per collision pair are needed");
+  for (std::size_t k = 0; k < geometry.collisionPairs.size(); ++k) {
+    Pair pair{static_cast<int>(geometry.collisionPairs[k].first),
+              static_cast<int>(geometry.collisionPairs[k].second),
+              parameters.pair_restitution[k],
+              parameters.pair_friction[k],
+              false,
+              false};
+    Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
+    if (a.unbounded && b.unbounded) throw Error("two halfspaces cannot be a collision pair");
+    if (!needs_no_rounding(a.sharp->getNodeType()) && !needs_no_rounding(b.sharp->getNodeType())) {
+      ensure_rounded(a);
+      ensure_rounded(b);
+      pair.rounded = true;
+    }
+    pair.curved = is_curved_iteration(a.sharp->getNodeType(), b.sharp->getNodeType());
+    scene.pairs.push_back(pair);
+  }
+  return scene;
+}
+
+}  // namespace contactvi

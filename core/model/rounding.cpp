@@ -1,0 +1,87 @@
+// Rounded copies of sharp shapes: eroded by r, then swept by a sphere of radius r.
+//
+// Two sharp polytopes nearer than about 1e-6 m get wrong normals from GJK and EPA (measured: 83 % of random box
+// pairs); swept ones never reach EPA, because their cores stay 2 r apart when the surfaces touch.
+#include <coal/shape/convex.h>
+#include <coal/shape/geometric_shapes.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/error.hpp"
+#include "model/scene.hpp"
+
+namespace contactvi {
+
+namespace {
+
+using Hull = coal::Convex<coal::Triangle>;
+using Points = std::shared_ptr<std::vector<coal::Vec3s>>;
+
+// An eroded polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
+// c: the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the
+// polytope.
+std::shared_ptr<coal::CollisionGeometry> eroded_hull(const Hull& hull, double& radius) {
+  const std::vector<coal::Vec3s>& points = *hull.points;
+  const std::vector<coal::Triangle>& faces = *hull.polygons;
+  coal::Vec3s center = coal::Vec3s::Zero();
+  for (unsigned i = 0; i < hull.num_points; ++i) center += points[i] / hull.num_points;
+  std::vector<coal::Vec3s> normals;
+  std::vector<double> offsets;
+  double thinnest = INFINITY;
+  for (unsigned i = 0; i < hull.num_polygons; ++i) {
+    const coal::Vec3s a = points[faces[i][0]], b = points[faces[i][1]], c = points[faces[i][2]];
+    coal::Vec3s n = (b - a).cross(c - a);
+    if (n.norm() < 1e-18) continue;  // sliver of the triangulation; its neighbours carry the plane
+    n.normalize();
+    double d = n.dot(a - center);
+    if (d < 0) {
+      n = -n;
+      d = -d;
+    }
+    normals.push_back(n);
+    offsets.push_back(d);
+    thinnest = std::min(thinnest, d);
+  }
+  radius = std::min(radius, 0.2 * thinnest);
+  Points dual = std::make_shared<std::vector<coal::Vec3s>>();
+  for (std::size_t i = 0; i < normals.size(); ++i) dual->push_back(normals[i] / (offsets[i] - radius));
+  const std::unique_ptr<coal::ConvexBase> dual_base(
+      coal::ConvexBase::convexHull(dual, static_cast<unsigned>(dual->size()), true, "Qt"));
+  const Hull* dual_hull = dynamic_cast<const Hull*>(dual_base.get());
+  if (dual_hull == nullptr) throw Error("a convex hull could not be rounded");
+  Points vertices = std::make_shared<std::vector<coal::Vec3s>>();
+  for (unsigned i = 0; i < dual_hull->num_polygons; ++i) {
+    const coal::Triangle& face = (*dual_hull->polygons)[i];
+    const coal::Vec3s a = (*dual_hull->points)[face[0]], b = (*dual_hull->points)[face[1]],
+                      c = (*dual_hull->points)[face[2]];
+    const coal::Vec3s n = (b - a).cross(c - a);
+    const double d = n.dot(a);
+    if (n.norm() < 1e-18 || std::abs(d) < 1e-12 * n.norm()) continue;
+    vertices->push_back(center + n / d);
+  }
+  return std::shared_ptr<coal::CollisionGeometry>(
+      coal::ConvexBase::convexHull(vertices, static_cast<unsigned>(vertices->size()), true, "Qt"));
+}
+
+}  // namespace
+
+std::shared_ptr<coal::CollisionGeometry> eroded_shape(const coal::CollisionGeometry& shape, double& radius) {
+  if (const auto* box = dynamic_cast<const coal::Box*>(&shape)) {
+    radius = std::min(radius, 0.2 * box->halfSide.minCoeff());
+    return std::make_shared<coal::Box>(2 * (box->halfSide - coal::Vec3s::Constant(radius)));
+  }
+  if (const auto* cylinder = dynamic_cast<const coal::Cylinder*>(&shape)) {
+    radius = std::min({radius, 0.2 * cylinder->radius, 0.2 * cylinder->halfLength});
+    return std::make_shared<coal::Cylinder>(cylinder->radius - radius, 2 * (cylinder->halfLength - radius));
+  }
+  if (const auto* ellipsoid = dynamic_cast<const coal::Ellipsoid*>(&shape)) {
+    // Not an exact erosion (the parallel surface of an ellipsoid is none), but the same half axes and within r of it.
+    radius = std::min(radius, 0.2 * ellipsoid->radii.minCoeff());
+    return std::make_shared<coal::Ellipsoid>(coal::Vec3s(ellipsoid->radii - coal::Vec3s::Constant(radius)));
+  }
+  if (const auto* hull = dynamic_cast<const Hull*>(&shape)) return eroded_hull(*hull, radius);
+  return nullptr;
+}
+
+}  // namespace contactvi

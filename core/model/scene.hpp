@@ -1,0 +1,73 @@
+// What never changes during a run: the tree, the collision geometries, the pairs that may touch, their restitution.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "model/tree.hpp"
+
+namespace coal {
+class CollisionGeometry;
+}
+
+namespace contactvi {
+
+struct Geometry {
+  int body;   // engine joint that moves it, -1: world
+  Mat3 R_BG;  // geometry frame in the body frame
+  Vec3 p_BG;
+  std::shared_ptr<const coal::CollisionGeometry> sharp;
+  std::shared_ptr<const coal::CollisionGeometry>
+      rounded;  // same size, edges rounded by rounding [m]; null if not needed
+  double rounding;
+  bool unbounded;         // halfspace: its normal and offset follow
+  Vec3 halfspace_normal;  // geometry frame
+  double halfspace_offset;
+  Vec3 center_B;  // bounding sphere, body frame
+  double radius;
+  double reach;  // largest distance of one of its points from the body origin
+};
+
+struct Pair {
+  int a, b;  // geometry indices
+  double restitution;
+  double friction;  // Coulomb's coefficient
+  bool rounded;  // both shapes are taken rounded: GJK hands over to EPA with wrong normals on sharp ones near contact
+  bool curved;   // GJK iterates towards a curved surface: the distance carries noise of up to 1e-9 m
+};
+
+struct Scene {
+  Tree tree;
+  std::vector<Geometry> geometries;
+  std::vector<Pair> pairs;
+
+  int guard_count() const { return static_cast<int>(pairs.size() + tree.limits.size()); }
+  bool is_pair(int guard) const { return guard < static_cast<int>(pairs.size()); }
+  double friction(int guard) const { return is_pair(guard) ? pairs[guard].friction : 0.0; }
+  double restitution(int guard) const {
+    return is_pair(guard) ? pairs[guard].restitution : tree.limits[guard - pairs.size()].restitution;
+  }
+};
+
+// Per joint and per pair data that Pinocchio's archives do not carry; indices are the public model's.
+struct SceneParameters {
+  VecX pair_restitution;   // npairs
+  VecX pair_friction;      // npairs
+  VecX stiffness;          // njoints
+  VecX rest;               // nq
+  VecX damping;            // nv
+  VecX limits;             // njoints, nonzero: the joint's position limits are guards
+  VecX limit_restitution;  // njoints
+};
+
+// From the binary archives of a pin.Model and a pin.GeometryModel. Throws Error for joints, shapes or orders that the
+// engine does not take.
+Scene load_scene(std::string_view model, std::string_view geometry, const SceneParameters& parameters);
+
+// The shape shrunk by at most radius, to be swept by a sphere of that radius; null for shapes that need none. Lowers
+// radius where the shape is too thin for it.
+std::shared_ptr<coal::CollisionGeometry> eroded_shape(const coal::CollisionGeometry& shape, double& radius);
+
+}  // namespace contactvi

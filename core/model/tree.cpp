@@ -1,0 +1,78 @@
+#include "model/tree.hpp"
+
+#include <cmath>
+
+namespace contactvi {
+
+void integrate(const Tree& tree, const VecCRef& q, const VecCRef& w, double factor, VecRef q1) {
+  for (const Joint& joint : tree.joints) {
+    const int iq = joint.iq, iv = joint.iv;
+    switch (joint.type) {
+      case JointType::kRevolute:
+      case JointType::kPrismatic:
+      case JointType::kHelical:
+        q1[iq] = q[iq] + factor * w[iv];
+        break;
+      case JointType::kTranslation:
+        q1.segment<3>(iq) = q.segment<3>(iq) + factor * w.segment<3>(iv);
+        break;
+      case JointType::kContinuous: {
+        const double angle = factor * w[iv], c = std::cos(angle), s = std::sin(angle);
+        const double c1 = q[iq] * c - q[iq + 1] * s, s1 = q[iq] * s + q[iq + 1] * c;
+        const double scale = 1 / std::sqrt(c1 * c1 + s1 * s1);
+        q1[iq] = scale * c1;
+        q1[iq + 1] = scale * s1;
+        break;
+      }
+      case JointType::kSpherical: {
+        const Quat quat(q[iq + 3], q[iq], q[iq + 1], q[iq + 2]);
+        const Quat turned = (quat * so3_exp(factor * w.segment<3>(iv))).normalized();
+        q1.segment<4>(iq) = turned.coeffs();
+        break;
+      }
+    }
+  }
+}
+
+double joint_error(const Joint& joint, const VecCRef& q, double value) {
+  if (joint.type != JointType::kContinuous) return value - q[joint.iq];
+  return std::remainder(value - std::atan2(q[joint.iq + 1], q[joint.iq]), 6.283185307179586476925);
+}
+
+Vec3 spring_deflection(const Tree& tree, const Joint& joint, const VecCRef& q) {
+  const int iq = joint.iq;
+  const VecX& rest = tree.rest;
+  switch (joint.type) {
+    case JointType::kTranslation:
+      return q.segment<3>(iq) - rest.segment<3>(iq);
+    case JointType::kSpherical: {
+      const Quat at_rest(rest[iq + 3], rest[iq], rest[iq + 1], rest[iq + 2]);
+      return so3_log(at_rest.conjugate() * Quat(q[iq + 3], q[iq], q[iq + 1], q[iq + 2]));
+    }
+    case JointType::kContinuous:
+      return Vec3(std::atan2(q[iq + 1] * rest[iq] - q[iq] * rest[iq + 1], q[iq] * rest[iq] + q[iq + 1] * rest[iq + 1]),
+                  0, 0);
+    default:
+      return Vec3(q[iq] - rest[iq], 0, 0);
+  }
+}
+
+double spring_potential(const Tree& tree, const VecCRef& q) {
+  double energy = 0;
+  if (!tree.has_springs) return energy;
+  for (const Joint& joint : tree.joints)
+    if (joint.stiffness != 0) energy += 0.5 * joint.stiffness * spring_deflection(tree, joint, q).squaredNorm();
+  return energy;
+}
+
+void add_spring_forces(const Tree& tree, const VecCRef& q, VecRef dV) {
+  if (!tree.has_springs) return;
+  for (const Joint& joint : tree.joints) {
+    if (joint.stiffness == 0) continue;
+    // On SO(3) the gradient of |log R|^2/2 is log R itself, because log R is an eigenvector of its Jacobian.
+    const Vec3 deflection = spring_deflection(tree, joint, q);
+    for (int d = 0; d < joint.nv; ++d) dV[joint.iv + d] += joint.stiffness * deflection[d];
+  }
+}
+
+}  // namespace contactvi

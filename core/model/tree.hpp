@@ -1,0 +1,92 @@
+// The constant model: kinematic tree with the six joint types the integrator steps, springs, damping.
+//
+// Built once by load.cpp from a Pinocchio model. Two changes of coordinates happen there and stay there:
+//  - a free-flyer becomes a translation followed by a spherical joint, a planar joint two prismatic ones and a
+//    continuous one (R^3 x SO(3), R^2 x SO(2)): on SE(3) exp couples spin with translation, and the flight of a
+//    spinning ball is no parabola;
+//  - every 1-dof joint's axis is the z axis of its body, so that its motion subspace is one number.
+// Configurations keep Pinocchio's numbers; velocities and momenta of split joints differ (see coordinates.hpp).
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "base/numerics.hpp"
+#include "model/elements.hpp"
+
+namespace contactvi {
+
+enum class JointType : std::uint8_t {
+  kRevolute,     // q: angle about z
+  kContinuous,   // q: (cos, sin) of the angle about z
+  kPrismatic,    // q: displacement along z
+  kHelical,      // q: angle about z, displacement pitch * q along z
+  kTranslation,  // q: displacement in the joint frame
+  kSpherical,    // q: quaternion (x, y, z, w); v: angular velocity in the body frame
+};
+
+struct Joint {
+  JointType type;
+  int parent;    // joint index, -1: world
+  int iq, nq;    // first index and count in q
+  int iv, nv;    // the same in v
+  double pitch;  // [m/rad], helical joints
+  Mat3 R_PJ;     // joint frame in the parent body's frame
+  Vec3 p_PJ;
+  double mass;        // of the body that this joint moves
+  Vec3 first_moment;  // mass times centre of mass, body frame
+  Mat3 inertia;       // rotational inertia about the body frame's origin
+  double stiffness;   // [N/m] or [N m/rad], isotropic over the joint's dofs
+  std::string name;
+};
+
+struct JointLimit {
+  int joint;         // index in Tree::joints
+  int source_joint;  // index in the Pinocchio model, for names
+  bool upper;
+  double bound;
+  double restitution;
+};
+
+// A joint of the public model whose velocity differs from the engine's.
+struct SplitJoint {
+  bool planar;
+  int iq;  // first index of the public joint in q
+  int iv;
+};
+
+struct Tree {
+  int nq = 0, nv = 0;
+  Vec3 gravity = Vec3::Zero();
+  std::vector<Joint> joints;    // parents before children
+  std::vector<int> dof_joint;   // nv
+  std::vector<int> dof_parent;  // nv: the next dof towards the root, -1 at a root
+  VecX armature;                // nv, added to the diagonal of M
+  VecX damping;                 // nv
+  VecX rest;                    // nq, configuration at which the springs are relaxed
+  bool has_springs = false, has_damping = false;
+  std::vector<SplitJoint> split;
+  std::vector<JointLimit> limits;
+  Elements elements;
+  // From Pinocchio's joints to ours: the last joint of a split, and the public joint frame in that body's frame.
+  std::vector<int> body_of_source;
+  std::vector<Mat3> R_body_source;
+};
+
+// q1 = q (+) w: addition on vector joints, rotation on (cos, sin) and quaternions, which are renormalised. In place
+// is fine.
+void integrate(const Tree& tree, const VecCRef& q, const VecCRef& w, double factor, VecRef q1);
+
+// What is missing to `value` at a joint with one degree of freedom [rad; m]; of (cos, sin) joints the shorter way.
+double joint_error(const Joint& joint, const VecCRef& q, double value);
+
+// Tangent vector from the springs' rest configuration to q for one joint, shape (nv of the joint,) in the first
+// entries.
+Vec3 spring_deflection(const Tree& tree, const Joint& joint, const VecCRef& q);
+
+// Energy of the joint springs at q [J], and their dV/dq added to dV, shape (nv,).
+double spring_potential(const Tree& tree, const VecCRef& q);
+void add_spring_forces(const Tree& tree, const VecCRef& q, VecRef dV);
+
+}  // namespace contactvi

@@ -1,0 +1,127 @@
+// What a run leaves behind: nodes, impacts, the polynomials of its steps. Engine coordinates.
+#pragma once
+
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "base/numerics.hpp"
+
+namespace contactvi {
+
+struct ImpactRecord {
+  double time;
+  int guard;
+  Vec3 point, normal;
+  Vec3 impulse_vector;  // on geometry b, world frame [N s]
+  double impulse, gamma_minus, gamma_plus, G_c, gap, restitution, friction;
+  int points;   // of the pair that took part
+  double loss;  // of kinetic energy by the law of the impact [J]
+  int method, iterations, fallback;
+  double jump;           // left over in the map's own energy equation [J]
+  double before, after;  // lengths [s] of the partial step that ends here and of the rest of the step
+  long step;
+  VecX q, p_minus, p_plus;
+};
+
+// Steps and partial steps between nodes and impacts, row after row: start time and length, state at the start,
+// momentum at the end (before an impact), chart rates at the stages (StepPath).
+struct Segments {
+  std::vector<double> t, h, q, p, p1, rates;  // rates: stage by stage
+  std::vector<double> held;                   // 1: of a step with held contacts, whose exact parts are not smooth steps
+};
+
+// Forces: one row per held point and step, and per point of an impact (h = 0). World frame, impulses on geometry b.
+struct ContactRows {
+  std::vector<double> t, h, gap;
+  std::vector<double> position, normal, start, end, slip;  // three numbers a row
+  std::vector<int> guard, mode;                            // mode: 0 sticks, 1 slips, 2 without friction, 3 impact
+  std::vector<std::int64_t> point;
+  std::vector<long> step;
+
+  void push(double time, double length, int of, std::int64_t feature, int what, long at_step, const Vec3& x,
+            const Vec3& n, const Vec3& first, const Vec3& second, double phi, const Vec3& velocity) {
+    t.push_back(time);
+    h.push_back(length);
+    guard.push_back(of);
+    point.push_back(feature);
+    mode.push_back(what);
+    step.push_back(at_step);
+    gap.push_back(phi);
+    for (auto [list, value] : {std::pair(&position, &x), std::pair(&normal, &n), std::pair(&start, &first),
+                               std::pair(&end, &second), std::pair(&slip, &velocity)})
+      list->insert(list->end(), value->data(), value->data() + 3);
+  }
+  void cut(std::size_t rows) {
+    for (auto* list : {&t, &h, &gap}) list->resize(rows);
+    for (auto* list : {&position, &normal, &start, &end, &slip}) list->resize(3 * rows);
+    guard.resize(rows);
+    mode.resize(rows);
+    point.resize(rows);
+    step.resize(rows);
+  }
+};
+
+// Beginnings, ends and changes of held contacts.
+enum class Change : int {
+  kBegin = 0,
+  kRelease = 1,
+  kStick = 2,
+  kSlip = 3,
+  kBouncingEnds = 4,  // accumulating impacts were taken for plastic; value: when they would have ended [s]
+  kInconsistent = 5,  // Painleve's paradox; value: A
+};
+struct ChangeRecord {
+  double time;
+  int guard;
+  std::int64_t point;
+  Change change;
+  double value;
+};
+
+struct Recording {
+  std::vector<double> t, q, p;  // row-major (N, nq), (N, nv)
+  // Per node: work since reset [J], four kinds (Simulator::Work); mean forces of the constraints since the node before.
+  std::vector<double> work, reactions;
+  std::vector<ImpactRecord> impacts;
+  Segments segments;
+  std::vector<double> arc_t, arc_dt;  // of run_auto: start and step of each smooth arc
+  ContactRows contacts;
+  std::vector<ChangeRecord> changes;
+  // Where the kind or the length of the steps changes: from t on steps of length dt, with held contacts or without.
+  std::vector<double> phase_t, phase_dt;
+  std::vector<int> phase_held;
+
+  // How much there is, to go back to.
+  struct Mark {
+    std::size_t nodes, impacts, segments, contacts, changes, phases;
+  };
+  Mark mark() const {
+    return {t.size(), impacts.size(), segments.t.size(), contacts.t.size(), changes.size(), phase_t.size()};
+  }
+  void cut(const Mark& mark) {
+    const std::size_t nodes = t.size() > 0 ? t.size() : 1;
+    const std::size_t nq = q.size() / nodes, nv = p.size() / nodes, rows = reactions.size() / nodes;
+    const std::size_t count = segments.t.size(), rates = count == 0 ? 0 : segments.rates.size() / count;
+    t.resize(mark.nodes);
+    q.resize(mark.nodes * nq);
+    p.resize(mark.nodes * nv);
+    work.resize(mark.nodes * work.size() / nodes);
+    reactions.resize(mark.nodes * rows);
+    impacts.resize(mark.impacts);
+    segments.t.resize(mark.segments);
+    segments.h.resize(mark.segments);
+    segments.q.resize(mark.segments * nq);
+    segments.p.resize(mark.segments * nv);
+    segments.p1.resize(mark.segments * nv);
+    segments.rates.resize(mark.segments * rates);
+    segments.held.resize(mark.segments);
+    contacts.cut(mark.contacts);
+    changes.resize(mark.changes);
+    phase_t.resize(mark.phases);
+    phase_dt.resize(mark.phases);
+    phase_held.resize(mark.phases);
+  }
+};
+
+}  // namespace contactvi

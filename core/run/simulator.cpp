@@ -1,0 +1,367 @@
+#include "run/simulator.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "step/energy.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kSeparated = 1e-13;  // of the event's speeds: closing slower than this is rounding
+constexpr double kShortest = 1e-6;    // of a step: halving ends there,
+constexpr int kMostHalvings = 4000;   // and after so many in one step
+constexpr int kEasySteps = 4;         // short steps in a row before a longer one is tried
+constexpr double kFlights = 20.0;     // a free step after a flight shorter than dt by so much again is so many flights,
+constexpr double kGrowth = 8.0;       // and grows by this while nothing happens
+constexpr int kCtec = 0, kDtec = 1, kMhc = 2;
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+}  // namespace
+
+Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
+    : scene_(&scene),
+      options_(options),
+      integrator_(scene.tree, options.stages, options.tol, options.max_iterations),
+      guards_(scene, options.contact_points),
+      finder_(scene, integrator_, guards_),
+      path_(scene.tree, options.stages),
+      q_(VecX::Zero(scene.tree.nq)),
+      p_(VecX::Zero(scene.tree.nv)),
+      q1_(scene.tree.nq),
+      p1_(scene.tree.nv),
+      v_(scene.tree.nv),
+      rates_(scene.tree.nv, options.stages),
+      bouncing_(scene.guard_count()),
+      held_(scene, guards_, guards_.manifolds(), options.tol),
+      held_path_(scene.tree, 1),
+      sequence_(scene, integrator_, guards_,
+                {options.impact, options.mhc_global, options.dt, options.stiff_support, options.max_impacts_per_step,
+                 options.record_contacts}),
+      plastic_(scene.guard_count(), 0) {
+  const Elements& e = scene.tree.elements;
+  dissipative_ = scene.tree.has_damping || !e.dry_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
+  for (const PathSpring& spring : e.path_springs) dissipative_ |= spring.damping > 0.0;
+  accounts_ = dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0;
+  if (options.impact < kCtec || options.impact > kMhc) throw Error("unknown impact map");
+}
+
+bool Simulator::end(StatusCode code, double time, std::string message, int guard) {
+  status_ = {code, std::move(message), time, guard, kNaN, kNaN};
+  return false;
+}
+
+Status Simulator::reset(const VecX& q, const VecX& v, double t) {
+  status_ = {StatusCode::kSuccess, "", t, -1, kNaN, kNaN};
+  q_ = q;
+  v_ = v;
+  t0_ = time_ = t;
+  step_ = halved_ = rejected_ = 0;
+  sequence_.impacts = 0;
+  speed_scale_ = 0.0;
+  target_step_ = -1;
+  trial_ = options_.dt;
+  easy_ = held_easy_ = without_progress_ = 0;
+  held_trial_ = contact_step();
+  held_seconds_ = kinetic_ = 0.0;
+  held_.contacts().clear();
+  held_.restart();
+  work_ = Work();
+  reactions_.setZero(scene_->tree.elements.constraint_rows);
+  mean_reactions_ = sequence_.constraint_impulses = reactions_;
+  sequence_.drive_work = 0.0;
+  node_time_ = t;
+  saturated_ = 0;
+  *scene_->tree.elements.failed = false;
+  servo_.any = false;
+  integrator_.set_time(t);
+  integrator_.set_servo(&servo_);
+  held_.set_time(t);
+  held_.set_servo(&servo_);
+  held_.set_nominal(options_.dt);
+  sequence_.time = t;
+  left_.clear();
+  begun_.clear();
+  flight_trial_ = 0.0;
+  held_.counters = HeldCounters();
+  sync_held();
+  arc_h_ = options_.dt;
+  integrator_.counters = StepCounters();
+  integrator_.forget();
+  guards_.counters = GuardCounters();
+  guards_.unmark_all();
+  bouncing_.assign(bouncing_.size(), Bouncing());
+  if (!q.allFinite() || !v.allFinite()) {
+    end(StatusCode::kNotFinite, t, "the start state is not finite");
+    return status_;
+  }
+  integrator_.dynamics(q_, v_, p_, p1_);
+  if (options_.impact == kMhc) sequence_.target = modified_hamiltonian(integrator_, q_, p_, options_.dt);
+  guards_.place(q_);
+  for (int g = 0; g < guards_.count(); ++g) {
+    Contact contact;
+    const double gap = guards_.evaluate(g, contact), tolerance = guards_.touch_tolerance(g);
+    finder_.set_touching(g, gap <= tolerance);
+    if (!(gap >= -tolerance)) {
+      end(StatusCode::kPenetration, t, "the start state is in penetration", g);
+      status_.depth = -gap;
+      return status_;
+    }
+  }
+  if (holds()) hold_at_start();
+  return status_;
+}
+
+void Simulator::record_node(double t, Recording& recording) {
+  recording.t.push_back(t);
+  recording.q.insert(recording.q.end(), q_.data(), q_.data() + q_.size());
+  recording.p.insert(recording.p.end(), p_.data(), p_.data() + p_.size());
+  if (!accounts_) return;
+  recording.work.insert(recording.work.end(), {work_.input, work_.damping, work_.dry, work_.drive});
+  if (t > node_time_) {
+    mean_reactions_ = reactions_ / (t - node_time_);
+    reactions_.setZero();
+    node_time_ = t;
+  }
+  recording.reactions.insert(recording.reactions.end(), mean_reactions_.data(),
+                             mean_reactions_.data() + mean_reactions_.size());
+}
+
+// The step of length h from (q_, p_) whose rates are in rates_.
+void Simulator::record_segment(double t, double h, const VecX& p1, Recording& recording) {
+  if (!options_.dense) return;
+  Segments& s = recording.segments;
+  s.t.push_back(t);
+  s.h.push_back(h);
+  s.q.insert(s.q.end(), q_.data(), q_.data() + q_.size());
+  s.p.insert(s.p.end(), p_.data(), p_.data() + p_.size());
+  s.p1.insert(s.p1.end(), p1.data(), p1.data() + p1.size());
+  s.rates.insert(s.rates.end(), rates_.data(), rates_.data() + rates_.size());
+  s.held.push_back(0.0);
+}
+
+// True unless the caller asks to stop.
+bool Simulator::report(double time) {
+  using Clock = std::chrono::steady_clock;
+  if (!*progress_ || Clock::now() - reported_ < std::chrono::milliseconds(100)) return true;
+  reported_ = Clock::now();
+  return (*progress_)(time, sequence_.impacts) || end(StatusCode::kInterrupted, time, "interrupted");
+}
+
+Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
+                          Recording& recording) {
+  status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
+  VecX force;
+  accounts_ |= tau.rows() > 0;
+  if (recording.t.empty()) record_node(time_, recording);
+  recording.changes.insert(recording.changes.end(), begun_.begin(), begun_.end());
+  begun_.clear();
+  reported_ = std::chrono::steady_clock::now();
+  progress_ = &progress;
+  for (long k = 0; k < steps; ++k) {
+    if (tau.rows() > 0) force = tau.row(k).transpose();
+    set_drive(force, target, k);
+    if (!interval(t0_ + static_cast<double>(step_) * options_.dt, options_.dt, force_, recording)) {
+      // The run ends inside of a step: its last node is the state there.
+      if (status_.code != StatusCode::kNotFinite && status_.time > recording.t.back())
+        record_node(status_.time, recording);
+      return status_;
+    }
+    ++step_;
+    time_ = t0_ + static_cast<double>(step_) * options_.dt;
+    if (step_ % record_every == 0 || k + 1 == steps) record_node(time_, recording);
+    if (k % 64 == 63 && !report(time_)) return status_;
+  }
+  status_.time = time_;
+  return status_;
+}
+
+// A step of length h did not work out: shorter from here on.
+void Simulator::halve(double h) {
+  trial_ = 0.5 * h;
+  easy_ = 0;
+  ++halved_;
+}
+
+// Smooth step of length h from (q_, p_) into (q1_, p1_); false also when it has to be tried shorter.
+bool Simulator::smooth_step(double time, double h, const VecX& tau, bool last_try) {
+  bool solved = integrator_.solve(q_, p_, h, tau);
+  while (solved && exceeds_effort(integrator_)) {
+    integrator_.forget();
+    solved = integrator_.solve(q_, p_, h, tau);
+  }
+  if (!solved) {
+    if (user_failed(time)) return false;
+    if (!last_try) return false;
+    const bool finite = q_.allFinite() && p_.allFinite();
+    return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, time,
+               std::string("the discrete Euler-Lagrange equation was not solved: ") + integrator_.why());
+  }
+  truncation_ = std::max(truncation_, level_ > 0.0 ? integrator_.truncation() : 0.0);
+  integrator_.finish(q1_, p1_);
+  if (guards_.count() > 0 || options_.dense) rates_ = integrator_.rates();
+  integrator_.accept();
+  return true;
+}
+
+bool Simulator::search_failed(Search outcome, double time) {
+  if (outcome == Search::kNewtonFailed)
+    return end(StatusCode::kNewtonFailed, time,
+               std::string("a partial step to an event was not solved: ") + integrator_.why(), finder_.failed_guard());
+  end(StatusCode::kEventUnresolved, time, "a guard crossed zero and its root was not found", finder_.failed_guard());
+  status_.depth = -finder_.failed_gap();
+  return false;
+}
+
+// From start over length: steps as long as they can be, and what the events in them ask for.
+bool Simulator::interval(double start, double length, const VecX& tau, Recording& recording) {
+  Piece piece{start, length, 0.0, length, tau};
+  const long halved = halved_;
+  long pieces = 0;
+  sequence_.impacts_in_step = 0;
+  sticks_located_ = 0;
+  set_reference();
+  while (piece.remaining > 0.0) {
+    if (++pieces % 64 == 0 && !report(start + piece.done)) return false;
+    if (pieces > 1) limit_drive();
+    if (!(held_.empty() ? free_piece(piece, halved, recording) : held_piece(piece, recording))) return false;
+  }
+  if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, start + length, "the state is not finite");
+  return true;
+}
+
+// One smooth step, to the end of the interval or to an event.
+bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
+  const double at = piece.start + piece.done;
+  if (!recording.phase_t.empty()) note_phase(at, level_ > 0.0 ? arc_h_ : options_.dt, false, recording);
+  const double longest = flight_trial_ > 0.0 ? std::min(trial_, flight_trial_) : trial_;
+  const bool shorter = longest < piece.remaining * (1.0 - 1e-9);
+  const double h = shorter ? longest : piece.remaining;
+  const bool last_try = level_ > 0.0 || h < kShortest * options_.dt || halved_ - halved >= kMostHalvings;
+  integrator_.set_time(at);
+  if (!smooth_step(at, h, piece.tau, last_try)) {
+    if (last_try || *scene_->tree.elements.failed) return false;
+    halve(h);
+    return true;
+  }
+  const double input = accounts_ ? integrator_.input_work() : 0.0,
+               damping = accounts_ ? integrator_.damping_loss() : 0.0;
+  Search found = Search::kNone;
+  if (guards_.count() > 0) {
+    path_.set(q_, h, rates_);
+    finder_.set_stepper(integrator_);
+    found = finder_.search(q_, p_, q1_, p1_, h, piece.tau, path_);
+  }
+  if ((found == Search::kNewtonFailed || found == Search::kUnresolved) && !last_try) {
+    integrator_.forget();  // it had taken the step
+    halve(h);
+    return true;
+  }
+  if (shorter && longest == trial_ && ++easy_ >= kEasySteps) {
+    trial_ *= 2.0;
+    easy_ = 0;
+  }
+  if (found == Search::kNone) {
+    work_.input += input;
+    work_.damping += damping;
+    flight_trial_ = kGrowth * flight_trial_ < options_.dt ? kGrowth * flight_trial_ : 0.0;
+    without_progress_ = 0;
+    record_segment(at, h, p1_, recording);
+    q_.swap(q1_);
+    p_.swap(p1_);
+    piece.done += h;
+    piece.remaining = shorter ? piece.length - piece.done : 0.0;
+    if (piece.remaining > 0.0) set_reference();  // of a step that was cut every piece counts as one
+    return true;
+  }
+  if (found != Search::kFound) return search_failed(found, at);
+  const Event& event = finder_.event();
+  const double before = event.alpha * h;
+  if (before > 0.0) {
+    work_.input += integrator_.input_work();
+    work_.damping += integrator_.damping_loss();
+  }
+  if (options_.dense && before > 0.0) rates_ = integrator_.rates();
+  if (before > 0.0) record_segment(at, before, event.p, recording);
+  integrator_.forget();
+  piece.done += before;
+  piece.remaining = event.alpha >= 1.0 && !shorter ? 0.0 : piece.length - piece.done;
+  q_ = event.q;
+  p_ = event.p;
+  if (!resolve_event(event.guard, event.persistent, {at, before, piece.remaining, piece.tau, step_}, recording))
+    return false;
+  if (before <= 0.0 && hit_.empty()) {
+    if (++without_progress_ > kMaxWithoutProgress)
+      return end(StatusCode::kTooManyImpacts, at, "contacts open and close without end at one instant", event.guard);
+    step_past(event.guard);
+  }
+  // A path over the whole step would be too coarse to see the next flight.
+  const double flight = shortest_flight();
+  flight_trial_ =
+      options_.impact == kCtec && flight > 0.0 && kFlights * kFlights * flight < options_.dt ? kFlights * flight : 0.0;
+  // An implicit map has chosen its impulse for the rest of the step in one piece.
+  if (options_.impact != kCtec && !hit_.empty()) trial_ = std::max(trial_, piece.remaining);
+  return true;
+}
+
+// MHC's local reference is the state at the start of the step.
+void Simulator::set_reference() {
+  if (options_.impact != kMhc || options_.mhc_global) return;
+  q_node_ = q_;
+  p_node_ = p_;
+  target_step_ = -1;
+}
+
+// The event of the guard `first` [at.time: start of the partial step that ends there]. persistent: it was touching.
+bool Simulator::resolve_event(int first, bool persistent, const Instant& at, Recording& recording) {
+  const double time = at.time + at.before;
+  const Instant now{time, at.before, at.after, at.tau, at.step};
+  const bool touched = finder_.touching(first), was_held = !held_.empty();
+  if (options_.impact != kCtec && held_.empty()) sequence_.target = energy_target(at.before);
+  sequence_.time = time;
+  integrator_.set_time(time);
+  held_.set_time(time);
+  if (!sequence_.collect(q_, p_, finder_.active(), first, held_.contacts()))
+    return end(sequence_.code(), time, sequence_.message());
+  const double scale = sequence_.largest_speed(p_);
+  speed_scale_ = std::max(speed_scale_, scale);
+  find_accumulating(time);
+  // A contact that has not separated but by rounding is not hit again by what rounding left of its speed.
+  const bool rounding = (persistent || touched) && scale <= kSeparated * speed_scale_;
+  const bool ran = rounding || sequence_.run(now, plastic_, p_, recording);
+  count_impacts();
+  if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
+  for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
+  if (!judge_accumulation(first, persistent || touched, time, recording)) return false;
+  bool any_hit = false;
+  for (int i = 0; i < sequence_.count(); ++i) any_hit |= sequence_.closed(i).hit;
+  // What closes again without a flight to be seen, though it separates, is held: the step decides.
+  if (holds()) hold_closed((persistent || touched) && !any_hit ? first : -1, time, at.tau, recording);
+  if (was_held && held_.empty()) reanchor();
+  return true;
+}
+
+// Value of the map's scalar before the event, losses not yet subtracted; what damping and inputs have done since the
+// scalar's own instant (the middle of the partial step, or the node) is added, so that the impact does not give it
+// back.
+double Simulator::energy_target(double before) {
+  // The integrator still holds the partial step to the event.
+  const double work = before > 0.0 ? integrator_.work() : 0.0;
+  if (options_.impact == kDtec) {
+    if (before > 0.0) return integrator_.discrete_energy() + work - integrator_.mean_work();
+    const Energy now = energy(integrator_, q_, p_);
+    return now.kinetic + now.potential;
+  }
+  if (options_.mhc_global || target_step_ == step_) return sequence_.target + work;
+  target_step_ = step_;
+  return modified_hamiltonian(integrator_, q_node_, p_node_, options_.dt) + work;
+}
+
+// A carried reference is that of the motion without held contacts: it begins anew where the last one has left.
+void Simulator::reanchor() {
+  set_reference();
+  if (options_.impact == kMhc && options_.mhc_global)
+    sequence_.target = modified_hamiltonian(integrator_, q_, p_, options_.dt);
+}
+
+}  // namespace contactvi

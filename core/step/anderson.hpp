@@ -1,0 +1,33 @@
+// Anderson acceleration of sweeps that contract slowly (Walker, Ni, "Anderson acceleration for fixed-point
+// iterations", SIAM J. Numer. Anal. 49, 2011), in the energy norm: a correction f and its residual r = M f have <f,
+// g> = f^T M g.
+#pragma once
+
+#include <vector>
+
+#include "step/stages.hpp"
+
+namespace contactvi {
+
+class Acceleration {
+ public:
+  Acceleration(int nv, const Stages& stages);
+  void clear() { count_ = 0; }
+  // After a sweep: v holds the corrected velocities, which are replaced by the accelerated ones.
+  void apply(Stages& stages);
+
+ private:
+  static constexpr int kDepth = 8;
+  struct Sweep {
+    AlignedArray v, f, r;  // the newest as they are, older ones as differences to their successors
+  };
+  void push(const Stages& stages);
+  int weigh(int columns, double* gamma) const;
+  double dot(const AlignedArray& a, const AlignedArray& b) const;
+
+  int nv_, s_, S_;
+  std::vector<Sweep> sweeps_;  // newest first; empty until first used
+  int count_ = 0;
+};
+
+}  // namespace contactvi

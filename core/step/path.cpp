@@ -1,0 +1,144 @@
+#include "step/path.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace contactvi {
+
+namespace {
+
+constexpr double kChartEnd = 36.0;  // [rad^2] of rotation: J^-1 is singular at 2 pi
+constexpr double kSafety = 0.25;    // of what raising corrects, for what it leaves; more, as far as 1,
+constexpr double kCoarse = 10.0;    // where that is much of the motion
+
+template <class Function>
+void for_spherical(const Tree& tree, Function&& function) {
+  for (const Joint& joint : tree.joints)
+    if (joint.type == JointType::kSpherical) function(joint.iv);
+}
+
+}  // namespace
+
+void add_size(const Tree& tree, const VecCRef& v, double factor, VecRef sum) {
+  sum += factor * v.cwiseAbs();
+  for_spherical(tree, [&](int iv) {
+    const Vec3 x = v.segment<3>(iv);
+    sum.segment<3>(iv) += factor * (Vec3::Constant(x.norm()) - x.cwiseAbs());
+  });
+}
+
+StepPath::StepPath(const Tree& tree, int stages)
+    : tree_(&tree),
+      stages_(stages),
+      count_(stages),
+      q0_(VecX::Zero(tree.nq)),
+      coef_(MatX::Zero(tree.nv, stages + 2)),
+      X_(tree.nv),
+      rate_(tree.nv) {}
+
+void StepPath::set(const VecCRef& q0, double h, const Eigen::Ref<const MatX>& rates) {
+  q0_ = q0;
+  h_ = h;
+  raised_ = false;
+  count_ = stages_;
+  const GaussTable& table = gauss_table(stages_);
+  for (int k = 0; k < stages_; ++k) {
+    coef_.col(k) = table.to_legendre[k][0] * rates.col(0);
+    for (int j = 1; j < stages_; ++j) coef_.col(k) += table.to_legendre[k][j] * rates.col(j);
+  }
+}
+
+void StepPath::raise(const VecCRef& v0, const VecCRef& v1) {
+  if (raised_) return;
+  // What is missing in X' at the ends, J(X(1))^-1 v1 being the rate there; J(0) = 1.
+  auto missing0 = coef_.col(stages_), missing1 = coef_.col(stages_ + 1);
+  chart_rate(0.0, X_);
+  missing0 = v0 - X_;
+  chart_rate(1.0, X_);
+  missing1 = -X_;
+  displacement(1.0, X_);
+  rate_ = v1;
+  for_spherical(*tree_, [&](int iv) {
+    const Vec3 xi = X_.segment<3>(iv), v = v1.segment<3>(iv);
+    const double angle2 = xi.squaredNorm();
+    if (angle2 < kChartEnd) {
+      rate_.segment<3>(iv) = so3_apply(xi, 0.5, so3_coefficients(angle2).inv_t, v);
+    } else {
+      rate_.segment<3>(iv) = -missing1.segment<3>(iv);
+      missing0.segment<3>(iv).setZero();
+    }
+  });
+  missing1 += rate_;
+  // P_s(x)(a + b x) is a + b at x = 1 and (-1)^s (a - b) at -1; x P_s = ((s+1) P_{s+1} + s P_{s-1}) / (2s+1).
+  const double sign = stages_ % 2 == 0 ? 1.0 : -1.0, s = stages_;
+  X_ = 0.5 * (missing1 + sign * missing0);     // a
+  rate_ = 0.5 * (missing1 - sign * missing0);  // b
+  coef_.col(stages_) = X_;
+  if (stages_ == 1) {
+    coef_.col(2) = rate_;  // P_2 instead of x P_1: the mean, and so X(1), stays as it is
+  } else {
+    coef_.col(stages_ + 1) = ((s + 1) / (2 * s + 1)) * rate_;
+    coef_.col(stages_ - 1) += (s / (2 * s + 1)) * rate_;
+  }
+  count_ = stages_ + 2;
+  raised_ = true;
+}
+
+void StepPath::raise_by_half_step(const VecCRef& v0, const VecCRef& half_rate) {
+  if (raised_) return;
+  // X(tau) = tau h w(tau), w quadratic through v0, the half step's rate and the whole step's.
+  coef_.col(2) = v0 + coef_.col(0) - 2.0 * half_rate;
+  coef_.col(1) = coef_.col(0) - v0 + coef_.col(2);
+  count_ = 3;
+  raised_ = true;
+}
+
+void StepPath::displacement(double tau, VecRef X) const {
+  double I[kMaxStages + 2];
+  legendre_integrals(tau, count_, I);
+  X = (h_ * I[0]) * coef_.col(0);
+  for (int k = 1; k < count_; ++k) X += (h_ * I[k]) * coef_.col(k);
+}
+
+void StepPath::chart_rate(double tau, VecRef rate) const {
+  double P[kMaxStages + 2];
+  legendre(2.0 * tau - 1.0, count_, P);
+  rate = coef_.col(0);
+  for (int k = 1; k < count_; ++k) rate += P[k] * coef_.col(k);
+}
+
+void StepPath::configuration(double tau, VecRef q) const {
+  displacement(tau, X_);
+  integrate(*tree_, q0_, X_, 1.0, q);
+}
+
+void StepPath::velocity(double tau, VecRef v) const {
+  displacement(tau, X_);
+  chart_rate(tau, v);
+  for_spherical(*tree_, [&](int iv) {
+    const Vec3 xi = X_.segment<3>(iv), rate = v.segment<3>(iv);
+    const So3Coefficients c = so3_coefficients(xi.squaredNorm());
+    v.segment<3>(iv) = so3_apply(xi, -c.cos_t, c.cub_t, rate);
+  });
+}
+
+void StepPath::bound(VecRef bound) const {
+  bound.setZero();
+  for (int k = 0; k < count_; ++k) add_size(*tree_, coef_.col(k), 1.0, bound);
+}
+
+void StepPath::doubt(VecRef doubt) const {
+  doubt.setZero();
+  if (raised_) {
+    const double motion = coef_.leftCols(stages_).norm(), share = coef_.col(stages_).norm() / std::max(motion, 1e-300);
+    const double safety = stages_ == 1 ? kSafety : std::min(1.0, kSafety + kCoarse * share);
+    // One stage: the linear part is the acceleration, known from both ends.
+    if (stages_ > 1) add_size(*tree_, coef_.col(stages_), safety, doubt);
+    add_size(*tree_, coef_.col(stages_ + 1), 2.0 * safety, doubt);
+    return;
+  }
+  add_size(*tree_, coef_.col(stages_ - 1), 1.0, doubt);
+  if (stages_ > 1) add_size(*tree_, coef_.col(stages_ - 2), kSafety, doubt);  // parity may make the last one vanish
+}
+
+}  // namespace contactvi

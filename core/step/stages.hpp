@@ -1,0 +1,114 @@
+// The stage equations of one step and their arrays: what the kernel needs besides the tree, forces included.
+//
+// All stages of a Galerkin-Gauss step (Hairer, Lubich, Wanner, Geometric Numerical Integration, VI.6.2 and IX) on the
+// configuration group; the equations are in lanes/lane_sweep.hpp. s = 1 is the midpoint rule.
+#pragma once
+
+#include <limits>
+#include <utility>
+
+#include "base/aligned_array.hpp"
+#include "base/gauss.hpp"
+#include "model/flat_model.hpp"
+#include "model/forces.hpp"
+
+namespace contactvi {
+
+// What pushes the joints during one control step, besides the generalized force: one-dof joints follow references,
+// torque kp (q_ref - q) + kd (v_ref - v) + feed.
+struct Servo {
+  bool any = false;
+  VecX kp, kd, q_ref, v_ref, feed;  // nv
+};
+
+class Stages {
+ public:
+  Stages(const Tree& tree, const FlatModel& model, int stages);
+  Stages(const Stages&) = delete;
+  Stages& operator=(const Stages&) = delete;
+
+  int count() const { return work_.s; }
+  int padded() const { return work_.S; }
+  const GaussTable& table() const { return *table_; }
+  const LaneKernel& kernel() const { return *kernel_; }
+
+  // The step from (q0, p0) of length h; tau: generalized force in public coordinates, shape (nv,) or empty.
+  void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  // Of the steps that begin from now on: time of their start [s]; null: no servo.
+  void set_time(double t) { t0_ = t; }
+  void set_servo(const Servo* servo);
+  double time(int i) const { return t0_ + table_->c[i] * work_.h; }
+  const Servo* servo() const { return servo_; }
+  ForceField& field() { return field_; }
+  const ForceField& field() const { return field_; }
+  // By which damping and stiffness enter the matrix of stage i: [s], [s^2].
+  std::pair<double, double> shares(int i) const;
+  // The same step from another momentum.
+  void start_from(const VecCRef& p0);
+  // Only the configuration, for what is asked of a single state.
+  void at(const VecCRef& q0);
+
+  void sweep(int flags) { kernel_->sweep(&model_->lanes, &work_, flags); }
+  void evaluate() { kernel_->evaluate(&model_->lanes, &work_); }
+  void place() { kernel_->place(&model_->lanes, &work_); }
+  void factor() { kernel_->factor(&model_->lanes, &work_); }
+  void solve() { kernel_->solve(&model_->lanes, &work_); }
+  void rates() { kernel_->rates(&model_->lanes, &work_); }
+
+  // [dof * padded() + stage]
+  double* X() { return X_; }
+  double* v() { return v_; }
+  double* rate() { return work_.rate; }
+  double* P() { return P_; }
+  const double* P() const { return P_; }
+  const double* G() const { return G_; }
+  double* dv() { return dv_; }
+  const double* dv() const { return dv_; }
+  const double* residual() const { return magnitude_; }  // that dv answers, after a sweep
+  const double* v() const { return v_; }
+  const double* X() const { return X_; }
+  // Per stage: r . dv, P . v, energy of the kick of the single forces.
+  double error(int i) const { return per_stage_[i]; }
+  double kinetic(int i) const { return per_stage_[work_.S + i]; }
+  double floor(int i) const { return per_stage_[2 * work_.S + i]; }
+  void set_error(int i, double value) { per_stage_[i] = value; }
+
+  // h sum_j b_j x_j of a stage array.
+  double sum(const double* array, int dof) const;
+  // Momentum of the ball at joint at the end of the step.
+  Vec3 ball_end(const Joint& joint, const VecCRef& p0);
+  // Powers at stage i [W]: of inputs, servos and wrenches; taken by damping.
+  double servo_torque(int d, int i) const;
+  double input_power(int i) const;
+  double dissipation(int i) const;
+  // Configuration at stage i.
+  void configuration(const VecCRef& q0, int i, VecRef q);
+
+ private:
+  void allocate();
+  void set_base(const VecCRef& q0);
+  void set_step(double h);
+  void set_forces(const VecCRef& q0, const VecX& tau);
+  static void add_extra(void* self);
+  void add_split_inputs();
+  void add_ball_springs();
+  void add_elements();
+
+  const Tree* tree_;
+  const FlatModel* model_;
+  const GaussTable* table_;
+  const LaneKernel* kernel_;
+  LaneWork work_;
+  AlignedArray memory_;  // all arrays below
+  double *X_, *v_, *rate_, *P_, *G_, *Y_, *px_, *dv_, *magnitude_, *diagonal_, *applied_, *storage_, *slots_;
+  double *per_stage_, *hA_, *he_, *hb_, *base_, *ball_base_, *p0_, *stiffness_, *deflection_, *damping_, *input_;
+  ForceField field_;
+  const Servo* servo_ = nullptr;
+  double t0_ = 0.0;
+  VecX q0_, tau_, q_stage_, X_stage_, v_stage_, force_, size_;
+  VecX element_input_, element_dissipation_;  // per stage
+  bool has_ball_springs_ = false, has_inputs_ = false;
+  double diagonal_h_ = std::numeric_limits<double>::quiet_NaN(), tableau_h_ = 0.0;  // h they are for; NaN: none
+};
+
+}  // namespace contactvi

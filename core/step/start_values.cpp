@@ -1,0 +1,106 @@
+#include "step/start_values.hpp"
+
+#include <algorithm>
+
+namespace contactvi {
+
+namespace {
+constexpr int kEnough = 4;  // nodes: a polynomial of degree 3 is what low orders can use
+
+// Value at x of the Lagrange polynomial of node j.
+double lagrange(const double* nodes, int count, int j, double x) {
+  double value = 1.0;
+  for (int k = 0; k < count; ++k)
+    if (k != j) value *= (x - nodes[k]) / (nodes[j] - nodes[k]);
+  return value;
+}
+
+}  // namespace
+
+StartValues::StartValues(int nv, const Stages& stages)
+    : nv_(nv), s_(stages.count()), S_(stages.padded()), smoothed_(static_cast<std::size_t>(s_) * S_) {
+  const std::size_t size = static_cast<std::size_t>(nv) * S_;
+  for (int k = 0; k < std::max(1, kEnough / s_); ++k) {
+    history_.emplace_back(size);
+    weight_.emplace_back(static_cast<std::size_t>(s_) * S_);
+  }
+}
+
+void StartValues::push(const Stages& stages, double h) {
+  std::rotate(history_.begin(), history_.end() - 1, history_.end());
+  const int kept = static_cast<int>(history_.size());  // as many steps as are used
+  for (int k = kept - 1; k > 0; --k) h_[k] = h_[k - 1];
+  std::copy(stages.v(), stages.v() + history_[0].size(), history_[0].data());
+  h_[0] = h;
+  count_ = std::min(count_ + 1, kept);
+}
+
+int StartValues::nodes_used() const { return count_; }
+
+void StartValues::weigh(double h) {
+  const int steps = nodes_used();
+  bool same = steps == weight_count_ && h == weight_h_[kSteps];
+  for (int m = 0; m < steps && same; ++m) same = h_[m] == weight_h_[m];
+  if (same) return;
+  const GaussTable& table = gauss_table(s_);
+  double nodes[kSteps * kMaxStages];
+  double end = 0.0;
+  for (int m = 0; m < steps; ++m) {
+    end -= h_[m];
+    for (int j = 0; j < s_; ++j) nodes[m * s_ + j] = end + table.c[j] * h_[m];
+    weight_h_[m] = h_[m];
+  }
+  for (int m = 0; m < steps; ++m)
+    for (int j = 0; j < s_; ++j)
+      for (int i = 0; i < S_; ++i)
+        weight_[m][j * S_ + i] = lagrange(nodes, steps * s_, m * s_ + j, table.c[std::min(i, s_ - 1)] * h);
+  weight_h_[kSteps] = h;
+  weight_count_ = steps;
+}
+
+void StartValues::extrapolate(double h, Stages& stages) {
+  weigh(h);
+  for (int m = 0; m < nodes_used(); ++m)
+    stages.kernel().combine(nv_, s_, S_, weight_[m].data(), history_[m].data(), stages.v(), m > 0);
+}
+
+void StartValues::extrapolate_smoothed(double h, Stages& stages) {
+  const GaussTable& table = gauss_table(s_);
+  const int modes = std::max(1, s_ - 2);
+  double P[kMaxStages];
+  for (int i = 0; i < S_; ++i) {
+    legendre(2.0 * (1.0 + table.c[std::min(i, s_ - 1)] * h / h_[0]) - 1.0, modes, P);
+    for (int j = 0; j < s_; ++j) {
+      double weight = 0.0;
+      for (int k = 0; k < modes; ++k) weight += P[k] * table.to_legendre[k][j];
+      smoothed_[j * S_ + i] = weight;
+    }
+  }
+  stages.kernel().combine(nv_, s_, S_, smoothed_.data(), history_[0].data(), stages.v(), false);
+}
+
+void StartValues::add_piece(const Stages& stages, double start, double length) {
+  if (ramp_.empty())
+    for (int k = 0; k < kPieces; ++k) ramp_.push_back({AlignedArray(history_[0].size()), 0.0, 0.0});
+  Piece& piece = ramp_[pieces_++];
+  std::copy(stages.v(), stages.v() + piece.v.size(), piece.v.data());
+  piece.start = start;
+  piece.length = length;
+}
+
+void StartValues::assemble(double h, Stages& stages) {
+  const GaussTable& table = gauss_table(s_);
+  for (int i = 0; i < S_; ++i) {
+    const double t = table.c[std::min(i, s_ - 1)] * h;
+    int k = 0;
+    while (k + 1 < pieces_ && t > ramp_[k + 1].start) ++k;
+    const double x = (t - ramp_[k].start) / ramp_[k].length;
+    for (int dof = 0; dof < nv_; ++dof) {
+      double value = 0.0;
+      for (int j = 0; j < s_; ++j) value += lagrange(table.c, s_, j, x) * ramp_[k].v[dof * S_ + j];
+      stages.v()[dof * S_ + i] = value;
+    }
+  }
+}
+
+}  // namespace contactvi

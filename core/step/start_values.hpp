@@ -1,0 +1,51 @@
+// Start values of the stage velocities of a step: from the polynomials of the steps before it.
+#pragma once
+
+#include <vector>
+
+#include "step/stages.hpp"
+
+namespace contactvi {
+
+class StartValues {
+ public:
+  StartValues(int nv, const Stages& stages);
+
+  // A step of length h was taken; its velocities are in stages.
+  void push(const Stages& stages, double h);
+  void forget() { count_ = 0; }
+  int count() const { return count_; }
+
+  // Continue the last steps' polynomial over the next step of length h, all of it or without its two highest modes.
+  void extrapolate(double h, Stages& stages);
+  void extrapolate_smoothed(double h, Stages& stages);
+
+  // Pieces of a ramp over one step: velocities at the stages of the whole from those of its parts.
+  void clear_pieces() { pieces_ = 0; }
+  void add_piece(const Stages& stages, double start, double length);
+  void assemble(double h, Stages& stages);
+
+ private:
+  static constexpr int kSteps = 4;   // kept at most
+  static constexpr int kPieces = 4;  // of a ramp
+  struct Piece {
+    AlignedArray v;
+    double start, length;
+  };
+  int nodes_used() const;
+  void weigh(double h);
+
+  int nv_, s_, S_;
+  std::vector<AlignedArray> history_;  // newest first
+  double h_[kSteps] = {};
+  int count_ = 0;
+  std::vector<Piece> ramp_;  // empty until first used
+  int pieces_ = 0;
+  // Weights of extrapolate for the last ratio asked.
+  std::vector<AlignedArray> weight_;
+  double weight_h_[kSteps + 1] = {};
+  int weight_count_ = 0;
+  AlignedArray smoothed_;
+};
+
+}  // namespace contactvi

@@ -1,0 +1,29 @@
+// What the search for events needs of a method that steps: parts of the step just made, each from its start.
+#pragma once
+
+#include "step/path.hpp"
+
+namespace contactvi {
+
+class Stepper {
+ public:
+  virtual ~Stepper() = default;
+  virtual int stages() const = 0;
+  // Solve the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False when
+  // it does not converge from any start; why() says it.
+  virtual bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) = 0;
+  // To rounding for the part alpha of a step whose path is known.
+  virtual bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0,
+                          const VecX& tau) = 0;
+  // End state of the step just solved.
+  virtual void finish(VecRef q1, VecRef p1) = 0;
+  // The next step starts elsewhere.
+  virtual void forget() = 0;
+  virtual const char* why() const = 0;
+  // X' at the stages of the step just solved, shape (nv, s).
+  virtual const MatX& rates() = 0;
+  // v = M(q)^-1 p. False if M is not positive.
+  virtual bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) = 0;
+};
+
+}  // namespace contactvi

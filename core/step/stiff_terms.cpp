@@ -1,0 +1,72 @@
+#include "step/stiff_terms.hpp"
+
+#include <algorithm>
+
+namespace contactvi {
+
+StiffTerms::StiffTerms(const Tree& tree, const Stages& stages)
+    : tree_(&tree), columns_(stages.field().stiff_columns()), q_(tree.nq), v_(tree.nv), x_(tree.nv) {
+  if (columns_ == 0) return;
+  at_.resize(stages.count());
+  for (Terms& terms : at_) {
+    terms.J.resize(tree.nv, columns_);
+    terms.Z.resize(tree.nv, columns_);
+    terms.C.resize(columns_, columns_);
+    terms.small.resize(columns_, columns_);
+  }
+  kept_.resize(static_cast<std::size_t>(tree.nv) * stages.padded());
+}
+
+void StiffTerms::factor(Stages& stages, const VecCRef& q0) {
+  const int S = stages.padded(), s = stages.count(), n = tree_->nv;
+  active_ = false;
+  for (int i = 0; i < s; ++i) {
+    stages.configuration(q0, i, q_);
+    for (int d = 0; d < n; ++d) v_[d] = stages.v()[d * S + i];
+    const auto [damping, stiffness] = stages.shares(i);
+    stages.field().newton_terms(stages.time(i), q_, v_, damping, stiffness, at_[i].J, at_[i].C);
+    active_ |= !at_[i].C.isZero(0) && at_[i].C.allFinite() && at_[i].J.allFinite();
+  }
+  if (!active_) return;
+  std::copy_n(stages.dv(), kept_.size(), kept_.data());
+  for (int k = 0; k < columns_; ++k) {
+    for (int d = 0; d < n; ++d)
+      for (int i = 0; i < S; ++i) stages.dv()[d * S + i] = at_[std::min(i, s - 1)].J(d, k);
+    stages.solve();
+    for (int i = 0; i < s; ++i)
+      for (int d = 0; d < n; ++d) at_[i].Z(d, k) = stages.dv()[d * S + i];
+  }
+  std::copy_n(kept_.data(), kept_.size(), stages.dv());
+  for (Terms& terms : at_) {
+    terms.small.noalias() = terms.J.transpose() * terms.Z;
+    terms.small = terms.C * terms.small;
+    terms.small.diagonal().array() += 1.0;
+    terms.lu.compute(terms.small);
+  }
+}
+
+void StiffTerms::correct(Stages& stages) {
+  if (!active_) return;
+  const int S = stages.padded(), n = tree_->nv;
+  for (int i = 0; i < stages.count(); ++i) {
+    const Terms& terms = at_[i];
+    for (int d = 0; d < n; ++d) x_[d] = stages.dv()[d * S + i];
+    const VecX change = terms.Z * terms.lu.solve(terms.C * (terms.J.transpose() * x_));
+    if (!change.allFinite()) continue;  // the sweep says it
+    double error = 0.0;
+    for (int d = 0; d < n; ++d) {
+      stages.dv()[d * S + i] -= change[d];
+      stages.v()[d * S + i] -= change[d];
+      error += stages.residual()[d * S + i] * stages.dv()[d * S + i];
+    }
+    stages.set_error(i, error);
+  }
+}
+
+void StiffTerms::correct(Eigen::Ref<MatX> X) const {
+  if (!active_) return;
+  const Terms& terms = at_.front();
+  X -= terms.Z * terms.lu.solve(terms.C * (terms.J.transpose() * X));
+}
+
+}  // namespace contactvi

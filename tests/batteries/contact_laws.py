@@ -1,0 +1,228 @@
+"""What every run with contact keeps, whatever it ended with: numbers, gaps, limits, impacts, contact rows, momentum.
+
+Energy is in batteries.energy_laws. A law returns what broke it; none of them knows how the engine came to its results.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+import contactvi as cvi
+from contactvi.trajectory.contact_ledger import free_trees
+
+Array = np.ndarray
+EXPLICIT, HELD = 0, 5  # impact map "ctec" and the fallback to it while contacts are held, as in EventLog
+STICK, LIMIT = 0, 1  # mode and kind, as in ContactLog
+# [m]: closed forms; what coal iterates on, without and with a curved surface: by how much its distances are noise
+GAP, GAP_ITERATED, GAP_CURVED = 1e-10, 1e-8, 2.5e-8
+CONE = 1e-8  # of the largest impulse of the step: its contact problem is solved to 1e-9 of its terms, at worst
+# [m]: rounding of places, some tens of that of a metre, and of the distances that coal finds by iterations
+PLACE, PLACE_ITERATED = 1e-14, 1e-11
+COMPLEMENTARITY = 1e-12  # [N s m]
+ROUND, CURVED = ("Sphere", "Capsule"), ("Cylinder",)
+
+
+@dataclass
+class Finding:
+    """A law that a run broke: by how much, and where."""
+
+    law: str
+    value: float
+    where: str
+
+    def __str__(self) -> str:
+        return f"{self.law}: {self.value:.3g} ({self.where})"
+
+
+def worst(law: str, values: Array, bound: Array | float, times: Array) -> Iterator[Finding]:
+    """The largest value over its bound, if one is; NaN is over any bound."""
+    if len(values):
+        excess = np.where(np.isnan(values), np.inf, values - bound)
+        k = int(np.argmax(excess))
+        if excess[k] > 0.0:
+            yield Finding(law, float(values[k]), f"t = {times[k]:.9g}")
+
+
+# --- numbers, places --------------------------------------------------------------------------------------------------
+def number_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
+    """No NaN in nodes, events and contact rows (no slip and no gap is known at the impacts of a limit)."""
+    log, rows = traj.events, traj.contacts
+    for name in ("t", "q", "p", "v"):
+        if not np.isfinite(getattr(traj, name)).all():
+            yield Finding("finite nodes", np.nan, name)
+    for name in ("time", "impulse", "gamma_minus", "gamma_plus", "q", "p_minus", "p_plus", "G_c", "loss"):
+        if not np.isfinite(log.array(name)).all():
+            yield Finding("finite events", np.nan, name)
+    for name in ("t", "h", "position", "normal", "start", "end", "gap", "slip"):
+        if not np.isfinite(rows.array(name)).all():
+            yield Finding("finite contact rows", np.nan, name)
+
+
+def pair_tolerances(scene: cvi.Scene) -> Array:
+    """How far each pair may overlap [m], shape (npairs,)."""
+    kind = {g.name: type(g.geometry).__name__ for g in scene.collision_model.geometryObjects}
+    bounds = []
+    for pair in scene.pair_names:
+        kinds = [kind[name] for name in pair]
+        exact = "Halfspace" in kinds or ("Sphere" in kinds and all(k in ROUND for k in kinds))
+        curved = any(k in CURVED for k in kinds) and "Sphere" not in kinds
+        bounds.append(GAP if exact else GAP_CURVED if curved else GAP_ITERATED)
+    return np.array(bounds)
+
+
+def gap_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
+    """No pair and no limit overlaps at a node."""
+    core, bound = traj.scene.core(), pair_tolerances(traj.scene)
+    if len(bound):
+        gaps = np.array([core.gaps(q)[0][: len(bound)] for q in traj.q])
+        pair = np.argmax(-gaps - bound, axis=1)
+        depth = -gaps[np.arange(len(gaps)), pair]
+        for found in worst("penetration", depth, bound[pair], traj.t):
+            found.where += f", {traj.scene.pair_names[pair[int(np.argmax(depth - bound[pair]))]]}"
+            yield found
+    model = traj.scene.model
+    for joint in model.joints[1:]:
+        low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+        if joint.nq == 1 and low < high:
+            x = traj.q[:, joint.idx_q]
+            yield from worst("beyond a limit", np.maximum(low - x, x - high), GAP, traj.t)
+
+
+# --- impacts ----------------------------------------------------------------------------------------------------------
+def event_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
+    """Impacts are in order, close, push and separate, at contact; they take what their law says and never give."""
+    log = traj.events
+    if not len(log):
+        return
+    a = log.arrays
+    times, scale = a["time"], np.abs(a["impulse"]).max()
+    if np.any(np.diff(times) < 0.0):
+        yield Finding("events in order", float(np.diff(times).min()), "")
+    yield from worst("impulse of an impact", -a["impulse"], 1e-15 * scale, times)
+    yield from worst("impact without closing", a["gamma_minus"], 0.0, times)
+    yield from worst("impact does not separate", -a["gamma_plus"], 1e-11 * (1.0 + np.abs(a["gamma_minus"])), times)
+    pairs = a["kind"] == 0
+    overlap = pair_tolerances(traj.scene)[np.where(pairs, a["index"], 0)] if pairs.any() else GAP
+    yield from worst("gap of an impact", np.abs(a["gap"]), np.where(pairs, overlap, GAP), times)
+    yield from energy_at_impacts(traj)
+
+
+def energy_at_impacts(traj: cvi.Trajectory) -> Iterator[Finding]:
+    """Of what closes at one instant, together: the impulses of a plastic problem are listed one after the other."""
+    a, core, ledger = traj.events.arrays, traj.scene.core(), traj.ledger
+    times = a["time"]
+    first = np.flatnonzero(np.append(True, np.diff(times) > 0.0))
+    last = np.append(first[1:], len(times)) - 1
+    before = core.energy(a["q"][first], a["p_minus"][first])[:, 0]
+    after = core.energy(a["q"][last], a["p_plus"][last])[:, 0]
+    # CTEC, or where another map gave way to it. DTEC and MHC conserve their own scalars, T only to O(h^2).
+    explicit = np.logical_and.reduceat((a["fallback"] != 0) | (a["method"] == EXPLICIT), first)
+    rounding = 1e-12 * before + 1e-15
+    yield from worst("impact gains energy", (after - before)[explicit], rounding[explicit], times[first][explicit])
+    yield from worst("loss < 0", -np.add.reduceat(a["loss"], first), rounding, times[first])
+    own = (a["fallback"] == 0) & (a["method"] != EXPLICIT)
+    if own.any():
+        size = np.abs(core.energy(traj.q, traj.p)).sum(axis=1).max()
+        yield from worst("jump of the map's own energy", np.abs(ledger.own_jump[own]), 1e-11 * size, times[own])
+
+
+# --- contact rows -----------------------------------------------------------------------------------------------------
+def starts(log: cvi.ContactLog) -> tuple[Array, Array]:
+    """Normals (m, 3) and gaps (m,) at the starts of the steps.
+
+    They are those of the same point at the end of the row before; NaN at its first one. Impacts have but one place.
+    """
+    normal, gap = np.full_like(log.array("normal"), np.nan), np.full(len(log), np.nan)
+    keys = [log.array(name) for name in ("kind", "index", "point")]
+    order = np.lexsort((log.h, log.t, *keys))  # an impact before the step after it
+    same = np.all([np.diff(key[order]) == 0 for key in keys], axis=0)
+    before, after = order[:-1][same], order[1:][same]
+    near = np.abs(log.end[before] - log.t[after]) <= 1e-12
+    normal[after[near]] = log.array("normal")[before[near]]
+    gap[after[near]] = log.array("gap")[before[near]]
+    impact = log.h == 0.0
+    normal[impact], gap[impact] = log.array("normal")[impact], log.array("gap")[impact]
+    return normal, gap
+
+
+def contact_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
+    """Of every row: it pushes, in contact, inside the friction cone; what is held stays, what sticks does not slip."""
+    log = traj.contacts
+    if not len(log):
+        return
+    limit, held, t = log.array("kind") == LIMIT, log.h > 0.0, log.t
+    pair = np.where(limit, 0, log.array("index"))
+    known = len(traj.scene.pair_names) > 0
+    mu = np.where(limit | (not known), 0.0, traj.scene.pair_friction[pair] if known else 0.0)
+    overlap = np.where(limit | (not known), GAP, pair_tolerances(traj.scene)[pair] if known else GAP)
+    overlap = of_the_step(log, overlap)  # a step that holds an iterated pair is as good as that pair
+    normals, gaps = starts(log)
+    sides = (("start", normals, gaps), ("end", log.array("normal"), log.array("gap")))
+    # a step's problem is solved to a part of all its impulses; places, to their rounding, make speeds over the step
+    sizes = np.maximum(*(np.linalg.norm(log.array(name), axis=1) for name in ("start", "end")))
+    place = np.where(overlap > GAP, PLACE_ITERATED, PLACE)
+    rounding = CONE * of_the_step(log, sizes) + place * mass_of(traj) / np.where(held, log.h, 1.0)
+    for name, normal, gap in sides:
+        unit = np.where(limit[:, None], [1.0, 0.0, 0.0], normal)  # a limit's impulse is its first component
+        kick = log.array(name)
+        along = np.einsum("ij,ij->i", kick, unit)
+        across = np.linalg.norm(kick - along[:, None] * unit, axis=1)
+        k = np.isfinite(along)
+        yield from worst(f"impulse pulls ({name})", -along[k], rounding[k], t[k])
+        yield from worst(f"cone ({name})", (across - mu * along)[k], rounding[k], t[k])
+        k &= held & np.isfinite(gap)
+        yield from worst(
+            f"complementarity ({name})", np.abs(along * gap)[k], np.maximum(overlap * along, COMPLEMENTARITY)[k], t[k]
+        )
+    yield from worst("gap of a held point", -log.array("gap")[held], overlap[held], t[held])
+    stuck = held & (log.array("mode") == STICK) & ~limit
+    yield from worst("slip where it sticks", np.linalg.norm(log.array("slip")[stuck], axis=1), 1e-9, t[stuck])
+
+
+def of_the_step(log: cvi.ContactLog, values: Array) -> Array:
+    """Largest of the values (m,) of all rows of the same step or instant, shape (m,)."""
+    _, step = np.unique(np.column_stack([log.t, log.h]), axis=0, return_inverse=True)
+    largest = np.zeros(len(log))
+    np.maximum.at(largest, step.reshape(-1), values)
+    return largest[step.reshape(-1)]
+
+
+def mass_of(traj: cvi.Trajectory) -> float:
+    """Of the heaviest body [kg]."""
+    return max(inertia.mass for inertia in traj.scene.model.inertias)
+
+
+# --- momentum ---------------------------------------------------------------------------------------------------------
+def momentum_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
+    """Impulses on each free body in a step = change of its momentum - weight x time, step by step."""
+    log, model = traj.contacts, traj.scene.model
+    steps = len(traj.t) - 1
+    if steps < 1:
+        return
+    rows = (log.array("kind") == 0) & (log.array("step") < steps)
+    gravity = np.array(model.gravity.linear)
+    for tree in free_trees(model, traj.scene.collision_model):
+        turns = [pin.Quaternion(q[tree.idx_q + 3 : tree.idx_q + 7]).matrix() for q in traj.q]
+        local = traj.p[:, tree.idx_v : tree.idx_v + 3]
+        momentum = np.array([turn @ x for turn, x in zip(turns, local, strict=True)])
+        pushed, size = np.zeros((steps, 3)), np.zeros(steps)
+        impulses = tree.signs[log.array("index")[rows], None] * log.impulse[rows]
+        np.add.at(pushed, log.array("step")[rows], impulses)
+        np.add.at(size, log.array("step")[rows], np.linalg.norm(impulses, axis=1))
+        weight = tree.mass * np.diff(traj.t)[:, None] * gravity
+        rest = np.linalg.norm(np.diff(momentum, axis=0) - weight - pushed, axis=1)
+        # what a step is solved to (1e-12, relative), of the momentum and of all that is summed
+        bound = 1e-11 * (np.abs(momentum).max() + size + tree.mass * 1e-3)
+        yield from worst(f"momentum (v index {tree.idx_v})", rest, bound, traj.t[1:])
+
+
+def broken(traj: cvi.Trajectory) -> list[Finding]:
+    """All laws but those of energy over steps; NaN hides what comes after it."""
+    found = list(number_laws(traj))
+    if not found:
+        found = [*gap_laws(traj), *event_laws(traj), *contact_laws(traj), *momentum_laws(traj)]
+    return found

@@ -1,0 +1,97 @@
+"""Runs of the battery with forces, in a process of their own as in batteries.runner, and runs made twice.
+
+As a program: requests and answers as in runner.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+import contactvi as cvi
+from batteries import force_laws, force_scenes, runner
+from batteries.runner import Report
+
+SLOW = 2e-2  # [s] of a step, in the mean; twenty times what is usual for steps with impacts in them
+
+
+def expected(drawn: force_scenes.Drawn, traj: cvi.Trajectory) -> bool:
+    """Whether a run may end like this: DTEC has no answer where impacts accumulate, a drive none where it jams."""
+    code = traj.status.code.name
+    jammed = force_laws.jams(traj, drawn.built) or (drawn.built.driven and code == "CONSTRAINT")
+    return code in runner.ENDINGS[drawn.options["impact"]] or jammed
+
+
+def examine(family: str, seed: int, **chosen: Any) -> Report:
+    """Run one drawn scene and hold it to all laws."""
+    drawn = force_scenes.draw(family, seed, **chosen)
+    start = time.perf_counter()
+    traj = cvi.simulate(drawn.built.scene, drawn.q, drawn.v, throw=False, **drawn.options)
+    found = [str(f) for f in force_laws.broken(traj, drawn.built)]
+    if not expected(drawn, traj):
+        found.insert(0, str(traj.status))
+    seconds, stats = time.perf_counter() - start, traj.stats
+    if stats.seconds > SLOW * (stats.steps + 1):
+        found.append(f"slow: {1e3 * stats.seconds / (stats.steps + 1):.3g} ms a step")
+    return Report(
+        str(drawn), traj.status.code.name, found, traj.status.time, len(traj.events), stats.held_steps, seconds
+    )
+
+
+def balance(family: str, seed: int, dt: float, **chosen: Any) -> float | None:
+    """What of the energy of a run of .2 s is not accounted for, relative; None where it did not come to its end."""
+    drawn = force_scenes.draw(family, seed, 0.2, dt=dt, impact="ctec", order=2, **chosen)
+    traj = cvi.simulate(drawn.built.scene, drawn.q, drawn.v, throw=False, **drawn.options)
+    if not traj.status.ok:
+        return None
+    return float(np.abs(traj.ledger.energy_balance).max()) / force_laws.energy_scale(traj)
+
+
+def arrays(simulator: cvi.Simulator) -> list[np.ndarray]:
+    """All that a run recorded."""
+    traj = simulator.trajectory()
+    forces = [] if traj.forces is None else [traj.forces.values, traj.forces.reactions]
+    logs = [*traj.events.arrays.values(), *traj.contacts.arrays.values(), *traj.contact_changes.arrays.values()]
+    return [traj.t, traj.q, traj.p, *forces, *logs]
+
+
+def made_again(family: str, seed: int) -> list[str]:
+    """Which of a second run, one from a snapshot, one of a copy, and `simulate` differ from a run by a bit."""
+    drawn = force_scenes.draw(family, seed, 0.12)
+    options = dict(drawn.options)
+    steps = round(options.pop("duration") / options["dt"])
+    first, second = (cvi.Simulator(drawn.built.scene, **options) for _ in range(2))
+    for simulator in (first, second):
+        simulator.reset(drawn.q, drawn.v)
+    step(first, steps // 2 + 1)
+    if not first.status or not first.status.ok:
+        return []
+    snapshot, twin, rest = first.save(), first.copy(), steps - steps // 2 - 1
+    step(first, rest)
+    step(twin, rest)
+    step(second, steps)
+    wanted = arrays(first)
+    first.load(snapshot)
+    step(first, rest)
+    whole = cvi.simulate(drawn.built.scene, drawn.q, drawn.v, steps * options["dt"], throw=False, **options)
+    runs = {"snapshot": arrays(first), "copy": arrays(twin), "second run": arrays(second)}
+    found = [name for name, got in runs.items() if not all(map(equal, got, wanted))]
+    return found + ["simulate"] * (not equal(whole.q, wanted[1]))
+
+
+def step(simulator: cvi.Simulator, steps: int) -> None:
+    """Step until the run ends."""
+    for _ in range(steps):
+        if not simulator.step().ok:
+            return
+
+
+def equal(one: np.ndarray, two: np.ndarray) -> bool:
+    """To the bit; NaN is NaN."""
+    return np.array_equal(one, two, equal_nan=one.dtype.kind == "f")
+
+
+if __name__ == "__main__":
+    runner.main(examine)

@@ -1,0 +1,208 @@
+"""The command line: what it writes, prints and returns."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import contactvi as cvi
+from contactvi.progress import RunProgress, describe
+from helpers.run_scenes import HAND_URDF, ball_file
+
+OK, WRONG_INPUT, ENDED_EARLY = 0, 2, 3
+
+
+# -- run --------------------------------------------------------------------------------------------------------------
+
+
+def test_run_writes_everything(command, tmp_path):
+    result = command("run", ball_file(tmp_path), "-o", "out")
+    assert result.exit_code == OK
+    assert sorted(path.name for path in Path("out").iterdir()) == ["energy.png", "playback.html", "trajectory.npz"]
+    texts = ("SUCCESS", "1 s simulated in 100 steps", "order 2, dt = 0.01 s", "impacts   1", "x real time")
+    for text in (*texts, "out/trajectory.npz"):
+        assert text in result.stdout
+    traj = cvi.Trajectory.load("out/trajectory.npz")
+    assert traj.status.ok
+    assert len(traj) == 101
+    assert "<title>ball</title>" in Path("out/playback.html").read_text()
+    assert Path("out/energy.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_run_with_other_settings(command, tmp_path):
+    settings = ("--dt", 5e-3, "--duration", 0.5, "--record-every", 10, "--impact", "ctec", "--order", 2, "--tol", 1e-10)
+    result = command("run", ball_file(tmp_path), *settings, "--no-html", "--no-plot")
+    assert result.exit_code == OK
+    assert [path.name for path in Path("ball").iterdir()] == ["trajectory.npz"]  # the folder has the scene's name
+    options = cvi.Trajectory.load("ball/trajectory.npz").options
+    assert options == cvi.Options(dt=5e-3, duration=0.5, record_every=10, tol=1e-10)
+
+
+def test_run_that_ends_early(command, tmp_path):
+    result = command("run", ball_file(tmp_path, restitution=0.5, duration=3.0), "-o", "out", "--zeno", "end")
+    assert result.exit_code == ENDED_EARLY
+    assert "ended early: ZENO" in result.stderr
+    assert "'ball' and 'ground' accumulate" in result.stderr
+    assert len(list(Path("out").iterdir())) == 3
+    assert cvi.Trajectory.load("out/trajectory.npz").status.code == cvi.StatusCode.ZENO
+
+
+def test_ctrl_c_keeps_what_was_computed(tmp_path):
+    """The real program and the real signal."""
+    scene = ball_file(tmp_path, duration=1e5)
+    environment = {**os.environ, "PYTHONPATH": str(Path(cvi.__file__).parents[1])}
+    arguments = ["run", str(scene), "-o", "out", "--no-html", "--no-plot", "--record-every", "1000000"]
+    code = "from contactvi.commands.cli import app; print('ready', flush=True); app()"
+    run = subprocess.Popen(
+        [sys.executable, "-c", code, *arguments],
+        cwd=tmp_path,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # a background job of a shell hands SIGINT down ignored
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert run.stdout is not None
+    run.stdout.readline()
+    deadline = time.monotonic() + 20
+    while not (tmp_path / "out").is_dir() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(1.0)
+    run.send_signal(signal.SIGINT)
+    _, errors = run.communicate(timeout=30)
+    assert run.returncode == ENDED_EARLY, errors
+    assert "INTERRUPTED" in errors
+    assert cvi.Trajectory.load(tmp_path / "out" / "trajectory.npz").status.code == cvi.StatusCode.INTERRUPTED
+
+
+def said(result, *texts: str) -> None:
+    """The command refused its input in the form: error, expected, got, remedy; no traceback."""
+    assert result.exit_code == WRONG_INPUT
+    assert "Error:" in result.stderr
+    assert "expected:" in result.stderr
+    assert "got:" in result.stderr
+    assert "Traceback" not in result.stderr + result.stdout
+    for text in texts:
+        assert text in result.stderr
+
+
+def test_wrong_input_of_run(command, tmp_path):
+    scene = ball_file(tmp_path)
+    said(command("run", scene, "--dt", -1), "dt is not usable", "-1.0")
+    said(command("run", scene, "--impact", "mch"), "Did you mean 'mhc'", "remedy:")
+    said(command("run", scene, "--impact", "mhc", "--mhc-reference", "start"), "'local' | 'global'")
+    said(command("run", scene, "--duration", 1.0055), "whole number of steps", "Use duration=")
+    said(command("run", scene, "--fps", 0, "-o", "out"), "fps")
+    (tmp_path / "file").write_text("")
+    said(command("run", scene, "-o", "file/out"), "Cannot make the folder")
+    assert command("run", "none.toml").exit_code == WRONG_INPUT
+    scene.write_text(scene.read_text().replace("restitution", "restituton"))
+    result = command("run", scene)
+    assert result.exit_code == WRONG_INPUT
+    assert "'restitution'" in result.stderr
+
+
+def test_start_in_penetration(command, tmp_path):
+    scene = ball_file(tmp_path)
+    scene.write_text(scene.read_text().replace("1.1]", "0.05]"))
+    said(command("run", scene, "-o", "out"), "'ball' and 'ground' overlap by 0.05 m")
+    assert list(Path("out").iterdir()) == []
+
+
+# -- play -------------------------------------------------------------------------------------------------------------
+
+
+def test_play(command, tmp_path, monkeypatch):
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda url, new=0: opened.append(url) or True)
+    command("run", ball_file(tmp_path), "-o", "out", "--no-html", "--no-plot")
+    assert command("play", "out/trajectory.npz").exit_code == OK
+    assert opened == [(tmp_path / "out" / "trajectory.html").as_uri()]
+    assert "<title>out</title>" in Path("out/trajectory.html").read_text()
+    result = command("play", "out/trajectory.npz", "--no-browser", "-o", "other.html")
+    assert result.exit_code == OK
+    assert "other.html" in result.stdout
+    assert Path("other.html").is_file()
+    assert len(opened) == 1
+
+
+def test_wrong_input_of_play(command, tmp_path):
+    Path("bad.npz").write_bytes(b"no")
+    said(command("play", "bad.npz"), "Cannot read the run bad.npz")
+    said(command("play", "none.npz"), "no such file")
+
+
+# -- check ------------------------------------------------------------------------------------------------------------
+
+
+def test_check_urdf(command):
+    result = command("check", HAND_URDF)
+    assert result.exit_code == OK
+    for text in ("joint_15.0", "link_15.0", "damping", "Suspicious"):
+        assert text in result.stdout
+
+
+def test_check_scene_file(command, tmp_path):
+    result = command("check", ball_file(tmp_path))
+    assert result.exit_code == OK
+    assert "ball" in result.stdout
+    assert "ground" in result.stdout
+
+
+def test_check_mjcf(command):
+    Path("arm.xml").write_text(
+        '<mujoco><worldbody><body name="arm"><joint name="hinge" type="hinge" axis="0 1 0"/>'
+        '<geom name="rod" type="capsule" fromto="0 0 0 0 0 -1" size="0.05"/></body></worldbody></mujoco>'
+    )
+    result = command("check", "arm.xml")
+    assert result.exit_code == OK
+    assert "hinge" in result.stdout
+
+
+def test_check_prints_the_report_of_a_refused_model(command):
+    """What was found up to the refusal, then the refusal."""
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    Path("arm.urdf").write_text(
+        f'<robot name="arm"><link name="a"><inertial><mass value="-1"/>{inertia}</inertial></link></robot>'
+    )
+    result = command("check", "arm.urdf")
+    said(result, ">= 0 kg")
+    assert "Refused (this model" in result.stdout
+    assert "Findings: 1 refused" in result.stdout
+
+
+def test_wrong_input_of_check(command):
+    said(command("check", "hand.sdf"), ".urdf")
+    said(command("check", "hand"), "no ending")
+    assert command("check", "none.urdf").exit_code == WRONG_INPUT
+    Path("bad.urdf").write_text("<robot")
+    assert command("check", "bad.urdf").exit_code == WRONG_INPUT
+
+
+# -- the program ------------------------------------------------------------------------------------------------------
+
+
+def test_help_and_version(command):
+    assert f"contactvi {cvi.__version__}" in command("--version").stdout
+    text = command("--help").stdout
+    for name in ("run", "play", "check"):
+        assert name in text
+    assert "Scene file" in command("run", "--help").stdout
+    assert command("dance").exit_code == WRONG_INPUT
+
+
+def test_progress_text():
+    assert describe(0.5, 2.0, 7, 0.25) == "0.5/2 s, 2 x real time, 7 impacts, left"
+    with RunProgress(2.0) as bar:  # no terminal: nothing is drawn, nothing fails
+        bar(0.5, 7)
+        assert bar.seconds >= 0.0
+
+
+def test_progress_argument_of_simulate(tmp_path):
+    scene = cvi.load_scene(ball_file(tmp_path))
+    assert cvi.simulate(scene, progress=True).status.ok

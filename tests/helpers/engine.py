@@ -1,0 +1,57 @@
+"""The compiled engine as the tests use it, below the Python face: contactvi._core with arrays only."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+
+def buffer(thing: pin.Model | pin.GeometryModel) -> bytes:
+    """Pinocchio's own binary serialization of a model or a geometry model."""
+    stream = pin.serialization.StreamBuffer()
+    thing.saveToBinary(stream)
+    return stream.tobytes()
+
+
+def core_scene(model: pin.Model, stiffness=None, rest=None, damping=None):
+    """Engine scene of a model without geometry and limits; springs and damping as in oracles.del_step.System."""
+    from contactvi import _core
+
+    n = model.njoints
+    return _core.Scene(
+        buffer(model),
+        buffer(pin.GeometryModel()),
+        np.zeros(0),
+        np.zeros(n) if stiffness is None else np.asarray(stiffness, float),
+        pin.neutral(model) if rest is None else np.asarray(rest, float),
+        np.zeros(model.nv) if damping is None else np.asarray(damping, float),
+        np.zeros(n, dtype=bool),
+        np.ones(n),
+    )
+
+
+def _order(order: int) -> dict[str, int]:
+    return {} if order == 2 else {"order": order}  # order 2 is the default
+
+
+def stepper(scene, h: float, tau=None, tol: float = 1e-13, order: int = 2):
+    """(q0, p0) -> (q1, p1) of the engine's smooth step, in the signature of tests/helpers/laws.py."""
+
+    def step(q, p):
+        q1, p1, *_ = scene.step(q, p, h, tau, tol, **_order(order))
+        return q1, p1
+
+    return step
+
+
+def advance(scene, model: pin.Model, q, v, h: float, steps: int, every: int = 1, tau=None, tol=1e-13, order: int = 2):
+    """Nodes (t, q, p) of a run through the event loop; fails unless the status is SUCCESS."""
+    from contactvi import _core
+
+    simulator = _core.Simulator(scene, h, tol, **_order(order))
+    start = simulator.reset(q, v, 0.0)
+    assert start["code"] == 0, start["message"]
+    forces = None if tau is None else np.tile(tau, (steps, 1))
+    result = simulator.advance(steps, forces, every, None)
+    assert result["code"] == 0, result["message"]
+    return result["t"], result["q"], result["p"]

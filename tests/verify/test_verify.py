@@ -1,0 +1,181 @@
+"""`contactvi verify`: its list, single cases, exit codes, and that it can fail."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import contactvi as cvi
+from contactvi.verify import verify as verification
+from contactvi.verify.check import COMPLEMENTARITY, GAP, Case, Check, Runs, at_least, at_most, near, same
+from helpers.run_scenes import ball_scene
+
+PASSED, FAILED, WRONG_INPUT = 0, 1, 2
+FAST = ("N11", "N13", "N16", "dry-stop", "screw", "slider-crank")
+
+
+def wrong(_runs: Runs) -> list[Check]:
+    return [near("one", 1.0, 1.0, 0.0, "exact"), near("two", 2.0, 2.1, 0.05, "to fail")]
+
+
+def breaks(_runs: Runs) -> list[Check]:
+    raise ValueError("what a pity")
+
+
+def nothing(_runs: Runs) -> list[Check]:
+    return []
+
+
+def test_the_list_names_every_case_once(command):
+    result = command("verify", "--list")
+    assert result.exit_code == PASSED
+    names = [line.split()[0] for line in result.stdout.splitlines()]
+    assert names == [case.name for case in verification.CASES]
+    assert len(set(names)) == len(names) >= 40
+    for name in (
+        "B",
+        "N01",
+        "N02",
+        "N03",
+        "N06",
+        "N07",
+        "N08",
+        "N10",
+        "N11",
+        "N13",
+        "N14",
+        "N15",
+        "N16",
+        "N18",
+        "N22",
+        "N27",
+    ):
+        assert name in names
+    assert all(case.run is not None or case.excuse for case in verification.CASES)
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_one_case_by_name(command, name):
+    result = command("verify", name)
+    assert result.exit_code == PASSED, result.stdout
+    head, *rows = result.stdout.splitlines()
+    for column in verification.COLUMNS:
+        assert column in head
+    assert any(row.startswith(name) and " ok " in row for row in rows)
+    assert "FAILED" not in result.stdout
+    assert "1 of 1 cases passed" in rows[-1]
+
+
+def test_several_cases_as_json(command):
+    result = command("verify", "N13", "N26-bowl", "--json")
+    assert result.exit_code == PASSED
+    data = json.loads(result.stdout)
+    assert [entry["verdict"] for entry in data] == ["ok" if e["case"] == "N13" else "not applicable" for e in data]
+    assert {entry["case"] for entry in data} == {"N13", "N26-bowl"}
+    assert all(check["ok"] and check["reason"] for entry in data for check in entry["checks"])
+
+
+def test_unknown_names_are_refused(command):
+    result = command("verify", "N99")
+    assert result.exit_code == WRONG_INPUT
+    assert "There is no case 'N99'" in result.stderr
+
+
+@pytest.mark.parametrize("run", [wrong, breaks, nothing])
+def test_a_case_that_fails_fails_the_command(command, monkeypatch, run):
+    injected = Case("injected", "a case that fails", run)
+    monkeypatch.setattr(verification, "CASES", (*verification.CASES, injected))
+    result = command("verify", "injected")
+    assert result.exit_code == FAILED
+    assert "0 of 1 cases passed" in result.stdout
+    assert "FAILED: injected" in result.stdout
+    if run is breaks:
+        assert "ValueError: what a pity" in result.stdout
+    both = command("verify", "N16", "injected")
+    assert both.exit_code == FAILED
+    assert "1 of 2 cases passed" in both.stdout
+
+
+def test_what_is_not_applicable_is_never_green(command):
+    result = command("verify", "N26-bowl")
+    assert result.exit_code == FAILED  # nothing was measured
+    assert "0 of 0 cases passed" in result.stdout
+    row = result.stdout.splitlines()[1]
+    assert "not applicable" in row
+    assert " ok" not in row
+
+
+@pytest.mark.parametrize(
+    ("check", "ok"),
+    [
+        (near("x", 1.0, 1.05, 0.1, "r"), True),
+        (near("x", 1.0, 1.2, 0.1, "r"), False),
+        (near("x", 1.0, math.nan, 0.1, "r"), False),
+        (near("x", [1.0, 2.0], [1.0, 2.0], 0.0, "r"), True),
+        (near("x", [1.0, 2.0], [1.0], 0.1, "r"), False),
+        (near("x", [1.0], [], 0.1, "r"), False),
+        (at_most("x", 1.0, 1.0, "r"), True),
+        (at_most("x", 1.0, math.nan, "r"), False),
+        (at_most("x", 1.0, math.inf, "r"), False),
+        (at_least("x", 1.0, 0.9, "r"), False),
+        (at_least("x", 1.0, math.nan, "r"), False),
+        (same("x", 3, 3), True),
+        (same("x", 3, 4), False),
+    ],
+)
+def test_checks_can_fail(check, ok):
+    assert check.ok is ok
+
+
+def test_every_run_is_held_to_the_laws():
+    runs = Runs()
+    assert runs.laws() == []
+    scene = ball_scene(1.0)
+    runs.simulate(scene, None, None, 1.0, 0.01)
+    ended, laws = runs.laws()
+    assert ended.ok
+    assert laws.ok
+    for name, value in (
+        ("_gap", 2 * GAP),
+        ("_gap", math.nan),
+        ("_impulse", -1e-15),
+        ("_complementarity", 2 * COMPLEMENTARITY),
+    ):
+        broken = Runs()
+        broken.simulate(scene, None, None, 1.0, 0.01)
+        setattr(broken, name, value)
+        assert not broken.laws()[1].ok
+
+
+def test_a_run_that_ends_early_fails_its_case():
+    runs = Runs()
+    runs.simulate(ball_scene(0.5), None, None, 10.0, 0.01, zeno="end")
+    ended = runs.laws()[0]
+    assert not ended.ok
+    assert "ZENO" in ended.got
+
+
+def test_a_case_that_hangs_fails():
+    def hangs(runs: Runs) -> list[Check]:
+        scene = ball_scene(1.0)
+        runs.simulate(scene, None, None, 1e6, 0.01)
+        return [same("never seen", 1, 1)]
+
+    result = verification.measure(Case("hangs", "a run without end", hangs), limit=0.3)
+    assert result.verdict == "FAILED"
+    assert "takes too long" in result.checks[-1].got
+    assert result.seconds < 5.0
+
+
+def test_gaps_count_at_the_nodes():
+    """A run that starts apart and is moved into its floor afterwards is found out."""
+    traj = cvi.simulate(ball_scene(1.0), duration=1.0, dt=0.01)
+    from contactvi.verify.check import kept
+
+    assert kept(traj)[0] >= GAP
+    traj.q[50, 2] = 0.05
+    assert kept(traj)[0] == pytest.approx(-0.05, abs=1e-12)
+    assert np.isfinite(kept(traj)).all()
