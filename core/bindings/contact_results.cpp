@@ -72,23 +72,23 @@ nb::object contact_changes(const Scene& s, const std::vector<ChangeRecord>& chan
 nb::object step_phases(Recording& recording) {
   const std::size_t n = recording.phase_t.size();
   if (n == 0) return nb::none();
-  IntVec held(n);
-  for (std::size_t i = 0; i < n; ++i) held[i] = recording.phase_held[i];
+  IntVec persistent(n);
+  for (std::size_t i = 0; i < n; ++i) persistent[i] = recording.phase_persistent[i];
   nb::dict d;
   d["t"] = hand_over(std::move(recording.phase_t));
   d["dt"] = hand_over(std::move(recording.phase_dt));
-  d["held"] = held;
+  d["held"] = persistent;
   return d;
 }
 
 void add_contact_stats(const Simulator& sim, nb::dict& d) {
-  const HeldCounters& c = sim.held_counters();
+  const ContactStepCounters& c = sim.contact_counters();
   d["held_steps"] = c.steps;
-  d["contact_rounds"] = c.rounds;
+  d["contact_rounds"] = c.contact_iterations;
   d["cone_problems"] = c.problems;
   d["cone_iterations"] = c.iterations;
   d["cone_fallbacks"] = c.fallbacks;
-  d["contact_seconds"] = sim.held_seconds();
+  d["contact_seconds"] = sim.contact_seconds();
 }
 
 }  // namespace contactvi

@@ -128,16 +128,16 @@ Signal signal_of(Scene& s, const nb::object& function) {
   };
 }
 
-void set_dry_friction(Scene& s, const VecX& limits) {
+void set_joint_friction(Scene& s, const VecX& limits) {
   Elements& e = s.tree.elements;
   need(limits.size() == s.tree.nv, "expected shape (nv,)");
-  e.dry_friction = limits;
-  e.dry_dofs.clear();
+  e.joint_friction = limits;
+  e.friction_dofs.clear();
   for (int d = 0; d < s.tree.nv; ++d) {
     need(limits[d] >= 0.0, "dry friction must be >= 0");
     if (limits[d] == 0.0) continue;
     need(s.tree.joints[s.tree.dof_joint[d]].nv == 1, "dry friction is for joints with one degree of freedom");
-    e.dry_dofs.push_back(d);
+    e.friction_dofs.push_back(d);
   }
 }
 
@@ -304,7 +304,7 @@ PyType_Slot scene_slots[] = {
     {Py_tp_traverse, reinterpret_cast<void*>(&traverse)}, {Py_tp_clear, reinterpret_cast<void*>(&clear)}, {0, nullptr}};
 
 void expose_elements(nb::class_<Scene>& scene) {
-  scene.def("set_dry_friction", &set_dry_friction, "limits"_a, "Largest dry friction of each dof [N; N m], (nv,).")
+  scene.def("set_dry_friction", &set_joint_friction, "limits"_a, "Largest dry friction of each dof [N; N m], (nv,).")
       .def("add_joint_potential", &add_joint_potential, "joint"_a, "rest"_a, "coefficients"_a,
            "V = sum_k c[k] x^(k+2), x = q - rest.")
       .def("add_path_spring", &add_path_spring, "joints"_a, "points"_a, "stiffness"_a, "rest_length"_a, "damping"_a,

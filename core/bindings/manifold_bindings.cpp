@@ -92,10 +92,11 @@ nb::dict points_of_features(const Scene& s, const VecX& q, int pair, const std::
 nb::tuple rest_gap(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features, int max_points) {
   const Touch touch(s, q, pair, max_points);
   const std::vector<ContactPoint> points = points_of(touch, pair, features);
-  std::vector<const ContactPoint*> held;
-  for (const ContactPoint& p : points) held.push_back(&p);
+  std::vector<const ContactPoint*> persistent;
+  for (const ContactPoint& p : points) persistent.push_back(&p);
   Contact c{};
-  const double gap = touch.manifolds.rest(pair, touch.at, held.data(), static_cast<int>(held.size()), touch.witness, c);
+  const double gap =
+      touch.manifolds.rest(pair, touch.at, persistent.data(), static_cast<int>(persistent.size()), touch.witness, c);
   return nb::make_tuple(gap, c.gap, Vec3(c.normal), Vec3(0.5 * (c.point_a + c.point_b)));
 }
 

@@ -164,7 +164,7 @@ auto step(const Scene& s, const VecX& q, const VecX& p, double h, std::optional<
   integrator.finish(q1, p1);
   engine_to_public(s.tree, q1, p1);
   const Rows v = integrator.velocities().transpose();
-  return std::make_tuple(q1, p1, v, integrator.sweeps(), integrator.residual_norm());
+  return std::make_tuple(q1, p1, v, integrator.stage_iterations(), integrator.residual_norm());
 }
 
 auto gaps(const Scene& s, const VecX& q) {

@@ -103,7 +103,7 @@ void add_status(const Scene& s, const Status& status, nb::dict& d) {
 nb::dict stats(const Simulator& sim, double seconds) {
   nb::dict d;
   d["steps"] = sim.steps();
-  d["sweeps"] = d["iterations"] = d["residuals"] = sim.step_counters().sweeps;
+  d["sweeps"] = d["iterations"] = d["residuals"] = sim.step_counters().stage_iterations;
   d["halved"] = sim.halved();
   d["rejected"] = sim.rejected();
   d["factorizations"] = sim.step_counters().factorizations;
@@ -157,7 +157,7 @@ nb::dict segments(const Tree& tree, int stages, Segments& s) {
   d["q"] = hand_over(std::move(s.q), n, tree.nq);
   d["p"] = hand_over(std::move(s.p), n, tree.nv);
   d["p1"] = hand_over(std::move(s.p1), n, tree.nv);
-  d["held"] = hand_over(std::move(s.held));
+  d["held"] = hand_over(std::move(s.persistent));
   d["rates"] = hand_over(std::move(s.rates), n, static_cast<std::size_t>(tree.nv) * stages);
   return d;
 }
@@ -195,10 +195,10 @@ nb::dict run(Simulator& sim, nb::object progress, Run call) {
   d["segments"] = sim.options().dense ? nb::object(segments(s.tree, sim.options().stages, recording.segments))
                                       : nb::object(nb::none());
   d["arcs"] = nb::none();
-  if (!recording.arc_t.empty()) {
+  if (!recording.adaptive_t.empty()) {
     nb::dict arcs;
-    arcs["t"] = hand_over(std::move(recording.arc_t));
-    arcs["dt"] = hand_over(std::move(recording.arc_dt));
+    arcs["t"] = hand_over(std::move(recording.adaptive_t));
+    arcs["dt"] = hand_over(std::move(recording.adaptive_dt));
     d["arcs"] = arcs;
   }
   d["contacts"] = contact_rows(s, recording.contacts);

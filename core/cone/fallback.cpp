@@ -9,7 +9,7 @@ namespace contactvi {
 
 namespace {
 
-constexpr double kSweepGoal = 1e-12;   // change of a sweep, relative
+constexpr double kSeidelGoal = 1e-12;  // change of a sweep, relative
 constexpr double kLocalShift = 1e-10;  // of a singular contact's largest diagonal
 constexpr double kAdmmGoal = 1e-10;
 constexpr int kAdmmIterations = 3000, kAdaptEvery = 20;
@@ -58,10 +58,10 @@ void ConeFallback::reserve(int rows) {
   for (auto* v : {&scale_, &x_, &y_, &z_, &y_old_}) v->resize(rows);
 }
 
-void ConeFallback::sweep(const ConeProblem& problem, const NaturalMap& map, int sweeps, double* lambda) {
+void ConeFallback::gauss_seidel(const ConeProblem& problem, const NaturalMap& map, int iterations, double* lambda) {
   const int m = static_cast<int>(problem.b.size());
   Eigen::Map<VecX> all(lambda, m);
-  for (int s = 0; s < sweeps; ++s) {
+  for (int s = 0; s < iterations; ++s) {
     double change = 0.0, size = 0.0;
     int i = 0;
     for (const ConeContact& c : problem.contacts) {
@@ -83,7 +83,7 @@ void ConeFallback::sweep(const ConeProblem& problem, const NaturalMap& map, int 
       for (int k = 0; k < c.rows; ++k) lambda[c.row + k] = found[k];
       ++i;
     }
-    if (!(change > kSweepGoal * size)) return;
+    if (!(change > kSeidelGoal * size)) return;
   }
 }
 

@@ -12,7 +12,7 @@ class ConeFallback {
  public:
   void reserve(int rows);
   // Sweeps over the contacts, each solved exactly with the others fixed. lambda: start on entry, last on return.
-  void sweep(const ConeProblem& problem, const NaturalMap& map, int sweeps, double* lambda);
+  void gauss_seidel(const ConeProblem& problem, const NaturalMap& map, int iterations, double* lambda);
   // Alternating direction method of multipliers with De Saxce's correction (Carpentier, Le Lidec, Montaut, "From
   // compliant to rigid contact simulation: a unified and efficient approach", 2024), until primal and dual residual
   // are 1e-10 of their terms. lambda: start on entry, solution on return. False: not reached, lambda is the last.

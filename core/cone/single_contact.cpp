@@ -16,8 +16,8 @@ using Mat2 = Eigen::Matrix2d;
 
 constexpr double kRounding = 64.0 * std::numeric_limits<double>::epsilon();
 constexpr double kSmallestPivot = 1e-7;
-constexpr double kHeld = 1e-4;    // of the largest singular value: directions in which a contact may be held
-constexpr double kNearly = 1e-9;  // of the terms: what the rows of a singular contact may disagree by
+constexpr double kPersistent = 1e-4;  // of the largest singular value: directions in which a contact may be held
+constexpr double kNearly = 1e-9;      // of the terms: what the rows of a singular contact may disagree by
 constexpr int kSamples = 24;
 
 struct Circle {
@@ -84,7 +84,7 @@ class OneContact {
 
   bool solve() { return open() || stick() || slip() || stick_open() || slip_open(); }
   const Vec3& best() const { return best_; }
-  bool held() const { return held_; }
+  bool persistent() const { return contact_step_; }
 
  private:
   // Keeps lambda if it obeys the law better than what was found before; true if to rounding.
@@ -106,11 +106,11 @@ class OneContact {
   bool stick() {
     const Eigen::PartialPivLU<Mat3> lu(A_);
     if (lu.matrixLU().diagonal().cwiseAbs().minCoeff() > kSmallestPivot * scale_) return keep(lu.solve(-b_));
-    return stick_held();
+    return stick_persistent();
   }
   // Joints or constraints hold the contact in some direction: of the impulses that keep it at rest within the cone the
   // least, which is at the edge of the cone where the least of all is outside.
-  bool stick_held() {
+  bool stick_persistent() {
     const Eigen::JacobiSVD<Mat3> svd(A_, Eigen::ComputeFullU | Eigen::ComputeFullV);
     // As few directions as will do: what is singular but for rounding would ask for endless impulses.
     Vec3 lambda = Vec3::Zero();
@@ -123,12 +123,12 @@ class OneContact {
       const Vec3 w = b_ + A_ * lambda;
       const double size = (b_.cwiseAbs() + A_.cwiseAbs() * lambda.cwiseAbs()).maxCoeff();
       // In the rounds of a step the rows of a singular contact agree but roughly.
-      const bool last = rank < 3 && svd.singularValues()[rank] < kHeld * svd.singularValues()[0];
+      const bool last = rank < 3 && svd.singularValues()[rank] < kPersistent * svd.singularValues()[0];
       const double off = w.cwiseAbs().maxCoeff();
       if (!(off <= std::max(noise_, (last ? std::max(rough_, kNearly) : kNearly) * size)) || !in_cone(lambda)) continue;
       best_ = lambda;
       error_ = 0.0;
-      return held_ = true;
+      return contact_step_ = true;
     }
     return keep(lambda);
   }
@@ -203,7 +203,7 @@ class OneContact {
   double noise_;
   double rough_;
   double scale_;
-  bool held_ = false;
+  bool contact_step_ = false;
   double error_ = std::numeric_limits<double>::infinity();
   Vec3 best_ = Vec3::Zero();
 };
@@ -218,7 +218,7 @@ bool solve_ray(const ConeContact& c, double slope, double b_n, const Vec2& ray, 
 }  // namespace
 
 bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3& lambda, double noise, double rough,
-                       bool* held) {
+                       bool* persistent) {
   if (c.box > 0.0) {
     lambda.setZero();
     if (c.frozen || !(A(0, 0) > 0.0)) {
@@ -236,7 +236,7 @@ bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3&
   OneContact one(c, A, b, noise, rough);
   const bool solved = one.solve();
   lambda = one.best();
-  if (held != nullptr) *held = one.held();
+  if (persistent != nullptr) *persistent = one.persistent();
   return solved;
 }
 

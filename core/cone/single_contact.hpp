@@ -10,6 +10,6 @@ namespace contactvi {
 // rounding is not small beside A's smallest pivot; lambda is then the best that was found. held: something else holds
 // the contact in some direction, A is singular, and lambda is the least of the impulses that keep it at rest.
 bool solve_one_contact(const ConeContact& contact, const Mat3& A, const Vec3& b, Vec3& lambda, double noise = 0.0,
-                       double rough = 0.0, bool* held = nullptr);
+                       double rough = 0.0, bool* persistent = nullptr);
 
 }  // namespace contactvi

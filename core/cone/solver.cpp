@@ -12,7 +12,7 @@ namespace {
 
 constexpr int kIterations = 40, kIterationsPlain = 20, kIterationsWarm = 12;
 constexpr double kDisagree = 1e-3;  // residual of one contact, directly solved, that stands
-constexpr int kSweeps = 200, kFewSweeps = 30;
+constexpr int kSeidelIterations = 200, kFewIterations = 30;
 
 }  // namespace
 
@@ -32,14 +32,14 @@ bool ConeSolver::one_contact(const ConeProblem& problem, double* lambda) {
     b[k] = problem.b[k];
     for (int j = 0; j < c.rows; ++j) A(k, j) = problem.G(k, j);
   }
-  bool held = false;
-  if (!solve_one_contact(c, A, b, found, problem.noise, problem.rough, &held)) return false;
+  bool persistent = false;
+  if (!solve_one_contact(c, A, b, found, problem.noise, problem.rough, &persistent)) return false;
   std::copy_n(found.data(), c.rows, lambda);
   map_.velocity(problem, lambda, w_.data());
   map_.evaluate(problem, lambda, w_.data());
   result_.residual = map_.residual();
   // Rows that disagree have no better solution but one of endless impulses.
-  return result_.residual <= (held && problem.rough > 0.0 ? kDisagree : kConeTolerance);
+  return result_.residual <= (persistent && problem.rough > 0.0 ? kDisagree : kConeTolerance);
 }
 
 // The unique solution with the shift. A start far from it is worth little there: what redundant contacts share moves w
@@ -64,7 +64,7 @@ bool ConeSolver::plain(const ConeProblem& problem, double* lambda) {
     if (swept) {
       ++result_.fallbacks;
       std::fill_n(lambda, problem.b.size(), 0.0);
-      fallback_.sweep(problem, map_, kFewSweeps, lambda);
+      fallback_.gauss_seidel(problem, map_, kFewIterations, lambda);
     }
     if (newton_.run(problem, map_, ConeNewton::Singular::kStop, swept ? kIterations : kIterationsPlain, lambda))
       return !newton_.singular() && !map_.touching();
@@ -100,12 +100,12 @@ bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lam
   const int m = static_cast<int>(problem.b.size());
   for (bool shift : {true, false}) {
     if (shift && !regularize) continue;
-    for (bool by_sweeps : {true, false}) {
+    for (bool by_seidel : {true, false}) {
       ++result_.fallbacks;
       map_.set_shift(shift ? 1.0 : 0.0);
       std::fill_n(lambda, m, 0.0);
-      if (by_sweeps)
-        fallback_.sweep(problem, map_, kSweeps, lambda);
+      if (by_seidel)
+        fallback_.gauss_seidel(problem, map_, kSeidelIterations, lambda);
       else
         fallback_.admm(problem, map_, lambda);
       if (shift) newton_.run(problem, map_, ConeNewton::Singular::kMinimumNorm, kIterations, lambda);

@@ -1,4 +1,4 @@
-// HeldStep: the rows of constraints and of the dry friction of joints.
+// ContactStep: the rows of constraints and of the dry friction of joints.
 #include <algorithm>
 #include <cmath>
 
@@ -18,16 +18,16 @@ constexpr double kMetRate = 1e-7;       // and its rate to this, of the speeds
 }  // namespace
 
 // Rows of the constraints and of dry friction; the guards are placed at q.
-void HeldStep::constraint_node(const VecCRef& q, double t, Node& node) {
+void ContactStep::constraint_node(const VecCRef& q, double t, Node& node) {
   node.t = t;
   if (bilateral_ > 0)
     evaluate_constraints(scene_->tree, guards_->placements(), q, t, node.phi, node.W.leftCols(bilateral_), node.rate);
-  if (dry_ > 0) node.W.middleCols(bilateral_, dry_).setZero();
-  for (int k = 0; k < dry_; ++k) node.W(dry_joints_[k].dof, bilateral_ + k) = 1.0;
+  if (friction_rows_ > 0) node.W.middleCols(bilateral_, friction_rows_).setZero();
+  for (int k = 0; k < friction_rows_; ++k) node.W(friction_joints_[k].dof, bilateral_ + k) = 1.0;
 }
 
 // The same of constraints and dry friction. What a constraint was off at the start goes away over a whole step.
-void HeldStep::measure_constraints(double h) {
+void ContactStep::measure_constraints(double h) {
   if (bilateral_ > 0) {
     auto S = S_.leftCols(bilateral_);
     auto y = y_.head(bilateral_);
@@ -39,61 +39,61 @@ void HeldStep::measure_constraints(double h) {
       y = (node1_.phi - (h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0) * node0_.phi) / h;
     }
   }
-  for (int k = 0; k < dry_; ++k) {
-    const DryJoint& joint = dry_joints_[k];
+  for (int k = 0; k < friction_rows_; ++k) {
+    const FrictionJoint& joint = friction_joints_[k];
     const bool place = joint.iq >= 0 && h >= kShort * nominal_h_;
     y_[bilateral_ + k] = place ? (q1_[joint.iq] - joint.reference) / h : v_[joint.dof];
   }
 }
 
 // Speeds at the start of a step; a joint that moves has no anchor.
-void HeldStep::start_dry(const VecCRef& v) {
+void ContactStep::start_joint_friction(const VecCRef& v) {
   const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
-  for (DryJoint& joint : dry_joints_) {
+  for (FrictionJoint& joint : friction_joints_) {
     joint.speed = std::abs(v[joint.dof]) > still ? v[joint.dof] : 0.0;
     joint.anchored &= joint.speed == 0.0;
   }
 }
 
 // What the first kick says of the slip of joints.
-void HeldStep::judge_dry(double speed) {
-  for (int k = 0; k < dry_; ++k) {
-    DryOutcome& out = dry_outcomes_[k];
+void ContactStep::judge_joint_friction(double speed) {
+  for (int k = 0; k < friction_rows_; ++k) {
+    FrictionJointOutcome& out = friction_outcomes_[k];
     const int r = bilateral_ + k;
     const double s = y_[r] + G_.row(r) * change_;
-    out = DryOutcome();
+    out = FrictionJointOutcome();
     out.slipped = std::abs(lambda_[r]) >= cones_[k].box * (1.0 - 1e-9) && std::abs(s) > kStill * speed;
     if (!out.slipped) continue;
     cones_[k].d[0] = s > 0.0 ? 1.0 : -1.0;
-    out.turned = dry_joints_[k].speed * s < 0.0;
+    out.turned = friction_joints_[k].speed * s < 0.0;
   }
 }
 
-bool HeldStep::slip_ends(int i) const {
+bool ContactStep::slip_ends(int i) const {
   const int n = static_cast<int>(contacts_.size());
   if (i >= n) {
-    const DryOutcome& out = dry_outcomes_[i - n];
-    const DryJoint& joint = dry_joints_[i - n];
+    const FrictionJointOutcome& out = friction_outcomes_[i - n];
+    const FrictionJoint& joint = friction_joints_[i - n];
     return joint.speed != 0.0 && (!out.slips || out.turned || joint.speed * v1_[joint.dof] < 0.0);
   }
-  const HeldContact& held = contacts_[i];
-  const HeldOutcome& out = outcomes_[i];
-  const bool turns = out.slips && (out.turned || out.slip_W.dot(held.slip) < 0.0);
-  return held.mu > 0.0 && !held.sticks && out.active && (!out.slips || turns);
+  const PersistentContact& persistent = contacts_[i];
+  const ContactOutcome& out = outcomes_[i];
+  const bool turns = out.slips && (out.turned || out.slip_W.dot(persistent.slip) < 0.0);
+  return persistent.mu > 0.0 && !persistent.sticks && out.active && (!out.slips || turns);
 }
 
-double HeldStep::slip_left(int i) const {
+double ContactStep::slip_left(int i) const {
   constexpr double kTurned = -1e-3;
   const int n = static_cast<int>(contacts_.size());
   if (i >= n) {
-    const DryOutcome& out = dry_outcomes_[i - n];
+    const FrictionJointOutcome& out = friction_outcomes_[i - n];
     return out.slipped && !out.turned ? out.reversed : kTurned;
   }
   return outcomes_[i].slipped && !outcomes_[i].turned ? outcomes_[i].reversed : kTurned;
 }
 
 // Whether the constraints hold at the end of the step; else which does not (unmet_). rates: and their rates.
-bool HeldStep::constraints_met(double h, bool rates) {
+bool ContactStep::constraints_met(double h, bool rates) {
   unmet_ = -1;
   if (bilateral_ == 0) return true;
   VecX rate = VecX::Zero(bilateral_);
@@ -119,7 +119,7 @@ bool HeldStep::constraints_met(double h, bool rates) {
 }
 
 // A joint whose prescribed motion has not gone where its rates lead: the motion jumps. -1: none.
-int HeldStep::find_jump(double h) const {
+int ContactStep::find_jump(double h) const {
   const std::vector<Constraint>& all = scene_->tree.elements.constraints;
   for (std::size_t i = 0; i < all.size(); ++i) {
     if (all[i].kind != ConstraintKind::kPrescribed) continue;
@@ -131,7 +131,7 @@ int HeldStep::find_jump(double h) const {
   return -1;
 }
 
-ConeContact HeldStep::dry_cone(int k, double bound) const {
+ConeContact ContactStep::joint_friction_cone(int k, double bound) const {
   ConeContact cone;
   cone.row = k;
   cone.rows = 1;
@@ -140,8 +140,8 @@ ConeContact HeldStep::dry_cone(int k, double bound) const {
 }
 
 // The cone problem of all rows, the constraints eliminated (reduction_ has been made for G).
-bool HeldStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise,
-                          VecX& lambda, bool regularize, double rough) {
+bool ContactStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise,
+                             VecX& lambda, bool regularize, double rough) {
   if (bilateral_ == 0) return solve_cone({cones, G, b, noise, rough}, lambda, regularize);
   const VecX& right = reduction_.right_side(b);
   rest_ = lambda.tail(right.size());
@@ -159,19 +159,19 @@ bool HeldStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, 
 }
 
 // Of the contact matrix of the step, without what the constraints take up.
-double HeldStep::contact_matrix(int row, int column) const {
+double ContactStep::contact_matrix(int row, int column) const {
   return bilateral_ == 0 ? G_(row, column) : reduction_.matrix()(row - bilateral_, column - bilateral_);
 }
 
-double HeldStep::dry_loss() const {
+double ContactStep::joint_friction_loss() const {
   double total = 0.0;
-  for (int k = 0; k < dry_; ++k)
-    total -= (lambda_[bilateral_ + k] + lambda_end_[bilateral_ + k]) * v_[dry_joints_[k].dof];
+  for (int k = 0; k < friction_rows_; ++k)
+    total -= (lambda_[bilateral_ + k] + lambda_end_[bilateral_ + k]) * v_[friction_joints_[k].dof];
   return total;
 }
 
 // The force of a constraint that moves by itself has power: the rows' velocities are -rate.
-double HeldStep::drive_work() const {
+double ContactStep::driven_work() const {
   if (bilateral_ == 0) return 0.0;
   return -lambda_.head(bilateral_).dot(node0_.rate) - lambda_end_.head(bilateral_).dot(node1_.rate);
 }

@@ -1,4 +1,4 @@
-// HeldStep: the continuous contact forces at a node, which say when a contact leaves.
+// ContactStep: the continuous contact forces at a node, which say when a contact leaves.
 //
 // Accelerations instead of impulses: a_n = d/dt (W_n v) along the motion with the forces f on it,
 //   0 <= f_n _|_ a_n >= 0,  sticking: Coulomb's law between f_t and a_t, slipping: f_t = -mu f_n d.
@@ -18,8 +18,8 @@ constexpr double kStill = 1e-11;   // of the speeds: a joint that sticks
 constexpr double kFalling = 0.35;  // of the larger: a force extrapolated below it may reach zero soon
 }  // namespace
 
-bool HeldStep::may_release() const {
-  for (const HeldOutcome& out : outcomes_) {
+bool ContactStep::may_release() const {
+  for (const ContactOutcome& out : outcomes_) {
     const double first = out.start[0], second = out.end[0];
     // The kicks are the forces at one and two thirds of the step.
     if (2.0 * second - first < kFalling * std::max(first, second) || !(first > 0.0)) return true;
@@ -28,7 +28,7 @@ bool HeldStep::may_release() const {
 }
 
 // b_ = d/dt (W v) of all rows without contact forces; node1_ is at q, its factor in the integrator.
-bool HeldStep::accelerations(const VecCRef& q, const VecCRef& v, const VecX& tau) {
+bool ContactStep::accelerations(const VecCRef& q, const VecCRef& v, const VecX& tau) {
   forward_dynamics(integrator_, q, v, tau, acceleration_);
   if (!acceleration_.allFinite()) return false;
   const double speed = v.cwiseAbs().maxCoeff(), delta = std::min(kLongest, kSide / (speed + kSide));
@@ -48,24 +48,24 @@ bool HeldStep::accelerations(const VecCRef& q, const VecCRef& v, const VecX& tau
   return b_.allFinite();
 }
 
-bool HeldStep::force_problem(VecX& value) {
+bool ContactStep::force_problem(VecX& value) {
   const double still = kStill * (1.0 + v1_.cwiseAbs().maxCoeff());
-  for (int k = 0; k < dry_; ++k) {
-    ConeContact& cone = force_cones_[k] = dry_cone(k, dry_joints_[k].limit);
-    const double v = v1_[dry_joints_[k].dof];
+  for (int k = 0; k < friction_rows_; ++k) {
+    ConeContact& cone = force_cones_[k] = joint_friction_cone(k, friction_joints_[k].limit);
+    const double v = v1_[friction_joints_[k].dof];
     cone.frozen = std::abs(v) > still;
     cone.d[0] = v > 0.0 ? 1.0 : -1.0;
   }
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
-    ConeContact& cone = force_cones_[dry_ + i];
-    cone = cones_[dry_ + i];
+    ConeContact& cone = force_cones_[friction_rows_ + i];
+    cone = cones_[friction_rows_ + i];
     cone.frozen = cone.rows == 3 && outcomes_[i].slips;
     if (!cone.frozen) continue;
-    const HeldOutcome& out = outcomes_[i];
+    const ContactOutcome& out = outcomes_[i];
     cone.d = Eigen::Vector2d(out.slip_W.dot(out.t1), out.slip_W.dot(out.t2)).normalized();
   }
   change_ = h_ > 0.0 ? VecX((2.0 / h_) * lambda_end_) : VecX(VecX::Zero(rows_));
-  if (bilateral_ > 0) reduction_.set(G_end_, bilateral_, dry_);
+  if (bilateral_ > 0) reduction_.set(G_end_, bilateral_, friction_rows_);
   if (!solve_rows(force_cones_, G_end_, b_, 1e-9 * b_.cwiseAbs().maxCoeff(), change_, true)) return false;
   b_.noalias() += G_end_ * change_;
   double stiffest = 0.0;
@@ -79,14 +79,14 @@ bool HeldStep::force_problem(VecX& value) {
   return value.allFinite();
 }
 
-bool HeldStep::holding_forces(const VecX& tau, VecX& value) {
-  force_cones_.resize(dry_ + contacts_.size());
+bool ContactStep::persistent_forces(const VecX& tau, VecX& value) {
+  force_cones_.resize(friction_rows_ + contacts_.size());
   return accelerations(q1_, v1_, tau) && force_problem(value);
 }
 
-bool HeldStep::holding_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value) {
+bool ContactStep::persistent_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value) {
   start_node(q);
-  force_cones_.resize(dry_ + contacts_.size());
+  force_cones_.resize(friction_rows_ + contacts_.size());
   q1_ = q;
   p1_ = p;
   if (!integrator_.node_velocity(q, p, v1_)) return false;
@@ -99,7 +99,7 @@ bool HeldStep::holding_forces_at(const VecCRef& q, const VecCRef& p, const VecX&
   lambda_.setZero();
   lambda_end_.setZero();
   h_ = 0.0;
-  for (HeldOutcome& out : outcomes_) out.slipped = false;
+  for (ContactOutcome& out : outcomes_) out.slipped = false;
   describe();
   return accelerations(q1_, v1_, tau) && force_problem(value);
 }

@@ -5,7 +5,7 @@
 
 namespace contactvi {
 
-struct HeldContact {
+struct PersistentContact {
   ContactPoint point;
   double mu = 0;             // 0: one row, no friction
   bool sticks = true;        // at the node: its points do not slip on each other
@@ -19,7 +19,7 @@ struct HeldContact {
 };
 
 // What a step did to a held contact.
-struct HeldOutcome {
+struct ContactOutcome {
   Contact contact;       // at the end
   Vec3 t1, t2;           // world, at the end
   Vec3 start_W, end_W;   // impulses on b of the two kicks [N s], world

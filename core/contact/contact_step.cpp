@@ -21,7 +21,7 @@ constexpr double kSameTime = 1e-13;
 constexpr double kSettled = 1e-3;  // relative change of v from which on the contact matrix is kept
 }  // namespace
 
-HeldStep::HeldStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol)
+ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol)
     : scene_(&scene),
       guards_(&guards),
       manifolds_(&manifolds),
@@ -36,42 +36,42 @@ HeldStep::HeldStep(const Scene& scene, Guards& guards, const Manifolds& manifold
       dv_(scene.tree.nv),
       rates_(scene.tree.nv, 1),
       bilateral_(scene.tree.elements.constraint_rows),
-      dry_(static_cast<int>(scene.tree.elements.dry_dofs.size())),
+      friction_rows_(static_cast<int>(scene.tree.elements.friction_dofs.size())),
       guess_(scene.tree.nv),
       q_side_(scene.tree.nq),
       v_side_(scene.tree.nv),
       acceleration_(scene.tree.nv) {
   const Tree& tree = scene.tree;
-  for (int dof : tree.elements.dry_dofs) {
+  for (int dof : tree.elements.friction_dofs) {
     const Joint& joint = tree.joints[tree.dof_joint[dof]];
-    dry_outcomes_.emplace_back();
-    dry_joints_.push_back({dof, joint.nq == 1 ? joint.iq : -1, tree.elements.dry_friction[dof]});
+    friction_outcomes_.emplace_back();
+    friction_joints_.push_back({dof, joint.nq == 1 ? joint.iq : -1, tree.elements.joint_friction[dof]});
   }
   restart();
 }
 
-void HeldStep::restart() {
-  for (DryJoint& joint : dry_joints_) joint.anchored = false;
-  fixed_force_.setZero(bilateral_ + dry_);
+void ContactStep::restart() {
+  for (FrictionJoint& joint : friction_joints_) joint.anchored = false;
+  fixed_force_.setZero(bilateral_ + friction_rows_);
 }
 
 // Sizes for the contacts as they are.
-void HeldStep::set_rows() {
+void ContactStep::set_rows() {
   const std::size_t n = contacts_.size();
   row_.resize(n);
-  cones_.resize(dry_ + n);
+  cones_.resize(friction_rows_ + n);
   outcomes_.resize(n);
   y_ref_.resize(n);
   paradox_.resize(n);
-  rows_ = bilateral_ + dry_;
+  rows_ = bilateral_ + friction_rows_;
   redundant_ = noisy_ = false;
   for (std::size_t i = 0; i < n; ++i) {
     row_[i] = rows_;
     rows_ += contacts_[i].rows();
-    cones_[dry_ + i] = ConeContact();
-    cones_[dry_ + i].row = row_[i] - bilateral_;
-    cones_[dry_ + i].rows = contacts_[i].rows();
-    cones_[dry_ + i].mu = contacts_[i].mu;
+    cones_[friction_rows_ + i] = ConeContact();
+    cones_[friction_rows_ + i].row = row_[i] - bilateral_;
+    cones_[friction_rows_ + i].rows = contacts_[i].rows();
+    cones_[friction_rows_ + i].mu = contacts_[i].mu;
     noisy_ |= guards_->is_noisy(contacts_[i].point.guard);
     // Two points of one pair share the friction along their line; four the load.
     for (std::size_t j = 0; j < i; ++j) redundant_ |= contacts_[j].point.guard == contacts_[i].point.guard;
@@ -93,24 +93,24 @@ void HeldStep::set_rows() {
   solver_.reserve(rows_ - bilateral_);
 }
 
-void HeldStep::evaluate(const HeldContact& held, Contact& contact) {
-  if (held.point.kind == PointKind::kWitness || held.point.kind == PointKind::kLimit) {
-    guards_->evaluate_witness(held.point.guard, contact);
+void ContactStep::evaluate(const PersistentContact& persistent, Contact& contact) {
+  if (persistent.point.kind == PointKind::kWitness || persistent.point.kind == PointKind::kLimit) {
+    guards_->evaluate_witness(persistent.point.guard, contact);
   } else {
-    manifolds_->evaluate(held.point, guards_->placements(), contact);
+    manifolds_->evaluate(persistent.point, guards_->placements(), contact);
   }
 }
 
-Vec3 HeldStep::tangent_at(const HeldContact& held, const Contact& contact, const Contact& before,
-                          const Vec3& t1) const {
-  if (held.mu == 0.0) return Vec3::Zero();
-  if (held.point.kind != PointKind::kVertex) return carried_tangent(t1, before.normal, contact.normal);
-  const int body = held.point.plane_body;
-  return body < 0 ? held.tangent : Vec3(guards_->placements().R_W[body] * held.tangent);
+Vec3 ContactStep::tangent_at(const PersistentContact& persistent, const Contact& contact, const Contact& before,
+                             const Vec3& t1) const {
+  if (persistent.mu == 0.0) return Vec3::Zero();
+  if (persistent.point.kind != PointKind::kVertex) return carried_tangent(t1, before.normal, contact.normal);
+  const int body = persistent.point.plane_body;
+  return body < 0 ? persistent.tangent : Vec3(guards_->placements().R_W[body] * persistent.tangent);
 }
 
 // Where the point is, in the plane's body frame.
-Vec3 HeldStep::place_on_plane(const ContactPoint& point) const {
+Vec3 ContactStep::place_on_plane(const ContactPoint& point) const {
   const Placements& at = guards_->placements();
   const Vec3 c = point.point_body < 0 ? point.center_B
                                       : Vec3(at.p_W[point.point_body] + at.R_W[point.point_body] * point.center_B);
@@ -118,7 +118,7 @@ Vec3 HeldStep::place_on_plane(const ContactPoint& point) const {
   return at.R_W[point.plane_body].transpose() * (c - at.p_W[point.plane_body]);
 }
 
-void HeldStep::start_node(const VecCRef& q0) {
+void ContactStep::start_node(const VecCRef& q0) {
   const double t = integrator_.time();
   const bool same_time = bilateral_ == 0 || std::abs(node0_.t - t) <= kSameTime * (1.0 + std::abs(t));
   if (node0_.known && same_time && (node0_.q.array() == q0.array()).all()) return;
@@ -128,62 +128,63 @@ void HeldStep::start_node(const VecCRef& q0) {
   node0_.known = true;
   constraint_node(q0, t, node0_);
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
-    const HeldContact& held = contacts_[i];
-    evaluate(held, node0_.at[i]);
-    node0_.side[i] = Manifolds::side_of_rim(held.point, guards_->placements());
-    node0_.t1[i] = held.mu == 0.0 ? Vec3(Vec3::Zero())
-                   : held.point.kind == PointKind::kVertex
-                       ? tangent_at(held, node0_.at[i], node0_.at[i], held.tangent)
-                       : carried_tangent(held.tangent, node0_.at[i].normal, node0_.at[i].normal);
-    guards_->rows(held.point.guard, node0_.at[i], node0_.t1[i], node0_.W.middleCols(row_[i], held.rows()));
-    if (held.point.material) y_ref_[i] = held.anchored ? held.anchor : place_on_plane(held.point);
+    const PersistentContact& persistent = contacts_[i];
+    evaluate(persistent, node0_.at[i]);
+    node0_.side[i] = Manifolds::side_of_rim(persistent.point, guards_->placements());
+    node0_.t1[i] = persistent.mu == 0.0 ? Vec3(Vec3::Zero())
+                   : persistent.point.kind == PointKind::kVertex
+                       ? tangent_at(persistent, node0_.at[i], node0_.at[i], persistent.tangent)
+                       : carried_tangent(persistent.tangent, node0_.at[i].normal, node0_.at[i].normal);
+    guards_->rows(persistent.point.guard, node0_.at[i], node0_.t1[i], node0_.W.middleCols(row_[i], persistent.rows()));
+    if (persistent.point.material)
+      y_ref_[i] = persistent.anchored ? persistent.anchor : place_on_plane(persistent.point);
   }
 }
 
-void HeldStep::end_node(const VecX& q1, double t1) {
+void ContactStep::end_node(const VecX& q1, double t1) {
   guards_->place(q1);
   node1_.q = q1;
   node1_.known = true;
   constraint_node(q1, t1, node1_);
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
-    const HeldContact& held = contacts_[i];
-    evaluate(held, node1_.at[i]);
-    node1_.side[i] = Manifolds::side_of_rim(held.point, guards_->placements());
-    node1_.t1[i] = tangent_at(held, node1_.at[i], node0_.at[i], node0_.t1[i]);
-    guards_->rows(held.point.guard, node1_.at[i], node1_.t1[i], node1_.W.middleCols(row_[i], held.rows()));
+    const PersistentContact& persistent = contacts_[i];
+    evaluate(persistent, node1_.at[i]);
+    node1_.side[i] = Manifolds::side_of_rim(persistent.point, guards_->placements());
+    node1_.t1[i] = tangent_at(persistent, node1_.at[i], node0_.at[i], node0_.t1[i]);
+    guards_->rows(persistent.point.guard, node1_.at[i], node1_.t1[i], node1_.W.middleCols(row_[i], persistent.rows()));
   }
 }
 
 // Part of a step below which a gap is followed by its rate.
-double HeldStep::shortest_place(const HeldContact& held) const {
-  if (guards_->is_noisy(held.point.guard)) return kShortNoisy;
-  return held.point.kind == PointKind::kRim ? kShortRim : kShort;  // a rim's rate turns with it
+double ContactStep::shortest_place(const PersistentContact& persistent) const {
+  if (guards_->is_noisy(persistent.point.guard)) return kShortNoisy;
+  return persistent.point.kind == PointKind::kRim ? kShortRim : kShort;  // a rim's rate turns with it
 }
 
 // y = (phi(q1)/h; s) at the velocity v_, and its derivative S^T along v.
-void HeldStep::measure(double h) {
+void ContactStep::measure(double h) {
   integrate(scene_->tree, node0_.q, v_, h, q1_);
   end_node(q1_, integrator_.time() + h);
   S_ = node1_.W;
   measure_constraints(h);
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
-    const HeldContact& held = contacts_[i];
+    const PersistentContact& persistent = contacts_[i];
     const int r = row_[i];
     // What the gap was off at the start goes away over a whole step, not over a part of any shortness.
     const double left = h < nominal_h_ ? (1.0 - h / nominal_h_) * node0_.at[i].gap : 0.0;
-    if (h < shortest_place(held) * nominal_h_) {
+    if (h < shortest_place(persistent) * nominal_h_) {
       // Over so short a time the difference of two gaps is rounding: their rate instead.
       S_.col(r) = 0.5 * (node0_.W.col(r) + node1_.W.col(r));
       y_[r] = S_.col(r).dot(v_) + node0_.at[i].gap / nominal_h_;
     } else {
       y_[r] = (node1_.at[i].gap - left) / h;
     }
-    if (held.mu == 0.0) continue;
-    if (held.point.material) {
-      const Vec3 moved = (place_on_plane(held.point) - y_ref_[i]) / h;
+    if (persistent.mu == 0.0) continue;
+    if (persistent.point.material) {
+      const Vec3 moved = (place_on_plane(persistent.point) - y_ref_[i]) / h;
       // b's point moves on a plane of a, or a's on one of b's: then b moves the other way.
-      const double sign = held.point.on_b ? 1.0 : -1.0;
-      const Vec3 t1 = held.tangent, t2 = sign * held.point.normal_B.cross(t1);
+      const double sign = persistent.point.on_b ? 1.0 : -1.0;
+      const Vec3 t1 = persistent.tangent, t2 = sign * persistent.point.normal_B.cross(t1);
       y_[r + 1] = sign * moved.dot(t1);
       y_[r + 2] = sign * moved.dot(t2);
     } else {
@@ -195,7 +196,7 @@ void HeldStep::measure(double h) {
   }
 }
 
-bool HeldStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize) {
+bool ContactStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize) {
   const ConeResult result = solver_.solve(problem, lambda, regularize);
   ++counters.problems;
   counters.iterations += result.iterations;
@@ -204,18 +205,18 @@ bool HeldStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regular
 }
 
 // Those of the last step's forces, bounds of the dry friction, where it counts its places from.
-void HeldStep::start_impulses(double h) {
+void ContactStep::start_impulses(double h) {
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     lambda_.segment(row_[i], contacts_[i].rows()) = 0.5 * h * contacts_[i].force.head(contacts_[i].rows());
-  lambda_.head(bilateral_ + dry_) = 0.5 * h * fixed_force_;
-  for (int k = 0; k < dry_; ++k) cones_[k] = dry_cone(k, 0.5 * h * dry_joints_[k].limit);
-  for (DryJoint& joint : dry_joints_)
+  lambda_.head(bilateral_ + friction_rows_) = 0.5 * h * fixed_force_;
+  for (int k = 0; k < friction_rows_; ++k) cones_[k] = joint_friction_cone(k, 0.5 * h * friction_joints_[k].limit);
+  for (FrictionJoint& joint : friction_joints_)
     joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? node0_.q[joint.iq] : 0.0;
 }
 
-bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
+bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
   start_node(q0);
-  integrator_.begin_kicked(q0, h, tau, v);
+  integrator_.begin_with_impulse(q0, h, tau, v);
   start_impulses(h);
   double best = INFINITY;
   int idle = 0;
@@ -226,21 +227,21 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
                                                                : 0.0) /
                        h;  // of the rows, as a velocity
   for (int k = 0; k < kMaxRounds; ++k) {
-    ++counters.rounds;
+    ++counters.contact_iterations;
     p_start_ = p0;
     p_start_.noalias() += node0_.W * lambda_;
-    const double swept = integrator_.sweep_kicked(p_start_, k == 0, k == 0);
+    const double swept = integrator_.iterate_with_impulse(p_start_, k == 0, k == 0);
     if (!std::isfinite(swept)) break;
     if (k == 0) {
       DinvW_ = node0_.W;
-      integrator_.solve_kicked(DinvW_);
+      integrator_.solve_with_impulse(DinvW_);
     }
     integrator_.stage_velocity(v_);
     measure(h);
     if (!y_.allFinite()) break;
     if (!settled) {
       G_.noalias() = S_.transpose() * DinvW_;
-      if (bilateral_ > 0) reduction_.set(G_, bilateral_, dry_);
+      if (bilateral_ > 0) reduction_.set(G_, bilateral_, friction_rows_);
     }
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
@@ -274,7 +275,7 @@ bool HeldStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const Vec
 }
 
 // A of the contacts that slip at the start of the step; of single points only: those of a face share their load.
-void HeldStep::find_paradox(const VecX& v) {
+void ContactStep::find_paradox(const VecX& v) {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const int r = row_[i];
     paradox_[i] = 1.0;
@@ -290,38 +291,39 @@ void HeldStep::find_paradox(const VecX& v) {
   }
 }
 
-bool HeldStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
+bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
   why_ = "";
   unmet_ = -1;
   if (node0_.known && follows_ && (node0_.q.array() == q0.array()).all()) {
     guess_ = v_node_ + (h / h_last_) * (v_node_ - v_last_);  // at the middle, from the last step's
-    start_dry(v_node_);
+    start_joint_friction(v_node_);
   } else {
     if (!integrator_.node_velocity(q0, p0, v1_)) {
       why_ = "the mass matrix is not positive definite";
       return false;
     }
     guess_ = v1_;
-    start_dry(v1_);
+    start_joint_friction(v1_);
   }
   h_ = h;
   ++counters.steps;
-  return iterate(q0, p0, h, tau, guess_) && end_kick();
+  return iterate(q0, p0, h, tau, guess_) && velocity_impulses();
 }
 
-bool HeldStep::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) {
+bool ContactStep::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0,
+                             const VecX& tau) {
   why_ = "";
   h_ = alpha * path.h();
   path.velocity(0.5 * alpha, guess_);
-  return iterate(q0, p0, h_, tau, guess_) && end_kick();
+  return iterate(q0, p0, h_, tau, guess_) && velocity_impulses();
 }
 
-void HeldStep::finish(VecRef q1, VecRef p1) {
+void ContactStep::finish(VecRef q1, VecRef p1) {
   q1 = q1_;
   p1 = p1_;
 }
 
-const MatX& HeldStep::rates() {
+const MatX& ContactStep::rates() {
   rates_.col(0) = v_;
   return rates_;
 }

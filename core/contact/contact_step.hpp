@@ -25,21 +25,21 @@
 
 namespace contactvi {
 
-struct HeldCounters {
-  long steps = 0, rounds = 0, problems = 0, iterations = 0, fallbacks = 0;
+struct ContactStepCounters {
+  long steps = 0, contact_iterations = 0, problems = 0, iterations = 0, fallbacks = 0;
 };
 
-class HeldStep final : public Stepper {
+class ContactStep final : public Stepper {
  public:
   // integrator: one stage, of its own.
-  HeldStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol);
-  HeldStep(const HeldStep&) = delete;
-  HeldStep& operator=(const HeldStep&) = delete;
+  ContactStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol);
+  ContactStep(const ContactStep&) = delete;
+  ContactStep& operator=(const ContactStep&) = delete;
 
-  std::vector<HeldContact>& contacts() { return contacts_; }
-  const std::vector<HeldContact>& contacts() const { return contacts_; }
+  std::vector<PersistentContact>& contacts() { return contacts_; }
+  const std::vector<PersistentContact>& contacts() const { return contacts_; }
   // Whether steps need no impulses at all.
-  bool empty() const { return contacts_.empty() && bilateral_ + dry_ == 0; }
+  bool empty() const { return contacts_.empty() && bilateral_ + friction_rows_ == 0; }
   bool constrained() const { return bilateral_ > 0; }
   void set_time(double t) { integrator_.set_time(t); }
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
@@ -63,14 +63,14 @@ class HeldStep final : public Stepper {
 
   // Of the step just solved.
   double h() const { return h_; }
-  const std::vector<HeldOutcome>& outcomes() const { return outcomes_; }
+  const std::vector<ContactOutcome>& outcomes() const { return outcomes_; }
   const VecX& end_velocity() const { return v1_; }
   // Of inputs, what damping took, what the dry friction of joints took, of driven constraints [J].
   double input_work() const { return integrator_.input_work(); }
   double damping_loss() const { return integrator_.damping_loss(); }
-  double dry_loss() const;
-  double drive_work() const;
-  double work() const { return integrator_.work() + drive_work() - dry_loss(); }
+  double joint_friction_loss() const;
+  double driven_work() const;
+  double work() const { return integrator_.work() + driven_work() - joint_friction_loss(); }
   // Impulses of the constraints' rows in both kicks [N s; N m s].
   VecX constraint_impulses() const { return lambda_.head(bilateral_) + lambda_end_.head(bilateral_); }
   // What starts from rest: no joint sticks anywhere yet.
@@ -85,14 +85,14 @@ class HeldStep final : public Stepper {
   // Forces that would hold the contacts at the end of the step just solved, against what separates them: per contact
   // f_n - a_n / G_nn, f_n the continuous normal force, a_n the normal acceleration, one of which is zero [N]. A contact
   // whose value is negative leaves. False if it could not be found.
-  bool holding_forces(const VecX& tau, VecX& value);
+  bool persistent_forces(const VecX& tau, VecX& value);
   // The same at (q, p), of which no step is known.
-  bool holding_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value);
-  // Size of the forces that the last holding_forces could have met: gravity's weight on a contact, or the largest [N].
+  bool persistent_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value);
+  // Size of the forces that the last persistent_forces could have met: gravity's weight on a contact, or the largest [N].
   double force_scale() const { return force_scale_; }
   // Slips of the contacts, then those of the joints with dry friction: whether one came to rest or turned round in the
   // step, and the speed that is left of it at the end as if the friction had gone on, negative if that has turned.
-  int slips() const { return static_cast<int>(contacts_.size()) + dry_; }
+  int slips() const { return static_cast<int>(contacts_.size()) + friction_rows_; }
   bool slip_ends(int i) const;
   double slip_left(int i) const;
   // Whether a contact may have left: its forces of this step fall towards zero.
@@ -100,7 +100,7 @@ class HeldStep final : public Stepper {
 
   const Integrator& integrator() const { return integrator_; }
   const StepCounters& step_counters() const { return integrator_.counters; }
-  HeldCounters counters;
+  ContactStepCounters counters;
 
   // Geometry and velocity rows of all contacts at a configuration.
   struct Node {
@@ -114,26 +114,26 @@ class HeldStep final : public Stepper {
   };
 
   // Dry friction of a joint.
-  struct DryJoint {
+  struct FrictionJoint {
     int dof, iq;  // iq: -1 if it has more than one number in q
     double limit;
     bool anchored = false;
     double anchor = 0, reference = 0;
     double speed = 0;  // at the start of the step; 0 where it sticks
   };
-  // What a step did to it; as HeldOutcome.
-  struct DryOutcome {
+  // What a step did to it; as ContactOutcome.
+  struct FrictionJointOutcome {
     bool slipped = false, slips = false, turned = false;
     double reversed = 0;
   };
 
   // What the next step is started from, to go on from here later with the same digits.
   struct Memory {
-    std::vector<HeldContact> contacts;
-    std::vector<HeldOutcome> outcomes;
+    std::vector<PersistentContact> contacts;
+    std::vector<ContactOutcome> outcomes;
     Node node;
     std::vector<Vec3> y_ref;
-    std::vector<DryJoint> dry_joints;
+    std::vector<FrictionJoint> friction_joints;
     VecX fixed_force, v_node, v_last, v1;
     double h_last, nominal_h;
     bool follows;
@@ -145,26 +145,27 @@ class HeldStep final : public Stepper {
   void set_rows();
   void constraint_node(const VecCRef& q, double t, Node& node);
   void measure_constraints(double h);
-  void start_dry(const VecCRef& v);
-  void judge_dry(double speed);
+  void start_joint_friction(const VecCRef& v);
+  void judge_joint_friction(double speed);
   bool constraints_met(double h, bool rates);
   int find_jump(double h) const;
-  ConeContact dry_cone(int k, double bound) const;
+  ConeContact joint_friction_cone(int k, double bound) const;
   bool solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise, VecX& lambda,
                   bool regularize, double rough = 0.0);
   double contact_matrix(int row, int column) const;
   void start_node(const VecCRef& q0);
   void end_node(const VecX& q1, double t1);
-  void evaluate(const HeldContact& held, Contact& contact);
-  Vec3 tangent_at(const HeldContact& held, const Contact& contact, const Contact& before, const Vec3& t1) const;
+  void evaluate(const PersistentContact& persistent, Contact& contact);
+  Vec3 tangent_at(const PersistentContact& persistent, const Contact& contact, const Contact& before,
+                  const Vec3& t1) const;
   Vec3 place_on_plane(const ContactPoint& point) const;
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
   void start_impulses(double h);
   void measure(double h);
-  double shortest_place(const HeldContact& held) const;
+  double shortest_place(const PersistentContact& persistent) const;
   void find_paradox(const VecX& v);
   bool solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize);
-  bool end_kick();
+  bool velocity_impulses();
   bool solve_end(VecX& lambda);
   bool unfreeze_turned(const MatX& G, double still);
   void describe();
@@ -177,16 +178,16 @@ class HeldStep final : public Stepper {
   Integrator integrator_;
   ConeSolver solver_;
   double tol_;
-  std::vector<HeldContact> contacts_;
-  std::vector<HeldOutcome> outcomes_;
+  std::vector<PersistentContact> contacts_;
+  std::vector<ContactOutcome> outcomes_;
   std::vector<int> row_;                        // first row of each contact
   std::vector<ConeContact> cones_, end_cones_;  // of the dry friction first, then of the contacts
   std::vector<int> active_;                     // contacts of the end kick
   std::vector<int> sub_rows_;
-  std::vector<DryJoint> dry_joints_;
-  std::vector<DryOutcome> dry_outcomes_;
+  std::vector<FrictionJoint> friction_joints_;
+  std::vector<FrictionJointOutcome> friction_outcomes_;
   Reduction reduction_;
-  int bilateral_ = 0, dry_ = 0;  // rows of constraints, of dry friction; those of the contacts follow
+  int bilateral_ = 0, friction_rows_ = 0;  // rows of constraints, of dry friction; those of the contacts follow
   int unmet_ = -1;
   VecX fixed_force_;  // of these rows in the last step
   int rows_ = 0;

@@ -1,4 +1,4 @@
-// HeldStep: the second kick of a step, at its end, and what the step has done to its contacts.
+// ContactStep: the second kick of a step, at its end, and what the step has done to its contacts.
 #include <algorithm>
 #include <cmath>
 
@@ -13,9 +13,9 @@ constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
 }  // namespace
 
 // From the end of the smooth step with its start kicks to the node: p1 and v1.
-bool HeldStep::end_kick() {
+bool ContactStep::velocity_impulses() {
   p_start_.noalias() += node0_.W * change_;  // the last correction of the impulses
-  integrator_.start_kicked(p_start_);
+  integrator_.start_with_impulse(p_start_);
   integrator_.stage_velocity(v_);
   integrator_.finish(q1_, p_minus_);
   end_node(q1_, integrator_.time() + h_);
@@ -34,7 +34,7 @@ bool HeldStep::end_kick() {
   active_.clear();
   const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
-    HeldOutcome& out = outcomes_[i];
+    ContactOutcome& out = outcomes_[i];
     const int r = row_[i];
     const double noise =
         guards_->is_noisy(contacts_[i].point.guard) ? guards_->root_tolerance(contacts_[i].point.guard) : kClosed;
@@ -49,11 +49,11 @@ bool HeldStep::end_kick() {
     const bool on_cone = lambda_.segment<2>(r + 1).norm() >= limit * (1.0 - 1e-9);
     out.slipped = on_cone && s.norm() > kSlipping * speed;
     if (!out.slipped) continue;
-    cones_[dry_ + i].d = s.normalized();
+    cones_[friction_rows_ + i].d = s.normalized();
     const Vec3 t1 = node1_.t1[i], t2 = node1_.at[i].normal.cross(t1);
     out.turned = contacts_[i].slip.dot(s[0] * t1 + s[1] * t2) < 0.0;
   }
-  judge_dry(speed);
+  judge_joint_friction(speed);
   lambda_end_ = lambda_;
   if (!solve_end(lambda_end_)) {
     why_ = "the contact forces at the end of a step were not found";
@@ -68,19 +68,19 @@ bool HeldStep::end_kick() {
 }
 
 // After an attempt at the end kick: slips that it would turn round lose their direction. False: none does.
-bool HeldStep::unfreeze_turned(const MatX& G, double still) {
+bool ContactStep::unfreeze_turned(const MatX& G, double still) {
   bool turned = false;
-  for (int k = 0; k < dry_; ++k) {
+  for (int k = 0; k < friction_rows_; ++k) {
     ConeContact& cone = end_cones_[k];
     if (!cone.frozen) continue;
     const int row = bilateral_ + k;
-    dry_outcomes_[k].reversed = cone.d[0] * (b_sub_[row] + G.row(row) * x_);
-    if (dry_outcomes_[k].reversed > still) continue;
+    friction_outcomes_[k].reversed = cone.d[0] * (b_sub_[row] + G.row(row) * x_);
+    if (friction_outcomes_[k].reversed > still) continue;
     cone.frozen = false;
     turned = true;
   }
   for (std::size_t a = 0; a < active_.size(); ++a) {
-    ConeContact& cone = end_cones_[dry_ + a];
+    ConeContact& cone = end_cones_[friction_rows_ + a];
     if (!cone.frozen) continue;
     const int row = bilateral_ + cone.row + 1;
     const Eigen::Vector2d w = b_sub_.segment<2>(row) + G.middleRows<2>(row) * x_;
@@ -94,16 +94,16 @@ bool HeldStep::unfreeze_turned(const MatX& G, double still) {
 
 // The cone problem of the active contacts; directions of friction stay those of the step where that turns no slip
 // round.
-bool HeldStep::solve_end(VecX& lambda) {
+bool ContactStep::solve_end(VecX& lambda) {
   end_cones_.clear();
   sub_rows_.clear();
-  for (int k = 0; k < bilateral_ + dry_; ++k) sub_rows_.push_back(k);
-  for (int k = 0; k < dry_; ++k) {
+  for (int k = 0; k < bilateral_ + friction_rows_; ++k) sub_rows_.push_back(k);
+  for (int k = 0; k < friction_rows_; ++k) {
     end_cones_.push_back(cones_[k]);
-    end_cones_.back().frozen = dry_outcomes_[k].slipped;
+    end_cones_.back().frozen = friction_outcomes_[k].slipped;
   }
   for (int i : active_) {
-    ConeContact cone = cones_[dry_ + i];
+    ConeContact cone = cones_[friction_rows_ + i];
     cone.row = static_cast<int>(sub_rows_.size()) - bilateral_;
     cone.frozen = outcomes_[i].slipped;
     end_cones_.push_back(cone);
@@ -120,7 +120,7 @@ bool HeldStep::solve_end(VecX& lambda) {
     x_[a] = lambda[sub_rows_[a]];
     for (int c = 0; c < rows; ++c) G(a, c) = G_end_(sub_rows_[a], sub_rows_[c]);
   }
-  if (bilateral_ > 0) reduction_.set(G, bilateral_, dry_);
+  if (bilateral_ > 0) reduction_.set(G, bilateral_, friction_rows_);
   const double speed = 1.0 + v_.cwiseAbs().maxCoeff();
   lambda.setZero();
   if (rows == 0) return true;
@@ -142,13 +142,14 @@ bool HeldStep::solve_end(VecX& lambda) {
   return true;
 }
 
-void HeldStep::describe() {
-  for (int k = 0; k < dry_; ++k)
-    dry_outcomes_[k].slips = std::abs(v1_[dry_joints_[k].dof]) > kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
+void ContactStep::describe() {
+  for (int k = 0; k < friction_rows_; ++k)
+    friction_outcomes_[k].slips =
+        std::abs(v1_[friction_joints_[k].dof]) > kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
   const double speed = 1.0 + v1_.cwiseAbs().maxCoeff();
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
-    HeldOutcome& out = outcomes_[i];
-    const HeldContact& held = contacts_[i];
+    ContactOutcome& out = outcomes_[i];
+    const PersistentContact& persistent = contacts_[i];
     const int r = row_[i];
     const Contact &c0 = node0_.at[i], &c1 = node1_.at[i];
     out.contact = c1;
@@ -159,7 +160,7 @@ void HeldStep::describe() {
     out.end = Vec3(lambda_end_[r], 0, 0);
     out.slip_W.setZero();
     out.slips = false;
-    if (held.mu > 0.0) {
+    if (persistent.mu > 0.0) {
       out.start.tail<2>() = lambda_.segment<2>(r + 1);
       out.end.tail<2>() = lambda_end_.segment<2>(r + 1);
       out.slip_W = w_end_[r + 1] * out.t1 + w_end_[r + 2] * out.t2;
@@ -172,19 +173,19 @@ void HeldStep::describe() {
   }
 }
 
-HeldStep::Memory HeldStep::memory() const {
-  return {contacts_, outcomes_, node0_, y_ref_,  dry_joints_, fixed_force_,
-          v_node_,   v_last_,   v1_,    h_last_, nominal_h_,  follows_};
+ContactStep::Memory ContactStep::memory() const {
+  return {contacts_, outcomes_, node0_, y_ref_,  friction_joints_, fixed_force_,
+          v_node_,   v_last_,   v1_,    h_last_, nominal_h_,       follows_};
 }
 
-void HeldStep::recall(const Memory& memory) {
+void ContactStep::recall(const Memory& memory) {
   contacts_ = memory.contacts;
   set_rows();
   outcomes_ = memory.outcomes;
   node0_ = memory.node;
   node1_.known = false;
   y_ref_ = memory.y_ref;
-  dry_joints_ = memory.dry_joints;
+  friction_joints_ = memory.friction_joints;
   fixed_force_ = memory.fixed_force;
   v_node_ = memory.v_node;
   v_last_ = memory.v_last;
@@ -194,36 +195,36 @@ void HeldStep::recall(const Memory& memory) {
   follows_ = memory.follows;
 }
 
-bool HeldStep::swings() const {
+bool ContactStep::swings() const {
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     if (contacts_[i].point.kind == PointKind::kRim && node0_.side[i].dot(node1_.side[i]) < kSwing) return true;
   return false;
 }
 
-void HeldStep::commit() {
+void ContactStep::commit() {
   guards_->place(q1_);
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
-    HeldContact& held = contacts_[i];
-    const HeldOutcome& out = outcomes_[i];
-    held.force = (out.start + out.end) / h_;
-    if (held.mu > 0.0 && held.point.kind != PointKind::kVertex) held.tangent = node1_.t1[i];
-    held.sticks = !out.slips;
-    held.slip = out.slip_W;
-    if (!held.point.material) continue;
-    if (out.slips || out.slipped) held.anchored = false;
-    if (!out.slips && !held.anchored) {
-      held.anchor = place_on_plane(held.point);
-      held.anchored = true;
+    PersistentContact& persistent = contacts_[i];
+    const ContactOutcome& out = outcomes_[i];
+    persistent.force = (out.start + out.end) / h_;
+    if (persistent.mu > 0.0 && persistent.point.kind != PointKind::kVertex) persistent.tangent = node1_.t1[i];
+    persistent.sticks = !out.slips;
+    persistent.slip = out.slip_W;
+    if (!persistent.point.material) continue;
+    if (out.slips || out.slipped) persistent.anchored = false;
+    if (!out.slips && !persistent.anchored) {
+      persistent.anchor = place_on_plane(persistent.point);
+      persistent.anchored = true;
     }
-    y_ref_[i] = held.anchored ? held.anchor : place_on_plane(held.point);
+    y_ref_[i] = persistent.anchored ? persistent.anchor : place_on_plane(persistent.point);
   }
   const double still = kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
-  for (DryJoint& joint : dry_joints_) {
+  for (FrictionJoint& joint : friction_joints_) {
     const bool sticks = std::abs(v1_[joint.dof]) <= still && joint.iq >= 0;
     if (sticks && !joint.anchored) joint.anchor = q1_[joint.iq];
     joint.anchored = sticks;
   }
-  fixed_force_ = (lambda_.head(bilateral_ + dry_) + lambda_end_.head(bilateral_ + dry_)) / h_;
+  fixed_force_ = (lambda_.head(bilateral_ + friction_rows_) + lambda_end_.head(bilateral_ + friction_rows_)) / h_;
   v_node_ = v1_;
   v_last_ = v_;
   h_last_ = h_;

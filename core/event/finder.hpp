@@ -15,10 +15,10 @@ namespace contactvi {
 
 struct Event {
   int guard = -1;
-  double alpha = 0;         // fraction of the step
-  double gap = 0;           // left over
-  bool persistent = false;  // the guard was touching and did not separate
-  VecX q, p;                // state there, before the impact; engine coordinates
+  double alpha = 0;           // fraction of the step
+  double gap = 0;             // left over
+  bool stays_closed = false;  // the guard was touching and did not separate
+  VecX q, p;                  // state there, before the impact; engine coordinates
 };
 
 enum class Search { kNone, kFound, kNewtonFailed, kUnresolved };
@@ -75,7 +75,7 @@ class EventFinder {
     int guard;
     double end_gap;  // exact
     Point from;      // nothing happens before it, and the gap is positive there
-    bool crosses, persistent;
+    bool crosses, stays_closed;
     Point lo, hi;           // of a crossing: gap > 0 and <= 0 on the path
     bool lo_sure, hi_sure;  // so on the exact path too
     double root;
@@ -98,7 +98,7 @@ class EventFinder {
   bool someone_is_earlier(const Suspect& first, bool coarse);
   bool exact_at(int guard, double tau, Point& point);  // false: no convergence
   void cross(Suspect& s, const Point& lo, const Point& hi, double offset);
-  Search accept(int guard, const Point& at, bool persistent);
+  Search accept(int guard, const Point& at, bool stays_closed);
   void settle();
   Search fail(Search why, int guard, double gap);
 

@@ -33,11 +33,11 @@ bool EventFinder::exact_at(int guard, double tau, Point& point) {
 }
 
 // The guards are placed at the event.
-Search EventFinder::accept(int guard, const Point& at, bool persistent) {
+Search EventFinder::accept(int guard, const Point& at, bool stays_closed) {
   event_.guard = guard;
   event_.alpha = std::min(1.0, at.tau);
   event_.gap = at.gap;
-  event_.persistent = persistent;
+  event_.stays_closed = stays_closed;
   return Search::kFound;
 }
 
@@ -82,7 +82,7 @@ Search EventFinder::leave(Suspect& s, Point a) {
     }
   }
   // Neither: it hangs about zero, and what holds it decides.
-  s.crosses = s.persistent = true;
+  s.crosses = s.stays_closed = true;
   s.root = 0.0;
   return Search::kNone;
 }
@@ -93,7 +93,7 @@ Search EventFinder::close(Suspect& s, const Point& a, const Point& below) {
     cross(s, a, below, 0.0);  // an ordinary crossing
     return Search::kNone;
   }
-  s.crosses = s.persistent = true;
+  s.crosses = s.stays_closed = true;
   s.root = 0.0;
   return Search::kNone;
 }
@@ -166,7 +166,7 @@ Search EventFinder::resume(Suspect& s, const Point& from) {
 
 // On kFound either event() is filled or the event does not exist: then the suspect is searched further.
 Search EventFinder::locate(Suspect& s, bool& exists) {
-  if (s.persistent) {
+  if (s.stays_closed) {
     event_.q = *q0_;
     event_.p = *p0_;
     guards_->place(event_.q);
@@ -175,7 +175,7 @@ Search EventFinder::locate(Suspect& s, bool& exists) {
   const bool probe = !s.lo_sure;
   if (probe) {
     const Search outcome = separate(s);
-    if (outcome != Search::kNone || s.persistent) return outcome;
+    if (outcome != Search::kNone || s.stays_closed) return outcome;
   }
   return polish(s, probe || s.lo.tau == 0.0, exists);
 }
@@ -194,7 +194,7 @@ Search EventFinder::separate(Suspect& s) {
     s.hi_sure = true;
   }
   // There is none: it never separated.
-  s.persistent = true;
+  s.stays_closed = true;
   bool exists = true;
   return locate(s, exists);
 }

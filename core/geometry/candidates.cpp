@@ -11,7 +11,7 @@ constexpr double kParallel = 1e-5;
 
 // One side of a pair: what lies over a face.
 struct Over {
-  const Outline *plane, *other;  // of the face, of what lies over it
+  const ShapeFeatures *plane, *other;  // of the face, of what lies over it
   Pose plane_pose, other_pose;
   bool on_b;  // other is b
   Mat3 R;     // other's body frame in plane's
@@ -27,7 +27,7 @@ Over make_over(const PairView& v, bool on_b) {
 
 // The vertices over a face; returns the one lowest over its plane.
 int vertices_over(const Over& o, int f, CandidateSink& sink) {
-  const Outline::Face& face = o.plane->faces[f];
+  const ShapeFeatures::Face& face = o.plane->faces[f];
   const Vec3 n = o.R.transpose() * face.normal;  // in the other's frame
   const double base = face.normal.dot(o.p) - face.offset - o.plane->radius - o.other->radius;
   const Feature kind = o.on_b ? Feature::kVertexB : Feature::kVertexA;
@@ -48,11 +48,11 @@ int vertices_over(const Over& o, int f, CandidateSink& sink) {
 }
 
 void rim_sides(const Over& o, int r, int f, double gap, CandidateSink& sink) {
-  const Outline::Face& face = o.plane->faces[f];
-  const Outline::Rim& rim = o.other->rims[r];
+  const ShapeFeatures::Face& face = o.plane->faces[f];
+  const ShapeFeatures::Rim& rim = o.other->rims[r];
   const Vec3 center = o.R * rim.center + o.p;
   for (int k = face.first; k < face.first + face.count; ++k) {
-    const Outline::Edge& edge = o.plane->edges[o.plane->ring_edge[k]];
+    const ShapeFeatures::Edge& edge = o.plane->edges[o.plane->ring_edge[k]];
     const Vec3 from = center - edge.start;
     const double along = from.dot(edge.direction);
     const double away = o.plane->side[k].dot(center) - o.plane->side_offset[k];
@@ -70,11 +70,11 @@ void rim_sides(const Over& o, int r, int f, double gap, CandidateSink& sink) {
 }
 
 // True if a disc of the centre and radius reaches over the face, all in the face's plane.
-bool reaches_over(const Outline& o, const Outline::Face& face, const Vec3& center, double radius) {
+bool reaches_over(const ShapeFeatures& o, const ShapeFeatures::Face& face, const Vec3& center, double radius) {
   if (outside_of(o, face, center) <= 0.0) return true;
   if (face.count == 0) return outside_of(o, face, center) <= radius;
   for (int k = face.first; k < face.first + face.count; ++k) {
-    const Outline::Edge& e = o.edges[o.ring_edge[k]];
+    const ShapeFeatures::Edge& e = o.edges[o.ring_edge[k]];
     const double s = std::clamp((center - e.start).dot(e.direction), 0.0, e.length);
     const Vec3 d = center - e.start - s * e.direction;
     if ((d - face.normal.dot(d) * face.normal).norm() <= radius) return true;
@@ -83,7 +83,7 @@ bool reaches_over(const Outline& o, const Outline::Face& face, const Vec3& cente
 }
 
 // The material point of a rim lowest over a plane of the normal n, in the plane's frame.
-Vec3 lowest_rim_point(const Over& o, const Outline::Rim& rim, const Vec3& n) {
+Vec3 lowest_rim_point(const Over& o, const ShapeFeatures::Rim& rim, const Vec3& n) {
   Vec3 lowest = o.R * rim_point(rim, 0) + o.p;
   for (int k = 1; k < kRimPoints; ++k) {
     const Vec3 x = o.R * rim_point(rim, k) + o.p;
@@ -93,10 +93,10 @@ Vec3 lowest_rim_point(const Over& o, const Outline::Rim& rim, const Vec3& n) {
 }
 
 void rims_over(const Over& o, int f, bool coming, CandidateSink& sink) {
-  const Outline::Face& face = o.plane->faces[f];
+  const ShapeFeatures::Face& face = o.plane->faces[f];
   const double radii = o.plane->radius + o.other->radius;
   for (int r = 0; r < static_cast<int>(o.other->rims.size()); ++r) {
-    const Outline::Rim& rim = o.other->rims[r];
+    const ShapeFeatures::Rim& rim = o.other->rims[r];
     const Vec3 axis = o.R * rim.axis, center = o.R * rim.center + o.p;
     const double tilt = rim_tilt(rim.radius, axis, face.normal);
     const double gap = face.normal.dot(center) - tilt - face.offset - radii;
@@ -126,12 +126,12 @@ void rims_over(const Over& o, int f, bool coming, CandidateSink& sink) {
 }
 
 // Sides of the plate of a face, edges at the vertex nearest to the other body, and axes.
-void edges_near(const Outline& o, int face, int vertex, std::vector<int>& list) {
+void edges_near(const ShapeFeatures& o, int face, int vertex, std::vector<int>& list) {
   list.clear();
   if (face >= 0) {
     for (int f : o.plates[o.faces[face].plate]) {
       for (int k = o.faces[f].first; k < o.faces[f].first + o.faces[f].count; ++k) {
-        const Outline::Edge& e = o.edges[o.ring_edge[k]];
+        const ShapeFeatures::Edge& e = o.edges[o.ring_edge[k]];
         const bool inner = e.left >= 0 && e.right >= 0 && o.faces[e.left].plate == o.faces[e.right].plate;
         if (!inner) list.push_back(o.ring_edge[k]);
       }
@@ -145,7 +145,7 @@ void edges_near(const Outline& o, int face, int vertex, std::vector<int>& list) 
 }
 
 // How far n lies outside of the arc of normals of an edge [rad], both in one frame and n orthogonal to the edge.
-double outside_arc(const Outline& o, const Outline::Edge& e, const Vec3& n) {
+double outside_arc(const ShapeFeatures& o, const ShapeFeatures::Edge& e, const Vec3& n) {
   if (e.left < 0 || e.right < 0) return -1.0;
   const Vec3 &l = o.faces[e.left].normal, &r = o.faces[e.right].normal;
   if (n.dot(l + r) < 0.0) return 1.0;
@@ -205,7 +205,7 @@ Vec3 lowest_of_rim(const Vec3& center, const Vec3& axis, double radius, const Ve
   return center + radius * axis.cross(Vec3::Unit(smallest)).normalized();
 }
 
-Vec3 rim_point(const Outline::Rim& rim, int k) {
+Vec3 rim_point(const ShapeFeatures::Rim& rim, int k) {
   // Exact at the quarters, and the same numbers everywhere.
   static const double kSin[4] = {0.0, 0.5, 0.86602540378443864676, 1.0};
   const int quarter = k / 3, step = k % 3;
@@ -214,8 +214,8 @@ Vec3 rim_point(const Outline::Rim& rim, int k) {
   return rim.center + rim.radius * (x[quarter] * rim.zero + y[quarter] * rim.quarter);
 }
 
-Line line_of(const Outline& o, const Pose& pose, int edge) {
-  const Outline::Edge& e = o.edges[edge];
+Line line_of(const ShapeFeatures& o, const Pose& pose, int edge) {
+  const ShapeFeatures::Edge& e = o.edges[edge];
   return {pose.point(e.start), pose.R * e.direction, e.length, o.radius + e.radius};
 }
 

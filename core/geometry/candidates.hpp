@@ -52,7 +52,7 @@ struct Pose {
 Pose pose_of(int body, const Placements& at);
 
 struct PairView {
-  const Outline *a, *b;
+  const ShapeFeatures *a, *b;
   Pose pose_a, pose_b;
 };
 
@@ -100,7 +100,7 @@ void list_candidates(const PairView& v, const Sides& sides, bool coming, EdgeLis
 inline double rim_tilt(double radius, const Vec3& axis, const Vec3& n) { return radius * axis.cross(n).norm(); }
 // The point of a rim that lies deepest along the normal n; a fixed one where it is flat.
 Vec3 lowest_of_rim(const Vec3& center, const Vec3& axis, double radius, const Vec3& n);
-Vec3 rim_point(const Outline::Rim& rim, int k);
+Vec3 rim_point(const ShapeFeatures::Rim& rim, int k);
 
 // Two lines in the view along n, world frame.
 struct Crossing {
@@ -111,7 +111,7 @@ struct Crossing {
   double beyond;          // how far these lie beyond the ends of the edges, negative inside
   double beyond_in_view;  // the same of the crossing in view
 };
-Line line_of(const Outline& outline, const Pose& pose, int edge);
+Line line_of(const ShapeFeatures& shape_features, const Pose& pose, int edge);
 // False where they are nearly parallel in view, or neither their crossing in view nor their nearest points lie within
 // `border` of both edges (then c is not complete).
 bool cross_lines(const Line& a, const Line& b, const Vec3& n_W, double border, Crossing& c);

@@ -28,7 +28,7 @@ Guards::Guards(const Scene& scene, int contact_points)
       count_(scene.guard_count()),
       pairs_(static_cast<int>(scene.pairs.size())),
       manifolds_(scene, contact_points),
-      held_(count_),
+      contact_step_(count_),
       placements_(scene.tree),
       q_(VecX::Zero(scene.tree.nq)),
       functors_(new Functors),
@@ -86,20 +86,21 @@ double Guards::limit_gap(int guard, const VecCRef& q) const {
   return limit.upper ? limit.bound - value : value - limit.bound;
 }
 
-void Guards::set_held(int guard, std::vector<const ContactPoint*> points) {
-  held_[guard] = std::move(points);
+void Guards::set_persistent(int guard, std::vector<const ContactPoint*> points) {
+  contact_step_[guard] = std::move(points);
   unmark(guard);
 }
 
 double Guards::evaluate(int guard, Contact& contact) {
-  const std::vector<const ContactPoint*>& held = held_[guard];
-  if (held.empty()) return evaluate_witness(guard, contact);
+  const std::vector<const ContactPoint*>& persistent = contact_step_[guard];
+  if (persistent.empty()) return evaluate_witness(guard, contact);
   double gap = std::numeric_limits<double>::infinity();
   Contact witness{};
-  if (held[0]->kind != PointKind::kWitness && held[0]->kind != PointKind::kLimit) {
+  if (persistent[0]->kind != PointKind::kWitness && persistent[0]->kind != PointKind::kLimit) {
     evaluate_witness(guard, witness);
     contact = witness;
-    gap = manifolds_.rest(guard, placements(), held.data(), static_cast<int>(held.size()), witness, contact);
+    gap =
+        manifolds_.rest(guard, placements(), persistent.data(), static_cast<int>(persistent.size()), witness, contact);
   }
   if (gap == std::numeric_limits<double>::infinity()) {
     contact = {kNothingElse, Vec3::Zero(), Vec3::Zero(), Vec3::Zero(), -1, -1};

@@ -54,8 +54,8 @@ class Guards {
   }
   const Manifolds& manifolds() const { return manifolds_; }
   // The points of a guard that are held from now on; they must stay where they are.
-  void set_held(int guard, std::vector<const ContactPoint*> points);
-  bool is_held(int guard) const { return !held_[guard].empty(); }
+  void set_persistent(int guard, std::vector<const ContactPoint*> points);
+  bool is_persistent(int guard) const { return !contact_step_[guard].empty(); }
   // W = d(gap)/dq, shape (nv,).
   void gradient(int guard, const Contact& contact, VecRef W) const;
   // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3).
@@ -113,7 +113,7 @@ class Guards {
   const Scene* scene_;
   int count_, pairs_;
   Manifolds manifolds_;
-  std::vector<std::vector<const ContactPoint*>> held_;
+  std::vector<std::vector<const ContactPoint*>> contact_step_;
   Placements placements_;
   bool placed_ = false;  // at q_
   VecX q_;

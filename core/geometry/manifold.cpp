@@ -14,7 +14,7 @@ constexpr double kOnFace = 1e-6;
 constexpr double kBelow = 1.1;
 
 // The face of o that contains x (its core's surface point, world) and looks most along n; -1 if none looks that way.
-int facing_face(const Outline& o, const Pose& pose, const Vec3& n_W, const Vec3& x_W) {
+int facing_face(const ShapeFeatures& o, const Pose& pose, const Vec3& n_W, const Vec3& x_W) {
   if (o.is_unbounded()) return 0;
   const Vec3 n = pose.R.transpose() * n_W, x = pose.into(x_W);
   int best = -1, best_on = -1;
@@ -47,8 +47,8 @@ class Collect final : public CandidateSink {
 // The least of the candidates that are not held.
 class Manifolds::Least final : public CandidateSink {
  public:
-  Least(const Manifolds& owner, const Placements& at, const ContactPoint* const* held, int count)
-      : owner_(owner), at_(at), held_(held), count_(count) {
+  Least(const Manifolds& owner, const Placements& at, const ContactPoint* const* persistent, int count)
+      : owner_(owner), at_(at), contact_step_(persistent), count_(count) {
     limit = kInfinity;
     supported_ = count >= std::min(3, owner.max_points_);
   }
@@ -57,15 +57,15 @@ class Manifolds::Least final : public CandidateSink {
     double slack = supported_ ? kRestSlack : 0.0;
     const int rim = feature_rim(c.feature);
     for (int i = 0; i < count_; ++i) {
-      const ContactPoint& h = *held_[i];
+      const ContactPoint& h = *contact_step_[i];
       if (h.feature == c.feature) return;
       if (rim >= 0 && feature_rim(h.feature) == rim && feature_on_b(h.feature) == feature_on_b(c.feature))
         slack = kRestSlack;
     }
     if (c.gap + slack >= limit) return;
     for (int i = 0; i < count_; ++i) {
-      if (held_[i]->kind == PointKind::kLimit) continue;
-      if (slack == 0.0 && is_same_place(*held_[i], c)) return;
+      if (contact_step_[i]->kind == PointKind::kLimit) continue;
+      if (slack == 0.0 && is_same_place(*contact_step_[i], c)) return;
     }
     limit = c.gap + slack;
     best = c;
@@ -86,26 +86,26 @@ class Manifolds::Least final : public CandidateSink {
 
   const Manifolds& owner_;
   const Placements& at_;
-  const ContactPoint* const* held_;
+  const ContactPoint* const* contact_step_;
   int count_;
   bool supported_;  // at points that fix the faces to each other
 };
 
 Manifolds::Manifolds(const Scene& scene, int max_points) : max_points_(std::max(1, max_points)) {
   std::vector<int> number(2 * scene.geometries.size(), -1);
-  auto outline = [&](int geometry, bool rounded) {
+  auto shape_features = [&](int geometry, bool rounded) {
     int& n = number[2 * geometry + rounded];
     if (n < 0) {
-      n = static_cast<int>(outlines_.size());
-      outlines_.push_back(make_outline(scene.geometries[geometry], rounded));
+      n = static_cast<int>(shape_features_.size());
+      shape_features_.push_back(make_shape_features(scene.geometries[geometry], rounded));
     }
     return n;
   };
   for (const Pair& pair : scene.pairs) {
-    const int i = outline(pair.a, pair.rounded), j = outline(pair.b, pair.rounded);
-    const Outline &a = outlines_[i], &b = outlines_[j];
-    auto is_empty = [](const Outline& o) { return o.vertices.empty() && o.faces.empty(); };
-    auto is_point = [](const Outline& o) { return o.vertices.size() == 1; };
+    const int i = shape_features(pair.a, pair.rounded), j = shape_features(pair.b, pair.rounded);
+    const ShapeFeatures &a = shape_features_[i], &b = shape_features_[j];
+    auto is_empty = [](const ShapeFeatures& o) { return o.vertices.empty() && o.faces.empty(); };
+    auto is_point = [](const ShapeFeatures& o) { return o.vertices.size() == 1; };
     bool single = is_empty(a) || is_empty(b) || (a.faces.empty() && b.faces.empty());
     single |= (is_point(a) && !b.is_unbounded()) || (is_point(b) && !a.is_unbounded());
     shapes_.push_back({i, j, single, (pair.curved ? 2e-8 : 1e-9) + a.roughness + b.roughness});
@@ -113,7 +113,7 @@ Manifolds::Manifolds(const Scene& scene, int max_points) : max_points_(std::max(
 }
 
 PairView Manifolds::view(int pair, const Placements& at) const {
-  const Outline &a = outlines_[shapes_[pair].a], &b = outlines_[shapes_[pair].b];
+  const ShapeFeatures &a = shape_features_[shapes_[pair].a], &b = shape_features_[shapes_[pair].b];
   return {&a, &b, pose_of(a.body, at), pose_of(b.body, at)};
 }
 
@@ -156,38 +156,38 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
       others->push_back(make_point(pair, v, found_[i], n));
 }
 
-double Manifolds::rest(int pair, const Placements& at, const ContactPoint* const* held, int count,
+double Manifolds::rest(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                        const Contact& witness, Contact& contact) const {
   if (shapes_[pair].single) return kInfinity;
   const PairView v = view(pair, at);
   const ContactPoint* known = nullptr;
   for (int i = 0; i < count && known == nullptr; ++i)
-    if (held[i]->feature != 0) known = held[i];
+    if (persistent[i]->feature != 0) known = persistent[i];
   const Sides sides = known != nullptr ? sides_of_point(v, *known, at) : sides_of_witness(v, witness);
-  Least least(*this, at, held, count);
+  Least least(*this, at, persistent, count);
   list_candidates(v, sides, true, edges_, least);
   double value = least.limit;
   if (value < kInfinity) evaluate(make_point(pair, v, least.best, sides.n_W), at, contact);
   for (int i = 0; i < count; ++i) {
-    if (held[i]->kind != PointKind::kRim) continue;
+    if (persistent[i]->kind != PointKind::kRim) continue;
     Contact far;
-    const double gap = far_of_rim(*held[i], at, far);
+    const double gap = far_of_rim(*persistent[i], at, far);
     if (gap >= value) continue;
     value = gap;
     contact = far;
   }
-  return count > 0 ? with_witness(pair, at, held, count, witness, value, contact) : value;
+  return count > 0 ? with_witness(pair, at, persistent, count, witness, value, contact) : value;
 }
 
 // Where coal sees the pair deeper than its held points are, a feature has come down that none of the faces lists.
-double Manifolds::with_witness(int pair, const Placements& at, const ContactPoint* const* held, int count,
+double Manifolds::with_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                                const Contact& witness, double value, Contact& contact) const {
   const double noise = shapes_[pair].noise;
   double least = 0.0;
   for (int i = 0; i < count; ++i) {
-    if (held[i]->kind == PointKind::kWitness || held[i]->kind == PointKind::kLimit) return value;
+    if (persistent[i]->kind == PointKind::kWitness || persistent[i]->kind == PointKind::kLimit) return value;
     Contact c;
-    evaluate(*held[i], at, c);
+    evaluate(*persistent[i], at, c);
     least = std::min(least, c.gap);
   }
   const double deeper = witness.gap - least;
@@ -198,7 +198,7 @@ double Manifolds::with_witness(int pair, const Placements& at, const ContactPoin
 
 bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) const {
   const Shapes& s = shapes_[pair];
-  if (s.single || !(outlines_[s.a].is_unbounded() || outlines_[s.b].is_unbounded())) return false;
+  if (s.single || !(shape_features_[s.a].is_unbounded() || shape_features_[s.b].is_unbounded())) return false;
   rest(pair, at, nullptr, 0, Contact{}, contact);
   return true;
 }

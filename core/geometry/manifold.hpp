@@ -93,17 +93,17 @@ class Manifolds {
   // held at three points, the rim of which points are held) count from kRestSlack on, so that they do not flicker about
   // zero: contact.gap is lower than the result by that much. The far side of a rim that comes down counts as down
   // 5e-12 m early.
-  double rest(int pair, const Placements& at, const ContactPoint* const* held, int count, const Contact& witness,
+  double rest(int pair, const Placements& at, const ContactPoint* const* persistent, int count, const Contact& witness,
               Contact& contact) const;
 
   // Of the pair's distance by coal, against that of its features [m].
   double noise(int pair) const { return shapes_[pair].noise; }
 
  private:
-  double with_witness(int pair, const Placements& at, const ContactPoint* const* held, int count,
+  double with_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                       const Contact& witness, double value, Contact& contact) const;
   struct Shapes {
-    int a, b;      // in outlines_
+    int a, b;      // in shape_features_
     bool single;   // coal's point is the only one
     double noise;  // of the pair's distance by coal, against ours
   };
@@ -115,7 +115,7 @@ class Manifolds {
   Sides sides_of_point(const PairView& v, const ContactPoint& point, const Placements& at) const;
 
   int max_points_;
-  std::vector<Outline> outlines_;
+  std::vector<ShapeFeatures> shape_features_;
   std::vector<Shapes> shapes_;
   // Scratch; grows to the largest manifold seen.
   mutable std::vector<Candidate> found_;

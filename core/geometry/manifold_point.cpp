@@ -20,7 +20,7 @@ constexpr double kStay = 2.0;
 struct Parts {
   Feature kind;
   bool on_b;
-  const Outline *plane, *other;
+  const ShapeFeatures *plane, *other;
   const Pose *plane_pose, *other_pose;
   int face, i;
   int rim;  // -1: none
@@ -43,7 +43,7 @@ Parts parts_of(const PairView& v, std::int64_t n) {
 
 // That one of some faces which looks most along n, -1: none of them does.
 template <class Faces>
-int most_facing(const Outline& o, const Pose& pose, const Vec3& n_W, const Faces& faces) {
+int most_facing(const ShapeFeatures& o, const Pose& pose, const Vec3& n_W, const Faces& faces) {
   const Vec3 n = pose.R.transpose() * n_W;
   int best = -1;
   double most = kFacing;
@@ -114,7 +114,7 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
   const Feature kind = feature_kind(c.feature);
   if (kind == Feature::kWitness) return p;
   if (kind == Feature::kEdges) {
-    const Outline::Edge &a = v.a->edges[feature_i(c.feature)], &b = v.b->edges[feature_j(c.feature)];
+    const ShapeFeatures::Edge &a = v.a->edges[feature_i(c.feature)], &b = v.b->edges[feature_j(c.feature)];
     p.kind = PointKind::kEdge;
     p.center_B = b.start;
     p.radius = v.b->radius + b.radius;
@@ -126,7 +126,7 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
     return p;
   }
   const Parts parts = parts_of(v, c.feature);
-  const Outline::Face& face = parts.plane->faces[parts.face];
+  const ShapeFeatures::Face& face = parts.plane->faces[parts.face];
   p.kind = PointKind::kVertex;
   p.on_b = parts.on_b;
   p.point_body = parts.other->body;
@@ -136,7 +136,7 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
   p.offset = face.offset + parts.plane->radius;
   p.material = p.radius == 0.0;
   if (kind == Feature::kRimA || kind == Feature::kRimB) {
-    const Outline::Rim& rim = parts.other->rims[parts.rim];
+    const ShapeFeatures::Rim& rim = parts.other->rims[parts.rim];
     p.kind = PointKind::kRim;
     p.material = false;
     p.center_B = rim.center;
@@ -181,9 +181,9 @@ bool Manifolds::valid(const ContactPoint& point, const Placements& at) const {
            c.beyond <= border && outside_cone(v, i, j, c.normal) <= kStay * kNormalCone;
   }
   const Parts parts = parts_of(v, point.feature);
-  const Outline::Face& face = parts.plane->faces[parts.face];
+  const ShapeFeatures::Face& face = parts.plane->faces[parts.face];
   if (parts.rim >= 0) {
-    const Outline::Rim& rim = parts.other->rims[parts.rim];
+    const ShapeFeatures::Rim& rim = parts.other->rims[parts.rim];
     const double tilt = rim_tilt(rim.radius, parts.other_pose->R * rim.axis, parts.plane_pose->R * face.normal);
     if (point.kind == PointKind::kRim && kStay * tilt <= kUpright) return false;
     if (point.kind == PointKind::kVertex && tilt > kStay * kUpright) return false;
@@ -225,8 +225,8 @@ Sides Manifolds::sides_of_point(const PairView& v, const ContactPoint& point, co
   Sides s;
   s.n_W = contact.normal;
   if (point.kind == PointKind::kEdge) {
-    const Outline::Edge& a = v.a->edges[feature_i(point.feature)];
-    const Outline::Edge& b = v.b->edges[feature_j(point.feature)];
+    const ShapeFeatures::Edge& a = v.a->edges[feature_i(point.feature)];
+    const ShapeFeatures::Edge& b = v.b->edges[feature_j(point.feature)];
     s.a = most_facing(*v.a, v.pose_a, s.n_W, std::array<int, 2>{a.left, a.right});
     s.b = most_facing(*v.b, v.pose_b, -s.n_W, std::array<int, 2>{b.left, b.right});
     return s;

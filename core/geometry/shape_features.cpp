@@ -111,14 +111,14 @@ std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coa
 
 Vec3 to_body(const Geometry& g, const Vec3& x) { return g.R_BG * x + g.p_BG; }
 
-void join_plates(Outline& o) {
+void join_plates(ShapeFeatures& o) {
   std::vector<int> leader(o.faces.size());
   std::iota(leader.begin(), leader.end(), 0);
   auto find = [&](int i) {
     while (leader[i] != i) i = leader[i];
     return i;
   };
-  for (const Outline::Edge& e : o.edges) {
+  for (const ShapeFeatures::Edge& e : o.edges) {
     if (e.left < 0 || e.right < 0) continue;
     if (o.faces[e.left].normal.cross(o.faces[e.right].normal).norm() > kPlateAngle) continue;
     const int i = find(e.left), j = find(e.right);
@@ -137,7 +137,7 @@ void join_plates(Outline& o) {
 }
 
 // Faces, sides and edges of a polytope whose corners index points of the body frame.
-void add_polygons(Outline& o, const Points& points, const std::vector<Polygon>& polygons) {
+void add_polygons(ShapeFeatures& o, const Points& points, const std::vector<Polygon>& polygons) {
   std::vector<int> number(points.size(), -1);
   for (const Polygon& p : polygons)
     for (int i : p.corners) number[i] = 0;
@@ -172,13 +172,13 @@ void add_polygons(Outline& o, const Points& points, const std::vector<Polygon>& 
       }
     }
   }
-  for (Outline::Edge& e : o.edges) {
+  for (ShapeFeatures::Edge& e : o.edges) {
     if (e.right < 0) continue;
     if (o.faces[e.left].normal.cross(o.faces[e.right].normal).dot(e.direction) < 0.0) std::swap(e.left, e.right);
   }
 }
 
-void add_box(Outline& o, const Geometry& g, const Vec3& half) {
+void add_box(ShapeFeatures& o, const Geometry& g, const Vec3& half) {
   Points points;
   for (int i = 0; i < 8; ++i)
     points.push_back(to_body(g, {i & 1 ? half[0] : -half[0], i & 2 ? half[1] : -half[1], i & 4 ? half[2] : -half[2]}));
@@ -194,7 +194,7 @@ void add_box(Outline& o, const Geometry& g, const Vec3& half) {
   add_polygons(o, points, faces);
 }
 
-void add_hull(Outline& o, const Geometry& g, const coal::ConvexBase& shape) {
+void add_hull(ShapeFeatures& o, const Geometry& g, const coal::ConvexBase& shape) {
   const auto* hull = dynamic_cast<const coal::Convex<coal::Triangle>*>(&shape);
   if (hull == nullptr || !hull->polygons) throw Error("a convex shape has no triangles");
   Points points;
@@ -217,12 +217,12 @@ void add_hull(Outline& o, const Geometry& g, const coal::ConvexBase& shape) {
   add_polygons(o, points, merge_triangles(points, *hull->polygons, size, same, o.roughness));
 }
 
-void add_axis(Outline& o, const Geometry& g, double half, double radius) {
+void add_axis(ShapeFeatures& o, const Geometry& g, double half, double radius) {
   const Vec3 z = g.R_BG.col(2);
   o.edges.push_back({-1, -1, g.p_BG - half * z, z, 2.0 * half, -1, -1, radius});
 }
 
-void add_cylinder(Outline& o, const Geometry& g, const coal::Cylinder& shape) {
+void add_cylinder(ShapeFeatures& o, const Geometry& g, const coal::Cylinder& shape) {
   add_axis(o, g, shape.halfLength, shape.radius);
   for (int sign : {-1, 1}) {
     const Vec3 normal = sign * g.R_BG.col(2), center = g.p_BG + shape.halfLength * normal;
@@ -233,9 +233,9 @@ void add_cylinder(Outline& o, const Geometry& g, const coal::Cylinder& shape) {
 
 }  // namespace
 
-Outline make_outline(const Geometry& g, bool rounded) {
+ShapeFeatures make_shape_features(const Geometry& g, bool rounded) {
   const coal::CollisionGeometry& shape = rounded && g.rounded ? *g.rounded : *g.sharp;
-  Outline o;
+  ShapeFeatures o;
   o.body = g.body;
   o.radius = static_cast<const coal::ShapeBase&>(shape).getSweptSphereRadius();
   switch (shape.getNodeType()) {
@@ -279,7 +279,7 @@ Outline make_outline(const Geometry& g, bool rounded) {
   return o;
 }
 
-double outside_of(const Outline& o, const Outline::Face& face, const Vec3& x) {
+double outside_of(const ShapeFeatures& o, const ShapeFeatures::Face& face, const Vec3& x) {
   if (face.count == 0) {
     if (std::isinf(face.radius)) return 0.0;
     const Vec3 d = x - face.center;

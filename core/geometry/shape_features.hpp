@@ -20,7 +20,7 @@
 
 namespace contactvi {
 
-struct Outline {
+struct ShapeFeatures {
   struct Face {
     Vec3 normal;       // outward; the core lies at normal.x <= offset
     double offset;     // [m]
@@ -34,7 +34,7 @@ struct Outline {
     Vec3 start, direction;  // direction: unit
     double length;
     int left, right;  // faces, normal(left) x normal(right) points along the edge; -1: none
-    double radius;    // swept by this besides Outline::radius
+    double radius;    // swept by this besides ShapeFeatures::radius
   };
   struct Rim {
     Vec3 center, axis;   // axis: unit, outward of the shape
@@ -61,9 +61,9 @@ struct Outline {
 };
 
 // Of the shape that distances of a pair refer to: rounded or sharp. Throws Error for a hull without triangles.
-Outline make_outline(const Geometry& geometry, bool rounded);
+ShapeFeatures make_shape_features(const Geometry& geometry, bool rounded);
 
 // How far x lies outside of the prism over a face [m], negative inside; 0 over a halfspace.
-double outside_of(const Outline& outline, const Outline::Face& face, const Vec3& x);
+double outside_of(const ShapeFeatures& shape_features, const ShapeFeatures::Face& face, const Vec3& x);
 
 }  // namespace contactvi

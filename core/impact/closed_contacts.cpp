@@ -12,19 +12,19 @@ constexpr double kDriven = 1e-9;     // of the speeds: a constraint that closes 
 }  // namespace
 
 // The points of a guard that are closed at q_, held ones among them; false if there are none.
-bool ImpactSequence::add(int guard, const std::vector<HeldContact>& held, double margin) {
+bool ImpactSequence::add(int guard, const std::vector<PersistentContact>& persistent, double margin) {
   if (count_ == static_cast<int>(closed_.size())) closed_.emplace_back();
   ClosedGuard& c = closed_[count_];
   c.guard = guard;
   c.e = scene_->restitution(guard);
   c.mu = scene_->friction(guard);
-  c.hit = c.held = false;
+  c.hit = c.persistent = false;
   c.points.clear();
-  c.spare.clear();
+  c.unused.clear();
   Contact& witness = c.witness;
   const double gap = guards_->evaluate_witness(guard, witness);
   if (scene_->is_pair(guard)) {
-    guards_->manifolds().find(guard, guards_->placements(), witness, std::max(margin, gap), c.points, &c.spare);
+    guards_->manifolds().find(guard, guards_->placements(), witness, std::max(margin, gap), c.points, &c.unused);
   } else {
     ContactPoint limit{};
     limit.guard = guard;
@@ -33,9 +33,9 @@ bool ImpactSequence::add(int guard, const std::vector<HeldContact>& held, double
   }
   c.chosen = static_cast<int>(c.points.size());
   auto is = [](const ContactPoint& a, const ContactPoint& b) { return a.kind == b.kind && a.feature == b.feature; };
-  for (const HeldContact& h : held) {
+  for (const PersistentContact& h : persistent) {
     if (h.point.guard != guard) continue;
-    c.held = true;
+    c.persistent = true;
     bool found = false;
     // A flat rim's points stand for the rim.
     for (const ContactPoint& p : c.points)
@@ -44,15 +44,15 @@ bool ImpactSequence::add(int guard, const std::vector<HeldContact>& held, double
                                   feature_on_b(p.feature) == feature_on_b(h.point.feature));
     if (found) continue;
     c.points.push_back(h.point);
-    for (std::size_t k = c.spare.size(); k-- > 0;)
-      if (is(c.spare[k], h.point)) c.spare.erase(c.spare.begin() + static_cast<std::ptrdiff_t>(k));
+    for (std::size_t k = c.unused.size(); k-- > 0;)
+      if (is(c.unused[k], h.point)) c.unused.erase(c.unused.begin() + static_cast<std::ptrdiff_t>(k));
   }
   if (c.points.empty()) return false;
   c.count = c.rows = 0;
   c.contacts.clear();
   c.t1.clear();
   for (int i = 0; i < static_cast<int>(c.points.size()); ++i) add_rows(c);
-  any_held_ |= c.held;
+  any_persistent_ |= c.persistent;
   ++count_;
   return true;
 }
@@ -85,20 +85,20 @@ void ImpactSequence::add_rows(ClosedGuard& c) {
 }
 
 // A face of many points that tips: of those not in use the one that closes fastest is taken in. False: none closes.
-bool ImpactSequence::take_spare(const VecX& p) {
+bool ImpactSequence::take_unused(const VecX& p) {
   ClosedGuard* tips = nullptr;
   std::size_t best = 0;
   double most = -kSolved * std::max(speeds_, largest_speed(p));
   bool any = false;
-  for (int i = 0; i < count_; ++i) any |= !closed_[i].spare.empty();
+  for (int i = 0; i < count_; ++i) any |= !closed_[i].unused.empty();
   if (!any || !integrator_->node_velocity(q_, p, v_)) return false;
   guards_->place(q_);
   MatX row(scene_->tree.nv, 3);
   for (int i = 0; i < count_; ++i) {
     ClosedGuard& c = closed_[i];
-    for (std::size_t k = 0; k < c.spare.size(); ++k) {
+    for (std::size_t k = 0; k < c.unused.size(); ++k) {
       Contact contact;
-      guards_->manifolds().evaluate(c.spare[k], guards_->placements(), contact);
+      guards_->manifolds().evaluate(c.unused[k], guards_->placements(), contact);
       guards_->rows(c.guard, contact, any_tangent(contact.normal), row);
       const double gamma = row.col(0).dot(v_);
       if (gamma >= most) continue;
@@ -108,16 +108,16 @@ bool ImpactSequence::take_spare(const VecX& p) {
     }
   }
   if (tips == nullptr) return false;
-  tips->points.push_back(tips->spare[best]);
-  tips->spare.erase(tips->spare.begin() + static_cast<std::ptrdiff_t>(best));
+  tips->points.push_back(tips->unused[best]);
+  tips->unused.erase(tips->unused.begin() + static_cast<std::ptrdiff_t>(best));
   add_rows(*tips);
   return true;
 }
 
 bool ImpactSequence::collect(const VecX& q, const VecX& p, const std::vector<int>& active, int first,
-                             const std::vector<HeldContact>& held) {
+                             const std::vector<PersistentContact>& persistent) {
   count_ = 0;
-  any_held_ = false;
+  any_persistent_ = false;
   q_ = q;
   guards_->place(q);
   if (!integrator_->node_velocity(q, p, v_))
@@ -125,16 +125,16 @@ bool ImpactSequence::collect(const VecX& q, const VecX& p, const std::vector<int
   if (projection_.any()) projection_.set(*integrator_, guards_->placements(), q, time);
   std::vector<int> guards(active);
   if (first >= 0) guards.push_back(first);
-  for (const HeldContact& h : held) guards.push_back(h.point.guard);
+  for (const PersistentContact& h : persistent) guards.push_back(h.point.guard);
   std::sort(guards.begin(), guards.end());
   guards.erase(std::unique(guards.begin(), guards.end()), guards.end());
   for (int g : guards) {
     const double tolerance = guards_->touch_tolerance(g);
-    bool is_held = false;
-    for (const HeldContact& h : held) is_held |= h.point.guard == g;
+    bool is_persistent = false;
+    for (const PersistentContact& h : persistent) is_persistent |= h.point.guard == g;
     Contact contact;
-    if (g != first && !is_held && !(guards_->evaluate_witness(g, contact) <= tolerance)) continue;
-    if (!add(g, held, tolerance) || !projection_.any() || mobile(closed_[count_ - 1])) continue;
+    if (g != first && !is_persistent && !(guards_->evaluate_witness(g, contact) <= tolerance)) continue;
+    if (!add(g, persistent, tolerance) || !projection_.any() || mobile(closed_[count_ - 1])) continue;
     const double gamma = closed_[--count_].gamma_n(p);
     if (gamma < -kDriven * (1.0 + v_.cwiseAbs().maxCoeff()))
       return fail(StatusCode::kConstraint, "what the constraints drive or hold runs into what cannot give way", g);

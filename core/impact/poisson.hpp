@@ -20,12 +20,12 @@ namespace contactvi {
 struct ClosedGuard {
   int guard = -1;
   double e = 0, mu = 0;
-  bool held = false;  // before the event
+  bool persistent = false;  // before the event
   bool hit = false;
   int count = 0;  // of points in use below
   std::vector<ContactPoint> points;
   // Closed ones that are not in use: they close only if the body tips about the others
-  std::vector<ContactPoint> spare;
+  std::vector<ContactPoint> unused;
   int chosen = 0;  // of points: those that span the contact
   Contact witness;
   std::vector<Contact> contacts;

@@ -17,7 +17,7 @@ enum class Fallback : int {
   kNoConvergence = 2,  // no root near CTEC's
   kInadmissible = 3,   // a root with lambda < 0 or gamma+ <= 0
   kGrazing = 4,        // too slow for the equation to fix lambda: its root lies far from CTEC's
-  kHeld = 5,           // contacts are held: the rest of the step is not the smooth one that the scalar belongs to
+  kPersistent = 5,     // contacts are held: the rest of the step is not the smooth one that the scalar belongs to
 };
 
 struct ImpactProblem {

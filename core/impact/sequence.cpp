@@ -66,7 +66,7 @@ bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic
     worst = const_cast<ClosedGuard*>(&c);
   }
   // What bounces among contacts that are at rest anyway is not followed as far down.
-  const double low = std::max(kAtRest, any_held_ && !elastic ? kLowBounce * speeds_ : 0.0);
+  const double low = std::max(kAtRest, any_persistent_ && !elastic ? kLowBounce * speeds_ : 0.0);
   return worst == nullptr || gamma <= -std::max(kPlasticSpeed * scale, low);
 }
 
@@ -83,11 +83,11 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
   for (int i = 0; i < count_; ++i) elastic |= closed_[i].e == 1.0;
   for (int hits = 0;; ++hits) {
     ClosedGuard* worst = nullptr;
-    const bool endless = !elastic && hits >= (any_held_ ? kFewHits : kManyHits) * count_;
+    const bool endless = !elastic && hits >= (any_persistent_ ? kFewHits : kManyHits) * count_;
     const bool goes_on = closes_most(p, plastic, scale, elastic, worst) && !endless;
     if (goes_on) {
       if (worst != nullptr) {
-        const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_held_);
+        const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_persistent_);
         if (!(single ? hit_point(*worst, worst->e, at, p, recording) : hit_block(*worst, worst->e, at, p, recording)))
           return false;
         if (++impacts_in_step > options_.max_impacts_per_step)
@@ -98,7 +98,7 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
     bool any = false;
     if (!hit_plastic(plastic, !goes_on, at, scale, p, any, recording)) return false;
     if (!any) {
-      if (take_spare(p)) continue;
+      if (take_unused(p)) continue;
       return true;
     }
     if (++impacts_in_step > options_.max_impacts_per_step)
@@ -107,7 +107,7 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
 }
 
 ImpactResult ImpactSequence::apply_map(const ImpactProblem& problem, VecX& p) {
-  if (options_.map == 0 || !held()) {
+  if (options_.map == 0 || !persistent()) {
     switch (options_.map) {
       case kDtec:
         return impact_dtec(problem, p);
@@ -119,7 +119,7 @@ ImpactResult ImpactSequence::apply_map(const ImpactProblem& problem, VecX& p) {
   }
   // The rest of the step is not a smooth one: its scalar is not what the map conserves.
   ImpactResult result = impact_ctec(problem, p);
-  result.fallback = Fallback::kHeld;
+  result.fallback = Fallback::kPersistent;
   return result;
 }
 
@@ -155,8 +155,8 @@ ImpactResult ImpactSequence::corrected(const ClosedGuard& closed, const BlockRes
   }
   ImpactResult result = ctec;
   if (options_.map == 0) return result;
-  if (held() || !(ctec.impulse > 0.0)) {
-    result.fallback = Fallback::kHeld;
+  if (persistent() || !(ctec.impulse > 0.0)) {
+    result.fallback = Fallback::kPersistent;
     return result;
   }
   const VecX base = p - ctec.impulse * W;  // so that p = base + impulse W
@@ -188,7 +188,7 @@ bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at,
   std::vector<BlockMember> members{{&closed, e}};
   if (options_.stiff_support)
     for (int i = 0; i < count_; ++i)
-      if (closed_[i].held && &closed_[i] != &closed) members.push_back({&closed_[i], 0.0});
+      if (closed_[i].persistent && &closed_[i] != &closed) members.push_back({&closed_[i], 0.0});
   const BlockResult block = poisson_.solve(members, p);
   if (!block.ok) return not_solved("an impact with friction was not solved", closed.guard);
   target -= block.loss;
@@ -262,7 +262,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
     ImpactResult result;
     for (int i = 0; i < c.count; ++i) result.impulse += lambda[m * i];
     result.iterations = block.iterations;
-    if (options_.map != 0) result.fallback = held() ? Fallback::kHeld : Fallback::kPlastic;
+    if (options_.map != 0) result.fallback = persistent() ? Fallback::kPersistent : Fallback::kPlastic;
     c.hit = true;
     const double loss = c.loss(lambda, p_minus, p);
     record(c, lambda, p_minus, p, result, 0.0, loss, least, after, at, recording);
@@ -280,7 +280,7 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
   if (projection_.any()) {
     const VecX answer = closed.mu_fixed.leftCols(closed.rows) * lambda;
     constraint_impulses -= answer;
-    drive_work += answer.dot(projection_.rate());
+    driven_work += answer.dot(projection_.rate());
   }
   ImpactRecord r;
   const int m = closed.rows_per_point();

@@ -39,7 +39,7 @@ class ImpactSequence {
   // The contacts closed at q: of the guards `active` those within tolerance, `first` in any case, and the held ones.
   // False if the mass matrix is not positive.
   bool collect(const VecX& q, const VecX& p, const std::vector<int>& active, int first,
-               const std::vector<HeldContact>& held);
+               const std::vector<PersistentContact>& persistent);
   int count() const { return count_; }
   ClosedGuard& closed(int i) { return closed_[i]; }
   // Largest normal speed of a closed contact at p.
@@ -52,17 +52,17 @@ class ImpactSequence {
 
   double time = 0;           // of the event, for constraints that depend on it [s]
   VecX constraint_impulses;  // that impacts have caused, summed up; rows of the constraints
-  double drive_work = 0;     // of constraints that move by themselves, in impacts [J]
+  double driven_work = 0;    // of constraints that move by themselves, in impacts [J]
   double target = 0;         // of the map's scalar, losses so far subtracted
   long impacts = 0, impacts_in_step = 0;
 
  private:
   static constexpr double kSolved = 1e-11;  // of all speeds of the closed points: closing slower than this is at rest
 
-  bool add(int guard, const std::vector<HeldContact>& held, double margin);
+  bool add(int guard, const std::vector<PersistentContact>& persistent, double margin);
   void add_rows(ClosedGuard& closed);
   bool mobile(const ClosedGuard& closed);
-  bool take_spare(const VecX& p);
+  bool take_unused(const VecX& p);
   bool closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic,
                    ClosedGuard*& worst) const;
   bool hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
@@ -76,7 +76,7 @@ class ImpactSequence {
               const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
               const Instant& at, Recording& recording);
   // Whether the rest of the step is not a smooth one.
-  bool held() const { return any_held_ || projection_.any(); }
+  bool persistent() const { return any_persistent_ || projection_.any(); }
   bool not_solved(const char* message, int guard);
   bool fail(StatusCode code, const char* message, int guard);
 
@@ -86,7 +86,7 @@ class ImpactSequence {
   ImpactOptions options_;
   std::vector<ClosedGuard> closed_;
   int count_ = 0;
-  bool any_held_ = false;
+  bool any_persistent_ = false;
   int impacts_here_ = 0;
   double speeds_ = 0;  // of the closed points before the event, of what they are sums of: it has the rounding
   Projection projection_;

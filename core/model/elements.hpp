@@ -70,7 +70,7 @@ struct Constraint {
 };
 
 struct Elements {
-  VecX dry_friction;  // nv, or empty
+  VecX joint_friction;  // nv, or empty
   // Servos of joints with one number in q: gains [N m/rad; N m s/rad] and largest torque; empty: none.
   VecX servo_kp, servo_kd, servo_effort;
   // Largest effort and speed of the joints' actuators; empty: no limits.
@@ -82,7 +82,7 @@ struct Elements {
   std::vector<UserPotential> potentials;
   std::vector<Constraint> constraints;
   int constraint_rows = 0;
-  std::vector<int> dry_dofs;  // with friction
+  std::vector<int> friction_dofs;  // with friction
   // Owner of the users' functions, which the ones above call.
   std::shared_ptr<void> functions;
   // Whether a function of the user has failed: a run then ends at once.
@@ -93,7 +93,7 @@ struct Elements {
              potentials.empty());
   }
   // Whether every step has to satisfy something.
-  bool constrained() const { return !constraints.empty() || !dry_dofs.empty(); }
+  bool constrained() const { return !constraints.empty() || !friction_dofs.empty(); }
   // Whether a constraint depends on time: its forces do work.
   bool driven() const {
     for (const Constraint& c : constraints)

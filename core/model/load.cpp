@@ -251,7 +251,7 @@ Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree
 void ensure_rounded(Geometry& g) {
   if (g.rounded || needs_no_rounding(g.sharp->getNodeType())) return;
   double radius = kRounding;
-  std::shared_ptr<coal::CollisionGeometry> core = eroded_shape(*g.sharp, radius);
+  std::shared_ptr<coal::CollisionGeometry> core = shrunk_shape(*g.sharp, radius);
   if (!core) throw Error("a collision shape could not be rounded");
   static_cast<coal::ShapeBase&>(*core).setSweptSphereRadius(radius);
   core->computeLocalAABB();

@@ -21,7 +21,7 @@ using Points = std::shared_ptr<std::vector<coal::Vec3s>>;
 // An eroded polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
 // c: the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the
 // polytope.
-std::shared_ptr<coal::CollisionGeometry> eroded_hull(const Hull& hull, double& radius) {
+std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& radius) {
   const std::vector<coal::Vec3s>& points = *hull.points;
   const std::vector<coal::Triangle>& faces = *hull.polygons;
   coal::Vec3s center = coal::Vec3s::Zero();
@@ -66,7 +66,7 @@ std::shared_ptr<coal::CollisionGeometry> eroded_hull(const Hull& hull, double& r
 
 }  // namespace
 
-std::shared_ptr<coal::CollisionGeometry> eroded_shape(const coal::CollisionGeometry& shape, double& radius) {
+std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeometry& shape, double& radius) {
   if (const auto* box = dynamic_cast<const coal::Box*>(&shape)) {
     radius = std::min(radius, 0.2 * box->halfSide.minCoeff());
     return std::make_shared<coal::Box>(2 * (box->halfSide - coal::Vec3s::Constant(radius)));
@@ -80,7 +80,7 @@ std::shared_ptr<coal::CollisionGeometry> eroded_shape(const coal::CollisionGeome
     radius = std::min(radius, 0.2 * ellipsoid->radii.minCoeff());
     return std::make_shared<coal::Ellipsoid>(coal::Vec3s(ellipsoid->radii - coal::Vec3s::Constant(radius)));
   }
-  if (const auto* hull = dynamic_cast<const Hull*>(&shape)) return eroded_hull(*hull, radius);
+  if (const auto* hull = dynamic_cast<const Hull*>(&shape)) return shrunk_hull(*hull, radius);
   return nullptr;
 }
 

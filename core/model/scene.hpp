@@ -68,6 +68,6 @@ Scene load_scene(std::string_view model, std::string_view geometry, const SceneP
 
 // The shape shrunk by at most radius, to be swept by a sphere of that radius; null for shapes that need none. Lowers
 // radius where the shape is too thin for it.
-std::shared_ptr<coal::CollisionGeometry> eroded_shape(const coal::CollisionGeometry& shape, double& radius);
+std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeometry& shape, double& radius);
 
 }  // namespace contactvi

@@ -28,7 +28,7 @@ struct ImpactRecord {
 // momentum at the end (before an impact), chart rates at the stages (StepPath).
 struct Segments {
   std::vector<double> t, h, q, p, p1, rates;  // rates: stage by stage
-  std::vector<double> held;                   // 1: of a step with held contacts, whose exact parts are not smooth steps
+  std::vector<double> persistent;             // 1: of a step with held contacts, whose exact parts are not smooth steps
 };
 
 // Forces: one row per held point and step, and per point of an impact (h = 0). World frame, impulses on geometry b.
@@ -85,12 +85,12 @@ struct Recording {
   std::vector<double> work, reactions;
   std::vector<ImpactRecord> impacts;
   Segments segments;
-  std::vector<double> arc_t, arc_dt;  // of run_auto: start and step of each smooth arc
+  std::vector<double> adaptive_t, adaptive_dt;  // of run_auto: start and step of each smooth arc
   ContactRows contacts;
   std::vector<ChangeRecord> changes;
   // Where the kind or the length of the steps changes: from t on steps of length dt, with held contacts or without.
   std::vector<double> phase_t, phase_dt;
-  std::vector<int> phase_held;
+  std::vector<int> phase_persistent;
 
   // How much there is, to go back to.
   struct Mark {
@@ -115,12 +115,12 @@ struct Recording {
     segments.p.resize(mark.segments * nv);
     segments.p1.resize(mark.segments * nv);
     segments.rates.resize(mark.segments * rates);
-    segments.held.resize(mark.segments);
+    segments.persistent.resize(mark.segments);
     contacts.cut(mark.contacts);
     changes.resize(mark.changes);
     phase_t.resize(mark.phases);
     phase_dt.resize(mark.phases);
-    phase_held.resize(mark.phases);
+    phase_persistent.resize(mark.phases);
   }
 };
 

@@ -15,7 +15,7 @@ double bound(const VecX& limits, int dof) { return limits.size() > 0 ? limits[do
 }  // namespace
 
 // Row k of target, if there are any, are the references from now on.
-void Simulator::set_drive(const VecX& tau, const MatX& target, long k) {
+void Simulator::set_actuation(const VecX& tau, const MatX& target, long k) {
   const Tree& tree = scene_->tree;
   tau_ = tau;
   if (tree.elements.servo_kp.size() > 0) {
@@ -28,11 +28,11 @@ void Simulator::set_drive(const VecX& tau, const MatX& target, long k) {
       servo_.v_ref = target.row(k).tail(tree.nv).transpose();
     }
   }
-  limit_drive();
+  limit_actuation();
 }
 
 // What pushes from here on. Where an actuator is at its limit its torque is constant until the next part of the step.
-void Simulator::limit_drive() {
+void Simulator::limit_actuation() {
   const Tree& tree = scene_->tree;
   const Elements& e = tree.elements;
   const bool servo = e.servo_kp.size() > 0, limited = e.effort.size() > 0 || e.speed.size() > 0;
@@ -79,7 +79,7 @@ double Simulator::most_effort(int d) const {
 void Simulator::apply_servo() {
   const Servo* servo = scene_->tree.elements.servo_kp.size() > 0 ? &servo_ : nullptr;
   integrator_.set_servo(servo);
-  held_.set_servo(servo);
+  contact_step_.set_servo(servo);
 }
 
 // Whether a servo was beyond its effort in the step just solved: it is at its limit then, and the step is to be solved
@@ -108,21 +108,21 @@ bool Simulator::exceeds_effort(const Integrator& integrator) {
   return exceeds;
 }
 
-void Simulator::count_held_work() {
-  work_.input += held_.input_work();
-  work_.damping += held_.damping_loss();
-  work_.dry += held_.dry_loss();
-  work_.drive += held_.drive_work();
-  if (held_.constrained()) reactions_ += held_.constraint_impulses();
+void Simulator::count_contact_work() {
+  work_.input += contact_step_.input_work();
+  work_.damping += contact_step_.damping_loss();
+  work_.joint_friction += contact_step_.joint_friction_loss();
+  work_.drive += contact_step_.driven_work();
+  if (contact_step_.constrained()) reactions_ += contact_step_.constraint_impulses();
 }
 
 // What the constraints did in the impacts since the last call.
 void Simulator::count_impacts() {
-  if (!held_.constrained()) return;
+  if (!contact_step_.constrained()) return;
   reactions_ += sequence_.constraint_impulses;
-  work_.drive += sequence_.drive_work;
+  work_.drive += sequence_.driven_work;
   sequence_.constraint_impulses.setZero();
-  sequence_.drive_work = 0.0;
+  sequence_.driven_work = 0.0;
 }
 
 // A function of the user has failed: nothing that follows can be trusted.

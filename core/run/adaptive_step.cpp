@@ -15,114 +15,116 @@ constexpr double kSafety = 0.9;
 constexpr double kLargestGrowth = 2.0;  // of the step from one arc to the next
 constexpr double kProbeGrowth = 1.6;    // while the first step of a run is sought
 constexpr int kProbes = 16;
-constexpr double kEasySweeps = 9.0, kManySweeps = 20.0;  // per step: what a longer one may follow, what is too long
+constexpr double kEasyIterations = 9.0,
+                 kManyIterations = 20.0;    // per step: what a longer one may follow, what is too long
 constexpr double kBelowFailure = 0.75;      // of a step that did not converge: the longest tried from then on
-constexpr double kShortestArcStep = 1e-12;  // of the duration
+constexpr double kShortestStep = 1e-12;  // of the duration
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
 
-Simulator::ArcStart Simulator::arc_start(const Recording& recording) const {
-  ArcStart arc{time_,
-               sequence_.target,
-               speed_scale_,
-               q_,
-               p_,
-               {},
-               bouncing_,
-               held_.contacts(),
-               recording.mark(),
-               sequence_.impacts,
-               step_,
-               target_step_,
-               work_,
-               reactions_,
-               node_time_};
-  arc.touching.resize(guards_.count());
-  for (int g = 0; g < guards_.count(); ++g) arc.touching[g] = finder_.touching(g) ? 1 : 0;
-  return arc;
+Simulator::AdaptiveStart Simulator::adaptive_start(const Recording& recording) const {
+  AdaptiveStart start{time_,
+                      sequence_.target,
+                      speed_scale_,
+                      q_,
+                      p_,
+                      {},
+                      bouncing_,
+                      contact_step_.contacts(),
+                      recording.mark(),
+                      sequence_.impacts,
+                      step_,
+                      target_step_,
+                      work_,
+                      reactions_,
+                      node_time_};
+  start.touching.resize(guards_.count());
+  for (int g = 0; g < guards_.count(); ++g) start.touching[g] = finder_.touching(g) ? 1 : 0;
+  return start;
 }
 
-void Simulator::go_back(const ArcStart& arc, Recording& recording) {
-  rejected_ += step_ - arc.step + 1;
-  time_ = arc.time;
-  sequence_.target = arc.target;
-  speed_scale_ = arc.speed_scale;
-  q_ = arc.q;
-  p_ = arc.p;
-  bouncing_ = arc.bouncing;
-  sequence_.impacts = arc.impacts;
-  held_.contacts() = arc.held;
-  held_.changed();
-  left_.clear();
+void Simulator::go_back(const AdaptiveStart& start, Recording& recording) {
+  rejected_ += step_ - start.step + 1;
+  time_ = start.time;
+  sequence_.target = start.target;
+  speed_scale_ = start.speed_scale;
+  q_ = start.q;
+  p_ = start.p;
+  bouncing_ = start.bouncing;
+  sequence_.impacts = start.impacts;
+  contact_step_.contacts() = start.persistent;
+  contact_step_.changed();
+  separated_.clear();
   flight_trial_ = kinetic_ = 0.0;
-  work_ = arc.work;
-  reactions_ = arc.reactions;
-  node_time_ = arc.node_time;
-  step_ = arc.step;
-  target_step_ = arc.target_step;
-  for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, arc.touching[g] != 0);
+  work_ = start.work;
+  reactions_ = start.reactions;
+  node_time_ = start.node_time;
+  step_ = start.step;
+  target_step_ = start.target_step;
+  for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, start.touching[g] != 0);
   guards_.unmark_all();
-  sync_held();
+  sync_persistent();
   integrator_.forget();
-  recording.cut(arc.mark);
+  recording.cut(start.mark);
   status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
 }
 
 // One arc: to the end of the step in which its impact is, or to the end of the run.
-bool Simulator::run_arc(double end, double level, Recording& recording) {
-  const ArcStart arc = arc_start(recording);
+bool Simulator::run_adaptive_steps(double end, double level, Recording& recording) {
+  const AdaptiveStart start = adaptive_start(recording);
   const VecX no_force;
-  const double s = options_.stages, duration = end - arc.time;
-  int probes = recording.arc_t.empty() ? kProbes : 0;
-  double largest = 0.0, most_sweeps = 0.0;
+  const double s = options_.stages, duration = end - start.time;
+  int probes = recording.adaptive_t.empty() ? kProbes : 0;
+  double largest = 0.0, most_iterations = 0.0;
   for (;;) {
-    const double count = std::clamp(std::ceil(duration / arc_h_ - 1e-9), 1.0, 1e15), h = duration / count;
+    const double count = std::clamp(std::ceil(duration / adaptive_h_ - 1e-9), 1.0, 1e15), h = duration / count;
     bool rejected = false;
-    largest = most_sweeps = 0.0;
+    largest = most_iterations = 0.0;
     trial_ = h;
     for (long k = 0; k < static_cast<long>(count) && !rejected; ++k) {
       truncation_ = 0.0;
-      const double start = arc.time + static_cast<double>(k) * h;
-      const long before = integrator_.counters.sweeps;
-      const bool solved = interval(start, h, no_force, recording);
-      const double sweeps = static_cast<double>(integrator_.counters.sweeps - before);
-      most_sweeps = std::max(most_sweeps, sweeps);
+      const double step_start = start.time + static_cast<double>(k) * h;
+      const long before = integrator_.counters.stage_iterations;
+      const bool solved = interval(step_start, h, no_force, recording);
+      const double stage_iterations = static_cast<double>(integrator_.counters.stage_iterations - before);
+      most_iterations = std::max(most_iterations, stage_iterations);
       const bool retry = status_.code == StatusCode::kNewtonFailed || status_.code == StatusCode::kEventUnresolved;
       if (!solved && !retry) return false;
       const double seen = solved ? truncation_ : std::numeric_limits<double>::infinity();
       largest = std::max(largest, seen);
-      const bool shortest = h < kShortestArcStep * duration;
+      const bool shortest = h < kShortestStep * duration;
       if (!solved && shortest) return false;
       if (seen > level && !shortest) {
         // Truncation goes with h^s; a step that did not converge is halved.
         const double factor = solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5;
-        arc_h_ = factor * h;
+        adaptive_h_ = factor * h;
         if (!solved) longest_h_ = kBelowFailure * h;
         rejected = true;
         break;
       }
-      if (k == 0 && probes-- > 0 && count > 1.0 && sweeps <= kEasySweeps && kProbeGrowth * h <= longest_h_ &&
-          seen < level * std::pow(1.0 / kProbeGrowth, s)) {
-        arc_h_ = kProbeGrowth * h;
+      if (k == 0 && probes-- > 0 && count > 1.0 && stage_iterations <= kEasyIterations &&
+          kProbeGrowth * h <= longest_h_ && seen < level * std::pow(1.0 / kProbeGrowth, s)) {
+        adaptive_h_ = kProbeGrowth * h;
         rejected = true;
         break;
       }
       ++step_;
-      time_ = k + 1 == static_cast<long>(count) ? end : start + h;
+      time_ = k + 1 == static_cast<long>(count) ? end : step_start + h;
       record_node(time_, recording);
       if (!report(time_)) return false;
-      if (sequence_.impacts > arc.impacts) break;
+      if (sequence_.impacts > start.impacts) break;
     }
     if (!rejected) {
-      recording.arc_t.push_back(arc.time);
-      recording.arc_dt.push_back(h);
+      recording.adaptive_t.push_back(start.time);
+      recording.adaptive_dt.push_back(h);
       double growth = kSafety * std::pow(level / std::max(largest, 1e-300), 1.0 / s);
       // Steps near the longest that converge cost more than they cover.
-      if (most_sweeps > kEasySweeps) growth = std::min(growth, most_sweeps > kManySweeps ? 1.0 / kProbeGrowth : 1.0);
-      arc_h_ = std::min(longest_h_, h * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth));
+      if (most_iterations > kEasyIterations)
+        growth = std::min(growth, most_iterations > kManyIterations ? 1.0 / kProbeGrowth : 1.0);
+      adaptive_h_ = std::min(longest_h_, h * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth));
       return true;
     }
-    go_back(arc, recording);
+    go_back(start, recording);
   }
 }
 
@@ -137,7 +139,7 @@ Status Simulator::run_auto(double duration, double level, const Progress& progre
   level_ = level;
   longest_h_ = std::numeric_limits<double>::infinity();
   bool ok = true;
-  while (ok && time_ < end) ok = run_arc(end, level, recording);
+  while (ok && time_ < end) ok = run_adaptive_steps(end, level, recording);
   level_ = 0.0;
   trial_ = options_.dt;
   t0_ = time_ - static_cast<double>(step_) * options_.dt;  // should steps of dt follow

@@ -61,7 +61,8 @@ bool first_root(double low_value, double high, double high_value, double small, 
 }  // namespace
 
 bool Simulator::release_value(const VecX& tau, double alpha, double& value) {
-  if (!held_.solve_part(held_path_, alpha, q_, p_, tau) || !held_.holding_forces(tau, forces_)) return false;
+  if (!contact_step_.solve_part(contact_path_, alpha, q_, p_, tau) || !contact_step_.persistent_forces(tau, forces_))
+    return false;
   value = forces_[releasing_];
   return true;
 }
@@ -71,13 +72,13 @@ bool Simulator::release_value(const VecX& tau, double alpha, double& value) {
 bool Simulator::find_release(const VecX& tau, double& alpha, bool& at_start) {
   releasing_ = -1;
   at_start = false;
-  if (!held_.may_release()) return true;
-  if (!held_.holding_forces(tau, forces_)) return false;
+  if (!contact_step_.may_release()) return true;
+  if (!contact_step_.persistent_forces(tau, forces_)) return false;
   const double largest = forces_.cwiseAbs().maxCoeff();
   Eigen::Index worst;
   if (!(forces_.minCoeff(&worst) < -kNoForce * largest)) return true;
   const VecX at_end = forces_;
-  if (!held_.holding_forces_at(q_, p_, tau, forces_)) return false;
+  if (!contact_step_.persistent_forces_at(q_, p_, tau, forces_)) return false;
   const VecX before = forces_;
   double first = alpha;
   int leaving = -1;
@@ -109,13 +110,13 @@ bool Simulator::find_release(const VecX& tau, double& alpha, bool& at_start) {
   }
   releasing_ = leaving;
   alpha = first;
-  return held_.solve_part(held_path_, alpha, q_, p_, tau);
+  return contact_step_.solve_part(contact_path_, alpha, q_, p_, tau);
 }
 
 // Speed that is left of the slip at alpha, as if the friction went on beyond its end.
 bool Simulator::stick_value(const VecX& tau, double alpha, double& value) {
-  if (!held_.solve_part(held_path_, alpha, q_, p_, tau)) return false;
-  value = held_.slip_left(sticking_);
+  if (!contact_step_.solve_part(contact_path_, alpha, q_, p_, tau)) return false;
+  value = contact_step_.slip_left(sticking_);
   return true;
 }
 
@@ -123,10 +124,10 @@ bool Simulator::stick_value(const VecX& tau, double alpha, double& value) {
 bool Simulator::find_stick(const VecX& tau, double& alpha) {
   sticking_ = -1;
   if (sticks_located_ >= kMostSticks) return true;
-  const double small = kSmallSlip * (1.0 + held_.end_velocity().cwiseAbs().maxCoeff());
+  const double small = kSmallSlip * (1.0 + contact_step_.end_velocity().cwiseAbs().maxCoeff());
   slip_ends_.clear();
-  for (int i = 0; i < held_.slips(); ++i)
-    if (held_.slip_ends(i)) slip_ends_.push_back(i);
+  for (int i = 0; i < contact_step_.slips(); ++i)
+    if (contact_step_.slip_ends(i)) slip_ends_.push_back(i);
   bool located = false;
   for (int i : slip_ends_) {
     sticking_ = i;
@@ -143,23 +144,23 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
     located = true;
   }
   if (located) ++sticks_located_;
-  return sticking_ < 0 || held_.solve_part(held_path_, alpha, q_, p_, tau);
+  return sticking_ < 0 || contact_step_.solve_part(contact_path_, alpha, q_, p_, tau);
 }
 
-bool Simulator::held_step_failed(double h, double time) {
+bool Simulator::contact_step_failed(double h, double time) {
   if (user_failed(time)) return false;
-  const bool shortest = h < (held_.swings() ? kShortestSwing : kShortest) * held_step();
-  if (shortest && held_.unmet() >= 0)
+  const bool shortest = h < (contact_step_.swings() ? kShortestSwing : kShortest) * present_dt();
+  if (shortest && contact_step_.unmet() >= 0)
     return end(StatusCode::kConstraint, time,
-               "the constraints cannot be met, first " + scene_->tree.elements.constraints[held_.unmet()].name);
+               "the constraints cannot be met, first " + scene_->tree.elements.constraints[contact_step_.unmet()].name);
   if (shortest)
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with held contacts was not solved: ") +
-                   (*held_.why() != 0 ? held_.why() : "an event in it was not located"));
-  held_trial_ = 0.5 * h;
-  held_easy_ = 0;
+                   (*contact_step_.why() != 0 ? contact_step_.why() : "an event in it was not located"));
+  contact_trial_ = 0.5 * h;
+  contact_easy_ = 0;
   ++halved_;
-  held_.changed();
+  contact_step_.changed();
   return true;
 }
 
@@ -169,18 +170,18 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
                              Recording& recording) {
   alpha = 1.0;
   hit = again = false;
-  held_path_.set(q_, h, held_.rates());
-  held_.finish(q1_, p1_);
-  finder_.set_stepper(held_);
-  const Search found = finder_.search(q_, p_, q1_, p1_, h, piece.tau, held_path_);
+  contact_path_.set(q_, h, contact_step_.rates());
+  contact_step_.finish(q1_, p1_);
+  finder_.set_stepper(contact_step_);
+  const Search found = finder_.search(q_, p_, q1_, p1_, h, piece.tau, contact_path_);
   if (found != Search::kNone && found != Search::kFound) return false;
   if (found == Search::kFound) {
     hit = true;
     alpha = finder_.event().alpha;
-    if (alpha * h < kNoTime * contact_step()) alpha = 0.0;
+    if (alpha * h < kNoTime * contact_dt()) alpha = 0.0;
     if (alpha <= 0.0) return true;
-    if (!held_.solve_part(held_path_, alpha, q_, p_, piece.tau)) return false;
-  } else if (held_.h() != h && !held_.solve_part(held_path_, 1.0, q_, p_, piece.tau)) {
+    if (!contact_step_.solve_part(contact_path_, alpha, q_, p_, piece.tau)) return false;
+  } else if (contact_step_.h() != h && !contact_step_.solve_part(contact_path_, 1.0, q_, p_, piece.tau)) {
     return false;  // the search has looked at parts of the step
   }
   const double limit = alpha;
@@ -190,15 +191,15 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
     releasing_ = -1;
     alpha = limit;
     at_start = false;
-    if (!held_.solve_part(held_path_, alpha, q_, p_, piece.tau)) return false;
+    if (!contact_step_.solve_part(contact_path_, alpha, q_, p_, piece.tau)) return false;
   }
   if (at_start) {
-    const HeldContact gone = held_.contacts()[releasing_];
-    left_.emplace_back(gone.point.guard, gone.point.feature);
-    held_.contacts().erase(held_.contacts().begin() + releasing_);
-    sync_held();
+    const PersistentContact gone = contact_step_.contacts()[releasing_];
+    separated_.emplace_back(gone.point.guard, gone.point.feature);
+    contact_step_.contacts().erase(contact_step_.contacts().begin() + releasing_);
+    sync_persistent();
     finder_.set_touching(gone.point.guard, true);
-    if (!guards_.is_held(gone.point.guard)) finder_.exempt(gone.point.guard);
+    if (!guards_.is_persistent(gone.point.guard)) finder_.exempt(gone.point.guard);
     note(piece.start + piece.done, gone.point, Change::kRelease, 0.0, recording);
     finder_.cut();
     again = true;
@@ -209,31 +210,31 @@ bool Simulator::first_change(const Piece& piece, double h, double& alpha, bool& 
   const double before_stick = alpha;
   if (!find_stick(piece.tau, alpha)) {
     alpha = before_stick;
-    if (!held_.solve_part(held_path_, alpha, q_, p_, piece.tau)) return false;
+    if (!contact_step_.solve_part(contact_path_, alpha, q_, p_, piece.tau)) return false;
   }
   releasing_ = released && alpha == before_stick ? releasing : -1;
   if (alpha < limit) {
     hit = false;
     finder_.cut();
   }
-  return alpha <= 0.0 || !held_.swings() || h <= kShortestSwing * contact_step();
+  return alpha <= 0.0 || !contact_step_.swings() || h <= kShortestSwing * contact_dt();
 }
 
 // Contacts take energy or leave it. A step in which a contact jumps from one place of two shapes to another (a rim that
 // falls flat on a face, seen as coal's one point) can give some: it is refused. Of the step just solved.
 bool Simulator::gains_energy() {
-  held_.finish(q1_, p1_);
-  const double T1 = 0.5 * p1_.dot(held_.end_velocity());
+  contact_step_.finish(q1_, p1_);
+  const double T1 = 0.5 * p1_.dot(contact_step_.end_velocity());
   if (T1 <= std::max(kMoreSpeed * kinetic_, kEnergyRounding)) {
     kinetic_ = T1;
     return false;
   }
-  const double work = held_.work();
+  const double work = contact_step_.work();
   const Energy after = energy(integrator_, q1_, p1_), before = energy(integrator_, q_, p_);
   const double rise = after.kinetic + after.potential - before.kinetic - before.potential - work;
   const double rounding = kEnergyRounding * (1.0 + std::abs(before.potential));
   if (rise > kMostRise * std::max(before.kinetic, after.kinetic) + rounding) {
-    held_.refuse("its energy rises");
+    contact_step_.refuse("its energy rises");
     kinetic_ = 0.0;
     return true;
   }
@@ -245,47 +246,47 @@ bool Simulator::gains_energy() {
 void Simulator::step_past(int guard) {
   if (!hit_.empty() || without_progress_ < kStandstill) return;
   finder_.exempt(guard);
-  held_trial_ = std::min(held_trial_, kPastIt * contact_step());
+  contact_trial_ = std::min(contact_trial_, kPastIt * contact_dt());
   trial_ = std::min(trial_, kPastIt * options_.dt);
 }
 
 // One held step, to the end of the interval, to an event, or to a change of the contacts.
-bool Simulator::held_piece(Piece& piece, Recording& recording) {
+bool Simulator::contact_piece(Piece& piece, Recording& recording) {
   const auto clock = std::chrono::steady_clock::now();
-  const double at = piece.start + piece.done, nominal = held_step();
-  held_.set_time(at);
+  const double at = piece.start + piece.done, nominal = present_dt();
+  contact_step_.set_time(at);
   if (!refresh_points(piece, recording)) return false;
-  if (held_.empty()) {
+  if (contact_step_.empty()) {
     reanchor();
     return true;
   }
   const double whole = piece.remaining / std::max(1.0, std::ceil(piece.remaining / nominal - 1e-9));
-  const double h = std::min(whole, held_trial_);
+  const double h = std::min(whole, contact_trial_);
   note_phase(at, nominal, true, recording);
-  held_.set_nominal(nominal);
+  contact_step_.set_nominal(nominal);
   double alpha = 1.0;
   bool hit = false, again = false;
-  bool solved = held_.solve(q_, p_, h, piece.tau);
-  while (solved && exceeds_effort(held_.integrator())) {
-    held_.changed();
-    solved = held_.solve(q_, p_, h, piece.tau);
+  bool solved = contact_step_.solve(q_, p_, h, piece.tau);
+  while (solved && exceeds_effort(contact_step_.integrator())) {
+    contact_step_.changed();
+    solved = contact_step_.solve(q_, p_, h, piece.tau);
   }
-  if (!solved || !first_change(piece, h, alpha, hit, again, recording)) return held_step_failed(h, at);
-  if (h < whole && ++held_easy_ >= kEasySteps) {
-    held_trial_ *= 2.0;
-    held_easy_ = 0;
+  if (!solved || !first_change(piece, h, alpha, hit, again, recording)) return contact_step_failed(h, at);
+  if (h < whole && ++contact_easy_ >= kEasySteps) {
+    contact_trial_ *= 2.0;
+    contact_easy_ = 0;
   }
   if (again) {
     if (++without_progress_ > kMaxWithoutProgress)
       return end(StatusCode::kTooManyImpacts, at, "the held contacts change without end at one instant");
-    if (held_.empty()) reanchor();
+    if (contact_step_.empty()) reanchor();
     return true;
   }
   const double taken = alpha * h;
-  if (taken > 0.0 && gains_energy()) return held_step_failed(h, at);
+  if (taken > 0.0 && gains_energy()) return contact_step_failed(h, at);
   if (taken > 0.0) {
-    count_held_work();
-    take_held_step(at, taken, options_.dense, recording);
+    count_contact_work();
+    take_contact_step(at, taken, options_.dense, recording);
     piece.done += taken;
     piece.remaining = alpha >= 1.0 && h >= piece.remaining * (1.0 - 1e-12) ? 0.0 : piece.length - piece.done;
     without_progress_ = 0;
@@ -297,36 +298,36 @@ bool Simulator::held_piece(Piece& piece, Recording& recording) {
       return end(StatusCode::kTooManyImpacts, at, "impacts without end at one instant", finder_.event().guard);
     const Event& event = finder_.event();
     const bool resolved =
-        resolve_event(event.guard, event.persistent, {now, 0.0, piece.remaining, piece.tau, step_}, recording);
+        resolve_event(event.guard, event.stays_closed, {now, 0.0, piece.remaining, piece.tau, step_}, recording);
     if (resolved && taken <= 0.0) step_past(event.guard);
-    held_seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
+    contact_seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
     return resolved;
   }
   drop_leaving(now, recording);
-  if (held_.empty()) reanchor();
-  held_seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
+  if (contact_step_.empty()) reanchor();
+  contact_seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
   return true;
 }
 
 // The held step (or its part) just solved, of length h, becomes the state.
-void Simulator::take_held_step(double time, double h, bool dense, Recording& recording) {
+void Simulator::take_contact_step(double time, double h, bool dense, Recording& recording) {
   if (dense) {
     integrator_.node_velocity(q_, p_, v_);
-    held_path_.set(q_, h, held_.rates());
-    held_path_.raise(v_, held_.end_velocity());
+    contact_path_.set(q_, h, contact_step_.rates());
+    contact_path_.raise(v_, contact_step_.end_velocity());
     const GaussTable& table = gauss_table(options_.stages);
     for (int j = 0; j < options_.stages; ++j) {
-      held_path_.chart_rate(table.c[j], v_);
+      contact_path_.chart_rate(table.c[j], v_);
       rates_.col(j) = v_;
     }
   }
-  held_.finish(q1_, p1_);
+  contact_step_.finish(q1_, p1_);
   if (dense) {
     record_segment(time, h, p1_, recording);
-    recording.segments.held.back() = 1.0;
+    recording.segments.persistent.back() = 1.0;
   }
-  record_held(time, h, recording);
-  held_.commit();
+  record_contacts_of_step(time, h, recording);
+  contact_step_.commit();
   q_ = q1_;
   p_ = p1_;
 }

@@ -27,45 +27,46 @@ void Simulator::note(double time, const ContactPoint& point, Change change, doub
   recording.changes.push_back({time, point.guard, point.feature, change, value});
 }
 
-void Simulator::note_phase(double time, double dt, bool held, Recording& recording) const {
-  if (!recording.phase_t.empty() && recording.phase_held.back() == (held ? 1 : 0) && recording.phase_dt.back() == dt)
+void Simulator::note_phase(double time, double dt, bool persistent, Recording& recording) const {
+  if (!recording.phase_t.empty() && recording.phase_persistent.back() == (persistent ? 1 : 0) &&
+      recording.phase_dt.back() == dt)
     return;
   if (recording.phase_t.empty() && !recording.t.empty() && recording.t.front() < time) {
     recording.phase_t.push_back(recording.t.front());
-    recording.phase_dt.push_back(level_ > 0.0 ? arc_h_ : options_.dt);
-    recording.phase_held.push_back(0);
+    recording.phase_dt.push_back(level_ > 0.0 ? adaptive_h_ : options_.dt);
+    recording.phase_persistent.push_back(0);
   }
   recording.phase_t.push_back(time);
   recording.phase_dt.push_back(dt);
-  recording.phase_held.push_back(held ? 1 : 0);
+  recording.phase_persistent.push_back(persistent ? 1 : 0);
 }
 
 // Guards and the search learn which points are held.
-void Simulator::sync_held() {
-  for (int g : held_guards_) guards_.set_held(g, {});
-  held_guards_.clear();
-  for (const HeldContact& held : held_.contacts()) {
-    const int g = held.point.guard;
-    if (std::find(held_guards_.begin(), held_guards_.end(), g) != held_guards_.end()) continue;
+void Simulator::sync_persistent() {
+  for (int g : persistent_guards_) guards_.set_persistent(g, {});
+  persistent_guards_.clear();
+  for (const PersistentContact& persistent : contact_step_.contacts()) {
+    const int g = persistent.point.guard;
+    if (std::find(persistent_guards_.begin(), persistent_guards_.end(), g) != persistent_guards_.end()) continue;
     std::vector<const ContactPoint*> points;
-    for (const HeldContact& other : held_.contacts())
+    for (const PersistentContact& other : contact_step_.contacts())
       if (other.point.guard == g) points.push_back(&other.point);
-    guards_.set_held(g, std::move(points));
-    held_guards_.push_back(g);
+    guards_.set_persistent(g, std::move(points));
+    persistent_guards_.push_back(g);
   }
-  held_.changed();
+  contact_step_.changed();
 }
 
-HeldContact Simulator::make_held(const ContactPoint& point, const Contact& contact, const Vec3& slip) {
-  HeldContact held;
-  held.point = point;
-  held.mu = scene_->friction(point.guard);
-  held.tangent = any_tangent(contact.normal);
+PersistentContact Simulator::make_persistent(const ContactPoint& point, const Contact& contact, const Vec3& slip) {
+  PersistentContact persistent;
+  persistent.point = point;
+  persistent.mu = scene_->friction(point.guard);
+  persistent.tangent = any_tangent(contact.normal);
   if (point.kind == PointKind::kVertex && point.plane_body >= 0)
-    held.tangent = guards_.placements().R_W[point.plane_body].transpose() * held.tangent;
-  held.slip = slip;
-  held.sticks = slip.norm() <= kStays * (1.0 + v_.cwiseAbs().maxCoeff());
-  return held;
+    persistent.tangent = guards_.placements().R_W[point.plane_body].transpose() * persistent.tangent;
+  persistent.slip = slip;
+  persistent.sticks = slip.norm() <= kStays * (1.0 + v_.cwiseAbs().maxCoeff());
+  return persistent;
 }
 
 // After an event: what is closed and neither closes nor separates is held from now on, and the guard `forced`.
@@ -73,8 +74,8 @@ void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording&
   guards_.place(q_);
   integrator_.node_velocity(q_, p_, v_);
   const double slow = kStays * (1.0 + v_.cwiseAbs().maxCoeff());
-  kept_.swap(held_.contacts());
-  std::vector<HeldContact>& now = held_.contacts();
+  kept_.swap(contact_step_.contacts());
+  std::vector<PersistentContact>& now = contact_step_.contacts();
   now.clear();
   for (int i = 0; i < sequence_.count(); ++i) {
     ClosedGuard& c = sequence_.closed(i);
@@ -83,16 +84,16 @@ void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording&
     for (int k = 0; k < c.count; ++k) {
       const double gamma = c.gamma_n(k, p_);
       const std::pair<int, std::int64_t> key(c.guard, c.points[k].feature);
-      const auto left = std::find(left_.begin(), left_.end(), key);
-      if (left != left_.end()) {
+      const auto left = std::find(separated_.begin(), separated_.end(), key);
+      if (left != separated_.end()) {
         if (!c.hit && c.guard != forced) {
           all = false;  // it has just left and has not closed again
           continue;
         }
-        left_.erase(left);
+        separated_.erase(left);
       }
-      double hardly = slow * (c.count > 1 ? kLow : c.held ? kHardly : 0.0);
-      if (c.held && without_progress_ >= kStandstill) hardly = INFINITY;  // contacts that push each other out
+      double hardly = slow * (c.count > 1 ? kLow : c.persistent ? kHardly : 0.0);
+      if (c.persistent && without_progress_ >= kStandstill) hardly = INFINITY;  // contacts that push each other out
       if (std::abs(gamma) > slow && c.guard != forced && !(gamma > 0.0 && gamma < hardly)) {
         all = false;
         continue;
@@ -102,49 +103,49 @@ void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording&
         const int r = 3 * k;
         slip = c.speed(r + 1, p_) * c.t1[k] + c.speed(r + 2, p_) * c.contacts[k].normal.cross(c.t1[k]);
       }
-      HeldContact held = make_held(c.points[k], c.contacts[k], slip);
-      const HeldContact* before = nullptr;
-      for (const HeldContact& old : kept_)
+      PersistentContact persistent = make_persistent(c.points[k], c.contacts[k], slip);
+      const PersistentContact* before = nullptr;
+      for (const PersistentContact& old : kept_)
         if (old.point.guard == c.guard && old.point.kind == c.points[k].kind &&
             old.point.feature == c.points[k].feature)
           before = &old;
       if (before != nullptr) {
-        held.tangent = before->tangent;
-        if (held.sticks && before->anchored && !c.hit) {
-          held.anchored = true;
-          held.anchor = before->anchor;
+        persistent.tangent = before->tangent;
+        if (persistent.sticks && before->anchored && !c.hit) {
+          persistent.anchored = true;
+          persistent.anchor = before->anchor;
         }
       } else {
-        held.force[1] = -1.0;  // new
+        persistent.force[1] = -1.0;  // new
       }
-      now.push_back(held);
+      now.push_back(persistent);
     }
     // Of a face that stays as a whole those that span it are enough.
     if (all && c.chosen < c.count && c.chosen > 2) now.resize(first_of_guard + c.chosen);
     if (all && c.count > 0) finder_.set_touching(c.guard, false);
   }
   leave_unloaded(forced, tau);
-  for (const HeldContact& held : now)
-    if (held.force[1] < 0.0) note(time, held.point, Change::kBegin, 0.0, recording);
-  for (HeldContact& held : now) held.force.setZero();
-  for (const HeldContact& old : kept_) {
+  for (const PersistentContact& persistent : now)
+    if (persistent.force[1] < 0.0) note(time, persistent.point, Change::kBegin, 0.0, recording);
+  for (PersistentContact& persistent : now) persistent.force.setZero();
+  for (const PersistentContact& old : kept_) {
     bool stays = false;
-    for (const HeldContact& held : now)
-      stays |= held.point.guard == old.point.guard && held.point.feature == old.point.feature;
+    for (const PersistentContact& persistent : now)
+      stays |= persistent.point.guard == old.point.guard && persistent.point.feature == old.point.feature;
     if (!stays) note(time, old.point, Change::kRelease, 0.0, recording);
   }
-  sync_held();
+  sync_persistent();
 }
 
 // New contacts that no force presses together, or that separate at once, stay touching guards: steps stay smooth ones.
 void Simulator::leave_unloaded(int forced, const VecX& tau) {
-  std::vector<HeldContact>& now = held_.contacts();
+  std::vector<PersistentContact>& now = contact_step_.contacts();
   bool any = false;
-  for (const HeldContact& held : now) any |= held.force[1] < 0.0 && held.point.guard != forced;
+  for (const PersistentContact& persistent : now) any |= persistent.force[1] < 0.0 && persistent.point.guard != forced;
   if (!any) return;
-  sync_held();
-  if (!held_.holding_forces_at(q_, p_, tau, forces_)) return;
-  const double scale = held_.force_scale();
+  sync_persistent();
+  if (!contact_step_.persistent_forces_at(q_, p_, tau, forces_)) return;
+  const double scale = contact_step_.force_scale();
   for (int i = static_cast<int>(now.size()) - 1; i >= 0; --i) {
     if (now[i].force[1] >= 0.0 || now[i].point.guard == forced || forces_[i] > kUnloaded * scale) continue;
     finder_.set_touching(now[i].point.guard, true);
@@ -165,12 +166,12 @@ void Simulator::hold_at_start() {
 
 // After a held step: contacts without load that have separated are dropped, changes noted.
 void Simulator::drop_leaving(double time, Recording& recording) {
-  std::vector<HeldContact>& contacts = held_.contacts();
-  const std::vector<HeldOutcome>& outcomes = held_.outcomes();
-  const double fast = kLeaves * (1.0 + held_.end_velocity().cwiseAbs().maxCoeff());
+  std::vector<PersistentContact>& contacts = contact_step_.contacts();
+  const std::vector<ContactOutcome>& outcomes = contact_step_.outcomes();
+  const double fast = kLeaves * (1.0 + contact_step_.end_velocity().cwiseAbs().maxCoeff());
   bool dropped = false;
   for (int i = static_cast<int>(contacts.size()) - 1; i >= 0; --i) {
-    const HeldOutcome& out = outcomes[i];
+    const ContactOutcome& out = outcomes[i];
     const double apart =
         guards_.is_noisy(contacts[i].point.guard) ? guards_.root_tolerance(contacts[i].point.guard) : kApart;
     const bool leaves = i == releasing_ || (out.start[0] <= 0.0 && out.contact.gap > apart) || out.w_n > fast;
@@ -179,12 +180,12 @@ void Simulator::drop_leaving(double time, Recording& recording) {
     note(time, point, Change::kRelease, 0.0, recording);
     contacts.erase(contacts.begin() + i);
     finder_.set_touching(point.guard, true);
-    left_.emplace_back(point.guard, point.feature);
+    separated_.emplace_back(point.guard, point.feature);
     if (i == releasing_) finder_.exempt(point.guard);
     dropped = true;
   }
   releasing_ = -1;
-  if (dropped) sync_held();
+  if (dropped) sync_persistent();
 }
 
 // Against a halfspace points stay what they are while they are valid.
@@ -192,23 +193,23 @@ bool Simulator::points_may_change(int guard) {
   const Pair& pair = scene_->pairs[guard];
   if (!scene_->geometries[pair.a].unbounded && !scene_->geometries[pair.b].unbounded) return true;
   guards_.place(q_);
-  for (const HeldContact& held : held_.contacts())
-    if (held.point.guard == guard && held.point.kind != PointKind::kWitness &&
-        !guards_.manifolds().valid(held.point, guards_.placements()))
+  for (const PersistentContact& persistent : contact_step_.contacts())
+    if (persistent.point.guard == guard && persistent.point.kind != PointKind::kWitness &&
+        !guards_.manifolds().valid(persistent.point, guards_.placements()))
       return true;
   return false;
 }
 
 // All points of a guard are free again.
 void Simulator::let_go(int guard, double time, Recording& recording) {
-  std::vector<HeldContact>& contacts = held_.contacts();
+  std::vector<PersistentContact>& contacts = contact_step_.contacts();
   for (int i = static_cast<int>(contacts.size()) - 1; i >= 0; --i) {
     if (contacts[i].point.guard != guard) continue;
     note(time, contacts[i].point, Change::kRelease, 0.0, recording);
     contacts.erase(contacts.begin() + i);
   }
   finder_.set_touching(guard, false);
-  sync_held();
+  sync_persistent();
 }
 
 // Points of faces change as bodies slide on each other: they are found again at the node. What has closed meanwhile is
@@ -216,57 +217,58 @@ void Simulator::let_go(int guard, double time, Recording& recording) {
 bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
   bool changed = false;
   int first = -1;
-  for (HeldContact& held : held_.contacts()) {
-    if (held.point.kind != PointKind::kRim) continue;
+  for (PersistentContact& persistent : contact_step_.contacts()) {
+    if (persistent.point.kind != PointKind::kRim) continue;
     guards_.place(q_);
-    guards_.manifolds().renew(held.point, guards_.placements());
+    guards_.manifolds().renew(persistent.point, guards_.placements());
   }
-  for (int g : held_guards_) {
+  for (int g : persistent_guards_) {
     if (!scene_->is_pair(g) || !points_may_change(g)) continue;
     guards_.place(q_);
     Contact witness;
     const double gap = guards_.evaluate_witness(g, witness), margin = std::max(guards_.touch_tolerance(g), gap);
     if (gap > std::max(guards_.touch_tolerance(g), kOpen)) {
-      opened_.push_back(g);  // its points went over an edge in the last step
+      lost_.push_back(g);  // its points went over an edge in the last step
       continue;
     }
     points_.clear();
     guards_.manifolds().find(g, guards_.placements(), witness, margin + 1e-12, points_);
-    for (std::size_t k = left_.size(); k-- > 0;) {
-      if (left_[k].first != g) continue;
+    for (std::size_t k = separated_.size(); k-- > 0;) {
+      if (separated_[k].first != g) continue;
       bool near = false;
-      for (const ContactPoint& p : points_) near |= p.feature == left_[k].second;
-      if (!near) left_.erase(left_.begin() + static_cast<std::ptrdiff_t>(k));
+      for (const ContactPoint& p : points_) near |= p.feature == separated_[k].second;
+      if (!near) separated_.erase(separated_.begin() + static_cast<std::ptrdiff_t>(k));
     }
     points_.erase(std::remove_if(points_.begin(), points_.end(),
                                  [&](const ContactPoint& p) {
                                    const std::pair<int, std::int64_t> key(g, p.feature);
-                                   return std::find(left_.begin(), left_.end(), key) != left_.end();
+                                   return std::find(separated_.begin(), separated_.end(), key) != separated_.end();
                                  }),
                   points_.end());
     bool same = true;
-    int held_count = 0;
-    for (const HeldContact& held : held_.contacts()) {
-      if (held.point.guard != g) continue;
-      ++held_count;
+    int persistent_count = 0;
+    for (const PersistentContact& persistent : contact_step_.contacts()) {
+      if (persistent.point.guard != g) continue;
+      ++persistent_count;
       bool found = false;
-      for (const ContactPoint& p : points_) found |= p.kind == held.point.kind && p.feature == held.point.feature;
+      for (const ContactPoint& p : points_)
+        found |= p.kind == persistent.point.kind && p.feature == persistent.point.feature;
       same &= found;
     }
-    if (same && held_count == static_cast<int>(points_.size())) continue;
+    if (same && persistent_count == static_cast<int>(points_.size())) continue;
     changed = true;
     first = g;
   }
-  for (int g : opened_) let_go(g, piece.start + piece.done, recording);
-  opened_.clear();
+  for (int g : lost_) let_go(g, piece.start + piece.done, recording);
+  lost_.clear();
   if (!changed) return true;
   // As at an event: what closes is hit, what neither closes nor separates is held.
-  const std::vector<int> none(held_guards_);
+  const std::vector<int> none(persistent_guards_);
   sequence_.time = piece.start + piece.done;
   if (!sequence_.collect(q_, p_, none, first, {}))
     return end(sequence_.code(), piece.start + piece.done, sequence_.message());
   const Instant now{piece.start + piece.done, 0.0, piece.remaining, piece.tau, step_};
-  const double slow = kLeaves * (1.0 + held_.end_velocity().cwiseAbs().maxCoeff());
+  const double slow = kLeaves * (1.0 + contact_step_.end_velocity().cwiseAbs().maxCoeff());
   double worst = 0.0;
   for (int i = 0; i < sequence_.count(); ++i) worst = std::min(worst, sequence_.closed(i).gamma_n(p_));
   if (worst < -slow) {
@@ -279,32 +281,33 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
   return true;
 }
 
-void Simulator::record_held(double time, double h, Recording& recording) {
-  const std::vector<HeldOutcome>& outcomes = held_.outcomes();
+void Simulator::record_contacts_of_step(double time, double h, Recording& recording) {
+  const std::vector<ContactOutcome>& outcomes = contact_step_.outcomes();
   const double force_share = 10.0;  // of the force before: an impulse beyond it is an impact without collision
   for (std::size_t i = 0; i < outcomes.size(); ++i) {
-    const HeldContact& held = held_.contacts()[i];
-    const HeldOutcome& out = outcomes[i];
+    const PersistentContact& persistent = contact_step_.contacts()[i];
+    const ContactOutcome& out = outcomes[i];
     const double now = time + h;
-    if (held.mu > 0.0 && held.sticks != !out.slips)
-      note(now, held.point, out.slips ? Change::kSlip : Change::kStick, 0.0, recording);
+    if (persistent.mu > 0.0 && persistent.sticks != !out.slips)
+      note(now, persistent.point, out.slips ? Change::kSlip : Change::kStick, 0.0, recording);
     // An impulse that does not go to zero with the step is the impact without collision of the paradox.
     const double sudden = (out.start[0] + out.end[0]) / h;
-    const bool jumps = held.force[0] > 0.0 && !held.sticks && out.paradox < 1.0 && sudden > force_share * held.force[0];
-    if (held.mu > 0.0 && (out.paradox <= 0.0 || jumps))
-      note(time, held.point, Change::kInconsistent, out.paradox, recording);
+    const bool jumps = persistent.force[0] > 0.0 && !persistent.sticks && out.paradox < 1.0 &&
+                       sudden > force_share * persistent.force[0];
+    if (persistent.mu > 0.0 && (out.paradox <= 0.0 || jumps))
+      note(time, persistent.point, Change::kInconsistent, out.paradox, recording);
     if (!options_.record_contacts) continue;
-    if (!scene_->is_pair(held.point.guard)) {
+    if (!scene_->is_pair(persistent.point.guard)) {
       // A joint limit has no place: its impulse is the first number.
       const Vec3 zero = Vec3::Zero();
-      recording.contacts.push(time, h, held.point.guard, 0, 2, step_, zero, zero, out.start, out.end, out.contact.gap,
-                              zero);
+      recording.contacts.push(time, h, persistent.point.guard, 0, 2, step_, zero, zero, out.start, out.end,
+                              out.contact.gap, zero);
       continue;
     }
     const Vec3 middle = 0.5 * (out.contact.point_a + out.contact.point_b);
-    const int mode = held.mu == 0.0 ? 2 : out.slips || out.slipped ? 1 : 0;
-    recording.contacts.push(time, h, held.point.guard, held.point.feature, mode, step_, middle, out.contact.normal,
-                            out.start_W, out.end_W, out.contact.gap, out.slip_W);
+    const int mode = persistent.mu == 0.0 ? 2 : out.slips || out.slipped ? 1 : 0;
+    recording.contacts.push(time, h, persistent.point.guard, persistent.point.feature, mode, step_, middle,
+                            out.contact.normal, out.start_W, out.end_W, out.contact.gap, out.slip_W);
   }
 }
 
@@ -315,7 +318,7 @@ double Simulator::short_flight(double e) const { return e < 1.0 ? kZenoFlight : 
 void Simulator::find_accumulating(double time) {
   std::fill(plastic_.begin(), plastic_.end(), 0);
   if (!holds()) return;
-  const double step = std::min({arc_h_, contact_step(), options_.dt});
+  const double step = std::min({adaptive_h_, contact_dt(), options_.dt});
   for (int i = 0; i < sequence_.count(); ++i) {
     const ClosedGuard& c = sequence_.closed(i);
     const Bouncing& b = bouncing_[c.guard];
@@ -342,7 +345,7 @@ double Simulator::shortest_flight() const {
 
 // first: the event's guard; stays: it was closed before. False: the run ends there (DTEC, or as asked).
 bool Simulator::judge_accumulation(int first, bool stays, double time, Recording& recording) {
-  const double step = std::min({arc_h_, contact_step(), options_.dt});
+  const double step = std::min({adaptive_h_, contact_dt(), options_.dt});
   bool any = false;
   hit_.clear();
   for (int i = 0; i < sequence_.count(); ++i) {
@@ -362,7 +365,7 @@ bool Simulator::judge_accumulation(int first, bool stays, double time, Recording
                    ends = ratio < 1.0 ? time + flight * ratio / (1.0 - ratio) : time;
       if (plastic_[c.guard] && c.count > 0) note(time, c.points[0], Change::kBouncingEnds, ends, recording);
       if (!holds() && c.e < 1.0 && b.contracting >= kZenoFlights &&
-          c.e * flight < kZenoFlight * std::min(arc_h_, 0.02 * b.longest_flight)) {
+          c.e * flight < kZenoFlight * std::min(adaptive_h_, 0.02 * b.longest_flight)) {
         end(StatusCode::kZeno, time, "impacts accumulate", c.guard);
         status_.accumulation_time = ends;
         return false;

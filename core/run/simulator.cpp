@@ -33,14 +33,14 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       v_(scene.tree.nv),
       rates_(scene.tree.nv, options.stages),
       bouncing_(scene.guard_count()),
-      held_(scene, guards_, guards_.manifolds(), options.tol),
-      held_path_(scene.tree, 1),
+      contact_step_(scene, guards_, guards_.manifolds(), options.tol),
+      contact_path_(scene.tree, 1),
       sequence_(scene, integrator_, guards_,
                 {options.impact, options.mhc_global, options.dt, options.stiff_support, options.max_impacts_per_step,
                  options.record_contacts}),
       plastic_(scene.guard_count(), 0) {
   const Elements& e = scene.tree.elements;
-  dissipative_ = scene.tree.has_damping || !e.dry_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
+  dissipative_ = scene.tree.has_damping || !e.friction_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
   for (const PathSpring& spring : e.path_springs) dissipative_ |= spring.damping > 0.0;
   accounts_ = dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0;
   if (options.impact < kCtec || options.impact > kMhc) throw Error("unknown impact map");
@@ -61,31 +61,31 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   speed_scale_ = 0.0;
   target_step_ = -1;
   trial_ = options_.dt;
-  easy_ = held_easy_ = without_progress_ = 0;
-  held_trial_ = contact_step();
-  held_seconds_ = kinetic_ = 0.0;
-  held_.contacts().clear();
-  held_.restart();
+  easy_ = contact_easy_ = without_progress_ = 0;
+  contact_trial_ = contact_dt();
+  contact_seconds_ = kinetic_ = 0.0;
+  contact_step_.contacts().clear();
+  contact_step_.restart();
   work_ = Work();
   reactions_.setZero(scene_->tree.elements.constraint_rows);
   mean_reactions_ = sequence_.constraint_impulses = reactions_;
-  sequence_.drive_work = 0.0;
+  sequence_.driven_work = 0.0;
   node_time_ = t;
   saturated_ = 0;
   *scene_->tree.elements.failed = false;
   servo_.any = false;
   integrator_.set_time(t);
   integrator_.set_servo(&servo_);
-  held_.set_time(t);
-  held_.set_servo(&servo_);
-  held_.set_nominal(options_.dt);
+  contact_step_.set_time(t);
+  contact_step_.set_servo(&servo_);
+  contact_step_.set_nominal(options_.dt);
   sequence_.time = t;
-  left_.clear();
+  separated_.clear();
   begun_.clear();
   flight_trial_ = 0.0;
-  held_.counters = HeldCounters();
-  sync_held();
-  arc_h_ = options_.dt;
+  contact_step_.counters = ContactStepCounters();
+  sync_persistent();
+  adaptive_h_ = options_.dt;
   integrator_.counters = StepCounters();
   integrator_.forget();
   guards_.counters = GuardCounters();
@@ -117,7 +117,7 @@ void Simulator::record_node(double t, Recording& recording) {
   recording.q.insert(recording.q.end(), q_.data(), q_.data() + q_.size());
   recording.p.insert(recording.p.end(), p_.data(), p_.data() + p_.size());
   if (!accounts_) return;
-  recording.work.insert(recording.work.end(), {work_.input, work_.damping, work_.dry, work_.drive});
+  recording.work.insert(recording.work.end(), {work_.input, work_.damping, work_.joint_friction, work_.drive});
   if (t > node_time_) {
     mean_reactions_ = reactions_ / (t - node_time_);
     reactions_.setZero();
@@ -137,7 +137,7 @@ void Simulator::record_segment(double t, double h, const VecX& p1, Recording& re
   s.p.insert(s.p.end(), p_.data(), p_.data() + p_.size());
   s.p1.insert(s.p1.end(), p1.data(), p1.data() + p1.size());
   s.rates.insert(s.rates.end(), rates_.data(), rates_.data() + rates_.size());
-  s.held.push_back(0.0);
+  s.persistent.push_back(0.0);
 }
 
 // True unless the caller asks to stop.
@@ -160,7 +160,7 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
   progress_ = &progress;
   for (long k = 0; k < steps; ++k) {
     if (tau.rows() > 0) force = tau.row(k).transpose();
-    set_drive(force, target, k);
+    set_actuation(force, target, k);
     if (!interval(t0_ + static_cast<double>(step_) * options_.dt, options_.dt, force_, recording)) {
       // The run ends inside of a step: its last node is the state there.
       if (status_.code != StatusCode::kNotFinite && status_.time > recording.t.back())
@@ -223,8 +223,8 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
   set_reference();
   while (piece.remaining > 0.0) {
     if (++pieces % 64 == 0 && !report(start + piece.done)) return false;
-    if (pieces > 1) limit_drive();
-    if (!(held_.empty() ? free_piece(piece, halved, recording) : held_piece(piece, recording))) return false;
+    if (pieces > 1) limit_actuation();
+    if (!(contact_step_.empty() ? free_piece(piece, halved, recording) : contact_piece(piece, recording))) return false;
   }
   if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, start + length, "the state is not finite");
   return true;
@@ -233,7 +233,7 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
 // One smooth step, to the end of the interval or to an event.
 bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   const double at = piece.start + piece.done;
-  if (!recording.phase_t.empty()) note_phase(at, level_ > 0.0 ? arc_h_ : options_.dt, false, recording);
+  if (!recording.phase_t.empty()) note_phase(at, level_ > 0.0 ? adaptive_h_ : options_.dt, false, recording);
   const double longest = flight_trial_ > 0.0 ? std::min(trial_, flight_trial_) : trial_;
   const bool shorter = longest < piece.remaining * (1.0 - 1e-9);
   const double h = shorter ? longest : piece.remaining;
@@ -288,7 +288,7 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   piece.remaining = event.alpha >= 1.0 && !shorter ? 0.0 : piece.length - piece.done;
   q_ = event.q;
   p_ = event.p;
-  if (!resolve_event(event.guard, event.persistent, {at, before, piece.remaining, piece.tau, step_}, recording))
+  if (!resolve_event(event.guard, event.stays_closed, {at, before, piece.remaining, piece.tau, step_}, recording))
     return false;
   if (before <= 0.0 && hit_.empty()) {
     if (++without_progress_ > kMaxWithoutProgress)
@@ -313,31 +313,31 @@ void Simulator::set_reference() {
 }
 
 // The event of the guard `first` [at.time: start of the partial step that ends there]. persistent: it was touching.
-bool Simulator::resolve_event(int first, bool persistent, const Instant& at, Recording& recording) {
+bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, Recording& recording) {
   const double time = at.time + at.before;
   const Instant now{time, at.before, at.after, at.tau, at.step};
-  const bool touched = finder_.touching(first), was_held = !held_.empty();
-  if (options_.impact != kCtec && held_.empty()) sequence_.target = energy_target(at.before);
+  const bool touched = finder_.touching(first), was_persistent = !contact_step_.empty();
+  if (options_.impact != kCtec && contact_step_.empty()) sequence_.target = energy_target(at.before);
   sequence_.time = time;
   integrator_.set_time(time);
-  held_.set_time(time);
-  if (!sequence_.collect(q_, p_, finder_.active(), first, held_.contacts()))
+  contact_step_.set_time(time);
+  if (!sequence_.collect(q_, p_, finder_.active(), first, contact_step_.contacts()))
     return end(sequence_.code(), time, sequence_.message());
   const double scale = sequence_.largest_speed(p_);
   speed_scale_ = std::max(speed_scale_, scale);
   find_accumulating(time);
   // A contact that has not separated but by rounding is not hit again by what rounding left of its speed.
-  const bool rounding = (persistent || touched) && scale <= kSeparated * speed_scale_;
+  const bool rounding = (stays_closed || touched) && scale <= kSeparated * speed_scale_;
   const bool ran = rounding || sequence_.run(now, plastic_, p_, recording);
   count_impacts();
   if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
-  if (!judge_accumulation(first, persistent || touched, time, recording)) return false;
+  if (!judge_accumulation(first, stays_closed || touched, time, recording)) return false;
   bool any_hit = false;
   for (int i = 0; i < sequence_.count(); ++i) any_hit |= sequence_.closed(i).hit;
   // What closes again without a flight to be seen, though it separates, is held: the step decides.
-  if (holds()) hold_closed((persistent || touched) && !any_hit ? first : -1, time, at.tau, recording);
-  if (was_held && held_.empty()) reanchor();
+  if (holds()) hold_closed((stays_closed || touched) && !any_hit ? first : -1, time, at.tau, recording);
+  if (was_persistent && contact_step_.empty()) reanchor();
   return true;
 }
 

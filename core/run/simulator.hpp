@@ -59,8 +59,8 @@ class Simulator {
   long impacts() const { return sequence_.impacts; }
   long halved() const { return halved_; }
   long rejected() const { return rejected_; }
-  const HeldCounters& held_counters() const { return held_.counters; }
-  double held_seconds() const { return held_seconds_; }
+  const ContactStepCounters& contact_counters() const { return contact_step_.counters; }
+  double contact_seconds() const { return contact_seconds_; }
   long saturated() const { return saturated_; }
 
   // All that the rest of a run depends on; what comes after restore() has the same digits.
@@ -72,7 +72,7 @@ class Simulator {
   // [J] since reset: of inputs, servos and wrenches; what damping took; what the dry friction of joints took; of
   // constraints that move by themselves.
   struct Work {
-    double input = 0, damping = 0, dry = 0, drive = 0;
+    double input = 0, damping = 0, joint_friction = 0, drive = 0;
   };
   // What is known of the bouncing of one guard, to tell accumulation from chatter.
   struct Bouncing {
@@ -80,12 +80,12 @@ class Simulator {
     int hits = 0, contracting = 0, short_hits = 0;
   };
   // What run_auto goes back to.
-  struct ArcStart {
+  struct AdaptiveStart {
     double time, target, speed_scale;
     VecX q, p;
     std::vector<char> touching;
     std::vector<Bouncing> bouncing;
-    std::vector<HeldContact> held;
+    std::vector<PersistentContact> persistent;
     Recording::Mark mark;
     long impacts, step, target_step;
     Work work;
@@ -109,22 +109,22 @@ class Simulator {
   void record_segment(double t, double h, const VecX& p1, Recording& recording);
   void halve(double h);
   bool report(double time);
-  ArcStart arc_start(const Recording& recording) const;
-  void go_back(const ArcStart& arc, Recording& recording);
-  bool run_arc(double end, double level, Recording& recording);
+  AdaptiveStart adaptive_start(const Recording& recording) const;
+  void go_back(const AdaptiveStart& arc, Recording& recording);
+  bool run_adaptive_steps(double end, double level, Recording& recording);
   bool search_failed(Search outcome, double time);
   // What pushes in the next step (drive.cpp): tau and the servos within their limits.
-  void set_drive(const VecX& tau, const MatX& target, long k);
-  void limit_drive();
+  void set_actuation(const VecX& tau, const MatX& target, long k);
+  void limit_actuation();
   double most_effort(int d) const;
   void apply_servo();
   bool exceeds_effort(const Integrator& integrator);
   void count_free_work();
-  void count_held_work();
+  void count_contact_work();
   void count_impacts();
   bool user_failed(double time);
   void set_reference();
-  bool resolve_event(int first, bool persistent, const Instant& at, Recording& recording);
+  bool resolve_event(int first, bool stays_closed, const Instant& at, Recording& recording);
   double energy_target(double before);
   void find_accumulating(double time);
   double short_flight(double e) const;
@@ -134,8 +134,8 @@ class Simulator {
   void reanchor();
 
   // Lasting contact (lasting.cpp, contact_book.cpp).
-  bool held_piece(Piece& piece, Recording& recording);
-  bool held_step_failed(double h, double time);
+  bool contact_piece(Piece& piece, Recording& recording);
+  bool contact_step_failed(double h, double time);
   bool first_change(const Piece& piece, double h, double& alpha, bool& hit, bool& again, Recording& recording);
   void step_past(int guard);
   bool gains_energy();
@@ -143,8 +143,8 @@ class Simulator {
   bool find_stick(const VecX& tau, double& alpha);
   bool release_value(const VecX& tau, double alpha, double& value);
   bool stick_value(const VecX& tau, double alpha, double& value);
-  void take_held_step(double time, double h, bool dense, Recording& recording);
-  void record_held(double time, double h, Recording& recording);
+  void take_contact_step(double time, double h, bool dense, Recording& recording);
+  void record_contacts_of_step(double time, double h, Recording& recording);
   void drop_leaving(double time, Recording& recording);
   void let_go(int guard, double time, Recording& recording);
   bool points_may_change(int guard);
@@ -152,12 +152,12 @@ class Simulator {
   void hold_closed(int forced, double time, const VecX& tau, Recording& recording);
   void leave_unloaded(int forced, const VecX& tau);
   void hold_at_start();
-  HeldContact make_held(const ContactPoint& point, const Contact& contact, const Vec3& slip);
-  void sync_held();
-  void note_phase(double time, double dt, bool held, Recording& recording) const;
+  PersistentContact make_persistent(const ContactPoint& point, const Contact& contact, const Vec3& slip);
+  void sync_persistent();
+  void note_phase(double time, double dt, bool persistent, Recording& recording) const;
   void note(double time, const ContactPoint& point, Change change, double value, Recording& recording) const;
-  double held_step() const { return held_.contacts().empty() ? options_.dt : contact_step(); }
-  double contact_step() const { return options_.dt_contact > 0.0 ? options_.dt_contact : options_.dt; }
+  double present_dt() const { return contact_step_.contacts().empty() ? options_.dt : contact_dt(); }
+  double contact_dt() const { return options_.dt_contact > 0.0 ? options_.dt_contact : options_.dt; }
 
   bool end(StatusCode code, double time, std::string message, int guard = -1);
 
@@ -173,31 +173,32 @@ class Simulator {
   double trial_ = 0;  // length of the next step to try: shorter than dt after steps that did not converge
   int easy_ = 0;      // steps of that length solved in a row
   double level_ = 0, truncation_ = 0;  // of run_auto: bound, largest of the interval
-  double arc_h_ = 0, longest_h_ = 0;
+  double adaptive_h_ = 0, longest_h_ = 0;
   std::chrono::steady_clock::time_point reported_;
   const Progress* progress_ = nullptr;  // of the call under way
   double speed_scale_ = 0;              // largest closing speed of a closed contact so far
   long step_ = 0, halved_ = 0, rejected_ = 0;
   std::vector<Bouncing> bouncing_;
-  HeldStep held_;
-  StepPath held_path_;
+  ContactStep contact_step_;
+  StepPath contact_path_;
   ImpactSequence sequence_;
-  bool dissipative_ = false;      // whether forces take energy
-  std::vector<char> plastic_;     // guards whose impacts of this event count as plastic
-  std::vector<int> held_guards_;  // that guards_ knows to be held
-  std::vector<HeldContact> kept_;
-  std::vector<int> hit_;                            // guards of the last event
-  std::vector<std::pair<int, std::int64_t>> left_;  // guard and feature of points that have left and are still closed
-  std::vector<ChangeRecord> begun_;                 // by reset, not recorded yet
-  double flight_trial_ = 0;                         // longest free step after a short flight; 0: any
+  bool dissipative_ = false;            // whether forces take energy
+  std::vector<char> plastic_;           // guards whose impacts of this event count as plastic
+  std::vector<int> persistent_guards_;  // that guards_ knows to be held
+  std::vector<PersistentContact> kept_;
+  std::vector<int> hit_;  // guards of the last event
+  std::vector<std::pair<int, std::int64_t>>
+      separated_;                    // guard and feature of points that have left and are still closed
+  std::vector<ChangeRecord> begun_;  // by reset, not recorded yet
+  double flight_trial_ = 0;          // longest free step after a short flight; 0: any
   std::vector<ContactPoint> points_;
   std::vector<int> slip_ends_;          // that are looked for in the step
-  std::vector<int> opened_;             // guards whose points are no longer closed
+  std::vector<int> lost_;               // guards whose points are no longer closed
   int releasing_ = -1, sticking_ = -1;  // contacts sought by the root searches
   VecX forces_;
-  double held_trial_ = 0, held_seconds_ = 0;
+  double contact_trial_ = 0, contact_seconds_ = 0;
   double kinetic_ = 0;  // at the end of the last held step [J]
-  int held_easy_ = 0, without_progress_ = 0, sticks_located_ = 0;
+  int contact_easy_ = 0, without_progress_ = 0, sticks_located_ = 0;
   Status status_;
   VecX tau_, force_;  // of the step under way: as given, within the limits
   Servo servo_;

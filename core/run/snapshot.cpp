@@ -4,32 +4,32 @@
 namespace contactvi {
 
 struct Simulator::Snapshot {
-  ArcStart arc;
+  AdaptiveStart arc;
   Integrator::Memory integrator;
-  HeldStep::Memory held;
+  ContactStep::Memory persistent;
   EventFinder::Memory finder;
   Guards::Memory guards;
-  bool searched_held;
+  bool searched_persistent;
   Status status;
   Servo servo;
   VecX q_node, p_node, mean_reactions;
-  double t0, trial, arc_h, flight_trial, held_trial, held_seconds, kinetic;
-  int easy, held_easy, without_progress;
+  double t0, trial, adaptive_h, flight_trial, contact_trial, contact_seconds, kinetic;
+  int easy, contact_easy, without_progress;
   long halved, rejected, saturated;
   std::vector<std::pair<int, std::int64_t>> left;
   std::vector<ChangeRecord> begun;
   StepCounters step_counters;
   GuardCounters guard_counters;
-  HeldCounters held_counters;
+  ContactStepCounters contact_counters;
 };
 
 std::shared_ptr<const Simulator::Snapshot> Simulator::save() {
-  return std::make_shared<const Snapshot>(Snapshot{arc_start(Recording()),
+  return std::make_shared<const Snapshot>(Snapshot{adaptive_start(Recording()),
                                                    integrator_.memory(),
-                                                   held_.memory(),
+                                                   contact_step_.memory(),
                                                    finder_.memory(),
                                                    guards_.memory(),
-                                                   finder_.stepper() == &held_,
+                                                   finder_.stepper() == &contact_step_,
                                                    status_,
                                                    servo_,
                                                    q_node_,
@@ -37,22 +37,22 @@ std::shared_ptr<const Simulator::Snapshot> Simulator::save() {
                                                    mean_reactions_,
                                                    t0_,
                                                    trial_,
-                                                   arc_h_,
+                                                   adaptive_h_,
                                                    flight_trial_,
-                                                   held_trial_,
-                                                   held_seconds_,
+                                                   contact_trial_,
+                                                   contact_seconds_,
                                                    kinetic_,
                                                    easy_,
-                                                   held_easy_,
+                                                   contact_easy_,
                                                    without_progress_,
                                                    halved_,
                                                    rejected_,
                                                    saturated_,
-                                                   left_,
+                                                   separated_,
                                                    begun_,
                                                    integrator_.counters,
                                                    guards_.counters,
-                                                   held_.counters});
+                                                   contact_step_.counters});
 }
 
 void Simulator::restore(const Snapshot& s) {
@@ -65,31 +65,32 @@ void Simulator::restore(const Snapshot& s) {
   p_node_ = s.p_node;
   mean_reactions_ = s.mean_reactions;
   sequence_.constraint_impulses.setZero(s.arc.reactions.size());
-  sequence_.drive_work = 0.0;
+  sequence_.driven_work = 0.0;
   t0_ = s.t0;
   trial_ = s.trial;
-  arc_h_ = s.arc_h;
+  adaptive_h_ = s.adaptive_h;
   flight_trial_ = s.flight_trial;
-  held_trial_ = s.held_trial;
-  held_seconds_ = s.held_seconds;
+  contact_trial_ = s.contact_trial;
+  contact_seconds_ = s.contact_seconds;
   kinetic_ = s.kinetic;
   easy_ = s.easy;
-  held_easy_ = s.held_easy;
+  contact_easy_ = s.contact_easy;
   without_progress_ = s.without_progress;
   halved_ = s.halved;
   rejected_ = s.rejected;
   saturated_ = s.saturated;
-  left_ = s.left;
+  separated_ = s.left;
   begun_ = s.begun;
-  sync_held();
-  held_.recall(s.held);
+  sync_persistent();
+  contact_step_.recall(s.persistent);
   integrator_.recall(s.integrator);
-  finder_.set_stepper(s.searched_held ? static_cast<Stepper&>(held_) : static_cast<Stepper&>(integrator_));
+  finder_.set_stepper(s.searched_persistent ? static_cast<Stepper&>(contact_step_)
+                                            : static_cast<Stepper&>(integrator_));
   finder_.recall(s.finder);
   guards_.recall(s.guards);
   integrator_.counters = s.step_counters;
   guards_.counters = s.guard_counters;
-  held_.counters = s.held_counters;
+  contact_step_.counters = s.contact_counters;
 }
 
 }  // namespace contactvi

@@ -16,10 +16,11 @@ double Acceleration::dot(const AlignedArray& a, const AlignedArray& b) const {
 
 void Acceleration::push(const Stages& stages) {
   const std::size_t size = static_cast<std::size_t>(nv_) * S_;
-  if (sweeps_.empty())
-    for (int k = 0; k <= kDepth; ++k) sweeps_.push_back({AlignedArray(size), AlignedArray(size), AlignedArray(size)});
-  std::rotate(sweeps_.begin(), sweeps_.end() - 1, sweeps_.end());
-  Sweep &now = sweeps_[0], &last = sweeps_[1];
+  if (stage_iterations_.empty())
+    for (int k = 0; k <= kDepth; ++k)
+      stage_iterations_.push_back({AlignedArray(size), AlignedArray(size), AlignedArray(size)});
+  std::rotate(stage_iterations_.begin(), stage_iterations_.end() - 1, stage_iterations_.end());
+  Sweep &now = stage_iterations_[0], &last = stage_iterations_[1];
   std::copy(stages.v(), stages.v() + size, now.v.data());
   std::copy(stages.dv(), stages.dv() + size, now.f.data());
   std::copy(stages.residual(), stages.residual() + size, now.r.data());
@@ -36,11 +37,11 @@ int Acceleration::weigh(int columns, double* gamma) const {
   double L[kDepth][kDepth], y[kDepth];
   int used = 0;
   for (; used < columns; ++used) {
-    const Sweep& column = sweeps_[used + 1];
+    const Sweep& column = stage_iterations_[used + 1];
     const double full = dot(column.f, column.r);
-    double pivot = full, right = dot(column.f, sweeps_[0].r);
+    double pivot = full, right = dot(column.f, stage_iterations_[0].r);
     for (int k = 0; k < used; ++k) {
-      double entry = dot(sweeps_[k + 1].f, column.r);
+      double entry = dot(stage_iterations_[k + 1].f, column.r);
       for (int l = 0; l < k; ++l) entry -= L[used][l] * L[k][l];
       L[used][k] = entry / L[k][k];
       pivot -= L[used][k] * L[used][k];
@@ -65,7 +66,7 @@ void Acceleration::apply(Stages& stages) {
   count_ = std::min(count_ + 1, kDepth);
   const std::size_t size = static_cast<std::size_t>(nv_) * S_;
   for (int k = 0; k < used; ++k)
-    for (std::size_t i = 0; i < size; ++i) stages.v()[i] -= gamma[k] * sweeps_[k + 1].v[i];
+    for (std::size_t i = 0; i < size; ++i) stages.v()[i] -= gamma[k] * stage_iterations_[k + 1].v[i];
 }
 
 }  // namespace contactvi

@@ -26,7 +26,7 @@ class Acceleration {
   double dot(const AlignedArray& a, const AlignedArray& b) const;
 
   int nv_, s_, S_;
-  std::vector<Sweep> sweeps_;  // newest first; empty until first used
+  std::vector<Sweep> stage_iterations_;  // newest first; empty until first used
   int count_ = 0;
 };
 

@@ -22,10 +22,10 @@ constexpr double kNear = 0.3, kFarEnergy = 30.0;
 constexpr double kVerySlow = 0.5;  // contraction from which on acceleration pays
 }  // namespace
 
-Integrator::Integrator(const Tree& tree, int stages, double tol, int max_sweeps)
+Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterations)
     : tree_(&tree),
       tol_(tol),
-      max_sweeps_(max_sweeps),
+      max_iterations_(max_iterations),
       model_(tree),
       stages_(tree, model_, stages),
       node_(tree, model_, 1),
@@ -97,14 +97,14 @@ bool Integrator::iterate() {
     std::fill(X, X + 3 * stages_.padded(), 0.0);
   }
   bool factor = true;
-  for (int k = 0; k < max_sweeps_; ++k) {
+  for (int k = 0; k < max_iterations_; ++k) {
     stages_.sweep((factor ? kLaneFactor : 0) | (k == 0 ? kLaneFirst : 0) | (newton ? kLaneNewton : 0));
     if (stiff_.any()) {
       if (factor) stiff_.factor(stages_, q0_);
       stiff_.correct(stages_);
     }
-    ++counters.sweeps;
-    ++sweeps_;
+    ++counters.stage_iterations;
+    ++stage_iterations_;
     counters.factorizations += factor;
     const double error = relative_error();
     if (!std::isfinite(error)) {
@@ -173,7 +173,7 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   const bool again = start_.count() == 0 && solved_ && h == h_ && (q0.array() == q0_.array()).all();
   begin(q0, p0, h, tau);
   part_ = false;
-  sweeps_ = 0;
+  stage_iterations_ = 0;
   why_ = "";
   const int s = stages_.count();
   if (again && iterate()) return !turns_too_far();
@@ -234,7 +234,7 @@ bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q
   const int s = stages_.count(), S = stages_.padded();
   begin(q0, p0, alpha * path.h(), tau);
   part_ = true;
-  sweeps_ = 0;
+  stage_iterations_ = 0;
   why_ = "";
   for (int i = 0; i < s; ++i) {
     path.velocity(alpha * table.c[i], v0_);
@@ -264,8 +264,9 @@ void Integrator::finish(VecRef q1, VecRef p1) {
       continue;
     }
     for (int d = 0; d < joint.nv; ++d) {
-      const double kick = stages_.sum(stages_.G(), iv + d) + carried * carry_p_[iv + d], p = p0_[iv + d] + kick;
-      next_carry_p_[iv + d] = kick - (p - p0_[iv + d]);
+      const double position_impulse = stages_.sum(stages_.G(), iv + d) + carried * carry_p_[iv + d],
+                   p = p0_[iv + d] + position_impulse;
+      next_carry_p_[iv + d] = position_impulse - (p - p0_[iv + d]);
       p1[iv + d] = p;
     }
     if (joint.type == JointType::kContinuous) {

@@ -16,14 +16,14 @@
 namespace contactvi {
 
 struct StepCounters {
-  long steps = 0, sweeps = 0, factorizations = 0;
+  long steps = 0, stage_iterations = 0, factorizations = 0;
   long retries = 0;  // steps whose first start values did not converge
 };
 
 class Integrator final : public Stepper {
  public:
-  // tol: see above; at most max_sweeps per attempt.
-  Integrator(const Tree& tree, int stages, double tol, int max_sweeps);
+  // tol: see above; at most max_iterations per attempt.
+  Integrator(const Tree& tree, int stages, double tol, int max_iterations);
   Integrator(const Integrator&) = delete;
   Integrator& operator=(const Integrator&) = delete;
 
@@ -63,7 +63,7 @@ class Integrator final : public Stepper {
   Memory memory();
   void recall(const Memory& memory);
 
-  int sweeps() const { return sweeps_; }
+  int stage_iterations() const { return stage_iterations_; }
   double residual_norm() const { return residual_; }
   const char* why() const override { return why_; }
   // X' at the stages of the step just solved, shape (nv, s).
@@ -92,14 +92,14 @@ class Integrator final : public Stepper {
   void dynamics(const VecCRef& q, const VecCRef& v, VecRef P, VecRef G);
 
   // A midpoint step whose start momentum is changed while it is solved, as contact impulses do (integrator_kicked.cpp).
-  void begin_kicked(const VecCRef& q0, double h, const VecX& tau, const VecCRef& v);
+  void begin_with_impulse(const VecCRef& q0, double h, const VecX& tau, const VecCRef& v);
   // One sweep with the start momentum p: v += D^-1 (p - p(v)), D the symmetric part of the step's Newton matrix, made
   // anew if factor. Returns the largest |change| of v; NaN if something is not finite.
-  double sweep_kicked(const VecCRef& p, bool factor, bool first);
+  double iterate_with_impulse(const VecCRef& p, bool factor, bool first);
   // The start momentum that finish() takes.
-  void start_kicked(const VecCRef& p) { p0_ = p; }
+  void start_with_impulse(const VecCRef& p) { p0_ = p; }
   // X <- D^-1 X, after a sweep that made D.
-  void solve_kicked(Eigen::Ref<MatX> X);
+  void solve_with_impulse(Eigen::Ref<MatX> X);
   void add_velocity(const VecCRef& dv);
   void stage_velocity(VecRef v) const;
 
@@ -120,7 +120,7 @@ class Integrator final : public Stepper {
 
   const Tree* tree_;
   double tol_;
-  int max_sweeps_;
+  int max_iterations_;
   FlatModel model_;
   Stages stages_, node_;
   StiffTerms stiff_;
@@ -131,7 +131,7 @@ class Integrator final : public Stepper {
   VecX carry_q_, carry_p_, next_carry_q_, next_carry_p_;
   MatX rates_, velocities_;
   double time_ = 0.0, h_ = 0.0, residual_ = 0.0, energy_scale_ = 0.0;
-  int sweeps_ = 0;
+  int stage_iterations_ = 0;
   bool solved_ = false, part_ = false;
   bool newton_ = false;  // the last step needed the Newton matrix
   const char* why_ = "";

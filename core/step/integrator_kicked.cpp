@@ -1,4 +1,4 @@
-// Integrator: the midpoint step with a start momentum that is found while the step is solved (held_step.cpp).
+// Integrator: the midpoint step with a start momentum that is found while the step is solved (present_dt.cpp).
 #include <algorithm>
 #include <cmath>
 
@@ -6,7 +6,7 @@
 
 namespace contactvi {
 
-void Integrator::begin_kicked(const VecCRef& q0, double h, const VecX& tau, const VecCRef& v) {
+void Integrator::begin_with_impulse(const VecCRef& q0, double h, const VecX& tau, const VecCRef& v) {
   begin(q0, p0_, h, tau);
   part_ = true;
   solved_ = false;
@@ -18,7 +18,7 @@ void Integrator::begin_kicked(const VecCRef& q0, double h, const VecX& tau, cons
   start_constant(v);
 }
 
-double Integrator::sweep_kicked(const VecCRef& p, bool factor, bool first) {
+double Integrator::iterate_with_impulse(const VecCRef& p, bool factor, bool first) {
   p0_ = p;
   stages_.start_from(p);
   stages_.sweep((factor ? kLaneFactor : 0) | (first ? kLaneFirst : 0));
@@ -26,7 +26,7 @@ double Integrator::sweep_kicked(const VecCRef& p, bool factor, bool first) {
     if (factor) stiff_.factor(stages_, q0_);
     stiff_.correct(stages_);
   }
-  ++counters.sweeps;
+  ++counters.stage_iterations;
   counters.factorizations += factor;
   double largest = 0.0;
   for (int d = 0; d < tree_->nv; ++d) {
@@ -49,7 +49,7 @@ void Integrator::solve_columns(Stages& stages, Eigen::Ref<MatX> X) {
   }
 }
 
-void Integrator::solve_kicked(Eigen::Ref<MatX> X) {
+void Integrator::solve_with_impulse(Eigen::Ref<MatX> X) {
   solve_columns(stages_, X);
   if (stiff_.any()) stiff_.correct(X);
 }
