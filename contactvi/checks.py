@@ -60,7 +60,8 @@ class States:
     def configuration(self, q: Any, name: str = "q0") -> Array:
         """Return q as an array of shape (nq,), unit complex numbers and quaternions normalised.
 
-        Raises InputError for a wrong shape, numbers that are not finite, and a norm further than 1e-6 from one.
+        Raises:
+            InputError: for a wrong shape, numbers that are not finite, and a norm further than 1e-6 from one.
         """
         remedy = (
             "Start from scene.neutral() and set joints with scene.configuration({...}); a free body takes 7 numbers"

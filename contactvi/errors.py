@@ -13,11 +13,10 @@ from typing import Any
 class ContactviError(Exception):
     """Root of every error raised on purpose by contactvi.
 
-    Parameters
-    ----------
-    what : the fact, one sentence without a full stop.
-    expected, got, remedy : short texts, kept as fields and joined into the message
-        ``what: expected ..., got .... Remedy.``
+    Args:
+        what: the fact, one sentence without a full stop.
+        expected, got, remedy: short texts, kept as fields and joined into the message ``what: expected ..., got ....
+            Remedy.``
     """
 
     def __init__(

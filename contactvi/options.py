@@ -36,47 +36,46 @@ _UNSET: Any = None  # the default depends on other options; resolved in __post_i
 class Options:
     """Settings of a run.
 
-    Parameters
-    ----------
-    dt : time step [s], > 0: all steps have this length. Or "auto": the step is chosen so that q is accurate to `tol`;
-        it is constant between impacts (contactvi.simulation.adaptive). Not with "dtec", inputs or order 2.
-    duration : simulated time [s]. With a number as dt a whole number of steps: `steps = round(duration / dt)`, and an
-        error when duration / dt is further than 1e-9 (relative) from a whole number, because the modified Hamiltonian
-        that the integrator conserves belongs to one step length. None where the caller decides step by step
-        (Simulator).
-    impact : impact map (Murphey, Pekarek, Seghete), what the impact conserves besides the momentum along the surface:
-        "ctec" the energy, "dtec" the discrete energy of the step, "mhc" the modified Hamiltonian of the integrator.
-    mhc_reference : value that "mhc" conserves: "local" that of the start of the step, "global" that of the start of the
-        run less the losses of all impacts since (no drift; without damping and inputs only).
-    order : order 2s of the variational integrator with s Gauss stages, an even number from 2 (midpoint rule) to 16; by
-        default 2 for a number as dt and 16 for "auto".
-    tol : it means two things. For a number as dt, how well the equations of a step are solved: relative, in the energy
-        norm, by default 1e-12; the error of q follows from dt and the order. For "auto", the accuracy asked of q: the
-        largest norm of the tangent difference to the true motion over the run [m, rad], by default 1e-6; the equations
-        are then solved to `stage_tol`.
-    record_every : every how many steps the state is kept; the first and the last one always are. 1 with "auto".
-    max_impacts_per_step : a run with more impacts in one step ends with the status TOO_MANY_IMPACTS.
-    ledger : tolerances on the ledger of the run, name -> bound >= 0 (see contactvi.trajectory.ledger for what is
-        bounded, relative to what); the run ends with the status LEDGER where one is exceeded.
-    max_iterations : sweeps per attempt at a step before it is tried from other start values, or shorter.
-    sample_dt : keep the states at every sample_dt [s] from the start, and the last one, instead of those at the ends of
-        steps: the steps stay what they are, the samples are taken from their polynomials.
-    dense : keep the polynomial of every step, which Trajectory.at evaluates; by default from order 4 on, and with
-        sample_dt.
-    dt_contact : step while contacts are held [s], at most dt: it is a midpoint step whatever the order. By default dt
-        at order 2 and min(dt, 1e-3) above. With dt="auto" the run finds it ("auto", the default), and a number is the
-        longest one allowed. Trajectory.phases says which step was taken where.
-    zeno : where impacts accumulate: "hold" makes one of them plastic and holds the contact, "end" ends the run with the
-        status ZENO. Runs with "dtec", which has no answer there, end in both cases.
-    support : an impact on a body that others hold: "sequence" of single impacts, each contact with its own restitution;
-        "stiff": held contacts stay closed during it, as if what holds the body were infinitely stiff.
-    contact_points : points that a pair of shapes has at most, >= 1, by default 4; fewer only where no faces touch.
-        While a face tips more may be hit at one instant: spare points of the face, so that none penetrates.
-    record_contacts : keep the impulses of all contacts (Trajectory.contacts).
+    Args:
+        dt: time step [s], > 0: all steps have this length. Or "auto": the step is chosen so that q is accurate to
+            `tol`; it is constant between impacts (contactvi.simulation.adaptive). Not with "dtec", inputs or order 2.
+        duration: simulated time [s]. With a number as dt a whole number of steps: `steps = round(duration / dt)`, and
+            an error when duration / dt is further than 1e-9 (relative) from a whole number, because the modified
+            Hamiltonian that the integrator conserves belongs to one step length. None where the caller decides step by
+            step (Simulator).
+        impact: impact map (Murphey, Pekarek, Seghete), what the impact conserves besides the momentum along the
+            surface: "ctec" the energy, "dtec" the discrete energy of the step, "mhc" the modified Hamiltonian of the
+            integrator.
+        mhc_reference: value that "mhc" conserves: "local" that of the start of the step, "global" that of the start of
+            the run less the losses of all impacts since (no drift; without damping and inputs only).
+        order: order 2s of the variational integrator with s Gauss stages, an even number from 2 (midpoint rule) to 16;
+            by default 2 for a number as dt and 16 for "auto".
+        tol: it means two things. For a number as dt, how well the equations of a step are solved: relative, in the
+            energy norm, by default 1e-12; the error of q follows from dt and the order. For "auto", the accuracy asked
+            of q: the largest norm of the tangent difference to the true motion over the run [m, rad], by default 1e-6;
+            the equations are then solved to `stage_tol`.
+        record_every: every how many steps the state is kept; the first and the last one always are. 1 with "auto".
+        max_impacts_per_step: a run with more impacts in one step ends with the status TOO_MANY_IMPACTS.
+        ledger: tolerances on the ledger of the run, name -> bound >= 0 (see contactvi.trajectory.ledger for what is
+            bounded, relative to what); the run ends with the status LEDGER where one is exceeded.
+        max_iterations: sweeps per attempt at a step before it is tried from other start values, or shorter.
+        sample_dt: keep the states at every sample_dt [s] from the start, and the last one, instead of those at the ends
+            of steps: the steps stay what they are, the samples are taken from their polynomials.
+        dense: keep the polynomial of every step, which Trajectory.at evaluates; by default from order 4 on, and with
+            sample_dt.
+        dt_contact: step while contacts are held [s], at most dt: it is a midpoint step whatever the order. By default
+            dt at order 2 and min(dt, 1e-3) above. With dt="auto" the run finds it ("auto", the default), and a number
+            is the longest one allowed. Trajectory.phases says which step was taken where.
+        zeno: where impacts accumulate: "hold" makes one of them plastic and holds the contact, "end" ends the run with
+            the status ZENO. Runs with "dtec", which has no answer there, end in both cases.
+        support: an impact on a body that others hold: "sequence" of single impacts, each contact with its own
+            restitution; "stiff": held contacts stay closed during it, as if what holds the body were infinitely stiff.
+        contact_points: points that a pair of shapes has at most, >= 1, by default 4; fewer only where no faces touch.
+            While a face tips more may be hit at one instant: spare points of the face, so that none penetrates.
+        record_contacts: keep the impulses of all contacts (Trajectory.contacts).
 
-    Raises
-    ------
-    InputError : for a value that is not of the type or in the range given above.
+    Raises:
+        InputError: for a value that is not of the type or in the range given above.
     """
 
     dt: float | Literal["auto"]
@@ -188,7 +187,8 @@ class Options:
     def from_dict(cls, settings: Mapping[str, Any]) -> Options:
         """Return the options with these values.
 
-        Raises InputError for a missing `dt` and for a key that is not an option, naming the nearest one.
+        Raises:
+            InputError: for a missing `dt` and for a key that is not an option, naming the nearest one.
         """
         check_names(settings)
         if settings.get("dt") is None:

@@ -12,11 +12,10 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 class JobProgress:
     """A progress callback, called with (fraction, text), that draws a bar on the terminal; a context manager.
 
-    Parameters
-    ----------
-    console : where to draw; the standard error stream when None. Nothing is drawn where that is no terminal.
-    total : what counts as all of the job, in the unit of the callback's first argument.
-    time_left : show an estimate of the time left.
+    Args:
+        console: where to draw; the standard error stream when None. Nothing is drawn where that is no terminal.
+        total: what counts as all of the job, in the unit of the callback's first argument.
+        time_left: show an estimate of the time left.
     """
 
     def __init__(self, console: Console | None = None, total: float = 1.0, time_left: bool = True) -> None:
@@ -58,7 +57,8 @@ class JobProgress:
 class RunProgress:
     """The bar of a run: a progress callback for `simulate`, called with (time, impacts); a context manager.
 
-    duration : simulated time of the whole run [s]. console as in JobProgress.
+    Attributes:
+        duration: simulated time of the whole run [s]. console as in JobProgress.
     """
 
     def __init__(self, duration: float, console: Console | None = None) -> None:

@@ -44,17 +44,21 @@ class Status:
 class Stats:
     """What a run cost.
 
-    Attributes
-    ----------
-    steps : accepted steps of length dt, or with dt="auto" of the lengths chosen.
-    iterations, sweeps : sweeps over the stages of a step (two names of one number).
-    residuals : evaluations of the step equation. factorizations : of the mass matrix or the Newton matrix.
-    halved : steps cut in two because their sweeps did not converge. rejected : steps that "auto" made again shorter.
-    guards_evaluated, guards_skipped : pairs and limits looked at, and those that could not be reached in the step.
-    impacts : number of them. seconds : wall time inside the engine.
-    held_steps : steps and parts of steps with held contacts. contact_rounds : rounds of their equations.
-    cone_problems, cone_iterations : contact problems solved, and Newton iterations for them; cone_fallbacks : of the
-        problems, those that needed another solver. contact_seconds : wall time inside held steps.
+    Attributes:
+        steps: accepted steps of length dt, or with dt="auto" of the lengths chosen.
+        iterations, sweeps: sweeps over the stages of a step (two names of one number).
+        residuals: evaluations of the step equation.
+        factorizations: of the mass matrix or the Newton matrix.
+        halved: steps cut in two because their sweeps did not converge.
+        rejected: steps that "auto" made again shorter.
+        guards_evaluated, guards_skipped: pairs and limits looked at, and those that could not be reached in the step.
+        impacts: number of them.
+        seconds: wall time inside the engine.
+        held_steps: steps and parts of steps with held contacts.
+        contact_rounds: rounds of their equations.
+        cone_problems, cone_iterations: contact problems solved, and Newton iterations for them;
+        cone_fallbacks: of the problems, those that needed another solver.
+        contact_seconds: wall time inside held steps.
     """
 
     steps: int = 0

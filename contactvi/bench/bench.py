@@ -54,11 +54,16 @@ AT_REFERENCE = "at the reference's own error"  # the note of a row whose error i
 class Row:
     """One measured setting.
 
-    impact : map. dt : [s]. error : largest |q - q_ref| up to the horizon [m, rad]. energy_error : largest difference
-    from the reference of the energy without what the impacts took [J]. seconds : fastest of the repeats, up to the
-    horizon [s]. impacts : up to the horizon. slope : order seen, log of the error ratio to the next coarser dt over
-    that of the dt; nan for the first. note : why the row is no measurement of accuracy, empty where it is. order : of
-    the integrator.
+    Attributes:
+        impact: map.
+        dt: [s].
+        error: largest |q - q_ref| up to the horizon [m, rad].
+        energy_error: largest difference from the reference of the energy without what the impacts took [J].
+        seconds: fastest of the repeats, up to the horizon [s].
+        impacts: up to the horizon.
+        slope: order seen, log of the error ratio to the next coarser dt over that of the dt; nan for the first.
+        note: why the row is no measurement of accuracy, empty where it is.
+        order: of the integrator.
     """
 
     impact: str
@@ -76,7 +81,8 @@ class Row:
 class Bench:
     """What was measured: rows, horizon [s], duration [s], reference dt [s] and its own error, impacts, warnings.
 
-    rounding : errors below it are not of the method.
+    Attributes:
+        rounding: errors below it are not of the method.
     """
 
     rows: list[Row]
@@ -123,14 +129,15 @@ def bench(
 ) -> Bench:
     """Measure run time against error of a scene over orders, impact maps and time steps.
 
-    Parameters
-    ----------
-    scene : with its start and settings (load_scene), which `options` override. budget : wall time allowed [s].
-    maps, orders : what to compare. progress : called as progress(share of the budget, text).
+    Args:
+        scene: with its start and settings (load_scene), which `options` override.
+        budget: wall time allowed [s].
+        maps, orders: what to compare.
+        progress: called as progress(share of the budget, text).
 
-    Raises
-    ------
-    InputError : for bad settings. PenetrationError : for a start in penetration.
+    Raises:
+        InputError: for bad settings.
+        PenetrationError: for a start in penetration.
     """
     if not budget > 0 or not np.isfinite(budget):
         raise InputError("budget is not usable", name="budget", expected="seconds, > 0", got=repr(budget))

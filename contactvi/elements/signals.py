@@ -36,14 +36,14 @@ _SLACK = 1e-9  # of the span of a table: a run's last time is off by rounding
 class Signal:
     """A signal with a name, called as signal(t) -> (value, rate, acceleration); t [s].
 
-    Attributes
-    ----------
-    name : for messages. times, values : of a table, (n,); None otherwise. constant : its number; None otherwise.
-    function : as given by the user; None for numbers and tables.
+    Attributes:
+        name: for messages.
+        times, values: of a table, (n,); None otherwise.
+        constant: its number; None otherwise.
+        function: as given by the user; None for numbers and tables.
 
-    Raises
-    ------
-    InputError : something that is no signal. When called: UserFunctionError, with the name, the time and which part.
+    Raises:
+        InputError: something that is no signal. When called: UserFunctionError, with the name, the time and which part.
     """
 
     def __init__(self, source: Any, name: str) -> None:

@@ -41,12 +41,14 @@ def checked(
 ) -> Array:
     """Return `value` as a float array of this shape with finite numbers.
 
-    name : of the function. t : when it was called [s], None where that means nothing. meaning : of the numbers, for the
-    message. dofs : names of the degrees of freedom along the axes, to name an entry.
+    Args:
+        name: of the function.
+        t: when it was called [s], None where that means nothing.
+        meaning: of the numbers, for the message.
+        dofs: names of the degrees of freedom along the axes, to name an entry.
 
-    Raises
-    ------
-    UserFunctionError : not numbers, another shape, nan or inf.
+    Raises:
+        UserFunctionError: not numbers, another shape, nan or inf.
     """
     try:
         array = np.array(value, dtype=float, order="C")

@@ -186,9 +186,8 @@ def dof_joint(model: pin.Model, dof: int) -> str:
 def check_mass(model: pin.Model, q: np.ndarray, source: str) -> np.ndarray:
     """Return the diagonal of the mass matrix at q, shape (nv,).
 
-    Raises
-    ------
-    SceneError : some motion has no inertia (a joint that moves nothing), at a generic pose near q.
+    Raises:
+        SceneError: some motion has no inertia (a joint that moves nothing), at a generic pose near q.
     """
     if model.nv == 0:
         return np.zeros(0)

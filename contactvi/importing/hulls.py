@@ -26,9 +26,8 @@ def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
     A hull with a vertex of more neighbours than coal can count (a finely divided disc) is thinned until it fits: of the
     vertices in one cell of the grid the first is kept, so the result lies inside, at most a cell's diagonal away.
 
-    Raises
-    ------
-    SceneError : not finite, fewer than 4 points, or all in a plane.
+    Raises:
+        SceneError: not finite, fewer than 4 points, or all in a plane.
     """
     points = np.asarray(points, dtype=float).reshape(-1, 3)
     outer = _outer_points(points, name)
@@ -90,9 +89,8 @@ def _finished(hull: coal.Convex) -> coal.Convex:
 def prepare_geometry(geometry: pin.GeometryObject, report: PartReport) -> str:
     """Put a usable shape into a collision geometry and return what was done to it ("" = nothing).
 
-    Raises
-    ------
-    SceneError : a shape the engine cannot use, or a size that is not positive and finite.
+    Raises:
+        SceneError: a shape the engine cannot use, or a size that is not positive and finite.
     """
     shape = geometry.geometry
     if isinstance(shape, coal.BVHModelBase):

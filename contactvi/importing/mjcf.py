@@ -33,7 +33,8 @@ STATIC = "mjcf_world"  # name of the static body that gathers the top bodies
 class MjcfText:
     """A checked MJCF: its model name, the rewritten XML, its <exclude> pairs of bodies with the reason.
 
-    constraints : as mjcf_equality.read_equality returns them.
+    Attributes:
+        constraints: as mjcf_equality.read_equality returns them.
     """
 
     name: str
@@ -45,9 +46,8 @@ class MjcfText:
 def read_mjcf(path: Path, report: PartReport) -> MjcfText:
     """Read, check and rewrite an MJCF; what is ignored or changed goes to the report.
 
-    Raises
-    ------
-    SceneError : whatever makes the file unusable.
+    Raises:
+        SceneError: whatever makes the file unusable.
     """
     root = read_xml(path, "mujoco", "an MJCF")
     _include(root, path, depth=0)

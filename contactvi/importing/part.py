@@ -31,14 +31,16 @@ GROUND_THICKNESS = 0.01
 class Part:
     """One addition to the scene.
 
-    kind : "urdf", "mjcf", "pinocchio" or "primitive".
-    model, collision : Pinocchio models without the prefix and without the placement.
-    load_visual : returns the visual GeometryModel (loaded late: pictures are slow and not needed to simulate).
-    placement : where the part's own world frame lies in the scene's.
-    start : neutral configuration of the part, shape (nq,).
-    disabled : link pairs switched off by the SRDF, with its reason.
-    given_pairs : collision pairs (geometry indices) given with the model; None = the default choice.
-    mimics : mimic tags by joint, for the report. constraints : those of the file, with the scene's names.
+    Attributes:
+        kind: "urdf", "mjcf", "pinocchio" or "primitive".
+        model, collision: Pinocchio models without the prefix and without the placement.
+        load_visual: returns the visual GeometryModel (loaded late: pictures are slow and not needed to simulate).
+        placement: where the part's own world frame lies in the scene's.
+        start: neutral configuration of the part, shape (nq,).
+        disabled: link pairs switched off by the SRDF, with its reason.
+        given_pairs: collision pairs (geometry indices) given with the model; None = the default choice.
+        mimics: mimic tags by joint, for the report.
+        constraints: those of the file, with the scene's names.
     """
 
     name: str

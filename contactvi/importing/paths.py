@@ -24,9 +24,8 @@ ROBOT_DATA = "example-robot-data"
 def example_robot_data_share() -> Path:
     """Return the share folder that holds `example-robot-data/robots`, whatever the install layout.
 
-    Raises
-    ------
-    SceneError : the distribution example-robot-data is not installed or has no such folder.
+    Raises:
+        SceneError: the distribution example-robot-data is not installed or has no such folder.
     """
     remedy = "pip install example-robot-data"
     try:
@@ -42,15 +41,13 @@ def example_robot_data_share() -> Path:
 def resolve_path(path: str | os.PathLike[str], base: Path | None = None, package_dirs: Sequence[object] = ()) -> Path:
     """Return the absolute path of an existing file.
 
-    Parameters
-    ----------
-    path : plain path, `file://`, `example-robot-data://robots/...` or `package://name/...`.
-    base : folder to which a relative path belongs; the working directory when None.
+    Args:
+        path: plain path, `file://`, `example-robot-data://robots/...` or `package://name/...`.
+        base: folder to which a relative path belongs; the working directory when None.
 
-    Raises
-    ------
-    InputError : not a path.
-    SceneError : no such file, or a folder.
+    Raises:
+        InputError: not a path.
+        SceneError: no such file, or a folder.
     """
     if not isinstance(path, (str, os.PathLike)) or not str(path):
         raise InputError("Path of a file", name="path", expected="a non-empty str or Path", got=repr(path))
@@ -126,14 +123,12 @@ def package_candidates(name: str, start: Path, package_dirs: Sequence[object] = 
 def resolve_resource(url: str, start: Path, package_dirs: Sequence[object] = ()) -> Path:
     """Return the file that a mesh (or other) reference inside a model file means.
 
-    Parameters
-    ----------
-    url : as written in the file: `package://`, `model://`, `file://`, `example-robot-data://`, or a path.
-    start : folder of the file that mentions it.
+    Args:
+        url: as written in the file: `package://`, `model://`, `file://`, `example-robot-data://`, or a path.
+        start: folder of the file that mentions it.
 
-    Raises
-    ------
-    SceneError : no such file; the message lists the folders that were tried.
+    Raises:
+        SceneError: no such file; the message lists the folders that were tried.
     """
     scheme, separator, rest = url.partition("://")
     tried: list[Path] = []

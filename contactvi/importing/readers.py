@@ -43,9 +43,8 @@ def import_urdf(
 ) -> Part:
     """Return the part described by a URDF; arguments as in Scene.add_urdf, a relative path is relative to `folder`.
 
-    Raises
-    ------
-    SceneError : with the finding as `expected`, `got`; its attribute `report` holds the PartReport up to there.
+    Raises:
+        SceneError: with the finding as `expected`, `got`; its attribute `report` holds the PartReport up to there.
     """
     if base not in ("fixed", "free"):
         raise InputError("Argument base", name="base", expected="'fixed' or 'free'", got=repr(base))
@@ -178,9 +177,8 @@ def copy_geometry(source: pin.GeometryModel | None) -> pin.GeometryModel:
 def read_srdf(file: Path, model: pin.Model, report: PartReport) -> list[tuple[str, str, str]]:
     """Return the disabled link pairs of an SRDF with their reasons.
 
-    Raises
-    ------
-    SceneError : broken XML or not an SRDF.
+    Raises:
+        SceneError: broken XML or not an SRDF.
     """
     root = read_xml(file, "robot", "an SRDF")
     known = {frame.name for frame in model.frames}

@@ -46,9 +46,8 @@ class UrdfText:
 def read_urdf(path: Path, package_dirs: Sequence[object], report: PartReport) -> UrdfText:
     """Read, check and complete a URDF; what is ignored or changed goes to the report.
 
-    Raises
-    ------
-    SceneError : whatever makes the file unusable, with path, joint or body.
+    Raises:
+        SceneError: whatever makes the file unusable, with path, joint or body.
     """
     root = read_xml(path, "robot", "a URDF")
     _check_expanded(root, path)

@@ -14,9 +14,8 @@ Element = ElementTree.Element
 def read_xml(path: Path, root_tag: str, kind: str) -> Element:
     """Return the root element of an XML file.
 
-    Raises
-    ------
-    SceneError : not readable, broken XML (with the line), or the root is not `root_tag`.
+    Raises:
+        SceneError: not readable, broken XML (with the line), or the root is not `root_tag`.
     """
     try:
         root = ElementTree.parse(path).getroot()
@@ -45,9 +44,8 @@ def read_xml(path: Path, root_tag: str, kind: str) -> Element:
 def numbers(element: Element, key: str, path: Path, where: str, count: int | None = None) -> list[float] | None:
     """Return the finite numbers of an attribute, None when it is absent.
 
-    Raises
-    ------
-    SceneError : not numbers, not finite, or not `count` of them.
+    Raises:
+        SceneError: not numbers, not finite, or not `count` of them.
     """
     text = element.get(key)
     if text is None:
@@ -83,9 +81,8 @@ def check_positive(element: Element, key: str, path: Path, where: str, count: in
 def named(elements: list[Element], path: Path, kind: str) -> dict[str, Element]:
     """Return the elements by name.
 
-    Raises
-    ------
-    SceneError : one without a name, or two of the same name.
+    Raises:
+        SceneError: one without a name, or two of the same name.
     """
     found: dict[str, Element] = {}
     for element in elements:

@@ -61,8 +61,11 @@ class Poses:
 class Marker:
     """A contact marker that is used for one impact after the other.
 
-    start, end : times between which it shows [s], shape (k,). point : (k, 3). direction : unit vector of the impulse
-    that is drawn (k, 3). impulse : [N s], shape (k,).
+    Attributes:
+        start, end: times between which it shows [s], shape (k,).
+        point: (k, 3).
+        direction: unit vector of the impulse that is drawn (k, 3).
+        impulse: [N s], shape (k,).
     """
 
     start: list[float] = field(default_factory=list)

@@ -30,7 +30,11 @@ _FULL = (
 class Arrow:
     """One arrow: keys in the order of time, (k,) each; where it is not shown it keeps the last point and force.
 
-    time : [s]. shown : from then on. point : [m], (3,). force : [N], (3,).
+    Attributes:
+        time: [s].
+        shown: from then on.
+        point: [m], (3,).
+        force: [N], (3,).
     """
 
     time: list[float] = field(default_factory=list)

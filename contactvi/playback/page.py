@@ -71,12 +71,12 @@ def write_html(
 ) -> Path:
     """Write the page that plays `run`; return its path.
 
-    Parameters
-    ----------
-    path : file to write, replaced whole or not at all.
-    fps : frames per second of simulated time, > 0; impacts get a frame of their own. Long runs get fewer.
-    title : heading and name of the page. play : start playing when the page is opened.
-    forces : show the forces of lasting contacts as arrows, where the run has kept some.
+    Args:
+        path: file to write, replaced whole or not at all.
+        fps: frames per second of simulated time, > 0; impacts get a frame of their own. Long runs get fewer.
+        title: heading and name of the page.
+        play: start playing when the page is opened.
+        forces: show the forces of lasting contacts as arrows, where the run has kept some.
     """
     text = make_html(run, fps=fps, title=title, play=play, forces=forces)
     return write_atomic(path, lambda file: file.write(text.encode("utf-8")))

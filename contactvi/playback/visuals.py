@@ -41,14 +41,17 @@ _COUNTS = {
 class Visual:
     """One shape.
 
-    name : of the geometry. joint : index of the joint that carries it, 0 for the world.
-    placement : in the frame of the joint, homogeneous matrix, shape (4, 4).
-    shape : "sphere", "box", "capsule", "cylinder", "cone", "ellipsoid", "halfspace", "mesh" or "line".
-    sizes : [m] sphere (radius), box (half sides), capsule, cylinder and cone (radius, half length along z),
-        ellipsoid (radii), halfspace (normal, offset: the solid is n.x <= offset), mesh (); of a line no lengths but the
-        joints that carry its vertices, each in the frame of its own (`joint` is 0, `placement` is not used).
-    color : red, green, blue, opacity in 0..1; None where the model names none.
-    vertices : [m], shape (n, 3) float32. faces : shape (m, 3) uint32. Empty unless it is a mesh; a line has vertices.
+    Attributes:
+        name: of the geometry.
+        joint: index of the joint that carries it, 0 for the world.
+        placement: in the frame of the joint, homogeneous matrix, shape (4, 4).
+        shape: "sphere", "box", "capsule", "cylinder", "cone", "ellipsoid", "halfspace", "mesh" or "line".
+        sizes: [m] sphere (radius), box (half sides), capsule, cylinder and cone (radius, half length along z),
+            ellipsoid (radii), halfspace (normal, offset: the solid is n.x <= offset), mesh (); of a line no lengths but
+            the joints that carry its vertices, each in the frame of its own (`joint` is 0, `placement` is not used).
+        color: red, green, blue, opacity in 0..1; None where the model names none.
+        vertices: [m], shape (n, 3) float32.
+        faces: shape (m, 3) uint32. Empty unless it is a mesh; a line has vertices.
     """
 
     name: str

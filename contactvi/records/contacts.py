@@ -61,17 +61,18 @@ CHANGE_FIELDS: dict[str, tuple[int, type]] = {
 class Contact:
     """One contact point over one step, or in one impact.
 
-    Attributes
-    ----------
-    t, h : start and length of the step [s]; h is 0 for an impact. step : its index.
-    kind, pair : as of an `Event`. point : number of the point within the pair, the same from step to step.
-    mode : "stick", "slip" (it slid in a part of the step at least), "frictionless" or "impact".
-    position : of the point at the end of the step [m], normal : unit, from the first shape to the second, both in world
-        axes, shape (3,); zero for a limit.
-    impulse : on the second shape [N s], friction included, world axes, shape (3,); of a limit its first component.
-    force : impulse / h [N], shape (3,): the mean over the step; NaN for an impact.
-    gap : at the end [m; rad].
-    slip : tangential velocity of the second shape against the first, at the end [m/s], world axes, shape (3,).
+    Attributes:
+        t, h: start and length of the step [s]; h is 0 for an impact.
+        step: its index.
+        kind, pair: as of an `Event`.
+        point: number of the point within the pair, the same from step to step.
+        mode: "stick", "slip" (it slid in a part of the step at least), "frictionless" or "impact".
+        position: of the point at the end of the step [m], normal : unit, from the first shape to the second, both in
+            world axes, shape (3,); zero for a limit.
+        impulse: on the second shape [N s], friction included, world axes, shape (3,); of a limit its first component.
+        force: impulse / h [N], shape (3,): the mean over the step; NaN for an impact.
+        gap: at the end [m; rad].
+        slip: tangential velocity of the second shape against the first, at the end [m/s], world axes, shape (3,).
     """
 
     t: float
@@ -215,8 +216,9 @@ class ContactLog(Sequence[Contact]):
     def on(self, body: Any) -> tuple[Array, Array]:
         """Return (t (k,) [s], force (k, 3) [N]): the sum of all contact forces on a body, step by step.
 
-        body : name of a shape, several of them, or a handle of the scene, whose shapes count as one body. Times are the
-        middles of the steps in which it was held.
+        Args:
+            body: name of a shape, several of them, or a handle of the scene, whose shapes count as one body. Times are
+                the middles of the steps in which it was held.
         """
         shapes = set(_shapes(body))
         signs = self._signs(shapes)
@@ -285,11 +287,13 @@ class ContactLog(Sequence[Contact]):
 class ContactChange:
     """One change of a contact.
 
-    Attributes
-    ----------
-    time : [s]. kind, pair : as of an `Event`. point : number of the point within the pair.
-    change : "begin", "release", "stick", "slip", "bouncing ended" or "inconsistent".
-    value : of "bouncing ended" the time when impacts would have accumulated [s], of "inconsistent" (Painleve) A [1/kg].
+    Attributes:
+        time: [s].
+        kind, pair: as of an `Event`.
+        point: number of the point within the pair.
+        change: "begin", "release", "stick", "slip", "bouncing ended" or "inconsistent".
+        value: of "bouncing ended" the time when impacts would have accumulated [s], of "inconsistent" (Painleve) A
+            [1/kg].
     """
 
     time: float

@@ -62,32 +62,35 @@ FIELDS: dict[str, tuple[int | str, type]] = {
 class Event:
     """One impact.
 
-    Attributes
-    ----------
-    time : [s]. step : index of the step in which it happened.
-    kind : "contact" between two shapes or "limit" of a joint.
-    pair : names of the two shapes; for a limit (joint, "lower limit") or (joint, "upper limit").
-    point : contact point [m], world frame, shape (3,); zero for a limit.
-    normal : unit normal from the first shape to the second, world frame, shape (3,); zero for a limit.
-    impulse : lambda >= 0 [N s; N m s for the limit of a revolute joint], of all points along their normals; without
-        friction the second shape gets +impulse * normal.
-    gamma_minus, gamma_plus : normal speed W v before and after [m/s; rad/s]; of several points that which closed most.
-    G_c : inverse inertia W M^-1 W^T seen by the contact [1/kg].
-    gap : signed distance at the located configuration [m; rad].
-    restitution : coefficient used.
-    method : impact map, "ctec", "dtec" or "mhc".
-    iterations : evaluations of the map's scalar equation; 0 for CTEC, which is explicit.
-    fallback : None, or the reason why the impulse is CTEC's because the map had no answer.
-    jump : what is left of the map's own scalar equation [J], losses by restitution taken off; 0 for CTEC.
-    before, after : lengths [s] of the partial step that ends at the impact (since the last event or node) and of the
-        rest of the step after it; NaN in runs stored before they were kept.
-    q : configuration at the impact, shape (nq,). p_minus, p_plus : momentum before and after, shape (nv,).
-    impulse_vector : on the second shape, friction included [N s], world frame, shape (3,); zero for a limit.
-    points : how many points of the pair took part. friction : Coulomb coefficient used.
-    loss : what the law of the impact takes from the kinetic energy, by restitution and friction [J]; at one point
-        without friction (1 - e^2) gamma_minus^2 / (2 G_c).
-    energy_change : H(p_plus) - H(p_minus) [J]; -loss with CTEC, at one point without friction
-        (gamma_plus^2 - gamma_minus^2) / (2 G_c).
+    Attributes:
+        time: [s].
+        step: index of the step in which it happened.
+        kind: "contact" between two shapes or "limit" of a joint.
+        pair: names of the two shapes; for a limit (joint, "lower limit") or (joint, "upper limit").
+        point: contact point [m], world frame, shape (3,); zero for a limit.
+        normal: unit normal from the first shape to the second, world frame, shape (3,); zero for a limit.
+        impulse: lambda >= 0 [N s; N m s for the limit of a revolute joint], of all points along their normals; without
+            friction the second shape gets +impulse * normal.
+        gamma_minus, gamma_plus: normal speed W v before and after [m/s; rad/s]; of several points that which closed
+            most.
+        G_c: inverse inertia W M^-1 W^T seen by the contact [1/kg].
+        gap: signed distance at the located configuration [m; rad].
+        restitution: coefficient used.
+        method: impact map, "ctec", "dtec" or "mhc".
+        iterations: evaluations of the map's scalar equation; 0 for CTEC, which is explicit.
+        fallback: None, or the reason why the impulse is CTEC's because the map had no answer.
+        jump: what is left of the map's own scalar equation [J], losses by restitution taken off; 0 for CTEC.
+        before, after: lengths [s] of the partial step that ends at the impact (since the last event or node) and of the
+            rest of the step after it; NaN in runs stored before they were kept.
+        q: configuration at the impact, shape (nq,).
+        p_minus, p_plus: momentum before and after, shape (nv,).
+        impulse_vector: on the second shape, friction included [N s], world frame, shape (3,); zero for a limit.
+        points: how many points of the pair took part.
+        friction: Coulomb coefficient used.
+        loss: what the law of the impact takes from the kinetic energy, by restitution and friction [J]; at one point
+            without friction (1 - e^2) gamma_minus^2 / (2 G_c).
+        energy_change: H(p_plus) - H(p_minus) [J]; -loss with CTEC, at one point without friction (gamma_plus^2 -
+            gamma_minus^2) / (2 G_c).
     """
 
     time: float
@@ -244,7 +247,8 @@ def with_energy_change(
 ) -> dict[str, NDArray[Any]]:
     """Return all fields, the change of energy measured where one speed and G_c do not say it: points that act together.
 
-    kinetic_energy : (q (k, nq), p (k, nv)) -> (k,) [J].
+    Args:
+        kinetic_energy: (q (k, nq), p (k, nv)) -> (k,) [J].
     """
     found = complete(arrays)
     formula = (1.0 - found["restitution"] ** 2) * found["gamma_minus"] ** 2 / (2.0 * found["G_c"])

@@ -21,9 +21,11 @@ WORKS = ("input", "damping", "dry", "drive")  # in the engine's order
 class Work(NamedTuple):
     """Work since the start at each node [J], shapes (N,).
 
-    input : put in by control, servos, wrenches and forces given in Python. drive : put in by prescribed motions and
-    driven lengths. damping : taken by dampers, of joints and springs, >= 0. dry : taken by the dry friction of joints,
-    >= 0.
+    Attributes:
+        input: put in by control, servos, wrenches and forces given in Python.
+        drive: put in by prescribed motions and driven lengths.
+        damping: taken by dampers, of joints and springs, >= 0.
+        dry: taken by the dry friction of joints, >= 0.
     """
 
     input: Array

@@ -27,7 +27,10 @@ Report = Callable[[float, str], object]  # called with the fraction that is done
 class Size:
     """How much is measured.
 
-    fine : steps h in the convergence plot. repeats : of each timed step. starts : random starts of the L2 row.
+    Attributes:
+        fine: steps h in the convergence plot.
+        repeats: of each timed step.
+        starts: random starts of the L2 row.
     """
 
     fine: int
@@ -50,7 +53,9 @@ class Result:
 def reproduce(folder: Path, quick: bool = False, progress: Report | None = None) -> Result:
     """Measure everything and write report.md, table.csv and the pictures with their CSVs into an existing folder.
 
-    quick : fewer random starts, repeats and steps, the same rows. progress : called as progress(fraction, text).
+    Args:
+        quick: fewer random starts, repeats and steps, the same rows.
+        progress: called as progress(fraction, text).
     """
     started = time.perf_counter()
     size = QUICK if quick else FULL

@@ -12,8 +12,10 @@ HOLDS, IN_PART, HOLDS_NOT = "holds", "holds in part", "does not hold"
 class Number:
     """One measured number.
 
-    quantity, map, case : what it is ("order"), of which impact map ("" for all), in which case ("h = 0.02 s").
-    expected : what is expected of it, with its tolerance; "" where nothing is. met : whether it is so; None likewise.
+    Attributes:
+        quantity, map, case: what it is ("order"), of which impact map ("" for all), in which case ("h = 0.02 s").
+        expected: what is expected of it, with its tolerance; "" where nothing is.
+        met: whether it is so; None likewise.
     """
 
     quantity: str
@@ -53,9 +55,14 @@ class Number:
 class Row:
     """One claim.
 
-    key : short name. claim : what the paper's table says. measured, expected : the same in a few words with numbers.
-    rule : how the verdict follows from the numbers. verdict : "holds", "holds in part" or "does not hold".
-    note : what has to be known to read the numbers. table : further numbers as a small table, its header first.
+    Attributes:
+        key: short name.
+        claim: what the paper's table says.
+        measured, expected: the same in a few words with numbers.
+        rule: how the verdict follows from the numbers.
+        verdict: "holds", "holds in part" or "does not hold".
+        note: what has to be known to read the numbers.
+        table: further numbers as a small table, its header first.
     """
 
     key: str

@@ -51,7 +51,8 @@ _SAME_ORDER = 0.9  # a ranking that holds for fewer of the starts is none
 class Convergence:
     """Errors of problem B against the reference over steps h (n,) [s], one array per map.
 
-    error : |q(3) - ref| [rad].
+    Attributes:
+        error: |q(3) - ref| [rad].
     """
 
     h: Array
@@ -103,7 +104,8 @@ def order_row(data: Convergence) -> Row:
 class LongRun:
     """H - H(0) [J] at the nodes t [s] of a long run, per map; deciles: their means over tenths of the run.
 
-    fallbacks : how many of the impacts the map had no answer for, so that CTEC's was taken.
+    Attributes:
+        fallbacks: how many of the impacts the map had no answer for, so that CTEC's was taken.
     """
 
     t: Array
@@ -214,7 +216,8 @@ def cost_row(repeats: int, advance: Advance | None = None) -> Row:
 class Dense:
     """Energy error (H - H(0)) / (m g height) of the ball at times t [s]: errors[map][k] from HEIGHTS[k].
 
-    impacts, fallbacks : their numbers likewise, the latter of impacts where CTEC's answer was taken.
+    Attributes:
+        impacts, fallbacks: their numbers likewise, the latter of impacts where CTEC's answer was taken.
     """
 
     t: Array

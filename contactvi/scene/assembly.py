@@ -35,11 +35,12 @@ _PER_V = (
 class Assembly:
     """The assembled scene.
 
-    start : neutral configuration, shape (nq,).
-    part_of_joint, part_of_geometry : index of the part, shapes (njoints,) (universe: -1), (ngeoms,).
-    root_of_joint : first joint on the way from the world, shape (njoints,).
-    placed : whether the tree of a joint is placed by its start (free, planar, translation, prismatic root),
-        shape (njoints,).
+    Attributes:
+        start: neutral configuration, shape (nq,).
+        part_of_joint, part_of_geometry: index of the part, shapes (njoints,) (universe: -1), (ngeoms,).
+        root_of_joint: first joint on the way from the world, shape (njoints,).
+        placed: whether the tree of a joint is placed by its start (free, planar, translation, prismatic root), shape
+            (njoints,).
     """
 
     model: pin.Model

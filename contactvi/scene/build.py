@@ -26,7 +26,8 @@ from contactvi.scene.selection import Names
 class Edits:
     """What the user said beyond the parts: contact rules, joint settings, pairs off and on (by name), elements.
 
-    missing : names of elements that a stored scene had and could not keep: functions of the user.
+    Attributes:
+        missing: names of elements that a stored scene had and could not keep: functions of the user.
     """
 
     restitution: Rule
@@ -140,9 +141,9 @@ def engine_states(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return q (N, nq), v (N, nv) at times [s] from segments of a run (contactvi.trajectory.polynomials).
 
-    core : from engine_scene.
-
-    exact : by partial steps, for runs without inputs; else from the polynomials.
+    Args:
+        core: from engine_scene.
+        exact: by partial steps, for runs without inputs; else from the polynomials.
     """
     from contactvi import _core
 

@@ -65,9 +65,8 @@ def assemble(core: Any, model: pin.Model, rows: Sequence[Rows], q: Array, fixed:
     Gauss-Newton with steps of least length in the tangent space, shortened until they help; where it stalls it starts
     again from near q. Limits that it would pass are kept like fixed joints.
 
-    Raises
-    ------
-    ConstraintError : no such configuration was found; the constraints that stay open are named.
+    Raises:
+        ConstraintError: no such configuration was found; the constraints that stay open are named.
     """
     q, kept = q.copy(), list(fixed)
     for _ in range(model.nv + 1):
@@ -96,9 +95,8 @@ def assemble(core: Any, model: pin.Model, rows: Sequence[Rows], q: Array, fixed:
 def consistent_velocity(core: Any, rows: Sequence[Rows], q: Array, v: Array, t: float) -> Array:
     """Return the velocity (nv,) with J v + phi_t = 0 that is nearest to v in the metric of the mass.
 
-    Raises
-    ------
-    ConstraintError : there is none: constraints ask for different speeds.
+    Raises:
+        ConstraintError: there is none: constraints ask for different speeds.
     """
     nv = len(v)
     mass = np.asarray(core.momentum(np.repeat(q[None], nv, axis=0), np.eye(nv)))

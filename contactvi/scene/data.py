@@ -100,9 +100,8 @@ def scene_to_dict(built: Built, edits: Edits, groups: Sequence[PartHandle]) -> d
 def scene_from_dict(data: Mapping[str, Any]) -> SceneData:
     """Return what scene_to_dict described.
 
-    Raises
-    ------
-    SceneError : another format or version, or data that are missing or damaged.
+    Raises:
+        SceneError: another format or version, or data that are missing or damaged.
     """
     if not isinstance(data, Mapping) or data.get("format") != FORMAT or data.get("version") != VERSION:
         got = f"{data.get('format')} {data.get('version')}" if isinstance(data, Mapping) else type(data).__name__

@@ -42,18 +42,18 @@ def check_derivatives(
 ) -> None:
     """Compare the derivatives that the user gave with central differences at one state.
 
-    Parameters
-    ----------
-    item : a Scene, of which all potentials, forces and motions are checked; or an object with value(q), gradient(q) and
-        perhaps hessian(q); a pair of functions (force, derivatives) of (t, q, v); or a motion as in `Scene.prescribe`.
-    q, v : (nq,), (nv,), Pinocchio's numbers; by default near neutral, and a velocity without zeros. t : [s].
-    scene : whose tangent space it is; without one q is a vector and v has its size.
-    tolerance : relative, of an entry.
+    Args:
+        item: a Scene, of which all potentials, forces and motions are checked; or an object with value(q), gradient(q)
+            and perhaps hessian(q); a pair of functions (force, derivatives) of (t, q, v); or a motion as in
+            `Scene.prescribe`.
+        q, v: (nq,), (nv,), Pinocchio's numbers; by default near neutral, and a velocity without zeros.
+        t: [s].
+        scene: whose tangent space it is; without one q is a vector and v has its size.
+        tolerance: relative, of an entry.
 
-    Raises
-    ------
-    DerivativeError : names the derivative and its worst entry (row, column, names of the joints, expected, got).
-    UserFunctionError : a function that fails, or returns another shape.
+    Raises:
+        DerivativeError: names the derivative and its worst entry (row, column, names of the joints, expected, got).
+        UserFunctionError: a function that fails, or returns another shape.
     """
     time, tolerance = real("t", t), real("tolerance", tolerance, 0.0)
     if scene is not None and not isinstance(scene, Scene):

@@ -63,9 +63,8 @@ class Resolved:
 def resolve(elements: Sequence[kinds.Element], model: pin.Model, start: np.ndarray) -> Resolved:
     """Return the elements with what is None taken from the neutral configuration `start`, shape (nq,).
 
-    Raises
-    ------
-    InputError : lengths or placements that the neutral configuration does not give.
+    Raises:
+        InputError: lengths or placements that the neutral configuration does not give.
     """
     result = Resolved(dof_names(model))
     if not elements:

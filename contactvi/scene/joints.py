@@ -83,9 +83,8 @@ class JointArrays:
 def joint_settings(model: pin.Model, name: str, **values: Any) -> JointSettings:
     """Return checked settings for joint `name` of the model; values: fields of JointSettings but servo.
 
-    Raises
-    ------
-    InputError : a value of the wrong range or shape, or one that this type of joint cannot have.
+    Raises:
+        InputError: a value of the wrong range or shape, or one that this type of joint cannot have.
     """
     values = {key: value for key, value in values.items() if value is not None}
     index = model.getJointId(name)

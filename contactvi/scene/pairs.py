@@ -35,9 +35,8 @@ def choose_pairs(
 ) -> list[RemovedPair]:
     """Set the collision pairs of the assembled geometry and return those left out.
 
-    Parameters
-    ----------
-    disabled, enabled : pairs of geometry indices switched off or on by the user; they win over every other reason.
+    Args:
+        disabled, enabled: pairs of geometry indices switched off or on by the user; they win over every other reason.
     """
     geometry = assembly.collision
     names = [g.name for g in geometry.geometryObjects]

@@ -29,14 +29,12 @@ __all__ = ["GRAVITY", "Scene"]
 class Scene(SceneElements):
     """A set of rigid bodies with joints, contact geometry and contact data.
 
-    Parameters
-    ----------
-    gravity : acceleration of free fall [m/s^2], world frame, shape (3,).
+    Args:
+        gravity: acceleration of free fall [m/s^2], world frame, shape (3,).
 
-    Attributes
-    ----------
-    q0, v0 : start of a run, shapes (nq,), (nv,); None unless the scene comes from a file.
-    settings : settings of a run from the scene file (dt, duration, ...); empty otherwise.
+    Attributes:
+        q0, v0: start of a run, shapes (nq,), (nv,); None unless the scene comes from a file.
+        settings: settings of a run from the scene file (dt, duration, ...); empty otherwise.
     """
 
     def __init__(self, gravity: Sequence[float] | np.ndarray = GRAVITY) -> None:
@@ -119,19 +117,19 @@ class Scene(SceneElements):
     ) -> None:
         """Set what acts in a joint, in all joints that match a pattern, or in a part's joints.
 
-        Parameters
-        ----------
-        stiffness : [N m/rad or N/m]; for 1-dof, spherical and translation joints.
-        rest : value of the joint where its springs rest (as in `configuration`); neutral when not given.
-        damping : [N m s/rad or N s/m], replaces the file's; free and planar joints also take (linear, angular).
-        limits : whether the model's limits stop the joint, or new ones (lower, upper).
-        restitution : of impacts at the limits, in [0, 1]; the default contact restitution when not given.
-        friction : dry friction [N m or N] of 1-dof joints: the force of slip, and what a joint at rest holds; True is
-            the file's, False none (the default).
-        spring : k1, k2, ... of a nonlinear spring besides `stiffness`: torque -(k1 x + k2 x^2 + ...), x = q - rest; of
-            joints with one number in q.
-        armature : inertia about the joint that moves no body [kg m^2 or kg], replaces the file's; not of free and
-            planar joints. rotor_inertia, gear_ratio : add rotor_inertia * gear_ratio^2 to it (1 when not given).
+        Args:
+            stiffness: [N m/rad or N/m]; for 1-dof, spherical and translation joints.
+            rest: value of the joint where its springs rest (as in `configuration`); neutral when not given.
+            damping: [N m s/rad or N s/m], replaces the file's; free and planar joints also take (linear, angular).
+            limits: whether the model's limits stop the joint, or new ones (lower, upper).
+            restitution: of impacts at the limits, in [0, 1]; the default contact restitution when not given.
+            friction: dry friction [N m or N] of 1-dof joints: the force of slip, and what a joint at rest holds; True
+                is the file's, False none (the default).
+            spring: k1, k2, ... of a nonlinear spring besides `stiffness`: torque -(k1 x + k2 x^2 + ...), x = q - rest;
+                of joints with one number in q.
+            armature: inertia about the joint that moves no body [kg m^2 or kg], replaces the file's; not of free and
+                planar joints.
+            rotor_inertia, gear_ratio: add rotor_inertia * gear_ratio^2 to it (1 when not given).
         """
         model = self._assembled()[0].model
         values = {

@@ -52,7 +52,8 @@ class SceneElements(SceneParts):
     ) -> str:
         """Keep the distance of two points (a rod without mass, 1 constraint); return its name.
 
-        length : [m] > 0, or a motion as in `prescribe` (a winch); None: as in the neutral configuration.
+        Args:
+            length: [m] > 0, or a motion as in `prescribe` (a winch); None: as in the neutral configuration.
         """
         ends = self._body(a, "a"), self._body(b, "b")
         return self._put(kinds.DistanceConstraint(self._name("distance", name), *ends, point_a, point_b, length))
@@ -75,8 +76,9 @@ class SceneElements(SceneParts):
 
         The z axes of the two frames coincide, and b is displaced along z by pitch [m/rad] times its turn about z.
 
-        frame_a, frame_b : placements in the bodies, as in add_urdf; None: the frame of body a, and where that is in b
-            in the neutral configuration.
+        Args:
+            frame_a, frame_b: placements in the bodies, as in add_urdf; None: the frame of body a, and where that is in
+                b in the neutral configuration.
         """
         ends = self._body(a, "a"), self._body(b, "b")
         return self._put(kinds.ScrewConstraint(self._name("screw", name), *ends, pitch, frame_a, frame_b))
@@ -100,11 +102,10 @@ class SceneElements(SceneParts):
     def prescribe(self, joint: Selector, motion: Any, name: str | None = None) -> str:
         """Let a joint with one degree of freedom follow a motion exactly, whatever force it takes; return the name.
 
-        Parameters
-        ----------
-        motion : [rad or m], one of: a number; (times, values), through which a spline with continuous acceleration
-            goes (the run must lie within its times); a function t -> value, (value, rate) or (value, rate,
-            acceleration), of which the missing ones are found by differences; a spline of scipy.interpolate.
+        Args:
+            motion: [rad or m], one of: a number; (times, values), through which a spline with continuous acceleration
+                goes (the run must lie within its times); a function t -> value, (value, rate) or (value, rate,
+                acceleration), of which the missing ones are found by differences; a spline of scipy.interpolate.
         """
         (index,) = self._joints(joint, 1)
         model = self._assembled()[0].model
@@ -175,7 +176,9 @@ class SceneElements(SceneParts):
     ) -> str:
         """Let a force [N] and a torque [N m] act on a body at a point of it; return the name.
 
-        force, torque : (3,), or functions t -> (3,). axes : theirs, "world" or "body".
+        Args:
+            force, torque: (3,), or functions t -> (3,).
+            axes: theirs, "world" or "body".
         """
         return self._put(kinds.Wrench(self._name("wrench", name), self._body(body), force, torque, point, axes))
 
@@ -184,12 +187,11 @@ class SceneElements(SceneParts):
     ) -> str:
         """Add a potential energy given by Python functions; return its name.
 
-        Parameters
-        ----------
-        value : function q (nq,) -> energy [J]; or an object with methods value, gradient and perhaps hessian.
-        gradient : function q -> (nv,), its derivative in the tangent space at q (Pinocchio's v).
-        hessian : function q -> (nv, nv), the derivative of the gradient; makes stiff potentials solvable.
-        check : compare the derivatives with differences at the start of the first run (DerivativeError).
+        Args:
+            value: function q (nq,) -> energy [J]; or an object with methods value, gradient and perhaps hessian.
+            gradient: function q -> (nv,), its derivative in the tangent space at q (Pinocchio's v).
+            hessian: function q -> (nv, nv), the derivative of the gradient; makes stiff potentials solvable.
+            check: compare the derivatives with differences at the start of the first run (DerivativeError).
         """
         if not callable(value) and gradient is None and hasattr(value, "value"):
             value, gradient, hessian = value.value, getattr(value, "gradient", None), getattr(value, "hessian", None)
@@ -200,11 +202,10 @@ class SceneElements(SceneParts):
     def add_force(self, function: Any, derivatives: Any = None, *, check: bool = True, name: str | None = None) -> str:
         """Add generalized forces given by a Python function; return the name.
 
-        Parameters
-        ----------
-        function : (t, q (nq,), v (nv,)) -> (nv,) [N; N m], Pinocchio's coordinates.
-        derivatives : (t, q, v) -> (df_dq, df_dv), (nv, nv) each, in the tangent space; for stiff forces.
-        check : as in add_potential.
+        Args:
+            function: (t, q (nq,), v (nv,)) -> (nv,) [N; N m], Pinocchio's coordinates.
+            derivatives: (t, q, v) -> (df_dq, df_dv), (nv, nv) each, in the tangent space; for stiff forces.
+            check: as in add_potential.
         """
         return self._put(kinds.UserForce(self._name("force", name), function, derivatives, flag("check", check)))
 
@@ -228,12 +229,12 @@ class SceneElements(SceneParts):
     def set_servo(self, joint: Selector, kp: float, kd: float, effort: float | None = None, target: Any = None) -> None:
         """Drive joints by PD in the engine: torque kp (q_ref - q) + kd (v_ref - v), at most effort. kp = kd = 0: none.
 
-        Parameters
-        ----------
-        joint : joints with one degree of freedom, by name, pattern or part; continuous ones go the shorter way.
-        kp, kd : [N m/rad or N/m], [N m s/rad or N s/m], >= 0. They are implicit in the step and may be stiff.
-        effort : largest torque [N m or N]; None: the file's limit, float("inf"): none.
-        target : where to when the run says nothing (`simulate(target=)`): a motion as in `prescribe`; None: the start.
+        Args:
+            joint: joints with one degree of freedom, by name, pattern or part; continuous ones go the shorter way.
+            kp, kd: [N m/rad or N/m], [N m s/rad or N s/m], >= 0. They are implicit in the step and may be stiff.
+            effort: largest torque [N m or N]; None: the file's limit, float("inf"): none.
+            target: where to when the run says nothing (`simulate(target=)`): a motion as in `prescribe`; None: the
+                start.
         """
         model = self._assembled()[0].model
         names = self._joints(joint)
@@ -262,13 +263,12 @@ class SceneElements(SceneParts):
     def assemble(self, q: Any = None, fixed: Sequence[Selector] | Selector = (), t: float = 0.0) -> np.ndarray:
         """Return the configuration (nq,) near q (nq,) that satisfies the constraints at t [s].
 
-        Parameters
-        ----------
-        q : where to begin, by default neutral. fixed : joints that keep their values. Limits of joints are kept too.
+        Args:
+            q: where to begin, by default neutral.
+            fixed: joints that keep their values. Limits of joints are kept too.
 
-        Raises
-        ------
-        ConstraintError : there is none near q; it names the constraints that stay open.
+        Raises:
+            ConstraintError: there is none near q; it names the constraints that stay open.
         """
         built, start, time = self._complete(), self._state(q), real("t", t)
         dofs = [dof for selector in _several(fixed) for dof in self._dofs(selector)]
@@ -280,8 +280,13 @@ class SceneElements(SceneParts):
     def consistent_velocity(self, q: Any = None, v: Any = None, t: float = 0.0) -> np.ndarray:
         """Return the velocity (nv,) nearest to v (in the metric of the mass) that goes with the constraints at q.
 
-        q : (nq,), by default neutral. v : (nv,), by default rest. t : [s].
-        Raises ConstraintError where constraints ask for different speeds.
+        Args:
+            q: (nq,), by default neutral.
+            v: (nv,), by default rest.
+            t: [s].
+
+        Raises:
+            ConstraintError: where constraints ask for different speeds.
         """
         built, start, time = self._complete(), self._state(q), real("t", t)
         velocity = np.zeros(built.model.nv) if v is None else vector("v", v, built.model.nv)

@@ -52,23 +52,21 @@ class SceneParts:
     ) -> PartHandle:
         """Add a URDF model. Meshes become convex hulls, mimic tags become constraints (see `report`).
 
-        Parameters
-        ----------
-        path : file, or `package://...`, `example-robot-data://robots/...`.
-        base : "fixed" to the world or "free" (a free-flyer named root_joint).
-        placement : of the base in the world: None, xyz [m], (xyz, rpy [rad]), 7 numbers (xyz, quaternion xyzw) or
-            pin.SE3. For a free base it is where neutral() puts it.
-        package_dirs : folders in which to look for packages first.
-        srdf : file whose disable_collisions are left out of the collision pairs.
-        prefix : put before all names, to add the same model twice.
-        limits : whether the limits of its joints stop them (lower >= upper means none); one by one: `set_joint`.
-        friction : whether its joints have the dry friction of the file; one by one: `set_joint(friction=True)`.
-        mimic : whether joints with a mimic tag follow the other joint (joint equality constraints, which need steps of
-            one length); else they are independent.
+        Args:
+            path: file, or `package://...`, `example-robot-data://robots/...`.
+            base: "fixed" to the world or "free" (a free-flyer named root_joint).
+            placement: of the base in the world: None, xyz [m], (xyz, rpy [rad]), 7 numbers (xyz, quaternion xyzw) or
+                pin.SE3. For a free base it is where neutral() puts it.
+            package_dirs: folders in which to look for packages first.
+            srdf: file whose disable_collisions are left out of the collision pairs.
+            prefix: put before all names, to add the same model twice.
+            limits: whether the limits of its joints stop them (lower >= upper means none); one by one: `set_joint`.
+            friction: whether its joints have the dry friction of the file; one by one: `set_joint(friction=True)`.
+            mimic: whether joints with a mimic tag follow the other joint (joint equality constraints, which need steps
+                of one length); else they are independent.
 
-        Raises
-        ------
-        SceneError, UnsupportedJointError, InputError
+        Raises:
+            SceneError, UnsupportedJointError, InputError
         """
         dirs = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else list(package_dirs)
         where = pose("placement", placement)
@@ -87,7 +85,9 @@ class SceneParts:
     ) -> PartHandle:
         """Add an MJCF model: bodies, joints, geometries; planes are halfspaces. Arguments and errors as in add_urdf.
 
-        equality : whether connect, weld and joint of its <equality> become constraints. friction : its frictionloss.
+        Args:
+            equality: whether connect, weld and joint of its <equality> become constraints.
+            friction: its frictionloss.
         """
         where = pose("placement", placement)
         return self.add_model(import_mjcf(path, placement=where, prefix=prefix, equality=equality), limits, friction)

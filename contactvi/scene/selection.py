@@ -66,9 +66,8 @@ class Names:
     def select_geometries(self, selector: Selector, argument: str) -> list[int]:
         """Return the indices of the selected collision geometries.
 
-        Raises
-        ------
-        InputError : unknown name, or nothing of it can touch anything.
+        Raises:
+            InputError: unknown name, or nothing of it can touch anything.
         """
         found = self._geometries(selector)
         if found is None:
@@ -114,9 +113,8 @@ class Names:
     def select_body(self, selector: Selector, argument: str = "body") -> str:
         """Return the name of one body: "world", a body's name, or a handle or part that has one body.
 
-        Raises
-        ------
-        InputError : unknown name, or a part of several bodies.
+        Raises:
+            InputError: unknown name, or a part of several bodies.
         """
         if isinstance(selector, str) and selector in ("world", "universe"):
             return "world"
@@ -138,9 +136,8 @@ class Names:
     def select_joints(self, selector: Selector, argument: str = "joint") -> list[str]:
         """Return the names of the selected joints: a joint name, a pattern over them, or a part (all its joints).
 
-        Raises
-        ------
-        InputError : unknown name, or a part without joints.
+        Raises:
+            InputError: unknown name, or a part without joints.
         """
         found: list[str] = []
         if isinstance(selector, PartHandle):

@@ -102,10 +102,9 @@ NEEDED = {
 def load_scene(path: str | os.PathLike[str]) -> Scene:
     """Return the scene of a TOML file, with its start in .q0 (nq,), .v0 (nv,) and its run settings in .settings.
 
-    Raises
-    ------
-    SceneError : no such file, not TOML, unknown or missing keys.
-    ContactviError : whatever the scene itself refuses, with the place in the file.
+    Raises:
+        SceneError: no such file, not TOML, unknown or missing keys.
+        ContactviError: whatever the scene itself refuses, with the place in the file.
     """
     file = resolve_path(path)
     data = _read(file)

@@ -71,7 +71,8 @@ def run(
 ) -> Trajectory:
     """Run a scene with steps chosen for options.tol; the arguments as those of `simulate`.
 
-    Raises PenetrationError where `throw`. Warns with AccuracyWarning where tol was not reached.
+    Raises:
+        PenetrationError: where `throw`. Warns with AccuracyWarning where tol was not reached.
     """
     check_map(prepared, options)
     check_elements(prepared, options)
@@ -165,7 +166,8 @@ class _Search:
     def _run(self, level: float, coarser: _Found | None = None, slack: float = 1.0) -> _Found:
         """Run at a level; a coarser run says with which step to begin: one that is really shorter.
 
-        slack : factor on the tolerance of the stage equations, so that their error shows in a distance too.
+        Args:
+            slack: factor on the tolerance of the stage equations, so that their error shows in a distance too.
         """
         guess = None
         if coarser is not None and len(coarser.steps):
@@ -291,7 +293,8 @@ def _largest(distances: Array) -> float:
 def _distance(other: Record, found: Record, ended: bool = False) -> float:
     """Return the largest |q - q'| of two runs at some nodes of the second; infinite where one ended much earlier.
 
-    ended : whether both ended before their time; then up to the earlier end.
+    Args:
+        ended: whether both ended before their time; then up to the earlier end.
     """
     t, q, _ = found.nodes()
     last = float(other.t[-1][-1])

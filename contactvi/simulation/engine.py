@@ -27,8 +27,10 @@ def make(
 ) -> Any:
     """Return a new simulator of the engine (_core.Simulator).
 
-    first_dt : of "auto", the step to begin with [s]. slack : factor on the tolerance of the stage equations.
-    dt_contact : longest step in contact [s], by default that of the options.
+    Args:
+        first_dt: of "auto", the step to begin with [s].
+        slack: factor on the tolerance of the stage equations.
+        dt_contact: longest step in contact [s], by default that of the options.
     """
     return _core.Simulator(
         prepared.core,
@@ -54,7 +56,9 @@ def start(
     """Put the engine to (q0, v0), those of the scene where None, at t [s].
 
     Return the record of the run that starts there, and the error if the start is refused (the record says it too).
-    Raises InputError for a bad state.
+
+    Raises:
+        InputError: for a bad state.
     """
     states = prepared.states
     q = states.configuration(prepared.q0 if q0 is None else q0)

@@ -43,7 +43,8 @@ class ImuReading:
 class ContactReading:
     """What contacts do to a body, world axes, shapes (3,): force [N], torque [N m] about the body's origin now.
 
-    points : how many points took part, those of impacts included.
+    Attributes:
+        points: how many points took part, those of impacts included.
     """
 
     force: Array
@@ -67,7 +68,8 @@ class JointEncoder:
 class Imu:
     """Accelerometer and gyroscope on a body: Imu(sim, "torso", placement).read().
 
-    placement : of the sensor in the body's frame, as in Scene.add_urdf.
+    Attributes:
+        placement: of the sensor in the body's frame, as in Scene.add_urdf.
 
     The specific force is the mean of R^T (dv/dt - g) over the last step, v the velocity of the sensor's origin, impacts
     included: the change of v over the step, less g times its length, divided by it, in the axes that the sensor has in

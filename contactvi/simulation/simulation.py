@@ -46,42 +46,41 @@ def simulate(
 ) -> Trajectory:
     """Run a scene from (q0, v0) and return its trajectory.
 
-    Parameters
-    ----------
-    scene : the scene. What is not given below is taken from its file (scene.q0, scene.v0, scene.settings), then from
-        the defaults: the neutral configuration, rest, and those of `Options`.
-    q0 : initial configuration, Pinocchio's numbers, shape (nq,). v0 : initial velocity, shape (nv,).
-    duration : simulated time [s]; a whole number of steps where dt is a number.
-    dt : time step [s]; or "auto": the run finds the steps with which q is accurate to `tol`, and measures it
-        (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, constraints, dry
-        friction of joints, servos, forces that vary, "dtec", order 2, record_every, or tolerances on the discrete
-        energy or on jumps of the modified one.
-    order : 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
-    tol : for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
-    sample_dt : keep the states at every sample_dt [s] instead of those at the ends of the steps.
-    impact, **options (mhc_reference, record_every, dense, ...) : see `Options`.
-    control : generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape
-        (steps, nv), or a function (t, q, v) -> (nv,) called at the start of each step.
-    target : where servos (Scene.set_servo) are to go, constant over a step: an array or a function of t, one number per
-        servo joint, or a mapping joint -> motion (contactvi.simulation.targets); by default as given to
+    Args:
+        scene: the scene. What is not given below is taken from its file (scene.q0, scene.v0, scene.settings), then from
+            the defaults: the neutral configuration, rest, and those of `Options`.
+        q0: initial configuration, Pinocchio's numbers, shape (nq,).
+        v0: initial velocity, shape (nv,).
+        duration: simulated time [s]; a whole number of steps where dt is a number.
+        dt: time step [s]; or "auto": the run finds the steps with which q is accurate to `tol`, and measures it
+            (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, constraints, dry
+            friction of joints, servos, forces that vary, "dtec", order 2, record_every, or tolerances on the discrete
+            energy or on jumps of the modified one.
+        order: 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
+        tol: for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
+        sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps. impact, **options
+            (mhc_reference, record_every, dense, ...) : see `Options`.
+        control: generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape (steps,
+            nv), or a function (t, q, v) -> (nv,) called at the start of each step.
+        target: where servos (Scene.set_servo) are to go, constant over a step: an array or a function of t, one number
+            per servo joint, or a mapping joint -> motion (contactvi.simulation.targets); by default as given to
             set_servo.
-    throw : raise SimulationError (with .status and .trajectory) when the run ends before its time, and
-        PenetrationError when it starts in penetration; False returns what was computed, with its status.
-    ledger : tolerances on what should be conserved, name -> bound, for example {"own_jump": 1e-10}; where one is
-        exceeded the run ends with the status LEDGER. The names: contactvi.trajectory.ledger.
-    progress : called as progress(t, impacts) about ten times a second; True shows a progress bar.
+        throw: raise SimulationError (with .status and .trajectory) when the run ends before its time, and
+            PenetrationError when it starts in penetration; False returns what was computed, with its status.
+        ledger: tolerances on what should be conserved, name -> bound, for example {"own_jump": 1e-10}; where one is
+            exceeded the run ends with the status LEDGER. The names: contactvi.trajectory.ledger.
+        progress: called as progress(t, impacts) about ten times a second; True shows a progress bar.
 
-    Raises
-    ------
-    InputError : for arguments of the wrong shape or range. PenetrationError, SimulationError : see `throw`.
-    ConstraintError : for a start that is not on the constraints, and where motions or lengths cannot be reached.
-    UserFunctionError : for functions of the user that fail or return what cannot be used. What control
-        or progress raises itself comes through as it is.
-    DerivativeError : for wrong derivatives of theirs.
+    Raises:
+        InputError: for arguments of the wrong shape or range.
+        PenetrationError, SimulationError: see `throw`.
+        ConstraintError: for a start that is not on the constraints, and where motions or lengths cannot be reached.
+        UserFunctionError: for functions of the user that fail or return what cannot be used. What control or progress
+            raises itself comes through as it is.
+        DerivativeError: for wrong derivatives of theirs.
 
-    Warns
-    -----
-    AccuracyWarning : where "auto" did not reach tol; traj.error_estimate says what it reached.
+    Warns:
+        AccuracyWarning: where "auto" did not reach tol; traj.error_estimate says what it reached.
     """
     chosen = dict(
         options, duration=duration, dt=dt, impact=impact, order=order, tol=tol, sample_dt=sample_dt, ledger=ledger

@@ -42,7 +42,9 @@ PROGRESS_PERIOD = 0.1  # s of wall time, the engine's own
 def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -> Options:
     """Return the options of a run: those chosen (not None), else those of the scene's file, else the defaults.
 
-    forced : whether it has inputs, which count where neither says a dt (options.merged), as some elements of scenes do.
+    Args:
+        forced: whether it has inputs, which count where neither says a dt (options.merged), as some elements of scenes
+            do.
     """
     fixed = forced or scene._complete().needs_fixed_step is not None
     return Options.from_dict(merged(scene.settings, chosen, fixed))
@@ -104,8 +106,9 @@ class Simulator:
     def reset(self, q0: ArrayLike | None = None, v0: ArrayLike | None = None, t: float = 0.0) -> None:
         """Put the system to (q0, v0) at time t [s] and forget what was recorded; defaults as in `simulate`.
 
-        Raises InputError for a bad state and PenetrationError (pair, depth) where shapes overlap or a joint is beyond
-        its limit.
+        Raises:
+            InputError: for a bad state and PenetrationError (pair, depth) where shapes overlap or a joint is beyond its
+                limit.
         """
         self.unreachable = None
         self._engine = engine.make(self._scene, self.options)  # a new one: its counters start at zero
@@ -122,11 +125,13 @@ class Simulator:
     def step(self, tau: ArrayLike | None = None, target: Any = None) -> Status:
         """Make one step; return the status.
 
-        tau : generalized force, shape (nv,) [N, N m], on top of what servos do. target : where servos are to go, as in
-        `simulate`; None: where they go by default.
+        Args:
+            tau: generalized force, shape (nv,) [N, N m], on top of what servos do.
+            target: where servos are to go, as in `simulate`; None: where they go by default.
 
-        Raises SimulationError when there is nothing to step: before `reset`, and after a run has ended with a status
-        other than SUCCESS.
+        Raises:
+            SimulationError: when there is nothing to step: before `reset`, and after a run has ended with a status
+                other than SUCCESS.
         """
         return self._run(1, None if tau is None else self._scene.states.force(tau)[None], target)
 

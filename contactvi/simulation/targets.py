@@ -46,7 +46,8 @@ class Targets:
     def rows(self, target: Any, times: Array) -> Array | None:
         """Return the references of steps that start at times (steps,) [s], shape (steps, 2 nv); None without servos.
 
-        Raises InputError for a target of the wrong shape, UserFunctionError for a function that returns one.
+        Raises:
+            InputError: for a target of the wrong shape, UserFunctionError for a function that returns one.
         """
         count, steps = len(self.joints), len(times)
         if count == 0:

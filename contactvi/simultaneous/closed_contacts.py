@@ -24,12 +24,12 @@ Pair = tuple[str, str]
 class ClosedContact:
     """A contact that takes part.
 
-    Attributes
-    ----------
-    pair : names of the two shapes, or (joint, "lower limit"), (joint, "upper limit"). restitution : e in [0, 1].
-    gap : [m; rad]. gamma_minus : normal speed before, of the point that closes most; negative where it closes
-        [m/s; rad/s].
-    W : d(gap)/dq of its points, shape (points, nv), Pinocchio's coordinates.
+    Attributes:
+        pair: names of the two shapes, or (joint, "lower limit"), (joint, "upper limit").
+        restitution: e in [0, 1].
+        gap: [m; rad].
+        gamma_minus: normal speed before, of the point that closes most; negative where it closes [m/s; rad/s].
+        W: d(gap)/dq of its points, shape (points, nv), Pinocchio's coordinates.
     """
 
     pair: Pair
@@ -49,9 +49,9 @@ def closed_contacts(
 
     q (nq,), v (nv,) : the state. e : restitution of all, or of each; the scene's where None.
 
-    Raises
-    ------
-    InputError : for unknown names, a bad e, and where there is no contact. PenetrationError : for one that is deeper.
+    Raises:
+        InputError: for unknown names, a bad e, and where there is no contact.
+        PenetrationError: for one that is deeper.
     """
     gaps, names, restitution = _guards(prepared, q)
     if pairs is None:

@@ -30,9 +30,11 @@ _TIE = 1e-12  # of the closing speed: ties between contacts, decided by their nu
 class End:
     """Where a sequence of impacts ends.
 
-    x : state, shape (nv,). impulse : sums per contact [N s], one array (m,) each, of its points.
-    steps : the impacts in order, each the numbers of the contacts struck as one. cut : whether the sequence is endless
-    and was cut.
+    Attributes:
+        x: state, shape (nv,).
+        impulse: sums per contact [N s], one array (m,) each, of its points.
+        steps: the impacts in order, each the numbers of the contacts struck as one.
+        cut: whether the sequence is endless and was cut.
     """
 
     x: Array
@@ -44,8 +46,10 @@ class End:
 class Impacts:
     """The single impacts that are possible at one configuration.
 
-    rows : a of the points of each contact, arrays of shape (m, nv). restitution : of each contact, in [0, 1].
-    x : the state before, shape (nv,).
+    Attributes:
+        rows: a of the points of each contact, arrays of shape (m, nv).
+        restitution: of each contact, in [0, 1].
+        x: the state before, shape (nv,).
     """
 
     def __init__(self, rows: Sequence[Array], restitution: Sequence[float], x: Array) -> None:

@@ -36,15 +36,14 @@ _RANK = 1e-10  # relative: normals that depend on each other
 class Outcome:
     """Where one sequence of impacts ends.
 
-    Attributes
-    ----------
-    v_plus, p_plus : velocity and momentum after, shapes (nv,), Pinocchio's coordinates.
-    impulses : total normal impulse of each contact [N s; N m s], shape (ncontacts,).
-    sequence : the pairs in the order in which they were struck; each entry is a tuple of the pairs struck as one
-        (one pair; several where plastic contacts end together).
-    energy : kinetic energy after [J].
-    cut : whether the sequence is endless; it was then cut where its closing speeds were below 1e-9 of the first ones,
-        and ended plastically.
+    Attributes:
+        v_plus, p_plus: velocity and momentum after, shapes (nv,), Pinocchio's coordinates.
+        impulses: total normal impulse of each contact [N s; N m s], shape (ncontacts,).
+        sequence: the pairs in the order in which they were struck; each entry is a tuple of the pairs struck as one
+            (one pair; several where plastic contacts end together).
+        energy: kinetic energy after [J].
+        cut: whether the sequence is endless; it was then cut where its closing speeds were below 1e-9 of the first
+            ones, and ended plastically.
     """
 
     v_plus: Array
@@ -63,14 +62,13 @@ class Certificate:
     reflection in one of its walls. Where all walls meet at angles pi/n, n = 2, 3, ..., the reflections generate a
     finite group with the cone as its fundamental domain, so every sequence ends at the same velocity.
 
-    Attributes
-    ----------
-    angles : beta_ij between the walls of contacts i and j [rad], shape (n, n), NaN on the diagonal and for contacts of
-        several points (faces, edges):
-        cos beta = -W_i M^-1 W_j^T / sqrt(G_ii G_jj).
-    orders : n_ij where beta_ij = pi/n_ij with a whole n_ij >= 2, else 0, shape (n, n).
-    certified : whether that proves the outcome unique. reason : why, or why not.
-    bound : for two elastic contacts the largest number of impacts, ceil(pi/beta); None otherwise.
+    Attributes:
+        angles: beta_ij between the walls of contacts i and j [rad], shape (n, n), NaN on the diagonal and for contacts
+            of several points (faces, edges): cos beta = -W_i M^-1 W_j^T / sqrt(G_ii G_jj).
+        orders: n_ij where beta_ij = pi/n_ij with a whole n_ij >= 2, else 0, shape (n, n).
+        certified: whether that proves the outcome unique.
+        reason: why, or why not.
+        bound: for two elastic contacts the largest number of impacts, ceil(pi/beta); None otherwise.
     """
 
     angles: Array
@@ -84,13 +82,15 @@ class Certificate:
 class SimultaneousOutcomes:
     """What the sequences of single impacts at one state lead to; a sequence of `Outcome`, printable.
 
-    Attributes
-    ----------
-    contacts : those that take part. outcomes : all different ends; the first is `chosen`.
-    chosen : what a run takes: the elastic contact (e > 0) that closes fastest first, the lowest guard number on ties;
-        where none closes, all plastic contacts as one problem; again until none closes.
-    complete : whether all sequences were followed. unique : whether they were, and there is one outcome.
-    certificate : whether that follows from the angles alone. energy : kinetic energy before [J].
+    Attributes:
+        contacts: those that take part.
+        outcomes: all different ends; the first is `chosen`.
+        chosen: what a run takes: the elastic contact (e > 0) that closes fastest first, the lowest guard number on
+            ties; where none closes, all plastic contacts as one problem; again until none closes.
+        complete: whether all sequences were followed.
+        unique: whether they were, and there is one outcome.
+        certificate: whether that follows from the angles alone.
+        energy: kinetic energy before [J].
     """
 
     contacts: tuple[ClosedContact, ...]
@@ -154,19 +154,19 @@ def simultaneous_outcomes(
 ) -> SimultaneousOutcomes:
     """Return all outcomes of the impacts at (q, v), frictionless; a pair with all its points is one impact.
 
-    Parameters
-    ----------
-    scene : the scene. q : configuration, shape (nq,); v : velocity, shape (nv,), Pinocchio's coordinates; by default
-        the start of the scene's file, else neutral and rest.
-    pairs : names of the pairs that take part, ("shape", "shape") or ("joint", "upper limit"), whatever their gaps are;
-        by default all contacts and limits with a gap within `tolerance` [m; rad].
-    e : restitution in [0, 1] of all contacts, or one value for each; by default the scene's.
-    max_states : velocities that are followed before `complete` becomes False.
+    Args:
+        scene: the scene.
+        q: configuration, shape (nq,);
+        v: velocity, shape (nv,), Pinocchio's coordinates; by default the start of the scene's file, else neutral and
+            rest.
+        pairs: names of the pairs that take part, ("shape", "shape") or ("joint", "upper limit"), whatever their gaps
+            are; by default all contacts and limits with a gap within `tolerance` [m; rad].
+        e: restitution in [0, 1] of all contacts, or one value for each; by default the scene's.
+        max_states: velocities that are followed before `complete` becomes False.
 
-    Raises
-    ------
-    InputError : for a bad argument, and where no contact is closed.
-    PenetrationError : where a contact that takes part by itself is deeper than `tolerance`.
+    Raises:
+        InputError: for a bad argument, and where no contact is closed.
+        PenetrationError: where a contact that takes part by itself is deeper than `tolerance`.
     """
     prepared = prepare(scene)
     states = prepared.states

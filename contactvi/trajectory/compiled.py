@@ -22,11 +22,13 @@ from contactvi.scene.scene import Scene
 class Prepared:
     """What runs of a scene share: a copy that later edits do not reach, the engine's scene, names, checks of states.
 
-    Attributes
-    ----------
-    built : the complete scene. core : the engine's (contactvi._core.Scene). states : checks of states and forces.
-    pair_names : of the tested pairs, engine order. joint_names : of all joints, that of the world included.
-    damping : of the joints, shape (nv,).
+    Attributes:
+        built: the complete scene.
+        core: the engine's (contactvi._core.Scene).
+        states: checks of states and forces.
+        pair_names: of the tested pairs, engine order.
+        joint_names: of all joints, that of the world included.
+        damping: of the joints, shape (nv,).
     """
 
     def __init__(self, scene: Scene) -> None:

@@ -46,7 +46,9 @@ class State:
 class Segments:
     """The segments of a run, in the order of time.
 
-    arrays : as in FIELDS, n segments along the first axis. order : of the integrator.
+    Attributes:
+        arrays: as in FIELDS, n segments along the first axis.
+        order: of the integrator.
     """
 
     def __init__(self, arrays: Mapping[str, NDArray[Any]], order: int) -> None:
@@ -60,9 +62,10 @@ class Segments:
     def states(self, core: Any, times: Array, exact: bool = False) -> tuple[Array, Array]:
         """Return q (N, nq) and v (N, nv) at times [s], at an impact those after it. `core`: the engine's scene.
 
-        exact : by steps of the lengths in between, which start from the polynomials and are as accurate as the nodes;
-        not of runs with inputs, which segments do not keep. Where contacts are held it is always the polynomial: the
-        step is one of equations that segments do not keep either.
+        Args:
+            exact: by steps of the lengths in between, which start from the polynomials and are as accurate as the
+                nodes; not of runs with inputs, which segments do not keep. Where contacts are held it is always the
+                polynomial: the step is one of equations that segments do not keep either.
         """
         times = np.ascontiguousarray(times, dtype=float)
         held = self.held_at(times) if exact else np.ones(len(times), dtype=bool)

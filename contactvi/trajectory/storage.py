@@ -233,7 +233,8 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
 def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a run: the arguments of contactvi.Trajectory. Needs neither the engine nor the files of the scene.
 
-    Raises ContactviError for a file that is missing, damaged, of another format or schema, or inconsistent.
+    Raises:
+        ContactviError: for a file that is missing, damaged, of another format or schema, or inconsistent.
     """
     path = Path(path)
     if not path.is_file():

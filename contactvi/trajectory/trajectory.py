@@ -35,22 +35,24 @@ class Trajectory:
     q is Pinocchio's configuration, p = M(q) v the momentum of Pinocchio's tangent velocity v. v, energy and
     modified_energy are computed when first asked for and kept.
 
-    Attributes
-    ----------
-    options : the settings of the run.
-    events : the impacts, a sequence of `Event` (an `EventLog`).
-    status : how the run ended. stats : what it cost.
-    forced : whether the run had inputs (control) other than zero, which are not kept, or constraints, dry friction,
-        servos, wrenches, dampers or forces given in Python.
-    forces : work and reactions as arrays (contactvi.records.work.Forces), see `work` and `reactions`; None without.
-    segments : the polynomials of its steps (contactvi.trajectory.polynomials), None without; `at` evaluates them.
-    contacts : every contact of every held step and impact, with its forces (a `ContactLog`); empty without, and with
-        record_contacts=False. contact_changes : when contacts began, stuck, slipped, ended (a `ChangeLog`).
-    phases : where something was held, {"t": (k,), "dt": (k,), "held": (k,)}: from these times [s] on steps have these
-        lengths [s], and contacts are held (1) or not (0); else None.
-    arcs : with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths [s]; else None.
-    error_estimate : with dt="auto", the measured error of q over the run [m, rad] (contactvi.simulation.adaptive);
-        else NaN.
+    Attributes:
+        options: the settings of the run.
+        events: the impacts, a sequence of `Event` (an `EventLog`).
+        status: how the run ended.
+        stats: what it cost.
+        forced: whether the run had inputs (control) other than zero, which are not kept, or constraints, dry friction,
+            servos, wrenches, dampers or forces given in Python.
+        forces: work and reactions as arrays (contactvi.records.work.Forces), see `work` and `reactions`; None without.
+        segments: the polynomials of its steps (contactvi.trajectory.polynomials), None without; `at` evaluates them.
+        contacts: every contact of every held step and impact, with its forces (a `ContactLog`); empty without, and with
+            record_contacts=False.
+        contact_changes: when contacts began, stuck, slipped, ended (a `ChangeLog`).
+        phases: where something was held, {"t": (k,), "dt": (k,), "held": (k,)}: from these times [s] on steps have
+            these lengths [s], and contacts are held (1) or not (0); else None.
+        arcs: with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths [s]; else
+            None.
+        error_estimate: with dt="auto", the measured error of q over the run [m, rad] (contactvi.simulation.adaptive);
+            else NaN.
     """
 
     def __init__(
@@ -229,7 +231,9 @@ class Trajectory:
         axes on body b; of a weld force, then torque, on b at its origin, in the axes that `placement` has on a; of a
         distance the push along the line, negative for a pull; of a screw the forces along x and y, the moments about y
         and -x and the force along z on b, in the axes of frame_a; of a prescribed or following joint what acts on it.
-        Raises InputError for an unknown name.
+
+        Raises:
+            InputError: for an unknown name.
         """
         return self._forces().of(name)
 
@@ -276,9 +280,11 @@ class Trajectory:
     def at(self, t: ArrayLike) -> State:
         """Return the state at time t [s], as accurate as the nodes: by a step that ends there, for the price of one.
 
-        t : one time, or an array of n times; then q, v, p of the state have a first axis n. At an impact it is the
-        state after it. Of a run with inputs, which are not kept, it comes from the polynomials of the steps, accurate
-        to O(h^(order/2 + 2)). Raises InputError outside the run, and for a run whose polynomials were not kept.
+        Args:
+            t: one time, or an array of n times; then q, v, p of the state have a first axis n. At an impact it is the
+                state after it. Of a run with inputs, which are not kept, it comes from the polynomials of the steps,
+                accurate to O(h^(order/2 + 2)). Raises InputError outside the run, and for a run whose polynomials were
+                not kept.
         """
         times = self._within(t)
         if self.segments is None:

@@ -30,8 +30,12 @@ _NODES = 400  # of a run whose gaps are looked at: a stack of 1000 nodes would b
 class Check:
     """One number of a case against what is known of it.
 
-    what : the quantity. expected, got : as text. tolerance : as text, "exact" for counts. reason : where the tolerance
-    comes from. ok : the verdict.
+    Attributes:
+        what: the quantity.
+        expected, got: as text.
+        tolerance: as text, "exact" for counts.
+        reason: where the tolerance comes from.
+        ok: the verdict.
     """
 
     what: str
@@ -46,8 +50,10 @@ class Check:
 class Case:
     """One case: its name, what it is, and the function that measures it.
 
-    run : called with a `Runs`; returns the checks. excuse : why the case cannot be expressed, then run is None and the
-    case is listed as not applicable, neither passed nor failed.
+    Attributes:
+        run: called with a `Runs`; returns the checks.
+        excuse: why the case cannot be expressed, then run is None and the case is listed as not applicable, neither
+            passed nor failed.
     """
 
     name: str
@@ -98,7 +104,8 @@ class Runs:
     ) -> Trajectory:
         """Run a scene as contactvi.simulate does; a run that ends early is returned as it is, and fails the case.
 
-        Raises SimulationError where the case takes too long.
+        Raises:
+            SimulationError: where the case takes too long.
         """
         traj = simulate(scene, q, v, duration, dt, throw=False, progress=self._in_time, **options)
         self.count += 1

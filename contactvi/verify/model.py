@@ -135,7 +135,9 @@ def rod(
 ) -> Scene:  # fmt: skip
     """A uniform rod m = l = 1 in the plane: x, z of its centre and a turn about y; its direction is the body's x.
 
-    ends : balls of this radius on it, name -> place along it [m]. obstacles : fixed halfspaces.
+    Args:
+        ends: balls of this radius on it, name -> place along it [m].
+        obstacles: fixed halfspaces.
     """
     model = weightless()
     model.gravity.linear = np.array([0.0, 0.0, -gravity])
@@ -159,8 +161,9 @@ def rod_on_ground(theta: float, radius: float, e: float, mu: float = 0.0, gravit
 def ladder(theta: float) -> tuple[Scene, Array]:
     """The rod leaning in the corner of a floor z = 0 and a wall x = 0, no friction; scene and q.
 
-    theta : angle from the horizontal [rad]. The walls touch balls at the ends, so the corner of the rod's end points
-    is that of the walls moved by their radius.
+    Args:
+        theta: angle from the horizontal [rad]. The walls touch balls at the ends, so the corner of the rod's end points
+            is that of the walls moved by their radius.
     """
     r = 0.0625
     walls = {"floor": halfspace(0.0, 0.0, 1.0), "wall": halfspace(1.0, 0.0, 0.0)}

@@ -89,7 +89,8 @@ def cart(motion: Callable[[float], tuple[float, float, float]]) -> Scene:
 def bars(lengths: Sequence[float], masses: Sequence[float], inertias: Sequence[float]) -> tuple[pin.Model, int]:
     """Return a chain of bars on hinges from the origin, mass centres in their middles, and its last joint.
 
-    inertias : about the centres [kg m^2]. Bodies and joints: bar_1, bar_2, ..., each along the x axis of its frame.
+    Args:
+        inertias: about the centres [kg m^2]. Bodies and joints: bar_1, bar_2, ..., each along the x axis of its frame.
     """
     model, joint, start = down(), 0, 0.0
     for k, (length, mass, inertia) in enumerate(zip(lengths, masses, inertias, strict=True)):
@@ -113,8 +114,10 @@ def slider_crank(lengths: Sequence[float], masses: Sequence[float], speed: float
 def four_bar(speed: float | None = None, stop: float | None = None) -> Scene:
     """Crank, coupler and rocker, 1 kg/m, whose end is held at (1, 0, 0).
 
-    speed : with which the crank turns [rad/s], from angle 0; None: it is free. stop : x [m] of a wall that the pin of
-    coupler and rocker, a ball, hits from its right, elastic; None: there is none.
+    Args:
+        speed: with which the crank turns [rad/s], from angle 0; None: it is free.
+        stop: x [m] of a wall that the pin of coupler and rocker, a ball, hits from its right, elastic; None: there is
+            none.
     """
     lengths = FOUR_BAR[:3]
     model, last = bars(lengths, lengths, [length**3 / 12.0 for length in lengths])

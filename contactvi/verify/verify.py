@@ -46,7 +46,8 @@ class Result:
 def chosen(names: Sequence[str], cases: Sequence[Case] | None = None) -> list[Case]:
     """Return the cases of these names, in the order of the list; all where no name is given.
 
-    Raises InputError for a name that no case has.
+    Raises:
+        InputError: for a name that no case has.
     """
     known = {case.name: case for case in (CASES if cases is None else cases)}
     for name in names:
