@@ -42,7 +42,7 @@ class Scene(SceneElements):
         self.q0: np.ndarray | None = None
         self.v0: np.ndarray | None = None
         self.settings: dict[str, Any] = {}
-        self._prepared: Any = None  # contactvi.trajectory.compiled, of the last run
+        self._compiled: Any = None  # contactvi.trajectory.compiled, of the last run
 
     @property
     def gravity(self) -> np.ndarray:

@@ -14,7 +14,7 @@ from contactvi.errors import InputError, PenetrationError, did_you_mean
 from contactvi.inputs import real
 from contactvi.records.events import label
 from contactvi.scene.build import engine_points
-from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.compiled import CompiledScene
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -43,7 +43,7 @@ class ClosedContact:
 
 
 def closed_contacts(
-    prepared: Prepared, q: Array, v: Array, pairs: Sequence[Sequence[str]] | None, e: Any, margin: float
+    compiled: CompiledScene, q: Array, v: Array, pairs: Sequence[Sequence[str]] | None, e: Any, margin: float
 ) -> tuple[ClosedContact, ...]:
     """Return the contacts with gaps within `margin` [m; rad], or those named by `pairs`, in the engine's order.
 
@@ -53,7 +53,7 @@ def closed_contacts(
         InputError: for unknown names, a bad e, and where there is no contact.
         PenetrationError: for one that is deeper.
     """
-    gaps, names, restitution = _guards(prepared, q)
+    gaps, names, restitution = _guards(compiled, q)
     if pairs is None:
         _check_depth(gaps, names, margin)
         chosen = [int(k) for k in np.flatnonzero(gaps <= margin)]
@@ -69,12 +69,12 @@ def closed_contacts(
             remedy="Name the contacts with pairs=[...]",
         )
     values = _restitution(e, restitution[chosen])
-    gradients = np.asarray(prepared.core.gap_gradients(q))
+    gradients = np.asarray(compiled.core.gap_gradients(q))
     found = []
     for k, number in enumerate(chosen):
         rows = gradients[number][None]
-        if number < len(prepared.pair_names):
-            rows = _rows(prepared, q, number, max(margin, float(gaps[number])), rows)
+        if number < len(compiled.pair_names):
+            rows = _rows(compiled, q, number, max(margin, float(gaps[number])), rows)
         if not np.all(np.any(rows != 0.0, axis=1)):
             raise InputError(
                 f"{' and '.join(names[number])} cannot move against each other",
@@ -87,12 +87,12 @@ def closed_contacts(
     return tuple(found)
 
 
-def _rows(prepared: Prepared, q: Array, pair: int, margin: float, witness: Array) -> Array:
+def _rows(compiled: CompiledScene, q: Array, pair: int, margin: float, witness: Array) -> Array:
     """Return n . (J_b(x) - J_a(x)) of the points of a pair, shape (points, nv); the witness's where there is one."""
-    point_a, point_b, normal = engine_points(prepared.core, q, pair, margin)
+    point_a, point_b, normal = engine_points(compiled.core, q, pair, margin)
     if len(normal) < 2:
         return witness
-    model, collision = prepared.built.model, prepared.built.collision
+    model, collision = compiled.built.model, compiled.built.collision
     data = model.createData()
     pin.computeJointJacobians(model, data, q)
     shapes = collision.collisionPairs[pair]
@@ -107,17 +107,17 @@ def _rows(prepared: Prepared, q: Array, pair: int, margin: float, witness: Array
     return rows
 
 
-def _guards(prepared: Prepared, q: Array) -> tuple[Array, list[Pair], Array]:
+def _guards(compiled: CompiledScene, q: Array) -> tuple[Array, list[Pair], Array]:
     """Return gaps, names and restitution of all guards in the engine's order: pairs, then joint limits."""
-    built = prepared.built
-    gaps = [np.asarray(prepared.core.gaps(q)[0])]
-    names, restitution = list(prepared.pair_names), list(built.restitution)
+    built = compiled.built
+    gaps = [np.asarray(compiled.core.gaps(q)[0])]
+    names, restitution = list(compiled.pair_names), list(built.restitution)
     for index in np.flatnonzero(built.arrays.limits):
         at = built.model.joints[int(index)].idx_q
         for side, bound in enumerate((built.model.lowerPositionLimit[at], built.model.upperPositionLimit[at])):
             if np.isfinite(bound):
                 gaps.append(np.array([bound - q[at] if side else q[at] - bound]))
-                names.append(label(1, 2 * int(index) + side, prepared.pair_names, prepared.joint_names))
+                names.append(label(1, 2 * int(index) + side, compiled.pair_names, compiled.joint_names))
                 restitution.append(built.arrays.limit_restitution[int(index)])
     return np.concatenate(gaps), names, np.array(restitution, dtype=float)
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.inputs import real
 from contactvi.simultaneous.closed_contacts import ClosedContact, closed_contacts
 from contactvi.simultaneous.impact_sequences import End, Impacts
-from contactvi.trajectory.compiled import prepare
+from contactvi.trajectory.compiled import compile_scene
 
 if TYPE_CHECKING:
     from contactvi.scene.scene import Scene
@@ -168,18 +168,18 @@ def simultaneous_outcomes(
         InputError: for a bad argument, and where no contact is closed.
         PenetrationError: where a contact that takes part by itself is deeper than `tolerance`.
     """
-    prepared = prepare(scene)
-    states = prepared.states
-    q0 = states.configuration(prepared.q0 if q is None else q, "q")
-    v0 = states.velocity(prepared.v0 if v is None else v, "v")
+    compiled = compile_scene(scene)
+    states = compiled.states
+    q0 = states.configuration(compiled.q0 if q is None else q, "q")
+    v0 = states.velocity(compiled.v0 if v is None else v, "v")
     margin = real("tolerance", tolerance, 0.0)
     limit = int(real("max_states", max_states, 1.0))
-    mass = np.asarray(prepared.core.momentum(np.tile(q0, (states.nv, 1)), np.eye(states.nv)))
+    mass = np.asarray(compiled.core.momentum(np.tile(q0, (states.nv, 1)), np.eye(states.nv)))
     lower = np.linalg.cholesky(0.5 * (mass + mass.T))
-    contacts = closed_contacts(prepared, q0, v0, pairs, e, margin)
+    contacts = closed_contacts(compiled, q0, v0, pairs, e, margin)
     rows = [np.asarray(np.linalg.solve(lower, contact.W.T).T, dtype=float) for contact in contacts]
-    if prepared.built.elements.constraints:  # impulses act along what the constraints leave free
-        J = np.asarray(prepared.core.constraint_jacobian(q0, 0.0))
+    if compiled.built.elements.constraints:  # impulses act along what the constraints leave free
+        J = np.asarray(compiled.core.constraint_jacobian(q0, 0.0))
         closed = np.linalg.solve(lower, J.T).T
         rows = [row - row @ np.linalg.pinv(closed, rcond=1e-9) @ closed for row in rows]
     x = lower.T @ v0

@@ -1,4 +1,4 @@
-"""A scene as its runs need it: taken as it is at a run, prepared once and again after an edit."""
+"""A scene as its runs need it: taken as it is at the start of a run, compiled once and again after an edit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from contactvi.scene.derivative_check import GENERIC, check_element, mover
 from contactvi.scene.scene import Scene
 
 
-class Prepared:
+class CompiledScene:
     """What runs of a scene share: a copy that later edits do not reach, the engine's scene, names, checks of states.
 
     Attributes:
@@ -146,11 +146,11 @@ def _refuse_missing(scene: Scene) -> None:
         )
 
 
-def prepare(scene: Scene) -> Prepared:
+def compile_scene(scene: Scene) -> CompiledScene:
     """Return what runs of the scene need, kept with it until it is edited."""
-    kept = scene._prepared
-    if not isinstance(kept, Prepared) or not kept.fits(scene):
-        kept = scene._prepared = Prepared(scene)
+    kept = scene._compiled
+    if not isinstance(kept, CompiledScene) or not kept.fits(scene):
+        kept = scene._compiled = CompiledScene(scene)
     return kept
 
 
@@ -159,5 +159,5 @@ def _copy(scene: Scene) -> Scene:
     for name, value in vars(scene).items():
         if isinstance(value, (list, dict)):
             setattr(taken, name, copy.copy(value))
-    taken._edits, taken._prepared = copy.deepcopy(scene._edits), None
+    taken._edits, taken._compiled = copy.deepcopy(scene._edits), None
     return taken

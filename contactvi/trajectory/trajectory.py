@@ -17,7 +17,7 @@ from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, emp
 from contactvi.records.events import EventLog
 from contactvi.records.work import ConstraintRows, Forces, Work
 from contactvi.status import Stats, Status
-from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.contact_ledger import ContactLedger
 from contactvi.trajectory.ledger import Ledger
 from contactvi.trajectory.polynomials import Segments, State, frame_times
@@ -57,7 +57,7 @@ class Trajectory:
 
     def __init__(
         self,
-        scene: Scene | Prepared,
+        scene: Scene | CompiledScene,
         options: Options,
         t: Array,
         q: Array,
@@ -81,7 +81,7 @@ class Trajectory:
     ) -> None:
         self._scene = scene
         # the engine's scene at the time of the run: the Python scene may be edited afterwards
-        self._core = scene.core if isinstance(scene, Prepared) else None
+        self._core = scene.core if isinstance(scene, CompiledScene) else None
         self.options = options
         self.t, self.q, self.p = t, q, p
         self.events = events
@@ -104,7 +104,7 @@ class Trajectory:
     @property
     def scene(self) -> Scene:
         """The scene that was run, as it was."""
-        if isinstance(self._scene, Prepared):
+        if isinstance(self._scene, CompiledScene):
             self._scene = self._scene.scene()
         return self._scene
 

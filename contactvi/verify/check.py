@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.errors import SimulationError
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulation import simulate
-from contactvi.trajectory.compiled import prepare
+from contactvi.trajectory.compiled import compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -149,7 +149,7 @@ def kept(traj: Trajectory) -> tuple[float, float, float]:
     Gaps of all pairs and limits at the nodes (some 400 of them), at all impacts, and of all held contacts.
     """
     scene = traj.scene
-    built = prepare(scene).built
+    built = compile_scene(scene).built
     core, model = scene.core(), built.model
     gaps = [np.array([np.inf])]
     chosen = np.unique(np.linspace(0, len(traj.t) - 1, _NODES).astype(int))
