@@ -54,7 +54,7 @@ CPP_FOLDERS: Folders = {
     "bindings": ("run",),
 }
 # A saved run is read and shown without the compiled engine: only these modules load it.
-USERS_OF_THE_ENGINE = {"scene.scene", "scene.build", "simulation.engine"}
+USERS_OF_THE_ENGINE = {"scene.engine", "scene.build", "simulation.engine"}
 
 # A header found by one of these names belongs to Python or to a parser: neither has a place in the engine.
 PYTHON_HEADERS = re.compile(r"^(nanobind/|pybind11/|boost/python|Python\.h|numpy/)")

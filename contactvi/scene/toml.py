@@ -288,7 +288,7 @@ def _set_start(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
         if flag("assemble", initial.get("assemble", False)):
             scene.q0 = scene.assemble(q)
             scene.v0 = scene.consistent_velocity(scene.q0, scene.v0)
-        elif not speeds and scene._edits.elements:
+        elif not speeds and scene.elements:
             scene.v0 = None  # a run takes what goes with driven constraints
 
 
