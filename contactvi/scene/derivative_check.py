@@ -14,12 +14,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.checks import States
 from contactvi.elements import elements as kinds
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q, entry_name
 from contactvi.errors import DerivativeError, InputError
-from contactvi.inputs import real, short, vector
+from contactvi.inputs import States, real, short, vector
 from contactvi.scene.element_rows import dof_names
 from contactvi.scene.scene import Scene
 

@@ -10,14 +10,13 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from contactvi.checks import States
 from contactvi.elements import elements as kinds
 from contactvi.errors import InputError
 from contactvi.importing import part as shapes
 from contactvi.importing.part import Part, shape_part
 from contactvi.importing.readers import import_mjcf, import_pinocchio, import_urdf
 from contactvi.importing.report import ImportReport
-from contactvi.inputs import flag, pose, real, vector
+from contactvi.inputs import States, flag, pose, real, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name

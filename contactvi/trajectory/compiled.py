@@ -10,9 +10,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.checks import States
 from contactvi.elements.elements import UserForce, UserPotential
 from contactvi.errors import ConstraintError, SceneError, UserFunctionError
+from contactvi.inputs import States
 from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
 from contactvi.scene.derivative_check import GENERIC, check_element, mover

@@ -96,7 +96,7 @@ def test_limits_of_a_model(tmp_path):
     (tmp_path / "hand.toml").write_text(text)
     assert not load_scene(tmp_path / "hand.toml").built().arrays.limits.any()
     (tmp_path / "hand.toml").write_text(text.replace("false", "[0.0, 1.0]"))
-    with pytest.raises(InputError, match=r"\[\[urdf\]\] 1: Argument limits: expected True or False"):
+    with pytest.raises(InputError, match=r"\[\[urdf\]\] 1: limits is not usable: expected True or False"):
         load_scene(tmp_path / "hand.toml")
 
 
