@@ -46,7 +46,7 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
         forced: whether it has inputs, which count where neither says a dt (options.merged), as some elements of scenes
             do.
     """
-    fixed = forced or scene._complete().needs_fixed_step is not None
+    fixed = forced or scene.built().needs_fixed_step is not None
     return Options.from_dict(merged(scene.settings, chosen, fixed))
 
 
