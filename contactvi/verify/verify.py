@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from contactvi.errors import InputError, did_you_mean
+from contactvi.reproduce.check import Check
 from contactvi.verify import cases_contact as verify_cases_contact
 from contactvi.verify import cases_forced as verify_cases_forced
 from contactvi.verify import cases_impact as verify_cases_impact
 from contactvi.verify import cases_loops as verify_cases_loops
 from contactvi.verify import cases_several as verify_cases_several
-from contactvi.verify.check import LIMIT, Case, Check, Runs
+from contactvi.verify.case import LIMIT, Case, Runs
 
 PASSED, FAILED, NOT_APPLICABLE = "ok", "FAILED", "not applicable"
 COLUMNS = ("case", "what", "expected", "got", "tolerance", "verdict", "s", "reason of the tolerance")
+JSON_KEYS = ("what", "expected", "got", "tolerance", "reason", "ok")
 CASES: tuple[Case, ...] = (
     *verify_cases_impact.CASES,
     *verify_cases_several.CASES,
@@ -111,7 +113,7 @@ def summary(results: Sequence[Result]) -> str:
     """Return one line: how many cases passed, which failed, which do not apply."""
     names = {verdict: [r.case.name for r in results if r.verdict == verdict] for verdict in (FAILED, NOT_APPLICABLE)}
     measured = len(results) - len(names[NOT_APPLICABLE])
-    checks = [check.ok for result in results for check in result.checks]
+    checks = [check.ok is True for result in results for check in result.checks]
     text = f"{measured - len(names[FAILED])} of {measured} cases passed, {sum(checks)} of {len(checks)} numbers"
     text += f", in {sum(result.seconds for result in results):.1f} s"
     for verdict, listed in names.items():
@@ -135,7 +137,7 @@ def as_json(results: Sequence[Result]) -> str:
             "verdict": result.verdict,
             "reason": result.case.excuse,
             "seconds": result.seconds,
-            "checks": [asdict(check) for check in result.checks],
+            "checks": [{name: getattr(check, name) for name in JSON_KEYS} for check in result.checks],
         }
         for result in results
     ]
