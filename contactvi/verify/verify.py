@@ -7,8 +7,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from rich.table import Table
+
 from contactvi.errors import InputError, did_you_mean
 from contactvi.reproduce.check import Check
+from contactvi.tables import name_table, text_table
 from contactvi.verify import cases_contact as verify_cases_contact
 from contactvi.verify import cases_forced as verify_cases_forced
 from contactvi.verify import cases_impact as verify_cases_impact
@@ -94,9 +97,9 @@ def passed(results: Sequence[Result]) -> bool:
     return FAILED not in verdicts and PASSED in verdicts
 
 
-def table(results: Sequence[Result]) -> list[str]:
-    """Return the lines of the table, one per check; a line per case that is not applicable."""
-    rows = [list(COLUMNS)]
+def table(results: Sequence[Result]) -> Table:
+    """Return the table: a row per check, and one per case that is not applicable."""
+    rows = []
     for result in results:
         seconds = f"{result.seconds:.2f}"
         if result.case.run is None:
@@ -105,8 +108,7 @@ def table(results: Sequence[Result]) -> list[str]:
             verdict = PASSED if check.ok else FAILED
             cells = [check.what, check.expected, check.got, check.tolerance, verdict]
             rows.append([result.case.name, *cells, "" if k else seconds, check.reason])
-    width = [max(len(row[k]) for row in rows) for k in range(len(COLUMNS))]
-    return ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]
+    return text_table(COLUMNS, rows, styles={PASSED: "green", FAILED: "bold red"})
 
 
 def summary(results: Sequence[Result]) -> str:
@@ -121,11 +123,10 @@ def summary(results: Sequence[Result]) -> str:
     return text
 
 
-def listing(cases: Sequence[Case] | None = None) -> list[str]:
-    """Return a line per case: its name and what it is."""
-    wanted = list(CASES if cases is None else cases)
-    width = max(len(case.name) for case in wanted)
-    return [f"{case.name:<{width}}  {case.title}" + (" (not applicable)" if case.excuse else "") for case in wanted]
+def listing(cases: Sequence[Case] | None = None) -> Table:
+    """Return a table with a row per case: its name and what it is."""
+    wanted = CASES if cases is None else cases
+    return name_table((case.name, case.title + (" (not applicable)" if case.excuse else "")) for case in wanted)
 
 
 def as_json(results: Sequence[Result]) -> str:
