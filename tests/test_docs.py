@@ -1,7 +1,7 @@
 """The pages name files and functions; these tests hold them to the tree.
 
-A path in backticks exists. Identifiers that follow it in parentheses, `path` (`a`, `b`), occur in that file. Links between
-the pages of the repository lead somewhere.
+A path in backticks exists. Identifiers that follow it in parentheses, `path` (`a`, `b`), occur in that file. Links of
+the pages lead somewhere.
 """
 
 from __future__ import annotations
