@@ -58,8 +58,9 @@ def simulate(
             energy or on jumps of the modified one.
         order: 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
         tol: for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
-        sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps. impact, **options
-            (mhc_reference, record_every, dense, ...) : see `Options`.
+        sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps.
+        impact: the impact map, see `Options`.
+        **options: mhc_reference, record_every, dense, ...: see `Options`.
         control: generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape (steps,
             nv), or a function (t, q, v) -> (nv,) called at the start of each step.
         target: where servos (Scene.set_servo) are to go, constant over a step: an array or a function of t, one number
