@@ -45,7 +45,13 @@ class ClosedContact:
 
 
 def closed_contacts(
-    compiled: CompiledScene, q: Array, v: Array, pairs: Sequence[Sequence[str]] | None, e: Any, margin: float, limit: int
+    compiled: CompiledScene,
+    q: Array,
+    v: Array,
+    pairs: Sequence[Sequence[str]] | None,
+    e: Any,
+    margin: float,
+    limit: int,
 ) -> tuple[tuple[ClosedContact, ...], ImpactsAt]:
     """Return the contacts that take part, in the engine's order, and the engine's impacts of them.
 

@@ -110,7 +110,6 @@ class ImpactsAt {
 
   std::unique_ptr<ImpactSequence> closed(const std::vector<int>& guards, double margin) {
     auto made = std::make_unique<ImpactSequence>(scene_, integrator_, guards_, options_);
-    made->constraint_impulses.setZero(scene_.tree.elements.constraint_rows);
     if (!made->collect_given(q_, VecX::Zero(scene_.tree.nv), guards, margin)) throw Error(made->message());
     return made;
   }
@@ -136,8 +135,9 @@ class ImpactsAt {
     if (p.size() != scene_.tree.nv) throw Error("expected shape (nv,)");
     if (plastic.empty()) plastic.assign(scene_.guard_count(), 0);
     const VecX none;
-    sequence.impacts_in_step = 0;
-    if (sequence.run({0.0, 0.0, 0.0, none, 0}, plastic, p, recording)) return true;
+    ImpactReference reference;
+    sequence.begin_step();
+    if (sequence.run({0.0, 0.0, 0.0, none, 0}, plastic, reference, p, recording)) return true;
     if (sequence.code() != StatusCode::kTooManyImpacts) throw Error(sequence.message());
     return false;
   }
