@@ -60,6 +60,9 @@ class SceneData:
     contact: ContactRules
     joints: JointTable
     elements: ElementList
+    q0: np.ndarray | None
+    v0: np.ndarray | None
+    settings: dict[str, Any]
 
 
 def scene_to_dict(
@@ -139,7 +142,17 @@ def _read(data: Mapping[str, Any]) -> SceneData:
     }
     joints = _joints(data, model)
     elements = ElementList((element_from_data(element) for element in data["elements"]), map(str, data["missing"]))
-    return SceneData(vector("gravity", data["gravity"], 3), part, handles, _contact(data), joints, elements)
+    return SceneData(
+        gravity=vector("gravity", data["gravity"], 3),
+        part=part,
+        handles=handles,
+        contact=_contact(data),
+        joints=joints,
+        elements=elements,
+        q0=None if data["q0"] is None else vector("q0", data["q0"], model.nq),
+        v0=None if data["v0"] is None else vector("v0", data["v0"], model.nv),
+        settings=dict(data["settings"]),
+    )
 
 
 def target_name(joint: str) -> str:

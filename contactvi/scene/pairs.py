@@ -164,7 +164,7 @@ def choose_pairs(
 
 def _same_part(assembly: Assembly) -> np.ndarray:
     part = assembly.part_of_geometry
-    return part[:, None] == part[None, :]
+    return np.asarray(part[:, None] == part[None, :])
 
 
 def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> np.ndarray:
@@ -176,7 +176,7 @@ def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> 
     child = ~((above == 0) & assembly.placed[joints])
     real = (above[:, None] == joints[None, :]) & child[:, None] & (base | (joints != 0))[None, :]
     real &= (joints != 0)[:, None]
-    return (real | real.T) & _same_part(assembly)
+    return np.asarray((real | real.T) & _same_part(assembly))
 
 
 def _scenery(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
@@ -207,7 +207,7 @@ def _not_given(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
     closed = np.array([p.given_pairs is not None for p in parts], dtype=bool)
     if not closed.any():
         return np.zeros((len(assembly.part_of_geometry),) * 2, dtype=bool)
-    return _same_part(assembly) & closed[assembly.part_of_geometry][:, None]
+    return np.asarray(_same_part(assembly) & closed[assembly.part_of_geometry][:, None])
 
 
 def _disabled_by_file(assembly: Assembly, parts: Sequence[Part]) -> tuple[np.ndarray, str, dict[tuple[int, int], str]]:

@@ -688,9 +688,7 @@ class Scene:
         scene = cls(stored.gravity)
         scene._parts.add_stored(stored.part, stored.handles)
         scene._contact, scene._joints, scene._elements = stored.contact, stored.joints, stored.elements
-        for name in ("q0", "v0"):
-            setattr(scene, name, None if data.get(name) is None else np.array(data[name], dtype=float))
-        scene.settings = dict(data.get("settings", {}))
+        scene.q0, scene.v0, scene.settings = stored.q0, stored.v0, stored.settings
         return scene
 
     # --- helpers ------------------------------------------------------------------------------------------------------
