@@ -18,7 +18,7 @@ from contactvi.elements.user_functions import at, checked_wrench
 from contactvi.errors import InputError, UserFunctionError
 
 Frame = tuple[int, np.ndarray, np.ndarray]
-_LEAST_LENGTH = 1e-9  # [m] below that a distance has no direction
+_LEAST_LENGTH = 1e-9  # [m] distance below which there is no direction
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class WrenchRow(NamedTuple):
 
     joint: int
     point: np.ndarray
-    axes: np.ndarray | None  # of the wrench in the joint's frame, (3, 3); None: the world's
+    axes: np.ndarray | None  # rotation of the axes in the joint's frame, (3, 3); None: world axes
     wrench: np.ndarray | Callable[[float], np.ndarray]  # force, torque (6,) [N, N m], or a function of t [s]
 
 
@@ -160,7 +160,7 @@ class _Placed:
 def _constraint(element: kinds.Constraint, placed: _Placed) -> Rows:
     a, b, numbers, signal = _ends(element, placed)
     values = np.atleast_1d(np.asarray(numbers, dtype=float))
-    # a joint that is equal to a number is a motion that does not move
+    # A joint that equals a number follows a constant motion.
     engine_kind = "prescribed" if signal is not None and element.kind == "equality" else element.engine_kind
     return Rows(element.name, element.kind, element.rows, engine_kind, a, b, values, signal)
 
