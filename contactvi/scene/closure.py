@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import ConstraintError
-from contactvi.scene.element_rows import Rows
+from contactvi.scene.element_rows import ConstraintRow
 from contactvi.scene.engine import EngineScene
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ _RANK = 1e-9  # relative singular value below which constraints count as depende
 _ITERATIONS, _TRIES = 60, 8
 
 
-def check_configuration(core: EngineScene, rows: Sequence[Rows], q: Array, t: float) -> None:
+def check_configuration(core: EngineScene, rows: Sequence[ConstraintRow], q: Array, t: float) -> None:
     """Raise ConstraintError where |phi| > 1e-8 at q (nq,), t [s]."""
     phi = np.asarray(core.constraint_residual(q, t))
     bad = by_name(rows, np.where(np.abs(phi) > START_TOLERANCE, phi, 0.0))
@@ -38,7 +38,7 @@ def check_configuration(core: EngineScene, rows: Sequence[Rows], q: Array, t: fl
         )
 
 
-def _broken_rates(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> dict[str, float]:
+def _broken_rates(core: EngineScene, rows: Sequence[ConstraintRow], q: Array, v: Array, t: float) -> dict[str, float]:
     """Return by name the entries of J v + phi_t that are not 0 to 1e-8 of the speeds in them, or to rounding."""
     J, rate = np.asarray(core.constraint_jacobian(q, t)), np.asarray(core.constraint_rate(q, t))
     speed = J @ v + rate
@@ -46,7 +46,7 @@ def _broken_rates(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, t
     return by_name(rows, np.where(np.abs(speed) > allowed, speed, 0.0))
 
 
-def check_velocity(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> None:
+def check_velocity(core: EngineScene, rows: Sequence[ConstraintRow], q: Array, v: Array, t: float) -> None:
     """Raise ConstraintError where J v + phi_t is not 0 to 1e-8 of the speeds in it, at q (nq,), v (nv,), t [s]."""
     bad = _broken_rates(core, rows, q, v, t)
     if bad:
@@ -60,7 +60,7 @@ def check_velocity(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, 
 
 
 def assemble(
-    core: EngineScene, model: pin.Model, rows: Sequence[Rows], q: Array, fixed: Sequence[int], t: float
+    core: EngineScene, model: pin.Model, rows: Sequence[ConstraintRow], q: Array, fixed: Sequence[int], t: float
 ) -> Array:
     """Return a configuration (nq,) on the constraints near q, dofs `fixed` and the limits of joints kept.
 
@@ -94,7 +94,7 @@ def assemble(
     )
 
 
-def consistent_velocity(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> Array:
+def consistent_velocity(core: EngineScene, rows: Sequence[ConstraintRow], q: Array, v: Array, t: float) -> Array:
     """Return the velocity (nv,) with J v + phi_t = 0 that is nearest to v in the metric of the mass.
 
     Raises:
@@ -119,7 +119,7 @@ def consistent_velocity(core: EngineScene, rows: Sequence[Rows], q: Array, v: Ar
     return v
 
 
-def by_name(rows: Sequence[Rows], values: Array) -> dict[str, float]:
+def by_name(rows: Sequence[ConstraintRow], values: Array) -> dict[str, float]:
     """Return the largest |value| of each constraint that has one above zero, largest first."""
     found: dict[str, float] = {}
     first = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -674,7 +675,14 @@ class Scene:
         twin.settings = dict(self.settings)
         return twin
 
-    __copy__ = copy
+    def __copy__(self) -> Scene:
+        return self.copy()
+
+    def __deepcopy__(self, memo: Any) -> Scene:
+        """Return a copy with a start and settings of its own; elements and what is built are constant and shared."""
+        twin = self.copy()
+        twin.q0, twin.v0, twin.settings = copy.deepcopy((self.q0, self.v0, self.settings), memo)
+        return twin
 
     def to_dict(self) -> dict[str, Any]:
         """Return a complete description in plain data (contactvi.scene.data); from_dict makes a scene of it again."""

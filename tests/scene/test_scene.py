@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -292,3 +294,13 @@ class TestCopies:
         scene.add_sphere("other", 0.02)  # The name is still free here.
         assert twin.nv == scene.nv
         assert str(twin.to_dict()) != str(scene.to_dict())
+
+    def test_a_deep_copy_has_its_own_start(self):
+        scene = Scene()
+        scene.add_sphere("ball", 0.1, placement=(0.0, 0.0, 1.0))
+        scene.q0 = scene.neutral()
+        scene.core()  # The engine's scene cannot be copied, and need not be.
+        twin = copy.deepcopy(scene)
+        twin.q0[2] = 2.0
+        assert scene.q0[2] == 1.0
+        assert copy.copy(scene).core() is twin.core() is scene.core()
