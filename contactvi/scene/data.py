@@ -1,4 +1,4 @@
-"""A scene as plain data and back: what a saved trajectory carries, readable without the model files and the engine.
+"""A scene as plain data and back, as in stored runs: it is read without the model files and without the engine.
 
 Layout (lists, numbers, strings, None; NumPy arrays only under "vertices" and "faces"; lengths in m, angles in rad):
 
@@ -52,7 +52,7 @@ _OTHER = {"planar": "Planar", "translation": "Translation", "spherical": "Spheri
 
 @dataclass
 class SceneData:
-    """What a scene is made of when it is read back."""
+    """The contents of a stored scene, from which `Scene.from_dict` makes one."""
 
     gravity: np.ndarray
     part: Part
@@ -60,6 +60,9 @@ class SceneData:
     contact: ContactRules
     joints: JointTable
     elements: ElementList
+    q0: np.ndarray | None
+    v0: np.ndarray | None
+    settings: dict[str, Any]
 
 
 def scene_to_dict(
@@ -130,7 +133,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         start=vector("start", data["start"], model.nq),
         report=PartReport("scene from stored data"),
         load_visual=lambda: copy_geometry(collision),
-        # An empty choice is a choice too: nothing is tested.
+        # An empty list means that no pair is tested.
         given_pairs=[(index[a], index[b]) for a, b in data["pairs"]],
     )
     handles = {
@@ -139,11 +142,21 @@ def _read(data: Mapping[str, Any]) -> SceneData:
     }
     joints = _joints(data, model)
     elements = ElementList((element_from_data(element) for element in data["elements"]), map(str, data["missing"]))
-    return SceneData(vector("gravity", data["gravity"], 3), part, handles, _contact(data), joints, elements)
+    return SceneData(
+        gravity=vector("gravity", data["gravity"], 3),
+        part=part,
+        handles=handles,
+        contact=_contact(data),
+        joints=joints,
+        elements=elements,
+        q0=None if data["q0"] is None else vector("q0", data["q0"], model.nq),
+        v0=None if data["v0"] is None else vector("v0", data["v0"], model.nv),
+        settings=dict(data["settings"]),
+    )
 
 
 def target_name(joint: str) -> str:
-    """Return how the target of a servo is called where it is missing."""
+    """Return the name of the target of a servo in the list of what is missing."""
     return f"target of {joint}"
 
 
@@ -245,7 +258,7 @@ def _joint_model(data: Mapping[str, Any]) -> Any:
 
 
 def _continuous(axis: np.ndarray) -> Any:
-    """Return an unbounded revolute joint about any axis: pin 4.1 lets Python make one only by way of a URDF."""
+    """Return an unbounded revolute joint about any axis; in pin 4.1 Python can make one only from a URDF."""
     x, y, z = (repr(float(a)) for a in axis)
     model = pin.buildModelFromXML(
         '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'

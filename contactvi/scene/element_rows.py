@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -18,11 +18,11 @@ from contactvi.elements.user_functions import at, checked_wrench
 from contactvi.errors import InputError, UserFunctionError
 
 Frame = tuple[int, np.ndarray, np.ndarray]
-_LEAST_LENGTH = 1e-9  # [m] below that a distance has no direction
+_LEAST_LENGTH = 1e-9  # [m] distance below which there is no direction
 
 
 @dataclass(frozen=True)
-class Rows:
+class ConstraintRow:
     """A constraint as the engine takes it; `name`, `kind` (of the element) and `rows` are for the Python API."""
 
     name: str
@@ -35,17 +35,42 @@ class Rows:
     signal: Signal | Callable[[float], Any] | None = None
 
 
+class SpringRow(NamedTuple):
+    """A spring and damper as the engine takes it: along points (n, 3) [m] in the frames of joints (n,)."""
+
+    joints: list[int]
+    points: np.ndarray
+    stiffness: float  # [N/m]
+    rest_length: float  # [m]
+    damping: float  # [N s/m]
+    tension_only: bool
+
+
+class WrenchRow(NamedTuple):
+    """A wrench as the engine takes it: at a point (3,) [m] in a joint's frame."""
+
+    joint: int
+    point: np.ndarray
+    axes: np.ndarray | None  # rotation of the axes in the joint's frame, (3, 3); None: world axes
+    wrench: np.ndarray | Callable[[float], np.ndarray]  # force, torque (6,) [N, N m], or a function of t [s]
+
+
 @dataclass
 class Resolved:
-    """The elements of a complete scene. dofs: names of the degrees of freedom, (nv,)."""
+    """The elements of a complete scene.
+
+    Attributes:
+        dofs: Names of the degrees of freedom, (nv,).
+        time_varying: Whether some wrench or constraint depends on time.
+    """
 
     dofs: list[str]
-    constraints: list[Rows] = field(default_factory=list)
-    springs: list[tuple[Any, ...]] = field(default_factory=list)
-    wrenches: list[tuple[Any, ...]] = field(default_factory=list)
+    constraints: list[ConstraintRow] = field(default_factory=list)
+    springs: list[SpringRow] = field(default_factory=list)
+    wrenches: list[WrenchRow] = field(default_factory=list)
     potentials: list[kinds.UserPotential] = field(default_factory=list)
     forces: list[kinds.UserForce] = field(default_factory=list)
-    time_varying: bool = False  # wrenches and constraints that depend on time
+    time_varying: bool = False
 
     @property
     def any(self) -> bool:
@@ -72,11 +97,12 @@ def resolve(elements: Sequence[kinds.Element], model: pin.Model, start: np.ndarr
             joints, points = zip(*(placed.point(body, xyz) for body, xyz in element.points), strict=True)
             length = placed.length(element.points) if element.rest_length is None else element.rest_length
             numbers = (element.stiffness, length, element.damping, element.tension_only)
-            result.springs.append((list(joints), np.array(points), *numbers))
+            result.springs.append(SpringRow(list(joints), np.array(points), *numbers))
         elif isinstance(element, kinds.Wrench):
             joint, point = placed.point(element.body, element.point)
             axes = None if element.axes == "world" else placed.body(element.body)[1]
-            result.wrenches.append((joint, point, axes, checked_wrench(element.force, element.torque, element.name)))
+            wrench = checked_wrench(element.force, element.torque, element.name)
+            result.wrenches.append(WrenchRow(joint, point, axes, wrench))
             result.time_varying |= not element.constant
         elif isinstance(element, kinds.UserPotential):
             result.potentials.append(element)
@@ -131,12 +157,12 @@ class _Placed:
         return 0 if name is None else int(self.model.getJointId(name)), np.eye(3), np.zeros(3)
 
 
-def _constraint(element: kinds.Constraint, placed: _Placed) -> Rows:
+def _constraint(element: kinds.Constraint, placed: _Placed) -> ConstraintRow:
     a, b, numbers, signal = _ends(element, placed)
     values = np.atleast_1d(np.asarray(numbers, dtype=float))
-    # a joint that is equal to a number is a motion that does not move
+    # A joint that equals a number follows a constant motion.
     engine_kind = "prescribed" if signal is not None and element.kind == "equality" else element.engine_kind
-    return Rows(element.name, element.kind, element.rows, engine_kind, a, b, values, signal)
+    return ConstraintRow(element.name, element.kind, element.rows, engine_kind, a, b, values, signal)
 
 
 def _ends(element: kinds.Constraint, placed: _Placed) -> tuple[Frame, Frame, Any, Any]:

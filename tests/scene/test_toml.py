@@ -1,4 +1,4 @@
-"""Scene files: what the page says is what the scene is, and a misspelt word is an error."""
+"""Scene files: every entry reaches the scene, and a misspelt word is an error."""
 
 from __future__ import annotations
 
