@@ -31,7 +31,7 @@ PYTHON_FOLDERS: Folders = {
     "playback": ("scene", "records"),
     "trajectory": ("playback",),
     "simulation": ("trajectory",),
-    "simultaneous": ("trajectory",),
+    "simultaneous": ("trajectory", "_core"),
     "bench": ("simulation",),
     "reproduce": ("simulation",),
     "verify": ("reproduce", "simultaneous"),
@@ -54,7 +54,14 @@ CPP_FOLDERS: Folders = {
     "bindings": ("run",),
 }
 # A saved run is read and shown without the compiled engine: only these modules load it.
-USERS_OF_THE_ENGINE = {"scene.scene", "scene.build", "simulation.engine"}
+USERS_OF_THE_ENGINE = {
+    "scene.scene",
+    "scene.build",
+    "simulation.engine",
+    "simultaneous.closed_contacts",
+    "simultaneous.impact_sequences",
+    "simultaneous.simultaneous",
+}
 
 # A header found by one of these names belongs to Python or to a parser: neither has a place in the engine.
 PYTHON_HEADERS = re.compile(r"^(nanobind/|pybind11/|boost/python|Python\.h|numpy/)")

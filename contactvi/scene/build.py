@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,10 +20,6 @@ from contactvi.scene.element_rows import Resolved, install, resolve
 from contactvi.scene.joints import JointArrays, JointSettings, apply_settings
 from contactvi.scene.pairs import choose_pairs
 from contactvi.scene.selection import Names
-
-if TYPE_CHECKING:
-    from contactvi._core import ImpactsAt as ImpactsAt
-    from contactvi._core import Scene as EngineScene
 
 
 @dataclass
@@ -155,22 +151,15 @@ def engine_states(
     return np.asarray(q), np.asarray(v)
 
 
-def engine_impacts(
-    core: EngineScene, q: np.ndarray, guards: Sequence[int], restitution: np.ndarray, margin: float, max_impacts: int
-) -> ImpactsAt:
-    """Return the frictionless impacts that are possible at q of these guards, taken as closed whatever their gaps are.
+def engine_points(core: Any, q: np.ndarray, pair: int, margin: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the points at which a pair touches at q: on its first and second shape and their normals, (n, 3) [m].
 
-    Args:
-        core: from engine_scene.
-        q: configuration, shape (nq,).
-        guards: numbers of pairs, then of joint limits.
-        restitution: of each guard.
-        margin: a pair's points within this [m], or within its gap where that is more, belong to its contact.
-        max_impacts: number of impacts after which a sequence is endless.
+    World frame. Up to four, chosen to span a face; none where the gap is above `margin` [m]. `core`: from engine_scene.
     """
     from contactvi import _core
 
-    return _core.ImpactsAt(core, q, list(guards), restitution, margin, max_impacts)
+    found = _core.contact_points(core, q, pair, margin)
+    return tuple(np.asarray(found[name]) for name in ("point_a", "point_b", "normal"))  # type: ignore[return-value]
 
 
 def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from contactvi.errors import InputError, PenetrationError, did_you_mean
 from contactvi.inputs import real
 from contactvi.records.events import label
-from contactvi.scene.build import engine_impacts
 from contactvi.trajectory.compiled import Prepared
 
 if TYPE_CHECKING:
-    from contactvi.scene.build import ImpactsAt
+    from contactvi._core import ImpactsAt
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -62,6 +61,8 @@ def closed_contacts(
         InputError: for unknown names, a bad e, and where there is no contact.
         PenetrationError: for one that is deeper.
     """
+    from contactvi import _core
+
     gaps, names, restitution = _guards(prepared, q)
     if pairs is None:
         _check_depth(gaps, names, margin)
@@ -78,7 +79,7 @@ def closed_contacts(
             remedy="Name the contacts with pairs=[...]",
         )
     values = _restitution(e, restitution[chosen])
-    engine = engine_impacts(prepared.core, q, chosen, values, margin, limit)
+    engine = _core.ImpactsAt(prepared.core, q, chosen, values, margin, limit)
     found = []
     for k, number in enumerate(chosen):
         rows = engine.gradients(k)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from contactvi.scene.build import ImpactsAt
+    from contactvi._core import ImpactsAt
 
 Array = NDArray[np.float64]
 

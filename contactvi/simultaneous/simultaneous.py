@@ -23,7 +23,7 @@ from contactvi.simultaneous.impact_sequences import End, Impacts
 from contactvi.trajectory.compiled import prepare
 
 if TYPE_CHECKING:
-    from contactvi.scene.build import EngineScene
+    from contactvi import _core
     from contactvi.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -225,7 +225,7 @@ def _certificate(contacts: Sequence[ClosedContact], rows: Sequence[Array]) -> Ce
     return Certificate(angles, orders, certified, reason, bound)
 
 
-def _outcome(end: End, core: EngineScene, q: Array, contacts: Sequence[ClosedContact]) -> Outcome:
+def _outcome(end: End, core: _core.Scene, q: Array, contacts: Sequence[ClosedContact]) -> Outcome:
     p = core.momentum_to_public(q, end.p)
     v = np.asarray(core.velocity(q[None], p[None]), dtype=float)[0]
     return Outcome(

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from contactvi.records.contacts import ContactChange
 from contactvi.reproduce.check import Check, at_most, near, same
 from contactvi.reproduce.systems import ABSOLUTE, START
 from contactvi.scene.scene import Scene
@@ -160,7 +161,7 @@ def grazing(runs: Runs) -> list[Check]:
     """
 
     def speed(_t: float, y: np.ndarray) -> float:
-        return math.cos(y[0]) * y[2] + math.cos(y[1]) * y[3]
+        return float(math.cos(y[0]) * y[2] + math.cos(y[1]) * y[3])
 
     speed.direction = 1.0  # type: ignore[attr-defined]  # the tip comes, then goes
     y = np.array([*START, 0.0, 0.0])
@@ -222,7 +223,7 @@ def _largest(values: np.ndarray) -> float:
     return float(np.abs(values).max()) if np.size(values) else math.inf
 
 
-def _changes(traj: Trajectory, change: str) -> list:
+def _changes(traj: Trajectory, change: str) -> list[ContactChange]:
     return [found for found in traj.contact_changes if found.change == change]
 
 
