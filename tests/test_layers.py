@@ -31,7 +31,7 @@ PYTHON_FOLDERS: Folders = {
     "playback": ("scene", "records"),
     "trajectory": ("playback",),
     "simulation": ("trajectory",),
-    "simultaneous": ("trajectory",),
+    "simultaneous": ("trajectory", "_core"),
     "bench": ("simulation",),
     "reproduce": ("simulation",),
     "verify": ("reproduce", "simultaneous"),

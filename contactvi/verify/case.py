@@ -19,9 +19,10 @@ from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-GAP, COMPLEMENTARITY = -1e-10, 1e-12  # [m; rad], [N m s]: what every run has to keep
+GAP, COMPLEMENTARITY = -1e-10, 1e-12  # bounds for every run: least gap [m; rad], gap times impulse [N m s]
 LIMIT = 30.0  # [s] of wall time for a case: many times what any of them takes
-_NODES = 400  # of a run whose gaps are looked at: a stack of 1000 nodes would be measured for longer than simulated
+# Nodes of a run at which the gaps are measured: measuring all nodes of a stack takes longer than its simulation.
+_NODES = 400
 
 
 @dataclass(frozen=True)
@@ -29,25 +30,29 @@ class Case:
     """One case: its name, what it is, and the function that measures it.
 
     Attributes:
+        name: by which the case is chosen.
+        title: what it is, in a few words.
         run: called with a `Runs`; returns the checks.
         excuse: why the case cannot be expressed, then run is None and the case is listed as not applicable, neither
             passed nor failed.
+        former: name that the case had before, still accepted in this release; "" where it had no other.
     """
 
     name: str
     title: str
     run: Callable[[Runs], Sequence[Check]] | None
     excuse: str = ""
+    former: str = ""
 
 
 class Runs:
-    """Makes the runs of a case and keeps what each of them has to keep: phi, lambda, complementarity, its end."""
+    """Makes the runs of a case, and checks what holds for every run: gaps, impulses, complementarity, its end."""
 
     def __init__(self, limit: float = LIMIT) -> None:
-        """limit : wall time allowed for all of them together [s]."""
+        """Take the wall time [s] that all runs of the case together may need."""
         self.count, self._end = 0, time.perf_counter() + limit
         self._gap, self._impulse, self._complementarity = np.inf, np.inf, 0.0
-        self._endings: list[str] = []
+        self._messages: list[str] = []
 
     def simulate(
         self,
@@ -66,7 +71,7 @@ class Runs:
         traj = simulate(scene, q, v, duration, dt, throw=False, progress=self._in_time, **options)
         self.count += 1
         if not traj.status.ok:
-            self._endings.append(str(traj.status))
+            self._messages.append(str(traj.status))
         gap, impulse, product = kept(traj)
         self._gap, self._impulse = np.fmin(self._gap, gap), np.fmin(self._impulse, impulse)
         self._complementarity = np.fmax(self._complementarity, product)
@@ -87,7 +92,7 @@ class Runs:
         gap, impulse, product = float(self._gap), float(self._impulse), float(self._complementarity)
         good = gap >= GAP and (impulse >= 0.0) and product <= COMPLEMENTARITY
         return [
-            same("runs that ended early", "none", "; ".join(self._endings) or "none", runs),
+            same("runs that ended early", "none", "; ".join(self._messages) or "none", runs),
             Check(
                 "phi; lambda; |phi lambda|",
                 f">= {GAP:g}; >= 0; <= {COMPLEMENTARITY:g}",
@@ -102,7 +107,7 @@ class Runs:
 def kept(traj: Trajectory) -> tuple[float, float, float]:
     """Return the least gap [m; rad], the least impulse [N s] and the largest |gap * impulse| of a run.
 
-    Gaps of all pairs and limits at the nodes (some 400 of them), at all impacts, and of all held contacts.
+    Gaps of all pairs and limits at the nodes (some 400 of them), at all impacts, and of all persistent contacts.
     """
     scene = traj.scene
     built = compile_scene(scene).built
@@ -115,8 +120,9 @@ def kept(traj: Trajectory) -> tuple[float, float, float]:
         at = model.joints[int(index)].idx_q
         gaps += [traj.q[:, at] - model.lowerPositionLimit[at], model.upperPositionLimit[at] - traj.q[:, at]]
     events, contacts = traj.events, traj.contacts
-    hit, held = (events.array("gap"), events.array("impulse")), (contacts.array("gap"), contacts.normal_impulse)
-    gaps += [hit[0], held[0]]
-    impulses = np.concatenate([[0.0], hit[1], held[1]])
-    products = np.concatenate([[0.0], hit[0] * hit[1], held[0] * held[1]])
+    at_impacts = events.array("gap"), events.array("impulse")
+    in_contact = contacts.array("gap"), contacts.normal_impulse
+    gaps += [at_impacts[0], in_contact[0]]
+    impulses = np.concatenate([[0.0], at_impacts[1], in_contact[1]])
+    products = np.concatenate([[0.0], at_impacts[0] * at_impacts[1], in_contact[0] * in_contact[1]])
     return float(np.concatenate(gaps).min()), float(impulses.min()), float(np.abs(products).max())

@@ -1,4 +1,4 @@
-"""Cases of lasting contact: N02, N03, N18, the incline, boxes, rolling, the ladder, a joint limit."""
+"""Cases of persistent contact: balls, Painleve's rod, boxes, rolling, a ladder, a joint limit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def dropped_ball(runs: Runs) -> list[Check]:
         near("first impact [s]", 0.4283529369, first.time, 6e-11, "the digits given"),
         near("v- [m/s]", -4.2021423108, first.gamma_minus, 6e-11, "the digits given"),
         near("bouncing ended [s]", [1.2850588106], ended, 1e-9, "accumulated location error of 1e-12 m"),
-        at_most("off y = R from 1.29 s on [m]", 1e-10, largest(traj.q[rest, 2] - 0.1), "phi of held contact"),
+        at_most("off y = R from 1.29 s on [m]", 1e-10, largest(traj.q[rest, 2] - 0.1), "phi of persistent contact"),
         at_most("speed from then on [m/s, rad/s]", 1e-10, largest(traj.v[rest]), "velocity is projected at the nodes"),
     ]
 
@@ -69,19 +69,19 @@ def painleve(runs: Runs) -> list[Check]:
         scene, q = systems.rod_on_ground(theta, radius, 0.0, mu, _G)
         traj = runs.simulate(scene, q, [-1.0, 0.0, 0.0], 0.05, 1e-4)
         A = 1.0 + 3.0 * c * c - 6.0 * mu * c * (0.5 * s + radius)
-        said = len(times_of(traj, "inconsistent"))
+        reported = len(times_of(traj, "inconsistent"))
         finite = bool(np.isfinite(traj.q).all() and np.isfinite(traj.v).all())
         checks.append(same(f"all numbers finite, mu = {mu:g}", True, finite))
         if A > 0.0:
             force = float(traj.contacts.on("end")[1][0, 2])
             checks += [
-                same(f"reported inconsistencies, mu = {mu:g} < 4/3", 0, said),
+                same(f"reported inconsistencies, mu = {mu:g} < 4/3", 0, reported),
                 same(f"impacts, mu = {mu:g}", 0, int((traj.events.array("impulse") > 0.0).sum())),
                 near(f"normal force in the first step [N], mu = {mu:g}", _G / A, force, 2e-3,
                      "mean of a step of 1e-4 s: A changes by some 1e-5 of itself in it"),
             ]  # fmt: skip
         else:
-            answered = said > 0 or len(traj.events) > 0
+            answered = reported > 0 or len(traj.events) > 0
             checks.append(same(f"an inconsistency or an impact reported, mu = {mu:g} > 4/3", True, answered))
     return checks
 
@@ -94,7 +94,7 @@ def box_on_slope(runs: Runs) -> list[Check]:
         scene, q = systems.box_on_ground((0.2, 0.3, 0.1), 0.0, factor * math.tan(slope), slope)
         traj = runs.simulate(scene, q, np.zeros(6), 100.0, 0.05)
         checks += [
-            at_most(f"moved in 100 s [m], mu = {factor:g} tan", 1e-10, largest(traj.q - q), "the case's"),
+            at_most(f"moved in 100 s [m], mu = {factor:g} tan", 1e-10, largest(traj.q - q), "given by the case"),
             at_most(f"largest velocity, mu = {factor:g} tan", 1e-10, largest(traj.v), "no jitter"),
         ]
     return checks
@@ -193,8 +193,8 @@ def tossed_box(runs: Runs) -> list[Check]:
         height = float(traj.q[-1, 2])
         face = float(0.5 * size[np.abs(0.5 * size - height).argmin()])
         checks += [
-            at_most(f"speed at 5 s, h = {h:g}", 1e-8, largest(traj.v[-1]), "the case's"),
-            near(f"height at 5 s [m], h = {h:g}", face, height, 1e-9, "the case's"),
+            at_most(f"speed at 5 s, h = {h:g}", 1e-8, largest(traj.v[-1]), "given by the case"),
+            near(f"height at 5 s [m], h = {h:g}", face, height, 1e-9, "given by the case"),
         ]
     return checks
 
@@ -233,15 +233,20 @@ def ladder_leaves(runs: Runs) -> list[Check]:
     for h in (0.01, 0.005, 0.0025):
         scene, q = systems.ladder_in_corner(start)
         traj = runs.simulate(scene, q, np.zeros(3), 0.6, h)
-        left = [change.time for change in traj.contact_changes if change.change == "release" and "wall" in change.pair]
-        time = left[0] if left else math.nan
+        lost = [found for found in traj.contact_changes if found.change == "release" and "wall" in found.pair]
+        time = lost[0].time if lost else math.nan
         errors.append(abs(time - exact))
         checks.append(near(f"leaves the wall at [s], h = {h:g}", exact, time, 0.5 * h * h,
                            "order 2: half of h^2, times of order 1 s"))  # fmt: skip
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     return [
         *checks,
-        at_least("order of that, least of two halvings", 1.8, float(orders.min()), "second order, located"),
+        at_least(
+            "order of the time, least of two halvings",
+            1.8,
+            float(orders.min()),
+            "second order; the time is located in its step",
+        ),
     ]
 
 
@@ -255,7 +260,7 @@ def joint_limit(runs: Runs) -> list[Check]:
         near("first impact [s]", 0.4515236410, traj.events[0].time, 6e-11, "the digits given"),
         near("bouncing ended [s]", [3.0 * math.sqrt(2.0 / _G)], times_of(traj, "bouncing ended", "value"), 1e-9,
              "accumulated location error of 1e-12 m"),
-        at_most("off the limit from 1.36 s on [m]", 1e-10, largest(traj.q[rest]), "phi of held contact"),
+        at_most("off the limit from 1.36 s on [m]", 1e-10, largest(traj.q[rest]), "phi of persistent contact"),
         at_most("speed from then on [m/s]", 1e-10, largest(traj.v[rest]), "velocity is projected at the nodes"),
         near("force of the limit at the end [N]", _G, force[-1] if len(force) else math.nan, 1e-9, "solved to 1e-12"),
     ]  # fmt: skip
@@ -278,16 +283,16 @@ def largest(values: np.ndarray | Sequence[float]) -> float:
 
 
 CASES = (
-    Case("N02", "a ball dropped with e = .5 comes to rest", dropped_ball),
-    Case("N03", "a spinning ball dropped with e = 0 slips, then rolls", spinning_ball),
-    Case("N18", "Painleve's rod: no jam below mu = 4/3, reported above", painleve),
+    Case("dropped-ball", "a ball dropped with e = .5 comes to rest", dropped_ball, former="N02"),
+    Case("spinning-ball", "a spinning ball dropped with e = 0 slips, then rolls", spinning_ball, former="N03"),
+    Case("painleve-rod", "Painleve's rod: no jam below mu = 4/3, reported above", painleve, former="N18"),
     Case("incline-stick", "a box on a slope within the friction cone", box_on_slope),
     Case("incline-slip", "a box that slides down a slope", box_slides),
     Case("box-stops", "a box slides to a stop on the flat", box_stops),
     Case("box-flat", "a box dropped flat on its face", flat_box),
     Case("box-rocks", "a block rocks from edge to edge", rocking_box),
-    Case("N26-tossed", "a tossed box comes to rest, h = .1 .. .005", tossed_box),
+    Case("tossed-box", "a tossed box comes to rest, h = .1 .. .005", tossed_box, former="N26-tossed"),
     Case("cylinder", "a cylinder rolls", rolling_cylinder),
     Case("ladder", "a ladder slides down and leaves the wall", ladder_leaves),
-    Case("limit", "a slider bounces on a joint limit and rests on it", joint_limit),
+    Case("joint-limit", "a slider bounces on a joint limit and rests on it", joint_limit, former="limit"),
 )

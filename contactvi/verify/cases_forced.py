@@ -1,4 +1,4 @@
-"""Cases of forces and drives: damping, dry friction, a screw, a string, a cart that is moved."""
+"""Cases of forces and prescribed motion: damping, joint friction, a screw, a string, a cart that is moved."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def damped_pendulum(runs: Runs) -> list[Check]:
     ]  # fmt: skip
 
 
-def dry_stop(runs: Runs) -> list[Check]:
+def friction_stop(runs: Runs) -> list[Check]:
     """Closed form: stops after m v / f s and m v^2 / (2 f) m, and stays; the friction takes m v^2 / 2."""
     m, f, v = 2.0, 2.9, 1.5
     checks = []
@@ -52,14 +52,14 @@ def dry_stop(runs: Runs) -> list[Check]:
         checks += [
             near(f"place [m]{of}", 0.5 * m * v * v / f, x[-1], 1e-12, "the stop is located in its step; " + _CONSTANT),
             near(f"time [s], by the place{of}", m * v / f, traj.t[last] + 2.0 * (x[-1] - x[last]) / speed[last], 1e-10,
-                 "the place over the speed left"),
+                 "the error of the place over the speed"),
             near(f"work of the friction [J]{of}", 0.5 * m * v * v, traj.work.dry[-1], 1e-11, _SOLVED),
-            at_most(f"moved after it [m]{of}", 0.0, _largest(x[after] - x[-1]), "what sticks is at rest exactly"),
+            at_most(f"moved after it [m]{of}", 0.0, _largest(x[after] - x[-1]), "a sticking joint is at rest exactly"),
         ]  # fmt: skip
     return checks
 
 
-def rubbing_spring(runs: Runs) -> list[Check]:
+def friction_spring(runs: Runs) -> list[Check]:
     """Closed form: every half period pi sqrt(m/k) the swing is 2 f/k smaller; it sticks where k |x| <= f.
 
     The midpoint rule keeps quadratic energies and the friction's work is exact, so the turns are, at any step.
@@ -171,8 +171,10 @@ def _largest(values: np.ndarray) -> float:
 
 CASES = (
     Case("damped", "a damped pendulum", damped_pendulum),
-    Case("dry-stop", "dry friction stops a slider", dry_stop),
-    Case("dry-spring", "a mass on a spring with dry friction sticks", rubbing_spring),
+    Case("joint-friction-stop", "joint friction stops a slider", friction_stop, former="dry-stop"),
+    Case(
+        "joint-friction-spring", "a mass on a spring with joint friction sticks", friction_spring, former="dry-spring"
+    ),
     Case("screw", "a nut runs down a screw", nut),
     Case("string", "a pendulum on a string", string_pendulum),
     Case("cart", "a pendulum on a cart that is moved", moved_cart),

@@ -1,4 +1,4 @@
-"""Cases of several bodies: N10, N11, N13 .. N15, plastic impacts, supports, Newton's cradle, a stack."""
+"""Cases of several bodies: sequences of impacts, plastic impacts, supports, Newton's cradle, a stack."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def blocks(runs: Runs) -> list[Check]:
         drift = float(np.abs(kinetic / kinetic[0] - 1.0).max())
         checks += [
             same(f"collisions, mass ratio 100^{k}", count, len(traj.events)),
-            at_most(f"energy, relative error, 100^{k}", 1e-12, drift, "the case's"),
+            at_most(f"energy, relative error, 100^{k}", 1e-12, drift, "given by the case"),
         ]
     return checks
 
@@ -99,7 +99,7 @@ def wedges(runs: Runs) -> list[Check]:
 
 
 def plastic_balls(runs: Runs) -> list[Check]:
-    """Known: (1/3, 1/3, 1/3), energy 1/6; not (-1/3, 2/3, 2/3), which the simultaneous Newton law says."""
+    """Known: (1/3, 1/3, 1/3), energy 1/6; not (-1/3, 2/3, 2/3), which Newton's law for simultaneous impacts gives."""
     scene, q = systems.ball_row([1.0, 1.0, 1.0], e=0.0, wall=False), systems.touching_balls(3, 1.0)
     checks = []
     for impact in ("ctec", "mhc"):
@@ -107,7 +107,7 @@ def plastic_balls(runs: Runs) -> list[Check]:
         energy = 0.5 * float(np.sum(traj.v[-1] ** 2))
         checks += [
             near(f"velocities after, {impact}", np.full(3, 1.0 / 3.0), traj.v[-1], 1e-12, "gamma+ = 0 to 1e-12"),
-            near(f"energy after [J], {impact}", 1.0 / 6.0, energy, 1e-12, "likewise"),
+            near(f"energy after [J], {impact}", 1.0 / 6.0, energy, 1e-12, "gamma+ = 0 to 1e-12"),
         ]
     found = simultaneous_outcomes(scene, q, (1.0, 0.0, 0.0))
     return [*checks, near("simultaneous_outcomes", np.full(3, 1.0 / 3.0), found.chosen.v_plus, 1e-14, _EPS)]
@@ -133,8 +133,8 @@ def carnot(runs: Runs) -> list[Check]:
         gamma = W @ v
         exact = 0.5 * float(gamma @ np.linalg.solve(W @ np.diag(1.0 / mass) @ W.T, gamma))
         checks += [
-            at_most(f"gamma+ [m/s], {name}, {impact}", 1e-12, float(np.abs(W @ traj.v[-1]).max()), "the case's"),
-            near(f"loss [J], {name}, {impact}", exact, loss, 1e-12, "the case's"),
+            at_most(f"gamma+ [m/s], {name}, {impact}", 1e-12, float(np.abs(W @ traj.v[-1]).max()), "given by the case"),
+            near(f"loss [J], {name}, {impact}", exact, loss, 1e-12, "given by the case"),
         ]
     return checks
 
@@ -169,7 +169,7 @@ def supports(runs: Runs) -> list[Check]:
         reason = "an endless sequence is cut at 1e-9 of the speeds; the fall is located to 1e-12 m"
         checks += [
             near(f"upper, lower; masses {upper}:{lower}, e_g = 1 .5 0", expected, got, 2e-9, reason),
-            near(f"the same, stiff support, masses {upper}:{lower}", [(1.0, 0.0)] * 3, stiff, 1e-11, reason),
+            near(f"stiff support, masses {upper}:{lower}", [(1.0, 0.0)] * 3, stiff, 1e-11, reason),
         ]
     return checks
 
@@ -188,7 +188,7 @@ def cradle(runs: Runs) -> list[Check]:
 
 
 def beside(runs: Runs) -> list[Check]:
-    """A ball bounces (e = 1, from 1 m) while another rests 1 m beside it: the closed form of N01 with e = 1."""
+    """A ball bounces (e = 1, from 1 m) while another rests 1 m beside it: closed form of an elastic bounce."""
     checks, first = [], math.sqrt(2.0 / systems.GRAVITY)
     for h in (0.02, 0.01, 0.005, 0.001):
         scene = systems.ball_over_ground(1.0)
@@ -222,12 +222,12 @@ def stack(runs: Runs) -> list[Check]:
 
 
 CASES = (
-    Case("N10", "two blocks and a wall: digits of pi", blocks),
-    Case("N11", "chains of equal touching balls", chains),
-    Case("N13", "three balls: unique outcomes, and exactly two", three_balls),
-    Case("N14", "a particle in a wedge of angle pi/n", wedges),
-    Case("N15", "three plastic balls", plastic_balls),
-    Case("plastic", "plastic impacts on two contacts: Carnot's loss", carnot),
+    Case("two-blocks", "two blocks and a wall: digits of pi", blocks, former="N10"),
+    Case("ball-chains", "chains of equal touching balls", chains, former="N11"),
+    Case("three-balls", "three balls: unique outcomes, and exactly two", three_balls, former="N13"),
+    Case("wedge", "a particle in a wedge of angle pi/n", wedges, former="N14"),
+    Case("plastic-balls", "three plastic balls", plastic_balls, former="N15"),
+    Case("plastic-contacts", "plastic impacts on two contacts: Carnot's loss", carnot, former="plastic"),
     Case("supports", "a ball falls on one that lies on the ground", supports),
     Case("cradle", "Newton's cradle", cradle),
     Case("beside", "a ball bounces while another one rests", beside),

@@ -23,8 +23,8 @@ Shapes = dict[str, tuple[int, pin.SE3, coal.CollisionGeometry]]
 GRAVITY = 9.81
 RADIUS = 0.125  # of the balls in rows [m]; exact in binary, so that the positions of touching balls are exact too
 FOUR_BAR = (0.3, 0.9, 0.7, 1.0)  # crank, coupler, rocker, ground [m]
-# Slider-crank with clearance (N22): lengths [m], masses [kg] and moments of inertia [kg m^2] of crank, rod and slider;
-# half length and half height of the slider, clearance on either side [m].
+# Slider-crank with clearance (Flores, Leine, Glocker 2010): lengths [m], masses [kg] and moments of inertia [kg m^2]
+# of crank, rod and slider; half length and half height of the slider, clearance on either side [m].
 LENGTHS, MASSES, INERTIAS = (0.153, 0.306), (0.038, 0.038, 0.076), (7.4e-5, 5.9e-4, 2.7e-6)
 HALF_LENGTH, HALF_HEIGHT, CLEARANCE = 0.05, 0.025, 0.001
 
@@ -122,7 +122,7 @@ def ball_in_wedge(n: int) -> tuple[Scene, Array]:
 
 
 def pendulum_at_wall() -> Scene:
-    """N08: a point mass on a rod of 1 m, angle from the downward vertical, elastic wall at angle 0."""
+    """A point mass on a rod of 1 m, angle from the downward vertical, elastic wall at angle 0."""
     model = empty_model(GRAVITY)
     joint = model.addJoint(0, hinge(), place(), "hinge")
     append_point_mass(model, joint)
@@ -249,7 +249,7 @@ def damped_pendulum(damping: float) -> Scene:
 
 
 def slider_with_friction(mass: float, friction: float, stiffness: float = 0.0) -> Scene:
-    """A mass [kg] on a prismatic joint with dry friction [N] and a spring to 0 [N/m], no gravity."""
+    """A mass [kg] on a prismatic joint with joint friction [N] and a spring to 0 [N/m], no gravity."""
     model = empty_model()
     joint = model.addJoint(0, pin.JointModelPX(), place(), "slide")
     model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.eye(3)), place())
@@ -267,7 +267,7 @@ def nut_on_screw(mass: float, radius: float, pitch: float) -> Scene:
 
 
 def ball_on_string(angle: float) -> tuple[Scene, Array]:
-    """A ball of 1 kg held 1 m from the origin by a distance constraint, `angle` [rad] from the bottom; scene and q."""
+    """A ball of 1 kg on a string of 1 m from the origin, `angle` [rad] from the bottom; scene and q."""
     scene = Scene((0.0, 0.0, -GRAVITY))
     scene.add_sphere("ball", radius=0.05, mass=1.0)
     scene.add_distance("world", "ball", length=1.0, name="string")
@@ -314,7 +314,7 @@ def slider_crank(lengths: Sequence[float], masses: Sequence[float], speed: float
 
 
 def four_bar(speed: float | None = None, stop: float | None = None) -> Scene:
-    """Crank, coupler and rocker, 1 kg/m, whose end is held at (1, 0, 0).
+    """Crank, coupler and rocker, 1 kg/m; the end of the rocker is pinned at (1, 0, 0).
 
     Args:
         speed: with which the crank turns [rad/s], from angle 0; None: it is free.
@@ -348,7 +348,7 @@ def four_bar_angles(crank: Array | float) -> Array:
 
 
 def slider_with_clearance() -> Scene:
-    """N22: crank, rod and a slider that is free to turn about the rod's end, in a channel along x; e = .4, mu = .01."""
+    """Crank, rod and a slider that is free to turn about the rod's end, in a channel along x; e = .4, mu = .01."""
     model, rod = hinged_bars(LENGTHS, MASSES[:2], INERTIAS[:2])
     slider = model.addJoint(rod, hinge(), place(LENGTHS[1]), "slider")
     model.appendBodyToJoint(slider, pin.Inertia(MASSES[2], np.zeros(3), INERTIAS[2] * np.eye(3)), place())

@@ -12,29 +12,25 @@ from rich.table import Table
 from contactvi.errors import InputError, did_you_mean
 from contactvi.reproduce.check import Check
 from contactvi.tables import name_table, text_table
-from contactvi.verify import cases_contact as verify_cases_contact
-from contactvi.verify import cases_forced as verify_cases_forced
-from contactvi.verify import cases_impact as verify_cases_impact
-from contactvi.verify import cases_loops as verify_cases_loops
-from contactvi.verify import cases_several as verify_cases_several
+from contactvi.verify import cases_contact, cases_forced, cases_impact, cases_loops, cases_several
 from contactvi.verify.case import LIMIT, Case, Runs
 
 PASSED, FAILED, NOT_APPLICABLE = "ok", "FAILED", "not applicable"
 COLUMNS = ("case", "what", "expected", "got", "tolerance", "verdict", "s", "reason of the tolerance")
 JSON_KEYS = ("what", "expected", "got", "tolerance", "reason", "ok")
 CASES: tuple[Case, ...] = (
-    *verify_cases_impact.CASES,
-    *verify_cases_several.CASES,
-    *verify_cases_contact.CASES,
-    *verify_cases_forced.CASES,
-    *verify_cases_loops.CASES,
+    *cases_impact.CASES,
+    *cases_several.CASES,
+    *cases_contact.CASES,
+    *cases_forced.CASES,
+    *cases_loops.CASES,
 )
-Progress = Callable[[float, str], object]  # called with the fraction that is done and the case at work
+Progress = Callable[[float, str], object]  # called with the fraction that is done and the name of the present case
 
 
 @dataclass(frozen=True)
 class Result:
-    """What came out of one case: its checks, wall time [s], and its verdict."""
+    """The result of one case: its checks, wall time [s], and its verdict."""
 
     case: Case
     checks: tuple[Check, ...]
@@ -49,12 +45,15 @@ class Result:
 
 
 def chosen(names: Sequence[str], cases: Sequence[Case] | None = None) -> list[Case]:
-    """Return the cases of these names, in the order of the list; all where no name is given.
+    """Return the cases of these names (or former names), in the order of the list; all where no name is given.
 
     Raises:
         InputError: for a name that no case has.
     """
-    known = {case.name: case for case in (CASES if cases is None else cases)}
+    wanted = list(CASES if cases is None else cases)
+    former = {case.former: case.name for case in wanted if case.former}
+    known = {case.name: case for case in wanted}
+    names = [former.get(name, name) for name in names]
     for name in names:
         if name not in known:
             raise InputError(
@@ -85,7 +84,7 @@ def measure(case: Case, limit: float = LIMIT) -> Result:
     started, runs = time.perf_counter(), Runs(limit)
     try:
         checks = [*case.run(runs), *runs.laws()]
-    except Exception as error:  # whatever goes wrong is this case's failure and must not hide the others
+    except Exception as error:  # one case that raises must not hide the results of the others
         text = f"{type(error).__name__}: {error}".strip()
         checks = [*runs.laws(), Check("the case itself", "no error", text, "exact", "it has to run", False)]
     return Result(case, tuple(checks), time.perf_counter() - started)
