@@ -37,7 +37,6 @@ autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 
 
-
 def _join_names(app, what, name, obj, options, lines):
     """A field of several names, `:ivar t, h:`, would be read as the name h of the type t: close the gap."""
     lines[:] = [re.sub(r"^:ivar ([\w, ]+):", lambda m: f":ivar {m[1].replace(', ', ',')}:", line) for line in lines]
