@@ -1,4 +1,4 @@
-"""From elements by name to the engine: frames, numbers and checked functions of a complete model.
+"""Elements by name as the engine takes them: frames, numbers and checked functions of a complete model.
 
 A frame is (joint, R, p): joint index in the model (0: world), R (3, 3) and p (3,) [m] in that joint's frame.
 """
@@ -14,15 +14,8 @@ import pinocchio as pin
 
 from contactvi.elements import elements as kinds
 from contactvi.elements.signals import Signal
-from contactvi.elements.user_functions import (
-    at,
-    checked_force,
-    checked_force_derivatives,
-    checked_of_q,
-    checked_wrench,
-)
-from contactvi.errors import InputError, SceneError, UserFunctionError
-from contactvi.scene.joints import JointArrays
+from contactvi.elements.user_functions import at, checked_wrench
+from contactvi.errors import InputError, UserFunctionError
 
 Frame = tuple[int, np.ndarray, np.ndarray]
 _LEAST_LENGTH = 1e-9  # [m] below that a distance has no direction
@@ -30,7 +23,7 @@ _LEAST_LENGTH = 1e-9  # [m] below that a distance has no direction
 
 @dataclass(frozen=True)
 class Rows:
-    """A constraint as the engine takes it; `name`, `kind` (of the element) and `rows` for the face."""
+    """A constraint as the engine takes it; `name`, `kind` (of the element) and `rows` are for the Python API."""
 
     name: str
     kind: str
@@ -92,40 +85,6 @@ def resolve(elements: Sequence[kinds.Element], model: pin.Model, start: np.ndarr
     return result
 
 
-def install(core: Any, model: pin.Model, arrays: JointArrays, found: Resolved) -> None:
-    """Hand elements and drives to the engine's scene `core`; nothing is called where there is nothing."""
-    if np.any(arrays.dry_friction):
-        _method(core, "set_dry_friction")(arrays.dry_friction)
-    for joint, rest, torque in arrays.polynomials:  # torque -k_i x^i  <-  potential k_i x^(i + 1) / (i + 1)
-        potential = torque / np.arange(2.0, len(torque) + 2.0)
-        _method(core, "add_joint_potential")(joint, rest, potential)
-    for spring in found.springs:
-        _method(core, "add_path_spring")(*spring)
-    for wrench in found.wrenches:
-        _method(core, "add_wrench")(*wrench)
-    for force in found.forces:
-        derivatives = force.derivatives
-        value = checked_force(force.function, repr(force.name), found.dofs)
-        if derivatives is None:
-            _method(core, "add_user_force")(value)
-        else:
-            name = f"the derivatives of {force.name!r}"
-            _method(core, "add_user_force")(value, checked_force_derivatives(derivatives, name, found.dofs))
-    for potential in found.potentials:
-        functions = [(potential.value, "value"), (potential.gradient, "gradient"), (potential.hessian, "hessian")]
-        wrapped = [
-            None if function is None else checked_of_q(function, f"{what} of {potential.name!r}", found.dofs, k)
-            for k, (function, what) in enumerate(functions)
-        ]
-        _method(core, "add_user_potential")(*wrapped)
-    for row in found.constraints:
-        _method(core, "add_constraint")(row.engine_kind, *row.a, *row.b, row.numbers, row.signal, row.name)
-    if np.any(arrays.servo[:2]):
-        _method(core, "set_servo")(*(np.ascontiguousarray(part) for part in arrays.servo))
-    if np.any(np.isfinite(arrays.actuator)):
-        _method(core, "set_actuator_limits")(*(np.ascontiguousarray(part) for part in arrays.actuator))
-
-
 def dof_names(model: pin.Model) -> list[str]:
     """Return a name for each degree of freedom, (nv,): that of its joint, with a number where it has several."""
     names: list[str] = []
@@ -133,15 +92,6 @@ def dof_names(model: pin.Model) -> list[str]:
         count = int(model.nvs[i])
         names += [model.names[i] if count == 1 else f"{model.names[i]}[{k}]" for k in range(count)]
     return names
-
-
-def _method(core: Any, name: str) -> Any:
-    found = getattr(core, name, None)
-    if found is None:
-        raise SceneError(
-            "The engine is older than the face", expected=f"Scene.{name}", got="none", remedy="Build it anew"
-        )
-    return found
 
 
 class _Placed:

@@ -36,7 +36,7 @@ from contactvi.simulation.recorder import Record
 from contactvi.simulation.tolerances import Watch
 from contactvi.status import Status, StatusCode
 from contactvi.trajectory import polynomials as dense
-from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.ledger import Ledger
 from contactvi.trajectory.trajectory import Trajectory
 
@@ -62,7 +62,7 @@ _EPS = float(np.finfo(float).eps)
 
 
 def run(
-    prepared: Prepared,
+    compiled: CompiledScene,
     options: Options,
     q0: ArrayLike | None,
     v0: ArrayLike | None,
@@ -74,9 +74,9 @@ def run(
     Raises:
         PenetrationError: where `throw`. Warns with AccuracyWarning where tol was not reached.
     """
-    check_map(prepared, options)
-    check_elements(prepared, options)
-    search = _Search(prepared, options if options.dense else replace(options, dense=True), q0, v0, progress)
+    check_map(compiled, options)
+    check_elements(compiled, options)
+    search = _Search(compiled, options if options.dense else replace(options, dense=True), q0, v0, progress)
     try:
         found, estimate = search.search()
     except KeyboardInterrupt:
@@ -129,9 +129,14 @@ class _Search:
     """Looks for the level at which a run is as accurate as asked."""
 
     def __init__(
-        self, prepared: Prepared, options: Options, q0: Any, v0: Any, progress: Callable[[float, int], object] | None
+        self,
+        compiled: CompiledScene,
+        options: Options,
+        q0: Any,
+        v0: Any,
+        progress: Callable[[float, int], object] | None,
     ) -> None:
-        self._prepared, self._options, self._start, self._progress = prepared, options, (q0, v0), progress
+        self._compiled, self._options, self._start, self._progress = compiled, options, (q0, v0), progress
         self._stages = options.order // 2
         self.seconds = 0.0
         self.last: Record
@@ -175,8 +180,8 @@ class _Search:
             count = self._options.span / coarser.steps[0]
             guess = self._options.span / math.ceil(max(count * law, count + 1.0) - 1e-6)
         dt_contact = self._contact_dt(level)
-        simulator = engine.make(self._prepared, self._options, guess, slack, dt_contact)
-        self.last, refused = engine.start(simulator, self._prepared, self._options, *self._start)
+        simulator = engine.make(self._compiled, self._options, guess, slack, dt_contact)
+        self.last, refused = engine.start(simulator, self._compiled, self._options, *self._start)
         if refused is not None:
             raise refused
         self._engine = simulator
@@ -208,7 +213,7 @@ class _Search:
     def _floor(self, found: _Found) -> tuple[float, float]:
         """Return what the error of a run is not below, and the size of its motion."""
         t, q, _ = found.record.nodes()
-        size = float(self._prepared.states.distance(q[:1], q).max())
+        size = float(self._compiled.states.distance(q[:1], q).max())
         solved = (_EPS + self._options.stage_tol) * size * math.sqrt(len(t))
         return max(solved, _SEEN * found.level**2), size
 
@@ -228,8 +233,8 @@ class _Search:
             dt_contact=None,
         )  # fmt: skip
         finer = min(_FINER * found.dt_contact, fixed.fixed_dt)
-        simulator = engine.make(self._prepared, fixed, slack=1.0 / _COMPANION, dt_contact=finer)
-        record, _ = engine.start(simulator, self._prepared, fixed, *self._start)
+        simulator = engine.make(self._compiled, fixed, slack=1.0 / _COMPANION, dt_contact=finer)
+        record, _ = engine.start(simulator, self._compiled, fixed, *self._start)
         engine.advance(simulator, record, count, None, self._progress)
         self.seconds += record.stats.seconds
         if record.status.code == StatusCode.INTERRUPTED:
@@ -277,10 +282,10 @@ def _transient(found: _Found) -> float:
         if segments["held"][k]:
             continue
         q, p, h = segments["q"][k], segments["p"][k], float(segments["h"][k])
-        p = record.prepared.core.momentum_to_public(q, p)
+        p = record.compiled.core.momentum_to_public(q, p)
         whole, half = _step(record, q, p, h), _step(record, q, p, 0.5 * h)
         halves = _step(record, half[0], half[1], 0.5 * h)
-        largest = max(largest, _largest(record.prepared.states.distance(whole[0][None], halves[0][None])))
+        largest = max(largest, _largest(record.compiled.states.distance(whole[0][None], halves[0][None])))
     return largest
 
 
@@ -305,7 +310,7 @@ def _distance(other: Record, found: Record, ended: bool = False) -> float:
     segments = other.segments_joined()
     assert segments is not None
     states = np.array([_state(other, segments, float(t[node])) for node in nodes])
-    return _largest(found.prepared.states.distance(states, q[nodes]))
+    return _largest(found.compiled.states.distance(states, q[nodes]))
 
 
 def _state(run: Record, pieces: dense.Segments, time: float) -> Array:
@@ -313,11 +318,11 @@ def _state(run: Record, pieces: dense.Segments, time: float) -> Array:
     segments = pieces.arrays
     k = max(0, int(segments["t"].searchsorted(time, side="right")) - 1)
     if segments["held"][k]:
-        return pieces.states(run.prepared.core, np.array([time]))[0][0]
+        return pieces.states(run.compiled.core, np.array([time]))[0][0]
     q, h = segments["q"][k], min(time - float(segments["t"][k]), float(segments["h"][k]))
     if h <= 0.0:
         return q
-    return _step(run, q, run.prepared.core.momentum_to_public(q, segments["p"][k]), h)[0]
+    return _step(run, q, run.compiled.core.momentum_to_public(q, segments["p"][k]), h)[0]
 
 
 def _step(run: Record, q: Array, p: Array, h: float) -> tuple[Array, Array]:
@@ -327,7 +332,7 @@ def _step(run: Record, q: Array, p: Array, h: float) -> tuple[Array, Array]:
         try:
             q1, p1 = q, p
             for _ in range(parts):
-                found = run.prepared.core.step(q1, p1, h / parts, None, options.stage_tol, options.order)
+                found = run.compiled.core.step(q1, p1, h / parts, None, options.stage_tol, options.order)
                 q1, p1 = found[0], found[1]
             return q1, p1
         except RuntimeError:  # CoreError is one
@@ -338,11 +343,11 @@ def _step(run: Record, q: Array, p: Array, h: float) -> tuple[Array, Array]:
 def _watch(record: Record) -> None:
     """Hold the run to the tolerances of its ledger; where one is exceeded it ends there."""
     t, q, p = record.nodes()
-    prepared, options = record.prepared, record.options
+    compiled, options = record.compiled, record.options
     ledger = Ledger(
-        prepared.core, options, t, q, p, record.log(), model=prepared.built.model, collision=prepared.built.collision,
+        compiled.core, options, t, q, p, record.log(), model=compiled.built.model, collision=compiled.built.collision,
         forced=record.forced, start=record.start, contacts=record.contact_log(), phases=record.phases_joined(),
-        elements=prepared.built.elements.any, forces=record.forces.joined(),
+        elements=compiled.built.elements.any, forces=record.forces.joined(),
     )  # fmt: skip
     excess = Watch(options.ledger or {}).check(ledger)
     if excess is not None:

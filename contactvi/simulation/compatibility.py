@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from contactvi.errors import InputError
 from contactvi.options import Options
 from contactvi.records.events import EventLog
-from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.compiled import CompiledScene
 
 UNFORCED_TOLERANCES = (
     *("discrete_energy", "discrete_energy_jump", "modified_energy_jump"),
@@ -54,14 +54,14 @@ class Stall:
         return None
 
 
-def check_map(prepared: Prepared, options: Options) -> None:
+def check_map(compiled: CompiledScene, options: Options) -> None:
     """Raise InputError where the impact map of the options has no answer on this scene."""
     if options.impact == "dtec":
-        _check_rebound(prepared)
-    if _carries_reference(options) and np.any(prepared.damping > 0):
-        model = prepared.scene().model
+        _check_rebound(compiled)
+    if _carries_reference(options) and np.any(compiled.damping > 0):
+        model = compiled.scene().model
         joint = next(name for name, j in zip(model.names, model.joints, strict=True)
-                     if j.nv and np.any(prepared.damping[j.idx_v : j.idx_v + j.nv] > 0))  # fmt: skip
+                     if j.nv and np.any(compiled.damping[j.idx_v : j.idx_v + j.nv] > 0))  # fmt: skip
         _refuse_global("damping", f"joint {joint!r} is damped", "Use mhc_reference='local', or damping 0")
 
 
@@ -72,16 +72,16 @@ def check_unforced(options: Options) -> None:
         _refuse_global("control", "forces put in from outside", "Use mhc_reference='local'")
 
 
-def check_elements(prepared: Prepared, options: Options) -> None:
+def check_elements(compiled: CompiledScene, options: Options) -> None:
     """The same for what the scene has besides potentials and joint damping."""
-    if prepared.driven is not None:
-        _refuse_blind(options, UNFORCED_TOLERANCES, prepared.driven)
-    elif prepared.forced:
+    if compiled.driven is not None:
+        _refuse_blind(options, UNFORCED_TOLERANCES, compiled.driven)
+    elif compiled.forced:
         _refuse_blind(options, _REMADE_TOLERANCES, "constraints, dampers or dry friction")
-    if prepared.built.elements.any:
+    if compiled.built.elements.any:
         _refuse_blind(options, ("impulse_balance",), "forces or constraints on bodies")
-    if prepared.forced and _carries_reference(options):
-        what = prepared.driven or "constraints, dampers or dry friction"
+    if compiled.forced and _carries_reference(options):
+        what = compiled.driven or "constraints, dampers or dry friction"
         _refuse_global(what, f"a scene with {what}", "Use mhc_reference='local'")
 
 
@@ -111,8 +111,8 @@ def _refuse_global(name: str, got: str, remedy: str) -> None:
     )
 
 
-def _check_rebound(prepared: Prepared) -> None:
-    built = prepared.built
+def _check_rebound(compiled: CompiledScene) -> None:
+    built = compiled.built
     plastic = [f"{a!r} and {b!r}" for (a, b), e in zip(built.pairs, built.restitution, strict=True) if e == 0.0]
     limited = zip(built.model.names, built.arrays.limits, built.arrays.limit_restitution, strict=True)
     plastic += [f"the limits of joint {name!r}" for name, used, e in limited if used and e == 0.0]

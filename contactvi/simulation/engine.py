@@ -7,19 +7,19 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from contactvi import _core, checks
+from contactvi import _core, inputs
 from contactvi.errors import ContactviError, PenetrationError, SimulationError
 from contactvi.options import IMPACT_MAPS, ZENO, Options
 from contactvi.simulation.messages import REMEDY
 from contactvi.simulation.recorder import Record
 from contactvi.status import Status, StatusCode
-from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.compiled import CompiledScene
 
 _FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects in the first arc
 
 
 def make(
-    prepared: Prepared,
+    compiled: CompiledScene,
     options: Options,
     first_dt: float | None = None,
     slack: float = 1.0,
@@ -33,7 +33,7 @@ def make(
         dt_contact: longest step in contact [s], by default that of the options.
     """
     return _core.Simulator(
-        prepared.core,
+        compiled.core,
         (first_dt or _FIRST_DT) if options.auto else options.fixed_dt,
         options.stage_tol * slack,
         IMPACT_MAPS.index(options.impact),
@@ -51,7 +51,7 @@ def make(
 
 
 def start(
-    engine: Any, prepared: Prepared, options: Options, q0: ArrayLike | None, v0: ArrayLike | None, t: float = 0.0
+    engine: Any, compiled: CompiledScene, options: Options, q0: ArrayLike | None, v0: ArrayLike | None, t: float = 0.0
 ) -> tuple[Record, ContactviError | None]:
     """Put the engine to (q0, v0), those of the scene where None, at t [s].
 
@@ -60,14 +60,14 @@ def start(
     Raises:
         InputError: for a bad state.
     """
-    states = prepared.states
-    q = states.configuration(prepared.q0 if q0 is None else q0)
-    begin = t if type(t) is float and t == 0.0 else float(checks.array("t", t, (), "the start time in seconds"))
-    given = prepared.v0 if v0 is None else v0
-    v = prepared.start_velocity(q, begin) if given is None else states.velocity(given)
-    prepared.check_start(q, v, begin)
+    states = compiled.states
+    q = states.configuration(compiled.q0 if q0 is None else q0)
+    begin = t if type(t) is float and t == 0.0 else float(inputs.array("t", t, (), "the start time in seconds"))
+    given = compiled.v0 if v0 is None else v0
+    v = compiled.start_velocity(q, begin) if given is None else states.velocity(given)
+    compiled.check_start(q, v, begin)
     result = call(engine.reset, q, v, begin)
-    record = Record(prepared, options, begin, q, engine.p)
+    record = Record(compiled, options, begin, q, engine.p)
     if result["code"] == StatusCode.SUCCESS:
         return record, None
     status = record.end(result, begin)

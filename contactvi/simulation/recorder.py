@@ -17,7 +17,7 @@ from contactvi.records.work import Growing
 from contactvi.simulation.messages import describe
 from contactvi.status import Stats, Status, StatusCode
 from contactvi.trajectory import polynomials as dense
-from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -26,9 +26,9 @@ Array = NDArray[np.float64]
 class Record:
     """Grows by what each call of the engine returns. t, q, p and events are lists of blocks, one per call."""
 
-    def __init__(self, prepared: Prepared, options: Options, t: float, q: Array, p: Array) -> None:
+    def __init__(self, compiled: CompiledScene, options: Options, t: float, q: Array, p: Array) -> None:
         """Start with the state at t [s]: q (nq,), p (nv,)."""
-        self.prepared, self.options, self.start = prepared, options, t
+        self.compiled, self.options, self.start = compiled, options, t
         self.t: list[Array] = [np.array([t])]
         self.q: list[Array] = [q[None]]
         self.p: list[Array] = [p[None]]
@@ -40,8 +40,8 @@ class Record:
         self.arcs: Mapping[str, Array] | None = None
         self._reached = t
         self.stats = Stats()
-        self.forced = prepared.forced
-        self.forces = Growing(t, prepared.constraint_rows)
+        self.forced = compiled.forced
+        self.forces = Growing(t, compiled.constraint_rows)
         self.status = Status(StatusCode.SUCCESS, "the run has started", t)
 
     def collect(self, result: Mapping[str, Any]) -> Status:
@@ -88,7 +88,7 @@ class Record:
         index = int(result["pair"])
         if index < 0:
             return None
-        return event_log.label(int(result["pair_kind"]), index, self.prepared.pair_names, self.prepared.joint_names)
+        return event_log.label(int(result["pair_kind"]), index, self.compiled.pair_names, self.compiled.joint_names)
 
     def nodes(self, first: int = 0) -> tuple[Array, Array, Array]:
         """Return t (N,), q (N, nq), p (N, nv) of the blocks from `first` on."""
@@ -97,11 +97,11 @@ class Record:
 
     def log(self, first: int = 0) -> event_log.EventLog:
         """Return the events of the blocks from `first` on."""
-        parts, states = self.events[first:], self.prepared.states
+        parts, states = self.events[first:], self.compiled.states
         return event_log.EventLog(
-            partial(_events, self.prepared.core, parts, states.nq, states.nv),
-            self.prepared.pair_names,
-            self.prepared.joint_names,
+            partial(_events, self.compiled.core, parts, states.nq, states.nv),
+            self.compiled.pair_names,
+            self.compiled.joint_names,
             self.options.impact,
         )
 
@@ -112,12 +112,12 @@ class Record:
     def contact_log(self, first: int = 0) -> contacts.ContactLog:
         """Return the contacts of the blocks from `first` on."""
         rows = contacts.joined(self.contacts[first:], contacts.FIELDS)
-        return contacts.ContactLog(rows, self.prepared.pair_names, self.prepared.joint_names)
+        return contacts.ContactLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def change_log(self, first: int = 0) -> contacts.ChangeLog:
         """Return the changes of contacts of the blocks from `first` on."""
         rows = contacts.joined(self.changes[first:], contacts.CHANGE_FIELDS)
-        return contacts.ChangeLog(rows, self.prepared.pair_names, self.prepared.joint_names)
+        return contacts.ChangeLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def phases_joined(self) -> dict[str, Array] | None:
         """Return {"t", "dt", "held"}: from these times on steps have these lengths; None where nothing was held."""
@@ -170,13 +170,13 @@ class Record:
         if self.options.sample_dt is not None and segments is not None:
             times = dense.sample_times(float(t[0]), float(t[-1]), self.options.sample_dt)
             times = times if len(times) > 1 else t[[0, -1]]
-            inner_q, inner_v = segments.states(self.prepared.core, times[1:-1], exact=not self.forced)
-            inner_p = np.asarray(self.prepared.core.momentum(inner_q, inner_v))
+            inner_q, inner_v = segments.states(self.compiled.core, times[1:-1], exact=not self.forced)
+            inner_p = np.asarray(self.compiled.core.momentum(inner_q, inner_v))
             t, q, p = times, np.vstack([q[:1], inner_q, q[-1:]]), np.vstack([p[:1], inner_p, p[-1:]])
         if forces is not None and (len(forces.t) != len(t) or np.any(forces.t != t)):
             forces = forces.sampled(t)
         return Trajectory(
-            self.prepared, self.options, t, q, p, self.log(), self.status, self.stats,
+            self.compiled, self.options, t, q, p, self.log(), self.status, self.stats,
             forced=self.forced, segments=segments, arcs=self.arcs, error_estimate=error_estimate,
             contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(), forces=forces,
         )  # fmt: skip

@@ -15,7 +15,7 @@ from contactvi.simulation import adaptive as auto_step
 from contactvi.simulation.messages import REMEDY
 from contactvi.simulation.simulator import PROGRESS_PERIOD, Simulator, settings_of
 from contactvi.status import StatusCode
-from contactvi.trajectory.compiled import Prepared, prepare
+from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -88,18 +88,18 @@ def simulate(
     )
     settings = settings_of(scene, chosen, forced=control is not None or target is not None)
     span = settings.span
-    prepared = prepare(scene)
+    compiled = compile_scene(scene)
     if settings.auto:
-        _check_auto(prepared, "control" if control is not None else "target" if target is not None else None)
+        _check_auto(compiled, "control" if control is not None else "target" if target is not None else None)
     steps = 0 if settings.auto else settings.steps
-    inputs = control if control is None or callable(control) else prepared.states.forces(control, steps)
+    inputs = control if control is None or callable(control) else compiled.states.forces(control, steps)
     if progress is True:
         from contactvi.progress import RunProgress
 
         with RunProgress(span) as bar:
-            traj = _run(prepared, settings, q0, v0, inputs, target, bar, throw)
+            traj = _run(compiled, settings, q0, v0, inputs, target, bar, throw)
     else:
-        traj = _run(prepared, settings, q0, v0, inputs, target, progress or None, throw)
+        traj = _run(compiled, settings, q0, v0, inputs, target, progress or None, throw)
     if throw and not traj.status.ok:
         broken = traj.status.code == StatusCode.LEDGER
         fact = "exceeds a tolerance of its ledger" if broken else "ended before its time"
@@ -114,7 +114,7 @@ def simulate(
     return traj
 
 
-def _check_auto(prepared: Prepared, inputs: str | None) -> None:
+def _check_auto(compiled: CompiledScene, inputs: str | None) -> None:
     """Raise InputError where the scene or its inputs need steps of one length."""
     remedy = "Give dt=..., for example dt=1e-3"
     if inputs is not None:
@@ -122,7 +122,7 @@ def _check_auto(prepared: Prepared, inputs: str | None) -> None:
             "Inputs are constant over a step, so the run cannot choose it", name="dt",
             expected=f"a time in seconds with {inputs}", got="'auto'", remedy=remedy,
         )  # fmt: skip
-    reason = prepared.built.needs_fixed_step
+    reason = compiled.built.needs_fixed_step
     if reason is not None:
         raise InputError(
             "The step cannot be chosen by the run", name="dt",
@@ -131,7 +131,7 @@ def _check_auto(prepared: Prepared, inputs: str | None) -> None:
 
 
 def _run(
-    prepared: Prepared,
+    compiled: CompiledScene,
     options: Options,
     q0: ArrayLike | None,
     v0: ArrayLike | None,
@@ -141,8 +141,8 @@ def _run(
     throw: bool,
 ) -> Trajectory:
     if options.auto:
-        return auto_step.run(prepared, options, q0, v0, progress, throw)
-    simulator = Simulator._prepared(prepared, options)
+        return auto_step.run(compiled, options, q0, v0, progress, throw)
+    simulator = Simulator.of_compiled(compiled, options)
     try:
         simulator.reset(q0, v0)
     except PenetrationError:

@@ -25,7 +25,7 @@ from contactvi.simulation.recorder import Record
 from contactvi.simulation.targets import Targets
 from contactvi.simulation.tolerances import Watch
 from contactvi.status import Status, StatusCode
-from contactvi.trajectory.compiled import Prepared, prepare
+from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.ledger import Ledger
 from contactvi.trajectory.trajectory import Trajectory
 
@@ -46,7 +46,7 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
         forced: whether it has inputs, which count where neither says a dt (options.merged), as some elements of scenes
             do.
     """
-    fixed = forced or scene._complete().needs_fixed_step is not None
+    fixed = forced or scene.built().needs_fixed_step is not None
     return Options.from_dict(merged(scene.settings, chosen, fixed))
 
 
@@ -54,7 +54,7 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
 class Snapshot:
     """The state of a `Simulator`, opaque; it belongs to one scene and its options."""
 
-    scene: Prepared
+    scene: CompiledScene
     options: Options
     engine: Any
     record: Record
@@ -82,18 +82,18 @@ class Simulator:
         else:
             settings = settings_of(scene, dict(options, dt=dt))
         settings.require_fixed()
-        self._set_up(prepare(scene), settings)
+        self._set_up(compile_scene(scene), settings)
 
     @classmethod
-    def _prepared(cls, prepared: Prepared, options: Options) -> Simulator:
+    def of_compiled(cls, compiled: CompiledScene, options: Options) -> Simulator:
         simulator = cls.__new__(cls)
-        simulator._set_up(prepared, options)
+        simulator._set_up(compiled, options)
         return simulator
 
-    def _set_up(self, prepared: Prepared, options: Options) -> None:
-        self._scene, self.options = prepared, options
-        check_map(prepared, options)
-        check_elements(prepared, options)
+    def _set_up(self, compiled: CompiledScene, options: Options) -> None:
+        self._scene, self.options = compiled, options
+        check_map(compiled, options)
+        check_elements(compiled, options)
         self._engine: Any = None
         self._record: Record | None = None
         self.unreachable: ConstraintError | None = None  # why a run ended where constraints could not be met
@@ -306,7 +306,7 @@ class Simulator:
 
     def copy(self) -> Simulator:
         """Return a simulator in the same state that goes on by itself."""
-        twin = Simulator._prepared(self._scene, self.options)
+        twin = Simulator.of_compiled(self._scene, self.options)
         if self._record is not None:
             twin.load(self.save())
         return twin

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import at, called, checked
 from contactvi.errors import InputError, UserFunctionError
-from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.compiled import CompiledScene
 
 Array = NDArray[np.float64]
 
@@ -30,15 +30,15 @@ Array = NDArray[np.float64]
 class Targets:
     """The references of a run that starts at q0 (nq,), as rows of (2 nv,): positions by dof, then velocities."""
 
-    def __init__(self, prepared: Prepared, q0: Array) -> None:
-        model = prepared.built.model
-        self.joints = prepared.built.servo_joints
+    def __init__(self, compiled: CompiledScene, q0: Array) -> None:
+        model = compiled.built.model
+        self.joints = compiled.built.servo_joints
         ids = [model.getJointId(name) for name in self.joints]
         self._dofs = np.array([model.idx_vs[i] for i in ids], dtype=int)
         self._hold = np.array([_place(model, i, q0) for i in ids], dtype=float)
         self._nv = int(model.nv)
-        self._prepared = prepared
-        self._motions = {name: motion for name, motion in prepared.built.arrays.targets.items() if name in self.joints}
+        self._compiled = compiled
+        self._motions = {name: motion for name, motion in compiled.built.arrays.targets.items() if name in self.joints}
 
     def __deepcopy__(self, memo: Any) -> Targets:
         return self  # nothing in it changes
@@ -65,10 +65,10 @@ class Targets:
 
     def _chosen(self, target: Mapping[Any, Any]) -> dict[str, Signal]:
         motions = dict(self._motions)
-        scene = self._prepared.scene() if target else None
+        scene = self._compiled.scene() if target else None
         for selector, motion in target.items():
             assert scene is not None
-            for name in scene._joints(selector):
+            for name in scene.names.select_joints(selector):
                 if name not in self.joints:
                     raise InputError(
                         f"Joint {name!r} has no servo", name="target", expected="one of scene.servo_joints",

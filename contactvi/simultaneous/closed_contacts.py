@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, PenetrationError, did_you_mean
 from contactvi.inputs import real
 from contactvi.records.events import label
-from contactvi.scene.build import engine_points
-from contactvi.trajectory.compiled import Prepared
+from contactvi.scene.engine import engine_impacts
+from contactvi.trajectory.compiled import CompiledScene
+
+if TYPE_CHECKING:
+    from contactvi.scene.engine import ImpactsAt
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -43,17 +45,30 @@ class ClosedContact:
 
 
 def closed_contacts(
-    prepared: Prepared, q: Array, v: Array, pairs: Sequence[Sequence[str]] | None, e: Any, margin: float
-) -> tuple[ClosedContact, ...]:
-    """Return the contacts with gaps within `margin` [m; rad], or those named by `pairs`, in the engine's order.
+    compiled: CompiledScene,
+    q: Array,
+    v: Array,
+    pairs: Sequence[Sequence[str]] | None,
+    e: Any,
+    margin: float,
+    limit: int,
+) -> tuple[tuple[ClosedContact, ...], ImpactsAt]:
+    """Return the contacts that take part, in the engine's order, and the engine's impacts of them.
 
-    q (nq,), v (nv,) : the state. e : restitution of all, or of each; the scene's where None.
+    Args:
+        compiled: the compiled scene.
+        q: configuration, shape (nq,).
+        v: velocity, shape (nv,).
+        pairs: names of the contacts; None: those with gaps within `margin`.
+        e: restitution of all, or of each; None: the scene's.
+        margin: [m; rad].
+        limit: number of impacts after which a sequence is endless.
 
     Raises:
         InputError: for unknown names, a bad e, and where there is no contact.
         PenetrationError: for one that is deeper.
     """
-    gaps, names, restitution = _guards(prepared, q)
+    gaps, names, restitution = _guards(compiled, q)
     if pairs is None:
         _check_depth(gaps, names, margin)
         chosen = [int(k) for k in np.flatnonzero(gaps <= margin)]
@@ -69,12 +84,10 @@ def closed_contacts(
             remedy="Name the contacts with pairs=[...]",
         )
     values = _restitution(e, restitution[chosen])
-    gradients = np.asarray(prepared.core.gap_gradients(q))
+    engine = engine_impacts(compiled.core, q, chosen, values, margin, limit)
     found = []
     for k, number in enumerate(chosen):
-        rows = gradients[number][None]
-        if number < len(prepared.pair_names):
-            rows = _rows(prepared, q, number, max(margin, float(gaps[number])), rows)
+        rows = engine.gradients(k)
         if not np.all(np.any(rows != 0.0, axis=1)):
             raise InputError(
                 f"{' and '.join(names[number])} cannot move against each other",
@@ -84,40 +97,20 @@ def closed_contacts(
             )
         speed = float((rows @ v).min())
         found.append(ClosedContact(names[number], float(values[k]), float(gaps[number]), speed, rows))
-    return tuple(found)
+    return tuple(found), engine
 
 
-def _rows(prepared: Prepared, q: Array, pair: int, margin: float, witness: Array) -> Array:
-    """Return n . (J_b(x) - J_a(x)) of the points of a pair, shape (points, nv); the witness's where there is one."""
-    point_a, point_b, normal = engine_points(prepared.core, q, pair, margin)
-    if len(normal) < 2:
-        return witness
-    model, collision = prepared.built.model, prepared.built.collision
-    data = model.createData()
-    pin.computeJointJacobians(model, data, q)
-    shapes = collision.collisionPairs[pair]
-    rows = np.zeros((len(normal), model.nv))
-    for sign, shape, points in ((-1.0, shapes.first, point_a), (1.0, shapes.second, point_b)):
-        joint = int(collision.geometryObjects[shape].parentJoint)
-        if joint == 0:
-            continue
-        jacobian = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        arm = points - data.oMi[joint].translation
-        rows += sign * (normal @ jacobian[:3] + np.cross(arm, normal) @ jacobian[3:])
-    return rows
-
-
-def _guards(prepared: Prepared, q: Array) -> tuple[Array, list[Pair], Array]:
+def _guards(compiled: CompiledScene, q: Array) -> tuple[Array, list[Pair], Array]:
     """Return gaps, names and restitution of all guards in the engine's order: pairs, then joint limits."""
-    built = prepared.built
-    gaps = [np.asarray(prepared.core.gaps(q)[0])]
-    names, restitution = list(prepared.pair_names), list(built.restitution)
+    built = compiled.built
+    gaps = [np.asarray(compiled.core.gaps(q)[0])]
+    names, restitution = list(compiled.pair_names), list(built.restitution)
     for index in np.flatnonzero(built.arrays.limits):
         at = built.model.joints[int(index)].idx_q
         for side, bound in enumerate((built.model.lowerPositionLimit[at], built.model.upperPositionLimit[at])):
             if np.isfinite(bound):
                 gaps.append(np.array([bound - q[at] if side else q[at] - bound]))
-                names.append(label(1, 2 * int(index) + side, prepared.pair_names, prepared.joint_names))
+                names.append(label(1, 2 * int(index) + side, compiled.pair_names, compiled.joint_names))
                 restitution.append(built.arrays.limit_restitution[int(index)])
     return np.concatenate(gaps), names, np.array(restitution, dtype=float)
 

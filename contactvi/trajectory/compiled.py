@@ -1,25 +1,25 @@
-"""A scene as its runs need it: taken as it is at a run, prepared once and again after an edit."""
+"""A scene as its runs need it: taken as it is at the start of a run, compiled once and again after an edit."""
 
 from __future__ import annotations
 
 import contextlib
-import copy
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.checks import States
 from contactvi.elements.elements import UserForce, UserPotential
 from contactvi.errors import ConstraintError, SceneError, UserFunctionError
+from contactvi.inputs import States
 from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
 from contactvi.scene.derivative_check import GENERIC, check_element, mover
 from contactvi.scene.scene import Scene
 
 
-class Prepared:
+class CompiledScene:
     """What runs of a scene share: a copy that later edits do not reach, the engine's scene, names, checks of states.
 
     Attributes:
@@ -32,11 +32,11 @@ class Prepared:
     """
 
     def __init__(self, scene: Scene) -> None:
-        built = scene._complete()
+        built = scene.built()
         _refuse_missing(scene)
         self.core = scene.core()
         self.built = built
-        self._scene = _copy(scene)
+        self._scene = scene.copy()
         self.states = States(built.model)
         self.pair_names = [(str(a), str(b)) for a, b in built.pairs]
         self.joint_names = [str(name) for name in built.model.names]
@@ -45,12 +45,12 @@ class Prepared:
 
     def scene(self) -> Scene:
         """Return a new copy of the scene as it was, for the caller to keep and edit; what is built is shared."""
-        return _copy(self._scene)
+        return self._scene.copy()
 
     def fits(self, scene: Scene) -> bool:
         """Return whether the scene is still as it was."""
         kept = self._scene
-        same = scene._built is self.built and scene.q0 is kept.q0 and scene.v0 is kept.v0
+        same = scene.built() is self.built and scene.q0 is kept.q0 and scene.v0 is kept.v0
         return same and scene.settings == kept.settings
 
     @property
@@ -136,7 +136,7 @@ class Prepared:
 
 
 def _refuse_missing(scene: Scene) -> None:
-    missing = scene._edits.missing
+    missing = scene.missing
     if missing:
         raise SceneError(
             f"The scene lacks {', '.join(repr(name) for name in missing)}",
@@ -146,18 +146,13 @@ def _refuse_missing(scene: Scene) -> None:
         )
 
 
-def prepare(scene: Scene) -> Prepared:
+# The compiled scene of each scene that has run; it lives as long as the scene does.
+_compiled: WeakKeyDictionary[Scene, CompiledScene] = WeakKeyDictionary()
+
+
+def compile_scene(scene: Scene) -> CompiledScene:
     """Return what runs of the scene need, kept with it until it is edited."""
-    kept = scene._prepared
-    if not isinstance(kept, Prepared) or not kept.fits(scene):
-        kept = scene._prepared = Prepared(scene)
+    kept = _compiled.get(scene)
+    if kept is None or not kept.fits(scene):
+        kept = _compiled[scene] = CompiledScene(scene)
     return kept
-
-
-def _copy(scene: Scene) -> Scene:
-    taken = copy.copy(scene)
-    for name, value in vars(scene).items():
-        if isinstance(value, (list, dict)):
-            setattr(taken, name, copy.copy(value))
-    taken._edits, taken._prepared = copy.deepcopy(scene._edits), None
-    return taken

@@ -16,7 +16,7 @@ Jumps of the three scalars at an impact (q_c, p_minus -> p_plus; `before` and `a
 What damping does between the two things compared (the stages of the parts, the two nodes) is no jump, and taken off: by
 the Gauss weights of the stages.
 
-Tolerances, the keys of `ledger` of a run (option_checks.LEDGER_TOLERANCES), are upper bounds of
+Tolerances, the keys of `ledger` of a run (inputs.LEDGER_TOLERANCES), are upper bounds of
 
 - energy, modified_energy, discrete_energy: drift from the start at the recorded nodes, losses added back, relative to
   the largest kinetic energy so far. Damping and inputs change these energies; a tolerance is for runs without.

@@ -17,7 +17,7 @@ from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, emp
 from contactvi.records.events import EventLog
 from contactvi.records.work import ConstraintRows, Forces, Work
 from contactvi.status import Stats, Status
-from contactvi.trajectory.compiled import Prepared
+from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.contact_ledger import ContactLedger
 from contactvi.trajectory.ledger import Ledger
 from contactvi.trajectory.polynomials import Segments, State, frame_times
@@ -57,7 +57,7 @@ class Trajectory:
 
     def __init__(
         self,
-        scene: Scene | Prepared,
+        scene: Scene | CompiledScene,
         options: Options,
         t: Array,
         q: Array,
@@ -81,7 +81,7 @@ class Trajectory:
     ) -> None:
         self._scene = scene
         # the engine's scene at the time of the run: the Python scene may be edited afterwards
-        self._core = scene.core if isinstance(scene, Prepared) else None
+        self._core = scene.core if isinstance(scene, CompiledScene) else None
         self.options = options
         self.t, self.q, self.p = t, q, p
         self.events = events
@@ -104,7 +104,7 @@ class Trajectory:
     @property
     def scene(self) -> Scene:
         """The scene that was run, as it was."""
-        if isinstance(self._scene, Prepared):
+        if isinstance(self._scene, CompiledScene):
             self._scene = self._scene.scene()
         return self._scene
 
@@ -132,7 +132,7 @@ class Trajectory:
             return ""
         held, ends = self.phases["held"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
         span = float((ends - self.phases["t"])[held].sum())
-        constrained = bool(self.forces is not None and self.forces.constraints) or self.scene._complete().constrained
+        constrained = bool(self.forces is not None and self.forces.constraints) or self.scene.built().constrained
         what = "constraints met" if constrained else f"contacts held for {span:.4g} s"
         lengths, same = _lengths(self.phases["dt"][held]), self.options.order == 2 and not self.options.auto
         if same and np.all(self.phases["dt"][held] == self.options.fixed_dt):
@@ -174,7 +174,7 @@ class Trajectory:
     def ledger(self) -> Ledger:
         """What should be conserved, node by node and impact by impact (contactvi.trajectory.ledger)."""
         if self._ledger is None:
-            built, lacking = self.scene._complete(), bool(self.scene._edits.missing)
+            built, lacking = self.scene.built(), bool(self.scene.missing)
             self._ledger = Ledger(
                 self._engine(), self.options, self.t, self.q, self.p, self.events,
                 model=self.scene.model, collision=self.scene.collision_model, forced=self.forced,
@@ -299,7 +299,7 @@ class Trajectory:
                 remedy="Run it with dense=True; resample interpolates between the nodes",
             )
         core = self._engine()
-        q, v = self.segments.states(core, times, exact=not self.forced and not self.scene._edits.missing)
+        q, v = self.segments.states(core, times, exact=not self.forced and not self.scene.missing)
         last = times >= self.t[-1]  # of a run that ended with an impact the segments know only what was before it
         q[last], v[last] = self.q[-1], core.velocity(self.q[-1:], self.p[-1:])[0]
         p = np.asarray(core.momentum(q, v))

@@ -9,18 +9,19 @@ import numpy as np
 import pinocchio as pin
 from scipy.integrate import quad
 
+from contactvi.reproduce.check import Check, at_least, at_most, near, same
 from contactvi.trajectory.trajectory import Trajectory
-from contactvi.verify import model as models
-from contactvi.verify.check import Case, Check, Runs, at_least, at_most, near, same
+from contactvi.verify import systems
+from contactvi.verify.case import Case, Runs
 
-_G = models.GRAVITY
+_G = systems.GRAVITY
 _EVEN = "constant acceleration is exact in the midpoint rule; steps are solved to 1e-12"
 
 
 def dropped_ball(runs: Runs) -> list[Check]:
     """Closed form of a fall from 0.9 m with e = 0.5: accumulation at t1 (1 + e) / (1 - e) = 3 t1."""
-    scene = models.ball(0.5, 0.2)
-    traj = runs.simulate(scene, models.at_height(scene, 1.0), np.zeros(6), 2.0, 0.01)
+    scene = systems.ball_over_ground(0.5, 0.2)
+    traj = runs.simulate(scene, systems.at_height(scene, 1.0), np.zeros(6), 2.0, 0.01)
     first, ended = traj.events[0], times_of(traj, "bouncing ended", "value")
     rest = traj.t >= 1.29
     return [
@@ -34,9 +35,9 @@ def dropped_ball(runs: Runs) -> list[Check]:
 
 def spinning_ball(runs: Runs) -> list[Check]:
     """Closed form: P_F = mu P_N while it slips, -2/7 of R omega when it has come to roll."""
-    scene, mass = models.ball(0.0, 0.2, mass=2.0), 2.0
+    scene, mass = systems.ball_over_ground(0.0, 0.2, mass=2.0), 2.0
     v = np.array([0.0, 0.0, 0.0, 0.0, -50.0, 0.0])  # about -y: counterclockwise seen with x right and z up
-    traj = runs.simulate(scene, models.at_height(scene, 1.0), v, 1.0, 0.01)
+    traj = runs.simulate(scene, systems.at_height(scene, 1.0), v, 1.0, 0.01)
     event, stick = traj.events[0], times_of(traj, "stick")
     after = np.asarray(traj.scene.core().velocity(event.q[None], event.p_plus[None]))[0]
     impulse = event.impulse_vector * (1.0 if event.pair[1] == "ball" else -1.0)  # on the second shape
@@ -65,7 +66,7 @@ def painleve(runs: Runs) -> list[Check]:
     s, c = math.sin(theta), math.cos(theta)
     checks = []
     for mu in (1.2, 1.4):
-        scene, q = models.rod_on_ground(theta, radius, 0.0, mu, _G)
+        scene, q = systems.rod_on_ground(theta, radius, 0.0, mu, _G)
         traj = runs.simulate(scene, q, [-1.0, 0.0, 0.0], 0.05, 1e-4)
         A = 1.0 + 3.0 * c * c - 6.0 * mu * c * (0.5 * s + radius)
         said = len(times_of(traj, "inconsistent"))
@@ -90,7 +91,7 @@ def box_on_slope(runs: Runs) -> list[Check]:
     slope = math.radians(30.0)
     checks = []
     for factor in (1.02, 1.5):
-        scene, q = models.box((0.2, 0.3, 0.1), 0.0, factor * math.tan(slope), slope)
+        scene, q = systems.box_on_ground((0.2, 0.3, 0.1), 0.0, factor * math.tan(slope), slope)
         traj = runs.simulate(scene, q, np.zeros(6), 100.0, 0.05)
         checks += [
             at_most(f"moved in 100 s [m], mu = {factor:g} tan", 1e-10, largest(traj.q - q), "the case's"),
@@ -102,7 +103,7 @@ def box_on_slope(runs: Runs) -> list[Check]:
 def box_slides(runs: Runs) -> list[Check]:
     """Closed form: a = g (sin - mu cos)."""
     slope, mu = math.radians(30.0), 0.3
-    scene, q = models.box((0.2, 0.3, 0.1), 0.0, mu, slope)
+    scene, q = systems.box_on_ground((0.2, 0.3, 0.1), 0.0, mu, slope)
     traj = runs.simulate(scene, q, np.zeros(6), 1.0, 0.01)
     a = _G * (math.sin(slope) - mu * math.cos(slope))
     down = np.array([math.cos(slope), 0.0, -math.sin(slope)])
@@ -115,7 +116,7 @@ def box_slides(runs: Runs) -> list[Check]:
 
 def box_stops(runs: Runs) -> list[Check]:
     """Closed form: a box on the flat with 1 m/s and mu = 0.3 stops after 1/(mu g) s, 1/(2 mu g) m, and stays."""
-    scene, q = models.box((0.2, 0.3, 0.1), 0.0, 0.3)
+    scene, q = systems.box_on_ground((0.2, 0.3, 0.1), 0.0, 0.3)
     traj = runs.simulate(scene, q, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0, 0.01)
     located = "the stick is located inside its step to 1e-10 s"
     return [
@@ -127,7 +128,7 @@ def box_stops(runs: Runs) -> list[Check]:
 
 def flat_box(runs: Runs) -> list[Check]:
     """A face is one impact: a box dropped flat comes back with e v, straight up, by four equal impulses."""
-    scene, q = models.box((0.2, 0.3, 0.1), 0.5, 0.4)
+    scene, q = systems.box_on_ground((0.2, 0.3, 0.1), 0.5, 0.4)
     q[2] += 0.5
     traj = runs.simulate(scene, q, np.zeros(6), 0.4, 0.01)
     event = traj.events[0]
@@ -154,7 +155,7 @@ def rocking_box(runs: Runs) -> list[Check]:
     With edges rounded by r the points of contact stand at a = b/2 - r: (I + m (h^2/4 - a^2)) / (I + m (h^2/4 + a^2)).
     """
     b, h = 0.1, 0.3
-    scene, q = models.box((b, 0.2, h), 0.0, 3.0)
+    scene, q = systems.box_on_ground((b, 0.2, h), 0.0, 3.0)
     r = max(scene.core().rounding)
     tilt = 0.1
     q[3:7] = pin.Quaternion(pin.exp3(np.array([0.0, tilt, 0.0]))).coeffs()
@@ -185,7 +186,7 @@ def tossed_box(runs: Runs) -> list[Check]:
     """A box with spin, mu = .4, e = .3: whatever the step, it ends at rest on one of its faces."""
     checks, size = [], np.array([0.2, 0.3, 0.4])
     for h in (0.1, 0.05, 0.02, 0.01, 0.005):
-        scene, q = models.box(size, 0.3, 0.4)
+        scene, q = systems.box_on_ground(size, 0.3, 0.4)
         q[:3] = 0.0, 0.0, 0.6
         q[3:7] = pin.Quaternion(pin.exp3(np.array([0.4, -0.7, 0.3]))).coeffs()
         traj = runs.simulate(scene, q, [0.5, 0.2, 0.0, 2.0, -1.0, 3.0], 5.0, h)
@@ -203,7 +204,7 @@ def rolling_cylinder(runs: Runs) -> list[Check]:
     slope = math.radians(10.0)
     checks = []
     for name, angle, speed in (("flat", 0.0, 1.0), ("slope of 10 deg", slope, 0.0)):
-        scene, q = models.cylinder(0.5, angle)
+        scene, q = systems.cylinder_on_ground(0.5, angle)
         v = np.zeros(6)
         # the axis is the body's z, turned to -y of the world: rolling to +x turns about +y, the body's -z
         v[0], v[5] = speed, -speed / 0.1
@@ -230,7 +231,7 @@ def ladder_leaves(runs: Runs) -> list[Check]:
     exact = quad(integrand, 0.0, math.sqrt(start - end), epsabs=1e-14, epsrel=1e-13)[0]
     errors, checks = [], []
     for h in (0.01, 0.005, 0.0025):
-        scene, q = models.ladder(start)
+        scene, q = systems.ladder_in_corner(start)
         traj = runs.simulate(scene, q, np.zeros(3), 0.6, h)
         left = [change.time for change in traj.contact_changes if change.change == "release" and "wall" in change.pair]
         time = left[0] if left else math.nan
@@ -246,7 +247,7 @@ def ladder_leaves(runs: Runs) -> list[Check]:
 
 def joint_limit(runs: Runs) -> list[Check]:
     """Closed form of the bouncing ball, at a joint limit with e = 0.5, 1 m below; then the limit carries the weight."""
-    traj = runs.simulate(models.slider_with_limit(0.5), [1.0], [0.0], 3.0, 0.01)
+    traj = runs.simulate(systems.slider_with_limit(0.5), [1.0], [0.0], 3.0, 0.01)
     rest = traj.t > 1.36
     log = traj.contacts
     force = log.force[log.h > 0.0][:, 0]

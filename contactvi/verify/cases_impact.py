@@ -7,20 +7,22 @@ import math
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from contactvi.reproduce.model import ABSOLUTE, START
+from contactvi.reproduce.check import Check, at_most, near, same
+from contactvi.reproduce.systems import ABSOLUTE, START
 from contactvi.scene.scene import Scene
 from contactvi.trajectory.trajectory import Trajectory
-from contactvi.verify import model as models
-from contactvi.verify.check import Case, Check, Runs, at_most, near, same
+from contactvi.verify import systems
+from contactvi.verify.case import Case, Runs
 
-_G = models.GRAVITY
+_G = systems.GRAVITY
 _DIGITS = "the digits given, half a unit of the last, and the run's tol"
 _LOCATED = "impacts are located to 1e-12 m; errors add up over them"
 
 
 def problem_b(runs: Runs) -> list[Check]:
     """Reference of the case: an event-located DOP853 run at rtol 1e-13."""
-    traj = runs.simulate(models.pendulum_b(0.0), np.linalg.solve(ABSOLUTE, START), np.zeros(2), 3.0, tol=1e-11)
+    scene = systems.double_pendulum_at_wall(0.0)
+    traj = runs.simulate(scene, np.linalg.solve(ABSOLUTE, START), np.zeros(2), 3.0, tol=1e-11)
     time, speed, impulse = (traj.events.array(name) for name in ("time", "gamma_minus", "impulse"))
     return [
         near("times of the impacts [s]", [0.656671045, 2.017056240], time, 6e-10, _DIGITS),
@@ -35,8 +37,8 @@ def bouncing_ball(runs: Runs) -> list[Check]:
     """Closed form: t_n = t1 (1 + 2 (e + .. + e^(n-1))), apexes e^2n, accumulation at t1 (1 + e) / (1 - e)."""
     checks, first = [], math.sqrt(2.0 / _G)
     for e, zeno in ((0.9, 8.5789491787), (0.5, 1.354571)):
-        scene = models.ball(e)
-        traj = runs.simulate(scene, models.at_height(scene, 1.1), np.zeros(6), 10.0, 0.01)
+        scene = systems.ball_over_ground(e)
+        traj = runs.simulate(scene, systems.at_height(scene, 1.1), np.zeros(6), 10.0, 0.01)
         events, of = traj.events, f", e = {e:g}"
         n = len(events)
         powers = e ** np.arange(n)
@@ -62,8 +64,8 @@ def bouncing_ball(runs: Runs) -> list[Check]:
 
 def dtec_ball(runs: Runs) -> list[Check]:
     """Closed form of the midpoint rule: dH = m g^2 h (r - a) / 8 at an impact, a of the step before and r after it."""
-    scene, h = models.ball(1.0), 0.01
-    traj = runs.simulate(scene, models.at_height(scene, 1.1), np.zeros(6), 10.0, h, impact="dtec", tol=1e-14)
+    scene, h = systems.ball_over_ground(1.0), 0.01
+    traj = runs.simulate(scene, systems.at_height(scene, 1.1), np.zeros(6), 10.0, h, impact="dtec", tol=1e-14)
     events = traj.events
     a, r = events.array("before"), events.array("after")
     minus, plus = events.array("p_minus")[:, 2], events.array("p_plus")[:, 2]
@@ -79,9 +81,9 @@ def dtec_ball(runs: Runs) -> list[Check]:
 
 def mhc_ball(runs: Runs) -> list[Check]:
     """On a ball under gravity MHC is CTEC: the modified energy differs from the energy by a constant."""
-    scene = models.ball(1.0)
+    scene = systems.ball_over_ground(1.0)
     found: dict[str, Trajectory] = {
-        name: runs.simulate(scene, models.at_height(scene, 1.1), np.zeros(6), 20.0, 0.01, impact=name, tol=1e-14)
+        name: runs.simulate(scene, systems.at_height(scene, 1.1), np.zeros(6), 20.0, 0.01, impact=name, tol=1e-14)
         for name in ("ctec", "mhc")
     }
     mhc, ctec = found["mhc"].events, found["ctec"].events
@@ -100,7 +102,7 @@ def pendulum_at_wall(runs: Runs) -> list[Check]:
     """Closed form: 2 sqrt(l/g) K(sin(theta0/2)) between two hits of the wall at theta = 0."""
     checks = []
     for start, period in ((0.5, 1.0189339576), (1.0, 1.0695688003), (1.5, 1.1654933911)):
-        traj = runs.simulate(models.pendulum_at_wall(), [start], [0.0], 6.0, tol=1e-10)
+        traj = runs.simulate(systems.pendulum_at_wall(), [start], [0.0], 6.0, tol=1e-10)
         times = traj.events.array("time")
         name = f"time between impacts [s], theta0 = {start:g}"
         checks += [
@@ -120,7 +122,7 @@ def rod(runs: Runs) -> list[Check]:
         (60, 0.142857, 3.428571),
     ):
         theta = math.radians(degrees)
-        scene, q = models.rod_on_ground(theta, 0.01, 1.0)
+        scene, q = systems.rod_on_ground(theta, 0.01, 1.0)
         q[1] += 0.05
         traj = runs.simulate(scene, q, [0.0, -1.0, 0.0], 0.1, 0.01)
         impulse = 2.0 / (1.0 + 3.0 * math.cos(theta) ** 2)
@@ -172,7 +174,7 @@ def grazing(runs: Runs) -> list[Check]:
     end = 0.05 * math.ceil((when + 0.1) / 0.05)
     for depth in depths:
         q = np.linalg.solve(ABSOLUTE, START)
-        traj = runs.simulate(models.pendulum_b(least + depth), q, np.zeros(2), end, 0.05, order=16)
+        traj = runs.simulate(systems.double_pendulum_at_wall(least + depth), q, np.zeros(2), end, 0.05, order=16)
         counts.append(len(traj.events))
         steps.append(traj.stats.steps)
         jumps.append(_largest(traj.energy - traj.energy[0]))
@@ -195,7 +197,7 @@ def thin_plate(runs: Runs) -> list[Check]:
         scene.add_sphere("ball", radius=0.0025, mass=0.001)
         scene.add_box("plate", (0.2, 0.2, 0.002), free=False)
         scene.set_contact(restitution=1.0)
-        q = models.at_height(scene, 0.001 + 0.0025 + gap)
+        q = systems.at_height(scene, 0.001 + 0.0025 + gap)
         traj = runs.simulate(scene, q, [0.0, 0.0, -20.0, 0.0, 0.0, 0.0], 0.05, 1e-2)
         times = traj.events.array("time")
         box = "distances of a rounded box come from an iteration, good to 1e-10 m"

@@ -7,10 +7,11 @@ import math
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from contactvi.verify import model_forced as models
+from contactvi.reproduce.check import Check, at_least, at_most, near
+from contactvi.verify import systems
+from contactvi.verify.case import Case, Runs
 from contactvi.verify.cases_forced import residual
-from contactvi.verify.check import Case, Check, Runs, at_least, at_most, near
-from contactvi.verify.model import GRAVITY as _G
+from contactvi.verify.systems import GRAVITY as _G
 
 _PHI = "phi of constraints"
 _SPEEDS = (150.0, -75.0, 0.0)  # of crank, rod and slider at the start of N22 [rad/s]
@@ -23,7 +24,7 @@ def driven_slider_crank(runs: Runs) -> list[Check]:
     complex step, exact to rounding.
     """
     lengths, masses, w = (0.1, 0.3), (1.0, 2.0, 3.0), 10.0
-    scene = models.slider_crank(lengths, masses, w)
+    scene = systems.slider_crank(lengths, masses, w)
     crank, rod = lengths
     checks, errors = [], []
     for h in (0.004, 0.002, 0.001):
@@ -60,13 +61,13 @@ def _crank_torque(phi: np.ndarray, w: float, lengths: tuple[float, ...], masses:
 def driven_four_bar(runs: Runs) -> list[Check]:
     """Closed form: the angles of a crank-rocker follow from its crank's by two triangles; 20 turns of the crank."""
     w, h = 2.0 * math.pi, 0.01
-    scene = models.four_bar(speed=w)
-    q = models.four_bar_angles(0.0)
+    scene = systems.four_bar(speed=w)
+    q = systems.four_bar_angles(0.0)
     traj = runs.simulate(scene, q, scene.consistent_velocity(q), 20.0, h)
-    exact = models.four_bar_angles(w * traj.t)
+    exact = systems.four_bar_angles(w * traj.t)
     exact[:, 1:] = np.unwrap(exact[:, 1:], axis=0)
     off = np.abs(traj.q - exact).max(axis=0)
-    rate = (models.four_bar_angles(1e-4) - models.four_bar_angles(-1e-4)) / 2e-4 * w
+    rate = (systems.four_bar_angles(1e-4) - systems.four_bar_angles(-1e-4)) / 2e-4 * w
     return [
         at_most("crank, largest error [rad]", 1e-10, float(off[0]), _PHI),
         at_most("coupler, largest error [rad]", 1e-9, float(off[1]), _PHI + ", over the sine of the angle at its pin"),
@@ -80,8 +81,8 @@ def driven_four_bar(runs: Runs) -> list[Check]:
 
 def four_bar_stop(runs: Runs) -> list[Check]:
     """Laws of an elastic impact on a loop: the energy and the loop stay, gamma+ = -gamma-, 10 s of them."""
-    scene = models.four_bar(stop=0.55)
-    q = models.four_bar_angles(0.4)
+    scene = systems.four_bar(stop=0.55)
+    q = systems.four_bar_angles(0.4)
     v = scene.consistent_velocity(q, [5.0, -5.0, 0.0])
     core, checks, spread = scene.core(), [], []
     for h in (2e-3, 1e-3):
@@ -94,7 +95,7 @@ def four_bar_stop(runs: Runs) -> list[Check]:
             for e in traj.events
         ]
         spread.append(float(np.ptp(traj.energy)))
-        exact = models.four_bar_angles(traj.q[:, 0])
+        exact = systems.four_bar_angles(traj.q[:, 0])
         closed = np.abs(np.angle(np.exp(1j * (traj.q - exact)))).max()
         checks += [
             at_least(f"impacts{of}", 10.0, float(len(traj.events)), "so that there is something to see"),
@@ -112,11 +113,11 @@ def four_bar_stop(runs: Runs) -> list[Check]:
 
 def slider_with_clearance(runs: Runs) -> list[Check]:
     """N22 (Flores, Leine, Glocker 2010): h against h/4, no impact gains energy; the first impact by DOP853."""
-    scene, T = models.slider_with_clearance(), 0.2
+    scene, T = systems.slider_with_clearance(), 0.2
     v = [_SPEEDS[0], _SPEEDS[1] - _SPEEDS[0], _SPEEDS[2] - _SPEEDS[1]]  # joints' angles are differences
     found, checks = [], []
     first, speed = _first_touch()
-    way = models.LENGTHS[0] * _SPEEDS[0] * first  # of the crank's end, which the rod all but makes up for
+    way = systems.LENGTHS[0] * _SPEEDS[0] * first  # of the crank's end, which the rod all but makes up for
     for h in (1e-5, 2.5e-6):
         traj, of = runs.simulate(scene, np.zeros(3), v, T, h), f", h = {h:g}"
         found.append(traj)
@@ -143,7 +144,7 @@ def slider_with_clearance(runs: Runs) -> list[Check]:
 
 def _first_touch() -> tuple[float, float]:
     """Return the time [s] at which the slider of N22 first uses up its clearance, turning not before, and its speed."""
-    (r, s), (m1, m2, m3), (J1, J2, _) = models.LENGTHS, models.MASSES, models.INERTIAS
+    (r, s), (m1, m2, m3), (J1, J2, _) = systems.LENGTHS, systems.MASSES, systems.INERTIAS
 
     def rate(_t: float, y: np.ndarray) -> list[float]:
         """d(a, b, a', b')/dt of crank and rod with the slider's mass at the rod's end, absolute angles."""
@@ -158,7 +159,7 @@ def _first_touch() -> tuple[float, float]:
         return [u, w, *np.linalg.solve(M, force)]
 
     def gap(_t: float, y: np.ndarray) -> float:
-        return models.CLEARANCE - abs(r * math.sin(y[0]) + s * math.sin(y[1]))
+        return systems.CLEARANCE - abs(r * math.sin(y[0]) + s * math.sin(y[1]))
 
     gap.terminal = True  # type: ignore[attr-defined]
     run = solve_ivp(rate, (0.0, 0.05), [0.0, 0.0, *_SPEEDS[:2]], method="DOP853", events=gap, rtol=1e-12, atol=1e-13)

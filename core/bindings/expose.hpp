@@ -15,5 +15,6 @@ void expose_dense(nanobind::module_& m);
 void expose_kernel(nanobind::module_& m);
 void expose_manifold(nanobind::module_& m);
 void expose_reference(nanobind::module_& m);
+void expose_sequence(nanobind::module_& m);
 
 }  // namespace contactvi

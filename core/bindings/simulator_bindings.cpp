@@ -279,8 +279,10 @@ void expose_simulator(nb::module_& m) {
              bool stiff_support, int contact_points, bool record_contacts) {
             if (order < 2 || order > 2 * kMaxStages || order % 2 != 0)
               throw Error("expected an even order from 2 to 16");
-            new (self) Simulator(scene, {dt, tol, impact, mhc_global, max_iterations, max_impacts_per_step, order / 2,
-                                         dense, dt_contact, zeno != 0, stiff_support, contact_points, record_contacts});
+            new (self) Simulator(
+                scene, {dt, tol, static_cast<ImpactMap>(impact), mhc_global ? MhcReference::kRun : MhcReference::kStep,
+                        max_iterations, max_impacts_per_step, order / 2, dense, dt_contact, zeno != 0, stiff_support,
+                        contact_points, record_contacts});
           },
           "scene"_a, "dt"_a, "tol"_a = 1e-12, "impact"_a = 0, "max_impacts_per_step"_a = 100000,
           "max_iterations"_a = 50, "mhc_global"_a = false, "order"_a = 2, "dense"_a = false, "dt_contact"_a = 0.0,

@@ -10,7 +10,7 @@ import pytest
 
 from contactvi.verify import cases_forced as verify_cases_forced
 from contactvi.verify import cases_loops as verify_cases_loops
-from contactvi.verify import model_forced as models
+from contactvi.verify import systems
 from contactvi.verify.verify import CASES, measure
 from oracles.slider_clearance import SliderClearance
 
@@ -32,7 +32,7 @@ def energy(model: pin.Model, lengths: tuple[float, float], w: float, phi: float)
 
 def test_torque_of_the_slider_crank_by_its_power():
     lengths, masses, w = (0.1, 0.3), (1.0, 2.0, 3.0), 10.0
-    model = models.slider_crank(lengths, masses, w).model
+    model = systems.slider_crank(lengths, masses, w).model
     phi, step = np.linspace(0.1, 6.0, 23), 1e-3
     at = [[energy(model, lengths, w, x + k * step) for x in phi] for k in (-2, -1, 1, 2)]
     slope = np.array([1.0, -8.0, 8.0, -1.0]) @ at / (12.0 * step)  # power over w
@@ -40,11 +40,11 @@ def test_torque_of_the_slider_crank_by_its_power():
 
 
 def test_angles_of_the_four_bar_close_it():
-    angles = np.cumsum(models.four_bar_angles(np.linspace(0.0, 7.0, 50)), axis=1)
-    lengths = np.array(models.FOUR_BAR[:3])
-    assert np.cos(angles) @ lengths == pytest.approx(np.full(50, models.FOUR_BAR[3]), abs=1e-14)
+    angles = np.cumsum(systems.four_bar_angles(np.linspace(0.0, 7.0, 50)), axis=1)
+    lengths = np.array(systems.FOUR_BAR[:3])
+    assert np.cos(angles) @ lengths == pytest.approx(np.full(50, systems.FOUR_BAR[3]), abs=1e-14)
     assert np.sin(angles) @ lengths == pytest.approx(np.zeros(50), abs=1e-14)
-    pins = models.FOUR_BAR[0] * np.sin(angles[:, 0]) + models.FOUR_BAR[1] * np.sin(angles[:, 1])
+    pins = systems.FOUR_BAR[0] * np.sin(angles[:, 0]) + systems.FOUR_BAR[1] * np.sin(angles[:, 1])
     assert np.all(pins > 0.0)  # of coupler and rocker, above the ground
 
 

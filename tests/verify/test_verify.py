@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
+from contactvi.reproduce.check import Check, at_least, at_most, near, same
 from contactvi.verify import verify as verification
-from contactvi.verify.check import COMPLEMENTARITY, GAP, Case, Check, Runs, at_least, at_most, near, same
+from contactvi.verify.case import COMPLEMENTARITY, GAP, Case, Runs
 from helpers.run_scenes import ball_scene
 
 PASSED, FAILED, WRONG_INPUT = 0, 1, 2
@@ -173,7 +174,7 @@ def test_a_case_that_hangs_fails():
 def test_gaps_count_at_the_nodes():
     """A run that starts apart and is moved into its floor afterwards is found out."""
     traj = cvi.simulate(ball_scene(1.0), duration=1.0, dt=0.01)
-    from contactvi.verify.check import kept
+    from contactvi.verify.case import kept
 
     assert kept(traj)[0] >= GAP
     traj.q[50, 2] = 0.05

@@ -1,7 +1,4 @@
-"""What a case of `contactvi verify` consists of: checks with their tolerances and reasons, and the runs it makes.
-
-Expectations come from closed forms or from the published digits of a case, never from an earlier output.
-"""
+"""A case of `contactvi verify`, and the runs that it makes."""
 
 from __future__ import annotations
 
@@ -14,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import SimulationError
+from contactvi.reproduce.check import Check, same
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulation import simulate
-from contactvi.trajectory.compiled import prepare
+from contactvi.trajectory.compiled import compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -24,26 +22,6 @@ Array = NDArray[np.float64]
 GAP, COMPLEMENTARITY = -1e-10, 1e-12  # [m; rad], [N m s]: what every run has to keep
 LIMIT = 30.0  # [s] of wall time for a case: many times what any of them takes
 _NODES = 400  # of a run whose gaps are looked at: a stack of 1000 nodes would be measured for longer than simulated
-
-
-@dataclass(frozen=True)
-class Check:
-    """One number of a case against what is known of it.
-
-    Attributes:
-        what: the quantity.
-        expected, got: as text.
-        tolerance: as text, "exact" for counts.
-        reason: where the tolerance comes from.
-        ok: the verdict.
-    """
-
-    what: str
-    expected: str
-    got: str
-    tolerance: str
-    reason: str
-    ok: bool
 
 
 @dataclass(frozen=True)
@@ -60,28 +38,6 @@ class Case:
     title: str
     run: Callable[[Runs], Sequence[Check]] | None
     excuse: str = ""
-
-
-def near(what: str, expected: ArrayLike, got: ArrayLike, tolerance: float, reason: str) -> Check:
-    """Expect numbers of one shape within an absolute tolerance, each of them."""
-    exact, found = np.asarray(expected, dtype=float), np.asarray(got, dtype=float)
-    ok = exact.shape == found.shape and bool(np.all(np.abs(found - exact) <= tolerance))
-    return Check(what, _text(exact), _text(found), f"{tolerance:.3g}", reason, ok)
-
-
-def at_most(what: str, bound: float, got: float, reason: str) -> Check:
-    """Expect a number <= bound."""
-    return Check(what, f"<= {bound:.3g}", f"{got:.3g}", "bound", reason, bool(got <= bound))
-
-
-def at_least(what: str, bound: float, got: float, reason: str) -> Check:
-    """Expect a number >= bound."""
-    return Check(what, f">= {bound:.6g}", f"{got:.6g}", "bound", reason, bool(got >= bound))
-
-
-def same(what: str, expected: object, got: object, reason: str = "a count or a choice") -> Check:
-    """Expect exactly this."""
-    return Check(what, str(expected), str(got), "exact", reason, bool(expected == got))
 
 
 class Runs:
@@ -149,7 +105,7 @@ def kept(traj: Trajectory) -> tuple[float, float, float]:
     Gaps of all pairs and limits at the nodes (some 400 of them), at all impacts, and of all held contacts.
     """
     scene = traj.scene
-    built = prepare(scene).built
+    built = compile_scene(scene).built
     core, model = scene.core(), built.model
     gaps = [np.array([np.inf])]
     chosen = np.unique(np.linspace(0, len(traj.t) - 1, _NODES).astype(int))
@@ -164,11 +120,3 @@ def kept(traj: Trajectory) -> tuple[float, float, float]:
     impulses = np.concatenate([[0.0], hit[1], held[1]])
     products = np.concatenate([[0.0], hit[0] * hit[1], held[0] * held[1]])
     return float(np.concatenate(gaps).min()), float(impulses.min()), float(np.abs(products).max())
-
-
-def _text(values: Array) -> str:
-    if values.ndim == 0:
-        return f"{float(values):.11g}"
-    if values.size > 8:
-        return f"{values.size} values, {values.min():.6g} .. {values.max():.6g}"
-    return "(" + ", ".join(f"{value:.10g}" for value in values.ravel()) + ")"
