@@ -18,9 +18,9 @@ extensions = [
     "sphinx-mathjax-offline",  # ships MathJax with the pages: they need no network
     "myst_parser",
 ]
-default_role = "code"  # single backticks in docstrings are code, as in Markdown
+default_role = "py:obj"  # single backticks in docstrings are code, and links where they name something here
 html_theme = "furo"
-html_title = f"contactvi {release}"
+html_title = "contactvi"
 
 
 # $...$ is math; every heading down to the third level has an anchor, so that pages link as GitHub does.
@@ -32,20 +32,34 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True  # attributes of a class are a list of fields, each documented once
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"  # types stand beside the text of each argument and link to their classes
-autodoc_typehints_description_target = "documented"
+autodoc_typehints_description_target = "documented_params"
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Selector")}
+html_static_path = ["_static"]
+html_css_files = ["wide.css"]  # tables of numbers need room
+
+PROPERTIES: list[list[str]] = []  # the docstring of the property that napoleon is busy with
 
 
+def _keep_properties(app, what, name, obj, options, lines):
+    """Napoleon reads "text: more" in a property as a type and its description: keep the lines as they are."""
+    if what == "property":
+        PROPERTIES.append(list(lines))
 
-def _join_names(app, what, name, obj, options, lines):
-    """A field of several names, `:ivar t, h:`, would be read as the name h of the type t: close the gap."""
+
+def _after_napoleon(app, what, name, obj, options, lines):
+    """Restore properties. Of a field of several names, `:ivar t, h:`, Sphinx would take the first one for a type."""
+    if what == "property":
+        lines[:] = PROPERTIES.pop()
     lines[:] = [re.sub(r"^:ivar ([\w, ]+):", lambda m: f":ivar {m[1].replace(', ', ',')}:", line) for line in lines]
 
 
 def setup(app):
     """Called by Sphinx."""
-    app.connect("autodoc-process-docstring", _join_names, priority=900)  # after napoleon
+    app.connect("autodoc-process-docstring", _keep_properties, priority=400)
+    app.connect("autodoc-process-docstring", _after_napoleon, priority=900)
     for field in PyObject.doc_field_types:
         if field.name == "variable":
             field.rolename = ""  # the names of fields are no links: `t` of one class is not that of another
+            field.label = "Attributes"

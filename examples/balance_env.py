@@ -59,7 +59,7 @@ gains = np.array([3.0, 40.0, 4.0, 8.0])  # of cart, pole and their speeds
 env = BalanceEnv()
 observation, _ = env.reset(seed=1)
 total, terminated, truncated = 0.0, False, False
-while not terminated and not truncated:
+while not (terminated or truncated):
     observation, reward, terminated, truncated, info = env.step(float(gains @ observation))
     total += reward
 

@@ -225,7 +225,7 @@ def _certificate(contacts: Sequence[ClosedContact], rows: Sequence[Array]) -> Ce
     return Certificate(angles, orders, certified, reason, bound)
 
 
-def _outcome(end: End, core: _core.Scene, q: Array, contacts: Sequence[ClosedContact]) -> Outcome:
+def _outcome(end: End, core: EngineScene, q: Array, contacts: Sequence[ClosedContact]) -> Outcome:
     p = core.momentum_to_public(q, end.p)
     v = np.asarray(core.velocity(q[None], p[None]), dtype=float)[0]
     return Outcome(
