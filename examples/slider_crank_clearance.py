@@ -1,4 +1,4 @@
-"""A slider-crank whose slider has clearance in its channel (case N22; Flores, Leine, Glocker 2010): h against h/4.
+"""A slider-crank whose slider has clearance in its channel (Flores, Leine, Glocker 2010): h against h/4.
 
 python examples/slider_crank_clearance.py [PLAYBACK.html]
 """
