@@ -36,7 +36,7 @@ def test_example_runs(path, tmp_path):
 
 
 def readme_code() -> list[str]:
-    """The README's Python: the first use, the impact maps, lasting contact, a linkage."""
+    """The README's Python: the first use, the impact maps, persistent contact, a linkage."""
     return re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
 
 
@@ -50,7 +50,7 @@ def test_readme_code_runs(tmp_path):
 
 
 def test_readme_code_of_the_impact_maps_runs(tmp_path):
-    """And prints the three jumps that it says."""
+    """It prints the three jumps that the README gives."""
     _, maps, _, _ = readme_code()
     script = tmp_path / "maps.py"
     script.write_text(f"import contactvi as cvi\n{maps}")
@@ -59,11 +59,11 @@ def test_readme_code_of_the_impact_maps_runs(tmp_path):
     assert modified < 1e-12
 
 
-def test_readme_code_of_lasting_contact_runs(tmp_path):
+def test_readme_code_of_persistent_contact_runs(tmp_path):
     """The box touches down, stops, and its corners carry it."""
-    _, _, lasting, _ = readme_code()
-    script = tmp_path / "lasting.py"
-    script.write_text(f"import contactvi as cvi\n{lasting}")
+    _, _, persistent, _ = readme_code()
+    script = tmp_path / "persistent.py"
+    script.write_text(f"import contactvi as cvi\n{persistent}")
     printed = run([str(script)], tmp_path).splitlines()
     assert [line.split()[-1] for line in printed[:8]] == ["begin"] * 4 + ["stick"] * 4
     corners = [line for line in printed[8:] if line.startswith("('ground', 'box') stick")]
@@ -72,17 +72,17 @@ def test_readme_code_of_lasting_contact_runs(tmp_path):
 
 
 def test_readme_code_of_a_linkage_runs(tmp_path):
-    """And prints the numbers that it says; the works account for the energy, up to the balance."""
+    """It prints the numbers that the README gives; the works account for the energy, up to the balance."""
     *_, linkage = readme_code()
     script = tmp_path / "linkage.py"
     script.write_text(f"import contactvi as cvi\n{linkage}\nprint(traj.energy[-1] - traj.energy[0])")
     power, balance, opened, gained = (
         [float(x) for x in line.split()] for line in run([str(script)], ROOT).splitlines()
     )
-    least, most, drive, damping = power
+    least, most, motion, damping = power
     assert (round(least, 2), round(most, 2)) == (-1.25, 1.56)
     assert damping > 0.1
-    assert abs(drive - damping - gained[0]) <= balance[0] < 1.3e-5
+    assert abs(motion - damping - gained[0]) <= balance[0] < 1.3e-5
     assert opened[0] <= 1e-14
 
 
