@@ -1,4 +1,4 @@
-"""A puppet on seven strings walks on the spot and waves: driven lengths move a free torso with arms and legs.
+"""A puppet walks on the spot and waves: seven strings of prescribed length move a free torso with arms and legs.
 
 python examples/puppet.py [PLAYBACK.html]
 """
@@ -41,7 +41,7 @@ for side, y, phase in (("left", 0.13, pi / 2), ("right", -0.13, -pi / 2)):
 guess = {f"{side}_{joint}": angle for side in ("left", "right")
          for joint, angle in (("shoulder_swing", 0.5), ("elbow", 0.8), ("hip_swing", 0.5), ("knee", -0.5))}  # fmt: skip
 q0 = scene.assemble(scene.configuration(guess))
-# Let it hang still: stop it again and again where it is fastest, which is where the forces balance.
+# Find where it hangs at rest: start again from rest where it is fastest, which is near the equilibrium.
 for _ in range(40):
     traj = cvi.simulate(scene, q0, duration=0.5, dt=4e-3)
     q0 = traj.q[np.argmax(traj.kinetic_energy)]

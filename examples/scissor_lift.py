@@ -1,4 +1,4 @@
-"""A scissor lift with three loops on loops: driven by its foot, held by nothing else, and all loops stay closed.
+"""A scissor lift with three loops on loops: a prescribed motion of its foot lifts it, and all loops stay closed.
 
 python examples/scissor_lift.py [PLAYBACK.html]
 """
@@ -17,7 +17,7 @@ low, high, duration = 0.3, 1.1, 2.0  # angle of the bars at the start and at the
 scene = cvi.Scene(gravity=(0, 0, -gravity))
 scene.add_urdf(models / "scissor_lift.urdf", limits=False)
 loops = [scene.add_point("foot", "b1", (0, 0, 0), (0.5, 0, 0))]
-# The points have three rows and the mechanism is planar: one of each is redundant, and no matter.
+# The points have three rows and the mechanism is planar: one of each is redundant, which does no harm.
 for k in range(1, stages):
     loops.append(scene.add_point(f"a{k}", f"b{k + 1}", (1, 0, 0), (0.5, 0, 0)))
 loops.append(scene.add_point(f"a{stages}", "top", (1, 0, 0), (0, 0, 0)))

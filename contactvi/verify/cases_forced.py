@@ -144,7 +144,7 @@ def moved_cart(runs: Runs) -> list[Check]:
         a, rate = (0.5 * (values[1:, 1] + values[:-1, 1]) for values in (traj.q, traj.v))
         turn = -(_G * np.sin(a) + x2 * np.cos(a))
         force = 2.0 * x2 + turn * np.cos(a) - rate**2 * np.sin(a)
-        errors.append(_largest(traj.reactions("drive")[1:, 0] - force))
+        errors.append(_largest(traj.reactions("motion")[1:, 0] - force))
         works.append(_largest(traj.energy - traj.energy[0] - traj.work.drive))
         of = f", h = {h:g}"
         checks += [
