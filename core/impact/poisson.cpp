@@ -7,7 +7,7 @@
 namespace contactvi {
 
 namespace {
-constexpr double kGain = 1e-12;      // of the energy of the closing motion: rounding
+constexpr double kGain = 1e-12;      // of the energy of the closing motion: a smaller gain is rounding
 constexpr double kRounding = 2e-14;  // of the speeds
 constexpr double kAccept = 1e-9;     // residual of a cone problem that did not converge
 constexpr int kBisections = 50;
@@ -30,7 +30,7 @@ bool PoissonImpact::cone(const VecX& start, bool expansion, double share, const 
   const ConeResult result =
       solver_.solve({cones_, G_, start, kRounding * (1.0 + start.cwiseAbs().maxCoeff())}, lambda, true);
   iterations_ += result.iterations;
-  // What is left of a nearly singular problem is hit again.
+  // The error of a nearly singular problem is left to a further impact.
   return (result.ok || result.residual <= kAccept) && lambda.allFinite();
 }
 
