@@ -7,6 +7,7 @@
 #include <chrono>
 #include <cmath>
 
+#include "base/root.hpp"
 #include "run/simulator.hpp"
 #include "step/energy.hpp"
 
@@ -27,37 +28,6 @@ constexpr double kCheckedGain = 1.2;    // of the kinetic energy: a step that ga
 constexpr double kLargestGain = 0.05;   // of the kinetic energy: gain allowed for the error of the step
 constexpr double kEnergyRounding = 1e-7;  // [J] per joule of potential energy
 constexpr double kForceRounding = 1e-9;   // of the largest force: contact forces below it are rounding
-
-// Root in (0, high] of a function that falls from low_value >= 0 at 0 to high_value < 0, by the Illinois method; ends
-// where 0 <= value <= small. False if the function could not be evaluated.
-template <class Value>
-bool first_root(double low_value, double high, double high_value, double small, Value value, double& root) {
-  double a = 0.0, b = high, fa = low_value, fb = high_value;
-  root = high;
-  int side = 0;
-  for (int k = 0; k < kMaxEvaluations && b - a > kAlpha; ++k) {
-    double x = fa > fb && k % 8 != 7 ? b - fb * (b - a) / (fb - fa) : 0.5 * (a + b);
-    if (!(x > a && x < b)) x = 0.5 * (a + b);
-    double fx = 0.0;
-    if (!value(x, fx)) return false;
-    root = x;
-    if (fx < 0.0) {
-      b = x;
-      fb = fx;
-      if (side < 0) fa *= 0.5;
-      side = -1;
-    } else {
-      a = x;
-      fa = fx;
-      if (fx <= small) return true;
-      if (side > 0) fb *= 0.5;
-      side = 1;
-    }
-  }
-  root = b;
-  double fx = 0.0;
-  return value(root, fx);
-}
 
 }  // namespace
 
@@ -103,8 +73,8 @@ bool Simulator::find_release(const VecX& tau, double& alpha, bool& at_start) {
     } else {
       high_value = at_end[i];
     }
-    if (!first_root(
-            before[i], first, high_value, kSmallForce * largest,
+    if (!root_by_value(
+            before[i], first, high_value, kSmallForce * largest, kAlpha, kMaxEvaluations,
             [&](double x, double& f) { return release_force(tau, x, f); }, root))
       return false;
     first = root;
@@ -140,8 +110,9 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
     if (!remaining_slip(tau, high, high_value)) return false;
     if (high_value >= 0.0) continue;
     // The slip speed at the start of the step is not known here; any positive number brackets the root.
-    if (!first_root(
-            -high_value, high, high_value, small, [&](double x, double& f) { return remaining_slip(tau, x, f); }, root))
+    if (!root_by_value(
+            -high_value, high, high_value, small, kAlpha, kMaxEvaluations,
+            [&](double x, double& f) { return remaining_slip(tau, x, f); }, root))
       return false;
     alpha = root;
     located = true;
