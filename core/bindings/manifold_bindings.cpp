@@ -72,7 +72,7 @@ nb::dict describe(const Touch& touch, const std::vector<ContactPoint>& points) {
 }
 
 nb::dict contact_points(const Scene& s, const VecX& q, int pair, double margin, int max_points) {
-  const Touch touch(s, q, pair, max_points);
+  Touch touch(s, q, pair, max_points);
   std::vector<ContactPoint> points;
   touch.manifolds.find(pair, touch.at, touch.witness, margin, points);
   return describe(touch, points);
@@ -90,19 +90,19 @@ nb::dict points_of_features(const Scene& s, const VecX& q, int pair, const std::
 }
 
 nb::tuple rest_gap(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features, int max_points) {
-  const Touch touch(s, q, pair, max_points);
+  Touch touch(s, q, pair, max_points);
   const std::vector<ContactPoint> points = points_of(touch, pair, features);
   std::vector<const ContactPoint*> persistent;
   for (const ContactPoint& p : points) persistent.push_back(&p);
   Contact c{};
-  const double gap =
-      touch.manifolds.rest(pair, touch.at, persistent.data(), static_cast<int>(persistent.size()), touch.witness, c);
+  const double gap = touch.manifolds.next_gap(pair, touch.at, persistent.data(), static_cast<int>(persistent.size()),
+                                              touch.witness, c);
   return nb::make_tuple(gap, c.gap, Vec3(c.normal), Vec3(0.5 * (c.point_a + c.point_b)));
 }
 
 // NaN for pairs without a halfspace.
 double nearest_gap(const Scene& s, const VecX& q, int pair) {
-  const Touch touch(s, q, pair, 4);
+  Touch touch(s, q, pair, 4);
   Contact c{};
   return touch.manifolds.nearest(pair, touch.at, c) ? c.gap : std::numeric_limits<double>::quiet_NaN();
 }
