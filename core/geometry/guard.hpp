@@ -2,8 +2,8 @@
 // skip.
 //
 // Semantics. A guard that is > 0 at the start of a step and <= 0 at its end, or inside it, is an event in the
-// half-open interval (0, 1] of the step. A guard that was just hit, or starts at zero, is "touching": it is excluded
-// until it has separated, unless it closes again. A start below zero is an error, never projected away.
+// half-open interval (0, 1] of the step. A guard that had an impact, or whose gap starts at zero, is "touching":
+// it is excluded until it has separated, unless it closes again. A start below zero is an error, never projected away.
 //
 // Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was
 // d when it was last evaluated is skipped until the two odometers have advanced by d; then its bounding spheres are

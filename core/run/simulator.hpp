@@ -105,6 +105,8 @@ class Simulator {
   static constexpr int kStandstill = 3;
   static constexpr int kMaxWithoutProgress = 200;
 
+  // Functions that return a bool return false where the run has ended; status_ then gives the reason. Other meanings
+  // are documented with the function.
   bool advance_interval(double start, double length, const VecX& tau, Recording& recording);
   bool advance_free(Interval& interval, long halved, Recording& recording);
   bool solve_smooth_step(double time, double h, const VecX& tau, bool last_try);

@@ -1,4 +1,4 @@
-"""Forced and constrained systems against the oracle of index reduction: convergence, loops that stay closed, drives."""
+"""Forced and constrained systems against an oracle by index reduction: convergence, loops, prescribed motions."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_a_linkage_swings_on_for_a_hundred_thousand_steps():
 
 
 def test_a_run_with_constraints_is_no_contact():
-    """What a run says of its steps: its constraints are no contacts that are held."""
+    """The report of a run on its steps: constraints do not count as persistent contacts."""
     scene, q0, v0 = BY_NAME["four_bar"].start()
     assert cvi.simulate(scene, q0, v0, duration=0.01, dt=1e-3).stepping == "order 2, dt = 0.001 s"
     high = cvi.simulate(scene, q0, v0, duration=0.01, dt=1e-3, order=4).stepping
@@ -149,7 +149,7 @@ def test_a_loop_closed_three_times():
 
 
 def test_a_weld_makes_a_frame():
-    """Three hinged bars whose end is welded to the ground cannot move; the weld carries what statics says.
+    """Three hinged bars whose end is welded to the ground cannot move; the reaction of the weld is that of statics.
 
     Six rows for three degrees of freedom. The moments about the three hinges vanish, with the weld's force and torque
     and the weights of what hangs behind each.
@@ -170,7 +170,7 @@ def test_a_weld_makes_a_frame():
     assert force[[1, 3, 5]] == pytest.approx(np.zeros(3), abs=1e-9)
 
 
-# -- drives -----------------------------------------------------------------------------------------------------------
+# -- prescribed motions ------------------------------------------------------------------------------------------------
 
 
 def test_a_winch_and_its_closed_form():
@@ -220,7 +220,7 @@ def test_strings_of_the_puppet_are_driven():
     assert gaps[1] < max(0.3 * gaps[0], 1e-12)
 
 
-# -- dry friction of joints -------------------------------------------------------------------------------------------
+# -- joint friction -------------------------------------------------------------------------------------------
 
 
 def sledge(stiffness: float, friction: float, push: float = 0.0) -> cvi.Scene:
@@ -256,7 +256,7 @@ def test_a_sledge_on_a_spring_comes_to_rest_where_it_should():
         assert np.ptp(traj.q[traj.t > exact.stick()[0] + dt, 0]) == 0.0
 
 
-# -- slider with clearance, N22 ---------------------------------------------------------------------------------------
+# -- slider with clearance ---------------------------------------------------------------------------------------
 
 
 def slider(mu: float) -> cvi.Scene:
