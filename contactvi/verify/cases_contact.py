@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +11,7 @@ from scipy.integrate import quad
 from contactvi.reproduce.check import Check, at_least, at_most, near, same
 from contactvi.trajectory.trajectory import Trajectory
 from contactvi.verify import systems
-from contactvi.verify.case import Case, Runs
+from contactvi.verify.case import Case, Runs, changes_of, largest
 
 _G = systems.GRAVITY
 _EVEN = "constant acceleration is exact in the midpoint rule; steps are solved to 1e-12"
@@ -233,7 +232,7 @@ def ladder_leaves(runs: Runs) -> list[Check]:
     for h in (0.01, 0.005, 0.0025):
         scene, q = systems.ladder_in_corner(start)
         traj = runs.simulate(scene, q, np.zeros(3), 0.6, h)
-        lost = [found for found in traj.contact_changes if found.change == "release" and "wall" in found.pair]
+        lost = [found for found in changes_of(traj, "release") if "wall" in found.pair]
         time = lost[0].time if lost else math.nan
         errors.append(abs(time - exact))
         checks.append(near(f"leaves the wall at [s], h = {h:g}", exact, time, 0.5 * h * h,
@@ -268,18 +267,13 @@ def joint_limit(runs: Runs) -> list[Check]:
 
 def times_of(traj: Trajectory, change: str, what: str = "time") -> np.ndarray:
     """Return the times (or values) of the changes of one kind, shape (n,)."""
-    return np.array([getattr(found, what) for found in traj.contact_changes if found.change == change])
+    return np.array([getattr(found, what) for found in changes_of(traj, change)])
 
 
 def world_velocity(traj: Trajectory) -> np.ndarray:
     """Return the linear velocity of the one free body at the end, world axes, shape (3,)."""
     rotation = pin.Quaternion(traj.q[-1, 3:7]).toRotationMatrix()
     return np.asarray(rotation @ traj.v[-1, :3])
-
-
-def largest(values: np.ndarray | Sequence[float]) -> float:
-    """Return the largest absolute value; inf where there is none."""
-    return float(np.abs(values).max()) if np.size(values) else math.inf
 
 
 CASES = (
