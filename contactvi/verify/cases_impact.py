@@ -130,7 +130,7 @@ def rod(runs: Runs) -> list[Check]:
         event = traj.events[0]
         checks += [
             near(f"P [N s], {degrees} deg", impulse, event.impulse, 1e-12, "rounding of a located impact"),
-            # a turn about y, from z to x, lifts the end that hits
+            # A turn about y, from z to x, lifts the end that hits the ground.
             near(f"v_com, omega, {degrees} deg", [v_com, omega], event.p_plus[1:] * [1.0, 12.0], 6e-7, "digits given"),
         ]  # fmt: skip
     return checks
