@@ -21,7 +21,8 @@
 #include "cone/solver.hpp"
 #include "contact/contact_point.hpp"
 #include "geometry/guard.hpp"
-#include "step/integrator.hpp"
+#include "step/impulse_step.hpp"
+#include "step/stepper.hpp"
 
 namespace contactvi {
 
@@ -88,7 +89,7 @@ class ContactStep final : public Stepper {
   bool persistent_forces(const VecX& tau, VecX& value);
   // The same at (q, p), of which no step is known.
   bool persistent_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value);
-  // Size of the forces that the last persistent_forces could have met: gravity's weight on a contact, or the largest [N].
+  // Size of the forces that the last persistent_forces could have met: gravity on a contact, or the largest [N].
   double force_scale() const { return force_scale_; }
   // Slips of the contacts, then those of the joints with dry friction: whether one came to rest or turned round in the
   // step, and the speed that is left of it at the end as if the friction had gone on, negative if that has turned.
@@ -98,7 +99,7 @@ class ContactStep final : public Stepper {
   // Whether a contact may have left: its forces of this step fall towards zero.
   bool may_release() const;
 
-  const Integrator& integrator() const { return integrator_; }
+  const StepEquations& integrator() const { return integrator_; }
   const StepCounters& step_counters() const { return integrator_.counters; }
   ContactStepCounters counters;
 
@@ -175,7 +176,7 @@ class ContactStep final : public Stepper {
   const Scene* scene_;
   Guards* guards_;
   const Manifolds* manifolds_;
-  Integrator integrator_;
+  ImpulseStep integrator_;
   ConeSolver solver_;
   double tol_;
   std::vector<PersistentContact> contacts_;

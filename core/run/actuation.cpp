@@ -84,7 +84,7 @@ void Simulator::apply_servo() {
 
 // Whether a servo was beyond its effort in the step just solved: it is at its limit then, and the step is to be solved
 // again.
-bool Simulator::exceeds_effort(const Integrator& integrator) {
+bool Simulator::exceeds_effort(const StepEquations& step) {
   if (!servo_.any) return false;
   bool exceeds = false;
   for (const Joint& joint : scene_->tree.joints) {
@@ -94,8 +94,8 @@ bool Simulator::exceeds_effort(const Integrator& integrator) {
     if (!std::isfinite(most)) continue;
     const double own = force_.size() > 0 ? force_[d] : 0.0;
     double largest = 0.0;
-    for (int i = 0; i < integrator.stages(); ++i) {
-      const double torque = own + integrator.servo_torque(d, i);
+    for (int i = 0; i < step.stages(); ++i) {
+      const double torque = own + step.servo_torque(d, i);
       if (std::abs(torque) > std::abs(largest)) largest = torque;
     }
     if (!(std::abs(largest) > most * (1.0 + kOverEffort))) continue;
@@ -127,7 +127,7 @@ void Simulator::count_impacts() {
 
 // A function of the user has failed: nothing that follows can be trusted.
 bool Simulator::user_failed(double time) {
-  if (!*scene_->tree.elements.failed) return false;
+  if (!scene_->tree.elements.user_failed()) return false;
   end(StatusCode::kNotFinite, time, "a function of the user failed");
   return true;
 }

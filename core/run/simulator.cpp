@@ -72,7 +72,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   sequence_.driven_work = 0.0;
   node_time_ = t;
   saturated_ = 0;
-  *scene_->tree.elements.failed = false;
+  scene_->tree.elements.forget_failure();
   servo_.any = false;
   integrator_.set_time(t);
   integrator_.set_servo(&servo_);
@@ -240,7 +240,7 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   const bool last_try = level_ > 0.0 || h < kShortest * options_.dt || halved_ - halved >= kMostHalvings;
   integrator_.set_time(at);
   if (!smooth_step(at, h, piece.tau, last_try)) {
-    if (last_try || *scene_->tree.elements.failed) return false;
+    if (last_try || scene_->tree.elements.user_failed()) return false;
     halve(h);
     return true;
   }

@@ -118,8 +118,7 @@ class Simulator {
   void limit_actuation();
   double most_effort(int d) const;
   void apply_servo();
-  bool exceeds_effort(const Integrator& integrator);
-  void count_free_work();
+  bool exceeds_effort(const StepEquations& step);
   void count_contact_work();
   void count_impacts();
   bool user_failed(double time);
