@@ -6,11 +6,13 @@
 #include <memory>
 #include <vector>
 
+#include "model/elements.hpp"
+
 namespace contactvi {
 
 // The Python functions that a scene calls. Held here, where the garbage collector can see them, since they like to hold
 // the scene in turn.
-struct UserFunctions {
+struct UserFunctions : UserCalls {
   std::vector<nanobind::object> list;
 };
 

@@ -1,4 +1,4 @@
-"""The compiled engine as the tests use it, below the Python face: contactvi._core with arrays only."""
+"""The compiled engine as the tests use it, below the Python API: contactvi._core with arrays only."""
 
 from __future__ import annotations
 
