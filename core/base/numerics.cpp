@@ -39,12 +39,6 @@ Mat3 skew(const Vec3& x) {
   return s;
 }
 
-Mat3 so3_right_jacobian(const Vec3& xi) {
-  const So3Coefficients c = so3_coefficients(xi.squaredNorm());
-  const Mat3 s = skew(xi);
-  return Mat3::Identity() - c.cos_t * s + c.cub_t * s * s;
-}
-
 Mat3 so3_right_jacobian_inverse(const Vec3& xi) {
   const So3Coefficients c = so3_coefficients(xi.squaredNorm());
   const Mat3 s = skew(xi);

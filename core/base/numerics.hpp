@@ -53,8 +53,7 @@ inline Vec3 so3_apply(const Vec3& xi, double a, double b, const Vec3& x) {
   return x + a * c + b * xi.cross(c);
 }
 
-// Right Jacobian Jr(xi): exp(xi + d) = exp(xi) exp(Jr d) to first order in d.
-Mat3 so3_right_jacobian(const Vec3& xi);
+// Inverse of the right Jacobian Jr(xi), exp(xi + d) = exp(xi) exp(Jr d) to first order in d.
 Mat3 so3_right_jacobian_inverse(const Vec3& xi);
 
 Mat3 skew(const Vec3& x);

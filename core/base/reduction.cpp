@@ -19,7 +19,6 @@ void Reduction::set(const Eigen::Ref<const MatX>& G, int equations, int checked)
   A_ = scale_.asDiagonal() * G.topLeftCorner(equations, equations) * scale_.asDiagonal();
   factor_.setThreshold(kRedundant);
   factor_.compute(A_);
-  rank_ = static_cast<int>(factor_.rank());
   if (rest > 0) {
     across_ = scale_.asDiagonal() * factor_.solve(MatX(scale_.asDiagonal() * G.topRightCorner(equations, rest)));
     G_ = G.bottomRightCorner(rest, rest);

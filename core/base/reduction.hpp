@@ -25,10 +25,9 @@ class Reduction {
   double idle_speed(std::size_t i) const { return idle_speed_[i]; }
   // all = (lambda_e, rest), for the right side of the last call.
   void complete(const VecCRef& rest, VecRef all);
-  int rank() const { return rank_; }
 
  private:
-  int equations_ = 0, rank_ = 0;
+  int equations_ = 0;
   VecX scale_, b_, first_;
   MatX A_, across_, G_;  // across: G_ee^+ G_er
   std::vector<int> idle_;

@@ -18,7 +18,8 @@ namespace {
 using Hull = coal::Convex<coal::Triangle>;
 using Points = std::shared_ptr<std::vector<coal::Vec3s>>;
 
-constexpr double kSliver = 1e-18;  // [m^2] twice the area below which a triangle has no normal
+constexpr double kSliver =
+    1e-18;  // [m^2] twice the area below which a triangle has no normal (of the dual hull [1/m^2])
 
 // A shrunk polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
 // c: the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the

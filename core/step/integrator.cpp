@@ -141,7 +141,6 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   if (start_.count() > 0) {
     start_.extrapolate(h, stages_);
     if (solve_stages()) return !turns_too_far();
-    ++counters.retries;
     if (s > 2) {
       start_.extrapolate_smoothed(h, stages_);
       if (solve_stages()) return !turns_too_far();

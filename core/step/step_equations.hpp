@@ -13,7 +13,6 @@ namespace contactvi {
 
 struct StepCounters {
   long steps = 0, stage_iterations = 0, factorizations = 0;
-  long retries = 0;  // steps whose first start values did not converge
 };
 
 class StepEquations {
