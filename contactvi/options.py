@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict, get_args
 
 from contactvi.errors import InputError, did_you_mean
 from contactvi.option_checks import (
@@ -21,15 +21,46 @@ from contactvi.option_checks import (
     tolerances,
 )
 
-IMPACT_MAPS = ("ctec", "dtec", "mhc")  # in the engine's order
-MHC_REFERENCES = ("local", "global")
-ZENO = ("hold", "end")  # in the engine's order
-SUPPORTS = ("sequence", "stiff")
+Dt = float | Literal["auto"]
+ImpactMap = Literal["ctec", "dtec", "mhc"]
+MhcReference = Literal["local", "global"]
+Zeno = Literal["hold", "end"]
+Support = Literal["sequence", "stiff"]
+IMPACT_MAPS: tuple[ImpactMap, ...] = get_args(ImpactMap)
+MHC_REFERENCES: tuple[MhcReference, ...] = get_args(MhcReference)
+ZENO: tuple[Zeno, ...] = get_args(Zeno)
+SUPPORTS: tuple[Support, ...] = get_args(Support)
 DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
 _FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # tolerances of steps made again
 _OF_THE_KIND = ("tol", "record_every")  # options that mean something else, or nothing, with the other kind of dt
 _UNSET: Any = None  # the default depends on other options; resolved in __post_init__
+
+
+class FurtherOptions(TypedDict, total=False):
+    """The options that `simulate` and `Simulator` both take beside those they name; `Options` describes them."""
+
+    mhc_reference: MhcReference | None
+    record_every: int | None
+    max_impacts_per_step: int | None
+    max_iterations: int | None
+    dense: bool | None
+    dt_contact: Dt | None
+    zeno: Zeno | None
+    support: Support | None
+    contact_points: int | None
+    record_contacts: bool | None
+
+
+class SteppingOptions(FurtherOptions, total=False):
+    """The options of a `Simulator`."""
+
+    duration: float | None
+    impact: ImpactMap | None
+    order: int | None
+    tol: float | None
+    ledger: Mapping[str, float] | None
+    sample_dt: float | None
 
 
 @dataclass(frozen=True)
@@ -78,10 +109,10 @@ class Options:
         InputError: for a value that is not of the type or in the range given above.
     """
 
-    dt: float | Literal["auto"]
+    dt: Dt
     duration: float | None = None
-    impact: str = "ctec"
-    mhc_reference: str = "local"
+    impact: ImpactMap = "ctec"
+    mhc_reference: MhcReference = "local"
     order: int = _UNSET
     tol: float = _UNSET
     record_every: int = 1
@@ -90,9 +121,9 @@ class Options:
     ledger: Mapping[str, float] | None = field(default=None, hash=False)
     sample_dt: float | None = None
     dense: bool = _UNSET
-    dt_contact: float | Literal["auto"] | None = None
-    zeno: str = "hold"
-    support: str = "sequence"
+    dt_contact: Dt | None = None
+    zeno: Zeno = "hold"
+    support: Support = "sequence"
     contact_points: int = 4
     record_contacts: bool = True
 

@@ -12,13 +12,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi.options import IMPACT_MAPS, ImpactMap
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulation import Simulator, simulate
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-MAPS = ("ctec", "dtec", "mhc")
+MAPS = IMPACT_MAPS
 STEPS = (0.04, 0.02, 0.01, 0.005, 0.0025)  # [s]
 GRAVITY = 9.81
 START = np.array([0.3, 0.5])  # absolute angles [rad]
@@ -49,7 +50,7 @@ def problem_b() -> Scene:
 
 
 def run_b(
-    impact: str, dt: float, duration: float = DURATION, start: Array = START, record_every: int = 1
+    impact: ImpactMap, dt: float, duration: float = DURATION, start: Array = START, record_every: int = 1
 ) -> Trajectory:
     """Run problem B from rest at the absolute angles `start`, shape (2,) [rad], with one impact map."""
     q0 = np.linalg.solve(ABSOLUTE, start)
@@ -91,6 +92,6 @@ def steps_with_impact(traj: Trajectory) -> list[int]:
     return [int(k) for k in steps[count == 1]]
 
 
-def stepper(scene: Scene, impact: str, dt: float) -> Simulator:
+def stepper(scene: Scene, impact: ImpactMap, dt: float) -> Simulator:
     """Return a simulator with the tolerance of `run_b`."""
     return Simulator(scene, dt=dt, impact=impact, tol=1e-13)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +20,9 @@ from contactvi.scene.element_rows import Resolved, install, resolve
 from contactvi.scene.joints import JointArrays, JointSettings, apply_settings
 from contactvi.scene.pairs import choose_pairs
 from contactvi.scene.selection import Names
+
+if TYPE_CHECKING:
+    from contactvi import _core
 
 
 @dataclass
@@ -52,7 +55,7 @@ class Built:
     restitution: np.ndarray
     friction: np.ndarray
     elements: Resolved
-    core: Any = None  # _core.Scene, made on first use
+    core: _core.Scene | None = None  # made on first use
 
     @property
     def constrained(self) -> bool:
@@ -111,7 +114,7 @@ def build(base: Assembly, parts: Sequence[Part], names: Names, edits: Edits) -> 
     )
 
 
-def engine_scene(built: Built) -> Any:
+def engine_scene(built: Built) -> _core.Scene:
     """Return the engine's constant scene (_core.Scene), made once; its faults become SceneErrors."""
     from contactvi import _core
 
@@ -137,7 +140,7 @@ def engine_scene(built: Built) -> Any:
 
 
 def engine_states(
-    core: Any, segments: Mapping[str, np.ndarray], times: np.ndarray, order: int, exact: bool
+    core: _core.Scene, segments: Mapping[str, np.ndarray], times: np.ndarray, order: int, exact: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return q (N, nq), v (N, nv) at times [s] from segments of a run (contactvi.trajectory.polynomials).
 
@@ -151,7 +154,9 @@ def engine_states(
     return np.asarray(q), np.asarray(v)
 
 
-def engine_points(core: Any, q: np.ndarray, pair: int, margin: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def engine_points(
+    core: _core.Scene, q: np.ndarray, pair: int, margin: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the points at which a pair touches at q: on its first and second shape and their normals, (n, 3) [m].
 
     World frame. Up to four, chosen to span a face; none where the gap is above `margin` [m]. `core`: from engine_scene.

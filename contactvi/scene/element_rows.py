@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -21,8 +21,11 @@ from contactvi.elements.user_functions import (
     checked_of_q,
     checked_wrench,
 )
-from contactvi.errors import InputError, SceneError, UserFunctionError
+from contactvi.errors import InputError, UserFunctionError
 from contactvi.scene.joints import JointArrays
+
+if TYPE_CHECKING:
+    from contactvi import _core
 
 Frame = tuple[int, np.ndarray, np.ndarray]
 _LEAST_LENGTH = 1e-9  # [m] below that a distance has no direction
@@ -92,38 +95,41 @@ def resolve(elements: Sequence[kinds.Element], model: pin.Model, start: np.ndarr
     return result
 
 
-def install(core: Any, model: pin.Model, arrays: JointArrays, found: Resolved) -> None:
-    """Hand elements and drives to the engine's scene `core`; nothing is called where there is nothing."""
+def install(core: _core.Scene, model: pin.Model, arrays: JointArrays, found: Resolved) -> None:
+    """Hand elements and actuation to the engine's scene; nothing is called where there is nothing."""
+    from contactvi import _core
+
     if np.any(arrays.dry_friction):
-        _method(core, "set_dry_friction")(arrays.dry_friction)
+        core.set_joint_friction(arrays.dry_friction)
     for joint, rest, torque in arrays.polynomials:  # torque -k_i x^i  <-  potential k_i x^(i + 1) / (i + 1)
         potential = torque / np.arange(2.0, len(torque) + 2.0)
-        _method(core, "add_joint_potential")(joint, rest, potential)
+        core.add_joint_potential(joint, rest, potential)
     for spring in found.springs:
-        _method(core, "add_path_spring")(*spring)
+        core.add_path_spring(*spring)
     for wrench in found.wrenches:
-        _method(core, "add_wrench")(*wrench)
+        core.add_wrench(*wrench)
     for force in found.forces:
         derivatives = force.derivatives
         value = checked_force(force.function, repr(force.name), found.dofs)
         if derivatives is None:
-            _method(core, "add_user_force")(value)
+            core.add_user_force(value)
         else:
             name = f"the derivatives of {force.name!r}"
-            _method(core, "add_user_force")(value, checked_force_derivatives(derivatives, name, found.dofs))
+            core.add_user_force(value, checked_force_derivatives(derivatives, name, found.dofs))
     for potential in found.potentials:
         functions = [(potential.value, "value"), (potential.gradient, "gradient"), (potential.hessian, "hessian")]
-        wrapped = [
+        wrapped: list[Any] = [
             None if function is None else checked_of_q(function, f"{what} of {potential.name!r}", found.dofs, k)
             for k, (function, what) in enumerate(functions)
         ]
-        _method(core, "add_user_potential")(*wrapped)
+        core.add_user_potential(*wrapped)
     for row in found.constraints:
-        _method(core, "add_constraint")(row.engine_kind, *row.a, *row.b, row.numbers, row.signal, row.name)
+        kind = _core.ConstraintKind[row.engine_kind.upper()]
+        core.add_constraint(kind, *row.a, *row.b, row.numbers, row.signal, row.name)
     if np.any(arrays.servo[:2]):
-        _method(core, "set_servo")(*(np.ascontiguousarray(part) for part in arrays.servo))
+        core.set_servo(*(np.ascontiguousarray(part) for part in arrays.servo))
     if np.any(np.isfinite(arrays.actuator)):
-        _method(core, "set_actuator_limits")(*(np.ascontiguousarray(part) for part in arrays.actuator))
+        core.set_actuator_limits(*(np.ascontiguousarray(part) for part in arrays.actuator))
 
 
 def dof_names(model: pin.Model) -> list[str]:
@@ -133,15 +139,6 @@ def dof_names(model: pin.Model) -> list[str]:
         count = int(model.nvs[i])
         names += [model.names[i] if count == 1 else f"{model.names[i]}[{k}]" for k in range(count)]
     return names
-
-
-def _method(core: Any, name: str) -> Any:
-    found = getattr(core, name, None)
-    if found is None:
-        raise SceneError(
-            "The engine is older than the face", expected=f"Scene.{name}", got="none", remedy="Build it anew"
-        )
-    return found
 
 
 class _Placed:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -22,6 +22,9 @@ from contactvi.scene.report import scene_report
 from contactvi.scene.scene_elements import SceneElements
 from contactvi.scene.scene_parts import GRAVITY
 from contactvi.scene.selection import PartHandle, Selector
+
+if TYPE_CHECKING:
+    from contactvi import _core
 
 __all__ = ["GRAVITY", "Scene"]
 
@@ -216,7 +219,7 @@ class Scene(SceneElements):
         """What of the models is used, changed, ignored, suspicious; pairs that are not tested; rounded shapes."""
         return scene_report(self._parts, self._complete(), self._edits)
 
-    def core(self) -> Any:
+    def core(self) -> _core.Scene:
         """Return the engine's scene (contactvi._core.Scene), built on first use and again after an edit."""
         return engine_scene(self._complete())
 

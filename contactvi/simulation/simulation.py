@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import ConstraintError, InputError, PenetrationError, SimulationError
-from contactvi.options import Options
-from contactvi.simulation import adaptive as auto_step
+from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
+from contactvi.simulation import adaptive
 from contactvi.simulation.messages import REMEDY
 from contactvi.simulation.simulator import PROGRESS_PERIOD, Simulator, settings_of
 from contactvi.status import StatusCode
@@ -19,6 +19,8 @@ from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from contactvi.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -31,9 +33,9 @@ def simulate(
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
     duration: float | None = None,
-    dt: float | Literal["auto"] | None = None,
+    dt: Dt | None = None,
     *,
-    impact: str | None = None,
+    impact: ImpactMap | None = None,
     order: int | None = None,
     tol: float | None = None,
     sample_dt: float | None = None,
@@ -42,7 +44,7 @@ def simulate(
     throw: bool = True,
     progress: Progress | bool | None = None,
     ledger: Mapping[str, float] | None = None,
-    **options: Any,
+    **options: Unpack[FurtherOptions],
 ) -> Trajectory:
     """Run a scene from (q0, v0) and return its trajectory.
 
@@ -53,16 +55,16 @@ def simulate(
         v0: initial velocity, shape (nv,).
         duration: simulated time [s]; a whole number of steps where dt is a number.
         dt: time step [s]; or "auto": the run finds the steps with which q is accurate to `tol`, and measures it
-            (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, constraints, dry
-            friction of joints, servos, forces that vary, "dtec", order 2, record_every, or tolerances on the discrete
+            (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, constraints,
+            joint friction, servos, forces that vary, "dtec", order 2, record_every, or tolerances on the discrete
             energy or on jumps of the modified one.
         order: 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
         tol: for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
-        sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps. impact, **options
-            (mhc_reference, record_every, dense, ...) : see `Options`.
+        sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps.
+        impact, **options: impact map, and mhc_reference, record_every, dense, ...: see `Options`.
         control: generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape (steps,
             nv), or a function (t, q, v) -> (nv,) called at the start of each step.
-        target: where servos (Scene.set_servo) are to go, constant over a step: an array or a function of t, one number
+        target: reference of the servos (Scene.set_servo), constant over a step: an array or a function of t, one number
             per servo joint, or a mapping joint -> motion (contactvi.simulation.targets); by default as given to
             set_servo.
         throw: raise SimulationError (with .status and .trajectory) when the run ends before its time, and
@@ -82,9 +84,10 @@ def simulate(
     Warns:
         AccuracyWarning: where "auto" did not reach tol; traj.error_estimate says what it reached.
     """
-    chosen = dict(
-        options, duration=duration, dt=dt, impact=impact, order=order, tol=tol, sample_dt=sample_dt, ledger=ledger
-    )
+    chosen: dict[str, Any] = {
+        **options, "duration": duration, "dt": dt, "impact": impact, "order": order, "tol": tol,
+        "sample_dt": sample_dt, "ledger": ledger,
+    }  # fmt: skip
     settings = settings_of(scene, chosen, forced=control is not None or target is not None)
     span = settings.span
     compiled = compile_scene(scene)
@@ -140,7 +143,7 @@ def _run(
     throw: bool,
 ) -> Trajectory:
     if options.auto:
-        return auto_step.run(compiled, options, q0, v0, progress, throw)
+        return adaptive.run(compiled, options, q0, v0, progress, throw)
     simulator = Simulator.of_compiled(compiled, options)
     try:
         simulator.reset(q0, v0)

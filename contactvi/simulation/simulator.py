@@ -1,6 +1,6 @@
 """Stepping a scene by the caller: `Simulator`, for control loops.
 
-Every input is checked here; the engine (contactvi._core) only sees arrays of the right shape with finite numbers.
+Every input is checked here; the engine (contactvi._core) only gets arrays of the right shape with finite numbers.
 """
 
 from __future__ import annotations
@@ -16,20 +16,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import ConstraintError, InputError, SimulationError
-from contactvi.options import Options, merged
+from contactvi.options import Options, SteppingOptions, merged
 from contactvi.records import events as event_log
 from contactvi.records.contacts import Contact
 from contactvi.simulation import engine
 from contactvi.simulation.compatibility import Stall, check_elements, check_map, check_unforced
 from contactvi.simulation.recorder import Record
 from contactvi.simulation.targets import Targets
-from contactvi.simulation.tolerances import Watch
+from contactvi.simulation.tolerances import LedgerWatch
 from contactvi.status import Status, StatusCode
-from contactvi.trajectory.compiled import CompiledScene, compile_scene
-from contactvi.trajectory.ledger import Ledger
+from contactvi.trajectory.compiled import CompiledScene, compile_scene, complete
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from contactvi import _core
     from contactvi.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -43,10 +45,10 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
     """Return the options of a run: those chosen (not None), else those of the scene's file, else the defaults.
 
     Args:
-        forced: whether it has inputs, which count where neither says a dt (options.merged), as some elements of scenes
-            do.
+        forced: whether it has inputs. These decide about a dt that is given nowhere (options.merged), and so do some
+            elements of scenes.
     """
-    fixed = forced or scene._complete().needs_fixed_step is not None
+    fixed = forced or complete(scene).needs_fixed_step is not None
     return Options.from_dict(merged(scene.settings, chosen, fixed))
 
 
@@ -56,9 +58,9 @@ class Snapshot:
 
     scene: CompiledScene
     options: Options
-    engine: Any
+    engine: _core.Snapshot
     record: Record
-    kept: Any
+    rest: Any
 
 
 _NO_WAY_ON = (StatusCode.NEWTON_FAILED, StatusCode.EVENT_UNRESOLVED, StatusCode.CONSTRAINT)
@@ -76,7 +78,7 @@ class Simulator:
     scene's file). The scene is taken as it is now; later edits do not reach a running simulator.
     """
 
-    def __init__(self, scene: Scene, dt: float | None = None, **options: Any) -> None:
+    def __init__(self, scene: Scene, dt: float | None = None, **options: Unpack[SteppingOptions]) -> None:
         if dt is None and scene.settings.get("dt") is None:
             settings = Options.from_dict({**scene.settings, **options})  # raises: there is no time step
         else:
@@ -94,7 +96,7 @@ class Simulator:
         self._scene, self.options = compiled, options
         check_map(compiled, options)
         check_elements(compiled, options)
-        self._engine: Any = None
+        self._engine: _core.Simulator | None = None
         self._record: Record | None = None
         self.unreachable: ConstraintError | None = None  # why a run ended where constraints could not be met
 
@@ -111,11 +113,11 @@ class Simulator:
                 limit.
         """
         self.unreachable = None
-        self._engine = engine.make(self._scene, self.options)  # a new one: its counters start at zero
-        self._watch = Watch(self.options.ledger) if self.options.ledger else None
+        self._engine = engine.make(self._scene, self.options)  # a new one, because its counters start at zero
+        self._watch = LedgerWatch(self.options.ledger) if self.options.ledger else None
         inelastic = self.options.impact == "dtec" and self._scene.loses_energy
         self._stall = Stall(self.options.fixed_dt) if inelastic else None
-        self._seen = (0, 0, 0)  # blocks of nodes, of events and of contacts that the watch has seen
+        self._seen = (0, 0, 0)  # blocks of nodes, of events and of contacts that were inspected
         self._record, refused = engine.start(self._engine, self._scene, self.options, q0, v0, t)
         self._targets = Targets(self._scene, self._record.q[0][0])
         self._before: tuple[float, Array, Array] | None = (t, self._record.q[0][0], self._record.p[0][0])
@@ -175,13 +177,13 @@ class Simulator:
             check_unforced(self.options)
             record.forced = True
         if self._watch is None and self._stall is None:
-            return engine.advance(self._engine, record, steps, forces, progress, goals)
+            return engine.advance(self._running_engine, record, steps, forces, progress, goals)
         last = time.perf_counter()
         for first in range(0, steps, _BLOCK):
             count = min(_BLOCK, steps - first)
             block = None if forces is None else forces[first : first + count]
             ahead = None if goals is None else goals[first : first + count]
-            engine.advance(self._engine, record, count, block, progress, ahead)
+            engine.advance(self._running_engine, record, count, block, progress, ahead)
             if not self._inspect(record).ok:
                 break
             if progress is not None and time.perf_counter() - last > PROGRESS_PERIOD:
@@ -190,7 +192,7 @@ class Simulator:
         return record.status
 
     def _present(self, record: Record) -> tuple[float, Array, Array]:
-        """Return t, q and p as they are; the last node has them where every step leaves one."""
+        """Return t, q and p as they are now, from the last node where every step records one."""
         if self.options.record_every == 1:
             return float(record.t[-1][-1]), record.q[-1][-1], record.p[-1][-1]
         return self.t, self.q, self.p
@@ -200,22 +202,11 @@ class Simulator:
         nodes, events, contacts = self._seen
         if self._watch is None and events == len(record.events):
             return record.status
-        t, q, p = record.nodes(max(0, nodes - 1))
-        log = record.log(events)
+        block = record.ledger(max(0, nodes - 1), events, contacts)
         self._seen = len(record.t), len(record.events), len(record.contacts)
-        forces = record.forces.joined(max(0, nodes - 1))
-        cut = max(0, len(record.t[max(0, nodes - 1)]) - 1)  # of the block before only the last node
-        block = Ledger(
-            self._scene.core, self.options, t[cut:], q[cut:], p[cut:], log,
-            model=self._scene.built.model, collision=self._scene.built.collision, forced=record.forced,
-            start=record.start, contacts=record.contact_log(contacts), phases=record.phases_joined(),
-            forces=None if forces is None else forces.since(float(t[cut])),
-            elements=self._scene.built.elements.any, constrained=self._scene.built.constrained,
-        )  # fmt: skip
-        stalled = None if self._stall is None else self._stall.find(log)
+        stalled = None if self._stall is None else self._stall.find(block.events)
         if stalled is not None and record.status.ok:
-            code = {"code": StatusCode.ZENO, "time": stalled[0], "accumulation_time": stalled[0]}
-            record.end({**code, "pair_kind": stalled[1], "pair": stalled[2]})
+            record.end(stalled)
         excess = None if self._watch is None else self._watch.check(block)
         if excess is not None:
             record.status = Status(StatusCode.LEDGER, str(excess), excess.time)
@@ -226,26 +217,22 @@ class Simulator:
     @property
     def t(self) -> float:
         """Time [s]."""
-        self._started()
-        return float(self._engine.t)
+        return float(self._running_engine.t)
 
     @property
     def q(self) -> Array:
         """Configuration, shape (nq,)."""
-        self._started()
-        return np.array(self._engine.q)
+        return np.array(self._running_engine.q)
 
     @property
     def v(self) -> Array:
         """Velocity, shape (nv,)."""
-        self._started()
-        return np.array(self._engine.v)
+        return np.array(self._running_engine.v)
 
     @property
     def p(self) -> Array:
         """Momentum M(q) v, shape (nv,)."""
-        self._started()
-        return np.array(self._engine.p)
+        return np.array(self._running_engine.p)
 
     @property
     def status(self) -> Status | None:
@@ -264,31 +251,29 @@ class Simulator:
 
     @property
     def contacts(self) -> list[Contact]:
-        """The persistent contacts as the last step left them: one `Contact` per point (contactvi.records.contacts)."""
+        """The persistent contacts at the end of the last step: one `Contact` per point (contactvi.records.contacts)."""
         record = self._started()
         now = self.t
         log = record.contact_log(max(0, len(record.contacts) - 1))
         slack = 1e-9 * self.options.fixed_dt
-        held = np.flatnonzero((np.abs(log.end - now) <= slack) & (log.h > 0.0))
+        current = np.flatnonzero((np.abs(log.end - now) <= slack) & (log.h > 0.0))
         ended = {
             (change.pair, change.point)
             for change in record.change_log(max(0, len(record.changes) - 1))
             if change.change == "release" and change.time >= now - slack
         }
-        return [log[int(k)] for k in held if (log[int(k)].pair, log[int(k)].point) not in ended]
+        return [log[int(k)] for k in current if (log[int(k)].pair, log[int(k)].point) not in ended]
 
     def reaction(self, name: str) -> Array:
         """Return the force of a constraint, the mean over the last step, shape (rows,); see Trajectory.reactions."""
-        forces = self._started().forces.joined(-1)
-        if forces is None:
-            raise SimulationError("The engine reported no reactions", remedy="Make a step first")
-        return forces.of(name)[-1].copy()
+        return self._started().forces.joined(-1).of(name)[-1].copy()
 
     def save(self) -> Snapshot:
         """Return all of the present state, with what was recorded, for `load`."""
         record = self._started()
-        kept = (self._watch, self._stall, self._seen, self._targets, self._before)
-        return Snapshot(self._scene, self.options, self._engine.save(), record.copy(), copy.deepcopy(kept))
+        rest = (self._watch, self._stall, self._seen, self._targets, self._before)
+        engine_state = self._running_engine.save()
+        return Snapshot(self._scene, self.options, engine_state, record.copy(), copy.deepcopy(rest))
 
     def load(self, snapshot: Snapshot) -> None:
         """Go back to a state of `save`, of this simulator or another one of the same scene and options.
@@ -300,9 +285,10 @@ class Simulator:
             raise InputError("Snapshot", name="snapshot", expected="one of this scene and these options", got=got)
         if self._engine is None:
             self._engine = engine.make(self._scene, self.options)
-        engine.call(self._engine.load, snapshot.engine)
+        own = self._engine
+        engine.call(lambda: own.load(snapshot.engine))
         self._record = snapshot.record.copy()
-        self._watch, self._stall, self._seen, self._targets, self._before = copy.deepcopy(snapshot.kept)
+        self._watch, self._stall, self._seen, self._targets, self._before = copy.deepcopy(snapshot.rest)
 
     def copy(self) -> Simulator:
         """Return a simulator in the same state that goes on by itself."""
@@ -333,14 +319,20 @@ class Simulator:
 
     def trajectory(self) -> Trajectory:
         """Return what was recorded since `reset`, the present state included."""
-        record = self._started()
-        return record.trajectory(self._engine)
+        return self._started().trajectory(self._engine)
 
     def interrupt(self) -> Status:
         """End the run where it is with the status INTERRUPTED."""
         record = self._started()
         record.status = Status(StatusCode.INTERRUPTED, "stopped by the user", self.t)
         return record.status
+
+    @property
+    def _running_engine(self) -> _core.Simulator:
+        if self._engine is None:
+            self._started()  # raises
+        assert self._engine is not None
+        return self._engine
 
     def _started(self) -> Record:
         if self._record is None:

@@ -175,14 +175,14 @@ def simultaneous_outcomes(
     margin = real("tolerance", tolerance, 0.0)
     limit = int(real("max_states", max_states, 1.0))
     mass = np.asarray(compiled.core.momentum(np.tile(q0, (states.nv, 1)), np.eye(states.nv)))
-    lower = np.linalg.cholesky(0.5 * (mass + mass.T))
+    lower: Array = np.linalg.cholesky(0.5 * (mass + mass.T)).astype(float, copy=False)
     contacts = closed_contacts(compiled, q0, v0, pairs, e, margin)
     rows = [np.asarray(np.linalg.solve(lower, contact.W.T).T, dtype=float) for contact in contacts]
     if compiled.built.elements.constraints:  # impulses act along what the constraints leave free
         J = np.asarray(compiled.core.constraint_jacobian(q0, 0.0))
         closed = np.linalg.solve(lower, J.T).T
         rows = [row - row @ np.linalg.pinv(closed, rcond=1e-9) @ closed for row in rows]
-    x = lower.T @ v0
+    x = np.asarray(lower.T @ v0)
     impacts = Impacts(rows, [contact.restitution for contact in contacts], x)
     ends, complete = impacts.every_order(limit)
     chosen = impacts.chosen(limit)

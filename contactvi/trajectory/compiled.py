@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,16 @@ from contactvi.elements.elements import UserForce, UserPotential
 from contactvi.errors import ConstraintError, SceneError, UserFunctionError
 from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
+from contactvi.scene.build import Built
 from contactvi.scene.derivative_check import GENERIC, check_element, mover
 from contactvi.scene.scene import Scene
 
+if TYPE_CHECKING:
+    from contactvi import _core
+
 
 class CompiledScene:
-    """What runs of a scene share: a copy that later edits do not reach, the engine's scene, names, checks of states.
+    """A scene that is ready to run: a copy that later edits do not reach, the engine's scene, names, checks of states.
 
     Attributes:
         built: the complete scene.
@@ -32,9 +36,9 @@ class CompiledScene:
     """
 
     def __init__(self, scene: Scene) -> None:
-        built = scene._complete()
+        built = complete(scene)
         _refuse_missing(scene)
-        self.core = scene.core()
+        self.core: _core.Scene = scene.core()
         self.built = built
         self._scene = _copy(scene)
         self.states = States(built.model)
@@ -50,12 +54,12 @@ class CompiledScene:
     def fits(self, scene: Scene) -> bool:
         """Return whether the scene is still as it was."""
         kept = self._scene
-        same = scene._built is self.built and scene.q0 is kept.q0 and scene.v0 is kept.v0
+        same = complete(scene) is self.built and scene.q0 is kept.q0 and scene.v0 is kept.v0
         return same and scene.settings == kept.settings
 
     @property
     def q0(self) -> Any:
-        """Where runs start, shape (nq,): as the scene says, else neutral."""
+        """Configuration with which runs start, shape (nq,): that of the scene, else neutral."""
         return self.built.start if self._scene.q0 is None else self._scene.q0
 
     @property
@@ -83,7 +87,7 @@ class CompiledScene:
 
     @cached_property
     def driven(self) -> str | None:
-        """What of the scene puts energy in, in words; None where nothing does."""
+        """What of the scene may put energy in, in words; None where nothing does."""
         found, arrays = self.built.elements, self.built.arrays
         reasons = {
             "servos": bool(np.any(arrays.servo[:2])),
@@ -108,7 +112,7 @@ class CompiledScene:
             loops.assemble(self.core, self.built.model, rows, q, (), t)
         except ConstraintError as error:
             return error
-        except UserFunctionError:  # of a motion that ends there; the run has said so if it matters
+        except UserFunctionError:  # of a motion that ends there; the run has raised it if it matters
             return None
         return None
 
@@ -131,12 +135,25 @@ class CompiledScene:
                 continue
             check_element(element, dofs, move, q, v + generic, t)
             if isinstance(element, (UserPotential, UserForce)):
-                with contextlib.suppress(UserFunctionError):  # it need not be defined there
+                with contextlib.suppress(UserFunctionError):  # the function need not be defined there
                     check_element(element, dofs, move, move(q, GENERIC * generic), v + generic, t)
 
 
+# --- what a run needs of a scene besides its public methods ---------------------------------------------------------
+
+
+def complete(scene: Scene) -> Built:
+    """Return the complete scene as it is now; an edit makes a new one."""
+    return scene._complete()
+
+
+def missing_elements(scene: Scene) -> list[str]:
+    """Return the names of elements that a stored scene could not keep, because they are functions of the user."""
+    return scene._edits.missing
+
+
 def _refuse_missing(scene: Scene) -> None:
-    missing = scene._edits.missing
+    missing = missing_elements(scene)
     if missing:
         raise SceneError(
             f"The scene lacks {', '.join(repr(name) for name in missing)}",
@@ -147,7 +164,7 @@ def _refuse_missing(scene: Scene) -> None:
 
 
 def compile_scene(scene: Scene) -> CompiledScene:
-    """Return what runs of the scene need, kept with it until it is edited."""
+    """Return the scene as its runs need it; it is kept with the scene until that is edited."""
     kept = scene._compiled
     if not isinstance(kept, CompiledScene) or not kept.fits(scene):
         kept = scene._compiled = CompiledScene(scene)

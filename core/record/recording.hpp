@@ -31,6 +31,9 @@ struct Segments {
   std::vector<double> persistent;             // 1: of a step with held contacts, whose exact parts are not smooth steps
 };
 
+// What a contact did in a step: the numbers are those of stored runs.
+enum class ContactMode : int { kStick = 0, kSlip = 1, kFrictionless = 2, kImpact = 3 };
+
 // Forces: one row per held point and step, and per point of an impact (h = 0). World frame, impulses on geometry b.
 struct ContactRows {
   std::vector<double> t, h, gap;

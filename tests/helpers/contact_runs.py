@@ -1,6 +1,6 @@
-"""A run with held contacts made by hand: a box that slides on a plane and stops, with the forces it must have had.
+"""A run with persistent contacts made by hand: a box that slides on a plane and stops, with the forces it must have.
 
-The face is tested on it without the engine: what it shows, stores and accounts for has closed forms here.
+The Python API is tested on it without the engine: what it shows, stores and accounts for has closed forms here.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ def sliding_box(**changes: np.ndarray) -> cvi.Trajectory:
     flight = cvi.simulate(scene, q[0] + [0, 0, 1, 0, 0, 0, 0], duration=STEP, dt=STEP)  # for what has no part in this
     return cvi.Trajectory(
         scene, cvi.Options(dt=STEP, duration=SPAN), t, q, p, flight.events,
-        cvi.Status(cvi.StatusCode.SUCCESS, "the run reached its end", SPAN), cvi.Stats(steps=50, held_steps=50),
+        cvi.Status(cvi.StatusCode.SUCCESS, "the run reached its end", SPAN), cvi.Stats(steps=50, contact_steps=50),
         contacts=ContactLog({**contact_arrays(scene), **changes}, *names),
         changes=ChangeLog({name: changed[name].astype(kind) for name, (_, kind) in CHANGE_FIELDS.items()}, *names),
-        phases={"t": np.zeros(1), "dt": np.array([STEP]), "held": np.ones(1)},
+        phases={"t": np.zeros(1), "dt": np.array([STEP]), "persistent": np.ones(1)},
     )  # fmt: skip

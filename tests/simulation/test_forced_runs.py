@@ -285,8 +285,8 @@ def test_the_tangent_of_free_bodies():
     assert np.ptp(traj.energy) < 1e-12
 
 
-def test_a_drive_bears_the_friction_of_what_it_drags():
-    """Dry friction of the driven joint, and a ball that is dragged without turning: both in the drive's force."""
+def test_a_prescribed_motion_bears_the_friction_of_what_it_drags():
+    """Friction of the driven joint, and of a ball that is dragged without turning: both are in the reaction."""
     model = pin.Model()
     slide = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
     lift = model.addJoint(slide, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
@@ -302,6 +302,6 @@ def test_a_drive_bears_the_friction_of_what_it_drags():
     scene.prescribe("slide", lambda t: (t, 1.0, 0.0), name="drive")
     traj = cvi.simulate(scene, duration=0.1, dt=1e-3)
     assert traj.reactions("drive")[5:, 0] == pytest.approx(0.4 * 9.81 + 1.5, abs=1e-9)
-    assert traj.work.dry[-1] == pytest.approx(1.5 * 0.1, abs=1e-9)
+    assert traj.work.joint_friction[-1] == pytest.approx(1.5 * 0.1, abs=1e-9)
     assert np.abs(traj.ledger.energy_balance).max() < 1e-9
     assert traj.ledger.constraint_residual.max() <= 1e-12

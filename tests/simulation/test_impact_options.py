@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
-from contactvi.records.events import FALLBACKS, METHODS
+from contactvi.records.codes import FALLBACKS, METHODS
 from helpers import laws
 from oracles import momentum_maps
 
@@ -328,15 +328,6 @@ def test_reason_of_a_fallback():
         assert run(name, "mhc", 0.0).events.array("fallback")[0] == FALLBACKS.index(plastic.fallback)
 
 
-def test_every_reason_of_the_engine_has_words():
-    header = MODELS.parent / "core" / "impact.hpp"
-    if not header.is_file():
-        pytest.skip("the tests were copied without the engine's source")
-    reasons = re.search(r"enum class Fallback : int \{(.*?)\}", header.read_text(), re.DOTALL)
-    numbers = [int(number) for number in re.findall(r"k\w+ = (\d+)", reasons.group(1))]
-    assert numbers == list(range(len(FALLBACKS)))
-
-
 # -- files and the command line ---------------------------------------------------------------------------------------
 
 
@@ -353,26 +344,6 @@ def test_a_stored_run_says_all_of_its_events(impact, tmp_path):
         assert ("discrete_energy" in file.files) == (impact == "dtec")
         assert re.search('"schema": 5', str(file["header"]))
     np.testing.assert_array_equal(loaded.discrete_energy, traj.discrete_energy)
-
-
-def test_a_run_of_schema_1_is_read_with_defaults(tmp_path):
-    traj = run("double pendulum", "ctec", 0.5)
-    new = ("method", "fallback", "jump", "before", "after")
-    new += ("impulse_vector", "points", "friction", "loss", "energy_change")  # of schema 4
-    with np.load(traj.save(tmp_path / "new.npz")) as file:
-        entries = {name: file[name] for name in file.files if name not in {f"event/{field}" for field in new}}
-    header = str(entries["header"]).replace('"schema": 5', '"schema": 1').replace('"forced": false, ', "")
-    header = header.replace('"mhc_reference": "local", ', "")
-    entries["header"] = np.array(header)
-    np.savez(tmp_path / "old.npz", **entries)
-    old = cvi.Trajectory.load(tmp_path / "old.npz")
-    event = old.events[0]
-    assert (event.method, event.iterations, event.fallback, event.jump) == ("ctec", 0, None, 0.0)
-    assert math.isnan(event.before)
-    assert math.isnan(event.after)
-    assert event.impulse == traj.events[0].impulse
-    np.testing.assert_allclose(old.ledger.energy_jump, traj.ledger.energy_jump, atol=1e-14)
-    assert np.isnan(old.ledger.discrete_energy_jump).all()
 
 
 @maps

@@ -11,7 +11,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.option_checks import LEDGER_TOLERANCES
-from contactvi.records.events import METHODS
+from contactvi.records.codes import METHODS
 from helpers import laws
 from helpers.run_scenes import slider_scene
 from oracles import dtec_mhc

@@ -255,7 +255,7 @@ def test_grazing(method, mhc_global, h, record_property):
         lawful(scene, result)
         assert len(result.events) == (1 if depth > 0.0 else 0), depth
         assert len(result.t) == round(2.0 / h) + 1
-        assert result.stats["sweeps"] <= 40 * round(2.0 / h)  # bounded work: some 5 per step and the location
+        assert result.stats["stage_iterations"] <= 40 * round(2.0 / h)  # bounded work: some 5 per step and the location
         for e in result.events:
             h_minus, h_plus = (scene.core().energy(e.q[None], p[None]).sum() for p in (e.p_minus, e.p_plus))
             worst = max(worst, abs(h_plus - h_minus))

@@ -174,7 +174,7 @@ def test_long_runs_are_the_same_on_every_instruction_set():
                 _core.instruction_set(name)
                 runs.append(random_run(seed))
             for other in runs[1:]:
-                assert other.stats["sweeps"] == runs[0].stats["sweeps"], seed
+                assert other.stats["stage_iterations"] == runs[0].stats["stage_iterations"], seed
                 for a, b in ((other.q, runs[0].q), (other.p, runs[0].p), (other.log["time"], runs[0].log["time"])):
                     np.testing.assert_array_equal(a, b, err_msg=f"seed {seed}")
     finally:
