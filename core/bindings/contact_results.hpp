@@ -11,9 +11,6 @@
 
 namespace contactvi {
 
-// TEMPORARY: until core/impact has them.
-enum class ImpactMap : int { kCtec = 0, kDtec = 1, kMhc = 2 };
-enum class MhcReference : int { kStep = 0, kRun = 1 };
 enum class GuardKind : int { kContact = 0, kLimit = 1 };
 
 // A guard in the numbers of the Python API: a contact and the number of its pair, or a limit and 2 * joint + upper. No

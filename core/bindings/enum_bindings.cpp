@@ -6,7 +6,7 @@
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"
 #include "geometry/manifold.hpp"
-#include "impact/scalar_map.hpp"
+#include "impact/impact_law.hpp"
 #include "model/elements.hpp"
 #include "record/recording.hpp"
 

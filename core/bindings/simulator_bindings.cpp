@@ -280,12 +280,8 @@ void expose_options(nb::module_& m) {
       .def(nb::init<>())
       .def_rw("dt", &SimulatorOptions::dt, "Step length [s].")
       .def_rw("tol", &SimulatorOptions::tol, "Tolerance on the residual of the stage equations, relative.")
-      .def_prop_rw(
-          "impact", [](const SimulatorOptions& o) { return static_cast<ImpactMap>(o.impact); },
-          [](SimulatorOptions& o, ImpactMap map) { o.impact = static_cast<int>(map); })
-      .def_prop_rw(
-          "mhc_reference", [](const SimulatorOptions& o) { return static_cast<MhcReference>(o.mhc_global); },
-          [](SimulatorOptions& o, MhcReference r) { o.mhc_global = r == MhcReference::kRun; })
+      .def_rw("impact", &SimulatorOptions::impact)
+      .def_rw("mhc_reference", &SimulatorOptions::mhc_reference)
       .def_rw("max_iterations", &SimulatorOptions::max_iterations, "Stage iterations per attempt at a step.")
       .def_rw("max_impacts_per_step", &SimulatorOptions::max_impacts_per_step)
       .def_prop_rw(

@@ -88,7 +88,8 @@ class ContactStep final : public Stepper {
   bool persistent_forces(const VecX& tau, VecX& value);
   // The same at (q, p), of which no step is known.
   bool persistent_forces_at(const VecCRef& q, const VecCRef& p, const VecX& tau, VecX& value);
-  // Size of the forces that the last persistent_forces could have met: gravity's weight on a contact, or the largest [N].
+  // Size of the forces that the last persistent_forces could have met: gravity's weight on a contact, or the largest
+  // of them [N].
   double force_scale() const { return force_scale_; }
   // Slips of the contacts, then those of the joints with dry friction: whether one came to rest or turned round in the
   // step, and the speed that is left of it at the end as if the friction had gone on, negative if that has turned.

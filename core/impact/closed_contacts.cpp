@@ -114,7 +114,7 @@ bool ImpactSequence::take_unused(const VecX& p) {
   return true;
 }
 
-bool ImpactSequence::collect(const VecX& q, const VecX& p, const std::vector<int>& active, int first,
+bool ImpactSequence::collect(const VecX& q, const VecX& p, double t, const std::vector<int>& active, int first,
                              const std::vector<PersistentContact>& persistent) {
   count_ = 0;
   any_persistent_ = false;
@@ -122,7 +122,7 @@ bool ImpactSequence::collect(const VecX& q, const VecX& p, const std::vector<int
   guards_->place(q);
   if (!integrator_->node_velocity(q, p, v_))
     return fail(StatusCode::kNewtonFailed, "the mass matrix is not positive definite", -1);
-  if (projection_.any()) projection_.set(*integrator_, guards_->placements(), q, time);
+  if (projection_.any()) projection_.set(*integrator_, guards_->placements(), q, t);
   std::vector<int> guards(active);
   if (first >= 0) guards.push_back(first);
   for (const PersistentContact& h : persistent) guards.push_back(h.point.guard);

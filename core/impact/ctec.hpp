@@ -2,11 +2,14 @@
 // "Variational Methods for Contact Mechanics"; loss = (1 - e^2) gamma-^2 / (2 G_c) is Newton's restitution).
 #pragma once
 
-#include "impact/scalar_map.hpp"
+#include "impact/impact_law.hpp"
 
 namespace contactvi {
 
-// p is p- on entry and p+ on return, shape (nv,).
-ImpactResult impact_ctec(const ImpactProblem& problem, VecRef p);
+const ImpactLaw& ctec_law();
+
+// CTEC's impulse, from which the implicit maps start and to which they fall back. p is p- on entry and p+ on return,
+// shape (nv,).
+ImpactResult explicit_impulse(const ImpactProblem& problem, VecRef p);
 
 }  // namespace contactvi

@@ -2,32 +2,61 @@
 
 #include <limits>
 
-#include "impact/ctec.hpp"
+#include "impact/scalar_map.hpp"
 #include "step/energy.hpp"
 
 namespace contactvi {
 
 namespace {
 
-double modified_energy_at_end(const ImpactProblem& problem, const VecX& p_plus) {
-  Integrator& integrator = problem.integrator;
-  if (!integrator.solve_closely(problem.q, p_plus, problem.remainder, problem.tau))
-    return std::numeric_limits<double>::quiet_NaN();
-  VecX q1(problem.q.size()), p1(p_plus.size());
-  integrator.finish(q1, p1);
-  const double work = integrator.work();
-  return modified_hamiltonian(integrator, q1, p1, problem.dt) - work;
-}
+class Mhc final : public ScalarMap {
+ public:
+  const char* name() const override { return "mhc"; }
+  bool allows_persistent_contact() const override { return true; }
+
+  void start_run(const FreeState& start, ImpactReference& reference) const override {
+    reference.value = modified_hamiltonian(start.integrator, start.q, start.p, start.dt);
+  }
+
+  void start_step(const VecX& q, const VecX& p, ImpactReference& reference) const override {
+    if (reference.kind == MhcReference::kRun) return;
+    reference.q = q;
+    reference.p = p;
+    reference.step = -1;
+  }
+
+  // A reference carried through the run is that of its free motion: it begins anew where persistent contact ends.
+  void resume(const FreeState& now, ImpactReference& reference) const override {
+    start_step(now.q, now.p, reference);
+    if (reference.kind == MhcReference::kRun) start_run(now, reference);
+  }
+
+  void evaluate_before(const FreeState& now, double partial, long step, ImpactReference& reference) const override {
+    const double work = partial > 0.0 ? now.integrator.work() : 0.0;
+    if (reference.kind == MhcReference::kStep && reference.step != step) {
+      reference.step = step;
+      reference.value = modified_hamiltonian(now.integrator, reference.q, reference.p, now.dt);
+    }
+    reference.value += work;
+  }
+
+ protected:
+  double scalar(const ImpactProblem& problem, const VecX& p_plus) const override {
+    Integrator& integrator = problem.integrator;
+    if (!integrator.solve_closely(problem.q, p_plus, problem.remainder, problem.tau))
+      return std::numeric_limits<double>::quiet_NaN();
+    VecX q1(problem.q.size()), p1(p_plus.size());
+    integrator.finish(q1, p1);
+    const double work = integrator.work();
+    return modified_hamiltonian(integrator, q1, p1, problem.dt) - work;
+  }
+};
 
 }  // namespace
 
-ImpactResult impact_mhc(const ImpactProblem& problem, VecRef p) {
-  const ImpactResult ctec = impact_ctec(problem, p);
-  return ctec.ok ? impact_mhc(problem, ctec, p) : ctec;
-}
-
-ImpactResult impact_mhc(const ImpactProblem& problem, const ImpactResult& ctec, VecRef p) {
-  return solve_impact(problem, ctec, &modified_energy_at_end, p);
+const ImpactLaw& mhc_law() {
+  static const Mhc law;
+  return law;
 }
 
 }  // namespace contactvi

@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "impact/ctec.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -11,23 +13,28 @@ constexpr double kFar = 0.5;       // of CTEC's impulse: a root beyond it belong
 constexpr int kMaxIterations = 30;
 }  // namespace
 
-ImpactResult solve_impact(const ImpactProblem& problem, const ImpactResult& ctec, StepScalar scalar, VecRef p) {
-  ImpactResult result = ctec;
+ImpactResult ScalarMap::apply(const ImpactProblem& problem, VecRef p) const {
+  const ImpactResult ctec = explicit_impulse(problem, p);
+  return ctec.ok ? correct(problem, ctec, p) : ctec;
+}
+
+ImpactResult ScalarMap::correct(const ImpactProblem& problem, const ImpactResult& start, VecRef p) const {
+  ImpactResult result = start;
   auto fall_back = [&](Fallback reason) {
-    result.impulse = ctec.impulse;
+    result.impulse = start.impulse;
     result.fallback = reason;
-    const VecX p_ctec = problem.p_minus + ctec.impulse * problem.W;
-    result.jump = scalar(problem, p_ctec) - problem.target;
-    p = p_ctec;
+    const VecX p_start = problem.p_minus + start.impulse * problem.W;
+    result.jump = scalar(problem, p_start) - problem.target;
+    p = p_start;
     return result;
   };
   if (problem.restitution == 0.0) return fall_back(Fallback::kPlastic);
   const double normal_energy = 0.5 * problem.gamma_minus * problem.gamma_minus / problem.G_c;
   const double exact =
       kExact * (std::abs(problem.target) + problem.p_minus.dot(problem.MinvW) / problem.G_c * problem.gamma_minus);
-  const double slope = problem.gamma_minus + ctec.impulse * problem.G_c;  // gamma+ of CTEC: dH/dlambda
+  const double slope = problem.gamma_minus + start.impulse * problem.G_c;  // gamma+ of the start: dH/dlambda
   VecX p_plus(p.size());
-  double lambda = ctec.impulse, previous_lambda = 0.0, previous = 0.0, best = INFINITY, best_lambda = lambda;
+  double lambda = start.impulse, previous_lambda = 0.0, previous = 0.0, best = INFINITY, best_lambda = lambda;
   for (int k = 0; k < kMaxIterations; ++k) {
     p_plus = problem.p_minus + lambda * problem.W;
     const double mismatch = scalar(problem, p_plus) - problem.target;
@@ -43,7 +50,7 @@ ImpactResult solve_impact(const ImpactProblem& problem, const ImpactResult& ctec
     const double secant = k == 0 ? slope : (mismatch - previous) / (lambda - previous_lambda);
     const double change = -mismatch / secant;
     if (!std::isfinite(change)) break;
-    if (std::abs(lambda + change - ctec.impulse) > kFar * ctec.impulse) return fall_back(Fallback::kGrazing);
+    if (std::abs(lambda + change - start.impulse) > kFar * start.impulse) return fall_back(Fallback::kGrazing);
     if (lambda + change == lambda) break;
     previous_lambda = lambda;
     previous = mismatch;

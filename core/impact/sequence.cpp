@@ -4,8 +4,7 @@
 #include <cmath>
 
 #include "impact/ctec.hpp"
-#include "impact/dtec.hpp"
-#include "impact/mhc.hpp"
+#include "impact/impact_maps.hpp"
 
 namespace contactvi {
 
@@ -19,8 +18,6 @@ constexpr double kTie = 1e-12;          // of the speeds: who closes faster by l
 constexpr int kFewHits = 32;            // the same among held contacts
 constexpr int kManyHits = 256;          // of inelastic contacts at one instant, per contact: the same
 constexpr double kOnCone = 1e-10;       // friction beyond the cone by so much is rounding
-using ImpactMap = ImpactResult(const ImpactProblem&, const ImpactResult&, VecRef);
-constexpr int kDtec = 1, kMhc = 2;
 }  // namespace
 
 ImpactSequence::ImpactSequence(const Scene& scene, Integrator& integrator, Guards& guards, const ImpactOptions& options)
@@ -28,6 +25,8 @@ ImpactSequence::ImpactSequence(const Scene& scene, Integrator& integrator, Guard
       integrator_(&integrator),
       guards_(&guards),
       options_(options),
+      law_(&impact_law(options.map)),
+      constraint_impulses_(VecX::Zero(scene.tree.elements.constraint_rows)),
       projection_(scene.tree),
       q_(scene.tree.nq),
       v_(scene.tree.nv) {}
@@ -54,25 +53,29 @@ double ImpactSequence::largest_speed(const VecX& p) const {
 
 // The elastic contact that closes fastest; null if none closes. False: it closes too slowly to go on with e > 0.
 bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic,
-                                 ClosedGuard*& worst) const {
+                                 ClosedGuard*& worst) {
   worst = nullptr;
   double gamma = -std::max(kSeparated * scale, kFloor * speeds_);
   for (int i = 0; i < count_; ++i) {
-    const ClosedGuard& c = closed_[i];
+    ClosedGuard& c = closed_[i];
     if (c.e == 0.0 || plastic[c.guard]) continue;
     const double candidate = c.gamma_n(p);
     if (!(candidate < gamma * (worst == nullptr ? 1.0 : 1.0 + kTie))) continue;
     gamma = candidate;
-    worst = const_cast<ClosedGuard*>(&c);
+    worst = &c;
   }
   // What bounces among contacts that are at rest anyway is not followed as far down.
   const double low = std::max(kAtRest, any_persistent_ && !elastic ? kLowBounce * speeds_ : 0.0);
   return worst == nullptr || gamma <= -std::max(kPlasticSpeed * scale, low);
 }
 
-bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, VecX& p, Recording& recording) {
+bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, ImpactReference& reference, VecX& p,
+                         Recording& recording) {
   code_ = StatusCode::kSuccess;
-  impacts_here_ = 0;
+  reference_ = &reference;
+  impacts_ = 0;
+  constraint_impulses_.setZero();
+  driven_work_ = 0.0;
   speeds_ = 0.0;
   for (int i = 0; i < count_; ++i) {
     const auto MinvW = closed_[i].MinvW.leftCols(closed_[i].rows);
@@ -90,7 +93,7 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
         const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_persistent_);
         if (!(single ? hit_point(*worst, worst->e, at, p, recording) : hit_block(*worst, worst->e, at, p, recording)))
           return false;
-        if (++impacts_in_step > options_.max_impacts_per_step)
+        if (++impacts_in_step_ > options_.max_impacts_per_step)
           return fail(StatusCode::kTooManyImpacts, "too many impacts in one step", worst->guard);
         continue;
       }
@@ -101,26 +104,24 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Ve
       if (take_unused(p)) continue;
       return true;
     }
-    if (++impacts_in_step > options_.max_impacts_per_step)
+    if (++impacts_in_step_ > options_.max_impacts_per_step)
       return fail(StatusCode::kTooManyImpacts, "too many impacts in one step", count_ > 0 ? closed_[0].guard : -1);
   }
 }
 
-ImpactResult ImpactSequence::apply_map(const ImpactProblem& problem, VecX& p) {
-  if (options_.map == 0 || !persistent()) {
-    switch (options_.map) {
-      case kDtec:
-        return impact_dtec(problem, p);
-      case kMhc:
-        return impact_mhc(problem, p);
-      default:
-        return impact_ctec(problem, p);
-    }
-  }
+ImpactResult ImpactSequence::apply_map(const ImpactProblem& problem, VecX& p) const {
+  if (!law_->implicit() || !persistent()) return law_->apply(problem, p);
   // The rest of the step is not a smooth one: its scalar is not what the map conserves.
-  ImpactResult result = impact_ctec(problem, p);
+  ImpactResult result = explicit_impulse(problem, p);
   result.fallback = Fallback::kPersistent;
   return result;
+}
+
+// After a fallback the scalar is what it is: the next impact must not be made to pay the difference back. A reference
+// that is carried through the run keeps its value.
+void ImpactSequence::carry_over(const ImpactResult& result) {
+  if (result.fallback == Fallback::kNone || reference_->kind == MhcReference::kRun) return;
+  if (std::isfinite(result.jump)) reference_->value += result.jump;
 }
 
 // One point without friction: the maps as they are.
@@ -128,12 +129,11 @@ bool ImpactSequence::hit_point(ClosedGuard& closed, double e, const Instant& at,
   const VecX p_minus = p, W = closed.W.col(0), MinvW = closed.MinvW.col(0);
   const double gamma = closed.speed(0, p), G_c = W.dot(MinvW);
   ImpactProblem problem{*integrator_, q_, p_minus, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, 0.0};
-  target -= problem.loss();
-  problem.target = target;
+  reference_->value -= problem.loss();
+  problem.target = reference_->value;
   const ImpactResult result = apply_map(problem, p);
   if (!result.ok) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
-  // After a fallback the scalar is what it is: the next impact must not be made to pay the difference back.
-  if (result.fallback != Fallback::kNone && !options_.mhc_global && std::isfinite(result.jump)) target += result.jump;
+  carry_over(result);
   closed.hit = true;
   VecX lambda = VecX::Constant(1, result.impulse);
   record(closed, lambda, p_minus, p, result, e, problem.loss(), gamma, closed.speed(0, p), at, recording);
@@ -154,20 +154,20 @@ ImpactResult ImpactSequence::corrected(const ClosedGuard& closed, const BlockRes
     MinvW += share * closed.MinvW.col(m * i);
   }
   ImpactResult result = ctec;
-  if (options_.map == 0) return result;
+  if (!law_->implicit()) return result;
   if (persistent() || !(ctec.impulse > 0.0)) {
     result.fallback = Fallback::kPersistent;
     return result;
   }
   const VecX base = p - ctec.impulse * W;  // so that p = base + impulse W
   const double G_c = W.dot(MinvW), gamma = MinvW.dot(base);
-  ImpactProblem problem{*integrator_, q_, base, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, target};
-  auto* map = options_.map == kDtec ? static_cast<ImpactMap*>(&impact_dtec) : static_cast<ImpactMap*>(&impact_mhc);
-  result = map(problem, ctec, p);
+  ImpactProblem problem{*integrator_, q_, base,        W,        MinvW,  gamma,
+                        G_c,          e,  options_.dt, at.after, at.tau, reference_->value};
+  result = law_->correct(problem, ctec, p);
   if (!leaves_cone(closed, block.lambda, result.impulse)) return result;
   // The correction acts along the normals: where it leaves less than friction needs, CTEC's impulse stands.
   problem.restitution = 0.0;
-  result = map(problem, ctec, p);
+  result = law_->correct(problem, ctec, p);
   result.fallback = Fallback::kInadmissible;
   return result;
 }
@@ -191,7 +191,7 @@ bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at,
       if (closed_[i].persistent && &closed_[i] != &closed) members.push_back({&closed_[i], 0.0});
   const BlockResult block = poisson_.solve(members, p);
   if (!block.ok) return not_solved("an impact with friction was not solved", closed.guard);
-  target -= block.loss;
+  reference_->value -= block.loss;
   VecX p_minus = p;
   for (std::size_t k = 1; k < members.size(); ++k) {
     // The reactions of the supports first: they belong to the same instant.
@@ -217,7 +217,7 @@ bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at,
   result.iterations += block.iterations;
   if (!result.ok || !p.allFinite())
     return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
-  if (result.fallback != Fallback::kNone && !options_.mhc_global && std::isfinite(result.jump)) target += result.jump;
+  carry_over(result);
   closed.hit = true;
   const int m = closed.rows_per_point();
   double normal = 0.0;
@@ -232,7 +232,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
                                  bool& any, Recording& recording) {
   std::vector<BlockMember> members;
   any = false;
-  const double closing = std::max(kSeparated * scale, (impacts_here_ > 0 ? kSolved : kFloor) * speeds_);
+  const double closing = std::max(kSeparated * scale, (impacts_ > 0 ? kSolved : kFloor) * speeds_);
   for (int i = 0; i < count_; ++i) {
     ClosedGuard& c = closed_[i];
     if (!all && c.e > 0.0 && !plastic[c.guard]) continue;
@@ -242,7 +242,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
   if (!any) return true;
   const BlockResult block = poisson_.solve(members, p);
   if (!block.ok) return not_solved("a plastic impact was not solved", members[0].closed->guard);
-  target -= block.loss;
+  reference_->value -= block.loss;
   int row = 0;
   bool acted = false;
   for (const BlockMember& member : members) {
@@ -262,7 +262,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
     ImpactResult result;
     for (int i = 0; i < c.count; ++i) result.impulse += lambda[m * i];
     result.iterations = block.iterations;
-    if (options_.map != 0) result.fallback = persistent() ? Fallback::kPersistent : Fallback::kPlastic;
+    if (law_->implicit()) result.fallback = persistent() ? Fallback::kPersistent : Fallback::kPlastic;
     c.hit = true;
     const double loss = c.loss(lambda, p_minus, p);
     record(c, lambda, p_minus, p, result, 0.0, loss, least, after, at, recording);
@@ -275,12 +275,11 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
 void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
                             const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
                             const Instant& at, Recording& recording) {
-  ++impacts;
-  ++impacts_here_;
+  ++impacts_;
   if (projection_.any()) {
     const VecX answer = closed.mu_fixed.leftCols(closed.rows) * lambda;
-    constraint_impulses -= answer;
-    driven_work += answer.dot(projection_.rate());
+    constraint_impulses_ -= answer;
+    driven_work_ += answer.dot(projection_.rate());
   }
   ImpactRecord r;
   const int m = closed.rows_per_point();
@@ -317,7 +316,7 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
   r.friction = closed.mu;
   r.points = closed.count;
   r.loss = loss;
-  r.method = options_.map;
+  r.method = static_cast<int>(options_.map);
   r.iterations = result.iterations;
   r.fallback = static_cast<int>(result.fallback);
   r.jump = result.jump;

@@ -9,16 +9,15 @@
 #include "base/error.hpp"
 #include "contact/contact_point.hpp"
 #include "event/finder.hpp"
+#include "impact/impact_law.hpp"
 #include "impact/poisson.hpp"
-#include "impact/scalar_map.hpp"
 #include "record/recording.hpp"
 #include "step/projection.hpp"
 
 namespace contactvi {
 
 struct ImpactOptions {
-  int map = 0;  // 0 CTEC, 1 DTEC, 2 MHC
-  bool mhc_global = false;
+  ImpactMap map = ImpactMap::kCtec;
   double dt = 0;  // full step
   bool stiff_support = false;
   long max_impacts_per_step = 0;
@@ -36,25 +35,29 @@ class ImpactSequence {
  public:
   ImpactSequence(const Scene& scene, Integrator& integrator, Guards& guards, const ImpactOptions& options);
 
-  // The contacts closed at q: of the guards `active` those within tolerance, `first` in any case, and the held ones.
-  // False if the mass matrix is not positive.
-  bool collect(const VecX& q, const VecX& p, const std::vector<int>& active, int first,
+  // The contacts closed at q and the time t [s]: of the guards `active` those within tolerance, `first` in any case,
+  // and the persistent ones. False if the mass matrix is not positive, or if constraints run into what cannot give way.
+  bool collect(const VecX& q, const VecX& p, double t, const std::vector<int>& active, int first,
                const std::vector<PersistentContact>& persistent);
   int count() const { return count_; }
   ClosedGuard& closed(int i) { return closed_[i]; }
   // Largest normal speed of a closed contact at p.
   double largest_speed(const VecX& p) const;
-  // Until nothing closes; p changes. Otherwise code and message say why not. plastic: guards whose e counts as zero.
-  bool run(const Instant& at, const std::vector<char>& plastic, VecX& p, Recording& recording);
+  // The limit of max_impacts_per_step counts from here.
+  void begin_step() { impacts_in_step_ = 0; }
+  // Impacts until nothing closes: p changes, and the losses are subtracted from the reference. Otherwise code(),
+  // message() and guard() tell why not. plastic: guards whose e counts as zero.
+  bool run(const Instant& at, const std::vector<char>& plastic, ImpactReference& reference, VecX& p,
+           Recording& recording);
+  // Impacts of the last run.
+  int impacts() const { return impacts_; }
+  // Impulses that impacts have caused in the rows of the constraints, and the work [J] of constraints with a prescribed
+  // motion in them, both summed up over the last run.
+  const VecX& constraint_impulses() const { return constraint_impulses_; }
+  double driven_work() const { return driven_work_; }
   StatusCode code() const { return code_; }
   const char* message() const { return message_; }
   int guard() const { return guard_; }
-
-  double time = 0;           // of the event, for constraints that depend on it [s]
-  VecX constraint_impulses;  // that impacts have caused, summed up; rows of the constraints
-  double driven_work = 0;    // of constraints that move by themselves, in impacts [J]
-  double target = 0;         // of the map's scalar, losses so far subtracted
-  long impacts = 0, impacts_in_step = 0;
 
  private:
   static constexpr double kSolved = 1e-11;  // of all speeds of the closed points: closing slower than this is at rest
@@ -63,15 +66,15 @@ class ImpactSequence {
   void add_rows(ClosedGuard& closed);
   bool mobile(const ClosedGuard& closed);
   bool take_unused(const VecX& p);
-  bool closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic,
-                   ClosedGuard*& worst) const;
+  bool closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic, ClosedGuard*& worst);
   bool hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
   bool hit_block(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
   bool hit_plastic(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p, bool& any,
                    Recording& recording);
   ImpactResult corrected(const ClosedGuard& closed, const BlockResult& block, double e, const Instant& at, VecX& p);
   bool leaves_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const;
-  ImpactResult apply_map(const ImpactProblem& problem, VecX& p);
+  ImpactResult apply_map(const ImpactProblem& problem, VecX& p) const;
+  void carry_over(const ImpactResult& result);
   void record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
               const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
               const Instant& at, Recording& recording);
@@ -84,10 +87,15 @@ class ImpactSequence {
   Integrator* integrator_;
   Guards* guards_;
   ImpactOptions options_;
+  const ImpactLaw* law_;
   std::vector<ClosedGuard> closed_;
   int count_ = 0;
   bool any_persistent_ = false;
-  int impacts_here_ = 0;
+  ImpactReference* reference_ = nullptr;  // of the run under way
+  int impacts_ = 0;
+  long impacts_in_step_ = 0;
+  VecX constraint_impulses_;
+  double driven_work_ = 0;
   double speeds_ = 0;  // of the closed points before the event, of what they are sums of: it has the rounding
   Projection projection_;
   VecX q_, v_;

@@ -116,13 +116,14 @@ void Simulator::count_contact_work() {
   if (contact_step_.constrained()) reactions_ += contact_step_.constraint_impulses();
 }
 
-// What the constraints did in the impacts since the last call.
-void Simulator::count_impacts() {
-  if (!contact_step_.constrained()) return;
-  reactions_ += sequence_.constraint_impulses;
-  work_.drive += sequence_.driven_work;
-  sequence_.constraint_impulses.setZero();
-  sequence_.driven_work = 0.0;
+// The impacts at one instant, with what the constraints do in them. False: they do not end.
+bool Simulator::run_impacts(const Instant& now, Recording& recording) {
+  const bool ended = sequence_.run(now, plastic_, reference_, p_, recording);
+  impacts_ += sequence_.impacts();
+  if (!contact_step_.constrained()) return ended;
+  reactions_ += sequence_.constraint_impulses();
+  work_.drive += sequence_.driven_work();
+  return ended;
 }
 
 // A function of the user has failed: nothing that follows can be trusted.

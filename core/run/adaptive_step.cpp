@@ -16,25 +16,24 @@ constexpr double kLargestGrowth = 2.0;  // of the step from one arc to the next
 constexpr double kProbeGrowth = 1.6;    // while the first step of a run is sought
 constexpr int kProbes = 16;
 constexpr double kEasyIterations = 9.0,
-                 kManyIterations = 20.0;    // per step: what a longer one may follow, what is too long
-constexpr double kBelowFailure = 0.75;      // of a step that did not converge: the longest tried from then on
-constexpr double kShortestStep = 1e-12;  // of the duration
+                 kManyIterations = 20.0;  // per step: what a longer one may follow, what is too long
+constexpr double kBelowFailure = 0.75;    // of a step that did not converge: the longest tried from then on
+constexpr double kShortestStep = 1e-12;   // of the duration
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
 
 Simulator::AdaptiveStart Simulator::adaptive_start(const Recording& recording) const {
   AdaptiveStart start{time_,
-                      sequence_.target,
                       speed_scale_,
+                      reference_,
                       q_,
                       p_,
                       {},
                       bouncing_,
                       contact_step_.contacts(),
                       recording.mark(),
-                      sequence_.impacts,
+                      impacts_,
                       step_,
-                      target_step_,
                       work_,
                       reactions_,
                       node_time_};
@@ -46,12 +45,12 @@ Simulator::AdaptiveStart Simulator::adaptive_start(const Recording& recording) c
 void Simulator::go_back(const AdaptiveStart& start, Recording& recording) {
   rejected_ += step_ - start.step + 1;
   time_ = start.time;
-  sequence_.target = start.target;
+  reference_ = start.reference;
   speed_scale_ = start.speed_scale;
   q_ = start.q;
   p_ = start.p;
   bouncing_ = start.bouncing;
-  sequence_.impacts = start.impacts;
+  impacts_ = start.impacts;
   contact_step_.contacts() = start.persistent;
   contact_step_.changed();
   separated_.clear();
@@ -60,7 +59,6 @@ void Simulator::go_back(const AdaptiveStart& start, Recording& recording) {
   reactions_ = start.reactions;
   node_time_ = start.node_time;
   step_ = start.step;
-  target_step_ = start.target_step;
   for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, start.touching[g] != 0);
   guards_.unmark_all();
   sync_persistent();
@@ -112,7 +110,7 @@ bool Simulator::run_adaptive_steps(double end, double level, Recording& recordin
       time_ = k + 1 == static_cast<long>(count) ? end : step_start + h;
       record_node(time_, recording);
       if (!report(time_)) return false;
-      if (sequence_.impacts > start.impacts) break;
+      if (impacts_ > start.impacts) break;
     }
     if (!rejected) {
       recording.adaptive_t.push_back(start.time);

@@ -290,7 +290,7 @@ bool Simulator::contact_piece(Piece& piece, Recording& recording) {
     piece.done += taken;
     piece.remaining = alpha >= 1.0 && h >= piece.remaining * (1.0 - 1e-12) ? 0.0 : piece.length - piece.done;
     without_progress_ = 0;
-    set_reference();
+    law_->start_step(q_, p_, reference_);
   }
   const double now = piece.start + piece.done;
   if (hit) {

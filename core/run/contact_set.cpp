@@ -158,7 +158,7 @@ void Simulator::hold_at_start() {
   std::vector<int> touching;
   for (int g = 0; g < guards_.count(); ++g)
     if (finder_.touching(g)) touching.push_back(g);
-  if (touching.empty() || !sequence_.collect(q_, p_, touching, -1, {})) return;
+  if (touching.empty() || !sequence_.collect(q_, p_, time_, touching, -1, {})) return;
   Recording begun;
   hold_closed(-1, time_, VecX(), begun);
   begun_ = begun.changes;
@@ -264,8 +264,7 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
   if (!changed) return true;
   // As at an event: what closes is hit, what neither closes nor separates is held.
   const std::vector<int> none(persistent_guards_);
-  sequence_.time = piece.start + piece.done;
-  if (!sequence_.collect(q_, p_, none, first, {}))
+  if (!sequence_.collect(q_, p_, piece.start + piece.done, none, first, {}))
     return end(sequence_.code(), piece.start + piece.done, sequence_.message());
   const Instant now{piece.start + piece.done, 0.0, piece.remaining, piece.tau, step_};
   const double slow = kLeaves * (1.0 + contact_step_.end_velocity().cwiseAbs().maxCoeff());
@@ -273,9 +272,7 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
   for (int i = 0; i < sequence_.count(); ++i) worst = std::min(worst, sequence_.closed(i).gamma_n(p_));
   if (worst < -slow) {
     find_accumulating(now.time);
-    if (!sequence_.run(now, plastic_, p_, recording))
-      return end(sequence_.code(), now.time, sequence_.message(), sequence_.guard());
-    count_impacts();
+    if (!run_impacts(now, recording)) return end(sequence_.code(), now.time, sequence_.message(), sequence_.guard());
   }
   hold_closed(-1, now.time, piece.tau, recording);
   return true;

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <limits>
 
-#include "step/energy.hpp"
+#include "impact/impact_maps.hpp"
 
 namespace contactvi {
 
@@ -15,7 +15,6 @@ constexpr int kMostHalvings = 4000;   // and after so many in one step
 constexpr int kEasySteps = 4;         // short steps in a row before a longer one is tried
 constexpr double kFlights = 20.0;     // a free step after a flight shorter than dt by so much again is so many flights,
 constexpr double kGrowth = 8.0;       // and grows by this while nothing happens
-constexpr int kCtec = 0, kDtec = 1, kMhc = 2;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
 
@@ -35,15 +34,16 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       bouncing_(scene.guard_count()),
       contact_step_(scene, guards_, guards_.manifolds(), options.tol),
       contact_path_(scene.tree, 1),
-      sequence_(scene, integrator_, guards_,
-                {options.impact, options.mhc_global, options.dt, options.stiff_support, options.max_impacts_per_step,
-                 options.record_contacts}),
+      sequence_(
+          scene, integrator_, guards_,
+          {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step, options.record_contacts}),
+      law_(&impact_law(options.impact)),
       plastic_(scene.guard_count(), 0) {
+  reference_.kind = options.mhc_reference;
   const Elements& e = scene.tree.elements;
   dissipative_ = scene.tree.has_damping || !e.friction_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
   for (const PathSpring& spring : e.path_springs) dissipative_ |= spring.damping > 0.0;
   accounts_ = dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0;
-  if (options.impact < kCtec || options.impact > kMhc) throw Error("unknown impact map");
 }
 
 bool Simulator::end(StatusCode code, double time, std::string message, int guard) {
@@ -56,10 +56,9 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   q_ = q;
   v_ = v;
   t0_ = time_ = t;
-  step_ = halved_ = rejected_ = 0;
-  sequence_.impacts = 0;
+  step_ = halved_ = rejected_ = impacts_ = 0;
   speed_scale_ = 0.0;
-  target_step_ = -1;
+  reference_.step = -1;
   trial_ = options_.dt;
   easy_ = contact_easy_ = without_progress_ = 0;
   contact_trial_ = contact_dt();
@@ -68,8 +67,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   contact_step_.restart();
   work_ = Work();
   reactions_.setZero(scene_->tree.elements.constraint_rows);
-  mean_reactions_ = sequence_.constraint_impulses = reactions_;
-  sequence_.driven_work = 0.0;
+  mean_reactions_ = reactions_;
   node_time_ = t;
   saturated_ = 0;
   *scene_->tree.elements.failed = false;
@@ -79,7 +77,6 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   contact_step_.set_time(t);
   contact_step_.set_servo(&servo_);
   contact_step_.set_nominal(options_.dt);
-  sequence_.time = t;
   separated_.clear();
   begun_.clear();
   flight_trial_ = 0.0;
@@ -96,7 +93,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
     return status_;
   }
   integrator_.dynamics(q_, v_, p_, p1_);
-  if (options_.impact == kMhc) sequence_.target = modified_hamiltonian(integrator_, q_, p_, options_.dt);
+  law_->start_run(free_state(), reference_);
   guards_.place(q_);
   for (int g = 0; g < guards_.count(); ++g) {
     Contact contact;
@@ -145,7 +142,7 @@ bool Simulator::report(double time) {
   using Clock = std::chrono::steady_clock;
   if (!*progress_ || Clock::now() - reported_ < std::chrono::milliseconds(100)) return true;
   reported_ = Clock::now();
-  return (*progress_)(time, sequence_.impacts) || end(StatusCode::kInterrupted, time, "interrupted");
+  return (*progress_)(time, impacts_) || end(StatusCode::kInterrupted, time, "interrupted");
 }
 
 Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
@@ -218,9 +215,9 @@ bool Simulator::interval(double start, double length, const VecX& tau, Recording
   Piece piece{start, length, 0.0, length, tau};
   const long halved = halved_;
   long pieces = 0;
-  sequence_.impacts_in_step = 0;
+  sequence_.begin_step();
   sticks_located_ = 0;
-  set_reference();
+  law_->start_step(q_, p_, reference_);
   while (piece.remaining > 0.0) {
     if (++pieces % 64 == 0 && !report(start + piece.done)) return false;
     if (pieces > 1) limit_actuation();
@@ -271,7 +268,8 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
     p_.swap(p1_);
     piece.done += h;
     piece.remaining = shorter ? piece.length - piece.done : 0.0;
-    if (piece.remaining > 0.0) set_reference();  // of a step that was cut every piece counts as one
+    if (piece.remaining > 0.0)
+      law_->start_step(q_, p_, reference_);  // of a step that was cut every piece counts as one
     return true;
   }
   if (found != Search::kFound) return search_failed(found, at);
@@ -298,18 +296,10 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   // A path over the whole step would be too coarse to see the next flight.
   const double flight = shortest_flight();
   flight_trial_ =
-      options_.impact == kCtec && flight > 0.0 && kFlights * kFlights * flight < options_.dt ? kFlights * flight : 0.0;
+      !law_->implicit() && flight > 0.0 && kFlights * kFlights * flight < options_.dt ? kFlights * flight : 0.0;
   // An implicit map has chosen its impulse for the rest of the step in one piece.
-  if (options_.impact != kCtec && !hit_.empty()) trial_ = std::max(trial_, piece.remaining);
+  if (law_->implicit() && !hit_.empty()) trial_ = std::max(trial_, piece.remaining);
   return true;
-}
-
-// MHC's local reference is the state at the start of the step.
-void Simulator::set_reference() {
-  if (options_.impact != kMhc || options_.mhc_global) return;
-  q_node_ = q_;
-  p_node_ = p_;
-  target_step_ = -1;
 }
 
 // The event of the guard `first` [at.time: start of the partial step that ends there]. persistent: it was touching.
@@ -317,19 +307,17 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
   const double time = at.time + at.before;
   const Instant now{time, at.before, at.after, at.tau, at.step};
   const bool touched = finder_.touching(first), was_persistent = !contact_step_.empty();
-  if (options_.impact != kCtec && contact_step_.empty()) sequence_.target = energy_target(at.before);
-  sequence_.time = time;
+  if (contact_step_.empty()) law_->evaluate_before(free_state(), at.before, step_, reference_);
   integrator_.set_time(time);
   contact_step_.set_time(time);
-  if (!sequence_.collect(q_, p_, finder_.active(), first, contact_step_.contacts()))
+  if (!sequence_.collect(q_, p_, time, finder_.active(), first, contact_step_.contacts()))
     return end(sequence_.code(), time, sequence_.message());
   const double scale = sequence_.largest_speed(p_);
   speed_scale_ = std::max(speed_scale_, scale);
   find_accumulating(time);
   // A contact that has not separated but by rounding is not hit again by what rounding left of its speed.
   const bool rounding = (stays_closed || touched) && scale <= kSeparated * speed_scale_;
-  const bool ran = rounding || sequence_.run(now, plastic_, p_, recording);
-  count_impacts();
+  const bool ran = rounding || run_impacts(now, recording);
   if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
   if (!judge_accumulation(first, stays_closed || touched, time, recording)) return false;
@@ -341,27 +329,7 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
   return true;
 }
 
-// Value of the map's scalar before the event, losses not yet subtracted; what damping and inputs have done since the
-// scalar's own instant (the middle of the partial step, or the node) is added, so that the impact does not give it
-// back.
-double Simulator::energy_target(double before) {
-  // The integrator still holds the partial step to the event.
-  const double work = before > 0.0 ? integrator_.work() : 0.0;
-  if (options_.impact == kDtec) {
-    if (before > 0.0) return integrator_.discrete_energy() + work - integrator_.mean_work();
-    const Energy now = energy(integrator_, q_, p_);
-    return now.kinetic + now.potential;
-  }
-  if (options_.mhc_global || target_step_ == step_) return sequence_.target + work;
-  target_step_ = step_;
-  return modified_hamiltonian(integrator_, q_node_, p_node_, options_.dt) + work;
-}
-
-// A carried reference is that of the motion without held contacts: it begins anew where the last one has left.
-void Simulator::reanchor() {
-  set_reference();
-  if (options_.impact == kMhc && options_.mhc_global)
-    sequence_.target = modified_hamiltonian(integrator_, q_, p_, options_.dt);
-}
+// Free motion goes on where the last persistent contact has ended.
+void Simulator::reanchor() { law_->resume(free_state(), reference_); }
 
 }  // namespace contactvi

@@ -14,10 +14,10 @@
 namespace contactvi {
 
 struct SimulatorOptions {
-  double dt = 1e-3;         // [s]
-  double tol = 1e-12;       // of the discrete Euler-Lagrange residual, relative
-  int impact = 0;           // map: 0 CTEC, 1 DTEC, 2 MHC
-  bool mhc_global = false;  // MHC's reference: carried from the start of the run, else from the start of each step
+  double dt = 1e-3;    // [s]
+  double tol = 1e-12;  // of the discrete Euler-Lagrange residual, relative
+  ImpactMap impact = ImpactMap::kCtec;
+  MhcReference mhc_reference = MhcReference::kStep;
   int max_iterations = 50;  // sweeps per attempt at a step
   long max_impacts_per_step = 100000;
   int stages = 1;              // s of order 2s
@@ -56,7 +56,7 @@ class Simulator {
   const StepCounters& step_counters() const { return integrator_.counters; }
   const GuardCounters& guard_counters() const { return guards_.counters; }
   long steps() const { return step_; }
-  long impacts() const { return sequence_.impacts; }
+  long impacts() const { return impacts_; }
   long halved() const { return halved_; }
   long rejected() const { return rejected_; }
   const ContactStepCounters& contact_counters() const { return contact_step_.counters; }
@@ -81,13 +81,14 @@ class Simulator {
   };
   // What run_auto goes back to.
   struct AdaptiveStart {
-    double time, target, speed_scale;
+    double time, speed_scale;
+    ImpactReference reference;
     VecX q, p;
     std::vector<char> touching;
     std::vector<Bouncing> bouncing;
     std::vector<PersistentContact> persistent;
     Recording::Mark mark;
-    long impacts, step, target_step;
+    long impacts, step;
     Work work;
     VecX reactions;
     double node_time;
@@ -119,18 +120,16 @@ class Simulator {
   double most_effort(int d) const;
   void apply_servo();
   bool exceeds_effort(const Integrator& integrator);
-  void count_free_work();
   void count_contact_work();
-  void count_impacts();
+  bool run_impacts(const Instant& now, Recording& recording);
   bool user_failed(double time);
-  void set_reference();
+  FreeState free_state() { return {integrator_, q_, p_, options_.dt}; }
   bool resolve_event(int first, bool stays_closed, const Instant& at, Recording& recording);
-  double energy_target(double before);
   void find_accumulating(double time);
   double short_flight(double e) const;
   double shortest_flight() const;
   bool judge_accumulation(int first, bool stays, double time, Recording& recording);
-  bool holds() const { return options_.impact != 1 && !options_.end_at_zeno; }
+  bool holds() const { return law_->allows_persistent_contact() && !options_.end_at_zeno; }
   void reanchor();
 
   // Lasting contact (lasting.cpp, contact_book.cpp).
@@ -177,11 +176,13 @@ class Simulator {
   std::chrono::steady_clock::time_point reported_;
   const Progress* progress_ = nullptr;  // of the call under way
   double speed_scale_ = 0;              // largest closing speed of a closed contact so far
-  long step_ = 0, halved_ = 0, rejected_ = 0;
+  long step_ = 0, halved_ = 0, rejected_ = 0, impacts_ = 0;
   std::vector<Bouncing> bouncing_;
   ContactStep contact_step_;
   StepPath contact_path_;
   ImpactSequence sequence_;
+  const ImpactLaw* law_;
+  ImpactReference reference_;
   bool dissipative_ = false;            // whether forces take energy
   std::vector<char> plastic_;           // guards whose impacts of this event count as plastic
   std::vector<int> persistent_guards_;  // that guards_ knows to be held
@@ -207,8 +208,6 @@ class Simulator {
   bool accounts_ = false;            // whether anything does work
   VecX reactions_, mean_reactions_;  // impulses of the constraints since the last node; their mean force before it
   double node_time_ = 0;
-  VecX q_node_, p_node_;   // start of the step, for MHC's local reference
-  long target_step_ = -1;  // step that MHC's local reference belongs to
 };
 
 }  // namespace contactvi

@@ -12,7 +12,7 @@ struct Simulator::Snapshot {
   bool searched_persistent;
   Status status;
   Servo servo;
-  VecX q_node, p_node, mean_reactions;
+  VecX mean_reactions;
   double t0, trial, adaptive_h, flight_trial, contact_trial, contact_seconds, kinetic;
   int easy, contact_easy, without_progress;
   long halved, rejected, saturated;
@@ -32,8 +32,6 @@ std::shared_ptr<const Simulator::Snapshot> Simulator::save() {
                                                    finder_.stepper() == &contact_step_,
                                                    status_,
                                                    servo_,
-                                                   q_node_,
-                                                   p_node_,
                                                    mean_reactions_,
                                                    t0_,
                                                    trial_,
@@ -61,11 +59,7 @@ void Simulator::restore(const Snapshot& s) {
   status_ = s.status;
   servo_ = s.servo;
   apply_servo();
-  q_node_ = s.q_node;
-  p_node_ = s.p_node;
   mean_reactions_ = s.mean_reactions;
-  sequence_.constraint_impulses.setZero(s.arc.reactions.size());
-  sequence_.driven_work = 0.0;
   t0_ = s.t0;
   trial_ = s.trial;
   adaptive_h_ = s.adaptive_h;
