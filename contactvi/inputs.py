@@ -1,29 +1,68 @@
-"""Checks of numbers given by the user: each returns the clean value or raises an InputError naming the argument."""
+"""Checks of what the user hands in: each returns the clean value or raises an InputError that names the argument.
+
+First numbers and choices, then arrays and placements, states and forces of one model, and settings of a run.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import numbers
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from contactvi.errors import InputError
+from contactvi.errors import InputError, UserFunctionError, did_you_mean
 
-QUATERNION_TOLERANCE = 1e-6  # a quaternion typed with 7 digits is accepted, then normalised
+Array = NDArray[np.float64]
+UNIT_TOLERANCE = 1e-6  # A quaternion typed with seven digits passes and is normalised, a forgotten one does not.
+
+AUTO = "auto"
+ORDERS = tuple(range(2, 17, 2))
+AUTO_ORDER = 16
+CONTACT_DT = 1e-3  # [s] longest step in contact where none is given and free steps are longer, of a higher order
+LEDGER_TOLERANCES = (
+    *("energy", "modified_energy", "discrete_energy", "linear_momentum", "angular_momentum"),
+    *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
+    *("linear_momentum_jump", "angular_momentum_jump", "impulse", "complementarity", "gap"),
+    *("energy_rise", "impulse_balance", "energy_balance"),
+)
+_STEP_TOLERANCE = 1e-9  # Decimal input such as 0.1 / 1e-3 is off by a few eps * steps, a wrong number by far more.
+
+# --- numbers and choices ----------------------------------------------------------------------------------------------
 
 
-def real(name: str, value: Any, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False) -> float:
-    """Return `value` as a finite float in [low, high], or (low, high] with `open_low`."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = math.nan
+def real(
+    name: str,
+    value: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    open_low: bool = False,
+    expected: str | None = None,
+) -> float:
+    """Return a real number (no truth value, no str) as a finite float in [low, high], or (low, high] with `open_low`.
+
+    `expected` says in words what it should be, where the interval alone does not.
+    """
+    number = math.nan
+    if isinstance(value, numbers.Real) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
     inside = low < number <= high if open_low else low <= number <= high
-    if isinstance(value, (bool, str)) or not math.isfinite(number) or not inside:
-        raise InputError(f"Value of {name}", name=name, expected=_interval(low, high, open_low), got=short(value))
+    if not math.isfinite(number) or not inside:
+        wanted = expected or _interval(low, high, open_low)
+        raise InputError(f"{name} is not usable", name=name, expected=wanted, got=short(value))
     return number
+
+
+def positive(name: str, value: Any, expected: str) -> float:
+    """Return `value` as a finite float > 0; `expected` says in words what it should be."""
+    return real(name, value, 0.0, open_low=True, expected=expected)
 
 
 def _interval(low: float, high: float, open_low: bool) -> str:
@@ -34,33 +73,74 @@ def _interval(low: float, high: float, open_low: bool) -> str:
     return f"a number in {'(' if open_low else '['}{low:g}, {high:g}]"
 
 
+def count(name: str, value: Any) -> int:
+    """Return a whole number >= 1."""
+    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or int(value) < 1:
+        raise InputError(f"{name} is not usable", name=name, expected="a whole number >= 1", got=short(value))
+    return int(value)
+
+
+def flag(name: str, value: Any) -> bool:
+    """Return True or False."""
+    if not isinstance(value, bool):
+        raise InputError(f"{name} is not usable", name=name, expected="True or False", got=short(value))
+    return value
+
+
+def check_choice(name: str, value: Any, choices: Sequence[str], what: str) -> None:
+    """Raise InputError, saying `what` is wrong, where the value is none of the choices."""
+    if isinstance(value, str) and value in choices:
+        return
+    expected = " | ".join(repr(choice) for choice in choices)
+    raise InputError(what, name=name, expected=expected, got=repr(value), remedy=did_you_mean(str(value), choices))
+
+
 def short(value: Any) -> str:
     """Return repr(value), its end cut off where it is long."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def flag(name: str, value: Any) -> bool:
-    """Return True or False."""
-    if not isinstance(value, (bool, np.bool_)):
-        raise InputError(f"Argument {name}", name=name, expected="True or False", got=repr(value))
-    return bool(value)
+# --- arrays and placements --------------------------------------------------------------------------------------------
 
 
-def vector(name: str, value: Any, size: int) -> np.ndarray:
-    """Return `value` as a finite float array of shape (size,)."""
+def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: str | None = None) -> Array:
+    """Return `value` as a C-contiguous float array of this shape with finite numbers, or raise InputError."""
     try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"Value of {name}", name=name, expected=f"{size} numbers", got=short(value)) from None
-    if array.shape != (size,):
-        raise InputError(f"Shape of {name}", name=name, expected=f"({size},)", got=str(array.shape))
-    if not np.all(np.isfinite(array)):
-        raise InputError(f"Values of {name}", name=name, expected="finite numbers", got=str(array))
-    return array.copy()
+        result = np.array(value, dtype=float, order="C")
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"{name} is not an array of numbers",
+            name=name,
+            expected=f"{meaning}, shape {shape}",
+            got=short(value),
+        ) from error
+    if result.shape != shape:
+        raise InputError(
+            f"{name} has the wrong shape",
+            name=name,
+            expected=f"{meaning}, shape {shape}",
+            got=f"shape {result.shape}",
+            remedy=remedy,
+        )
+    if not np.isfinite(result).all():
+        bad = np.argwhere(~np.isfinite(result))
+        at = ", ".join(str(i) for i in bad[0])
+        raise InputError(
+            f"{name} is not finite",
+            name=name,
+            expected="finite numbers",
+            got=f"{result[tuple(bad[0])]} at index {at}" + (f" and {len(bad) - 1} more" if len(bad) > 1 else ""),
+        )
+    return result
 
 
-def unit_vector(name: str, value: Any) -> np.ndarray:
+def vector(name: str, value: Any, size: int) -> Array:
+    """Return `value` as an array of finite numbers, shape (size,)."""
+    return array(name, value, (size,), f"{size} numbers")
+
+
+def unit_vector(name: str, value: Any) -> Array:
     """Return the direction of a nonzero 3-vector, shape (3,)."""
     array = vector(name, value, 3)
     length = float(np.linalg.norm(array))
@@ -69,11 +149,11 @@ def unit_vector(name: str, value: Any) -> np.ndarray:
     return array / length
 
 
-def unit_quaternion(name: str, value: Any) -> np.ndarray:
+def unit_quaternion(name: str, value: Any) -> Array:
     """Return a quaternion (x, y, z, w), which must have unit length to 1e-6, normalised."""
     array = vector(name, value, 4)
     length = float(np.linalg.norm(array))
-    if abs(length - 1.0) > QUATERNION_TOLERANCE:
+    if abs(length - 1.0) > UNIT_TOLERANCE:
         raise InputError(
             f"Quaternion {name}",
             name=name,
@@ -92,7 +172,7 @@ def pose(name: str, value: Any) -> pin.SE3:
     if value is None:
         return pin.SE3.Identity()
     if isinstance(value, pin.SE3):
-        check_finite_pose(name, value)
+        _check_pose(name, value)
         return value.copy()
     if isinstance(value, Sequence) and len(value) == 2 and not isinstance(value, str):
         xyz, rpy = vector(f"{name} xyz", value[0], 3), vector(f"{name} rpy", value[1], 3)
@@ -106,7 +186,7 @@ def pose(name: str, value: Any) -> pin.SE3:
     if shape == (4, 4):
         matrix = np.asarray(value, dtype=float)
         placement = pin.SE3(matrix[:3, :3], matrix[:3, 3])
-        check_finite_pose(name, placement)
+        _check_pose(name, placement)
         return placement
     raise InputError(
         f"Placement {name}",
@@ -116,10 +196,213 @@ def pose(name: str, value: Any) -> pin.SE3:
     )
 
 
-def check_finite_pose(name: str, placement: pin.SE3) -> None:
+def _check_pose(name: str, placement: pin.SE3) -> None:
     """Raise an InputError unless the numbers are finite and the rotation is one (to 1e-6)."""
     matrix = placement.homogeneous
     rotation = matrix[:3, :3]
-    good = np.all(np.isfinite(matrix)) and np.allclose(rotation @ rotation.T, np.eye(3), atol=QUATERNION_TOLERANCE)
+    good = np.all(np.isfinite(matrix)) and np.allclose(rotation @ rotation.T, np.eye(3), atol=UNIT_TOLERANCE)
     if not good or np.linalg.det(rotation) < 0.0:
         raise InputError(f"Placement {name}", name=name, expected="a finite rigid placement", got=str(matrix.tolist()))
+
+
+# --- states and forces ------------------------------------------------------------------------------------------------
+
+
+class States:
+    """Checks of the states and forces of one model, with what they need of it looked up once."""
+
+    def __init__(self, model: pin.Model) -> None:
+        self.nq, self.nv = int(model.nq), int(model.nv)
+        self._units: list[tuple[slice, str]] = []  # entries of q that hold a rotation, name of the joint
+        for index in range(1, model.njoints):
+            part = _unit_part(model, index)
+            if part.stop > part.start:
+                self._units.append((part, str(model.names[index])))
+
+    def configuration(self, q: Any, name: str = "q0") -> Array:
+        """Return q as an array of shape (nq,), unit complex numbers and quaternions normalised.
+
+        Raises:
+            InputError: for a wrong shape, numbers that are not finite, and a norm further than 1e-6 from one.
+        """
+        remedy = (
+            "Start from scene.neutral() and set joints with scene.configuration({...}); a free body takes 7 numbers"
+        )
+        result = array(name, q, (self.nq,), "one configuration", remedy)
+        for part, joint in self._units:
+            values = result[part]
+            norm = math.sqrt(float(values @ values))
+            if abs(norm - 1.0) > UNIT_TOLERANCE:
+                what = "quaternion (x, y, z, w)" if part.stop - part.start == 4 else "pair (cos, sin)"
+                raise InputError(
+                    f"{name} holds a {what} of joint {joint!r} that is not a rotation",
+                    name=name,
+                    expected="norm 1",
+                    got=f"{np.array2string(values, precision=6)} with norm {norm:.6g}",
+                    remedy=f"Normalise {name}[{part.start}:{part.stop}], or start from scene.neutral()",
+                )
+            values /= norm
+        return result
+
+    def distance(self, a: Array, b: Array) -> Array:
+        """Return the norm of the tangent difference of configurations (N, nq) or (1, nq), shape (N,) [m, rad].
+
+        Angles follow from the chords of unit quaternions and (cos, sin), which lose no digits where they are small.
+        Free and planar bodies as R^3 x SO(3) and R^2 x SO(2).
+        """
+        apart = b - a
+        square = np.einsum("ij,ij->i", apart, apart)
+        for part, _ in self._units:
+            near = np.einsum("ij,ij->i", apart[:, part], apart[:, part])
+            if part.stop - part.start == 4:  # q and -q are one rotation; the chord is that of half the angle
+                angle = 4.0 * np.arcsin(np.minimum(1.0, 0.5 * np.sqrt(np.minimum(near, 4.0 - near))))
+            else:
+                angle = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * np.sqrt(near)))
+            square += angle**2 - near
+        return np.asarray(np.sqrt(np.maximum(square, 0.0)))
+
+    def velocity(self, v: Any, name: str = "v0") -> Array:
+        """Return v as an array of shape (nv,); None is rest."""
+        if v is None:
+            return np.zeros(self.nv)
+        return array(name, v, (self.nv,), "one velocity (a free body takes 6 numbers: linear, angular, body frame)")
+
+    def force(self, tau: Any, name: str = "tau") -> Array:
+        """Return one generalized force as an array of shape (nv,)."""
+        return array(name, tau, (self.nv,), "one generalized force")
+
+    def controlled(self, tau: Any, t: float) -> Array:
+        """Return what a control function returned at t [s] as one generalized force, shape (nv,).
+
+        Raises UserFunctionError, which says when.
+        """
+        try:
+            return self.force(tau)
+        except InputError as error:
+            raise UserFunctionError(
+                f"The control returned what cannot be used at t = {t:.9g} s, {error.what}",
+                function="control",
+                time=t,
+                expected=error.expected,
+                got=error.got,
+            ) from None
+
+    def forces(self, tau: Any, steps: int, name: str = "control") -> Array:
+        """Return the generalized forces of all steps as an array of shape (steps, nv)."""
+        return array(name, tau, (steps, self.nv), "one generalized force per step")
+
+
+def _unit_part(model: pin.Model, index: int) -> slice:
+    """Return the entries of q that hold the unit quaternion or (cos, sin) of a joint (empty for other joints)."""
+    joint = model.joints[index]
+    start, offset = joint.idx_q, 0
+    count = {(7, 6): 4, (4, 3): 4, (2, 1): 2}.get((joint.nq, joint.nv), 0)
+    if joint.nq == 7:
+        offset = 3
+    if joint.shortname() == "JointModelPlanar":
+        offset, count = 2, 2
+    return slice(start + offset, start + offset + count)
+
+
+# --- settings of a run ------------------------------------------------------------------------------------------------
+
+
+def tolerances(ledger: Any) -> dict[str, float] | None:
+    """Return the checked tolerances of the ledger, None for none."""
+    if not ledger and (ledger is None or isinstance(ledger, Mapping)):
+        return None
+    if not isinstance(ledger, Mapping):
+        raise InputError(
+            "The tolerances of the ledger are not usable",
+            name="ledger",
+            expected='names and bounds, for example {"own_jump": 1e-10}',
+            got=repr(ledger),
+        )
+    for name, bound in ledger.items():
+        if name not in LEDGER_TOLERANCES:
+            raise InputError(
+                f"The ledger has no tolerance {name!r}",
+                name="ledger",
+                expected=" | ".join(LEDGER_TOLERANCES),
+                got=repr(name),
+                remedy=did_you_mean(str(name), LEDGER_TOLERANCES),
+            )
+        if not isinstance(bound, numbers.Real) or isinstance(bound, bool) or not float(bound) >= 0:
+            raise InputError(f"Tolerance {name!r}", name="ledger", expected="a number >= 0", got=repr(bound))
+    return {str(name): float(bound) for name, bound in ledger.items()}
+
+
+def integrator_order(order: Any, auto: bool) -> int:
+    """Return the order, by default 2 for steps of one length and AUTO_ORDER for "auto"."""
+    if order is None:
+        return AUTO_ORDER if auto else 2
+    whole = isinstance(order, numbers.Integral) and not isinstance(order, bool)
+    if whole and order in ORDERS:
+        return int(order)
+    near = 2 if not whole else min(max(int(order) + int(order) % 2, 2), 16)
+    raise InputError(
+        "The order of the integrator is not usable",
+        name="order",
+        expected="an even number from 2 to 16",
+        got=repr(order),
+        remedy=f"Use order={near}",
+    )
+
+
+def kept_dense(dense: Any, order: int, sample_dt: float | None) -> bool:
+    """Return whether polynomials are kept, by default from order 4 on and for samples."""
+    if dense is None:
+        return order >= 4 or sample_dt is not None
+    if not isinstance(dense, bool):
+        raise InputError("dense is not usable", name="dense", expected="True or False", got=repr(dense))
+    if sample_dt is not None and not dense:
+        raise InputError(
+            "Samples are taken from the polynomials of the steps",
+            name="dense",
+            expected="True with sample_dt",
+            got="False",
+            remedy="Leave dense out, or sample_dt",
+        )
+    return dense
+
+
+def contact_step(dt_contact: Any, dt: float | str) -> float | str | None:
+    """Return the checked step in contact; dt: the free step [s] or "auto"."""
+    if dt_contact is None or (isinstance(dt_contact, str) and dt_contact == AUTO and dt == AUTO):
+        return dt_contact if dt_contact is None else AUTO
+    if isinstance(dt_contact, str) and dt_contact == AUTO:
+        raise InputError(
+            "The step in contact cannot be found by a run with steps of one length",
+            name="dt_contact",
+            expected="a time in seconds, or dt='auto' too",
+            got="'auto'",
+            remedy="Give dt_contact=..., for example dt_contact=1e-3, or leave it out",
+        )
+    value = positive("dt_contact", dt_contact, "the step in contact in seconds, > 0, for example 1e-3")
+    if isinstance(dt, float) and value > dt * (1.0 + _STEP_TOLERANCE):
+        raise InputError(
+            "The step in contact is longer than the step",
+            name="dt_contact",
+            expected=f"at most dt = {dt:g} s",
+            got=f"{value:g} s",
+            remedy="Leave dt_contact out, or use a larger dt",
+        )
+    return value
+
+
+def check_whole(duration: float, dt: float) -> None:
+    """Raise InputError where the duration is not a whole number of steps [s]."""
+    ratio = duration / dt
+    if not math.isfinite(ratio):
+        raise InputError("duration / dt overflows", name="dt", expected="a finite number of steps", got=f"dt={dt!r}")
+    steps = round(ratio)
+    if steps >= 1 and abs(ratio - steps) <= _STEP_TOLERANCE * max(1.0, ratio):
+        return
+    near = max(1, steps)
+    raise InputError(
+        "duration is not a whole number of steps",
+        name="duration",
+        expected="duration / dt a whole number (to 1e-9)",
+        got=f"{duration!r} / {dt!r} = {ratio:.12g}",
+        remedy=f"Use duration={near * dt:.12g}, or dt={duration / near:.12g}",
+    )

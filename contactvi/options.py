@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, TypedDict, get_args
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.option_checks import (
+from contactvi.inputs import (
     AUTO,
     CONTACT_DT,
     check_choice,
@@ -17,7 +17,7 @@ from contactvi.option_checks import (
     flag,
     integrator_order,
     kept_dense,
-    real,
+    positive,
     tolerances,
 )
 
@@ -129,9 +129,13 @@ class Options:
 
     def __post_init__(self) -> None:
         if not self.auto:
-            _set(self, "dt", real("dt", self.dt, "the time step in seconds, > 0, for example 1e-3, or 'auto'"))
+            _set(self, "dt", positive("dt", self.dt, "the time step in seconds, > 0, for example 1e-3, or 'auto'"))
         tol = (AUTO_TOL if self.auto else STEP_TOL) if self.tol is None else self.tol
-        _set(self, "tol", real("tol", tol, f"a number between 0 and 1, for example {'1e-6' if self.auto else '1e-12'}"))
+        _set(
+            self,
+            "tol",
+            positive("tol", tol, f"a number between 0 and 1, for example {'1e-6' if self.auto else '1e-12'}"),
+        )
         if self.tol >= 1.0:
             raise InputError("tol is too large", name="tol", expected="a number below 1", got=self.tol)
         _set(self, "dt_contact", contact_step(self.dt_contact, self.dt))
@@ -145,9 +149,9 @@ class Options:
         _set(self, "order", integrator_order(self.order, self.auto))
         _set(self, "ledger", tolerances(self.ledger))
         if self.duration is not None:
-            _set(self, "duration", real("duration", self.duration, "the simulated time in seconds, > 0"))
+            _set(self, "duration", positive("duration", self.duration, "the simulated time in seconds, > 0"))
         if self.sample_dt is not None:
-            _set(self, "sample_dt", real("sample_dt", self.sample_dt, "the time between samples in seconds, > 0"))
+            _set(self, "sample_dt", positive("sample_dt", self.sample_dt, "the time between samples in seconds, > 0"))
         _set(self, "dense", kept_dense(self.dense, self.order, self.sample_dt))
         _check_nodes(self)
         if self.auto:

@@ -194,6 +194,7 @@ class TestPaths:
             Scene().add_urdf(path)
 
 
+MINIMAL = Path(__file__).parents[1] / "models" / "damped_pendulum.urdf"
 ARGUMENTS = {
     "gravity shape": (lambda s: Scene(gravity=(0, 0)), r"\(3,\)"),
     "gravity nan": (lambda s: Scene(gravity=(0, 0, np.nan)), "finite"),
@@ -201,6 +202,10 @@ ARGUMENTS = {
     "radius": (lambda s: s.add_sphere("x", -1.0), "> 0"),
     "radius word": (lambda s: s.add_sphere("x", "big"), "radius"),
     "radius bool": (lambda s: s.add_sphere("x", True), "radius"),
+    "radius NumPy bool": (lambda s: s.add_sphere("x", np.True_), "radius"),
+    "radius array": (lambda s: s.add_sphere("x", np.array(1.0)), "radius"),
+    "radius too large for a float": (lambda s: s.add_sphere("x", 10**400), "radius"),
+    "limits word": (lambda s: s.add_urdf(MINIMAL, limits="yes"), "True or False"),
     "mass zero": (lambda s: s.add_sphere("x", 1.0, 0.0), "mass"),
     "mass nan": (lambda s: s.add_sphere("x", 1.0, np.nan), "mass"),
     "mass infinite": (lambda s: s.add_sphere("x", 1.0, np.inf), "mass"),

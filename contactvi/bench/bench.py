@@ -34,7 +34,7 @@ from contactvi.bench.runs import (
     still,
 )
 from contactvi.errors import InputError, PenetrationError
-from contactvi.option_checks import ORDERS
+from contactvi.inputs import ORDERS
 from contactvi.options import IMPACT_MAPS, ImpactMap
 
 if TYPE_CHECKING:

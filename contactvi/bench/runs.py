@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.checks import States
+from contactvi.inputs import States
 from contactvi.options import DEFAULT_DT, IMPACT_MAPS, ImpactMap, Options, merged
 from contactvi.simulation.simulation import Simulator, simulate
 from contactvi.trajectory.trajectory import Trajectory

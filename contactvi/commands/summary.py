@@ -108,7 +108,7 @@ def _contact_lines(traj: Trajectory) -> list[tuple[str, str]]:
         text = f"{pairs} {'pairs' if pairs > 1 else 'pair'} touched, largest force at a point {strongest:.4g} N"
         lines.append(text)
         lines.append(f"gaps kept to {gap:.2g} m, gap times impulse to {complementarity:.2g} N s m")
-    what = "constrained steps" if traj.scene._complete().constrained else "steps in contact"
+    what = "constrained steps" if traj.scene.built().constrained else "steps in contact"
     each = 1e6 * stats.contact_seconds / stats.held_steps
     work = f"{stats.contact_rounds / stats.held_steps:.3g} rounds and {each:.3g} us per step"
     solver = f"{stats.cone_problems} contact problems, {stats.cone_iterations} iterations"

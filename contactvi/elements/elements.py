@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from contactvi.elements.signals import Signal
 from contactvi.errors import InputError
-from contactvi.inputs import pose, real, vector
+from contactvi.inputs import flag, pose, real, vector
 
 WORLD = "world"
 AXES = ("world", "body")
@@ -232,8 +232,7 @@ class PathSpring(Element):
         self._put(damping=real(f"damping of {self.name!r}", self.damping, 0.0))
         if self.rest_length is not None:
             self._put(rest_length=real(f"rest_length of {self.name!r}", self.rest_length, 0.0))
-        if not isinstance(self.tension_only, bool):
-            raise InputError("tension_only", name="tension_only", expected="True or False", got=repr(self.tension_only))
+        flag("tension_only", self.tension_only)
 
     def describe(self) -> str:
         bodies = " - ".join(repr(body) for body, _ in self.points)

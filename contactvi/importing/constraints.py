@@ -32,7 +32,7 @@ def mimic_constraints(part: Part, mimics: Mapping[str, Mimic], use: bool) -> lis
 
 
 def equality_constraints(part: Part, given: Sequence[Mapping[str, Any]], use: bool) -> list[Constraint]:
-    """Return the constraints of mjcf_equality.read_equality; none unless `use`."""
+    """Return the constraints of mjcf.read_equality; none unless `use`."""
     found: list[Constraint] = []
     for data in given:
         values, kind = dict(data), data["kind"]

@@ -58,7 +58,7 @@ def _outer_points(points: np.ndarray, name: str) -> np.ndarray:
         what = "fewer than 4 vertices" if len(points) < 4 else "vertices that are not finite"
         raise SceneError(f"Mesh of geometry {name!r}", body=name, expected="a solid", got=what, remedy=remedy)
     try:
-        return points[ConvexHull(points).vertices]
+        return np.asarray(points[ConvexHull(points).vertices])
     except (QhullError, ValueError):
         raise SceneError(
             f"Mesh of geometry {name!r}", body=name, expected="a solid", got="points in a plane", remedy=remedy

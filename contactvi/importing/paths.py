@@ -164,12 +164,3 @@ def resolve_resource(url: str, start: Path, package_dirs: Sequence[object] = ())
         got=f"nothing at {where}" if tried else nowhere,
         remedy="Pass package_dirs=[folder that holds the package]",
     )
-
-
-def portable(path: str | os.PathLike[str]) -> str:
-    """Return `example-robot-data://...` for a file of that package (valid on every machine), else the path."""
-    try:
-        inside = Path(path).resolve().relative_to(example_robot_data_share() / ROBOT_DATA)
-    except (ValueError, SceneError):
-        return os.fspath(path)
-    return f"{ROBOT_DATA}://{inside.as_posix()}"

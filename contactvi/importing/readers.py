@@ -101,7 +101,6 @@ def import_mjcf(
             copy = Path(scratch) / file.name
             copy.write_text(text.xml, encoding="utf-8")
             model = _parse(file, lambda: pin.buildModelFromMJCF(str(copy)))
-            model = model[0] if isinstance(model, tuple) else model
             collision = _parse(file, lambda: pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.COLLISION))
             visual = _parse(file, lambda: pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.VISUAL))
         _mend_free_joints(model)
@@ -256,7 +255,7 @@ def _finish(part: Part, source: str) -> None:
 
 def neutral(model: pin.Model) -> np.ndarray:
     """Return Pinocchio's neutral configuration moved into the joint limits, shape (nq,)."""
-    q = pin.neutral(model)
+    q = np.asarray(pin.neutral(model))
     for i in range(1, model.njoints):
         if has_limits(model, i):
             k = model.idx_qs[i]

@@ -116,7 +116,7 @@ def from_scene(scene: Scene) -> list[Visual]:
 
 def _lines(scene: Scene) -> list[Visual]:
     """Return the springs and the distances of a scene."""
-    resolved = scene._complete().elements
+    resolved = scene.built().elements
     springs = [element for element in scene.elements if isinstance(element, PathSpring)]
     lines = [
         _line(own.name, found[0], found[1], SPRING_COLOR) for own, found in zip(springs, resolved.springs, strict=True)

@@ -45,7 +45,7 @@ class Work(NamedTuple):
         return self.prescribed
 
 
-WORKS = Work._fields  # the columns that the engine reports
+WORKS = tuple(Work.__annotations__)  # the columns that the engine reports
 
 
 class ConstraintRows(NamedTuple):

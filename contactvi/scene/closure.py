@@ -7,7 +7,6 @@ fixed q. `core` is the engine's scene, `rows` name and count them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -15,9 +14,7 @@ from numpy.typing import NDArray
 
 from contactvi.errors import ConstraintError
 from contactvi.scene.element_rows import Rows
-
-if TYPE_CHECKING:
-    from contactvi import _core
+from contactvi.scene.engine import EngineScene
 
 Array = NDArray[np.float64]
 START_TOLERANCE = 1e-8  # [m, rad] of a start; relative to the speeds for its velocity
@@ -27,7 +24,7 @@ _RANK = 1e-9  # singular values below this, relative, are those of constraints t
 _ITERATIONS, _TRIES = 60, 8
 
 
-def check_configuration(core: _core.Scene, rows: Sequence[Rows], q: Array, t: float) -> None:
+def check_configuration(core: EngineScene, rows: Sequence[Rows], q: Array, t: float) -> None:
     """Raise ConstraintError where |phi| > 1e-8 at q (nq,), t [s]."""
     phi = np.asarray(core.constraint_residual(q, t))
     bad = by_name(rows, np.where(np.abs(phi) > START_TOLERANCE, phi, 0.0))
@@ -41,7 +38,7 @@ def check_configuration(core: _core.Scene, rows: Sequence[Rows], q: Array, t: fl
         )
 
 
-def _broken_rates(core: _core.Scene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> Any:
+def _broken_rates(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> dict[str, float]:
     """Return by name what of J v + phi_t is not 0 to 1e-8 of the speeds in it, or to rounding."""
     J, rate = np.asarray(core.constraint_jacobian(q, t)), np.asarray(core.constraint_rate(q, t))
     speed = J @ v + rate
@@ -49,7 +46,7 @@ def _broken_rates(core: _core.Scene, rows: Sequence[Rows], q: Array, v: Array, t
     return by_name(rows, np.where(np.abs(speed) > allowed, speed, 0.0))
 
 
-def check_velocity(core: _core.Scene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> None:
+def check_velocity(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> None:
     """Raise ConstraintError where J v + phi_t is not 0 to 1e-8 of the speeds in it, at q (nq,), v (nv,), t [s]."""
     bad = _broken_rates(core, rows, q, v, t)
     if bad:
@@ -63,7 +60,7 @@ def check_velocity(core: _core.Scene, rows: Sequence[Rows], q: Array, v: Array, 
 
 
 def assemble(
-    core: _core.Scene, model: pin.Model, rows: Sequence[Rows], q: Array, fixed: Sequence[int], t: float
+    core: EngineScene, model: pin.Model, rows: Sequence[Rows], q: Array, fixed: Sequence[int], t: float
 ) -> Array:
     """Return a configuration (nq,) on the constraints near q, dofs `fixed` and the limits of joints kept.
 
@@ -97,7 +94,7 @@ def assemble(
     )
 
 
-def consistent_velocity(core: _core.Scene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> Array:
+def consistent_velocity(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> Array:
     """Return the velocity (nv,) with J v + phi_t = 0 that is nearest to v in the metric of the mass.
 
     Raises:
@@ -132,7 +129,7 @@ def by_name(rows: Sequence[Rows], values: Array) -> dict[str, float]:
     return {name: value for name, value in sorted(found.items(), key=lambda item: -item[1]) if value > 0.0}
 
 
-def _solve(core: _core.Scene, model: pin.Model, q: Array, kept: Sequence[int], t: float) -> tuple[Array, float]:
+def _solve(core: EngineScene, model: pin.Model, q: Array, kept: Sequence[int], t: float) -> tuple[Array, float]:
     """Return the best configuration of several starts near q, and its largest residual."""
     free = np.setdiff1d(np.arange(model.nv), kept)
     best, worst = q, np.inf
@@ -151,7 +148,7 @@ def _solve(core: _core.Scene, model: pin.Model, q: Array, kept: Sequence[int], t
     return best, worst
 
 
-def _newton(core: _core.Scene, model: pin.Model, q: Array, free: NDArray[np.int64], t: float) -> tuple[Array, float]:
+def _newton(core: EngineScene, model: pin.Model, q: Array, free: NDArray[np.int64], t: float) -> tuple[Array, float]:
     phi = np.asarray(core.constraint_residual(q, t))
     for _ in range(_ITERATIONS):
         if np.abs(phi).max(initial=0.0) <= _SOLVED or len(free) == 0:

@@ -37,9 +37,10 @@ from contactvi.importing.part import Part
 from contactvi.importing.readers import copy_geometry
 from contactvi.importing.report import PartReport
 from contactvi.inputs import vector
-from contactvi.scene.build import Built, Edits
-from contactvi.scene.contact_rules import Rule
-from contactvi.scene.joints import JointSettings, Servo
+from contactvi.scene.build import Built
+from contactvi.scene.element_list import ElementList
+from contactvi.scene.joints import JointSettings, JointTable, Servo
+from contactvi.scene.pairs import ContactRules, Rule
 from contactvi.scene.selection import PartHandle
 
 FORMAT = "contactvi-scene"
@@ -55,11 +56,18 @@ class SceneData:
 
     gravity: np.ndarray
     part: Part
-    groups: dict[str, PartHandle]
-    edits: Edits
+    handles: dict[str, PartHandle]
+    contact: ContactRules
+    joints: JointTable
+    elements: ElementList
+    q0: np.ndarray | None
+    v0: np.ndarray | None
+    settings: dict[str, Any]
 
 
-def scene_to_dict(built: Built, edits: Edits, groups: Sequence[PartHandle]) -> dict[str, Any]:
+def scene_to_dict(
+    built: Built, contact: ContactRules, elements: ElementList, handles: Sequence[PartHandle]
+) -> dict[str, Any]:
     """Return a complete scene as plain data (layout above, without q0, v0 and settings)."""
     model, arrays = built.model, built.arrays
     return {
@@ -76,23 +84,23 @@ def scene_to_dict(built: Built, edits: Edits, groups: Sequence[PartHandle]) -> d
         "pairs": [list(pair) for pair in built.pairs],
         "pair_restitution": built.restitution.tolist(),
         "pair_friction": built.friction.tolist(),
-        "restitution": edits.restitution.default,
-        "friction": edits.friction.default,
+        "restitution": contact.restitution.default,
+        "friction": contact.friction.default,
         "stiffness": arrays.stiffness.tolist(),
         "rest": arrays.rest.tolist(),
         "limits": [bool(used) for used in arrays.limits],
         "limit_restitution": arrays.limit_restitution.tolist(),
         "start": built.start.tolist(),
-        **_drives_to_dict(built),
-        "elements": [element.to_data() for element in edits.elements if element.storable],
+        **_actuation_to_dict(built),
+        "elements": [element.to_data() for element in elements.elements if element.storable],
         "missing": [
-            *edits.missing,
-            *(element.name for element in edits.elements if not element.storable),
+            *elements.missing,
+            *(element.name for element in elements.elements if not element.storable),
             *(target_name(name) for name, goal in arrays.targets.items() if not goal.storable),
         ],
         "parts": {
             part.name: {"joints": list(part.joints), "bodies": list(part.bodies), "geometries": list(part.geometries)}
-            for part in groups
+            for part in handles
         },
     }
 
@@ -128,11 +136,23 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         # An empty choice is a choice too: nothing is tested.
         given_pairs=[(index[a], index[b]) for a, b in data["pairs"]],
     )
-    groups = {
+    handles = {
         name: PartHandle(name, *(tuple(group[key]) for key in ("joints", "bodies", "geometries")))
         for name, group in data["parts"].items()
     }
-    return SceneData(vector("gravity", data["gravity"], 3), part, groups, _edits(data, model))
+    joints = _joints(data, model)
+    elements = ElementList((element_from_data(element) for element in data["elements"]), map(str, data["missing"]))
+    return SceneData(
+        gravity=vector("gravity", data["gravity"], 3),
+        part=part,
+        handles=handles,
+        contact=_contact(data),
+        joints=joints,
+        elements=elements,
+        q0=None if data["q0"] is None else vector("q0", data["q0"], model.nq),
+        v0=None if data["v0"] is None else vector("v0", data["v0"], model.nv),
+        settings=dict(data["settings"]),
+    )
 
 
 def target_name(joint: str) -> str:
@@ -140,10 +160,10 @@ def target_name(joint: str) -> str:
     return f"target of {joint}"
 
 
-def _drives_to_dict(built: Built) -> dict[str, Any]:
+def _actuation_to_dict(built: Built) -> dict[str, Any]:
     arrays = built.arrays
     return {
-        "dry_friction": arrays.dry_friction.tolist(),
+        "dry_friction": arrays.joint_friction.tolist(),
         "servo": arrays.servo.tolist(),
         "actuator": arrays.actuator.tolist(),
         "targets": {name: goal.to_data() for name, goal in arrays.targets.items() if goal.storable},
@@ -151,42 +171,38 @@ def _drives_to_dict(built: Built) -> dict[str, Any]:
     }
 
 
-def _drives(data: Mapping[str, Any], model: pin.Model, joints: Mapping[str, JointSettings]) -> None:
-    """Put friction, servos, actuators and nonlinear springs into the settings of joints; older data have none."""
-    for index, _rest, torque in data.get("polynomials", ()):
-        joints[model.names[int(index)]].spring = np.array(torque, dtype=float)
-    if "servo" not in data:
-        return
+def _contact(data: Mapping[str, Any]) -> ContactRules:
+    rules = ContactRules(Rule(float(data["restitution"])), Rule(float(data["friction"])))
+    for (a, b), e, mu in zip(data["pairs"], data["pair_restitution"], data["pair_friction"], strict=True):
+        rules.restitution.set_pair([a], [b], float(e))
+        rules.friction.set_pair([a], [b], float(mu))
+    return rules
+
+
+def _joints(data: Mapping[str, Any], model: pin.Model) -> JointTable:
+    settings: dict[str, JointSettings] = {}
+    for i in range(1, model.njoints):
+        q = slice(model.idx_qs[i], model.idx_qs[i] + model.nqs[i])
+        settings[model.names[i]] = JointSettings(
+            stiffness=float(data["stiffness"][i]),
+            rest=np.array(data["rest"][q], dtype=float),
+            limits=None if data["limits"][i] else False,
+            restitution=float(data["limit_restitution"][i]),
+        )
+    for index, _rest, torque in data["polynomials"]:
+        settings[model.names[int(index)]].spring = np.array(torque, dtype=float)
     friction, servo, actuator = (np.array(data[key], dtype=float) for key in ("dry_friction", "servo", "actuator"))
     for i in range(1, model.njoints):
         if model.nvs[i] != 1:
             continue
-        own, v = joints[model.names[i]], model.idx_vs[i]
+        own, v = settings[model.names[i]], model.idx_vs[i]
         own.friction = float(friction[v]) or None
         own.effort, own.velocity = (float(limit) if np.isfinite(limit) else None for limit in actuator[:, v])
         if np.any(servo[:2, v]):
             goal = data["targets"].get(model.names[i])
             target = None if goal is None else Signal(goal, f"target of joint {model.names[i]!r}")
             own.servo = Servo(float(servo[0, v]), float(servo[1, v]), float(servo[2, v]), target)
-
-
-def _edits(data: Mapping[str, Any], model: pin.Model) -> Edits:
-    edits = Edits(Rule(float(data["restitution"])), Rule(float(data["friction"])))
-    for (a, b), e, mu in zip(data["pairs"], data["pair_restitution"], data["pair_friction"], strict=True):
-        edits.restitution.set_pair([a], [b], float(e))
-        edits.friction.set_pair([a], [b], float(mu))
-    for i in range(1, model.njoints):
-        q = slice(model.idx_qs[i], model.idx_qs[i] + model.nqs[i])
-        edits.joints[model.names[i]] = JointSettings(
-            stiffness=float(data["stiffness"][i]),
-            rest=np.array(data["rest"][q], dtype=float),
-            limits=None if data["limits"][i] else False,
-            restitution=float(data["limit_restitution"][i]),
-        )
-    _drives(data, model, edits.joints)
-    edits.elements = [element_from_data(element) for element in data.get("elements", ())]
-    edits.missing = [str(name) for name in data.get("missing", ())]
-    return edits
+    return JointTable(settings)
 
 
 def _place(placement: pin.SE3) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from contactvi.elements import elements as kinds
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q, entry_name
 from contactvi.errors import DerivativeError, InputError
-from contactvi.inputs import real, short, vector
+from contactvi.inputs import States, real, short, vector
 from contactvi.scene.element_rows import dof_names
 from contactvi.scene.scene import Scene
 
@@ -64,7 +64,7 @@ def check_derivatives(
         q, v = _state(item, q, v)
         for element in item.elements:
             check_element(element, dofs, move, q, v, time, tolerance)
-        for goal in item._complete().arrays.targets.values():
+        for goal in item.built().arrays.targets.values():
             _check_signal(goal, time, tolerance)
         return
     if scene is not None:
@@ -174,7 +174,8 @@ def mover(model: pin.Model) -> Move:
 
 
 def _state(scene: Scene, q: Any, v: Any) -> tuple[Array, Array]:
+    """Return a checked state; where none is given, one near neutral and without zeros."""
     generic = np.sin(1.0 + np.arange(scene.nv))
-    near = pin.integrate(scene.model, scene.neutral(), GENERIC * generic)
-    configuration = near if q is None else scene._state(q)
-    return np.asarray(configuration), generic if v is None else vector("v", v, scene.nv)
+    near = np.asarray(pin.integrate(scene.model, scene.neutral(), GENERIC * generic))
+    configuration = near if q is None else States(scene.model).configuration(q, "q")
+    return configuration, generic if v is None else vector("v", v, scene.nv)

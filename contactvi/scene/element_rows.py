@@ -1,4 +1,4 @@
-"""From elements by name to the engine: frames, numbers and checked functions of a complete model.
+"""Elements by name as the engine takes them: frames, numbers and checked functions of a complete model.
 
 A frame is (joint, R, p): joint index in the model (0: world), R (3, 3) and p (3,) [m] in that joint's frame.
 """
@@ -7,25 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from contactvi.elements import elements as kinds
 from contactvi.elements.signals import Signal
-from contactvi.elements.user_functions import (
-    at,
-    checked_force,
-    checked_force_derivatives,
-    checked_of_q,
-    checked_wrench,
-)
+from contactvi.elements.user_functions import at, checked_wrench
 from contactvi.errors import InputError, UserFunctionError
-from contactvi.scene.joints import JointArrays
-
-if TYPE_CHECKING:
-    from contactvi import _core
 
 Frame = tuple[int, np.ndarray, np.ndarray]
 _LEAST_LENGTH = 1e-9  # [m] below that a distance has no direction
@@ -33,7 +23,7 @@ _LEAST_LENGTH = 1e-9  # [m] below that a distance has no direction
 
 @dataclass(frozen=True)
 class Rows:
-    """A constraint as the engine takes it; `name`, `kind` (of the element) and `rows` for the face."""
+    """A constraint as the engine takes it; `name`, `kind` (of the element) and `rows` are for the Python API."""
 
     name: str
     kind: str
@@ -45,17 +35,42 @@ class Rows:
     signal: Signal | Callable[[float], Any] | None = None
 
 
+class SpringRow(NamedTuple):
+    """A spring and damper as the engine takes it: along points (n, 3) [m] in the frames of joints (n,)."""
+
+    joints: list[int]
+    points: np.ndarray
+    stiffness: float  # [N/m]
+    rest_length: float  # [m]
+    damping: float  # [N s/m]
+    tension_only: bool
+
+
+class WrenchRow(NamedTuple):
+    """A wrench as the engine takes it: at a point (3,) [m] in a joint's frame."""
+
+    joint: int
+    point: np.ndarray
+    axes: np.ndarray | None  # of the wrench in the joint's frame, (3, 3); None: the world's
+    wrench: np.ndarray | Callable[[float], np.ndarray]  # force, torque (6,) [N, N m], or a function of t [s]
+
+
 @dataclass
 class Resolved:
-    """The elements of a complete scene. dofs: names of the degrees of freedom, (nv,)."""
+    """The elements of a complete scene.
+
+    Attributes:
+        dofs: Names of the degrees of freedom, (nv,).
+        time_varying: Whether some wrench or constraint depends on time.
+    """
 
     dofs: list[str]
     constraints: list[Rows] = field(default_factory=list)
-    springs: list[tuple[Any, ...]] = field(default_factory=list)
-    wrenches: list[tuple[Any, ...]] = field(default_factory=list)
+    springs: list[SpringRow] = field(default_factory=list)
+    wrenches: list[WrenchRow] = field(default_factory=list)
     potentials: list[kinds.UserPotential] = field(default_factory=list)
     forces: list[kinds.UserForce] = field(default_factory=list)
-    time_varying: bool = False  # wrenches and constraints that depend on time
+    time_varying: bool = False
 
     @property
     def any(self) -> bool:
@@ -82,54 +97,18 @@ def resolve(elements: Sequence[kinds.Element], model: pin.Model, start: np.ndarr
             joints, points = zip(*(placed.point(body, xyz) for body, xyz in element.points), strict=True)
             length = placed.length(element.points) if element.rest_length is None else element.rest_length
             numbers = (element.stiffness, length, element.damping, element.tension_only)
-            result.springs.append((list(joints), np.array(points), *numbers))
+            result.springs.append(SpringRow(list(joints), np.array(points), *numbers))
         elif isinstance(element, kinds.Wrench):
             joint, point = placed.point(element.body, element.point)
             axes = None if element.axes == "world" else placed.body(element.body)[1]
-            result.wrenches.append((joint, point, axes, checked_wrench(element.force, element.torque, element.name)))
+            wrench = checked_wrench(element.force, element.torque, element.name)
+            result.wrenches.append(WrenchRow(joint, point, axes, wrench))
             result.time_varying |= not element.constant
         elif isinstance(element, kinds.UserPotential):
             result.potentials.append(element)
         elif isinstance(element, kinds.UserForce):
             result.forces.append(element)
     return result
-
-
-def install(core: _core.Scene, model: pin.Model, arrays: JointArrays, found: Resolved) -> None:
-    """Hand elements and actuation to the engine's scene; nothing is called where there is nothing."""
-    from contactvi import _core
-
-    if np.any(arrays.dry_friction):
-        core.set_joint_friction(arrays.dry_friction)
-    for joint, rest, torque in arrays.polynomials:  # torque -k_i x^i  <-  potential k_i x^(i + 1) / (i + 1)
-        potential = torque / np.arange(2.0, len(torque) + 2.0)
-        core.add_joint_potential(joint, rest, potential)
-    for spring in found.springs:
-        core.add_path_spring(*spring)
-    for wrench in found.wrenches:
-        core.add_wrench(*wrench)
-    for force in found.forces:
-        derivatives = force.derivatives
-        value = checked_force(force.function, repr(force.name), found.dofs)
-        if derivatives is None:
-            core.add_user_force(value)
-        else:
-            name = f"the derivatives of {force.name!r}"
-            core.add_user_force(value, checked_force_derivatives(derivatives, name, found.dofs))
-    for potential in found.potentials:
-        functions = [(potential.value, "value"), (potential.gradient, "gradient"), (potential.hessian, "hessian")]
-        wrapped: list[Any] = [
-            None if function is None else checked_of_q(function, f"{what} of {potential.name!r}", found.dofs, k)
-            for k, (function, what) in enumerate(functions)
-        ]
-        core.add_user_potential(*wrapped)
-    for row in found.constraints:
-        kind = _core.ConstraintKind[row.engine_kind.upper()]
-        core.add_constraint(kind, *row.a, *row.b, row.numbers, row.signal, row.name)
-    if np.any(arrays.servo[:2]):
-        core.set_servo(*(np.ascontiguousarray(part) for part in arrays.servo))
-    if np.any(np.isfinite(arrays.actuator)):
-        core.set_actuator_limits(*(np.ascontiguousarray(part) for part in arrays.actuator))
 
 
 def dof_names(model: pin.Model) -> list[str]:

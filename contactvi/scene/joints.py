@@ -1,23 +1,24 @@
-"""What the scene knows about joints beyond the model: springs, damping, friction, drives, limits.
+"""What the user gives for joints: their values and velocities, and settings beyond the model.
 
-Units: rad, m, N m/rad, N/m, N m s/rad, N s/m, N m, N, kg m^2, kg.
+Settings are springs, damping, friction, servos, actuator limits and position limits. `joint_arrays` makes arrays for
+the engine of them. Units: rad, m, rad/s, m/s, N m/rad, N/m, N m s/rad, N s/m, N m, N, kg m^2, kg.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from contactvi.elements.elements import EqualityConstraint, coefficients_of
+from contactvi.elements.elements import coefficients_of
 from contactvi.elements.signals import Signal
 from contactvi.errors import InputError
 from contactvi.importing.checks import NO_LIMIT, ONE_DOF, has_limits, joint_kind
-from contactvi.inputs import real, vector
-from contactvi.scene.joint_values import joint_value
+from contactvi.importing.part import Part
+from contactvi.inputs import pose, real, unit_quaternion, vector
 
 SPRUNG = (*ONE_DOF, "spherical", "translation")
 _PARTS = {"free": (3, 3), "planar": (2, 1)}  # linear, angular dofs
@@ -54,30 +55,82 @@ class JointSettings:
     velocity: bool | float | None = None
 
     def update(self, other: JointSettings) -> None:
-        """Take over what `other` says."""
+        """Take over the values that `other` gives."""
         for name, value in vars(other).items():
             if value is not None:
                 setattr(self, name, value)
 
 
-@dataclass
-class JointArrays:
-    """Arrays for the engine.
+class JointTable:
+    """The settings of the joints of a scene by name; a joint without an entry is as its model says."""
 
-    stiffness (njoints,), rest (nq,), limits (njoints,) bool, limit_restitution (njoints,), dry_friction (nv,),
-    servo (3, nv): kp, kd, effort; actuator (2, nv): effort and velocity limits, inf for none. targets: of servos, by
-    joint name. polynomials: (joint, rest, coefficients k1, k2, ... of the torque) of nonlinear springs.
+    def __init__(self, settings: Mapping[str, JointSettings] | None = None) -> None:
+        self.settings = dict(settings or {})
+
+    def of(self, name: str) -> JointSettings:
+        """Return the settings of a joint, empty ones where it has none."""
+        return self.settings.get(name, JointSettings())
+
+    def update(self, new: Mapping[str, JointSettings]) -> None:
+        """Take over the values given for some joints."""
+        for name, settings in new.items():
+            self.settings.setdefault(name, JointSettings()).update(settings)
+
+    def add_part(self, part: Part, limits: bool, friction: bool) -> None:
+        """Set the joints of a new part: whether the limits and the friction of its file are used."""
+        model = part.model
+        for i in range(1, model.njoints):
+            own = JointSettings(limits=False if not limits and has_limits(model, i) else None)
+            if friction and model.nvs[i] == 1 and model.upperDryFrictionLimit[model.idx_vs[i]] > 0.0:
+                own.friction = True
+            if own != JointSettings():
+                self.settings[part.prefix + model.names[i]] = own
+
+    def copy(self) -> JointTable:
+        """Return a table that is edited apart from this one."""
+        return JointTable({name: replace(own) for name, own in self.settings.items()})
+
+
+def joint_value(model: pin.Model, name: str, value: Any, argument: str | None = None) -> np.ndarray:
+    """Return the numbers in q of a joint's value.
+
+    revolute, helical, continuous: angle [rad]; prismatic: [m]; planar: x, y, angle; translation: x, y, z;
+    spherical: quaternion (x, y, z, w); free: any placement that `inputs.pose` takes.
     """
+    joint = model.joints[model.getJointId(name)]
+    kind, what = joint_kind(joint), argument or f"value of joint {name!r}"
+    if kind == "free":
+        return np.asarray(pin.SE3ToXYZQUAT(pose(what, value)))
+    if kind == "spherical":
+        return unit_quaternion(what, value)
+    if kind == "translation":
+        return vector(what, value, 3)
+    if kind == "planar":
+        x, y, angle = vector(what, value, 3)
+        return np.array([x, y, np.cos(angle), np.sin(angle)])
+    angle = real(what, value)
+    return np.array([np.cos(angle), np.sin(angle)]) if joint.nq == 2 else np.array([angle])
 
-    stiffness: np.ndarray
-    rest: np.ndarray
-    limits: np.ndarray
-    limit_restitution: np.ndarray
-    dry_friction: np.ndarray
-    servo: np.ndarray
-    actuator: np.ndarray
-    targets: dict[str, Signal]
-    polynomials: list[tuple[int, float, np.ndarray]]
+
+def joint_velocity(model: pin.Model, name: str, value: Any, q: np.ndarray) -> np.ndarray:
+    """Return the numbers in v of a joint's velocity at configuration q (nq,).
+
+    1-dof: one number [rad/s or m/s]; spherical: angular velocity in body axes; translation: linear; planar: Pinocchio's
+    (body axes); free: (linear, angular) of the body's origin in the parent's (the world's) axes, turned to body axes.
+    """
+    joint = model.joints[model.getJointId(name)]
+    what = f"velocity of joint {name!r}"
+    if joint.nv == 1:
+        return np.array([real(what, value)])
+    if joint_kind(joint) != "free":
+        return vector(what, value, joint.nv)
+    linear, angular = (value, np.zeros(3)) if np.shape(value) == (3,) else (None, None)
+    if linear is None:
+        if np.shape(value) != (2, 3):
+            raise InputError(f"Shape of {what}", name="velocity", expected="(linear, angular)", got=repr(value))
+        linear, angular = value
+    rotation = pin.XYZQUATToSE3(q[joint.idx_q : joint.idx_q + 7]).rotation
+    return np.concatenate([rotation.T @ vector(what, linear, 3), rotation.T @ vector(what, angular, 3)])
 
 
 def joint_settings(model: pin.Model, name: str, **values: Any) -> JointSettings:
@@ -131,6 +184,25 @@ def servo_settings(model: pin.Model, name: str, kp: Any, kd: Any, effort: Any, t
     limit = None if effort is None else _positive(f"effort of the servo of {name!r}", effort)
     goal = None if target is None else Signal(target, f"target of joint {name!r}")
     return JointSettings(servo=Servo(values[0], values[1], limit, goal))
+
+
+def one_dof(model: pin.Model, name: str, what: str, remedy: str) -> None:
+    """Raise InputError where a joint has more than one degree of freedom."""
+    count = model.nvs[model.getJointId(name)]
+    if count != 1:
+        raise InputError(
+            f"{what} of joint {name!r}",
+            name="joint",
+            expected="a joint with one degree of freedom",
+            got=f"{count} degrees of freedom",
+            remedy=remedy,
+        )
+
+
+def dofs_of(model: pin.Model, name: str) -> range:
+    """Return where a joint's numbers lie in v."""
+    index = model.getJointId(name)
+    return range(model.idx_vs[index], model.idx_vs[index] + model.nvs[index])
 
 
 def one_number(model: pin.Model, name: str, what: str) -> int:
@@ -210,94 +282,3 @@ def _limits(model: pin.Model, index: int, name: str, limits: Any) -> bool | tupl
             got=f"({lower:g}, {upper:g}) on a {joint_kind(model.joints[index])} joint",
         )
     return lower, upper
-
-
-def apply_settings(
-    model: pin.Model,
-    start: np.ndarray,
-    settings: Mapping[str, JointSettings],
-    default_restitution: float,
-    equalities: Sequence[EqualityConstraint] = (),
-) -> JointArrays:
-    """Write damping, armature and limits into the model and return the other arrays.
-
-    Limits that are not used become infinite in the model, so that it says what is simulated. `start`, the neutral
-    configuration, is moved into the limits, then joints that follow others to where these say, and is the rest of the
-    springs where none is given.
-    """
-    nj, nv = model.njoints, model.nv
-    arrays = JointArrays(
-        stiffness=np.zeros(nj), rest=start.copy(), limits=np.zeros(nj, dtype=bool),
-        limit_restitution=np.full(nj, float(default_restitution)), dry_friction=np.zeros(nv),
-        servo=np.zeros((3, nv)), actuator=np.full((2, nv), np.inf), targets={}, polynomials=[],
-    )  # fmt: skip
-    for i in range(1, nj):
-        own = settings.get(model.names[i], JointSettings())
-        _apply_limits(model, i, own, start, arrays.limits)
-        _apply_inertia(model, i, own)
-        if own.restitution is not None:
-            arrays.limit_restitution[i] = own.restitution
-    follow(model, start, equalities)
-    for i in range(1, nj):
-        own = settings.get(model.names[i], JointSettings())
-        q = slice(model.idx_qs[i], model.idx_qs[i] + model.nqs[i])
-        arrays.rest[q] = start[q] if own.rest is None else own.rest
-        arrays.stiffness[i] = own.stiffness or 0.0
-        if own.spring is not None and np.any(own.spring):
-            arrays.polynomials.append((i, float(arrays.rest[q][0]), own.spring))
-        _apply_drive(model, i, own, arrays)
-    return arrays
-
-
-def follow(model: pin.Model, q: np.ndarray, equalities: Sequence[EqualityConstraint]) -> None:
-    """Move joints that follow others in q (nq,) to where these say; chains are followed, circles are left."""
-    for _ in equalities:
-        before = q.copy()
-        for constraint in equalities:
-            target = model.idx_qs[model.getJointId(constraint.joint)]
-            other = 0.0 if constraint.other is None else q[model.idx_qs[model.getJointId(constraint.other)]]
-            q[target] = constraint.value(float(other))
-        if np.array_equal(q, before):
-            return
-
-
-def _apply_limits(model: pin.Model, i: int, own: JointSettings, start: np.ndarray, limits: np.ndarray) -> None:
-    q = slice(model.idx_qs[i], model.idx_qs[i] + model.nqs[i])
-    if isinstance(own.limits, tuple):
-        model.lowerPositionLimit[q], model.upperPositionLimit[q] = own.limits
-    limits[i] = has_limits(model, i) and own.limits is not False
-    if limits[i]:
-        start[q] = np.clip(start[q], model.lowerPositionLimit[q], model.upperPositionLimit[q])
-    else:
-        model.lowerPositionLimit[q], model.upperPositionLimit[q] = -np.inf, np.inf
-
-
-def _apply_inertia(model: pin.Model, i: int, own: JointSettings) -> None:
-    """Damping, and the armature with what the rotor adds through the gear."""
-    v = slice(model.idx_vs[i], model.idx_vs[i] + model.nvs[i])
-    if own.damping is not None:
-        model.damping[v] = own.damping
-    if own.armature is not None:
-        model.armature[v] = own.armature
-    if own.rotor_inertia is not None:
-        ratio = 1.0 if own.gear_ratio is None else own.gear_ratio
-        model.armature[v] = np.asarray(model.armature[v]) + own.rotor_inertia * ratio**2
-
-
-def _apply_drive(model: pin.Model, i: int, own: JointSettings, arrays: JointArrays) -> None:
-    """Dry friction, servo, limits of the actuator."""
-    if model.nvs[i] != 1:
-        return
-    v = model.idx_vs[i]
-    if own.friction is not None and own.friction is not False:
-        file = float(model.upperDryFrictionLimit[v])
-        arrays.dry_friction[v] = file if own.friction is True else own.friction
-    if own.servo is not None:
-        limit = file_limit(model, v, "effort") if own.servo.effort is None else own.servo.effort
-        arrays.servo[:, v] = own.servo.kp, own.servo.kd, limit
-        if own.servo.target is not None:
-            arrays.targets[model.names[i]] = own.servo.target
-    for row, key in enumerate(("effort", "velocity")):
-        value = getattr(own, key)
-        if value is not None and value is not False:
-            arrays.actuator[row, v] = file_limit(model, v, key) if value is True else value

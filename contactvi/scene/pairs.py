@@ -1,4 +1,4 @@
-"""Which pairs of geometries are tested for contact, and why the others are not.
+"""Pairs of geometries: which are tested for contact and why the others are not, their restitution and friction.
 
 By default every pair on two different bodies, except
 - adjacent bodies (one joint apart); the links of one robot base, fixed to the world, count as one body, while
@@ -13,7 +13,9 @@ Every removal is recorded with its reason.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import coal
 import numpy as np
@@ -24,7 +26,92 @@ from contactvi.importing.part import Part
 from contactvi.importing.report import ADJACENT, BY_FILE, BY_USER, HALFSPACES, NOT_GIVEN, OVERLAP, RemovedPair
 from contactvi.scene.assembly import Assembly
 
+RESTITUTION = 0.5  # of a scene that says nothing: neither plastic nor elastic
+FRICTION = 0.0
 TOUCHING = 1e-6  # [m] shapes that merely touch at the neutral pose stay a pair
+
+
+@dataclass
+class Rule:
+    """One number per pair of geometries: a default, values of geometries, values of pairs.
+
+    The value of a pair is, in this order: the one set for the pair; else the smaller one of those set for its two sides
+    (the only one if only one side has one); else the default. Among values set for one thing the last one wins.
+
+    Attributes:
+        single: Values of geometries by name.
+        pair: Values of pairs of names, the smaller name first.
+    """
+
+    default: float
+    single: dict[str, float] = field(default_factory=dict)
+    pair: dict[tuple[str, str], float] = field(default_factory=dict)
+
+    def set_single(self, names: Iterable[str], value: float) -> None:
+        """Set the value of each geometry."""
+        for name in names:
+            self.single[name] = value
+
+    def set_pair(self, first: Iterable[str], second: Iterable[str], value: float) -> None:
+        """Set the value between every one of `first` and every one of `second`."""
+        others = list(second)
+        for a in first:
+            for b in others:
+                if a != b:
+                    self.pair[_key(a, b)] = value
+
+    def value(self, a: str, b: str) -> float:
+        """Return the value of a pair by the combine rule."""
+        own = self.pair.get(_key(a, b))
+        if own is not None:
+            return own
+        sides = [self.single[name] for name in (a, b) if name in self.single]
+        return min(sides, default=self.default)
+
+    def set(self, first: Sequence[str] | None, second: Sequence[str] | None, value: float) -> None:
+        """Set the default, the value of geometries (`first`), or that between `first` and `second`."""
+        if first is None:
+            self.default = value
+        elif second is None:
+            self.set_single(first, value)
+        else:
+            self.set_pair(first, second, value)
+
+    def values(self, pairs: Iterable[tuple[str, str]]) -> np.ndarray:
+        """Return the values of many pairs, shape (npairs,)."""
+        return np.array([self.value(a, b) for a, b in pairs], dtype=float)
+
+
+@dataclass
+class ContactRules:
+    """What the user gives about contacts: restitution, friction, and pairs of geometries switched off or on by name."""
+
+    restitution: Rule = field(default_factory=lambda: Rule(RESTITUTION))
+    friction: Rule = field(default_factory=lambda: Rule(FRICTION))
+    disabled: list[tuple[str, str]] = field(default_factory=list)
+    enabled: list[tuple[str, str]] = field(default_factory=list)
+
+    def disable(self, first: Sequence[str], second: Sequence[str]) -> None:
+        """Switch off all pairs of one of `first` and one of `second`."""
+        self._switch(first, second, self.disabled)
+
+    def enable(self, first: Sequence[str], second: Sequence[str]) -> None:
+        """Switch on all pairs of one of `first` and one of `second`."""
+        self._switch(first, second, self.enabled)
+
+    def _switch(self, first: Sequence[str], second: Sequence[str], chosen: list[tuple[str, str]]) -> None:
+        new = [(a, b) for a in first for b in second if a != b]
+        for listed in (self.disabled, self.enabled):  # The last call wins.
+            listed[:] = [pair for pair in listed if pair not in new and pair[::-1] not in new]
+        chosen += new
+
+    def copy(self) -> ContactRules:
+        """Return rules that are edited apart from these."""
+        return copy.deepcopy(self)
+
+
+def _key(a: str, b: str) -> tuple[str, str]:
+    return (a, b) if a < b else (b, a)
 
 
 def choose_pairs(
@@ -77,7 +164,7 @@ def choose_pairs(
 
 def _same_part(assembly: Assembly) -> np.ndarray:
     part = assembly.part_of_geometry
-    return part[:, None] == part[None, :]
+    return np.asarray(part[:, None] == part[None, :])
 
 
 def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> np.ndarray:
@@ -89,7 +176,7 @@ def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> 
     child = ~((above == 0) & assembly.placed[joints])
     real = (above[:, None] == joints[None, :]) & child[:, None] & (base | (joints != 0))[None, :]
     real &= (joints != 0)[:, None]
-    return (real | real.T) & _same_part(assembly)
+    return np.asarray((real | real.T) & _same_part(assembly))
 
 
 def _scenery(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
@@ -120,7 +207,7 @@ def _not_given(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
     closed = np.array([p.given_pairs is not None for p in parts], dtype=bool)
     if not closed.any():
         return np.zeros((len(assembly.part_of_geometry),) * 2, dtype=bool)
-    return _same_part(assembly) & closed[assembly.part_of_geometry][:, None]
+    return np.asarray(_same_part(assembly) & closed[assembly.part_of_geometry][:, None])
 
 
 def _disabled_by_file(assembly: Assembly, parts: Sequence[Part]) -> tuple[np.ndarray, str, dict[tuple[int, int], str]]:

@@ -13,15 +13,16 @@ from contactvi.importing.checks import FILE_FRICTION
 from contactvi.importing.part import Part
 from contactvi.importing.report import ImportReport, Note, PartReport, Use, number
 from contactvi.importing.urdf import FILE_LIMITS
-from contactvi.scene.build import Built, Edits, engine_scene
-from contactvi.scene.joints import JointSettings
+from contactvi.scene.build import Built
+from contactvi.scene.element_list import ElementList
+from contactvi.scene.joints import JointSettings, JointTable
 
 
-def scene_report(parts: Sequence[Part], built: Built, edits: Edits) -> ImportReport:
+def scene_report(parts: Sequence[Part], built: Built, table: JointTable, elements: ElementList) -> ImportReport:
     """Return the report: what the parts found, joint settings that replace file data, elements, pairs, shapes."""
-    joints = edits.joints
+    joints = table.settings
     damped = {name for name, settings in joints.items() if settings.damping is not None}
-    rubbing = {built.elements.dofs[dof] for dof in np.flatnonzero(built.arrays.dry_friction)}
+    rubbing = {built.elements.dofs[dof] for dof in np.flatnonzero(built.arrays.joint_friction)}
     driven = {name for name, own in joints.items() if own.effort and own.velocity}
     limited = dict(zip(built.model.names, built.arrays.limits, strict=True))
     found = []
@@ -31,14 +32,14 @@ def scene_report(parts: Sequence[Part], built: Built, edits: Edits) -> ImportRep
     report = ImportReport(found, list(built.pairs), list(built.removed))
     for name, settings in joints.items():
         report.notes += [Note(use, "joint", name, text) for use, text in _joint_notes(name, settings, built)]
-    report.notes += [_element_note(element) for element in edits.elements]
+    report.notes += [_element_note(element) for element in elements.elements]
     lost = "given by a Python function, which a file does not hold: add it again to run the scene"
-    report.notes += [Note("ignored", "element", name, lost) for name in edits.missing]
+    report.notes += [Note("ignored", "element", name, lost) for name in elements.missing]
     if built.pairs:
         text = f"restitution {_range(built.restitution)}, Coulomb friction {_range(built.friction)}"
         report.notes.append(Note("used", "pairs", f"{len(built.pairs)}", text))
     try:
-        rounding = list(engine_scene(built).rounding)
+        rounding = list(built.engine.rounding)
     except SceneError as error:
         report.notes.append(Note("refused", "scene", "", str(error)))
         rounding = []
@@ -66,7 +67,7 @@ def _joint_notes(name: str, own: JointSettings, built: Built) -> Iterator[tuple[
         yield "ignored", "gear_ratio: it says what rotor_inertia adds to the armature, and there is none"
     if own.friction is not None and own.friction is not False:
         where = " of the file" if own.friction is True else ""
-        yield "used", f"dry friction{where} {number(float(built.arrays.dry_friction[dof]))} N m or N"
+        yield "used", f"dry friction{where} {number(float(built.arrays.joint_friction[dof]))} N m or N"
     if own.servo is not None and (own.servo.kp or own.servo.kd):
         limit = float(built.arrays.servo[2, dof])
         text = "no effort limit" if np.isinf(limit) else f"effort at most {number(limit)}"

@@ -1,36 +1,56 @@
-"""The scene: models, primitives, contact data and joint springs, assembled into one pin.Model."""
+"""The scene: models, primitives, contact data, joint settings and elements, assembled into one pin.Model."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 
+from contactvi.elements import elements as kinds
 from contactvi.errors import InputError
-from contactvi.importing.part import take_names
-from contactvi.importing.readers import import_pinocchio
+from contactvi.importing import part as shapes
+from contactvi.importing.part import Part, shape_part
+from contactvi.importing.readers import import_mjcf, import_pinocchio, import_urdf
 from contactvi.importing.report import ImportReport
-from contactvi.inputs import real, vector
-from contactvi.scene.assembly import assemble_visual
-from contactvi.scene.build import Built, build, engine_scene
-from contactvi.scene.data import scene_from_dict, scene_to_dict
-from contactvi.scene.joint_values import joint_value, joint_velocity
-from contactvi.scene.joints import joint_settings
+from contactvi.inputs import States, flag, pose, real, vector
+from contactvi.scene import closure
+from contactvi.scene.build import Built, build
+from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
+from contactvi.scene.element_list import ElementList
+from contactvi.scene.joints import (
+    JointTable,
+    dofs_of,
+    joint_settings,
+    joint_value,
+    joint_velocity,
+    one_dof,
+    one_number,
+    servo_settings,
+)
+from contactvi.scene.pairs import ContactRules
+from contactvi.scene.parts import Handle, PartList
 from contactvi.scene.report import scene_report
-from contactvi.scene.scene_elements import SceneElements
-from contactvi.scene.scene_parts import GRAVITY
-from contactvi.scene.selection import PartHandle, Selector
+from contactvi.scene.selection import BodyHandle, Names, PartHandle, Selector
 
-if TYPE_CHECKING:
-    from contactvi import _core
-
-__all__ = ["GRAVITY", "Scene"]
+GRAVITY = (0.0, 0.0, -9.81)
 
 
-class Scene(SceneElements):
-    """A set of rigid bodies with joints, contact geometry and contact data.
+class Scene:
+    """A set of rigid bodies with joints, contact geometry, contact data, constraints and forces.
+
+    Where a method takes a body, a joint or a geometry, it is named by its name, by a handle that an `add_` method
+    returned, or by a pattern with * ? [] where several are meant. "world" is the ground. Points [m] and placements are
+    in the frames of their bodies. Each constraint, spring or force has a name, given or its kind with a number, which
+    the method that adds it returns; what is None is taken as it is in the neutral configuration when the scene is run.
+    All methods raise InputError for bad values and unknown names, and then change nothing.
+
+    The scene owns what the user gives, each kind in one place: the parts (`PartList`), restitution, friction and pairs
+    of contacts (`ContactRules`), joint settings (`JointTable`) and elements (`ElementList`). Its methods check their
+    arguments and hand them on. The complete scene (`built`) is made of them on first use and again after an edit.
 
     Args:
         gravity: acceleration of free fall [m/s^2], world frame, shape (3,).
@@ -41,16 +61,19 @@ class Scene(SceneElements):
     """
 
     def __init__(self, gravity: Sequence[float] | np.ndarray = GRAVITY) -> None:
-        super().__init__(gravity)
+        self._parts = PartList(vector("gravity", gravity, 3))
+        self._contact = ContactRules()
+        self._joints = JointTable()
+        self._elements = ElementList()
+        self._built: Built | None = None  # of all of these; every edit drops it
         self.q0: np.ndarray | None = None
         self.v0: np.ndarray | None = None
         self.settings: dict[str, Any] = {}
-        self._compiled: Any = None  # contactvi.trajectory.compiled, of the last run
+        # What contactvi.trajectory.compiled makes of the scene for its runs. It stands here for the garbage collector:
+        # functions of the user in it may hold the scene in turn.
+        self.compiled: object = None
 
-    @property
-    def gravity(self) -> np.ndarray:
-        """Acceleration of free fall [m/s^2], world frame, shape (3,); a constant of the scene."""
-        return self._gravity.copy()
+    # --- parts --------------------------------------------------------------------------------------------------------
 
     @classmethod
     def from_pinocchio(
@@ -66,8 +89,127 @@ class Scene(SceneElements):
         """
         part = import_pinocchio(model, collision_model, visual_model, name)
         scene = cls(model.gravity.linear)
-        scene._add(part)
+        scene._add(part, PartHandle)
         return scene
+
+    def add_urdf(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        base: str = "fixed",
+        placement: Any = None,
+        package_dirs: Sequence[str | os.PathLike[str]] = (),
+        srdf: str | os.PathLike[str] | None = None,
+        prefix: str = "",
+        limits: bool = True,
+        friction: bool = False,
+        mimic: bool = True,
+    ) -> PartHandle:
+        """Add a URDF model. Meshes become convex hulls, mimic tags become constraints (see `report`).
+
+        Args:
+            path: file, or `package://...`, `example-robot-data://robots/...`.
+            base: "fixed" to the world or "free" (a free-flyer named root_joint).
+            placement: of the base in the world: None, xyz [m], (xyz, rpy [rad]), 7 numbers (xyz, quaternion xyzw) or
+                pin.SE3. For a free base it is where neutral() puts it.
+            package_dirs: folders in which to look for packages first.
+            srdf: file whose disable_collisions are left out of the collision pairs.
+            prefix: put before all names, to add the same model twice.
+            limits: whether the limits of its joints stop them (lower >= upper means none); one by one: `set_joint`.
+            friction: whether its joints have the friction of the file; one by one: `set_joint(friction=True)`.
+            mimic: whether joints with a mimic tag follow the other joint (joint equality constraints, which need steps
+                of one length); else they are independent.
+
+        Raises:
+            SceneError, UnsupportedJointError, InputError
+        """
+        dirs = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else list(package_dirs)
+        where = pose("placement", placement)
+        part = import_urdf(path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic)
+        return self.add_model(part, limits, friction)
+
+    def add_mjcf(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        placement: Any = None,
+        prefix: str = "",
+        limits: bool = True,
+        friction: bool = False,
+        equality: bool = True,
+    ) -> PartHandle:
+        """Add an MJCF model: bodies, joints, geometries; planes are halfspaces. Arguments and errors as in add_urdf.
+
+        Args:
+            equality: whether connect, weld and joint of its <equality> become constraints.
+            friction: its frictionloss.
+        """
+        where = pose("placement", placement)
+        return self.add_model(import_mjcf(path, placement=where, prefix=prefix, equality=equality), limits, friction)
+
+    def add_model(self, part: Part, limits: Any, friction: Any = False) -> PartHandle:
+        """Add an imported model (for scene files); `limits` and `friction` as in add_urdf."""
+        limits, friction = flag("limits", limits), flag("friction", friction)
+        handle = self._add(part, PartHandle)
+        self._joints.add_part(part, limits, friction)
+        self._elements.add_from_file(part.constraints)
+        return handle
+
+    def add_sphere(
+        self, name: str, radius: float, mass: float = 1.0, free: bool = True, placement: Any = None, color: Any = None
+    ) -> BodyHandle:
+        """Add a solid sphere: radius [m], mass [kg]. `free`: moves freely, else fixed to the world.
+
+        `placement` as in add_urdf (for a free body the pose that neutral() gives it), color rgba in 0..1.
+        """
+        return self._add_shape(name, shapes.sphere(name, radius, mass), free, placement, color)
+
+    def add_box(
+        self,
+        name: str,
+        size: Sequence[float],
+        mass: float = 1.0,
+        free: bool = True,
+        placement: Any = None,
+        color: Any = None,
+    ) -> BodyHandle:
+        """Add a solid box: full edge lengths [m], shape (3,). The rest as in add_sphere."""
+        return self._add_shape(name, shapes.box(name, size, mass), free, placement, color)
+
+    def add_capsule(
+        self,
+        name: str,
+        radius: float,
+        length: float,
+        mass: float = 1.0,
+        free: bool = True,
+        placement: Any = None,
+        color: Any = None,
+    ) -> BodyHandle:
+        """Add a solid capsule along z: radius, length without the caps [m]. The rest as in add_sphere."""
+        return self._add_shape(name, shapes.capsule(name, radius, length, mass), free, placement, color)
+
+    def add_cylinder(
+        self,
+        name: str,
+        radius: float,
+        length: float,
+        mass: float = 1.0,
+        free: bool = True,
+        placement: Any = None,
+        color: Any = None,
+    ) -> BodyHandle:
+        """Add a solid cylinder along z: radius, length [m]. The rest as in add_sphere."""
+        return self._add_shape(name, shapes.cylinder(name, radius, length, mass), free, placement, color)
+
+    def add_halfspace(
+        self, normal: Sequence[float] = (0.0, 0.0, 1.0), offset: float = 0.0, name: str = "ground", color: Any = None
+    ) -> BodyHandle:
+        """Add the solid halfspace n . x <= offset [m], fixed to the world; n is the normal made a unit vector."""
+        shape = shapes.halfspace(normal, offset, name)
+        return self._add(shape_part(name, shape, None, pin.SE3.Identity(), color), BodyHandle)
+
+    # --- contacts and joints ------------------------------------------------------------------------------------------
 
     def set_contact(
         self,
@@ -80,7 +222,7 @@ class Scene(SceneElements):
         """Set restitution in [0, 1] and Coulomb friction >= 0 of contacts; by default 0.5 and 0.
 
         Restitution is Poisson's, the ratio of the impulses of expansion and compression, which without friction is that
-        of the speeds; friction is isotropic and acts in impacts and in lasting contact. Without a and b: the scene's
+        of the speeds; friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
         default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
         contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else the
         default.
@@ -91,16 +233,21 @@ class Scene(SceneElements):
         second = None if b is None else self._geometries(b, "b")
         checked = []
         if restitution is not None:
-            checked.append((self._edits.restitution, real("restitution", restitution, 0.0, 1.0)))
+            checked.append((self._contact.restitution, real("restitution", restitution, 0.0, 1.0)))
         if friction is not None:
-            checked.append((self._edits.friction, real("friction", friction, 0.0)))
+            checked.append((self._contact.friction, real("friction", friction, 0.0)))
         for rule, value in checked:
-            if first is None:
-                rule.default = value
-            elif second is None:
-                rule.set_single(first, value)
-            else:
-                rule.set_pair(first, second, value)
+            rule.set(first, second, value)
+        self._built = None
+
+    def disable_pair(self, a: Selector, b: Selector) -> None:
+        """Take all pairs between a and b out of the collision pairs."""
+        self._contact.disable(self._geometries(a, "a"), self._geometries(b, "b"))
+        self._built = None
+
+    def enable_pair(self, a: Selector, b: Selector) -> None:
+        """Put all pairs between a and b into the collision pairs, whatever the default choice says."""
+        self._contact.enable(self._geometries(a, "a"), self._geometries(b, "b"))
         self._built = None
 
     def set_joint(
@@ -126,7 +273,7 @@ class Scene(SceneElements):
             damping: [N m s/rad or N s/m], replaces the file's; free and planar joints also take (linear, angular).
             limits: whether the model's limits stop the joint, or new ones (lower, upper).
             restitution: of impacts at the limits, in [0, 1]; the default contact restitution when not given.
-            friction: dry friction [N m or N] of 1-dof joints: the force of slip, and what a joint at rest holds; True
+            friction: joint friction [N m or N] of 1-dof joints: the force of slip, and what a joint at rest holds; True
                 is the file's, False none (the default).
             spring: k1, k2, ... of a nonlinear spring besides `stiffness`: torque -(k1 x + k2 x^2 + ...), x = q - rest;
                 of joints with one number in q.
@@ -134,102 +281,318 @@ class Scene(SceneElements):
                 planar joints.
             rotor_inertia, gear_ratio: add rotor_inertia * gear_ratio^2 to it (1 when not given).
         """
-        model = self._assembled()[0].model
-        values = {
-            "stiffness": stiffness, "rest": rest, "damping": damping, "limits": limits, "restitution": restitution,
-            "friction": friction, "spring": spring, "armature": armature, "gear_ratio": gear_ratio,
-            "rotor_inertia": rotor_inertia,
-        }  # fmt: skip
-        self._update_joints({name: joint_settings(model, name, **values) for name in self._joints(joint)})
+        self._set_joints(
+            joint, stiffness=stiffness, rest=rest, damping=damping, limits=limits, restitution=restitution,
+            friction=friction, spring=spring, armature=armature, gear_ratio=gear_ratio, rotor_inertia=rotor_inertia,
+        )  # fmt: skip
 
-    def disable_pair(self, a: Selector, b: Selector) -> None:
-        """Take all pairs between a and b out of the collision pairs."""
-        self._switch_pair(a, b, self._edits.disabled)
+    def set_servo(self, joint: Selector, kp: float, kd: float, effort: float | None = None, target: Any = None) -> None:
+        """Drive joints by PD in the engine: torque kp (q_ref - q) + kd (v_ref - v), at most effort. kp = kd = 0: none.
 
-    def enable_pair(self, a: Selector, b: Selector) -> None:
-        """Put all pairs between a and b into the collision pairs, whatever the default choice says."""
-        self._switch_pair(a, b, self._edits.enabled)
-
-    def _switch_pair(self, a: Selector, b: Selector, pairs: list[tuple[str, str]]) -> None:
-        others = self._geometries(b, "b")
-        new = [(x, y) for x in self._geometries(a, "a") for y in others if x != y]
-        for listed in (self._edits.disabled, self._edits.enabled):  # the last call wins
-            listed[:] = [pair for pair in listed if pair not in new and pair[::-1] not in new]
-        pairs += new
+        Args:
+            joint: joints with one degree of freedom, by name, pattern or part; continuous ones go the shorter way.
+            kp, kd: [N m/rad or N/m], [N m s/rad or N s/m], >= 0. They are implicit in the step and may be stiff.
+            effort: largest torque [N m or N]; None: the file's limit, float("inf"): none.
+            target: where to when the run says nothing (`simulate(target=)`): a motion as in `prescribe`; None: the
+                start.
+        """
+        model, names = self._parts.assembly.model, self.names.select_joints(joint)
+        self._joints.update({name: servo_settings(model, name, kp, kd, effort, target) for name in names})
+        self._elements.supply({target_name(name) for name in names})
         self._built = None
 
-    def _geometries(self, selector: Selector, argument: str) -> list[str]:
-        names = self._assembled()[1]
-        all_names = list(names.geometries)
-        return [all_names[index] for index in names.select_geometries(selector, argument)]
+    def set_actuator(
+        self, joint: Selector, effort: bool | float | None = None, velocity: bool | float | None = None
+    ) -> None:
+        """Limit what inputs do at joints with one degree of freedom; by default nothing is limited.
 
-    def _complete(self) -> Built:
+        effort [N m or N], velocity [rad/s or m/s] : a number, True for the file's limit, False for none. The torque put
+        in is cut to +-effort, and may not push a joint beyond +-velocity; that is decided at the start of each step.
+        """
+        self._set_joints(joint, effort=effort, velocity=velocity)
+
+    # --- constraints, springs and forces ------------------------------------------------------------------------------
+
+    def add_point(
+        self,
+        a: Selector,
+        b: Selector,
+        point_a: Sequence[float] = (0.0, 0.0, 0.0),
+        point_b: Sequence[float] | None = (0.0, 0.0, 0.0),
+        name: str | None = None,
+    ) -> str:
+        """Join a point of body a and one of body b (a ball joint, 3 constraints); return its name.
+
+        point_b None: the point of b that lies at point_a in the neutral configuration.
+        """
+        ends = self._body(a, "a"), self._body(b, "b")
+        return self._add_element(kinds.PointConstraint(self._name("point", name), *ends, point_a, point_b))
+
+    def add_distance(
+        self,
+        a: Selector,
+        b: Selector,
+        point_a: Sequence[float] = (0.0, 0.0, 0.0),
+        point_b: Sequence[float] = (0.0, 0.0, 0.0),
+        length: Any = None,
+        name: str | None = None,
+    ) -> str:
+        """Keep the distance of two points (a rod without mass, 1 constraint); return its name.
+
+        Args:
+            length: [m] > 0, or a motion as in `prescribe` (a winch); None: as in the neutral configuration.
+        """
+        ends = self._body(a, "a"), self._body(b, "b")
+        return self._add_element(
+            kinds.DistanceConstraint(self._name("distance", name), *ends, point_a, point_b, length)
+        )
+
+    def add_weld(self, a: Selector, b: Selector, placement: Any = None, name: str | None = None) -> str:
+        """Fix body b to body a (6 constraints); return its name. placement: of b in a, as in add_urdf."""
+        ends = self._body(a, "a"), self._body(b, "b")
+        return self._add_element(kinds.WeldConstraint(self._name("weld", name), *ends, placement))
+
+    def add_screw(
+        self,
+        a: Selector,
+        b: Selector,
+        pitch: float,
+        frame_a: Any = None,
+        frame_b: Any = None,
+        name: str | None = None,
+    ) -> str:
+        """Make b a nut on a screw of a (5 constraints; pitch 0: a hinge); return its name.
+
+        The z axes of the two frames coincide, and b is displaced along z by pitch [m/rad] times its turn about z.
+
+        Args:
+            frame_a, frame_b: placements in the bodies, as in add_urdf; None: the frame of body a, and where that is in
+                b in the neutral configuration.
+        """
+        ends = self._body(a, "a"), self._body(b, "b")
+        return self._add_element(kinds.ScrewConstraint(self._name("screw", name), *ends, pitch, frame_a, frame_b))
+
+    def add_joint_equality(
+        self,
+        joint: Selector,
+        other: Selector | None,
+        coefficients: Sequence[float] = (0.0, 1.0),
+        name: str | None = None,
+    ) -> str:
+        """Make a joint follow another one: q_joint = c0 + c1 q_other + c2 q_other^2 + ...; return the name.
+
+        Of revolute, prismatic or helical joints [rad or m]; other None: q_joint = c0. `neutral()` puts the joint where
+        it has to be.
+        """
+        first = self._joint_with_one_number(joint, "equality")
+        second = None if other is None else self._joint_with_one_number(other, "equality")
+        return self._add_element(kinds.EqualityConstraint(self._name("equality", name), first, second, coefficients))
+
+    def prescribe(self, joint: Selector, motion: Any, name: str | None = None) -> str:
+        """Let a joint with one degree of freedom follow a motion exactly, whatever force it takes; return the name.
+
+        Args:
+            motion: [rad or m], one of: a number; (times, values), through which a spline with continuous acceleration
+                goes (the run must lie within its times); a function t -> value, (value, rate) or (value, rate,
+                acceleration), of which the missing ones are found by differences; a spline of scipy.interpolate.
+        """
+        driven = self.names.select_joint(joint)
+        one_dof(self._parts.assembly.model, driven, "A motion", "Use add_weld or add_distance for free bodies")
+        return self._add_element(kinds.PrescribedJoint(self._name("prescribe", name), driven, motion))
+
+    def add_spring(
+        self,
+        a: Selector,
+        b: Selector,
+        stiffness: float,
+        *,
+        rest_length: float | None = None,
+        damping: float = 0.0,
+        point_a: Sequence[float] = (0.0, 0.0, 0.0),
+        point_b: Sequence[float] = (0.0, 0.0, 0.0),
+        tension_only: bool = False,
+        name: str | None = None,
+    ) -> str:
+        """Put a spring and damper between two points; return its name.
+
+        stiffness [N/m], rest_length [m] (None: as in the neutral configuration), damping [N s/m]; tension_only: a rope,
+        which does nothing while it is shorter than its rest length.
+        """
+        points = [(self._body(a, "a"), point_a), (self._body(b, "b"), point_b)]
+        return self._add_element(
+            kinds.PathSpring(self._name("spring", name), points, stiffness, rest_length, damping, tension_only)
+        )
+
+    def add_tape_spring(
+        self,
+        points: Sequence[tuple[Selector, Sequence[float]]],
+        stiffness: float,
+        *,
+        rest_length: float | None = None,
+        damping: float = 0.0,
+        tension_only: bool = False,
+        name: str | None = None,
+    ) -> str:
+        """Put a spring along a line through points ((body, xyz), ...), such as a tendon; the rest as in add_spring."""
+        try:
+            along = [(self._body(body, "points"), xyz) for body, xyz in points]
+        except (TypeError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                "Argument points", name="points", expected='[("body", (x, y, z)), ...]', got=repr(points)
+            ) from None
+        return self._add_element(
+            kinds.PathSpring(self._name("tape_spring", name), along, stiffness, rest_length, damping, tension_only)
+        )
+
+    def add_wrench(
+        self,
+        body: Selector,
+        force: Any = None,
+        torque: Any = None,
+        point: Sequence[float] = (0.0, 0.0, 0.0),
+        axes: str = "world",
+        name: str | None = None,
+    ) -> str:
+        """Let a force [N] and a torque [N m] act on a body at a point of it; return the name.
+
+        Args:
+            force, torque: (3,), or functions t -> (3,).
+            axes: theirs, "world" or "body".
+        """
+        return self._add_element(
+            kinds.Wrench(self._name("wrench", name), self._body(body, "body"), force, torque, point, axes)
+        )
+
+    def add_potential(
+        self, value: Any, gradient: Any = None, hessian: Any = None, *, check: bool = True, name: str | None = None
+    ) -> str:
+        """Add a potential energy given by Python functions; return its name.
+
+        Args:
+            value: function q (nq,) -> energy [J]; or an object with methods value, gradient and perhaps hessian.
+            gradient: function q -> (nv,), its derivative in the tangent space at q (Pinocchio's v).
+            hessian: function q -> (nv, nv), the derivative of the gradient; makes stiff potentials solvable.
+            check: compare the derivatives with differences at the start of the first run (DerivativeError).
+        """
+        if not callable(value) and gradient is None and hasattr(value, "value"):
+            value, gradient, hessian = value.value, getattr(value, "gradient", None), getattr(value, "hessian", None)
+        return self._add_element(
+            kinds.UserPotential(self._name("potential", name), value, gradient, hessian, flag("check", check))
+        )
+
+    def add_force(self, function: Any, derivatives: Any = None, *, check: bool = True, name: str | None = None) -> str:
+        """Add generalized forces given by a Python function; return the name.
+
+        Args:
+            function: (t, q (nq,), v (nv,)) -> (nv,) [N; N m], Pinocchio's coordinates.
+            derivatives: (t, q, v) -> (df_dq, df_dv), (nv, nv) each, in the tangent space; for stiff forces.
+            check: as in add_potential.
+        """
+        return self._add_element(
+            kinds.UserForce(self._name("force", name), function, derivatives, flag("check", check))
+        )
+
+    def remove(self, name: str) -> None:
+        """Take an element out again."""
+        self._elements.remove(name)
+        self._built = None
+
+    @property
+    def elements(self) -> list[kinds.Element]:
+        """What was added by the methods above and by models' files, in order."""
+        return list(self._elements.elements)
+
+    # --- what the scene is --------------------------------------------------------------------------------------------
+
+    @property
+    def gravity(self) -> np.ndarray:
+        """Acceleration of free fall [m/s^2], world frame, shape (3,); a constant of the scene."""
+        return self._parts.gravity.copy()
+
+    @property
+    def names(self) -> Names:
+        """The names of joints, bodies, geometries and parts, and what handles and patterns select."""
+        return self._parts.names
+
+    @property
+    def missing(self) -> list[str]:
+        """Names of elements and servo targets that a stored scene had and a file does not hold: Python functions."""
+        return list(self._elements.missing)
+
+    def built(self) -> Built:
+        """Return the complete scene: one model with its pairs, joint arrays and elements. Treat it as constant."""
         if self._built is None:
-            assembly, names = self._assembled()
-            self._built = build(assembly, self._parts, names, self._edits)
+            self._built = build(self._parts, self._contact, self._joints, self._elements.elements)
         return self._built
+
+    @property
+    def servo_joints(self) -> list[str]:
+        """The joints with a servo, in the order of v."""
+        return self.built().servo_joints
 
     @property
     def model(self) -> pin.Model:
         """The assembled model, with the damping and the limits that are simulated. Treat it as constant."""
-        return self._complete().model
+        return self.built().model
 
     @property
     def collision_model(self) -> pin.GeometryModel:
         """The collision geometry (convex shapes) with the tested collision pairs."""
-        return self._complete().collision
+        return self.built().collision
 
     @property
     def visual_model(self) -> pin.GeometryModel:
         """The pictures; loaded on first use. Halfspaces are plates."""
-        if self._visual is None:
-            self._visual = assemble_visual(self._parts, self._assembled()[0].model)
-        return self._visual
+        return self._parts.visual
 
     @property
     def nq(self) -> int:
-        return int(self._assembled()[0].model.nq)
+        return int(self._parts.assembly.model.nq)
 
     @property
     def nv(self) -> int:
-        return int(self._assembled()[0].model.nv)
+        return int(self._parts.assembly.model.nv)
 
     @property
     def pair_names(self) -> list[tuple[str, str]]:
         """The tested pairs (geometry, geometry), in the engine's order."""
-        return list(self._complete().pairs)
+        return list(self.built().pairs)
 
     @property
     def pair_restitution(self) -> np.ndarray:
         """Restitution of each tested pair, shape (npairs,)."""
-        return self._complete().restitution.copy()
+        return self.built().restitution.copy()
 
     @property
     def pair_friction(self) -> np.ndarray:
         """Coulomb friction of each tested pair, shape (npairs,)."""
-        return self._complete().friction.copy()
+        return self.built().friction.copy()
 
     @property
     def parts(self) -> list[PartHandle]:
         """Handles of what was added, in order."""
-        return list(self._groups.values())
+        return list(self._parts.handles.values())
 
     @property
     def report(self) -> ImportReport:
         """What of the models is used, changed, ignored, suspicious; pairs that are not tested; rounded shapes."""
-        return scene_report(self._parts, self._complete(), self._edits)
+        return scene_report(self._parts.parts, self.built(), self._joints, self._elements)
 
-    def core(self) -> _core.Scene:
+    def core(self) -> Any:
         """Return the engine's scene (contactvi._core.Scene), built on first use and again after an edit."""
-        return engine_scene(self._complete())
+        return self.built().engine
+
+    # --- configurations and velocities --------------------------------------------------------------------------------
 
     def neutral(self) -> np.ndarray:
         """Return the neutral configuration, shape (nq,): joints at zero or the nearest limit, free bodies as placed."""
-        return self._complete().start.copy()
+        return self.built().start.copy()
 
     def spring_rest(self) -> np.ndarray:
         """Return the configuration where every spring rests, neutral for joints without one, shape (nq,)."""
-        return self._complete().arrays.rest.copy()
+        return self.built().arrays.rest.copy()
 
     def q_index(self, joint: Selector) -> slice:
         """Return where a joint's numbers lie in q."""
@@ -250,7 +613,7 @@ class Scene(SceneElements):
         model = self.model
         q = self.neutral() if base is None else vector("base", base, model.nq)
         for selector, value in values.items():
-            for name in self._assembled()[1].select_joints(selector):
+            for name in self.names.select_joints(selector):
                 q[self.q_index(name)] = joint_value(model, name, value)
         return q
 
@@ -263,20 +626,61 @@ class Scene(SceneElements):
         q = self.neutral() if q is None else vector("q", q, model.nq)
         v = np.zeros(model.nv)
         for selector, value in values.items():
-            for name in self._assembled()[1].select_joints(selector):
+            for name in self.names.select_joints(selector):
                 v[self.v_index(name)] = joint_velocity(model, name, value, q)
         return v
 
-    def _one_joint(self, joint: Selector) -> pin.JointModel:
-        assembly, names = self._assembled()
-        found = names.select_joints(joint)
-        if len(found) != 1:
-            raise InputError(f"Joint {str(joint)!r}", name="joint", expected="one joint", got=f"{len(found)}")
-        return assembly.model.joints[assembly.model.getJointId(found[0])]
+    def assemble(self, q: Any = None, fixed: Sequence[Selector] | Selector = (), t: float = 0.0) -> np.ndarray:
+        """Return the configuration (nq,) near q (nq,) that satisfies the constraints at t [s].
+
+        Args:
+            q: where to begin, by default neutral.
+            fixed: joints that keep their values. Limits of joints are kept too.
+
+        Raises:
+            ConstraintError: there is none near q; it names the constraints that stay open.
+        """
+        built, start, time = self.built(), self._state(q), real("t", t)
+        names = [name for selector in _several(fixed) for name in self.names.select_joints(selector)]
+        dofs = {dof for name in names for dof in dofs_of(built.model, name)}
+        rows = built.elements.constraints
+        if not rows:
+            return start
+        return closure.assemble(built.engine, built.model, rows, start, sorted(dofs), time)
+
+    def consistent_velocity(self, q: Any = None, v: Any = None, t: float = 0.0) -> np.ndarray:
+        """Return the velocity (nv,) nearest to v (in the metric of the mass) that goes with the constraints at q.
+
+        Args:
+            q: (nq,), by default neutral.
+            v: (nv,), by default rest.
+            t: [s].
+
+        Raises:
+            ConstraintError: where constraints ask for different speeds.
+        """
+        built, start, time = self.built(), self._state(q), real("t", t)
+        velocity = np.zeros(built.model.nv) if v is None else vector("v", v, built.model.nv)
+        if not built.elements.constraints:
+            return velocity
+        return closure.consistent_velocity(built.engine, built.elements.constraints, start, velocity, time)
+
+    # --- copies and plain data ----------------------------------------------------------------------------------------
+
+    def copy(self) -> Scene:
+        """Return a scene that is edited apart from this one; what is built is shared until one of them is edited."""
+        twin = type(self).__new__(type(self))
+        vars(twin).update(vars(self))
+        twin._parts, twin._contact = self._parts.copy(), self._contact.copy()
+        twin._joints, twin._elements = self._joints.copy(), self._elements.copy()
+        twin.settings, twin.compiled = dict(self.settings), None
+        return twin
+
+    __copy__ = copy
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a complete description in plain data (see scene_data.py); from_dict makes the same scene of it."""
-        data = scene_to_dict(self._complete(), self._edits, self.parts)
+        """Return a complete description in plain data (contactvi.scene.data); from_dict makes a scene of it again."""
+        data = scene_to_dict(self.built(), self._contact, self._elements, self.parts)
         start = {name: None if q is None else q.tolist() for name, q in (("q0", self.q0), ("v0", self.v0))}
         return data | start | {"settings": dict(self.settings)}
 
@@ -285,9 +689,58 @@ class Scene(SceneElements):
         """Return the scene of to_dict. Raises SceneError when the data are not such a description."""
         stored = scene_from_dict(data)
         scene = cls(stored.gravity)
-        take_names(stored.part, scene._taken)
-        scene._parts, scene._groups, scene._edits = [stored.part], stored.groups, stored.edits
-        for name in ("q0", "v0"):
-            setattr(scene, name, None if data.get(name) is None else np.array(data[name], dtype=float))
-        scene.settings = dict(data.get("settings", {}))
+        scene._parts.add_stored(stored.part, stored.handles)
+        scene._contact, scene._joints, scene._elements = stored.contact, stored.joints, stored.elements
+        scene.q0, scene.v0, scene.settings = stored.q0, stored.v0, stored.settings
         return scene
+
+    # --- helpers ------------------------------------------------------------------------------------------------------
+
+    def _add(self, part: Part, kind: type[Handle]) -> Handle:
+        handle = self._parts.add(part, kind)
+        self._built = None
+        return handle
+
+    def _add_shape(
+        self, name: str, body: tuple[coal.CollisionGeometry, pin.Inertia], free: bool, placement: Any, color: Any
+    ) -> BodyHandle:
+        shape, inertia = body
+        where = pose("placement", placement)
+        return self._add(shape_part(name, shape, inertia if free else None, where, color), BodyHandle)
+
+    def _name(self, kind: str, name: str | None) -> str:
+        return self._elements.new_name(kind, name)
+
+    def _add_element(self, element: kinds.Element) -> str:
+        self._elements.add(element)
+        self._built = None
+        return element.name
+
+    def _set_joints(self, selector: Selector, **values: Any) -> None:
+        model, names = self._parts.assembly.model, self.names.select_joints(selector)
+        self._joints.update({name: joint_settings(model, name, **values) for name in names})
+        self._built = None
+
+    def _body(self, selector: Selector, argument: str) -> str:
+        return self.names.select_body(selector, argument)
+
+    def _geometries(self, selector: Selector, argument: str) -> list[str]:
+        known = list(self.names.geometries)
+        return [known[index] for index in self.names.select_geometries(selector, argument)]
+
+    def _one_joint(self, selector: Selector) -> pin.JointModel:
+        model = self._parts.assembly.model
+        return model.joints[model.getJointId(self.names.select_joint(selector))]
+
+    def _joint_with_one_number(self, selector: Selector, what: str) -> str:
+        name = self.names.select_joint(selector)
+        one_number(self._parts.assembly.model, name, what)
+        return name
+
+    def _state(self, q: Any) -> np.ndarray:
+        built = self.built()
+        return built.start.copy() if q is None else States(built.model).configuration(q, "q")
+
+
+def _several(fixed: Sequence[Selector] | Selector) -> Sequence[Selector]:
+    return (fixed,) if isinstance(fixed, str) or not isinstance(fixed, Sequence) else fixed

@@ -158,6 +158,13 @@ class Names:
             )
         return found
 
+    def select_joint(self, selector: Selector) -> str:
+        """Return the name of the one selected joint; raise InputError for none and for several."""
+        found = self.select_joints(selector)
+        if len(found) != 1:
+            raise InputError(f"Joint {str(selector)!r}", name="joint", expected="one joint", got=f"{len(found)}")
+        return found[0]
+
 
 def is_pattern(text: str) -> bool:
     """Return whether a name is a pattern such as joint_*."""

@@ -53,13 +53,30 @@ from contactvi.importing.readers import import_mjcf, import_urdf
 from contactvi.inputs import flag, pose, unit_quaternion
 from contactvi.options import Options
 from contactvi.scene.scene import GRAVITY, Scene
-from contactvi.scene.toml_elements import SECTIONS, add_element
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
+_ENDS = ("a", "b")
+_POINTS = ("point_a", "point_b")
+_SPRING = ("stiffness", "rest_length", "damping", "tension_only", "name")
+
+# Sections of constraints, springs, wrenches, servos and actuators: all keys, and those that have to be there.
+ELEMENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "point": ((*_ENDS, *_POINTS, "name"), _ENDS),
+    "distance": ((*_ENDS, *_POINTS, "length", "name"), _ENDS),
+    "weld": ((*_ENDS, "xyz", "rpy", "name"), _ENDS),
+    "screw": ((*_ENDS, "pitch", "frame_a", "frame_b", "name"), (*_ENDS, "pitch")),
+    "equality": (("joint", "other", "coefficients", "name"), ("joint",)),
+    "prescribe": (("joint", "motion", "name"), ("joint", "motion")),
+    "spring": ((*_ENDS, *_POINTS, *_SPRING), (*_ENDS, "stiffness")),
+    "tape_spring": (("points", *_SPRING), ("points", "stiffness")),
+    "wrench": (("body", "force", "torque", "point", "axes", "name"), ("body",)),
+    "servo": (("joint", "kp", "kd", "effort", "target"), ("joint", "kp", "kd")),
+    "actuator": (("joint", "effort", "velocity"), ("joint",)),
+}
 _PLACE = ("xyz", "rpy")
 _BODY = ("name", "mass", "free", "color", *_PLACE)
 KEYS: dict[str, tuple[str, ...]] = {
@@ -78,12 +95,12 @@ KEYS: dict[str, tuple[str, ...]] = {
         *("name", "stiffness", "rest", "damping", "limits", "restitution"),
         *("friction", "spring", "armature", "gear_ratio", "rotor_inertia"),
     ),
-    **{section: keys for section, (keys, _) in SECTIONS.items()},
+    **{section: keys for section, (keys, _) in ELEMENTS.items()},
     "initial": ("q", "v", "springs_at_rest", "assemble", "body"),
     "initial.body": ("name", "quaternion", "velocity", "angular_velocity", *_PLACE),
     "run": tuple(f.name for f in fields(Options)),
 }
-LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "halfspace", "joint", *SECTIONS)
+LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "halfspace", "joint", *ELEMENTS)
 NEEDED = {
     "urdf": ("path",),
     "mjcf": ("path",),
@@ -95,7 +112,7 @@ NEEDED = {
     "contact.body": ("name",),
     "contact.pair": ("a", "b"),
     "initial.body": ("name",),
-    **{section: needed for section, (_, needed) in SECTIONS.items()},
+    **{section: needed for section, (_, needed) in ELEMENTS.items()},
 }
 
 
@@ -119,10 +136,10 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
         with _at(file, "joint", number):
             values = dict(entry)
             scene.set_joint(values.pop("name"), **values)
-    for section in SECTIONS:
+    for section in ELEMENTS:
         for number, entry in enumerate(data.get(section, ())):
             with _at(file, section, number):
-                add_element(scene, section, entry)
+                _add_element(scene, section, entry)
     _set_start(scene, data, file)
     scene.settings = dict(data.get("run", {}))
     if "dt" in scene.settings:
@@ -231,6 +248,32 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
         getattr(scene, f"add_{section}")(**entry, placement=placement)
 
 
+def _add_element(scene: Scene, section: str, entry: Mapping[str, Any]) -> None:
+    """Add a constraint, spring, wrench, servo or actuator to the scene."""
+    values = dict(entry)
+    if section == "weld":
+        placed = [values.pop(key, None) for key in ("xyz", "rpy")]
+        if placed != [None, None]:
+            values["placement"] = pose("placement", tuple(part or [0.0, 0.0, 0.0] for part in placed))
+    for key in ("frame_a", "frame_b"):
+        if key in values:
+            values[key] = _frame(key, values[key])
+    if section == "equality":
+        scene.add_joint_equality(values.pop("joint"), values.pop("other", None), **values)
+    elif section == "prescribe":
+        scene.prescribe(**values)
+    elif section in ("servo", "actuator"):
+        getattr(scene, f"set_{section}")(**values)
+    else:
+        getattr(scene, f"add_{section}")(**values)
+
+
+def _frame(key: str, value: Any) -> Any:
+    if not isinstance(value, Mapping) or not set(value) <= {"xyz", "rpy"}:
+        raise InputError(f"Value of {key}", name=key, expected="{ xyz = [...], rpy = [...] }", got=repr(value))
+    return pose(key, (value.get("xyz", [0.0, 0.0, 0.0]), value.get("rpy", [0.0, 0.0, 0.0])))
+
+
 def _strings(value: Any, name: str) -> list[str]:
     if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
         raise InputError(f"Value of {name}", name=name, expected="a list of strings", got=repr(value))
@@ -288,7 +331,7 @@ def _set_start(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
         if flag("assemble", initial.get("assemble", False)):
             scene.q0 = scene.assemble(q)
             scene.v0 = scene.consistent_velocity(scene.q0, scene.v0)
-        elif not speeds and scene._edits.elements:
+        elif not speeds and scene.elements:
             scene.v0 = None  # a run takes what goes with driven constraints
 
 

@@ -7,7 +7,7 @@ from typing import TypeVar, cast
 
 from numpy.typing import ArrayLike
 
-from contactvi import _core, checks
+from contactvi import _core, inputs
 from contactvi.errors import ContactviError, PenetrationError, SimulationError
 from contactvi.options import Options
 from contactvi.simulation.messages import REMEDY
@@ -70,7 +70,7 @@ def start(
     """
     states = compiled.states
     q = states.configuration(compiled.q0 if q0 is None else q0)
-    begin = t if type(t) is float and t == 0.0 else float(checks.array("t", t, (), "the start time in seconds"))
+    begin = t if type(t) is float and t == 0.0 else float(inputs.array("t", t, (), "the start time in seconds"))
     given = compiled.v0 if v0 is None else v0
     v = compiled.start_velocity(q, begin) if given is None else states.velocity(given)
     compiled.check_start(q, v, begin)

@@ -120,7 +120,7 @@ class ContactSensor:
         self._simulator = simulator
         self._joint, self._place = _frame(simulator, body)
         built = simulator._scene.built
-        name = simulator.scene._body(body)
+        name = simulator.scene.names.select_body(body)
         frames = {k for k, frame in enumerate(built.model.frames) if frame.name == name}
         shapes = {g.name for g in built.collision.geometryObjects if g.parentFrame in frames}
         if not shapes:
@@ -176,7 +176,7 @@ def _checked(simulator: Any) -> Simulator:
 
 def _frame(simulator: Simulator, body: Any) -> tuple[int, pin.SE3]:
     """Return the joint that carries a body, and the body's placement in its frame."""
-    name = simulator.scene._body(body)
+    name = simulator.scene.names.select_body(body)
     model = simulator._scene.built.model
     if name == "world":
         return 0, pin.SE3.Identity()

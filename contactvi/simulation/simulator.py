@@ -25,7 +25,7 @@ from contactvi.simulation.recorder import Record
 from contactvi.simulation.targets import Targets
 from contactvi.simulation.tolerances import LedgerWatch
 from contactvi.status import Status, StatusCode
-from contactvi.trajectory.compiled import CompiledScene, compile_scene, complete
+from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
         forced: whether it has inputs. These decide about a dt that is given nowhere (options.merged), and so do some
             elements of scenes.
     """
-    fixed = forced or complete(scene).needs_fixed_step is not None
+    fixed = forced or scene.built().needs_fixed_step is not None
     return Options.from_dict(merged(scene.settings, chosen, fixed))
 
 

@@ -68,7 +68,7 @@ class Targets:
         scene = self._compiled.scene() if target else None
         for selector, motion in target.items():
             assert scene is not None
-            for name in scene._joints(selector):
+            for name in scene.names.select_joints(selector):
                 if name not in self.joints:
                     raise InputError(
                         f"Joint {name!r} has no servo", name="target", expected="one of scene.servo_joints",

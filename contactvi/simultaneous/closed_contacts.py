@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from contactvi.errors import InputError, PenetrationError, did_you_mean
 from contactvi.inputs import real
 from contactvi.records.events import label
-from contactvi.scene.build import engine_points
+from contactvi.scene.engine import engine_points
 from contactvi.trajectory.compiled import CompiledScene
 
 Array = NDArray[np.float64]

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.checks import States
 from contactvi.elements.elements import UserForce, UserPotential
 from contactvi.errors import ConstraintError, SceneError, UserFunctionError
+from contactvi.inputs import States
 from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
-from contactvi.scene.build import Built
 from contactvi.scene.derivative_check import GENERIC, check_element, mover
 from contactvi.scene.scene import Scene
 
@@ -36,11 +34,11 @@ class CompiledScene:
     """
 
     def __init__(self, scene: Scene) -> None:
-        built = complete(scene)
+        built = scene.built()
         _refuse_missing(scene)
         self.core: _core.Scene = scene.core()
         self.built = built
-        self._scene = _copy(scene)
+        self._scene = scene.copy()
         self.states = States(built.model)
         self.pair_names = [(str(a), str(b)) for a, b in built.pairs]
         self.joint_names = [str(name) for name in built.model.names]
@@ -49,12 +47,12 @@ class CompiledScene:
 
     def scene(self) -> Scene:
         """Return a new copy of the scene as it was, for the caller to keep and edit; what is built is shared."""
-        return _copy(self._scene)
+        return self._scene.copy()
 
     def fits(self, scene: Scene) -> bool:
         """Return whether the scene is still as it was."""
         kept = self._scene
-        same = complete(scene) is self.built and scene.q0 is kept.q0 and scene.v0 is kept.v0
+        same = scene.built() is self.built and scene.q0 is kept.q0 and scene.v0 is kept.v0
         return same and scene.settings == kept.settings
 
     @property
@@ -139,21 +137,8 @@ class CompiledScene:
                     check_element(element, dofs, move, move(q, GENERIC * generic), v + generic, t)
 
 
-# --- what a run needs of a scene besides its public methods ---------------------------------------------------------
-
-
-def complete(scene: Scene) -> Built:
-    """Return the complete scene as it is now; an edit makes a new one."""
-    return scene._complete()
-
-
-def missing_elements(scene: Scene) -> list[str]:
-    """Return the names of elements that a stored scene could not keep, because they are functions of the user."""
-    return scene._edits.missing
-
-
 def _refuse_missing(scene: Scene) -> None:
-    missing = missing_elements(scene)
+    missing = scene.missing
     if missing:
         raise SceneError(
             f"The scene lacks {', '.join(repr(name) for name in missing)}",
@@ -165,16 +150,7 @@ def _refuse_missing(scene: Scene) -> None:
 
 def compile_scene(scene: Scene) -> CompiledScene:
     """Return the scene as its runs need it; it is kept with the scene until that is edited."""
-    kept = scene._compiled
+    kept = scene.compiled
     if not isinstance(kept, CompiledScene) or not kept.fits(scene):
-        kept = scene._compiled = CompiledScene(scene)
+        kept = scene.compiled = CompiledScene(scene)
     return kept
-
-
-def _copy(scene: Scene) -> Scene:
-    taken = copy.copy(scene)
-    for name, value in vars(scene).items():
-        if isinstance(value, (list, dict)):
-            setattr(taken, name, copy.copy(value))
-    taken._edits, taken._compiled = copy.deepcopy(scene._edits), None
-    return taken

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.scene.build import engine_states
+from contactvi.scene.engine import engine_states
 
 if TYPE_CHECKING:
     from contactvi import _core

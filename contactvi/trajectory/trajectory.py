@@ -19,7 +19,7 @@ from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, emp
 from contactvi.records.events import EventLog
 from contactvi.records.work import ConstraintRows, Forces, Work
 from contactvi.status import Stats, Status
-from contactvi.trajectory.compiled import CompiledScene, complete, missing_elements
+from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.contact_ledger import ContactLedger
 from contactvi.trajectory.ledger import Ledger, LedgerInputs
 from contactvi.trajectory.polynomials import Segments, State, frame_times
@@ -141,7 +141,7 @@ class Trajectory:
             return ""
         persistent, ends = self.phases["persistent"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
         span = float((ends - self.phases["t"])[persistent].sum())
-        constrained = bool(self.constraints) or complete(self.scene).constrained
+        constrained = bool(self.constraints) or self.scene.built().constrained
         what = "constraints met" if constrained else f"persistent contact for {span:.4g} s"
         lengths, same = _lengths(self.phases["dt"][persistent]), self.options.order == 2 and not self.options.auto
         if same and np.all(self.phases["dt"][persistent] == self.options.fixed_dt):
@@ -183,13 +183,13 @@ class Trajectory:
     def ledger(self) -> Ledger:
         """What should be conserved, node by node and impact by impact (contactvi.trajectory.ledger)."""
         if self._ledger is None:
-            lacking = missing_elements(self.scene)
+            lacking = bool(self.scene.missing)
             energies = np.column_stack([self.kinetic_energy, self.potential_energy]) if lacking else None
             inputs = LedgerInputs(
                 self.options, float(self.t[0]), self.forced, self.t, self.q, self.p, self.events, self.contacts,
                 self.phases, self.forces, energies,
             )  # fmt: skip
-            self._ledger = Ledger(self._engine(), complete(self.scene), inputs)
+            self._ledger = Ledger(self._engine(), self.scene.built(), inputs)
         return self._ledger
 
     @property
@@ -307,7 +307,7 @@ class Trajectory:
                 remedy="Run it with dense=True; resample interpolates between the nodes",
             )
         core = self._engine()
-        q, v = self.segments.states(core, times, exact=not self.forced and not missing_elements(self.scene))
+        q, v = self.segments.states(core, times, exact=not self.forced and not self.scene.missing)
         last = times >= self.t[-1]  # where a run ends with an impact, the segments end before it
         q[last], v[last] = self.q[-1], core.velocity(self.q[-1:], self.p[-1:])[0]
         p = np.asarray(core.momentum(q, v))

@@ -121,7 +121,7 @@ def test_neutral_gives_what_is_none():
     core = scene.core()
     assert core.constraint_rows == [3, 1, 6, 5, 1]
     assert core.constraint_residual(scene.neutral(), 0.0) == pytest.approx(np.zeros(16), abs=1e-15)
-    assert scene._complete().elements.springs[0][3] == pytest.approx(2 * BAR)
+    assert scene.built().elements.springs[0][3] == pytest.approx(2 * BAR)
 
 
 def test_neutral_moves_joints_that_follow():
@@ -153,21 +153,21 @@ def test_a_gear_without_a_rotor_is_reported():
 
 def test_limits_of_the_file_are_off_by_default():
     scene = arm_scene(2, effort=3.0, velocity=2.0, friction=0.5)
-    arrays = scene._complete().arrays
+    arrays = scene.built().arrays
     assert not np.isfinite(arrays.actuator).any()
-    assert not arrays.dry_friction.any()
+    assert not arrays.joint_friction.any()
     scene.set_actuator("j1", effort=True, velocity=5.0)
     scene.set_joint("j2", friction=True)
     scene.set_servo("j2", 10.0, 1.0)
-    arrays = scene._complete().arrays
+    arrays = scene.built().arrays
     assert np.array_equal(arrays.actuator, [[3.0, INF], [5.0, INF]])
-    assert np.array_equal(arrays.dry_friction, [0.0, 0.5])
+    assert np.array_equal(arrays.joint_friction, [0.0, 0.5])
     assert np.array_equal(arrays.servo, [[0.0, 10.0], [0.0, 1.0], [0.0, 3.0]])
     assert scene.servo_joints == ["j2"]
     scene.set_actuator("j1", effort=False, velocity=False)
     scene.set_joint("j2", friction=False)
-    assert not np.isfinite(scene._complete().arrays.actuator).any()
-    assert not scene._complete().arrays.dry_friction.any()
+    assert not np.isfinite(scene.built().arrays.actuator).any()
+    assert not scene.built().arrays.joint_friction.any()
 
 
 def test_the_report_lists_everything():

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from contactvi.errors import SceneError
-from contactvi.importing.paths import example_robot_data_share, portable, resolve_path, resolve_resource
+from contactvi.importing.paths import example_robot_data_share, resolve_path, resolve_resource
 from contactvi.scene.scene import Scene
 
 PACKAGE_XML = "<package><name>{}</name></package>"
@@ -84,15 +84,13 @@ def test_plain_file_and_escaped_references(tmp_path: Path):
         assert resolve_resource(url, tmp_path) == found
 
 
-def test_example_robot_data_is_found_and_written_portably():
+def test_example_robot_data_is_found():
     file = resolve_path("example-robot-data://robots/allegro_hand_description/urdf/allegro_right_hand.urdf")
     assert file.is_relative_to(example_robot_data_share())
-    assert portable(file) == "example-robot-data://robots/allegro_hand_description/urdf/allegro_right_hand.urdf"
     assert (
         resolve_path("package://example-robot-data/robots/allegro_hand_description/urdf/allegro_right_hand.urdf")
         == file
     )
-    assert portable("/somewhere/else.urdf") == "/somewhere/else.urdf"
 
 
 @pytest.mark.parametrize("reference", ["package://robot/meshes/m.stl", "../meshes/m.stl"])

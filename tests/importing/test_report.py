@@ -85,18 +85,18 @@ def test_limits_of_a_model(tmp_path):
     on, off = Scene(), Scene()
     on.add_urdf(HAND)
     hand = off.add_urdf(HAND, limits=False, prefix="a/")
-    assert on._complete().arrays.limits.sum() == 16
-    assert not off._complete().arrays.limits.any()
+    assert on.built().arrays.limits.sum() == 16
+    assert not off.built().arrays.limits.any()
     off.set_joint("a/joint_0.0", limits=True)
-    assert off._complete().arrays.limits.sum() == 1
+    assert off.built().arrays.limits.sum() == 1
     rows = {row.name: row.limited for row in off.report.parts[0].joints}
     assert [name for name, limited in rows.items() if limited] == ["a/joint_0.0"]
     assert len(hand.joints) == 16
     text = f'[[urdf]]\npath = "{HAND}"\nlimits = false\n'
     (tmp_path / "hand.toml").write_text(text)
-    assert not load_scene(tmp_path / "hand.toml")._complete().arrays.limits.any()
+    assert not load_scene(tmp_path / "hand.toml").built().arrays.limits.any()
     (tmp_path / "hand.toml").write_text(text.replace("false", "[0.0, 1.0]"))
-    with pytest.raises(InputError, match=r"\[\[urdf\]\] 1: Argument limits: expected True or False"):
+    with pytest.raises(InputError, match=r"\[\[urdf\]\] 1: limits is not usable: expected True or False"):
         load_scene(tmp_path / "hand.toml")
 
 
@@ -108,7 +108,7 @@ def test_limits_upside_down_are_none(tmp_path):
     )
     scene = Scene()
     scene.add_urdf(tmp_path / "arm.urdf")
-    assert not scene._complete().arrays.limits.any()
+    assert not scene.built().arrays.limits.any()
     assert "limits lower >= upper (0, 0): treated as no limit" in str(scene.report)
     assert re.search(r"j +revolute +universe +0 +0 +none", str(scene.report))
 

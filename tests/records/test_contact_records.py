@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
-from contactvi.option_checks import CONTACT_DT
+from contactvi.inputs import CONTACT_DT
 from contactvi.playback import force_arrows
 from contactvi.playback.page import make_html
 from contactvi.records import events

@@ -104,8 +104,8 @@ def test_scene_files_of_joints(tmp_path: Path):
     (tmp_path / "arm.urdf").write_text(urdf())
     (tmp_path / "page.toml").write_text(JOINTS)
     scene = load_scene(tmp_path / "page.toml")
-    arrays = scene._complete().arrays
-    assert np.array_equal(arrays.dry_friction, [0.3, 0.0])
+    arrays = scene.built().arrays
+    assert np.array_equal(arrays.joint_friction, [0.3, 0.0])
     assert np.array_equal(arrays.actuator, [[INF, 4.0], [INF, 3.0]])
     assert arrays.targets["j1"].constant == 0.5
     assert scene.q0 == pytest.approx([0.7, 0.3], abs=1e-12)
@@ -244,11 +244,11 @@ def test_elements_survive_as_data():
     scene = everything()
     again = cvi.Scene.from_dict(scene.to_dict())
     assert [e.name for e in again.elements] == [e.name for e in scene.elements]
-    one, two = scene._complete(), again._complete()
+    one, two = scene.built(), again.built()
     q = scene.configuration({"j1": 0.3, "j2": 0.4, "ball": ((0.1, 0.2, 0.3), (0.3, 0.2, 0.1))})
     for t in (0.0, 0.4):
         assert np.array_equal(scene.core().constraint_residual(q, t), again.core().constraint_residual(q, t))
-    for name in ("stiffness", "rest", "dry_friction", "servo", "actuator"):
+    for name in ("stiffness", "rest", "joint_friction", "servo", "actuator"):
         assert np.array_equal(getattr(one.arrays, name), getattr(two.arrays, name)), name
     assert two.arrays.targets["j1"](0.3) == one.arrays.targets["j1"](0.3)
     assert two.arrays.polynomials[0][1] == 0.1
@@ -269,7 +269,7 @@ def test_functions_are_not_stored_and_said_to_be_missing():
     again.add_force(lambda t, q, v: 0.0 * v, name="wind")
     again.set_servo("j2", 1.0, 1.0, target=math.sin)
     again.remove("crank")
-    assert not again._edits.missing
+    assert not again.missing
     assert four_bar_start(again).shape == (3,)
 
 

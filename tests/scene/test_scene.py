@@ -223,7 +223,7 @@ class TestJoints:
         scene.set_joint("joint_13.0", limits=False)
         scene.set_joint("ball", damping=(0.1, 0.2))
         scene.set_contact(restitution=0.6)
-        model, arrays = scene.model, scene._complete().arrays
+        model, arrays = scene.model, scene.built().arrays
         index = model.getJointId("joint_4.0")
         assert (arrays.stiffness[index], arrays.rest[scene.q_index("joint_4.0")]) == (2.0, 0.1)
         assert model.damping[scene.v_index("joint_4.0")] == 0.3
@@ -239,7 +239,7 @@ class TestJoints:
         model = chain([0, 0, 0])
         model.lowerPositionLimit[:], model.upperPositionLimit[:] = [0, 1, -np.inf], [0, -1, 1]
         scene = Scene.from_pinocchio(model)
-        assert not scene._complete().arrays.limits.any()
+        assert not scene.built().arrays.limits.any()
         with pytest.raises(InputError, match="lower < upper"):
             scene.set_joint("j0", limits=True)
 
@@ -272,3 +272,23 @@ class TestJoints:
             }
         )
         assert q == pytest.approx([0, 1, 1, 2, -1, 0, half, 0, 0, half, 4, 5, 6], abs=4 * EPS)
+
+
+class TestCopies:
+    def test_a_copy_is_edited_apart(self):
+        scene = hand_and_ball()
+        scene.set_contact("ball", friction=0.3)
+        built, before = scene.built(), str(scene.to_dict())
+        twin = scene.copy()
+        assert twin.built() is built
+        twin.add_sphere("other", 0.01)
+        twin.set_contact("ball", "ground", restitution=0.9, friction=0.1)
+        twin.disable_pair("other", "ground")
+        twin.set_joint("joint_*", damping=0.2)
+        twin.add_point("ball", "other")
+        twin.settings["dt"] = 0.01
+        assert scene.built() is built
+        assert str(scene.to_dict()) == before
+        scene.add_sphere("other", 0.02)  # The name is still free here.
+        assert twin.nv == scene.nv
+        assert str(twin.to_dict()) != str(scene.to_dict())

@@ -113,7 +113,7 @@ def test_every_entry_arrives(tmp_path: Path):
     assert ("ball", "crate") not in e
     assert ("h_palm_link_0", "h_link_13.0_0") in e
     assert set(scene.pair_friction) == {0.2}
-    arrays = scene._complete().arrays
+    arrays = scene.built().arrays
     twelve = scene.model.getJointId("h_joint_12.0")
     assert (arrays.stiffness[twelve], arrays.rest[scene.q_index("h_joint_12.0")]) == (0.5, 0.5)
     assert arrays.limit_restitution[twelve] == 0.1
@@ -217,7 +217,7 @@ class TestModels:
     def test_double_pendulum_gap_is_the_tip_and_start_is_problem_b(self):
         scene = load_scene(MODELS / "double_pendulum_wall.toml")
         assert scene.q0.cumsum() == pytest.approx([0.3, 0.5], abs=EPS)
-        assert not scene._complete().arrays.limits.any()
+        assert not scene.built().arrays.limits.any()
         for q in (scene.q0, np.array([0.7, -1.9]), np.array([-0.2, 0.5])):
             assert scene.core().gaps(q)[0] == pytest.approx([np.sin(q[0]) + np.sin(q.sum())], abs=4 * EPS)
         assert scene.pair_restitution == pytest.approx([1.0])
@@ -261,8 +261,8 @@ class TestModels:
         scene = load_scene(MODELS / "allegro_ball.toml")
         model = scene.model
         inertia = np.diag(pin.crba(model, model.createData(), scene.q0))[:16]
-        omega = np.sqrt(scene._complete().arrays.stiffness[1:17] / inertia)
-        ratio = model.damping[:16] / (2 * np.sqrt(scene._complete().arrays.stiffness[1:17] * inertia))
+        omega = np.sqrt(scene.built().arrays.stiffness[1:17] / inertia)
+        ratio = model.damping[:16] / (2 * np.sqrt(scene.built().arrays.stiffness[1:17] * inertia))
         assert omega / (2 * np.pi) == pytest.approx(np.full(16, 10.0), rel=0.02)  # two to three digits in the file
         assert ratio == pytest.approx(np.full(16, 0.5), rel=0.03)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 
 import coal
 import numpy as np
@@ -305,3 +307,17 @@ def test_a_prescribed_motion_bears_the_friction_of_what_it_drags():
     assert traj.work.joint_friction[-1] == pytest.approx(1.5 * 0.1, abs=1e-9)
     assert np.abs(traj.ledger.energy_balance).max() < 1e-9
     assert traj.ledger.constraint_residual.max() <= 1e-12
+
+
+def test_a_scene_that_its_own_functions_hold_is_freed():
+    """The scene keeps what its runs need, the engine keeps the functions, and these keep the scene: a cycle."""
+
+    def run() -> weakref.ref:
+        scene = ball_scene()
+        scene.add_force(lambda t, q, v: np.zeros(scene.nv))
+        cvi.simulate(scene, duration=0.02, dt=0.01)
+        return weakref.ref(scene)
+
+    found = run()
+    gc.collect()
+    assert found() is None

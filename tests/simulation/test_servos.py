@@ -131,9 +131,9 @@ def test_effort_is_limited():
 def test_the_file_limits_a_servo():
     scene = arm_scene(1, gravity=False, effort=0.5)
     scene.set_servo("j1", 1e3, 0.0)
-    assert scene._complete().arrays.servo[2, 0] == 0.5
+    assert scene.built().arrays.servo[2, 0] == 0.5
     scene.set_servo("j1", 1e3, 0.0, effort=float("inf"))
-    assert scene._complete().arrays.servo[2, 0] == float("inf")
+    assert scene.built().arrays.servo[2, 0] == float("inf")
 
 
 def test_actuators_limit_what_is_put_in():

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from contactvi.option_checks import LEDGER_TOLERANCES
+from contactvi.inputs import LEDGER_TOLERANCES
 from contactvi.records.codes import METHODS
 from helpers import laws
 from helpers.run_scenes import slider_scene

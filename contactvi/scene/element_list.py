@@ -1,0 +1,75 @@
+"""The elements of a scene by name: constraints, springs, wrenches and functions of the user."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable
+from dataclasses import replace
+
+from contactvi.elements.elements import Constraint, Element
+from contactvi.errors import InputError, did_you_mean
+from contactvi.inputs import short
+
+
+class ElementList:
+    """The elements of a scene in the order they were added; no two have the same name.
+
+    Attributes:
+        elements: What was added.
+        missing: Names of what a stored scene had and a file does not hold: elements and servo targets that Python
+            functions gave.
+    """
+
+    def __init__(self, elements: Iterable[Element] = (), missing: Iterable[str] = ()) -> None:
+        self.elements = list(elements)
+        self.missing = list(missing)
+
+    def new_name(self, kind: str, name: str | None) -> str:
+        """Return the name of a new element: the one given, or kind_1, kind_2, ...; raise InputError for a taken one."""
+        taken = {element.name for element in self.elements}
+        if name is None:
+            return next(f"{kind}_{k}" for k in range(1, len(taken) + 2) if f"{kind}_{k}" not in taken)
+        if not isinstance(name, str) or not name:
+            raise InputError("Name of an element", name="name", expected="a non-empty str", got=short(name))
+        if name in taken:
+            raise InputError(
+                f"There is an element called {name!r} already",
+                name="name",
+                expected="a new name",
+                got=repr(name),
+                remedy="Give another name, or scene.remove(name) first",
+            )
+        return name
+
+    def add(self, element: Element) -> None:
+        """Add an element; it replaces a missing one of its name."""
+        self.elements.append(element)
+        self.supply({element.name})
+
+    def add_from_file(self, constraints: Iterable[Constraint]) -> None:
+        """Add the constraints of a model's file, numbered where their names are taken."""
+        for constraint in constraints:
+            taken = {element.name for element in self.elements}
+            names = (constraint.name, *(f"{constraint.name}_{k}" for k in range(2, len(taken) + 3)))
+            self.elements.append(replace(constraint, name=next(name for name in names if name not in taken)))
+
+    def supply(self, names: Container[str]) -> None:
+        """Take names off the list of what is missing."""
+        self.missing = [name for name in self.missing if name not in names]
+
+    def remove(self, name: str) -> None:
+        """Take an element, or the name of a missing one, out; raise InputError where there is none."""
+        known = [element.name for element in self.elements] + self.missing
+        if not isinstance(name, str) or name not in known:
+            raise InputError(
+                "Unknown element",
+                name="name",
+                expected="an element of the scene",
+                got=short(name),
+                remedy=did_you_mean(str(name), known),
+            )
+        self.elements = [element for element in self.elements if element.name != name]
+        self.supply({name})
+
+    def copy(self) -> ElementList:
+        """Return a list of the elements, which are constants themselves."""
+        return ElementList(self.elements, self.missing)

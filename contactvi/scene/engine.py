@@ -1,0 +1,136 @@
+"""The engine's constant scene: made of a complete model, joint arrays and elements; asked for states and points.
+
+Models cross to C++ as Pinocchio's own binary archives, which are valid within one process only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
+from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
+from contactvi.errors import SceneError
+from contactvi.scene.element_rows import Resolved
+from contactvi.scene.joint_arrays import JointArrays
+
+if TYPE_CHECKING:
+    from contactvi import _core
+
+EngineScene: TypeAlias = "_core.Scene"
+
+
+def make_engine_scene(
+    model: pin.Model,
+    collision: pin.GeometryModel,
+    restitution: np.ndarray,
+    friction: np.ndarray,
+    arrays: JointArrays,
+    elements: Resolved,
+) -> EngineScene:
+    """Return the engine's scene.
+
+    Args:
+        model, collision: The complete model and its geometry with the tested pairs.
+        restitution, friction: Of the tested pairs, shapes (npairs,).
+
+    Raises:
+        SceneError: The engine refuses it.
+    """
+    from contactvi import _core
+
+    try:
+        scene = _core.Scene(
+            to_bytes(model),
+            to_bytes(collision),
+            restitution,
+            arrays.stiffness,
+            arrays.rest,
+            np.asarray(model.damping),
+            arrays.limits,
+            arrays.limit_restitution,
+            friction,
+        )
+        _set_joints(scene, arrays)
+        _add_elements(scene, elements)
+        _set_actuation(scene, arrays)
+    except RuntimeError as error:  # CoreError is one; Pinocchio and coal raise others.
+        raise SceneError("The engine refuses the scene", got=str(error).strip().splitlines()[-1]) from error
+    return scene
+
+
+def _set_joints(scene: EngineScene, arrays: JointArrays) -> None:
+    """Hand joint friction and nonlinear springs to the engine's scene."""
+    if np.any(arrays.joint_friction):
+        scene.set_joint_friction(arrays.joint_friction)
+    for joint, rest, torque in arrays.polynomials:  # The torque -k_i x^i has the potential k_i x^(i + 1) / (i + 1).
+        scene.add_joint_potential(joint, rest, torque / np.arange(2.0, len(torque) + 2.0))
+
+
+def _add_elements(scene: EngineScene, elements: Resolved) -> None:
+    """Hand springs, wrenches, functions of the user and constraints to the engine's scene, in this order."""
+    from contactvi import _core
+
+    for spring in elements.springs:
+        scene.add_path_spring(*spring)
+    for wrench in elements.wrenches:
+        scene.add_wrench(*wrench)
+    for force in elements.forces:
+        derivatives: Any = force.derivatives
+        if derivatives is not None:
+            derivatives = checked_force_derivatives(derivatives, f"the derivatives of {force.name!r}", elements.dofs)
+        scene.add_user_force(checked_force(force.function, repr(force.name), elements.dofs), derivatives)
+    for potential in elements.potentials:
+        functions = [(potential.value, "value"), (potential.gradient, "gradient"), (potential.hessian, "hessian")]
+        checked: list[Any] = [
+            None if function is None else checked_of_q(function, f"{what} of {potential.name!r}", elements.dofs, axes)
+            for axes, (function, what) in enumerate(functions)
+        ]
+        scene.add_user_potential(*checked)
+    for row in elements.constraints:
+        kind = _core.ConstraintKind[row.engine_kind.upper()]
+        scene.add_constraint(kind, *row.a, *row.b, row.numbers, row.signal, row.name)
+
+
+def _set_actuation(scene: EngineScene, arrays: JointArrays) -> None:
+    """Hand servos and actuator limits to the engine's scene."""
+    if np.any(arrays.servo[:2]):
+        scene.set_servo(*(np.ascontiguousarray(part) for part in arrays.servo))
+    if np.any(np.isfinite(arrays.actuator)):
+        scene.set_actuator_limits(*(np.ascontiguousarray(part) for part in arrays.actuator))
+
+
+def engine_states(
+    scene: EngineScene, segments: Mapping[str, np.ndarray], times: np.ndarray, order: int, exact: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return q (N, nq), v (N, nv) at times [s] from segments of a run (contactvi.trajectory.polynomials).
+
+    Args:
+        exact: By partial steps, for runs without inputs; else from the polynomials.
+    """
+    from contactvi import _core
+
+    q, v = _core.dense(scene, dict(segments), times, order, exact)
+    return np.asarray(q), np.asarray(v)
+
+
+def engine_points(
+    scene: EngineScene, q: np.ndarray, pair: int, margin: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the points at which a pair touches at q: on its first and second shape and their normals, (n, 3) [m].
+
+    World frame. Up to four, chosen to span a face; none where the gap is above `margin` [m].
+    """
+    from contactvi import _core
+
+    found = _core.contact_points(scene, q, pair, margin)
+    return np.asarray(found["point_a"]), np.asarray(found["point_b"]), np.asarray(found["normal"])
+
+
+def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
+    """Return Pinocchio's binary archive of a model."""
+    buffer = pin.serialization.StreamBuffer()
+    item.saveToBinary(buffer)
+    return bytes(buffer.tobytes())

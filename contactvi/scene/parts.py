@@ -1,0 +1,82 @@
+"""The parts of a scene in the order they were added, the names they take, and the one model they are assembled into."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+import pinocchio as pin
+
+from contactvi.importing.part import Part, take_names
+from contactvi.scene.assembly import Assembly, assemble, assemble_visual
+from contactvi.scene.selection import Names, PartHandle
+
+Handle = TypeVar("Handle", bound=PartHandle)
+
+
+class PartList:
+    """The parts of a scene. Model, names and pictures are made on first use and again after a part was added.
+
+    Attributes:
+        gravity: Acceleration of free fall [m/s^2], world frame, shape (3,).
+        parts: What was added, in order.
+        handles: Handle of each part by its name.
+    """
+
+    def __init__(self, gravity: np.ndarray) -> None:
+        self.gravity = gravity
+        self.parts: list[Part] = []
+        self.handles: dict[str, PartHandle] = {}
+        self._taken: dict[str, set[str]] = {}  # names by kind
+        self._assembly: Assembly | None = None
+        self._names: Names | None = None
+        self._visual: pin.GeometryModel | None = None
+
+    def add(self, part: Part, kind: type[Handle]) -> Handle:
+        """Add a part and return its handle; raise InputError, and change nothing, where a name is taken already."""
+        take_names(part, self._taken)
+        handle = kind(part.name, tuple(part.joint_names()), tuple(part.body_names()), tuple(part.geometry_names()))
+        self.parts.append(part)
+        self.handles[part.name] = handle
+        self._forget()
+        return handle
+
+    def add_stored(self, part: Part, handles: dict[str, PartHandle]) -> None:
+        """Add the one part of a stored scene, with the handles of the parts that it once was."""
+        take_names(part, self._taken)
+        self.parts.append(part)
+        self.handles.update(handles)
+        self._forget()
+
+    @property
+    def assembly(self) -> Assembly:
+        """All parts in one model, before joint settings and the choice of pairs; it is constant."""
+        if self._assembly is None:
+            self._assembly = assemble(self.parts, self.gravity)
+        return self._assembly
+
+    @property
+    def names(self) -> Names:
+        """The names of joints, bodies, geometries and parts, and what selectors mean."""
+        if self._names is None:
+            self._names = Names(self.assembly.model, self.assembly.collision, self.handles)
+        return self._names
+
+    @property
+    def visual(self) -> pin.GeometryModel:
+        """The pictures of all parts."""
+        if self._visual is None:
+            self._visual = assemble_visual(self.parts, self.assembly.model)
+        return self._visual
+
+    def copy(self) -> PartList:
+        """Return a list with these parts, to which parts can be added apart from this one."""
+        twin = PartList(self.gravity)
+        twin.parts, twin.handles = list(self.parts), dict(self.handles)
+        twin._taken = {kind: set(names) for kind, names in self._taken.items()}
+        twin._assembly, twin._names, twin._visual = self._assembly, self._names, self._visual
+        return twin
+
+    def _forget(self) -> None:
+        """Drop what was made of the parts."""
+        self._assembly = self._names = self._visual = None
