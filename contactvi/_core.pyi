@@ -428,3 +428,28 @@ def rnea_seconds(model: bytes, q: Annotated[NDArray[numpy.float64], dict(shape=(
 
 def aba_seconds(model: bytes, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], calls: int = 2000, repeats: int = 5) -> float:
     """Seconds per pinocchio::aba, fastest of several blocks; for benchmarks."""
+
+class ImpactsAt:
+    def __init__(self, scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], guards: Sequence[int], restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], margin: float, max_impacts: int) -> None:
+        """
+        Frictionless impacts of these guards at q, taken as closed; momenta are in engine coordinates.
+        """
+
+    def gradients(self, contact: int) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """d(gap)/dq of its points, public coordinates, (points, nv)."""
+
+    def directions(self, contact: int) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """
+        What an impulse at each of its points adds to the momentum, constraints included, (points, nv).
+        """
+
+    def strike(self, contact: int, p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float]:
+        """(momentum after one impact, sum of its impulses [N s])."""
+
+    def settle(self, p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
+        """All contacts as one plastic problem: (momentum after, impulses (n,))."""
+
+    def run(self, p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], list[list[int]], bool, bool]:
+        """
+        The sequence that a run takes: (momentum after, impulses (n,), contacts struck as one, whether it ended, whether elastic contacts ended plastically).
+        """

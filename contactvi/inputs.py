@@ -1,4 +1,4 @@
-"""Checks of what the user hands in: each returns the clean value or raises an InputError that names the argument.
+"""Checks of arguments: each returns the clean value or raises an InputError that names the argument.
 
 First numbers and choices, then arrays and placements, states and forces of one model, and settings of a run.
 """
@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 from contactvi.errors import InputError, UserFunctionError, did_you_mean
 
 Array = NDArray[np.float64]
-UNIT_TOLERANCE = 1e-6  # A quaternion typed with seven digits passes and is normalised, a forgotten one does not.
+UNIT_TOLERANCE = 1e-6  # of a norm; a quaternion with seven digits passes, one that is not normalised does not
 
 AUTO = "auto"
 ORDERS = tuple(range(2, 17, 2))
 AUTO_ORDER = 16
-CONTACT_DT = 1e-3  # [s] longest step in contact where none is given and free steps are longer, of a higher order
+CONTACT_DT = 1e-3  # [s] default of the longest step in contact, where free steps are longer and of an order above 2
 LEDGER_TOLERANCES = (
     *("energy", "modified_energy", "discrete_energy", "linear_momentum", "angular_momentum"),
     *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
     *("linear_momentum_jump", "angular_momentum_jump", "impulse", "complementarity", "gap"),
     *("energy_rise", "impulse_balance", "energy_balance"),
 )
-_STEP_TOLERANCE = 1e-9  # Decimal input such as 0.1 / 1e-3 is off by a few eps * steps, a wrong number by far more.
+_STEP_TOLERANCE = 1e-9  # relative; decimal input such as 0.1 / 1e-3 is off by a few eps * steps
 
 # --- numbers and choices ----------------------------------------------------------------------------------------------
 
@@ -209,11 +209,11 @@ def _check_pose(name: str, placement: pin.SE3) -> None:
 
 
 class States:
-    """Checks of the states and forces of one model, with what they need of it looked up once."""
+    """Checks of the states and forces of one model."""
 
     def __init__(self, model: pin.Model) -> None:
         self.nq, self.nv = int(model.nq), int(model.nv)
-        self._units: list[tuple[slice, str]] = []  # entries of q that hold a rotation, name of the joint
+        self._units: list[tuple[slice, str]] = []  # entries of q that are a rotation, name of the joint
         for index in range(1, model.njoints):
             part = _unit_part(model, index)
             if part.stop > part.start:
@@ -235,7 +235,7 @@ class States:
             if abs(norm - 1.0) > UNIT_TOLERANCE:
                 what = "quaternion (x, y, z, w)" if part.stop - part.start == 4 else "pair (cos, sin)"
                 raise InputError(
-                    f"{name} holds a {what} of joint {joint!r} that is not a rotation",
+                    f"{name} has a {what} of joint {joint!r} that is not a rotation",
                     name=name,
                     expected="norm 1",
                     got=f"{np.array2string(values, precision=6)} with norm {norm:.6g}",
@@ -254,7 +254,7 @@ class States:
         square = np.einsum("ij,ij->i", apart, apart)
         for part, _ in self._units:
             near = np.einsum("ij,ij->i", apart[:, part], apart[:, part])
-            if part.stop - part.start == 4:  # q and -q are one rotation; the chord is that of half the angle
+            if part.stop - part.start == 4:  # q and -q are one rotation, and the chord belongs to half its angle.
                 angle = 4.0 * np.arcsin(np.minimum(1.0, 0.5 * np.sqrt(np.minimum(near, 4.0 - near))))
             else:
                 angle = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * np.sqrt(near)))
@@ -274,7 +274,7 @@ class States:
     def controlled(self, tau: Any, t: float) -> Array:
         """Return what a control function returned at t [s] as one generalized force, shape (nv,).
 
-        Raises UserFunctionError, which says when.
+        Raises UserFunctionError with the time.
         """
         try:
             return self.force(tau)
@@ -293,7 +293,7 @@ class States:
 
 
 def _unit_part(model: pin.Model, index: int) -> slice:
-    """Return the entries of q that hold the unit quaternion or (cos, sin) of a joint (empty for other joints)."""
+    """Return the entries of q that are the unit quaternion or (cos, sin) of a joint; empty for other joints."""
     joint = model.joints[index]
     start, offset = joint.idx_q, 0
     count = {(7, 6): 4, (4, 3): 4, (2, 1): 2}.get((joint.nq, joint.nv), 0)

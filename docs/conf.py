@@ -1,36 +1,65 @@
-"""Sphinx configuration: `pip install ".[docs]" && sphinx-build docs build/docs`."""
+"""Sphinx configuration: `pip install ".[docs]" && sphinx-build -W -b html docs build/docs`."""
 
-from contactvi.version import version as _version
+import re
+
+from sphinx.domains.python import PyObject
+
+from contactvi.version import version as installed_version
 
 project = "contactvi"
 author = "The contactvi developers"
-release = _version()
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.mathjax", "myst_parser"]
-myst_enable_extensions = ["dollarmath", "amsmath"]
+copyright = "The contactvi developers, BSD-3-Clause"
+release = installed_version()
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",  # ships MathJax with the pages: they need no network
+    "myst_parser",
+]
+default_role = "py:obj"  # single backticks in docstrings are code, and links where they name something here
 html_theme = "furo"
+html_title = "contactvi"
+
+
+# $...$ is math; every heading down to the third level has an anchor, so that pages link as GitHub does.
+myst_enable_extensions = ["dollarmath", "amsmath"]
+myst_heading_anchors = 3
+
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True  # attributes of a class are a list of fields, each documented once
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # the docstrings say shapes and units
-exclude_patterns = []
+autodoc_typehints = "description"  # types stand beside the text of each argument and link to their classes
+autodoc_typehints_description_target = "documented_params"
+autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Selector")}
+html_static_path = ["_static"]
+html_css_files = ["wide.css"]  # tables of numbers need room
+
+PROPERTIES: list[list[str]] = []  # the docstring of the property that napoleon is busy with
 
 
-def _sections_as_lists(app, what, name, obj, options, lines):
-    """Sections of docstrings (a title underlined with dashes, entries "name : text") become titles and bullets."""
-    found, inside = [], False
-    for line, after in zip(lines, [*lines[1:], ""], strict=True):
-        if line and set(after) == {"-"}:
-            found += ["", f"**{line}**", ""]
-            inside = True
-        elif not line or set(line) == {"-"}:
-            inside = inside and bool(line)
-            found.append("")
-        elif inside:
-            entry = line.replace("*", "\\*")
-            found.append("- " + entry if not line.startswith(" ") else "  " + entry.lstrip())
-        else:
-            found.append(line)
-    lines[:] = found
+def _keep_properties(app, what, name, obj, options, lines):
+    """Napoleon reads "text: more" in a property as a type and its description: keep the lines as they are."""
+    if what == "property":
+        PROPERTIES.append(list(lines))
+
+
+def _after_napoleon(app, what, name, obj, options, lines):
+    """Restore properties. Of a field of several names, `:ivar t, h:`, Sphinx would take the first one for a type."""
+    if what == "property":
+        lines[:] = PROPERTIES.pop()
+    lines[:] = [re.sub(r"^:ivar ([\w, ]+):", lambda m: f":ivar {m[1].replace(', ', ',')}:", line) for line in lines]
 
 
 def setup(app):
     """Called by Sphinx."""
-    app.connect("autodoc-process-docstring", _sections_as_lists)
+    app.connect("autodoc-process-docstring", _keep_properties, priority=400)
+    app.connect("autodoc-process-docstring", _after_napoleon, priority=900)
+    for field in PyObject.doc_field_types:
+        if field.name == "variable":
+            field.rolename = ""  # the names of fields are no links: `t` of one class is not that of another
+            field.label = "Attributes"

@@ -58,10 +58,10 @@ class BalanceEnv:
 gains = np.array([3.0, 40.0, 4.0, 8.0])  # of cart, pole and their speeds
 env = BalanceEnv()
 observation, _ = env.reset(seed=1)
-total, done = 0.0, False
-while not done:
+total, terminated, truncated = 0.0, False, False
+while not (terminated or truncated):
     observation, reward, terminated, truncated, info = env.step(float(gains @ observation))
-    total, done = total + reward, terminated or truncated
+    total += reward
 
 saved = env.simulator.save()
 once = env.step(5.0)[0]

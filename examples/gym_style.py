@@ -74,7 +74,7 @@ def plan(env, rng, tries=30, ahead=10):
 env, rng = SwingUp(), np.random.default_rng(1)
 env.reset(seed=7)
 actions, seen, rewards = [], [], []
-truncated = False
+truncated, info = False, {}
 while not truncated:
     actions.append(plan(env, rng))
     observation, reward, terminated, truncated, info = env.step(actions[-1])

@@ -1,4 +1,4 @@
-"""Bad models and arguments: each an error of ours that says expected and got, never a crash of the interpreter.
+"""Bad models and arguments: each raises an error of contactvi with expected and got, and never crashes the interpreter.
 
 Several of these end the process or pass silently in Pinocchio 4.1, urdfdom or coal 3.0: see urdf.py, mjcf.py, hulls.py.
 """
@@ -161,7 +161,7 @@ def test_mjcf(folder: Path, case: str):
 
 @pytest.mark.parametrize("mesh", ["flat.stl", "nan.stl"])
 def test_meshes_that_kill_a_process_do_not_kill_ours(folder: Path, mesh: str):
-    """Run apart, because the failure this guards against takes the test runner with it."""
+    """A process of its own runs it, because a failure would end the test runner."""
     (folder / "model.urdf").write_text(shape(f'<mesh filename="{mesh}"/>'))
     code = f"""
 import sys; sys.path.insert(0, {str(Path(contactvi.__file__).parents[1])!r})
@@ -273,7 +273,7 @@ def test_argument(scene: Scene, case: str):
         call(scene)
     assert caught.value.expected
     assert caught.value.got
-    assert str(scene.to_dict()) == str(before)  # a refused call leaves no trace
+    assert str(scene.to_dict()) == str(before)  # A refused call changes nothing.
 
 
 def one_body(shape: coal.CollisionGeometry, inertia: pin.Inertia | None = None) -> tuple[pin.Model, pin.GeometryModel]:

@@ -35,61 +35,80 @@ def test_example_runs(path, tmp_path):
     assert len(path.read_text().splitlines()) <= 100
 
 
-def readme_code() -> list[str]:
-    """The README's Python: the first use, the impact maps, lasting contact, a linkage."""
-    return re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+def marked_code() -> dict[str, str]:
+    """The Python blocks of the README and the guide that follow a line <!-- run: NAME -->, by that name."""
+    pages = [(ROOT / page).read_text() for page in ("README.md", "docs/guide.md")]
+    found = [
+        block for page in pages for block in re.findall(r"<!-- run: (\S+) -->\n```python\n(.*?)```", page, re.DOTALL)
+    ]
+    assert len(dict(found)) == len(found), "two blocks have one name"
+    return dict(found)
+
+
+def run_marked(name: str, folder: pathlib.Path, more: str = "") -> list[str]:
+    """The lines that a marked block prints, run in `folder` beside the models."""
+    (folder / f"{name}.py").write_text(marked_code()[name] + more)
+    (folder / "models").symlink_to(ROOT / "models")
+    return run([f"{name}.py"], folder).splitlines()
+
+
+def test_every_python_block_is_run():
+    """Those of the README and the guide all carry a mark, and every mark has a test below."""
+    pages = "".join((ROOT / page).read_text() for page in ("README.md", "docs/guide.md"))
+    assert pages.count("```python") == len(marked_code())
+    tested = set(re.findall(r'run_marked\("([a-z-]+)"', pathlib.Path(__file__).read_text()))
+    assert tested == set(marked_code())
 
 
 def test_readme_code_runs(tmp_path):
-    code, _, _, _ = readme_code()
-    (tmp_path / "readme.py").write_text(code)
-    printed = run(["readme.py"], tmp_path)
-    assert "palm_link_0" in printed.splitlines()[-1]  # the ball hits the palm
-    assert (tmp_path / "run.npz").stat().st_size > 0
-    assert (tmp_path / "run.html").stat().st_size > 0
-
-
-def test_readme_code_of_the_impact_maps_runs(tmp_path):
-    """And prints the three jumps that it says."""
-    _, maps, _, _ = readme_code()
-    script = tmp_path / "maps.py"
-    script.write_text(f"import contactvi as cvi\n{maps}")
-    energy, discrete, modified = (abs(float(x)) for x in run([str(script)], ROOT).split())
-    assert min(energy, discrete) > 1e-4
-    assert modified < 1e-12
-
-
-def test_readme_code_of_lasting_contact_runs(tmp_path):
     """The box touches down, stops, and its corners carry it."""
-    _, _, lasting, _ = readme_code()
-    script = tmp_path / "lasting.py"
-    script.write_text(f"import contactvi as cvi\n{lasting}")
-    printed = run([str(script)], tmp_path).splitlines()
+    printed = run_marked("readme", tmp_path)
     assert [line.split()[-1] for line in printed[:8]] == ["begin"] * 4 + ["stick"] * 4
     corners = [line for line in printed[8:] if line.startswith("('ground', 'box') stick")]
     assert len(corners) == 4
     assert all(abs(float(line.rstrip(" ]").split()[-1]) - 2.0 * 9.81 / 4.0) < 1e-6 for line in corners)
+    assert (tmp_path / "run.html").stat().st_size > 0
 
 
-def test_readme_code_of_a_linkage_runs(tmp_path):
-    """And prints the numbers that it says; the works account for the energy, up to the balance."""
-    *_, linkage = readme_code()
-    script = tmp_path / "linkage.py"
-    script.write_text(f"import contactvi as cvi\n{linkage}\nprint(traj.energy[-1] - traj.energy[0])")
-    power, balance, opened, gained = (
-        [float(x) for x in line.split()] for line in run([str(script)], ROOT).splitlines()
-    )
-    least, most, drive, damping = power
+def test_guide_code_of_the_first_run_runs(tmp_path):
+    printed = run_marked("first-use", tmp_path)
+    assert "palm_link_0" in printed[-1]  # the ball hits the palm
+    assert (tmp_path / "run.npz").stat().st_size > 0
+    assert (tmp_path / "run.html").stat().st_size > 0
+
+
+def test_guide_code_of_the_ledger_runs(tmp_path):
+    """And prints the three jumps that it promises."""
+    energy, discrete, modified = (abs(float(x)) for x in run_marked("ledger", tmp_path)[0].split())
+    assert min(energy, discrete) > 1e-4
+    assert modified < 1e-12
+
+
+def test_guide_code_of_a_linkage_runs(tmp_path):
+    """And prints the numbers that it promises; the works account for the energy, up to the balance."""
+    printed = run_marked("linkage", tmp_path, "\nprint(traj.energy[-1] - traj.energy[0])")
+    power, balance, opened, gained = ([float(x) for x in line.split()] for line in printed)
+    least, most, put_in, damping = power
     assert (round(least, 2), round(most, 2)) == (-1.25, 1.56)
     assert damping > 0.1
-    assert abs(drive - damping - gained[0]) <= balance[0] < 1.3e-5
+    assert abs(put_in - damping - gained[0]) <= balance[0] < 1.3e-5
     assert opened[0] <= 1e-14
 
 
-def test_guide_code_runs(tmp_path):
-    """The guide's snippets one after the other, beside the models."""
-    code = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "guide.md").read_text(), re.DOTALL)
-    script = tmp_path / "guide.py"
-    script.write_text("import contactvi as cvi\n" + "".join(code))
-    (tmp_path / "models").symlink_to(ROOT / "models")
-    assert run([str(script)], tmp_path).strip()
+def test_guide_code_of_a_driven_length_runs(tmp_path):
+    printed = run_marked("driven-rod", tmp_path, "\nprint(abs(traj.ledger.energy_balance).max())")
+    assert float(printed[-1]) < 1e-4  # [J], O(dt^2)
+
+
+def test_guide_code_of_persistent_contact_runs(tmp_path):
+    """At the two times that it promises, and the corners slide at 0.3 s."""
+    printed = run_marked("persistent-contact", tmp_path)
+    assert [line.split()[-1] for line in printed[:8]] == ["begin"] * 4 + ["stick"] * 4
+    assert [round(float(line.split()[0]), 3) for line in (printed[0], printed[4])] == [0.101, 0.510]
+    assert sum(line.startswith("slip") for line in printed[8:]) == 4
+    assert (tmp_path / "forces.png").stat().st_size > 0
+
+
+def test_guide_code_of_simultaneous_impacts_runs(tmp_path):
+    printed = run_marked("simultaneous", tmp_path, "\nprint(found.unique, found.certificate.certified)")
+    assert printed[-1] == "True True"

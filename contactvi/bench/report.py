@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from rich.table import Table
 
 from contactvi.bench.bench import Bench, Row
 from contactvi.files import write_atomic
+from contactvi.tables import text_table
 
 COLUMNS = ("order", "impact", "dt_s", "error", "slope", "energy_error_J", "seconds", "impacts", "note")
+_PRINTED = ("order", "map", "dt [s]", "error", "slope", "energy [J]", "time", "impacts", "note")
 _COLORS = dict(zip(range(2, 17, 2), ("#1f5fa8", "#e08a00", "#7a5ab5", "#2f9e83", "#7d6608", "#8c8c8c", "#d05a9c",
                                      "#c8371b"), strict=True))  # fmt: skip
 _MARKS = {"ctec": "o", "dtec": "s", "mhc": "^"}
@@ -51,29 +54,37 @@ def _time(seconds: float) -> str:
     return f"{1e3 * seconds:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"
 
 
-def table(result: Bench) -> list[str]:
-    """Return the printed table and what belongs to it, as lines."""
+def heading(result: Bench) -> str:
+    """Return the line above the table: over which time, against what."""
     span = f"{result.horizon:.6g} s" + ("" if result.horizon >= result.duration else f" of {result.duration:.6g} s")
-    lines = [
+    return (
         f"Run time and error over {span}, {result.impacts} impacts; reference of order 16, dt = "
-        f"{result.reference_dt:.3g} s, its own error at most about {result.reference_error:.1e}",
-        "",
-        f"{'order':<7}{'map':<6}{'dt [s]':>12}{'error':>11}{'slope':>8}{'energy [J]':>12}{'time':>11}{'impacts':>9}",
-    ]
+        f"{result.reference_dt:.3g} s, its own error at most about {result.reference_error:.1e}"
+    )
+
+
+def table(result: Bench) -> Table:
+    """Return the table: a row per run, an empty one between two ladders."""
+    rows: list[list[str]] = []
     last: tuple[int, str] | None = None
     for row in result.rows:
         if last is not None and (row.order, row.impact) != last:
-            lines.append("")
+            rows.append([""] * len(_PRINTED))
         last = row.order, row.impact
         slope = f"{row.slope:.2f}" if np.isfinite(row.slope) else ""
-        lines.append(
-            f"{row.order:<7}{row.impact:<6}{row.dt:>12.6g}{row.error:>11.2e}{slope:>8}{row.energy_error:>12.2e}"
-            f"{_time(row.seconds):>11}{row.impacts:>9}{'  ' + row.note if row.note else ''}"
-        )
+        numbers = [f"{row.dt:.6g}", f"{row.error:.2e}", slope, f"{row.energy_error:.2e}", _time(row.seconds)]
+        rows.append([str(row.order), row.impact, *numbers, str(row.impacts), row.note])
+    return text_table(_PRINTED, rows, right=_PRINTED[2:-1])
+
+
+def notes(result: Bench) -> list[str]:
+    """Return the lines below the table: orders seen, what an error is, warnings."""
     slopes = [f"{name} {slope:.2f}".replace("nan", "none seen") for name, slope in _slopes(result)]
-    lines += ["", "order seen over the ladder: " + ", ".join(slopes)]
-    lines += ["error: largest |q - q_ref| at common nodes, m and rad together; energy: without what impacts took"]
-    return lines + [f"note: {text}" for text in result.warnings]
+    return [
+        "order seen over the ladder: " + ", ".join(slopes),
+        "error: largest |q - q_ref| at common nodes, m and rad together; energy: without what impacts took",
+        *(f"note: {text}" for text in result.warnings),
+    ]
 
 
 def _slopes(result: Bench) -> list[tuple[str, float]]:

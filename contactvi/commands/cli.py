@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from contactvi.errors import ContactviError, InputError, SceneError, SimulationError, did_you_mean
+from contactvi.tables import name_table, print_table
 from contactvi.version import version
 
 if TYPE_CHECKING:
@@ -157,14 +158,17 @@ def bench(
     with JobProgress(_err, time_left=False) as bar:
         chosen = [int(order) if order.strip().isdigit() else 0 for order in orders.split(",")]
         result = measure(scene, budget=budget, orders=chosen, progress=bar, dt=dt, duration=duration, tol=tol)
-    for line in bench_report.table(result):
+    _out.print(bench_report.heading(result) + "\n", markup=False)
+    print_table(_out, bench_report.table(result))
+    for line in ["", *bench_report.notes(result)]:
         _out.print(line, markup=False)
-    _out.print(f"[bold]advice[/]    {escape(bench_report.advice(result))}")
-    for path in (
+    written = [
         bench_report.save_csv(result, folder / "bench.csv"),
         bench_report.save_plot(result, folder / "bench.png", scene_file.stem),
-    ):
-        _out.print(f"[bold]written[/]   {escape(str(path))}")
+    ]
+    print_table(
+        _out, name_table([("advice", bench_report.advice(result)), *(("written", str(path)) for path in written)])
+    )
 
 
 @app.command()
@@ -185,8 +189,7 @@ def reproduce(
     _make_folder(output)
     with JobProgress(_err) as bar:
         result = reproduction.reproduce(output, quick=quick, progress=bar)
-    for row in result.rows:
-        _out.print(f"[bold]{row.key:<18}[/]{escape(f'{verdict(row):<34} {row.measured}')}")
+    print_table(_out, name_table((row.key, verdict(row), row.measured) for row in result.rows))
     _out.print(escape(verdicts(result.rows).replace("**", "")))
     _out.print(f"Report: {escape(str(result.files[0]))}")
 
@@ -206,13 +209,15 @@ def verify(
 
     wanted = verification.chosen(cases or [])
     if listed:
-        for line in verification.listing(wanted):
-            _out.print(line, markup=False)
+        print_table(_out, verification.listing(wanted))
         return
     with JobProgress(_err, time_left=False) as bar:
         results = verification.verify(wanted, bar)
-    for line in [verification.as_json(results)] if json else [*verification.table(results), ""]:
-        _out.print(line, markup=False)
+    if json:
+        _out.print(verification.as_json(results), markup=False)
+    else:
+        print_table(_out, verification.table(results))
+        _out.print()
     (_err if json else _out).print(verification.summary(results), markup=False)
     if not verification.passed(results):
         raise typer.Exit(FAILED)
@@ -344,8 +349,7 @@ def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> Non
     for k, path in enumerate(written):
         lines.append(("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)"))
     lines.append(("", f"in {writing:.2g} s"))
-    for name, text in lines:
-        _out.print(f"[bold]{name:<10}[/]{escape(text)}")
+    print_table(_out, name_table(lines))
     if traj.status.ok and traj.options.auto and not traj.error_estimate <= traj.options.tol:
         _err.print(
             f"[bold yellow]The accuracy asked for was not reached:[/] error of q about {traj.error_estimate:.2g}, "

@@ -1,1 +1,1 @@
-"""What acts on a scene besides contact: constraints, springs, forces, drives, and the signals and functions in them."""
+"""What acts on a scene besides contact: constraints, springs and forces, with their signals and functions."""

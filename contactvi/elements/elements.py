@@ -1,7 +1,7 @@
-"""What pushes, drives and closes a scene beyond its joints: constraints, springs, wrenches, functions of the user.
+"""What acts on a scene besides contacts and joint settings: constraints, springs, wrenches, functions of the user.
 
-Each is a constant, checked when it is made (InputError), refers to bodies and joints by name, and does not know the
-model; element_build.py does. A body is named by its frame, "world" is the ground. Points [m] and placements are in the
+Each is a constant, checked when it is made (InputError), and refers to bodies and joints by name; contactvi.scene
+resolves the names in a model. A body is named by its frame, "world" is the ground. Points [m] and placements are in the
 frames of their bodies. What is None is taken as it is in the neutral configuration.
 """
 
@@ -24,7 +24,7 @@ AXES = ("world", "body")
 
 @dataclass(frozen=True, eq=False)
 class Element:
-    """Root of all elements. `kind` is the name of its section in a scene file."""
+    """Base of all elements. `kind` is the name of its section in a scene file."""
 
     name: str
     kind: ClassVar[str] = ""
@@ -35,32 +35,32 @@ class Element:
         self._check()
 
     def _check(self) -> None:
-        """Put checked values in place."""
+        """Check the fields and replace them by their clean values."""
 
     def _put(self, **values: Any) -> None:
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
     def __deepcopy__(self, memo: Any) -> Element:
-        return self  # nothing in it changes; functions of the user are not to be copied
+        return self  # An element is constant, and functions of the user are not to be copied.
 
     @property
     def storable(self) -> bool:
-        """Whether it is data, which a file can hold, and no function."""
+        """Whether a file can store it: it is data and no function."""
         return all(_storable(getattr(self, entry.name)) for entry in fields(self))
 
     def to_data(self) -> dict[str, Any]:
-        """Return it as plain data, with its kind; `from_data` reads it back. For storable ones only."""
+        """Return it as plain data with its kind, if it is storable; `element_from_data` reads it back."""
         return {"kind": self.kind} | {entry.name: _data(getattr(self, entry.name)) for entry in fields(self)}
 
     def describe(self) -> str:
-        """Return what it is in a few words, for the report."""
+        """Return a description in a few words, for the report."""
         return self.kind
 
 
 @dataclass(frozen=True, eq=False)
 class Constraint(Element):
-    """Root of the constraints phi(q, t) = 0. `engine_kind`: the engine's name, `rows`: number of equations."""
+    """Base of the constraints phi(q, t) = 0. `engine_kind`: the engine's name, `rows`: number of equations."""
 
     engine_kind: ClassVar[str] = ""
     rows: ClassVar[int] = 1
@@ -68,7 +68,7 @@ class Constraint(Element):
 
 @dataclass(frozen=True, eq=False)
 class PointConstraint(Constraint):
-    """A point of b lies at a point of a: ball joint, 3 rows."""
+    """A point of body b coincides with a point of body a: a ball joint, 3 rows."""
 
     a: str
     b: str
@@ -89,7 +89,7 @@ class PointConstraint(Constraint):
 
 @dataclass(frozen=True, eq=False)
 class DistanceConstraint(Constraint):
-    """Two points have a distance `length` [m] > 0, a Signal or None; 1 row."""
+    """Two points have the distance `length` [m] > 0, a Signal or None; 1 row."""
 
     a: str
     b: str
@@ -136,7 +136,7 @@ class WeldConstraint(Constraint):
 
 @dataclass(frozen=True, eq=False)
 class ScrewConstraint(Constraint):
-    """The z axes of two frames coincide, and a turn moves b along them by `pitch` [m/rad] of it; 5 rows."""
+    """The z axes of two frames coincide, and body b is displaced along z by `pitch` [m/rad] times its angle; 5 rows."""
 
     a: str
     b: str
@@ -177,7 +177,7 @@ class EqualityConstraint(Constraint):
         self._put(coefficients=coefficients_of(f"coefficients of {self.name!r}", self.coefficients))
 
     def value(self, other: float) -> float:
-        """Return what q_joint has to be."""
+        """Return the value of q_joint that belongs to a value of q_other [rad or m]."""
         return float(np.polynomial.polynomial.polyval(other, self.coefficients))
 
     def describe(self) -> str:

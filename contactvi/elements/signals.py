@@ -1,4 +1,4 @@
-"""Signals: what is prescribed over time, as value, rate and acceleration.
+"""Signals: prescribed functions of time, as value, rate and acceleration.
 
 A signal is given as
 
@@ -7,8 +7,8 @@ A signal is given as
   or three times give the polynomial through them. It is not defined outside its times;
 - a function t -> value, (value, rate) or (value, rate, acceleration). What is missing follows from differences of five
   points, up to 2 ms around t: of a smooth function the rate is then good to about 1e-11 of its size, and the
-  acceleration to 1e-9. Give them where they are known;
-- an object that is called with t and has .derivative(), as the splines of scipy.interpolate.
+  acceleration to 1e-9. Rate and acceleration should be given where they are known;
+- an object that is called with t and has .derivative(), such as the splines of scipy.interpolate.
 
 Units: the value's (rad or m), over s and s^2.
 """
@@ -27,10 +27,11 @@ from contactvi.errors import InputError, UserFunctionError
 from contactvi.inputs import real, short
 
 Array = NDArray[np.float64]
-_RATE_STEP, _ACCELERATION_STEP = 1e-4, 1e-3  # [s] of the differences
-_JUMP, _SLOW = 100.0, 1e-3  # of the other slopes; [rad/s, m/s]
+_RATE_STEP, _ACCELERATION_STEP = 1e-4, 1e-3  # [s] distances of the points of differences
+_JUMP = 100.0  # ratio of one slope to the sum of the others from which a function jumps
+_SLOW = 1e-3  # [rad/s, m/s] slope below which no function is said to jump
 _PARTS = ("value", "rate", "acceleration")
-_SLACK = 1e-9  # of the span of a table: a run's last time is off by rounding
+_SLACK = 1e-9  # relative to the span of a table; a run's last time is off by rounding
 
 
 class Signal:
@@ -43,7 +44,7 @@ class Signal:
         function: as given by the user; None for numbers and tables.
 
     Raises:
-        InputError: something that is no signal. When called: UserFunctionError, with the name, the time and which part.
+        InputError: The source is no signal. A call raises UserFunctionError with the name, the time and the part.
     """
 
     def __init__(self, source: Any, name: str) -> None:
@@ -72,19 +73,19 @@ class Signal:
 
     @property
     def source(self) -> Any:
-        """What it was made of: a number, (times, values) or a function."""
+        """The number, (times, values) or function it was made of."""
         if self.function is not None:
             return self.function
         return self.constant if self.constant is not None else (self.times, self.values)
 
     @property
     def storable(self) -> bool:
-        """Whether it is data, which a file can hold, and no function."""
+        """Whether a file can store it: it is data and no function."""
         return self.function is None
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """Return value, rate and acceleration at t [s]."""
-        if t != self._last[0]:  # the engine asks several times for the same instant
+        if t != self._last[0]:  # The engine asks several times for one instant.
             self._last = t, self._call(t)
         return self._last[1]
 
@@ -93,7 +94,7 @@ class Signal:
         return self(t) if self._call != self._differenced else self._ask(t)
 
     def __deepcopy__(self, memo: Any) -> Signal:
-        return self  # nothing in it changes; the user's function is not to be copied
+        return self  # A signal is constant, and functions of the user are not to be copied.
 
     def to_data(self) -> Any:
         """Return it as plain data: a number or {"times": [...], "values": [...]}; None for a function."""
@@ -107,14 +108,14 @@ class Signal:
         slack = _SLACK * (high - low)
         if not low - slack <= t <= high + slack:
             raise UserFunctionError(
-                f"{self.name} is asked for outside its table{at(t)}",
+                f"{self.name} is evaluated outside its table{at(t)}",
                 function=self.name,
                 time=t,
                 expected=f"times within {low:.9g} .. {high:.9g} s",
                 got=f"t = {t:.9g} s",
                 remedy="Give a longer table, or a shorter duration",
             )
-        # By hand: a spline's call costs as much as a step.
+        # The polynomials are evaluated here, because a call of SciPy's spline takes as long as a step of the engine.
         breaks, pieces = self._pieces
         k = min(max(bisect_right(breaks, t) - 1, 0), len(pieces) - 1)
         x, (c3, c2, c1, c0) = t - breaks[k], pieces[k]
@@ -138,7 +139,7 @@ class Signal:
             time=t,
             expected="a continuous motion",
             got=f"a change of {np.ptp(around):.6g} within {4.0 * _RATE_STEP:g} s",
-            remedy="Let it go there in some time, or give its rate too if it is meant",
+            remedy="Let it change within some time, or return its rate too if the change is meant",
         )
 
     def _differenced(self, t: float) -> tuple[float, float, float]:
@@ -196,7 +197,7 @@ def _plain(source: Any) -> Any:
     try:
         return np.asarray(source, dtype=float)
     except (TypeError, ValueError, OverflowError):
-        return [()]  # of another dimension than a number
+        return [()]  # Its dimension is not that of a number.
 
 
 def _table(source: Any, name: str) -> tuple[Array, Array]:

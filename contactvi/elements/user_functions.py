@@ -1,4 +1,4 @@
-"""Functions of the user, wrapped: what they return has the right shape and finite numbers, or a named error says when.
+"""Functions of the user, wrapped so that what they return has the right shape and finite numbers.
 
 A wrapped function raises UserFunctionError with the name of the function, the time and the entry; what the user's own
 code raised is its cause. KeyboardInterrupt passes.
@@ -19,7 +19,7 @@ Function = Callable[..., Any]
 
 
 def called(function: Function, name: str, t: float | None, *arguments: Any) -> Any:
-    """Return function(*arguments); what it raises becomes a UserFunctionError."""
+    """Return function(*arguments); every error of it becomes a UserFunctionError."""
     try:
         return function(*arguments)
     except UserFunctionError:
@@ -32,7 +32,7 @@ def called(function: Function, name: str, t: float | None, *arguments: Any) -> A
             time=t,
             expected="a function that returns numbers for every state of the run",
             got=f"{type(error).__name__}: {text[0]}" if text else type(error).__name__,
-            remedy="Mend the function; the traceback above says where",
+            remedy="Correct the function; the traceback above shows where it failed",
         ) from error
 
 

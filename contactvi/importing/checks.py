@@ -1,6 +1,6 @@
-"""Checks of a pin.Model before the engine sees it: supported joints, depth-first order, numbers, mass.
+"""Checks of a pin.Model before it goes to the engine: supported joints, depth-first order, numbers, mass.
 
-What cannot be simulated raises; what merely looks wrong is a "suspicious" note in the report.
+A model that cannot be simulated raises an error; data that merely look wrong are "suspicious" notes in the report.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ KINDS = {
     "JointModelFreeFlyer": "free",
 }
 ONE_DOF = ("revolute", "continuous", "prismatic", "helical")
-PLACING = ("free", "planar", "translation", "prismatic")  # root joints by which the start places a whole tree
-SINGULAR = 1e-12  # a pivot of the scaled mass matrix below this is a motion without inertia
-NO_LIMIT = 1e300  # Pinocchio writes both inf and the largest double for "no limit"
-FILE_FRICTION = "Coulomb friction"  # how the note of a joint's dry friction begins
-FAST_DAMPING = 1e3  # [1/s] damping / inertia above this acts within one millisecond step
+PLACING = ("free", "planar", "translation", "prismatic")  # root joints whose start values place a whole tree
+SINGULAR = 1e-12  # eigenvalue of the scaled mass matrix below which a motion has no inertia
+NO_LIMIT = 1e300  # Pinocchio writes both inf and the largest double for "no limit".
+FILE_FRICTION = "joint friction"  # beginning of the note on the friction that a file gives a joint
+FAST_DAMPING = 1e3  # [1/s] damping / inertia above which a motion dies within a millisecond
 
 
 def joint_kind(joint: pin.JointModel) -> str | None:
@@ -42,7 +42,7 @@ def joint_kind(joint: pin.JointModel) -> str | None:
 
 
 def has_limits(model: pin.Model, index: int) -> bool:
-    """Return whether a joint has one dof with finite lower < upper: the only limits that mean something."""
+    """Return whether a joint has one degree of freedom and finite limits lower < upper; others are not used."""
     joint = model.joints[index]
     if joint_kind(joint) not in ONE_DOF or joint.nq != 1:
         return False
@@ -58,7 +58,7 @@ def motion_axis(joint: pin.JointModel) -> np.ndarray:
 
 
 def check_joints(model: pin.Model, report: PartReport, source: str) -> None:
-    """Refuse unsupported joints (all are noted, the first is raised), a wrong order and duplicate names."""
+    """Raise for an unsupported joint (all are noted, the first is raised), a wrong order and duplicate names."""
     refused = [i for i in range(1, model.njoints) if joint_kind(model.joints[i]) is None]
     for i in refused:
         report.note("refused", "joint", model.names[i], f"type {model.joints[i].shortname()} is not supported")
@@ -81,7 +81,7 @@ def check_joints(model: pin.Model, report: PartReport, source: str) -> None:
             raise SceneError(
                 f"{source}: two joints are called {name!r}", joint=name, expected="distinct names", got=name
             )
-    branch = [0]  # the joints from the world to the last one
+    branch = [0]  # joints from the world to the last one that was visited
     for i in range(1, model.njoints):
         while branch and branch[-1] != model.parents[i]:
             branch.pop()
@@ -107,7 +107,7 @@ def check_joints(model: pin.Model, report: PartReport, source: str) -> None:
 
 
 def check_numbers(model: pin.Model, source: str) -> None:
-    """Refuse numbers that are not finite, negative masses and negative damping."""
+    """Raise SceneError for numbers that are not finite, negative masses and negative damping."""
     for i in range(model.njoints):
         inertia, name = model.inertias[i], model.names[i]
         values = [inertia.mass, *inertia.lever, *inertia.inertia.ravel(), *model.jointPlacements[i].homogeneous.ravel()]
@@ -133,9 +133,9 @@ def check_numbers(model: pin.Model, source: str) -> None:
 
 
 def _check_isotropy(model: pin.Model, what: str, values: np.ndarray, source: str) -> None:
-    """Refuse damping or armature that differs between directions, and armature on free and planar joints.
+    """Raise for damping or armature that differs between directions, and for armature on free and planar joints.
 
-    The engine turns the axes of joints as suits it and splits free and planar joints in two.
+    The engine chooses the axes of joints itself and splits free and planar joints in two.
     """
     for i in range(1, model.njoints):
         joint, kind = model.joints[i], str(joint_kind(model.joints[i]))
@@ -170,8 +170,9 @@ def body_masses(model: pin.Model) -> list[tuple[str, int, float]]:
         rest[joint] -= frame.inertia.mass
     for joint, row in first.items():
         name, _, mass = result[row]
-        left = rest[joint] if rest[joint] > 1e-12 * model.inertias[joint].mass else 0.0  # the sum's rounding
-        result[row] = (name, joint, mass + left)
+        # A remainder below the rounding of the sum counts as zero.
+        remainder = rest[joint] if rest[joint] > 1e-12 * model.inertias[joint].mass else 0.0
+        result[row] = (name, joint, mass + remainder)
     return result
 
 
@@ -192,7 +193,7 @@ def check_mass(model: pin.Model, q: np.ndarray, source: str) -> np.ndarray:
     if model.nv == 0:
         return np.zeros(0)
     data = model.createData()
-    # A generic pose: at a special one even a good model may look singular, and a bad one regular.
+    # The pose is generic: at a special one even a good model may be singular, and a bad one regular.
     generic = pin.integrate(model, q, 0.3 * np.sin(1.0 + np.arange(model.nv)))
     upper = np.triu(pin.crba(model, data, generic))
     mass = upper + np.triu(upper, 1).T
@@ -253,7 +254,7 @@ def _describe_joint(
             "ignored",
             "joint",
             name,
-            f"{FILE_FRICTION} in the joint: not used, unless by set_joint(joint, friction=True)",
+            f"{FILE_FRICTION} of the file: not used, unless by set_joint(joint, friction=True)",
         )
     rate = np.max(model.damping[dofs] / diagonal[dofs])
     if rate > FAST_DAMPING:
@@ -271,7 +272,7 @@ def _describe_inertia(model: pin.Model, i: int, report: PartReport, prefix: str)
         report.note("suspicious", "body", name, "no mass of its own (the joints behind it carry some)")
         return
     moments = np.linalg.eigvalsh(inertia.inertia)
-    # Files give 4 to 6 digits, and a thin plate or a point mass stands exactly on the bound.
+    # Files give 4 to 6 digits, and a thin plate or a point mass lies exactly on the bound.
     slack = 1e-3 * max(moments[2], 0.0)
     if moments[0] < -slack:
         report.note("suspicious", "body", name, f"negative moment of inertia {number(moments[0])}")

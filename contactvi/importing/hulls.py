@@ -11,12 +11,12 @@ from pathlib import Path
 import coal
 import numpy as np
 import pinocchio as pin
-from scipy.spatial import ConvexHull, QhullError
 
 from contactvi.errors import SceneError
 from contactvi.importing.report import PartReport, number
 
-MOST_NEIGHBOURS = 100  # coal counts to 255; the engine rounds hulls, which may join the faces around a vertex
+# Coal counts neighbours of a vertex up to 255. The engine rounds hulls, which may add to the faces around a vertex.
+MOST_NEIGHBOURS = 100
 PRIMITIVES = (coal.Sphere, coal.Box, coal.Capsule, coal.Cylinder, coal.Ellipsoid)
 
 
@@ -53,7 +53,9 @@ def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
 
 def _outer_points(points: np.ndarray, name: str) -> np.ndarray:
     """Return the vertices of the hull of points (n, 3)."""
-    remedy = "Replace the mesh by a box or mend it"
+    from scipy.spatial import ConvexHull, QhullError  # most scenes load no mesh, and SciPy takes long to import
+
+    remedy = "Replace the mesh by a box or repair it"
     if len(points) < 4 or not np.all(np.isfinite(points)):
         what = "fewer than 4 vertices" if len(points) < 4 else "vertices that are not finite"
         raise SceneError(f"Mesh of geometry {name!r}", body=name, expected="a solid", got=what, remedy=remedy)
@@ -82,7 +84,7 @@ def faces_of(hull: coal.Convex) -> np.ndarray:
 
 
 def _finished(hull: coal.Convex) -> coal.Convex:
-    hull.computeLocalAABB()  # coal leaves it at +-1e308 otherwise
+    hull.computeLocalAABB()  # Coal leaves the box at +-1e308 otherwise.
     return hull
 
 
@@ -126,9 +128,9 @@ def _hull_mesh(geometry: pin.GeometryObject, report: PartReport) -> str:
     mesh = geometry.geometry
     file = f" ({Path(geometry.meshPath).name})" if geometry.meshPath else ""
     hull, grid = hull_of_points(mesh.vertices(), geometry.name + file)
-    volume, filled = hull.computeVolume(), abs(mesh.computeVolume())  # negative when mirrored
+    volume, filled = hull.computeVolume(), abs(mesh.computeVolume())  # It is negative for a mirrored mesh.
     geometry.geometry = hull
-    # An open or badly oriented surface encloses no volume worth a ratio.
+    # The volume of an open or badly oriented surface means nothing, and then there is no ratio.
     ratio = volume / filled if 0.0 < filled <= volume * (1.0 + 1e-9) else np.nan
     text = f"mesh of {mesh.num_vertices} vertices -> hull of {hull.num_points}"
     if np.isfinite(ratio):

@@ -1,8 +1,8 @@
 """Read and check an MJCF before Pinocchio does, rewrite what its reader would lose, and read its <equality> section.
 
-Seen in pin 4.1: only the first body of <worldbody> is read, a body without a name or with the name of another is
-dropped, values that are no numbers are skipped, and the frame of a rotated free joint is wrong. Here every body gets a
-name, numbers are checked, all top bodies are put under one static body, and includes are resolved.
+pin 4.1 has these faults: only the first body of <worldbody> is read, a body without a name or with the name of another
+one is dropped, values that are no numbers are skipped, and the frame of a rotated free joint is wrong. Here every body
+gets a name, numbers are checked, all top bodies are put under one static body, and includes are resolved.
 
 Of <equality>, connect, weld and joint become plain data, the rest is reported as ignored. What MuJoCo does softly
 (solref, solimp) is exact here. A connect, and a weld without relpose, keep what the neutral configuration has.
@@ -29,7 +29,7 @@ NUMERIC = {
 }
 IGNORED_SECTIONS = ("actuator", "sensor", "tendon", "contact", "keyframe", "custom", "statistic", "visual")
 REFUSED_ELEMENTS = ("replicate", "composite", "flexcomp", "attach", "frame")
-STATIC = "mjcf_world"  # name of the static body that gathers the top bodies
+STATIC = "mjcf_world"  # name of the static body that has all top bodies as children
 
 
 @dataclass
@@ -58,7 +58,7 @@ def read_mjcf(path: Path, report: PartReport) -> MjcfText:
     if not worlds:
         raise SceneError(f"{path.name} has no <worldbody>", path=path, expected="<worldbody>", got="none")
     world = worlds[0]
-    for other in worlds[1:]:  # MuJoCo merges them, and includes produce them
+    for other in worlds[1:]:  # Included files bring their own <worldbody>; MuJoCo merges them too.
         world.extend(other)
         root.remove(other)
     _check_bodies(world, path, report)
@@ -163,7 +163,7 @@ def _check_meshes(root: Element, path: Path) -> None:
                 path=folder / file,
                 expected="an existing mesh file",
                 got=f"nothing at {folder / file}",
-                remedy="Put it there, or mend meshdir of <compiler>",
+                remedy="Put it there, or correct meshdir of <compiler>",
             )
     for asset in root.findall("asset"):
         if asset.find("hfield") is not None:
@@ -205,7 +205,7 @@ def read_equality(root: Element, path: Path, report: PartReport) -> list[dict[st
     """Return the constraints as {kind: "point" | "weld" | "equality", name, ...} with the file's names.
 
     point: a, b, point_a. weld: a, b, placement (xyz and quaternion x y z w) or None. equality: joint, other or None,
-    coefficients. Raises SceneError for numbers that are none.
+    coefficients. Raises SceneError for words in place of numbers.
     """
     bodies = {body.get("name") for body in root.iter("body")}
     joints = (joint for body in root.iter("body") for joint in body.findall("joint"))

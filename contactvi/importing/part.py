@@ -1,4 +1,4 @@
-"""A part: one imported model or one primitive, before the scene assembles its parts into a single pin.Model."""
+"""A part of a scene: one imported model or one primitive, before all parts are assembled into one pin.Model."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COLORS = (
     (0.55, 0.40, 0.75, 1.0),
 )
 GROUND_COLOR = (0.75, 0.75, 0.72, 1.0)
-GROUND_SIZE = 2.0  # [m] edge of the plate that pictures a halfspace
+GROUND_SIZE = 2.0  # [m] edge of the plate that a halfspace is drawn as
 GROUND_THICKNESS = 0.01
 
 
@@ -34,7 +34,7 @@ class Part:
     Attributes:
         kind: "urdf", "mjcf", "pinocchio" or "primitive".
         model, collision: Pinocchio models without the prefix and without the placement.
-        load_visual: returns the visual GeometryModel (loaded late: pictures are slow and not needed to simulate).
+        load_visual: returns the visual GeometryModel; it is called late, because pictures load slowly.
         placement: where the part's own world frame lies in the scene's.
         start: neutral configuration of the part, shape (nq,).
         disabled: link pairs switched off by the SRDF, with its reason.
@@ -119,7 +119,7 @@ def _color(name: str, free: bool) -> Sequence[float]:
 
 
 def visual_of(collision: pin.GeometryModel, color: Sequence[float] | np.ndarray) -> pin.GeometryModel:
-    """Return pictures of collision shapes; a halfspace is pictured by a plate."""
+    """Return pictures of collision shapes; a halfspace is drawn as a plate."""
     visual = pin.GeometryModel()
     for geometry in collision.geometryObjects:
         picture = geometry.copy()
@@ -179,7 +179,7 @@ def _size(name: str, what: str, value: float) -> float:
 
 
 def take_names(part: Part, taken: dict[str, set[str]]) -> None:
-    """Add the names of the part to those taken (by kind), or raise an InputError when one is taken already."""
+    """Add the names of the part to those taken, by kind; raise InputError, and add none, where one is taken already."""
     kinds = {
         "part": [part.name],
         "joint": part.joint_names(),

@@ -22,7 +22,7 @@ ROBOT_DATA = "example-robot-data"
 
 @functools.lru_cache(maxsize=1)
 def example_robot_data_share() -> Path:
-    """Return the share folder that holds `example-robot-data/robots`, whatever the install layout.
+    """Return the share folder that contains `example-robot-data/robots`, in any layout of the installation.
 
     Raises:
         SceneError: the distribution example-robot-data is not installed or has no such folder.
@@ -67,7 +67,7 @@ def resolve_path(path: str | os.PathLike[str], base: Path | None = None, package
 
 
 def check_is_file(found: Path, text: str) -> None:
-    """Raise a SceneError unless `found` is an existing file; `text` is how the user wrote it."""
+    """Raise a SceneError unless `found` is an existing file; `text` is the path as the user wrote it."""
     if found.is_dir():
         inside = sorted(p.name for p in found.iterdir() if p.suffix in (".urdf", ".xml", ".toml"))
         hint = f"Files in it: {', '.join(inside[:8])}" if inside else "Name a file in it"
@@ -77,7 +77,9 @@ def check_is_file(found: Path, text: str) -> None:
         names = [p.name for p in folder.iterdir()] if os.access(folder, os.R_OK) else []
         missing = found.relative_to(folder).parts[0]
         near = nearest(missing, names)
-        remedy = f"Did you mean {str(folder / near)!r}?" if near else f"The folder {folder} has nothing like it"
+        remedy = (
+            f"Did you mean {str(folder / near)!r}?" if near else f"The folder {folder} has nothing of a similar name"
+        )
         raise SceneError("No such file", path=found, expected="an existing file", got=text, remedy=remedy)
 
 
@@ -109,7 +111,7 @@ def package_candidates(name: str, start: Path, package_dirs: Sequence[object] = 
             yield folder
         if (folder / name).is_dir():
             yield folder / name
-    for folder in ros_path:  # a workspace may nest its packages one level deeper
+    for folder in ros_path:  # A workspace may nest its packages one level deeper.
         yield from sorted(folder.glob(f"*/{name}")) if folder.is_dir() else ()
     try:
         share = example_robot_data_share()
@@ -162,5 +164,5 @@ def resolve_resource(url: str, start: Path, package_dirs: Sequence[object] = ())
         path=url,
         expected="an existing file",
         got=f"nothing at {where}" if tried else nowhere,
-        remedy="Pass package_dirs=[folder that holds the package]",
+        remedy="Pass package_dirs=[folder that contains the package]",
     )

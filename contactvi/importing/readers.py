@@ -1,6 +1,6 @@
-"""Turn files and Pinocchio models into parts of a scene: checked, hulled, reported.
+"""Make parts of a scene from files and Pinocchio models: checked, with convex hulls, and with a report.
 
-Parsing is Pinocchio's (`pin`); what its readers drop or crash on is caught before, in urdf.py, mjcf.py and hulls.py.
+Pinocchio parses the files; what its readers drop or crash on is caught before, in urdf.py, mjcf.py and hulls.py.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def import_urdf(
     """Return the part described by a URDF; arguments as in Scene.add_urdf, a relative path is relative to `folder`.
 
     Raises:
-        SceneError: with the finding as `expected`, `got`; its attribute `report` holds the PartReport up to there.
+        SceneError: the model cannot be used; its attribute `report` is the PartReport up to there.
     """
     if base not in ("fixed", "free"):
         raise InputError("Argument base", name="base", expected="'fixed' or 'free'", got=repr(base))
@@ -96,14 +96,14 @@ def import_mjcf(
         text = read_mjcf(file, report)
         report.prefix_names(prefix)
         report.title = f"{prefix}{text.name}: MJCF {file}"
-        # Pinocchio reads MJCF from a file only; the rewritten text goes through a temporary one.
+        # Pinocchio reads MJCF from a file only, so the rewritten text goes through a temporary one.
         with tempfile.TemporaryDirectory() as scratch:
             copy = Path(scratch) / file.name
             copy.write_text(text.xml, encoding="utf-8")
             model = _parse(file, lambda: pin.buildModelFromMJCF(str(copy)))
             collision = _parse(file, lambda: pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.COLLISION))
             visual = _parse(file, lambda: pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.VISUAL))
-        _mend_free_joints(model)
+        _reset_free_joints(model)
         part = Part(
             name=prefix + text.name,
             kind="mjcf",
@@ -130,7 +130,7 @@ def import_pinocchio(
     visual_model: pin.GeometryModel | None = None,
     name: str | None = None,
 ) -> Part:
-    """Return a part that holds copies of any pin.Model and its geometry. Raises like import_urdf."""
+    """Return a part with copies of any pin.Model and its geometry. Raises like import_urdf."""
     for what, value, kind in (
         ("model", model, pin.Model),
         ("collision_model", collision_model, pin.GeometryModel),
@@ -193,7 +193,7 @@ def read_srdf(file: Path, model: pin.Model, report: PartReport) -> list[tuple[st
 
 
 class _reported:
-    """Attach file and report so far to an error that leaves the block, so that `contactvi check` can still print it."""
+    """Attach file and report to an error that leaves the block, so that `contactvi check` can still print them."""
 
     def __init__(self, report: PartReport, file: Path | None = None) -> None:
         self.report = report
@@ -219,17 +219,17 @@ def _parse(file: Path, build: Callable[[], Any]) -> Any:
         raise
     except Exception as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        said = next((line for line in reversed(lines) if not line.startswith("Hint")), type(error).__name__)
+        reason = next((line for line in reversed(lines) if not line.startswith("Hint")), type(error).__name__)
         resource = next((line.rpartition("resource ")[2] for line in lines if "Could not load resource" in line), None)
         if resource is not None:
-            raise SceneError(f"Cannot read the mesh {resource}", path=resource, got=said) from error
+            raise SceneError(f"Cannot read the mesh {resource}", path=resource, got=reason) from error
         raise SceneError(
-            f"Pinocchio cannot read {file.name}", path=file, expected="a model it understands", got=said
+            f"Pinocchio cannot read {file.name}", path=file, expected="a model it understands", got=reason
         ) from error
 
 
 def _finish(part: Part, source: str) -> None:
-    """Check the model, hull its meshes, set the neutral pose and fill the report."""
+    """Check the model, replace its meshes by hulls, set the neutral pose and fill the report."""
     model, report = part.model, part.report
     check_joints(model, report, source)
     check_numbers(model, source)
@@ -263,10 +263,10 @@ def neutral(model: pin.Model) -> np.ndarray:
     return q
 
 
-def _mend_free_joints(model: pin.Model) -> None:
-    """Give the free joints of an MJCF the identity placement, so that q holds the pose in the world.
+def _reset_free_joints(model: pin.Model) -> None:
+    """Give the free joints of an MJCF the identity placement, so that q is the pose in the world.
 
-    pin 4.1 multiplies the body's frame with a wrong inverse of itself: exact without rotation, off with one.
+    pin 4.1 multiplies the body's frame with a wrong inverse of itself: the placement is wrong where it has a rotation.
     """
     for i in range(1, model.njoints):
         if joint_kind(model.joints[i]) == "free" and model.parents[i] == 0:
@@ -283,7 +283,7 @@ def _take_free_poses(part: Part, start: np.ndarray) -> None:
 
 
 def _name_bodies(model: pin.Model) -> None:
-    """Give every joint without a body frame one of its own name: a model built in Python has none."""
+    """Give every joint without a body frame one of its name; models built in Python have no body frames."""
     named = {frame.parentJoint for frame in model.frames if frame.type == pin.FrameType.BODY}
     for i in range(1, model.njoints):
         if i not in named and not model.existFrame(model.names[i], pin.FrameType.BODY):
@@ -314,7 +314,7 @@ def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, sour
 
 
 def _visual(file: Path, build: Callable[[], pin.GeometryModel], collision: pin.GeometryModel) -> pin.GeometryModel:
-    """Load pictures; a model without any is pictured by its collision shapes."""
+    """Load pictures; for a model without any, copy its collision shapes."""
     visual = _parse(file, build)
     return visual if len(visual.geometryObjects) else copy_geometry(collision)
 

@@ -1,6 +1,6 @@
-"""The import report: what of a model is used, changed, ignored, refused, and what looks wrong in its data.
+"""The import report: what of a model is used, changed, ignored or refused, and which of its data look wrong.
 
-Importers fill it, `scene.report` adds what the scene knows (collision pairs), `contactvi check` prints it.
+Importers fill it, `scene.report` adds the collision pairs and settings of the scene, `contactvi check` prints it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ HEADINGS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Note:
-    """One finding: `use` says what became of it, `topic` what it is about (body, joint, geometry, file, pair, ...)."""
+    """One finding about `name`: what became of it (`use`), and its kind (`topic`: body, joint, geometry, file, ...)."""
 
     use: Use
     topic: str
@@ -44,7 +44,7 @@ class BodyRow:
 
 @dataclass(frozen=True)
 class JointRow:
-    """A joint: limits [rad or m] (nan = none), file damping and Coulomb friction [N m s, N m or N s/m, N]."""
+    """A joint: limits [rad or m] (nan = none), damping and friction of the file [N m s, N m or N s/m, N]."""
 
     name: str
     type: str
@@ -59,7 +59,7 @@ class JointRow:
 
 @dataclass(frozen=True)
 class GeometryRow:
-    """A collision geometry: its body, shape with sizes [m], and what was done to it."""
+    """A collision geometry: its body, its shape with sizes [m], and how it was changed."""
 
     name: str
     body: str
@@ -94,12 +94,12 @@ class PartReport:
             self.notes.append(found)
 
     def prefix_names(self, prefix: str) -> None:
-        """Put a prefix before the names in the findings so far: readers know only the file's names."""
+        """Put a prefix before the names in the findings so far, for which readers use the names of the file."""
         topics = ("joint", "body", "geom", "visual", "equality")
         self.notes = [replace(n, name=prefix + n.name) if n.topic in topics else n for n in self.notes]
 
     def without(self, use: Use, names: Container[str], start: str) -> PartReport:
-        """Return a copy without the findings about `names` whose text begins with `start`: something replaced them."""
+        """Return a copy without the findings about `names` whose text begins with `start`, which no longer hold."""
         kept = [n for n in self.notes if not (n.use == use and n.name in names and n.text.startswith(start))]
         return replace(self, notes=kept)
 
@@ -231,7 +231,7 @@ def _pairs_text(report: ImportReport, most: int) -> list[str]:
         reasons.setdefault(pair.reason, []).append(pair)
     for reason, pairs in reasons.items():
         lines.append(f" {reason} ({len(pairs)})")
-        # Adjacent pairs are the rule, and many: the count says enough. The others are decisions worth reading.
+        # Adjacent pairs are many, and removed by a rule: a few examples are enough. The others are single decisions.
         shown = pairs[: 3 if reason == ADJACENT else most]
         for pair in shown:
             detail = f"  ({pair.detail})" if pair.detail else ""

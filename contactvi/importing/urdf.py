@@ -1,7 +1,7 @@
-"""Read and check a URDF before Pinocchio does, which drops silently what it cannot parse.
+"""Read and check a URDF before Pinocchio does, whose reader drops silently what it cannot parse.
 
-Seen in pin 4.1: a mass that is no number becomes zero, a collision whose shape is unknown or not a number disappears,
-a zero axis stays zero, negative sizes are kept. Mesh references are replaced by absolute paths here.
+pin 4.1 has these faults: a mass that is no number becomes zero, a collision whose shape is unknown or has words for
+numbers disappears, a zero axis stays zero, negative sizes are kept. Mesh references become absolute paths here.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def _check_expanded(root: Element, path: Path) -> None:
 
 
 def _check_tree(links: dict[str, Element], joints: dict[str, Element], path: Path) -> None:
-    """Check that the links form one tree: Pinocchio only says 'not a valid URDF model'."""
+    """Check that the links form one tree; the error of Pinocchio would be 'not a valid URDF model' only."""
     if not links:
         raise SceneError(f"{path.name} has no link", path=path, expected="at least one <link>", got="none")
     parent_of: dict[str, str] = {}
@@ -166,7 +166,7 @@ def _check_link(name: str, link: Element, path: Path, package_dirs: Sequence[obj
         mass = inertial.find("mass")
         inertia = inertial.find("inertia")
         if mass is None or inertia is None:
-            missing = "mass" if mass is None else "inertia"  # urdfdom would drop the other one too
+            missing = "mass" if mass is None else "inertia"  # urdfdom would drop the other one too.
             raise SceneError(
                 f"{path.name}: inertial of {where}", path=path, body=name, expected=f"<{missing}>", got="none"
             )
@@ -181,7 +181,7 @@ def _check_link(name: str, link: Element, path: Path, package_dirs: Sequence[obj
     for visual in link.findall("visual"):
         try:
             _check_shape(visual, name, path, package_dirs)
-        except SceneError as error:  # a picture is no reason to refuse a model
+        except SceneError as error:  # A model can be simulated without its pictures.
             link.remove(visual)
             report.note("ignored", "visual", name, str(error))
 
@@ -214,7 +214,7 @@ def _check_shape(holder: Element, link: str, path: Path, package_dirs: Sequence[
 
 
 def _note_joints(joints: dict[str, Element], report: PartReport) -> None:
-    """Note what a URDF says about joints and the engine does not use by itself."""
+    """Note data of joints that are used only on request (limits of effort and velocity), or not at all."""
     for name, joint in joints.items():
         limit = joint.find("limit")
         if limit is not None and joint.get("type") != "fixed":

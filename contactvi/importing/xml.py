@@ -1,4 +1,4 @@
-"""Read an XML model file and check the numbers in it, before a parser that drops what it cannot read sees it."""
+"""Read an XML model file and check the numbers in it; Pinocchio's parsers drop silently what they cannot read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ def read_xml(path: Path, root_tag: str, kind: str) -> Element:
         root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
         raise SceneError(
-            f"Broken XML in {path.name}", path=path, expected="well-formed XML", got=str(error), remedy="Mend that line"
+            f"Broken XML in {path.name}",
+            path=path,
+            expected="well-formed XML",
+            got=str(error),
+            remedy="Correct that line",
         ) from None
     except (OSError, UnicodeDecodeError, LookupError, ValueError) as error:
         raise SceneError(f"Cannot read {path}", path=path, got=str(error)) from None
@@ -60,7 +64,7 @@ def numbers(element: Element, key: str, path: Path, where: str, count: int | Non
             path=path,
             expected=f"{count if count is not None else 'some'} finite number(s)",
             got=repr(text),
-            remedy="Mend the file",
+            remedy="Correct the file",
         )
     return values
 
@@ -74,7 +78,7 @@ def check_positive(element: Element, key: str, path: Path, where: str, count: in
             path=path,
             expected=f"{count} number(s) > 0",
             got=repr(element.get(key)),
-            remedy="Mend the file",
+            remedy="Correct the file",
         )
 
 

@@ -117,7 +117,7 @@ def frame_times(run: Run, fps: float, bodies: int) -> Array:
         grid = grid[~close]
     times = np.union1d(grid, impacts)
     apart = np.concatenate([[True], np.diff(times.astype(np.float32)) > 0])
-    return times[apart]
+    return np.asarray(times[apart], dtype=float)
 
 
 def joint_poses(model: pin.Model, configurations: Array, joints: Sequence[int]) -> dict[int, Poses]:

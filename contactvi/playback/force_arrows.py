@@ -60,7 +60,7 @@ class Forces:
 
     def length(self, arrow: Arrow) -> Array:
         """Return the lengths of an arrow at its keys, 1 for the full length, shape (k,)."""
-        return np.minimum(np.linalg.norm(np.array(arrow.force), axis=1) / self.full, _CUT)
+        return np.asarray(np.minimum(np.linalg.norm(np.array(arrow.force), axis=1) / self.full, _CUT), dtype=float)
 
     @property
     def reference(self) -> float:

@@ -32,7 +32,7 @@ _FAR = 3.0  # sizes of the place where things start: the camera is not set for w
 _Y_TO_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])  # three.js cylinders stand on y
 
 
-class _Data(mg.Geometry):
+class _Data(mg.Geometry):  # type: ignore[misc]  # meshcat has no types
     """A three.js geometry given by its JSON fields."""
 
     def __init__(self, kind: str, **fields: Any) -> None:

@@ -142,7 +142,7 @@ class ContactLog(Sequence[Contact]):
     def force(self) -> Array:
         """Mean over the step, impulse / h, on the second shape [N], world axes, shape (m, 3); NaN for impacts."""
         h = self.h[:, None]
-        return np.divide(self.impulse, h, out=np.full(self.impulse.shape, np.nan), where=h > 0.0)
+        return np.asarray(np.divide(self.impulse, h, out=np.full(self.impulse.shape, np.nan), where=h > 0.0))
 
     @cached_property
     def has_force(self) -> NDArray[np.bool_]:
@@ -190,7 +190,7 @@ class ContactLog(Sequence[Contact]):
         """
         for pair in self.pairs:
             if (a, b) in (pair, pair[::-1]):
-                return self._rows(self._of_pair(pair))
+                return self.rows(self._of_pair(pair))
         raise InputError(
             f"{a!r} and {b!r} have no contact in this run",
             name="pair",
@@ -206,7 +206,7 @@ class ContactLog(Sequence[Contact]):
         shape of the pair as `pairs` names it; for a limit it is the first component.
         """
         rows = self.of(a, b)
-        rows = rows._rows(rows.h > 0.0)
+        rows = rows.rows(rows.h > 0.0)
         return _summed(rows, rows.force)
 
     def on(self, body: Any) -> tuple[Array, Array]:
@@ -225,7 +225,7 @@ class ContactLog(Sequence[Contact]):
                 remedy=did_you_mean(str(body), known),
             )  # fmt: skip
         chosen = (signs != 0.0) & (self.h > 0.0)
-        rows = self._rows(chosen)
+        rows = self.rows(chosen)
         return _summed(rows, signs[chosen, None] * rows.force)
 
     def impulse_on(self, body: Any) -> Array:
@@ -244,7 +244,8 @@ class ContactLog(Sequence[Contact]):
         kept = [key for key in np.unique(keys, axis=0) if label(int(key[0]), int(key[1]), *self._names) == pair]
         return np.asarray(np.any([np.all(keys == key, axis=1) for key in kept], axis=0))
 
-    def _rows(self, chosen: NDArray[Any]) -> ContactLog:
+    def rows(self, chosen: NDArray[Any]) -> ContactLog:
+        """Return the contacts of these rows, given by their numbers or by a mask (m,)."""
         return ContactLog({name: values[chosen] for name, values in self._arrays.items()}, *self._names)
 
     def __len__(self) -> int:

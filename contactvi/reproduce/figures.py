@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from contactvi.files import write_atomic
-from contactvi.reproduce.model import GRAVITY, MAPS, run_b
 from contactvi.reproduce.runs import BALL_STEP, HEIGHTS, L2_STEP, LONG_STEP, Convergence, Dense, LongRun
+from contactvi.reproduce.systems import GRAVITY, MAPS, run_b
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError
 from contactvi.options import ImpactMap
-from contactvi.reproduce.model import (
+from contactvi.reproduce.check import at_least, at_most, between, reported
+from contactvi.reproduce.row import HOLDS, HOLDS_NOT, Row, listed, per_map
+from contactvi.reproduce.systems import (
     ABSOLUTE,
     MAPS,
     body_at_wall,
@@ -19,7 +21,6 @@ from contactvi.reproduce.model import (
     stepper,
     two_bodies,
 )
-from contactvi.reproduce.row import HOLDS, HOLDS_NOT, Number, Row, listed, per_map
 from contactvi.simulation.simulation import simulate
 from contactvi.trajectory.trajectory import Trajectory
 
@@ -27,9 +28,9 @@ Array = NDArray[np.float64]
 SCALARS = ("energy", "discrete energy", "modified energy")  # what CTEC, DTEC and MHC conserve
 STEPS = (0.04, 0.02, 0.01)  # [s]
 
-_OWN = 1e-11  # relative: cases.md; a solver's tolerance of 1e-13 times the condition of an impact
-_VISIBLE = 1e-6  # a jump is visibly there: 1e5 times what the own scalar may have
-_MOMENTUM = 1e-12
+_OWN = 1e-11  # relative jump of a map's own scalar
+_VISIBLE = 1e-6  # relative jump of a scalar that a map does not conserve
+_MOMENTUM = 1e-12  # relative to the impulse
 _SYMPLECTIC, _NOT_SYMPLECTIC = 1e-9, 1e-5
 # Central differences of order 6: offsets +-1, +-2, +-3 and their weights. With d = h / 20 the truncation is below the
 # noise of the engine (about 1e-13 in q and p), which 1 / d multiplies; 3 d moves no impact of B out of its step.
@@ -40,20 +41,22 @@ _OMEGA = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]
 
 def scalar_row() -> Row:
     """Each map conserves its own scalar at an impact, and not those of the others."""
-    numbers, shown = [], [["map", *(f"jump of {name}" for name in SCALARS), "own, largest of 6 impacts"]]
+    checks, shown = [], [["map", *(f"jump of {name}" for name in SCALARS), "own, largest of 6 impacts"]]
     own, others = {}, {}
     for k, name in enumerate(MAPS):
         jumps = {h: scalar_jumps(run_b(name, h)) for h in STEPS}
         first = jumps[0.02][0]
         for scalar, value in zip(SCALARS, first, strict=True):
-            numbers.append(Number(f"relative jump of {scalar}", name, "impact 1, h = 0.02 s", float(value), "1"))
+            checks.append(reported(f"relative jump of {scalar}", value).of(name, "impact 1, h = 0.02 s", "1"))
         largest = np.max([np.abs(values).max(axis=0) for values in jumps.values()], axis=0)
         for j, scalar in enumerate(SCALARS):
-            number = Number(f"largest jump of {scalar}", name, "6 impacts, h = 0.04 .. 0.01 s", float(largest[j]), "1")
-            numbers.append(number.at_most(_OWN) if j == k else number.at_least(_VISIBLE))
+            what = f"largest jump of {scalar}"
+            own_jump = at_most(what, _OWN, largest[j], "tol = 1e-13 times the condition of an impact")
+            visible = at_least(what, _VISIBLE, largest[j], "1e5 times what the map's own scalar may have")
+            checks.append((own_jump if j == k else visible).of(name, "6 impacts, h = 0.04 .. 0.01 s", "1"))
         own[name], others[name] = float(largest[k]), float(np.delete(largest, k).min())
         shown.append([name.upper(), *(f"{value:+.1e}" for value in first), f"{own[name]:.1e}"])
-    good = all(number.met is not False for number in numbers)
+    good = all(check.ok is not False for check in checks)
     return Row(
         key="own scalar",
         claim="At an impact CTEC conserves the energy, DTEC the discrete energy, MHC the modified energy",
@@ -62,7 +65,7 @@ def scalar_row() -> Row:
         rule=f"own jump <= {_OWN:g} at both impacts of B with three steps, the largest of each other scalar >= "
         f"{_VISIBLE:g}; all relative to the kinetic energy before the impact",
         verdict=HOLDS if good else HOLDS_NOT,
-        numbers=numbers,
+        checks=checks,
         note="The jump of the modified energy is that from node to node over the step with the impact, the one of the "
         "discrete energy that between the partial steps that end and start at the impact.",
         table=shown,
@@ -85,7 +88,7 @@ def scalar_jumps(traj: Trajectory) -> Array:
 
 def momentum_row() -> Row:
     """Total momentum of two colliding bodies; the tangential part at a wall."""
-    numbers, worst = [], {}
+    checks, worst = [], {}
     for name in MAPS:
         pair, wall, tip = _collide(two_bodies, name), _collide(body_at_wall, name), run_b(name, 0.02)
         jump, impulse = _momentum_jumps(pair)
@@ -97,12 +100,12 @@ def momentum_row() -> Row:
         found.append(("tangential momentum", "capsule at a wall", np.abs(jump[:, 1:3]).max() / impulse, "1"))
         found.append(("tangential momentum", "problem B", _tangential(tip), "1"))
         new = [
-            Number(f"jump of {quantity} / impulse", name, case, float(value), unit).at_most(_MOMENTUM)
+            at_most(f"jump of {quantity} / impulse", _MOMENTUM, value, "rounding").of(name, case, unit)
             for quantity, case, value, unit in found
         ]
-        numbers += new
-        worst[name] = f"{max(number.value for number in new):.0e}"
-    good = all(number.met for number in numbers)
+        checks += new
+        worst[name] = f"{max(check.value for check in new):.0e}"
+    good = all(check.ok for check in checks)
     return Row(
         key="momentum",
         claim="An impact keeps the total linear and angular momentum; at a wall the tangential part",
@@ -110,7 +113,7 @@ def momentum_row() -> Row:
         expected="<= 1e-12",
         rule=f"every jump <= {_MOMENTUM:g} of the impulse (angular: times 1 m)",
         verdict=HOLDS if good else HOLDS_NOT,
-        numbers=numbers,
+        checks=checks,
     )
 
 
@@ -145,8 +148,9 @@ def impact_symplectic_row() -> Row:
     """Symplecticity of the step of problem B that holds impact 1."""
     defects = {name: [symplectic_defect(name, h, impact=True) for h in STEPS] for name in MAPS}
     bounds = {"ctec": (5e-5, 2e-3), "dtec": (0.0, _SYMPLECTIC), "mhc": (1e-4, 6e-3)}
-    numbers = [
-        Number("max |J^T Omega J - Omega|", name, f"h = {h:g} s", value, "1").between(*bounds[name])
+    reason = "the range of an earlier measurement, widened by a factor 2; DTEC: the noise of the differences"
+    checks = [
+        between("max |J^T Omega J - Omega|", *bounds[name], value, reason).of(name, f"h = {h:g} s", "1")
         for name in MAPS
         for h, value in zip(STEPS, defects[name], strict=True)
     ]
@@ -160,7 +164,7 @@ def impact_symplectic_row() -> Row:
         rule=f"DTEC <= {_SYMPLECTIC:g} and CTEC, MHC >= {_NOT_SYMPLECTIC:g}; CTEC and MHC in the expected range "
         "widened by a factor 2",
         verdict=HOLDS if good and others else HOLDS_NOT,
-        numbers=numbers,
+        checks=checks,
         note="J = d(q1, p1)/d(q0, p0) in absolute angles by central differences of order 6 (difference h/20) over the "
         "step of the run from rest that holds impact 1.",
     )
@@ -169,8 +173,10 @@ def impact_symplectic_row() -> Row:
 def smooth_symplectic_row() -> Row:
     """Symplecticity of a step without an impact."""
     defects = [symplectic_defect("ctec", h, impact=False) for h in STEPS]
-    numbers = [
-        Number("max |J^T Omega J - Omega|", "", f"h = {h:g} s", value, "1").at_most(_SYMPLECTIC)
+    checks = [
+        at_most("max |J^T Omega J - Omega|", _SYMPLECTIC, value, "the noise of the differences").of(
+            "", f"h = {h:g} s", "1"
+        )
         for h, value in zip(STEPS, defects, strict=True)
     ]
     return Row(
@@ -180,7 +186,7 @@ def smooth_symplectic_row() -> Row:
         expected="<= 1e-9 by differences (2e-11 seen)",
         rule=f"every value <= {_SYMPLECTIC:g}",
         verdict=HOLDS if max(defects) <= _SYMPLECTIC else HOLDS_NOT,
-        numbers=numbers,
+        checks=checks,
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -85,7 +86,7 @@ def _tip(y: Array) -> float:
 
 
 def _tip_speed(y: Array) -> float:
-    return math.cos(y[0]) * y[2] + math.cos(y[1]) * y[3]
+    return float(math.cos(y[0]) * y[2] + math.cos(y[1]) * y[3])
 
 
 def _tip_event(_t: float, y: Array) -> float:
@@ -95,7 +96,7 @@ def _tip_event(_t: float, y: Array) -> float:
 _tip_event.terminal, _tip_event.direction = True, -1.0  # type: ignore[attr-defined]
 
 
-def _locate(y: Array, t: float, guess: float, settings: dict) -> tuple[float, Array]:
+def _locate(y: Array, t: float, guess: float, settings: dict[str, Any]) -> tuple[float, Array]:
     """Return the time of the impact and the state there, from the state y at t < guess."""
     time = guess
     for _ in range(_NEWTON_STEPS):

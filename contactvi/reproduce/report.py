@@ -29,10 +29,10 @@ def save_table(rows: Sequence[Row], path: Path) -> Path:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     for row in rows:
-        for n in row.numbers:
-            met = "" if n.met is None else "yes" if n.met else "no"
-            value = f"{n.value:.10g}"
-            writer.writerow([row.key, n.map, n.case, n.quantity, value, n.unit, n.expected, met, row.verdict])
+        for check in row.checks:
+            met = {None: "", True: "yes", False: "no"}[check.ok]
+            number = [check.what, f"{check.value:.10g}", check.unit, check.expectation, met]
+            writer.writerow([row.key, check.map, check.case, *number, row.verdict])
     return write_atomic(path, lambda file: file.write(text.getvalue().encode("utf-8")))
 
 

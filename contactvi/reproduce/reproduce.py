@@ -16,8 +16,8 @@ import numpy as np
 
 from contactvi.reproduce import figures, laws, runs
 from contactvi.reproduce import report as reports
-from contactvi.reproduce.model import DURATION, STEPS
 from contactvi.reproduce.row import Row
+from contactvi.reproduce.systems import DURATION, STEPS
 
 _T = TypeVar("_T")
 Report = Callable[[float, str], object]  # called with the fraction that is done and what is being done

@@ -1,7 +1,7 @@
 """Join the parts of a scene into one pin.Model and one collision GeometryModel.
 
 Joint by joint and not with pin.appendModel, which in pin 4.1 loses the armature. Parts come in the order they were
-added, each depth-first, so the whole is depth-first: Pinocchio's sparse algorithms need that.
+added, each depth-first, so the whole model is depth-first, which Pinocchio's sparse algorithms need.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Assembly:
         start: neutral configuration, shape (nq,).
         part_of_joint, part_of_geometry: index of the part, shapes (njoints,) (universe: -1), (ngeoms,).
         root_of_joint: first joint on the way from the world, shape (njoints,).
-        placed: whether the tree of a joint is placed by its start (free, planar, translation, prismatic root), shape
+        placed: whether the start places the tree of a joint (free, planar, translation or prismatic root), shape
             (njoints,).
     """
 
@@ -131,13 +131,13 @@ def _add_frames(model: pin.Model, part: Part, joints: list[int]) -> list[int]:
             frame.type,
             frame.inertia,
         )
-        # The inertia is in the joint's already.
+        # The inertia of the frame is part of the joint's already.
         frames[i] = model.addFrame(copy, False)
     return frames
 
 
 def _parent_frame(model: pin.Model, i: int) -> int:
-    """Return the frame that frame i stands on; buildReducedModel makes locked joints frames that name themselves."""
+    """Return the parent of frame i; buildReducedModel makes frames of locked joints that are their own parents."""
     frame = model.frames[i]
     if frame.parentFrame != i or i == 0:
         return int(frame.parentFrame)
@@ -146,7 +146,7 @@ def _parent_frame(model: pin.Model, i: int) -> int:
 
 
 def _parents_first(parents: list[int]) -> list[int]:
-    """Return the indices from 1 on, each after its parent; what has no way to frame 0 comes last."""
+    """Return the indices from 1 on, each after its parent; frames without a way to frame 0 come last."""
     order, waiting = [0], list(range(1, len(parents)))
     while waiting:
         ready = [i for i in waiting if parents[i] in order] or waiting
@@ -167,7 +167,7 @@ def _moved(geometry: pin.GeometryObject, part: Part, joints: list[int], frames: 
 
 
 def _unused(visual: pin.GeometryModel, name: str, prefix: str) -> str:
-    """Return a name no picture has yet: two parts may picture links of the same name."""
+    """Return a name that no picture has yet; two parts may have links of one name."""
     candidate, count = prefix + name, 1
     while visual.existGeometryName(candidate):
         count += 1

@@ -1,4 +1,4 @@
-"""What a scene becomes once it is complete: one model with its pairs, joint arrays, elements and engine scene."""
+"""The complete scene: one model with its tested pairs, joint arrays, resolved elements and the engine's scene."""
 
 from __future__ import annotations
 
@@ -23,7 +23,17 @@ from contactvi.scene.parts import PartList
 
 @dataclass
 class Built:
-    """A complete scene. `start`: neutral configuration (nq,); `pairs`: names of the tested pairs, engine order."""
+    """A complete scene; it is constant.
+
+    Attributes:
+        model, collision: The assembled model as it is simulated, and its geometry with the tested pairs.
+        start: Neutral configuration, shape (nq,).
+        arrays: Joint settings as arrays.
+        pairs: Names of the tested pairs, in the engine's order.
+        removed: Pairs that are not tested, with the reasons.
+        restitution, friction: Of the tested pairs, shapes (npairs,).
+        elements: Constraints, springs and forces as the engine takes them.
+    """
 
     model: pin.Model
     collision: pin.GeometryModel
@@ -79,9 +89,9 @@ def build(parts: PartList, contact: ContactRules, joints: JointTable, elements: 
         model, collision, start, base.part_of_joint, base.part_of_geometry, base.root_of_joint, base.placed
     )
     if any(part.given_pairs is None for part in parts.parts):
-        # The engine is loaded for its side effect before the first question to coal: settle_box_support in
-        # core/geometry/guard.hpp.
-        # Stored scenes bring their pairs, ask coal nothing and are replayed without the engine.
+        # Loading the engine sets a choice inside coal for the whole process (settle_box_support in
+        # core/geometry/guard.hpp), which has to precede the first distance query. Stored scenes bring their pairs: they
+        # need no query, and are replayed without the engine.
         importlib.import_module("contactvi._core")
     index = parts.names.geometries
     disabled, enabled = ([(index[a], index[b]) for a, b in pairs] for pairs in (contact.disabled, contact.enabled))

@@ -1,4 +1,4 @@
-"""Configurations and velocities that satisfy the constraints of a scene, and what says that they do not.
+"""Configurations and velocities that satisfy the constraints of a scene, and checks of given ones.
 
 Residuals phi(q, t), shape (m,), are in m and rad; J (m, nv) is their derivative along the tangent of q, phi_t (m,) at
 fixed q. `core` is the engine's scene, `rows` name and count them.
@@ -13,18 +13,18 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import ConstraintError
-from contactvi.scene.element_rows import Rows
+from contactvi.scene.element_rows import ConstraintRow
 from contactvi.scene.engine import EngineScene
 
 Array = NDArray[np.float64]
-START_TOLERANCE = 1e-8  # [m, rad] of a start; relative to the speeds for its velocity
-_SOLVED = 1e-13  # [m, rad] Newton's iterations end here, or where they gain nothing
-_GOOD = 1e-10
-_RANK = 1e-9  # singular values below this, relative, are those of constraints that depend on others
+START_TOLERANCE = 1e-8  # [m, rad] residual of a start; for its velocity relative to the speeds
+_SOLVED = 1e-13  # [m, rad] residual at which Newton's iteration stops
+_GOOD = 1e-10  # [m, rad] largest residual of a solution, where the iteration cannot reduce it further
+_RANK = 1e-9  # relative singular value below which constraints count as dependent on others
 _ITERATIONS, _TRIES = 60, 8
 
 
-def check_configuration(core: EngineScene, rows: Sequence[Rows], q: Array, t: float) -> None:
+def check_configuration(core: EngineScene, rows: Sequence[ConstraintRow], q: Array, t: float) -> None:
     """Raise ConstraintError where |phi| > 1e-8 at q (nq,), t [s]."""
     phi = np.asarray(core.constraint_residual(q, t))
     bad = by_name(rows, np.where(np.abs(phi) > START_TOLERANCE, phi, 0.0))
@@ -38,20 +38,20 @@ def check_configuration(core: EngineScene, rows: Sequence[Rows], q: Array, t: fl
         )
 
 
-def _broken_rates(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> dict[str, float]:
-    """Return by name what of J v + phi_t is not 0 to 1e-8 of the speeds in it, or to rounding."""
+def _broken_rates(core: EngineScene, rows: Sequence[ConstraintRow], q: Array, v: Array, t: float) -> dict[str, float]:
+    """Return by name the entries of J v + phi_t that are not 0 to 1e-8 of the speeds in them, or to rounding."""
     J, rate = np.asarray(core.constraint_jacobian(q, t)), np.asarray(core.constraint_rate(q, t))
     speed = J @ v + rate
     allowed = START_TOLERANCE * (np.abs(J) @ np.abs(v) + np.abs(rate)) + 1e-12
     return by_name(rows, np.where(np.abs(speed) > allowed, speed, 0.0))
 
 
-def check_velocity(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> None:
+def check_velocity(core: EngineScene, rows: Sequence[ConstraintRow], q: Array, v: Array, t: float) -> None:
     """Raise ConstraintError where J v + phi_t is not 0 to 1e-8 of the speeds in it, at q (nq,), v (nv,), t [s]."""
     bad = _broken_rates(core, rows, q, v, t)
     if bad:
         raise ConstraintError(
-            f"The initial velocity does not go with {_listed(bad)}",
+            f"The initial velocity does not satisfy {_listed(bad)}",
             residuals=bad,
             expected=f"J v + dphi/dt = 0 to {START_TOLERANCE:g} of the speeds",
             got=_numbers(bad, "m/s or rad/s"),
@@ -60,15 +60,15 @@ def check_velocity(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, 
 
 
 def assemble(
-    core: EngineScene, model: pin.Model, rows: Sequence[Rows], q: Array, fixed: Sequence[int], t: float
+    core: EngineScene, model: pin.Model, rows: Sequence[ConstraintRow], q: Array, fixed: Sequence[int], t: float
 ) -> Array:
     """Return a configuration (nq,) on the constraints near q, dofs `fixed` and the limits of joints kept.
 
     Gauss-Newton with steps of least length in the tangent space, shortened until they help; where it stalls it starts
-    again from near q. Limits that it would pass are kept like fixed joints.
+    again near q. Joints that would pass their limits are kept there like fixed ones.
 
     Raises:
-        ConstraintError: no such configuration was found; the constraints that stay open are named.
+        ConstraintError: no such configuration was found; the error names the constraints that remain violated.
     """
     q, kept = q.copy(), list(fixed)
     for _ in range(model.nv + 1):
@@ -84,42 +84,42 @@ def assemble(
         kept += over
     phi = np.asarray(core.constraint_residual(found, t))
     bad = by_name(rows, np.where(np.abs(phi) > _GOOD, phi, 0.0)) or by_name(rows, phi)
-    held = f", with {len(kept)} degrees of freedom held" if kept else ""
+    fixed_too = f", with {len(kept)} degrees of freedom fixed" if kept else ""
     raise ConstraintError(
-        f"No configuration near the given one satisfies {_listed(bad)}{held}",
+        f"No configuration near the given one satisfies {_listed(bad)}{fixed_too}",
         residuals=bad,
         expected="loops that can be closed, lengths and motions that can be reached",
         got=f"{_numbers(bad)} at best",
-        remedy="Start from another q, fix fewer joints, or mend lengths, points and prescribed motions",
+        remedy="Start from another q, fix fewer joints, or correct lengths, points and prescribed motions",
     )
 
 
-def consistent_velocity(core: EngineScene, rows: Sequence[Rows], q: Array, v: Array, t: float) -> Array:
+def consistent_velocity(core: EngineScene, rows: Sequence[ConstraintRow], q: Array, v: Array, t: float) -> Array:
     """Return the velocity (nv,) with J v + phi_t = 0 that is nearest to v in the metric of the mass.
 
     Raises:
-        ConstraintError: there is none: constraints ask for different speeds.
+        ConstraintError: there is none, because constraints need different speeds.
     """
     nv = len(v)
     mass = np.asarray(core.momentum(np.repeat(q[None], nv, axis=0), np.eye(nv)))
     J, rate = np.asarray(core.constraint_jacobian(q, t)), np.asarray(core.constraint_rate(q, t))
     lower = np.linalg.cholesky(0.5 * (mass + mass.T))
     scaled = np.linalg.solve(lower, J.T).T
-    for _ in range(2):  # the second time takes off what rounding left
+    for _ in range(2):  # The second projection removes the rounding of the first.
         v = v - np.linalg.solve(lower.T, np.linalg.lstsq(scaled, J @ v + rate, rcond=_RANK)[0])
     bad = _broken_rates(core, rows, q, v, t)
     if bad:
         raise ConstraintError(
-            f"No velocity goes with {_listed(bad)}",
+            f"No velocity satisfies {_listed(bad)}",
             residuals=bad,
-            expected="constraints that move together",
+            expected="constraints whose rates agree",
             got=_numbers(bad, "m/s or rad/s"),
-            remedy="Mend the rates of prescribed motions and lengths, or start where they agree",
+            remedy="Correct the rates of prescribed motions and lengths, or start where they agree",
         )
     return v
 
 
-def by_name(rows: Sequence[Rows], values: Array) -> dict[str, float]:
+def by_name(rows: Sequence[ConstraintRow], values: Array) -> dict[str, float]:
     """Return the largest |value| of each constraint that has one above zero, largest first."""
     found: dict[str, float] = {}
     first = 0
@@ -136,7 +136,7 @@ def _solve(core: EngineScene, model: pin.Model, q: Array, kept: Sequence[int], t
     random = np.random.default_rng(0)
     for attempt in range(_TRIES):
         start = q
-        if attempt:  # a special place, where the constraints' gradients depend on each other
+        if attempt:  # At q the gradients of the constraints may depend on each other.
             away = np.zeros(model.nv)
             away[free] = random.standard_normal(len(free)) * 0.02 * 2.0**attempt
             start = pin.integrate(model, q, away)
@@ -157,7 +157,7 @@ def _newton(core: EngineScene, model: pin.Model, q: Array, free: NDArray[np.int6
         J = np.asarray(core.constraint_jacobian(q, t))[:, free]
         step[free] = np.linalg.lstsq(J, -phi, rcond=_RANK)[0]
         length = float(np.linalg.norm(step))
-        factor = min(1.0, 1.0 / length) if length > 0.0 else 0.0  # a radian or a metre at most
+        factor = min(1.0, 1.0 / length) if length > 0.0 else 0.0  # at most a radian or a metre
         while factor > 1e-4:
             trial = pin.integrate(model, q, factor * step)
             value = np.asarray(core.constraint_residual(trial, t))

@@ -1,4 +1,4 @@
-"""A scene as plain data and back: what a saved trajectory carries, readable without the model files and the engine.
+"""A scene as plain data and back, as in stored runs: it is read without the model files and without the engine.
 
 Layout (lists, numbers, strings, None; NumPy arrays only under "vertices" and "faces"; lengths in m, angles in rad):
 
@@ -52,7 +52,7 @@ _OTHER = {"planar": "Planar", "translation": "Translation", "spherical": "Spheri
 
 @dataclass
 class SceneData:
-    """What a scene is made of when it is read back."""
+    """The contents of a stored scene, from which `Scene.from_dict` makes one."""
 
     gravity: np.ndarray
     part: Part
@@ -133,7 +133,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         start=vector("start", data["start"], model.nq),
         report=PartReport("scene from stored data"),
         load_visual=lambda: copy_geometry(collision),
-        # An empty choice is a choice too: nothing is tested.
+        # An empty list means that no pair is tested.
         given_pairs=[(index[a], index[b]) for a, b in data["pairs"]],
     )
     handles = {
@@ -156,7 +156,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
 
 
 def target_name(joint: str) -> str:
-    """Return how the target of a servo is called where it is missing."""
+    """Return the name of the target of a servo in the list of what is missing."""
     return f"target of {joint}"
 
 
@@ -258,7 +258,7 @@ def _joint_model(data: Mapping[str, Any]) -> Any:
 
 
 def _continuous(axis: np.ndarray) -> Any:
-    """Return an unbounded revolute joint about any axis: pin 4.1 lets Python make one only by way of a URDF."""
+    """Return an unbounded revolute joint about any axis; in pin 4.1 Python can make one only from a URDF."""
     x, y, z = (repr(float(a)) for a in axis)
     model = pin.buildModelFromXML(
         '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'

@@ -1,8 +1,8 @@
-"""Derivatives that the user gives, held against central differences of what they are derivatives of.
+"""Derivatives that the user gives, compared with central differences of the functions they belong to.
 
 Differences have five points, 1e-4 [rad, m, rad/s, m/s, s] apart, in the tangent space at q: column j belongs to the
 motion of q along degree of freedom j. An entry is wrong where it differs by more than the tolerance, relative to
-itself, and by more than what rounding and the third derivative make of differences.
+itself, and by more than the errors of the differences from rounding and from the third derivative.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ Move = Callable[[Array, Array], Array]
 TOLERANCE = 1e-5
 _STEP = 1e-4
 _ROUNDING = 1e3 * float(np.finfo(float).eps) / _STEP
-_NOISE = 1e-11  # of the largest entry, and at all: what cancels inside the user's function is not seen here
-GENERIC = 0.1  # [rad, m] beside a special place
+_NOISE = 1e-11  # absolute and relative to the largest entry, for cancellation inside the user's function
+GENERIC = 0.1  # [rad, m] displacement from neutral, where much vanishes, to a generic configuration
 
 
 def check_derivatives(
@@ -80,7 +80,7 @@ def check_derivatives(
 def check_element(
     element: kinds.Element, dofs: Sequence[str], move: Move, q: Array, v: Array, t: float, tolerance: float = TOLERANCE
 ) -> None:
-    """Check what an element has of derivatives; dofs (nv,): names, move(q, w): q moved by w (nv,)."""
+    """Check the derivatives of an element; dofs (nv,): names, move(q, w): q displaced by w (nv,)."""
     if isinstance(element, kinds.UserPotential):
         value = checked_of_q(element.value, f"value of {element.name!r}", dofs, 0)
         gradient = checked_of_q(element.gradient, f"gradient of {element.name!r}", dofs, 1)
@@ -102,7 +102,7 @@ def _check_signal(signal: Signal, t: float, tolerance: float) -> None:
     """Check rate and acceleration of a function that returns them."""
     if signal.storable:
         return
-    time = t + 3.0 * _STEP  # a motion may begin at t
+    time = t + 3.0 * _STEP  # A table may begin at t, so all points lie behind it.
     given = signal(time)
     for k, what in ((0, "rate"), (1, "acceleration")):
         if len(signal.given(time)) > k + 1:
@@ -149,7 +149,7 @@ def _compare(
         error=float(error[index]),
         expected=f"{expected[index]:.9g} by central differences",
         got=f"{given[index]:.9g}",
-        remedy="Mend it; derivatives are taken along the tangent of q (Pinocchio's v)",
+        remedy="Correct it; derivatives are taken along the tangent of q (Pinocchio's v)",
     )
 
 
@@ -161,7 +161,7 @@ def _element(item: Any) -> kinds.Element:
     if callable(item):
         return kinds.PrescribedJoint("motion", "motion", item)
     raise InputError(
-        "Nothing with derivatives",
+        "The item has no derivatives",
         name="item",
         expected="a Scene, an object with value and gradient, a pair (force, derivatives), or a motion",
         got=repr(item),

@@ -15,8 +15,8 @@ class ElementList:
 
     Attributes:
         elements: What was added.
-        missing: Names of what a stored scene had and a file does not hold: elements and servo targets that Python
-            functions gave.
+        missing: Names of elements and servo targets that a stored scene had and lost, because Python functions gave
+            them.
     """
 
     def __init__(self, elements: Iterable[Element] = (), missing: Iterable[str] = ()) -> None:

@@ -18,11 +18,11 @@ from contactvi.elements.user_functions import at, checked_wrench
 from contactvi.errors import InputError, UserFunctionError
 
 Frame = tuple[int, np.ndarray, np.ndarray]
-_LEAST_LENGTH = 1e-9  # [m] below that a distance has no direction
+_LEAST_LENGTH = 1e-9  # [m] distance below which there is no direction
 
 
 @dataclass(frozen=True)
-class Rows:
+class ConstraintRow:
     """A constraint as the engine takes it; `name`, `kind` (of the element) and `rows` are for the Python API."""
 
     name: str
@@ -51,7 +51,7 @@ class WrenchRow(NamedTuple):
 
     joint: int
     point: np.ndarray
-    axes: np.ndarray | None  # of the wrench in the joint's frame, (3, 3); None: the world's
+    axes: np.ndarray | None  # rotation of the axes in the joint's frame, (3, 3); None: world axes
     wrench: np.ndarray | Callable[[float], np.ndarray]  # force, torque (6,) [N, N m], or a function of t [s]
 
 
@@ -65,7 +65,7 @@ class Resolved:
     """
 
     dofs: list[str]
-    constraints: list[Rows] = field(default_factory=list)
+    constraints: list[ConstraintRow] = field(default_factory=list)
     springs: list[SpringRow] = field(default_factory=list)
     wrenches: list[WrenchRow] = field(default_factory=list)
     potentials: list[kinds.UserPotential] = field(default_factory=list)
@@ -157,12 +157,12 @@ class _Placed:
         return 0 if name is None else int(self.model.getJointId(name)), np.eye(3), np.zeros(3)
 
 
-def _constraint(element: kinds.Constraint, placed: _Placed) -> Rows:
+def _constraint(element: kinds.Constraint, placed: _Placed) -> ConstraintRow:
     a, b, numbers, signal = _ends(element, placed)
     values = np.atleast_1d(np.asarray(numbers, dtype=float))
-    # a joint that is equal to a number is a motion that does not move
+    # A joint that equals a number follows a constant motion.
     engine_kind = "prescribed" if signal is not None and element.kind == "equality" else element.engine_kind
-    return Rows(element.name, element.kind, element.rows, engine_kind, a, b, values, signal)
+    return ConstraintRow(element.name, element.kind, element.rows, engine_kind, a, b, values, signal)
 
 
 def _ends(element: kinds.Constraint, placed: _Placed) -> tuple[Frame, Frame, Any, Any]:

@@ -5,7 +5,7 @@ Models cross to C++ as Pinocchio's own binary archives, which are valid within o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from contactvi import _core
 
 EngineScene: TypeAlias = "_core.Scene"
+ImpactsAt: TypeAlias = "_core.ImpactsAt"
 
 
 def make_engine_scene(
@@ -116,17 +117,21 @@ def engine_states(
     return np.asarray(q), np.asarray(v)
 
 
-def engine_points(
-    scene: EngineScene, q: np.ndarray, pair: int, margin: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the points at which a pair touches at q: on its first and second shape and their normals, (n, 3) [m].
+def engine_impacts(
+    scene: EngineScene, q: np.ndarray, guards: Sequence[int], restitution: np.ndarray, margin: float, max_impacts: int
+) -> ImpactsAt:
+    """Return the frictionless impacts that are possible at q of these guards, taken as closed whatever their gaps are.
 
-    World frame. Up to four, chosen to span a face; none where the gap is above `margin` [m].
+    Args:
+        q: Configuration, shape (nq,).
+        guards: Numbers of pairs, then of joint limits.
+        restitution: Of each guard.
+        margin: A pair's points within this [m], or within its gap where that is more, belong to its contact.
+        max_impacts: Number of impacts after which a sequence is endless.
     """
     from contactvi import _core
 
-    found = _core.contact_points(scene, q, pair, margin)
-    return np.asarray(found["point_a"]), np.asarray(found["point_b"]), np.asarray(found["normal"])
+    return _core.ImpactsAt(scene, q, list(guards), restitution, margin, max_impacts)
 
 
 def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:

@@ -16,11 +16,17 @@ from contactvi.scene.joints import JointSettings, JointTable, file_limit
 
 @dataclass
 class JointArrays:
-    """Arrays for the engine.
+    """Joint settings as arrays for the engine.
 
-    stiffness (njoints,), rest (nq,), limits (njoints,) bool, limit_restitution (njoints,), joint_friction (nv,),
-    servo (3, nv): kp, kd, effort; actuator (2, nv): effort and velocity limits, inf for none. targets: of servos, by
-    joint name. polynomials: (joint, rest, coefficients k1, k2, ... of the torque) of nonlinear springs.
+    Attributes:
+        stiffness, rest: Of linear springs, shapes (njoints,) [N m/rad or N/m], (nq,).
+        limits: Whether the limits of a joint are used, shape (njoints,), bool.
+        limit_restitution: Of impacts at the limits, shape (njoints,).
+        joint_friction: Largest friction force, shape (nv,) [N m or N].
+        servo: kp, kd and effort limit, shape (3, nv).
+        actuator: Effort and velocity limits, inf for none, shape (2, nv).
+        targets: Motions of servos by joint name.
+        polynomials: Joint, rest and coefficients k1, k2, ... of the torque of nonlinear springs.
     """
 
     stiffness: np.ndarray
@@ -43,9 +49,9 @@ def apply_settings(
 ) -> JointArrays:
     """Write damping, armature and limits into the model and return the other arrays.
 
-    Limits that are not used become infinite in the model, so that it says what is simulated. `start`, the neutral
-    configuration, is moved into the limits, then joints that follow others to where these say, and is the rest of the
-    springs where none is given.
+    Limits that are not used become infinite in the model, so that it is what is simulated. `start`, the neutral
+    configuration (nq,), is moved into the limits, then joints that follow others to the values these give. It is the
+    rest of springs for which none is given.
     """
     nj, nv = model.njoints, model.nv
     arrays = JointArrays(
@@ -72,7 +78,7 @@ def apply_settings(
 
 
 def follow(model: pin.Model, q: np.ndarray, equalities: Sequence[EqualityConstraint]) -> None:
-    """Move joints that follow others in q (nq,) to where these say; chains are followed, circles are left."""
+    """Move joints that follow others in q (nq,) to the values these give, along chains too; circles stay unsolved."""
     for _ in equalities:
         before = q.copy()
         for constraint in equalities:

@@ -21,7 +21,7 @@ from contactvi.importing.part import Part
 from contactvi.inputs import pose, real, unit_quaternion, vector
 
 SPRUNG = (*ONE_DOF, "spherical", "translation")
-_PARTS = {"free": (3, 3), "planar": (2, 1)}  # linear, angular dofs
+_PARTS = {"free": (3, 3), "planar": (2, 1)}  # linear and angular degrees of freedom
 
 
 class Servo(NamedTuple):
@@ -62,7 +62,7 @@ class JointSettings:
 
 
 class JointTable:
-    """The settings of the joints of a scene by name; a joint without an entry is as its model says."""
+    """The settings of the joints of a scene by name; a joint without an entry is as in its model."""
 
     def __init__(self, settings: Mapping[str, JointSettings] | None = None) -> None:
         self.settings = dict(settings or {})
@@ -254,7 +254,7 @@ def file_limit(model: pin.Model, dof: int, key: str) -> float:
 
 
 def _damping(name: str, kind: str, nv: int, damping: Any) -> np.ndarray:
-    """One number for all dofs, or (linear, angular) for free and planar joints."""
+    """Return the damping of each dof from one number, or (linear, angular) for free and planar joints."""
     if kind in _PARTS and np.shape(damping) == (2,):
         linear, angular = (real(f"damping of {name!r}", d, 0.0) for d in damping)
         return np.repeat([linear, angular], _PARTS[kind])

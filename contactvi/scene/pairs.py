@@ -26,9 +26,9 @@ from contactvi.importing.part import Part
 from contactvi.importing.report import ADJACENT, BY_FILE, BY_USER, HALFSPACES, NOT_GIVEN, OVERLAP, RemovedPair
 from contactvi.scene.assembly import Assembly
 
-RESTITUTION = 0.5  # of a scene that says nothing: neither plastic nor elastic
+RESTITUTION = 0.5  # default: neither plastic nor elastic
 FRICTION = 0.0
-TOUCHING = 1e-6  # [m] shapes that merely touch at the neutral pose stay a pair
+TOUCHING = 1e-6  # [m] largest overlap at the neutral pose of shapes that merely touch
 
 
 @dataclass
@@ -36,7 +36,7 @@ class Rule:
     """One number per pair of geometries: a default, values of geometries, values of pairs.
 
     The value of a pair is, in this order: the one set for the pair; else the smaller one of those set for its two sides
-    (the only one if only one side has one); else the default. Among values set for one thing the last one wins.
+    (the only one if only one side has one); else the default. Among values set for one thing the last one counts.
 
     Attributes:
         single: Values of geometries by name.
@@ -101,7 +101,7 @@ class ContactRules:
 
     def _switch(self, first: Sequence[str], second: Sequence[str], chosen: list[tuple[str, str]]) -> None:
         new = [(a, b) for a in first for b in second if a != b]
-        for listed in (self.disabled, self.enabled):  # The last call wins.
+        for listed in (self.disabled, self.enabled):  # A pair follows the last call that named it.
             listed[:] = [pair for pair in listed if pair not in new and pair[::-1] not in new]
         chosen += new
 
@@ -120,10 +120,10 @@ def choose_pairs(
     disabled: Iterable[tuple[int, int]] = (),
     enabled: Iterable[tuple[int, int]] = (),
 ) -> list[RemovedPair]:
-    """Set the collision pairs of the assembled geometry and return those left out.
+    """Set the collision pairs of the assembled geometry and return the pairs that are not tested.
 
     Args:
-        disabled, enabled: pairs of geometry indices switched off or on by the user; they win over every other reason.
+        disabled, enabled: pairs of geometry indices switched off or on by the user, against every other reason.
     """
     geometry = assembly.collision
     names = [g.name for g in geometry.geometryObjects]
@@ -172,7 +172,7 @@ def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> 
     parents = np.array(list(assembly.model.parents), dtype=int)
     above = parents[joints]
     base = (joints == 0) & ~_scenery(assembly, parts)
-    # A body placed by its start is not joined to the base: a floor must hold it.
+    # The start places such a body; it is not joined to the base, and a floor of the base must support it.
     child = ~((above == 0) & assembly.placed[joints])
     real = (above[:, None] == joints[None, :]) & child[:, None] & (base | (joints != 0))[None, :]
     real &= (joints != 0)[:, None]
@@ -180,7 +180,7 @@ def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> 
 
 
 def _scenery(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
-    """Return the mask of geometries that stand in the world and are no link of a robot base."""
+    """Return the mask of geometries that are fixed to the world and belong to no robot base."""
     model = assembly.model
     result = []
     for index, geometry in zip(assembly.part_of_geometry, assembly.collision.geometryObjects, strict=True):
@@ -241,7 +241,7 @@ def _overlaps(assembly: Assembly, candidates: np.ndarray) -> dict[tuple[int, int
         return {}
     data, shapes = model.createData(), geometry.createData()
     for request in shapes.collisionRequests:
-        request.enable_contact = True  # else the depth stays zero
+        request.enable_contact = True  # The depth stays zero otherwise.
     pin.computeCollisions(model, data, geometry, shapes, assembly.start, False)
     found = {}
     for pair, result in zip(geometry.collisionPairs, shapes.collisionResults, strict=True):

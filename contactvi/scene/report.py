@@ -1,4 +1,4 @@
-"""The report of a complete scene: what its parts found, and what of it the scene uses, changes or adds."""
+"""The report of a complete scene: the findings of its parts, and what the scene uses, changes or adds."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from contactvi.scene.joints import JointSettings, JointTable
 
 
 def scene_report(parts: Sequence[Part], built: Built, table: JointTable, elements: ElementList) -> ImportReport:
-    """Return the report: what the parts found, joint settings that replace file data, elements, pairs, shapes."""
+    """Return the findings of the parts, joint settings that replace data of files, elements, pairs and shapes."""
     joints = table.settings
     damped = {name for name, settings in joints.items() if settings.damping is not None}
-    rubbing = {built.elements.dofs[dof] for dof in np.flatnonzero(built.arrays.joint_friction)}
-    driven = {name for name, own in joints.items() if own.effort and own.velocity}
+    with_friction = {built.elements.dofs[dof] for dof in np.flatnonzero(built.arrays.joint_friction)}
+    actuated = {name for name, own in joints.items() if own.effort and own.velocity}
     limited = dict(zip(built.model.names, built.arrays.limits, strict=True))
     found = []
     for part in parts:
-        kept = part.report.without("suspicious", damped, "damping").without("ignored", rubbing, FILE_FRICTION)
-        found.append(_with_limits(kept.without("ignored", driven, FILE_LIMITS), limited))
+        kept = part.report.without("suspicious", damped, "damping").without("ignored", with_friction, FILE_FRICTION)
+        found.append(_with_limits(kept.without("ignored", actuated, FILE_LIMITS), limited))
     report = ImportReport(found, list(built.pairs), list(built.removed))
     for name, settings in joints.items():
         report.notes += [Note(use, "joint", name, text) for use, text in _joint_notes(name, settings, built)]
     report.notes += [_element_note(element) for element in elements.elements]
-    lost = "given by a Python function, which a file does not hold: add it again to run the scene"
+    lost = "given by a Python function, which is not stored: add it again to run the scene"
     report.notes += [Note("ignored", "element", name, lost) for name in elements.missing]
     if built.pairs:
         text = f"restitution {_range(built.restitution)}, Coulomb friction {_range(built.friction)}"
@@ -51,9 +51,9 @@ def scene_report(parts: Sequence[Part], built: Built, table: JointTable, element
 
 
 def _joint_notes(name: str, own: JointSettings, built: Built) -> Iterator[tuple[Use, str]]:
-    """Yield (use, text) of what the scene says about a joint."""
+    """Yield use and text of each setting of a joint."""
     if own.damping is not None:
-        yield "changed", f"damping set to {number(float(np.max(own.damping)))}, whatever the file says"
+        yield "changed", f"damping set to {number(float(np.max(own.damping)))}, instead of the file's"
     if own.limits is not None:
         yield "changed", "limits not used" if own.limits is False else "limits set"
     if own.stiffness:
@@ -64,10 +64,10 @@ def _joint_notes(name: str, own: JointSettings, built: Built) -> Iterator[tuple[
     if own.armature is not None or own.rotor_inertia is not None:
         yield "changed", f"armature {number(float(built.model.armature[dof]))} kg m^2 or kg"
     if own.gear_ratio is not None and not own.rotor_inertia:
-        yield "ignored", "gear_ratio: it says what rotor_inertia adds to the armature, and there is none"
+        yield "ignored", "gear_ratio: it multiplies rotor_inertia, and there is none"
     if own.friction is not None and own.friction is not False:
         where = " of the file" if own.friction is True else ""
-        yield "used", f"dry friction{where} {number(float(built.arrays.joint_friction[dof]))} N m or N"
+        yield "used", f"joint friction{where} {number(float(built.arrays.joint_friction[dof]))} N m or N"
     if own.servo is not None and (own.servo.kp or own.servo.kd):
         limit = float(built.arrays.servo[2, dof])
         text = "no effort limit" if np.isinf(limit) else f"effort at most {number(limit)}"
@@ -84,7 +84,7 @@ def _element_note(element: Element) -> Note:
 
 
 def _with_limits(report: PartReport, limited: Mapping[str, bool]) -> PartReport:
-    """Return the report with the limits that are simulated: the scene may switch them off, or give others."""
+    """Return the report with the limits that are simulated; settings may switch them off, or give others."""
     rows = [replace(row, limited=bool(limited.get(row.name, row.limited))) for row in report.joints]
     return replace(report, joints=rows)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -65,7 +66,7 @@ class Scene:
         self._contact = ContactRules()
         self._joints = JointTable()
         self._elements = ElementList()
-        self._built: Built | None = None  # of all of these; every edit drops it
+        self._built: Built | None = None  # made of the four owners; every edit drops it
         self.q0: np.ndarray | None = None
         self.v0: np.ndarray | None = None
         self.settings: dict[str, Any] = {}
@@ -83,7 +84,7 @@ class Scene:
         visual_model: pin.GeometryModel | None = None,
         name: str | None = None,
     ) -> Scene:
-        """Return a scene with (a copy of) any pin.Model, with its gravity.
+        """Return a scene with a copy of any pin.Model, and with its gravity.
 
         Collision pairs in `collision_model` are taken as they are; without any, the default choice is made.
         """
@@ -246,7 +247,7 @@ class Scene:
         self._built = None
 
     def enable_pair(self, a: Selector, b: Selector) -> None:
-        """Put all pairs between a and b into the collision pairs, whatever the default choice says."""
+        """Put all pairs between a and b into the collision pairs, also those that the default choice leaves out."""
         self._contact.enable(self._geometries(a, "a"), self._geometries(b, "b"))
         self._built = None
 
@@ -287,14 +288,15 @@ class Scene:
         )  # fmt: skip
 
     def set_servo(self, joint: Selector, kp: float, kd: float, effort: float | None = None, target: Any = None) -> None:
-        """Drive joints by PD in the engine: torque kp (q_ref - q) + kd (v_ref - v), at most effort. kp = kd = 0: none.
+        """Control joints by PD in the engine: torque kp (q_ref - q) + kd (v_ref - v), at most effort.
 
         Args:
             joint: joints with one degree of freedom, by name, pattern or part; continuous ones go the shorter way.
-            kp, kd: [N m/rad or N/m], [N m s/rad or N s/m], >= 0. They are implicit in the step and may be stiff.
+            kp, kd: [N m/rad or N/m], [N m s/rad or N s/m], >= 0, both 0 for no servo. They are implicit in the step and
+                may be stiff.
             effort: largest torque [N m or N]; None: the file's limit, float("inf"): none.
-            target: where to when the run says nothing (`simulate(target=)`): a motion as in `prescribe`; None: the
-                start.
+            target: reference of a run that gives none itself (`simulate(target=)`): a motion as in `prescribe`; None:
+                the start.
         """
         model, names = self._parts.assembly.model, self.names.select_joints(joint)
         self._joints.update({name: servo_settings(model, name, kp, kd, effort, target) for name in names})
@@ -459,7 +461,7 @@ class Scene:
 
         Args:
             force, torque: (3,), or functions t -> (3,).
-            axes: theirs, "world" or "body".
+            axes: of force and torque, "world" or "body".
         """
         return self._add_element(
             kinds.Wrench(self._name("wrench", name), self._body(body, "body"), force, torque, point, axes)
@@ -495,13 +497,13 @@ class Scene:
         )
 
     def remove(self, name: str) -> None:
-        """Take an element out again."""
+        """Remove an element."""
         self._elements.remove(name)
         self._built = None
 
     @property
     def elements(self) -> list[kinds.Element]:
-        """What was added by the methods above and by models' files, in order."""
+        """Constraints, springs and forces, those of models' files included, in the order they were added."""
         return list(self._elements.elements)
 
     # --- what the scene is --------------------------------------------------------------------------------------------
@@ -518,7 +520,7 @@ class Scene:
 
     @property
     def missing(self) -> list[str]:
-        """Names of elements and servo targets that a stored scene had and a file does not hold: Python functions."""
+        """Names of elements and servo targets that a stored scene lost, because Python functions gave them."""
         return list(self._elements.missing)
 
     def built(self) -> Built:
@@ -577,7 +579,7 @@ class Scene:
 
     @property
     def report(self) -> ImportReport:
-        """What of the models is used, changed, ignored, suspicious; pairs that are not tested; rounded shapes."""
+        """Which data of the models are used, changed, ignored, suspicious; untested pairs; rounded shapes."""
         return scene_report(self._parts.parts, self.built(), self._joints, self._elements)
 
     def core(self) -> Any:
@@ -638,7 +640,7 @@ class Scene:
             fixed: joints that keep their values. Limits of joints are kept too.
 
         Raises:
-            ConstraintError: there is none near q; it names the constraints that stay open.
+            ConstraintError: there is none near q; the error names the constraints that remain violated.
         """
         built, start, time = self.built(), self._state(q), real("t", t)
         names = [name for selector in _several(fixed) for name in self.names.select_joints(selector)]
@@ -649,7 +651,7 @@ class Scene:
         return closure.assemble(built.engine, built.model, rows, start, sorted(dofs), time)
 
     def consistent_velocity(self, q: Any = None, v: Any = None, t: float = 0.0) -> np.ndarray:
-        """Return the velocity (nv,) nearest to v (in the metric of the mass) that goes with the constraints at q.
+        """Return the velocity (nv,) nearest to v (in the metric of the mass) that satisfies the constraints at q.
 
         Args:
             q: (nq,), by default neutral.
@@ -657,7 +659,7 @@ class Scene:
             t: [s].
 
         Raises:
-            ConstraintError: where constraints ask for different speeds.
+            ConstraintError: there is none, because constraints need different speeds.
         """
         built, start, time = self.built(), self._state(q), real("t", t)
         velocity = np.zeros(built.model.nv) if v is None else vector("v", v, built.model.nv)
@@ -676,7 +678,14 @@ class Scene:
         twin.settings, twin.compiled = dict(self.settings), None
         return twin
 
-    __copy__ = copy
+    def __copy__(self) -> Scene:
+        return self.copy()
+
+    def __deepcopy__(self, memo: Any) -> Scene:
+        """Return a copy with a start and settings of its own; elements and what is built are constant and shared."""
+        twin = self.copy()
+        twin.q0, twin.v0, twin.settings = copy.deepcopy((self.q0, self.v0, self.settings), memo)
+        return twin
 
     def to_dict(self) -> dict[str, Any]:
         """Return a complete description in plain data (contactvi.scene.data); from_dict makes a scene of it again."""

@@ -1,4 +1,4 @@
-"""Names in a scene: handles, and what a name, a pattern or a handle selects."""
+"""Names in a scene: handles, and the selection of joints, bodies and geometries by name, pattern or handle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PATTERN = ("*", "?", "[")
 
 @dataclass(frozen=True)
 class PartHandle:
-    """What an added model consists of: names of its joints, bodies and collision geometries (with the prefix)."""
+    """An added model: names of its joints, bodies and collision geometries, with the prefix."""
 
     name: str
     joints: tuple[str, ...] = ()
@@ -40,7 +40,7 @@ Selector = str | PartHandle
 
 
 class Names:
-    """The names of an assembled scene, and what selectors mean in it.
+    """The names of an assembled scene, by which selectors are resolved.
 
     A selector is a handle, the name of a part, a body, a geometry or a joint (the first kind that has it), or a
     pattern with * ? [] over these names.
@@ -67,7 +67,7 @@ class Names:
         """Return the indices of the selected collision geometries.
 
         Raises:
-            InputError: unknown name, or nothing of it can touch anything.
+            InputError: unknown name, or a body without collision geometry.
         """
         found = self._geometries(selector)
         if found is None:

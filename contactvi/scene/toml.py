@@ -1,4 +1,4 @@
-"""Scene files: one readable TOML page that says what is simulated, how it starts and how it is run.
+"""Scene files: one readable TOML page with what is simulated, how it starts and how it is run.
 
     [scene]                 gravity = [0, 0, -9.81]                 title, description: for the reader
     [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true,
@@ -21,7 +21,7 @@
     [[wrench]]              body, force, torque, point, axes = "world" | "body", name
     [[servo]], [[actuator]] joint; [[servo]] kp, kd, effort, target; [[actuator]] effort, velocity = true | number
     [initial]               q = { joint = value }, v = { joint = value }, springs_at_rest = true | false,
-                            assemble = true | false (the nearest start that goes with the constraints)
+                            assemble = true | false (the nearest start on the constraints)
     [[initial.body]]        name, xyz, rpy or quaternion, velocity, angular_velocity    of a free body
     [run]                   dt = number | "auto", duration, order, tol, impact, mhc_reference, sample_dt, record_every,
                             dense, dt_contact, zeno, support, ...   (options.Options)
@@ -31,8 +31,8 @@ SI units and radians; rpy is roll-pitch-yaw as in URDF, a quaternion is (x, y, z
 Relative paths are relative to the file; `example-robot-data://robots/...` and `package://...` are understood. Parts are
 added in the order of the list above, then file order. Without [initial] the scene starts at rest in its neutral pose;
 springs_at_rest starts every joint that has a spring where the spring rests. Motions, lengths and targets are numbers or
-{ times = [...], values = [...] }; the elements are those of Scene.add_point and its siblings. Where entries speak of
-the same thing the later one wins. An unknown key is an error.
+{ times = [...], values = [...] }; the elements are those of Scene.add_point and its siblings. Where entries set
+one thing twice the later one counts. An unknown key is an error.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ _ENDS = ("a", "b")
 _POINTS = ("point_a", "point_b")
 _SPRING = ("stiffness", "rest_length", "damping", "tension_only", "name")
 
-# Sections of constraints, springs, wrenches, servos and actuators: all keys, and those that have to be there.
+# Sections of constraints, springs, wrenches, servos and actuators: all keys, and the required ones.
 ELEMENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "point": ((*_ENDS, *_POINTS, "name"), _ENDS),
     "distance": ((*_ENDS, *_POINTS, "length", "name"), _ENDS),
@@ -204,7 +204,7 @@ def _check_table(table: Mapping[str, Any], section: str, known: Iterable[str], f
 
 
 class _at:
-    """Say in which file and section an error was made, and keep its class and fields."""
+    """Add file and section to the message of an error that leaves the block; its class and fields stay."""
 
     def __init__(self, file: Path, section: str, number: int | None = None) -> None:
         self.file = file
@@ -332,7 +332,7 @@ def _set_start(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
             scene.q0 = scene.assemble(q)
             scene.v0 = scene.consistent_velocity(scene.q0, scene.v0)
         elif not speeds and scene.elements:
-            scene.v0 = None  # a run takes what goes with driven constraints
+            scene.v0 = None  # A run then starts with the velocity that driven constraints give.
 
 
 def _body_pose(entry: Mapping[str, Any], now: np.ndarray) -> pin.SE3:

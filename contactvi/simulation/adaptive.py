@@ -324,8 +324,9 @@ def _state(run: Record, pieces: dense.Segments, time: float) -> Array:
     segments = pieces.arrays
     k = max(0, int(segments["t"].searchsorted(time, side="right")) - 1)
     if segments["persistent"][k]:
-        return pieces.states(run.compiled.core, np.array([time]))[0][0]
-    q, h = segments["q"][k], min(time - float(segments["t"][k]), float(segments["h"][k]))
+        return np.asarray(pieces.states(run.compiled.core, np.array([time]))[0][0])
+    q: Array = segments["q"][k]
+    h = min(time - float(segments["t"][k]), float(segments["h"][k]))
     if h <= 0.0:
         return q
     return _step(run, q, run.compiled.core.momentum_to_public(q, segments["p"][k]), h)[0]

@@ -40,7 +40,7 @@ class Stall:
 
     Where the flights of a bouncing body get as short as the step, the energy that DTEC shifts at an impact balances
     what restitution takes, and the body goes on bouncing once per step instead of coming to rest: at one contact,
-    flight after flight of less than two steps, each impact loses less than half of what its restitution says.
+    flight after flight of less than two steps, each impact loses less than half of what its restitution asks for.
     """
 
     def __init__(self, dt: float) -> None:

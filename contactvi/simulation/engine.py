@@ -76,7 +76,7 @@ def start(
     compiled.check_start(q, v, begin)
     result = cast(EngineStatus, call(lambda: engine.reset(q, v, begin)))
     record = Record(compiled, options, begin, q, engine.p)
-    if result["code"] == StatusCode.SUCCESS:
+    if result["code"] == _core.StatusCode.SUCCESS:
         return record, None
     status = record.end(result, begin)
     return record, _refusal(status, record.names(result), result["depth"])

@@ -22,7 +22,7 @@ REMEDY = {
 def describe(code: StatusCode, result: EngineStatus, names: tuple[str, str] | None, impact: str) -> str:
     """Return the engine's message with the names of its pair or limit; `impact` is the map of the run."""
     pair = "" if names is None else f"{names[0]!r} and {names[1]!r}"
-    limit = result["guard_kind"] == GuardKind.LIMIT
+    limit = GuardKind(result["guard_kind"].value) == GuardKind.LIMIT
     if code == StatusCode.SUCCESS:
         return "the run reached its end"
     if code == StatusCode.INTERRUPTED:

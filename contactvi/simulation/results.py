@@ -1,6 +1,6 @@
 """The types of what the engine's simulator returns (contactvi._core.Simulator), in Pinocchio's coordinates.
 
-Arrays have one row per node, contact, change or segment; contactvi.trajectory.storage says what they mean. Where there
+Arrays have one row per node, contact, change or segment; contactvi.trajectory.storage describes them. Where there
 is nothing to report an entry is None.
 """
 

@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.errors import ConstraintError, InputError, PenetrationError, SimulationError
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation import adaptive
+from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.messages import REMEDY
-from contactvi.simulation.simulator import PROGRESS_PERIOD, Simulator, settings_of
+from contactvi.simulation.run import PROGRESS_PERIOD, Run
+from contactvi.simulation.simulator import Simulator, settings_of
 from contactvi.status import StatusCode
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
@@ -61,7 +63,8 @@ def simulate(
         order: 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
         tol: for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
         sample_dt: keep the states at every sample_dt [s] instead of those at the ends of the steps.
-        impact, **options: impact map, and mhc_reference, record_every, dense, ...: see `Options`.
+        impact: the impact map, see `Options`.
+        **options: mhc_reference, record_every, dense, ...: see `Options`.
         control: generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape (steps,
             nv), or a function (t, q, v) -> (nv,) called at the start of each step.
         target: reference of the servos (Scene.set_servo), constant over a step: an array or a function of t, one number
@@ -82,7 +85,7 @@ def simulate(
         DerivativeError: for wrong derivatives of theirs.
 
     Warns:
-        AccuracyWarning: where "auto" did not reach tol; traj.error_estimate says what it reached.
+        AccuracyWarning: where "auto" did not reach tol; traj.error_estimate is what it reached.
     """
     chosen: dict[str, Any] = {
         **options, "duration": duration, "dt": dt, "impact": impact, "order": order, "tol": tol,
@@ -144,23 +147,23 @@ def _run(
 ) -> Trajectory:
     if options.auto:
         return adaptive.run(compiled, options, q0, v0, progress, throw)
-    simulator = Simulator.of_compiled(compiled, options)
-    try:
-        simulator.reset(q0, v0)
-    except PenetrationError:
-        if throw:
-            raise
-        return simulator.trajectory()
+    check_map(compiled, options)
+    check_elements(compiled, options)
+    run = Run(compiled, options, q0, v0)
+    if run.refused is not None:
+        if throw or not isinstance(run.refused, PenetrationError):
+            raise run.refused
+        return run.trajectory()
     try:
         if callable(control):
-            _follow(simulator, options.steps, control, target, progress)
+            _follow(run, compiled, control, target, progress)
         else:
-            simulator._run(options.steps, control, target, progress)
+            run.advance(options.steps, control, run.targets(target, options.steps), progress)
     except KeyboardInterrupt:
-        simulator.interrupt()
-    if throw and simulator.unreachable is not None:
-        raise _unreachable(simulator.unreachable, simulator.trajectory())
-    return simulator.trajectory()
+        run.interrupt()
+    if throw and run.unreachable is not None:
+        raise _unreachable(run.unreachable, run.trajectory())
+    return run.trajectory()
 
 
 def _unreachable(found: ConstraintError, traj: Trajectory) -> ConstraintError:
@@ -177,17 +180,17 @@ def _unreachable(found: ConstraintError, traj: Trajectory) -> ConstraintError:
     )
 
 
-def _follow(simulator: Simulator, steps: int, control: Control, target: Any, progress: Progress | None) -> None:
-    states, last = simulator._scene.states, time.perf_counter()
-    goals = simulator._goals(target, steps)
+def _follow(run: Run, compiled: CompiledScene, control: Control, target: Any, progress: Progress | None) -> None:
+    last, steps = time.perf_counter(), run.options.steps
+    targets = run.targets(target, steps)
     for k in range(steps):
-        t = simulator.t
-        tau = states.controlled(control(t, simulator.q, simulator.v), t)
-        if not simulator._advance(1, tau[None], None if goals is None else goals[k : k + 1]).ok:
+        t = run.t
+        tau = compiled.states.controlled(control(t, run.q, run.v), t)
+        if not run.advance(1, tau[None], None if targets is None else targets[k : k + 1]).ok:
             return
         if progress is not None and time.perf_counter() - last > PROGRESS_PERIOD:
             last = time.perf_counter()
-            progress(simulator.t, simulator.impacts)
+            progress(run.t, run.record.impacts)
 
 
 __all__ = ["Simulator", "settings_of", "simulate"]

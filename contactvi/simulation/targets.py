@@ -1,4 +1,4 @@
-"""Where servos are to go: references of position and velocity for every step of a run, from what the user gives.
+"""Targets of servos: references of position and velocity for every step of a run, from what the user gives.
 
 n servo joints in the order of v (Scene.servo_joints). A target is one of
 
@@ -8,7 +8,7 @@ n servo joints in the order of v (Scene.servo_joints). A target is one of
 - a mapping joint -> motion as in `Scene.prescribe`, whose rate is the reference of the velocity; other joints keep
   their default.
 
-By default a servo goes where `set_servo(target=)` says, and else holds the position at the start of the run.
+By default the target is that of `set_servo(target=)`, else the position at the start of the run.
 """
 
 from __future__ import annotations

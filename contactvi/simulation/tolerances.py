@@ -89,8 +89,8 @@ class LedgerWatch:
             known = value[np.isfinite(value)]
             if name not in self._start and len(known):
                 self._start[name] = known[0]
-            return np.abs(value - self._start.get(name, 0.0))
-        return np.linalg.norm(value - self._start.setdefault(name, value[0]), axis=1)
+            return np.asarray(np.abs(value - self._start.get(name, 0.0)))
+        return np.asarray(np.linalg.norm(value - self._start.setdefault(name, value[0]), axis=1))
 
 
 _NODE = (

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, PenetrationError, did_you_mean
 from contactvi.inputs import real
 from contactvi.records.events import label
-from contactvi.scene.engine import engine_points
+from contactvi.scene.engine import engine_impacts
 from contactvi.trajectory.compiled import CompiledScene
+
+if TYPE_CHECKING:
+    from contactvi.scene.engine import ImpactsAt
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
@@ -43,11 +45,24 @@ class ClosedContact:
 
 
 def closed_contacts(
-    compiled: CompiledScene, q: Array, v: Array, pairs: Sequence[Sequence[str]] | None, e: Any, margin: float
-) -> tuple[ClosedContact, ...]:
-    """Return the contacts with gaps within `margin` [m; rad], or those named by `pairs`, in the engine's order.
+    compiled: CompiledScene,
+    q: Array,
+    v: Array,
+    pairs: Sequence[Sequence[str]] | None,
+    e: Any,
+    margin: float,
+    limit: int,
+) -> tuple[tuple[ClosedContact, ...], ImpactsAt]:
+    """Return the contacts that take part, in the engine's order, and the engine's impacts of them.
 
-    q (nq,), v (nv,) : the state. e : restitution of all, or of each; the scene's where None.
+    Args:
+        compiled: the compiled scene.
+        q: configuration, shape (nq,).
+        v: velocity, shape (nv,).
+        pairs: names of the contacts; None: those with gaps within `margin`.
+        e: restitution of all, or of each; None: the scene's.
+        margin: [m; rad].
+        limit: number of impacts after which a sequence is endless.
 
     Raises:
         InputError: for unknown names, a bad e, and where there is no contact.
@@ -69,12 +84,10 @@ def closed_contacts(
             remedy="Name the contacts with pairs=[...]",
         )
     values = _restitution(e, restitution[chosen])
-    gradients = np.asarray(compiled.core.gap_gradients(q))
+    engine = engine_impacts(compiled.core, q, chosen, values, margin, limit)
     found = []
     for k, number in enumerate(chosen):
-        rows = gradients[number][None]
-        if number < len(compiled.pair_names):
-            rows = _rows(compiled, q, number, max(margin, float(gaps[number])), rows)
+        rows = engine.gradients(k)
         if not np.all(np.any(rows != 0.0, axis=1)):
             raise InputError(
                 f"{' and '.join(names[number])} cannot move against each other",
@@ -84,27 +97,7 @@ def closed_contacts(
             )
         speed = float((rows @ v).min())
         found.append(ClosedContact(names[number], float(values[k]), float(gaps[number]), speed, rows))
-    return tuple(found)
-
-
-def _rows(compiled: CompiledScene, q: Array, pair: int, margin: float, witness: Array) -> Array:
-    """Return n . (J_b(x) - J_a(x)) of the points of a pair, shape (points, nv); the witness's where there is one."""
-    point_a, point_b, normal = engine_points(compiled.core, q, pair, margin)
-    if len(normal) < 2:
-        return witness
-    model, collision = compiled.built.model, compiled.built.collision
-    data = model.createData()
-    pin.computeJointJacobians(model, data, q)
-    shapes = collision.collisionPairs[pair]
-    rows = np.zeros((len(normal), model.nv))
-    for sign, shape, points in ((-1.0, shapes.first, point_a), (1.0, shapes.second, point_b)):
-        joint = int(collision.geometryObjects[shape].parentJoint)
-        if joint == 0:
-            continue
-        jacobian = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        arm = points - data.oMi[joint].translation
-        rows += sign * (normal @ jacobian[:3] + np.cross(arm, normal) @ jacobian[3:])
-    return rows
+    return tuple(found), engine
 
 
 def _guards(compiled: CompiledScene, q: Array) -> tuple[Array, list[Pair], Array]:

@@ -23,6 +23,7 @@ from contactvi.simultaneous.impact_sequences import End, Impacts
 from contactvi.trajectory.compiled import compile_scene
 
 if TYPE_CHECKING:
+    from contactvi.scene.engine import EngineScene
     from contactvi.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -174,21 +175,19 @@ def simultaneous_outcomes(
     v0 = states.velocity(compiled.v0 if v is None else v, "v")
     margin = real("tolerance", tolerance, 0.0)
     limit = int(real("max_states", max_states, 1.0))
-    mass = np.asarray(compiled.core.momentum(np.tile(q0, (states.nv, 1)), np.eye(states.nv)))
+    contacts, engine = closed_contacts(compiled, q0, v0, pairs, e, margin, limit)
+    # The search runs in the engine's coordinates, whose velocity of a free-flyer is that of its origin in the world.
+    core = compiled.core
+    mass = np.column_stack([core.dynamics(q0, unit)[0] for unit in np.eye(states.nv)])
     lower: Array = np.linalg.cholesky(0.5 * (mass + mass.T)).astype(float, copy=False)
-    contacts = closed_contacts(compiled, q0, v0, pairs, e, margin)
-    rows = [np.asarray(np.linalg.solve(lower, contact.W.T).T, dtype=float) for contact in contacts]
-    if compiled.built.elements.constraints:  # impulses act along what the constraints leave free
-        J = np.asarray(compiled.core.constraint_jacobian(q0, 0.0))
-        closed = np.linalg.solve(lower, J.T).T
-        rows = [row - row @ np.linalg.pinv(closed, rcond=1e-9) @ closed for row in rows]
-    x = np.asarray(lower.T @ v0)
-    impacts = Impacts(rows, [contact.restitution for contact in contacts], x)
+    p = core.momentum_to_engine(q0, np.asarray(core.momentum(q0[None], v0[None]))[0])
+    impacts = Impacts(engine, len(contacts), lower, p)
     ends, complete = impacts.every_order(limit)
-    chosen = impacts.chosen(limit)
-    others = [end for end in ends if np.linalg.norm(end.x - chosen.x) > 1e-8 * np.linalg.norm(x)]
-    outcomes = tuple(_outcome(end, lower, contacts) for end in (chosen, *others))
-    return SimultaneousOutcomes(contacts, outcomes, complete, _certificate(contacts, rows), 0.5 * float(x @ x))
+    chosen = impacts.chosen()
+    found = (chosen, *(end for end in ends if impacts.apart(end, chosen)))
+    outcomes = tuple(_outcome(end, core, q0, contacts) for end in found)
+    energy = 0.5 * float(np.sum(impacts.metric(p) ** 2))
+    return SimultaneousOutcomes(contacts, outcomes, complete, _certificate(contacts, impacts.rows), energy)
 
 
 def _certificate(contacts: Sequence[ClosedContact], rows: Sequence[Array]) -> Certificate:
@@ -226,13 +225,15 @@ def _certificate(contacts: Sequence[ClosedContact], rows: Sequence[Array]) -> Ce
     return Certificate(angles, orders, certified, reason, bound)
 
 
-def _outcome(end: End, lower: Array, contacts: Sequence[ClosedContact]) -> Outcome:
+def _outcome(end: End, core: EngineScene, q: Array, contacts: Sequence[ClosedContact]) -> Outcome:
+    p = core.momentum_to_public(q, end.p)
+    v = np.asarray(core.velocity(q[None], p[None]), dtype=float)[0]
     return Outcome(
-        v_plus=np.asarray(np.linalg.solve(lower.T, end.x), dtype=float),
-        p_plus=lower @ end.x,
-        impulses=np.array([float(impulse.sum()) for impulse in end.impulse]),
+        v_plus=v,
+        p_plus=p,
+        impulses=end.impulse,
         sequence=tuple(tuple(contacts[i].pair for i in struck) for struck in end.steps),
-        energy=0.5 * float(end.x @ end.x),
+        energy=0.5 * float(p @ v),
         cut=end.cut,
     )
 

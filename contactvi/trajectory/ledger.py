@@ -340,7 +340,7 @@ class Ledger:
         """E_d of steps h (n,) from these states; H where the step has no length, NaN where its length is not known."""
         if self._given is not None:
             return np.full(len(q), np.nan)
-        values = np.asarray(self._core.energy(q, p)).sum(axis=1)
+        values: Array = self._core.energy(q, p).sum(axis=1)
         some = np.flatnonzero(h != 0.0)
         try:
             values[some] = self._core.discrete_energy(q[some], p[some], h[some], self._order)
@@ -356,7 +356,7 @@ class Ledger:
         if self._given is not None:
             return np.full(len(q), np.nan)
         if self._constrained:  # no modified Hamiltonian is known of constrained steps
-            return np.asarray(self._core.energy(q, p)).sum(axis=1)
+            return np.asarray(self._core.energy(q, p).sum(axis=1))
         return np.asarray(self._core.modified_energy(q, p, self._dt, self._order))
 
     @cached_property

@@ -1,7 +1,7 @@
 """The file of a run: one npz (a zip of npy arrays), schema 5. Nothing in it is pickled, nothing is executed on loading.
 
 N nodes, n events, c contacts, m segments, s stages (order / 2), nq and nv sizes of configuration and velocity; SI
-units; everything float64 unless it says int64.
+units; every entry is float64 unless int64 is given.
 
 ===================== ============== ===========================================================================
 entry                 shape          meaning

@@ -360,7 +360,7 @@ class Trajectory:
                 expected=f"a time in [{self.t[0]:.9g}, {self.t[-1]:.9g}] s",
                 got=np.array2string(wanted, threshold=4),
             )
-        return np.clip(wanted, self.t[0], self.t[-1])
+        return np.asarray(np.clip(wanted, self.t[0], self.t[-1]))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the run as one npz file (contactvi.trajectory.storage), whole or not at all; return its path."""

@@ -1,4 +1,4 @@
-"""Cases of lasting contact: N02, N03, N18, the incline, boxes, rolling, the ladder, a joint limit."""
+"""Cases of persistent contact: balls, Painleve's rod, boxes, rolling, a ladder, a joint limit."""
 
 from __future__ import annotations
 
@@ -9,34 +9,35 @@ import numpy as np
 import pinocchio as pin
 from scipy.integrate import quad
 
+from contactvi.reproduce.check import Check, at_least, at_most, near, same
 from contactvi.trajectory.trajectory import Trajectory
-from contactvi.verify import model as models
-from contactvi.verify.check import Case, Check, Runs, at_least, at_most, near, same
+from contactvi.verify import systems
+from contactvi.verify.case import Case, Runs
 
-_G = models.GRAVITY
+_G = systems.GRAVITY
 _EVEN = "constant acceleration is exact in the midpoint rule; steps are solved to 1e-12"
 
 
 def dropped_ball(runs: Runs) -> list[Check]:
     """Closed form of a fall from 0.9 m with e = 0.5: accumulation at t1 (1 + e) / (1 - e) = 3 t1."""
-    scene = models.ball(0.5, 0.2)
-    traj = runs.simulate(scene, models.at_height(scene, 1.0), np.zeros(6), 2.0, 0.01)
+    scene = systems.ball_over_ground(0.5, 0.2)
+    traj = runs.simulate(scene, systems.at_height(scene, 1.0), np.zeros(6), 2.0, 0.01)
     first, ended = traj.events[0], times_of(traj, "bouncing ended", "value")
     rest = traj.t >= 1.29
     return [
         near("first impact [s]", 0.4283529369, first.time, 6e-11, "the digits given"),
         near("v- [m/s]", -4.2021423108, first.gamma_minus, 6e-11, "the digits given"),
         near("bouncing ended [s]", [1.2850588106], ended, 1e-9, "accumulated location error of 1e-12 m"),
-        at_most("off y = R from 1.29 s on [m]", 1e-10, largest(traj.q[rest, 2] - 0.1), "phi of held contact"),
+        at_most("off y = R from 1.29 s on [m]", 1e-10, largest(traj.q[rest, 2] - 0.1), "phi of persistent contact"),
         at_most("speed from then on [m/s, rad/s]", 1e-10, largest(traj.v[rest]), "velocity is projected at the nodes"),
     ]
 
 
 def spinning_ball(runs: Runs) -> list[Check]:
     """Closed form: P_F = mu P_N while it slips, -2/7 of R omega when it has come to roll."""
-    scene, mass = models.ball(0.0, 0.2, mass=2.0), 2.0
+    scene, mass = systems.ball_over_ground(0.0, 0.2, mass=2.0), 2.0
     v = np.array([0.0, 0.0, 0.0, 0.0, -50.0, 0.0])  # about -y: counterclockwise seen with x right and z up
-    traj = runs.simulate(scene, models.at_height(scene, 1.0), v, 1.0, 0.01)
+    traj = runs.simulate(scene, systems.at_height(scene, 1.0), v, 1.0, 0.01)
     event, stick = traj.events[0], times_of(traj, "stick")
     after = np.asarray(traj.scene.core().velocity(event.q[None], event.p_plus[None]))[0]
     impulse = event.impulse_vector * (1.0 if event.pair[1] == "ball" else -1.0)  # on the second shape
@@ -65,22 +66,22 @@ def painleve(runs: Runs) -> list[Check]:
     s, c = math.sin(theta), math.cos(theta)
     checks = []
     for mu in (1.2, 1.4):
-        scene, q = models.rod_on_ground(theta, radius, 0.0, mu, _G)
+        scene, q = systems.rod_on_ground(theta, radius, 0.0, mu, _G)
         traj = runs.simulate(scene, q, [-1.0, 0.0, 0.0], 0.05, 1e-4)
         A = 1.0 + 3.0 * c * c - 6.0 * mu * c * (0.5 * s + radius)
-        said = len(times_of(traj, "inconsistent"))
+        reported = len(times_of(traj, "inconsistent"))
         finite = bool(np.isfinite(traj.q).all() and np.isfinite(traj.v).all())
         checks.append(same(f"all numbers finite, mu = {mu:g}", True, finite))
         if A > 0.0:
             force = float(traj.contacts.on("end")[1][0, 2])
             checks += [
-                same(f"reported inconsistencies, mu = {mu:g} < 4/3", 0, said),
+                same(f"reported inconsistencies, mu = {mu:g} < 4/3", 0, reported),
                 same(f"impacts, mu = {mu:g}", 0, int((traj.events.array("impulse") > 0.0).sum())),
                 near(f"normal force in the first step [N], mu = {mu:g}", _G / A, force, 2e-3,
                      "mean of a step of 1e-4 s: A changes by some 1e-5 of itself in it"),
             ]  # fmt: skip
         else:
-            answered = said > 0 or len(traj.events) > 0
+            answered = reported > 0 or len(traj.events) > 0
             checks.append(same(f"an inconsistency or an impact reported, mu = {mu:g} > 4/3", True, answered))
     return checks
 
@@ -90,10 +91,10 @@ def box_on_slope(runs: Runs) -> list[Check]:
     slope = math.radians(30.0)
     checks = []
     for factor in (1.02, 1.5):
-        scene, q = models.box((0.2, 0.3, 0.1), 0.0, factor * math.tan(slope), slope)
+        scene, q = systems.box_on_ground((0.2, 0.3, 0.1), 0.0, factor * math.tan(slope), slope)
         traj = runs.simulate(scene, q, np.zeros(6), 100.0, 0.05)
         checks += [
-            at_most(f"moved in 100 s [m], mu = {factor:g} tan", 1e-10, largest(traj.q - q), "the case's"),
+            at_most(f"moved in 100 s [m], mu = {factor:g} tan", 1e-10, largest(traj.q - q), "given by the case"),
             at_most(f"largest velocity, mu = {factor:g} tan", 1e-10, largest(traj.v), "no jitter"),
         ]
     return checks
@@ -102,7 +103,7 @@ def box_on_slope(runs: Runs) -> list[Check]:
 def box_slides(runs: Runs) -> list[Check]:
     """Closed form: a = g (sin - mu cos)."""
     slope, mu = math.radians(30.0), 0.3
-    scene, q = models.box((0.2, 0.3, 0.1), 0.0, mu, slope)
+    scene, q = systems.box_on_ground((0.2, 0.3, 0.1), 0.0, mu, slope)
     traj = runs.simulate(scene, q, np.zeros(6), 1.0, 0.01)
     a = _G * (math.sin(slope) - mu * math.cos(slope))
     down = np.array([math.cos(slope), 0.0, -math.sin(slope)])
@@ -115,7 +116,7 @@ def box_slides(runs: Runs) -> list[Check]:
 
 def box_stops(runs: Runs) -> list[Check]:
     """Closed form: a box on the flat with 1 m/s and mu = 0.3 stops after 1/(mu g) s, 1/(2 mu g) m, and stays."""
-    scene, q = models.box((0.2, 0.3, 0.1), 0.0, 0.3)
+    scene, q = systems.box_on_ground((0.2, 0.3, 0.1), 0.0, 0.3)
     traj = runs.simulate(scene, q, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0, 0.01)
     located = "the stick is located inside its step to 1e-10 s"
     return [
@@ -127,7 +128,7 @@ def box_stops(runs: Runs) -> list[Check]:
 
 def flat_box(runs: Runs) -> list[Check]:
     """A face is one impact: a box dropped flat comes back with e v, straight up, by four equal impulses."""
-    scene, q = models.box((0.2, 0.3, 0.1), 0.5, 0.4)
+    scene, q = systems.box_on_ground((0.2, 0.3, 0.1), 0.5, 0.4)
     q[2] += 0.5
     traj = runs.simulate(scene, q, np.zeros(6), 0.4, 0.01)
     event = traj.events[0]
@@ -154,7 +155,7 @@ def rocking_box(runs: Runs) -> list[Check]:
     With edges rounded by r the points of contact stand at a = b/2 - r: (I + m (h^2/4 - a^2)) / (I + m (h^2/4 + a^2)).
     """
     b, h = 0.1, 0.3
-    scene, q = models.box((b, 0.2, h), 0.0, 3.0)
+    scene, q = systems.box_on_ground((b, 0.2, h), 0.0, 3.0)
     r = max(scene.core().rounding)
     tilt = 0.1
     q[3:7] = pin.Quaternion(pin.exp3(np.array([0.0, tilt, 0.0]))).coeffs()
@@ -185,15 +186,15 @@ def tossed_box(runs: Runs) -> list[Check]:
     """A box with spin, mu = .4, e = .3: whatever the step, it ends at rest on one of its faces."""
     checks, size = [], np.array([0.2, 0.3, 0.4])
     for h in (0.1, 0.05, 0.02, 0.01, 0.005):
-        scene, q = models.box(size, 0.3, 0.4)
+        scene, q = systems.box_on_ground(size, 0.3, 0.4)
         q[:3] = 0.0, 0.0, 0.6
         q[3:7] = pin.Quaternion(pin.exp3(np.array([0.4, -0.7, 0.3]))).coeffs()
         traj = runs.simulate(scene, q, [0.5, 0.2, 0.0, 2.0, -1.0, 3.0], 5.0, h)
         height = float(traj.q[-1, 2])
         face = float(0.5 * size[np.abs(0.5 * size - height).argmin()])
         checks += [
-            at_most(f"speed at 5 s, h = {h:g}", 1e-8, largest(traj.v[-1]), "the case's"),
-            near(f"height at 5 s [m], h = {h:g}", face, height, 1e-9, "the case's"),
+            at_most(f"speed at 5 s, h = {h:g}", 1e-8, largest(traj.v[-1]), "given by the case"),
+            near(f"height at 5 s [m], h = {h:g}", face, height, 1e-9, "given by the case"),
         ]
     return checks
 
@@ -203,7 +204,7 @@ def rolling_cylinder(runs: Runs) -> list[Check]:
     slope = math.radians(10.0)
     checks = []
     for name, angle, speed in (("flat", 0.0, 1.0), ("slope of 10 deg", slope, 0.0)):
-        scene, q = models.cylinder(0.5, angle)
+        scene, q = systems.cylinder_on_ground(0.5, angle)
         v = np.zeros(6)
         # the axis is the body's z, turned to -y of the world: rolling to +x turns about +y, the body's -z
         v[0], v[5] = speed, -speed / 0.1
@@ -230,23 +231,28 @@ def ladder_leaves(runs: Runs) -> list[Check]:
     exact = quad(integrand, 0.0, math.sqrt(start - end), epsabs=1e-14, epsrel=1e-13)[0]
     errors, checks = [], []
     for h in (0.01, 0.005, 0.0025):
-        scene, q = models.ladder(start)
+        scene, q = systems.ladder_in_corner(start)
         traj = runs.simulate(scene, q, np.zeros(3), 0.6, h)
-        left = [change.time for change in traj.contact_changes if change.change == "release" and "wall" in change.pair]
-        time = left[0] if left else math.nan
+        lost = [found for found in traj.contact_changes if found.change == "release" and "wall" in found.pair]
+        time = lost[0].time if lost else math.nan
         errors.append(abs(time - exact))
         checks.append(near(f"leaves the wall at [s], h = {h:g}", exact, time, 0.5 * h * h,
                            "order 2: half of h^2, times of order 1 s"))  # fmt: skip
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     return [
         *checks,
-        at_least("order of that, least of two halvings", 1.8, float(orders.min()), "second order, located"),
+        at_least(
+            "order of the time, least of two halvings",
+            1.8,
+            float(orders.min()),
+            "second order; the time is located in its step",
+        ),
     ]
 
 
 def joint_limit(runs: Runs) -> list[Check]:
     """Closed form of the bouncing ball, at a joint limit with e = 0.5, 1 m below; then the limit carries the weight."""
-    traj = runs.simulate(models.slider_with_limit(0.5), [1.0], [0.0], 3.0, 0.01)
+    traj = runs.simulate(systems.slider_with_limit(0.5), [1.0], [0.0], 3.0, 0.01)
     rest = traj.t > 1.36
     log = traj.contacts
     force = log.force[log.h > 0.0][:, 0]
@@ -254,7 +260,7 @@ def joint_limit(runs: Runs) -> list[Check]:
         near("first impact [s]", 0.4515236410, traj.events[0].time, 6e-11, "the digits given"),
         near("bouncing ended [s]", [3.0 * math.sqrt(2.0 / _G)], times_of(traj, "bouncing ended", "value"), 1e-9,
              "accumulated location error of 1e-12 m"),
-        at_most("off the limit from 1.36 s on [m]", 1e-10, largest(traj.q[rest]), "phi of held contact"),
+        at_most("off the limit from 1.36 s on [m]", 1e-10, largest(traj.q[rest]), "phi of persistent contact"),
         at_most("speed from then on [m/s]", 1e-10, largest(traj.v[rest]), "velocity is projected at the nodes"),
         near("force of the limit at the end [N]", _G, force[-1] if len(force) else math.nan, 1e-9, "solved to 1e-12"),
     ]  # fmt: skip
@@ -277,16 +283,16 @@ def largest(values: np.ndarray | Sequence[float]) -> float:
 
 
 CASES = (
-    Case("N02", "a ball dropped with e = .5 comes to rest", dropped_ball),
-    Case("N03", "a spinning ball dropped with e = 0 slips, then rolls", spinning_ball),
-    Case("N18", "Painleve's rod: no jam below mu = 4/3, reported above", painleve),
+    Case("dropped-ball", "a ball dropped with e = .5 comes to rest", dropped_ball, former="N02"),
+    Case("spinning-ball", "a spinning ball dropped with e = 0 slips, then rolls", spinning_ball, former="N03"),
+    Case("painleve-rod", "Painleve's rod: no jam below mu = 4/3, reported above", painleve, former="N18"),
     Case("incline-stick", "a box on a slope within the friction cone", box_on_slope),
     Case("incline-slip", "a box that slides down a slope", box_slides),
     Case("box-stops", "a box slides to a stop on the flat", box_stops),
     Case("box-flat", "a box dropped flat on its face", flat_box),
     Case("box-rocks", "a block rocks from edge to edge", rocking_box),
-    Case("N26-tossed", "a tossed box comes to rest, h = .1 .. .005", tossed_box),
+    Case("tossed-box", "a tossed box comes to rest, h = .1 .. .005", tossed_box, former="N26-tossed"),
     Case("cylinder", "a cylinder rolls", rolling_cylinder),
     Case("ladder", "a ladder slides down and leaves the wall", ladder_leaves),
-    Case("limit", "a slider bounces on a joint limit and rests on it", joint_limit),
+    Case("joint-limit", "a slider bounces on a joint limit and rests on it", joint_limit, former="limit"),
 )

@@ -1,4 +1,4 @@
-"""Cases of forces and drives: damping, dry friction, a screw, a string, a cart that is moved."""
+"""Cases of forces and prescribed motion: damping, joint friction, a screw, a string, a cart that is moved."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import math
 import numpy as np
 from scipy.special import ellipk
 
+from contactvi.reproduce.check import Check, at_most, near
 from contactvi.trajectory.trajectory import Trajectory
-from contactvi.verify import model_forced as models
-from contactvi.verify.check import Case, Check, Runs, at_most, near
-from contactvi.verify.model import GRAVITY as _G
+from contactvi.verify import systems
+from contactvi.verify.case import Case, Runs
+from contactvi.verify.systems import GRAVITY as _G
 
 _SOLVED = "steps are solved to 1e-12; rounding over the run"
 _CONSTANT = "constant acceleration is exact in the midpoint rule; " + _SOLVED
@@ -20,7 +21,7 @@ _ORDER = "second order; terms of higher order"
 def damped_pendulum(runs: Runs) -> list[Check]:
     """Closed form of a small swing: exp(-r t) (cos w t + r/w sin w t), r = c / 2, w^2 = g - r^2; m = l = 1."""
     c, small = 0.4, 1e-6
-    scene = models.pendulum(c)
+    scene = systems.damped_pendulum(c)
     traj = runs.simulate(scene, [small], [0.0], 5.0, 0.05, order=8)
     rate = 0.5 * c
     w = math.sqrt(_G - rate * rate)
@@ -39,26 +40,26 @@ def damped_pendulum(runs: Runs) -> list[Check]:
     ]  # fmt: skip
 
 
-def dry_stop(runs: Runs) -> list[Check]:
+def friction_stop(runs: Runs) -> list[Check]:
     """Closed form: stops after m v / f s and m v^2 / (2 f) m, and stays; the friction takes m v^2 / 2."""
     m, f, v = 2.0, 2.9, 1.5
     checks = []
     for h in (0.1, 0.01):
-        traj = runs.simulate(models.rubbing_slider(m, f), [0.0], [v], 2.0, h)
+        traj = runs.simulate(systems.slider_with_friction(m, f), [0.0], [v], 2.0, h)
         x, speed = traj.q[:, 0], traj.v[:, 0]
         last = int(np.flatnonzero(speed > 0.0)[-1])  # node before the stop; from there x = v t / 2 to the end
         after, of = traj.t > m * v / f, f", h = {h:g}"
         checks += [
             near(f"place [m]{of}", 0.5 * m * v * v / f, x[-1], 1e-12, "the stop is located in its step; " + _CONSTANT),
             near(f"time [s], by the place{of}", m * v / f, traj.t[last] + 2.0 * (x[-1] - x[last]) / speed[last], 1e-10,
-                 "the place over the speed left"),
+                 "the error of the place over the speed"),
             near(f"work of the friction [J]{of}", 0.5 * m * v * v, traj.work.dry[-1], 1e-11, _SOLVED),
-            at_most(f"moved after it [m]{of}", 0.0, _largest(x[after] - x[-1]), "what sticks is at rest exactly"),
+            at_most(f"moved after it [m]{of}", 0.0, _largest(x[after] - x[-1]), "a sticking joint is at rest exactly"),
         ]  # fmt: skip
     return checks
 
 
-def rubbing_spring(runs: Runs) -> list[Check]:
+def friction_spring(runs: Runs) -> list[Check]:
     """Closed form: every half period pi sqrt(m/k) the swing is 2 f/k smaller; it sticks where k |x| <= f.
 
     The midpoint rule keeps quadratic energies and the friction's work is exact, so the turns are, at any step.
@@ -71,7 +72,7 @@ def rubbing_spring(runs: Runs) -> list[Check]:
     work = 0.5 * k * (start**2 - turns[-1] ** 2)
     checks = []
     for h in (0.01, 0.005):
-        traj = runs.simulate(models.rubbing_slider(m, f, k), [start], [0.0], 2.0, h)
+        traj = runs.simulate(systems.slider_with_friction(m, f, k), [start], [0.0], 2.0, h)
         x, of = traj.q[:, 0], f", h = {h:g}"
         rest = traj.t[np.flatnonzero(np.diff(x) != 0.0)[-1] + 1]
         checks += [
@@ -88,7 +89,7 @@ def nut(runs: Runs) -> list[Check]:
     m, r, p = 2.0, 0.05, 0.02
     inertia = 0.5 * m * r * r
     a = -_G * m * p * p / (m * p * p + inertia)
-    scene = models.nut(m, r, p)
+    scene = systems.nut_on_screw(m, r, p)
     traj = runs.simulate(scene, scene.neutral(), np.zeros(6), 2.0, 0.01)
     force = traj.reactions("thread")[1:]
     acceleration = np.diff(traj.v[:, 2]) / 0.01
@@ -110,7 +111,7 @@ def string_pendulum(runs: Runs) -> list[Check]:
     checks, errors = [], []
     for steps in (250, 500, 1000):
         h = 1.25 * period / steps
-        scene, q = models.ball_on_string(angle)
+        scene, q = systems.ball_on_string(angle)
         traj = runs.simulate(scene, q, np.zeros(6), steps * h, h)
         late = abs(traj.q[-1, 0]) / speed  # it should pass the bottom: the time that the place is off
         stretch = _largest(np.linalg.norm(traj.q[:, :3], axis=1) - 1.0)
@@ -132,7 +133,9 @@ def moved_cart(runs: Runs) -> list[Check]:
     x = A sin w t. Angle and rate are the run's; the force is the mean over a step, compared at its middle.
     """
     A, w = 0.2, 5.0
-    scene = models.cart(lambda t: (A * math.sin(w * t), A * w * math.cos(w * t), -A * w * w * math.sin(w * t)))
+    scene = systems.pendulum_on_cart(
+        lambda t: (A * math.sin(w * t), A * w * math.cos(w * t), -A * w * w * math.sin(w * t))
+    )
     q = [0.0, 0.5]
     checks, errors, works = [], [], []
     for h in (0.02, 0.01, 0.005):
@@ -168,8 +171,10 @@ def _largest(values: np.ndarray) -> float:
 
 CASES = (
     Case("damped", "a damped pendulum", damped_pendulum),
-    Case("dry-stop", "dry friction stops a slider", dry_stop),
-    Case("dry-spring", "a mass on a spring with dry friction sticks", rubbing_spring),
+    Case("joint-friction-stop", "joint friction stops a slider", friction_stop, former="dry-stop"),
+    Case(
+        "joint-friction-spring", "a mass on a spring with joint friction sticks", friction_spring, former="dry-spring"
+    ),
     Case("screw", "a nut runs down a screw", nut),
     Case("string", "a pendulum on a string", string_pendulum),
     Case("cart", "a pendulum on a cart that is moved", moved_cart),

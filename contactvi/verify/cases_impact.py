@@ -1,4 +1,4 @@
-"""Cases of single bodies that hit something: problem B, N01, N06 .. N08, N16, N26, N27, the thin plate."""
+"""Cases of single bodies and impacts: problem B, balls, a pendulum, a rod, grazing impacts, a thin plate."""
 
 from __future__ import annotations
 
@@ -7,20 +7,23 @@ import math
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from contactvi.reproduce.model import ABSOLUTE, START
+from contactvi.records.contacts import ContactChange
+from contactvi.reproduce.check import Check, at_most, near, same
+from contactvi.reproduce.systems import ABSOLUTE, START
 from contactvi.scene.scene import Scene
 from contactvi.trajectory.trajectory import Trajectory
-from contactvi.verify import model as models
-from contactvi.verify.check import Case, Check, Runs, at_most, near, same
+from contactvi.verify import systems
+from contactvi.verify.case import Case, Runs
 
-_G = models.GRAVITY
+_G = systems.GRAVITY
 _DIGITS = "the digits given, half a unit of the last, and the run's tol"
 _LOCATED = "impacts are located to 1e-12 m; errors add up over them"
 
 
 def problem_b(runs: Runs) -> list[Check]:
     """Reference of the case: an event-located DOP853 run at rtol 1e-13."""
-    traj = runs.simulate(models.pendulum_b(0.0), np.linalg.solve(ABSOLUTE, START), np.zeros(2), 3.0, tol=1e-11)
+    scene = systems.double_pendulum_at_wall(0.0)
+    traj = runs.simulate(scene, np.linalg.solve(ABSOLUTE, START), np.zeros(2), 3.0, tol=1e-11)
     time, speed, impulse = (traj.events.array(name) for name in ("time", "gamma_minus", "impulse"))
     return [
         near("times of the impacts [s]", [0.656671045, 2.017056240], time, 6e-10, _DIGITS),
@@ -35,8 +38,8 @@ def bouncing_ball(runs: Runs) -> list[Check]:
     """Closed form: t_n = t1 (1 + 2 (e + .. + e^(n-1))), apexes e^2n, accumulation at t1 (1 + e) / (1 - e)."""
     checks, first = [], math.sqrt(2.0 / _G)
     for e, zeno in ((0.9, 8.5789491787), (0.5, 1.354571)):
-        scene = models.ball(e)
-        traj = runs.simulate(scene, models.at_height(scene, 1.1), np.zeros(6), 10.0, 0.01)
+        scene = systems.ball_over_ground(e)
+        traj = runs.simulate(scene, systems.at_height(scene, 1.1), np.zeros(6), 10.0, 0.01)
         events, of = traj.events, f", e = {e:g}"
         n = len(events)
         powers = e ** np.arange(n)
@@ -53,8 +56,9 @@ def bouncing_ball(runs: Runs) -> list[Check]:
             at_most(f"apexes, largest error [m]{of}", 1e-10, _largest(apex - e ** (2.0 * np.arange(1, n + 1))[bounced]),
                     "half of gamma+^2 / g; the gap is located to 1e-12 m"),
             near(f"bouncing ended [s]{of}", exact, ended[0].value if ended else math.nan, 1e-9, digits),
-            near(f"that is the case's number{of}", zeno, exact, 6e-7 if e == 0.5 else 6e-11, "the digits given"),
-            at_most(f"off the ground 1 ms later [m]{of}", 1e-10, _largest(traj.q[rest, 2] - 0.1), "held contact's phi"),
+            near(f"closed form, digits given{of}", zeno, exact, 6e-7 if e == 0.5 else 6e-11, "the digits given"),
+            at_most(f"off the ground 1 ms later [m]{of}", 1e-10, _largest(traj.q[rest, 2] - 0.1),
+                    "phi of persistent contact"),
             at_most(f"speed from then on [m/s]{of}", 1e-10, _largest(traj.v[rest]), "it is projected at the nodes"),
         ]  # fmt: skip
     return checks
@@ -62,8 +66,8 @@ def bouncing_ball(runs: Runs) -> list[Check]:
 
 def dtec_ball(runs: Runs) -> list[Check]:
     """Closed form of the midpoint rule: dH = m g^2 h (r - a) / 8 at an impact, a of the step before and r after it."""
-    scene, h = models.ball(1.0), 0.01
-    traj = runs.simulate(scene, models.at_height(scene, 1.1), np.zeros(6), 10.0, h, impact="dtec", tol=1e-14)
+    scene, h = systems.ball_over_ground(1.0), 0.01
+    traj = runs.simulate(scene, systems.at_height(scene, 1.1), np.zeros(6), 10.0, h, impact="dtec", tol=1e-14)
     events = traj.events
     a, r = events.array("before"), events.array("after")
     minus, plus = events.array("p_minus")[:, 2], events.array("p_plus")[:, 2]
@@ -71,17 +75,17 @@ def dtec_ball(runs: Runs) -> list[Check]:
     return [
         same("impacts that DTEC solved", len(events), int((events.array("fallback") == 0).sum())),
         at_most("dH - m g^2 h (r - a)/8, largest [J]", 1e-13, _largest(jump - _G**2 * h * (r - a) / 8.0),
-                "the case's; rounding of energies of 10 J is 2e-15"),
+                "given by the case; rounding of energies of 10 J is 2e-15"),
         at_most("p+^2 - p-^2 - m^2 g^2 (r^2 - a^2)/4, largest", 2e-13,
-                _largest(plus**2 - minus**2 - _G**2 * (r**2 - a**2) / 4.0), "twice that of dH, m = 1"),
+                _largest(plus**2 - minus**2 - _G**2 * (r**2 - a**2) / 4.0), "twice the bound of dH, m = 1"),
     ]  # fmt: skip
 
 
 def mhc_ball(runs: Runs) -> list[Check]:
     """On a ball under gravity MHC is CTEC: the modified energy differs from the energy by a constant."""
-    scene = models.ball(1.0)
+    scene = systems.ball_over_ground(1.0)
     found: dict[str, Trajectory] = {
-        name: runs.simulate(scene, models.at_height(scene, 1.1), np.zeros(6), 20.0, 0.01, impact=name, tol=1e-14)
+        name: runs.simulate(scene, systems.at_height(scene, 1.1), np.zeros(6), 20.0, 0.01, impact=name, tol=1e-14)
         for name in ("ctec", "mhc")
     }
     mhc, ctec = found["mhc"].events, found["ctec"].events
@@ -92,7 +96,7 @@ def mhc_ball(runs: Runs) -> list[Check]:
     return [
         same("impacts that MHC solved", len(mhc), int((mhc.array("fallback") == 0).sum())),
         at_most("impulses, MHC / CTEC - 1", 1e-11, _largest(apart), "both located to 1e-12 m, over 22 impacts"),
-        at_most("energy, relative error", 1e-12, _largest(drift), "the case's"),
+        at_most("energy, relative error", 1e-12, _largest(drift), "given by the case"),
     ]
 
 
@@ -100,7 +104,7 @@ def pendulum_at_wall(runs: Runs) -> list[Check]:
     """Closed form: 2 sqrt(l/g) K(sin(theta0/2)) between two hits of the wall at theta = 0."""
     checks = []
     for start, period in ((0.5, 1.0189339576), (1.0, 1.0695688003), (1.5, 1.1654933911)):
-        traj = runs.simulate(models.pendulum_at_wall(), [start], [0.0], 6.0, tol=1e-10)
+        traj = runs.simulate(systems.pendulum_at_wall(), [start], [0.0], 6.0, tol=1e-10)
         times = traj.events.array("time")
         name = f"time between impacts [s], theta0 = {start:g}"
         checks += [
@@ -120,7 +124,7 @@ def rod(runs: Runs) -> list[Check]:
         (60, 0.142857, 3.428571),
     ):
         theta = math.radians(degrees)
-        scene, q = models.rod_on_ground(theta, 0.01, 1.0)
+        scene, q = systems.rod_on_ground(theta, 0.01, 1.0)
         q[1] += 0.05
         traj = runs.simulate(scene, q, [0.0, -1.0, 0.0], 0.1, 0.01)
         impulse = 2.0 / (1.0 + 3.0 * math.cos(theta) ** 2)
@@ -145,7 +149,10 @@ def free_body(runs: Runs) -> list[Check]:
     return [
         same("steps", 10_000, traj.stats.steps),
         at_most(
-            "drift of the angular momentum, relative", 1e-10, _largest(momentum - momentum[0]) / size, "the case's"
+            "drift of the angular momentum, relative",
+            1e-10,
+            _largest(momentum - momentum[0]) / size,
+            "given by the case",
         ),
         at_most("it turned over: least / largest spin", -0.9, turned, "the middle axis is unstable"),
     ]
@@ -158,9 +165,9 @@ def grazing(runs: Runs) -> list[Check]:
     """
 
     def speed(_t: float, y: np.ndarray) -> float:
-        return math.cos(y[0]) * y[2] + math.cos(y[1]) * y[3]
+        return float(math.cos(y[0]) * y[2] + math.cos(y[1]) * y[3])
 
-    speed.direction = 1.0  # type: ignore[attr-defined]  # the tip comes, then goes
+    speed.direction = 1.0  # type: ignore[attr-defined]  # from approach to separation
     y = np.array([*START, 0.0, 0.0])
     turn = solve_ivp(_rate, (0.0, 1.5), y, method="DOP853", rtol=1e-13, atol=1e-14, events=speed, dense_output=True)
     state = turn.y_events[0][0]
@@ -172,7 +179,7 @@ def grazing(runs: Runs) -> list[Check]:
     end = 0.05 * math.ceil((when + 0.1) / 0.05)
     for depth in depths:
         q = np.linalg.solve(ABSOLUTE, START)
-        traj = runs.simulate(models.pendulum_b(least + depth), q, np.zeros(2), end, 0.05, order=16)
+        traj = runs.simulate(systems.double_pendulum_at_wall(least + depth), q, np.zeros(2), end, 0.05, order=16)
         counts.append(len(traj.events))
         steps.append(traj.stats.steps)
         jumps.append(_largest(traj.energy - traj.energy[0]))
@@ -180,7 +187,7 @@ def grazing(runs: Runs) -> list[Check]:
             speeds.append(traj.events[0].gamma_minus / -math.sqrt(2.0 * bend * depth) - 1.0)
     return [
         same("impacts at depths 1e-2 .. 1e-10 m, then beside the wall", [1] * 6 + [0] * 3, counts),
-        at_most("energy, largest change [J]", 1e-8, max(jumps), "the case's"),
+        at_most("energy, largest change [J]", 1e-8, max(jumps), "given by the case"),
         same("steps, each", [round(end / 0.05)] * len(depths), steps, "grazing costs no steps"),
         at_most("gamma- / -sqrt(2 a depth) - 1 from 1e-4 m down", 0.01, _largest(np.array(speeds[1:])),
                 "the parabola is off by the depth to the power 1/2: 1 % at 1e-4 m"),
@@ -195,7 +202,7 @@ def thin_plate(runs: Runs) -> list[Check]:
         scene.add_sphere("ball", radius=0.0025, mass=0.001)
         scene.add_box("plate", (0.2, 0.2, 0.002), free=False)
         scene.set_contact(restitution=1.0)
-        q = models.at_height(scene, 0.001 + 0.0025 + gap)
+        q = systems.at_height(scene, 0.001 + 0.0025 + gap)
         traj = runs.simulate(scene, q, [0.0, 0.0, -20.0, 0.0, 0.0, 0.0], 0.05, 1e-2)
         times = traj.events.array("time")
         box = "distances of a rounded box come from an iteration, good to 1e-10 m"
@@ -220,24 +227,25 @@ def _largest(values: np.ndarray) -> float:
     return float(np.abs(values).max()) if np.size(values) else math.inf
 
 
-def _changes(traj: Trajectory, change: str) -> list:
+def _changes(traj: Trajectory, change: str) -> list[ContactChange]:
     return [found for found in traj.contact_changes if found.change == change]
 
 
 CASES = (
-    Case("B", "the paper's double pendulum at a wall, elastic", problem_b),
-    Case("N01", "bouncing ball, e = .9 and .5: it comes to rest and stays", bouncing_ball),
-    Case("N06", "DTEC's closed form on an elastic ball", dtec_ball),
-    Case("N07", "on that ball MHC is CTEC", mhc_ball),
-    Case("N08", "pendulum at a wall: elliptic periods", pendulum_at_wall),
-    Case("N16", "a rod hits the ground with one end", rod),
-    Case("N26-racket", "free asymmetric body, 10^4 steps", free_body),
+    Case("double-pendulum", "the paper's double pendulum at a wall, elastic", problem_b, former="B"),
+    Case("bouncing-ball", "bouncing ball, e = .9 and .5: it comes to rest and stays", bouncing_ball, former="N01"),
+    Case("dtec-ball", "DTEC's closed form on an elastic ball", dtec_ball, former="N06"),
+    Case("mhc-ball", "on an elastic ball MHC is CTEC", mhc_ball, former="N07"),
+    Case("pendulum-at-wall", "pendulum at a wall: elliptic periods", pendulum_at_wall, former="N08"),
+    Case("rod", "a rod hits the ground with one end", rod, former="N16"),
+    Case("tumbling-box", "free asymmetric body, 10^4 steps", free_body, former="N26-racket"),
     Case(
-        "N26-bowl",
+        "ball-in-bowl",
         "ball in a bowl",
         None,
         "contact shapes are convex; the inside of a bowl is not, and pieces of one are not smooth",
+        former="N26-bowl",
     ),
-    Case("N27", "grazing: problem B at a wall that it barely reaches", grazing),
-    Case("plate", "a 5 mm ball at 20 m/s meets a plate of 2 mm", thin_plate),
+    Case("grazing", "grazing: problem B at a wall that it barely reaches", grazing, former="N27"),
+    Case("thin-plate", "a 5 mm ball at 20 m/s meets a plate of 2 mm", thin_plate, former="plate"),
 )

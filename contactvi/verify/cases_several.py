@@ -1,4 +1,4 @@
-"""Cases of several bodies: N10, N11, N13 .. N15, plastic impacts, supports, Newton's cradle, a stack."""
+"""Cases of several bodies: sequences of impacts, plastic impacts, supports, Newton's cradle, a stack."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import math
 
 import numpy as np
 
+from contactvi.reproduce.check import Check, at_most, near, same
 from contactvi.simultaneous.simultaneous import simultaneous_outcomes
-from contactvi.verify import model as models
-from contactvi.verify.check import Case, Check, Runs, at_most, near, same
+from contactvi.verify import systems
+from contactvi.verify.case import Case, Runs
 
 _EPS = "rounding of a few impacts"
 _BALLS = [("ball_1", "ball_2"), ("ball_2", "ball_3")]
@@ -20,14 +21,14 @@ def blocks(runs: Runs) -> list[Check]:
     checks = []
     for k, count in enumerate((3, 31, 314, 3141, 31415)):
         masses = np.array([100.0**-k, 1.0])  # so that impulses are of order 1 with every ratio
-        q = [models.RADIUS + 1.0, 3.0 * models.RADIUS + 2.0]
+        q = [systems.RADIUS + 1.0, 3.0 * systems.RADIUS + 2.0]
         # the last collision may close slowly: with the ratio 100^2 it comes after more than 6 s
-        traj = runs.simulate(models.row(masses), q, [0.0, -1.0], 500.0, 0.5, record_contacts=False)
+        traj = runs.simulate(systems.ball_row(masses), q, [0.0, -1.0], 500.0, 0.5, record_contacts=False)
         kinetic = 0.5 * np.sum(traj.p**2 / masses, axis=1)
         drift = float(np.abs(kinetic / kinetic[0] - 1.0).max())
         checks += [
             same(f"collisions, mass ratio 100^{k}", count, len(traj.events)),
-            at_most(f"energy, relative error, 100^{k}", 1e-12, drift, "the case's"),
+            at_most(f"energy, relative error, 100^{k}", 1e-12, drift, "given by the case"),
         ]
     return checks
 
@@ -36,9 +37,9 @@ def chains(runs: Runs) -> list[Check]:
     """Known: n - 1 impacts, the last ball leaves with v."""
     impacts, errors = [], []
     for n in range(2, 9):
-        q = models.touching(n, 1.0)
+        q = systems.touching_balls(n, 1.0)
         q[0] -= 0.25
-        traj = runs.simulate(models.row([1.0] * n, wall=False), q, np.eye(n)[0], 0.5, 0.0125)
+        traj = runs.simulate(systems.ball_row([1.0] * n, wall=False), q, np.eye(n)[0], 0.5, 0.0125)
         impacts.append([event.pair for event in traj.events])
         errors.append(float(np.abs(traj.v[-1] - np.eye(n)[-1]).max()))
     expected = [[(f"ball_{k}", f"ball_{k + 1}") for k in range(1, n)] for n in range(2, 9)]
@@ -52,8 +53,8 @@ def chains(runs: Runs) -> list[Check]:
 def three_balls(runs: Runs) -> list[Check]:
     """Known outcomes of sequential impacts; beta from the masses."""
     checks = []
-    equal, unlike = models.row([1.0, 1.0, 1.0], wall=False), models.row([1.0, 3.0, 1.0], wall=False)
-    q = models.touching(3, 1.0)
+    equal, unlike = systems.ball_row([1.0, 1.0, 1.0], wall=False), systems.ball_row([1.0, 3.0, 1.0], wall=False)
+    q = systems.touching_balls(3, 1.0)
     for v, after in (((1, 0, 0), (0, 0, 1)), ((1, 0, -1), (-1, 0, 1)), ((1, 0.3, -1), (-1, 0.3, 1))):
         found = simultaneous_outcomes(equal, q, v)
         traj = runs.simulate(equal, q, v, 0.05, 0.0125)
@@ -82,7 +83,7 @@ def wedges(runs: Runs) -> list[Check]:
     """Known: v -> -v where n is even, else only the part along the bisector is turned; in any order."""
     checks = []
     for n in (2, 3, 4, 5):
-        scene, q = models.wedge(n)
+        scene, q = systems.ball_in_wedge(n)
         angle = math.pi + 0.3 * math.pi / n
         v = np.array([math.cos(angle), math.sin(angle), 0.0, 0.0, 0.0, 0.0])
         after = -v if n % 2 == 0 else v * [-1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
@@ -98,15 +99,15 @@ def wedges(runs: Runs) -> list[Check]:
 
 
 def plastic_balls(runs: Runs) -> list[Check]:
-    """Known: (1/3, 1/3, 1/3), energy 1/6; not (-1/3, 2/3, 2/3), which the simultaneous Newton law says."""
-    scene, q = models.row([1.0, 1.0, 1.0], e=0.0, wall=False), models.touching(3, 1.0)
+    """Known: (1/3, 1/3, 1/3), energy 1/6; not (-1/3, 2/3, 2/3), which Newton's law for simultaneous impacts gives."""
+    scene, q = systems.ball_row([1.0, 1.0, 1.0], e=0.0, wall=False), systems.touching_balls(3, 1.0)
     checks = []
     for impact in ("ctec", "mhc"):
         traj = runs.simulate(scene, q, (1.0, 0.0, 0.0), 0.05, 0.0125, impact=impact)
         energy = 0.5 * float(np.sum(traj.v[-1] ** 2))
         checks += [
             near(f"velocities after, {impact}", np.full(3, 1.0 / 3.0), traj.v[-1], 1e-12, "gamma+ = 0 to 1e-12"),
-            near(f"energy after [J], {impact}", 1.0 / 6.0, energy, 1e-12, "likewise"),
+            near(f"energy after [J], {impact}", 1.0 / 6.0, energy, 1e-12, "gamma+ = 0 to 1e-12"),
         ]
     found = simultaneous_outcomes(scene, q, (1.0, 0.0, 0.0))
     return [*checks, near("simultaneous_outcomes", np.full(3, 1.0 / 3.0), found.chosen.v_plus, 1e-14, _EPS)]
@@ -116,24 +117,24 @@ def carnot(runs: Runs) -> list[Check]:
     """Closed form: gamma+ = 0 and the loss is gamma-^T G_c^-1 gamma- / 2 where all contacts stay closed."""
     checks = []
     turn = np.array([[1.0, -0.5], [1.0, 0.5]])  # the ends of a rod that lies flat: speeds of (z, about y)
-    rod = models.rod(
-        {"left": 0.5, "right": -0.5}, {"ground": models.halfspace(0.0, 0.0, 1.0)},
+    rod = systems.rod(
+        {"left": 0.5, "right": -0.5}, {"ground": systems.halfspace(0.0, 0.0, 1.0)},
         [("ground", "left"), ("ground", "right")], 0.0625, 0.0,
     )  # fmt: skip
-    systems = (
-        ("three balls", models.row([2.0, 1.0, 3.0], e=0.0, wall=False), models.touching(3, 1.0),
+    cases = (
+        ("three balls", systems.ball_row([2.0, 1.0, 3.0], e=0.0, wall=False), systems.touching_balls(3, 1.0),
          np.array([1.0, 0.2, -0.7]), np.array([2.0, 1.0, 3.0]), np.array([[-1.0, 1.0, 0.0], [0.0, -1.0, 1.0]])),
         ("rod on both ends", rod, np.array([0.0, 0.0625, 0.0]), np.array([0.3, -1.0, 0.5]),
          np.array([1.0, 1.0, 1.0 / 12.0]), np.column_stack([np.zeros(2), turn])),
     )  # fmt: skip
-    for (name, scene, q, v, mass, W), impact in itertools.product(systems, ("ctec", "mhc")):
+    for (name, scene, q, v, mass, W), impact in itertools.product(cases, ("ctec", "mhc")):
         traj = runs.simulate(scene, q, v, 0.05, 0.0125, impact=impact)
         loss = 0.5 * float(v @ (mass * v) - traj.v[-1] @ (mass * traj.v[-1]))
         gamma = W @ v
         exact = 0.5 * float(gamma @ np.linalg.solve(W @ np.diag(1.0 / mass) @ W.T, gamma))
         checks += [
-            at_most(f"gamma+ [m/s], {name}, {impact}", 1e-12, float(np.abs(W @ traj.v[-1]).max()), "the case's"),
-            near(f"loss [J], {name}, {impact}", exact, loss, 1e-12, "the case's"),
+            at_most(f"gamma+ [m/s], {name}, {impact}", 1e-12, float(np.abs(W @ traj.v[-1]).max()), "given by the case"),
+            near(f"loss [J], {name}, {impact}", exact, loss, 1e-12, "given by the case"),
         ]
     return checks
 
@@ -155,27 +156,27 @@ def supports(runs: Runs) -> list[Check]:
         stiff: list[np.ndarray] = []
         for ground, after in rows.items():
             for support in ("sequence", "stiff"):
-                scene = models.row([lower, upper], axis="z", gravity=models.GRAVITY)
+                scene = systems.ball_row([lower, upper], axis="z", gravity=systems.GRAVITY)
                 scene.set_contact("wall", "ball_1", restitution=ground)
-                q = models.touching(2) + [0.0, 0.05]
+                q = systems.touching_balls(2) + [0.0, 0.05]
                 traj = runs.simulate(scene, q, np.zeros(2), 0.12, 0.01, support=support)
                 time = traj.events.array("time")
                 last = int(np.flatnonzero(np.abs(time - time[0]) <= 1e-9)[-1])
-                speed = math.sqrt(2.0 * models.GRAVITY * 0.05)
+                speed = math.sqrt(2.0 * systems.GRAVITY * 0.05)
                 ratio = traj.events[last].p_plus / [lower, upper] / speed
                 (got if support == "sequence" else stiff).append(ratio[::-1])
             expected.append(after)
         reason = "an endless sequence is cut at 1e-9 of the speeds; the fall is located to 1e-12 m"
         checks += [
             near(f"upper, lower; masses {upper}:{lower}, e_g = 1 .5 0", expected, got, 2e-9, reason),
-            near(f"the same, stiff support, masses {upper}:{lower}", [(1.0, 0.0)] * 3, stiff, 1e-11, reason),
+            near(f"stiff support, masses {upper}:{lower}", [(1.0, 0.0)] * 3, stiff, 1e-11, reason),
         ]
     return checks
 
 
 def cradle(runs: Runs) -> list[Check]:
     """Closed form: the outer balls are pendulums at a wall, 2 sqrt(l/g) K(sin(theta0/2)); those between stay."""
-    traj = runs.simulate(models.cradle(), [-0.5, 0.0, 0.0, 0.0, 0.0], np.zeros(5), 5.0, tol=1e-10)
+    traj = runs.simulate(systems.newtons_cradle(), [-0.5, 0.0, 0.0, 0.0, 0.0], np.zeros(5), 5.0, tol=1e-10)
     times = traj.events.array("time")
     exact = np.repeat(1.0189339576 * (0.5 + np.arange(5)), 4)
     return [
@@ -187,10 +188,10 @@ def cradle(runs: Runs) -> list[Check]:
 
 
 def beside(runs: Runs) -> list[Check]:
-    """A ball bounces (e = 1, from 1 m) while another rests 1 m beside it: the closed form of N01 with e = 1."""
-    checks, first = [], math.sqrt(2.0 / models.GRAVITY)
+    """A ball bounces (e = 1, from 1 m) while another rests 1 m beside it: closed form of an elastic bounce."""
+    checks, first = [], math.sqrt(2.0 / systems.GRAVITY)
     for h in (0.02, 0.01, 0.005, 0.001):
-        scene = models.ball(1.0)
+        scene = systems.ball_over_ground(1.0)
         scene.add_sphere("resting", radius=0.1, placement=(1.0, 0.0, 0.1))
         q = scene.neutral()
         q[2] = 1.1
@@ -207,7 +208,7 @@ def beside(runs: Runs) -> list[Check]:
 
 def stack(runs: Runs) -> list[Check]:
     """Five cubes of 1 kg on each other for 10 s: nothing moves, every one carries the weight above it."""
-    scene = models.stack(5, 0.25)
+    scene = systems.box_stack(5, 0.25)
     start = scene.neutral()
     traj = runs.simulate(scene, start, np.zeros(30), 10.0, 0.01)
     pairs = [("box_1", "ground")] + [(f"box_{k}", f"box_{k + 1}") for k in range(1, 5)]
@@ -216,17 +217,17 @@ def stack(runs: Runs) -> list[Check]:
     return [
         at_most("largest velocity [m/s, rad/s]", 1e-10, float(np.abs(traj.v).max()), "no jitter"),
         at_most("moved in 10 s [m]", 1e-10, moved, "no creep"),
-        near("loads from below [N]", models.GRAVITY * np.arange(5, 0, -1), loads, 1e-8, "steps are solved to 1e-12"),
+        near("loads from below [N]", systems.GRAVITY * np.arange(5, 0, -1), loads, 1e-8, "steps are solved to 1e-12"),
     ]
 
 
 CASES = (
-    Case("N10", "two blocks and a wall: digits of pi", blocks),
-    Case("N11", "chains of equal touching balls", chains),
-    Case("N13", "three balls: unique outcomes, and exactly two", three_balls),
-    Case("N14", "a particle in a wedge of angle pi/n", wedges),
-    Case("N15", "three plastic balls", plastic_balls),
-    Case("plastic", "plastic impacts on two contacts: Carnot's loss", carnot),
+    Case("two-blocks", "two blocks and a wall: digits of pi", blocks, former="N10"),
+    Case("ball-chains", "chains of equal touching balls", chains, former="N11"),
+    Case("three-balls", "three balls: unique outcomes, and exactly two", three_balls, former="N13"),
+    Case("wedge", "a particle in a wedge of angle pi/n", wedges, former="N14"),
+    Case("plastic-balls", "three plastic balls", plastic_balls, former="N15"),
+    Case("plastic-contacts", "plastic impacts on two contacts: Carnot's loss", carnot, former="plastic"),
     Case("supports", "a ball falls on one that lies on the ground", supports),
     Case("cradle", "Newton's cradle", cradle),
     Case("beside", "a ball bounces while another one rests", beside),

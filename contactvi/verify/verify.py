@@ -5,31 +5,32 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+
+from rich.table import Table
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.verify import cases_contact as verify_cases_contact
-from contactvi.verify import cases_forced as verify_cases_forced
-from contactvi.verify import cases_impact as verify_cases_impact
-from contactvi.verify import cases_loops as verify_cases_loops
-from contactvi.verify import cases_several as verify_cases_several
-from contactvi.verify.check import LIMIT, Case, Check, Runs
+from contactvi.reproduce.check import Check
+from contactvi.tables import name_table, text_table
+from contactvi.verify import cases_contact, cases_forced, cases_impact, cases_loops, cases_several
+from contactvi.verify.case import LIMIT, Case, Runs
 
 PASSED, FAILED, NOT_APPLICABLE = "ok", "FAILED", "not applicable"
 COLUMNS = ("case", "what", "expected", "got", "tolerance", "verdict", "s", "reason of the tolerance")
+JSON_KEYS = ("what", "expected", "got", "tolerance", "reason", "ok")
 CASES: tuple[Case, ...] = (
-    *verify_cases_impact.CASES,
-    *verify_cases_several.CASES,
-    *verify_cases_contact.CASES,
-    *verify_cases_forced.CASES,
-    *verify_cases_loops.CASES,
+    *cases_impact.CASES,
+    *cases_several.CASES,
+    *cases_contact.CASES,
+    *cases_forced.CASES,
+    *cases_loops.CASES,
 )
-Progress = Callable[[float, str], object]  # called with the fraction that is done and the case at work
+Progress = Callable[[float, str], object]  # called with the fraction that is done and the name of the present case
 
 
 @dataclass(frozen=True)
 class Result:
-    """What came out of one case: its checks, wall time [s], and its verdict."""
+    """The result of one case: its checks, wall time [s], and its verdict."""
 
     case: Case
     checks: tuple[Check, ...]
@@ -44,12 +45,15 @@ class Result:
 
 
 def chosen(names: Sequence[str], cases: Sequence[Case] | None = None) -> list[Case]:
-    """Return the cases of these names, in the order of the list; all where no name is given.
+    """Return the cases of these names (or former names), in the order of the list; all where no name is given.
 
     Raises:
         InputError: for a name that no case has.
     """
-    known = {case.name: case for case in (CASES if cases is None else cases)}
+    wanted = list(CASES if cases is None else cases)
+    former = {case.former: case.name for case in wanted if case.former}
+    known = {case.name: case for case in wanted}
+    names = [former.get(name, name) for name in names]
     for name in names:
         if name not in known:
             raise InputError(
@@ -80,7 +84,7 @@ def measure(case: Case, limit: float = LIMIT) -> Result:
     started, runs = time.perf_counter(), Runs(limit)
     try:
         checks = [*case.run(runs), *runs.laws()]
-    except Exception as error:  # whatever goes wrong is this case's failure and must not hide the others
+    except Exception as error:  # one case that raises must not hide the results of the others
         text = f"{type(error).__name__}: {error}".strip()
         checks = [*runs.laws(), Check("the case itself", "no error", text, "exact", "it has to run", False)]
     return Result(case, tuple(checks), time.perf_counter() - started)
@@ -92,9 +96,9 @@ def passed(results: Sequence[Result]) -> bool:
     return FAILED not in verdicts and PASSED in verdicts
 
 
-def table(results: Sequence[Result]) -> list[str]:
-    """Return the lines of the table, one per check; a line per case that is not applicable."""
-    rows = [list(COLUMNS)]
+def table(results: Sequence[Result]) -> Table:
+    """Return the table: a row per check, and one per case that is not applicable."""
+    rows = []
     for result in results:
         seconds = f"{result.seconds:.2f}"
         if result.case.run is None:
@@ -103,15 +107,14 @@ def table(results: Sequence[Result]) -> list[str]:
             verdict = PASSED if check.ok else FAILED
             cells = [check.what, check.expected, check.got, check.tolerance, verdict]
             rows.append([result.case.name, *cells, "" if k else seconds, check.reason])
-    width = [max(len(row[k]) for row in rows) for k in range(len(COLUMNS))]
-    return ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]
+    return text_table(COLUMNS, rows, styles={PASSED: "green", FAILED: "bold red"})
 
 
 def summary(results: Sequence[Result]) -> str:
     """Return one line: how many cases passed, which failed, which do not apply."""
     names = {verdict: [r.case.name for r in results if r.verdict == verdict] for verdict in (FAILED, NOT_APPLICABLE)}
     measured = len(results) - len(names[NOT_APPLICABLE])
-    checks = [check.ok for result in results for check in result.checks]
+    checks = [check.ok is True for result in results for check in result.checks]
     text = f"{measured - len(names[FAILED])} of {measured} cases passed, {sum(checks)} of {len(checks)} numbers"
     text += f", in {sum(result.seconds for result in results):.1f} s"
     for verdict, listed in names.items():
@@ -119,11 +122,10 @@ def summary(results: Sequence[Result]) -> str:
     return text
 
 
-def listing(cases: Sequence[Case] | None = None) -> list[str]:
-    """Return a line per case: its name and what it is."""
-    wanted = list(CASES if cases is None else cases)
-    width = max(len(case.name) for case in wanted)
-    return [f"{case.name:<{width}}  {case.title}" + (" (not applicable)" if case.excuse else "") for case in wanted]
+def listing(cases: Sequence[Case] | None = None) -> Table:
+    """Return a table with a row per case: its name and what it is."""
+    wanted = CASES if cases is None else cases
+    return name_table((case.name, case.title + (" (not applicable)" if case.excuse else "")) for case in wanted)
 
 
 def as_json(results: Sequence[Result]) -> str:
@@ -135,7 +137,7 @@ def as_json(results: Sequence[Result]) -> str:
             "verdict": result.verdict,
             "reason": result.case.excuse,
             "seconds": result.seconds,
-            "checks": [asdict(check) for check in result.checks],
+            "checks": [{name: getattr(check, name) for name in JSON_KEYS} for check in result.checks],
         }
         for result in results
     ]

@@ -16,5 +16,6 @@ void expose_dense(nanobind::module_& m);
 void expose_kernel(nanobind::module_& m);
 void expose_manifold(nanobind::module_& m);
 void expose_reference(nanobind::module_& m);
+void expose_sequence(nanobind::module_& m);
 
 }  // namespace contactvi

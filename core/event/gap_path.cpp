@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "base/root.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -87,20 +89,12 @@ GapPath::Course GapPath::search(int guard, const Point& a, const Point& b, doubl
 
 double GapPath::root(int guard, Point lo, Point hi, double offset) {
   const double target = guards_->is_noisy(guard) ? 0.1 * guards_->root_tolerance(guard) : kTarget;
-  const double drop = lo.gap - hi.gap;
-  double a = lo.tau, b = hi.tau, x = drop > 0.0 ? a + (b - a) * std::clamp((lo.gap + offset) / drop, 0.0, 1.0) : b;
-  for (int k = 0; k < kMaxIterations; ++k) {
-    const Point p = at(guard, x);
-    const double gap = p.gap + offset;
-    if (!(std::abs(gap) > target)) return x;
-    (gap > 0.0 ? a : b) = x;
-    const double newton = x - gap / p.rate;
-    const bool inside = newton > a && newton < b && k % 6 != 5;  // now and then a bisection, should Newton crawl
-    const double next = inside ? newton : 0.5 * (a + b);
-    if (next == x || b - a <= 4e-16 * b) return x;
-    x = next;
-  }
-  return x;
+  const double drop = lo.gap - hi.gap, width = hi.tau - lo.tau;
+  const double start = drop > 0.0 ? lo.tau + width * std::clamp((lo.gap + offset) / drop, 0.0, 1.0) : hi.tau;
+  return root_by_rate(lo.tau, hi.tau, start, target, kMaxIterations, [&](double tau) {
+    const Point p = at(guard, tau);
+    return ValueAndRate{p.gap + offset, p.rate};
+  });
 }
 
 double GapPath::minimum(int guard, Point a, Point b, double slope) {

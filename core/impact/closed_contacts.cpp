@@ -114,8 +114,8 @@ bool ImpactSequence::take_unused(const VecX& p) {
   return true;
 }
 
-bool ImpactSequence::collect(const VecX& q, const VecX& p, double t, const std::vector<int>& active, int first,
-                             const std::vector<PersistentContact>& persistent) {
+// Places the bodies, the mass matrix and the constraints at q and time t [s]; no contact is closed yet.
+bool ImpactSequence::place(const VecX& q, const VecX& p, double t) {
   count_ = 0;
   any_persistent_ = false;
   q_ = q;
@@ -123,6 +123,19 @@ bool ImpactSequence::collect(const VecX& q, const VecX& p, double t, const std::
   if (!integrator_->node_velocity(q, p, v_))
     return fail(StatusCode::kNewtonFailed, "the mass matrix is not positive definite", -1);
   if (projection_.any()) projection_.set(*integrator_, guards_->placements(), q, t);
+  return true;
+}
+
+bool ImpactSequence::collect_given(const VecX& q, const VecX& p, const std::vector<int>& guards, double margin) {
+  if (!place(q, p, 0.0)) return false;
+  for (int g : guards)
+    if (!add(g, {}, margin)) return fail(StatusCode::kNotFinite, "this contact has no points", g);
+  return true;
+}
+
+bool ImpactSequence::collect(const VecX& q, const VecX& p, double t, const std::vector<int>& active, int first,
+                             const std::vector<PersistentContact>& persistent) {
+  if (!place(q, p, t)) return false;
   std::vector<int> guards(active);
   if (first >= 0) guards.push_back(first);
   for (const PersistentContact& h : persistent) guards.push_back(h.point.guard);

@@ -4,12 +4,15 @@
 #include <cmath>
 #include <limits>
 
+#include "base/root.hpp"
+
 namespace contactvi {
 
 namespace {
-constexpr double kGain = 1e-12;      // of the energy of the closing motion: rounding
-constexpr double kRounding = 2e-14;  // of the speeds
-constexpr double kAccept = 1e-9;     // residual of a cone problem that did not converge
+constexpr double kGain = 1e-12;       // of the energy of the closing motion: rounding
+constexpr double kRounding = 2e-14;   // of the speeds
+constexpr double kAccept = 1e-9;      // residual of a cone problem that did not converge
+constexpr double kShareWidth = 1e-9;  // of e: to what its largest share without gain is found
 constexpr int kBisections = 50;
 }  // namespace
 
@@ -78,16 +81,14 @@ BlockResult PoissonImpact::solve(const std::vector<BlockMember>& members, const 
   finish();
   const double scale = std::abs(first_.dot(result.gamma_minus));
   if (elastic) {
-    double share = 1.0, low = 0.0, high = 1.0;
-    for (int k = 0; k < kBisections; ++k) {
-      if (!cone(compressed, true, share, members, second)) return result;
+    double share = 1.0;
+    auto loses = [&](double e, bool& holds) {
+      if (!cone(compressed, true, e, members, second)) return false;
       finish();
-      const bool gains = result.loss < -kGain * scale;
-      if (k == 0 && !gains) break;
-      (gains ? high : low) = share;
-      if (!gains && high - low < 1e-9) break;
-      share = high - low < 1e-9 ? low : 0.5 * (low + high);
-    }
+      holds = !(result.loss < -kGain * scale);
+      return true;
+    };
+    if (!largest_where(kShareWidth, kBisections, loses, share)) return result;
     result.restitution = share;
   }
   result.iterations = iterations_;

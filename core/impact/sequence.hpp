@@ -39,6 +39,9 @@ class ImpactSequence {
   // and the persistent ones. False if the mass matrix is not positive, or if constraints run into what cannot give way.
   bool collect(const VecX& q, const VecX& p, double t, const std::vector<int>& active, int first,
                const std::vector<PersistentContact>& persistent);
+  // Takes these guards as closed at q, whatever their gaps are. margin: a pair's points within its least gap, or within
+  // this [m] where that is more, belong to the contact. False if the mass matrix is not positive.
+  bool collect_given(const VecX& q, const VecX& p, const std::vector<int>& guards, double margin);
   int count() const { return count_; }
   ClosedGuard& closed(int i) { return closed_[i]; }
   // Largest normal speed of a closed contact at p.
@@ -62,6 +65,7 @@ class ImpactSequence {
  private:
   static constexpr double kSolved = 1e-11;  // of all speeds of the closed points: closing slower than this is at rest
 
+  bool place(const VecX& q, const VecX& p, double t);
   bool add(int guard, const std::vector<PersistentContact>& persistent, double margin);
   void add_rows(ClosedGuard& closed);
   bool mobile(const ClosedGuard& closed);

@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cmath>
 
+#include "base/root.hpp"
 #include "run/simulator.hpp"
 #include "step/energy.hpp"
 
@@ -26,37 +27,6 @@ constexpr double kMoreSpeed = 1.2;        // of the kinetic energy: a step with 
 constexpr double kMostRise = 0.05;        // of the kinetic energy that a step may gain by being coarse
 constexpr double kEnergyRounding = 1e-7;  // [J] of 1 J
 constexpr double kNoForce = 1e-9;         // of the largest force: holding forces below it are rounding
-
-// Root of value in (0, high], where it falls to high_value < 0 from low_value >= 0: the Illinois method.
-// Ends where |value| <= small.
-template <class Value>
-bool first_root(double low_value, double high, double high_value, double small, Value value, double& root) {
-  double a = 0.0, b = high, fa = low_value, fb = high_value;
-  root = high;
-  int side = 0;
-  for (int k = 0; k < kMaxProbes && b - a > kAlpha; ++k) {
-    double x = fa > fb && k % 8 != 7 ? b - fb * (b - a) / (fb - fa) : 0.5 * (a + b);
-    if (!(x > a && x < b)) x = 0.5 * (a + b);
-    double fx = 0.0;
-    if (!value(x, fx)) return false;
-    root = x;
-    if (fx < 0.0) {
-      b = x;
-      fb = fx;
-      if (side < 0) fa *= 0.5;
-      side = -1;
-    } else {
-      a = x;
-      fa = fx;
-      if (fx <= small) return true;
-      if (side > 0) fb *= 0.5;
-      side = 1;
-    }
-  }
-  root = b;
-  double fx = 0.0;
-  return value(root, fx);
-}
 
 }  // namespace
 
@@ -101,8 +71,8 @@ bool Simulator::find_release(const VecX& tau, double& alpha, bool& at_start) {
     } else {
       high_value = at_end[i];
     }
-    if (!first_root(
-            before[i], first, high_value, kSmallForce * largest,
+    if (!root_by_value(
+            before[i], first, high_value, kSmallForce * largest, kAlpha, kMaxProbes,
             [&](double x, double& f) { return release_value(tau, x, f); }, root))
       return false;
     first = root;
@@ -137,8 +107,9 @@ bool Simulator::find_stick(const VecX& tau, double& alpha) {
     if (!stick_value(tau, high, high_value)) return false;
     if (high_value >= 0.0) continue;
     // The slip at the start of the step is not kept; any positive number brackets.
-    if (!first_root(
-            -high_value, high, high_value, small, [&](double x, double& f) { return stick_value(tau, x, f); }, root))
+    if (!root_by_value(
+            -high_value, high, high_value, small, kAlpha, kMaxProbes,
+            [&](double x, double& f) { return stick_value(tau, x, f); }, root))
       return false;
     alpha = root;
     located = true;

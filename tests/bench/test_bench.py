@@ -13,7 +13,8 @@ import pytest
 
 import contactvi as cvi
 from contactvi.bench.bench import BENCHED, Bench, Row, bench
-from contactvi.bench.report import COLUMNS, advice, table, targets
+from contactvi.bench.report import COLUMNS, advice, heading, notes, table, targets
+from contactvi.tables import lines_of
 from helpers.run_scenes import ball_file, hand_scene
 
 WRONG_INPUT = 2  # exit code
@@ -170,7 +171,12 @@ def test_advice_and_table_from_known_rows():
     text = advice(result)
     assert text.startswith("error 1e-03: order 2, mhc, dt = 0.1 s (1.05 ms)")  # the same setting as for 1e-2: said once
     assert "smallest measured, 2.0e-04: order 2, mhc, dt = 0.05 s" in text
-    assert "1 s of 2 s" in table(result)[0]
+    assert "1 s of 2 s" in heading(result)
+    assert notes(result)[0] == "order seen over the ladder: 2 ctec none seen, 2 mhc 2.00, 4 ctec none seen"
+    head, *lines = lines_of(table(result))
+    assert head.split() == ["order", "map", "dt", "[s]", "error", "slope", "energy", "[J]", "time", "impacts", "note"]
+    assert lines[-1].split(None, 6)[:5] == ["4", "ctec", "0.05", "1.00e-09", "0.00e+00"]
+    assert lines[-1].endswith("another sequence of impacts")
     lost = Bench([replace(row, note="another motion") for row in rows], 1.0, 2.0, 1e-4, 1e-9, 3)
     assert advice(lost).startswith("No advice")
 

@@ -1,4 +1,4 @@
-"""Constraints, springs, forces and drives as the scene takes them: bad input, names, reports, files, stored scenes."""
+"""Constraints, springs, forces and servos as the scene takes them: bad input, names, reports, files, stored scenes."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_a_distance_of_nothing_is_refused():
         scene.neutral()
 
 
-# -- what is meant ----------------------------------------------------------------------------------------------------
+# -- meaning ----------------------------------------------------------------------------------------------------------
 
 
 def test_neutral_gives_what_is_none():
@@ -172,7 +172,7 @@ def test_limits_of_the_file_are_off_by_default():
 
 def test_the_report_lists_everything():
     scene = arm_scene(2, effort=3.0, friction=0.5)
-    assert "ignored" in {note.use for note in scene.report.all_notes() if "Coulomb" in note.text}
+    assert "ignored" in {note.use for note in scene.report.all_notes() if "joint friction" in note.text}
     scene.add_distance("world", "j2", (0, 0, 1.0), name="rod")
     scene.add_spring("world", "j2", 5.0, name="band", tension_only=True)
     scene.add_wrench("j2", (0, 0, 1.0), name="push")
@@ -184,6 +184,6 @@ def test_the_report_lists_everything():
     for name, words in {"rod": "distance", "band": "only in tension", "push": "wrench", "mine": "Python"}.items():
         assert words in used[name]
     text = str(scene.report)
-    for words in ("dry friction of the file 0.5", "servo with kp 10", "effort limit of the file 3", "1, 0, 2"):
+    for words in ("joint friction of the file 0.5", "servo with kp 10", "effort limit of the file 3", "1, 0, 2"):
         assert words in text
-    assert "Coulomb friction in the joint" not in text
+    assert "joint friction of the file: not used" not in text

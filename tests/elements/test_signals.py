@@ -1,4 +1,4 @@
-"""Signals: values, rates and accelerations of numbers, tables, functions and splines; what is none is refused."""
+"""Signals: values, rates and accelerations of numbers, tables, functions and splines; anything else is refused."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_a_number_stands_still():
 
 
 def test_a_table_is_a_spline_with_continuous_acceleration():
-    signal = Signal((TIMES, TIMES**3 - TIMES), "x")  # not-a-knot splines hold a cubic exactly
+    signal = Signal((TIMES, TIMES**3 - TIMES), "x")  # Not-a-knot splines reproduce a cubic exactly.
     for t in (0.0, 0.333, 1.0, 2.0):
         assert signal(t) == pytest.approx((t**3 - t, 3 * t**2 - 1, 6 * t), abs=1e4 * EPS)
     bent = Signal((TIMES, np.abs(TIMES - 1.0)), "x")
@@ -83,7 +83,7 @@ def test_a_table_is_a_spline_with_continuous_acceleration():
 
 def test_a_table_ends_where_it_ends():
     signal = Signal((TIMES, TIMES), "motion of 'j'")
-    assert signal(2.0 + 1e-10)[0] == pytest.approx(2.0)  # a run's last time is off by rounding
+    assert signal(2.0 + 1e-10)[0] == pytest.approx(2.0)  # A run's last time is off by rounding.
     with pytest.raises(cvi.UserFunctionError, match=r"outside its table at t = 2.5 s: expected times within 0 .. 2 s"):
         signal(2.5)
 

@@ -8,7 +8,7 @@ import contactvi as cvi
 def hung_ball() -> cvi.Trajectory:
     """One second of it: the string hangs from (0, 0, 1), the spring goes from (-1, 0, 0) by way of (-0.5, 0, 0.5).
 
-    The string has a driven length (a function), which no file keeps.
+    The length of the string is a function of time, which files do not store.
     """
     scene = cvi.Scene()
     scene.add_sphere("ball", radius=0.05, mass=1.0, placement=(0.6, 0.0, 0.2))

@@ -1,4 +1,4 @@
-"""Scenes with loops, drives and servos, put together in Python: small enough to know their answers."""
+"""Scenes with loops, prescribed motions and servos, made in Python and small enough for closed-form answers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def arm_scene(joints: int = 2, gravity: bool = True, **limits: float) -> cvi.Sce
 
 
 def four_bar(ground: float = 0.5, **options: float) -> cvi.Scene:
-    """Three rods whose end is held at (ground, 0, 0): a four-bar linkage with one degree of freedom."""
+    """Three rods whose end is fixed to (ground, 0, 0): a four-bar linkage with one degree of freedom."""
     scene = arm_scene(3, **options)
     scene.add_point("world", "j3", (ground, 0.0, 0.0), (BAR, 0.0, 0.0), name="loop")
     return scene

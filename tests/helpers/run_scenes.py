@@ -1,4 +1,4 @@
-"""Small scenes for the tests of runs, files, pictures and the command line, made with the public face only."""
+"""Small scenes for the tests of runs, files, pictures and the command line, made with the public Python API only."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def ball_scene(restitution: float = 1.0) -> cvi.Scene:
 
 
 def hand_scene() -> tuple[cvi.Scene, np.ndarray]:
-    """The Allegro hand, palm up, held half closed by springs, a ball above it; the scene and a start."""
+    """The Allegro hand, palm up, half closed by springs, a ball above it; the scene and a start."""
     scene = cvi.Scene()
     scene.add_urdf(HAND_URDF, placement=((0.0, 0.0, 0.1), (0.0, -math.pi / 2, 0.0)))
     scene.add_sphere("ball", radius=0.03, mass=0.1, placement=(0.02, 0.0, 0.35))

@@ -74,7 +74,7 @@ def test_a_package_without_the_file_does_not_hide_the_next(tmp_path: Path):
     found = mesh(tmp_path / "full" / "pkg" / "m.stl")
     dirs = [tmp_path / "empty", tmp_path / "full"]
     assert resolve_resource("package://pkg/m.stl", tmp_path / "x", dirs) == found
-    with pytest.raises(SceneError, match="empty.*full"):  # all that was tried is named
+    with pytest.raises(SceneError, match="empty.*full"):  # Every folder that was tried is named.
         resolve_resource("package://pkg/other.stl", tmp_path / "x", dirs)
 
 
@@ -103,7 +103,7 @@ def test_meshes_of_a_model_are_found(tmp_path: Path, reference: str, monkeypatch
     (hull,) = scene.collision_model.geometryObjects
     assert hull.geometry.num_points == 4
     assert hull.geometry.computeVolume() == pytest.approx(1 / 6, abs=1e-15)
-    assert hull.geometry.aabb_radius < 2.0  # coal leaves it infinite unless told
+    assert hull.geometry.aabb_radius < 2.0  # Coal leaves it infinite until it is computed.
 
 
 def test_a_missing_picture_is_ignored_and_said(tmp_path: Path):
@@ -114,4 +114,4 @@ def test_a_missing_picture_is_ignored_and_said(tmp_path: Path):
     scene = Scene()
     scene.add_urdf(file)
     assert any("gone/m.dae" in note.text for note in scene.report.all_notes("ignored", "visual"))
-    assert len(scene.visual_model.geometryObjects) == 1  # the collision shape stands in
+    assert len(scene.visual_model.geometryObjects) == 1  # The collision shape is shown.

@@ -1,4 +1,4 @@
-"""The import report: nothing is used, changed, ignored or refused without being said."""
+"""The import report: everything that is used, changed, ignored or refused is reported."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_allegro():
     joints = {joint.name for joint in part.joints}
     assert len(joints) == 16
     assert names(report, "suspicious", "damping") == joints
-    assert names(report, "ignored", "Coulomb friction") == joints
+    assert names(report, "ignored", "joint friction") == joints
     assert names(report, "ignored", "effort and velocity") == joints
     assert sum(body.mass for body in part.bodies) == pytest.approx(0.4154 + 0.5395, abs=1e-4)
     masses = {body.name: body.mass for body in part.bodies}
@@ -81,7 +81,7 @@ def test_damping_that_was_replaced_is_no_longer_suspicious():
 
 
 def test_limits_of_a_model(tmp_path):
-    """On by default, off for a whole model in code and in files; the report says what is simulated."""
+    """Limits are on by default, off for a whole model in code and in files; the report shows what is simulated."""
     on, off = Scene(), Scene()
     on.add_urdf(HAND)
     hand = off.add_urdf(HAND, limits=False, prefix="a/")
@@ -158,7 +158,7 @@ def test_mjcf(tmp_path: Path):
     assert names(report, "used", "constraint: m_hinge = 0") == {"m_joint_1"}
     assert {"<actuator>", "<keyframe>", "m_upper", "m_hinge", "timestep"} <= ignored
     assert names(report, "changed", "named by its place") == {"m_body_3"}
-    # All bodies are read (Pinocchio alone stops after the first), the plane is a halfspace, the exclude is kept.
+    # All bodies are read (Pinocchio alone stops after the first one), the plane is a halfspace, the exclude is kept.
     assert isinstance(scene.collision_model.geometryObjects[0].geometry, coal.Halfspace)
     assert [(p.first, p.second, p.detail) for p in report.removed] == [("m_upper", "m_ballGeom_0", "MJCF exclude")]
     assert len(scene.pair_names) == 8
@@ -190,7 +190,7 @@ GOOD = 'ixx="1" iyy="1" izz="1"'
         (urdf('ixx="-1" iyy="1" izz="1"'), "suspicious", "negative moment"),
         (urdf(GOOD, mass="0"), "suspicious", "no mass"),
         (urdf(GOOD, dynamics='<dynamics damping="1e4" friction="2"/>'), "suspicious", "dies within 0.0001 s"),
-        (urdf(GOOD, dynamics='<dynamics friction="2"/>'), "ignored", "Coulomb friction"),
+        (urdf(GOOD, dynamics='<dynamics friction="2"/>'), "ignored", "joint friction"),
         (urdf(GOOD), "ignored", "safety_controller"),
         (urdf(GOOD), "ignored", "effort and velocity"),
         (urdf(GOOD).replace('name="r"', ""), "changed", "no name"),

@@ -12,10 +12,11 @@ from typer.testing import CliRunner
 
 import contactvi as cvi
 from contactvi.commands import cli
-from contactvi.reproduce import figures, laws, model, report, runs
+from contactvi.reproduce import figures, laws, report, runs, systems
 from contactvi.reproduce import reproduce as reproduction
+from contactvi.reproduce.check import about, at_most, between, near, reported
 from contactvi.reproduce.reference import energy, reference
-from contactvi.reproduce.row import HOLDS, HOLDS_NOT, IN_PART, Number, Row
+from contactvi.reproduce.row import HOLDS, HOLDS_NOT, IN_PART, Row
 from oracles import problem_b as oracle
 
 PICTURES = ("fig1_energy", "convergence", "long_run_energy", "dense_impacts", "l2_errors")
@@ -64,10 +65,10 @@ def test_a_quick_run_is_quick_and_complete(quick):
 def test_the_robust_rows_have_their_verdicts(quick):
     rows = {row.key: row for row in quick[0].rows}
     assert {key: rows[key].verdict for key in ROBUST} == ROBUST
-    wrong = [n for key in ROBUST for n in rows[key].numbers if n.met is False]
+    wrong = [n for key in ROBUST for n in rows[key].checks if n.ok is False]
     assert not wrong
     assert rows["L2 error"].as_expected is None  # reported, never asserted
-    assert all(n.value > 0 for n in rows["cost"].numbers)
+    assert all(n.value > 0 for n in rows["cost"].checks)
 
 
 def test_the_report_says_every_claim_and_shows_every_picture(quick):
@@ -90,7 +91,7 @@ def test_the_table_has_every_number(quick):
     result, folder, _, _ = quick
     header, *lines = list(csv.reader((folder / "table.csv").open()))
     assert tuple(header) == report.COLUMNS
-    assert len(lines) == sum(len(row.numbers) for row in result.rows)
+    assert len(lines) == sum(len(row.checks) for row in result.rows)
     assert all(np.isfinite(float(line[header.index("value")])) for line in lines)
 
 
@@ -119,7 +120,7 @@ def test_the_command_prints_the_verdicts(quick, monkeypatch, tmp_path):
 
 def test_the_reference_is_that_of_the_oracle_and_of_the_cases():
     """Two codes of one method at rtol 1e-13: they differ by what rounding grows to over 3 s."""
-    exact, found = oracle.run(3.0), reference(model.START, np.linspace(0.0, 3.0, 7))
+    exact, found = oracle.run(3.0), reference(systems.START, np.linspace(0.0, 3.0, 7))
     assert np.abs(found.q[-1] - exact.q).max() <= 1e-11
     assert np.abs(found.w[-1] - exact.w).max() <= 1e-11
     for impact, known in zip(found.impacts, exact.impacts, strict=True):
@@ -130,14 +131,14 @@ def test_the_reference_is_that_of_the_oracle_and_of_the_cases():
 
 
 def test_problem_b_is_the_scene_of_the_repository():
-    built, loaded = model.problem_b(), cvi.load_scene(FILE)
-    assert np.allclose(np.linalg.solve(model.ABSOLUTE, model.START), loaded.q0, rtol=0, atol=1e-15)
+    built, loaded = systems.problem_b(), cvi.load_scene(FILE)
+    assert np.allclose(np.linalg.solve(systems.ABSOLUTE, systems.START), loaded.q0, rtol=0, atol=1e-15)
     q, v = np.array([[0.4, -0.7]]), np.array([[0.3, 1.1]])
     for name in ("momentum", "energy"):
         values = [np.asarray(getattr(scene.core(), name)(q, v)) for scene in (built, loaded)]
         assert np.abs(values[0] - values[1]).max() <= 1e-12
     gaps = [float(scene.core().gaps(q[0])[0][0]) for scene in (built, loaded)]
-    assert gaps[0] == pytest.approx(oracle.tip_gap(model.ABSOLUTE @ q[0]), abs=1e-15)
+    assert gaps[0] == pytest.approx(oracle.tip_gap(systems.ABSOLUTE @ q[0]), abs=1e-15)
     assert gaps[0] == pytest.approx(gaps[1], abs=1e-15)
 
 
@@ -150,30 +151,38 @@ def test_the_symplectic_defect_is_that_of_the_map(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("number", "met"),
+    ("check", "ok"),
     [
-        (Number("a", "", "", 1.0, "1").at_most(1.0), True),
-        (Number("a", "", "", 1.1, "1").at_most(1.0), False),
-        (Number("a", "", "", float("nan"), "1").at_most(1.0), False),
-        (Number("a", "", "", 0.9, "1").at_least(1.0), False),
-        (Number("a", "", "", 2.1, "1").near(2.0, 0.1001), True),
-        (Number("a", "", "", 4.1, "1").about(2.0), False),
-        (Number("a", "", "", 0.9, "1").about(2.0), False),
-        (Number("a", "", "", 3.0, "1").between(1.0, 2.0), False),
+        (about("x", 2.0, 2.1, 2.0, "r"), True),
+        (about("x", 2.0, 4.1, 2.0, "r"), False),
+        (about("x", 2.0, 0.9, 2.0, "r"), False),
+        (about("x", 2.0, float("nan"), 2.0, "r"), False),
+        (between("x", 1.0, 2.0, 1.5, "r"), True),
+        (between("x", 1.0, 2.0, 3.0, "r"), False),
+        (between("x", 1.0, 2.0, float("nan"), "r"), False),
     ],
 )
-def test_rules_of_numbers(number, met):
-    assert number.met is met
-    assert number.expected
+def test_checks_can_fail(check, ok):
+    assert check.ok is ok
+    assert check.expected
+
+
+def test_expectations_read_as_one_phrase():
+    assert near("x", 2.0, 2.1, 0.1001, "r").expectation == "2 +- 0.1"
+    assert at_most("x", 1e-11, 2.0, "r").expectation == "<= 1e-11"
+    assert about("x", 0.0004, 1.0, 2.0, "r").expectation == "0.0004 within a factor 2"
+    assert between("x", -6e-5, 2e-4, 0.0, "r").expectation == "-6e-05 .. 0.0002"
+    assert reported("x", 1.0).expectation == ""
+    assert reported("x", 1.0).of("ctec", "h = 1 s", "J").map == "ctec"
 
 
 def synthetic(order: dict[str, float]) -> runs.Convergence:
-    h = np.array(model.STEPS)
-    return runs.Convergence(h, {name: h ** order[name] for name in model.MAPS})
+    h = np.array(systems.STEPS)
+    return runs.Convergence(h, {name: h ** order[name] for name in systems.MAPS})
 
 
 def test_orders_can_fail():
-    two = dict.fromkeys(model.MAPS, 2.0)
+    two = dict.fromkeys(systems.MAPS, 2.0)
     assert runs.order_row(synthetic(two)).verdict == HOLDS
     row = runs.order_row(synthetic(two | {"mhc": 1.5}))
     assert row.verdict == HOLDS_NOT
@@ -182,8 +191,8 @@ def test_orders_can_fail():
 
 def long_run(**drift: float) -> runs.LongRun:
     t = np.linspace(0.0, 1000.0, 1001)
-    energy_of = {name: drift[name] * t / 1000.0 for name in model.MAPS}
-    return runs.LongRun(t, energy_of, dict.fromkeys(model.MAPS, 707), dict.fromkeys(model.MAPS, 0))
+    energy_of = {name: drift[name] * t / 1000.0 for name in systems.MAPS}
+    return runs.LongRun(t, energy_of, dict.fromkeys(systems.MAPS, 707), dict.fromkeys(systems.MAPS, 0))
 
 
 def test_long_run_energy_can_fail():
@@ -194,8 +203,8 @@ def test_long_run_energy_can_fail():
 def dense(ctec: float, dtec: tuple[float, ...], fallbacks: int = 0) -> runs.Dense:
     errors = {name: [np.array([0.0, ctec])] * 4 for name in ("ctec", "mhc")}
     errors["dtec"] = [np.array([0.0, -x]) for x in dtec]
-    counts = {name: [100] * 4 for name in model.MAPS}
-    return runs.Dense(np.array([0.0, 1.0]), errors, counts, {name: [fallbacks] * 4 for name in model.MAPS})
+    counts = {name: [100] * 4 for name in systems.MAPS}
+    return runs.Dense(np.array([0.0, 1.0]), errors, counts, {name: [fallbacks] * 4 for name in systems.MAPS})
 
 
 def test_dense_impacts_can_fail():
@@ -219,11 +228,11 @@ def test_fine_steps_divide_the_duration():
     h = reproduction.fine_steps(40)
     assert np.all(np.diff(h) < 0)
     assert (h[0], h[-1]) == (0.04, 0.0025)
-    assert np.abs(model.DURATION / h - np.rint(model.DURATION / h)).max() <= 1e-9
+    assert np.abs(systems.DURATION / h - np.rint(systems.DURATION / h)).max() <= 1e-9
 
 
 def test_bars_in_cells_do_not_break_a_table():
-    row = Row("k", "a | b", "|x|", "", "r", HOLDS_NOT, [Number("n", "", "", 2.0, "1").at_most(1.0)])
+    row = Row("k", "a | b", "|x|", "", "r", HOLDS_NOT, [at_most("n", 1.0, 2.0, "r")])
     picture = figures.Picture("a.png", "a.csv", "caption")
     lines = report.report([row], [picture], 1.0, quick=True)
     assert any(line.startswith("| a \\| b | \\|x\\| |") for line in lines)

@@ -25,7 +25,7 @@ def test_a_start_off_the_loop_is_named():
     with pytest.raises(cvi.ConstraintError) as caught:
         cvi.simulate(scene, duration=0.1, dt=1e-3)
     error = caught.value
-    assert error.constraints == ("loop",)  # neutral() satisfies the gear
+    assert error.constraints == ("loop",)  # neutral() satisfies the gear.
     assert error.residuals["loop"] > 0.5
     assert "scene.assemble(q)" in str(error)
     with pytest.raises(cvi.ConstraintError) as caught:
@@ -49,7 +49,7 @@ def test_a_loop_that_cannot_be_closed_is_named():
         scene.assemble(np.array([0.1, 0.1, 0.1]))
     error = caught.value
     assert error.constraints == ("loop",)
-    assert error.residuals["loop"] == pytest.approx(0.1, rel=1e-3)  # stretched, it misses by that much
+    assert error.residuals["loop"] == pytest.approx(0.1, rel=1e-3)  # The stretched chain is too short by 0.1 m.
     assert "No configuration near the given one" in str(error)
 
 
@@ -72,14 +72,14 @@ def test_a_motion_that_cannot_be_reached_is_named():
     with pytest.raises(cvi.ConstraintError) as caught:
         scene.assemble(q, fixed=["j1", "j2"])
     assert "crank" in caught.value.constraints
-    assert "2 degrees of freedom held" in str(caught.value)
+    assert "2 degrees of freedom fixed" in str(caught.value)
 
 
 def test_drives_that_contradict_each_other_have_no_velocity():
     scene = arm_scene(1)
     scene.prescribe("j1", lambda t: t, name="slow")
     scene.prescribe("j1", lambda t: 2.0 * t, name="fast")
-    with pytest.raises(cvi.ConstraintError, match="No velocity goes with") as caught:
+    with pytest.raises(cvi.ConstraintError, match="No velocity satisfies") as caught:
         scene.consistent_velocity()
     assert set(caught.value.constraints) == {"slow", "fast"}
 
@@ -112,7 +112,7 @@ def test_wrong_arguments():
         scene.consistent_velocity(v=[1.0])
 
 
-# -- what they return -------------------------------------------------------------------------------------------------
+# -- results ---------------------------------------------------------------------------------------------------------
 
 
 def test_assembly_closes_the_loop_and_keeps_what_is_fixed():
@@ -123,18 +123,18 @@ def test_assembly_closes_the_loop_and_keeps_what_is_fixed():
     data = scene.model.createData()
     pin.forwardKinematics(scene.model, data, q)
     assert data.oMi[3].act(np.array([BAR, 0, 0])) == pytest.approx([0.5, 0, 0], abs=1e-12)
-    assert scene.assemble(q) == pytest.approx(q, abs=1e-13)  # where it is closed nothing moves
+    assert scene.assemble(q) == pytest.approx(q, abs=1e-13)  # A closed loop stays where it is.
 
 
 def test_assembly_is_near():
-    """The step of Gauss-Newton is the shortest one: of first order it is along the gradients."""
+    """The step of Gauss-Newton is the shortest one, so to first order it is along the gradients."""
     scene = four_bar()
     q = four_bar_start(scene)
     gradients = scene.core().constraint_jacobian(q, 0.0)
     free = np.linalg.svd(gradients)[2][-1]  # the direction in which the loop moves
     across = 1e-4 * (gradients.T @ np.array([1.0, 0.0, 1.0]))
     back = scene.assemble(q + across)
-    assert abs((back - q) @ free) < 1e-7  # of second order
+    assert abs((back - q) @ free) < 1e-7  # of second order in the displacement
 
 
 def test_assembly_leaves_special_places():
@@ -214,7 +214,7 @@ def check_gradients(scene: cvi.Scene, q: np.ndarray) -> None:
 
 
 def test_derivatives_of_the_residuals():
-    """J is the derivative along the tangent of q, phi_t that at fixed q: of all kinds, free bodies among them."""
+    """J is the derivative along the tangent of q, phi_t that at fixed q, for all kinds and with free bodies."""
     scene = arm_scene(2)
     scene.add_box("a", (0.4, 0.1, 0.1), placement=((0.5, 0.1, 1.0), (0.1, 0.2, 0.3)))
     scene.add_box("b", (0.4, 0.1, 0.1), placement=((0.1, 0.5, 1.0), (0.3, 0.2, 0.1)))
@@ -228,7 +228,7 @@ def test_derivatives_of_the_residuals():
 
 @pytest.mark.parametrize("pitch", [0.0, 0.1, -0.02])
 def test_derivatives_of_a_screw(pitch):
-    """Where its axes coincide: the turn of a body about an axis that it does not have is a matter of taste."""
+    """J of a screw is compared where its axes coincide; elsewhere the angle about a common axis is not defined."""
     scene = cvi.Scene()
     for k, place in enumerate([((0.5, 0.1, 1.0), (0.1, 0.2, 0.3)), ((0.1, 0.5, 1.0), (0.3, 0.2, 0.1))]):
         scene.add_box(f"b{k}", (0.4, 0.1, 0.1), placement=place)
@@ -239,7 +239,7 @@ def test_derivatives_of_a_screw(pitch):
 
 @pytest.mark.parametrize("dt", [1e-3, 1e-2])
 def test_a_motion_that_jumps_is_refused(dt):
-    """At a node by the differences around it; between nodes because no rate leads there."""
+    """At a node the differences around it show the jump; between nodes no rate leads across it."""
     scene = arm_scene(1)
     scene.prescribe("j1", lambda t: 0.0 if t < 0.255 else 0.3, name="jump")
     with pytest.raises((cvi.UserFunctionError, cvi.ConstraintError, cvi.SimulationError), match="jump"):

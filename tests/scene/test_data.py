@@ -26,7 +26,7 @@ SLANTED = np.array([1.0, 2.0, 2.0]) / 3.0
 
 def every_joint_type() -> Scene:
     model, geometry = pin.Model(), pin.GeometryModel()
-    # Python can make this joint only from a URDF (pin 4.1).
+    # In pin 4.1 Python can make this joint only from a URDF.
     slanted = pin.buildModelFromXML(
         '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
         '<child link="b"/><axis xyz="1 2 2"/></joint></robot>'

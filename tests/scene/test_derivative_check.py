@@ -1,4 +1,4 @@
-"""The validator finds a wrong entry of a user's derivative and names it; right ones pass, on Lie groups too."""
+"""A wrong entry of a user's derivative is found and named; correct derivatives pass, on Lie groups too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Constraints, springs, forces and drives in files: scene files, mimic tags, equality of MJCF, stored scenes."""
+"""Constraints, springs, forces and servos in files: scene files, mimic tags, equality of MJCF, stored scenes."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_scene_files(tmp_path: Path):
         *("point_1", "winch", "weld_1", "screw_1", "spring_1", "tape_spring_1", "wrench_1"),
     ]
     assert scene.core().constraint_rows == [3, 1, 6, 5]
-    assert scene.v0 is None  # of a driven length: what goes with it
+    assert scene.v0 is None  # The run starts with the velocity that the driven length gives.
 
 
 def test_scene_files_of_joints(tmp_path: Path):
@@ -197,8 +197,9 @@ def test_equality_of_mjcf(tmp_path: Path):
     residual = scene.core().constraint_residual(scene.neutral(), 0.0)
     assert scene.neutral()[scene.q_index("m_y")] == pytest.approx(0.1)
     assert residual[:3] == pytest.approx(np.zeros(3), abs=1e-15)
-    assert residual[9:] == pytest.approx(np.zeros(7), abs=1e-15)  # as it is, and the gear
-    assert np.linalg.norm(residual[6:9]) == pytest.approx(2 * np.sin(np.pi / 4), abs=1e-9)  # turned by 90 degrees
+    assert residual[9:] == pytest.approx(np.zeros(7), abs=1e-15)  # the weld without relpose, and the gear
+    # The weld with relpose is off by 90 degrees.
+    assert np.linalg.norm(residual[6:9]) == pytest.approx(2 * np.sin(np.pi / 4), abs=1e-9)
     off = cvi.Scene()
     off.add_mjcf(tmp_path / "m.xml", equality=False)
     assert not off.elements

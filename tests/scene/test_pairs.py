@@ -1,4 +1,4 @@
-"""Which pairs are tested by default, and that nothing disappears without a reason in the report."""
+"""Pairs that are tested by default; every other one has its reason in the report."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def reason(scene: Scene, a: str, b: str) -> str | None:
 def test_hand_ball_ground_and_table():
     scene = Scene()
     scene.add_urdf(ALLEGRO)
-    scene.add_sphere("ball", 0.03)  # lies in the palm at the neutral pose: a matter of the start, not of the model
+    scene.add_sphere("ball", 0.03)  # It lies in the palm at the neutral pose, which is a matter of the start.
     scene.add_halfspace((0, 0, 1), -0.5)
     scene.add_box("table", (1, 1, 0.1), free=False, placement=(0, 0, -0.4))
     assert_complete(scene)
@@ -45,7 +45,7 @@ def test_hand_ball_ground_and_table():
     pairs = {frozenset(pair) for pair in scene.pair_names}
     for body in ("palm_link_0", "ground", "table", "link_0.0_0"):
         assert frozenset(("ball", body)) in pairs
-    # The first joints hang on the world like the table, but they are not joined to it.
+    # The first joints have the world as parent, as the table has, but they are not joined to the table.
     assert frozenset(("link_0.0_0", "table")) in pairs
     assert frozenset(("link_0.0_0", "ground")) in pairs
     # Two bodies fixed to the world never move against each other.
@@ -165,4 +165,4 @@ def test_engine_has_the_same_pairs_and_gaps_as_coal():
     assert np.einsum("ij,ij->i", point_b - point_a, normal) == pytest.approx(gap, abs=1e-15)
     assert scene.core() is core
     scene.set_contact(restitution=0.3)
-    assert scene.core() is not core  # an edit makes a new one
+    assert scene.core() is not core  # An edit makes a new one.

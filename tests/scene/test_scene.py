@@ -1,6 +1,8 @@
-"""The scene: what is assembled from parts, which names and pairs it has, and what the engine is told."""
+"""The scene: the model assembled from its parts, its names and pairs, and the arrays for the engine."""
 
 from __future__ import annotations
+
+import copy
 
 import coal
 import numpy as np
@@ -39,7 +41,7 @@ def chain(parents: list[int], kind: type = pin.JointModelRX) -> pin.Model:
 
 
 def assert_same_dynamics(a: pin.Model, b: pin.Model, q: np.ndarray) -> None:
-    """Same forces for a generic motion: a wrong placement, inertia, armature or order would show."""
+    """The forces of a generic motion agree, so placements, inertias, armature and order do."""
     v, acc = np.sin(1.0 + np.arange(a.nv)), np.cos(2.0 * np.arange(a.nv))
     one = pin.rnea(a, a.createData(), q, v, acc)
     two = pin.rnea(b, b.createData(), q, v, acc)
@@ -111,11 +113,11 @@ class TestAssembly:
             Scene.from_pinocchio(chain(parents))
 
     def test_a_reduced_model_is_taken(self):
-        """Its locked joints are frames that name themselves as the frame they stand on."""
+        """Frames of its locked joints are their own parents."""
         model = direct("example-robot-data://robots/panda_description/urdf/panda.urdf")
         fingers = [i for i, name in enumerate(model.names) if "finger" in name]
         reduced = pin.buildReducedModel(model, fingers, pin.neutral(model))
-        assert any(frame.parentFrame >= i > 0 for i, frame in enumerate(reduced.frames))  # the premise
+        assert any(frame.parentFrame >= i > 0 for i, frame in enumerate(reduced.frames))  # The model has such frames.
         scene = Scene.from_pinocchio(reduced)
         assert_same_dynamics(scene.model, reduced, pin.neutral(reduced))
         for frame in reduced.frames[1:]:
@@ -140,7 +142,7 @@ class TestAssembly:
         scene.add_sphere("s", 0.2, 3.0)
         scene.add_box("b", (0.1, 0.2, 0.3), 12.0)
         scene.add_cylinder("c", 0.2, 0.6, 12.0)
-        scene.add_capsule("k", 0.5, 1e-9, 5.0)  # a ball in the limit
+        scene.add_capsule("k", 0.5, 1e-9, 5.0)  # It is a ball in the limit.
         s, b, c, k = (np.diag(scene.model.inertias[i].inertia) for i in range(1, 5))
         assert s == pytest.approx([0.4 * 3 * 0.04] * 3)
         assert b == pytest.approx([0.13, 0.10, 0.05])
@@ -193,7 +195,7 @@ class TestContactRules:
         assert e["link_3.0_tip_0", "ball"] == 0.9  # the only side that has one
         assert e["link_2.0_0", "ball"] == 0.8  # the default
         scene.set_contact("ball", restitution=0.1)
-        scene.set_contact("ball", restitution=0.2)  # the last call wins
+        scene.set_contact("ball", restitution=0.2)  # The last call counts.
         e = dict(zip(scene.pair_names, scene.pair_restitution, strict=True))
         assert (e["palm_link_0", "ball"], e["ball", "ground"]) == (1.0, 0.2)
 
@@ -232,7 +234,7 @@ class TestJoints:
         assert (arrays.limit_restitution[twelve], arrays.limit_restitution[thirteen]) == (0.25, 0.6)
         assert arrays.limits[twelve]
         assert not arrays.limits[thirteen]
-        assert scene.neutral()[scene.q_index("joint_12.0")] == 0.5  # moved into the limits
+        assert scene.neutral()[scene.q_index("joint_12.0")] == 0.5  # Zero is moved into the limits.
         assert model.lowerPositionLimit[scene.q_index("joint_13.0")] == -np.inf
 
     def test_limits_without_meaning_are_not_used(self):
@@ -292,3 +294,13 @@ class TestCopies:
         scene.add_sphere("other", 0.02)  # The name is still free here.
         assert twin.nv == scene.nv
         assert str(twin.to_dict()) != str(scene.to_dict())
+
+    def test_a_deep_copy_has_its_own_start(self):
+        scene = Scene()
+        scene.add_sphere("ball", 0.1, placement=(0.0, 0.0, 1.0))
+        scene.q0 = scene.neutral()
+        scene.core()  # The engine's scene cannot be copied, and need not be.
+        twin = copy.deepcopy(scene)
+        twin.q0[2] = 2.0
+        assert scene.q0[2] == 1.0
+        assert copy.copy(scene).core() is twin.core() is scene.core()

@@ -1,4 +1,4 @@
-"""Scene files: what the page says is what the scene is, and a misspelt word is an error."""
+"""Scene files: every entry reaches the scene, and a misspelt word is an error."""
 
 from __future__ import annotations
 
@@ -202,7 +202,10 @@ def test_an_empty_file_is_an_empty_scene(tmp_path: Path):
 
 
 def test_the_documentation_names_every_key():
-    readme, docstring = (MODELS / "README.md").read_text(), load_scene.__globals__["__doc__"]
+    page, docstring = MODELS.parent / "docs" / "scene_files.md", load_scene.__globals__["__doc__"]
+    if not page.is_file():
+        pytest.skip("the tests were copied without the docs")
+    readme = page.read_text()
     for section, keys in KEYS.items():
         for key in keys:
             assert (

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
+from contactvi.reproduce.check import Check, at_least, at_most, near, same
 from contactvi.verify import verify as verification
-from contactvi.verify.check import COMPLEMENTARITY, GAP, Case, Check, Runs, at_least, at_most, near, same
+from contactvi.verify.case import COMPLEMENTARITY, GAP, Case, Runs
 from helpers.run_scenes import ball_scene
 
 PASSED, FAILED, WRONG_INPUT = 0, 1, 2
-FAST = ("N11", "N13", "N16", "dry-stop", "screw", "slider-crank")
+FAST = ("ball-chains", "three-balls", "rod", "joint-friction-stop", "screw", "slider-crank")
 
 
 def wrong(_runs: Runs) -> list[Check]:
@@ -35,24 +36,7 @@ def test_the_list_names_every_case_once(command):
     names = [line.split()[0] for line in result.stdout.splitlines()]
     assert names == [case.name for case in verification.CASES]
     assert len(set(names)) == len(names) >= 40
-    for name in (
-        "B",
-        "N01",
-        "N02",
-        "N03",
-        "N06",
-        "N07",
-        "N08",
-        "N10",
-        "N11",
-        "N13",
-        "N14",
-        "N15",
-        "N16",
-        "N18",
-        "N22",
-        "N27",
-    ):
+    for name in ("double-pendulum", "bouncing-ball", "painleve-rod", "slider-crank-clearance", "grazing"):
         assert name in names
     assert all(case.run is not None or case.excuse for case in verification.CASES)
 
@@ -70,12 +54,24 @@ def test_one_case_by_name(command, name):
 
 
 def test_several_cases_as_json(command):
-    result = command("verify", "N13", "N26-bowl", "--json")
+    result = command("verify", "three-balls", "ball-in-bowl", "--json")
     assert result.exit_code == PASSED
     data = json.loads(result.stdout)
-    assert [entry["verdict"] for entry in data] == ["ok" if e["case"] == "N13" else "not applicable" for e in data]
-    assert {entry["case"] for entry in data} == {"N13", "N26-bowl"}
+    assert [entry["verdict"] for entry in data] == [
+        "ok" if e["case"] == "three-balls" else "not applicable" for e in data
+    ]
+    assert {entry["case"] for entry in data} == {"three-balls", "ball-in-bowl"}
     assert all(check["ok"] and check["reason"] for entry in data for check in entry["checks"])
+
+
+def test_former_names_are_accepted():
+    former = {case.former for case in verification.CASES if case.former}
+    assert {"B", "N01", "N10", "N22", "N26-bowl", "N27", "dry-stop", "dry-spring"} <= former
+    assert not former & {case.name for case in verification.CASES}
+    assert [case.name for case in verification.chosen(["dry-stop", "N22"])] == [
+        "joint-friction-stop",
+        "slider-crank-clearance",
+    ]
 
 
 def test_unknown_names_are_refused(command):
@@ -94,13 +90,13 @@ def test_a_case_that_fails_fails_the_command(command, monkeypatch, run):
     assert "FAILED: injected" in result.stdout
     if run is breaks:
         assert "ValueError: what a pity" in result.stdout
-    both = command("verify", "N16", "injected")
+    both = command("verify", "rod", "injected")
     assert both.exit_code == FAILED
     assert "1 of 2 cases passed" in both.stdout
 
 
 def test_what_is_not_applicable_is_never_green(command):
-    result = command("verify", "N26-bowl")
+    result = command("verify", "ball-in-bowl")
     assert result.exit_code == FAILED  # nothing was measured
     assert "0 of 0 cases passed" in result.stdout
     row = result.stdout.splitlines()[1]
@@ -173,7 +169,7 @@ def test_a_case_that_hangs_fails():
 def test_gaps_count_at_the_nodes():
     """A run that starts apart and is moved into its floor afterwards is found out."""
     traj = cvi.simulate(ball_scene(1.0), duration=1.0, dt=0.01)
-    from contactvi.verify.check import kept
+    from contactvi.verify.case import kept
 
     assert kept(traj)[0] >= GAP
     traj.q[50, 2] = 0.05

@@ -1,7 +1,4 @@
-"""What a case of `contactvi verify` consists of: checks with their tolerances and reasons, and the runs it makes.
-
-Expectations come from closed forms or from the published digits of a case, never from an earlier output.
-"""
+"""A case of `contactvi verify`, and the runs that it makes."""
 
 from __future__ import annotations
 
@@ -14,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import SimulationError
+from contactvi.reproduce.check import Check, same
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulation import simulate
 from contactvi.trajectory.compiled import compile_scene
@@ -21,29 +19,10 @@ from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-GAP, COMPLEMENTARITY = -1e-10, 1e-12  # [m; rad], [N m s]: what every run has to keep
+GAP, COMPLEMENTARITY = -1e-10, 1e-12  # bounds for every run: least gap [m; rad], gap times impulse [N m s]
 LIMIT = 30.0  # [s] of wall time for a case: many times what any of them takes
-_NODES = 400  # of a run whose gaps are looked at: a stack of 1000 nodes would be measured for longer than simulated
-
-
-@dataclass(frozen=True)
-class Check:
-    """One number of a case against what is known of it.
-
-    Attributes:
-        what: the quantity.
-        expected, got: as text.
-        tolerance: as text, "exact" for counts.
-        reason: where the tolerance comes from.
-        ok: the verdict.
-    """
-
-    what: str
-    expected: str
-    got: str
-    tolerance: str
-    reason: str
-    ok: bool
+# Nodes of a run at which the gaps are measured: measuring all nodes of a stack takes longer than its simulation.
+_NODES = 400
 
 
 @dataclass(frozen=True)
@@ -51,47 +30,29 @@ class Case:
     """One case: its name, what it is, and the function that measures it.
 
     Attributes:
+        name: by which the case is chosen.
+        title: what it is, in a few words.
         run: called with a `Runs`; returns the checks.
         excuse: why the case cannot be expressed, then run is None and the case is listed as not applicable, neither
             passed nor failed.
+        former: name that the case had before, still accepted in this release; "" where it had no other.
     """
 
     name: str
     title: str
     run: Callable[[Runs], Sequence[Check]] | None
     excuse: str = ""
-
-
-def near(what: str, expected: ArrayLike, got: ArrayLike, tolerance: float, reason: str) -> Check:
-    """Expect numbers of one shape within an absolute tolerance, each of them."""
-    exact, found = np.asarray(expected, dtype=float), np.asarray(got, dtype=float)
-    ok = exact.shape == found.shape and bool(np.all(np.abs(found - exact) <= tolerance))
-    return Check(what, _text(exact), _text(found), f"{tolerance:.3g}", reason, ok)
-
-
-def at_most(what: str, bound: float, got: float, reason: str) -> Check:
-    """Expect a number <= bound."""
-    return Check(what, f"<= {bound:.3g}", f"{got:.3g}", "bound", reason, bool(got <= bound))
-
-
-def at_least(what: str, bound: float, got: float, reason: str) -> Check:
-    """Expect a number >= bound."""
-    return Check(what, f">= {bound:.6g}", f"{got:.6g}", "bound", reason, bool(got >= bound))
-
-
-def same(what: str, expected: object, got: object, reason: str = "a count or a choice") -> Check:
-    """Expect exactly this."""
-    return Check(what, str(expected), str(got), "exact", reason, bool(expected == got))
+    former: str = ""
 
 
 class Runs:
-    """Makes the runs of a case and keeps what each of them has to keep: phi, lambda, complementarity, its end."""
+    """Makes the runs of a case, and checks what holds for every run: gaps, impulses, complementarity, its end."""
 
     def __init__(self, limit: float = LIMIT) -> None:
-        """limit : wall time allowed for all of them together [s]."""
+        """Take the wall time [s] that all runs of the case together may need."""
         self.count, self._end = 0, time.perf_counter() + limit
         self._gap, self._impulse, self._complementarity = np.inf, np.inf, 0.0
-        self._endings: list[str] = []
+        self._messages: list[str] = []
 
     def simulate(
         self,
@@ -110,7 +71,7 @@ class Runs:
         traj = simulate(scene, q, v, duration, dt, throw=False, progress=self._in_time, **options)
         self.count += 1
         if not traj.status.ok:
-            self._endings.append(str(traj.status))
+            self._messages.append(str(traj.status))
         gap, impulse, product = kept(traj)
         self._gap, self._impulse = np.fmin(self._gap, gap), np.fmin(self._impulse, impulse)
         self._complementarity = np.fmax(self._complementarity, product)
@@ -131,7 +92,7 @@ class Runs:
         gap, impulse, product = float(self._gap), float(self._impulse), float(self._complementarity)
         good = gap >= GAP and (impulse >= 0.0) and product <= COMPLEMENTARITY
         return [
-            same("runs that ended early", "none", "; ".join(self._endings) or "none", runs),
+            same("runs that ended early", "none", "; ".join(self._messages) or "none", runs),
             Check(
                 "phi; lambda; |phi lambda|",
                 f">= {GAP:g}; >= 0; <= {COMPLEMENTARITY:g}",
@@ -146,7 +107,7 @@ class Runs:
 def kept(traj: Trajectory) -> tuple[float, float, float]:
     """Return the least gap [m; rad], the least impulse [N s] and the largest |gap * impulse| of a run.
 
-    Gaps of all pairs and limits at the nodes (some 400 of them), at all impacts, and of all held contacts.
+    Gaps of all pairs and limits at the nodes (some 400 of them), at all impacts, and of all persistent contacts.
     """
     scene = traj.scene
     built = compile_scene(scene).built
@@ -159,16 +120,9 @@ def kept(traj: Trajectory) -> tuple[float, float, float]:
         at = model.joints[int(index)].idx_q
         gaps += [traj.q[:, at] - model.lowerPositionLimit[at], model.upperPositionLimit[at] - traj.q[:, at]]
     events, contacts = traj.events, traj.contacts
-    hit, held = (events.array("gap"), events.array("impulse")), (contacts.array("gap"), contacts.normal_impulse)
-    gaps += [hit[0], held[0]]
-    impulses = np.concatenate([[0.0], hit[1], held[1]])
-    products = np.concatenate([[0.0], hit[0] * hit[1], held[0] * held[1]])
+    at_impacts = events.array("gap"), events.array("impulse")
+    in_contact = contacts.array("gap"), contacts.normal_impulse
+    gaps += [at_impacts[0], in_contact[0]]
+    impulses = np.concatenate([[0.0], at_impacts[1], in_contact[1]])
+    products = np.concatenate([[0.0], at_impacts[0] * at_impacts[1], in_contact[0] * in_contact[1]])
     return float(np.concatenate(gaps).min()), float(impulses.min()), float(np.abs(products).max())
-
-
-def _text(values: Array) -> str:
-    if values.ndim == 0:
-        return f"{float(values):.11g}"
-    if values.size > 8:
-        return f"{values.size} values, {values.min():.6g} .. {values.max():.6g}"
-    return "(" + ", ".join(f"{value:.10g}" for value in values.ravel()) + ")"

@@ -28,8 +28,13 @@ ABSOLUTE = np.array([[1.0, 0.0], [1.0, 1.0]])  # absolute = ABSOLUTE @ relative 
 _RADIUS = 1.0 / 32.0  # of the ball at the tip [m], exact in binary; the wall is set back by it: the gap of a point
 
 
-def problem_b() -> Scene:
-    """Return problem B; its configuration is (angle 1, angle 2 relative to rod 1) [rad]."""
+def problem_b(offset: float = 0.0, radius: float = _RADIUS) -> Scene:
+    """Return problem B; its configuration is (angle 1, angle 2 relative to rod 1) [rad].
+
+    Args:
+        offset: x [m] of the wall that the point at the tip may not cross.
+        radius: of the ball at the tip [m].
+    """
     model = pin.Model()
     for k in range(2):
         placement = pin.SE3(np.eye(3), np.array([0.0, 0.0, -1.0 if k else 0.0]))
@@ -40,8 +45,8 @@ def problem_b() -> Scene:
     model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
     geometry = pin.GeometryModel()
     end = pin.SE3(np.eye(3), np.array([0.0, 0.0, -1.0]))
-    tip = geometry.addGeometryObject(pin.GeometryObject("tip", 2, end, coal.Sphere(_RADIUS)))
-    halfspace = coal.Halfspace(np.array([1.0, 0.0, 0.0]), -_RADIUS)
+    tip = geometry.addGeometryObject(pin.GeometryObject("tip", 2, end, coal.Sphere(radius)))
+    halfspace = coal.Halfspace(np.array([1.0, 0.0, 0.0]), offset - radius)
     wall = geometry.addGeometryObject(pin.GeometryObject("wall", 0, pin.SE3.Identity(), halfspace))
     geometry.addCollisionPair(pin.CollisionPair(wall, tip))
     scene = Scene.from_pinocchio(model, geometry, name="double_pendulum")
@@ -84,12 +89,6 @@ def body_at_wall() -> tuple[Scene, Array]:
     scene.add_halfspace(normal=(1.0, 0.0, 0.0), name="wall")
     scene.set_contact(restitution=1.0)
     return scene, np.array([-1.0, 0.7, 0.4, 0.3, 0.9, -0.2])
-
-
-def steps_with_impact(traj: Trajectory) -> list[int]:
-    """Return the indices of the steps that hold exactly one impact (every step recorded)."""
-    steps, count = np.unique(traj.events.array("step"), return_counts=True)
-    return [int(k) for k in steps[count == 1]]
 
 
 def stepper(scene: Scene, impact: ImpactMap, dt: float) -> Simulator:
