@@ -108,7 +108,7 @@ class Signal:
         slack = _SLACK * (high - low)
         if not low - slack <= t <= high + slack:
             raise UserFunctionError(
-                f"{self.name} is evaluated outside its table{at(t)}",
+                f"{self.name} is asked for outside its table{at(t)}",
                 function=self.name,
                 time=t,
                 expected=f"times within {low:.9g} .. {high:.9g} s",
