@@ -1,12 +1,12 @@
-"""Energy of the double pendulum at a wall over 1e4 s (7000 impacts), against cost: contactvi's orders beside scipy.
+"""Energy of the double pendulum at a wall over 1e4 s (7000 impacts), against cost: contactvi's orders against scipy.
 
     python benchmarks/long_run.py [--duration 1e4] [--orders 2,4,8,12,16] [-o DIR]
 
 Problem B, models/double_pendulum_wall.toml, e = 1, dH = H - H(0) every 0.1 s. Each run is kept in DIR/rows.json as soon
 as it is done and is not repeated. Drift: mean of dH over the last tenth of the run less that over the first tenth.
 scipy is solve_ivp (DOP853, atol = rtol / 10) on pin.aba with the tip's place as event function and the exact
-reflection: what one writes without a package. `compiled` is no program but an estimate: the same evaluations at the
-time of contactvi's own scalar evaluation, everything else free. Equal cost: the most accurate rival that costs at most
+reflection: what one writes without a package. `compiled` is no program but an estimate: scipy's evaluations at the time
+of contactvi's own scalar evaluation, and no other cost. Equal cost: the most accurate rival that costs at most
 1.25 times as much; where every rival costs more, the cheapest one, marked `>`.
 """
 
@@ -27,8 +27,8 @@ import contactvi as cvi
 from models import evaluation_seconds
 
 SCENE = Path(__file__).resolve().parents[1] / "models" / "double_pendulum_wall.toml"
-SAMPLE = 0.1  # s
-WINDOW = 200  # samples that scipy is asked for at once
+SAMPLE = 0.1  # [s]
+WINDOW = 200  # samples of one call of solve_ivp
 STEPS = {  # order -> dt [s]
     2: [0.02, 0.01, 0.005, 0.002],
     4: [0.05, 0.02, 0.01, 0.005],
@@ -63,7 +63,7 @@ def run_contactvi(scene: cvi.Scene, job: Row, duration: float) -> tuple[float, n
 
 
 def run_scipy(scene: cvi.Scene, job: Row, duration: float) -> tuple[float, np.ndarray, Row]:
-    """The same from solve_ivp: state (q, v), an event where the tip meets the wall x = 0."""
+    """Wall time [s], energies and counts of solve_ivp: state (q, v), an event where the tip meets the wall x = 0."""
     model, data, tau = scene.model, scene.model.createData(), np.zeros(2)
     samples = np.arange(1, round(duration / SAMPLE) + 1) * SAMPLE
     options = {"method": "DOP853", "rtol": job["rtol"], "atol": 0.1 * job["rtol"]}

@@ -45,9 +45,12 @@ def real(
 ) -> float:
     """Return a real number (no truth value, no str) as a finite float in [low, high], or (low, high] with `open_low`.
 
-    `expected` says in words what it should be, where the interval alone does not.
+    An array without dimensions, as array libraries return numbers, counts as its number. `expected` says in words
+    what the value should be, where the interval alone does not.
     """
     number = math.nan
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
     if isinstance(value, numbers.Real) and not isinstance(value, bool):
         try:
             number = float(value)
@@ -81,10 +84,10 @@ def count(name: str, value: Any) -> int:
 
 
 def flag(name: str, value: Any) -> bool:
-    """Return True or False."""
-    if not isinstance(value, bool):
+    """Return True or False, NumPy's truth values included."""
+    if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{name} is not usable", name=name, expected="True or False", got=short(value))
-    return value
+    return bool(value)
 
 
 def check_choice(name: str, value: Any, choices: Sequence[str], what: str) -> None:

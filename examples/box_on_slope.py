@@ -1,4 +1,4 @@
-"""A box slides down a slope: with enough friction it stops and stays, with less it goes on, as the closed form says.
+"""A box slides down a slope: with enough friction it stops for good, with less it slides on, as in the closed form.
 
 python examples/box_on_slope.py
 """

@@ -23,7 +23,7 @@ def motion(t):
 
 scene = cvi.Scene()
 scene.add_urdf(models / "cart_pendulum.urdf", limits=False)
-scene.prescribe("slide", motion, name="drive")
+scene.prescribe("slide", motion, name="motion")
 q0 = scene.configuration({"hinge": 0.5})
 v0 = scene.consistent_velocity(q0)  # the cart starts with the speed of its motion, least energy
 
@@ -32,16 +32,16 @@ def measure(dt):
     """Return how far the cart is from its motion [m], and the largest errors of the force [N] and of the energy [J]."""
     traj = cvi.simulate(scene, q0, v0, duration=5.0, dt=dt)
     place = np.array([motion(t)[0] for t in traj.t])
-    # The reaction is a mean over a step: that of the closed form at its middle, to O(dt^2).
+    # The reaction is a mean over a step, to O(dt^2) the force of the closed form at its middle.
     x2 = np.array([motion(t)[2] for t in 0.5 * (traj.t[1:] + traj.t[:-1])])
     angle, rate = (0.5 * (x[1:, 1] + x[:-1, 1]) for x in (traj.q, traj.v))
     turn = -(9.81 * np.sin(angle) + x2 * np.cos(angle)) / length
     force = (cart + mass) * x2 + mass * length * (turn * np.cos(angle) - rate**2 * np.sin(angle))
     off = np.abs(traj.q[:, 0] - place).max()
-    error = np.abs(traj.reactions("drive")[1:, 0] - force).max()
-    balance = np.abs(traj.energy - traj.energy[0] - traj.work.drive).max()
+    error = np.abs(traj.reactions("motion")[1:, 0] - force).max()
+    balance = np.abs(traj.energy - traj.energy[0] - traj.work.prescribed).max()
     print(f"dt {dt:.3f} s  cart off by {off:.1e} m  force off by {error:.2e} of {np.abs(force).max():.1f} N", end="  ")
-    print(f"energy less the drive's work {balance:.2e} J")
+    print(f"energy less the work of the motion {balance:.2e} J")
     return off, error, balance
 
 

@@ -1,4 +1,4 @@
-"""A puppet on seven strings walks on the spot and waves: driven lengths move a free torso with arms and legs.
+"""A puppet walks on the spot and waves: seven strings of prescribed length move a free torso with arms and legs.
 
 python examples/puppet.py [PLAYBACK.html]
 """
@@ -41,7 +41,7 @@ for side, y, phase in (("left", 0.13, pi / 2), ("right", -0.13, -pi / 2)):
 guess = {f"{side}_{joint}": angle for side in ("left", "right")
          for joint, angle in (("shoulder_swing", 0.5), ("elbow", 0.8), ("hip_swing", 0.5), ("knee", -0.5))}  # fmt: skip
 q0 = scene.assemble(scene.configuration(guess))
-# Let it hang still: stop it again and again where it is fastest, which is where the forces balance.
+# Find where it hangs at rest: start again from rest where it is fastest, which is near the equilibrium.
 for _ in range(40):
     traj = cvi.simulate(scene, q0, duration=0.5, dt=4e-3)
     q0 = traj.q[np.argmax(traj.kinetic_energy)]
@@ -58,7 +58,7 @@ for name, force in pull.items():
     print(f"{name:22s} pulls with {force.min():6.3f} to {force.max():6.3f} N")
 print(f"{len(traj) - 1} steps; strings too long or short by at most {off:.1e} m; knee bends from", end=" ")
 print(f"{lift.min():.2f} to {lift.max():.2f} rad")
-print(f"strings' work {traj.work.drive[-1]:.4f} J, dampers' {traj.work.damping[-1]:.4f} J,", end=" ")
+print(f"strings' work {traj.work.prescribed[-1]:.4f} J, dampers' {traj.work.damping[-1]:.4f} J,", end=" ")
 order = np.log2(balance[0] / balance[1])
 print(f"energy balance off by {balance[1]:.1e} J, order {order:.2f}")
 if len(sys.argv) > 1:

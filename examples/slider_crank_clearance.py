@@ -1,4 +1,4 @@
-"""A slider-crank whose slider has clearance in its channel (case N22; Flores, Leine, Glocker 2010): h against h/4.
+"""A slider-crank whose slider has clearance in its channel (Flores, Leine, Glocker 2010): h against h/4.
 
 python examples/slider_crank_clearance.py [PLAYBACK.html]
 """
@@ -30,7 +30,9 @@ for dt in (1e-5, 2.5e-6):
     gains.append(max(event.energy_change for event in traj.events))
     times = traj.events.array("time")
     first = np.abs(times[:5] - reference).max()
-    print(f"h {dt:.1e} s  {len(traj.events)} impacts, {len(traj.contact_changes)} changes of held contact, ", end="")
+    print(
+        f"h {dt:.1e} s  {len(traj.events)} impacts, {len(traj.contact_changes)} changes of persistent contact, ", end=""
+    )
     print(f"energy {traj.energy[0]:.5f} -> {traj.energy[-1]:.5f} J, largest change at an impact {gains[-1]:.1e} J")
     print(f"    first five impacts off by {first:.1e} s, lost at impacts {traj.impact_loss[-1]:.5f} J, ", end="")
     balance.append(np.abs(traj.ledger.energy_balance).max())

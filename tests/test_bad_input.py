@@ -203,7 +203,7 @@ ARGUMENTS = {
     "radius word": (lambda s: s.add_sphere("x", "big"), "radius"),
     "radius bool": (lambda s: s.add_sphere("x", True), "radius"),
     "radius NumPy bool": (lambda s: s.add_sphere("x", np.True_), "radius"),
-    "radius array": (lambda s: s.add_sphere("x", np.array(1.0)), "radius"),
+    "radius array": (lambda s: s.add_sphere("x", np.array([1.0])), "radius"),
     "radius too large for a float": (lambda s: s.add_sphere("x", 10**400), "radius"),
     "limits word": (lambda s: s.add_urdf(MINIMAL, limits="yes"), "True or False"),
     "mass zero": (lambda s: s.add_sphere("x", 1.0, 0.0), "mass"),
@@ -274,6 +274,13 @@ def test_argument(scene: Scene, case: str):
     assert caught.value.expected
     assert caught.value.got
     assert str(scene.to_dict()) == str(before)  # A refused call changes nothing.
+
+
+def test_numbers_of_array_libraries():
+    """Arrays without dimensions and NumPy's truth values are what they hold."""
+    scene = Scene()
+    scene.add_sphere("ball", np.array(0.1), np.float32(2.0), free=np.True_)
+    assert scene.model.inertias[1].mass == 2.0
 
 
 def one_body(shape: coal.CollisionGeometry, inertia: pin.Inertia | None = None) -> tuple[pin.Model, pin.GeometryModel]:

@@ -78,14 +78,14 @@ def test_guide_code_of_the_first_run_runs(tmp_path):
 
 
 def test_guide_code_of_the_ledger_runs(tmp_path):
-    """And prints the three jumps that it promises."""
+    """It prints the three jumps that the guide gives."""
     energy, discrete, modified = (abs(float(x)) for x in run_marked("ledger", tmp_path)[0].split())
     assert min(energy, discrete) > 1e-4
     assert modified < 1e-12
 
 
 def test_guide_code_of_a_linkage_runs(tmp_path):
-    """And prints the numbers that it promises; the works account for the energy, up to the balance."""
+    """It prints the numbers that the guide gives; the works account for the energy, up to the balance."""
     printed = run_marked("linkage", tmp_path, "\nprint(traj.energy[-1] - traj.energy[0])")
     power, balance, opened, gained = ([float(x) for x in line.split()] for line in printed)
     least, most, put_in, damping = power

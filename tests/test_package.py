@@ -111,17 +111,17 @@ def test_built_for_the_libraries_at_hand(distribution):
     """Build and run time name the same Pinocchio and coal: their ABI carries no version."""
     declared = (ROOT / "pyproject.toml").read_text()
     build, _, rest = declared.partition("[project]")
-    for name, face in (("libpinocchio", "pin"), ("libcoal", "coal")):
+    for name, package in (("libpinocchio", "pin"), ("libcoal", "coal")):
         built = re.search(rf'"{name}\[build\]==([\d.]+)"', build)
         assert built is not None
-        assert f'"{face}=={built.group(1)}"' in rest
+        assert f'"{package}=={built.group(1)}"' in rest
         assert f'"{name}=={built.group(1)}"' in rest
-        assert importlib.metadata.version(face) == importlib.metadata.version(name) == built.group(1)
+        assert importlib.metadata.version(package) == importlib.metadata.version(name) == built.group(1)
     assert {"pin", "coal", "numpy"} <= {re.split(r"[^\w-]", line)[0] for line in distribution.requires or []}
 
 
 def test_stub_is_current(tmp_path):
-    """contactvi/_core.pyi is what the module says about itself, and is reviewed like code."""
+    """contactvi/_core.pyi is written from the compiled module, and is reviewed like code."""
     stub = PACKAGE / "_core.pyi"
     assert stub.is_file(), f"no {stub.name}: write it with `{STUB_COMMAND}`"
     fresh = tmp_path / "_core.pyi"

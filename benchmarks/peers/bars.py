@@ -33,7 +33,7 @@ def best(rows: Rows, target: float) -> dict[str, Any] | None:
 
 
 def ladder(row: dict[str, Any]) -> tuple[str, float]:
-    """What a setting of contactvi shares with its finer and coarser ones, and how fine it is."""
+    """Return the key of the ladder that a setting of contactvi belongs to, and its place on it."""
     setting = row["setting"]
     key = "tol" if setting.get("dt") == "auto" else "dt"
     return json.dumps({k: v for k, v in setting.items() if k != key}, sort_keys=True), setting[key]
@@ -69,7 +69,7 @@ def _number(value: float) -> str:
 
 
 def compared(rows: Rows, scene: str, target: float) -> dict[str, Any]:
-    """One cell: contactvi, its automatic step, the best peer, the estimate; factors over 1 say that contactvi wins."""
+    """One cell: contactvi, its automatic step, the best peer, the estimate; factors above 1: contactvi is faster."""
     by_peer: dict[str, Rows] = {}
     for row in rows:
         if row["scene"] == scene:

@@ -5,9 +5,9 @@
 
 Runs in an environment with contactvi. Each peer runs in its own interpreter, given by CONTACTVI_PEER_MUJOCO,
 CONTACTVI_PEER_DRAKE, CONTACTVI_PEER_JIMINY, CONTACTVI_PEER_PYBULLET, or in this one where it is installed here; a peer
-that is in neither is left out, and the table says so. Writes peers.csv, peers.md and peers.png into DIR and prints the
-table. Error: largest |q - q_ref| over the samples every 0.1 s [rad, m]. Time: fastest run, measured inside the process
-after a warm-up, without loading, with taking the state at each sample. One thread.
+that is in neither is skipped, and the table reports it. Writes peers.csv, peers.md and peers.png into DIR and prints
+the table. Error: largest |q - q_ref| over the samples every 0.1 s [rad, m]. Time: fastest run, measured inside the
+process after a warm-up, without loading, with taking the state at each sample. One thread.
 
 The column `dop853 estimate` is no program: it is the number of evaluations of scipy's DOP853 at its errors, times the
 time of contactvi's own scalar evaluation (M^-1 p, dT/dq - g) in this run, its own algebra and event search free. It is
@@ -204,7 +204,7 @@ def main() -> None:
                 print(f"{scene_name} {peer}", file=sys.stderr, flush=True)
             seen = [row for row in rows.values() if row["scene"] == scene_name]
             estimates[scene_name] = dop853(seen, scalar_seconds(plain), scene.duration)
-            store(list(rows.values()), args.output / "peers.csv")  # of a run that is stopped, what there is
+            store(list(rows.values()), args.output / "peers.csv")  # a run that is interrupted leaves its rows
     merge(rows, [row for row in earlier(args.reuse, peers) if row["scene"] in own])
     measured = list(rows.values()) + [row for group in estimates.values() for row in group]
     peers += [p for p in PEERS if p not in peers and any(row["peer"] == p for row in measured)]

@@ -1,16 +1,16 @@
-"""S7, contact that lasts: the Allegro hand closes around a ball, in contactvi, MuJoCo, Drake and PyBullet, in one run.
+"""S7, persistent contact: the Allegro hand closes around a ball, in contactvi, MuJoCo, Drake and PyBullet, in one run.
 
     python benchmarks/peers/compare_hand.py [-o DIR] [--peers contactvi,mujoco] [--passes 3] [--repeats 5]
 
 Peers, interpreters and timing as in compare.py; the scene is hand.py's, the measures are hand_measures.py's: the same
 formulas for all, from states every millisecond of a run that is not timed. There is no reference: contact with friction
-is of another kind in each peer, so the tables say what each one arrives at. Writes hand.json and hand.md into DIR and
+is of another kind in each peer, so the tables show the end state of each one. Writes hand.json and hand.md into DIR and
 prints the tables.
 
 - time: fastest run of all passes [ms of wall time per simulated s], states taken every 0.1 s; ratio: to the fastest of
   MuJoCo at dt = 1e-3 s.
 - held: two parts of the hand touch the ball at the end, and it drifts less than 1 mm in the last 0.2 s and moves at
-  less than 1 cm/s. Upside down: the same after 0.5 s more with gravity reversed, and how far the ball moved in them.
+  less than 1 cm/s. Upside down: whether it is held after 0.5 s more with gravity reversed, and how far it moved.
 - overlap: deepest penetration, and that at the end. speed, drift, slip: of the ball at the end, its motion in the last
   0.2 s, and its longest path of slip on a part of the hand in that time.
 - gained: all rises of kinetic, potential and spring energy between samples; only a simulator's error, or energy that
@@ -37,8 +37,8 @@ from hand_measures import Measures
 from settings import HAND_FINE, settings
 
 PEERS = ("contactvi", "mujoco", "drake", "pybullet")
-SEEN = 1e-3  # s between the samples of a run that is not timed, at least one step
-ERROR_CONTROLLED = 0.01  # s: the same where the step is not known
+SEEN = 1e-3  # [s] between the samples of a run that is not timed, at least one step
+ERROR_CONTROLLED = 0.01  # [s] between samples where the simulator chooses its steps
 UPSIDE_DOWN = 0.5  # s
 Rows = list[dict[str, Any]]
 
@@ -66,7 +66,7 @@ def measures(job: dict[str, Any], result: dict[str, Any]) -> Measures:
 
 
 def judge(peer: str, job: dict[str, Any], folder: Path, timeout: float) -> Rows:
-    """A row per setting: what it arrives at, and what then happens upside down."""
+    """Return a row per setting: its end state, and that of the run with gravity reversed."""
     rows: Rows = []
     for result in sampled(peer, job, settings(peer, "S7"), folder, timeout):
         row = {"peer": peer, "setting": result["setting"], "failed": result.get("failed", ""), "runs": 0}
@@ -87,7 +87,7 @@ def judge(peer: str, job: dict[str, Any], folder: Path, timeout: float) -> Rows:
 
 
 def upside_down(peer: str, job: dict[str, Any], rows: Rows, folder: Path, timeout: float) -> None:
-    """Go on from where each row ended, with gravity reversed."""
+    """Continue from the end of each row with gravity reversed."""
     turned = {**job, "gravity": -job["gravity"], "duration": UPSIDE_DOWN}
     starts = [{**row["setting"], "start": {"q": row["q"], "v": row["v"]}} for row in rows]
     for row, result in zip(rows, sampled(peer, turned, starts, folder, timeout), strict=True):
@@ -132,7 +132,7 @@ def ratio(rows: Rows, row: dict[str, Any]) -> float:
 
 
 def outcomes(rows: Rows) -> list[str]:
-    """What each setting takes, and whether it holds the ball."""
+    """Return the table of times, and whether the ball is held."""
     lines = [
         "| peer | setting | ms per s | ratio | held | touching | upside down: held, moved mm "
         "| overlap um: deepest, last | speed um/s | drift um | slip um |",
@@ -154,7 +154,7 @@ def outcomes(rows: Rows) -> list[str]:
 
 
 def errors(rows: Rows) -> list[str]:
-    """What each setting arrives at, and how exact it is."""
+    """Return the table of end states and their errors."""
     lines = [
         "| peer | setting | ball x y z mm | ball mm | ball (own) mm | joints rad | flight rad, m | gained mJ "
         "| energy J |",
@@ -183,22 +183,23 @@ def _micro(value: float) -> str:
 
 
 def work(rows: Rows) -> list[str]:
-    """Where contactvi's time goes: guards (pairs), contact problems, held steps."""
+    """Where contactvi's time goes: guards (pairs), contact problems, steps in contact."""
     lines = [
-        "| setting | guards evaluated, skipped | impacts | held steps | rounds, contact problems per held step "
-        "| cone iterations per problem | fallbacks | us per held step | in them | inside the engine |",
+        "| setting | guards evaluated, skipped | impacts | contact steps "
+        "| contact iterations, contact problems per contact step "
+        "| cone iterations per problem | fallbacks | us per contact step | in them | inside the engine |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         if row["peer"] != "contactvi" or row["failed"]:
             continue
         c = row["counts"]
-        held, problems = max(1, c["held_steps"]), max(1, c["cone_problems"])
+        steps, problems = max(1, c["held_steps"]), max(1, c["cone_problems"])
         cells = [
             describe(row["setting"]), f"{c['guards_evaluated']}, {c['guards_skipped']}", str(c["impacts"]),
-            str(c["held_steps"]), f"{c['contact_rounds'] / held:.2f}, {c['cone_problems'] / held:.2f}",
+            str(c["held_steps"]), f"{c['contact_rounds'] / steps:.2f}, {c['cone_problems'] / steps:.2f}",
             f"{c['cone_iterations'] / problems:.2f}", str(c["cone_fallbacks"]),
-            f"{1e6 * c['contact_seconds'] / held:.1f}", f"{c['contact_seconds'] / c['seconds']:.0%}",
+            f"{1e6 * c['contact_seconds'] / steps:.1f}", f"{c['contact_seconds'] / c['seconds']:.0%}",
             f"{1e3 * c['seconds']:.1f} ms",
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")

@@ -44,7 +44,7 @@ def model() -> pin.Model:
 
 
 def job(folder: Path) -> dict[str, Any]:
-    """The scene as plain data; its URDF is written into the folder, `urdf` is the same without shapes."""
+    """The scene as plain data; its URDF is written into the folder, `urdf` is without shapes."""
     hand = model()
     numbers = [int(name.removeprefix("joint_").removesuffix(".0")) for name in list(hand.names)[1:]]
     q0 = [START[k] for k in numbers]
@@ -64,7 +64,7 @@ def job(folder: Path) -> dict[str, Any]:
 
 
 def _effort() -> float:
-    """The effort limit of the file [N m], the same for all joints."""
+    """The effort limit of the file [N m], equal for all joints."""
     return float(pin.buildModelFromUrdf(str(resolve_path(FILE))).effortLimit.min())
 
 

@@ -14,7 +14,7 @@ from worker import Run, steps_per_sample
 import contactvi as cvi
 from contactvi import _core
 
-# Both the face and the engine have to know it.
+# Both the Python API and the engine report it.
 SERVO = hasattr(_core.Scene, "set_servo") and "target" in inspect.signature(cvi.simulate).parameters
 COUNTS = (
     "steps", "sweeps", "impacts", "seconds", "guards_evaluated", "guards_skipped", "held_steps", "contact_rounds",
@@ -40,7 +40,7 @@ def build(job: dict) -> tuple[cvi.Scene, dict]:
 
 
 def _places(scene: cvi.Scene, job: dict) -> list[int]:
-    """Where the job's joints stand in q and, the same, in v."""
+    """Return the indices of the job's joints in q and in v."""
     return [scene.model.joints[scene.model.getJointId(name)].idx_q for name in job["joints"]]
 
 

@@ -1,4 +1,4 @@
-"""What a run of S7 arrived at, by the same formulas for every simulator, from its states alone.
+"""Measures of a run of S7, by the same formulas for every simulator, from its states alone.
 
 The gaps are those of the exact shapes (boxes and spheres against a sphere), whatever margins a simulator adds. The
 energy is kinetic, potential and kp/2 |q - goal|^2 of the controller: dampers, friction and impacts without rebound only
@@ -71,7 +71,7 @@ class Measures:
 
     @property
     def slip(self) -> float:
-        """Longest path that the ball slips on a shape in the last 0.2 s [m], rolling left out."""
+        """Longest path that the ball slips on a shape in the last 0.2 s [m], without rolling."""
         radius, late = self.job["ball"]["radius"], self._late
         total = np.zeros(len(self.job["shapes"]))
         for k in late[1:]:

@@ -1,7 +1,7 @@
 """Jiminy. setting: tol of its adaptive Dormand-Prince; with contacts stiffness [N/m] and damping [N s/m].
 
 Its ground is a height map at z = 0, so S4 is turned by a quarter: the wall becomes the ground, gravity points along it.
-It has no contact between two moving bodies: S6 is left out. Its other contact model has no restitution.
+It has no contact between two moving bodies: S6 is skipped. Its other contact model has no restitution.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ DTEC_ORDERS = (2, 8)  # its order is lost across impacts
 Settings = list[dict[str, Any]]
 
 # S7, each peer at its usual steps, coarse to fine. contactvi: order 2 throughout, or order 8 in flight. MuJoCo, Drake:
-# as they come, and nearer to hard contact with dry friction (hand_mujoco.py, hand_drake.py: `stiff`).
+# as they come, and nearer to rigid contact with Coulomb friction (hand_mujoco.py, hand_drake.py: `stiff`).
 HAND: dict[str, Settings] = {
     "contactvi": [
         {"order": 2, "dt": 5e-3}, {"order": 2, "dt": 2e-3}, {"order": 2, "dt": 1e-3}, {"order": 2, "dt": 1e-4},
@@ -49,7 +49,7 @@ HAND: dict[str, Settings] = {
     ],
     "pybullet": [{"dt": 1 / 240}, {"dt": 1e-3}, {"dt": 5e-4}, {"dt": 1e-4}],
 }  # fmt: skip
-HAND_FINE = {"order": 2, "dt": 2e-5}  # contactvi's, not timed: what all others are held against
+HAND_FINE = {"order": 2, "dt": 2e-5}  # contactvi's, not timed: the reference of all others
 
 
 def settings(peer: str, scene: str) -> Settings:

@@ -5,7 +5,7 @@ dt and coarser up to an eighth of the run, as far as the number of steps divides
 a run of order 16 with dt / 2, its twin one of order 12. An error is the largest distance |q - q_ref| over the nodes
 that a run shares with the reference, in the tangent space (metres and radians mixed, as they come).
 
-An error means something only while the runs see the same motion. The horizon is the last node up to which the
+An error is meaningful only while the runs follow one motion. The horizon is the last node up to which the
 reference, its twin and the finest run of the lowest order with the same map have the same impacts and stay within LOST
 of each other, relative to the size of the motion (at most half a turn, joints wind up), and the reference stays closer
 to its twin than to what it judges; errors and times are those up to it.
@@ -62,7 +62,7 @@ class Row:
         seconds: fastest of the repeats, up to the horizon [s].
         impacts: up to the horizon.
         slope: order seen, log of the error ratio to the next coarser dt over that of the dt; nan for the first.
-        note: why the row is no measurement of accuracy, empty where it is.
+        note: why the row does not measure accuracy, empty where it does.
         order: of the integrator.
     """
 
@@ -95,7 +95,7 @@ class Bench:
     rounding: float = 0.0
 
     def good(self) -> list[Row]:
-        """Rows that measure what they should."""
+        """Rows whose error is that of the method."""
         return [row for row in self.rows if not row.note]
 
     def best(self, error: float) -> Row | None:
@@ -161,7 +161,7 @@ def bench(
                 ]
                 apart = [distance(plan.scene.model, run, reference) for run in found if run is not None]
                 if order > 2 and apart and all(x.max(initial=0.0) < exact for x in apart):
-                    break  # shorter steps cost more and show nothing more
+                    break  # the errors of shorter steps would be rounding
     except OutOfTime:
         plan.warnings.append("the time allowed ended before the whole ladder was run")
     return _judge(plan, reference, twin, runs)
@@ -176,7 +176,7 @@ def _measure(plan: Plan, setting: Setting, runs: dict[Setting, Run], refused: se
         raise
     except InputError as error:
         refused.add(setting.impact)
-        plan.warnings.append(f"{setting.impact} is left out: {error}")
+        plan.warnings.append(f"{setting.impact} is not measured: {error}")
     return None
 
 
@@ -206,7 +206,7 @@ def _references(plan: Plan) -> tuple[Run, Run]:
 def _judge(plan: Plan, reference: Run, twin: Run, runs: dict[Setting, Run]) -> Bench:
     model = plan.scene.model
     size = _size(plan, reference)
-    # The finest run with the reference's own map: another map that goes another way says something about itself.
+    # Only runs with the reference's map judge the reference: with another map they may follow another motion.
     own_map = [setting for setting in runs if setting.impact == IMPACT_MAPS[0]]
     finest = [runs[min(own_map, key=lambda setting: (setting.order, setting.length))]] if own_map else []
     nodes = min(agreement(model, run, reference, size) for run in (twin, *finest))

@@ -40,7 +40,7 @@ def advice(result: Bench) -> str:
 
 
 def targets(errors: list[float]) -> list[float]:
-    """Powers of ten that the errors can meet, large to small, at most three."""
+    """Return powers of ten that the errors can meet, large to small, at most three."""
     low, high = np.ceil(np.log10(min(errors))), np.ceil(np.log10(max(errors)))
     count = int(min(_MAX_TARGETS, high - low + 1))
     return [float(10.0 ** round(e)) for e in dict.fromkeys(np.rint(np.linspace(high, low, count)))]

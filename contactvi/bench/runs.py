@@ -45,14 +45,14 @@ class Run:
     node: NDArray[np.int64]
     q: Array
     energy: Array
-    counts: NDArray[np.int64]  # (nodes, guards that were ever hit)
+    counts: NDArray[np.int64]  # impacts so far, (nodes, guards with an impact)
     labels: list[tuple[int, int]]
     status: str
     end: float
     seconds: float
 
     def until(self, node: int) -> int:
-        """How many of its nodes are not after this one."""
+        """Return the number of nodes up to and including this one."""
         return int(np.searchsorted(self.node, node, side="right"))
 
 
@@ -61,7 +61,7 @@ class OutOfTime(Exception):
 
 
 def base_options(scene: Scene, chosen: dict[str, Any]) -> Options:
-    """Return the settings around which the ladders are built; a dt that nobody said, or "auto", is about 1e-3 s."""
+    """Return the settings around which the ladders are built; dt is about 1e-3 s unless a number is given."""
     settings = merged(scene.settings, {"order": 2} | {k: v for k, v in chosen.items() if v is not None}, forced=True)
     if not isinstance(settings["dt"], str):
         return Options.from_dict(settings)
@@ -80,7 +80,7 @@ class Plan:
         self.progress = progress or (lambda fraction, text: None)
         self.start = time.perf_counter()
         self.warnings: list[str] = []
-        self.limit = 1.0  # share of the budget at which a run is given up
+        self.limit = 1.0  # share of the budget after which a run is abandoned
         self.dt, steps = options.fixed_dt, options.steps
         self.lengths = divisors(steps)
         least = max(1, steps // _MAX_NODES)
@@ -172,7 +172,7 @@ def divisors(steps: int) -> list[int]:
 
 
 def reduce_run(traj: Trajectory, node_dt: float) -> Run:
-    """Keep the states at the nodes, the energy without the impacts, and how often each guard was hit up to each."""
+    """Return the states at the nodes, the energy without the impacts, and the impacts of each guard up to each node."""
     number = np.rint(traj.t / node_dt)
     at_node = np.abs(traj.t - number * node_dt) <= 1e-6 * node_dt
     kinds, index, times = (traj.events.array(name) for name in ("kind", "index", "time"))
@@ -189,13 +189,13 @@ def reduce_run(traj: Trajectory, node_dt: float) -> Run:
 
 
 def distance(model: pin.Model, run: Run, reference: Run) -> Array:
-    """|q - q_ref| at the nodes of a run that the reference has; it has all of them up to its end."""
+    """Return |q - q_ref| at the nodes of a run up to the end of the reference."""
     q = reference.q[run.node[: run.until(len(reference.node) - 1)]]
     return States(model).distance(q, run.q[: len(q)])
 
 
 def same_impacts(run: Run, reference: Run) -> NDArray[np.bool_]:
-    """At which nodes of the run, as far as the reference goes, each guard was hit equally often."""
+    """Return at which nodes of the run, up to the end of the reference, each guard had equally many impacts."""
     node = run.node[: run.until(len(reference.node) - 1)]
     same = np.ones(len(node), dtype=bool)
     for label in set(run.labels) | set(reference.labels):
@@ -208,10 +208,10 @@ def same_impacts(run: Run, reference: Run) -> NDArray[np.bool_]:
 
 
 def agreement(model: pin.Model, run: Run, reference: Run, size: float) -> int:
-    """The last node up to which a run follows the reference.
+    """Return the last node up to which a run follows the reference.
 
-    Impact times differ by the error of the run, so that counts may differ at a node for a moment; what matters is where
-    they stop being equal for good.
+    Impact times differ by the error of the run, so that the counts may differ at single nodes: the last node with equal
+    counts is taken.
     """
     apart = distance(model, run, reference)
     lost = np.flatnonzero(apart > LOST * size)
@@ -221,5 +221,5 @@ def agreement(model: pin.Model, run: Run, reference: Run, size: float) -> int:
 
 
 def still(run: Run) -> Run:
-    """The run standing still where it starts: the distance from it is the size of the motion."""
+    """Return a run that rests at the start of this one: the distance from it is the size of the motion."""
     return replace(run, q=np.repeat(run.q[:1], len(run.q), axis=0))

@@ -1,7 +1,7 @@
 """The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `check`.
 
-Exit codes: 0 done; 1 a case of verify failed; 2 wrong input, said as expected, got, remedy; 3 the run ended before
-its time (its files are there).
+Exit codes: 0 done; 1 a case of verify failed; 2 wrong input, reported as expected, got, remedy; 3 the
+run ended early, with its files written.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ def run(
     ] = None,
     impact: Annotated[str | None, typer.Option(help="Impact map: ctec, dtec or mhc.")] = None,
     mhc_reference: Annotated[
-        str | None, typer.Option(help="What mhc conserves: local (value of the step) or global (of the run's start).")
+        str | None,
+        typer.Option(help="The value that mhc conserves: local (of the step) or global (of the start of the run)."),
     ] = None,
     order: Annotated[int | None, typer.Option(help="Order of the integrator: 2, 4, ... 16.")] = None,
     tol: Annotated[
@@ -89,24 +90,26 @@ def run(
         typer.Option(help="With a number as dt: what a step is solved to, relative. With auto: accuracy of q."),
     ] = None,
     dt_contact: Annotated[
-        float | None, typer.Option(help="Step in seconds while contacts are held, by default --dt, above order 2 1e-3.")
+        float | None,
+        typer.Option(help="Step in seconds during persistent contact, by default --dt, above order 2 1e-3."),
     ] = None,
     zeno: Annotated[
         str | None, typer.Option(help="Where impacts accumulate: hold (the contact) or end (the run).")
     ] = None,
     support: Annotated[
         str | None,
-        typer.Option(help="Impacts on a body that others hold: sequence, or stiff (the others stay closed)."),
+        typer.Option(help="Impacts on a body that rests on others: sequence, or stiff (the supports stay closed)."),
     ] = None,
     record_every: Annotated[int | None, typer.Option(help="Keep the state every so many steps.")] = None,
     sample_dt: Annotated[float | None, typer.Option(help="Keep the state every so many seconds instead.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per simulated second of the playback.")] = 60.0,
     html: Annotated[bool, typer.Option("--html/--no-html", help="Write playback.html.")] = True,
     plot: Annotated[
-        bool, typer.Option("--plot/--no-plot", help="Write energy.png, and forces.png where something was held.")
+        bool,
+        typer.Option("--plot/--no-plot", help="Write energy.png, and forces.png where there was persistent contact."),
     ] = True,
 ) -> None:
-    """Run a scene file; write trajectory.npz, playback.html, energy.png, and forces.png where something was held."""
+    """Run a scene file; write trajectory.npz, playback.html, energy.png, and forces.png of persistent contact."""
     import contactvi as cvi
     from contactvi.progress import RunProgress
     from contactvi.simulation.simulation import settings_of
@@ -119,10 +122,10 @@ def run(
     }  # fmt: skip
     settings = settings_of(scene, chosen)
     folder = output if output is not None else Path(scene_file.stem)
-    _make_folder(folder)  # before the run: hours of it must not end in "no such folder"
+    _make_folder(folder)  # before the run: a long one must not fail when its files are written
     try:
         with RunProgress(settings.span, _err) as bar, warnings.catch_warnings():
-            warnings.simplefilter("ignore", cvi.AccuracyWarning)  # said below in our own form
+            warnings.simplefilter("ignore", cvi.AccuracyWarning)  # the summary reports it
             traj = cvi.simulate(scene, progress=bar, **chosen)
     except SimulationError as error:
         traj = error.trajectory
@@ -258,7 +261,7 @@ def check(
     ] = None,
     base: Annotated[str, typer.Option(help="Base of a URDF: fixed or free.")] = "fixed",
 ) -> None:
-    """Print what of a model is used, changed, ignored or refused, and which of its data look wrong."""
+    """Print which data of a model are used, changed, ignored or refused, and which look wrong."""
     try:
         scene = _read_model(model, package_dir or [], base)
     except SceneError as error:
@@ -302,7 +305,7 @@ def _read_model(model: str, package_dirs: list[str], base: str) -> Scene:
 
 
 def _step(dt: str | None) -> float | str | None:
-    """Return what --dt says: a number, or the text for the checks of the options."""
+    """Return the value of --dt: a number, or the text for the checks of the options."""
     try:
         return None if dt is None else float(dt)
     except ValueError:

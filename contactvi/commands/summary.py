@@ -1,4 +1,4 @@
-"""What the command line says about a run, as pairs of a name and a text."""
+"""The summary of a run on the command line, as pairs of a name and a text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def summary(traj: Trajectory) -> list[tuple[str, str]]:
-    """Return what there is to say about a run, as pairs of a name and a text."""
+    """Return the summary of a run: names and texts, an empty name continues the line above."""
     stats, events = traj.stats, traj.events
     limits = int((events.array("kind") == 1).sum())
     span = float(traj.t[-1] - traj.t[0])
@@ -37,19 +37,19 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
         ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
         ("", f"{taken:+.6g} J by impacts{_slid(slid)}{put_in}, {rest:+.3g} J by {cause}{share}"),
         ("wall time", f"{stats.seconds:.3g} s, {factor}"),
-        ("work", f"{stats.iterations} sweeps, {stats.factorizations} factorizations{skipped}"),
+        ("work", f"{stats.iterations} stage iterations, {stats.factorizations} factorizations{skipped}"),
     ]
 
 
 def _rejected(stats: Stats) -> str:
-    """Return what became of steps that were no good, in words."""
-    texts = [f"{stats.halved} cut in two" * bool(stats.halved), f"{stats.rejected} made again" * bool(stats.rejected)]
-    said = ", ".join(text for text in texts if text)
-    return f" ({said})" if said else ""
+    """Return how many steps were repeated with a shorter length, in words."""
+    texts = [f"{stats.halved} halved" * bool(stats.halved), f"{stats.rejected} rejected" * bool(stats.rejected)]
+    repeated = ", ".join(text for text in texts if text)
+    return f" ({repeated})" if repeated else ""
 
 
 def _map_lines(traj: Trajectory, scale: float) -> list[tuple[str, str]]:
-    """Return what there is to say about the impact map of a run."""
+    """Return the line of the impact map of a run, none for CTEC."""
     events = traj.events
     if events.method == "ctec" or not len(events):
         return []
@@ -65,21 +65,21 @@ def _map_lines(traj: Trajectory, scale: float) -> list[tuple[str, str]]:
 
 
 def _works(traj: Trajectory) -> tuple[str, float]:
-    """Return in words what inputs, drives, damping and dry friction did to the energy, and their sum [J]."""
+    """Return the work of inputs, prescribed motion, damping and joint friction in words, and their sum [J]."""
     if traj.forces is None:
         return "", 0.0
     work = traj.work
     parts = {
         "inputs": float(work.input[-1]),
-        "drives": float(work.drive[-1]),
+        "prescribed motion": float(work.prescribed[-1]),
         "damping": -float(work.damping[-1]),
-        "dry friction": -float(work.dry[-1]),
+        "joint friction": -float(work.joint_friction[-1]),
     }
     return "".join(f", {value:+.6g} J by {name}" for name, value in parts.items() if value), sum(parts.values())
 
 
 def _constraint_lines(traj: Trajectory) -> list[tuple[str, str]]:
-    """Return what there is to say about constraints: how many, and the largest reaction."""
+    """Return the line of the constraints: how many there are, and the largest reaction."""
     if not traj.constraints:
         return []
     largest = {row.name: float(np.abs(traj.reactions(row.name)).max()) for row in traj.constraints}
@@ -94,24 +94,24 @@ def _slid(loss: float) -> str:
 
 
 def _contact_lines(traj: Trajectory) -> list[tuple[str, str]]:
-    """Return what there is to say about lasting contact and constrained steps: how long, how exact, at what cost."""
+    """Return the lines of persistent contact and constrained steps: how long, how exact, at what cost."""
     stats = traj.stats
-    if not stats.held_steps:
+    if not stats.contact_steps:
         return []
     lines = []
     if len(traj.contacts):
         ledger = traj.ledger.contacts
         gap, complementarity = (float(np.abs(values).max()) for values in (ledger.gap, ledger.complementarity))
-        force = np.linalg.norm(traj.contacts.force[traj.contacts.lasting], axis=1)
+        force = np.linalg.norm(traj.contacts.force[traj.contacts.has_force], axis=1)
         strongest = float(force.max(initial=0.0))
         pairs = len(traj.contacts.pairs)
         text = f"{pairs} {'pairs' if pairs > 1 else 'pair'} touched, largest force at a point {strongest:.4g} N"
         lines.append(text)
         lines.append(f"gaps kept to {gap:.2g} m, gap times impulse to {complementarity:.2g} N s m")
     what = "constrained steps" if traj.scene.built().constrained else "steps in contact"
-    each = 1e6 * stats.contact_seconds / stats.held_steps
-    work = f"{stats.contact_rounds / stats.held_steps:.3g} rounds and {each:.3g} us per step"
+    each = 1e6 * stats.contact_seconds / stats.contact_steps
+    work = f"{stats.contact_iterations / stats.contact_steps:.3g} contact iterations and {each:.3g} us per step"
     solver = f"{stats.cone_problems} contact problems, {stats.cone_iterations} iterations"
     fallbacks = f", {stats.cone_fallbacks} by another solver" if stats.cone_fallbacks else ""
-    lines.append(f"{stats.held_steps} {what}, {work}, {solver}{fallbacks}")
+    lines.append(f"{stats.contact_steps} {what}, {work}, {solver}{fallbacks}")
     return [("" if k else "contact", line) for k, line in enumerate(lines)]

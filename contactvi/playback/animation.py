@@ -24,12 +24,12 @@ MAX_FRAMES = 6000
 MAX_POSES = 130_000  # frames x (moving bodies and pieces of lines), 32 bytes each: about 4 MB of the page
 MAX_IMPACTS = 3000  # shown of a run, about 0.3 MB of the page
 MAX_MARKERS = 24  # impacts shown at the same time
-_MARKER_TIME = 0.25  # s an impact stays visible
-_STILL = 1e-7  # m, and the same for the entries of a quaternion
+_MARKER_TIME = 0.25  # [s] for which an impact is visible
+_STILL = 1e-7  # [m], and for the entries of a quaternion [1]
 
 
 class Run(Protocol):
-    """What of a run is played: contactvi.Trajectory has it."""
+    """The part of a run that is played; contactvi.Trajectory has it."""
 
     t: Array
     events: EventLog
@@ -109,7 +109,7 @@ def frame_times(run: Run, fps: float, bodies: int) -> Array:
     count = max(2, min(most - len(impacts), int(np.ceil((end - start) * fps)) + 1))
     grid = np.linspace(start, end, count)
     if len(impacts):
-        # A grid frame that all but coincides with an impact gives way to it: three.js keeps times as float32.
+        # Frames of the grid too close to an impact are dropped: three.js keeps times as float32.
         nearest = np.abs(impacts[np.clip(np.searchsorted(impacts, grid), 0, len(impacts) - 1)] - grid)
         before = np.abs(impacts[np.clip(np.searchsorted(impacts, grid) - 1, 0, len(impacts) - 1)] - grid)
         close = np.minimum(nearest, before) < 0.05 * (grid[1] - grid[0])
@@ -141,7 +141,7 @@ def joint_poses(model: pin.Model, configurations: Array, joints: Sequence[int]) 
 
 
 def near_turns(quaternion: Array) -> Array:
-    """Return quaternions (F, 4) with the signs with which each is near the last: q and -q are the same rotation."""
+    """Return quaternions (F, 4) with the signs that make each one near its predecessor: q and -q are one rotation."""
     flip = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
     return np.concatenate([quaternion[:1], quaternion[1:] * flip[:, None]])
 
@@ -149,7 +149,7 @@ def near_turns(quaternion: Array) -> Array:
 def markers_of(run: Run) -> list[Marker]:
     """Distribute the shown contacts over as few markers as show them all, at most MAX_MARKERS at a time."""
     start, span = float(run.t[0]), float(run.t[-1] - run.t[0])
-    hold = min(_MARKER_TIME, max(span / 12.0, 1e-6))
+    shown_for = min(_MARKER_TIME, max(span / 12.0, 1e-6))
     events = run.events
     points, normals = events.array("point"), events.array("normal")
     drawn = (events.array("kind") == 0) & np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
@@ -161,11 +161,11 @@ def markers_of(run: Run) -> list[Marker]:
         if free is None and len(markers) < MAX_MARKERS:
             free = Marker()
             markers.append(free)
-        if free is None:  # the oldest one makes room
+        if free is None:  # all are in use: the oldest one is taken
             free = min(markers, key=lambda marker: marker.start[-1])
             free.end[-1] = time
         free.start.append(time)
-        free.end.append(time + hold)
+        free.end.append(time + shown_for)
         free.point.append(points[k])
         free.direction.append(normals[k] * drawn_side(run.scene, int(events.array("index")[k])))
         free.impulse.append(float(events.array("impulse")[k]))

@@ -1,7 +1,7 @@
 """Contact forces in a playback: which arrows show when, where and how long. Knows nothing of meshcat.
 
-An arrow belongs to one contact point as long as that carries a force, then to another one. It stands at the point and
-shows the mean force of the step on the freer of the two bodies, friction included. World frame, run time.
+An arrow belongs to one contact point as long as the point carries a force, then to another one. It starts at the point
+and shows the mean force of the step, friction included, on the body that can move more freely. World frame, run time.
 """
 
 from __future__ import annotations
@@ -19,11 +19,9 @@ Array = NDArray[np.float64]
 
 MAX_ARROWS = 32  # at the same time: the fingers of a hand or two boxes on their faces
 MAX_KEYS = 60_000  # arrows x frames, 40 bytes each: about 3 MB of the page
-_WEAK = 0.01  # of the full length: weaker forces are no arrows
-_CUT = 1.5  # times the full length: stronger ones are drawn so long
-_FULL = (
-    0.98  # of the forces are not stronger than that of full length: the peaks of touching down do not scale the rest
-)
+_WEAK = 0.01  # of the full force: weaker forces are not drawn
+_CUT = 1.5  # times the full length: the longest arrow
+_FULL = 0.98  # share of the forces up to the full force: peaks at touch-down do not set the scale
 
 
 @dataclass
@@ -52,7 +50,13 @@ class Arrow:
 
 @dataclass(frozen=True)
 class Forces:
-    """The arrows of a run. full : force that has the full length [N]. hidden : points that found no arrow free."""
+    """The arrows of a run.
+
+    Attributes:
+        arrows: as many as are shown at a time.
+        full: force that has the full length [N].
+        hidden: number of points and frames for which no arrow was free.
+    """
 
     arrows: list[Arrow]
     full: float
@@ -70,10 +74,10 @@ class Forces:
 
 
 def forces_of(run: Run, times: Array) -> Forces | None:
-    """Return the arrows at the frames of a run, `times` (F,) [s], run time; None for a run without lasting forces."""
+    """Return the arrows at the frames of a run, `times` (F,) [s], run time; None without persistent contact."""
     log = run.contacts
     strength = np.linalg.norm(log.force, axis=1)
-    drawn = (log.array("kind") == 0) & log.lasting & (strength > 0.0) & np.isfinite(log.position).all(axis=1)
+    drawn = (log.array("kind") == 0) & log.has_force & (strength > 0.0) & np.isfinite(log.position).all(axis=1)
     if not drawn.any() or len(times) < 2:
         return None
     frame, row = _seen(log, np.flatnonzero(drawn), times)
@@ -113,30 +117,30 @@ def _keys(log: ContactLog, row: NDArray[np.int64]) -> list[tuple[int, int]]:
 def _assigned(
     times: Array, frame: NDArray[np.int64], keys: list[tuple[int, int]], point: Array, force: Array, full: float
 ) -> Forces:
-    """Give every contact point of every frame an arrow; one that is given up rests for a frame before its next use."""
+    """Give every contact point of every frame an arrow; a released arrow is hidden for a frame before its next use."""
     arrows: list[Arrow] = []
-    held: dict[tuple[int, int], int] = {}  # contact point -> arrow
+    in_use: dict[tuple[int, int], int] = {}  # contact point -> arrow
     free: list[int] = []
     hidden = 0
     for now, rows in _by_frame(frame, len(times)):
         time = float(times[now])
         active = {keys[k]: k for k in rows}
-        gone = [key for key in held if key not in active]
+        gone = [key for key in in_use if key not in active]
         for key in gone:
-            arrow = arrows[held[key]]
+            arrow = arrows[in_use[key]]
             arrow.add(time, False, arrow.point[-1], arrow.force[-1])
         for key, k in active.items():
-            if key not in held:
+            if key not in in_use:
                 if free:
-                    held[key] = free.pop()
+                    in_use[key] = free.pop()
                 elif len(arrows) < MAX_ARROWS:
-                    held[key] = len(arrows)
+                    in_use[key] = len(arrows)
                     arrows.append(Arrow())
                 else:
                     hidden += 1
                     continue
-            arrows[held[key]].add(time, True, point[k], force[k])
-        free += [held.pop(key) for key in gone]
+            arrows[in_use[key]].add(time, True, point[k], force[k])
+        free += [in_use.pop(key) for key in gone]
     return Forces(arrows, full, hidden)
 
 

@@ -52,7 +52,7 @@ _LINE_RADIUS = 0.004  # of the radius of the picture
 
 
 class Run(AnimatedRun, Protocol):
-    """What of a run is shown: contactvi.Trajectory has it."""
+    """The part of a run that the page shows; contactvi.Trajectory has it."""
 
     status: Status
 
@@ -76,7 +76,7 @@ def write_html(
         fps: frames per second of simulated time, > 0; impacts get a frame of their own. Long runs get fewer.
         title: heading and name of the page.
         play: start playing when the page is opened.
-        forces: show the forces of lasting contacts as arrows, where the run has kept some.
+        forces: show the forces of persistent contacts as arrows, where the run has recorded some.
     """
     text = make_html(run, fps=fps, title=title, play=play, forces=forces)
     return write_atomic(path, lambda file: file.write(text.encode("utf-8")))
@@ -98,7 +98,7 @@ def make_html(run: Run, *, fps: float = 60.0, title: str = "", play: bool = True
         "@MESHCAT@": _meshcat_script(),
     }
     text = importlib.resources.files("contactvi.playback").joinpath("page.html").read_text(encoding="utf-8")
-    for name, value in parts.items():  # the meshcat script comes last: its text is not to be searched
+    for name, value in parts.items():  # the meshcat script comes last, so that no name is replaced inside it
         text = text.replace(name, value, 1)
     return text
 
@@ -176,8 +176,8 @@ def _force_tracks(arrow: Arrow, length: Array, start: float) -> list[dict[str, A
     width = 0.5 + 0.3 * length
     turns = np.array([_turn(force) for force in arrow.force])
     near = np.cumprod(np.where(np.sum(turns[1:] * turns[:-1], axis=1) < 0, -1.0, 1.0))
-    turns[1:] *= near[:, None]  # of the two quaternions of a rotation the one near the last: they are interpolated
-    # An arrow that shows from later on is hidden until then, whatever its track says before its first key.
+    turns[1:] *= near[:, None]  # q and -q are one rotation: the sign near the previous key, as they are interpolated
+    # Before its first key a track has the value of that key: an arrow that appears later is hidden from the start.
     key, shown = np.append(0.0, time) if time[0] > 0.0 else time, arrow.shown
     shown = [False, *shown] if time[0] > 0.0 else shown
     return [
@@ -199,7 +199,7 @@ def _piece_tracks(piece: Piece, times: Array) -> list[dict[str, Any]]:
 
 
 def _switches(marker: Marker) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the times at which a marker is switched and whether it is on from then; the last word at a time counts."""
+    """Return the times at which a marker is switched and whether it is on from then; the last switch counts."""
     switch = {0.0: False}
     for k, (start, end) in enumerate(zip(marker.start, marker.end, strict=True)):
         switch[start] = True
@@ -212,7 +212,7 @@ def _switches(marker: Marker) -> tuple[Array, NDArray[np.bool_]]:
 def _description(
     run: Run, frames: Frames, view: dict[str, Any], forces: Forces | None, title: str, play: bool
 ) -> dict[str, Any]:
-    """Return what the page says in words, and its camera."""
+    """Return the texts of the page, and its camera."""
     events = run.events
     duration = float(frames.times[-1])
     listed = shown_impacts(run)
@@ -226,9 +226,9 @@ def _description(
         text = f"blue arrows: contact forces, {_metres(drawn)} for {forces.reference:g} N"
         facts.append({"text": text + (", not all of them" if forces.hidden else ""), "bad": False})
     colors = {visual.color for visual in run.visuals if visual.shape == "line"}
-    said = [words for color, words in _LINES.items() if color in colors]
-    if said:
-        facts.append({"text": f"lines, {', '.join(said)}", "bad": False})
+    shown = [words for color, words in _LINES.items() if color in colors]
+    if shown:
+        facts.append({"text": f"lines, {', '.join(shown)}", "bad": False})
     if not run.status.ok:
         facts.append({"text": str(run.status), "bad": True})
     if len(listed) < len(events):

@@ -18,7 +18,7 @@ Part = tuple[Any, Any, Array]  # geometry, material, placement of shape (4, 4)
 
 ARROW_COLOR = 0xE0431F  # of an impulse
 FORCE_COLOR = 0x1E4FBF
-ARROW_LENGTH = 0.4  # of the size of the things
+ARROW_LENGTH = 0.4  # of the size of the bodies
 _MARKER_COLOR = 0xF6A21B
 _FLOOR_COLOR = 0xD3DAE2
 _WALL_COLOR = 0xB8C6D6
@@ -27,8 +27,8 @@ _LINE_COLOR = 0x93A1B1
 # Colour-blind safe tones (Okabe, Ito), for plain shapes whose model names no colour.
 _PALETTE = (0x5B8DB8, 0xE69F00, 0x2F9E83, 0xC77CA3, 0x56B4E9, 0xD98232, 0x8C8F94)
 _CREASE = np.cos(np.radians(35.0))  # faces that meet at a sharper angle keep their edge
-_FITTED = 200  # frames looked at to find the camera's place
-_FAR = 3.0  # sizes of the place where things start: the camera is not set for what goes beyond
+_FITTED = 200  # frames used to place the camera
+_FAR = 3.0  # sizes of the start within which motion counts for the camera
 _Y_TO_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])  # three.js cylinders stand on y
 
 
@@ -151,7 +151,7 @@ class _Spot:
     def of(cls, visual: Visual, frames: Frames) -> _Spot:
         """Return the spot of a shape: a sphere is a point with a margin, other shapes are the corners of their box.
 
-        A line is its points; thin: it says nothing of the size of the things.
+        A line is given by its points; it is thin and does not count for the size of the bodies.
         """
         if visual.shape == "line":
             path = np.broadcast_arrays(*path_of(visual, frames.poses))
@@ -230,7 +230,7 @@ def _material(visual: Visual, index: int) -> Any:
     if visual.color is None:
         return mg.MeshPhongMaterial(color=_PALETTE[(visual.joint or index) % len(_PALETTE)], shininess=40)
     red, green, blue, opacity = visual.color
-    # Black takes no light and loses its form: lift the dark tones.
+    # Dark tones are lifted: on black no shading is visible.
     levels = [round(255 * min(1.0, 0.1 + 0.9 * level)) for level in (red, green, blue)]
     color = (levels[0] << 16) + (levels[1] << 8) + levels[2]
     return mg.MeshPhongMaterial(color=color, opacity=opacity, transparent=opacity < 1.0, shininess=40)

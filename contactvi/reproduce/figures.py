@@ -51,7 +51,7 @@ def energy_figure(folder: Path) -> Picture:
         for name in names:
             axis.plot(t, 1e3 * change[name], color=_COLOR[name], lw=1.3, label=name.upper())
         _finish(axis, "H - H(0) [mJ]", loc="lower left", columns=4)
-    lower.set_title("the same without DTEC", fontsize=9, loc="left")
+    lower.set_title("CTEC and MHC alone", fontsize=9, loc="left")
     lower.set_ylim(bottom=-1.9)  # room for the legend
     lower.set_xlabel("time [s]")
     lower.set_xlim(0.0, _SHORT)
@@ -85,7 +85,7 @@ def long_run_figure(data: LongRun, folder: Path) -> Picture:
     for axis in (upper, lower):
         axis.axhline(0.0, color="0.4", lw=0.7)
         _finish(axis, "mean of H - H(0) [mJ]", loc="lower left" if axis is upper else "center right")
-    lower.set_title("the same without DTEC", fontsize=9, loc="left")
+    lower.set_title("CTEC and MHC alone", fontsize=9, loc="left")
     lower.set_xlabel("time [s]")
     lower.set_xlim(0.0, data.t[-1])
     figure.suptitle(
@@ -98,12 +98,12 @@ def long_run_figure(data: LongRun, folder: Path) -> Picture:
         "long_run_energy",
         figure,
         columns,
-        f"Long-run energy, means over {_MEAN_OVER:g} s: MHC's stays, CTEC's wanders, DTEC's walks.",
+        f"Long-run energy, means over {_MEAN_OVER:g} s: MHC's is constant, CTEC's is bounded, DTEC's drifts at random.",
     )
 
 
 def convergence_figure(table: Convergence, fine: Convergence, folder: Path) -> Picture:
-    """|q(3) - ref| against the step, and the same by h^2; `table` at the steps of the table, `fine` at many."""
+    """|q(3) - ref| and |q(3) - ref| / h^2 over the step; `table` at the steps of the table, `fine` at many."""
     figure = Figure(figsize=(_WIDTH, 4.3), layout="constrained")
     left, right = figure.subplots(1, 2)
     for name in MAPS:
@@ -138,7 +138,7 @@ def dense_figure(data: Dense, folder: Path) -> Picture:
     """Largest relative energy error so far of the bouncing ball, one panel per drop height."""
     figure = Figure(figsize=(_WIDTH, 4.8), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
-    floor = 1e-16  # no error at all is drawn here
+    floor = 1e-16  # where an error of zero is drawn
     keep = np.unique(np.linspace(1, len(data.t) - 1, 1000).round().astype(int))
     columns = {"t_s": data.t[keep]}
     for k, (axis, height) in enumerate(zip(axes.flat, HEIGHTS, strict=True)):

@@ -113,7 +113,7 @@ def _bounce(y: Array, time: float) -> tuple[Array, Impact]:
     w1, w2 = math.cos(y[0]), math.cos(y[1])
     c = math.cos(y[0] - y[1])
     det = 2.0 - c * c
-    kick = np.array([(w1 - c * w2) / det, (2.0 * w2 - c * w1) / det])
+    response = np.array([(w1 - c * w2) / det, (2.0 * w2 - c * w1) / det])
     gamma = _tip_speed(y)
-    impulse = -2.0 * gamma / (w1 * kick[0] + w2 * kick[1])
-    return np.array([y[0], y[1], *(y[2:] + impulse * kick)]), Impact(time, gamma, impulse)
+    impulse = -2.0 * gamma / (w1 * response[0] + w2 * response[1])
+    return np.array([y[0], y[1], *(y[2:] + impulse * response)]), Impact(time, gamma, impulse)

@@ -1,7 +1,7 @@
 """`contactvi reproduce`: the paper's Table I and Fig. 1, measured here, in one folder.
 
 Murphey, Pekarek, Seghete, "Variational Methods for Contact Mechanics". Every claim of the table is measured on the
-engine and gets a verdict by a rule that stands in the report, also where the claim does not hold.
+engine and gets a verdict by a rule that the report names, also where the claim does not hold.
 """
 
 from __future__ import annotations
@@ -114,6 +114,6 @@ class _Stages:
         return result
 
     def part(self, fraction: float) -> None:
-        """Say that this fraction of the present stage is done."""
+        """Report that this fraction of the present stage is done."""
         if self._progress is not None:
             self._progress(min(1.0, (self._done + fraction * self._current) / self._total), self._text)

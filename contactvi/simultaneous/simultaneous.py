@@ -1,9 +1,9 @@
-"""Simultaneous impacts: what can come out of them, and when the answer does not depend on the order.
+"""Simultaneous impacts: their possible outcomes, and when the outcome does not depend on the order.
 
 Several contacts that close at one instant are resolved as sequences of single impacts
 (contactvi.simultaneous.impact_sequences). In general the order matters, and rigid bodies alone do not decide it:
-`simultaneous_outcomes` lists what the orders lead to, which of it a run takes, and a certificate where there is but
-one answer.
+`simultaneous_outcomes` lists the outcomes of all orders, which of them a run takes, and a certificate where the outcome
+is unique.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Certificate:
 
 @dataclass(frozen=True, eq=False)
 class SimultaneousOutcomes:
-    """What the sequences of single impacts at one state lead to; a sequence of `Outcome`, printable.
+    """The outcomes of the sequences of single impacts at one state; a sequence of `Outcome`, printable.
 
     Attributes:
         contacts: those that take part.
@@ -198,7 +198,7 @@ def _certificate(contacts: Sequence[ClosedContact], rows: Sequence[Array]) -> Ce
     for i, j in combinations(range(n), 2):
         if len(rows[i]) > 1 or len(rows[j]) > 1:
             continue
-        # twice the angle of the half sum and half difference: no digits lost where arccos is flat
+        # Twice the angle of half sum and half difference: arccos loses digits near 0 and pi.
         between = 2.0 * math.atan2(np.linalg.norm(unit[i] - unit[j]), np.linalg.norm(unit[i] + unit[j]))
         angles[i, j] = angles[j, i] = beta = math.pi - between
         whole = round(math.pi / beta) if beta > _ANGLE else 0

@@ -32,7 +32,7 @@ def driven_slider_crank(runs: Runs) -> list[Check]:
         traj = runs.simulate(scene, q, scene.consistent_velocity(q), 0.8, h)
         phi, of = w * traj.t, f", h = {h:g}"
         torque = crank_torque(0.5 * (phi[1:] + phi[:-1]), w, lengths, masses)
-        errors.append(float(np.abs(traj.reactions("drive")[1:, 0] - torque).max()))
+        errors.append(float(np.abs(traj.reactions("motion")[1:, 0] - torque).max()))
         place = crank * np.cos(phi) + np.sqrt(rod**2 - (crank * np.sin(phi)) ** 2)
         off = float(np.abs(traj.q[:, 2] - place).max())
         checks += [

@@ -284,7 +284,7 @@ def pendulum_on_cart(motion: Callable[[float], tuple[float, float, float]]) -> S
     swing = model.addJoint(slide, hinge(), place(), "swing")
     append_point_mass(model, swing)
     scene = Scene.from_pinocchio(model)
-    scene.prescribe("slide", motion, name="drive")
+    scene.prescribe("slide", motion, name="motion")
     return scene
 
 
@@ -309,7 +309,7 @@ def slider_crank(lengths: Sequence[float], masses: Sequence[float], speed: float
     model.appendBodyToJoint(joint, pin.Inertia(masses[2], np.zeros(3), np.eye(3)), place())
     scene = Scene.from_pinocchio(model)
     scene.add_point("slide", "bar_2", point_b=(lengths[1], 0.0, 0.0), name="pin")
-    scene.prescribe("bar_1", lambda t: (speed * t, speed, 0.0), name="drive")
+    scene.prescribe("bar_1", lambda t: (speed * t, speed, 0.0), name="motion")
     return scene
 
 
@@ -332,7 +332,7 @@ def four_bar(speed: float | None = None, stop: float | None = None) -> Scene:
     scene = built(model, shapes, [("wall", "ball")] if shapes else [], 1.0)
     scene.add_point("world", "bar_3", (FOUR_BAR[3], 0.0, 0.0), (lengths[2], 0.0, 0.0), name="loop")
     if speed is not None:
-        scene.prescribe("bar_1", lambda t: (speed * t, speed, 0.0), name="drive")
+        scene.prescribe("bar_1", lambda t: (speed * t, speed, 0.0), name="motion")
     return scene
 
 

@@ -35,8 +35,8 @@ std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows) {
   d["gap"] = hand_over(std::move(rows.gap));
   d["position"] = hand_over(std::move(rows.position), n, 3);
   d["normal"] = hand_over(std::move(rows.normal), n, 3);
-  d["start"] = hand_over(std::move(rows.start), n, 3);
-  d["end"] = hand_over(std::move(rows.end), n, 3);
+  d["start"] = hand_over(std::move(rows.position_impulse), n, 3);
+  d["end"] = hand_over(std::move(rows.velocity_impulse), n, 3);
   d["slip"] = hand_over(std::move(rows.slip), n, 3);
   return d;
 }

@@ -48,8 +48,8 @@ void expose_contact_enums(nb::module_& m) {
       .value("CONTACT", GuardKind::kContact, "The distance of a pair of shapes.")
       .value("LIMIT", GuardKind::kLimit, "The distance of a joint from one of its limits.");
   nb::enum_<ContactMode>(m, "ContactMode", nb::is_arithmetic(), "What a contact did in a step.")
-      .value("STICK", ContactMode::kStick)
-      .value("SLIP", ContactMode::kSlip)
+      .value("STICK", ContactMode::kSticks)
+      .value("SLIP", ContactMode::kSlips)
       .value("FRICTIONLESS", ContactMode::kFrictionless)
       .value("IMPACT", ContactMode::kImpact);
   nb::enum_<Change>(m, "ContactChange", nb::is_arithmetic(), "What became of a persistent contact.")

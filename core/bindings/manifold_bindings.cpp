@@ -74,7 +74,7 @@ Dict describe(const Touch& touch, const std::vector<ContactPoint>& points) {
 }
 
 Dict contact_points(const Scene& s, const VecX& q, int pair, double margin, int max_points) {
-  const Touch touch(s, q, pair, max_points);
+  Touch touch(s, q, pair, max_points);
   std::vector<ContactPoint> points;
   touch.manifolds.find(pair, touch.at, touch.witness, margin, points);
   return describe(touch, points);
@@ -87,24 +87,24 @@ std::vector<ContactPoint> points_of(const Touch& touch, int pair, const std::vec
 }
 
 Dict points_of_features(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features) {
-  const Touch touch(s, q, pair, 4);
+  Touch touch(s, q, pair, 4);
   return describe(touch, points_of(touch, pair, features));
 }
 
 std::tuple<double, double, Vec3, Vec3> rest_gap(const Scene& s, const VecX& q, int pair,
                                                 const std::vector<std::int64_t>& features, int max_points) {
-  const Touch touch(s, q, pair, max_points);
+  Touch touch(s, q, pair, max_points);
   const std::vector<ContactPoint> points = points_of(touch, pair, features);
   std::vector<const ContactPoint*> persistent;
   for (const ContactPoint& p : points) persistent.push_back(&p);
   Contact c{};
-  const double gap =
-      touch.manifolds.rest(pair, touch.at, persistent.data(), static_cast<int>(persistent.size()), touch.witness, c);
+  const double gap = touch.manifolds.next_gap(pair, touch.at, persistent.data(), static_cast<int>(persistent.size()),
+                                              touch.witness, c);
   return {gap, c.gap, c.normal, 0.5 * (c.point_a + c.point_b)};
 }
 
 double nearest_gap(const Scene& s, const VecX& q, int pair) {
-  const Touch touch(s, q, pair, 4);
+  Touch touch(s, q, pair, 4);
   Contact c{};
   return touch.manifolds.nearest(pair, touch.at, c) ? c.gap : std::numeric_limits<double>::quiet_NaN();
 }

@@ -1,4 +1,4 @@
-// ContactStep: the rows of constraints and of the dry friction of joints.
+// ContactStep: the rows of constraints and of joint friction.
 #include <algorithm>
 #include <cmath>
 
@@ -8,16 +8,16 @@
 namespace contactvi {
 
 namespace {
-constexpr double kShort = 1e-5;   // of a step below which places are followed by their rates
+constexpr double kShort = 1e-5;   // of a nominal step: shorter steps use rates instead of differences of positions
 constexpr double kStill = 1e-11;  // of the speeds: slip below it is rounding
-constexpr double kJump = 2.0;     // of the rates of a motion at both ends of a step, by which its mean may differ,
-constexpr double kJumpRounding = 1e-9;  // and [rad; m], [rad/s; m/s]
-constexpr double kFar = 1e-4;           // of the configuration: numbers beyond its inverse have more rounding
-constexpr double kMet = 1e-10;          // [m; rad] to which a constraint is met,
-constexpr double kMetRate = 1e-7;       // and its rate to this, of the speeds
+constexpr double kJump = 2.0;  // of the sum of a motion's rates at both ends of a step: a larger deviation is a jump,
+constexpr double kJumpRounding = 1e-9;  // where it is also beyond this [rad; m], [rad/s; m/s]
+constexpr double kFar = 1e-4;           // of the configuration: coordinates beyond its inverse have more rounding
+constexpr double kMet = 1e-10;          // [m; rad] to which a constraint is satisfied,
+constexpr double kMetRate = 1e-7;       // of the speeds: to which its rate is
 }  // namespace
 
-// Rows of the constraints and of dry friction; the guards are placed at q.
+// The rows of constraints and joint friction at q; the guards are placed there.
 void ContactStep::constraint_node(const VecCRef& q, double t, Node& node) {
   node.t = t;
   if (bilateral_ > 0)
@@ -26,8 +26,9 @@ void ContactStep::constraint_node(const VecCRef& q, double t, Node& node) {
   for (int k = 0; k < friction_rows_; ++k) node.W(friction_joints_[k].dof, bilateral_ + k) = 1.0;
 }
 
-// The same of constraints and dry friction. What a constraint was off at the start goes away over a whole step.
-void ContactStep::measure_constraints(double h) {
+// The velocities y_ of the rows of constraints and joint friction over the step, and their derivatives S_. The error of
+// a constraint at the start is corrected over a nominal step.
+void ContactStep::set_constraint_velocities(double h) {
   if (bilateral_ > 0) {
     auto S = S_.leftCols(bilateral_);
     auto y = y_.head(bilateral_);
@@ -46,7 +47,7 @@ void ContactStep::measure_constraints(double h) {
   }
 }
 
-// Speeds at the start of a step; a joint that moves has no anchor.
+// Sets the speeds of the joints with friction at the start of a step; a joint that moves loses its anchor.
 void ContactStep::start_joint_friction(const VecCRef& v) {
   const double still = kStill * (1.0 + v.cwiseAbs().maxCoeff());
   for (FrictionJoint& joint : friction_joints_) {
@@ -55,8 +56,8 @@ void ContactStep::start_joint_friction(const VecCRef& v) {
   }
 }
 
-// What the first kick says of the slip of joints.
-void ContactStep::judge_joint_friction(double speed) {
+// Which joints with friction have slipped in the step, from the position impulse.
+void ContactStep::classify_joint_friction(double speed) {
   for (int k = 0; k < friction_rows_; ++k) {
     FrictionJointOutcome& out = friction_outcomes_[k];
     const int r = bilateral_ + k;
@@ -92,9 +93,10 @@ double ContactStep::slip_left(int i) const {
   return outcomes_[i].slipped && !outcomes_[i].turned ? outcomes_[i].reversed : kTurned;
 }
 
-// Whether the constraints hold at the end of the step; else which does not (unmet_). rates: and their rates.
+// Whether the constraints are satisfied at the end of the step, with `rates` also their rates; else
+// violated_constraint_ is the worst of them.
 bool ContactStep::constraints_met(double h, bool rates) {
-  unmet_ = -1;
+  violated_constraint_ = -1;
   if (bilateral_ == 0) return true;
   VecX rate = VecX::Zero(bilateral_);
   double speed = 1.0;
@@ -102,31 +104,31 @@ bool ContactStep::constraints_met(double h, bool rates) {
     rate = node1_.W.leftCols(bilateral_).transpose() * v1_ + node1_.rate;
     speed += v1_.cwiseAbs().maxCoeff() + node1_.rate.cwiseAbs().maxCoeff();
   }
-  const double left = h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0,
+  const double remaining = h < nominal_h_ ? 1.0 - h / nominal_h_ : 0.0,
                reach = std::max(1.0, kFar * node1_.q.cwiseAbs().maxCoeff());
   double worst = 1.0;
   for (const Constraint& c : scene_->tree.elements.constraints)
     for (int k = c.row; k < c.row + c.rows; ++k) {
-      const double place = std::abs(node1_.phi[k]) - left * std::abs(node0_.phi[k]);
+      const double place = std::abs(node1_.phi[k]) - remaining * std::abs(node0_.phi[k]);
       const double off = std::max(place / (kMet * reach), std::abs(rate[k]) / (kMetRate * speed));
       if (off <= worst) continue;
       worst = off;
-      unmet_ = static_cast<int>(&c - scene_->tree.elements.constraints.data());
+      violated_constraint_ = static_cast<int>(&c - scene_->tree.elements.constraints.data());
     }
-  if (unmet_ < 0 && rates) unmet_ = find_jump(h);
-  if (unmet_ >= 0) why_ = "the constraints cannot be met";
-  return unmet_ < 0;
+  if (violated_constraint_ < 0 && rates) violated_constraint_ = find_prescribed_jump(h);
+  if (violated_constraint_ >= 0) why_ = "the constraints cannot be met";
+  return violated_constraint_ < 0;
 }
 
-// A joint whose prescribed motion has not gone where its rates lead: the motion jumps. -1: none.
-int ContactStep::find_jump(double h) const {
+// The constraint whose prescribed motion jumps, so that its joint has moved otherwise than the rates tell; -1: none.
+int ContactStep::find_prescribed_jump(double h) const {
   const std::vector<Constraint>& all = scene_->tree.elements.constraints;
   for (std::size_t i = 0; i < all.size(); ++i) {
     if (all[i].kind != ConstraintKind::kPrescribed) continue;
     const double rate0 = -node0_.rate[all[i].row], rate1 = -node1_.rate[all[i].row];
-    const double gone = v_[scene_->tree.joints[all[i].joint_b].iv];
+    const double moved = v_[scene_->tree.joints[all[i].joint_b].iv];
     const double most = kJump * (std::abs(rate0) + std::abs(rate1)) + kJumpRounding * (1.0 + 1.0 / h);
-    if (std::abs(gone - 0.5 * (rate0 + rate1)) > most) return static_cast<int>(i);
+    if (std::abs(moved - 0.5 * (rate0 + rate1)) > most) return static_cast<int>(i);
   }
   return -1;
 }
@@ -139,7 +141,7 @@ ConeContact ContactStep::joint_friction_cone(int k, double bound) const {
   return cone;
 }
 
-// The cone problem of all rows, the constraints eliminated (reduction_ has been made for G).
+// Solves the cone problem of all rows with the constraints eliminated; reduction_ has been set to G before.
 bool ContactStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise,
                              VecX& lambda, bool regularize, double rough) {
   if (bilateral_ == 0) return solve_cone({cones, G, b, noise, rough}, lambda, regularize);
@@ -147,7 +149,7 @@ bool ContactStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& 
   rest_ = lambda.tail(right.size());
   if (right.size() > 0 && !solve_cone({cones, reduction_.matrix(), right, noise, rough}, rest_, regularize))
     return false;
-  // Friction of a joint that constraints move: it takes its part whatever comes, and they bear it.
+  // Friction of a joint whose motion the constraints determine: it acts in full, and the constraints bear it.
   for (std::size_t i = 0; i < reduction_.idle().size(); ++i) {
     const int k = reduction_.idle()[i];
     const double speed = reduction_.idle_speed(i);
@@ -158,7 +160,7 @@ bool ContactStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& 
   return lambda.allFinite();
 }
 
-// Of the contact matrix of the step, without what the constraints take up.
+// An element of the Delassus matrix of the step, with the constraints eliminated.
 double ContactStep::contact_matrix(int row, int column) const {
   return bilateral_ == 0 ? G_(row, column) : reduction_.matrix()(row - bilateral_, column - bilateral_);
 }
@@ -170,7 +172,7 @@ double ContactStep::joint_friction_loss() const {
   return total;
 }
 
-// The force of a constraint that moves by itself has power: the rows' velocities are -rate.
+// The forces of a constraint that depends on time have power: the velocities of its rows are -rate.
 double ContactStep::driven_work() const {
   if (bilateral_ == 0) return 0.0;
   return -lambda_.head(bilateral_).dot(node0_.rate) - lambda_end_.head(bilateral_).dot(node1_.rate);

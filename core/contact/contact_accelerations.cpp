@@ -1,4 +1,4 @@
-// ContactStep: the continuous contact forces at a node, which say when a contact leaves.
+// ContactStep: the continuous contact forces at a node, which tell when a contact separates.
 //
 // Accelerations instead of impulses: a_n = d/dt (W_n v) along the motion with the forces f on it,
 //   0 <= f_n _|_ a_n >= 0,  sticking: Coulomb's law between f_t and a_t, slipping: f_t = -mu f_n d.
@@ -12,22 +12,22 @@
 namespace contactvi {
 
 namespace {
-constexpr double kSide = 1e-5;     // [m; rad] moved for the difference at most,
-constexpr double kLongest = 1e-3;  // and in at most so many seconds
+constexpr double kSide = 1e-5;     // [m; rad] displacement of the finite difference at most,
+constexpr double kLongest = 1e-3;  // [s] and its time at most
 constexpr double kStill = 1e-11;   // of the speeds: a joint that sticks
-constexpr double kFalling = 0.35;  // of the larger: a force extrapolated below it may reach zero soon
+constexpr double kFalling = 0.35;  // of the larger force: one extrapolated to less may reach zero soon
 }  // namespace
 
 bool ContactStep::may_release() const {
   for (const ContactOutcome& out : outcomes_) {
-    const double first = out.start[0], second = out.end[0];
-    // The kicks are the forces at one and two thirds of the step.
+    const double first = out.position_impulse[0], second = out.velocity_impulse[0];
+    // To leading order the two impulses are the forces at one third and two thirds of the step.
     if (2.0 * second - first < kFalling * std::max(first, second) || !(first > 0.0)) return true;
   }
   return false;
 }
 
-// b_ = d/dt (W v) of all rows without contact forces; node1_ is at q, its factor in the integrator.
+// b_ = d/dt (W v) of all rows without contact forces. node1_ is at q, and the integrator holds the mass matrix there.
 bool ContactStep::accelerations(const VecCRef& q, const VecCRef& v, const VecX& tau) {
   forward_dynamics(integrator_, q, v, tau, acceleration_);
   if (!acceleration_.allFinite()) return false;
@@ -100,7 +100,7 @@ bool ContactStep::persistent_forces_at(const VecCRef& q, const VecCRef& p, const
   lambda_end_.setZero();
   h_ = 0.0;
   for (ContactOutcome& out : outcomes_) out.slipped = false;
-  describe();
+  set_outcomes();
   return accelerations(q1_, v1_, tau) && force_problem(value);
 }
 

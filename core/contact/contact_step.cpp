@@ -6,19 +6,19 @@
 namespace contactvi {
 
 namespace {
-constexpr int kMaxRounds = 40;
-constexpr double kRounding = 1e-14;       // of the velocities: nothing left to improve,
-constexpr double kGapRounding = 2e-16;    // [m] that the gaps carry, as a velocity over the step
-constexpr double kPlaceRounding = 4e-15;  // [m] that the places of sticking points disagree by, the same
-constexpr double kAccept = 1e-9;          // residual of a cone problem that counts as solved if nothing better is found
-constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // by which rows of a contact that is held agree in the rounds
-constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_place
-constexpr double kStalled = 1e3;                                       // of that: rounds which no longer gain may end
-constexpr int kIdle = 4;                                               // such rounds
-constexpr double kBest = 1e-4;                 // contraction of a round: no better one is believed
-constexpr double kConstraintRounding = 1e-15;  // [m] the same of the constraints' residuals
-constexpr double kSameTime = 1e-13;
-constexpr double kSettled = 1e-3;  // relative change of v from which on the contact matrix is kept
+constexpr int kMaxIterations = 40;
+constexpr double kRounding = 1e-14;       // of the velocities: converged
+constexpr double kGapRounding = 2e-16;    // [m] of the gaps; divided by the step it is a velocity
+constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking points disagree
+constexpr double kAccept = 1e-9;          // residual of a cone problem that was not solved better: it counts as solved
+constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // relative disagreement of dependent rows: at first, when settled
+constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_displacement_step
+constexpr double kStalled = 1e3;               // of the convergence limit: iterations that stall below it end
+constexpr int kIdle = 4;                       // iterations without gain that count as a stall
+constexpr double kBest = 1e-4;                 // smallest contraction rate that is assumed
+constexpr double kConstraintRounding = 1e-15;  // [m] of the residuals of constraints
+constexpr double kSameTime = 1e-13;            // of 1 s + t: times that differ less are equal
+constexpr double kSettled = 1e-3;              // relative change of v from which on the contact matrix is kept
 }  // namespace
 
 ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol)
@@ -26,7 +26,6 @@ ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& ma
       guards_(&guards),
       manifolds_(&manifolds),
       integrator_(scene.tree, 1, tol, 1),
-      tol_(tol),
       v_(scene.tree.nv),
       p_start_(scene.tree.nv),
       p_minus_(scene.tree.nv),
@@ -55,16 +54,16 @@ void ContactStep::restart() {
   fixed_force_.setZero(bilateral_ + friction_rows_);
 }
 
-// Sizes for the contacts as they are.
+// Sizes the rows for the present contacts.
 void ContactStep::set_rows() {
   const std::size_t n = contacts_.size();
   row_.resize(n);
   cones_.resize(friction_rows_ + n);
   outcomes_.resize(n);
-  y_ref_.resize(n);
+  reference_positions_.resize(n);
   paradox_.resize(n);
   rows_ = bilateral_ + friction_rows_;
-  redundant_ = noisy_ = false;
+  noisy_ = false;
   for (std::size_t i = 0; i < n; ++i) {
     row_[i] = rows_;
     rows_ += contacts_[i].rows();
@@ -73,8 +72,6 @@ void ContactStep::set_rows() {
     cones_[friction_rows_ + i].rows = contacts_[i].rows();
     cones_[friction_rows_ + i].mu = contacts_[i].mu;
     noisy_ |= guards_->is_noisy(contacts_[i].point.guard);
-    // Two points of one pair share the friction along their line; four the load.
-    for (std::size_t j = 0; j < i; ++j) redundant_ |= contacts_[j].point.guard == contacts_[i].point.guard;
   }
   const int nv = scene_->tree.nv;
   for (Node* node : {&node0_, &node1_}) {
@@ -109,8 +106,8 @@ Vec3 ContactStep::tangent_at(const PersistentContact& persistent, const Contact&
   return body < 0 ? persistent.tangent : Vec3(guards_->placements().R_W[body] * persistent.tangent);
 }
 
-// Where the point is, in the plane's body frame.
-Vec3 ContactStep::place_on_plane(const ContactPoint& point) const {
+// Position of the point in the plane's body frame [m].
+Vec3 ContactStep::position_on_plane(const ContactPoint& point) const {
   const Placements& at = guards_->placements();
   const Vec3 c = point.point_body < 0 ? point.center_B
                                       : Vec3(at.p_W[point.point_body] + at.R_W[point.point_body] * point.center_B);
@@ -137,7 +134,7 @@ void ContactStep::start_node(const VecCRef& q0) {
                        : carried_tangent(persistent.tangent, node0_.at[i].normal, node0_.at[i].normal);
     guards_->rows(persistent.point.guard, node0_.at[i], node0_.t1[i], node0_.W.middleCols(row_[i], persistent.rows()));
     if (persistent.point.material)
-      y_ref_[i] = persistent.anchored ? persistent.anchor : place_on_plane(persistent.point);
+      reference_positions_[i] = persistent.anchored ? persistent.anchor : position_on_plane(persistent.point);
   }
 }
 
@@ -155,34 +152,35 @@ void ContactStep::end_node(const VecX& q1, double t1) {
   }
 }
 
-// Part of a step below which a gap is followed by its rate.
-double ContactStep::shortest_place(const PersistentContact& persistent) const {
+// Part of a nominal step below which the step uses the rate of a gap instead of a difference of gaps.
+double ContactStep::shortest_displacement_step(const PersistentContact& persistent) const {
   if (guards_->is_noisy(persistent.point.guard)) return kShortNoisy;
-  return persistent.point.kind == PointKind::kRim ? kShortRim : kShort;  // a rim's rate turns with it
+  return persistent.point.kind == PointKind::kRim ? kShortRim : kShort;  // the rate of a rim's gap changes as it rolls
 }
 
-// y = (phi(q1)/h; s) at the velocity v_, and its derivative S^T along v.
-void ContactStep::measure(double h) {
+// y_ = (phi(q1)/h; s), the velocities of the rows over the step at the velocity v_, and their derivative S_^T with
+// respect to v_.
+void ContactStep::set_row_velocities(double h) {
   integrate(scene_->tree, node0_.q, v_, h, q1_);
   end_node(q1_, integrator_.time() + h);
   S_ = node1_.W;
-  measure_constraints(h);
+  set_constraint_velocities(h);
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const PersistentContact& persistent = contacts_[i];
     const int r = row_[i];
-    // What the gap was off at the start goes away over a whole step, not over a part of any shortness.
-    const double left = h < nominal_h_ ? (1.0 - h / nominal_h_) * node0_.at[i].gap : 0.0;
-    if (h < shortest_place(persistent) * nominal_h_) {
-      // Over so short a time the difference of two gaps is rounding: their rate instead.
+    // The error of the gap at the start is corrected over a nominal step: a shorter one leaves its part of it.
+    const double remaining = h < nominal_h_ ? (1.0 - h / nominal_h_) * node0_.at[i].gap : 0.0;
+    if (h < shortest_displacement_step(persistent) * nominal_h_) {
+      // The difference of two gaps over so short a time is rounding: their rate takes its place.
       S_.col(r) = 0.5 * (node0_.W.col(r) + node1_.W.col(r));
       y_[r] = S_.col(r).dot(v_) + node0_.at[i].gap / nominal_h_;
     } else {
-      y_[r] = (node1_.at[i].gap - left) / h;
+      y_[r] = (node1_.at[i].gap - remaining) / h;
     }
     if (persistent.mu == 0.0) continue;
     if (persistent.point.material) {
-      const Vec3 moved = (place_on_plane(persistent.point) - y_ref_[i]) / h;
-      // b's point moves on a plane of a, or a's on one of b's: then b moves the other way.
+      const Vec3 moved = (position_on_plane(persistent.point) - reference_positions_[i]) / h;
+      // A point of b moves on a plane of a; for a point of a on a plane of b the relative motion is the opposite.
       const double sign = persistent.point.on_b ? 1.0 : -1.0;
       const Vec3 t1 = persistent.tangent, t2 = sign * persistent.point.normal_B.cross(t1);
       y_[r + 1] = sign * moved.dot(t1);
@@ -204,8 +202,9 @@ bool ContactStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regu
   return result.ok || result.residual <= kAccept;
 }
 
-// Those of the last step's forces, bounds of the dry friction, where it counts its places from.
-void ContactStep::start_impulses(double h) {
+// Start values of the position impulses from the forces of the last step, the bounds of joint friction, and the
+// coordinates from which the displacements of these joints count.
+void ContactStep::set_initial_impulses(double h) {
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     lambda_.segment(row_[i], contacts_[i].rows()) = 0.5 * h * contacts_[i].force.head(contacts_[i].rows());
   lambda_.head(bilateral_ + friction_rows_) = 0.5 * h * fixed_force_;
@@ -217,7 +216,7 @@ void ContactStep::start_impulses(double h) {
 bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
   start_node(q0);
   integrator_.begin_with_impulse(q0, h, tau, v);
-  start_impulses(h);
+  set_initial_impulses(h);
   double best = INFINITY;
   int idle = 0;
   double last = INFINITY;
@@ -226,18 +225,18 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
                                               : bilateral_ > 0 ? kConstraintRounding
                                                                : 0.0) /
                        h;  // of the rows, as a velocity
-  for (int k = 0; k < kMaxRounds; ++k) {
+  for (int k = 0; k < kMaxIterations; ++k) {
     ++counters.contact_iterations;
     p_start_ = p0;
     p_start_.noalias() += node0_.W * lambda_;
-    const double swept = integrator_.iterate_with_impulse(p_start_, k == 0, k == 0);
-    if (!std::isfinite(swept)) break;
+    const double stage_change = integrator_.iterate_with_impulse(p_start_, k == 0, k == 0);
+    if (!std::isfinite(stage_change)) break;
     if (k == 0) {
       DinvW_ = node0_.W;
       integrator_.solve_with_impulse(DinvW_);
     }
     integrator_.stage_velocity(v_);
-    measure(h);
+    set_row_velocities(h);
     if (!y_.allFinite()) break;
     if (!settled) {
       G_.noalias() = S_.transpose() * DinvW_;
@@ -256,11 +255,11 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     change_ = lambda_ - change_;
     dv_.noalias() = DinvW_ * change_;
     integrator_.add_velocity(dv_);
-    const double size = 1.0 + v_.cwiseAbs().maxCoeff(), change = std::max(swept, dv_.cwiseAbs().maxCoeff());
+    const double size = 1.0 + v_.cwiseAbs().maxCoeff(), change = std::max(stage_change, dv_.cwiseAbs().maxCoeff());
     if (!std::isfinite(change)) break;
     const double floor = std::max(kRounding, noise) * size;
     settled = change < kSettled * size;
-    // What the next round would change is known from the contraction so far.
+    // The change of the next iteration is estimated by the contraction rate.
     const double theta = k > 0 ? std::max(kBest, change / last) : 1.0;
     last = change;
     if (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= floor)) return true;
@@ -269,12 +268,13 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     if (idle >= kIdle && best < kStalled * floor) return true;
     if (idle >= 4 * kIdle) break;
   }
-  why_ = "the step with held contacts does not converge";
+  why_ = "the step with persistent contacts does not converge";
   if (node1_.known) constraints_met(h, false);
   return false;
 }
 
-// A of the contacts that slip at the start of the step; of single points only: those of a face share their load.
+// A (ContactOutcome::paradox) of the contacts that slip at the start of the step; only of pairs with one point, because
+// several points share their load.
 void ContactStep::find_paradox(const VecX& v) {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const int r = row_[i];
@@ -293,9 +293,10 @@ void ContactStep::find_paradox(const VecX& v) {
 
 bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
   why_ = "";
-  unmet_ = -1;
+  violated_constraint_ = -1;
   if (node0_.known && follows_ && (node0_.q.array() == q0.array()).all()) {
-    guess_ = v_node_ + (h / h_last_) * (v_node_ - v_last_);  // at the middle, from the last step's
+    guess_ = v_node_ + (h / h_last_) *
+                           (v_node_ - v_last_);  // velocity in the middle of the step, extrapolated from the last step
     start_joint_friction(v_node_);
   } else {
     if (!integrator_.node_velocity(q0, p0, v1_)) {

@@ -1,4 +1,4 @@
-// ContactStep: the second kick of a step, at its end, and what the step has done to its contacts.
+// ContactStep: the velocity impulse at the end of a step, and the result of the step for its contacts.
 #include <algorithm>
 #include <cmath>
 
@@ -7,14 +7,14 @@
 namespace contactvi {
 
 namespace {
-constexpr double kClosed = 1e-12;    // [m] a gap below which a contact without load takes part in the end kick
-constexpr double kSwing = 0.95;      // cosine of the angle by which a rim's contact may run round in a step
+constexpr double kClosed = 1e-12;    // [m] below this gap a contact without load takes part in the velocity impulse
+constexpr double kSwing = 0.95;      // cosine of the angle by which the contact point of a rim may run around in a step
 constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
 }  // namespace
 
-// From the end of the smooth step with its start kicks to the node: p1 and v1.
+// From the end of the step with its position impulses to the node: p1 and v1.
 bool ContactStep::velocity_impulses() {
-  p_start_.noalias() += node0_.W * change_;  // the last correction of the impulses
+  p_start_.noalias() += node0_.W * change_;  // the correction of the impulses in the last iteration
   integrator_.start_with_impulse(p_start_);
   integrator_.stage_velocity(v_);
   integrator_.finish(q1_, p_minus_);
@@ -53,7 +53,7 @@ bool ContactStep::velocity_impulses() {
     const Vec3 t1 = node1_.t1[i], t2 = node1_.at[i].normal.cross(t1);
     out.turned = contacts_[i].slip.dot(s[0] * t1 + s[1] * t2) < 0.0;
   }
-  judge_joint_friction(speed);
+  classify_joint_friction(speed);
   lambda_end_ = lambda_;
   if (!solve_end(lambda_end_)) {
     why_ = "the contact forces at the end of a step were not found";
@@ -63,11 +63,12 @@ bool ContactStep::velocity_impulses() {
   p1_.noalias() += node1_.W * lambda_end_;
   v1_.noalias() += MinvW_ * lambda_end_;
   w_end_.noalias() += G_end_ * lambda_end_;
-  describe();
+  set_outcomes();
   return constraints_met(h_, true);
 }
 
-// After an attempt at the end kick: slips that it would turn round lose their direction. False: none does.
+// After an attempt at the velocity impulse: frees the direction of friction where the impulse would reverse the slip.
+// False: nowhere.
 bool ContactStep::unfreeze_turned(const MatX& G, double still) {
   bool turned = false;
   for (int k = 0; k < friction_rows_; ++k) {
@@ -92,8 +93,7 @@ bool ContactStep::unfreeze_turned(const MatX& G, double still) {
   return turned;
 }
 
-// The cone problem of the active contacts; directions of friction stay those of the step where that turns no slip
-// round.
+// The cone problem of the active contacts; directions of friction stay those of the step where that reverses no slip.
 bool ContactStep::solve_end(VecX& lambda) {
   end_cones_.clear();
   sub_rows_.clear();
@@ -109,7 +109,7 @@ bool ContactStep::solve_end(VecX& lambda) {
     end_cones_.push_back(cone);
     for (int k = 0; k < cone.rows; ++k) sub_rows_.push_back(row_[i] + k);
   }
-  // Rows of the active contacts only.
+  // The problem has the rows of the active contacts only.
   const int rows = static_cast<int>(sub_rows_.size());
   MatX& G = G_sub_;
   G.resize(rows, rows);
@@ -126,7 +126,7 @@ bool ContactStep::solve_end(VecX& lambda) {
   if (rows == 0) return true;
   for (int attempt = 0; attempt < 3; ++attempt) {
     if (!solve_rows(end_cones_, G, b_sub_, kSlipping * 1e-3 * speed, x_, true)) {
-      // In Painleve's paradox no force holds a contact that goes on slipping.
+      // In Painleve's paradox no force keeps a contact closed that goes on slipping.
       bool frozen = false;
       for (ConeContact& cone : end_cones_) {
         frozen |= cone.frozen;
@@ -142,7 +142,7 @@ bool ContactStep::solve_end(VecX& lambda) {
   return true;
 }
 
-void ContactStep::describe() {
+void ContactStep::set_outcomes() {
   for (int k = 0; k < friction_rows_; ++k)
     friction_outcomes_[k].slips =
         std::abs(v1_[friction_joints_[k].dof]) > kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
@@ -156,26 +156,28 @@ void ContactStep::describe() {
     out.t1 = node1_.t1[i];
     out.t2 = c1.normal.cross(out.t1);
     out.w_n = w_end_[r];
-    out.start = Vec3(lambda_[r], 0, 0);
-    out.end = Vec3(lambda_end_[r], 0, 0);
+    out.position_impulse = Vec3(lambda_[r], 0, 0);
+    out.velocity_impulse = Vec3(lambda_end_[r], 0, 0);
     out.slip_W.setZero();
     out.slips = false;
     if (persistent.mu > 0.0) {
-      out.start.tail<2>() = lambda_.segment<2>(r + 1);
-      out.end.tail<2>() = lambda_end_.segment<2>(r + 1);
+      out.position_impulse.tail<2>() = lambda_.segment<2>(r + 1);
+      out.velocity_impulse.tail<2>() = lambda_end_.segment<2>(r + 1);
       out.slip_W = w_end_[r + 1] * out.t1 + w_end_[r + 2] * out.t2;
       out.slips = out.slip_W.norm() > kSlipping * speed;
       out.paradox = paradox_[i];
     }
     const Vec3 s1 = node0_.t1[i], s2 = c0.normal.cross(s1);
-    out.start_W = out.start[0] * c0.normal + out.start[1] * s1 + out.start[2] * s2;
-    out.end_W = out.end[0] * c1.normal + out.end[1] * out.t1 + out.end[2] * out.t2;
+    out.position_impulse_W =
+        out.position_impulse[0] * c0.normal + out.position_impulse[1] * s1 + out.position_impulse[2] * s2;
+    out.velocity_impulse_W =
+        out.velocity_impulse[0] * c1.normal + out.velocity_impulse[1] * out.t1 + out.velocity_impulse[2] * out.t2;
   }
 }
 
 ContactStep::Memory ContactStep::memory() const {
-  return {contacts_, outcomes_, node0_, y_ref_,  friction_joints_, fixed_force_,
-          v_node_,   v_last_,   v1_,    h_last_, nominal_h_,       follows_};
+  return {contacts_, outcomes_, node0_,  reference_positions_, friction_joints_, fixed_force_, v_node_,
+          v_last_,   v1_,       h_last_, nominal_h_,           follows_};
 }
 
 void ContactStep::recall(const Memory& memory) {
@@ -184,7 +186,7 @@ void ContactStep::recall(const Memory& memory) {
   outcomes_ = memory.outcomes;
   node0_ = memory.node;
   node1_.known = false;
-  y_ref_ = memory.y_ref;
+  reference_positions_ = memory.reference_positions;
   friction_joints_ = memory.friction_joints;
   fixed_force_ = memory.fixed_force;
   v_node_ = memory.v_node;
@@ -195,7 +197,7 @@ void ContactStep::recall(const Memory& memory) {
   follows_ = memory.follows;
 }
 
-bool ContactStep::swings() const {
+bool ContactStep::rim_turns_far() const {
   for (std::size_t i = 0; i < contacts_.size(); ++i)
     if (contacts_[i].point.kind == PointKind::kRim && node0_.side[i].dot(node1_.side[i]) < kSwing) return true;
   return false;
@@ -206,17 +208,17 @@ void ContactStep::commit() {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     PersistentContact& persistent = contacts_[i];
     const ContactOutcome& out = outcomes_[i];
-    persistent.force = (out.start + out.end) / h_;
+    persistent.force = (out.position_impulse + out.velocity_impulse) / h_;
     if (persistent.mu > 0.0 && persistent.point.kind != PointKind::kVertex) persistent.tangent = node1_.t1[i];
     persistent.sticks = !out.slips;
     persistent.slip = out.slip_W;
     if (!persistent.point.material) continue;
     if (out.slips || out.slipped) persistent.anchored = false;
     if (!out.slips && !persistent.anchored) {
-      persistent.anchor = place_on_plane(persistent.point);
+      persistent.anchor = position_on_plane(persistent.point);
       persistent.anchored = true;
     }
-    y_ref_[i] = persistent.anchored ? persistent.anchor : place_on_plane(persistent.point);
+    reference_positions_[i] = persistent.anchored ? persistent.anchor : position_on_plane(persistent.point);
   }
   const double still = kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
   for (FrictionJoint& joint : friction_joints_) {

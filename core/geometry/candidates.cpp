@@ -6,12 +6,12 @@ namespace contactvi {
 
 namespace {
 
-// Edges at less than this angle [rad] have no crossing of their own: vertices near to it bound the contact as well.
+// Edges at a smaller angle [rad] have no crossing of their own: vertices near to it bound the contact as well.
 constexpr double kParallel = 1e-5;
 
-// One side of a pair: what lies over a face.
+// One side of a pair: a shape with faces (plane) and the shape over them (other).
 struct Over {
-  const ShapeFeatures *plane, *other;  // of the face, of what lies over it
+  const ShapeFeatures *plane, *other;
   Pose plane_pose, other_pose;
   bool on_b;  // other is b
   Mat3 R;     // other's body frame in plane's
@@ -25,7 +25,7 @@ Over make_over(const PairView& v, bool on_b) {
   return o;
 }
 
-// The vertices over a face; returns the one lowest over its plane.
+// Lists the vertices over a face; returns the one that is lowest over its plane.
 int vertices_over(const Over& o, int f, CandidateSink& sink) {
   const ShapeFeatures::Face& face = o.plane->faces[f];
   const Vec3 n = o.R.transpose() * face.normal;  // in the other's frame
@@ -92,7 +92,7 @@ Vec3 lowest_rim_point(const Over& o, const ShapeFeatures::Rim& rim, const Vec3& 
   return lowest;
 }
 
-void rims_over(const Over& o, int f, bool coming, CandidateSink& sink) {
+void rims_over(const Over& o, int f, bool upcoming, CandidateSink& sink) {
   const ShapeFeatures::Face& face = o.plane->faces[f];
   const double radii = o.plane->radius + o.other->radius;
   for (int r = 0; r < static_cast<int>(o.other->rims.size()); ++r) {
@@ -101,11 +101,11 @@ void rims_over(const Over& o, int f, bool coming, CandidateSink& sink) {
     const double tilt = rim_tilt(rim.radius, axis, face.normal);
     const double gap = face.normal.dot(center) - tilt - face.offset - radii;
     if (gap > sink.limit) continue;
-    if (coming || tilt > kUpright) {
-      // Flat, the lowest of the points that would be found: what closes must be something that can be hit.
+    if (upcoming || tilt > kUpright) {
+      // A flat rim has the lowest of its material points, because these are the points that an impact would find.
       const Vec3 x = tilt > kUpright ? lowest_of_rim(center, axis, rim.radius, face.normal)
                                      : lowest_rim_point(o, rim, face.normal);
-      // Flat, every point of the rim is lowest.
+      // A flat rim is over the face where any of its points is.
       const bool over =
           tilt > kUpright ? outside_of(*o.plane, face, x) <= kBorder : reaches_over(*o.plane, face, center, rim.radius);
       if (!over) continue;
@@ -152,7 +152,7 @@ double outside_arc(const ShapeFeatures& o, const ShapeFeatures::Edge& e, const V
   return -std::min(l.cross(n).dot(e.direction), n.cross(r).dot(e.direction));
 }
 
-void edges_across(const PairView& v, const Sides& sides, bool coming, EdgeLists& edges, CandidateSink& sink) {
+void edges_across(const PairView& v, const Sides& sides, bool upcoming, EdgeLists& edges, CandidateSink& sink) {
   edges.lines_b.clear();
   for (int j : edges.b) edges.lines_b.push_back(line_of(*v.b, v.pose_b, j));
   Crossing c;
@@ -163,12 +163,12 @@ void edges_across(const PairView& v, const Sides& sides, bool coming, EdgeLists&
       const int j = edges.b[k];
       if (!cross_lines(a, b, sides.n_W, kBorder, c)) continue;
       const bool over = c.beyond <= kBorder;
-      if (!coming && !over) continue;
-      // The height of a lying cylinder's axis, whose ends are flat, tells nothing beyond these.
+      if (!upcoming && !over) continue;
+      // Beyond the flat ends of a lying cylinder the height of its axis has no meaning.
       const bool polygons = v.a->edges[i].radius == 0.0 && v.b->edges[j].radius == 0.0;
       if (!over && !(polygons && c.beyond_in_view <= 0.0)) continue;
       const double gap = over ? c.gap : c.height;
-      if (gap > sink.limit || (!coming && outside_cone(v, i, j, c.normal) > kNormalCone)) continue;
+      if (gap > sink.limit || (!upcoming && outside_cone(v, i, j, c.normal) > kNormalCone)) continue;
       sink.add({feature_number(Feature::kEdges, i, j), gap, 0.5 * (c.point_a + c.point_b)});
     }
   }
@@ -206,7 +206,7 @@ Vec3 lowest_of_rim(const Vec3& center, const Vec3& axis, double radius, const Ve
 }
 
 Vec3 rim_point(const ShapeFeatures::Rim& rim, int k) {
-  // Exact at the quarters, and the same numbers everywhere.
+  // Tabulated, so that the points are exact at the quarters and equal on all machines.
   static const double kSin[4] = {0.0, 0.5, 0.86602540378443864676, 1.0};
   const int quarter = k / 3, step = k % 3;
   const double c = kSin[3 - step], s = kSin[step];
@@ -242,7 +242,7 @@ double outside_cone(const PairView& v, int edge_a, int edge_b, const Vec3& norma
                   outside_arc(*v.b, v.b->edges[edge_b], -(v.pose_b.R.transpose() * normal_W)));
 }
 
-void list_candidates(const PairView& v, const Sides& sides, bool coming, EdgeLists& edges, CandidateSink& sink) {
+void list_candidates(const PairView& v, const Sides& sides, bool upcoming, EdgeLists& edges, CandidateSink& sink) {
   int lowest[2] = {-1, -1};  // of a over b's face, of b over a's
   for (bool on_b : {true, false}) {
     const int face = on_b ? sides.a : sides.b;
@@ -251,13 +251,13 @@ void list_candidates(const PairView& v, const Sides& sides, bool coming, EdgeLis
     for (int f : o.plane->plates[o.plane->faces[face].plate]) {
       const int i = vertices_over(o, f, sink);
       if (f == face) lowest[on_b] = i;
-      rims_over(o, f, coming, sink);
+      rims_over(o, f, upcoming, sink);
     }
   }
   if (v.a->edges.empty() || v.b->edges.empty()) return;
   edges_near(*v.a, sides.a, lowest[0], edges.a);
   edges_near(*v.b, sides.b, lowest[1], edges.b);
-  edges_across(v, sides, coming, edges, sink);
+  edges_across(v, sides, upcoming, edges, sink);
 }
 
 }  // namespace contactvi

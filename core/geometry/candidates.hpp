@@ -1,4 +1,4 @@
-// Features of two shapes that may touch: which vertices lie over which faces, which edges cross.
+// Candidates for contact points: which vertices lie over which faces of the other shape, which edges cross.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 
 namespace contactvi {
 
-// What touches what; stored in trajectories as part of a point's identity.
+// The kind of a contact feature; stored in trajectories as part of a point's identity: append, never renumber.
 enum class Feature : std::uint8_t {
   kWitness = 0,
   kEdges = 1,    // edge i of a across edge j of b
@@ -73,8 +73,8 @@ struct EdgeLists {
   std::vector<Line> lines_b;
 };
 
-// How far over the border of a face or the end of an edge a point still counts as over it [m]; at 1 mm of rounding the
-// gap is then wrong by 5e-14 m.
+// How far beyond the border of a face or the end of an edge a point still counts as over it [m]. With 1 mm of rounding
+// the error of the gap is then 5e-14 m.
 constexpr double kBorder = 1e-8;
 // Tilt up to which a rim lies flat: R sin(tilt) [m].
 constexpr double kUpright = 2e-11;
@@ -86,15 +86,15 @@ constexpr double kFacing = 1e-2;
 class CandidateSink {
  public:
   virtual void add(const Candidate& candidate) = 0;
-  double limit = 0;  // larger gaps are of no interest
+  double limit = 0;  // candidates with a larger gap are not listed [m]
 
  protected:
   ~CandidateSink() = default;
 };
 
-// coming: also what is not near yet, but may touch next: edges that cross in the view along n_W, with the height of one
-// over the other as their gap, and flat rims by their lowest point instead of by material points.
-void list_candidates(const PairView& v, const Sides& sides, bool coming, EdgeLists& edges, CandidateSink& sink);
+// upcoming: lists also features that are not near yet but may touch next: edges that cross in the view along n_W, with
+// the height of one over the other as their gap, and flat rims by their lowest point instead of by material points.
+void list_candidates(const PairView& v, const Sides& sides, bool upcoming, EdgeLists& edges, CandidateSink& sink);
 
 // R sin(tilt) [m] of a rim against a plane of the normal n, both in one frame.
 inline double rim_tilt(double radius, const Vec3& axis, const Vec3& n) { return radius * axis.cross(n).norm(); }
@@ -109,13 +109,13 @@ struct Crossing {
   Vec3 normal;            // unit, n.normal > 0
   Vec3 point_a, point_b;  // nearest points of the two lines, not swept
   double beyond;          // how far these lie beyond the ends of the edges, negative inside
-  double beyond_in_view;  // the same of the crossing in view
+  double beyond_in_view;  // how far the crossing in view lies beyond the ends, negative inside
 };
 Line line_of(const ShapeFeatures& shape_features, const Pose& pose, int edge);
 // False where they are nearly parallel in view, or neither their crossing in view nor their nearest points lie within
 // `border` of both edges (then c is not complete).
 bool cross_lines(const Line& a, const Line& b, const Vec3& n_W, double border, Crossing& c);
-// How far the common normal of two edges lies outside of those of the edges' faces [rad], negative inside.
+// How far the common normal of two edges lies outside of the normals of the edges' faces [rad], negative inside.
 double outside_cone(const PairView& v, int edge_a, int edge_b, const Vec3& normal_W);
 
 }  // namespace contactvi

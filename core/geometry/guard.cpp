@@ -28,7 +28,7 @@ Guards::Guards(const Scene& scene, int contact_points)
       count_(scene.guard_count()),
       pairs_(static_cast<int>(scene.pairs.size())),
       manifolds_(scene, contact_points),
-      contact_step_(count_),
+      persistent_points_(count_),
       placements_(scene.tree),
       q_(VecX::Zero(scene.tree.nq)),
       functors_(new Functors),
@@ -87,20 +87,20 @@ double Guards::limit_gap(int guard, const VecCRef& q) const {
 }
 
 void Guards::set_persistent(int guard, std::vector<const ContactPoint*> points) {
-  contact_step_[guard] = std::move(points);
+  persistent_points_[guard] = std::move(points);
   unmark(guard);
 }
 
 double Guards::evaluate(int guard, Contact& contact) {
-  const std::vector<const ContactPoint*>& persistent = contact_step_[guard];
+  const std::vector<const ContactPoint*>& persistent = persistent_points_[guard];
   if (persistent.empty()) return evaluate_witness(guard, contact);
   double gap = std::numeric_limits<double>::infinity();
   Contact witness{};
   if (persistent[0]->kind != PointKind::kWitness && persistent[0]->kind != PointKind::kLimit) {
     evaluate_witness(guard, witness);
     contact = witness;
-    gap =
-        manifolds_.rest(guard, placements(), persistent.data(), static_cast<int>(persistent.size()), witness, contact);
+    gap = manifolds_.next_gap(guard, placements(), persistent.data(), static_cast<int>(persistent.size()), witness,
+                              contact);
   }
   if (gap == std::numeric_limits<double>::infinity()) {
     contact = {kNothingElse, Vec3::Zero(), Vec3::Zero(), Vec3::Zero(), -1, -1};
@@ -120,7 +120,7 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   place_bodies();
-  // Coal makes cylinders larger by 1e-10 of their size where they stand or lie along the normal.
+  // Coal inflates cylinders by 1e-10 of their size where they stand or lie along the normal.
   if (a.unbounded != b.unbounded && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
   Mat3 R_a, R_b;
   Vec3 p_a, p_b;
@@ -166,11 +166,11 @@ Guards::Reach Guards::make_reach() const {
           std::vector<double>(scene_->tree.joints.size())};
 }
 
-void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) { spread(q, bound, h, motion_); }
+void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) { propagate_reach(q, bound, h, motion_); }
 
-void Guards::bound_doubt(const VecCRef& q, const VecX& doubt, double h) { spread(q, doubt, h, doubt_); }
+void Guards::bound_doubt(const VecCRef& q, const VecX& doubt, double h) { propagate_reach(q, doubt, h, doubt_); }
 
-void Guards::spread(const VecCRef& q, const VecX& bound, double h, Reach& reach) {
+void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, Reach& reach) {
   const Tree& tree = scene_->tree;
   for (std::size_t k = 0; k < tree.limits.size(); ++k) reach.limit[k] = h * bound[tree.joints[tree.limits[k].joint].iv];
   if (pairs_ == 0) return;
@@ -212,15 +212,15 @@ void Guards::spread(const VecCRef& q, const VecX& bound, double h, Reach& reach)
   }
 }
 
-double Guards::of(const Reach& reach, int guard) const {
+double Guards::reach_of(const Reach& reach, int guard) const {
   if (guard >= pairs_) return reach.limit[guard - pairs_];
   const Pair& pair = scene_->pairs[guard];
   return reach.geometry[pair.a] + reach.geometry[pair.b];
 }
 
-double Guards::motion(int guard) const { return of(motion_, guard); }
+double Guards::motion(int guard) const { return reach_of(motion_, guard); }
 
-double Guards::doubt(int guard) const { return of(doubt_, guard); }
+double Guards::doubt(int guard) const { return reach_of(doubt_, guard); }
 
 double Guards::turn(int guard) const {
   if (guard >= pairs_) return 0.0;
@@ -230,7 +230,7 @@ double Guards::turn(int guard) const {
 }
 
 bool Guards::skip(int guard) const {
-  if (guard >= pairs_) return false;  // one subtraction: nothing to save
+  if (guard >= pairs_) return false;  // a joint limit costs one subtraction
   const Pair& pair = scene_->pairs[guard];
   return odometer_[pair.a] + odometer_[pair.b] + motion(guard) < marks_[guard];
 }

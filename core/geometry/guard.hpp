@@ -2,12 +2,13 @@
 // skip.
 //
 // Semantics. A guard that is > 0 at the start of a step and <= 0 at its end, or inside it, is an event in the
-// half-open interval (0, 1] of the step. A guard that was just hit, or starts at zero, is "touching": it is excluded
-// until it has separated, unless it closes again. A start below zero is an error, never projected away.
+// half-open interval (0, 1] of the step. A guard that had an impact, or whose gap starts at zero, is "touching":
+// it is excluded until it has separated, unless it closes again. A start below zero is an error, never projected away.
 //
 // Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was
-// d when it was last looked at stays skipped until the two odometers have advanced by d; only then its bounding
-// spheres, and only then its shapes, are looked at. Numbering: collision pairs first, then joint limits.
+// d when it was last evaluated is skipped until the two odometers have advanced by d; then its bounding spheres are
+// compared, and the distance of its shapes is evaluated only if they may touch. Numbering: collision pairs first, then
+// joint limits.
 #pragma once
 
 #include <memory>
@@ -24,14 +25,14 @@ struct GuardCounters {
   long skipped = 0;    // guards of a step settled without one
 };
 
-// To be called before coal first looks at a box: it inflates all boxes of a process by 1e-10 of their size if the
+// To be called before coal first evaluates a box: it inflates all boxes of a process by 1e-10 of their size if the
 // direction of that very first query has a zero component (a static variable in its support function), so distances
-// would depend on what the process did before.
+// would depend on earlier queries of the process.
 void settle_box_support();
 
 class Guards {
  public:
-  // At most contact_points points of a pair are held.
+  // contact_points: of a pair, at most.
   explicit Guards(const Scene& scene, int contact_points = 4);
   ~Guards();
 
@@ -42,20 +43,20 @@ class Guards {
   // asks.
   void place(const VecCRef& q);
 
-  // Exact gap [m] or [rad] at the placed configuration. Not finite if coal fails. Of a guard with held points that of
-  // what is not held, kNothingElse if nothing else can touch.
+  // Exact gap [m] or [rad] at the placed configuration, not finite if coal fails. For a guard with persistent contacts
+  // it is the least gap of the other features, kNothingElse if no other feature can touch.
   double evaluate(int guard, Contact& contact);
   static constexpr double kNothingElse = 1e9;
-  // The same whether or not points are held.
+  // The gap of the whole guard, with or without persistent contacts.
   double evaluate_witness(int guard, Contact& contact);
   const Placements& placements() {
     place_bodies();
     return placements_;
   }
-  const Manifolds& manifolds() const { return manifolds_; }
-  // The points of a guard that are held from now on; they must stay where they are.
+  Manifolds& manifolds() { return manifolds_; }
+  // Sets the persistent contacts of a guard. The pointers must stay valid.
   void set_persistent(int guard, std::vector<const ContactPoint*> points);
-  bool is_persistent(int guard) const { return !contact_step_[guard].empty(); }
+  bool is_persistent(int guard) const { return !persistent_points_[guard].empty(); }
   // W = d(gap)/dq, shape (nv,).
   void gradient(int guard, const Contact& contact, VecRef W) const;
   // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3).
@@ -73,8 +74,8 @@ class Guards {
   // three entries of a spherical joint the bound of the whole vector.
   void bound_motion(const VecCRef& q, const VecX& bound, double h);
   double motion(int guard) const;  // of the guard's two bodies together in that step
-  double turn(int guard) const;    // the same of their rotation [rad]
-  // The same for velocities that are only known to within doubt: how far off a gap may be.
+  double turn(int guard) const;    // rotation of the two bodies together in that step [rad]
+  // As bound_motion, for velocities that are known to within `doubt` only: doubt(guard) is the possible error of a gap.
   void bound_doubt(const VecCRef& q, const VecX& doubt, double h);
   double doubt(int guard) const;
   bool is_noisy(int guard) const { return guard < pairs_ && scene_->pairs[guard].curved; }
@@ -87,7 +88,7 @@ class Guards {
   void unmark_all();
   void commit();  // the step is taken: odometers advance
 
-  // What is known of the motion since guards were last looked at.
+  // The motion since the guards were last evaluated.
   struct Memory {
     std::vector<double> odometer, marks;
   };
@@ -105,15 +106,15 @@ class Guards {
     std::vector<double> geometry, limit, turn;
   };
   Reach make_reach() const;
-  void spread(const VecCRef& q, const VecX& bound, double h, Reach& reach);
-  double of(const Reach& reach, int guard) const;
+  void propagate_reach(const VecCRef& q, const VecX& bound, double h, Reach& reach);
+  double reach_of(const Reach& reach, int guard) const;
   void place_bodies();
   double limit_gap(int guard, const VecCRef& q) const;
 
   const Scene* scene_;
   int count_, pairs_;
   Manifolds manifolds_;
-  std::vector<std::vector<const ContactPoint*>> contact_step_;
+  std::vector<std::vector<const ContactPoint*>> persistent_points_;
   Placements placements_;
   bool placed_ = false;  // at q_
   VecX q_;

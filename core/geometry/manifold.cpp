@@ -1,6 +1,7 @@
 #include "geometry/manifold.hpp"
 
 #include <algorithm>
+#include <array>
 #include <limits>
 
 namespace contactvi {
@@ -8,12 +9,13 @@ namespace contactvi {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-// A nearest point counts as one of a face's plane up to this [m]; coal's are that good.
+// A nearest point at most this far from a face's plane lies on the face [m]: the accuracy of coal's nearest points.
 constexpr double kOnFace = 1e-6;
-// Of the noise of coal's distance: so much deeper than the held points counts as another feature.
+// Of the noise of coal's distance: a distance that is deeper than the persistent points by more is another feature.
 constexpr double kBelow = 1.1;
 
-// The face of o that contains x (its core's surface point, world) and looks most along n; -1 if none looks that way.
+// The face of o whose normal is closest to n, of those that contain the surface point x (world) of its core if there
+// are any; -1 if no face has a normal along n.
 int facing_face(const ShapeFeatures& o, const Pose& pose, const Vec3& n_W, const Vec3& x_W) {
   if (o.is_unbounded()) return 0;
   const Vec3 n = pose.R.transpose() * n_W, x = pose.into(x_W);
@@ -42,30 +44,122 @@ class Collect final : public CandidateSink {
   std::vector<Candidate>& found_;
 };
 
+// From this tilt [rad] on, the far side of a rolling rim cannot close before the points are found again.
+constexpr double kNearlyFlat = 0.1;
+// The far side of a rim counts as closed this much early [m]; less than the touch tolerance, or it would not be found.
+constexpr double kFarSlack = 5e-12;
+// Factor on the tolerances of find within which a point stays valid, so that a point just found is valid.
+constexpr double kStay = 2.0;
+
+// The shapes and features of a pair that a feature number names: `other` lies over face `face` of `plane`.
+struct Parts {
+  Feature kind;
+  bool on_b;
+  const ShapeFeatures *plane, *other;
+  const Pose *plane_pose, *other_pose;
+  int face, i;
+  int rim;  // -1: none
+};
+
+Parts parts_of(const PairView& v, std::int64_t n) {
+  Parts p;
+  p.kind = feature_kind(n);
+  p.on_b = feature_on_b(n);
+  p.plane = p.on_b ? v.a : v.b;
+  p.other = p.on_b ? v.b : v.a;
+  p.plane_pose = p.on_b ? &v.pose_a : &v.pose_b;
+  p.other_pose = p.on_b ? &v.pose_b : &v.pose_a;
+  p.i = feature_i(n);
+  const bool is_side = p.kind == Feature::kRimSideA || p.kind == Feature::kRimSideB;
+  p.face = is_side ? p.plane->ring_face[feature_j(n) / 2] : feature_j(n);
+  p.rim = feature_rim(n);
+  return p;
+}
+
+// The face of `faces` whose normal is closest to n; -1 if no normal is along n.
+template <class Faces>
+int most_facing(const ShapeFeatures& o, const Pose& pose, const Vec3& n_W, const Faces& faces) {
+  const Vec3 n = pose.R.transpose() * n_W;
+  int best = -1;
+  double most = kFacing;
+  for (int f : faces) {
+    if (f < 0 || o.faces[f].normal.dot(n) <= most) continue;
+    most = o.faces[f].normal.dot(n);
+    best = f;
+  }
+  return best;
+}
+
+// World position of a point of a body, and a vector turned into the world.
+Vec3 point_W(const Placements& at, int body, const Vec3& x) {
+  return body < 0 ? x : Vec3(at.p_W[body] + at.R_W[body] * x);
+}
+Vec3 turned_W(const Placements& at, int body, const Vec3& x) { return body < 0 ? x : Vec3(at.R_W[body] * x); }
+
+void set_contact(const ContactPoint& p, const Vec3& n, const Vec3& lowest, double gap, Contact& contact) {
+  const Vec3 on_other = lowest - p.radius * n, on_plane = on_other - gap * n;
+  contact.gap = gap;
+  contact.normal = p.on_b ? n : Vec3(-n);
+  contact.point_a = p.on_b ? on_plane : on_other;
+  contact.point_b = p.on_b ? on_other : on_plane;
+  contact.body_a = p.on_b ? p.plane_body : p.point_body;
+  contact.body_b = p.on_b ? p.point_body : p.plane_body;
+}
+
+// Gap of a point fixed to point_body, swept by the radius, against the plane.
+double vertex_gap(const ContactPoint& p, const Vec3& center_B, const Placements& at, Contact& contact) {
+  const Vec3 c = point_W(at, p.point_body, center_B), n = turned_W(at, p.plane_body, p.normal_B);
+  const Vec3 from = p.plane_body < 0 ? c : Vec3(c - at.p_W[p.plane_body]);
+  const double gap = n.dot(from) - p.offset - p.radius;
+  set_contact(p, n, c, gap, contact);
+  return gap;
+}
+
+void rim_gap(const ContactPoint& p, const Placements& at, Contact& contact) {
+  const Vec3 c = point_W(at, p.point_body, p.center_B), n = turned_W(at, p.plane_body, p.normal_B);
+  const Vec3 axis = turned_W(at, p.point_body, p.axis_B);
+  const Vec3 from = p.plane_body < 0 ? c : Vec3(c - at.p_W[p.plane_body]);
+  const double gap = n.dot(from) - rim_tilt(p.rim_radius, axis, n) - p.offset - p.radius;
+  set_contact(p, n, lowest_of_rim(c, axis, p.rim_radius, n), gap, contact);
+}
+
+void edge_gap(const ContactPoint& p, const Placements& at, Contact& contact) {
+  const Vec3 ea = turned_W(at, p.plane_body, p.normal_B), eb = turned_W(at, p.point_body, p.axis_B);
+  const Vec3 pa = point_W(at, p.plane_body, p.origin_B), pb = point_W(at, p.point_body, p.center_B);
+  const Vec3 cross = ea.cross(eb), d = pb - pa;
+  const double square = std::max(cross.squaredNorm(), std::numeric_limits<double>::min());
+  contact.normal = cross / std::sqrt(square);
+  contact.gap = d.dot(contact.normal) - p.offset - p.radius;
+  contact.point_a = pa + d.cross(eb).dot(cross) / square * ea + p.offset * contact.normal;
+  contact.point_b = pb + d.cross(ea).dot(cross) / square * eb - p.radius * contact.normal;
+  contact.body_a = p.plane_body;
+  contact.body_b = p.point_body;
+}
+
 }  // namespace
 
-// The least of the candidates that are not held.
+// The candidate with the least gap that is no persistent contact.
 class Manifolds::Least final : public CandidateSink {
  public:
   Least(const Manifolds& owner, const Placements& at, const ContactPoint* const* persistent, int count)
-      : owner_(owner), at_(at), contact_step_(persistent), count_(count) {
+      : owner_(owner), at_(at), persistent_(persistent), count_(count) {
     limit = kInfinity;
     supported_ = count >= std::min(3, owner.max_points_);
   }
 
   void add(const Candidate& c) override {
-    double slack = supported_ ? kRestSlack : 0.0;
+    double slack = supported_ ? kNextGapSlack : 0.0;
     const int rim = feature_rim(c.feature);
     for (int i = 0; i < count_; ++i) {
-      const ContactPoint& h = *contact_step_[i];
+      const ContactPoint& h = *persistent_[i];
       if (h.feature == c.feature) return;
       if (rim >= 0 && feature_rim(h.feature) == rim && feature_on_b(h.feature) == feature_on_b(c.feature))
-        slack = kRestSlack;
+        slack = kNextGapSlack;
     }
     if (c.gap + slack >= limit) return;
     for (int i = 0; i < count_; ++i) {
-      if (contact_step_[i]->kind == PointKind::kLimit) continue;
-      if (slack == 0.0 && is_same_place(*contact_step_[i], c)) return;
+      if (persistent_[i]->kind == PointKind::kLimit) continue;
+      if (slack == 0.0 && is_same_place(*persistent_[i], c)) return;
     }
     limit = c.gap + slack;
     best = c;
@@ -74,7 +168,7 @@ class Manifolds::Least final : public CandidateSink {
   Candidate best{};
 
  private:
-  // Two names of one point: corner upon corner.
+  // Two features may name one point: a corner on a corner.
   bool is_same_place(const ContactPoint& h, const Candidate& c) const {
     if (h.kind == PointKind::kWitness) return false;
     Contact contact;
@@ -86,9 +180,9 @@ class Manifolds::Least final : public CandidateSink {
 
   const Manifolds& owner_;
   const Placements& at_;
-  const ContactPoint* const* contact_step_;
+  const ContactPoint* const* persistent_;
   int count_;
-  bool supported_;  // at points that fix the faces to each other
+  bool supported_;  // at enough points to fix the faces to each other
 };
 
 Manifolds::Manifolds(const Scene& scene, int max_points) : max_points_(std::max(1, max_points)) {
@@ -123,14 +217,14 @@ Sides Manifolds::sides_of_witness(const PairView& v, const Contact& witness) con
   if (v.a->is_unbounded()) s.n_W = v.pose_a.R * v.a->faces[0].normal;
   if (v.b->is_unbounded()) s.n_W = -(v.pose_b.R * v.b->faces[0].normal);
   const Vec3 x_a = witness.point_a - v.a->radius * s.n_W, x_b = witness.point_b + v.b->radius * s.n_W;
-  // Nothing lies over a face of a convex body that a halfspace touches but the halfspace.
+  // For a convex body on a halfspace only the face of the halfspace counts.
   if (!v.b->is_unbounded()) s.a = facing_face(*v.a, v.pose_a, s.n_W, x_a);
   if (!v.a->is_unbounded()) s.b = facing_face(*v.b, v.pose_b, -s.n_W, x_b);
   return s;
 }
 
 void Manifolds::find(int pair, const Placements& at, const Contact& witness, double margin,
-                     std::vector<ContactPoint>& points, std::vector<ContactPoint>* others) const {
+                     std::vector<ContactPoint>& points, std::vector<ContactPoint>* others) {
   if (!(witness.gap <= margin)) return;
   const PairView v = view(pair, at);
   found_.clear();
@@ -143,7 +237,7 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
     list_candidates(v, sides, false, edges_, sink);
     double least = kInfinity;
     for (const Candidate& c : found_) least = std::min(least, c.gap);
-    // None of the features is the nearest: it is one that has no point of its own.
+    // The nearest features of the pair are none of the listed ones: coal's point represents them.
     if (witness.gap < least - shapes_[pair].noise) found_.insert(found_.begin(), nearest);
   } else {
     found_.push_back(nearest);
@@ -156,8 +250,8 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
       others->push_back(make_point(pair, v, found_[i], n));
 }
 
-double Manifolds::rest(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
-                       const Contact& witness, Contact& contact) const {
+double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
+                           const Contact& witness, Contact& contact) {
   if (shapes_[pair].single) return kInfinity;
   const PairView v = view(pair, at);
   const ContactPoint* known = nullptr;
@@ -176,12 +270,13 @@ double Manifolds::rest(int pair, const Placements& at, const ContactPoint* const
     value = gap;
     contact = far;
   }
-  return count > 0 ? with_witness(pair, at, persistent, count, witness, value, contact) : value;
+  return count > 0 ? include_witness(pair, at, persistent, count, witness, value, contact) : value;
 }
 
-// Where coal sees the pair deeper than its held points are, a feature has come down that none of the faces lists.
-double Manifolds::with_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
-                               const Contact& witness, double value, Contact& contact) const {
+// Where coal's distance is deeper than the persistent points, a feature has closed that the faces do not list: coal's
+// point then gives the gap.
+double Manifolds::include_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
+                                  const Contact& witness, double value, Contact& contact) const {
   const double noise = shapes_[pair].noise;
   double least = 0.0;
   for (int i = 0; i < count; ++i) {
@@ -196,11 +291,154 @@ double Manifolds::with_witness(int pair, const Placements& at, const ContactPoin
   return deeper + kBelow * noise;
 }
 
-bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) const {
+bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) {
   const Shapes& s = shapes_[pair];
   if (s.single || !(shape_features_[s.a].is_unbounded() || shape_features_[s.b].is_unbounded())) return false;
-  rest(pair, at, nullptr, 0, Contact{}, contact);
+  next_gap(pair, at, nullptr, 0, Contact{}, contact);
   return true;
+}
+
+// --- one contact point: from its feature to its data, its gap, and whether its feature still touches ---
+
+ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate& c, const Vec3& n_W) const {
+  ContactPoint p{};
+  p.guard = pair;
+  p.feature = c.feature;
+  p.kind = PointKind::kWitness;
+  p.on_b = true;
+  p.point_body = v.b->body;
+  p.plane_body = v.a->body;
+  const Feature kind = feature_kind(c.feature);
+  if (kind == Feature::kWitness) return p;
+  if (kind == Feature::kEdges) {
+    const ShapeFeatures::Edge &a = v.a->edges[feature_i(c.feature)], &b = v.b->edges[feature_j(c.feature)];
+    p.kind = PointKind::kEdge;
+    p.center_B = b.start;
+    p.radius = v.b->radius + b.radius;
+    p.origin_B = a.start;
+    p.normal_B = a.direction;
+    p.offset = v.a->radius + a.radius;
+    const Vec3 cross = (v.pose_a.R * a.direction).cross(v.pose_b.R * b.direction);
+    p.axis_B = cross.dot(n_W) < 0.0 ? Vec3(-b.direction) : b.direction;
+    return p;
+  }
+  const Parts parts = parts_of(v, c.feature);
+  const ShapeFeatures::Face& face = parts.plane->faces[parts.face];
+  p.kind = PointKind::kVertex;
+  p.on_b = parts.on_b;
+  p.point_body = parts.other->body;
+  p.plane_body = parts.plane->body;
+  p.radius = parts.other->radius;
+  p.normal_B = face.normal;
+  p.offset = face.offset + parts.plane->radius;
+  p.material = p.radius == 0.0;
+  if (kind == Feature::kRimA || kind == Feature::kRimB) {
+    const ShapeFeatures::Rim& rim = parts.other->rims[parts.rim];
+    p.kind = PointKind::kRim;
+    p.material = false;
+    p.center_B = rim.center;
+    p.axis_B = rim.axis;
+    p.rim_radius = rim.radius;
+    const Vec3 n = parts.other_pose->R.transpose() * (parts.plane_pose->R * face.normal);
+    p.far_B = lowest_of_rim(rim.center, rim.axis, rim.radius, -n);
+  } else if (kind == Feature::kRimPointA || kind == Feature::kRimPointB) {
+    p.center_B = rim_point(parts.other->rims[parts.rim], parts.i % kRimPoints);
+  } else if (kind == Feature::kRimSideA || kind == Feature::kRimSideB) {
+    p.center_B = parts.other_pose->into(c.x_W);
+  } else {
+    p.center_B = parts.other->vertices[parts.i];
+  }
+  return p;
+}
+
+ContactPoint Manifolds::point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const {
+  return make_point(pair, view(pair, at), {feature, 0.0, Vec3::Zero()}, witness.normal);
+}
+
+void Manifolds::evaluate(const ContactPoint& point, const Placements& at, Contact& contact) const {
+  if (point.kind == PointKind::kVertex) {
+    vertex_gap(point, point.center_B, at, contact);
+  } else if (point.kind == PointKind::kRim) {
+    rim_gap(point, at, contact);
+  } else {
+    edge_gap(point, at, contact);
+  }
+}
+
+bool Manifolds::valid(const ContactPoint& point, const Placements& at) const {
+  if (point.feature == 0) return true;
+  const PairView v = view(point.guard, at);
+  if (point.kind == PointKind::kEdge) {
+    Contact contact;
+    evaluate(point, at, contact);
+    const int i = feature_i(point.feature), j = feature_j(point.feature);
+    const double border = kStay * kBorder;
+    Crossing c;
+    return cross_lines(line_of(*v.a, v.pose_a, i), line_of(*v.b, v.pose_b, j), contact.normal, border, c) &&
+           c.beyond <= border && outside_cone(v, i, j, c.normal) <= kStay * kNormalCone;
+  }
+  const Parts parts = parts_of(v, point.feature);
+  const ShapeFeatures::Face& face = parts.plane->faces[parts.face];
+  if (parts.rim >= 0) {
+    const ShapeFeatures::Rim& rim = parts.other->rims[parts.rim];
+    const double tilt = rim_tilt(rim.radius, parts.other_pose->R * rim.axis, parts.plane_pose->R * face.normal);
+    if (point.kind == PointKind::kRim && kStay * tilt <= kUpright) return false;
+    if (point.kind == PointKind::kVertex && tilt > kStay * kUpright) return false;
+  }
+  if (parts.plane->is_unbounded()) return true;
+  Vec3 x = point_W(at, point.point_body, point.center_B);
+  if (point.kind == PointKind::kRim) {
+    const Vec3 n = parts.plane_pose->R * face.normal;
+    x = lowest_of_rim(x, turned_W(at, point.point_body, point.axis_B), point.rim_radius, n);
+  }
+  return outside_of(*parts.plane, face, parts.plane_pose->into(x)) <= kStay * kBorder;
+}
+
+// Gap of the point of a rim that was farthest from the plane, as long as the rim is nearly flat; infinite otherwise. It
+// falls to zero but not below where the rim falls flat: therefore the slack is subtracted.
+double Manifolds::far_of_rim(const ContactPoint& point, const Placements& at, Contact& contact) {
+  const Vec3 axis = turned_W(at, point.point_body, point.axis_B);
+  const Vec3 n = turned_W(at, point.plane_body, point.normal_B);
+  if (axis.cross(n).norm() > kNearlyFlat) return std::numeric_limits<double>::infinity();
+  return vertex_gap(point, point.far_B, at, contact) - kFarSlack;
+}
+
+void Manifolds::update_rim(ContactPoint& point, const Placements& at) const {
+  if (point.kind != PointKind::kRim) return;
+  const Vec3 n_W = turned_W(at, point.plane_body, point.normal_B);
+  const Vec3 n = point.point_body < 0 ? n_W : Vec3(at.R_W[point.point_body].transpose() * n_W);
+  point.far_B = lowest_of_rim(point.center_B, point.axis_B, point.rim_radius, -n);
+}
+
+Vec3 Manifolds::side_of_rim(const ContactPoint& point, const Placements& at) {
+  if (point.kind != PointKind::kRim) return Vec3::Zero();
+  const Vec3 axis = turned_W(at, point.point_body, point.axis_B), n = turned_W(at, point.plane_body, point.normal_B);
+  return (n.dot(axis) * axis - n).normalized();
+}
+
+Sides Manifolds::sides_of_point(const PairView& v, const ContactPoint& point, const Placements& at) const {
+  Contact contact;
+  evaluate(point, at, contact);
+  Sides s;
+  s.n_W = contact.normal;
+  if (point.kind == PointKind::kEdge) {
+    const ShapeFeatures::Edge& a = v.a->edges[feature_i(point.feature)];
+    const ShapeFeatures::Edge& b = v.b->edges[feature_j(point.feature)];
+    s.a = most_facing(*v.a, v.pose_a, s.n_W, std::array<int, 2>{a.left, a.right});
+    s.b = most_facing(*v.b, v.pose_b, -s.n_W, std::array<int, 2>{b.left, b.right});
+    return s;
+  }
+  const Parts parts = parts_of(v, point.feature);
+  (parts.on_b ? s.a : s.b) = parts.face;
+  if (parts.plane->is_unbounded()) return s;
+  int& across = parts.on_b ? s.b : s.a;
+  // A cylinder's faces are numbered like its rims.
+  across = parts.rim;
+  if (parts.rim < 0) {
+    const Vec3 n = parts.on_b ? Vec3(-s.n_W) : s.n_W;
+    across = most_facing(*parts.other, *parts.other_pose, n, parts.other->vertex_faces[parts.i]);
+  }
+  return s;
 }
 
 }  // namespace contactvi

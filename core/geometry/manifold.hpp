@@ -1,7 +1,7 @@
 // Manifolds: the points at which the two shapes of a collision pair touch, each with a gap function of its own.
 //
-// A shape is a core swept by a sphere (outline.hpp); pairs that coal measures between rounded shapes are taken rounded
-// here too, so that the least gap of the points is the distance of the pair. Normals point from a to b.
+// A shape is a core swept by a sphere (shape_features.hpp); pairs that coal measures between rounded shapes are taken
+// rounded here too, so that the least gap of the points is the distance of the pair. Normals point from a to b.
 //
 //   a / b         halfspace   box, convex       cylinder           capsule        sphere            ellipsoid
 //   halfspace     -           vertices          rims (1)           2 ends         1 vertex          witness
@@ -12,16 +12,16 @@
 //   ellipsoid     witness     witness           witness            witness        witness           witness
 //
 // (1) A rim touches a plane in its lowest point, which rolls (kRim). Where it lies flat, R sin(tilt) <= 2e-11 m, that
-//     point is ill-defined, and points of the rim that are fixed to the cylinder stand for it (kVertex). They span the
-//     disc, or what of it lies over the face, together with the face's corners under the disc (kVertex).
+//     point is ill-defined, and material points of the rim take its place (kVertex). They span the disc, or the part of
+//     it over the face, together with the corners of the face under the disc (kVertex).
 // (2) Vertices of either body over a face of the other (kVertex), and crossings of an edge of one with an edge of the
 //     other (kEdge), on the flat sides that face each other where the pair is nearest. The axis of a lying capsule or
-//     cylinder, swept by its radius, is one more edge. Steeply inclined pairs have one such point, and it is exact.
-// witness: the single point that coal finds (kWitness). Also where the nearest features of the others are none of
-//     theirs: vertex against edge or vertex of rounded shapes, rim against edge, parallel capsules.
+//     cylinder, swept by its radius, is one more edge. Steeply inclined pairs have one such point, which is exact.
+// witness: the single point that coal finds (kWitness). Also where the nearest features of another pair have no point
+//     of their own: vertex against edge or vertex of rounded shapes, rim against edge, parallel capsules.
 //
-// A vertex's gap is measured from the face that it lies over, never from a common plane: of a pair that tips one or two
-// points have a gap of zero, the others are above.
+// The gap of a vertex is its distance from the face that it lies over, not from a common plane: when a body tips, one
+// or two points keep a gap of zero, and the gaps of the others grow.
 #pragma once
 
 #include <cstdint>
@@ -64,48 +64,48 @@ class Manifolds {
   Manifolds(const Scene& scene, int max_points);
 
   // Appends the points of the pair with gap <= margin, at most max_points of them: the deepest, then those that span
-  // the largest area; points that add none are left out. The same input gives the same points. witness: the pair's
-  // contact by coal there; at least one point if its gap is <= margin.
-  // others: if given, gets the points within the margin that were not chosen.
+  // the largest area; points that add no area are left out. Equal input gives equal points. witness: the contact of the
+  // pair that coal gives there; at least one point is found if its gap is <= margin. others: if given, the points
+  // within the margin that were not chosen are appended to it.
   void find(int pair, const Placements& at, const Contact& witness, double margin, std::vector<ContactPoint>&,
-            std::vector<ContactPoint>* others = nullptr) const;
+            std::vector<ContactPoint>* others = nullptr);
 
   // The point of a known feature (not one where a rim crosses a side), whether it touches or not.
   ContactPoint point(int pair, const Placements& at, const Contact& witness, std::int64_t feature) const;
 
   // The nearest feature of a pair with a halfspace, without coal; false for other pairs and for ellipsoids. Coal makes
   // cylinders 1e-10 of their size larger where they stand or lie exactly along the normal.
-  bool nearest(int pair, const Placements& at, Contact& contact) const;
+  bool nearest(int pair, const Placements& at, Contact& contact);
 
-  // A rim's farthest point moves as it rolls: the one of these placements.
-  void renew(ContactPoint& point, const Placements& at) const;
-  // Where the contact lies as seen from a rim's centre, unit, world frame; zero of other points.
+  // Sets the farthest point of a rim, which moves as the rim rolls, to that of these placements.
+  void update_rim(ContactPoint& point, const Placements& at) const;
+  // Direction from the centre of a rim to its contact point, unit, world frame; zero for other points.
   static Vec3 side_of_rim(const ContactPoint& point, const Placements& at);
 
   // Gap, normal, points and bodies, world frame. Not for kWitness and kLimit.
   void evaluate(const ContactPoint& point, const Placements& at, Contact& contact) const;
 
-  // False where another feature has taken over: a vertex slid off its face, an edge off its edge, a flat rim tilted.
+  // False where another feature touches instead: a vertex slid off its face, an edge off its edge, a flat rim tilted.
   bool valid(const ContactPoint& point, const Placements& at) const;
 
-  // Least gap [m] over the features of the pair that may touch next while `held` touch; +infinity if there are none.
-  // contact: of that feature. Features that touch merely because the held ones do (further corners of a face that is
-  // held at three points, the rim of which points are held) count from kRestSlack on, so that they do not flicker about
-  // zero: contact.gap is lower than the result by that much. The far side of a rim that comes down counts as down
-  // 5e-12 m early.
-  double rest(int pair, const Placements& at, const ContactPoint* const* persistent, int count, const Contact& witness,
-              Contact& contact) const;
+  // Least gap [m] over the features of the pair that may touch next while the `persistent` points touch; +infinity if
+  // there are none. contact: of that feature. To features that touch merely because the persistent points do (further
+  // corners of a face with three persistent points, the rim of such points) kNextGapSlack is added, so that their gaps
+  // do not change sign by rounding: contact.gap is lower than the result by that much. The far side of a rim that falls
+  // flat closes 5e-12 m early.
+  double next_gap(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
+                  const Contact& witness, Contact& contact);
 
-  // Of the pair's distance by coal, against that of its features [m].
+  // Largest error of coal's distance of the pair, against that of its features [m].
   double noise(int pair) const { return shapes_[pair].noise; }
 
  private:
-  double with_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
-                      const Contact& witness, double value, Contact& contact) const;
+  double include_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
+                         const Contact& witness, double value, Contact& contact) const;
   struct Shapes {
     int a, b;      // in shape_features_
-    bool single;   // coal's point is the only one
-    double noise;  // of the pair's distance by coal, against ours
+    bool single;   // coal's point is the only one of the pair
+    double noise;  // largest error of coal's distance of the pair [m]
   };
   class Least;
   PairView view(int pair, const Placements& at) const;
@@ -117,13 +117,13 @@ class Manifolds {
   int max_points_;
   std::vector<ShapeFeatures> shape_features_;
   std::vector<Shapes> shapes_;
-  // Scratch; grows to the largest manifold seen.
-  mutable std::vector<Candidate> found_;
-  mutable Selection selection_;
-  mutable EdgeLists edges_;
+  // Workspace, which grows to the largest manifold found.
+  std::vector<Candidate> found_;
+  Selection selection_;
+  EdgeLists edges_;
 };
 
-// See Manifolds::rest [m].
-constexpr double kRestSlack = 3e-11;
+// See Manifolds::next_gap [m].
+constexpr double kNextGapSlack = 3e-11;
 
 }  // namespace contactvi

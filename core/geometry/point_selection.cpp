@@ -3,16 +3,18 @@
 #include <algorithm>
 #include <cmath>
 
+#include "geometry/planar_hull.hpp"
+
 namespace contactvi {
 
 namespace {
 
-// What a point adds to the area must be this part of the extent squared to count.
+// A point adds area only if that is at least this part of the extent squared.
 constexpr double kLeastArea = 1e-9;
-// Equal to rounding: the first of them is taken.
+// Values that differ by less are equal: the first point is chosen.
 constexpr double kTie = 1.0 + 1e-9;
-// Exchanges rarely go round more than twice.
-constexpr int kMostRounds = 8;
+// Passes of exchanges at most; rarely more than two are needed.
+constexpr int kMaxExchanges = 8;
 
 double wedge(const Eigen::Vector2d& o, const Eigen::Vector2d& p, const Eigen::Vector2d& q) {
   return (p[0] - o[0]) * (q[1] - o[1]) - (p[1] - o[1]) * (q[0] - o[0]);
@@ -25,38 +27,27 @@ void Selection::project(const std::vector<Candidate>& all, const Vec3& n) {
   n.cwiseAbs().minCoeff(&smallest);
   const Vec3 u = n.cross(Vec3::Unit(smallest)).normalized(), v = n.cross(u);
   at_.clear();
-  open_.clear();
+  distinct_.clear();
   for (const Candidate& c : all) at_.emplace_back(u.dot(c.x_W - all[0].x_W), v.dot(c.x_W - all[0].x_W));
   for (int i = 0; i < static_cast<int>(all.size()); ++i) {
-    auto same = std::find_if(open_.begin(), open_.end(),
+    auto same = std::find_if(distinct_.begin(), distinct_.end(),
                              [&](int j) { return (at_[i] - at_[j]).squaredNorm() < kSamePlace * kSamePlace; });
-    if (same == open_.end()) {
-      open_.push_back(i);
+    if (same == distinct_.end()) {
+      distinct_.push_back(i);
     } else if (all[i].gap < all[*same].gap - kSameGap) {
       *same = i;
     }
   }
 }
 
-// Area of the convex hull of the chosen ones (but the one at place `skipped`) and another one (monotone chain).
+// Area of the convex hull of the chosen points, without the one at place `skipped` (-1: none), and of `added`.
 double Selection::area_with(int skipped, int added) {
-  some_.assign(1, added);
+  subset_.assign(1, added);
   for (int k = 0; k < static_cast<int>(chosen_.size()); ++k)
-    if (k != skipped) some_.push_back(chosen_[k]);
-  std::sort(some_.begin(), some_.end(), [&](int i, int j) {
-    return at_[i][0] != at_[j][0] ? at_[i][0] < at_[j][0] : at_[i][1] != at_[j][1] ? at_[i][1] < at_[j][1] : i < j;
-  });
-  hull_.clear();
-  for (int pass = 0; pass < 2; ++pass) {
-    const std::size_t start = hull_.size();
-    for (int i : some_) {
-      while (hull_.size() >= start + 2 && wedge(at_[hull_[hull_.size() - 2]], at_[hull_.back()], at_[i]) <= 0.0)
-        hull_.pop_back();
-      hull_.push_back(i);
-    }
-    hull_.pop_back();
-    std::reverse(some_.begin(), some_.end());
-  }
+    if (k != skipped) subset_.push_back(chosen_[k]);
+  planar_hull(
+      subset_, [&](int i) { return at_[i]; }, [&](int i, int j, int k) { return wedge(at_[i], at_[j], at_[k]) > 0.0; },
+      hull_);
   double twice = 0.0;
   for (std::size_t k = 2; k < hull_.size(); ++k) twice += wedge(at_[hull_[0]], at_[hull_[k - 1]], at_[hull_[k]]);
   return 0.5 * twice;
@@ -68,7 +59,7 @@ void Selection::add_one_by_one(int most) {
     const bool second = chosen_.size() == 1;
     int best = -1;
     double largest = second ? 0.0 : area + kLeastArea * extent * extent;
-    for (int i : open_) {
+    for (int i : distinct_) {
       const double value = second ? (at_[i] - at_[chosen_[0]]).norm() : area_with(-1, i);
       if (value <= largest * kTie) continue;
       largest = value;
@@ -80,16 +71,16 @@ void Selection::add_one_by_one(int most) {
   }
 }
 
-// Each of the chosen for any other one, if that is larger and one of the deepest stays.
+// Exchanges a chosen point for another one where that gives a larger area and one of the deepest points remains.
 void Selection::exchange() {
-  if (chosen_.size() < 3 || chosen_.size() == open_.size()) return;
+  if (chosen_.size() < 3 || chosen_.size() == distinct_.size()) return;
   double area = area_with(0, chosen_[0]);
-  for (int round = 0; round < kMostRounds; ++round) {
+  for (int pass = 0; pass < kMaxExchanges; ++pass) {
     const double before = area;
     for (int k = 0; k < static_cast<int>(chosen_.size()); ++k) {
       int deep = 0;
       for (int j = 0; j < static_cast<int>(chosen_.size()); ++j) deep += j != k && deepest_[chosen_[j]];
-      for (int i : open_) {
+      for (int i : distinct_) {
         if (deep == 0 && !deepest_[i]) continue;
         const double value = area_with(k, i);
         if (value <= area * kTie) continue;
@@ -108,11 +99,11 @@ const std::vector<int>& Selection::choose(const std::vector<Candidate>& all, con
     return chosen_;
   }
   project(all, n);
-  double deepest = all[open_[0]].gap;
-  for (int i : open_) deepest = std::min(deepest, all[i].gap);
+  double deepest = all[distinct_[0]].gap;
+  for (int i : distinct_) deepest = std::min(deepest, all[i].gap);
   deepest_.assign(all.size(), false);
-  for (int i : open_) deepest_[i] = all[i].gap <= deepest + kSameGap;
-  chosen_.push_back(*std::find_if(open_.begin(), open_.end(), [&](int i) { return deepest_[i]; }));
+  for (int i : distinct_) deepest_[i] = all[i].gap <= deepest + kSameGap;
+  chosen_.push_back(*std::find_if(distinct_.begin(), distinct_.end(), [&](int i) { return deepest_[i]; }));
   add_one_by_one(most);
   exchange();
   std::sort(chosen_.begin(), chosen_.end());

@@ -9,16 +9,18 @@
 #include <numeric>
 
 #include "base/error.hpp"
+#include "geometry/planar_hull.hpp"
 
 namespace contactvi {
 
 namespace {
 
-// Points nearer than this part of the hull's size to a plane lie on it: meshes come in single precision, and the
-// vertices of eroded hulls are intersections of such planes.
+// Points closer to a plane than this part of the hull's size lie on it: meshes come in single precision, and the
+// vertices of rounded hulls are intersections of such planes.
 constexpr double kFlat = 4e-7;
-// Points nearer than this part of its size are one.
+// Points closer to each other than this part of the hull's size are one.
 constexpr double kSame = 1e-9;
+// Neighbouring faces at a smaller angle [rad] belong to one flat side.
 constexpr double kPlateAngle = 1e-4;
 
 using Points = std::vector<Vec3>;
@@ -29,35 +31,25 @@ struct Polygon {
   std::vector<int> corners;
 };
 
-// Corners in order of the convex hull of points that lie in one plane (monotone chain), without those on its sides.
+// Corners in order of the convex hull of points that lie in one plane, without those on its sides.
 std::vector<int> order_corners(const Points& points, std::vector<int> all, const Vec3& normal, double flat) {
   Eigen::Index smallest;
   normal.cwiseAbs().minCoeff(&smallest);
   const Vec3 u = normal.cross(Vec3::Unit(smallest)).normalized(), v = normal.cross(u);
-  auto x = [&](int i) { return points[i].dot(u); };
-  auto y = [&](int i) { return points[i].dot(v); };
-  std::sort(all.begin(), all.end(), [&](int i, int j) {
-    return x(i) != x(j) ? x(i) < x(j) : y(i) != y(j) ? y(i) < y(j) : i < j;
-  });
-  // Distance of k to the left of the line from i to j.
-  auto left = [&](int i, int j, int k) {
-    const double ex = x(j) - x(i), ey = y(j) - y(i), l = std::hypot(ex, ey);
-    return l == 0.0 ? 0.0 : (ex * (y(k) - y(i)) - ey * (x(k) - x(i))) / l;
+  auto at = [&](int i) { return Eigen::Vector2d(points[i].dot(u), points[i].dot(v)); };
+  // A corner lies farther than `flat` to the right of the line between its neighbours.
+  auto turns = [&](int i, int j, int k) {
+    const Eigen::Vector2d a = at(i), b = at(j), c = at(k);
+    const double ex = c[0] - a[0], ey = c[1] - a[1], length = std::hypot(ex, ey);
+    const double left = length == 0.0 ? 0.0 : (ex * (b[1] - a[1]) - ey * (b[0] - a[0])) / length;
+    return left < -flat;
   };
-  std::vector<int> chain;
-  for (int pass = 0; pass < 2; ++pass) {
-    const std::size_t start = chain.size();
-    for (int i : all) {
-      while (chain.size() >= start + 2 && left(chain[chain.size() - 2], i, chain.back()) >= -flat) chain.pop_back();
-      chain.push_back(i);
-    }
-    chain.pop_back();
-    std::reverse(all.begin(), all.end());
-  }
-  return chain;
+  std::vector<int> hull;
+  planar_hull(all, at, turns, hull);
+  return hull;
 }
 
-// The faces of a hull from its triangles, largest first: each takes all points of its plane.
+// The faces of a hull from its triangles, largest first; a face has all points in its plane.
 std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coal::Triangle>& triangles, double size,
                                      const std::vector<int>& same, double& roughness) {
   struct Seed {
@@ -94,7 +86,7 @@ std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coa
     }
     face.corners = order_corners(points, all, face.normal, flat);
     if (face.corners.size() < 3) continue;
-    // The plane again, from the whole polygon (Newell): less rounding than from one triangle.
+    // The plane of the whole polygon (Newell) has less rounding than that of one triangle.
     Vec3 n = Vec3::Zero();
     for (std::size_t k = 0; k < face.corners.size(); ++k)
       n += (points[face.corners[k]] - points[face.corners[0]])
@@ -163,7 +155,7 @@ void add_polygons(ShapeFeatures& o, const Points& points, const std::vector<Poly
       const auto [at, is_new] = edge_of.emplace(std::minmax(i, j), static_cast<int>(o.edges.size()));
       o.ring_edge.push_back(at->second);
       if (is_new) {
-        // Going round f anticlockwise, f is at the left.
+        // The corners of f are in anticlockwise order, so f is at the left of the edge.
         o.edges.push_back({i, j, o.vertices[i], along.normalized(), along.norm(), f, -1, 0.0});
         o.vertex_edges[i].push_back(at->second);
         o.vertex_edges[j].push_back(at->second);
@@ -274,7 +266,7 @@ ShapeFeatures make_shape_features(const Geometry& g, bool rounded) {
   o.vertex_faces.resize(o.vertices.size());
   if (o.vertices.size() == 2) o.vertex_edges = {{0}, {0}};
   join_plates(o);
-  // The numbers of features (candidates.hpp) have room for this many.
+  // This is the largest number that a feature number (candidates.hpp) can hold.
   if (std::max(o.ring.size(), o.edges.size()) > (1u << 19)) throw Error("a convex shape has too many edges");
   return o;
 }

@@ -1,4 +1,4 @@
-// ImpactSequence: which contacts are closed at the instant of an event, with the points and rows of each.
+// ImpactSequence: the contacts that are closed at the instant of an event, with the points and rows of each.
 #include <algorithm>
 #include <cmath>
 
@@ -7,18 +7,19 @@
 namespace contactvi {
 
 namespace {
-constexpr double kImmobile = 1e-12;  // of the inverse inertia without constraints
-constexpr double kDriven = 1e-9;     // of the speeds: a constraint that closes a contact faster is a fault
+constexpr double kImmobile =
+    1e-12;                        // of the inverse inertia without constraints: below it constraints block the contact
+constexpr double kDriven = 1e-9;  // of the speeds: constraints that close a blocked contact faster are an error
 }  // namespace
 
-// The points of a guard that are closed at q_, held ones among them; false if there are none.
-bool ImpactSequence::add(int guard, const std::vector<PersistentContact>& persistent, double margin) {
+// Adds the points of a guard that are closed at q_, with its persistent ones. False if there are none.
+bool ImpactSequence::add_guard(int guard, const std::vector<PersistentContact>& persistent, double margin) {
   if (count_ == static_cast<int>(closed_.size())) closed_.emplace_back();
   ClosedGuard& c = closed_[count_];
   c.guard = guard;
   c.e = scene_->restitution(guard);
   c.mu = scene_->friction(guard);
-  c.hit = c.persistent = false;
+  c.impacted = c.persistent = false;
   c.points.clear();
   c.unused.clear();
   Contact& witness = c.witness;
@@ -37,7 +38,7 @@ bool ImpactSequence::add(int guard, const std::vector<PersistentContact>& persis
     if (h.point.guard != guard) continue;
     c.persistent = true;
     bool found = false;
-    // A flat rim's points stand for the rim.
+    // The material points of a flat rim represent the rim.
     for (const ContactPoint& p : c.points)
       found |= is(p, h.point) || (h.point.kind == PointKind::kRim && feature_rim(h.point.feature) >= 0 &&
                                   feature_rim(p.feature) == feature_rim(h.point.feature) &&
@@ -57,7 +58,7 @@ bool ImpactSequence::add(int guard, const std::vector<PersistentContact>& persis
   return true;
 }
 
-// The next of a guard's points comes into use.
+// Adds the rows of the next point of a guard.
 void ImpactSequence::add_rows(ClosedGuard& c) {
   const ContactPoint& point = c.points[c.count];
   const int m = c.rows_per_point(), nv = scene_->tree.nv, total = m * static_cast<int>(c.points.size());
@@ -84,8 +85,8 @@ void ImpactSequence::add_rows(ClosedGuard& c) {
   ++c.count;
 }
 
-// A face of many points that tips: of those not in use the one that closes fastest is taken in. False: none closes.
-bool ImpactSequence::take_unused(const VecX& p) {
+// When a face tips, unused points of it may close: adds the one that closes fastest. False: none closes.
+bool ImpactSequence::add_unused_point(const VecX& p) {
   ClosedGuard* tips = nullptr;
   std::size_t best = 0;
   double most = -kSolved * std::max(speeds_, largest_speed(p));
@@ -129,7 +130,7 @@ bool ImpactSequence::place(const VecX& q, const VecX& p, double t) {
 bool ImpactSequence::collect_given(const VecX& q, const VecX& p, const std::vector<int>& guards, double margin) {
   if (!place(q, p, 0.0)) return false;
   for (int g : guards)
-    if (!add(g, {}, margin)) return fail(StatusCode::kNotFinite, "this contact has no points", g);
+    if (!add_guard(g, {}, margin)) return fail(StatusCode::kNotFinite, "this contact has no points", g);
   return true;
 }
 
@@ -147,7 +148,7 @@ bool ImpactSequence::collect(const VecX& q, const VecX& p, double t, const std::
     for (const PersistentContact& h : persistent) is_persistent |= h.point.guard == g;
     Contact contact;
     if (g != first && !is_persistent && !(guards_->evaluate_witness(g, contact) <= tolerance)) continue;
-    if (!add(g, persistent, tolerance) || !projection_.any() || mobile(closed_[count_ - 1])) continue;
+    if (!add_guard(g, persistent, tolerance) || !projection_.any() || is_mobile(closed_[count_ - 1])) continue;
     const double gamma = closed_[--count_].gamma_n(p);
     if (gamma < -kDriven * (1.0 + v_.cwiseAbs().maxCoeff()))
       return fail(StatusCode::kConstraint, "what the constraints drive or hold runs into what cannot give way", g);
@@ -155,11 +156,11 @@ bool ImpactSequence::collect(const VecX& q, const VecX& p, double t, const std::
   return true;
 }
 
-// Whether an impulse could change any normal speed of the contact: else the constraints say it.
-bool ImpactSequence::mobile(const ClosedGuard& c) {
+// Whether an impulse can change a normal speed of the contact; otherwise the constraints determine them all.
+bool ImpactSequence::is_mobile(const ClosedGuard& c) {
   VecX free(scene_->tree.nv);
   for (int r = 0; r < c.rows; r += c.rows_per_point()) {
-    // M^-1 W W of the row as it was: projected W and what the constraints answered.
+    // The row without constraints is the projected one plus the part that the projection has taken off.
     free = c.W.col(r) + projection_.gradients() * c.mu_fixed.col(r);
     VecX answer = free;
     integrator_->solve_mass(answer);

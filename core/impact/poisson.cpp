@@ -9,10 +9,10 @@
 namespace contactvi {
 
 namespace {
-constexpr double kGain = 1e-12;       // of the energy of the closing motion: rounding
+constexpr double kGain = 1e-12;       // of the energy of the closing motion: a smaller gain is rounding
 constexpr double kRounding = 2e-14;   // of the speeds
 constexpr double kAccept = 1e-9;      // residual of a cone problem that did not converge
-constexpr double kShareWidth = 1e-9;  // of e: to what its largest share without gain is found
+constexpr double kShareWidth = 1e-9;  // of e: accuracy of its largest share without gain
 constexpr int kBisections = 50;
 }  // namespace
 
@@ -33,7 +33,7 @@ bool PoissonImpact::cone(const VecX& start, bool expansion, double share, const 
   const ConeResult result =
       solver_.solve({cones_, G_, start, kRounding * (1.0 + start.cwiseAbs().maxCoeff())}, lambda, true);
   iterations_ += result.iterations;
-  // What is left of a nearly singular problem is hit again.
+  // The error of a nearly singular problem is left to a further impact.
   return (result.ok || result.residual <= kAccept) && lambda.allFinite();
 }
 

@@ -7,9 +7,9 @@
 namespace contactvi {
 
 namespace {
-constexpr double kExact = 8e-16;   // of the energies that add up to the scalar: nothing left to improve
+constexpr double kExact = 8e-16;   // of the energies that add up to the scalar: its equation is solved to rounding
 constexpr double kAccept = 1e-12;  // of the kinetic energy of the normal motion
-constexpr double kFar = 0.5;       // of CTEC's impulse: a root beyond it belongs to a grazing impact
+constexpr double kFar = 0.5;       // of the start impulse: a root farther from it belongs to a grazing impact
 constexpr int kMaxIterations = 30;
 }  // namespace
 

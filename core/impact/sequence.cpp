@@ -9,15 +9,17 @@
 namespace contactvi {
 
 namespace {
-constexpr double kSeparated = 1e-13;    // of the event's speeds: closing slower than this is rounding
-constexpr double kPlasticSpeed = 1e-9;  // of the event's speeds: an endless sequence is cut here, e = 0
-constexpr double kAtRest = 1e-11;       // [m/s] the same
-constexpr double kLowBounce = 1e-7;     // the same among held contacts: flights of 1e-15 m
-constexpr double kFloor = 2e-14;        // of all speeds: rounding
-constexpr double kTie = 1e-12;          // of the speeds: who closes faster by less does not go first
-constexpr int kFewHits = 32;            // the same among held contacts
-constexpr int kManyHits = 256;          // of inelastic contacts at one instant, per contact: the same
-constexpr double kOnCone = 1e-10;       // friction beyond the cone by so much is rounding
+constexpr double kSeparated = 1e-13;    // of the event's speeds: a smaller closing speed is rounding
+constexpr double kEndlessSpeed = 1e-9;  // of the event's speeds: below it an endless sequence goes on with e = 0
+constexpr double kAtRest = 1e-11;       // [m/s] as kEndlessSpeed
+// Of all speeds: as kEndlessSpeed, beside persistent contacts; the flights are then 1e-15 m high.
+constexpr double kLowBounce = 1e-7;
+constexpr double kFloor = 2e-14;  // of all speeds: rounding
+constexpr double kTie = 1e-12;    // of the speeds: contacts that differ by less close equally fast
+// Impacts per inelastic contact at one instant after which the sequence counts as endless; beside persistent contacts
+// the first number.
+constexpr int kFewImpacts = 32, kManyImpacts = 256;
+constexpr double kOnCone = 1e-10;  // of the friction limit: beyond the cone by less is rounding
 }  // namespace
 
 ImpactSequence::ImpactSequence(const Scene& scene, Integrator& integrator, Guards& guards, const ImpactOptions& options)
@@ -38,8 +40,8 @@ bool ImpactSequence::fail(StatusCode code, const char* message, int guard) {
   return false;
 }
 
-// What is driven may leave contacts no way out.
-bool ImpactSequence::not_solved(const char* message, int guard) {
+// Where an impact was not solved: driven constraints may leave the contacts no solution.
+bool ImpactSequence::fail_unsolved(const char* message, int guard) {
   if (!scene_->tree.elements.driven()) return fail(StatusCode::kNotFinite, message, guard);
   return fail(StatusCode::kConstraint, "what the constraints drive leaves these contacts no way out", guard);
 }
@@ -51,9 +53,10 @@ double ImpactSequence::largest_speed(const VecX& p) const {
   return largest;
 }
 
-// The elastic contact that closes fastest; null if none closes. False: it closes too slowly to go on with e > 0.
-bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic,
-                                 ClosedGuard*& worst) {
+// Sets `worst` to the elastic contact that closes fastest, null if none closes. False: it closes so slowly that the
+// sequence goes on with e = 0.
+bool ImpactSequence::find_fastest(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic,
+                                  ClosedGuard*& worst) {
   worst = nullptr;
   double gamma = -std::max(kSeparated * scale, kFloor * speeds_);
   for (int i = 0; i < count_; ++i) {
@@ -64,9 +67,9 @@ bool ImpactSequence::closes_most(const VecX& p, const std::vector<char>& plastic
     gamma = candidate;
     worst = &c;
   }
-  // What bounces among contacts that are at rest anyway is not followed as far down.
+  // Beside persistent contacts the sequence is followed down to a larger speed only.
   const double low = std::max(kAtRest, any_persistent_ && !elastic ? kLowBounce * speeds_ : 0.0);
-  return worst == nullptr || gamma <= -std::max(kPlasticSpeed * scale, low);
+  return worst == nullptr || gamma <= -std::max(kEndlessSpeed * scale, low);
 }
 
 bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, ImpactReference& reference, VecX& p,
@@ -82,16 +85,17 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Im
     speeds_ = std::max(speeds_, (MinvW.cwiseAbs().transpose() * p.cwiseAbs()).maxCoeff());
   }
   const double scale = largest_speed(p);
-  bool elastic = false;  // without losses a long sequence is no endless one
+  bool elastic = false;  // without losses a long sequence may still end
   for (int i = 0; i < count_; ++i) elastic |= closed_[i].e == 1.0;
-  for (int hits = 0;; ++hits) {
+  for (int impacts = 0;; ++impacts) {
     ClosedGuard* worst = nullptr;
-    const bool endless = !elastic && hits >= (any_persistent_ ? kFewHits : kManyHits) * count_;
-    const bool goes_on = closes_most(p, plastic, scale, elastic, worst) && !endless;
+    const bool endless = !elastic && impacts >= (any_persistent_ ? kFewImpacts : kManyImpacts) * count_;
+    const bool goes_on = find_fastest(p, plastic, scale, elastic, worst) && !endless;
     if (goes_on) {
       if (worst != nullptr) {
         const bool single = worst->count == 1 && worst->mu == 0.0 && !(options_.stiff_support && any_persistent_);
-        if (!(single ? hit_point(*worst, worst->e, at, p, recording) : hit_block(*worst, worst->e, at, p, recording)))
+        if (!(single ? impact_at_point(*worst, worst->e, at, p, recording)
+                     : impact_of_contact(*worst, worst->e, at, p, recording)))
           return false;
         if (++impacts_in_step_ > options_.max_impacts_per_step)
           return fail(StatusCode::kTooManyImpacts, "too many impacts in one step", worst->guard);
@@ -99,9 +103,9 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Im
       }
     }
     bool any = false;
-    if (!hit_plastic(plastic, !goes_on, at, scale, p, any, recording)) return false;
+    if (!plastic_impact(plastic, !goes_on, at, scale, p, any, recording)) return false;
     if (!any) {
-      if (take_unused(p)) continue;
+      if (add_unused_point(p)) continue;
       return true;
     }
     if (++impacts_in_step_ > options_.max_impacts_per_step)
@@ -110,7 +114,7 @@ bool ImpactSequence::run(const Instant& at, const std::vector<char>& plastic, Im
 }
 
 ImpactResult ImpactSequence::apply_map(const ImpactProblem& problem, VecX& p) const {
-  if (!law_->implicit() || !persistent()) return law_->apply(problem, p);
+  if (!law_->implicit() || !rest_is_not_smooth()) return law_->apply(problem, p);
   // The rest of the step is not a smooth one: its scalar is not what the map conserves.
   ImpactResult result = explicit_impulse(problem, p);
   result.fallback = Fallback::kPersistent;
@@ -125,7 +129,7 @@ void ImpactSequence::carry_over(const ImpactResult& result) {
 }
 
 // One point without friction: the maps as they are.
-bool ImpactSequence::hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording) {
+bool ImpactSequence::impact_at_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording) {
   const VecX p_minus = p, W = closed.W.col(0), MinvW = closed.MinvW.col(0);
   const double gamma = closed.speed(0, p), G_c = W.dot(MinvW);
   ImpactProblem problem{*integrator_, q_, p_minus, W, MinvW, gamma, G_c, e, options_.dt, at.after, at.tau, 0.0};
@@ -134,15 +138,16 @@ bool ImpactSequence::hit_point(ClosedGuard& closed, double e, const Instant& at,
   const ImpactResult result = apply_map(problem, p);
   if (!result.ok) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
   carry_over(result);
-  closed.hit = true;
+  closed.impacted = true;
   VecX lambda = VecX::Constant(1, result.impulse);
   record(closed, lambda, p_minus, p, result, e, problem.loss(), gamma, closed.speed(0, p), at, recording);
   return true;
 }
 
-// What DTEC or MHC changes of a block's impulse: the same normal force on all its points, scaled.
-ImpactResult ImpactSequence::corrected(const ClosedGuard& closed, const BlockResult& block, double e, const Instant& at,
-                                       VecX& p) {
+// The impulse of an implicit map for an impact with friction or several points: the normal impulses on all points are
+// scaled by one factor.
+ImpactResult ImpactSequence::correct_impulse(const ClosedGuard& closed, const BlockResult& block, double e,
+                                             const Instant& at, VecX& p) {
   ImpactResult ctec;
   ctec.ok = true;
   const int m = closed.rows_per_point();
@@ -155,7 +160,7 @@ ImpactResult ImpactSequence::corrected(const ClosedGuard& closed, const BlockRes
   }
   ImpactResult result = ctec;
   if (!law_->implicit()) return result;
-  if (persistent() || !(ctec.impulse > 0.0)) {
+  if (rest_is_not_smooth() || !(ctec.impulse > 0.0)) {
     result.fallback = Fallback::kPersistent;
     return result;
   }
@@ -164,8 +169,8 @@ ImpactResult ImpactSequence::corrected(const ClosedGuard& closed, const BlockRes
   ImpactProblem problem{*integrator_, q_, base,        W,        MinvW,  gamma,
                         G_c,          e,  options_.dt, at.after, at.tau, reference_->value};
   result = law_->correct(problem, ctec, p);
-  if (!leaves_cone(closed, block.lambda, result.impulse)) return result;
-  // The correction acts along the normals: where it leaves less than friction needs, CTEC's impulse stands.
+  if (!leaves_friction_cone(closed, block.lambda, result.impulse)) return result;
+  // The correction acts along the normals. Where friction would then be outside of its cone, CTEC's impulse is kept.
   problem.restitution = 0.0;
   result = law_->correct(problem, ctec, p);
   result.fallback = Fallback::kInadmissible;
@@ -173,7 +178,7 @@ ImpactResult ImpactSequence::corrected(const ClosedGuard& closed, const BlockRes
 }
 
 // Whether friction would be too large for the normal impulses scaled to a total of `normal`.
-bool ImpactSequence::leaves_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const {
+bool ImpactSequence::leaves_friction_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const {
   if (closed.mu == 0.0) return false;
   double before = 0.0;
   for (int i = 0; i < closed.count; ++i) before += lambda[3 * i];
@@ -184,17 +189,18 @@ bool ImpactSequence::leaves_cone(const ClosedGuard& closed, const VecX& lambda, 
   return false;
 }
 
-bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording) {
+bool ImpactSequence::impact_of_contact(ClosedGuard& closed, double e, const Instant& at, VecX& p,
+                                       Recording& recording) {
   std::vector<BlockMember> members{{&closed, e}};
   if (options_.stiff_support)
     for (int i = 0; i < count_; ++i)
       if (closed_[i].persistent && &closed_[i] != &closed) members.push_back({&closed_[i], 0.0});
   const BlockResult block = poisson_.solve(members, p);
-  if (!block.ok) return not_solved("an impact with friction was not solved", closed.guard);
+  if (!block.ok) return fail_unsolved("an impact with friction was not solved", closed.guard);
   reference_->value -= block.loss;
   VecX p_minus = p;
   for (std::size_t k = 1; k < members.size(); ++k) {
-    // The reactions of the supports first: they belong to the same instant.
+    // The reactions of the supports are recorded first.
     ClosedGuard& support = *members[k].closed;
     int row = 0;
     for (std::size_t j = 0; j < k; ++j) row += members[j].closed->rows;
@@ -203,7 +209,7 @@ bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at,
     p = p_minus + support.W.leftCols(support.rows) * lambda;
     ImpactResult result;
     result.impulse = lambda.sum();
-    support.hit = true;
+    support.impacted = true;
     const double loss = support.loss(lambda, p_minus, p);
     record(support, lambda, p_minus, p, result, 0.0, loss, block.gamma_minus.segment(row, support.rows).minCoeff(),
            block.gamma_plus.segment(row, support.rows).minCoeff(), at, recording);
@@ -213,12 +219,12 @@ bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at,
   p = p_minus + closed.W.leftCols(closed.rows) * lambda;
   const double loss = closed.loss(lambda, p_minus, p);
   const double gamma = closed.gamma_n(p_minus);
-  ImpactResult result = corrected(closed, block, e, at, p);
+  ImpactResult result = correct_impulse(closed, block, e, at, p);
   result.iterations += block.iterations;
   if (!result.ok || !p.allFinite())
     return fail(StatusCode::kNotFinite, "an impact has no finite impulse", closed.guard);
   carry_over(result);
-  closed.hit = true;
+  closed.impacted = true;
   const int m = closed.rows_per_point();
   double normal = 0.0;
   for (int i = 0; i < closed.count; ++i) normal += lambda[m * i];
@@ -227,9 +233,10 @@ bool ImpactSequence::hit_block(ClosedGuard& closed, double e, const Instant& at,
   return true;
 }
 
-// All plastic contacts together; all contacts where an endless sequence is cut. any: whether one of them closed.
-bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p,
-                                 bool& any, Recording& recording) {
+// The plastic contacts together as one problem, or all contacts where an endless sequence ends. any: whether an impulse
+// acted.
+bool ImpactSequence::plastic_impact(const std::vector<char>& plastic, bool all, const Instant& at, double scale,
+                                    VecX& p, bool& any, Recording& recording) {
   std::vector<BlockMember> members;
   any = false;
   const double closing = std::max(kSeparated * scale, (impacts_ > 0 ? kSolved : kFloor) * speeds_);
@@ -241,7 +248,7 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
   }
   if (!any) return true;
   const BlockResult block = poisson_.solve(members, p);
-  if (!block.ok) return not_solved("a plastic impact was not solved", members[0].closed->guard);
+  if (!block.ok) return fail_unsolved("a plastic impact was not solved", members[0].closed->guard);
   reference_->value -= block.loss;
   int row = 0;
   bool acted = false;
@@ -262,13 +269,13 @@ bool ImpactSequence::hit_plastic(const std::vector<char>& plastic, bool all, con
     ImpactResult result;
     for (int i = 0; i < c.count; ++i) result.impulse += lambda[m * i];
     result.iterations = block.iterations;
-    if (law_->implicit()) result.fallback = persistent() ? Fallback::kPersistent : Fallback::kPlastic;
-    c.hit = true;
+    if (law_->implicit()) result.fallback = rest_is_not_smooth() ? Fallback::kPersistent : Fallback::kPlastic;
+    c.impacted = true;
     const double loss = c.loss(lambda, p_minus, p);
     record(c, lambda, p_minus, p, result, 0.0, loss, least, after, at, recording);
   }
   if (!p.allFinite()) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", members[0].closed->guard);
-  any = acted;  // what closes slower than the problem can be solved is at rest
+  any = acted;  // a closing speed below the accuracy of the problem is zero
   return true;
 }
 
@@ -297,13 +304,13 @@ void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const
     weight += lambda[m * i];
     if (c.gap < closed.contacts[deepest].gap) deepest = i;
     if (options_.record_contacts && scene_->is_pair(closed.guard))
-      recording.contacts.push(at.time, 0.0, closed.guard, closed.points[i].feature, 3, at.step, middle, c.normal,
-                              impulse, Vec3::Zero(), c.gap, Vec3::Zero());
+      recording.contacts.push(at.time, 0.0, closed.guard, closed.points[i].feature, ContactMode::kImpact, at.step,
+                              middle, c.normal, impulse, Vec3::Zero(), c.gap, Vec3::Zero());
   }
   const Contact& c = closed.contacts[deepest];
   if (closed.count == 1 && m == 1) r.impulse_vector = result.impulse * c.normal;
   r.point = weight > 0.0 && closed.count > 1 ? Vec3(r.point / weight) : Vec3(0.5 * (c.point_a + c.point_b));
-  // A partial step may end a rounding before the last one did.
+  // By rounding a partial step may end slightly before the last one: times of impacts must not decrease.
   r.time = recording.impacts.empty() ? at.time : std::max(at.time, recording.impacts.back().time);
   r.guard = closed.guard;
   r.normal = c.normal;

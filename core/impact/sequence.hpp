@@ -1,13 +1,13 @@
-// What happens at the instant of an event: single impacts, one pair (with all its points) after the other, until every
-// closed contact separates or stays.
+// The impacts at the instant of an event: a sequence of single impacts, one pair (with all its points) after the other,
+// until no closed contact has a closing speed.
 //
 // Order (deterministic): the elastic contact that closes fastest, the lowest guard on ties; when none closes, all
 // plastic contacts together as one problem with e = 0, the limit of their endless sequence; again until none closes. A
-// held contact is an ordinary partner with its own e, or, as an option, a support of infinite stiffness.
+// persistent contact takes part with its own e, or, as an option, as a support of infinite stiffness.
 #pragma once
 
 #include "base/error.hpp"
-#include "contact/contact_point.hpp"
+#include "contact/persistent_contact.hpp"
 #include "event/finder.hpp"
 #include "impact/impact_law.hpp"
 #include "impact/poisson.hpp"
@@ -24,7 +24,7 @@ struct ImpactOptions {
   bool record_contacts = true;
 };
 
-// Where in time an event is: [s], lengths of the partial step that ends there and of the rest of the step.
+// The instant of an event: its time, the lengths of the partial step that ends there and of the rest of the step [s].
 struct Instant {
   double time, before, after;
   const VecX& tau;
@@ -63,28 +63,29 @@ class ImpactSequence {
   int guard() const { return guard_; }
 
  private:
-  static constexpr double kSolved = 1e-11;  // of all speeds of the closed points: closing slower than this is at rest
+  static constexpr double kSolved = 1e-11;  // of all speeds of the closed points: a smaller closing speed is zero
 
   bool place(const VecX& q, const VecX& p, double t);
-  bool add(int guard, const std::vector<PersistentContact>& persistent, double margin);
+  bool add_guard(int guard, const std::vector<PersistentContact>& persistent, double margin);
   void add_rows(ClosedGuard& closed);
-  bool mobile(const ClosedGuard& closed);
-  bool take_unused(const VecX& p);
-  bool closes_most(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic, ClosedGuard*& worst);
-  bool hit_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
-  bool hit_block(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
-  bool hit_plastic(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p, bool& any,
-                   Recording& recording);
-  ImpactResult corrected(const ClosedGuard& closed, const BlockResult& block, double e, const Instant& at, VecX& p);
-  bool leaves_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const;
+  bool is_mobile(const ClosedGuard& closed);
+  bool add_unused_point(const VecX& p);
+  bool find_fastest(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic, ClosedGuard*& worst);
+  bool impact_at_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
+  bool impact_of_contact(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
+  bool plastic_impact(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p, bool& any,
+                      Recording& recording);
+  ImpactResult correct_impulse(const ClosedGuard& closed, const BlockResult& block, double e, const Instant& at,
+                               VecX& p);
+  bool leaves_friction_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const;
   ImpactResult apply_map(const ImpactProblem& problem, VecX& p) const;
   void carry_over(const ImpactResult& result);
   void record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
               const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
               const Instant& at, Recording& recording);
-  // Whether the rest of the step is not a smooth one.
-  bool persistent() const { return any_persistent_ || projection_.any(); }
-  bool not_solved(const char* message, int guard);
+  // Whether constraints or persistent contacts act in the rest of the step.
+  bool rest_is_not_smooth() const { return any_persistent_ || projection_.any(); }
+  bool fail_unsolved(const char* message, int guard);
   bool fail(StatusCode code, const char* message, int guard);
 
   const Scene* scene_;
@@ -100,7 +101,8 @@ class ImpactSequence {
   long impacts_in_step_ = 0;
   VecX constraint_impulses_;
   double driven_work_ = 0;
-  double speeds_ = 0;  // of the closed points before the event, of what they are sums of: it has the rounding
+  double speeds_ =
+      0;  // largest sum of the absolute terms of a closed point's speed before the event: the scale of its rounding
   Projection projection_;
   VecX q_, v_;
   PoissonImpact poisson_;

@@ -1,4 +1,4 @@
-// What a run leaves behind: nodes, impacts, the polynomials of its steps. Engine coordinates.
+// The record of a run: nodes, impacts, contact forces, the polynomials of its steps. Engine coordinates.
 #pragma once
 
 #include <cstdint>
@@ -15,11 +15,11 @@ struct ImpactRecord {
   Vec3 point, normal;
   Vec3 impulse_vector;  // on geometry b, world frame [N s]
   double impulse, gamma_minus, gamma_plus, G_c, gap, restitution, friction;
-  int points;   // of the pair that took part
-  double loss;  // of kinetic energy by the law of the impact [J]
-  int method, iterations, fallback;
-  double jump;           // left over in the map's own energy equation [J]
-  double before, after;  // lengths [s] of the partial step that ends here and of the rest of the step
+  int points;                        // how many of the pair took part
+  double loss;                       // of kinetic energy by restitution and friction [J]
+  int method, iterations, fallback;  // ImpactMap, evaluations of its scalar, Fallback
+  double jump;                       // residual of the map's own energy equation [J]
+  double before, after;              // lengths [s] of the partial step that ends here and of the rest of the step
   long step;
   VecX q, p_minus, p_plus;
 };
@@ -28,36 +28,39 @@ struct ImpactRecord {
 // momentum at the end (before an impact), chart rates at the stages (StepPath).
 struct Segments {
   std::vector<double> t, h, q, p, p1, rates;  // rates: stage by stage
-  std::vector<double> persistent;             // 1: of a step with held contacts, whose exact parts are not smooth steps
+  std::vector<double>
+      persistent;  // 1: a step with persistent contacts, of which partial steps are not smooth steps; else 0
 };
 
-// What a contact did in a step: the numbers are those of stored runs.
-enum class ContactMode : int { kStick = 0, kSlip = 1, kFrictionless = 2, kImpact = 3 };
+// The numbers are those of stored runs.
+enum class ContactMode : int { kSticks = 0, kSlips = 1, kFrictionless = 2, kImpact = 3 };
 
-// Forces: one row per held point and step, and per point of an impact (h = 0). World frame, impulses on geometry b.
+// Contact forces: one row per persistent contact and step, and per point of an impact (h = 0). World frame, impulses on
+// geometry b.
 struct ContactRows {
   std::vector<double> t, h, gap;
-  std::vector<double> position, normal, start, end, slip;  // three numbers a row
-  std::vector<int> guard, mode;                            // mode: 0 sticks, 1 slips, 2 without friction, 3 impact
+  std::vector<double> position, normal, position_impulse, velocity_impulse, slip;  // three numbers a row
+  std::vector<int> guard, mode;                                                    // mode: ContactMode
   std::vector<std::int64_t> point;
   std::vector<long> step;
 
-  void push(double time, double length, int of, std::int64_t feature, int what, long at_step, const Vec3& x,
-            const Vec3& n, const Vec3& first, const Vec3& second, double phi, const Vec3& velocity) {
+  void push(double time, double length, int guard_number, std::int64_t feature, ContactMode contact_mode,
+            long step_number, const Vec3& x, const Vec3& n, const Vec3& first, const Vec3& second, double phi,
+            const Vec3& velocity) {
     t.push_back(time);
     h.push_back(length);
-    guard.push_back(of);
+    guard.push_back(guard_number);
     point.push_back(feature);
-    mode.push_back(what);
-    step.push_back(at_step);
+    mode.push_back(static_cast<int>(contact_mode));
+    step.push_back(step_number);
     gap.push_back(phi);
-    for (auto [list, value] : {std::pair(&position, &x), std::pair(&normal, &n), std::pair(&start, &first),
-                               std::pair(&end, &second), std::pair(&slip, &velocity)})
+    for (auto [list, value] : {std::pair(&position, &x), std::pair(&normal, &n), std::pair(&position_impulse, &first),
+                               std::pair(&velocity_impulse, &second), std::pair(&slip, &velocity)})
       list->insert(list->end(), value->data(), value->data() + 3);
   }
   void cut(std::size_t rows) {
     for (auto* list : {&t, &h, &gap}) list->resize(rows);
-    for (auto* list : {&position, &normal, &start, &end, &slip}) list->resize(3 * rows);
+    for (auto* list : {&position, &normal, &position_impulse, &velocity_impulse, &slip}) list->resize(3 * rows);
     guard.resize(rows);
     mode.resize(rows);
     point.resize(rows);
@@ -65,14 +68,14 @@ struct ContactRows {
   }
 };
 
-// Beginnings, ends and changes of held contacts.
+// Beginnings, ends and changes of persistent contacts. The numbers are those of stored runs.
 enum class Change : int {
   kBegin = 0,
   kRelease = 1,
   kStick = 2,
   kSlip = 3,
-  kBouncingEnds = 4,  // accumulating impacts were taken for plastic; value: when they would have ended [s]
-  kInconsistent = 5,  // Painleve's paradox; value: A
+  kBouncingEnds = 4,  // accumulating impacts became plastic; value: the time at which they would have ended [s]
+  kInconsistent = 5,  // Painleve's paradox; value: A (ContactOutcome)
 };
 struct ChangeRecord {
   double time;
@@ -84,18 +87,20 @@ struct ChangeRecord {
 
 struct Recording {
   std::vector<double> t, q, p;  // row-major (N, nq), (N, nv)
-  // Per node: work since reset [J], four kinds (Simulator::Work); mean forces of the constraints since the node before.
+  // Per node: work since the reset [J], four kinds (Simulator::Work); mean forces of the constraints since the node
+  // before.
   std::vector<double> work, reactions;
   std::vector<ImpactRecord> impacts;
   Segments segments;
-  std::vector<double> adaptive_t, adaptive_dt;  // of run_auto: start and step of each smooth arc
+  std::vector<double> adaptive_t, adaptive_dt;  // of run_auto: start and step of each smooth piece of the motion [s]
   ContactRows contacts;
   std::vector<ChangeRecord> changes;
-  // Where the kind or the length of the steps changes: from t on steps of length dt, with held contacts or without.
+  // Where the kind or the length of the steps changes: from phase_t on steps of length phase_dt, with persistent
+  // contacts (1) or without (0).
   std::vector<double> phase_t, phase_dt;
   std::vector<int> phase_persistent;
 
-  // How much there is, to go back to.
+  // The amount recorded so far, to which cut() returns.
   struct Mark {
     std::size_t nodes, impacts, segments, contacts, changes, phases;
   };

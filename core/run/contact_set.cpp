@@ -1,39 +1,48 @@
-// Simulator: which contacts are held, from events to steps, and what the recording says of them.
+// Simulator: the set of persistent contacts, from events to steps, the accumulation of impacts, and their records.
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "run/simulator.hpp"
 
 namespace contactvi {
 
 namespace {
-constexpr double kZenoFlight = 0.05;     // of a step: e times the last flight below it ends the bouncing
-constexpr double kElasticFlight = 1e-2;  // the same of e = 1, where the forces take energy
-constexpr double kShortFlight = 6e-4;    // of the longest flight: what a step counts for there at most
-constexpr int kZenoFlights = 4;          // flights in a row, each shorter than the one before
-constexpr int kShortHits = 8;            // flights in a row below kZenoFlight of a step, shrinking or not
-constexpr double kStays = 1e-11;         // of the speeds: a closed contact slower than this is held
-constexpr double kHardly = 1e5;     // of that: a contact that was held leaves so slowly that the step may decide it
-constexpr double kLow = 2e6;        // the same for several points: lower than their gaps differ by
-constexpr double kLeaves = 1e-10;   // of the speeds: a held one faster than this has left
-constexpr double kUnloaded = 1e-9;  // of the forces: less is none
-constexpr double kOpen = 1e-9;      // [m] a gap of a pair beyond which none of its points is held any more
-constexpr double kApart = 1e-12;    // [m] a gap beyond which a contact without load has left
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr double kZenoFlight = 0.05;     // of a step: bouncing ends where e times the last flight is below it
+constexpr double kElasticFlight = 1e-2;  // of a step: as kZenoFlight, for e = 1 where forces dissipate energy
+constexpr double kShortFlight = 6e-4;    // of the longest flight: upper limit of the step in these criteria
+constexpr int kZenoFlights = 4;          // flights one after the other, each shorter than the one before
+constexpr int kChatterFlights = 8;       // flights one after the other below kZenoFlight of a step, shrinking or not
+constexpr double kPersists = 1e-11;      // of the speeds: a closed contact with a slower normal speed persists
+// Of kPersists: persistent contacts that separate more slowly are left to the step, and pairs with several points,
+// whose gaps differ by more, up to the second number.
+constexpr double kSlowSeparation = 1e5, kSlowSeparationOfMany = 2e6;
+constexpr double kSeparates = 1e-10;  // of the speeds: a persistent contact that separates faster is released
+constexpr double kUnloaded = 1e-9;    // of the forces: a smaller one is zero
+constexpr double kOpenPair = 1e-9;    // [m] beyond this gap of a pair all its points are released
+constexpr double kOpenPoint = 1e-12;  // [m] beyond this gap a contact without load is released
+
+// The contact at a point of a guard; null if there is none.
+const PersistentContact* find_contact(const std::vector<PersistentContact>& contacts, int guard,
+                                      const ContactPoint& point) {
+  for (const PersistentContact& c : contacts)
+    if (c.point.guard == guard && c.point.kind == point.kind && c.point.feature == point.feature) return &c;
+  return nullptr;
+}
+
 }  // namespace
 
-void Simulator::note(double time, const ContactPoint& point, Change change, double value, Recording& recording) const {
+void Simulator::record_change(double time, const ContactPoint& point, Change change, double value,
+                              Recording& recording) const {
   recording.changes.push_back({time, point.guard, point.feature, change, value});
 }
 
-void Simulator::note_phase(double time, double dt, bool persistent, Recording& recording) const {
+void Simulator::record_phase(double time, double dt, bool persistent, Recording& recording) const {
   if (!recording.phase_t.empty() && recording.phase_persistent.back() == (persistent ? 1 : 0) &&
       recording.phase_dt.back() == dt)
     return;
   if (recording.phase_t.empty() && !recording.t.empty() && recording.t.front() < time) {
     recording.phase_t.push_back(recording.t.front());
-    recording.phase_dt.push_back(level_ > 0.0 ? adaptive_h_ : options_.dt);
+    recording.phase_dt.push_back(truncation_bound_ > 0.0 ? adaptive_dt_ : options_.dt);
     recording.phase_persistent.push_back(0);
   }
   recording.phase_t.push_back(time);
@@ -41,8 +50,8 @@ void Simulator::note_phase(double time, double dt, bool persistent, Recording& r
   recording.phase_persistent.push_back(persistent ? 1 : 0);
 }
 
-// Guards and the search learn which points are held.
-void Simulator::sync_persistent() {
+// Tells the guards which of their points are persistent contacts, after a change of the set.
+void Simulator::update_persistent_guards() {
   for (int g : persistent_guards_) guards_.set_persistent(g, {});
   persistent_guards_.clear();
   for (const PersistentContact& persistent : contact_step_.contacts()) {
@@ -54,7 +63,7 @@ void Simulator::sync_persistent() {
     guards_.set_persistent(g, std::move(points));
     persistent_guards_.push_back(g);
   }
-  contact_step_.changed();
+  contact_step_.invalidate();
 }
 
 PersistentContact Simulator::make_persistent(const ContactPoint& point, const Contact& contact, const Vec3& slip) {
@@ -65,16 +74,17 @@ PersistentContact Simulator::make_persistent(const ContactPoint& point, const Co
   if (point.kind == PointKind::kVertex && point.plane_body >= 0)
     persistent.tangent = guards_.placements().R_W[point.plane_body].transpose() * persistent.tangent;
   persistent.slip = slip;
-  persistent.sticks = slip.norm() <= kStays * (1.0 + v_.cwiseAbs().maxCoeff());
+  persistent.sticks = slip.norm() <= kPersists * (1.0 + v_.cwiseAbs().maxCoeff());
   return persistent;
 }
 
-// After an event: what is closed and neither closes nor separates is held from now on, and the guard `forced`.
-void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording& recording) {
+// The set of persistent contacts after an event: points that are closed and neither close nor separate, and those of
+// the guard `forced` (-1: none).
+void Simulator::close_contacts(int forced, double time, const VecX& tau, Recording& recording) {
   guards_.place(q_);
   integrator_.node_velocity(q_, p_, v_);
-  const double slow = kStays * (1.0 + v_.cwiseAbs().maxCoeff());
-  kept_.swap(contact_step_.contacts());
+  const double slow = kPersists * (1.0 + v_.cwiseAbs().maxCoeff());
+  previous_contacts_.swap(contact_step_.contacts());
   std::vector<PersistentContact>& now = contact_step_.contacts();
   now.clear();
   for (int i = 0; i < sequence_.count(); ++i) {
@@ -84,17 +94,18 @@ void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording&
     for (int k = 0; k < c.count; ++k) {
       const double gamma = c.gamma_n(k, p_);
       const std::pair<int, std::int64_t> key(c.guard, c.points[k].feature);
-      const auto left = std::find(separated_.begin(), separated_.end(), key);
-      if (left != separated_.end()) {
-        if (!c.hit && c.guard != forced) {
-          all = false;  // it has just left and has not closed again
+      const auto separated = std::find(separated_.begin(), separated_.end(), key);
+      if (separated != separated_.end()) {
+        if (!c.impacted && c.guard != forced) {
+          all = false;  // has just separated and has not closed again
           continue;
         }
-        separated_.erase(left);
+        separated_.erase(separated);
       }
-      double hardly = slow * (c.count > 1 ? kLow : c.persistent ? kHardly : 0.0);
-      if (c.persistent && without_progress_ >= kStandstill) hardly = INFINITY;  // contacts that push each other out
-      if (std::abs(gamma) > slow && c.guard != forced && !(gamma > 0.0 && gamma < hardly)) {
+      double slow_separation = slow * (c.count > 1 ? kSlowSeparationOfMany : c.persistent ? kSlowSeparation : 0.0);
+      // Contacts that release each other without progress all persist.
+      if (c.persistent && changes_without_progress_ >= kStandstill) slow_separation = INFINITY;
+      if (std::abs(gamma) > slow && c.guard != forced && !(gamma > 0.0 && gamma < slow_separation)) {
         all = false;
         continue;
       }
@@ -104,80 +115,77 @@ void Simulator::hold_closed(int forced, double time, const VecX& tau, Recording&
         slip = c.speed(r + 1, p_) * c.t1[k] + c.speed(r + 2, p_) * c.contacts[k].normal.cross(c.t1[k]);
       }
       PersistentContact persistent = make_persistent(c.points[k], c.contacts[k], slip);
-      const PersistentContact* before = nullptr;
-      for (const PersistentContact& old : kept_)
-        if (old.point.guard == c.guard && old.point.kind == c.points[k].kind &&
-            old.point.feature == c.points[k].feature)
-          before = &old;
+      const PersistentContact* before = find_contact(previous_contacts_, c.guard, c.points[k]);
       if (before != nullptr) {
         persistent.tangent = before->tangent;
-        if (persistent.sticks && before->anchored && !c.hit) {
+        if (persistent.sticks && before->anchored && !c.impacted) {
           persistent.anchored = true;
           persistent.anchor = before->anchor;
         }
       } else {
-        persistent.force[1] = -1.0;  // new
+        persistent.is_new = true;
       }
       now.push_back(persistent);
     }
-    // Of a face that stays as a whole those that span it are enough.
+    // If all points of a face persist, those that span it are enough.
     if (all && c.chosen < c.count && c.chosen > 2) now.resize(first_of_guard + c.chosen);
     if (all && c.count > 0) finder_.set_touching(c.guard, false);
   }
-  leave_unloaded(forced, tau);
+  release_unloaded(forced, tau);
   for (const PersistentContact& persistent : now)
-    if (persistent.force[1] < 0.0) note(time, persistent.point, Change::kBegin, 0.0, recording);
-  for (PersistentContact& persistent : now) persistent.force.setZero();
-  for (const PersistentContact& old : kept_) {
+    if (persistent.is_new) record_change(time, persistent.point, Change::kBegin, 0.0, recording);
+  for (PersistentContact& persistent : now) persistent.is_new = false;
+  for (const PersistentContact& old : previous_contacts_) {
     bool stays = false;
     for (const PersistentContact& persistent : now)
       stays |= persistent.point.guard == old.point.guard && persistent.point.feature == old.point.feature;
-    if (!stays) note(time, old.point, Change::kRelease, 0.0, recording);
+    if (!stays) record_change(time, old.point, Change::kRelease, 0.0, recording);
   }
-  sync_persistent();
+  update_persistent_guards();
 }
 
-// New contacts that no force presses together, or that separate at once, stay touching guards: steps stay smooth ones.
-void Simulator::leave_unloaded(int forced, const VecX& tau) {
+// New contacts that no force presses together do not persist: their guards stay touching, and the steps stay smooth.
+void Simulator::release_unloaded(int forced, const VecX& tau) {
   std::vector<PersistentContact>& now = contact_step_.contacts();
   bool any = false;
-  for (const PersistentContact& persistent : now) any |= persistent.force[1] < 0.0 && persistent.point.guard != forced;
+  for (const PersistentContact& persistent : now) any |= persistent.is_new && persistent.point.guard != forced;
   if (!any) return;
-  sync_persistent();
+  update_persistent_guards();
   if (!contact_step_.persistent_forces_at(q_, p_, tau, forces_)) return;
   const double scale = contact_step_.force_scale();
   for (int i = static_cast<int>(now.size()) - 1; i >= 0; --i) {
-    if (now[i].force[1] >= 0.0 || now[i].point.guard == forced || forces_[i] > kUnloaded * scale) continue;
+    if (!now[i].is_new || now[i].point.guard == forced || forces_[i] > kUnloaded * scale) continue;
     finder_.set_touching(now[i].point.guard, true);
     now.erase(now.begin() + i);
   }
 }
 
-// What touches at the start of a run and does not move apart is held.
-void Simulator::hold_at_start() {
+// The persistent contacts at the start of a run: guards that touch and do not separate.
+void Simulator::close_contacts_at_start() {
   std::vector<int> touching;
   for (int g = 0; g < guards_.count(); ++g)
     if (finder_.touching(g)) touching.push_back(g);
   if (touching.empty() || !sequence_.collect(q_, p_, time_, touching, -1, {})) return;
-  Recording begun;
-  hold_closed(-1, time_, VecX(), begun);
-  begun_ = begun.changes;
+  Recording start;
+  close_contacts(-1, time_, VecX(), start);
+  initial_changes_ = start.changes;
 }
 
-// After a held step: contacts without load that have separated are dropped, changes noted.
-void Simulator::drop_leaving(double time, Recording& recording) {
+// Releases the contacts that have separated in the contact step just accepted, and records it.
+void Simulator::release_separated(double time, Recording& recording) {
   std::vector<PersistentContact>& contacts = contact_step_.contacts();
   const std::vector<ContactOutcome>& outcomes = contact_step_.outcomes();
-  const double fast = kLeaves * (1.0 + contact_step_.end_velocity().cwiseAbs().maxCoeff());
+  const double fast = kSeparates * (1.0 + contact_step_.end_velocity().cwiseAbs().maxCoeff());
   bool dropped = false;
   for (int i = static_cast<int>(contacts.size()) - 1; i >= 0; --i) {
     const ContactOutcome& out = outcomes[i];
     const double apart =
-        guards_.is_noisy(contacts[i].point.guard) ? guards_.root_tolerance(contacts[i].point.guard) : kApart;
-    const bool leaves = i == releasing_ || (out.start[0] <= 0.0 && out.contact.gap > apart) || out.w_n > fast;
+        guards_.is_noisy(contacts[i].point.guard) ? guards_.root_tolerance(contacts[i].point.guard) : kOpenPoint;
+    const bool leaves =
+        i == releasing_ || (out.position_impulse[0] <= 0.0 && out.contact.gap > apart) || out.w_n > fast;
     if (!leaves) continue;
     const ContactPoint point = contacts[i].point;
-    note(time, point, Change::kRelease, 0.0, recording);
+    record_change(time, point, Change::kRelease, 0.0, recording);
     contacts.erase(contacts.begin() + i);
     finder_.set_touching(point.guard, true);
     separated_.emplace_back(point.guard, point.feature);
@@ -185,10 +193,10 @@ void Simulator::drop_leaving(double time, Recording& recording) {
     dropped = true;
   }
   releasing_ = -1;
-  if (dropped) sync_persistent();
+  if (dropped) update_persistent_guards();
 }
 
-// Against a halfspace points stay what they are while they are valid.
+// Whether the points of a guard have to be found again. Against a halfspace they stay the same while they are valid.
 bool Simulator::points_may_change(int guard) {
   const Pair& pair = scene_->pairs[guard];
   if (!scene_->geometries[pair.a].unbounded && !scene_->geometries[pair.b].unbounded) return true;
@@ -200,35 +208,35 @@ bool Simulator::points_may_change(int guard) {
   return false;
 }
 
-// All points of a guard are free again.
-void Simulator::let_go(int guard, double time, Recording& recording) {
+// Releases all points of a guard.
+void Simulator::release_guard(int guard, double time, Recording& recording) {
   std::vector<PersistentContact>& contacts = contact_step_.contacts();
   for (int i = static_cast<int>(contacts.size()) - 1; i >= 0; --i) {
     if (contacts[i].point.guard != guard) continue;
-    note(time, contacts[i].point, Change::kRelease, 0.0, recording);
+    record_change(time, contacts[i].point, Change::kRelease, 0.0, recording);
     contacts.erase(contacts.begin() + i);
   }
   finder_.set_touching(guard, false);
-  sync_persistent();
+  update_persistent_guards();
 }
 
-// Points of faces change as bodies slide on each other: they are found again at the node. What has closed meanwhile is
-// hit.
-bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
+// Finds the contact points again at a node, because those of faces change as bodies slide on each other. Points that
+// have closed meanwhile and approach have an impact. False: the run has ended.
+bool Simulator::update_contact_points(const Interval& interval, Recording& recording) {
   bool changed = false;
   int first = -1;
   for (PersistentContact& persistent : contact_step_.contacts()) {
     if (persistent.point.kind != PointKind::kRim) continue;
     guards_.place(q_);
-    guards_.manifolds().renew(persistent.point, guards_.placements());
+    guards_.manifolds().update_rim(persistent.point, guards_.placements());
   }
   for (int g : persistent_guards_) {
     if (!scene_->is_pair(g) || !points_may_change(g)) continue;
     guards_.place(q_);
     Contact witness;
     const double gap = guards_.evaluate_witness(g, witness), margin = std::max(guards_.touch_tolerance(g), gap);
-    if (gap > std::max(guards_.touch_tolerance(g), kOpen)) {
-      lost_.push_back(g);  // its points went over an edge in the last step
+    if (gap > std::max(guards_.touch_tolerance(g), kOpenPair)) {
+      lost_guards_.push_back(g);  // its points slid over an edge in the last step
       continue;
     }
     points_.clear();
@@ -259,110 +267,118 @@ bool Simulator::refresh_points(const Piece& piece, Recording& recording) {
     changed = true;
     first = g;
   }
-  for (int g : lost_) let_go(g, piece.start + piece.done, recording);
-  lost_.clear();
+  for (int g : lost_guards_) release_guard(g, interval.start + interval.done, recording);
+  lost_guards_.clear();
   if (!changed) return true;
-  // As at an event: what closes is hit, what neither closes nor separates is held.
+  // As at an event, points that close have an impact, and those that neither close nor separate persist.
   const std::vector<int> none(persistent_guards_);
-  if (!sequence_.collect(q_, p_, piece.start + piece.done, none, first, {}))
-    return end(sequence_.code(), piece.start + piece.done, sequence_.message());
-  const Instant now{piece.start + piece.done, 0.0, piece.remaining, piece.tau, step_};
-  const double slow = kLeaves * (1.0 + contact_step_.end_velocity().cwiseAbs().maxCoeff());
+  if (!sequence_.collect(q_, p_, interval.start + interval.done, none, first, {}))
+    return end(sequence_.code(), interval.start + interval.done, sequence_.message());
+  const Instant now{interval.start + interval.done, 0.0, interval.remaining, interval.tau, step_};
+  const double slow = kSeparates * (1.0 + contact_step_.end_velocity().cwiseAbs().maxCoeff());
   double worst = 0.0;
   for (int i = 0; i < sequence_.count(); ++i) worst = std::min(worst, sequence_.closed(i).gamma_n(p_));
   if (worst < -slow) {
-    find_accumulating(now.time);
+    find_accumulating_impacts(now.time);
     if (!run_impacts(now, recording)) return end(sequence_.code(), now.time, sequence_.message(), sequence_.guard());
   }
-  hold_closed(-1, now.time, piece.tau, recording);
+  close_contacts(-1, now.time, interval.tau, recording);
   return true;
 }
 
-void Simulator::record_contacts_of_step(double time, double h, Recording& recording) {
+void Simulator::record_contact_forces(double time, double h, Recording& recording) {
   const std::vector<ContactOutcome>& outcomes = contact_step_.outcomes();
-  const double force_share = 10.0;  // of the force before: an impulse beyond it is an impact without collision
+  const double force_share = 10.0;  // of the force in the step before: a larger one is an impact without collision
   for (std::size_t i = 0; i < outcomes.size(); ++i) {
     const PersistentContact& persistent = contact_step_.contacts()[i];
     const ContactOutcome& out = outcomes[i];
     const double now = time + h;
     if (persistent.mu > 0.0 && persistent.sticks != !out.slips)
-      note(now, persistent.point, out.slips ? Change::kSlip : Change::kStick, 0.0, recording);
-    // An impulse that does not go to zero with the step is the impact without collision of the paradox.
-    const double sudden = (out.start[0] + out.end[0]) / h;
+      record_change(now, persistent.point, out.slips ? Change::kSlip : Change::kStick, 0.0, recording);
+    // An impulse that does not go to zero with the step is the impact without collision of Painleve's paradox.
+    const double sudden = (out.position_impulse[0] + out.velocity_impulse[0]) / h;
     const bool jumps = persistent.force[0] > 0.0 && !persistent.sticks && out.paradox < 1.0 &&
                        sudden > force_share * persistent.force[0];
     if (persistent.mu > 0.0 && (out.paradox <= 0.0 || jumps))
-      note(time, persistent.point, Change::kInconsistent, out.paradox, recording);
+      record_change(time, persistent.point, Change::kInconsistent, out.paradox, recording);
     if (!options_.record_contacts) continue;
     if (!scene_->is_pair(persistent.point.guard)) {
-      // A joint limit has no place: its impulse is the first number.
+      // A joint limit has no contact point: its impulse is the first of the three numbers.
       const Vec3 zero = Vec3::Zero();
-      recording.contacts.push(time, h, persistent.point.guard, 0, 2, step_, zero, zero, out.start, out.end,
-                              out.contact.gap, zero);
+      recording.contacts.push(time, h, persistent.point.guard, 0, ContactMode::kFrictionless, step_, zero, zero,
+                              out.position_impulse, out.velocity_impulse, out.contact.gap, zero);
       continue;
     }
     const Vec3 middle = 0.5 * (out.contact.point_a + out.contact.point_b);
-    const int mode = persistent.mu == 0.0 ? 2 : out.slips || out.slipped ? 1 : 0;
+    const ContactMode mode = persistent.mu == 0.0       ? ContactMode::kFrictionless
+                             : out.slips || out.slipped ? ContactMode::kSlips
+                                                        : ContactMode::kSticks;
     recording.contacts.push(time, h, persistent.point.guard, persistent.point.feature, mode, step_, middle,
-                            out.contact.normal, out.start_W, out.end_W, out.contact.gap, out.slip_W);
+                            out.contact.normal, out.position_impulse_W, out.velocity_impulse_W, out.contact.gap,
+                            out.slip_W);
   }
 }
 
-// Of a step: flights that may be chatter. Elastic contacts bounce on for ever unless something takes energy.
-double Simulator::short_flight(double e) const { return e < 1.0 ? kZenoFlight : dissipative_ ? kElasticFlight : 0.0; }
+// Flights shorter than this part of a step may be chatter. Elastic contacts bounce for ever unless forces dissipate
+// energy.
+double Simulator::short_flight_limit(double e) const {
+  return e < 1.0 ? kZenoFlight : dissipative_ ? kElasticFlight : 0.0;
+}
 
-// Closed guards whose impacts accumulate: their next impact is plastic.
-void Simulator::find_accumulating(double time) {
+// Finds the closed guards whose impacts accumulate: their impacts at this event are plastic.
+void Simulator::find_accumulating_impacts(double time) {
   std::fill(plastic_.begin(), plastic_.end(), 0);
-  if (!holds()) return;
-  const double step = std::min({adaptive_h_, contact_dt(), options_.dt});
+  if (!allows_persistent_contact()) return;
+  const double step = std::min({adaptive_dt_, contact_dt(), options_.dt});
   for (int i = 0; i < sequence_.count(); ++i) {
     const ClosedGuard& c = sequence_.closed(i);
     const Bouncing& b = bouncing_[c.guard];
     const double flight = time - b.last_time;
-    if ((c.e >= 1.0 && !dissipative_) || c.e == 0.0 || b.hits == 0 || !(flight > 0.0)) continue;
-    const bool shorter = b.hits > 1 && flight < b.last_flight;
+    if ((c.e >= 1.0 && !dissipative_) || c.e == 0.0 || b.impacts == 0 || !(flight > 0.0)) continue;
+    const bool shorter = b.impacts > 1 && flight < b.last_flight;
     const double longest = std::max(b.longest_flight, flight);
-    const bool shrinking = c.e < 1.0 && shorter && b.contracting + 1 >= kZenoFlights &&
+    const bool shrinking = c.e < 1.0 && shorter && b.shrinking_flights + 1 >= kZenoFlights &&
                            c.e * flight < kZenoFlight * std::min(step, kShortFlight * longest);
-    const bool chatter = flight < short_flight(c.e) * step && b.short_hits + 1 >= kShortHits;
+    const bool chatter = flight < short_flight_limit(c.e) * step && b.short_flights + 1 >= kChatterFlights;
     if (shrinking || chatter) plastic_[c.guard] = 1;
   }
 }
 
-// Of the contacts just hit, the last flight [s]; 0 if none has flown.
+// Shortest of the last flights of the guards that had an impact at this event [s]; 0 if there was none.
 double Simulator::shortest_flight() const {
   double shortest = 0.0;
-  for (int g : hit_) {
+  for (int g : impacted_guards_) {
     const double flight = bouncing_[g].last_flight;
     if (flight > 0.0 && (shortest == 0.0 || flight < shortest)) shortest = flight;
   }
   return shortest;
 }
 
-// first: the event's guard; stays: it was closed before. False: the run ends there (DTEC, or as asked).
-bool Simulator::judge_accumulation(int first, bool stays, double time, Recording& recording) {
-  const double step = std::min({adaptive_h_, contact_dt(), options_.dt});
+// Counts the flights of the guards that had an impact. first: guard of the event; stays: it was closed before the
+// event. False: impacts accumulate and the run ends, as its options ask or because its map allows no persistent
+// contact.
+bool Simulator::update_bouncing(int first, bool stays, double time, Recording& recording) {
+  const double step = std::min({adaptive_dt_, contact_dt(), options_.dt});
   bool any = false;
-  hit_.clear();
+  impacted_guards_.clear();
   for (int i = 0; i < sequence_.count(); ++i) {
     const ClosedGuard& c = sequence_.closed(i);
-    if (!c.hit) continue;
+    if (!c.impacted) continue;
     any = true;
-    hit_.push_back(c.guard);
+    impacted_guards_.push_back(c.guard);
     Bouncing& b = bouncing_[c.guard];
     const double flight = time - b.last_time;
-    if (b.hits > 0 && flight > 0.0) {
-      const bool shorter = b.hits > 1 && flight < b.last_flight;
-      b.contracting = shorter ? b.contracting + 1 : 0;
-      b.short_hits = flight < short_flight(c.e) * step ? b.short_hits + 1 : 0;
+    if (b.impacts > 0 && flight > 0.0) {
+      const bool shorter = b.impacts > 1 && flight < b.last_flight;
+      b.shrinking_flights = shorter ? b.shrinking_flights + 1 : 0;
+      b.short_flights = flight < short_flight_limit(c.e) * step ? b.short_flights + 1 : 0;
       b.longest_flight = std::max(b.longest_flight, flight);
-      // Flights shrink geometrically; their measured ratio, not e, is right for articulated bodies too.
+      // Flights shrink geometrically. Their measured ratio is right for articulated bodies too, while e is not.
       const double ratio = shorter ? flight / b.last_flight : c.e,
                    ends = ratio < 1.0 ? time + flight * ratio / (1.0 - ratio) : time;
-      if (plastic_[c.guard] && c.count > 0) note(time, c.points[0], Change::kBouncingEnds, ends, recording);
-      if (!holds() && c.e < 1.0 && b.contracting >= kZenoFlights &&
-          c.e * flight < kZenoFlight * std::min(adaptive_h_, 0.02 * b.longest_flight)) {
+      if (plastic_[c.guard] && c.count > 0) record_change(time, c.points[0], Change::kBouncingEnds, ends, recording);
+      if (!allows_persistent_contact() && c.e < 1.0 && b.shrinking_flights >= kZenoFlights &&
+          c.e * flight < kZenoFlight * std::min(adaptive_dt_, 0.02 * b.longest_flight)) {
         end(StatusCode::kZeno, time, "impacts accumulate", c.guard);
         status_.accumulation_time = ends;
         return false;
@@ -370,16 +386,16 @@ bool Simulator::judge_accumulation(int first, bool stays, double time, Recording
       b.last_flight = flight;
     }
     b.last_time = time;
-    ++b.hits;
-    if (plastic_[c.guard]) {  // what comes next is another story, unless it comes at once
-      const int hits = b.short_hits >= kShortHits ? 1 : 0;
+    ++b.impacts;
+    if (plastic_[c.guard]) {  // the count starts again, unless the next flights are short at once
+      const int hits = b.short_flights >= kChatterFlights ? 1 : 0;
       b = Bouncing();
-      b.hits = hits;
+      b.impacts = hits;
       b.last_time = time;
-      b.short_hits = hits * (kShortHits - 1);
+      b.short_flights = hits * (kChatterFlights - 1);
     }
   }
-  if (!any && stays && !holds()) {
+  if (!any && stays && !allows_persistent_contact()) {
     end(StatusCode::kZeno, time, "a contact stays closed", first);
     status_.accumulation_time = time;
     return false;

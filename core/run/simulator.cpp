@@ -9,12 +9,12 @@
 namespace contactvi {
 
 namespace {
-constexpr double kSeparated = 1e-13;  // of the event's speeds: closing slower than this is rounding
-constexpr double kShortest = 1e-6;    // of a step: halving ends there,
-constexpr int kMostHalvings = 4000;   // and after so many in one step
-constexpr int kEasySteps = 4;         // short steps in a row before a longer one is tried
-constexpr double kFlights = 20.0;     // a free step after a flight shorter than dt by so much again is so many flights,
-constexpr double kGrowth = 8.0;       // and grows by this while nothing happens
+constexpr double kSeparated = 1e-13;  // of the event's speeds: a slower closing speed is rounding
+constexpr double kShortest = 1e-6;    // of a step: steps are halved down to this length
+constexpr int kMostHalvings = 4000;   // and at most so often within one step
+constexpr int kEasySteps = 4;         // short steps solved one after the other before a longer one is tried
+constexpr double kFlights = 20.0;     // a free step after a short flight covers so many flights,
+constexpr double kGrowth = 8.0;       // and grows by this factor while there is no event
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 }  // namespace
 
@@ -43,7 +43,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
   const Elements& e = scene.tree.elements;
   dissipative_ = scene.tree.has_damping || !e.friction_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
   for (const PathSpring& spring : e.path_springs) dissipative_ |= spring.damping > 0.0;
-  accounts_ = dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0;
+  does_work_ = dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0;
 }
 
 bool Simulator::end(StatusCode code, double time, std::string message, int guard) {
@@ -57,11 +57,11 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   v_ = v;
   t0_ = time_ = t;
   step_ = halved_ = rejected_ = impacts_ = 0;
-  speed_scale_ = 0.0;
+  largest_speed_ = 0.0;
   reference_.step = -1;
-  trial_ = options_.dt;
-  easy_ = contact_easy_ = without_progress_ = 0;
-  contact_trial_ = contact_dt();
+  trial_dt_ = options_.dt;
+  solved_in_row_ = contact_solved_in_row_ = changes_without_progress_ = 0;
+  contact_trial_dt_ = contact_dt();
   contact_seconds_ = kinetic_ = 0.0;
   contact_step_.contacts().clear();
   contact_step_.restart();
@@ -78,11 +78,11 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   contact_step_.set_servo(&servo_);
   contact_step_.set_nominal(options_.dt);
   separated_.clear();
-  begun_.clear();
-  flight_trial_ = 0.0;
+  initial_changes_.clear();
+  flight_dt_ = 0.0;
   contact_step_.counters = ContactStepCounters();
-  sync_persistent();
-  adaptive_h_ = options_.dt;
+  update_persistent_guards();
+  adaptive_dt_ = options_.dt;
   integrator_.counters = StepCounters();
   integrator_.forget();
   guards_.counters = GuardCounters();
@@ -105,7 +105,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
       return status_;
     }
   }
-  if (holds()) hold_at_start();
+  if (allows_persistent_contact()) close_contacts_at_start();
   return status_;
 }
 
@@ -113,8 +113,8 @@ void Simulator::record_node(double t, Recording& recording) {
   recording.t.push_back(t);
   recording.q.insert(recording.q.end(), q_.data(), q_.data() + q_.size());
   recording.p.insert(recording.p.end(), p_.data(), p_.data() + p_.size());
-  if (!accounts_) return;
-  recording.work.insert(recording.work.end(), {work_.input, work_.damping, work_.joint_friction, work_.drive});
+  if (!does_work_) return;
+  recording.work.insert(recording.work.end(), {work_.input, work_.damping, work_.joint_friction, work_.driven});
   if (t > node_time_) {
     mean_reactions_ = reactions_ / (t - node_time_);
     reactions_.setZero();
@@ -138,10 +138,10 @@ void Simulator::record_segment(double t, double h, const VecX& p1, Recording& re
 }
 
 // True unless the caller asks to stop.
-bool Simulator::report(double time) {
+bool Simulator::report_progress(double time) {
   using Clock = std::chrono::steady_clock;
-  if (!*progress_ || Clock::now() - reported_ < std::chrono::milliseconds(100)) return true;
-  reported_ = Clock::now();
+  if (!*progress_ || Clock::now() - last_report_ < std::chrono::milliseconds(100)) return true;
+  last_report_ = Clock::now();
   return (*progress_)(time, impacts_) || end(StatusCode::kInterrupted, time, "interrupted");
 }
 
@@ -149,17 +149,17 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
                           Recording& recording) {
   status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
   VecX force;
-  accounts_ |= tau.rows() > 0;
+  does_work_ |= tau.rows() > 0;
   if (recording.t.empty()) record_node(time_, recording);
-  recording.changes.insert(recording.changes.end(), begun_.begin(), begun_.end());
-  begun_.clear();
-  reported_ = std::chrono::steady_clock::now();
+  recording.changes.insert(recording.changes.end(), initial_changes_.begin(), initial_changes_.end());
+  initial_changes_.clear();
+  last_report_ = std::chrono::steady_clock::now();
   progress_ = &progress;
   for (long k = 0; k < steps; ++k) {
     if (tau.rows() > 0) force = tau.row(k).transpose();
     set_actuation(force, target, k);
-    if (!interval(t0_ + static_cast<double>(step_) * options_.dt, options_.dt, force_, recording)) {
-      // The run ends inside of a step: its last node is the state there.
+    if (!advance_interval(t0_ + static_cast<double>(step_) * options_.dt, options_.dt, limited_tau_, recording)) {
+      // Where the run ends inside a step, its last node is the state there.
       if (status_.code != StatusCode::kNotFinite && status_.time > recording.t.back())
         record_node(status_.time, recording);
       return status_;
@@ -167,41 +167,42 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
     ++step_;
     time_ = t0_ + static_cast<double>(step_) * options_.dt;
     if (step_ % record_every == 0 || k + 1 == steps) record_node(time_, recording);
-    if (k % 64 == 63 && !report(time_)) return status_;
+    if (k % 64 == 63 && !report_progress(time_)) return status_;
   }
   status_.time = time_;
   return status_;
 }
 
-// A step of length h did not work out: shorter from here on.
-void Simulator::halve(double h) {
-  trial_ = 0.5 * h;
-  easy_ = 0;
+// After a step of length h that was not solved the next steps are half as long.
+void Simulator::halve_step(double h) {
+  trial_dt_ = 0.5 * h;
+  solved_in_row_ = 0;
   ++halved_;
 }
 
-// Smooth step of length h from (q_, p_) into (q1_, p1_); false also when it has to be tried shorter.
-bool Simulator::smooth_step(double time, double h, const VecX& tau, bool last_try) {
+// Solves the smooth step of length h from (q_, p_) into (q1_, p1_). False where it was not solved; with last_try or
+// after an error of a user's function the run has ended then.
+bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool last_try) {
   bool solved = integrator_.solve(q_, p_, h, tau);
-  while (solved && exceeds_effort(integrator_)) {
+  while (solved && saturate_servos(integrator_)) {
     integrator_.forget();
     solved = integrator_.solve(q_, p_, h, tau);
   }
   if (!solved) {
-    if (user_failed(time)) return false;
+    if (user_function_failed(time)) return false;
     if (!last_try) return false;
     const bool finite = q_.allFinite() && p_.allFinite();
     return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, time,
                std::string("the discrete Euler-Lagrange equation was not solved: ") + integrator_.why());
   }
-  truncation_ = std::max(truncation_, level_ > 0.0 ? integrator_.truncation() : 0.0);
+  truncation_ = std::max(truncation_, truncation_bound_ > 0.0 ? integrator_.truncation() : 0.0);
   integrator_.finish(q1_, p1_);
   if (guards_.count() > 0 || options_.dense) rates_ = integrator_.rates();
   integrator_.accept();
   return true;
 }
 
-bool Simulator::search_failed(Search outcome, double time) {
+bool Simulator::end_failed_search(Search outcome, double time) {
   if (outcome == Search::kNewtonFailed)
     return end(StatusCode::kNewtonFailed, time,
                std::string("a partial step to an event was not solved: ") + integrator_.why(), finder_.failed_guard());
@@ -210,69 +211,71 @@ bool Simulator::search_failed(Search outcome, double time) {
   return false;
 }
 
-// From start over length: steps as long as they can be, and what the events in them ask for.
-bool Simulator::interval(double start, double length, const VecX& tau, Recording& recording) {
-  Piece piece{start, length, 0.0, length, tau};
+// The interval of one control step: steps as long as they can be, with the events in them.
+bool Simulator::advance_interval(double start, double length, const VecX& tau, Recording& recording) {
+  Interval interval{start, length, 0.0, length, tau};
   const long halved = halved_;
-  long pieces = 0;
+  long parts = 0;
   sequence_.begin_step();
   sticks_located_ = 0;
   law_->start_step(q_, p_, reference_);
-  while (piece.remaining > 0.0) {
-    if (++pieces % 64 == 0 && !report(start + piece.done)) return false;
-    if (pieces > 1) limit_actuation();
-    if (!(contact_step_.empty() ? free_piece(piece, halved, recording) : contact_piece(piece, recording))) return false;
+  while (interval.remaining > 0.0) {
+    if (++parts % 64 == 0 && !report_progress(start + interval.done)) return false;
+    if (parts > 1) limit_actuation();
+    if (!(contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording)))
+      return false;
   }
   if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, start + length, "the state is not finite");
   return true;
 }
 
-// One smooth step, to the end of the interval or to an event.
-bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
-  const double at = piece.start + piece.done;
-  if (!recording.phase_t.empty()) note_phase(at, level_ > 0.0 ? adaptive_h_ : options_.dt, false, recording);
-  const double longest = flight_trial_ > 0.0 ? std::min(trial_, flight_trial_) : trial_;
-  const bool shorter = longest < piece.remaining * (1.0 - 1e-9);
-  const double h = shorter ? longest : piece.remaining;
-  const bool last_try = level_ > 0.0 || h < kShortest * options_.dt || halved_ - halved >= kMostHalvings;
+// One smooth step without contact, to the end of the interval or to an event in it.
+bool Simulator::advance_free(Interval& interval, long halved, Recording& recording) {
+  const double at = interval.start + interval.done;
+  if (!recording.phase_t.empty())
+    record_phase(at, truncation_bound_ > 0.0 ? adaptive_dt_ : options_.dt, false, recording);
+  const double longest = flight_dt_ > 0.0 ? std::min(trial_dt_, flight_dt_) : trial_dt_;
+  const bool shorter = longest < interval.remaining * (1.0 - 1e-9);
+  const double h = shorter ? longest : interval.remaining;
+  const bool last_try = truncation_bound_ > 0.0 || h < kShortest * options_.dt || halved_ - halved >= kMostHalvings;
   integrator_.set_time(at);
-  if (!smooth_step(at, h, piece.tau, last_try)) {
+  if (!solve_smooth_step(at, h, interval.tau, last_try)) {
     if (last_try || *scene_->tree.elements.failed) return false;
-    halve(h);
+    halve_step(h);
     return true;
   }
-  const double input = accounts_ ? integrator_.input_work() : 0.0,
-               damping = accounts_ ? integrator_.damping_loss() : 0.0;
+  const double input = does_work_ ? integrator_.input_work() : 0.0,
+               damping = does_work_ ? integrator_.damping_loss() : 0.0;
   Search found = Search::kNone;
   if (guards_.count() > 0) {
     path_.set(q_, h, rates_);
     finder_.set_stepper(integrator_);
-    found = finder_.search(q_, p_, q1_, p1_, h, piece.tau, path_);
+    found = finder_.search(q_, p_, q1_, p1_, h, interval.tau, path_);
   }
   if ((found == Search::kNewtonFailed || found == Search::kUnresolved) && !last_try) {
-    integrator_.forget();  // it had taken the step
-    halve(h);
+    integrator_.forget();  // solve_smooth_step has accepted the step
+    halve_step(h);
     return true;
   }
-  if (shorter && longest == trial_ && ++easy_ >= kEasySteps) {
-    trial_ *= 2.0;
-    easy_ = 0;
+  if (shorter && longest == trial_dt_ && ++solved_in_row_ >= kEasySteps) {
+    trial_dt_ *= 2.0;
+    solved_in_row_ = 0;
   }
   if (found == Search::kNone) {
     work_.input += input;
     work_.damping += damping;
-    flight_trial_ = kGrowth * flight_trial_ < options_.dt ? kGrowth * flight_trial_ : 0.0;
-    without_progress_ = 0;
+    flight_dt_ = kGrowth * flight_dt_ < options_.dt ? kGrowth * flight_dt_ : 0.0;
+    changes_without_progress_ = 0;
     record_segment(at, h, p1_, recording);
     q_.swap(q1_);
     p_.swap(p1_);
-    piece.done += h;
-    piece.remaining = shorter ? piece.length - piece.done : 0.0;
-    if (piece.remaining > 0.0)
-      law_->start_step(q_, p_, reference_);  // of a step that was cut every piece counts as one
+    interval.done += h;
+    interval.remaining = shorter ? interval.length - interval.done : 0.0;
+    if (interval.remaining > 0.0)
+      law_->start_step(q_, p_, reference_);  // each part of a step that was cut counts as a step of its own
     return true;
   }
-  if (found != Search::kFound) return search_failed(found, at);
+  if (found != Search::kFound) return end_failed_search(found, at);
   const Event& event = finder_.event();
   const double before = event.alpha * h;
   if (before > 0.0) {
@@ -282,27 +285,28 @@ bool Simulator::free_piece(Piece& piece, long halved, Recording& recording) {
   if (options_.dense && before > 0.0) rates_ = integrator_.rates();
   if (before > 0.0) record_segment(at, before, event.p, recording);
   integrator_.forget();
-  piece.done += before;
-  piece.remaining = event.alpha >= 1.0 && !shorter ? 0.0 : piece.length - piece.done;
+  interval.done += before;
+  interval.remaining = event.alpha >= 1.0 && !shorter ? 0.0 : interval.length - interval.done;
   q_ = event.q;
   p_ = event.p;
-  if (!resolve_event(event.guard, event.stays_closed, {at, before, piece.remaining, piece.tau, step_}, recording))
+  if (!resolve_event(event.guard, event.stays_closed, {at, before, interval.remaining, interval.tau, step_}, recording))
     return false;
-  if (before <= 0.0 && hit_.empty()) {
-    if (++without_progress_ > kMaxWithoutProgress)
+  if (before <= 0.0 && impacted_guards_.empty()) {
+    if (++changes_without_progress_ > kMaxWithoutProgress)
       return end(StatusCode::kTooManyImpacts, at, "contacts open and close without end at one instant", event.guard);
-    step_past(event.guard);
+    step_past_rounding(event.guard);
   }
-  // A path over the whole step would be too coarse to see the next flight.
+  // The polynomial of a whole step would be too coarse to show the next flight, if that is as short as the last one.
   const double flight = shortest_flight();
-  flight_trial_ =
+  flight_dt_ =
       !law_->implicit() && flight > 0.0 && kFlights * kFlights * flight < options_.dt ? kFlights * flight : 0.0;
-  // An implicit map has chosen its impulse for the rest of the step in one piece.
-  if (law_->implicit() && !hit_.empty()) trial_ = std::max(trial_, piece.remaining);
+  // An implicit map has chosen its impulse for the rest of the step, which therefore is solved as a whole.
+  if (law_->implicit() && !impacted_guards_.empty()) trial_dt_ = std::max(trial_dt_, interval.remaining);
   return true;
 }
 
-// The event of the guard `first` [at.time: start of the partial step that ends there]. persistent: it was touching.
+// The impacts at the event of the guard `first`. stays_closed: it was touching and has not separated since. at.time is
+// the start of the partial step that ends at the event.
 bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, Recording& recording) {
   const double time = at.time + at.before;
   const Instant now{time, at.before, at.after, at.tau, at.step};
@@ -313,23 +317,24 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
   if (!sequence_.collect(q_, p_, time, finder_.active(), first, contact_step_.contacts()))
     return end(sequence_.code(), time, sequence_.message());
   const double scale = sequence_.largest_speed(p_);
-  speed_scale_ = std::max(speed_scale_, scale);
-  find_accumulating(time);
-  // A contact that has not separated but by rounding is not hit again by what rounding left of its speed.
-  const bool rounding = (stays_closed || touched) && scale <= kSeparated * speed_scale_;
+  largest_speed_ = std::max(largest_speed_, scale);
+  find_accumulating_impacts(time);
+  // A contact that has separated by rounding only has no impact with the closing speed that rounding has left.
+  const bool rounding = (stays_closed || touched) && scale <= kSeparated * largest_speed_;
   const bool ran = rounding || run_impacts(now, recording);
   if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
-  if (!judge_accumulation(first, stays_closed || touched, time, recording)) return false;
+  if (!update_bouncing(first, stays_closed || touched, time, recording)) return false;
   bool any_hit = false;
-  for (int i = 0; i < sequence_.count(); ++i) any_hit |= sequence_.closed(i).hit;
-  // What closes again without a flight to be seen, though it separates, is held: the step decides.
-  if (holds()) hold_closed((stays_closed || touched) && !any_hit ? first : -1, time, at.tau, recording);
-  if (was_persistent && contact_step_.empty()) reanchor();
+  for (int i = 0; i < sequence_.count(); ++i) any_hit |= sequence_.closed(i).impacted;
+  // A contact that closes again without a flight becomes persistent even if it separates: the step decides.
+  if (allows_persistent_contact())
+    close_contacts((stays_closed || touched) && !any_hit ? first : -1, time, at.tau, recording);
+  if (was_persistent && contact_step_.empty()) resume_free_motion();
   return true;
 }
 
 // Free motion goes on where the last persistent contact has ended.
-void Simulator::reanchor() { law_->resume(free_state(), reference_); }
+void Simulator::resume_free_motion() { law_->resume(free_state(), reference_); }
 
 }  // namespace contactvi

@@ -1,23 +1,23 @@
-// Simulator: saving all that the rest of a run depends on, and going back to it.
+// Simulator: saves all that the rest of a run depends on, and restores it.
 #include "run/simulator.hpp"
 
 namespace contactvi {
 
 struct Simulator::Snapshot {
-  AdaptiveStart arc;
+  AdaptiveStart start;
   Integrator::Memory integrator;
-  ContactStep::Memory persistent;
+  ContactStep::Memory contact_step;
   EventFinder::Memory finder;
   Guards::Memory guards;
-  bool searched_persistent;
+  bool searched_contact_step;
   Status status;
   Servo servo;
   VecX mean_reactions;
-  double t0, trial, adaptive_h, flight_trial, contact_trial, contact_seconds, kinetic;
-  int easy, contact_easy, without_progress;
+  double t0, trial_dt, adaptive_dt, flight_dt, contact_trial_dt, contact_seconds, kinetic;
+  int solved_in_row, contact_solved_in_row, changes_without_progress;
   long halved, rejected, saturated;
-  std::vector<std::pair<int, std::int64_t>> left;
-  std::vector<ChangeRecord> begun;
+  std::vector<std::pair<int, std::int64_t>> separated;
+  std::vector<ChangeRecord> initial_changes;
   StepCounters step_counters;
   GuardCounters guard_counters;
   ContactStepCounters contact_counters;
@@ -34,20 +34,20 @@ std::shared_ptr<const Simulator::Snapshot> Simulator::save() {
                                                    servo_,
                                                    mean_reactions_,
                                                    t0_,
-                                                   trial_,
-                                                   adaptive_h_,
-                                                   flight_trial_,
-                                                   contact_trial_,
+                                                   trial_dt_,
+                                                   adaptive_dt_,
+                                                   flight_dt_,
+                                                   contact_trial_dt_,
                                                    contact_seconds_,
                                                    kinetic_,
-                                                   easy_,
-                                                   contact_easy_,
-                                                   without_progress_,
+                                                   solved_in_row_,
+                                                   contact_solved_in_row_,
+                                                   changes_without_progress_,
                                                    halved_,
                                                    rejected_,
                                                    saturated_,
                                                    separated_,
-                                                   begun_,
+                                                   initial_changes_,
                                                    integrator_.counters,
                                                    guards_.counters,
                                                    contact_step_.counters});
@@ -55,31 +55,31 @@ std::shared_ptr<const Simulator::Snapshot> Simulator::save() {
 
 void Simulator::restore(const Snapshot& s) {
   Recording none;
-  go_back(s.arc, none);
+  return_to(s.start, none);
   status_ = s.status;
   servo_ = s.servo;
   apply_servo();
   mean_reactions_ = s.mean_reactions;
   t0_ = s.t0;
-  trial_ = s.trial;
-  adaptive_h_ = s.adaptive_h;
-  flight_trial_ = s.flight_trial;
-  contact_trial_ = s.contact_trial;
+  trial_dt_ = s.trial_dt;
+  adaptive_dt_ = s.adaptive_dt;
+  flight_dt_ = s.flight_dt;
+  contact_trial_dt_ = s.contact_trial_dt;
   contact_seconds_ = s.contact_seconds;
   kinetic_ = s.kinetic;
-  easy_ = s.easy;
-  contact_easy_ = s.contact_easy;
-  without_progress_ = s.without_progress;
+  solved_in_row_ = s.solved_in_row;
+  contact_solved_in_row_ = s.contact_solved_in_row;
+  changes_without_progress_ = s.changes_without_progress;
   halved_ = s.halved;
   rejected_ = s.rejected;
   saturated_ = s.saturated;
-  separated_ = s.left;
-  begun_ = s.begun;
-  sync_persistent();
-  contact_step_.recall(s.persistent);
+  separated_ = s.separated;
+  initial_changes_ = s.initial_changes;
+  update_persistent_guards();
+  contact_step_.recall(s.contact_step);
   integrator_.recall(s.integrator);
-  finder_.set_stepper(s.searched_persistent ? static_cast<Stepper&>(contact_step_)
-                                            : static_cast<Stepper&>(integrator_));
+  finder_.set_stepper(s.searched_contact_step ? static_cast<Stepper&>(contact_step_)
+                                              : static_cast<Stepper&>(integrator_));
   finder_.recall(s.finder);
   guards_.recall(s.guards);
   integrator_.counters = s.step_counters;

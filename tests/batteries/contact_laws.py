@@ -1,6 +1,8 @@
-"""What every run with contact keeps, whatever it ended with: numbers, gaps, limits, impacts, contact rows, momentum.
+"""Laws that hold for every run with contact, whatever its status: finite numbers, gaps, limits, impacts, contact rows,
+momentum.
 
-Energy is in batteries.energy_laws. A law returns what broke it; none of them knows how the engine came to its results.
+Laws of the energy are in batteries.energy_laws. A law yields the violations that it finds; none of them uses the
+engine's own intermediate results.
 """
 
 from __future__ import annotations
@@ -15,12 +17,12 @@ import contactvi as cvi
 from contactvi.trajectory.contact_ledger import free_trees
 
 Array = np.ndarray
-EXPLICIT, HELD = 0, 5  # impact map "ctec" and the fallback to it while contacts are held, as in EventLog
+EXPLICIT = 0  # impact map "ctec", as in EventLog
 STICK, LIMIT = 0, 1  # mode and kind, as in ContactLog
-# [m]: closed forms; what coal iterates on, without and with a curved surface: by how much its distances are noise
+# [m] accuracy of gaps: of closed forms, and of distances that coal iterates, without and with a curved surface
 GAP, GAP_ITERATED, GAP_CURVED = 1e-10, 1e-8, 2.5e-8
-CONE = 1e-8  # of the largest impulse of the step: its contact problem is solved to 1e-9 of its terms, at worst
-# [m]: rounding of places, some tens of that of a metre, and of the distances that coal finds by iterations
+CONE = 1e-8  # of the largest impulse of the step: its contact problem is solved to 1e-9 of its terms at worst
+# [m] rounding of positions of some metres, and of the distances that coal iterates
 PLACE, PLACE_ITERATED = 1e-14, 1e-11
 COMPLEMENTARITY = 1e-12  # [N s m]
 ROUND, CURVED = ("Sphere", "Capsule"), ("Cylinder",)
@@ -28,7 +30,7 @@ ROUND, CURVED = ("Sphere", "Capsule"), ("Cylinder",)
 
 @dataclass
 class Finding:
-    """A law that a run broke: by how much, and where."""
+    """A law that a run violates: by how much, and where."""
 
     law: str
     value: float
@@ -39,7 +41,7 @@ class Finding:
 
 
 def worst(law: str, values: Array, bound: Array | float, times: Array) -> Iterator[Finding]:
-    """The largest value over its bound, if one is; NaN is over any bound."""
+    """The value that exceeds its bound most, if there is one; NaN exceeds any bound."""
     if len(values):
         excess = np.where(np.isnan(values), np.inf, values - bound)
         k = int(np.argmax(excess))
@@ -47,7 +49,7 @@ def worst(law: str, values: Array, bound: Array | float, times: Array) -> Iterat
             yield Finding(law, float(values[k]), f"t = {times[k]:.9g}")
 
 
-# --- numbers, places --------------------------------------------------------------------------------------------------
+# --- numbers, gaps --------------------------------------------------------------------------------------------------
 def number_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
     """No NaN in nodes, events and contact rows (no slip and no gap is known at the impacts of a limit)."""
     log, rows = traj.events, traj.contacts
@@ -94,7 +96,7 @@ def gap_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
 
 # --- impacts ----------------------------------------------------------------------------------------------------------
 def event_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
-    """Impacts are in order, close, push and separate, at contact; they take what their law says and never give."""
+    """Impacts are in order, at zero gap, close, push and separate; their energy loss is that of their law and >= 0."""
     log = traj.events
     if not len(log):
         return
@@ -112,14 +114,14 @@ def event_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
 
 
 def energy_at_impacts(traj: cvi.Trajectory) -> Iterator[Finding]:
-    """Of what closes at one instant, together: the impulses of a plastic problem are listed one after the other."""
+    """Energies of all impacts at one instant together: the impulses of one plastic problem are separate events."""
     a, core, ledger = traj.events.arrays, traj.scene.core(), traj.ledger
     times = a["time"]
     first = np.flatnonzero(np.append(True, np.diff(times) > 0.0))
     last = np.append(first[1:], len(times)) - 1
     before = core.energy(a["q"][first], a["p_minus"][first])[:, 0]
     after = core.energy(a["q"][last], a["p_plus"][last])[:, 0]
-    # CTEC, or where another map gave way to it. DTEC and MHC conserve their own scalars, T only to O(h^2).
+    # CTEC, or the fallback of another map to it. DTEC and MHC conserve their own scalars, and T only to O(h^2).
     explicit = np.logical_and.reduceat((a["fallback"] != 0) | (a["method"] == EXPLICIT), first)
     rounding = 1e-12 * before + 1e-15
     yield from worst("impact gains energy", (after - before)[explicit], rounding[explicit], times[first][explicit])
@@ -134,7 +136,7 @@ def energy_at_impacts(traj: cvi.Trajectory) -> Iterator[Finding]:
 def starts(log: cvi.ContactLog) -> tuple[Array, Array]:
     """Normals (m, 3) and gaps (m,) at the starts of the steps.
 
-    They are those of the same point at the end of the row before; NaN at its first one. Impacts have but one place.
+    They are those of the point at the end of the row before; NaN in the first row of a point. Impacts have one normal.
     """
     normal, gap = np.full_like(log.array("normal"), np.nan), np.full(len(log), np.nan)
     keys = [log.array(name) for name in ("kind", "index", "point")]
@@ -150,37 +152,37 @@ def starts(log: cvi.ContactLog) -> tuple[Array, Array]:
 
 
 def contact_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
-    """Of every row: it pushes, in contact, inside the friction cone; what is held stays, what sticks does not slip."""
+    """Every row pushes inside the friction cone; persistent contacts do not penetrate, sticking ones do not slip."""
     log = traj.contacts
     if not len(log):
         return
-    limit, held, t = log.array("kind") == LIMIT, log.h > 0.0, log.t
+    limit, persistent, t = log.array("kind") == LIMIT, log.h > 0.0, log.t
     pair = np.where(limit, 0, log.array("index"))
     known = len(traj.scene.pair_names) > 0
     mu = np.where(limit | (not known), 0.0, traj.scene.pair_friction[pair] if known else 0.0)
     overlap = np.where(limit | (not known), GAP, pair_tolerances(traj.scene)[pair] if known else GAP)
-    overlap = of_the_step(log, overlap)  # a step that holds an iterated pair is as good as that pair
+    overlap = of_the_step(log, overlap)  # a step with an iterated pair is as accurate as that pair
     normals, gaps = starts(log)
     sides = (("start", normals, gaps), ("end", log.array("normal"), log.array("gap")))
-    # a step's problem is solved to a part of all its impulses; places, to their rounding, make speeds over the step
+    # a step's problem is solved relative to all its impulses; the rounding of positions over the step is a speed
     sizes = np.maximum(*(np.linalg.norm(log.array(name), axis=1) for name in ("start", "end")))
     place = np.where(overlap > GAP, PLACE_ITERATED, PLACE)
-    rounding = CONE * of_the_step(log, sizes) + place * mass_of(traj) / np.where(held, log.h, 1.0)
+    rounding = CONE * of_the_step(log, sizes) + place * mass_of(traj) / np.where(persistent, log.h, 1.0)
     for name, normal, gap in sides:
-        unit = np.where(limit[:, None], [1.0, 0.0, 0.0], normal)  # a limit's impulse is its first component
-        kick = log.array(name)
-        along = np.einsum("ij,ij->i", kick, unit)
-        across = np.linalg.norm(kick - along[:, None] * unit, axis=1)
+        unit = np.where(limit[:, None], [1.0, 0.0, 0.0], normal)  # the impulse of a limit is its first component
+        impulse = log.array(name)
+        along = np.einsum("ij,ij->i", impulse, unit)
+        across = np.linalg.norm(impulse - along[:, None] * unit, axis=1)
         k = np.isfinite(along)
         yield from worst(f"impulse pulls ({name})", -along[k], rounding[k], t[k])
         yield from worst(f"cone ({name})", (across - mu * along)[k], rounding[k], t[k])
-        k &= held & np.isfinite(gap)
+        k &= persistent & np.isfinite(gap)
         yield from worst(
             f"complementarity ({name})", np.abs(along * gap)[k], np.maximum(overlap * along, COMPLEMENTARITY)[k], t[k]
         )
-    yield from worst("gap of a held point", -log.array("gap")[held], overlap[held], t[held])
-    stuck = held & (log.array("mode") == STICK) & ~limit
-    yield from worst("slip where it sticks", np.linalg.norm(log.array("slip")[stuck], axis=1), 1e-9, t[stuck])
+    yield from worst("gap of a persistent contact", -log.array("gap")[persistent], overlap[persistent], t[persistent])
+    sticking = persistent & (log.array("mode") == STICK) & ~limit
+    yield from worst("slip where it sticks", np.linalg.norm(log.array("slip")[sticking], axis=1), 1e-9, t[sticking])
 
 
 def of_the_step(log: cvi.ContactLog, values: Array) -> Array:
@@ -192,7 +194,7 @@ def of_the_step(log: cvi.ContactLog, values: Array) -> Array:
 
 
 def mass_of(traj: cvi.Trajectory) -> float:
-    """Of the heaviest body [kg]."""
+    """Mass of the heaviest body [kg]."""
     return max(inertia.mass for inertia in traj.scene.model.inertias)
 
 
@@ -215,13 +217,13 @@ def momentum_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
         np.add.at(size, log.array("step")[rows], np.linalg.norm(impulses, axis=1))
         weight = tree.mass * np.diff(traj.t)[:, None] * gravity
         rest = np.linalg.norm(np.diff(momentum, axis=0) - weight - pushed, axis=1)
-        # what a step is solved to (1e-12, relative), of the momentum and of all that is summed
+        # steps are solved to 1e-12, relative to the momentum and to all terms of the sum
         bound = 1e-11 * (np.abs(momentum).max() + size + tree.mass * 1e-3)
         yield from worst(f"momentum (v index {tree.idx_v})", rest, bound, traj.t[1:])
 
 
 def broken(traj: cvi.Trajectory) -> list[Finding]:
-    """All laws but those of energy over steps; NaN hides what comes after it."""
+    """Violations of all laws but those of energy over steps; after NaN only those of the numbers."""
     found = list(number_laws(traj))
     if not found:
         found = [*gap_laws(traj), *event_laws(traj), *contact_laws(traj), *momentum_laws(traj)]

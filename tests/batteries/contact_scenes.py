@@ -73,7 +73,7 @@ def solid(rng: np.random.Generator, kind: str, size: float = 0.1) -> tuple[Any, 
 
 
 def radius_of(shape: Any) -> float:
-    """Radius of a ball about the shape's origin that holds it [m]."""
+    """Radius of a ball about the origin of a shape that contains it [m]."""
     shape.computeLocalAABB()
     box = shape.aabb_local
     return float(np.linalg.norm(np.maximum(np.abs(box.min_), np.abs(box.max_))))
@@ -330,7 +330,7 @@ def draw(family: str, seed: int, duration: float = 1.0, **chosen: Any) -> Drawn:
         settings["restitution"] = max(settings["restitution"], 0.3)  # DTEC refuses plastic impacts
     scene, q, v = FAMILIES[family](rng)
     if np.any(scene.model.damping > 0.0):
-        settings["mhc_reference"] = "local"  # what a damped run could conserve from its start is not there
+        settings["mhc_reference"] = "local"  # the global reference needs a conservative scene
     scene.set_contact(restitution=settings.pop("restitution"), friction=settings.pop("friction"))
     dt = settings["dt"]
     options = {**settings, "duration": max(1, round(duration / dt)) * dt, "max_impacts_per_step": 5000}

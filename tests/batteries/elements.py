@@ -1,6 +1,6 @@
-"""What can be put on a scene that pushes, drives and closes, drawn at random: one function per kind of element.
+"""Random elements of a scene (forces, prescribed motions, constraints): one function per kind of element.
 
-Constraints are made where the bodies are at the start, so every start is on them.
+Constraints are made at the positions of the bodies at the start, so that every start satisfies them.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from batteries.contact_scenes import WORLD, random_turn
 
 @dataclass
 class Built:
-    """A scene as it is put together: its start, the bodies, the joints with one number, what was put on them.
+    """A scene under construction: its start, its bodies, its joints with one coordinate, and its elements.
 
-    drives : elements that prescribe a motion. inputs : something else puts energy in. constrained : there are
-    constraints or dry friction. python : there are functions of the user. closed : nothing but contact, gravity and
-    `pushes` [N] (constant forces) acts on the sum of all bodies, which all are free.
+    driven_elements: names of the elements that prescribe a motion. inputs: something else does work. constrained: there
+    are constraints or joint friction. python: there are functions of the user. closed: all bodies are free, and only
+    contact, gravity and `pushes` [N] (constant forces) change the sum of their momenta.
     """
 
     rng: np.random.Generator
@@ -30,7 +30,7 @@ class Built:
     v: np.ndarray
     bodies: list[str]
     joints: list[str]
-    drives: list[str] = field(default_factory=list)
+    driven_elements: list[str] = field(default_factory=list)
     inputs: bool = False
     constrained: bool = False
     python: bool = False
@@ -41,14 +41,14 @@ class Built:
     @property
     def driven(self) -> bool:
         """Whether a motion is prescribed."""
-        return bool(self.drives)
+        return bool(self.driven_elements)
 
     def value(self, joint: str) -> float:
-        """The joint's number at the start [rad or m]."""
+        """Coordinate of the joint at the start [rad or m]."""
         return float(self.q[self.scene.q_index(joint)][0])
 
     def place(self, body: str) -> pin.SE3:
-        """Of a body at the start; bodies are named by their joints."""
+        """Pose of a body at the start; bodies are named by their joints."""
         if body == "world":
             return WORLD
         model = self.scene.model
@@ -77,7 +77,7 @@ def damping(b: Built) -> None:
     b.closed &= bool(b.joints)
 
 
-def dry(b: Built) -> None:
+def joint_friction(b: Built) -> None:
     for joint in b.joints:
         if b.rng.integers(2):
             b.scene.set_joint(joint, friction=float(b.rng.choice([0.05, 1.0, 100.0])))
@@ -132,7 +132,7 @@ def drag(b: Built) -> None:
 
 
 def well(b: Built) -> None:
-    """k/2 |x - x0|^2 of one joint, or of the place of one free body."""
+    """k/2 |x - x0|^2 of one joint, or of the position of one free body."""
     k = float(b.rng.choice([5.0, 100.0]))
     name = str(b.rng.choice(b.joints or b.bodies))
     index, dof, nv = b.scene.q_index(name).start, b.scene.v_index(name).start, b.scene.nv
@@ -173,7 +173,7 @@ def prescribe(b: Built, joint: str = "") -> None:
     b.scene.prescribe(
         joint, lambda t: (x0 + a * math.sin(w * t), a * w * math.cos(w * t), -a * w * w * math.sin(w * t)), name="drive"
     )
-    b.drives.append("drive")
+    b.driven_elements.append("drive")
     b.constrained = b.python = True
 
 
@@ -186,7 +186,7 @@ def distance(b: Built, winch: bool = False) -> None:
     name = b.scene.add_distance(one, two, *points, motion[0] if winch else length)
     b.constrained = True
     b.python |= winch
-    b.drives += [name] * winch
+    b.driven_elements += [name] * winch
 
 
 def winch(b: Built) -> None:
@@ -223,7 +223,7 @@ def equality(b: Built) -> None:
 
 
 def twice(b: Built) -> None:
-    """Some constraint again, under another name: it says nothing new."""
+    """Some constraint again, under another name: a redundant one."""
     known = [e for e in b.scene.elements if e.kind in ("point", "weld", "distance", "screw", "equality")]
     if known:
         e = known[int(b.rng.integers(len(known)))]
@@ -238,5 +238,5 @@ def twice(b: Built) -> None:
 
 
 FORCES = (damping, spring, tape, push, shake, drag, well)
-JOINT_FORCES = (*FORCES, dry, polynomial, servo)
+JOINT_FORCES = (*FORCES, joint_friction, polynomial, servo)
 CLOSED = (distance, winch, point, weld, screw)

@@ -1,10 +1,11 @@
 """Energy of a run with contact: it never rises by more than the error of a midpoint step.
 
-A step of length h errs in the energy of what turns at a rate Omega by at most (h Omega)^2 / 12 of that energy (the
-midpoint rule on an oscillator). Three rates count: at which bodies turn, at which a contact point runs over the
-body (a rim that falls flat runs fast though the body hardly turns) and sqrt(g / R) of gravity, R the least of all
-radii; a quarter is three twelfths. What joints and springs add is the difference of the step's modified Hamiltonian,
-at both ends. None of these rates grows by an impact or a held step that is wrong: what it gains shows against them.
+For a motion that turns at a rate Omega the energy error of a step of length h is at most (h Omega)^2 / 12 of that
+energy (the midpoint rule on an oscillator). Three rates count: that at which bodies turn, that at which a contact
+point moves over the body (fast for a rim that falls flat though the body hardly turns) and sqrt(g / R) of gravity, R
+the least of all radii; a quarter is three twelfths. The part of joints and springs is the difference of the step's
+modified Hamiltonian at both ends. A wrong impact or contact step raises none of these rates, so that its gain exceeds
+the bound.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def turning_rates(traj: cvi.Trajectory) -> Array:
 
 
 def running_rates(traj: cvi.Trajectory, radius: float) -> Array:
-    """At which contact points run, speed / radius, largest of each step [1/s], shape (N - 1,)."""
+    """Speed of the contact points over the body / radius, the largest of each step [1/s], shape (N - 1,)."""
     log, steps = traj.contacts, len(traj.t) - 1
     keys = [log.array(name) for name in ("kind", "index", "point")]
     order = np.lexsort((log.h, log.t, *keys))
@@ -53,16 +54,16 @@ def half_extent(shape: Any) -> float:
 
 
 def allowed_rises(traj: cvi.Trajectory, dt: float) -> Array:
-    """By how much H may rise in each step [J], shape (N - 1,); dt: length of held steps [s], the longest there are."""
+    """Bound on the rise of H in each step [J], shape (N - 1,). dt: longest step in persistent contact [s]."""
     shapes = (g.geometry for g in traj.scene.collision_model.geometryObjects)
     radius = min(half_extent(shape) for shape in shapes if not isinstance(shape, coal.Halfspace))
     turning, kinetic = turning_rates(traj), traj.kinetic_energy
     turning, kinetic = np.maximum(turning[1:], turning[:-1]), np.maximum(kinetic[1:], kinetic[:-1])
-    running = np.minimum(dt * running_rates(traj, radius), 1.0)  # a radian a step is as coarse as it gets
+    running = np.minimum(dt * running_rates(traj, radius), 1.0)  # one radian a step at most
     angles = dt**2 * (turning**2 + GRAVITY / radius) + running**2
     moving, resting = modification(traj, dt)
     forces = np.abs(np.diff(resting))
-    if traj.events.method == "dtec":  # it compares steps of different lengths, in which forces do not err the same
+    if traj.events.method == "dtec":  # it compares steps of different lengths, whose force errors differ
         forces += np.abs(resting[1:]) + np.abs(resting[:-1])
     weight = GRAVITY * sum(inertia.mass for inertia in traj.scene.model.inertias)
     rounding = 1e-12 * kinetic.max() + 1e-14 * np.abs(traj.energy).max() + GAP * weight  # gaps within their tolerance

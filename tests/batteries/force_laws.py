@@ -1,7 +1,7 @@
-"""What every run with forces and constraints keeps, beyond the laws of contact in contact_laws.
+"""Laws that hold for every run with forces and constraints, besides the laws of contact in contact_laws.
 
-Constraints at position and velocity level, restitution in constrained systems, work that is taken, stick without creep,
-effort limits, momentum, energy. None of the laws knows how the engine came to its results.
+Constraints at position and velocity level, restitution in constrained systems, dissipated work, stick without creep,
+effort limits, momentum, energy. None of the laws uses the engine's own intermediate results.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ from batteries.contact_laws import Array, Finding, worst
 from batteries.elements import Built
 from batteries.energy_laws import turning_rates
 
-PHI = 1e-10  # [m, rad] what the project asks of every node
+PHI = 1e-10  # [m, rad] to which constraints are satisfied at every node
 # [m/s, rad/s] of 1 + |v|: momenta are solved to 1e-12, and the constraints' gradients may nearly depend on each other
 RATE = 1e-9
-# of 1 + |gamma_minus|: p_plus is the sum of some tens of numbers, seen through the inverse of the mass
+# of 1 + |gamma_minus|: rounding of p_plus, a sum of some tens of terms, multiplied by the inverse mass matrix
 GAMMA = 1e-10
-SINGULAR = 1e-6  # constraints whose gradients depend on each other up to this say nothing of the velocity beside them
 STILL = 1e-12  # [m/s, rad/s] of a joint that sticks: rounding of momenta over the mass
-CREEP = 1e-12  # [m, rad] over all of a rest: rounding of places where constraints are met again in every step
+CREEP = 1e-12  # [m, rad] over a whole rest: rounding of positions, where every step satisfies constraints anew
 
 
 def constraint_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
@@ -53,7 +52,7 @@ def rates(core: Any, q: Array, v: Array, t: float) -> Array:
 
 
 def gradients(traj: cvi.Trajectory) -> Array:
-    """Of the gaps at the impacts, shape (n, nv)."""
+    """Gradients of the gaps at the impacts, shape (n, nv)."""
     log, core, model = traj.events, traj.scene.core(), traj.scene.model
     rows = np.zeros((len(log), model.nv))
     for k, (kind, index, q) in enumerate(zip(*(log.array(n) for n in ("kind", "index", "q")), strict=True)):
@@ -65,7 +64,7 @@ def gradients(traj: cvi.Trajectory) -> Array:
 
 
 def restitution_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
-    """Of single points without friction: gamma+ = -e gamma-, e the pair's own or 0; only what touches is pushed."""
+    """Single points without friction: gamma+ = -e gamma-, e of the pair or 0; the impulse is along the gradient."""
     log, core = traj.events, traj.scene.core()
     if not len(log):
         return
@@ -87,48 +86,48 @@ def restitution_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
     rest = np.zeros(len(log))
     for i in np.flatnonzero(single):
         rows = np.vstack([W[i], core.constraint_jacobian(a["q"][i], t[i])]) if traj.constraints else W[i : i + 1]
-        kick = a["p_plus"][i] - a["p_minus"][i]
-        rest[i] = np.linalg.norm(kick - rows.T @ np.linalg.lstsq(rows.T, kick, rcond=None)[0])
-        rest[i] /= 1e-3 + np.linalg.norm(kick)
-    if not np.any(traj.scene.built().arrays.joint_friction):
+        impulse = a["p_plus"][i] - a["p_minus"][i]
+        rest[i] = np.linalg.norm(impulse - rows.T @ np.linalg.lstsq(rows.T, impulse, rcond=None)[0])
+        rest[i] /= 1e-3 + np.linalg.norm(impulse)
+    if not np.any(traj.scene._complete().arrays.dry_friction):
         yield from worst("an impulse from elsewhere", rest[single], GAMMA, t[single])
 
 
 def own_restitution(traj: cvi.Trajectory) -> Array:
-    """What the scene says of the contacts of the impacts, shape (n,)."""
-    log, arrays = traj.events, traj.scene.built().arrays
+    """Restitution that the scene gives for the contacts of the impacts, shape (n,)."""
+    log, arrays = traj.events, traj.scene._complete().arrays
     pairs = traj.scene.pair_restitution
     kinds = zip(log.array("kind"), log.array("index"), strict=True)
     return np.array([arrays.limit_restitution[i // 2] if kind else pairs[i] for kind, i in kinds])
 
 
 def work_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
-    """Damping and dry friction only take; nothing puts in what is not there."""
+    """Damping and joint friction dissipate; without inputs and prescribed motions they do no work."""
     work, size = traj.work, np.abs(traj.energy).max()
     for name in ("damping", "dry"):
         yield from worst(f"{name} gives", -np.diff(getattr(work, name)), 1e-13 * size, traj.t[1:])
     if not b.inputs:
         yield from worst("input without any", np.abs(work.input), 0.0, traj.t)
     if not b.driven:
-        yield from worst("drive without any", np.abs(work.drive), 1e-9 * size, traj.t)
+        yield from worst("work of a prescribed motion without any", np.abs(work.prescribed), 1e-9 * size, traj.t)
 
 
 def rest_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
-    """A joint that dry friction holds stays where it is, until an impact."""
-    model, limits = traj.scene.model, traj.scene.built().arrays.joint_friction
+    """A joint that sticks by its friction does not move until an impact."""
+    model, limits = traj.scene.model, traj.scene._complete().arrays.dry_friction
     for joint in model.joints[1:]:
         if joint.nv == 1 and limits[joint.idx_v] > 0.0:
             q, still = traj.q[:, joint.idx_q], np.abs(traj.v[:, joint.idx_v]) <= STILL
             ends = np.flatnonzero(~still | np.isin(np.arange(len(q)) - 1, traj.events.array("step")))
             for nodes in np.split(np.arange(len(q)), ends):
                 inner = nodes[still[nodes]]
-                inner = inner[: None if still[-1] and len(q) - 1 in inner else -1]  # where it begins to slip
+                inner = inner[: None if still[-1] and len(q) - 1 in inner else -1]  # at the last node it begins to slip
                 yield from worst("creep", np.abs(q[inner] - q[inner[:1]]), CREEP, traj.t[inner])
 
 
 def effort_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
-    """Where servos alone put work in: not more than effort times the way, in steps without impacts."""
-    kp, kd, effort = traj.scene.built().arrays.servo
+    """Where only servos do work it is at most effort times displacement, in steps without impacts."""
+    kp, kd, effort = traj.scene._complete().arrays.servo
     used = np.flatnonzero((kp > 0.0) | (kd > 0.0))
     others = {"push", "shake", "drag"} & set(b.elements)
     if not len(used) or others:
@@ -142,7 +141,7 @@ def effort_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
 
 
 def momentum_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
-    """Of free bodies: the sum of their momenta changes by weights, pushes and what ground and walls do."""
+    """The total momentum of free bodies changes by weights, constant forces and the impulses of ground and walls."""
     log, model = traj.contacts, traj.scene.model
     if not b.closed or len(traj.t) < 2:
         return
@@ -162,13 +161,13 @@ def momentum_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
     mass = sum(inertia.mass for inertia in model.inertias)
     known = np.diff(traj.t)[:, None] * (mass * np.array(model.gravity.linear) + b.pushes) + pushed
     rest = np.linalg.norm(np.diff(momentum, axis=0) - known, axis=1)
-    # what a step is solved to (1e-12, relative), of all momenta and of all that is summed
+    # steps are solved to 1e-12, relative to all momenta and to all terms of the sum
     bound = 1e-11 * (np.abs(traj.p).max() + size + mass * 1e-3)
     yield from worst("momentum of all", rest, bound, traj.t[1:])
 
 
-def drive_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
-    """The reaction of a driven slide is what the momentum of all that hangs on it along it and the contacts ask for."""
+def reaction_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
+    """The reaction of a driven slide is the change of momentum along it of all its bodies less the impulses on them."""
     model, log = traj.scene.model, traj.contacts
     if "slide" not in list(model.names) or len(traj.t) < 2:
         return
@@ -185,7 +184,7 @@ def drive_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
     p = traj.p[:, model.joints[root].idx_v]
     impulse = traj.reactions("drive")[1:, 0] * np.diff(traj.t)
     bound = 1e-10 * (np.abs(traj.p).max() + size + np.abs(impulse))
-    yield from worst("reaction of a drive", np.abs(np.diff(p) - impulse - pushed), bound, traj.t[1:])
+    yield from worst("reaction of a prescribed motion", np.abs(np.diff(p) - impulse - pushed), bound, traj.t[1:])
 
 
 def energy_scale(traj: cvi.Trajectory) -> float:
@@ -202,10 +201,10 @@ def rate_of(traj: cvi.Trajectory, dt: float) -> float:
 
 
 def energy_laws(traj: cvi.Trajectory, b: Built, dt: float) -> Iterator[Finding]:
-    """H - H(0) = inputs + drives - damping - dry friction - losses of friction and impacts, to O(h^2).
+    """H - H(0) = work of inputs and prescribed motions - damping - joint friction - losses of contact, to O(h^2).
 
-    (h Omega)^2 of the energy: 0.46 of it is the most of 640 scenes. What takes only takes, so with it the energy of a
-    run without inputs and drives does not rise by more than twice that.
+    The bound is (h Omega)^2 of the energy; the largest error of 640 scenes was 0.46 of it. In a run without inputs and
+    prescribed motions the energy does not rise by more than twice the bound.
     """
     if len(traj.t) < 3:
         return
@@ -217,9 +216,10 @@ def energy_laws(traj: cvi.Trajectory, b: Built, dt: float) -> Iterator[Finding]:
 
 
 def force_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
-    """Nothing pushes out of all proportion: what constraints and contacts leave open between them is not noise.
+    """Contact forces and reactions are bounded also where constraints and contacts do not determine them uniquely.
 
-    Bound: a thousand times (a toggle of 1 mrad) what stops all that moves and carries its weight in a step.
+    The bound is a thousand times (a toggle joint at 1 mrad) the impulse that stops all motion and bears the weight in a
+    step.
     """
     log, dt = traj.contacts, traj.options.fixed_dt
     if b.driven or len(traj.t) < 2:
@@ -234,27 +234,28 @@ def force_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
 
 
 def jams(traj: cvi.Trajectory, b: Built) -> bool:
-    """Whether what is driven came to where there is no way on: its energy grew without bound in the last step."""
+    """Whether a prescribed motion jammed: the energy of the run grew without bound in its last step."""
     kinetic = traj.kinetic_energy
     return b.driven and not traj.status.ok and bool(kinetic[-1] > 1e3 * np.median(kinetic))
 
 
 def contact_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
-    """Those of batteries.contact_laws; what is driven may gain in an impact."""
+    """The laws of batteries.contact_laws; prescribed motions may do work in an impact."""
     found = [*laws_of_contact.gap_laws(traj), *laws_of_contact.event_laws(traj), *laws_of_contact.contact_laws(traj)]
     yield from (f for f in found if not (b.driven and f.law in ("impact gains energy", "loss < 0")))
 
 
 def broken(traj: cvi.Trajectory, b: Built) -> list[Finding]:
-    """All laws but those that need a second run; NaN hides what comes after it.
+    """Violations of all laws but those that need a second run; after NaN only those of the numbers.
 
-    Energy is that of runs that came to their end; nothing is asked of what jams but numbers that are numbers.
+    The energy laws are for runs that reached their end; for one that jams only the laws of the numbers.
     """
     found = list(laws_of_contact.number_laws(traj))
     if not found and not jams(traj, b):
         found = [
             *contact_laws(traj, b), *constraint_laws(traj), *restitution_laws(traj), *work_laws(traj, b),
-            *rest_laws(traj), *effort_laws(traj, b), *momentum_laws(traj, b), *drive_laws(traj), *force_laws(traj, b),
+            *rest_laws(traj), *effort_laws(traj, b), *momentum_laws(traj, b), *reaction_laws(traj),
+            *force_laws(traj, b),
         ]  # fmt: skip
         if traj.status.ok:
             found += energy_laws(traj, b, traj.options.fixed_dt)

@@ -14,18 +14,18 @@ import contactvi as cvi
 from batteries import force_laws, force_scenes, runner
 from batteries.runner import Report
 
-SLOW = 2e-2  # [s] of a step, in the mean; twenty times what is usual for steps with impacts in them
+SLOW = 2e-2  # [s] mean wall time of a step; twenty times that of usual steps with impacts
 
 
 def expected(drawn: force_scenes.Drawn, traj: cvi.Trajectory) -> bool:
-    """Whether a run may end like this: DTEC has no answer where impacts accumulate, a drive none where it jams."""
+    """Whether a run may end with its status: DTEC where impacts accumulate, a driven constraint where it jams."""
     code = traj.status.code.name
     jammed = force_laws.jams(traj, drawn.built) or (drawn.built.driven and code == "CONSTRAINT")
-    return code in runner.ENDINGS[drawn.options["impact"]] or jammed
+    return code in runner.ALLOWED_STATUSES[drawn.options["impact"]] or jammed
 
 
 def examine(family: str, seed: int, **chosen: Any) -> Report:
-    """Run one drawn scene and hold it to all laws."""
+    """Run one drawn scene and check all laws."""
     drawn = force_scenes.draw(family, seed, **chosen)
     start = time.perf_counter()
     traj = cvi.simulate(drawn.built.scene, drawn.q, drawn.v, throw=False, **drawn.options)
@@ -36,12 +36,12 @@ def examine(family: str, seed: int, **chosen: Any) -> Report:
     if stats.seconds > SLOW * (stats.steps + 1):
         found.append(f"slow: {1e3 * stats.seconds / (stats.steps + 1):.3g} ms a step")
     return Report(
-        str(drawn), traj.status.code.name, found, traj.status.time, len(traj.events), stats.held_steps, seconds
+        str(drawn), traj.status.code.name, found, traj.status.time, len(traj.events), stats.contact_steps, seconds
     )
 
 
 def balance(family: str, seed: int, dt: float, **chosen: Any) -> float | None:
-    """What of the energy of a run of .2 s is not accounted for, relative; None where it did not come to its end."""
+    """Relative error of the energy balance of a run of .2 s; None where the run ended early."""
     drawn = force_scenes.draw(family, seed, 0.2, dt=dt, impact="ctec", order=2, **chosen)
     traj = cvi.simulate(drawn.built.scene, drawn.q, drawn.v, throw=False, **drawn.options)
     if not traj.status.ok:
@@ -58,7 +58,7 @@ def arrays(simulator: cvi.Simulator) -> list[np.ndarray]:
 
 
 def made_again(family: str, seed: int) -> list[str]:
-    """Which of a second run, one from a snapshot, one of a copy, and `simulate` differ from a run by a bit."""
+    """Which of a second run, a run from a snapshot, a run of a copy and `simulate` differ from a run in any bit."""
     drawn = force_scenes.draw(family, seed, 0.12)
     options = dict(drawn.options)
     steps = round(options.pop("duration") / options["dt"])

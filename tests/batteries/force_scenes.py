@@ -1,4 +1,4 @@
-"""Random scenes with everything that pushes, drives and closes, together with contact, by family and seed.
+"""Random scenes with forces, prescribed motions, constraints and contact, by family and seed.
 
 Bodies of 0.1 to 0.3 m and 0.3 to 30 kg, arms with limits, ground and walls; on them any of the elements of
 elements.
@@ -109,8 +109,8 @@ def arm(rng: np.random.Generator, chosen: tuple = JOINT_FORCES, root: str = "") 
 
 
 def smooth(rng: np.random.Generator) -> Built:
-    """Without constraints and dry friction, so that all orders and maps apply."""
-    return arm(rng, tuple(force for force in JOINT_FORCES if force is not e.dry))
+    """Without constraints and joint friction, so that all orders and maps apply."""
+    return arm(rng, tuple(force for force in JOINT_FORCES if force is not e.joint_friction))
 
 
 def closed_arm(rng: np.random.Generator) -> Built:
@@ -167,8 +167,8 @@ def pushed(rng: np.random.Generator) -> Built:
         p.pairs.append(("shape of slide", f"shape of body{k}"))
     b = p.built([], 0.0, 0.0)
     e.prescribe(b, "slide")
-    b.joints.remove("slide")  # nothing else acts on it
-    return put(b, (e.damping, e.dry, e.polynomial, e.servo), 2)
+    b.joints.remove("slide")  # no other element acts on it
+    return put(b, (e.damping, e.joint_friction, e.polynomial, e.servo), 2)
 
 
 def kinds(rng: np.random.Generator) -> Built:
@@ -189,7 +189,9 @@ def kinds(rng: np.random.Generator) -> Built:
     joints = [name for name in names if model.nqs[model.getJointId(name)] == 1]
     b = Built(rng, scene, q, rng.uniform(-1, 1, model.nv), names, joints, closed=False)
     return put(
-        b, (e.spring, e.tape, e.push, e.shake, e.drag, e.distance, e.point, *((e.dry, e.servo) * bool(joints))), 3
+        b,
+        (e.spring, e.tape, e.push, e.shake, e.drag, e.distance, e.point, *((e.joint_friction, e.servo) * bool(joints))),
+        3,
     )
 
 
@@ -197,7 +199,7 @@ def put(b: Built, chosen: tuple, at_most: int) -> Built:
     """Put up to `at_most` of the elements on the scene, at least one."""
     for _ in range(int(b.rng.integers(1, at_most + 1))):
         element = chosen[int(b.rng.integers(len(chosen)))]
-        needs = {e.equality: 2, e.prescribe: 1, e.dry: 1, e.polynomial: 1, e.servo: 1}.get(element, 0)
+        needs = {e.equality: 2, e.prescribe: 1, e.joint_friction: 1, e.polynomial: 1, e.servo: 1}.get(element, 0)
         if len(b.joints) >= needs and (element is not e.prescribe or not b.driven):
             element(b)
             b.elements.append(element.__name__)
@@ -247,9 +249,9 @@ def draw(family: str, seed: int, duration: float = DURATION, **chosen: Any) -> D
         options["dt_contact"] = dt
     try:
         v = b.scene.consistent_velocity(b.q, b.v)
-    except cvi.ConstraintError:  # what is driven cannot move like that
-        for name in b.drives:
+    except cvi.ConstraintError:  # the constraints do not allow the prescribed motion
+        for name in b.driven_elements:
             b.scene.remove(name)
-        b.drives.clear()
+        b.driven_elements.clear()
         v = b.scene.consistent_velocity(b.q, b.v)
     return Drawn(family, seed, b, b.q, v, options)

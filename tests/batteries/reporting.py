@@ -11,10 +11,10 @@ from batteries.runner import Report
 
 
 def table(reports: dict[str, list[Report]]) -> str:
-    """Runs, impacts, held steps, seconds and statuses of each family and of all."""
-    rows = [f"{'family':8}{'runs':>6}{'impacts':>10}{'held steps':>12}{'seconds':>9}  statuses"]
+    """Runs, impacts, contact steps, seconds and statuses of each family and of all."""
+    rows = [f"{'family':8}{'runs':>6}{'impacts':>10}{'contact steps':>15}{'seconds':>9}  statuses"]
     for family, these in [*reports.items(), ("all", list(itertools.chain(*reports.values())))]:
-        sums = [sum(getattr(r, name) for r in these) for name in ("impacts", "held_steps", "seconds")]
+        sums = [sum(getattr(r, name) for r in these) for name in ("impacts", "contact_steps", "seconds")]
         statuses = ", ".join(f"{n} {status}" for status, n in Counter(r.status for r in these).most_common())
         rows.append(f"{family:8}{len(these):6}{sums[0]:10}{sums[1]:12}{sums[2]:9.1f}  {statuses}")
     return "\n".join(rows)

@@ -1,7 +1,7 @@
-"""Runs of the battery in a process of their own: what hangs or crashes is a finding, not the end of the tests.
+"""Runs of the battery in a process of their own: a run that hangs or crashes is a finding, not the end of the tests.
 
-As a program: reads one request a line (JSON: family, seed and settings of contact_scenes.draw), runs it, holds it to
-all laws, writes one line of JSON.
+As a program: reads one request a line (JSON: family, seed and settings of contact_scenes.draw), makes the run, checks
+all laws, and writes one line of JSON.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-# DTEC refuses contact that lasts: with ZENO where it sees impacts accumulate, else at the limit of impacts in a step
-ENDINGS = {"ctec": ("SUCCESS",), "mhc": ("SUCCESS",), "dtec": ("SUCCESS", "ZENO", "TOO_MANY_IMPACTS")}
+# Statuses that a run may end with, by impact map. DTEC has no persistent contact: its runs end with ZENO where impacts
+# accumulate, or at the limit of impacts in a step.
+ALLOWED_STATUSES = {"ctec": ("SUCCESS",), "mhc": ("SUCCESS",), "dtec": ("SUCCESS", "ZENO", "TOO_MANY_IMPACTS")}
 
 
 @dataclass
 class Report:
-    """What came of one run: its label, status, time reached [s], the laws it broke, counts, wall time [s]."""
+    """The result of one run: its label, status, time reached [s], the laws it violates, counts, wall time [s]."""
 
     label: str
     status: str
     found: list[str]
     time: float = 0.0
     impacts: int = 0
-    held_steps: int = 0
+    contact_steps: int = 0
     seconds: float = 0.0
 
     def __str__(self) -> str:
@@ -38,7 +39,7 @@ class Report:
 
 
 def examine(family: str, seed: int, **chosen: Any) -> Report:
-    """Run one drawn scene and hold it to all laws."""
+    """Run one drawn scene and check all laws."""
     import contactvi as cvi
     from batteries import contact_laws, contact_scenes, energy_laws
 
@@ -48,16 +49,16 @@ def examine(family: str, seed: int, **chosen: Any) -> Report:
     status, options = traj.status, drawn.options
     found = [str(f) for f in contact_laws.broken(traj)]
     found += [str(f) for f in energy_laws.energy_laws(traj, options.get("dt_contact", options["dt"]))]
-    if status.code.name not in ENDINGS[options["impact"]]:
+    if status.code.name not in ALLOWED_STATUSES[options["impact"]]:
         found.insert(0, str(status))
-    seconds, held = time.perf_counter() - start, traj.stats.held_steps
-    return Report(str(drawn), status.code.name, found, status.time, len(traj.events), held, seconds)
+    seconds, contact_steps = time.perf_counter() - start, traj.stats.contact_steps
+    return Report(str(drawn), status.code.name, found, status.time, len(traj.events), contact_steps, seconds)
 
 
 class Runner:
-    """A process that examines one scene after the other; it is started again after one that hung or crashed.
+    """A process that examines one scene after the other, and is started again after a run that hung or crashed.
 
-    module : the one that it runs as a program, whose `main` is called with its own `examine`.
+    module: the module that it runs as a program, which calls `main` with its own `examine`.
     """
 
     def __init__(self, module: str = "batteries.runner") -> None:
@@ -115,7 +116,7 @@ def main(examine: Callable[..., Report] = examine) -> None:
         request = json.loads(line)
         try:
             report = examine(**request)
-        except Exception as error:  # of the face, or of the laws themselves: as bad as a law broken
+        except Exception as error:  # of the Python API or of the laws themselves: a finding too
             report = Report(line.strip(), "ERROR", [f"{type(error).__name__}: {error}"])
         print(json.dumps(asdict(report)), flush=True)
 

@@ -1,4 +1,4 @@
-"""Battery of contact: every map x restitution x friction on random bodies and trees, held to every law (batteries/).
+"""Battery of contact: every map x restitution x friction on random bodies and trees, against every law (batteries/).
 
 Energy never rises, numbers are numbers, gaps stay closed or open, impulses push inside their cones and add up to the
 motion. The runs are in a process of their own: one that hangs or crashes is a failure like any other.
@@ -32,15 +32,15 @@ HEAPS = 10  # seeds of stack and balls as drawn in the long run; then balls go o
 # bouncing piles that come to rest.
 BOUNCING = {"restitution": 1.0, "friction": 0.0, "duration": 100.0}
 KNOWN: list[tuple[str, int, dict[str, Any], str]] = [
-    ("room", 6, {}, "NEWTON_FAILED: an event in a held step was not located"),
+    ("room", 6, {}, "NEWTON_FAILED: an event in a contact step was not located"),
     ("room", 9, {}, "no answer within 60 s"),
-    ("pile", 11, {}, "SUCCESS, a cylinder is hit 2e-4 m in a box"),
+    ("pile", 11, {}, "SUCCESS, an impact of a cylinder 2e-4 m inside a box"),
     ("pile", 20, {}, "a corner pushes over the ground, gap x impulse 1.3e-11"),
     ("stack", 0, {}, "NEWTON_FAILED, points of box and cylinder 3e-8 m off"),
     ("stack", 3, {}, "TOO_MANY_IMPACTS: two cylinders, tilt of rounding, e = 1"),
     ("stack", 4, {}, "no answer within 60 s, three boxes"),
     ("stack", 6, {}, "TOO_MANY_IMPACTS: four boxes"),
-    ("stack", 8, {}, "NEWTON_FAILED: an event in a held step was not located"),
+    ("stack", 8, {}, "NEWTON_FAILED: an event in a contact step was not located"),
     ("stack", 9, {}, "EVENT_UNRESOLVED, points of box and cylinder 5e-7 m off"),
     ("balls", 5, {}, "NEWTON_FAILED: the contact forces were not found"),
     # of the normal run
@@ -147,7 +147,7 @@ def test_known_failures(runner, family, seed, chosen, what):
 
 # --- the battery itself -----------------------------------------------------------------------------------------------
 def altered_rows(traj: cvi.Trajectory, name: str, change: Any) -> Altered:
-    """Contact rows with one field changed in the held row that pushes most."""
+    """Contact rows with one field changed, in the row of a persistent contact with the largest impulse."""
     arrays = {key: values.copy() for key, values in traj.contacts.arrays.items()}
     row = int(np.argmax(np.where(traj.contacts.h > 0.0, np.abs(arrays["end"][:, 2]), 0.0)))
     arrays[name][row] = change(arrays[name][row])

@@ -1,8 +1,8 @@
-"""Battery of forces and closed systems: random scenes of batteries.force_scenes, held to every law of force_laws.
+"""Battery of forces and closed systems: random scenes of batteries.force_scenes against every law of force_laws.
 
-Contact of bodies and limits together with springs, dampers, dry friction, wrenches, functions of the user, servos,
-drives, loops, redundant ones too; energy is balanced to O(h^2); runs repeat to the bit; what is violent keeps the laws
-or says why not. The long run, thousands of impacts: `pytest -m long -k thousands_of_impacts`.
+Contact of bodies and limits together with springs, dampers, joint friction, wrenches, functions of the user, servos,
+prescribed motions and loops, also redundant ones; energy is balanced to O(h^2); runs repeat to the bit; violent scenes
+keep the laws or end with a status. The long run, thousands of impacts: `pytest -m long -k thousands_of_impacts`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ KNOWN: list[tuple[str, int, str]] = [
     (
         "closed_arm",
         37,
-        "a drive jams against a limit: constraint rates off by .8 after an impact, CONSTRAINT 2 ms later",
+        "a prescribed motion jams against a limit: constraint rates off by .8 after an impact, CONSTRAINT 2 ms later",
     ),
     ("closed_arm", 4, "two frictions of one axis in a loop: NEWTON_FAILED"),
     ("group", 28, "a corner pushes at a gap of 5e-10 m"),
@@ -41,7 +41,7 @@ KNOWN: list[tuple[str, int, str]] = [
     ("joined", 8, "a tilt of rounding: an impact at a gap of 1.1e-10 m"),
     ("joined", 198, "wedged between a point and a sticking point: forces of 1e6 N, NEWTON_FAILED"),
     ("kinds", 183, "DTEC jams with friction: NOT_FINITE"),
-    ("strings", 22, "an edge hit at once after a corner at a gap of -5.6e-10 m"),
+    ("strings", 22, "an impact of an edge right after that of a corner at a gap of -5.6e-10 m"),
 ]
 
 
@@ -80,7 +80,7 @@ def test_runs_repeat_to_the_bit(family):
 
 # --- laws by themselves -----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("what", ["rest", "shaken", "one free"])
-def test_dry_friction_holds_to_the_bit(what):
+def test_joint_friction_sticks_to_the_bit(what):
     scene, q = arm_scene(3), np.array([0.3, -0.4, 0.5])
     scene.set_joint("j*", friction=100.0)
     if what == "shaken":
@@ -92,7 +92,7 @@ def test_dry_friction_holds_to_the_bit(what):
 
 
 def test_a_ring_twice_closed_is_the_ring():
-    """A second loop that says the same changes nothing, up to rounding in the first contacts (the ring is chaotic)."""
+    """A second, equal loop changes nothing, up to rounding in the first contacts (the ring is chaotic)."""
     (scene, q), (twice, _) = ring(0.3, 0.0), ring(0.3, 0.0, twice=True)
     one, two = (cvi.simulate(s, q, duration=0.3, dt=1e-3) for s in (scene, twice))
     assert len(one.events) > 0
@@ -101,7 +101,7 @@ def test_a_ring_twice_closed_is_the_ring():
 
 @pytest.mark.parametrize("angle", [0.3, 0.4, 0.6])
 def test_a_wedged_rod_rests_with_the_least_force(angle):
-    """Along the line from pin to contact the force is not determined; the weight asks for less than itself."""
+    """Along the line from pin to contact the force is not determined; the least one is less than the weight."""
     scene, q, v, options = wedged_rod(angle)
     traj = cvi.simulate(scene, q, v, **options)
     force = np.linalg.norm(traj.contacts.force[traj.contacts.h > 0.0], axis=1)
@@ -121,7 +121,7 @@ def test_a_hinged_rod_rests_with_the_least_force(angle):
 
 @pytest.mark.parametrize("name", VIOLENT)
 def test_violent(name):
-    """What may be steep, but not wrong: bounded energy, constraints and gaps kept, in time."""
+    """Energy is bounded, constraints and gaps are kept, and steps do not become slow."""
     scene, q, v, options = VIOLENT[name]()
     traj = cvi.simulate(scene, q, v, throw=False, **options)
     assert traj.status.ok, str(traj.status)
@@ -129,7 +129,7 @@ def test_violent(name):
     found = [*force_laws.constraint_laws(traj), *force_laws.restitution_laws(traj)]
     found += contact_laws.gap_laws(traj)
     assert not found, [str(f) for f in found]
-    if not np.any(traj.work.drive):
+    if not np.any(traj.work.prescribed):
         assert traj.energy.max() <= traj.energy[0] + 1e-2 * force_laws.energy_scale(traj)
     assert traj.stats.seconds < force_runner.SLOW * traj.stats.steps
 
@@ -184,7 +184,7 @@ def test_the_laws_can_fail():
         "rate of a constraint": Altered(traj, v=traj.v + 1e-6),
         "damping gives": altered_forces(traj, damping=-traj.t),
         "input without any": altered_forces(traj, input=traj.t),
-        "reaction of a drive": Altered(traj, p=traj.p + 1e-3 * rng.normal(size=traj.p.shape)),
+        "reaction of a prescribed motion": Altered(traj, p=traj.p + 1e-3 * rng.normal(size=traj.p.shape)),
     }
     for law, run in wrong.items():
         names = [found.law for found in force_laws.broken(run, drawn.built)]

@@ -1,7 +1,7 @@
 """Every model of the battery against every law of the smooth step, and against the oracles.
 
 Tolerances: the engine's residual is at most tol * scale with tol = 1e-12 (1e-13 asked for here), so states agree to
-that times the conditioning of M; the issue asks for 1e-10.
+that times the conditioning of M.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ def test_steps_without_pairs_look_at_no_geometry():
 
 
 @pytest.mark.parametrize("name", ["arm_spherical", "tree", "forest", "joint_planar", "joint_translation"])
-def test_the_public_face_runs_the_same_system(name):
+def test_the_python_api_runs_the_same_system(name):
     """Springs, damping and control set through cvi.Scene and cvi.simulate: five oracle steps later the same state."""
     import contactvi as cvi
 

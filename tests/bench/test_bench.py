@@ -116,7 +116,7 @@ def test_accumulation_bounds_the_horizon(tmp_path):
 
 
 def test_chaotic_motion_has_a_horizon(tmp_path):
-    """A double pendulum thrown over the top: runs of different dt part after some seconds, and the bench says when."""
+    """A double pendulum thrown over the top: runs of different dt part after seconds, and the bench reports when."""
     model = pin.Model()
     inertia, parent = pin.Inertia(1.0, np.array([0.0, 0.0, -1.0]), 1e-3 * np.eye(3)), 0
     for k in range(2):
@@ -169,7 +169,7 @@ def test_advice_and_table_from_known_rows():
     assert result.best(1e-2) is rows[1]  # 5 % slower than ctec, ten times more accurate
     assert result.best(1e-5) is None
     text = advice(result)
-    assert text.startswith("error 1e-03: order 2, mhc, dt = 0.1 s (1.05 ms)")  # the same setting as for 1e-2: said once
+    assert text.startswith("error 1e-03: order 2, mhc, dt = 0.1 s (1.05 ms)")  # also the setting for 1e-2: advised once
     assert "smallest measured, 2.0e-04: order 2, mhc, dt = 0.05 s" in text
     assert "1 s of 2 s" in heading(result)
     assert notes(result)[0] == "order seen over the ladder: 2 ctec none seen, 2 mhc 2.00, 4 ctec none seen"

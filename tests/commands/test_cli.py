@@ -80,7 +80,7 @@ def test_ctrl_c_keeps_what_was_computed(tmp_path):
     assert cvi.Trajectory.load(tmp_path / "out" / "trajectory.npz").status.code == cvi.StatusCode.INTERRUPTED
 
 
-def said(result, *texts: str) -> None:
+def reported(result, *texts: str) -> None:
     """The command refused its input in the form: error, expected, got, remedy; no traceback."""
     assert result.exit_code == WRONG_INPUT
     assert "Error:" in result.stderr
@@ -93,13 +93,13 @@ def said(result, *texts: str) -> None:
 
 def test_wrong_input_of_run(command, tmp_path):
     scene = ball_file(tmp_path)
-    said(command("run", scene, "--dt", -1), "dt is not usable", "-1.0")
-    said(command("run", scene, "--impact", "mch"), "Did you mean 'mhc'", "remedy:")
-    said(command("run", scene, "--impact", "mhc", "--mhc-reference", "start"), "'local' | 'global'")
-    said(command("run", scene, "--duration", 1.0055), "whole number of steps", "Use duration=")
-    said(command("run", scene, "--fps", 0, "-o", "out"), "fps")
+    reported(command("run", scene, "--dt", -1), "dt is not usable", "-1.0")
+    reported(command("run", scene, "--impact", "mch"), "Did you mean 'mhc'", "remedy:")
+    reported(command("run", scene, "--impact", "mhc", "--mhc-reference", "start"), "'local' | 'global'")
+    reported(command("run", scene, "--duration", 1.0055), "whole number of steps", "Use duration=")
+    reported(command("run", scene, "--fps", 0, "-o", "out"), "fps")
     (tmp_path / "file").write_text("")
-    said(command("run", scene, "-o", "file/out"), "Cannot make the folder")
+    reported(command("run", scene, "-o", "file/out"), "Cannot make the folder")
     assert command("run", "none.toml").exit_code == WRONG_INPUT
     scene.write_text(scene.read_text().replace("restitution", "restituton"))
     result = command("run", scene)
@@ -110,7 +110,7 @@ def test_wrong_input_of_run(command, tmp_path):
 def test_start_in_penetration(command, tmp_path):
     scene = ball_file(tmp_path)
     scene.write_text(scene.read_text().replace("1.1]", "0.05]"))
-    said(command("run", scene, "-o", "out"), "'ball' and 'ground' overlap by 0.05 m")
+    reported(command("run", scene, "-o", "out"), "'ball' and 'ground' overlap by 0.05 m")
     assert list(Path("out").iterdir()) == []
 
 
@@ -133,8 +133,8 @@ def test_play(command, tmp_path, monkeypatch):
 
 def test_wrong_input_of_play(command, tmp_path):
     Path("bad.npz").write_bytes(b"no")
-    said(command("play", "bad.npz"), "Cannot read the run bad.npz")
-    said(command("play", "none.npz"), "no such file")
+    reported(command("play", "bad.npz"), "Cannot read the run bad.npz")
+    reported(command("play", "none.npz"), "no such file")
 
 
 # -- check ------------------------------------------------------------------------------------------------------------
@@ -171,14 +171,14 @@ def test_check_prints_the_report_of_a_refused_model(command):
         f'<robot name="arm"><link name="a"><inertial><mass value="-1"/>{inertia}</inertial></link></robot>'
     )
     result = command("check", "arm.urdf")
-    said(result, ">= 0 kg")
+    reported(result, ">= 0 kg")
     assert "Refused (this model" in result.stdout
     assert "Findings: 1 refused" in result.stdout
 
 
 def test_wrong_input_of_check(command):
-    said(command("check", "hand.sdf"), ".urdf")
-    said(command("check", "hand"), "no ending")
+    reported(command("check", "hand.sdf"), ".urdf")
+    reported(command("check", "hand"), "no ending")
     assert command("check", "none.urdf").exit_code == WRONG_INPUT
     Path("bad.urdf").write_text("<robot")
     assert command("check", "bad.urdf").exit_code == WRONG_INPUT

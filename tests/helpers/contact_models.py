@@ -51,7 +51,7 @@ def problem_b(radius: float = 0.05) -> tuple[pin.Model, pin.GeometryModel]:
 
 
 def pendulum_at_wall(radius: float = 0.1) -> tuple[pin.Model, pin.GeometryModel]:
-    """N08: point mass on a rod of 1 m, angle from the downward vertical, wall reached at angle 0."""
+    """Pendulum: point mass on a rod of 1 m, angle from the downward vertical, wall reached at angle 0."""
     model = pin.Model()
     model.addJoint(0, pin.JointModelRevoluteUnaligned(np.array([0.0, -1.0, 0.0])), pin.SE3.Identity(), "hinge")
     model.appendBodyToJoint(1, pin.Inertia(1.0, np.array([0.0, 0.0, -1.0]), np.zeros((3, 3))), pin.SE3.Identity())
@@ -61,7 +61,7 @@ def pendulum_at_wall(radius: float = 0.1) -> tuple[pin.Model, pin.GeometryModel]
 
 
 def slider_blocks(masses: tuple[float, ...], half: float, shape: str) -> tuple[pin.Model, pin.GeometryModel]:
-    """N10: blocks on prismatic joints along x, numbered from the wall x = 0; no gravity. shape: 'sphere' or 'box'."""
+    """Blocks on prismatic joints along x, numbered from the wall x = 0; no gravity. shape: 'sphere' or 'box'."""
     model = pin.Model()
     model.gravity = pin.Motion.Zero()
     body = coal.Sphere(half) if shape == "sphere" else coal.Box(2 * half, 2 * half, 2 * half)
@@ -75,7 +75,7 @@ def slider_blocks(masses: tuple[float, ...], half: float, shape: str) -> tuple[p
 
 
 def rod(free: bool, radius: float = 0.01) -> tuple[pin.Model, pin.GeometryModel]:
-    """N16: uniform rod m = l = 1 along body x with a small sphere at the end -x, over the ground z = 0; no gravity.
+    """Uniform rod m = l = 1 along body x with a small sphere at the end -x, over the ground z = 0; no gravity.
 
     The contact point lies below the sphere's centre, so its arm is exactly half a cos(theta). free: a free-flyer,
     else translation and a hinge about y.

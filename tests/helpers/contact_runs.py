@@ -1,6 +1,6 @@
-"""A run with persistent contacts made by hand: a box that slides on a plane and stops, with the forces it must have.
+"""A run with persistent contacts in closed form: a box that slides on a plane and stops, with its contact forces.
 
-The Python API is tested on it without the engine: what it shows, stores and accounts for has closed forms here.
+It tests the Python API without the engine: what is shown, stored and balanced is known here.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ def speed(t: np.ndarray) -> np.ndarray:
 
 
 def contact_arrays(scene: cvi.Scene) -> dict[str, np.ndarray]:
-    """Four corners per step, a quarter of the weight each; friction does what stops the box."""
+    """Four corners per step, a quarter of the weight each; friction decelerates the box."""
     (pair,) = scene.pair_names
     sign = 1.0 if pair[1] == "box" else -1.0  # impulses are on the second shape
     rows: dict[str, list] = {name: [] for name in FIELDS}
     for k in range(round(SPAN / STEP)):
         t = k * STEP
         sliding = speed(t) - speed(t + STEP)  # change of speed in the step
-        half = 0.125 * MASS * np.array([-sliding, 0.0, GRAVITY * STEP])  # of a corner, in each of the two kicks
+        half = 0.125 * MASS * np.array([-sliding, 0.0, GRAVITY * STEP])  # position or velocity impulse of a corner
         for corner, (x, y) in enumerate(CORNERS):
             new = {
                 "t": t, "h": STEP, "step": k, "kind": 0, "index": 0, "point": corner,
@@ -70,7 +70,9 @@ def sliding_box(**changes: np.ndarray) -> cvi.Trajectory:
         (STOP, 0, 0, corner, 2, np.nan) for corner in range(4)
     ]
     changed = dict(zip(CHANGE_FIELDS, map(np.array, zip(*moves, strict=True)), strict=True))
-    flight = cvi.simulate(scene, q[0] + [0, 0, 1, 0, 0, 0, 0], duration=STEP, dt=STEP)  # for what has no part in this
+    flight = cvi.simulate(
+        scene, q[0] + [0, 0, 1, 0, 0, 0, 0], duration=STEP, dt=STEP
+    )  # for the fields that do not matter here
     return cvi.Trajectory(
         scene, cvi.Options(dt=STEP, duration=SPAN), t, q, p, flight.events,
         cvi.Status(cvi.StatusCode.SUCCESS, "the run reached its end", SPAN), cvi.Stats(steps=50, contact_steps=50),

@@ -1,4 +1,4 @@
-"""The elements of a scene said to the oracle of constrained motion: oracles.forced, oracles.constraints."""
+"""The elements of a scene for the oracle of constrained motion: oracles.forced, oracles.constraints."""
 
 from __future__ import annotations
 

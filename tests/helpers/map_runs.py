@@ -121,9 +121,9 @@ def arm_at_wall():
 
 
 def hand_and_ball():
-    """(scene, system, q0): the Allegro hand (16 dof), palm up, held half closed by springs, and a ball falling on it.
+    """(scene, system, q0): the Allegro hand (16 dof), palm up, kept half closed by springs, and a ball falling on it.
 
-    A finger is hit first and the palm within the same step of 2e-3 s or the next. No damping: both scalars are then
+    The first impact is on a finger, the next on the palm within two steps of 2e-3 s. No damping: both scalars are then
     constants of the motion.
     """
     import contactvi as cvi

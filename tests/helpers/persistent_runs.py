@@ -1,4 +1,4 @@
-"""Scenes with lasting contact whose motion is known: each returns (scene, q0, v0). What every such run must keep."""
+"""Scenes with persistent contact and known motion: each returns (scene, q0, v0). Laws of every such run."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def tipping(tilt: float, size=(0.2, 0.3, 0.4), mu=3.0) -> Start:
 
 
 def spring_arm(restitution: float = 0.0) -> Start:
-    """A double pendulum whose tip slides along the floor z = -1.5, hinged by a spring; it swings for ever, held."""
+    """A double pendulum whose tip slides along the floor z = -1.5, with a spring; it swings in contact for ever."""
     model = double_pendulum()
     shapes = {
         "tip": (2, place(z=-1.0), coal.Sphere(0.05)),
@@ -178,7 +178,7 @@ def world_momentum(traj: cvi.Trajectory, body: int = 0) -> np.ndarray:
 
 
 def start_normals(log: cvi.ContactLog) -> np.ndarray:
-    """Normals at the starts of the steps: of the same point at the end of the step before; NaN at its first one."""
+    """Normals at the starts of the steps: of the point at the end of the step before; NaN in its first step."""
     result = np.full_like(log.array("normal"), np.nan)
     keys = np.column_stack([log.array(name) for name in ("kind", "index", "point")])
     ends = log.end
@@ -193,29 +193,29 @@ def start_normals(log: cvi.ContactLog) -> np.ndarray:
 
 
 def check_contacts(traj: cvi.Trajectory, mu: float = 0.0) -> None:
-    """The bars of cases.md for every row: phi >= -1e-10, lambda >= 0, |phi lambda| <= 1e-12; held: |phi| <= 1e-10.
+    """Every row: phi >= -1e-10, lambda >= 0, |phi lambda| <= 1e-12; with a force in persistent contact |phi| <= 1e-10.
 
     Friction: within the cone, to the solver's tolerance; no slip where it sticks.
     """
     log = traj.contacts
     assert len(log) > 0
-    gap, limit, held = log.array("gap"), log.array("kind") == 1, log.h > 0.0
+    gap, limit, persistent = log.array("gap"), log.array("kind") == 1, log.h > 0.0
     for name, normals in (("start", start_normals(log)), ("end", log.array("normal"))):
-        kick = log.array(name)
-        unit = np.where(limit[:, None], [1.0, 0.0, 0.0], normals)  # a limit's impulse is its first component
+        impulse = log.array(name)
+        unit = np.where(limit[:, None], [1.0, 0.0, 0.0], normals)  # the impulse of a limit is its first component
         known = np.isfinite(unit).all(axis=1)
-        along = np.einsum("ij,ij->i", kick, unit)[known]
+        along = np.einsum("ij,ij->i", impulse, unit)[known]
         assert along.min() >= -1e-15
         assert np.abs(along * gap[known]).max() <= 1e-12
-        across = np.linalg.norm(kick[known] - along[:, None] * unit[known], axis=1)
+        across = np.linalg.norm(impulse[known] - along[:, None] * unit[known], axis=1)
         # the cone's residual, 1e-12, is relative to the largest impulse of a problem
         excess = across - mu * along * (1 + 1e-9)
-        assert excess.max() <= 1e-12 * max(1e-2, float(np.abs(kick).max())), excess.max()
+        assert excess.max() <= 1e-12 * max(1e-2, float(np.abs(impulse).max())), excess.max()
     assert gap.min() >= -1e-10
-    assert np.abs(gap[held & (log.normal_impulse > 0.0)]).max(initial=0.0) <= 1e-10
-    stuck = held & (log.array("mode") == 0)
-    # at the node a sticking point has no speed; the step's own displacement is checked by the place of the body
-    assert np.linalg.norm(log.array("slip")[stuck], axis=1).max(initial=0.0) <= 1e-10
+    assert np.abs(gap[persistent & (log.normal_impulse > 0.0)]).max(initial=0.0) <= 1e-10
+    sticking = persistent & (log.array("mode") == 0)
+    # at the node a sticking point has no speed; tests of the body's position check its displacement in the step
+    assert np.linalg.norm(log.array("slip")[sticking], axis=1).max(initial=0.0) <= 1e-10
 
 
 def check_sums(traj: cvi.Trajectory, masses: list[float], names: list[str]) -> None:
@@ -233,7 +233,7 @@ def changes(traj: cvi.Trajectory, kind: str, name: str | None = None) -> list:
 
 
 def same(a: cvi.Trajectory, b: cvi.Trajectory) -> None:
-    """Two runs agree bit by bit, contacts included."""
+    """Two runs are equal in all bits, contacts included."""
     for name in ("t", "q", "p"):
         assert np.array_equal(getattr(a, name), getattr(b, name))
     for log, other in ((a.contacts, b.contacts), (a.contact_changes, b.contact_changes), (a.events, b.events)):

@@ -83,7 +83,7 @@ class Two:
         return self.core.gaps(self.q(a, b))[0][0]
 
     def touching(self, a: pin.SE3, b: pin.SE3) -> pin.SE3:
-        """b moved along the normal until coal says that it touches a."""
+        """b moved along the normal until it touches a by coal's distance."""
         for _ in range(40):
             gap, normal, *_ = self.core.gaps(self.q(a, b))
             if abs(gap[0]) < 1e-12:

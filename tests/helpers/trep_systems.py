@@ -1,4 +1,4 @@
-"""The systems of issue "forced and constrained": what is measured against the oracle, put together from models/."""
+"""Forced and constrained systems from models/, which are compared with the oracle."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def wedged_rod(angle: float) -> Case:
 
 
 def hinged_rod(angle: float) -> Case:
-    """The same on a hinge, without a constraint: one degree of freedom, which the contact takes."""
+    """A rod on a hinge, without a constraint, that falls onto the ground: the contact stops its one coordinate."""
     model = pin.Model()
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
@@ -119,7 +119,7 @@ def winches(restitution: float, friction: float) -> Case:
 
 
 def driven_wall(restitution: float, friction: float) -> Case:
-    """A wall that swings and hits a ball and a box on the ground against each other and a far end."""
+    """A swinging wall that pushes a ball and a box on the ground against each other and a far end."""
     model = pin.Model()
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     wall = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "wall")

@@ -81,7 +81,7 @@ def open_page(browser, traj: cvi.Trajectory, folder: Path, **options) -> None:
 
 
 def errors(browser) -> list[str]:
-    """What the console says that is worse than a remark about the speed of software rendering."""
+    """Return warnings and errors of the console, without remarks about the speed of software rendering."""
     entries = browser.get_log("browser")
     return [
         entry["message"]
@@ -91,7 +91,7 @@ def errors(browser) -> list[str]:
 
 
 def set_slider(browser, time: float) -> None:
-    """Move the page's slider as a user does: its value changes and it says so."""
+    """Move the page's slider as a user does: its value changes, with an input event."""
     slider = browser.find_element("id", "time")
     browser.execute_script(
         "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'));", slider, time

@@ -92,7 +92,7 @@ def test_no_lines_no_words():
     assert not any("lines" in fact["text"] for fact in run_data(page)["facts"])
 
 
-def test_lines_are_in_the_picture_but_do_not_say_how_large_things_are(ball):
+def test_lines_are_in_the_picture_but_do_not_count_for_the_size_of_bodies(ball):
     frames = animation.frames_of(ball, 60.0)
     view = shapes.fit(ball.visuals, frames)
     corners = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

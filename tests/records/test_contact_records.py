@@ -1,4 +1,4 @@
-"""Lasting contact as the face shows it: options, the log of contacts, its ledger, files, pictures, words.
+"""Persistent contact in the Python API: options, the log of contacts, its ledger, files, pictures, words.
 
 Most of it is tested on a run made by hand (helpers/contact_runs.py), whose forces have closed forms.
 """
@@ -55,7 +55,7 @@ def test_defaults():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"dt_contact": 0.0}, "dt_contact is not usable: expected the step in contact in seconds, > 0"),
         ({"dt_contact": math.nan}, "dt_contact is not usable"),
@@ -71,8 +71,8 @@ def test_defaults():
         ({"record_contacts": "yes"}, "record_contacts is not usable: expected True or False"),
     ],
 )
-def test_what_is_no_option(given, said):
-    with pytest.raises(cvi.InputError, match=re.escape(said)):
+def test_what_is_no_option(given, message):
+    with pytest.raises(cvi.InputError, match=re.escape(message)):
         cvi.Options(dt=0.01, **given)
 
 

@@ -125,7 +125,7 @@ def test_the_reference_is_that_of_the_oracle_and_of_the_cases():
     assert np.abs(found.w[-1] - exact.w).max() <= 1e-11
     for impact, known in zip(found.impacts, exact.impacts, strict=True):
         assert np.abs(np.array([impact.time, impact.gamma_minus, impact.impulse]) - known[:3]).max() <= 1e-11
-    assert np.abs(found.q[-1] - [0.3205793585, -0.2173609757]).max() <= 1e-10  # cases.md, ten decimals
+    assert np.abs(found.q[-1] - [0.3205793585, -0.2173609757]).max() <= 1e-10  # known to ten decimals
     change = [energy(q, w) - energy(found.q[0], found.w[0]) for q, w in zip(found.q, found.w, strict=True)]
     assert np.abs(change).max() <= 1e-11  # also at times inside, where the solver interpolates
 

@@ -1,4 +1,4 @@
-"""dt = "auto": q is as accurate as asked, the estimate says so honestly, and what cannot be met is said."""
+"""dt = "auto": q is as accurate as asked, the estimate is honest, and what cannot be met is reported."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_the_accuracy_asked_for_is_met(name, tol, exact):
     assert error(traj, exact[name]) <= tol
     assert traj.error_estimate <= tol
     # An estimate, from two runs: it may miss, but not by an order. (At 1e-3 the engine's level is capped, steps are
-    # as long as their sweeps converge, and the law of the error is not yet seen: only the promise counts.)
+    # as long as their stage iterations converge, and the law of the error is not yet seen: only the promise counts.)
     if tol < 1e-3:
         assert traj.error_estimate >= 0.1 * error(traj, exact[name]) - 1e-12
 
@@ -107,7 +107,7 @@ def test_more_accuracy_takes_shorter_steps(exact):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_steps_are_constant_between_impacts(name):
-    """All steps of an arc have its length but the last one, which ends at the impact or at the end of the run."""
+    """Between two changes all steps have one length, but for the last one, which ends at an impact or with the run."""
     make, span = SCENES[name]
     traj = cvi.simulate(make(), duration=span)
     assert traj.options.dt == "auto"
@@ -269,7 +269,7 @@ def test_a_global_reference_with_damping_is_refused():
 
 
 def test_progress_comes_with_many_impacts_too():
-    """A ball that bounces for four hours: every arc is a few steps, the whole is long enough for reports."""
+    """A ball that bounces for four hours: few steps between impacts, and long enough for reports."""
     scene, q0 = falling_ball(1.0, 0.5)
     calls: list[tuple[float, int]] = []
     traj = cvi.simulate(scene, q0, duration=15_000.0, dt="auto", progress=lambda t, n: calls.append((t, n)))

@@ -1,4 +1,4 @@
-"""Runs with constraints through the face: residuals, reactions, works, files; prescribed joints and mimic tags."""
+"""Runs with constraints in the Python API: residuals, reactions, works, files; prescribed joints and mimic tags."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs with springs, wrenches, functions of the user: closed forms, equal laws said in two ways, named errors."""
+"""Runs with springs, wrenches, functions of the user: closed forms, one law given in two ways, named errors."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def test_a_tape_is_as_long_as_its_line():
     assert energy == pytest.approx(9.81 * (-0.2 + 0.1) + 50.0 * stretch**2, abs=1e-13)
 
 
-# -- the same said twice ---------------------------------------------------------------------------------------------
+# -- one law given in two ways ----------------------------------------------------------------------------------------
 
 
 def start(scene: cvi.Scene) -> np.ndarray:
@@ -301,9 +301,9 @@ def test_a_prescribed_motion_bears_the_friction_of_what_it_drags():
     scene.add_halfspace(offset=-0.1)
     scene.set_contact(restitution=0.0, friction=0.4)
     scene.set_joint("slide", friction=1.5)
-    scene.prescribe("slide", lambda t: (t, 1.0, 0.0), name="drive")
+    scene.prescribe("slide", lambda t: (t, 1.0, 0.0), name="motion")
     traj = cvi.simulate(scene, duration=0.1, dt=1e-3)
-    assert traj.reactions("drive")[5:, 0] == pytest.approx(0.4 * 9.81 + 1.5, abs=1e-9)
+    assert traj.reactions("motion")[5:, 0] == pytest.approx(0.4 * 9.81 + 1.5, abs=1e-9)
     assert traj.work.joint_friction[-1] == pytest.approx(1.5 * 0.1, abs=1e-9)
     assert np.abs(traj.ledger.energy_balance).max() < 1e-9
     assert traj.ledger.constraint_residual.max() <= 1e-12

@@ -151,7 +151,7 @@ def test_what_lasts_no_time_has_no_force_to_show(box):
 
 
 def test_words_of_the_command_line(box):
-    text = "\n".join(f"{name} {said}" for name, said in summary(box))
+    text = "\n".join(f"{name} {value}" for name, value in summary(box))
     assert "1 pair touched, largest force at a point 5.1" in text
     assert "gaps kept to 0 m" in text
     assert "50 steps in contact" in text

@@ -48,7 +48,7 @@ def spatial_momentum(model: pin.Model, q: np.ndarray, p: np.ndarray) -> np.ndarr
     return np.concatenate([centroidal.linear, centroidal.angular + np.cross(data.com[0], centroidal.linear)])
 
 
-# -- what it says -----------------------------------------------------------------------------------------------------
+# -- its quantities ---------------------------------------------------------------------------------------------------
 
 
 @maps

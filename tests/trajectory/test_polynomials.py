@@ -150,7 +150,7 @@ def test_steps_of_a_simulator_are_joined():
         assert sim.step().ok
     whole = pendulum(8, 0.05, 1.0)
     times = np.linspace(0.0, 1.0, 77)
-    # Each call starts the sweeps anew: equal to what the equations are solved to.
+    # Each call starts the stage iterations anew: equal to the tolerance of the equations.
     assert sim.trajectory().at(times).q == pytest.approx(whole.at(times).q, abs=1e-10)
 
 

@@ -33,7 +33,7 @@ def test_box_rests(mu):
     log = traj.contacts
     assert len(log) == 4 * 200
     each = 2.0 * GRAVITY / 4
-    # eps = 1e-5 of G_c picks the smallest forces: equal to 5e-12 on the prototype
+    # a regularization of 1e-5 of G_c selects the smallest forces: equal to some 5e-12
     assert np.abs(np.abs(log.force[:, 2]) - each).max() <= 1e-10 * each
     assert np.ptp(np.abs(log.force[:, 2])) <= 1e-11 * each
     assert {tuple(np.round(x, 9)) for x in np.abs(log.position)} == {(0.1, 0.15, 0.0)}
@@ -113,7 +113,7 @@ def test_box_dropped_on_a_stack_comes_to_rest():
 
 # --- edges ------------------------------------------------------------------------------------------------------------
 def test_box_tips_about_its_edge():
-    """The angle is of order 2 (table of held-contact.md, section 11), the edge does not move."""
+    """The angle is of order 2, and the edge does not move."""
     tilt, duration = 0.6, 0.4
     exact, _, grip = held_scenes.tipping_box(0.2, 0.4, tilt, 0.0, duration)
     assert grip < 3.0

@@ -1,4 +1,4 @@
-"""Coulomb friction: N02 and N03, slopes, rolling, turning slip, rods that hit with friction, Painleve's rod."""
+"""Coulomb friction: spinning balls, slopes, rolling, turning slip, impacts of rods with friction, Painleve's rod."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from oracles.held_scenes import BALL, CYLINDER
 
 
 def spinning(h: float, duration: float, **options) -> cvi.Trajectory:
-    """N03: e = 0, spin 50 rad/s about +y, centre at 1 m."""
+    """A ball that falls spinning at 50 rad/s about +y, its centre at 1 m, e = 0."""
     scene, q, v = persistent_runs.ball(mu=0.2, gap=0.9)
     v[4] = 50.0
     return cvi.simulate(scene, q, v, duration, h, **options)
@@ -25,7 +25,7 @@ def spinning(h: float, duration: float, **options) -> cvi.Trajectory:
 
 @pytest.mark.parametrize("h", [0.02, 0.01, 0.005])
 def test_spinning_ball_of_the_case(h):
-    """N03 with all its digits at any step: the impact, the time at which it sticks, where and how fast it rolls."""
+    """The spinning ball is exact at any step: the impact, the time at which it sticks, where and how fast it rolls."""
     ball, traj = held_scenes.SpinningBall(), spinning(h, 1.0)
     (event,) = traj.events
     assert event.time == pytest.approx(0.4283529369, abs=6e-11)
@@ -127,7 +127,7 @@ def test_slip_turns_round_on_a_slope(h, order):
 
 @pytest.mark.parametrize("h", [0.02, 0.007])
 def test_box_stops_where_and_when_it_should(h):
-    """On the flat: x = v^2 / (2 mu g), t = v / (mu g), located, so for any h (2e-11 on the prototype)."""
+    """On level ground: x = v^2 / (2 mu g), t = v / (mu g) for any h, because the end of the slip is located."""
     scene, q, v = persistent_runs.box(mu=0.3)
     v[0] = 1.0
     traj = cvi.simulate(scene, q, v, 100 * h, h)
@@ -151,8 +151,8 @@ def test_round_bodies_on_a_slope(body, mu):
     assert moved == pytest.approx(0.5 * a * traj.t**2, abs=1e-11)
     axis = np.array([pin.Quaternion(q[3:7]).matrix() @ v[3:] for q, v in zip(traj.q, traj.v, strict=True)])
     assert axis[:, 1] * 0.1 == pytest.approx(spin * traj.t, abs=1e-10)
-    held = traj.contacts.array("mode")[traj.contacts.h > 0.0]
-    assert set(held.tolist()) == {0 if rolls else 1}
+    modes = traj.contacts.array("mode")[traj.contacts.h > 0.0]
+    assert set(modes.tolist()) == {0 if rolls else 1}
     check_contacts(traj, mu)
 
 
@@ -257,7 +257,7 @@ def ball_ended_rod(arm, speed, mu, restitution):
 # 3 is left out: of its forces, which are not unique, the smallest lie outside of the cone, where the oracle stops
 @pytest.mark.parametrize("seed", [0, 1, 2, 4, 5, 6, 7])
 def test_block_of_points_is_the_oracle_s(seed):
-    """A box hits flat with one speed for its whole face: spin about z, slip, restitution; all points in one impact."""
+    """A flat impact of a box, one normal speed for its whole face: spin about z, slip, restitution; one impact."""
     rng = np.random.default_rng([7, seed])
     mu, e = float(rng.uniform(0.0, 1.0)), float(rng.uniform(0.0, 1.0))
     scene, q, v = persistent_runs.box(mu=mu, restitution=e, gap=0.05)
@@ -287,7 +287,7 @@ def with_gravity_off(scene: cvi.Scene) -> cvi.Scene:
 
 # --- Painleve ---------------------------------------------------------------------------------------------------------
 def sliding_rod(mu: float, speed: float) -> cvi.Trajectory:
-    """N18: the rod slides on its lower end at tan(theta) = 2, under gravity."""
+    """Painleve's rod slides on its lower end at tan(theta) = 2, under gravity."""
     scene, q, v = persistent_runs.falling_rod(math.atan(2.0), 0.0, 0.0, mu, 0.0, gravity=GRAVITY)
     turn = pin.Quaternion(q[3:7]).matrix()
     v[:3] = turn.T @ [speed, 0.0, 0.0]

@@ -1,4 +1,4 @@
-"""Held contact: the laws of every run, the engine's step against the oracle's, release, order 2, energy, limits."""
+"""Persistent contact: the laws of every run, the step against the oracle's, release, order 2, energy, limits."""
 
 from __future__ import annotations
 
@@ -90,12 +90,12 @@ def test_step_by_step_is_the_run(name):
 @pytest.mark.parametrize("apart", [False, True])
 @pytest.mark.parametrize("h", [0.01, 0.005])
 def test_falling_body_is_not_disturbed_by_a_resting_one(h, apart):
-    """One ball lies, one falls beside it or onto it: the hit comes when the closed form says, free flight is exact."""
+    """One ball rests, one falls beside it or onto it: the impact is at its closed-form time, free flight is exact."""
     scene, q, v = two_balls(0.05, apart)
     traj = cvi.simulate(scene, q, v, 0.3, h)
-    hit = math.sqrt(0.1 / GRAVITY)
-    assert traj.events[0].time == pytest.approx(hit, abs=1e-11)
-    falls = traj.t < hit
+    impact_time = math.sqrt(0.1 / GRAVITY)
+    assert traj.events[0].time == pytest.approx(impact_time, abs=1e-11)
+    falls = traj.t < impact_time
     exact = q[9] - 0.5 * GRAVITY * traj.t[falls] ** 2
     assert traj.q[falls, 9] == pytest.approx(exact, abs=1e-12)
     check_contacts(traj)
@@ -157,23 +157,23 @@ def test_steps_are_the_oracle_s(name):
     (scene, q, v), h, n = STEPS[name](), 0.01, 10
     traj = cvi.simulate(scene, q, v, n * h, h, tol=1e-14)
     stiffness = [0.0, 4.0, 0.0] if name == "arm" else None
-    held = HeldSystem(System(scene.model, stiffness=stiffness), oracle_points(name))
-    p, anchors, modes = held.system.momentum(q, v), None, None
+    oracle = HeldSystem(System(scene.model, stiffness=stiffness), oracle_points(name))
+    p, anchors, modes = oracle.system.momentum(q, v), None, None
     for k in range(n):
-        result = held.step(q, p, h, anchors, None, modes)
+        result = oracle.step(q, p, h, anchors, None, modes)
         q, p, anchors, modes = result.q, result.p, result.anchors, result.modes
         assert laws.displacement(scene.model, q, traj.q[k + 1]) == pytest.approx(np.zeros(scene.nv), abs=loose * 1e-13)
         assert traj.p[k + 1] == pytest.approx(p, abs=loose * 1e-12)
         rows = np.flatnonzero(traj.contacts.array("step") == k)
-        for kick, expected in (("start", result.start), ("end", result.end)):
-            total = np.abs(traj.contacts.array(kick)[rows]).sum(axis=0)
+        for side, expected in (("start", result.start), ("end", result.end)):
+            total = np.abs(traj.contacts.array(side)[rows]).sum(axis=0)
             # impulses that are not unique: the engine's eps leaves 1e-11 of them
             assert total == pytest.approx(np.abs(expected).sum(axis=0), abs=1e-10 if len(rows) > 1 else loose * 1e-12)
 
 
 # --- release ----------------------------------------------------------------------------------------------------------
 def test_ladder_leaves_its_wall():
-    """The 2/3 rule: release time O(h^2), 3.5e-7 s at h = .0025 on the prototype; then the motion on the floor alone."""
+    """The ladder leaves the wall at 2/3 of its height: release time O(h^2), then the motion on the floor alone."""
     theta0, duration = 1.2, 0.5
     ladder = held_scenes.Ladder(theta0)
     released, _ = ladder.release
@@ -203,24 +203,24 @@ def test_ladder_leaves_its_wall():
 def leave_a_ball(mu: float) -> tuple[float, float, float]:
     """(slip begins [s], it leaves [s], its angle from the top) of a ball at rest at .3 rad on a ball, by DOP853."""
     scene, q, v = persistent_runs.ball_on_ball(0.3, mu)
-    held = HeldSystem(System(scene.model), [SphereSphere(2, (0.0, 0.0, 0.0), 0.1, (0.0, 0.0, 0.0), 0.5, mu)])
+    oracle = HeldSystem(System(scene.model), [SphereSphere(2, (0.0, 0.0, 0.0), 0.1, (0.0, 0.0, 0.0), 0.5, mu)])
 
     def grip(x, u):
-        force = held.forces(x, u, ["stick"])[0][0]
+        force = oracle.forces(x, u, ["stick"])[0][0]
         return mu * force[0] - np.linalg.norm(force[1:])
 
     slips = 0.0
     if mu > 0.0:
-        q, v, slips = held.flow(q, v, 2.0, ["stick"], event=grip)
+        q, v, slips = oracle.flow(q, v, 2.0, ["stick"], event=grip)
         # slip starts against the friction; from 1e-9 m/s on, its direction is known
-        w = held.points.gradients(q, held.points.bases(q))[0]
-        u = held.split.tangent_map(q) @ v
-        force, mass = held.forces(q, u, ["stick"])[0][0], held.system.mass_matrix(q)
+        w = oracle.points.gradients(q, oracle.points.bases(q))[0]
+        u = oracle.split.tangent_map(q) @ v
+        force, mass = oracle.forces(q, u, ["stick"])[0][0], oracle.system.mass_matrix(q)
         response = np.linalg.solve(mass, w.T)
         wanted = -1e-9 * np.append(0.0, force[1:] / np.linalg.norm(force[1:]))
-        v = held.split.tangent_map(q).T @ (u + response @ np.linalg.solve(w @ response, wanted))
+        v = oracle.split.tangent_map(q).T @ (u + response @ np.linalg.solve(w @ response, wanted))
     kind = ["slip" if mu > 0.0 else "none"]
-    q, _, t = held.flow(q, v, 2.0, kind, event=lambda x, u: held.forces(x, u, kind)[0][0, 0])
+    q, _, t = oracle.flow(q, v, 2.0, kind, event=lambda x, u: oracle.forces(x, u, kind)[0][0, 0])
     return slips, slips + t, math.atan2(q[0], q[2])
 
 
@@ -247,13 +247,13 @@ def test_ball_leaves_a_ball(mu):
 
 # --- order and energy -------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("name", STEPS)
-def test_held_step_is_of_order_two(name):
+def test_contact_step_is_of_order_two(name):
     scene, q0, v0 = STEPS[name]()
     stiffness = [0.0, 4.0, 0.0] if name == "arm" else None
-    held = HeldSystem(System(scene.model, stiffness=stiffness), oracle_points(name))
+    oracle = HeldSystem(System(scene.model, stiffness=stiffness), oracle_points(name))
     kinds = {"ball on a ball, rolling": ["stick"], "tipping": ["stick"] * 2, "crossing slip": ["slip"]}
     duration = 0.2
-    exact = held.flow(q0, v0, duration, kinds.get(name, ["none"] * len(held.mu)))[:2]
+    exact = oracle.flow(q0, v0, duration, kinds.get(name, ["none"] * len(oracle.mu)))[:2]
     errors = []
     for h in (0.02, 0.01, 0.005):
         traj = cvi.simulate(scene, q0, v0, duration, h)
@@ -288,15 +288,15 @@ def test_energy_of_holding_is_bounded_and_does_not_drift():
 
 
 @pytest.mark.parametrize("order", [4, 8])
-def test_held_phases_of_high_order_runs_take_their_own_step(order):
+def test_contact_phases_of_high_order_runs_take_their_own_step(order):
     """Free flight at high order and a large dt, then steps of dt_contact, which the result names."""
     scene, q, v = persistent_runs.ball(mu=0.3, gap=1.0)
     v[:2] = 0.5, 0.2
     traj = cvi.simulate(scene, q, v, 1.0, 0.1, order=order, dt_contact=0.005)
-    hit = math.sqrt(2.0 / GRAVITY)
+    impact_time = math.sqrt(2.0 / GRAVITY)
     assert traj.phases is not None
-    assert traj.phases["held"].tolist() == [0, 1]
-    assert traj.phases["t"][1] == pytest.approx(hit, abs=1e-10)
+    assert traj.phases["persistent"].tolist() == [0, 1]
+    assert traj.phases["t"][1] == pytest.approx(impact_time, abs=1e-10)
     assert traj.phases["dt"][1] <= 0.005 + 1e-15
     assert traj.contacts.h.max() <= 0.005 * (1 + 1e-12)
     check_contacts(traj, 0.3)
@@ -334,7 +334,7 @@ def test_pendulum_bounces_to_rest_on_its_limit():
         errors.append(abs(ended.value - end))
         assert abs(traj.v[-1, 0]) <= 1e-12
         check_contacts(traj)
-    # the hits come O(h^2) late or early; the extrapolation itself leaves the square of the last flight
+    # the impacts are located to O(h^2); the error of the extrapolation is the square of the last flight
     assert errors[-1] <= 1e-4
     assert np.all(np.diff(errors) < 0.0), errors
 
@@ -342,7 +342,7 @@ def test_pendulum_bounces_to_rest_on_its_limit():
 @pytest.mark.parametrize("order", [2, 4])
 @pytest.mark.parametrize("restitution", [0.0, 0.2, 0.5])
 def test_limp_arm_falls_on_its_limits(restitution, order):
-    """The Panda without motors: several joints hit, bounce, rest on their limits and part, some at the same time."""
+    """The Panda without motors: joints reach, bounce at, rest on and leave their limits, some at the same time."""
     scene = cvi.Scene()
     scene.add_urdf("example-robot-data://robots/panda_description/urdf/panda.urdf")
     scene.set_contact(restitution=restitution)
@@ -353,7 +353,7 @@ def test_limp_arm_falls_on_its_limits(restitution, order):
     assert np.max(low - traj.q) <= 1e-10
     assert np.max(traj.q - high) <= 1e-10
     assert len({event.pair for event in traj.events}) >= 3
-    assert traj.stats.held_steps > 0
+    assert traj.stats.contact_steps > 0
     check_contacts(traj)
     assert not list(contact_laws.event_laws(traj))
     assert not list(contact_laws.contact_laws(traj))

@@ -1,4 +1,4 @@
-"""Plastic impacts: gamma+ = 0 and Carnot's loss to 1e-12, for any number of contacts, with CTEC and MHC; then held."""
+"""Plastic impacts: gamma+ = 0 and Carnot's loss to 1e-12, for any number of contacts, with CTEC and MHC; rest."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def test_double_pendulum_stays_at_its_wall(impact):
     check_event(scene, event, gradient, 1e-11)
     assert abs(event.gamma_plus) <= 1e-12
     check_contacts(traj)
-    held = traj.contacts.h > 0.0
-    assert held.sum() >= 1
+    persistent = traj.contacts.h > 0.0
+    assert persistent.sum() >= 1
     assert np.diff(traj.energy).max() <= 1e-3
 
 
 @MAPS
 def test_three_balls_move_on_together(impact):
-    """N15: the sequence of plastic impacts ends at (1/3, 1/3, 1/3), energy 1/6, not Newton's (-1/3, 2/3, 2/3)."""
+    """Three blocks: plastic impacts end at (1/3, 1/3, 1/3), energy 1/6, not at Newton's (-1/3, 2/3, 2/3)."""
     scene = public_scene(*slider_blocks((1.0, 1.0, 1.0), 0.125, "sphere"), restitution=0.0)
     q = np.array([1.0, 1.25 + 0.2, 1.5 + 0.2])
     traj = cvi.simulate(scene, q, np.array([1.0, 0.0, 0.0]), 0.5, 0.01, impact=impact)
@@ -121,7 +121,7 @@ def test_ball_falls_into_a_groove(impact):
 @MAPS
 @pytest.mark.parametrize("seed", range(6))
 def test_arm_with_many_tips(impact, seed):
-    """A double pendulum with three balls on its lower rod over a floor: each hit is Carnot's, with what is held."""
+    """A double pendulum with three balls on its lower rod over a floor: Carnot's loss, persistent contacts included."""
     rng = np.random.default_rng([5, seed])
     model = double_pendulum()
     shapes = {f"ball{k}": (2, place(x=float(rng.uniform(-0.1, 0.1)), z=-0.4 * k), coal.Sphere(0.05)) for k in (1, 2)}

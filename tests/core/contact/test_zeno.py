@@ -1,4 +1,4 @@
-"""Bouncing that ends: N01, N02, options, and that nothing hangs."""
+"""Accumulating impacts: bouncing balls with closed forms, options, and that no run hangs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from oracles import closed_forms
 @pytest.mark.parametrize(("restitution", "end"), [(0.9, 8.5789491787), (0.5, 1.354571), (0.3, None)])
 @pytest.mark.parametrize("h", [0.02, 0.01, 1e-3])
 def test_bouncing_ball_comes_to_rest(restitution, end, h, impact):
-    """N01: the extrapolated end to the case's digits at any step, then rest for ever at the radius."""
+    """A ball dropped from 1 m: the extrapolated end of the bouncing is exact at any step, then the ball rests."""
     exact = closed_forms.BouncingBall(1.0, restitution)
     if end is not None:
         assert exact.zeno_time() == pytest.approx(end, abs=1e-6)
@@ -24,7 +24,7 @@ def test_bouncing_ball_comes_to_rest(restitution, end, h, impact):
     traj = cvi.simulate(*persistent_runs.ball(gap=1.0, restitution=restitution), duration, h, impact=impact)
     assert traj.status.ok
     (ended,) = changes(traj, "bouncing ended")
-    # every located hit leaves 1e-12 m over its speed; times add up over the hits and the series 1 / (1 - e)
+    # every located impact has an error of 1e-12 m over its speed; times add up over the impacts, a series 1 / (1 - e)
     assert ended.value == pytest.approx(exact.zeno_time(), abs=1e-9)
     after = traj.t > max(exact.zeno_time(), ended.time)
     assert np.abs(traj.q[after, 2] - 0.1).max() <= 1e-12
@@ -56,7 +56,7 @@ def test_automatic_steps_come_to_rest():
 
 @pytest.mark.parametrize("h", [0.02, 0.01, 0.005])
 def test_rolling_ball_of_the_case(h):
-    """N02: impact at .4283529369 with 4.2021423108 m/s, end of the bouncing 1.2850588106, rest at y = R."""
+    """Closed forms: impact at .4283529369 s with 4.2021423108 m/s, end of bouncing at 1.2850588106 s, rest at y = R."""
     traj = cvi.simulate(*persistent_runs.ball(mu=0.2, gap=0.9, restitution=0.5), 2.0, h)
     first = traj.events[0]
     assert first.time == pytest.approx(0.4283529369, abs=6e-11)
@@ -131,7 +131,7 @@ def test_two_balls_bounce_out_of_step():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_capsule_clatters_to_rest(seed):
-    """Two ends that hit by turns, e = .5 with friction: many bounces, then it lies."""
+    """Impacts of two ends in turn, e = .5 with friction: many bounces, then rest."""
     rng = np.random.default_rng([31, seed])
     scene = cvi.Scene(gravity=(0.0, 0.0, -GRAVITY))
     scene.add_halfspace(name="ground")

@@ -154,7 +154,7 @@ def test_flat_boxes_touch_at_the_corners_of_the_overlap(name, size_b):
         four = two.points(a, b_W, margin=1e-10)
         assert len(four["gap"]) == min(4, len(corners))
         assert two.points(a, b_W, margin=1e-10)["feature"] == four["feature"]
-        # The unheld corners touch as well, but only because the held ones do.
+        # The other corners touch as well, but only because the persistent points do.
         assert two.rest(a, b_W, four["feature"]) > 2.9e-11
         if len(corners) > 4:
             best = oracle.largest_area(corners, 4)

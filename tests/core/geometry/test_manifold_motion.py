@@ -45,18 +45,18 @@ def test_cylinder_lying_upright_and_tilted():
         assert all(upright["material"])
         assert oracle.area(upright["x"][:, :2]) == pytest.approx(2 * R**2, rel=1e-9)
         assert 0 < two.rest(IDENTITY, body, upright["feature"]) <= SLACK
-    held = two.points(IDENTITY, pose(z=half))["feature"]
+    persistent = two.points(IDENTITY, pose(z=half))["feature"]
     for tilt in (1e-9, 1e-6, 1e-2, 1.0):
         body = two.touching(IDENTITY, pose(z=1.0, R=turn([1, 0.2, 0], tilt)))
         tilted = two.points(IDENTITY, body, margin=1e-11)
         assert tilted["kind"] == [RIM]
-        assert not any(two.of(IDENTITY, body, held)["valid"])
-        # The far side of the rim comes down as the cylinder falls back; the rim says so if flat points are held.
+        assert not any(two.of(IDENTITY, body, persistent)["valid"])
+        # The far side of the rim closes as the cylinder falls back; the rim gives its gap if flat points persist.
         if tilt < 0.1:
             assert two.rest(IDENTITY, body, tilted["feature"]) == pytest.approx(
                 2 * R * np.sin(tilt), rel=1e-9, abs=4e-11
             )
-        lower = two.rest(IDENTITY, pin.SE3(body.rotation, body.translation - 1e-8 * Z), held)
+        lower = two.rest(IDENTITY, pin.SE3(body.rotation, body.translation - 1e-8 * Z), persistent)
         assert lower == pytest.approx(SLACK - 1e-8, abs=1e-12)
 
 
@@ -119,28 +119,30 @@ def test_rest_comes_down_to_zero_as_a_tipped_body_falls_flat(name, second):
     slopes = []
     for angle in (3e-1, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7):
         b = tipped(two, angle, STACKS[name])
-        held = two.points(IDENTITY, b, margin=1e-12)
-        rest = two.rest(IDENTITY, b, held["feature"])
+        persistent = two.points(IDENTITY, b, margin=1e-12)
+        rest = two.rest(IDENTITY, b, persistent["feature"])
         assert 0.0 < rest < 0.5 * angle
         slopes.append(rest / angle)
     np.testing.assert_allclose(slopes[5:], slopes[-1], rtol=5e-3)
-    assert two.rest(IDENTITY, tipped(two, 1e-7, STACKS[name]), held["feature"]) > 0.0
+    assert two.rest(IDENTITY, tipped(two, 1e-7, STACKS[name]), persistent["feature"]) > 0.0
 
 
 def test_rest_turns_negative_where_another_corner_goes_through():
     two = Two(coal.Box(0.4, 0.4, 0.2), coal.Box(0.2, 0.2, 0.2))
     place = stacked(0.2, 0.03, 0.05)
-    held = two.points(IDENTITY, tipped(two, 1e-3, place), margin=1e-12)
-    assert len(held["gap"]) == 1
-    x = held["x"][0]
+    persistent = two.points(IDENTITY, tipped(two, 1e-3, place), margin=1e-12)
+    assert len(persistent["gap"]) == 1
+    x = persistent["x"][0]
     values = []
     for angle in np.linspace(1e-3, -1e-3, 9):
-        # Turned about the held corner.
+        # Turned about the persistent corner.
         start = tipped(two, 1e-3, place)
         R = turn([0, 1, 0], angle - 1e-3)
         corner = x + ROUNDING * Z
         values.append(
-            two.rest(IDENTITY, pin.SE3(R @ start.rotation, corner + R @ (start.translation - corner)), held["feature"])
+            two.rest(
+                IDENTITY, pin.SE3(R @ start.rotation, corner + R @ (start.translation - corner)), persistent["feature"]
+            )
         )
     assert np.all(np.diff(values) < 0)
     assert values[0] > 1e-5
@@ -163,9 +165,9 @@ def test_rest_is_infinite_where_nothing_else_can_touch():
 
 def test_points_that_slid_off_are_not_valid():
     two = Two(coal.Box(0.2, 0.2, 0.2), coal.Box(0.1, 0.1, 0.2))
-    held = two.points(IDENTITY, stacked())["feature"]
-    assert all(two.of(IDENTITY, stacked(x=0.04), held)["valid"])
-    assert sum(two.of(IDENTITY, stacked(x=0.06), held)["valid"]) == 2
+    persistent = two.points(IDENTITY, stacked())["feature"]
+    assert all(two.of(IDENTITY, stacked(x=0.04), persistent)["valid"])
+    assert sum(two.of(IDENTITY, stacked(x=0.06), persistent)["valid"]) == 2
     over = two.points(IDENTITY, stacked(x=0.06))
     assert sorted(over["kind"]) == [VERTEX, VERTEX, EDGE, EDGE]
     assert sum(two.of(IDENTITY, stacked(x=0.16), over["feature"])["valid"]) == 0

@@ -22,7 +22,7 @@ from oracles.gauss_step import GaussStep
 
 ABSOLUTE = np.array([[1.0, 0.0], [1.0, 1.0]])  # absolute = ABSOLUTE @ relative angles of problem B
 START_B = (np.array([0.3, 0.2]), np.zeros(2))
-OWN = 1e-11  # jump of a map's own scalar, of the kinetic energy at the impact (cases.md)
+OWN = 1e-11  # of the kinetic energy at the impact: jump of the map's own scalar
 maps = pytest.mark.parametrize("method", METHODS)
 
 
@@ -80,7 +80,7 @@ def test_problem_b_is_the_oracles_run(method, order, steps, restitution):
     """The same steps and impacts as an event search on exact partial steps, in NumPy."""
     h, count = 3.0 / steps, steps // 2  # with e = 0.6 the impacts go on to accumulate later
     gauss = GaussStep(System(problem_b()[0]), order // 2)
-    qs, ps, hits = gauss_impacts.run(
+    qs, ps, impacts = gauss_impacts.run(
         gauss,
         lambda q: reference_b.tip_gap(ABSOLUTE @ q),
         lambda q: reference_b.gap_gradient(ABSOLUTE @ q) @ ABSOLUTE,
@@ -91,11 +91,11 @@ def test_problem_b_is_the_oracles_run(method, order, steps, restitution):
         restitution,
     )
     result = run_b(method, count, order, restitution, count * h)
-    assert len(result.events) == len(hits) >= 1
-    for e, hit in zip(result.events, hits, strict=True):
+    assert len(result.events) == len(impacts) >= 1
+    for e, impact in zip(result.events, impacts, strict=True):
         # the search ends at |gap| <= 1e-12, the speeds are above 1
-        assert (e.step, e.before, e.after) == pytest.approx((hit.step, hit.before, hit.after), abs=1e-11)
-        assert e.impulse == pytest.approx(hit.impulse, abs=1e-10)
+        assert (e.step, e.before, e.after) == pytest.approx((impact.step, impact.before, impact.after), abs=1e-11)
+        assert e.impulse == pytest.approx(impact.impulse, abs=1e-10)
     assert np.abs(result.q - qs).max() <= 1e-10
     assert np.abs(result.p - ps).max() <= 1e-9
 
@@ -199,14 +199,14 @@ def test_spinning_ball_is_the_oracles_run(method, order, restitution):
     h, steps = 0.05, 12
     gauss = GaussStep(system, order // 2)
     start = (q, system.momentum(q, v), h, steps, method, restitution)
-    qs, ps, hits = gauss_impacts.run(gauss, lambda q: position(q)[2] - 0.2 + 0.5, gradient, *start)
+    qs, ps, impacts = gauss_impacts.run(gauss, lambda q: position(q)[2] - 0.2 + 0.5, gradient, *start)
     scene = public_scene(model, shapes, restitution)
     result = map_runs.run(scene, q, v, h * steps, h, method, order=order, tol=1e-14)
-    assert len(result.events) == len(hits) >= 1
-    for e, hit in zip(result.events, hits, strict=True):
+    assert len(result.events) == len(impacts) >= 1
+    for e, impact in zip(result.events, impacts, strict=True):
         assert e.fallback == 0
-        assert e.before == pytest.approx(hit.before, abs=1e-11)
-        assert e.impulse == pytest.approx(hit.impulse, abs=1e-10)
+        assert e.before == pytest.approx(impact.before, abs=1e-11)
+        assert e.impulse == pytest.approx(impact.impulse, abs=1e-10)
     assert np.abs(result.q - qs).max() <= 1e-10
     assert np.abs(result.p - ps).max() <= 1e-10
     assert_own_scalar(system, result, order)
@@ -265,7 +265,7 @@ def test_two_free_bodies_keep_their_momentum(method, order, restitution):
 @pytest.mark.parametrize("order", [4, 8, 16])
 @pytest.mark.parametrize("restitution", [1.0, 0.8])
 def test_bouncing_ball_is_exact(method, order, restitution):
-    """N01: a parabola is a polynomial of degree 2, so from two stages on all maps give the exact bounces."""
+    """A ball's parabola is a polynomial of degree 2: from two stages on all maps give the exact bounces."""
     import contactvi as cvi
 
     scene = cvi.Scene(gravity=(0.0, 0.0, -GRAVITY))

@@ -66,7 +66,7 @@ UP = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 @pytest.mark.parametrize(("before", "after"), [(0.003, 0.007), (0.01, 1e-6), (1e-7, 0.01), (0.005, 0.005)])
 def test_oracle_on_a_ball_has_the_closed_forms(before, after):
-    """N06 and N07: p+^2 = p-^2 + m^2 g^2 (r^2 - a^2)/4 for DTEC, MHC = CTEC."""
+    """Of a dropped ball: p+^2 = p-^2 + m^2 g^2 (r^2 - a^2)/4 for DTEC, and MHC = CTEC."""
     system, p = one_ball(), np.array([0.3, -0.2, -1.1, 0.02, 0.01, 0.0])
     q = pin.neutral(system.split.original)
     hit = dtec_mhc.dtec(system, q, p, UP, 1.0, before, after)
@@ -153,7 +153,7 @@ def test_bodies_and_an_arm_are_the_oracles(method, restitution, build):
 
 @implicit
 def test_several_impacts_in_one_step_are_the_oracles(method):
-    """A body at 8 m/s with .3 m to move between the walls, h = .05: two hits in some steps."""
+    """A body at 8 m/s with .3 m to move between the walls, h = .05: two impacts in some steps."""
     model, geometry, q, v, *_ = map_runs.body_at_wall(half=0.35)
     v[2] = -8.0
     scene = public_scene(model, geometry)
@@ -189,7 +189,7 @@ def test_two_free_bodies_keep_their_total_momentum(method, ratio):
 
 
 @maps
-def test_the_kick_is_along_the_gradient(method):
+def test_the_impulse_is_along_the_gradient(method):
     """At a wall the tangential part of the momentum is unchanged."""
     model, geometry, q, v, duration, h = map_runs.body_at_wall()
     scene = public_scene(model, geometry)
@@ -225,7 +225,7 @@ def test_each_map_conserves_its_own_scalar_and_no_other(method):
 
 @maps
 def test_orders_on_problem_b(method):
-    """cases.md: CTEC and MHC 1.96 1.99 2.00 2.00; DTEC's orders scatter about 2, which is the finding."""
+    """CTEC and MHC are of order 2 (1.96 1.99 2.00 2.00); DTEC's orders scatter about 2."""
     exact = reference_b.run(3.0)
     errors = [np.linalg.norm(ABSOLUTE @ run_b(method, h).q[-1] - exact.q) for h in (0.04, 0.02, 0.01, 0.005, 0.0025)]
     orders = laws.orders(errors)
@@ -293,7 +293,7 @@ def test_only_dtec_is_symplectic_over_an_impact_step(method):
 # --- closed forms of the ball ---------------------------------------------------------------------------------------
 @pytest.mark.parametrize("height", [1.0, 0.1, 0.01])
 def test_dtec_on_a_ball_is_its_closed_form(height):
-    """N06, and the energy it gains: dH = m g^2 h (r - a) / 8."""
+    """DTEC on a dropped ball changes its energy: dH = m g^2 h (r - a) / 8."""
     m, h = 0.5, 0.01
     result = drop("dtec", height, 5.0, h)
     assert len(result.events) >= 5
@@ -309,7 +309,7 @@ def test_dtec_on_a_ball_is_its_closed_form(height):
 
 @pytest.mark.parametrize("spin", [0.0, 3.0])
 def test_mhc_on_a_ball_is_ctec(spin):
-    """N07: H~ differs from H by a constant there."""
+    """MHC on a dropped ball is CTEC, because H~ differs from H by a constant."""
     result = drop("mhc", 1.0, 5.0, spin=spin)
     assert len(result.events) >= 5
     for e in result.events:

@@ -86,20 +86,20 @@ def test_gradients_are_differences_of_coal_gaps(gravity, restitution, seed):
 
 @cases
 def test_between_nodes_and_impacts_the_motion_is_the_oracles_step(gravity, restitution, seed):
-    """Discrete Euler-Lagrange residual of every arc node -> node, node -> impact, impact -> impact, impact -> node."""
+    """Discrete Euler-Lagrange residual of every part of a step between nodes and impacts."""
     traj = run(gravity, restitution, seed)
     system = System(traj.scene.model)
-    arcs = []
+    parts = []
     events = list(traj.events)
     for k in range(len(traj.t) - 1):
         t, q, p = traj.t[k], traj.q[k], traj.p[k]
         while events and events[0].time <= traj.t[k + 1]:
             e = events.pop(0)
-            arcs.append((e.time - t, q, p, e.q, e.p_minus))
+            parts.append((e.time - t, q, p, e.q, e.p_minus))
             t, q, p = e.time, e.q, e.p_plus
-        arcs.append((traj.t[k + 1] - t, q, p, traj.q[k + 1], traj.p[k + 1]))
+        parts.append((traj.t[k + 1] - t, q, p, traj.q[k + 1], traj.p[k + 1]))
     size = float(np.abs(system.mass_matrix(traj.q[0])).sum(axis=1).max())
-    for dt, q0, p0, q1, p1 in arcs:
+    for dt, q0, p0, q1, p1 in parts:
         if dt > 1e-7:
             # v is taken from q1 - q0 and from times of size t: their rounding enters as eps / dt and |v| eps t / dt
             floor = size * (16 * EPS + 10.0 * EPS * traj.t[-1]) / dt

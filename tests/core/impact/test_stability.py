@@ -1,6 +1,6 @@
 """Hard numbers for all three maps: small and large steps, mass ratios, many impacts, grazing, impacts at a step's end.
 
-Every run is lawful to its end, or its Status says why it ended before: never NaN, never a crash.
+Every run keeps the laws to its end, or its Status gives the reason why it ended earlier: never NaN, never a crash.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from helpers.contact_models import GRAVITY, geometry, place, problem_b, room, ro
 from helpers.contact_models import scene as public_scene
 from oracles import momentum_maps
 
-# SUCCESS, ZENO, NEWTON_FAILED, EVENT_UNRESOLVED: the last two where a step turns a body by more than the chart holds
+# SUCCESS, ZENO, NEWTON_FAILED, EVENT_UNRESOLVED: the last two where a step turns a body by more than its chart covers
 SUCCESS, ZENO, NEWTON, EVENT = 0, 1, 2, 4
 VARIANTS = [("ctec", False), ("dtec", False), ("mhc", False), ("mhc", True)]
 variants = pytest.mark.parametrize(("method", "mhc_global"), VARIANTS, ids=["ctec", "dtec", "mhc", "mhc_global"])
@@ -63,19 +63,19 @@ def own_jumps(scene, result) -> np.ndarray:
     """What each impact (MHC: each step with impacts) without fallback changes of its map's scalar beyond the loss.
 
     The scalars of DTEC and MHC belong to one length of the step: nothing of runs in which steps were cut. MHC's is not
-    known where contacts are held in a part of the step.
+    known where contacts persist in a part of the step.
     """
     core, log, found = scene.core(), result.log, []
     loss = log["loss"]
     if result.method != "ctec" and result.stats["halved"]:
         return np.zeros(0)
     if result.method == "mhc":
-        held = set(result.contacts["step"][result.contacts["h"] > 0.0])
+        persistent = set(result.contacts["step"][result.contacts["h"] > 0.0])
         whole = len(result.t) - (result.code != SUCCESS)  # the last node of a run that ended early lies within a step
         modified = core.modified_energy(result.q[:whole], result.p[:whole], result.h)
         for step in np.unique(log["step"]):
             here = log["step"] == step
-            known = step + 1 < len(modified) and step not in held and not log["fallback"][here].any()
+            known = step + 1 < len(modified) and step not in persistent and not log["fallback"][here].any()
             if known and not result.mhc_global:
                 found.append(modified[step + 1] - modified[step] + loss[here].sum())
         return np.array(found)
@@ -106,7 +106,7 @@ def test_step_sizes(method, mhc_global, h):
     lawful(scene, result)
     assert len(result.events) == (2 if h >= 1e-4 else 1)
     assert np.all(result.log["fallback"] == 0)
-    assert abs(result.log["time"][0] - 0.656671045) <= max(1e-8, 0.5 * h * h)  # cases.md, order 2
+    assert abs(result.log["time"][0] - 0.656671045) <= max(1e-8, 0.5 * h * h)  # the exact time of impact; order 2
 
 
 @variants
@@ -136,7 +136,7 @@ def test_mass_ratios_of_free_bodies(method, mhc_global, ratio):
 
 @variants
 def test_mass_ratio_of_a_million_at_a_wall(method, mhc_global):
-    """N10 with mass ratio 100^3: 3141 impacts (cases.md), then both fly off; without forces all maps are the same."""
+    """Two blocks and a wall, mass ratio 100^3: 3141 impacts, then both fly off; without forces all maps are equal."""
     scene = public_scene(*slider_blocks((1.0, 1e6), 0.1, "sphere"))
     result = run(scene, [1.1, 2.3], [0.0, -1.0], 4.0, 0.05, method, mhc_global)
     lawful(scene, result)
@@ -152,7 +152,7 @@ def test_mass_ratios_within_a_tree(method, mhc_global, ratio):
     """Problem B with the tip a million times lighter or heavier than the elbow.
 
     A heavy tip falls freely until the links are in line and then snaps the elbow over in some 1e-6 s: halved steps
-    of the midpoint rule do not follow that, and the status says so.
+    of the midpoint rule do not follow that, and the status reports it.
     """
     model, shapes = problem_b()
     model.inertias[2] = pin.Inertia(ratio, np.array([0.0, 0.0, -1.0]), np.zeros((3, 3)))
@@ -195,7 +195,7 @@ def test_a_hundred_thousand_impacts_of_a_ball(method, record_property):
     energy = scene.core().energy(result.q, result.p).sum(axis=1) - 0.5 * GRAVITY * 0.1
     error = float(np.abs(energy / energy[0] - 1.0).max())
     record_property("relative_energy_error", error)
-    if method != "dtec":  # DTEC: 1.3e-2 already at 100 s (cases.md)
+    if method != "dtec":  # DTEC: 1.3e-2 already at 100 s
         assert error <= 1e-10  # 1e-11 per 1e3 impacts is the bar of a long run; errors of either sign add up slowly
 
 
@@ -247,7 +247,7 @@ def wall_at(x: float):
 @variants
 @pytest.mark.parametrize("h", [0.04, 0.01, 0.0025])
 def test_grazing(method, mhc_global, h, record_property):
-    """N27: one event where the tip would dip below the wall by more than 1e-10 m, none where it would not."""
+    """Grazing: one event where the tip would pass the wall by more than 1e-10 m, none where it would not."""
     turning, worst = turning_point(h), 0.0
     for depth in (1e-2, 1e-3, 1e-5, 1e-7, 1e-8, 1e-9, 1e-10, 0.0, -1e-11, -1e-9):
         scene = wall_at(turning + depth)
@@ -305,7 +305,7 @@ def test_impacts_next_to_a_step_end(method, mhc_global, h):
         assert e.fallback == 0
         reference.append([*result.q[-1], *result.p[-1]])
     # CTEC depends smoothly on the shift; for the others the parts of the step change places at the node, and with them
-    # an energy of (g h)^2 / 4 (N06), so a speed of (g h)^2 / (4 gamma)
+    # an energy of (g h)^2 / 4, so a speed of (g h)^2 / (4 gamma)
     spread = np.ptp(np.array(reference), axis=0).max()
     assert spread <= (1e-6 if method == "ctec" else (GRAVITY * h) ** 2 / 4.0)
 

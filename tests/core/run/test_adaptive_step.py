@@ -1,4 +1,4 @@
-"""run_auto and very long fixed steps, below the Python face: arcs, what is thrown away, how runs end."""
+"""run_auto and very long fixed steps, below the Python API: adaptive steps, redone ones, how runs end."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def run_b(method: str, order: int, duration: float = 8.0, first: float = 0.01, r
     return simulator.run_auto(duration, LEVELS[order])
 
 
-# -- arcs -------------------------------------------------------------------------------------------------------------
+# -- adaptive steps ----------------------------------------------------------------------------------------------------
 
 
 @MAPS
 @ORDERS
 def test_arcs_end_after_their_impact(method, order):
-    """Nodes are a step of the arc apart; an arc's last step is the one with its impact, or ends with the run."""
+    """Steps are equal between two impacts; the last one of them has the impact, or ends with the run."""
     result = run_b(method, order)
     assert result["code"] == SUCCESS
     t, arcs, impacts = result["t"], result["adaptive_steps"], result["events"]["time"]
@@ -60,7 +60,7 @@ def test_the_end_is_exact(order, duration):
 
 
 def test_what_is_thrown_away_is_counted():
-    """A first guess a thousand times too short costs probes only, one too long a redone arc; the result is alike."""
+    """A first step that is too short costs probes only, one that is too long a repetition; the results agree."""
     runs = {first: run_b("ctec", 8, 3.0, first) for first in (1e-5, 0.02, 100.0)}
     for result in runs.values():
         stats = result["stats"]
@@ -134,7 +134,7 @@ def test_several_bounces_in_one_step(method, order, restitution):
     """dt = 2 s holds up to three flights: every impact at its instant, every height right.
 
     A parabola is exact at every order. MHC's scalar at order 2 and DTEC's depend on the parts of the step; DTEC may
-    give a short part nearly no speed (no flights that end) and says so.
+    give a short part nearly no speed (no flights that end) and reports it.
     """
     ball = BouncingBall(HEIGHT, restitution)
     scene = ball_scene(restitution)
@@ -182,7 +182,7 @@ def test_a_hand_and_a_ball_in_long_steps(method, order):
 
 @pytest.mark.parametrize("order", [2, 4, 8, 16])
 def test_a_tolerance_below_rounding_ends(order):
-    """tol = 1e-15: the sweeps stop at rounding, some more of them per step, and the run is no worse for it."""
+    """tol = 1e-15: the stage iterations stop at rounding, after a few more per step, with an equally good result."""
     runs = [
         map_runs.run(public_scene(*problem_b()), *START_B, 3.0, 0.01, "ctec", order=order, tol=tol)
         for tol in (1e-12, 1e-15)

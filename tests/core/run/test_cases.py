@@ -1,4 +1,4 @@
-"""Cases with known answers (cases.md): N01, N08, N10, N16, the fast ball, and what every run must keep."""
+"""Cases with closed forms: bouncing ball, pendulum at a wall, blocks at a wall, rod, fast ball; general laws."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ def drop(restitution: float, duration: float, h: float, **options) -> cvi.Trajec
     return cvi.simulate(scene, q, np.zeros(scene.nv), duration, h, **options)
 
 
-# --- N01 ------------------------------------------------------------------------------------------------------------
+# --- bouncing ball ----------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("h", [0.02, 0.01])
 def test_elastic_ball_bounces_forever(h):
     exact = closed_forms.BouncingBall(1.0, 1.0)
     traj = drop(1.0, 10.0, h)
     n = len(traj.events)
     assert n == int((10.0 / exact.first + 1) / 2)
-    # free flight is exact on parabolas; each location adds at most 1e-12 m / 4.4 m/s, and errors add up over n hits
+    # free flight is exact on parabolas; each location adds at most 1e-12 m / 4.4 m/s, and errors add up over n impacts
     assert np.abs(traj.events.array("time") - exact.impact_times(n)).max() <= n * 1e-12
     assert np.abs(traj.q[:, 2] - 0.1 - [exact.height(t) for t in traj.t]).max() <= 1e-10
-    # the bar of cases.md for a long elastic run: some hundred steps, each solved to a residual of 1e-12
+    # a long elastic run: some hundred steps, each solved to a residual of 1e-12
     assert np.abs(traj.energy / traj.energy[0] - 1.0).max() <= 1e-11
     assert np.abs(traj.events.array("gap")).max() <= 1e-12
 
@@ -80,7 +80,7 @@ def test_apexes_fall_with_the_square_of_restitution():
         assert event.gamma_plus**2 / (2 * GRAVITY) == pytest.approx(exact.apex(n), rel=1e-11)
 
 
-# --- N08 ------------------------------------------------------------------------------------------------------------
+# --- pendulum at a wall -----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("theta0", [0.5, 1.0, 1.5])
 def test_pendulum_at_the_wall_keeps_its_elliptic_period(theta0):
     exact, errors = closed_forms.pendulum_wall_period(theta0), []
@@ -91,13 +91,13 @@ def test_pendulum_at_the_wall_keeps_its_elliptic_period(theta0):
         assert abs(times[0] - 0.5 * exact) <= h * h
         errors.append(abs(np.diff(times).mean() - exact))
         speed = math.sqrt(2 * GRAVITY * (1 - math.cos(theta0)))
-        # elastic: the energy repeats at every hit up to the variation of H, h^2 times some g^2
+        # elastic: the energy is equal at every impact up to the variation of H, h^2 times some g^2
         assert np.abs(traj.events.array("gamma_minus") + speed).max() <= h * h * GRAVITY**2 / speed
         assert traj.q.min() >= -1e-10
     assert np.abs(laws.orders(errors) - 2.0).max() <= 0.1, errors
 
 
-# --- N10 ------------------------------------------------------------------------------------------------------------
+# --- two blocks and a wall --------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("shape", ["sphere", "box"])
 @pytest.mark.parametrize("k", [0, 1, 2])
 def test_blocks_count_the_digits_of_pi(k, shape):
@@ -121,7 +121,7 @@ def test_blocks_count_the_digits_of_pi(k, shape):
         assert abs(heavy - float(hit.heavy)) <= 1e-11
 
 
-# --- N16 ------------------------------------------------------------------------------------------------------------
+# --- impact of a rod --------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("free", [False, True], ids=["hinge", "free_flyer"])
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0, 60.0])
 def test_rod_hits_the_ground_with_one_end(degrees, free):
@@ -178,7 +178,7 @@ def test_fast_ball_bounces_off_a_thin_plate(support, offset):
 
 # --- the event loop -------------------------------------------------------------------------------------------------
 def test_many_impacts_in_one_step():
-    """A ball between two walls 1 cm apart at 5 m/s: five hits per step, a triangle wave."""
+    """A ball between two walls 1 cm apart at 5 m/s: five impacts per step, a triangle wave."""
     model, geometry = slider_blocks((1.0,), 0.1, "sphere")
     far = pin.GeometryObject("far", 0, pin.SE3.Identity(), halfspace(-1.0, 0.0, 0.0, -0.21))
     geometry.addCollisionPair(pin.CollisionPair(geometry.addGeometryObject(far), 1))
@@ -204,7 +204,7 @@ def test_start_in_penetration_names_pair_and_depth():
 
 @pytest.mark.parametrize("speed", [0.0, 1.0])
 def test_start_in_contact_leaves_or_hits_at_once(speed):
-    """Touching exactly at the start: a separating ball flies, it is no event; a closing one is hit at t = 0."""
+    """Touching exactly at the start: a ball that separates has no event; one that closes has an impact at t = 0."""
     scene = ball_scene(1.0)
     q, v = scene.neutral(), np.zeros(scene.nv)
     q[2], v[2] = 0.1, 1.0
@@ -235,6 +235,6 @@ def test_joint_limits_reflect():
     for e in traj.events:
         assert abs(e.q[0] - (0.3 if e.pair[1] == "upper limit" else -0.2)) <= 1e-12
         assert e.p_plus == pytest.approx(-e.p_minus, rel=1e-13)
-        # energy at the hit, from the start's, to the accuracy of the step
+        # energy at the impact against that at the start, to the accuracy of the step
         speed = math.sqrt(4.0 - 2 * GRAVITY * (math.cos(0.1) - math.cos(e.q[0])))
         assert abs(e.p_minus[0]) == pytest.approx(speed, abs=1e-3)

@@ -1,4 +1,4 @@
-"""Problem B of cases.md with CTEC: double pendulum at a wall, against the DOP853 oracle in absolute angles."""
+"""Problem B, a double pendulum at a wall, with CTEC, against the DOP853 oracle in absolute angles."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ def test_impacts_converge_to_the_oracle_with_order_two(source):
 @both
 def test_final_position_has_the_known_orders(source):
     errors = [np.linalg.norm(ABSOLUTE @ run(source, h).q[-1] - reference().q) for h in STEPS]
-    # the two decimals given in cases.md
+    # to two decimals
     assert np.abs(laws.orders(errors) - [1.96, 1.99, 2.00, 2.00]).max() <= 0.006, errors
 
 
 @both
 @pytest.mark.parametrize("h", STEPS)
-def test_each_impact_keeps_energy_and_kicks_along_the_gradient(source, h):
+def test_each_impact_keeps_energy_and_acts_along_the_gradient(source, h):
     traj = run(source, h)
     model = traj.scene.model
     for event in traj.events:
@@ -115,7 +115,7 @@ def test_inelastic_impacts_follow_the_oracle(restitution):
 
 @pytest.mark.parametrize("wall", [1e-2, 1e-4, 1e-6, 1e-9])
 def test_grazing_neither_misses_nor_repeats(wall):
-    """N27: the wall moved to just before the tip's turning point, so that gamma- is small."""
+    """Grazing: the wall is just before the tip's turning point, so that gamma- is small."""
     model, geometry = mechanism()
     free = cvi.simulate(cvi.Scene.from_pinocchio(model), np.array([0.3, 0.2]), np.zeros(2), 3.0, 0.01)
     turning = min(oracle.tip_gap(ABSOLUTE @ q) for q in free.q)

@@ -1,6 +1,6 @@
 """Random trees and bodies in a box, at random orders, steps, maps, springs, damping, instruction sets.
 
-Every run is lawful to its end, or its Status says why it ended before.
+Every run keeps the laws to its end, or its Status gives the reason why it ended earlier.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def random_trees(rng: np.random.Generator):
 
 
 def random_run(seed: int) -> SimpleNamespace:
-    """One run of 1.5 s or 300 impacts, or until a contact would be held: what is looked at below are free steps."""
+    """One run of 1.5 s or 300 impacts, or until a contact would persist: the tests below are about free steps."""
     rng = np.random.default_rng([4, seed])
     model, shapes, q, v = random_trees(rng)
     order, method = int(rng.choice(ORDERS)), str(rng.choice(map_runs.METHODS))

@@ -1,4 +1,4 @@
-"""Forced and constrained systems against the oracle of index reduction: convergence, loops that stay closed, drives."""
+"""Forced and constrained systems against an oracle by index reduction: convergence, loops, prescribed motions."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def quantities(traj: cvi.Trajectory, nodes: np.ndarray, run: forced.Run) -> dict
         "potential": (traj.potential_energy[nodes], run.potential[1:]),
         "input": (traj.work.input[nodes], run.work_input[1:]),
         "damping": (traj.work.damping[nodes], run.dissipated[1:]),
-        "drive": (traj.work.drive[nodes], run.work_drive[1:]),
+        "drive": (traj.work.prescribed[nodes], run.work_drive[1:]),
         "reactions": (reactions(traj, nodes), run.multipliers[1:]),
         "balance": (traj.ledger.energy_balance[nodes], np.zeros(1)),
     }
@@ -116,7 +116,7 @@ def test_a_linkage_swings_on_for_a_hundred_thousand_steps():
 
 
 def test_a_run_with_constraints_is_no_contact():
-    """What a run says of its steps: its constraints are no contacts that are held."""
+    """The report of a run on its steps: constraints do not count as persistent contacts."""
     scene, q0, v0 = BY_NAME["four_bar"].start()
     assert cvi.simulate(scene, q0, v0, duration=0.01, dt=1e-3).stepping == "order 2, dt = 0.001 s"
     high = cvi.simulate(scene, q0, v0, duration=0.01, dt=1e-3, order=4).stepping
@@ -149,7 +149,7 @@ def test_a_loop_closed_three_times():
 
 
 def test_a_weld_makes_a_frame():
-    """Three hinged bars whose end is welded to the ground cannot move; the weld carries what statics says.
+    """Three hinged bars whose end is welded to the ground cannot move; the reaction of the weld is that of statics.
 
     Six rows for three degrees of freedom. The moments about the three hinges vanish, with the weld's force and torque
     and the weights of what hangs behind each.
@@ -170,7 +170,7 @@ def test_a_weld_makes_a_frame():
     assert force[[1, 3, 5]] == pytest.approx(np.zeros(3), abs=1e-9)
 
 
-# -- drives -----------------------------------------------------------------------------------------------------------
+# -- prescribed motions ------------------------------------------------------------------------------------------------
 
 
 def test_a_winch_and_its_closed_form():
@@ -187,7 +187,7 @@ def test_a_winch_and_its_closed_form():
         assert residuals(traj) <= PHI
         angle = math.atan2(traj.q[k, 1], traj.q[k, 0]) % (2.0 * math.pi)
         pull = -reactions(traj, np.array([k]))[0, 0]
-        errors.append([angle - exact.angle(1.0), pull - exact.tension(1.0), traj.work.drive[k] - exact.work(1.0)])
+        errors.append([angle - exact.angle(1.0), pull - exact.tension(1.0), traj.work.prescribed[k] - exact.work(1.0)])
     ratio = np.array(errors[0]) / errors[1]
     assert np.all((ratio > 3.8) & (ratio < 4.2)), errors
 
@@ -216,11 +216,11 @@ def test_strings_of_the_puppet_are_driven():
         for element in scene.elements:
             rate = np.array([element.length(t)[1] for t in middle])
             work += dt * (traj.reactions(element.name)[1:, 0] @ rate)
-        gaps.append(abs(work - traj.work.drive[-1]))
+        gaps.append(abs(work - traj.work.prescribed[-1]))
     assert gaps[1] < max(0.3 * gaps[0], 1e-12)
 
 
-# -- dry friction of joints -------------------------------------------------------------------------------------------
+# -- joint friction -------------------------------------------------------------------------------------------
 
 
 def sledge(stiffness: float, friction: float, push: float = 0.0) -> cvi.Scene:
@@ -252,11 +252,11 @@ def test_a_sledge_on_a_spring_comes_to_rest_where_it_should():
         off = np.abs(traj.v[:, 0] - [exact.state(t)[1] for t in traj.t]).max()
         assert off < turns * 3.0 * dt / 2.0
         assert traj.q[-1, 0] == pytest.approx(exact.stick()[1], abs=0.02 * dt)
-        assert traj.work.dry[-1] == pytest.approx(exact.dissipated(), abs=0.5 * dt)
+        assert traj.work.joint_friction[-1] == pytest.approx(exact.dissipated(), abs=0.5 * dt)
         assert np.ptp(traj.q[traj.t > exact.stick()[0] + dt, 0]) == 0.0
 
 
-# -- slider with clearance, N22 ---------------------------------------------------------------------------------------
+# -- slider with clearance ---------------------------------------------------------------------------------------
 
 
 def slider(mu: float) -> cvi.Scene:

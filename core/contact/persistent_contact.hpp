@@ -1,0 +1,38 @@
+// A persistent contact: one point that stays closed over steps, and its state from step to step.
+#pragma once
+
+#include "geometry/manifold.hpp"
+
+namespace contactvi {
+
+struct PersistentContact {
+  ContactPoint point;
+  double mu = 0;              // Coulomb's coefficient; 0: one row, no friction
+  bool sticks = true;         // at the node: the two material points have no relative tangential velocity
+  Vec3 slip = Vec3::Zero();   // relative tangential velocity at the node [m/s], world
+  bool anchored = false;      // whether `anchor` is set
+  Vec3 anchor;                // position at which a material point sticks [m], in the plane's body frame
+  Vec3 tangent;               // t1; of a vertex in the plane's body frame, else in the world, turned with the normal
+  Vec3 force = Vec3::Zero();  // (n, t1, t2) in the last step [N]: start values of the next one
+  bool is_new = false;        // while an event is resolved: the contact was not closed before it
+
+  int rows() const { return mu > 0.0 ? 3 : 1; }
+};
+
+// The result of a step for one persistent contact.
+struct ContactOutcome {
+  Contact contact;                              // at the end of the step
+  Vec3 t1, t2;                                  // tangents there, world
+  Vec3 position_impulse_W, velocity_impulse_W;  // on geometry b [N s], world
+  Vec3 position_impulse, velocity_impulse;      // as (n, t1, t2) [N s]
+  Vec3 slip_W;                                  // relative velocity of the points in the tangent plane at the end [m/s]
+  double w_n = 0;                               // normal speed at the end [m/s]
+  bool slipped = false;                         // during the step
+  bool slips = false;                           // at its end
+  bool turned = false;                          // the slip of the step is opposite to that at its start
+  double reversed = 0;  // w_t . d at the end of a contact that slipped along d if its friction had gone on; else 0
+  bool active = false;  // took part in the velocity impulse
+  double paradox = 0;   // A = W_n M^-1 (W_n - mu W_t^T d)^T of a slipping contact: <= 0 is Painleve's paradox
+};
+
+}  // namespace contactvi
