@@ -108,7 +108,7 @@ Solver = Callable[[Problem, np.ndarray | None], Solved]
 def solvers() -> dict[str, Solver]:
     return {
         "contactvi": lambda p, start: ours(p, start, regularize=True),
-        "contactvi, later round": lambda p, start: ours(p, start, regularize=False),
+        "contactvi, later iteration": lambda p, start: ours(p, start, regularize=False),
         "ADMM 1e-9": Admm(1e-9).solve,
         "ADMM 1e-13": Admm(1e-13).solve,
         "ADMM 1e-13, accelerated": Admm(1e-13, accelerated=True).solve,

@@ -102,7 +102,7 @@ class ContactChange(enum.IntEnum):
 
     INCONSISTENT = 5
 
-class PointKind(enum.Enum):
+class PointKind(enum.IntEnum):
     """The geometry that a contact point comes from."""
 
     WITNESS = 0

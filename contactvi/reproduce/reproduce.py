@@ -96,7 +96,7 @@ def fine_steps(count: int) -> np.ndarray:
 class _Stages:
     """Turns stages of known weight into one fraction that is done."""
 
-    # rough wall times [s] of the stages that take longest; the others count as _SMALL
+    # Rough wall times [s] of the longest stages (quick, full); the others count as _SMALL.
     _WEIGHT = {"cost of an impact": (1.0, 8.0), "random starts": (2.0, 30.0), "convergence": (1.0, 4.0)}
     _SMALL, _COUNT = 0.4, 12
 

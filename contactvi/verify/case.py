@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import SimulationError
+from contactvi.records.contacts import ContactChange
 from contactvi.reproduce.check import Check, same
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulation import simulate
@@ -126,3 +127,13 @@ def kept(traj: Trajectory) -> tuple[float, float, float]:
     impulses = np.concatenate([[0.0], at_impacts[1], in_contact[1]])
     products = np.concatenate([[0.0], at_impacts[0] * at_impacts[1], in_contact[0] * in_contact[1]])
     return float(np.concatenate(gaps).min()), float(impulses.min()), float(np.abs(products).max())
+
+
+def largest(values: ArrayLike) -> float:
+    """Return the largest absolute value; inf where there is none."""
+    return float(np.abs(values).max()) if np.size(values) else np.inf
+
+
+def changes_of(traj: Trajectory, change: str) -> list[ContactChange]:
+    """Return the changes of contacts of one kind, in the order of time."""
+    return [found for found in traj.contact_changes if found.change == change]

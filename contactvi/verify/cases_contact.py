@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +11,7 @@ from scipy.integrate import quad
 from contactvi.reproduce.check import Check, at_least, at_most, near, same
 from contactvi.trajectory.trajectory import Trajectory
 from contactvi.verify import systems
-from contactvi.verify.case import Case, Runs
+from contactvi.verify.case import Case, Runs, changes_of, largest
 
 _G = systems.GRAVITY
 _EVEN = "constant acceleration is exact in the midpoint rule; steps are solved to 1e-12"
@@ -45,7 +44,7 @@ def spinning_ball(runs: Runs) -> list[Check]:
     return [
         near("P_N / m [m/s]", 4.2021423108, impulse[2] / mass, 6e-11, digits),
         near("P_F / m [m/s]", -0.8404284622, impulse[0] / mass, 6e-11, digits),
-        # the body frame turns about y only: its angular velocity about y is the world's
+        # The body frame turns about y only, so that its angular velocity about y is the world's.
         near("omega after the impact [rad/s]", 28.9892884461, -after[4], 6e-10, digits),
         near("sticks at [s]", [0.7281199942], stick[:1], 1e-9, located),
         near("x' at 1 s [m/s]", -10.0 / 7.0, world_velocity(traj)[0], 1e-9, located),
@@ -159,7 +158,7 @@ def rocking_box(runs: Runs) -> list[Check]:
     r = max(scene.core().rounding)
     tilt = 0.1
     q[3:7] = pin.Quaternion(pin.exp3(np.array([0.0, tilt, 0.0]))).coeffs()
-    # up until the lower edge of the rounded box touches
+    # The block is raised until its lower rounded edge touches the ground.
     q[2] = (0.5 * b - r) * math.sin(tilt) + (0.5 * h - r) * math.cos(tilt) + r
     traj = runs.simulate(scene, q, np.zeros(6), 0.6, 0.0025)
     inertia, a = (b * b + h * h) / 12.0, 0.5 * b - r
@@ -206,7 +205,7 @@ def rolling_cylinder(runs: Runs) -> list[Check]:
     for name, angle, speed in (("flat", 0.0, 1.0), ("slope of 10 deg", slope, 0.0)):
         scene, q = systems.cylinder_on_ground(0.5, angle)
         v = np.zeros(6)
-        # the axis is the body's z, turned to -y of the world: rolling to +x turns about +y, the body's -z
+        # The cylinder's axis is the body's z, turned to -y of the world: rolling to +x is a turn about the body's -z.
         v[0], v[5] = speed, -speed / 0.1
         traj = runs.simulate(scene, q, v, 1.0, 0.01)
         a = 2.0 / 3.0 * _G * math.sin(angle)
@@ -233,7 +232,7 @@ def ladder_leaves(runs: Runs) -> list[Check]:
     for h in (0.01, 0.005, 0.0025):
         scene, q = systems.ladder_in_corner(start)
         traj = runs.simulate(scene, q, np.zeros(3), 0.6, h)
-        lost = [found for found in traj.contact_changes if found.change == "release" and "wall" in found.pair]
+        lost = [found for found in changes_of(traj, "release") if "wall" in found.pair]
         time = lost[0].time if lost else math.nan
         errors.append(abs(time - exact))
         checks.append(near(f"leaves the wall at [s], h = {h:g}", exact, time, 0.5 * h * h,
@@ -268,18 +267,13 @@ def joint_limit(runs: Runs) -> list[Check]:
 
 def times_of(traj: Trajectory, change: str, what: str = "time") -> np.ndarray:
     """Return the times (or values) of the changes of one kind, shape (n,)."""
-    return np.array([getattr(found, what) for found in traj.contact_changes if found.change == change])
+    return np.array([getattr(found, what) for found in changes_of(traj, change)])
 
 
 def world_velocity(traj: Trajectory) -> np.ndarray:
     """Return the linear velocity of the one free body at the end, world axes, shape (3,)."""
     rotation = pin.Quaternion(traj.q[-1, 3:7]).toRotationMatrix()
     return np.asarray(rotation @ traj.v[-1, :3])
-
-
-def largest(values: np.ndarray | Sequence[float]) -> float:
-    """Return the largest absolute value; inf where there is none."""
-    return float(np.abs(values).max()) if np.size(values) else math.inf
 
 
 CASES = (

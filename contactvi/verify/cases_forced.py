@@ -10,7 +10,7 @@ from scipy.special import ellipk
 from contactvi.reproduce.check import Check, at_most, near
 from contactvi.trajectory.trajectory import Trajectory
 from contactvi.verify import systems
-from contactvi.verify.case import Case, Runs
+from contactvi.verify.case import Case, Runs, largest
 from contactvi.verify.systems import GRAVITY as _G
 
 _SOLVED = "steps are solved to 1e-12; rounding over the run"
@@ -32,7 +32,7 @@ def damped_pendulum(runs: Runs) -> list[Check]:
         balance.append(float(np.abs(swing.ledger.energy_balance).max()))
         lost.append(float(swing.energy[0] - swing.energy[-1] - swing.work.damping[-1]))
     return [
-        at_most("small swing over its start, largest error", 1e-10, _largest(traj.q[:, 0] / small - exact),
+        at_most("small swing over its start, largest error", 1e-10, largest(traj.q[:, 0] / small - exact),
                 "order 8 at w h = .16; sin x is x to 1e-13"),
         near("energy lost less the damper's work, from 2.5 rad, h = .005 [J]", 0.0, lost[1], 2.0 * _G * _G * 0.005**2,
              "second order: (w h)^2 of the energy swung, 2 m G l"),
@@ -54,7 +54,7 @@ def friction_stop(runs: Runs) -> list[Check]:
             near(f"time [s], by the place{of}", m * v / f, traj.t[last] + 2.0 * (x[-1] - x[last]) / speed[last], 1e-10,
                  "the error of the place over the speed"),
             near(f"work of the friction [J]{of}", 0.5 * m * v * v, traj.work.joint_friction[-1], 1e-11, _SOLVED),
-            at_most(f"moved after it [m]{of}", 0.0, _largest(x[after] - x[-1]), "a sticking joint is at rest exactly"),
+            at_most(f"moved after it [m]{of}", 0.0, largest(x[after] - x[-1]), "a sticking joint is at rest exactly"),
         ]  # fmt: skip
     return checks
 
@@ -95,10 +95,10 @@ def nut(runs: Runs) -> list[Check]:
     acceleration = np.diff(traj.v[:, 2]) / 0.01
     return [
         near("acceleration [m/s^2]", np.full(len(acceleration), a), acceleration, 1e-9, _CONSTANT + ", over h"),
-        at_most("place, largest error [m]", 1e-10, _largest(traj.q[:, 2] - 0.5 * a * traj.t**2), _CONSTANT),
-        at_most("spin, largest error [rad/s]", 1e-9, _largest(traj.v[:, 5] - a / p * traj.t), _CONSTANT),
+        at_most("place, largest error [m]", 1e-10, largest(traj.q[:, 2] - 0.5 * a * traj.t**2), _CONSTANT),
+        at_most("spin, largest error [rad/s]", 1e-9, largest(traj.v[:, 5] - a / p * traj.t), _CONSTANT),
         near("force of the thread [N]", np.full(len(force), m * (_G + a)), force[:, 4], 1e-7, _SOLVED + ", over h"),
-        at_most("across it [N, N m]", 1e-7, _largest(force[:, :4]), "it falls straight"),
+        at_most("across it [N, N m]", 1e-7, largest(force[:, :4]), "it falls straight"),
         at_most("off the screw [m, rad]", 1e-10, residual(traj), "phi of constraints"),
     ]
 
@@ -114,7 +114,7 @@ def string_pendulum(runs: Runs) -> list[Check]:
         scene, q = systems.ball_on_string(angle)
         traj = runs.simulate(scene, q, np.zeros(6), steps * h, h)
         late = abs(traj.q[-1, 0]) / speed  # it should pass the bottom: the time that the place is off
-        stretch = _largest(np.linalg.norm(traj.q[:, :3], axis=1) - 1.0)
+        stretch = largest(np.linalg.norm(traj.q[:, :3], axis=1) - 1.0)
         errors.append(late)
         of = f", h = {h:.2g}"
         checks += [
@@ -144,12 +144,12 @@ def moved_cart(runs: Runs) -> list[Check]:
         a, rate = (0.5 * (values[1:, 1] + values[:-1, 1]) for values in (traj.q, traj.v))
         turn = -(_G * np.sin(a) + x2 * np.cos(a))
         force = 2.0 * x2 + turn * np.cos(a) - rate**2 * np.sin(a)
-        errors.append(_largest(traj.reactions("motion")[1:, 0] - force))
-        works.append(_largest(traj.energy - traj.energy[0] - traj.work.prescribed))
+        errors.append(largest(traj.reactions("motion")[1:, 0] - force))
+        works.append(largest(traj.energy - traj.energy[0] - traj.work.prescribed))
         of = f", h = {h:g}"
         checks += [
-            at_most(f"cart off its motion [m]{of}", 1e-12, _largest(traj.q[:, 0] - A * np.sin(w * traj.t)), _SOLVED),
-            at_most(f"force, largest error [N]{of}", (w * h) ** 2 / 6.0 * _largest(force), errors[-1],
+            at_most(f"cart off its motion [m]{of}", 1e-12, largest(traj.q[:, 0] - A * np.sin(w * traj.t)), _SOLVED),
+            at_most(f"force, largest error [N]{of}", (w * h) ** 2 / 6.0 * largest(force), errors[-1],
                     "second order: (w h)^2 / 6 of the largest force"),
         ]  # fmt: skip
     return [
@@ -163,10 +163,6 @@ def residual(traj: Trajectory) -> float:
     """Return the largest |phi| of the constraints over the nodes [m, rad]."""
     core = traj.scene.core()
     return max(float(np.abs(core.constraint_residual(q, t)).max()) for t, q in zip(traj.t, traj.q, strict=True))
-
-
-def _largest(values: np.ndarray) -> float:
-    return float(np.abs(values).max()) if np.size(values) else math.inf
 
 
 CASES = (

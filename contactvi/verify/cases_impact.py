@@ -7,13 +7,12 @@ import math
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from contactvi.records.contacts import ContactChange
 from contactvi.reproduce.check import Check, at_most, near, same
 from contactvi.reproduce.systems import ABSOLUTE, START
 from contactvi.scene.scene import Scene
 from contactvi.trajectory.trajectory import Trajectory
 from contactvi.verify import systems
-from contactvi.verify.case import Case, Runs
+from contactvi.verify.case import Case, Runs, changes_of, largest
 
 _G = systems.GRAVITY
 _DIGITS = "the digits given, half a unit of the last, and the run's tol"
@@ -46,20 +45,20 @@ def bouncing_ball(runs: Runs) -> list[Check]:
         times = first * (1.0 + 2.0 * (np.cumsum(powers) - 1.0))
         bounced = events.array("restitution") > 0.0
         apex = events.array("gamma_plus")[bounced] ** 2 / (2.0 * _G)
-        ended = _changes(traj, "bouncing ended")
+        ended = changes_of(traj, "bouncing ended")
         exact = first * (1.0 + e) / (1.0 - e)
         digits = "the closed form; accumulated location error of 1e-12 m, over (1 - e)"
         rest = traj.t >= zeno + 1e-3
         checks += [
             near(f"first impact [s]{of}", 0.4515236410, events.array("time")[0], 6e-11, "the digits given"),
-            at_most(f"times of impacts, largest error [s]{of}", 1e-9, _largest(events.array("time") - times), _LOCATED),
-            at_most(f"apexes, largest error [m]{of}", 1e-10, _largest(apex - e ** (2.0 * np.arange(1, n + 1))[bounced]),
+            at_most(f"times of impacts, largest error [s]{of}", 1e-9, largest(events.array("time") - times), _LOCATED),
+            at_most(f"apexes, largest error [m]{of}", 1e-10, largest(apex - e ** (2.0 * np.arange(1, n + 1))[bounced]),
                     "half of gamma+^2 / g; the gap is located to 1e-12 m"),
             near(f"bouncing ended [s]{of}", exact, ended[0].value if ended else math.nan, 1e-9, digits),
             near(f"closed form, digits given{of}", zeno, exact, 6e-7 if e == 0.5 else 6e-11, "the digits given"),
-            at_most(f"off the ground 1 ms later [m]{of}", 1e-10, _largest(traj.q[rest, 2] - 0.1),
+            at_most(f"off the ground 1 ms later [m]{of}", 1e-10, largest(traj.q[rest, 2] - 0.1),
                     "phi of persistent contact"),
-            at_most(f"speed from then on [m/s]{of}", 1e-10, _largest(traj.v[rest]), "it is projected at the nodes"),
+            at_most(f"speed from then on [m/s]{of}", 1e-10, largest(traj.v[rest]), "it is projected at the nodes"),
         ]  # fmt: skip
     return checks
 
@@ -74,10 +73,10 @@ def dtec_ball(runs: Runs) -> list[Check]:
     jump = 0.5 * (plus**2 - minus**2)
     return [
         same("impacts that DTEC solved", len(events), int((events.array("fallback") == 0).sum())),
-        at_most("dH - m g^2 h (r - a)/8, largest [J]", 1e-13, _largest(jump - _G**2 * h * (r - a) / 8.0),
+        at_most("dH - m g^2 h (r - a)/8, largest [J]", 1e-13, largest(jump - _G**2 * h * (r - a) / 8.0),
                 "given by the case; rounding of energies of 10 J is 2e-15"),
         at_most("p+^2 - p-^2 - m^2 g^2 (r^2 - a^2)/4, largest", 2e-13,
-                _largest(plus**2 - minus**2 - _G**2 * (r**2 - a**2) / 4.0), "twice the bound of dH, m = 1"),
+                largest(plus**2 - minus**2 - _G**2 * (r**2 - a**2) / 4.0), "twice the bound of dH, m = 1"),
     ]  # fmt: skip
 
 
@@ -95,8 +94,8 @@ def mhc_ball(runs: Runs) -> list[Check]:
     apart = mhc.array("impulse") / ctec.array("impulse") - 1.0
     return [
         same("impacts that MHC solved", len(mhc), int((mhc.array("fallback") == 0).sum())),
-        at_most("impulses, MHC / CTEC - 1", 1e-11, _largest(apart), "both located to 1e-12 m, over 22 impacts"),
-        at_most("energy, relative error", 1e-12, _largest(drift), "given by the case"),
+        at_most("impulses, MHC / CTEC - 1", 1e-11, largest(apart), "both located to 1e-12 m, over 22 impacts"),
+        at_most("energy, relative error", 1e-12, largest(drift), "given by the case"),
     ]
 
 
@@ -131,7 +130,7 @@ def rod(runs: Runs) -> list[Check]:
         event = traj.events[0]
         checks += [
             near(f"P [N s], {degrees} deg", impulse, event.impulse, 1e-12, "rounding of a located impact"),
-            # a turn about y, from z to x, lifts the end that hits
+            # A turn about y, from z to x, lifts the end that hits the ground.
             near(f"v_com, omega, {degrees} deg", [v_com, omega], event.p_plus[1:] * [1.0, 12.0], 6e-7, "digits given"),
         ]  # fmt: skip
     return checks
@@ -151,7 +150,7 @@ def free_body(runs: Runs) -> list[Check]:
         at_most(
             "drift of the angular momentum, relative",
             1e-10,
-            _largest(momentum - momentum[0]) / size,
+            largest(momentum - momentum[0]) / size,
             "given by the case",
         ),
         at_most("it turned over: least / largest spin", -0.9, turned, "the middle axis is unstable"),
@@ -182,14 +181,14 @@ def grazing(runs: Runs) -> list[Check]:
         traj = runs.simulate(systems.double_pendulum_at_wall(least + depth), q, np.zeros(2), end, 0.05, order=16)
         counts.append(len(traj.events))
         steps.append(traj.stats.steps)
-        jumps.append(_largest(traj.energy - traj.energy[0]))
+        jumps.append(largest(traj.energy - traj.energy[0]))
         if depth > 0.0 and len(traj.events) == 1:
             speeds.append(traj.events[0].gamma_minus / -math.sqrt(2.0 * bend * depth) - 1.0)
     return [
         same("impacts at depths 1e-2 .. 1e-10 m, then beside the wall", [1] * 6 + [0] * 3, counts),
         at_most("energy, largest change [J]", 1e-8, max(jumps), "given by the case"),
         same("steps, each", [round(end / 0.05)] * len(depths), steps, "grazing costs no steps"),
-        at_most("gamma- / -sqrt(2 a depth) - 1 from 1e-4 m down", 0.01, _largest(np.array(speeds[1:])),
+        at_most("gamma- / -sqrt(2 a depth) - 1 from 1e-4 m down", 0.01, largest(np.array(speeds[1:])),
                 "the parabola is off by the depth to the power 1/2: 1 % at 1e-4 m"),
     ]  # fmt: skip
 
@@ -221,14 +220,6 @@ def _rate(_t: float, y: np.ndarray) -> list[float]:
     f1 = -s * y[3] ** 2 - 2.0 * _G * math.sin(y[0])
     f2 = s * y[2] ** 2 - _G * math.sin(y[1])
     return [y[2], y[3], (f1 - c * f2) / (2.0 - c * c), (2.0 * f2 - c * f1) / (2.0 - c * c)]
-
-
-def _largest(values: np.ndarray) -> float:
-    return float(np.abs(values).max()) if np.size(values) else math.inf
-
-
-def _changes(traj: Trajectory, change: str) -> list[ContactChange]:
-    return [found for found in traj.contact_changes if found.change == change]
 
 
 CASES = (

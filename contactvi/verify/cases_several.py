@@ -20,9 +20,9 @@ def blocks(runs: Runs) -> list[Check]:
     """Known: 3, 31, 314, ... collisions, the digits of pi."""
     checks = []
     for k, count in enumerate((3, 31, 314, 3141, 31415)):
-        masses = np.array([100.0**-k, 1.0])  # so that impulses are of order 1 with every ratio
+        masses = np.array([100.0**-k, 1.0])  # with these, impulses are of order 1 for every ratio
         q = [systems.RADIUS + 1.0, 3.0 * systems.RADIUS + 2.0]
-        # the last collision may close slowly: with the ratio 100^2 it comes after more than 6 s
+        # The last collision may close slowly: with the ratio 100^2 it comes after more than 6 s.
         traj = runs.simulate(systems.ball_row(masses), q, [0.0, -1.0], 500.0, 0.5, record_contacts=False)
         kinetic = 0.5 * np.sum(traj.p**2 / masses, axis=1)
         drift = float(np.abs(kinetic / kinetic[0] - 1.0).max())

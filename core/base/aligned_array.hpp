@@ -5,7 +5,7 @@
 
 namespace contactvi {
 
-// Numbers in memory aligned for any vector.
+// Doubles in memory that is aligned for vector registers of any width (64 bytes), zero at first.
 class AlignedArray {
  public:
   explicit AlignedArray(std::size_t size);

@@ -6,7 +6,7 @@
 
 namespace contactvi {
 
-// Numbers are part of the Python face (StatusCode) and of stored trajectories: append, never renumber.
+// The numbers are part of the Python API (StatusCode) and of stored trajectories: append, never renumber.
 enum class StatusCode : int {
   kSuccess = 0,
   kZeno = 1,             // impacts accumulate, or a contact stays closed
@@ -16,7 +16,7 @@ enum class StatusCode : int {
   kTooManyImpacts = 5,
   kPenetration = 6,  // the start state has a negative gap
   kInterrupted = 7,
-  // 8 is the face's
+  // 8 is LEDGER of the Python API, which alone keeps the energy balance.
   kConstraint = 9,  // the constraints cannot be met
 };
 
@@ -30,7 +30,7 @@ struct Status {
   bool ok() const { return code == StatusCode::kSuccess; }
 };
 
-// Wrong input that reached the engine, or an internal fault; the Python face turns it into its own errors.
+// Wrong input that reached the engine, or an internal fault; the Python API turns it into errors of its own.
 class Error : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

@@ -12,7 +12,7 @@ void legendre(double x, int count, double* P) {
 }
 
 void legendre_integrals(double tau, int count, double* I) {
-  // int P_k = (P_{k+1} - P_{k-1}) / (2 k + 1) in x, dtau = dx/2, and it vanishes at x = -1 for k >= 1.
+  // The integral of P_k over x is (P_{k+1} - P_{k-1}) / (2 k + 1), which vanishes at x = -1 for k >= 1; dtau = dx/2.
   double P[2 * kMaxStages + 2];
   legendre(2.0 * tau - 1.0, count + 1, P);
   I[0] = tau;
@@ -21,13 +21,13 @@ void legendre_integrals(double tau, int count, double* I) {
 
 namespace {
 
-// In long double: the rounded entries are then correct to the last place.
+// Computes in long double, so that the rounded entries are correct to the last place.
 GaussTable make_table(int s) {
   GaussTable table{};
   table.s = s;
   std::vector<long double> x(s), w(s);
   for (int i = 0; i < s; ++i) {
-    // Newton on P_s from Tricomi's start.
+    // Newton's method on P_s from Tricomi's approximation of the root.
     long double z = -std::cos(3.14159265358979323846264338327950288L * (i + 0.75L) / (s + 0.5L));
     long double slope = 1;
     for (int k = 0; k < 100; ++k) {
@@ -58,7 +58,7 @@ GaussTable make_table(int s) {
     table.c[i] = static_cast<double>((1 + x[i]) / 2);
     table.b[i] = static_cast<double>(w[i]);
     for (int j = 0; j < s; ++j) {
-      // l_j = sum_k (2k+1) w_j P_k(x_j) P_k, discrete orthogonality of Gauss.
+      // By discrete orthogonality the Lagrange polynomial is l_j = sum_k (2k+1) w_j P_k(x_j) P_k.
       long double a = 0;
       for (int k = 0; k < s; ++k) {
         const long double integral = k == 0 ? (1 + x[i]) / 2 : (P[i][k + 1] - P[i][k - 1]) / (2 * (2 * k + 1));

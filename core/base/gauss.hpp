@@ -14,7 +14,7 @@ struct GaussTable {
   double to_legendre[kMaxStages][kMaxStages];  // [k][j]: values at the nodes -> coefficients of P_k(2 tau - 1)
 };
 
-// s in 1 .. kMaxStages.
+// The table of s in 1 .. kMaxStages stages.
 const GaussTable& gauss_table(int s);
 
 // P_0 .. P_{count-1} of x in [-1, 1].

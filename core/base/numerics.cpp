@@ -5,13 +5,13 @@
 namespace contactvi {
 
 namespace {
-constexpr double kSeriesBound = 0.09;  // theta^2 below which the series are used: 0.3 rad
+constexpr double kSeriesBound = 0.09;  // [rad^2] theta^2 below which the series are used: theta = 0.3
 }
 
 So3Coefficients so3_coefficients(double x) {
   So3Coefficients c;
   if (x < kSeriesBound) {
-    // Truncation below 1e-17 at x = 0.09: the next terms are x^7/15! and smaller.
+    // The truncation is below 1e-17 at x = 0.09: the next terms are x^7/15! and smaller.
     c.sin_t = 1 + x * (-1. / 6 +
                        x * (1. / 120 + x * (-1. / 5040 + x * (1. / 362880 + x * (-1. / 39916800 + x / 6227020800.)))));
     c.cos_t = 0.5 + x * (-1. / 24 + x * (1. / 720 + x * (-1. / 40320 + x * (1. / 3628800 + x * (-1. / 479001600)))));
@@ -62,7 +62,7 @@ Vec3 so3_log(const Quat& quat) {
   const double sign = quat.w() < 0 ? -1.0 : 1.0;
   const Vec3 im = sign * quat.vec();
   const double n = im.norm(), w = sign * quat.w();
-  // atan2 is accurate at both ends; for tiny n the ratio theta/sin(theta/2) tends to 2/w.
+  // atan2 is accurate for small and for large angles; for tiny n the ratio theta/sin(theta/2) tends to 2/w.
   const double scale = n < 1e-8 ? 2.0 / w : 2.0 * std::atan2(n, w) / n;
   return scale * im;
 }

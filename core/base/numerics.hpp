@@ -1,7 +1,7 @@
 // Small vectors and the calculus of SO(3).
 //
-// Pinocchio's Jexp6/Jlog6 lose digits for small rotations (8e-10 at 3e-4 rad), and momentum then drifts; the
-// functions here use power series below |xi| = 0.3 and keep full precision at every angle up to pi.
+// Pinocchio's Jexp6/Jlog6 lose digits for small rotations (8e-10 at 3e-4 rad), and momentum then drifts; the functions
+// here use power series below |xi| = 0.3 and keep full precision at every angle up to pi.
 #pragma once
 
 #include <Eigen/Core>
@@ -17,6 +17,8 @@ using Quat = Eigen::Quaterniond;
 using VecRef = Eigen::Ref<VecX>;
 using VecCRef = Eigen::Ref<const VecX>;
 
+constexpr double kTwoPi = 6.283185307179586476925;
+
 // Spatial force or momentum: moment about the frame's origin and force, both in that frame.
 struct Wrench {
   Vec3 ang;
@@ -29,7 +31,7 @@ struct Twist {
   Vec3 lin;
 };
 
-// Motion cross product and power.
+// Motion cross product a x b, and the power of a wrench on a twist.
 inline Twist cross(const Twist& a, const Twist& b) {
   return {a.ang.cross(b.ang), a.ang.cross(b.lin) + a.lin.cross(b.ang)};
 }
@@ -45,6 +47,7 @@ struct So3Coefficients {
 };
 So3Coefficients so3_coefficients(double theta_squared);
 
+// x + a xi*x + b xi*(xi*x).
 inline Vec3 so3_apply(const Vec3& xi, double a, double b, const Vec3& x) {
   const Vec3 c = xi.cross(x);
   return x + a * c + b * xi.cross(c);

@@ -5,17 +5,17 @@
 namespace contactvi {
 
 namespace {
-constexpr double kRedundant = 1e-9;  // of the scaled matrix: rows that depend on each other
-constexpr double kNothing = 1e-20;   // of the largest diagonal: a row that is rounding
-constexpr double kIdle = 1e-12;      // of a row's own diagonal without the equations
+constexpr double kRedundant = 1e-9;  // relative pivot of the scaled matrix below which rows depend on each other
+constexpr double kZeroRow = 1e-20;   // share of the largest diagonal below which a row is rounding
+constexpr double kIdle = 1e-12;      // share of a row's diagonal that the equations leave it, below which it has none
 }  // namespace
 
 void Reduction::set(const Eigen::Ref<const MatX>& G, int equations, int checked) {
   equations_ = equations;
   const Eigen::Index rest = G.rows() - equations;
   scale_.resize(equations);
-  const double nothing = kNothing * G.diagonal().head(equations).maxCoeff();
-  for (int k = 0; k < equations; ++k) scale_[k] = G(k, k) > nothing ? 1.0 / std::sqrt(G(k, k)) : 0.0;
+  const double zero = kZeroRow * G.diagonal().head(equations).maxCoeff();
+  for (int k = 0; k < equations; ++k) scale_[k] = G(k, k) > zero ? 1.0 / std::sqrt(G(k, k)) : 0.0;
   A_ = scale_.asDiagonal() * G.topLeftCorner(equations, equations) * scale_.asDiagonal();
   factor_.setThreshold(kRedundant);
   factor_.compute(A_);
@@ -28,7 +28,7 @@ void Reduction::set(const Eigen::Ref<const MatX>& G, int equations, int checked)
     across_.resize(equations, 0);
     G_.resize(0, 0);
   }
-  A_ = G.bottomLeftCorner(rest, equations);  // for the right side
+  A_ = G.bottomLeftCorner(rest, equations);  // used by right_side()
   idle_.clear();
   for (int k = 0; k < checked; ++k) {
     const double own = G(equations + k, equations + k);

@@ -5,6 +5,8 @@
 
 #include <cmath>
 
+#include "base/tolerances.hpp"
+
 namespace contactvi {
 
 // Value of a function of one variable and its derivative.
@@ -12,12 +14,11 @@ struct ValueAndRate {
   double value, rate;
 };
 
-// Root in [low, high] of a function that is > 0 at low and <= 0 at high: Newton's method from x, replaced by a bisection
-// where it would leave the bracket, and every sixth time, should Newton crawl. Ends where |value| <= target, or where
-// the bracket is as narrow as rounding allows. evaluate(x) gives a ValueAndRate.
+// Root in [low, high] of a function that is > 0 at low and <= 0 at high: Newton's method from x, replaced by a
+// bisection where it would leave the bracket, and every sixth time in case Newton's method is slow. Ends where |value|
+// <= target, or where the bracket is as narrow as rounding allows. evaluate(x) gives a ValueAndRate.
 template <class Evaluate>
 double root_by_rate(double low, double high, double x, double target, int max_evaluations, Evaluate evaluate) {
-  constexpr double kNarrow = 4e-16;  // of the place: two neighbouring numbers
   for (int k = 0; k < max_evaluations; ++k) {
     const ValueAndRate at = evaluate(x);
     if (!(std::abs(at.value) > target)) return x;
@@ -25,7 +26,7 @@ double root_by_rate(double low, double high, double x, double target, int max_ev
     const double newton = x - at.value / at.rate;
     const bool inside = newton > low && newton < high && k % 6 != 5;
     const double next = inside ? newton : 0.5 * (low + high);
-    if (next == x || high - low <= kNarrow * high) return x;
+    if (next == x || high - low <= kNarrowestBracket * high) return x;
     x = next;
   }
   return x;
@@ -33,9 +34,9 @@ double root_by_rate(double low, double high, double x, double target, int max_ev
 
 // Root in (0, high] of a function that falls from low_value >= 0 at 0 to high_value < 0 at high: the Illinois method
 // (Dowell, Jarratt, "A modified regula falsi method for computing the root of an equation", BIT 11, 1971), with a
-// bisection every eighth time. Ends where 0 <= value <= small, or where the bracket is narrower than width; the function
-// has then been evaluated last at the root. value(x, fx) sets fx, and is false where the function has no value: the
-// search then ends with false.
+// bisection every eighth time. Ends where 0 <= value <= small, or where the bracket is narrower than width; the
+// function has then been evaluated last at the root. value(x, fx) sets fx, and is false where the function has no
+// value: the search then ends with false.
 template <class Value>
 bool root_by_value(double low_value, double high, double high_value, double small, double width, int max_evaluations,
                    Value value, double& root) {
@@ -66,9 +67,9 @@ bool root_by_value(double low_value, double high, double high_value, double smal
   return value(root, fx);
 }
 
-// Largest x in [0, 1] for which a condition holds that holds at 0 and, once lost, stays lost: bisection to width, from
-// x = 1. test(x, holds) sets holds, and is false where it cannot be told: the search then ends with false. The condition
-// has been tested last at the x that is returned.
+// Largest x in [0, 1] for which a condition holds that is true at 0 and false beyond some x: bisection to width, from
+// x = 1. test(x, holds) sets holds, and is false where the condition cannot be evaluated: the search then ends with
+// false. The condition has been tested last at the x that is returned.
 template <class Test>
 bool largest_where(double width, int max_evaluations, Test test, double& x) {
   double low = 0.0, high = 1.0;

@@ -8,9 +8,9 @@ namespace contactvi {
 
 namespace {
 
-constexpr double kPlain = 1e-9;     // ratio of pivots from which on LU is not trusted
-constexpr double kCut = 1e-11;      // rank: relative to the largest pivot of QR
-constexpr double kNothing = 1e-13;  // of the largest number: a row of such numbers is rounding
+constexpr double kSmallestPivot = 1e-9;  // of the largest: LU is not trusted below
+constexpr double kRankCut = 1e-11;       // of the largest pivot of QR: the rank ends below
+constexpr double kZeroRow = 1e-13;       // of the largest entry: a row of smaller ones is rounding
 
 double dot(const double* x, const double* y, int n) {
   double sum = 0.0;
@@ -54,9 +54,9 @@ bool SmallLinear::factor() {
   std::fill_n(scale_.data(), n, 0.0);
   for (int j = 0; j < n; ++j)
     for (int i = 0; i < n; ++i) scale_[i] = std::max(scale_[i], std::abs(a_[i + j * n]));
-  const double nothing = kNothing * largest_scale();
+  const double zero = kZeroRow * largest_scale();
   for (int i = 0; i < n; ++i) {
-    if (!(scale_[i] > nothing)) return false;
+    if (!(scale_[i] > zero)) return false;
     scale_[i] = 1.0 / scale_[i];
   }
   for (int j = 0; j < n; ++j)
@@ -70,7 +70,7 @@ bool SmallLinear::factor() {
     const double size = std::abs(column[pivot]);
     largest = std::max(largest, size);
     smallest = k == 0 ? size : std::min(smallest, size);
-    if (!(smallest > kPlain * largest)) return false;
+    if (!(smallest > kSmallestPivot * largest)) return false;
     order_[k] = pivot;
     if (pivot != k)
       for (int j = 0; j < n; ++j) std::swap(f[k + j * n], f[pivot + j * n]);
@@ -99,7 +99,8 @@ int SmallLinear::pivoted_qr(double* c) {
   double* f = f_.data();
   double first = 0.0;
   for (int k = 0; k < n; ++k) {
-    // Norms afresh each time: the matrices are small, and downdated ones lose their digits when the rank ends.
+    // The norms are computed anew each time: the matrices are small, and downdated norms lose their digits where the
+    // rank ends.
     int pivot = k;
     for (int j = k; j < n; ++j) {
       norms_[j] = dot(f + k + j * n, f + k + j * n, n - k);
@@ -107,7 +108,7 @@ int SmallLinear::pivoted_qr(double* c) {
     }
     const double size = std::sqrt(norms_[pivot]);
     if (k == 0) first = size;
-    if (!(size > kCut * first)) return k;
+    if (!(size > kRankCut * first)) return k;
     if (pivot != k) {
       std::swap_ranges(f + k * n, f + (k + 1) * n, f + pivot * n);
       std::swap(order_[k], order_[pivot]);
@@ -149,9 +150,9 @@ void SmallLinear::minimum_norm(const double* weight, double* x) {
     order_[j] = j;
     for (int i = 0; i < n; ++i) scale_[i] = std::max(scale_[i], std::abs(a_[i + j * n]));
   }
-  const double nothing = kNothing * largest_scale();
+  const double zero = kZeroRow * largest_scale();
   for (int i = 0; i < n; ++i) {
-    scale_[i] = scale_[i] > nothing ? 1.0 / scale_[i] : 0.0;
+    scale_[i] = scale_[i] > zero ? 1.0 / scale_[i] : 0.0;
     x[i] *= scale_[i];
   }
   for (int j = 0; j < n; ++j)

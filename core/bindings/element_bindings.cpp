@@ -69,7 +69,7 @@ int clear(PyObject* self) {
 
 // A function that is kept with the scene, found again by its place.
 struct UserFunction {
-  const UserFunctions* kept;
+  UserFunctions* kept;
   std::size_t index;
   template <class... Arguments>
   nb::object operator()(Arguments&&... arguments) const {
@@ -78,7 +78,7 @@ struct UserFunction {
 };
 
 UserFunction keep(Scene& s, const nb::object& function) {
-  std::shared_ptr<void>& owner = s.tree.elements.functions;
+  std::shared_ptr<UserCalls>& owner = s.tree.elements.functions;
   if (!owner) owner = std::make_shared<UserFunctions>();
   auto* functions = static_cast<UserFunctions*>(owner.get());
   functions->list.push_back(function);
@@ -100,9 +100,10 @@ void need(bool condition, const char* what) {
   if (!condition) throw Error(what);
 }
 
-// Calls the function with the interpreter lock. Where it fails, it returns `otherwise` and the scene is told.
+// Makes a call of the user's function with the interpreter lock; where it fails, returns `otherwise` and notes it with
+// the function's owner.
 template <class Result, class Call>
-Result guarded(const std::shared_ptr<bool>& failed, const Result& otherwise, Call call) {
+Result guarded(const UserFunction& function, const Result& otherwise, Call call) {
   nb::gil_scoped_acquire gil;
   try {
     return call();
@@ -110,7 +111,7 @@ Result guarded(const std::shared_ptr<bool>& failed, const Result& otherwise, Cal
     UserErrors::keep(error);
   } catch (const std::exception&) {  // the function returned something of a wrong type
   }
-  *failed = true;
+  function.kept->failed = true;
   return otherwise;
 }
 
@@ -131,8 +132,8 @@ int one_dof(const Tree& tree, int joint, bool continuous) {
 
 Signal signal_of(Scene& s, const std::optional<Motion>& function) {
   if (!function) return {};
-  return [call = keep(s, *function), failed = s.tree.elements.failed](double t) -> std::array<double, 3> {
-    return guarded(failed, std::array<double, 3>{kNaN, kNaN, kNaN}, [&] {
+  return [call = keep(s, *function)](double t) -> std::array<double, 3> {
+    return guarded(call, std::array<double, 3>{kNaN, kNaN, kNaN}, [&] {
       const nb::object value = call(t);
       return std::array<double, 3>{nb::cast<double>(value[0]), nb::cast<double>(value[1]), nb::cast<double>(value[2])};
     });
@@ -190,8 +191,8 @@ void add_wrench(Scene& s, int joint, const Vec3& point, const std::optional<Mat3
                 const std::variant<Vec6, WrenchOfTime>& wrench) {
   AppliedWrench w{frame(s.tree, joint, R, point), !R, Vec6::Zero(), {}};
   if (const WrenchOfTime* function = std::get_if<WrenchOfTime>(&wrench)) {
-    w.signal = [wrench = keep(s, *function), failed = s.tree.elements.failed](double t) -> Vec6 {
-      return guarded(failed, Vec6(Vec6::Constant(kNaN)), [&] { return nb::cast<Vec6>(wrench(t)); });
+    w.signal = [wrench = keep(s, *function)](double t) -> Vec6 {
+      return guarded(wrench, Vec6(Vec6::Constant(kNaN)), [&] { return nb::cast<Vec6>(wrench(t)); });
     };
   } else {
     w.value = std::get<Vec6>(wrench);
@@ -202,19 +203,18 @@ void add_wrench(Scene& s, int joint, const Vec3& point, const std::optional<Mat3
 void add_user_force(Scene& s, const Force& value, const std::optional<ForceDerivatives>& derivatives) {
   UserForce force;
   const int nv = s.tree.nv;
-  const auto failed = s.tree.elements.failed;
-  force.value = [value = keep(s, value), nv, failed](double t, const VecX& q, const VecX& v, VecX& f) {
-    f = guarded(failed, VecX(VecX::Constant(nv, kNaN)), [&] {
+  force.value = [value = keep(s, value), nv](double t, const VecX& q, const VecX& v, VecX& f) {
+    f = guarded(value, VecX(VecX::Constant(nv, kNaN)), [&] {
       VecX result = nb::cast<VecX>(value(t, q, v));
       if (result.size() != nv) throw Error("a user's force has the wrong size");
       return result;
     });
   };
   if (derivatives)
-    force.derivative = [derivatives = keep(s, *derivatives), nv, failed](double t, const VecX& q, const VecX& v,
-                                                                         MatX& dq, MatX& dv) {
+    force.derivative = [derivatives = keep(s, *derivatives), nv](double t, const VecX& q, const VecX& v, MatX& dq,
+                                                                 MatX& dv) {
       const MatX nan = MatX::Constant(nv, nv, kNaN);
-      std::tie(dq, dv) = guarded(failed, std::make_tuple(nan, nan), [&] {
+      std::tie(dq, dv) = guarded(derivatives, std::make_tuple(nan, nan), [&] {
         const nb::object result = derivatives(t, q, v);
         auto both = std::make_tuple(nb::cast<MatX>(result[0]), nb::cast<MatX>(result[1]));
         for (const MatX* m : {&std::get<0>(both), &std::get<1>(both)})
@@ -229,20 +229,19 @@ void add_user_potential(Scene& s, const Potential& value, const Gradient& gradie
                         const std::optional<Hessian>& hessian) {
   UserPotential p;
   const int nv = s.tree.nv;
-  const auto failed = s.tree.elements.failed;
-  p.value = [value = keep(s, value), failed](const VecX& q) {
-    return guarded(failed, kNaN, [&] { return nb::cast<double>(value(q)); });
+  p.value = [value = keep(s, value)](const VecX& q) {
+    return guarded(value, kNaN, [&] { return nb::cast<double>(value(q)); });
   };
-  p.gradient = [gradient = keep(s, gradient), nv, failed](const VecX& q, VecX& g) {
-    g = guarded(failed, VecX(VecX::Constant(nv, kNaN)), [&] {
+  p.gradient = [gradient = keep(s, gradient), nv](const VecX& q, VecX& g) {
+    g = guarded(gradient, VecX(VecX::Constant(nv, kNaN)), [&] {
       VecX result = nb::cast<VecX>(gradient(q));
       if (result.size() != nv) throw Error("a user's gradient has the wrong size");
       return result;
     });
   };
   if (hessian)
-    p.hessian = [hessian = keep(s, *hessian), nv, failed](const VecX& q, MatX& H) {
-      H = guarded(failed, MatX(MatX::Constant(nv, nv, kNaN)), [&] {
+    p.hessian = [hessian = keep(s, *hessian), nv](const VecX& q, MatX& H) {
+      H = guarded(hessian, MatX(MatX::Constant(nv, nv, kNaN)), [&] {
         MatX result = nb::cast<MatX>(hessian(q));
         if (result.rows() != nv || result.cols() != nv) throw Error("a user's hessian has the wrong size");
         return result;
@@ -290,7 +289,7 @@ Evaluated evaluate(const Scene& s, const VecX& q, double t) {
   Placements at(s.tree);
   place(s.tree, q, at);
   evaluate_constraints(s.tree, at, q, t, e.phi, e.W, e.rate);
-  *s.tree.elements.failed = false;
+  s.tree.elements.forget_failure();
   UserErrors::raise();
   return e;
 }

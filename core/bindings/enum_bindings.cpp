@@ -59,7 +59,7 @@ void expose_contact_enums(nb::module_& m) {
       .value("SLIP", Change::kSlip)
       .value("BOUNCING_ENDED", Change::kBouncingEnds)
       .value("INCONSISTENT", Change::kInconsistent);
-  nb::enum_<PointKind>(m, "PointKind", "The geometry that a contact point comes from.")
+  nb::enum_<PointKind>(m, "PointKind", nb::is_arithmetic(), "The geometry that a contact point comes from.")
       .value("WITNESS", PointKind::kWitness)
       .value("VERTEX", PointKind::kVertex)
       .value("RIM", PointKind::kRim)

@@ -77,7 +77,7 @@ Seconds kernel_seconds(const Scene& s, const VecX& q, const VecX& v, int stages,
   // f(q, p) = (M^-1 p, dT/dq - dV/dq) from nothing: place, factor, solve, evaluate.
   d["f"] =
       fastest(calls, repeats, [&] { work.place(), work.factor(), load(), work.solve(), work.evaluate(); }) / stages;
-  d["sweep"] = fastest(calls, repeats, [&] { work.sweep(kLaneKeepVelocity); }) / stages;
+  d["sweep"] = fastest(calls, repeats, [&] { work.iterate(kLaneKeepVelocity); }) / stages;
   return d;
 }
 

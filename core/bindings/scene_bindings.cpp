@@ -12,6 +12,7 @@
 #include "geometry/guard.hpp"
 #include "model/coordinates.hpp"
 #include "step/energy.hpp"
+#include "step/integrator.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -47,7 +48,7 @@ Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restituti
 
 // Raises what a function of the user raised while the engine called it.
 void raise_user_errors(const Scene& s) {
-  *s.tree.elements.failed = false;
+  s.tree.elements.forget_failure();
   UserErrors::raise();
 }
 

@@ -6,11 +6,13 @@
 #include <memory>
 #include <vector>
 
+#include "model/elements.hpp"
+
 namespace contactvi {
 
 // The Python functions that a scene calls. They stand where the garbage collector can see them, because they often hold
 // the scene in turn.
-struct UserFunctions {
+struct UserFunctions : UserCalls {
   std::vector<nanobind::object> list;
 };
 

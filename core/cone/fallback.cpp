@@ -9,20 +9,21 @@ namespace contactvi {
 
 namespace {
 
-constexpr double kSeidelGoal = 1e-12;  // change of a sweep, relative
+constexpr double kSeidelGoal = 1e-12;  // relative change of the impulses in the last sweep
 constexpr double kLocalShift = 1e-10;  // of a singular contact's largest diagonal
-constexpr double kAdmmGoal = 1e-10;
+constexpr double kAdmmGoal = 1e-10;    // primal and dual residual, relative to their terms
 constexpr int kAdmmIterations = 3000, kAdaptEvery = 20;
 
 using Vec2 = Eigen::Vector2d;
 
-// (1, a mu_t): normal velocity plus De Saxce's correction makes the law a normal cone of the set that lambda lives in.
+// De Saxce's correction: with it added to the normal velocity the law says that -w is in the normal cone of the set of
+// admissible lambda.
 double correction(const ConeContact& c, const double* w) {
   if (c.rows == 1) return 0.0;
   return c.frozen ? c.mu * (c.d[0] * w[1] + c.d[1] * w[2]) : c.mu * std::sqrt(w[1] * w[1] + w[2] * w[2]);
 }
 
-// Nearest point of the contact's set: half line, cone cut off at the lower bound, or ray.
+// Nearest admissible point y to p: on a half line, in the cone cut off at the lower bound, or on a ray.
 void project(const ConeContact& c, double scale, const double* p, double* y) {
   const double lower = c.lower / scale, box = c.box / scale;
   if (c.box > 0.0) {
@@ -103,7 +104,7 @@ bool ConeFallback::factor(const ConeProblem& problem, const NaturalMap& map, dou
 bool ConeFallback::admm(const ConeProblem& problem, const NaturalMap& map, double* lambda) {
   const int m = static_cast<int>(problem.b.size());
   int i = 0;
-  for (const ConeContact& c : problem.contacts) {  // one scale per contact: its cone stays a cone
+  for (const ConeContact& c : problem.contacts) {  // one scale per contact keeps its cone a cone
     for (int k = c.row; k < c.row + c.rows; ++k) scale_[k] = 1.0 / std::sqrt(map.tangent_scale(i));
     ++i;
   }
@@ -134,7 +135,7 @@ bool ConeFallback::admm(const ConeProblem& problem, const NaturalMap& map, doubl
     }
     reached = primal <= kAdmmGoal * size_x && dual <= kAdmmGoal * size_z;
     if (!reached && iteration % kAdaptEvery == 0) {
-      const double ratio = (primal * size_z) / std::max(dual * size_x, 1e-300);
+      const double ratio = (primal * size_z) / std::max(dual * size_x, kLeastDivisor);
       if (!(ratio > 10.0) && !(ratio < 0.1)) continue;
       rho = std::min(1e6, std::max(1e-8, rho * (ratio > 10.0 ? 3.0 : 1.0 / 3.0)));
       if (!factor(problem, map, rho)) return false;

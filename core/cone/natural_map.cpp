@@ -8,11 +8,13 @@ namespace contactvi {
 
 namespace {
 
-constexpr double kShift = 1e-5;          // of max diag G: smaller amplifies rounding, larger moves the polish far
-constexpr double kLargestShift = 1e-2;   // of a contact's own diagonal (rows of other units)
-constexpr double kSmallestScale = 1e-8;  // of max diag G: r stays finite for a contact that nothing can move
-constexpr double kTouching = 1e-9;
-constexpr double kAmplified = 1e-4;  // so much of the error beside b counts: 1e-12 of the terms, but at most 1e-8 of b
+// Shift as a share of max diag G: a smaller one amplifies rounding, from a larger one the unshifted solution is far.
+constexpr double kShift = 1e-5;
+constexpr double kLargestShift = 1e-2;   // of a contact's own diagonal, whose unit may be another
+constexpr double kSmallestScale = 1e-8;  // of max diag G: keeps r finite for a contact that nothing can move
+constexpr double kTouching = 1e-9;       // of the terms: velocity and load of a contact that touches without load
+// Share of the error relative to b that counts: a solution is one to 1e-12 of the terms, but to 1e-8 of b at least.
+constexpr double kAmplified = 1e-4;
 
 bool covers_rows(const ConeProblem& problem) {
   int row = 0;

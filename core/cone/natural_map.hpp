@@ -18,7 +18,7 @@ enum class TangentMode { kNone, kZero, kStick, kSlip, kFrozen };
 
 // Mode of a contact at some (lambda, w): which piece of the natural map holds there.
 struct ConeMode {
-  bool closed = false;  // normal: w_n = 0 is asked for, else lambda_n = bound
+  bool closed = false;  // normal: the equation is w_n = 0, else lambda_n = bound
   double bound = 0.0;   // lower, or an end of the box
   TangentMode tangent = TangentMode::kNone;
   Eigen::Vector2d e = Eigen::Vector2d::Zero();  // slip: unit vector along lambda_t - r_t w_t
@@ -28,16 +28,15 @@ struct ConeMode {
 class NaturalMap {
  public:
   void reserve(int rows);
-  // Scales of a problem; false if its numbers are not finite or its contacts do not cover its rows.
+  // Computes the scales of a problem; false if its numbers are not finite or its contacts do not cover its rows.
   bool prepare(const ConeProblem& problem);
-  // With the shift G is replaced by G + eps I, eps = 1e-5 max diag G (at most a hundredth of a contact's own diagonal).
-  // `times` such an eps; 0: none.
+  // Replaces G by G + times eps I, eps = 1e-5 max diag G (at most a hundredth of a contact's own diagonal).
   void set_shift(double times) { shift_times_ = times; }
   double shift(int contact) const { return shift_times_ * shift_[contact]; }
 
-  // w = b + (G + shift) lambda. Also the size of the terms in each row, by which the residual is relative.
+  // w = b + (G + shift) lambda, and the size of the terms in each row, to which the residual is relative.
   void velocity(const ConeProblem& problem, const double* lambda, double* w);
-  // Modes, merit() and residual() at (lambda, w).
+  // Computes the modes, merit() and residual() at (lambda, w).
   void evaluate(const ConeProblem& problem, const double* lambda, const double* w);
 
   const ConeMode& mode(int contact) const { return modes_[contact]; }
@@ -45,9 +44,9 @@ class NaturalMap {
   // Sum of F_n^2/r_n + |F_t|^2/r_t [J].
   double merit() const { return merit_; }
   // Largest |F/r| of a contact over the size of the terms it is the sum of, the relative backward error; at least 1e-4
-  // of the root of merit over the largest b^2 r [J], lest endless impulses excuse a contact that they do not open.
+  // of the root of merit over the largest b^2 r [J], since with huge impulses any error is small beside the terms.
   double residual() const { return residual_; }
-  // Some contact touches without load (w_n = 0 and lambda_n = lower to 1e-9): its share may be a choice.
+  // Whether some contact touches without load (w_n = 0 and lambda_n = lower, to 1e-9): impulses may not be unique.
   bool touching() const { return touching_; }
 
  private:

@@ -9,9 +9,9 @@ namespace contactvi {
 
 namespace {
 
-constexpr double kGoal = 16.0 * std::numeric_limits<double>::epsilon();
-constexpr double kDescent = 1e-4;
-constexpr int kHalvings = 12;
+constexpr double kGoal = 16.0 * std::numeric_limits<double>::epsilon();  // residual that is a few rounding errors
+constexpr double kDescent = 1e-4;  // Armijo's share of the predicted decrease of the merit
+constexpr int kHalvings = 12;      // of a Newton step in its line search
 
 bool slips(const ConeProblem& problem, const NaturalMap& map) {
   for (int i = 0; i < static_cast<int>(problem.contacts.size()); ++i)
@@ -28,9 +28,9 @@ void ConeNewton::reserve(int rows) {
   for (auto* v : {&w_, &next_, &next_w_, &trial_, &trial_w_, &product_, &delta_, &weight_}) v->resize(rows);
 }
 
-// The step as unknowns and equations. next_ becomes a point that obeys what the modes fix (an open contact's normal
-// impulse, the direction of slip), else lambda's (or zero); the unknowns lead from it to the step's end. A slipping
-// contact keeps two:
+// Writes the step as unknowns and equations. next_ becomes a point that obeys what the modes fix (an open contact's
+// normal impulse, the direction of slip) and is lambda (or zero) elsewhere; the unknowns lead from it to the step's
+// end. A slipping contact has two:
 //   normal   w_n = 0 along (1, mu e);   across e   (1 - beta) r_t^-1 tau + beta t.w = 0, tau = t.lambda_t
 // (Alart-Curnier's derivative with the first equation inserted).
 void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const double* lambda, bool from_nothing) {
@@ -88,7 +88,7 @@ void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const 
   }
 }
 
-// Matrix and right side of the unknowns; next_w_ holds the velocity at next_.
+// Fills the matrix and the right side of the unknowns; next_w_ is the velocity at next_.
 void ConeNewton::assemble(const ConeProblem& problem, const NaturalMap& map) {
   const int m = static_cast<int>(problem.b.size());
   linear_.resize(count_);
@@ -121,7 +121,7 @@ void ConeNewton::assemble(const ConeProblem& problem, const NaturalMap& map) {
   }
 }
 
-// delta_: right side on entry, step on return. False: singular, and that ends the run.
+// Turns delta_ from the right side into the step. False: the matrix is singular, and that ends the run.
 bool ConeNewton::solve(Singular singular) {
   if (count_ == 0) return true;
   if (linear_.factor()) {
@@ -133,7 +133,7 @@ bool ConeNewton::solve(Singular singular) {
   return true;
 }
 
-// From lambda towards next_. On success lambda and w_ are the new point, evaluated by map.
+// Line search from lambda towards next_. On success lambda and w_ are the new point, evaluated by map.
 bool ConeNewton::search(const ConeProblem& problem, NaturalMap& map, double* lambda) {
   const int m = static_cast<int>(problem.b.size());
   past_[visited_++ % kMemory] = map.merit();
@@ -171,7 +171,7 @@ bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singu
   residual_ = map.residual();
   bool from_nothing = singular == Singular::kLeastImpulses && !slips(problem, map);
   for (int k = 0; k < max_iterations; ++k) {
-    // At least one factorisation where singular ones are to be told: a start may solve the problem all by itself.
+    // A start may solve the problem already; where singular matrices are to be found, one is factored all the same.
     if (residual_ <= kGoal && (k > 0 || singular == Singular::kMinimumNorm)) break;
     build(problem, map, lambda, from_nothing);
     map.velocity(problem, next_.data(), next_w_.data());
@@ -196,7 +196,7 @@ bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singu
       continue;
     }
     residual_ = map.residual();
-    // Rounding: no better any more.
+    // Where the residual hardly falls any more it is rounding.
     if (before <= kConeTolerance && residual_ > 0.25 * before) {
       if (residual_ > before) {
         std::copy_n(product_.data(), problem.b.size(), lambda);

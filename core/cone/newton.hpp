@@ -10,21 +10,23 @@ namespace contactvi {
 
 class ConeNewton {
  public:
-  // What to do where the linearised law has no unique solution (redundant contacts): stop, take the step of least norm,
-  // or let the first step, if nothing slips, go to the impulses of least norm. That forgets what lambda had in the null
-  // space, errors of b over the shift; with slip the shift selects other impulses than those of least norm, and keeps.
+  // What to do where the linearised law has no unique solution (redundant contacts): stop; take the step of least norm;
+  // or let the first step, if nothing slips, go to the impulses of least norm. The last drops what lambda has in the
+  // null space, which is errors of b over the shift; with slip the shift selects impulses that are not those of least
+  // norm, and they are kept.
   enum class Singular { kStop, kMinimumNorm, kLeastImpulses };
 
   void reserve(int rows);
-  // Newton steps with line search from lambda until the residual is a few rounding errors or no step lessens the merit
-  // below the largest of the last four (the natural map has kinks: asked to fall each time, it falls ever more slowly).
-  // lambda: best on return. map: prepared, with or without shift. True if the residual is <= kConeTolerance.
+  // Newton steps with line search from lambda until the residual is a few rounding errors or no step lowers the merit
+  // below the largest of the last four (the natural map has kinks: a merit that has to fall in each step falls ever
+  // more slowly). lambda: best on return. map: prepared, with or without shift. True if the residual is <=
+  // kConeTolerance.
   bool run(const ConeProblem& problem, NaturalMap& map, Singular singular, int max_iterations, double* lambda);
 
   double residual() const { return residual_; }
   int iterations() const { return iterations_; }  // of all runs since reset()
   void reset() { iterations_ = 0; }
-  bool singular() const { return singular_; }  // kStop ended the last run
+  bool singular() const { return singular_; }  // a singular matrix ended the last run (kStop)
 
  private:
   // One unknown of a step, delta, and the equation that belongs to it: lambda changes by column * delta in the rows of
@@ -36,7 +38,6 @@ class ConeNewton {
   };
 
   void build(const ConeProblem& problem, const NaturalMap& map, const double* lambda, bool from_nothing);
-  void add(int contact, const ConeContact& c, int size_of_column);
   void assemble(const ConeProblem& problem, const NaturalMap& map);
   bool solve(Singular singular);
   bool search(const ConeProblem& problem, NaturalMap& map, double* lambda);
@@ -44,7 +45,7 @@ class ConeNewton {
   SmallLinear linear_;
   std::vector<Unknown> unknowns_;
   int count_ = 0;
-  std::vector<double> w_, next_, next_w_, trial_, trial_w_;  // velocity here; the step's end; a trial on the way
+  std::vector<double> w_, next_, next_w_, trial_, trial_w_;  // velocity at lambda; at the step's end; of a trial
   std::vector<double> product_, delta_, weight_;
   static constexpr int kMemory = 4;
   double past_[kMemory] = {};  // merits of the last points

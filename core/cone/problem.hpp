@@ -4,13 +4,14 @@
 //   normal      lambda_n >= lower, w_n >= 0, (lambda_n - lower) w_n = 0
 //   tangential  |lambda_t| <= mu lambda_n; w_t != 0 => lambda_t = -mu lambda_n w_t/|w_t|   (maximal dissipation)
 //   frozen      lambda_t = -mu lambda_n d with a given unit vector d, whatever w_t
-// Among them may be rows of dry friction with a given bound (`box`).
+// Among them may be rows of joint friction with a given bound (`box`).
 #pragma once
 
 #include <Eigen/Core>
 #include <vector>
 
 #include "base/numerics.hpp"
+#include "base/tolerances.hpp"
 
 namespace contactvi {
 
@@ -21,7 +22,7 @@ struct ConeContact {
   double lower = 0.0;  // >= 0; Poisson's expansion asks for e times the impulse of the compression
   bool frozen = false;
   Eigen::Vector2d d = Eigen::Vector2d::Zero();
-  // > 0: dry friction of a joint, one row. |lambda| <= box; w != 0 => lambda = -box sign(w); frozen: lambda = -box d_0.
+  // > 0: friction of a joint, one row. |lambda| <= box; w != 0 => lambda = -box sign(w); frozen: lambda = -box d_0.
   double box = 0.0;
 };
 
@@ -30,20 +31,18 @@ struct ConeProblem {
   const std::vector<ConeContact>& contacts;
   Eigen::Ref<const MatX> G;
   Eigen::Ref<const VecX> b;
-  // Error of b [m/s] that its rows may disagree by: four corners of a face have gaps that rounding makes not quite
-  // those of a plane, and gap/h stands in b. Errors of w up to it are no errors.
+  // Error of b [m/s]: the gaps of a face's four corners are not quite those of a plane, by rounding, and gap/h stands
+  // in b. Errors of w up to it are no errors.
   double noise = 0.0;
-  // Of the terms: what the rows of a single contact that is held in some direction may disagree by.
+  // Share of the terms by which the rows of a contact may disagree, where its matrix is singular and it is alone.
   double rough = 0.0;
 };
 
 struct ConeResult {
   bool ok = false;        // residual <= kConeTolerance
-  double residual = 0.0;  // natural map, relative (cone_map.hpp); infinity for data that is not finite
+  double residual = 0.0;  // natural map, relative (natural_map.hpp); infinity for data that is not finite
   int iterations = 0;     // Newton steps, of all starts
-  int fallbacks = 0;      // starts that had to be found by sweeps or by ADMM
+  int fallbacks = 0;      // start values that Gauss-Seidel or ADMM had to find
 };
-
-constexpr double kConeTolerance = 1e-12;
 
 }  // namespace contactvi

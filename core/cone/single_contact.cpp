@@ -14,11 +14,11 @@ namespace {
 using Vec2 = Eigen::Vector2d;
 using Mat2 = Eigen::Matrix2d;
 
-constexpr double kRounding = 64.0 * std::numeric_limits<double>::epsilon();
-constexpr double kSmallestPivot = 1e-7;
-constexpr double kPersistent = 1e-4;  // of the largest singular value: directions in which a contact may be held
-constexpr double kNearly = 1e-9;      // of the terms: what the rows of a singular contact may disagree by
-constexpr int kSamples = 24;
+constexpr double kExact = 64.0 * std::numeric_limits<double>::epsilon();  // relative residual of a mode that is right
+constexpr double kSmallestPivot = 1e-7;  // of the largest diagonal: below it a contact counts as singular
+constexpr double kImmobile = 1e-4;       // of the largest singular value: below it a contact may be unable to move
+constexpr double kAgree = 1e-9;          // of the terms: by which the rows of a singular contact may disagree
+constexpr int kSamples = 24;             // of the circle, between which directions of slip are looked for
 
 struct Circle {
   std::array<Vec2, kSamples + 1> u;
@@ -31,8 +31,8 @@ struct Circle {
 };
 const Circle kCircle;
 
-// f(u) = v.(k - Q u) with v = u turned by 90 degrees: k - Q u is parallel to u at its roots. With u = (cos a, sin a) a
-// trigonometric polynomial of degree 2 (a quartic in tan(a/2)): at most four roots.
+// f(u) = v.(k - Q u) with v = u turned by 90 degrees: k - Q u is parallel to u at its roots. With u = (cos a, sin a) it
+// is a trigonometric polynomial of degree 2 (a quartic in tan(a/2)): at most four roots.
 struct SlipDirections {
   Vec2 k;
   Mat2 Q;
@@ -45,8 +45,9 @@ struct SlipDirections {
     const Vec2 v(-u[1], u[0]), f = k - Q * u, df = Q * v;
     return -u.dot(f) - v.dot(df);
   }
-  // Roots, in a fixed order; Newton's method kept inside brackets of an even sampling. Two roots between neighbouring
-  // samples are a nearly double root: slip is then about to end, and sticking is found first.
+  // Hands the roots to found(u), in a fixed order, until that is true: Newton's method kept inside brackets of an even
+  // sampling. Two roots between neighbouring samples are a nearly double root: slip is then about to end, and sticking
+  // was found before.
   template <class Found>
   bool roots(Found found) const {
     double last = value(kCircle.u[0]);
@@ -84,10 +85,10 @@ class OneContact {
 
   bool solve() { return open() || stick() || slip() || stick_open() || slip_open(); }
   const Vec3& best() const { return best_; }
-  bool persistent() const { return contact_step_; }
+  bool immobile() const { return immobile_; }
 
  private:
-  // Keeps lambda if it obeys the law better than what was found before; true if to rounding.
+  // Keeps lambda if it obeys the law better than the best so far; true if it obeys it to rounding.
   bool keep(const Vec3& lambda) {
     const Vec3 w = b_ + A_ * lambda;
     const double size = (b_.cwiseAbs() + A_.cwiseAbs() * lambda.cwiseAbs()).maxCoeff();
@@ -100,19 +101,19 @@ class OneContact {
     if (!(relative < error_)) return false;
     error_ = relative;
     best_ = lambda;
-    return relative <= kRounding;
+    return relative <= kExact;
   }
   bool open() { return c_.lower == 0.0 && b_[0] >= 0.0 && keep(Vec3::Zero()); }
   bool stick() {
     const Eigen::PartialPivLU<Mat3> lu(A_);
     if (lu.matrixLU().diagonal().cwiseAbs().minCoeff() > kSmallestPivot * scale_) return keep(lu.solve(-b_));
-    return stick_persistent();
+    return stick_immobile();
   }
-  // Joints or constraints hold the contact in some direction: of the impulses that keep it at rest within the cone the
-  // least, which is at the edge of the cone where the least of all is outside.
-  bool stick_persistent() {
+  // Joints or constraints keep the contact from moving in some direction: of the impulses within the cone that keep it
+  // at rest, this finds the least, which is at the edge of the cone where the least of all is outside.
+  bool stick_immobile() {
     const Eigen::JacobiSVD<Mat3> svd(A_, Eigen::ComputeFullU | Eigen::ComputeFullV);
-    // As few directions as will do: what is singular but for rounding would ask for endless impulses.
+    // No more directions than are needed: one that is singular but for rounding would need huge impulses.
     Vec3 lambda = Vec3::Zero();
     for (int rank = 1; rank <= 3 && svd.singularValues()[rank - 1] > 0.0; ++rank) {
       lambda = Vec3::Zero();
@@ -122,20 +123,20 @@ class OneContact {
       if (rank == 2 && !in_cone(lambda)) lambda = edge_on_line(lambda, svd.matrixV().col(2));
       const Vec3 w = b_ + A_ * lambda;
       const double size = (b_.cwiseAbs() + A_.cwiseAbs() * lambda.cwiseAbs()).maxCoeff();
-      // In the rounds of a step the rows of a singular contact agree but roughly.
-      const bool last = rank < 3 && svd.singularValues()[rank] < kPersistent * svd.singularValues()[0];
+      // While the contact iterations of a step go on, the rows of a singular contact agree only roughly.
+      const bool last = rank < 3 && svd.singularValues()[rank] < kImmobile * svd.singularValues()[0];
       const double off = w.cwiseAbs().maxCoeff();
-      if (!(off <= std::max(noise_, (last ? std::max(rough_, kNearly) : kNearly) * size)) || !in_cone(lambda)) continue;
+      if (!(off <= std::max(noise_, (last ? std::max(rough_, kAgree) : kAgree) * size)) || !in_cone(lambda)) continue;
       best_ = lambda;
       error_ = 0.0;
-      return contact_step_ = true;
+      return immobile_ = true;
     }
     return keep(lambda);
   }
   bool in_cone(const Vec3& lambda) const {
-    return lambda[0] >= c_.lower && lambda.tail<2>().norm() <= c_.mu * lambda[0] * (1.0 + kRounding);
+    return lambda[0] >= c_.lower && lambda.tail<2>().norm() <= c_.mu * lambda[0] * (1.0 + kExact);
   }
-  // Least point of the cone's edge with g.lambda = value.
+  // Least point of the cone's edge on the plane g.lambda = value.
   Vec3 edge_on_plane(const Vec3& g, double value) const {
     const double across = g.tail<2>().norm();
     const Vec2 u = across > 0.0 ? Vec2(g.tail<2>() / across) : Vec2(Vec2::Zero());
@@ -147,7 +148,7 @@ class OneContact {
     }
     return best;
   }
-  // Where the line from + s n enters the cone, with the least |s|.
+  // Point with the least |s| at which the line from + s n enters the cone.
   Vec3 edge_on_line(const Vec3& from, const Vec3& n) const {
     const double mu2 = c_.mu * c_.mu, a = n.tail<2>().squaredNorm() - mu2 * n[0] * n[0];
     const double b = from.tail<2>().dot(n.tail<2>()) - mu2 * from[0] * n[0];
@@ -161,7 +162,7 @@ class OneContact {
       least = std::abs(s);
       best = from + s * n;
     }
-    // To the edge to rounding: the friction is what the normal impulse allows.
+    // Friction beyond the edge by rounding is cut to what the normal impulse allows.
     const double length = best.tail<2>().norm();
     if (length > c_.mu * best[0] && length > 0.0) best.tail<2>() *= c_.mu * best[0] / length;
     return best;
@@ -177,7 +178,7 @@ class OneContact {
       return lambda_n >= c_.lower && std::isfinite(lambda_n) && keep_slip(lambda_n, u);
     });
   }
-  // At the lower bound: the disc mu lower alone.
+  // At the lower bound friction is within the disc of radius mu lower.
   bool stick_open() {
     if (!(c_.lower > 0.0)) return false;
     const Eigen::PartialPivLU<Mat2> lu(A_.block<2, 2>(1, 1));
@@ -203,12 +204,12 @@ class OneContact {
   double noise_;
   double rough_;
   double scale_;
-  bool contact_step_ = false;
+  bool immobile_ = false;
   double error_ = std::numeric_limits<double>::infinity();
   Vec3 best_ = Vec3::Zero();
 };
 
-// lambda = lambda_n ray with a given ray: one equation.
+// lambda = lambda_n ray with a given ray, from one equation.
 bool solve_ray(const ConeContact& c, double slope, double b_n, const Vec2& ray, Vec3& lambda) {
   const double lambda_n = slope > 0.0 ? std::max(c.lower, -b_n / slope) : c.lower;
   lambda = Vec3(lambda_n, lambda_n * ray[0], lambda_n * ray[1]);
@@ -218,7 +219,7 @@ bool solve_ray(const ConeContact& c, double slope, double b_n, const Vec2& ray, 
 }  // namespace
 
 bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3& lambda, double noise, double rough,
-                       bool* persistent) {
+                       bool* immobile) {
   if (c.box > 0.0) {
     lambda.setZero();
     if (c.frozen || !(A(0, 0) > 0.0)) {
@@ -236,7 +237,7 @@ bool solve_one_contact(const ConeContact& c, const Mat3& A, const Vec3& b, Vec3&
   OneContact one(c, A, b, noise, rough);
   const bool solved = one.solve();
   lambda = one.best();
-  if (persistent != nullptr) *persistent = one.persistent();
+  if (immobile != nullptr) *immobile = one.immobile();
   return solved;
 }
 

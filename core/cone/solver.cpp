@@ -10,9 +10,11 @@ namespace contactvi {
 
 namespace {
 
+// Newton steps at most: in general, without shift, and from the last solution.
 constexpr int kIterations = 40, kIterationsPlain = 20, kIterationsWarm = 12;
-constexpr double kDisagree = 1e-3;  // residual of one contact, directly solved, that stands
-constexpr int kSeidelIterations = 200, kFewIterations = 30;
+constexpr double kDisagree = 1e-3;  // residual up to which the direct solution of an immobile contact is accepted
+// Gauss-Seidel sweeps at most: for a start after a failure, and for one within plain().
+constexpr int kSeidelSweeps = 200, kFewSweeps = 30;
 
 }  // namespace
 
@@ -32,18 +34,18 @@ bool ConeSolver::one_contact(const ConeProblem& problem, double* lambda) {
     b[k] = problem.b[k];
     for (int j = 0; j < c.rows; ++j) A(k, j) = problem.G(k, j);
   }
-  bool persistent = false;
-  if (!solve_one_contact(c, A, b, found, problem.noise, problem.rough, &persistent)) return false;
+  bool immobile = false;
+  if (!solve_one_contact(c, A, b, found, problem.noise, problem.rough, &immobile)) return false;
   std::copy_n(found.data(), c.rows, lambda);
   map_.velocity(problem, lambda, w_.data());
   map_.evaluate(problem, lambda, w_.data());
   result_.residual = map_.residual();
-  // Rows that disagree have no better solution but one of endless impulses.
-  return result_.residual <= (persistent && problem.rough > 0.0 ? kDisagree : kConeTolerance);
+  // Rows of a singular matrix that disagree have no better solution, but for huge impulses.
+  return result_.residual <= (immobile && problem.rough > 0.0 ? kDisagree : kConeTolerance);
 }
 
-// The unique solution with the shift. A start far from it is worth little there: what redundant contacts share moves w
-// by eps only, and Newton creeps; then from nothing, over larger shifts.
+// Finds the unique solution with the shift. From a start far from it Newton's method is slow, since the impulses that
+// redundant contacts share move w by eps only: then it starts from zero, over larger shifts.
 bool ConeSolver::shifted(const ConeProblem& problem, double* lambda) {
   using Singular = ConeNewton::Singular;
   map_.set_shift(1.0);
@@ -56,17 +58,17 @@ bool ConeSolver::shifted(const ConeProblem& problem, double* lambda) {
   return newton_.residual() <= kConeTolerance;
 }
 
-// Newton with G alone, where that has one solution. Redundant contacts are told by a singular step, or by one that
-// touches without load.
+// Newton's method with G alone, where that has one solution. Redundant contacts show in a singular matrix, or in a
+// contact that touches without load.
 bool ConeSolver::plain(const ConeProblem& problem, double* lambda) {
   map_.set_shift(0.0);
-  for (bool swept : {false, true}) {
-    if (swept) {
+  for (bool after_seidel : {false, true}) {
+    if (after_seidel) {
       ++result_.fallbacks;
       std::fill_n(lambda, problem.b.size(), 0.0);
-      fallback_.gauss_seidel(problem, map_, kFewIterations, lambda);
+      fallback_.gauss_seidel(problem, map_, kFewSweeps, lambda);
     }
-    if (newton_.run(problem, map_, ConeNewton::Singular::kStop, swept ? kIterations : kIterationsPlain, lambda))
+    if (newton_.run(problem, map_, ConeNewton::Singular::kStop, after_seidel ? kIterations : kIterationsPlain, lambda))
       return !newton_.singular() && !map_.touching();
     if (newton_.singular()) return false;
   }
@@ -87,7 +89,7 @@ bool ConeSolver::attempt(const ConeProblem& problem, bool regularize, double* la
                      lambda);
 }
 
-// best_ and the result are the better of what they were and lambda.
+// Keeps lambda in best_ and the result if its residual is smaller; true if that is a solution.
 bool ConeSolver::keep_better(double* lambda, int rows) {
   if (newton_.residual() < result_.residual) {
     result_.residual = newton_.residual();
@@ -105,7 +107,7 @@ bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lam
       map_.set_shift(shift ? 1.0 : 0.0);
       std::fill_n(lambda, m, 0.0);
       if (by_seidel)
-        fallback_.gauss_seidel(problem, map_, kSeidelIterations, lambda);
+        fallback_.gauss_seidel(problem, map_, kSeidelSweeps, lambda);
       else
         fallback_.admm(problem, map_, lambda);
       if (shift) newton_.run(problem, map_, ConeNewton::Singular::kMinimumNorm, kIterations, lambda);

@@ -1,4 +1,4 @@
-// Solver of the Coulomb cone problem (cone_problem.hpp).
+// Solver of the Coulomb cone problem (problem.hpp).
 #pragma once
 
 #include <vector>
@@ -10,14 +10,14 @@
 
 namespace contactvi {
 
-// One contact directly; more by Newton's method on the natural map, and where that stalls from better starts: sweeps,
-// then ADMM. Where the forces are not unique (four corners on a plane) the solution is
-//   regularize       near the least-norm one, whatever the start: G + eps I first, then minimum-norm Newton steps;
+// Solves one contact directly, more by Newton's method on the natural map, and where that stalls from better starts:
+// Gauss-Seidel sweeps, then ADMM. Where the forces are not unique (four corners on a plane) the solution is
+//   regularize       near the one of least norm, whatever the start: G + eps I first, then minimum-norm Newton steps;
 //   not regularize   the one that minimum-norm Newton steps reach from the start.
 // Among several solutions that differ in their velocities none is preferred; the same input gives the same output.
 class ConeSolver {
  public:
-  // Problems of at most so many rows allocate nothing in solve().
+  // Makes room: problems of at most so many rows allocate nothing in solve().
   void reserve(int rows);
   // lambda: start on entry, solution on return (m,) [N s]; finite also if the result is not ok.
   ConeResult solve(const ConeProblem& problem, VecRef lambda, bool regularize);

@@ -25,7 +25,7 @@ ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& ma
     : scene_(&scene),
       guards_(&guards),
       manifolds_(&manifolds),
-      integrator_(scene.tree, 1, tol, 1),
+      integrator_(scene.tree),
       v_(scene.tree.nv),
       p_start_(scene.tree.nv),
       p_minus_(scene.tree.nv),
@@ -215,7 +215,7 @@ void ContactStep::set_initial_impulses(double h) {
 
 bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
   start_node(q0);
-  integrator_.begin_with_impulse(q0, h, tau, v);
+  integrator_.begin(q0, h, tau, v);
   set_initial_impulses(h);
   double best = INFINITY;
   int idle = 0;
@@ -229,11 +229,11 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     ++counters.contact_iterations;
     p_start_ = p0;
     p_start_.noalias() += node0_.W * lambda_;
-    const double stage_change = integrator_.iterate_with_impulse(p_start_, k == 0, k == 0);
+    const double stage_change = integrator_.iterate(p_start_, k == 0, k == 0);
     if (!std::isfinite(stage_change)) break;
     if (k == 0) {
       DinvW_ = node0_.W;
-      integrator_.solve_with_impulse(DinvW_);
+      integrator_.solve_step_matrix(DinvW_);
     }
     integrator_.stage_velocity(v_);
     set_row_velocities(h);

@@ -23,7 +23,8 @@
 #include "cone/solver.hpp"
 #include "contact/persistent_contact.hpp"
 #include "geometry/guard.hpp"
-#include "step/integrator.hpp"
+#include "step/impulse_step.hpp"
+#include "step/stepper.hpp"
 
 namespace contactvi {
 
@@ -104,7 +105,7 @@ class ContactStep final : public Stepper {
   // Whether a contact may have separated, because its force in this step falls towards zero.
   bool may_release() const;
 
-  const Integrator& integrator() const { return integrator_; }
+  const StepEquations& integrator() const { return integrator_; }
   const StepCounters& step_counters() const { return integrator_.counters; }
   ContactStepCounters counters;
 
@@ -181,7 +182,7 @@ class ContactStep final : public Stepper {
   const Scene* scene_;
   Guards* guards_;
   const Manifolds* manifolds_;
-  Integrator integrator_;
+  ImpulseStep integrator_;
   ConeSolver solver_;
   std::vector<PersistentContact> contacts_;
   std::vector<ContactOutcome> outcomes_;

@@ -15,7 +15,7 @@ constexpr double kSlipping = 1e-11;  // of the speeds: slip below it is rounding
 // From the end of the step with its position impulses to the node: p1 and v1.
 bool ContactStep::velocity_impulses() {
   p_start_.noalias() += node0_.W * change_;  // the correction of the impulses in the last iteration
-  integrator_.start_with_impulse(p_start_);
+  integrator_.set_start_momentum(p_start_);
   integrator_.stage_velocity(v_);
   integrator_.finish(q1_, p_minus_);
   end_node(q1_, integrator_.time() + h_);

@@ -6,7 +6,7 @@
 namespace contactvi {
 
 namespace {
-constexpr std::size_t kClose = 16;  // candidates for the first event, from which on rounding may decide among them
+constexpr std::size_t kManyCandidates = 16;  // for the first event: from then on rounding may decide among them
 }  // namespace
 
 EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
@@ -14,15 +14,12 @@ EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
       stepper_(&stepper),
       guards_(&guards),
       gaps_(guards),
-      touching_(guards.count(), 0),
       v0_(scene.tree.nv),
       v1_(scene.tree.nv),
       bound_(scene.tree.nv),
       doubt_(scene.tree.nv),
       W_(scene.tree.nv),
-      last_rate_(scene.tree.nv),
-      last_q_(scene.tree.nq),
-      last_p_(scene.tree.nv) {
+      memory_{std::vector<char>(guards.count(), 0), {}, VecX(scene.tree.nv), VecX(scene.tree.nq), VecX(scene.tree.nv)} {
   active_.reserve(guards.count());
   pass_.reserve(guards.count());
   suspects_.reserve(guards.count());
@@ -32,7 +29,7 @@ EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
 
 Search EventFinder::fail(Search why, int guard, double gap) {
   for (int g : pass_) guards_->unmark(g);  // the step may be tried again, shorter
-  last_h_ = 0.0;
+  memory_.h = 0.0;
   failed_guard_ = guard;
   failed_gap_ = gap;
   return why;
@@ -60,7 +57,7 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
     for (int g : pass_) guards_->unmark(g);
     if (!collect()) return Search::kUnresolved;
   }
-  guards_->bound_doubt(q0, doubt_, h / (2 * path.stages() + 1));  // the integral of P_s is that much less than P_s
+  guards_->bound_doubt(q0, doubt_, h / (2 * path.stages() + 1));  // the integral of P_s is smaller by that factor
   gaps_.set(path);
   for (Suspect& s : suspects_) {
     const Search outcome = start(s);
@@ -77,10 +74,10 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
     bool exists = true;
     outcome = locate(*first, exists);
     if (outcome != Search::kFound) return outcome;
-    if (!exists || someone_is_earlier(*first, k >= kClose)) continue;
+    if (!exists || someone_is_earlier(*first, k >= kManyCandidates)) continue;
     for (int g : pass_) guards_->unmark(g);  // their marks are for the end of the whole step
     guards_->commit();
-    last_h_ = 0.0;
+    memory_.h = 0.0;
     return Search::kFound;
   }
   return fail(Search::kUnresolved, suspects_[0].guard, 0);
@@ -94,18 +91,18 @@ bool EventFinder::bound_step() {
     bound_ += doubt_;
     return true;
   }
-  // One stage knows the velocity of the middle only. They reach from v0 to 2 v - v0; with a neighbour step of equal
+  // A single stage gives the velocity v in the middle only. Velocities reach from v0 to 2 v - v0; after a step of equal
   // length v0 = (previous + v)/2 up to O(h^2).
   path_->chart_rate(0.5, v1_);
-  if (last_h_ == h_ && last_p_ == *p0_ && last_q_ == *q0_) {
-    W_ = v1_ - last_rate_;
+  if (memory_.h == h_ && memory_.p == *p0_ && memory_.q == *q0_) {
+    W_ = v1_ - memory_.rate;
     add_size(scene_->tree, W_, 1.0, bound_);
   } else {
     if (!stepper_->node_velocity(*q0_, *p0_, v0_)) return false;
     W_ = v1_ - v0_;
     add_size(scene_->tree, W_, 2.0, bound_);
   }
-  last_rate_ = v1_;
+  memory_.rate = v1_;
   return true;
 }
 
@@ -123,7 +120,7 @@ bool EventFinder::raise_path() {
   return true;
 }
 
-// The raised path knows better; true if some velocity is larger than it was thought to be.
+// Bounds the velocities by the raised path; true if one may be larger than its first bound.
 bool EventFinder::bound_grows() {
   path_->doubt(doubt_);
   path_->bound(W_);
@@ -133,24 +130,24 @@ bool EventFinder::bound_grows() {
   return grows;
 }
 
-// The guards that may reach zero in the step.
+// Collects the guards that may reach zero in the step; false if a gap is not finite.
 bool EventFinder::collect() {
   active_.clear();
   pass_.clear();
   suspects_.clear();
   guards_->place(*q1_);
   for (int g = 0; g < guards_->count(); ++g) {
-    const auto exempted = std::find(exempt_.begin(), exempt_.end(), g);
-    if (exempted != exempt_.end()) {
+    const auto exempted = std::find(memory_.exempt.begin(), memory_.exempt.end(), g);
+    if (exempted != memory_.exempt.end()) {
       if (guards_->evaluate(g, contact_) >= -guards_->depth_tolerance(g)) continue;
-      exempt_.erase(exempted);  // it does not leave
+      memory_.exempt.erase(exempted);  // it does not separate
     }
-    if (!touching_[g] && guards_->skip(g)) {
+    if (!memory_.touching[g] && guards_->skip(g)) {
       ++guards_->counters.skipped;
       continue;
     }
     pass_.push_back(g);
-    if (!touching_[g] && guards_->separated_at_end(g)) {
+    if (!memory_.touching[g] && guards_->separated_at_end(g)) {
       ++guards_->counters.skipped;
       continue;
     }
@@ -159,7 +156,7 @@ bool EventFinder::collect() {
       fail(Search::kUnresolved, g, gap);
       return false;
     }
-    if (!touching_[g] && gap > guards_->motion(g)) {
+    if (!memory_.touching[g] && gap > guards_->motion(g)) {
       guards_->mark(g, gap);
       continue;
     }
@@ -174,18 +171,18 @@ Search EventFinder::start(Suspect& s) {
   const Point a = gaps_.at(s.guard, 0.0);
   const double tolerance = guards_->touch_tolerance(s.guard);
   if (!std::isfinite(a.gap)) return fail(Search::kUnresolved, s.guard, a.gap);
-  if (touching_[s.guard] && a.gap > tolerance) touching_[s.guard] = 0;
-  if (!touching_[s.guard] && a.gap <= 0.0) {
-    // Rounding: it touches although nothing hit it yet. Deeper is a contradiction.
+  if (memory_.touching[s.guard] && a.gap > tolerance) memory_.touching[s.guard] = 0;
+  if (!memory_.touching[s.guard] && a.gap <= 0.0) {
+    // By rounding it touches although no impact was found. If it were deeper an impact would have been missed.
     if (a.gap < -guards_->depth_tolerance(s.guard)) return fail(Search::kUnresolved, s.guard, a.gap);
-    touching_[s.guard] = 1;
+    memory_.touching[s.guard] = 1;
   }
-  if (touching_[s.guard]) return leave(s, a);
+  if (memory_.touching[s.guard]) return separate_touching(s, a);
   s.from = a;
   return Search::kNone;
 }
 
-// The suspect that crosses first on the path; none is followed further than to the first crossing so far.
+// Finds the suspect that crosses first on the path; none is followed further than to the first crossing so far.
 Search EventFinder::find_first(Suspect*& first) {
   double limit = 1.0;
   for (Suspect& s : suspects_) {
@@ -223,7 +220,8 @@ Search EventFinder::advance(Suspect& s, double limit) {
   return Search::kNone;
 }
 
-// Its exact gap is offset more than that of the path. What is nearer to zero than the path is true is not sure.
+// Enters a crossing between lo and hi. offset: exact gap minus gap on the path. A sign is sure where the gap is larger
+// than the path's error.
 void EventFinder::cross(Suspect& s, const Point& lo, const Point& hi, double offset) {
   s.crosses = true;
   s.lo = lo;
@@ -233,8 +231,8 @@ void EventFinder::cross(Suspect& s, const Point& lo, const Point& hi, double off
   s.root = gaps_.root(s.guard, lo, hi, offset);
 }
 
-// With the guards placed at the event: is another one below zero there? Then it crosses earlier, or the search did
-// not see its dip.
+// Whether another guard is below zero at the event, where the guards are placed: then it crosses earlier, or the search
+// missed its dip.
 bool EventFinder::someone_is_earlier(const Suspect& first, bool coarse) {
   const double alpha = event_.alpha;
   bool earlier = false;
@@ -255,20 +253,20 @@ bool EventFinder::someone_is_earlier(const Suspect& first, bool coarse) {
 
 void EventFinder::cut() {
   for (int g : pass_) guards_->unmark(g);
-  last_h_ = 0.0;
+  memory_.h = 0.0;
 }
 
-// Nothing happens in the step.
+// The step has no event: what it has shown about the guards is kept for the next one.
 void EventFinder::settle() {
-  exempt_.clear();
+  memory_.exempt.clear();
   for (const Suspect& s : suspects_) {
-    if (s.end_gap > guards_->touch_tolerance(s.guard)) touching_[s.guard] = 0;
-    if (!touching_[s.guard]) guards_->mark(s.guard, s.end_gap);
+    if (s.end_gap > guards_->touch_tolerance(s.guard)) memory_.touching[s.guard] = 0;
+    if (!memory_.touching[s.guard]) guards_->mark(s.guard, s.end_gap);
   }
   guards_->commit();
-  last_h_ = h_;
-  last_q_ = *q1_;
-  last_p_ = *p1_;
+  memory_.h = h_;
+  memory_.q = *q1_;
+  memory_.p = *p1_;
 }
 
 }  // namespace contactvi

@@ -1,9 +1,9 @@
 // The first event of a step: which guard, when, and the state there.
 //
-// The step's exact path is that of partial steps: the end of the step of length alpha h. The search looks at a
-// polynomial along the step (StepPath), for the price of geometry, and knows how far that may be off; what it finds
-// is located on exact partial steps to |gap| <= 1e-12, and where it comes nearer to zero than it is true the exact
-// path decides.
+// The step's exact path is that of partial steps: at alpha it is the end of the step of length alpha h. The search
+// follows a polynomial along the step (StepPath), which costs geometry alone, and knows a bound on its error; what it
+// finds is located on exact partial steps to |gap| <= 1e-12, and where the gap comes nearer to zero than that error the
+// exact path decides.
 #pragma once
 
 #include <vector>
@@ -16,8 +16,8 @@ namespace contactvi {
 struct Event {
   int guard = -1;
   double alpha = 0;           // fraction of the step
-  double gap = 0;             // left over
-  bool stays_closed = false;  // the guard was touching and did not separate
+  double gap = 0;             // at the place found, zero to the tolerance
+  bool stays_closed = false;  // the guard was touching and has not separated
   VecX q, p;                  // state there, before the impact; engine coordinates
 };
 
@@ -27,57 +27,52 @@ class EventFinder {
  public:
   EventFinder(const Scene& scene, Stepper& stepper, Guards& guards);
 
-  // What makes the steps that are searched from now on.
+  // The method that makes the steps searched from now on.
   void set_stepper(Stepper& stepper) {
-    if (&stepper != stepper_) last_h_ = 0.0;
+    if (&stepper != stepper_) memory_.h = 0.0;
     stepper_ = &stepper;
   }
   // The step of the last search was not taken to its end.
   void cut();
-  // A guard that is not looked at until the next step has been taken: a contact that has just left.
-  void exempt(int guard) { exempt_.push_back(guard); }
+  // Leaves a guard out until the next step has been taken: a contact that has just separated.
+  void exempt(int guard) { memory_.exempt.push_back(guard); }
 
-  // Look through the step of length h from (q0, p0) to (q1, p1); path: its collocation polynomial, which is raised if
-  // some guard comes into question. On kFound event() is filled, and the integrator holds the partial step to it.
+  // Searches the step of length h from (q0, p0) to (q1, p1); path: its collocation polynomial, which is raised if
+  // some guard may reach zero. On kFound event() is filled, and the integrator holds the partial step to it.
   Search search(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const VecX& tau,
                 StepPath& path);
   const Event& event() const { return event_; }
   int failed_guard() const { return failed_guard_; }
   double failed_gap() const { return failed_gap_; }
 
-  // Guards that are closed at the placed configuration of guards(): touching or not, within tolerance.
-  bool touching(int guard) const { return touching_[guard]; }
-  void set_touching(int guard, bool value) { touching_[guard] = value; }
-  // What the next search knows of the last one.
+  // Whether a guard is closed, within tolerance, at the start of the next step.
+  bool touching(int guard) const { return memory_.touching[guard]; }
+  void set_touching(int guard, bool value) { memory_.touching[guard] = value; }
+  // What the next search uses of the last one.
   struct Memory {
-    std::vector<char> touching;
-    std::vector<int> exempt;
+    std::vector<char> touching;  // per guard: closed, within tolerance, at the start of the next step
+    std::vector<int> exempt;     // guards that the next search leaves out
+    // Rate, end state and length of the last step: with one stage the velocities are bounded by the change of the rate
+    // from a step of equal length. h = 0: the last step does not lead to the next one.
     VecX rate, q, p;
-    double h;
+    double h = 0.0;
   };
-  Memory memory() const { return {touching_, exempt_, last_rate_, last_q_, last_p_, last_h_}; }
-  void recall(const Memory& memory) {
-    touching_ = memory.touching;
-    exempt_ = memory.exempt;
-    last_rate_ = memory.rate;
-    last_q_ = memory.q;
-    last_p_ = memory.p;
-    last_h_ = memory.h;
-  }
+  const Memory& memory() const { return memory_; }
+  void recall(const Memory& memory) { memory_ = memory; }
   const Stepper* stepper() const { return stepper_; }
-  // Guards that came into question in the last search, touching ones included: candidates for simultaneous contact.
+  // Guards that might have reached zero in the last search, touching ones included: they may be hit at one time.
   const std::vector<int>& active() const { return active_; }
 
  private:
   using Point = GapPath::Point;
-  // A guard that may reach zero in the step, and what is known of it.
+  // A guard that may reach zero in the step, and what the search has found about it.
   struct Suspect {
     int guard;
     double end_gap;  // exact
-    Point from;      // nothing happens before it, and the gap is positive there
+    Point from;      // the gap is positive there and has not been zero before
     bool crosses, stays_closed;
-    Point lo, hi;           // of a crossing: gap > 0 and <= 0 on the path
-    bool lo_sure, hi_sure;  // so on the exact path too
+    Point lo, hi;           // ends of a crossing: gap > 0 and <= 0 on the path
+    bool lo_sure, hi_sure;  // whether these signs hold on the exact path too
     double root;
   };
 
@@ -86,14 +81,14 @@ class EventFinder {
   bool bound_grows();
   bool collect();
   Search start(Suspect& s);
-  Search leave(Suspect& s, Point a);
+  Search separate_touching(Suspect& s, Point a);
   Search close(Suspect& s, const Point& a, const Point& below);
   Search find_first(Suspect*& first);
   Search advance(Suspect& s, double limit);
   Search exact_dip(Suspect& s, const Point& a, const Point& b);
   Search resume(Suspect& s, const Point& from);
   Search locate(Suspect& s, bool& exists);
-  Search separate(Suspect& s);
+  Search find_open(Suspect& s);
   Search polish(Suspect& s, bool lo_seen, bool& exists);
   bool someone_is_earlier(const Suspect& first, bool coarse);
   bool exact_at(int guard, double tau, Point& point);  // false: no convergence
@@ -104,17 +99,13 @@ class EventFinder {
 
   const Scene* scene_;
   Stepper* stepper_;
-  std::vector<int> exempt_;
   Guards* guards_;
   GapPath gaps_;
   Event event_;
-  std::vector<char> touching_;
   std::vector<int> active_, pass_;
   std::vector<Suspect> suspects_;
   VecX v0_, v1_, bound_, doubt_, W_;
-  // Rate and end of the last step: one stage bounds its velocities by the change of rate from a neighbour.
-  VecX last_rate_, last_q_, last_p_;
-  double last_h_ = 0;
+  Memory memory_;
   Contact contact_;
   const VecX *q0_ = nullptr, *p0_ = nullptr, *q1_ = nullptr, *p1_ = nullptr, *tau_ = nullptr;
   StepPath* path_ = nullptr;

@@ -5,20 +5,21 @@
 #include <limits>
 
 #include "base/root.hpp"
+#include "base/tolerances.hpp"
 
 namespace contactvi {
 
 namespace {
 
-constexpr double kTarget = 1e-15;             // a gap at which nothing is left to improve
-constexpr double kSmooth = 1.0 / 16;          // of the step
-constexpr double kTurn = 0.15;                // [rad] of both bodies together
-constexpr double kFinest = 1.0 / (1L << 24);  // of the step, in the search for a dip
+constexpr double kRootTarget = 1e-15;         // [m; rad] gap at which a root on the path is found
+constexpr double kSmooth = 1.0 / 16;          // longest smooth part of the step,
+constexpr double kTurn = 0.15;                // [rad] in which both bodies together turn by no more
+constexpr double kFinest = 1.0 / (1L << 24);  // least part of the step in the search for a dip
 constexpr int kMaxIterations = 60;
 
 bool is_dip(const GapPath::Point& a, const GapPath::Point& b) { return a.rate < 0.0 && b.rate >= 0.0; }
 
-// Of a convex gap: it lies above its tangents. Of any other smooth one: the lower end.
+// Least gap between a and b: where the tangents of a convex gap, which lies above them, meet; else at the lower end.
 double lowest(const GapPath::Point& a, const GapPath::Point& b) {
   const double ends = std::min(a.gap, b.gap);
   if (!is_dip(a, b)) return ends;
@@ -47,7 +48,8 @@ GapPath::Point GapPath::at(int guard, double tau) {
 }
 
 double GapPath::doubt(int guard, double tau) const {
-  // Twice and more zero at both ends; a straight line is safe. Distances to curved shapes are noisy themselves.
+  // The error has zeros of order two or more at both ends, so a straight line from there bounds it. Distances to curved
+  // shapes have noise of their own.
   const double weight = std::min(1.0, 8.0 * std::min(tau, 1.0 - tau));
   return weight * guards_->doubt(guard) + (guards_->is_noisy(guard) ? guards_->root_tolerance(guard) : 0.0);
 }
@@ -61,7 +63,7 @@ GapPath::Course GapPath::first(int guard, const Point& from, const Point& to, Po
   return search(guard, from, to, std::numeric_limits<double>::infinity(), lo, hi);
 }
 
-// mismatch: how far the gap was from the cubic over the interval that [a, b] is half of.
+// mismatch: distance of the gap from the cubic at the middle of the interval of which [a, b] is one half.
 GapPath::Course GapPath::search(int guard, const Point& a, const Point& b, double mismatch, Point& lo, Point& hi) {
   const double width = b.tau - a.tau;
   if (!std::isfinite(a.gap) || !std::isfinite(b.gap)) return Course::kFailed;
@@ -88,7 +90,7 @@ GapPath::Course GapPath::search(int guard, const Point& a, const Point& b, doubl
 }
 
 double GapPath::root(int guard, Point lo, Point hi, double offset) {
-  const double target = guards_->is_noisy(guard) ? 0.1 * guards_->root_tolerance(guard) : kTarget;
+  const double target = guards_->is_noisy(guard) ? 0.1 * guards_->root_tolerance(guard) : kRootTarget;
   const double drop = lo.gap - hi.gap, width = hi.tau - lo.tau;
   const double start = drop > 0.0 ? lo.tau + width * std::clamp((lo.gap + offset) / drop, 0.0, 1.0) : hi.tau;
   return root_by_rate(lo.tau, hi.tau, start, target, kMaxIterations, [&](double tau) {
@@ -102,13 +104,13 @@ double GapPath::minimum(int guard, Point a, Point b, double slope) {
   if (b.rate + slope <= 0.0) return b.tau;
   for (int k = 0; k < kMaxIterations; ++k) {
     const double width = b.tau - a.tau;
-    // The rest of the way down from either end is not worth a look.
-    if (std::max(-a.rate - slope, b.rate + slope) * width < kTarget || width < 1e-12) break;
+    // Neither end is higher above the minimum than this bound.
+    if (std::max(-a.rate - slope, b.rate + slope) * width < kRootTarget || width < kSamePlaceInStep) break;
     const double secant = a.tau - width * (a.rate + slope) / (b.rate - a.rate);
     const bool inside = secant > a.tau && secant < b.tau && k % 3 != 2;
     const Point p = at(guard, inside ? secant : 0.5 * (a.tau + b.tau));
     const double rate = p.rate + slope;
-    if (!(rate * rate * width > kTarget * (b.rate - a.rate))) return p.tau;
+    if (!(rate * rate * width > kRootTarget * (b.rate - a.rate))) return p.tau;
     (rate < 0.0 ? a : b) = p;
   }
   return a.gap + slope * a.tau < b.gap + slope * b.tau ? a.tau : b.tau;

@@ -1,26 +1,28 @@
-// Events on the exact path: what EventFinder does with partial steps, each as dear as a step.
+// EventFinder on the exact path, by partial steps, each of which costs as much as a step.
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
+#include "base/tolerances.hpp"
 #include "event/finder.hpp"
 
 namespace contactvi {
 
 namespace {
-constexpr double kTarget = 1e-13;   // a gap at which nothing is left to improve
-constexpr double kClosing = 1e-12;  // a touching guard below -this has closed again
-constexpr double kHeight = 1e-16;   // a flight lower than this is rounding
-constexpr double kBeyond = 1.001;   // of the step, as far as an event at its end may seem to lie beyond it
-constexpr double kJump = 1e-12;     // width of a bracket in which a gap jumps
-constexpr int kMaxCuts = 1000;      // of the step, looking for where a touching guard separates
-constexpr int kMaxProbes = 80;      // exact partial steps to one event
-constexpr int kMaxDipProbes = 12;
+constexpr double kEventTarget = 1e-13;   // [m; rad] gap at which an event is located
+constexpr double kClosing = 1e-12;       // [m; rad] a touching guard deeper than this has closed again
+constexpr double kFlightHeight = 1e-16;  // [m; rad] a lower flight is rounding
+constexpr double kBeyond = 1.001;        // fraction of the step up to which an event at its end may seem to lie
+constexpr double kLeastPart = 1e-15;     // of the step: shorter parts are not cut further
+constexpr int kMaxCuts = 1000;           // of the step, in the search for where a touching guard separates
+constexpr int kMaxProbes = 80;           // exact partial steps to one event
+constexpr int kMaxDipProbes = 12;        // exact partial steps to one minimum
 }  // namespace
 
 bool EventFinder::exact_at(int guard, double tau, Point& point) {
   if (!stepper_->solve_part(*path_, tau, *q0_, *p0_, *tau_)) {
-    // Where the path is no good start solve() has others, but for those of the steps taken: they end after this one.
+    // Where the path gives no good start values solve() tries others. Those of the steps taken must not be among them:
+    // their polynomial ends where the whole step began.
     stepper_->forget();
     if (!stepper_->solve(*q0_, *p0_, tau * h_, *tau_)) return false;
   }
@@ -41,8 +43,8 @@ Search EventFinder::accept(int guard, const Point& at, bool stays_closed) {
   return Search::kFound;
 }
 
-// A touching guard, a: its start. Where has it separated, or does it close without having done so?
-Search EventFinder::leave(Suspect& s, Point a) {
+// Follows a touching guard from its start a: to where it has separated, or to where it closes without having done so.
+Search EventFinder::separate_touching(Suspect& s, Point a) {
   const int g = s.guard;
   const double tolerance = guards_->touch_tolerance(g);
   double width = gaps_.smooth_width(g);
@@ -54,9 +56,9 @@ Search EventFinder::leave(Suspect& s, Point a) {
     if (m.gap < -kClosing && m.gap > -kClosing - unsure && !exact_at(g, m.tau, m))
       return fail(Search::kNewtonFailed, g, 0);
     if (!std::isfinite(m.gap)) return fail(Search::kUnresolved, g, m.gap);
-    const double used = m.tau - a.tau, grown = m.gap - a.gap, promised = used * std::max(a.rate, 0.0);
-    if (m.gap > (closes ? 0.0 : tolerance) && grown >= 0.25 * promised) {
-      // It rises as it set out to. If it set out downwards, how deep was it?
+    const double used = m.tau - a.tau, grown = m.gap - a.gap, expected = used * std::max(a.rate, 0.0);
+    if (m.gap > (closes ? 0.0 : tolerance) && grown >= 0.25 * expected) {
+      // It rises as its first rate let expect. If that was negative its depth in between decides.
       const double curve = (grown - a.rate * used) / (used * used);
       s.from = m;
       if (a.rate >= 0.0) return Search::kNone;
@@ -65,29 +67,29 @@ Search EventFinder::leave(Suspect& s, Point a) {
     }
     if (m.gap < -kClosing) {
       closes = true;
-      const double curve = (promised - grown) / (used * used);
+      const double curve = (expected - grown) / (used * used);
       const double height = 0.25 * a.rate * a.rate / curve;
-      if (a.rate <= 0.0 || height < kHeight || used < 1e-15) return close(s, a, m);
+      if (a.rate <= 0.0 || height < kFlightHeight || used < kLeastPart) return close(s, a, m);
       width = std::clamp(0.5 * a.rate / curve, 1e-3 * used, 0.5 * used);
-    } else if (!closes && m.gap <= tolerance && promised <= 4.0 * tolerance) {
+    } else if (!closes && m.gap <= tolerance && expected <= 4.0 * tolerance) {
       if (m.tau == 1.0) {
         s.from = m;
-        return Search::kNone;  // it touches all along
+        return Search::kNone;  // it touches throughout
       }
       a = m;
       width = gaps_.smooth_width(g);
     } else {
-      width = 0.5 * used;  // it flew and came back
-      if (used < 1e-15) return close(s, a, m);
+      width = 0.5 * used;  // it separated and came back
+      if (used < kLeastPart) return close(s, a, m);
     }
   }
-  // Neither: it hangs about zero, and what holds it decides.
+  // It stays about zero without separating or closing: it counts as closed, and the contact laws decide.
   s.crosses = s.stays_closed = true;
   s.root = 0.0;
   return Search::kNone;
 }
 
-// A touching guard that is at a and below zero at below without having separated.
+// Enters the closing of a touching guard that is at a, and below zero at below, without having separated.
 Search EventFinder::close(Suspect& s, const Point& a, const Point& below) {
   if (a.gap > 0.0) {
     cross(s, a, below, 0.0);  // an ordinary crossing
@@ -98,8 +100,8 @@ Search EventFinder::close(Suspect& s, const Point& a, const Point& below) {
   return Search::kNone;
 }
 
-// Does the exact gap dip below zero near [a, b], where that of the path has its minimum? The difference of the two is
-// taken for linear, through the probes so far.
+// Decides whether the exact gap dips below zero near [a, b], where that of the path has its minimum. The difference of
+// the two is approximated linearly, through the probes so far.
 Search EventFinder::exact_dip(Suspect& s, const Point& a, const Point& b) {
   const int g = s.guard;
   const double width = b.tau - a.tau, bend = (b.rate - a.rate) / width, tolerance = guards_->root_tolerance(g);
@@ -119,7 +121,7 @@ Search EventFinder::exact_dip(Suspect& s, const Point& a, const Point& b) {
     }
     double next;
     if (k == 0) {
-      // So steep can the difference be; then the minimum lies that much lower beside x.
+      // Bound on the slope of the difference, which may move the minimum from x and lower it.
       const double steep = 8.0 * std::max(guards_->doubt(g), std::abs(offset));
       if (!(bend > 0.0) || above > 0.5 * steep * steep / bend) return Search::kNone;
       const double probe = std::min(std::sqrt(2.0 * above / bend), 0.5 * width);
@@ -128,19 +130,20 @@ Search EventFinder::exact_dip(Suspect& s, const Point& a, const Point& b) {
       slope = (offset - last_offset) / (x - last_x);
       next = gaps_.minimum(g, left, right, slope);
       const double predicted = gaps_.at(g, next).gap + offset + slope * (next - x), change = slope - last_slope;
-      // Even if the slope is wrong by as much as it has just changed, the minimum is not below zero.
+      // Even with an error of the slope as large as its last change the minimum is not below zero.
       if (p.gap - predicted + 0.5 * change * change / bend < 0.5 * above) return Search::kNone;
       last_slope = slope;
     }
     last_x = x;
     last_offset = offset;
-    if (!(std::abs(next - x) > 1e-12)) return Search::kNone;
+    if (!(std::abs(next - x) > kSamePlaceInStep)) return Search::kNone;
     x = next;
   }
   return Search::kNone;
 }
 
-// The path crossed before from, the exact path is still positive there: look for where the path is sure again.
+// Goes on from a place where the exact gap is still positive although the path has crossed zero, to where the path's
+// sign is sure again.
 Search EventFinder::resume(Suspect& s, const Point& from) {
   const int g = s.guard;
   const double step = std::max(0.25 * (s.hi.tau - s.lo.tau), 1e-6);
@@ -164,7 +167,8 @@ Search EventFinder::resume(Suspect& s, const Point& from) {
   return Search::kNone;
 }
 
-// On kFound either event() is filled or the event does not exist: then the suspect is searched further.
+// Locates the suspect's crossing. On kFound event() is filled, or exists is false: then the suspect is searched
+// further.
 Search EventFinder::locate(Suspect& s, bool& exists) {
   if (s.stays_closed) {
     event_.q = *q0_;
@@ -174,32 +178,32 @@ Search EventFinder::locate(Suspect& s, bool& exists) {
   }
   const bool probe = !s.lo_sure;
   if (probe) {
-    const Search outcome = separate(s);
+    const Search outcome = find_open(s);
     if (outcome != Search::kNone || s.stays_closed) return outcome;
   }
   return polish(s, probe || s.lo.tau == 0.0, exists);
 }
 
-// A point on the exact path where the gap is positive, before the crossing.
-Search EventFinder::separate(Suspect& s) {
+// Finds a point on the exact path before the crossing where the gap is positive.
+Search EventFinder::find_open(Suspect& s) {
   s.lo_sure = true;
-  if (!touching_[s.guard]) {
+  if (!memory_.touching[s.guard]) {
     s.lo = {0.0, 0.0, 0.0};
     return Search::kNone;
   }
-  for (double tau = s.lo.tau; tau > 1e-15; tau *= 0.5) {
+  for (double tau = s.lo.tau; tau > kLeastPart; tau *= 0.5) {
     if (!exact_at(s.guard, tau, s.lo)) return fail(Search::kNewtonFailed, s.guard, 0);
     if (s.lo.gap > 0.0) return Search::kNone;
     s.hi = s.lo;
     s.hi_sure = true;
   }
-  // There is none: it never separated.
+  // There is none, since it never separated.
   s.stays_closed = true;
   bool exists = true;
   return locate(s, exists);
 }
 
-// lo_seen: the gap at s.lo was seen to be positive on the exact path.
+// Iterates to the root on the exact path. lo_seen: the gap at s.lo is positive on the exact path.
 Search EventFinder::polish(Suspect& s, bool lo_seen, bool& exists) {
   const int g = s.guard;
   const double tolerance = guards_->root_tolerance(g);
@@ -209,21 +213,21 @@ Search EventFinder::polish(Suspect& s, bool lo_seen, bool& exists) {
     if (!exact_at(g, x, p)) return fail(Search::kNewtonFailed, g, 0);
     if (!std::isfinite(p.gap)) return fail(Search::kUnresolved, g, p.gap);
     const double size = std::abs(p.gap);
-    if (size <= kTarget || (size <= tolerance && size > 0.25 * std::abs(before.gap))) return accept(g, p, false);
+    if (size <= kEventTarget || (size <= tolerance && size > 0.25 * std::abs(before.gap))) return accept(g, p, false);
     if (p.gap > 0.0 && !s.hi_sure && (x >= hi || p.rate >= 0.0)) {
       exists = false;
       const Search outcome = resume(s, p);
       return outcome == Search::kNone ? Search::kFound : outcome;
     }
-    // The whole step was solved from other start values: at its end the two agree to the solver's tolerance only.
+    // The whole step was solved from other start values: at its end the two solutions agree to the solver's tolerance.
     if (p.gap > 0.0 && x >= hi && hi == 1.0) hi = kBeyond;
     (p.gap > 0.0 ? lo : hi) = x;
     (p.gap > 0.0 ? lo_seen : s.hi_sure) = true;
-    // Newton with the rate of the path, then secants, whose rate is exact.
+    // Newton's method with the rate of the path at first, then secants, whose rate is exact.
     const double secant = (p.gap - before.gap) / (x - before.tau);
     double next = x - p.gap / (k > 0 && secant < 0.0 ? secant : p.rate);
     if (next <= lo && !lo_seen) {
-      s.lo_sure = false;  // the path was not so sure after all
+      s.lo_sure = false;  // the path's error was larger than its bound
       s.hi = p;
       s.root = x;
       return locate(s, exists);
@@ -233,12 +237,12 @@ Search EventFinder::polish(Suspect& s, bool lo_seen, bool& exists) {
     } else if (!(next > lo && next < hi) || k % 8 == 7) {
       next = 0.5 * (lo + hi);
     }
-    if (next == x || hi - lo <= 4e-16 * hi) break;
+    if (next == x || hi - lo <= kNarrowestBracket * hi) break;
     before = p;
     x = next;
   }
-  // Where a feature comes into being the gap of a pair jumps, by rounding.
-  const bool jumps = hi - lo <= kJump * hi && std::abs(p.gap) <= Guards::kFeatureRounding;
+  // Where the closest feature of a pair changes, its gap jumps by rounding.
+  const bool jumps = hi - lo <= kSamePlaceInStep * hi && std::abs(p.gap) <= Guards::kFeatureRounding;
   return std::abs(p.gap) <= tolerance || jumps ? accept(g, p, false) : fail(Search::kUnresolved, g, p.gap);
 }
 

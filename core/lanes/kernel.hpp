@@ -1,15 +1,15 @@
-// The kernel's source, to be included once by the file of each instruction set, nothing else of it being visible
-// outside.
+// The kernel's source. The file of each instruction set includes it once; nothing of it is visible outside of that
+// file.
 #include "lanes.hpp"
 
 namespace {
 using namespace contactvi;
-// clang-format off: each stands on the one before
+// clang-format off: each uses the ones before it
 #include "lane_math.hpp"
 #include "lane_dynamics.hpp"
 #include "lane_factor.hpp"
 #include "lane_solve.hpp"
 #include "lane_newton.hpp"
-#include "lane_sweep.hpp"
+#include "lane_iteration.hpp"
 // clang-format on
 }  // namespace

@@ -1,4 +1,4 @@
-// M v and dT/dq - dV/dq of one group of lanes in a forward and a backward pass, and the kinematics they leave behind.
+// M v and dT/dq - dV/dq of one group of lanes in a forward and a backward pass, which store the kinematics.
 // Included inside an unnamed namespace after lane_math.hpp.
 //
 // (dT/dq)_j = -S_j^T ((X v_parent) x* H_j), (dV/dq)_j = -S_j^T [c_j x g ; M_j g], H_j, c_j, M_j: momentum, first
@@ -34,7 +34,7 @@ LANE_INLINE void put3(V* at, V3<V> x) {
   at[2] = x.z;
 }
 
-// Coordinates of a vector in the frame turned by (c, s) about z, about x, and back.
+// Coordinates of a vector in the frame turned by (c, s) about z or x, and from it back.
 template <class V, class S>
 LANE_INLINE V3<V> into_z(S c, S s, V3<V> a) {
   return {c * a.x + s * a.y, c * a.y - s * a.x, a.z};
@@ -99,7 +99,7 @@ LANE_INLINE void place_joint(const Group<V>& g, const LaneJoint& j) {
     case kLaneScrew: {
       const V angle = w.base[j.dof] + g.at(w.X, j.dof);
       sine_cosine(angle, at[1], at[0]);
-      at[2] = j.pitch * (angle - j.turn);  // the frame's constant turn is no displacement
+      at[2] = j.pitch * (angle - j.turn);  // the frame's constant turn displaces nothing
       break;
     }
     case kLaneSlide:
@@ -143,7 +143,7 @@ LANE_INLINE Motion<V> inherit(const LaneJoint& j, const V* at, Motion<V> m) {
     return m;
   }
   m = {into_body(j, at, m.w), into_body(j, at, m.v), into_body(j, at, m.g)};
-  if (j.type != kLaneTurn) {  // the shift is along z, which the turn leaves alone
+  if (j.type != kLaneTurn) {  // the shift is along z, which the turn does not change
     m.v.x = m.v.x + m.w.y * at[2];
     m.v.y = m.v.y - m.w.x * at[2];
   }
@@ -234,7 +234,7 @@ LANE_INLINE Load<V> to_parent(const LaneJoint& j, const V* at, Load<V> l) {
   return l;
 }
 
-// Force in one coordinate: what gravity and motion give, and if measure the size of what cancels in it.
+// Stores the force in one coordinate, from gravity, motion and linear forces, and if measure the sizes of its terms.
 template <bool measure, class V>
 LANE_INLINE void put_force(const Group<V>& g, int dof, V gravity, V motion, V momentum) {
   const LaneWork& w = *g.work;
@@ -260,7 +260,7 @@ LANE_INLINE void put_joint_force(const Group<V>& g, const LaneJoint& j, const Mo
   const V zero = Lane<V>::all(0.0);
   const bool root = j.parent < 0;
   if (j.type == kLaneTranslate) {
-    // Inherited: the same w; linear part of w x* f, the joint's own velocity has no share in it.
+    // The inherited angular velocity is w itself; of w x* f only the linear part acts along the joint.
     const V3<V> turn = root ? V3<V>{zero, zero, zero} : cross(m.w, l.f);
     const V3<V> v = g.at3(w.v, j.dof);
     put_force<measure>(g, j.dof, j.subtree_mass * m.g.x, turn.x, l.f.x + j.armature[0] * v.x);
@@ -292,7 +292,7 @@ LANE_INLINE void put_joint_force(const Group<V>& g, const LaneJoint& j, const Mo
   put_force<measure>(g, j.dof, gravity, motion, momentum + j.armature[0] * g.at(w.v, j.dof));
 }
 
-// full: the sizes of what cancels in the forces are measured, and the subtree momenta stay behind the factors, for
+// full: the sizes of the forces' terms are measured, and the subtree momenta are stored after the factors, for
 // lane_newton.hpp.
 template <bool full, class V>
 inline void backward(const Group<V>& g) {

@@ -1,6 +1,6 @@
 // M + diagonal in articulated form, factored in one backward pass and solved in one backward and one forward pass
 // (Featherstone, Rigid Body Dynamics Algorithms, ch. 7, in momentum form: no bias terms). Included inside an unnamed
-// namespace after lane_dynamics.hpp. Behind the kinematics a joint stores W = U D^-1 and D^-1 (1 dof: 6 + 1 vectors,
+// namespace after lane_dynamics.hpp. After its kinematics a joint stores W = U D^-1 and D^-1 (1 dof: 6 + 1 vectors,
 // 3 dofs: 18 + 6).
 
 // Articulated inertia: n = I w + H v, f = H^T w + M v; I, M symmetric (xx xy xz yy yz zz), H row-major.
@@ -29,7 +29,7 @@ LANE_INLINE void turn_symmetric_x(S c, S s, V* A) {
   A[1] = c * xy - s * xz;
   A[2] = s * xy + c * xz;
 }
-// Rows, then columns, i and j of a general matrix.
+// Turns rows, then columns, i and j of a general matrix.
 template <class V, class S>
 LANE_INLINE void turn_general(S c, S s, int i, int j, V* A) {
   for (int k = 0; k < 3; ++k) {
@@ -130,7 +130,7 @@ template <class V, class R3>
 LANE_INLINE V3<V> offset_cross(const R3& r, V3<V> a) {
   return {r[1] * a.z - r[2] * a.y, r[2] * a.x - r[0] * a.z, r[0] * a.y - r[1] * a.x};
 }
-// The origin moves by -r: H += [r] M, I += (r x h_j)_i + (r x h'_i)_j with the rows h of H before and h' after.
+// Moves the origin by -r: H += [r] M, I += (r x h_j)_i + (r x h'_i)_j with the rows h of H before and h' after.
 template <class V, class R3>
 LANE_INLINE void shift_by(const R3& r, Inertia<V>& A) {
   const V3<V> before[3] = {{A.H[0], A.H[1], A.H[2]}, {A.H[3], A.H[4], A.H[5]}, {A.H[6], A.H[7], A.H[8]}};
@@ -167,7 +167,7 @@ LANE_INLINE Inertia<V> own_inertia(const LaneJoint& j) {
   return A;
 }
 
-// 1 dof: stores W and D^-1, leaves A less its part along the joint.
+// Eliminates a joint of 1 dof: stores W and D^-1, takes its part along the joint off A.
 template <class V>
 LANE_INLINE void eliminate_one(const Group<V>& g, const LaneJoint& j, V* factor, Inertia<V>& A) {
   V U[6];
@@ -297,7 +297,7 @@ inline void factor_group(const Group<V>& g) {
   }
 }
 
-// The coordinate along the joint of (n, f), one number.
+// The component of (n, f) along the joint, for 1 dof.
 template <class V>
 LANE_INLINE V along(const LaneJoint& j, V3<V> n, V3<V> f) {
   if (j.type == kLaneTurn) return n.z;

@@ -1,7 +1,7 @@
 // Vectors of lanes and the elementary functions on them. Included inside an unnamed namespace, V = double or a vector
 // of doubles; the same operations in the same order for each, so the bits agree.
 
-// Calls between these small functions would cost more than they do.
+// A call of one of these small functions would cost more than its work.
 #define LANE_INLINE inline __attribute__((always_inline))
 
 #ifdef __AVX2__
@@ -72,7 +72,7 @@ LANE_INLINE V absolute(V x) {
 template <class V>
 LANE_INLINE void sine_cosine(V x, V& sine, V& cosine) {
   typedef typename Lane<V>::Int I;
-  const double shift = 6755399441055744.0;  // 1.5 * 2^52: the sum's last bits are the rounded number
+  const double shift = 6755399441055744.0;  // 1.5 * 2^52: the last bits of a sum with it are the rounded number
   const V shifted = x * 0.63661977236758134308 + shift;
   const V n = shifted - shift;
   const V r = ((x - n * 1.57079632673412561417e+00) - n * 6.07710050630396597660e-11) - n * 2.02226624879595063154e-21;

@@ -18,7 +18,7 @@ struct Axis {  // a motion or a force: three angular, three linear numbers
   V3<V> a, l;
 };
 
-// Storage of a joint behind its factor: momentum (6), D^-1 (9), then for each axis motion (6), row (6), Uc (6), Ur
+// Storage of a joint after its factor: momentum (6), D^-1 (9), then for each axis motion (6), row (6), Uc (6), Ur
 // (6).
 
 template <class V>
@@ -74,7 +74,7 @@ LANE_INLINE Axis<V> joint_axis(const LaneJoint& j, int d) {
   return {z, {zero, zero, Lane<V>::all(j.pitch)}};
 }
 
-// R A R^T block by block, and the origin moved by -r: see lane_factor.hpp.
+// R A R^T block by block, and a change of the origin by -r, as in lane_factor.hpp.
 template <class V, class S>
 LANE_INLINE void turn_blocks(S c, S s, int i, int k, Inertia6<V>& A) {
   turn_general(c, s, i, k, A.I);
@@ -150,7 +150,7 @@ LANE_INLINE void invert_general(const V* D, V* inverse) {
   inverse[8] = (D[0] * D[4] - D[1] * D[3]) * scale;
 }
 
-// Motion axes, rows, and c of a joint's dofs at step e.
+// Motion axes, rows, and c of a joint's dofs for the diagonal e.
 template <class V>
 struct Columns {
   Axis<V> motion[3], row[3], c[3];

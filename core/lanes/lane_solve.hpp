@@ -1,6 +1,6 @@
 // (M + diagonal)^-1 of one group of lanes with the stored factor. Included inside an unnamed namespace after
-// lane_factor.hpp. dv holds the right-hand side, in between u, at last the solution; the bodies' velocities in the
-// storage are overwritten.
+// lane_factor.hpp. dv is the right side on entry, u between the passes, the solution on return; the bodies' velocities
+// in the storage are overwritten.
 
 template <class V>
 struct Force {
@@ -53,7 +53,7 @@ inline void solve_backward(const Group<V>& g) {
   }
 }
 
-// Only w and v of inherit().
+// w and v of inherit(), without gravity.
 template <class V>
 LANE_INLINE void velocity_into_body(const LaneJoint& j, const V* at, V3<V>& w, V3<V>& v) {
   v = v - cross(j.r, w);

@@ -1,4 +1,4 @@
-// Interface of the stage kernel: all stages of a Gauss step evaluated side by side in SIMD lanes.
+// Interface of the stage kernel, which evaluates all stages of a Gauss step side by side in SIMD lanes.
 //
 // One source (kernel.hpp and what it includes) is compiled once per instruction set, each object with its own flags
 // and one exported symbol. Only plain structs and pointers cross: an inline function of the standard library or of
@@ -13,7 +13,7 @@ namespace contactvi {
 
 enum LaneJointType { kLaneTurn, kLaneSlide, kLaneScrew, kLaneTranslate, kLaneBall };
 
-// Most robots' axes are parallel or at right angles: transforms between them that need no products.
+// Angle between two axes: most robots' are parallel or at right angles, and need no products for the transform.
 enum LaneAngle { kLaneAnyAngle, kLaneNoAngle, kLaneQuarterTurn };  // quarter: cos 0 and sin 1 exactly
 
 // One joint and the body it moves. 1-dof joints: the body's z axis is the joint's, and
@@ -33,7 +33,7 @@ struct LaneJoint {
   int alpha;  // LaneAngle
   double cos_gamma, sin_gamma, cos_alpha, sin_alpha;
   double turn;                  // constant turn of its frame, part of base; turns and screws
-  double cos_fixed, sin_fixed;  // the same of slides
+  double cos_fixed, sin_fixed;  // of the constant turn, for slides
   double r[3];
   double C[9];  // row-major
   double pitch;
@@ -44,7 +44,7 @@ struct LaneJoint {
   double gravity[3];  // roots: gravity before the joint's own turn
 };
 
-// Storage of a joint in vectors, by its dofs: behind the kinematics the factor (lane_factor.hpp), then the Newton
+// Storage of a joint of 1 or 3 dofs after its kinematics, in vectors: the factor (lane_factor.hpp), then the Newton
 // factor (lane_newton.hpp).
 const int kLaneFactor1 = 7, kLaneFactor3 = 24, kLaneNewton1 = 6 + 9 + 24, kLaneNewton3 = 6 + 9 + 72;
 
@@ -58,7 +58,7 @@ struct LaneWork {
   int s, S;
   const double* hA;  // [j * S + i] = h A[i][j]
   const double* hb;  // [j] = h b[j]
-  // [i]: h times the diagonals that stand for A in the Newton matrix, and on balls for 1/2 (A - 1).
+  // [i]: h times the diagonals that replace A in the Newton matrix, and on balls 1/2 (A - 1).
   const double *he, *he_turn;
   double h;
   // Start of the step, per dof.
@@ -76,23 +76,23 @@ struct LaneWork {
   double* Y;               // balls: exp(X) G, summed for the momentum balance
   double* px;              // balls: rate of the chart momentum
   double* dv;              // residual, then correction
-  double* magnitude;       // of what cancels in G
-  const double* diagonal;  // added to the mass matrix in the factor (armature and what is stiff)
+  double* magnitude;       // sizes of the terms of G
+  const double* diagonal;  // added to the mass matrix in the factor (armature, stiffness, damping)
   double *storage, *slots;
   // Per stage.
-  double* error;    // r . dv
-  double* kinetic;  // P . v
-  double* floor;    // energy of the kick that the single forces would give
+  double* error;           // r . dv
+  double* kinetic;         // P . v
+  double* impulse_energy;  // of the impulses h f of the single forces f [J]
   // Adds forces to G and their size to magnitude after it was evaluated; null: none.
   void (*extra)(void* context);
   void* context;
 };
 
 enum LaneFlags {
-  kLaneFactor = 1,        // make the factor anew
-  kLaneNewton = 2,        // of the Newton matrix, not of the mass matrix alone
-  kLaneFirst = 4,         // of a step: the old X says nothing
-  kLaneKeepVelocity = 8,  // leave v as it is
+  kLaneFactor = 1,        // the factor is made anew,
+  kLaneNewton = 2,        // that of the Newton matrix, not of the mass matrix alone
+  kLaneFirst = 4,         // first iteration of a step: the old X is no approximation
+  kLaneKeepVelocity = 8,  // v is not changed
 };
 
 struct LaneKernel {
@@ -104,7 +104,7 @@ struct LaneKernel {
   void (*factor)(const LaneTree*, const LaneWork*);
   void (*solve)(const LaneTree*, const LaneWork*);  // dv <- (M + diagonal)^-1 dv
   // X from the rates, P and G there, residual p0 + hA G - P, correction dv by the stored factor, v += dv.
-  void (*sweep)(const LaneTree*, const LaneWork*, int flags);
+  void (*iterate)(const LaneTree*, const LaneWork*, int flags);
   void (*rates)(const LaneTree*, const LaneWork*);  // balls: X' from v and X
   // out[dof * S + i] (+)= sum_j weight[j * S + i] in[dof * S + j], j < s.
   void (*combine)(int nv, int s, int S, const double* weight, const double* in, double* out, bool add);

@@ -2,14 +2,12 @@
 
 #include <cmath>
 
+#include "base/tolerances.hpp"
 #include "model/point_jacobian.hpp"
 
 namespace contactvi {
 
 namespace {
-
-constexpr double kTwoPi = 6.283185307179586476925;
-constexpr double kNoLength = 1e-300;
 
 // One constraint's rows while they are written.
 struct Rows {
@@ -20,11 +18,12 @@ struct Rows {
   VecRef rate;
   int row;
 
-  // Adds a row: residual value, relative velocity of the frames' points at x along n.
+  // Gradient of the current row: velocity of b's point at x relative to a's, along n.
   void point(const Constraint& c, const Vec3& x, const Vec3& n) {
     add_point_row(tree, at, c.b.body, x, n, 1.0, W.col(row));
     add_point_row(tree, at, c.a.body, x, n, -1.0, W.col(row));
   }
+  // Gradient of the current row: angular velocity of b relative to a about n.
   void turn(const Constraint& c, const Vec3& n) {
     add_turn_row(tree, at, c.b.body, n, 1.0, W.col(row));
     add_turn_row(tree, at, c.a.body, n, -1.0, W.col(row));
@@ -42,7 +41,7 @@ void point(const Constraint& c, const Vec3& x_a, const Vec3& x_b, Rows& rows) {
 void distance(const Constraint& c, double t, const Vec3& x_a, const Vec3& x_b, Rows& rows) {
   const Vec3 d = x_b - x_a;
   const double length = d.norm();
-  const Vec3 u = length > kNoLength ? Vec3(d / length) : Vec3(Vec3::UnitZ());
+  const Vec3 u = length > kLeastDivisor ? Vec3(d / length) : Vec3(Vec3::UnitZ());
   double wanted = c.numbers.empty() ? 0.0 : c.numbers[0];
   if (c.signal) {
     const auto driven = c.signal(t);
@@ -56,14 +55,14 @@ void distance(const Constraint& c, double t, const Vec3& x_a, const Vec3& x_b, R
 }
 
 void weld(const Constraint& c, const Mat3& R_a, const Vec3& x_a, const Mat3& R_b, const Vec3& x_b, Rows& rows) {
-  // The point of a that is at x_b now: so the rows are those of the residual in a's axes, which turn.
+  // The residual is in a's axes, which turn: its rate is the relative velocity of a's point that is now at x_b.
   for (int k = 0; k < 3; ++k, ++rows.row) {
     rows.phi[rows.row] = R_a.col(k).dot(x_b - x_a);
     rows.point(c, x_b, R_a.col(k));
   }
   Quat turn(Mat3(R_a.transpose() * R_b));
   if (turn.w() < 0.0) turn.coeffs() = -turn.coeffs();
-  // d(2 vec)/dt = (w - vec x) omega, omega of b against a in a's axes.
+  // d(2 vec)/dt = (w - vec x) omega, with the angular velocity omega of b relative to a in a's axes.
   const Mat3 B = turn.w() * Mat3::Identity() - skew(turn.vec());
   for (int k = 0; k < 3; ++k, ++rows.row) {
     rows.phi[rows.row] = 2.0 * turn.vec()[k];

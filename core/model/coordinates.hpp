@@ -1,14 +1,14 @@
-// Between the public velocity and momentum (Pinocchio's) and the engine's, for split joints.
+// Conversion between the public velocity and momentum (Pinocchio's) and the engine's, for split joints.
 //
-// Free-flyer: v_public = (R^T xdot, omega), v_engine = (xdot, omega); planar the same in the plane. Momenta are dual:
-// p_public . v_public = p_engine . v_engine, so their linear part rotates like the velocity's.
+// Free-flyer: v_public = (R^T xdot, omega), v_engine = (xdot, omega); planar joints likewise in the plane. Momenta are
+// dual: p_public . v_public = p_engine . v_engine, so their linear part rotates like the velocity's.
 #pragma once
 
 #include "model/tree.hpp"
 
 namespace contactvi {
 
-// In place; w is a velocity, momentum or generalized force at q, shape (nv,).
+// Both work in place; w is a velocity, momentum or generalized force at q, shape (nv,).
 void public_to_engine(const Tree& tree, const VecCRef& q, VecRef w);
 void engine_to_public(const Tree& tree, const VecCRef& q, VecRef w);
 

@@ -1,5 +1,5 @@
-// What pushes, drives and closes a tree, beyond its joints' linear springs and damping: data, fixed when the scene is
-// made. Forces are evaluated in forces.hpp, constraints in constraints.hpp.
+// Forces, actuators and constraints on a tree, beyond its joints' linear springs and damping: data that is fixed when
+// the scene is made. Forces are evaluated in forces.hpp, constraints in constraints.hpp.
 #pragma once
 
 #include <array>
@@ -19,7 +19,7 @@ struct BodyFrame {
   Vec3 p_B = Vec3::Zero();
 };
 
-// Value, rate and acceleration of a number that the user drives, at a time [s].
+// Value, rate and acceleration of a number that the user prescribes, at a time [s].
 using Signal = std::function<std::array<double, 3>(double)>;
 
 // V(x) = sum_k coefficients[k] x^(k+2), x = q - rest of a joint with one number in q.
@@ -29,15 +29,15 @@ struct JointPotential {
   std::vector<double> coefficients;
 };
 
-// Spring and damper along a line through points: V = k/2 (l - l0)^2 of its length l, tension k (l - l0) + c dl/dt. One
-// that only pulls does nothing below l0, and its tension is never negative.
+// Spring and damper along a line through points: V = k/2 (l - l0)^2 of its length l, tension k (l - l0) + c dl/dt. With
+// tension_only it does nothing below l0, and its tension is never negative.
 struct PathSpring {
   std::vector<BodyFrame> points;
   double stiffness, rest_length, damping;
   bool tension_only;
 };
 
-// Force and torque (3 + 3) at a frame's origin, in world axes or in the frame's.
+// Force [N] and torque [N m] (3 + 3) at a frame's origin, in world axes or in the frame's.
 struct AppliedWrench {
   BodyFrame at;
   bool world_axes;
@@ -45,7 +45,7 @@ struct AppliedWrench {
   std::function<Eigen::Matrix<double, 6, 1>(double)> signal;  // of time, instead of value, if set
 };
 
-// Functions of the user, public coordinates. Whatever goes wrong in them they return NaN and keep the reason.
+// Functions of the user, in public coordinates. Where one fails it returns NaN, and its owner keeps the reason.
 struct UserForce {
   std::function<void(double, const VecX&, const VecX&, VecX&)> value;              // t, q, v -> generalized force
   std::function<void(double, const VecX&, const VecX&, MatX&, MatX&)> derivative;  // -> df/dq, df/dv; may be empty
@@ -58,7 +58,7 @@ struct UserPotential {
 
 enum class ConstraintKind { kPoint, kDistance, kWeld, kScrew, kEquality, kPrescribed };
 
-// See constraints.hpp for the residuals.
+// The residuals are in constraints.hpp.
 struct Constraint {
   ConstraintKind kind;
   BodyFrame a, b;                  // kPoint to kScrew
@@ -69,9 +69,15 @@ struct Constraint {
   std::string name = {};
 };
 
+// Owner of the users' functions that elements call. It is not constant as the rest of a scene is.
+struct UserCalls {
+  virtual ~UserCalls() = default;
+  bool failed = false;  // whether one of the functions has failed: a run then ends at once
+};
+
 struct Elements {
-  VecX joint_friction;  // nv, or empty
-  // Servos of joints with one number in q: gains [N m/rad; N m s/rad] and largest torque; empty: none.
+  VecX joint_friction;  // bounds of the joints' friction [N; N m], nv, or empty
+  // Servos of joints with one degree of freedom: gains [N m/rad; N m s/rad] and largest torque; empty: none.
   VecX servo_kp, servo_kd, servo_effort;
   // Largest effort and speed of the joints' actuators; empty: no limits.
   VecX effort, speed;
@@ -82,19 +88,21 @@ struct Elements {
   std::vector<UserPotential> potentials;
   std::vector<Constraint> constraints;
   int constraint_rows = 0;
-  std::vector<int> friction_dofs;  // with friction
-  // Owner of the users' functions, which the ones above call.
-  std::shared_ptr<void> functions;
-  // Whether a function of the user has failed: a run then ends at once.
-  std::shared_ptr<bool> failed = std::make_shared<bool>(false);
+  std::vector<int> friction_dofs;        // those whose joint friction is not 0
+  std::shared_ptr<UserCalls> functions;  // of the users; null: none
 
   bool any_force() const {
     return !(joint_potentials.empty() && path_springs.empty() && wrenches.empty() && forces.empty() &&
              potentials.empty());
   }
-  // Whether every step has to satisfy something.
+  bool user_failed() const { return functions && functions->failed; }
+  // Calls from now on count anew.
+  void forget_failure() const {
+    if (functions) functions->failed = false;
+  }
+  // Whether every step needs impulses, with contacts or without.
   bool constrained() const { return !constraints.empty() || !friction_dofs.empty(); }
-  // Whether a constraint depends on time: its forces do work.
+  // Whether a constraint depends on time, so that its forces do work.
   bool driven() const {
     for (const Constraint& c : constraints)
       if (c.signal) return true;

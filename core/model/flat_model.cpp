@@ -12,7 +12,7 @@ bool is_one_dof(const Joint& joint) {
   return joint.type != JointType::kTranslation && joint.type != JointType::kSpherical;
 }
 
-// cos and sin; right angles, the common case, without the 6e-17 that rounding of pi/2 leaves.
+// cos and sin; exact at right angles, the common case, where rounding of pi/2 leaves 6e-17.
 void cos_sin(double angle, double& c, double& s) {
   c = std::cos(angle);
   s = std::sin(angle);
@@ -28,7 +28,7 @@ Mat3 turn_z(double angle) {
   return R;
 }
 
-// R = Rz(gamma) Rx(alpha) Rz(beta); gamma = 0 where only a sum or a difference counts.
+// R = Rz(gamma) Rx(alpha) Rz(beta); gamma = 0 where only gamma + beta or gamma - beta is determined.
 struct Euler {
   double gamma, cos_alpha, sin_alpha, beta;
 };
@@ -43,8 +43,8 @@ Euler euler(const Mat3& R) {
   } else {
     e.gamma = std::atan2(R(0, 2), -R(1, 2));
   }
-  // What is left of R after gamma and alpha, not the third row: nearly parallel axes would fix gamma and beta to few
-  // digits each, and their sum must be right.
+  // beta comes from what remains of R after gamma and alpha, not from its third row: nearly parallel axes determine
+  // gamma and beta to few digits each, but their sum must be right.
   const Mat3 rest = turn_z(e.gamma).transpose() * R;
   const double x = rest(0, 0), y = e.cos_alpha * rest(1, 0) + e.sin_alpha * rest(2, 0);
   e.beta = std::atan2(y, x);
@@ -70,8 +70,7 @@ void copy3(const Vec3& from, double* to) {
   for (int i = 0; i < 3; ++i) to[i] = from[i];
 }
 
-// How far each body frame is turned about its z axis: so that its largest child needs no rotation before its own
-// axis.
+// How far each body frame is turned about its z axis, so that its largest child needs no rotation before its own axis.
 std::vector<double> frame_turns(const Tree& tree) {
   const int n = static_cast<int>(tree.joints.size());
   std::vector<int> size(n, 1), heir(n, -1);
@@ -111,7 +110,7 @@ void place_in_parent(const Joint& joint, double parent_turn, double own_turn, La
   cos_sin(j.turn, j.cos_fixed, j.sin_fixed);
 }
 
-// Gravity where start_at_world() expects it.
+// Gravity in the axes in which start_at_world() of the kernel takes it.
 Vec3 root_gravity(const Tree& tree, const Joint& joint, const LaneJoint& j) {
   if (joint.type == JointType::kSpherical) return tree.gravity;
   if (joint.type == JointType::kTranslation) return joint.R_PJ.transpose() * tree.gravity;
@@ -131,13 +130,13 @@ void add_inertia(const Joint& joint, double own_turn, LaneJoint& j) {
   j.mass = j.subtree_mass = joint.mass;
 }
 
-// Accumulators for the sums over children: a chain needs one, a branch one more for each open branch.
+// Assigns accumulators for the sums over children: a chain needs one, a tree one more for each branch in progress.
 int assign_slots(std::vector<LaneJoint>& joints) {
   std::vector<int> free;
   int count = 0;
   for (int i = static_cast<int>(joints.size()) - 1; i >= 0; --i) {
     LaneJoint& j = joints[i];
-    if (j.slot >= 0) free.push_back(j.slot);  // read before the parent's is written
+    if (j.slot >= 0) free.push_back(j.slot);  // it is read before the parent's is written
     if (j.parent < 0) continue;
     LaneJoint& up = joints[j.parent];
     j.first = up.slot < 0;
@@ -222,7 +221,7 @@ const InstructionSet*& chosen() {
   return set;
 }
 
-// One stage gains nothing from lanes; it runs as plain doubles everywhere.
+// A single stage gains nothing from lanes and runs as plain doubles everywhere.
 const LaneKernel& of(const InstructionSet& set, int stages) {
   if (stages == 1) return contactvi_lanes_base[0];
   return set.kernels[stages <= 4 ? 0 : 1];

@@ -1,4 +1,4 @@
-// The tree as the stage kernel wants it: flat, with body frames turned about their joint axes so that the transforms
+// The tree in the form of the stage kernel: flat, with body frames turned about their joint axes so that the transforms
 // between them are rotations in planes.
 #pragma once
 
@@ -18,9 +18,10 @@ struct FlatModel {
   LaneTree lanes;                 // points at joints
 };
 
-// Which build of the kernel engines made from now on use: "base", "avx2", "avx512". At first the best that this
-// processor has, or what the environment variable CONTACTVI_INSTRUCTION_SET says. The digits do not depend on it.
-std::vector<const char*> instruction_sets();  // that this processor has, best last
+// Names of the builds of the kernel that this processor can run, best last: "base", "avx2", "avx512".
+std::vector<const char*> instruction_sets();
+// The build that engines made from now on use: at first the best one, or that of the environment variable
+// CONTACTVI_INSTRUCTION_SET. The digits do not depend on it.
 const char* instruction_set();
 bool set_instruction_set(const char* name);  // false: unknown, or not of this processor
 const LaneKernel& lane_kernel(int stages);

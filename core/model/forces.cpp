@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/tolerances.hpp"
 #include "model/coordinates.hpp"
 #include "model/point_jacobian.hpp"
 
@@ -10,8 +11,7 @@ namespace contactvi {
 
 namespace {
 
-constexpr double kNoLength = 1e-300;
-constexpr double kSide = 2e-5;  // [m; rad] moved for a difference
+constexpr double kDifference = 2e-5;  // [m; rad] by which a configuration moves for a difference
 
 // V, dV/dx and d2V/dx2 of a joint's polynomial.
 struct Polynomial {
@@ -64,7 +64,7 @@ double ForceField::length(const PathSpring& spring, VecRef gradient) const {
     const Vec3 x_a = world_point(at_, a.body, a.p_B), x_b = world_point(at_, b.body, b.p_B), d = x_b - x_a;
     const double part = d.norm();
     total += part;
-    if (part <= kNoLength) continue;  // no direction, and of two points no force either
+    if (part <= kLeastDivisor) continue;  // it has no direction, and between two points no force either
     add_point_row(*tree_, at_, b.body, x_b, d / part, 1.0, gradient);
     add_point_row(*tree_, at_, a.body, x_a, d / part, -1.0, gradient);
   }
@@ -118,8 +118,8 @@ void ForceField::add_gradient(const VecCRef& q, VecRef dV) {
 
 double ForceField::power_rate(const VecCRef& q, const VecCRef& v, const VecCRef& a) {
   if (!any_) return 0.0;
-  const double delta = kSide / (1.0 + v.cwiseAbs().maxCoeff() + std::sqrt(a.cwiseAbs().maxCoeff()));
-  // Central differences of order 4.
+  const double delta = kDifference / (1.0 + v.cwiseAbs().maxCoeff() + std::sqrt(a.cwiseAbs().maxCoeff()));
+  // By central differences of order 4.
   double sum = 0.0;
   for (const auto& [side, weight] : {std::pair(1.0, 8.0), {-1.0, -8.0}, {2.0, -1.0}, {-2.0, 1.0}}) {
     const double s = side * delta;

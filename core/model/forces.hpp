@@ -1,5 +1,5 @@
-// Forces of the elements of a tree (elements.hpp): generalized forces, potentials, powers, and what of them belongs
-// into a Newton matrix. Engine coordinates.
+// Forces of the elements of a tree (elements.hpp): generalized forces, potentials, powers, and their terms in a Newton
+// matrix. Engine coordinates.
 #pragma once
 
 #include "model/placement.hpp"
@@ -11,21 +11,21 @@ class ForceField {
   explicit ForceField(const Tree& tree);
 
   bool any() const { return any_; }
-  // Columns of the Newton terms.
+  // Number of columns of the Newton terms.
   int stiff_columns() const { return stiff_columns_; }
 
-  // [J], of the elements.
+  // Potential energy of the elements [J].
   double potential(const VecCRef& q);
   // dV += dV/dq.
   void add_gradient(const VecCRef& q, VecRef dV);
   // d/dt (dV/dq . v) along q' = v, v' = a.
   double power_rate(const VecCRef& q, const VecCRef& v, const VecCRef& a);
-  // f += all forces at time t; size += what they are sums of. input() and dissipation() are their powers [W].
+  // f += all forces at time t; size += the sizes of their terms. input() and dissipation() are then their powers [W].
   void add(double t, const VecCRef& q, const VecCRef& v, VecRef f, VecRef size);
   double input() const { return input_; }
   double dissipation() const { return dissipation_; }
-  // -d(force) ~ J C J^T: J (nv, stiff_columns), C (stiff_columns, stiff_columns), of velocities times `damping` [s] and
-  // of places times `stiffness` [s^2].
+  // J (nv, stiff_columns) and C (stiff_columns, stiff_columns) with J C J^T ~ -(damping df/dv + stiffness df/dq), the
+  // factors `damping` [s] and `stiffness` [s^2] being those of the step.
   void newton_terms(double t, const VecCRef& q, const VecCRef& v, double damping, double stiffness, Eigen::Ref<MatX> J,
                     Eigen::Ref<MatX> C);
 
@@ -45,7 +45,7 @@ class ForceField {
   double input_ = 0, dissipation_ = 0;
 };
 
-// The same with all potentials: gravity, the joints' springs and the elements.
+// Potential energy of gravity, the joints' springs and the elements [J]; at: the placements at q.
 double total_potential(const Tree& tree, ForceField& field, const Placements& at, const VecCRef& q);
 
 }  // namespace contactvi

@@ -1,4 +1,4 @@
-// From Pinocchio's archives to the engine's Scene. The only file that knows pin.Model and pin.GeometryModel.
+// Makes the engine's Scene from Pinocchio's archives. The only file that knows pin.Model and pin.GeometryModel.
 #include <boost/archive/binary_iarchive.hpp>
 #include <boost/iostreams/device/array.hpp>
 #include <boost/iostreams/stream_buffer.hpp>
@@ -17,8 +17,8 @@ namespace contactvi {
 
 namespace {
 
-// Rounding of GJK pairs [m]; thinner shapes take less (erosion.cpp).
-constexpr double kRounding = 1e-3;
+// Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less (rounding.cpp).
+constexpr double kRoundingRadius = 1e-3;
 
 template <class T>
 void unpack(T& object, std::string_view bytes, const char* what) {
@@ -93,7 +93,7 @@ class Builder {
       joint.first_moment = Y.mass() * c;
       joint.inertia = about_com + Y.mass() * (c.squaredNorm() * Mat3::Identity() - c * c.transpose());
       tree_.body_of_source[source] = static_cast<int>(tree_.joints.size());
-      // The frame that body shares with the public model: R_body_source takes its coordinates to ours.
+      // R_body_source takes coordinates in the public model's joint frame to the engine's body frame.
       tree_.R_body_source[source] = A.transpose();
     }
     tree_.joints.push_back(joint);
@@ -150,7 +150,7 @@ class Builder {
     } else {
       throw Error("joint " + model_.names[i] + " has the unsupported type " + name);
     }
-    // The motion subspace carries axis and pitch whatever the joint's own type stores.
+    // Axis and pitch are read from the motion subspace, which all types have in the same form.
     pinocchio::JointData data = source.createData();
     VecX q = VecX::Zero(model_.nq);
     if (type == JointType::kContinuous) q[source.idx_q()] = 1;
@@ -195,13 +195,14 @@ class Builder {
   Tree& tree_;
 };
 
-// Pairs for which coal has closed forms, or whose spheres and capsules GJK takes as points and segments.
+// Whether coal has closed forms for pairs with the shape, or GJK takes it as a point or a segment.
 bool needs_no_rounding(coal::NODE_TYPE type) {
   return type == coal::GEOM_HALFSPACE || type == coal::GEOM_SPHERE || type == coal::GEOM_CAPSULE;
 }
 
-// Measured noise of the distance near contact (gjk_tolerance 1e-10): polytopes, spheres and capsules among themselves
-// 1e-15, with an ellipsoid or a cylinder in the iteration up to 8e-10; smaller tolerances make it worse, not better.
+// Whether GJK iterates towards a curved surface. Measured noise of the distance near contact (gjk_tolerance 1e-10):
+// 1e-15 between polytopes, spheres and capsules, up to 8e-10 with an ellipsoid or a cylinder; smaller tolerances make
+// it worse.
 bool is_curved_iteration(coal::NODE_TYPE a, coal::NODE_TYPE b) {
   auto curved = [](coal::NODE_TYPE t) { return t == coal::GEOM_ELLIPSOID || t == coal::GEOM_CYLINDER; };
   if (a == coal::GEOM_HALFSPACE || b == coal::GEOM_HALFSPACE) return false;
@@ -250,7 +251,7 @@ Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree
 
 void ensure_rounded(Geometry& g) {
   if (g.rounded || needs_no_rounding(g.sharp->getNodeType())) return;
-  double radius = kRounding;
+  double radius = kRoundingRadius;
   std::shared_ptr<coal::CollisionGeometry> core = shrunk_shape(*g.sharp, radius);
   if (!core) throw Error("a collision shape could not be rounded");
   static_cast<coal::ShapeBase&>(*core).setSweptSphereRadius(radius);

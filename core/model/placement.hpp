@@ -1,4 +1,4 @@
-// Where the bodies are: poses in their parents and in the world, for contact geometry and potentials.
+// Poses of the bodies in their parents and in the world, for contact geometry and potentials.
 #pragma once
 
 #include <vector>

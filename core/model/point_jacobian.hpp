@@ -12,7 +12,7 @@ void add_point_row(const Tree& tree, const Placements& at, int body, const Vec3&
 // W += sign n^T J_omega: angular velocity of the body about n.
 void add_turn_row(const Tree& tree, const Placements& at, int body, const Vec3& n, double sign, VecRef W);
 
-// World position of a point given in the body's frame, world axes of a frame.
+// World position of a point given in the body's frame, and world axes of a frame.
 inline Vec3 world_point(const Placements& at, int body, const Vec3& p_B) {
   return body < 0 ? p_B : Vec3(at.p_W[body] + at.R_W[body] * p_B);
 }

@@ -1,4 +1,4 @@
-// Rounded copies of sharp shapes: eroded by r, then swept by a sphere of radius r.
+// Rounded copies of sharp shapes: shrunk by r, then swept by a sphere of radius r.
 //
 // Two sharp polytopes nearer than about 1e-6 m get wrong normals from GJK and EPA (measured: 83 % of random box
 // pairs); swept ones never reach EPA, because their cores stay 2 r apart when the surfaces touch.
@@ -18,7 +18,9 @@ namespace {
 using Hull = coal::Convex<coal::Triangle>;
 using Points = std::shared_ptr<std::vector<coal::Vec3s>>;
 
-// An eroded polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
+constexpr double kSliver = 1e-18;  // [m^2] twice the area below which a triangle has no normal
+
+// A shrunk polytope is the intersection of its faces' halfspaces moved in by r. Vertices by duality about the centre
 // c: the plane n.(x - c) = d is the point n/d, and every facet of the hull of those points is a vertex of the
 // polytope.
 std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& radius) {
@@ -32,7 +34,7 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& r
   for (unsigned i = 0; i < hull.num_polygons; ++i) {
     const coal::Vec3s a = points[faces[i][0]], b = points[faces[i][1]], c = points[faces[i][2]];
     coal::Vec3s n = (b - a).cross(c - a);
-    if (n.norm() < 1e-18) continue;  // sliver of the triangulation; its neighbours carry the plane
+    if (n.norm() < kSliver) continue;  // its neighbours have the same plane
     n.normalize();
     double d = n.dot(a - center);
     if (d < 0) {
@@ -57,7 +59,7 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& r
                       c = (*dual_hull->points)[face[2]];
     const coal::Vec3s n = (b - a).cross(c - a);
     const double d = n.dot(a);
-    if (n.norm() < 1e-18 || std::abs(d) < 1e-12 * n.norm()) continue;
+    if (n.norm() < kSliver || std::abs(d) < 1e-12 * n.norm()) continue;
     vertices->push_back(center + n / d);
   }
   return std::shared_ptr<coal::CollisionGeometry>(
@@ -76,7 +78,7 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeome
     return std::make_shared<coal::Cylinder>(cylinder->radius - radius, 2 * (cylinder->halfLength - radius));
   }
   if (const auto* ellipsoid = dynamic_cast<const coal::Ellipsoid*>(&shape)) {
-    // Not an exact erosion (the parallel surface of an ellipsoid is none), but the same half axes and within r of it.
+    // The parallel surface of an ellipsoid is none: this one has its half axes and is within r of it.
     radius = std::min(radius, 0.2 * ellipsoid->radii.minCoeff());
     return std::make_shared<coal::Ellipsoid>(coal::Vec3s(ellipsoid->radii - coal::Vec3s::Constant(radius)));
   }

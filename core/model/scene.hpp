@@ -1,4 +1,4 @@
-// What never changes during a run: the tree, the collision geometries, the pairs that may touch, their restitution.
+// What never changes during a run: the tree, the collision geometries, the pairs that may touch, and their laws.
 #pragma once
 
 #include <memory>
@@ -19,10 +19,10 @@ struct Geometry {
   Mat3 R_BG;  // geometry frame in the body frame
   Vec3 p_BG;
   std::shared_ptr<const coal::CollisionGeometry> sharp;
-  std::shared_ptr<const coal::CollisionGeometry>
-      rounded;  // same size, edges rounded by rounding [m]; null if not needed
+  // The same size, with edges of radius rounding [m]; null if not needed.
+  std::shared_ptr<const coal::CollisionGeometry> rounded;
   double rounding;
-  bool unbounded;         // halfspace: its normal and offset follow
+  bool unbounded;         // a halfspace, with the normal and offset that follow
   Vec3 halfspace_normal;  // geometry frame
   double halfspace_offset;
   Vec3 center_B;  // bounding sphere, body frame
@@ -34,8 +34,8 @@ struct Pair {
   int a, b;  // geometry indices
   double restitution;
   double friction;  // Coulomb's coefficient
-  bool rounded;  // both shapes are taken rounded: GJK hands over to EPA with wrong normals on sharp ones near contact
-  bool curved;   // GJK iterates towards a curved surface: the distance carries noise of up to 1e-9 m
+  bool rounded;     // both shapes are taken rounded: near contact GJK and EPA give wrong normals on sharp ones
+  bool curved;      // GJK iterates towards a curved surface: the distance carries noise of up to 1e-9 m
 };
 
 struct Scene {
@@ -51,7 +51,7 @@ struct Scene {
   }
 };
 
-// Per joint and per pair data that Pinocchio's archives do not carry; indices are the public model's.
+// Data of joints and pairs that Pinocchio's archives do not carry; indices are the public model's.
 struct SceneParameters {
   VecX pair_restitution;   // npairs
   VecX pair_friction;      // npairs
@@ -62,8 +62,8 @@ struct SceneParameters {
   VecX limit_restitution;  // njoints
 };
 
-// From the binary archives of a pin.Model and a pin.GeometryModel. Throws Error for joints, shapes or orders that the
-// engine does not take.
+// The scene of the binary archives of a pin.Model and a pin.GeometryModel. Throws Error for joints, shapes or orders
+// that the engine does not support.
 Scene load_scene(std::string_view model, std::string_view geometry, const SceneParameters& parameters);
 
 // The shape shrunk by at most radius, to be swept by a sphere of that radius; null for shapes that need none. Lowers

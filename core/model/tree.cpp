@@ -4,39 +4,45 @@
 
 namespace contactvi {
 
+void integrate_joint(const Joint& joint, const VecCRef& q, const double* w, VecRef q1) {
+  const int iq = joint.iq;
+  switch (joint.type) {
+    case JointType::kRevolute:
+    case JointType::kPrismatic:
+    case JointType::kHelical:
+      q1[iq] = q[iq] + w[0];
+      break;
+    case JointType::kTranslation:
+      for (int d = 0; d < 3; ++d) q1[iq + d] = q[iq + d] + w[d];
+      break;
+    case JointType::kContinuous: {
+      const double c = std::cos(w[0]), s = std::sin(w[0]);
+      const double c1 = q[iq] * c - q[iq + 1] * s, s1 = q[iq] * s + q[iq + 1] * c;
+      const double scale = 1 / std::sqrt(c1 * c1 + s1 * s1);
+      q1[iq] = scale * c1;
+      q1[iq + 1] = scale * s1;
+      break;
+    }
+    case JointType::kSpherical: {
+      const Quat quat(q[iq + 3], q[iq], q[iq + 1], q[iq + 2]);
+      const Quat turned = (quat * so3_exp(Vec3(w[0], w[1], w[2]))).normalized();
+      q1.segment<4>(iq) = turned.coeffs();
+      break;
+    }
+  }
+}
+
 void integrate(const Tree& tree, const VecCRef& q, const VecCRef& w, double factor, VecRef q1) {
   for (const Joint& joint : tree.joints) {
-    const int iq = joint.iq, iv = joint.iv;
-    switch (joint.type) {
-      case JointType::kRevolute:
-      case JointType::kPrismatic:
-      case JointType::kHelical:
-        q1[iq] = q[iq] + factor * w[iv];
-        break;
-      case JointType::kTranslation:
-        q1.segment<3>(iq) = q.segment<3>(iq) + factor * w.segment<3>(iv);
-        break;
-      case JointType::kContinuous: {
-        const double angle = factor * w[iv], c = std::cos(angle), s = std::sin(angle);
-        const double c1 = q[iq] * c - q[iq + 1] * s, s1 = q[iq] * s + q[iq + 1] * c;
-        const double scale = 1 / std::sqrt(c1 * c1 + s1 * s1);
-        q1[iq] = scale * c1;
-        q1[iq + 1] = scale * s1;
-        break;
-      }
-      case JointType::kSpherical: {
-        const Quat quat(q[iq + 3], q[iq], q[iq + 1], q[iq + 2]);
-        const Quat turned = (quat * so3_exp(factor * w.segment<3>(iv))).normalized();
-        q1.segment<4>(iq) = turned.coeffs();
-        break;
-      }
-    }
+    double scaled[3];
+    for (int d = 0; d < joint.nv; ++d) scaled[d] = factor * w[joint.iv + d];
+    integrate_joint(joint, q, scaled, q1);
   }
 }
 
 double joint_error(const Joint& joint, const VecCRef& q, double value) {
   if (joint.type != JointType::kContinuous) return value - q[joint.iq];
-  return std::remainder(value - std::atan2(q[joint.iq + 1], q[joint.iq]), 6.283185307179586476925);
+  return std::remainder(value - std::atan2(q[joint.iq + 1], q[joint.iq]), kTwoPi);
 }
 
 Vec3 spring_deflection(const Tree& tree, const Joint& joint, const VecCRef& q) {

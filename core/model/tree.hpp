@@ -1,6 +1,6 @@
-// The constant model: kinematic tree with the six joint types the integrator steps, springs, damping.
+// The constant model: kinematic tree with the six joint types that the integrator steps, springs, damping.
 //
-// Built once by load.cpp from a Pinocchio model. Two changes of coordinates happen there and stay there:
+// Built once by load.cpp from a Pinocchio model. Two changes of coordinates happen there and nowhere else:
 //  - a free-flyer becomes a translation followed by a spherical joint, a planar joint two prismatic ones and a
 //    continuous one (R^3 x SO(3), R^2 x SO(2)): on SE(3) exp couples spin with translation, and the flight of a
 //    spinning ball is no parabola;
@@ -30,7 +30,7 @@ struct Joint {
   JointType type;
   int parent;    // joint index, -1: world
   int iq, nq;    // first index and count in q
-  int iv, nv;    // the same in v
+  int iv, nv;    // first index and count in v
   double pitch;  // [m/rad], helical joints
   Mat3 R_PJ;     // joint frame in the parent body's frame
   Vec3 p_PJ;
@@ -69,16 +69,18 @@ struct Tree {
   std::vector<SplitJoint> split;
   std::vector<JointLimit> limits;
   Elements elements;
-  // From Pinocchio's joints to ours: the last joint of a split, and the public joint frame in that body's frame.
+  // For each of Pinocchio's joints: the engine joint that moves its body (the last one of a split joint), and the
+  // rotation of the public joint frame in that body's frame.
   std::vector<int> body_of_source;
   std::vector<Mat3> R_body_source;
 };
 
-// q1 = q (+) w: addition on vector joints, rotation on (cos, sin) and quaternions, which are renormalised. In place
-// is fine.
+// q1 = q (+) factor w: addition on vector joints, rotation on (cos, sin) and quaternions, which are renormalised. q1
+// may be q. For one joint w has the numbers of that joint alone.
+void integrate_joint(const Joint& joint, const VecCRef& q, const double* w, VecRef q1);
 void integrate(const Tree& tree, const VecCRef& q, const VecCRef& w, double factor, VecRef q1);
 
-// What is missing to `value` at a joint with one degree of freedom [rad; m]; of (cos, sin) joints the shorter way.
+// value - q of a joint with one degree of freedom [rad; m]; on (cos, sin) joints the shorter way round.
 double joint_error(const Joint& joint, const VecCRef& q, double value);
 
 // Tangent vector from the springs' rest configuration to q for one joint, shape (nv of the joint,) in the first

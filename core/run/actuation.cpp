@@ -85,7 +85,7 @@ void Simulator::apply_servo() {
 
 // Sets servos that were beyond their effort limit in the step just solved to that limit. True if there were any: the
 // step is to be solved again.
-bool Simulator::saturate_servos(const Integrator& integrator) {
+bool Simulator::saturate_servos(const StepEquations& step) {
   if (!servo_.any) return false;
   bool exceeds = false;
   for (const Joint& joint : scene_->tree.joints) {
@@ -95,8 +95,8 @@ bool Simulator::saturate_servos(const Integrator& integrator) {
     if (!std::isfinite(most)) continue;
     const double own = limited_tau_.size() > 0 ? limited_tau_[d] : 0.0;
     double largest = 0.0;
-    for (int i = 0; i < integrator.stages(); ++i) {
-      const double torque = own + integrator.servo_torque(d, i);
+    for (int i = 0; i < step.stages(); ++i) {
+      const double torque = own + step.servo_torque(d, i);
       if (std::abs(torque) > std::abs(largest)) largest = torque;
     }
     if (!(std::abs(largest) > most * (1.0 + kOverEffort))) continue;
@@ -129,7 +129,7 @@ bool Simulator::run_impacts(const Instant& now, Recording& recording) {
 
 // True if a function of the user has failed: the run ends, for no step after that can be trusted.
 bool Simulator::user_function_failed(double time) {
-  if (!*scene_->tree.elements.failed) return false;
+  if (!scene_->tree.elements.user_failed()) return false;
   end(StatusCode::kNotFinite, time, "a function of the user failed");
   return true;
 }

@@ -70,7 +70,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   mean_reactions_ = reactions_;
   node_time_ = t;
   saturated_ = 0;
-  *scene_->tree.elements.failed = false;
+  scene_->tree.elements.forget_failure();
   servo_.any = false;
   integrator_.set_time(t);
   integrator_.set_servo(&servo_);
@@ -240,7 +240,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   const bool last_try = truncation_bound_ > 0.0 || h < kShortest * options_.dt || halved_ - halved >= kMostHalvings;
   integrator_.set_time(at);
   if (!solve_smooth_step(at, h, interval.tau, last_try)) {
-    if (last_try || *scene_->tree.elements.failed) return false;
+    if (last_try || scene_->tree.elements.user_failed()) return false;
     halve_step(h);
     return true;
   }

@@ -123,7 +123,7 @@ class Simulator {
   void limit_actuation();
   double effort_limit(int d) const;
   void apply_servo();
-  bool saturate_servos(const Integrator& integrator);
+  bool saturate_servos(const StepEquations& step);
   void add_contact_work();
   bool run_impacts(const Instant& now, Recording& recording);
   bool user_function_failed(double time);

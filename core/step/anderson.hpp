@@ -1,6 +1,6 @@
-// Anderson acceleration of sweeps that contract slowly (Walker, Ni, "Anderson acceleration for fixed-point
-// iterations", SIAM J. Numer. Anal. 49, 2011), in the energy norm: a correction f and its residual r = M f have <f,
-// g> = f^T M g.
+// Anderson acceleration of stage iterations that contract slowly (Walker, Ni, "Anderson acceleration for fixed-point
+// iterations", SIAM J. Numer. Anal. 49, 2011), in the energy norm: <f, g> = f^T M g, which is f^T r with the residual
+// r = M g that a correction g was solved from.
 #pragma once
 
 #include <vector>
@@ -9,16 +9,16 @@
 
 namespace contactvi {
 
-class Acceleration {
+class AndersonAcceleration {
  public:
-  Acceleration(int nv, const Stages& stages);
+  AndersonAcceleration(int nv, const Stages& stages);
   void clear() { count_ = 0; }
-  // After a sweep: v holds the corrected velocities, which are replaced by the accelerated ones.
+  // After an iteration: v holds the corrected velocities, which are replaced by the accelerated ones.
   void apply(Stages& stages);
 
  private:
   static constexpr int kDepth = 8;
-  struct Sweep {
+  struct Iteration {
     AlignedArray v, f, r;  // the newest as they are, older ones as differences to their successors
   };
   void push(const Stages& stages);
@@ -26,7 +26,7 @@ class Acceleration {
   double dot(const AlignedArray& a, const AlignedArray& b) const;
 
   int nv_, s_, S_;
-  std::vector<Sweep> stage_iterations_;  // newest first; empty until first used
+  std::vector<Iteration> history_;  // newest first; empty until first used
   int count_ = 0;
 };
 

@@ -11,7 +11,7 @@ namespace {
 
 Twist operator+(const Twist& a, const Twist& b) { return {a.ang + b.ang, a.lin + b.lin}; }
 
-// Motion of the bodies at (q, v), each in its own frame.
+// Motion of a body at (q, v), in its own frame.
 struct BodyState {
   Mat3 R;  // in the parent
   Vec3 r;
@@ -75,8 +75,8 @@ std::vector<BodyState> body_states(const Tree& tree, const Placements& at, const
   return bodies;
 }
 
-// Velocity-dependent accelerations of the bodies (no joint acceleration, no gravity), body frame, component
-// derivatives.
+// Velocity-dependent accelerations of the bodies (without joint accelerations and gravity): derivatives of the
+// velocity's components in the body frame.
 void bias_accelerations(const Tree& tree, const std::vector<BodyState>& bodies, const VecCRef& v,
                         std::vector<Twist>& bias) {
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
@@ -86,9 +86,10 @@ void bias_accelerations(const Tree& tree, const std::vector<BodyState>& bodies, 
   }
 }
 
-// a = M^-1 (-C v - g): backward pass of the recursive Newton-Euler algorithm. force: -dV/dq on entry, a on return.
+// a = M^-1 (-C v - dV/dq), by the backward pass of the recursive Newton-Euler algorithm. force: -dV/dq on entry, a on
+// return.
 void free_acceleration(const Tree& tree, const std::vector<BodyState>& bodies, const std::vector<Twist>& bias,
-                       const VecCRef& v, Integrator& integrator, const VecX& armature, VecRef force) {
+                       const VecCRef& v, StepEquations& equations, const VecX& armature, VecRef force) {
   std::vector<Wrench> f(tree.joints.size());
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
     const Wrench h = momentum(tree.joints[i], bodies[i].velocity), m = momentum(tree.joints[i], bias[i]);
@@ -108,14 +109,14 @@ void free_acceleration(const Tree& tree, const std::vector<BodyState>& bodies, c
     f[joint.parent].lin += lin;
     f[joint.parent].ang += body.R * f[i].ang + body.r.cross(lin);
   }
-  integrator.solve_mass(force);
+  equations.solve_mass(force);
 }
 
 // d/dt of v.dT/dq - dV_gravity/dt along q' = v, v' = a.
 double power_rate(const Tree& tree, const std::vector<BodyState>& bodies, const std::vector<Twist>& bias,
                   const VecCRef& v, const VecCRef& a) {
   const std::size_t n = tree.joints.size();
-  std::vector<Twist> rate(n), bias_rate(n);  // of the velocities and of the bias accelerations
+  std::vector<Twist> rate(n), bias_rate(n);  // derivatives of the velocities and of the bias accelerations
   double sum = 0;
   for (std::size_t i = 0; i < n; ++i) {
     const Joint& joint = tree.joints[i];
@@ -165,39 +166,39 @@ void add_servo(const Tree& tree, const Servo* servo, const VecCRef& q, const Vec
 
 }  // namespace
 
-Energy energy(Integrator& integrator, const VecCRef& q, const VecCRef& p) {
-  const Tree& tree = integrator.tree();
+Energy energy(StepEquations& equations, const VecCRef& q, const VecCRef& p) {
+  const Tree& tree = equations.tree();
   VecX v(tree.nv);
-  if (!integrator.node_velocity(q, p, v))
+  if (!equations.node_velocity(q, p, v))
     return {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::quiet_NaN()};
   Placements at(tree);
   place(tree, q, at);
-  return {0.5 * p.dot(v), total_potential(tree, integrator.field(), at, q)};
+  return {0.5 * p.dot(v), total_potential(tree, equations.field(), at, q)};
 }
 
-double modified_hamiltonian(Integrator& integrator, const VecCRef& q, const VecCRef& p, double h) {
-  const Tree& tree = integrator.tree();
-  const Energy H = energy(integrator, q, p);
-  if (integrator.stages() > 1) return H.kinetic + H.potential;
+double modified_hamiltonian(StepEquations& equations, const VecCRef& q, const VecCRef& p, double h) {
+  const Tree& tree = equations.tree();
+  const Energy H = energy(equations, q, p);
+  if (equations.stages() > 1) return H.kinetic + H.potential;
   VecX v = p, P(tree.nv), G(tree.nv), dV = VecX::Zero(tree.nv), zero = VecX::Zero(tree.nv);
-  integrator.solve_mass(v);
-  // dV/dq of gravity is what is left of -G at rest.
-  integrator.dynamics(q, zero, P, dV);
+  equations.solve_mass(v);
+  // At rest G is -dV/dq of gravity.
+  equations.dynamics(q, zero, P, dV);
   dV = -dV;
-  integrator.dynamics(q, v, P, G);
+  equations.dynamics(q, v, P, G);
   VecX springs = VecX::Zero(tree.nv);
   add_spring_forces(tree, q, springs);
-  integrator.field().add_gradient(q, springs);
+  equations.field().add_gradient(q, springs);
   Placements at(tree);
   place(tree, q, at);
   const std::vector<BodyState> bodies = body_states(tree, at, v);
   std::vector<Twist> bias(tree.joints.size());
   bias_accelerations(tree, bodies, v, bias);
   VecX a = -dV - springs;
-  free_acceleration(tree, bodies, bias, v, integrator, tree.armature, a);
+  free_acceleration(tree, bodies, bias, v, equations, tree.armature, a);
   const double G_a = (G - springs).dot(a);
   const double dG_v = power_rate(tree, bodies, bias, v, a) - spring_power_rate(tree, q, v, a) -
-                      integrator.field().power_rate(q, v, a) - G_a;
+                      equations.field().power_rate(q, v, a) - G_a;
   double bracket = 0;
   for (const Joint& joint : tree.joints) {
     if (joint.type != JointType::kSpherical) continue;
@@ -206,8 +207,8 @@ double modified_hamiltonian(Integrator& integrator, const VecCRef& q, const VecC
   return H.kinetic + H.potential - h * h / 24.0 * (G_a - dG_v + bracket);
 }
 
-void forward_dynamics(Integrator& integrator, const VecCRef& q, const VecCRef& v, const VecX& tau, VecRef a) {
-  const Tree& tree = integrator.tree();
+void forward_dynamics(StepEquations& equations, const VecCRef& q, const VecCRef& v, const VecX& tau, VecRef a) {
+  const Tree& tree = equations.tree();
   Placements at(tree);
   place(tree, q, at);
   const std::vector<BodyState> bodies = body_states(tree, at, v);
@@ -222,14 +223,14 @@ void forward_dynamics(Integrator& integrator, const VecCRef& q, const VecCRef& v
     public_to_engine(tree, q, applied);
     a += applied;
   }
-  add_servo(tree, integrator.servo(), q, v, a);
-  if (integrator.field().any()) {
+  add_servo(tree, equations.servo(), q, v, a);
+  if (equations.field().any()) {
     VecX size = VecX::Zero(tree.nv);
-    integrator.field().add(integrator.time(), q, v, a, size);
+    equations.field().add(equations.time(), q, v, a, size);
   }
-  // Gravity as an acceleration of the world: every body falls.
+  // Gravity acts like an acceleration of the world upwards.
   for (std::size_t i = 0; i < bodies.size(); ++i) bias[i].lin -= bodies[i].gravity;
-  free_acceleration(tree, bodies, bias, v, integrator, tree.armature, a);
+  free_acceleration(tree, bodies, bias, v, equations, tree.armature, a);
 }
 
 Eigen::Matrix<double, 6, 1> spatial_momentum(const Tree& tree, const VecCRef& q, const VecCRef& v) {

@@ -3,13 +3,16 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/tolerances.hpp"
+
 namespace contactvi {
 
 namespace {
 
-constexpr double kChartEnd = 36.0;  // [rad^2] of rotation: J^-1 is singular at 2 pi
-constexpr double kSafety = 0.25;    // of what raising corrects, for what it leaves; more, as far as 1,
-constexpr double kCoarse = 10.0;    // where that is much of the motion
+constexpr double kChartEnd = 36.0;  // [rad^2] square of the turn up to which J^-1 is used; it is singular at 2 pi
+// The error after raising as a share of the correction by it; the share grows, up to 1, with that of the correction in
+// the motion.
+constexpr double kSafety = 0.25, kCoarse = 10.0;
 
 template <class Function>
 void for_spherical(const Tree& tree, Function&& function) {
@@ -50,7 +53,7 @@ void StepPath::set(const VecCRef& q0, double h, const Eigen::Ref<const MatX>& ra
 
 void StepPath::raise(const VecCRef& v0, const VecCRef& v1) {
   if (raised_) return;
-  // What is missing in X' at the ends, J(X(1))^-1 v1 being the rate there; J(0) = 1.
+  // What X' lacks at the ends, where the rates are v0 and J(X(1))^-1 v1, since J(0) = 1.
   auto missing0 = coef_.col(stages_), missing1 = coef_.col(stages_ + 1);
   chart_rate(0.0, X_);
   missing0 = v0 - X_;
@@ -107,16 +110,31 @@ void StepPath::chart_rate(double tau, VecRef rate) const {
   for (int k = 1; k < count_; ++k) rate += P[k] * coef_.col(k);
 }
 
+// Displacement of one joint, whose numbers begin at iv; I: integrals of Legendre's polynomials up to tau.
+void StepPath::joint_displacement(const double* I, int iv, int nv, double* X) const {
+  for (int d = 0; d < nv; ++d) {
+    X[d] = (h_ * I[0]) * coef_(iv + d, 0);
+    for (int k = 1; k < count_; ++k) X[d] += (h_ * I[k]) * coef_(iv + d, k);
+  }
+}
+
 void StepPath::configuration(double tau, VecRef q) const {
-  displacement(tau, X_);
-  integrate(*tree_, q0_, X_, 1.0, q);
+  double I[kMaxStages + 2], X[3];
+  legendre_integrals(tau, count_, I);
+  for (const Joint& joint : tree_->joints) {
+    joint_displacement(I, joint.iv, joint.nv, X);
+    integrate_joint(joint, q0_, X, q);
+  }
 }
 
 void StepPath::velocity(double tau, VecRef v) const {
-  displacement(tau, X_);
+  double I[kMaxStages + 2];
+  legendre_integrals(tau, count_, I);
   chart_rate(tau, v);
   for_spherical(*tree_, [&](int iv) {
-    const Vec3 xi = X_.segment<3>(iv), rate = v.segment<3>(iv);
+    Vec3 xi;
+    joint_displacement(I, iv, 3, xi.data());
+    const Vec3 rate = v.segment<3>(iv);
     const So3Coefficients c = so3_coefficients(xi.squaredNorm());
     v.segment<3>(iv) = so3_apply(xi, -c.cos_t, c.cub_t, rate);
   });
@@ -130,9 +148,10 @@ void StepPath::bound(VecRef bound) const {
 void StepPath::doubt(VecRef doubt) const {
   doubt.setZero();
   if (raised_) {
-    const double motion = coef_.leftCols(stages_).norm(), share = coef_.col(stages_).norm() / std::max(motion, 1e-300);
+    const double motion = coef_.leftCols(stages_).norm(),
+                 share = coef_.col(stages_).norm() / std::max(motion, kLeastDivisor);
     const double safety = stages_ == 1 ? kSafety : std::min(1.0, kSafety + kCoarse * share);
-    // One stage: the linear part is the acceleration, known from both ends.
+    // With one stage the linear part is the acceleration, known from both ends.
     if (stages_ > 1) add_size(*tree_, coef_.col(stages_), safety, doubt);
     add_size(*tree_, coef_.col(stages_ + 1), 2.0 * safety, doubt);
     return;

@@ -3,9 +3,9 @@
 // In the chart at q0, q(tau) = q0 (+) X(tau): X'(tau) = sum_k coef_k P_k(2 tau - 1), X(tau) = h int_0^tau X'. The s
 // stage rates give the collocation polynomial, O(h^(s+1)) inside of the step. Raised by M(tau)(a + b (2 tau - 1)), M
 // = P_s(2 tau - 1), it takes the velocities of both ends as well: they are true to O(h^2s) however few stages there
-// are, M vanishes at the stages, X(1) stays as it is, and the error inside is O(h^(s+2)), that of the stages. One
-// stage: the cubic Hermite polynomial through both ends, or the one through a half step. Legendre's basis, because
-// |P_k| <= 1 bounds the rates by the sum of their coefficients.
+// are, M vanishes at the stages, X(1) stays as it is, and the error inside is O(h^(s+2)), that of the stages. With one
+// stage it is the cubic Hermite polynomial through both ends, or the one through a half step. Legendre's basis is used
+// because |P_k| <= 1 bounds the rates by the sum of their coefficients.
 #pragma once
 
 #include "base/gauss.hpp"
@@ -13,19 +13,20 @@
 
 namespace contactvi {
 
-// sum += factor |v|, the entries of a spherical joint counting with their norm; v, sum: (nv,).
+// sum += factor |v|, where each entry of a spherical joint counts as the norm of all three; v, sum: (nv,).
 void add_size(const Tree& tree, const VecCRef& v, double factor, VecRef sum);
 
 class StepPath {
  public:
   StepPath(const Tree& tree, int stages);
 
-  // Collocation polynomial of the step of length h [s] from q0, shape (nq,); rates: X' at the stages, (nv, stages).
+  // Makes it the collocation polynomial of the step of length h [s] from q0, shape (nq,); rates: X' at the stages,
+  // shape (nv, stages).
   void set(const VecCRef& q0, double h, const Eigen::Ref<const MatX>& rates);
-  // Raise it by the velocities at its ends, shape (nv,); nothing happens if it was raised already.
+  // Raises it by the velocities at its ends, shape (nv,); does nothing if it was raised already.
   void raise(const VecCRef& v0, const VecCRef& v1);
-  // One stage: raise it by the velocity at its start and the stage rate of the exact half step. O(h^4) to the partial
-  // steps of the midpoint rule, whose ends follow that path, not the end velocities, beyond O(h^3).
+  // Raises it, with one stage, by the velocity at its start and the stage rate of the exact half step. It is then
+  // within O(h^4) of the ends of the midpoint rule's partial steps, which agree with the end velocities only to O(h^3).
   void raise_by_half_step(const VecCRef& v0, const VecCRef& half_rate);
 
   int stages() const { return stages_; }
@@ -38,22 +39,24 @@ class StepPath {
   void chart_rate(double tau, VecRef rate) const;  // X', (nv,)
   void velocity(double tau, VecRef v) const;       // J(X) X', (nv,)
 
-  // Bound on |v| over the step, (nv,): of each dof, and of the whole vector in all three entries of a spherical joint
-  // (the Jacobian J of SO(3)'s exp lengthens no vector).
+  // Bound on |v| over the step, (nv,): for each dof, and for the norm of the vector in all three entries of a spherical
+  // joint (the Jacobian J of SO(3)'s exponential lengthens no vector).
   void bound(VecRef bound) const;
-  // What the rates may still be off by, as far as the last coefficients tell; dofs as in bound(). Of one stage that
-  // was not raised nothing is known: all of its rate.
+  // Estimate of the error of the rates from the last coefficients; entries as in bound(). A single stage that was not
+  // raised gives none: all of its rate then counts as error.
   void doubt(VecRef doubt) const;
 
  private:
+  void joint_displacement(const double* I, int iv, int nv, double* X) const;
+
   const Tree* tree_;
   int stages_;
   bool raised_ = false;
   int count_;  // of coefficients in use
   double h_ = 0;
   VecX q0_;
-  MatX coef_;              // nv x (stages + 2)
-  mutable VecX X_, rate_;  // scratch
+  MatX coef_;      // nv x (stages + 2)
+  VecX X_, rate_;  // while the path is raised
 };
 
 }  // namespace contactvi

@@ -10,10 +10,10 @@ Projection::Projection(const Tree& tree)
       phi_(rows_),
       rate_(VecX::Zero(rows_)) {}
 
-void Projection::set(Integrator& integrator, const Placements& at, const VecCRef& q, double t) {
+void Projection::set(StepEquations& equations, const Placements& at, const VecCRef& q, double t) {
   evaluate_constraints(*tree_, at, q, t, phi_, Phi_, rate_);
   MinvPhi_ = Phi_;
-  integrator.solve_masses(MinvPhi_);
+  equations.solve_masses(MinvPhi_);
   reduction_.set(Phi_.transpose() * MinvPhi_, rows_);
 }
 

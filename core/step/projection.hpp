@@ -1,13 +1,13 @@
-// Impulses on a system with constraints: what the constraints answer at once.
+// Impulses on a system with constraints, with the impulses of the constraints that they entail.
 //
 // An impulse along a row W comes with those of the constraints that keep d phi/dt: p+ = p + (W - Phi mu) lambda with
 // mu = (Phi^T M^-1 Phi)^+ Phi^T M^-1 W. So the projected row takes W's place, and its Delassus matrix is that of the
-// constrained system. Where a constraint moves by itself the row's velocity has a part of its own: offset = -mu . rate.
+// constrained system. Where a constraint depends on time the row's velocity has a part of its own: offset = -mu . rate.
 #pragma once
 
 #include "base/reduction.hpp"
 #include "model/constraints.hpp"
-#include "step/integrator.hpp"
+#include "step/step_equations.hpp"
 
 namespace contactvi {
 
@@ -15,9 +15,9 @@ class Projection {
  public:
   explicit Projection(const Tree& tree);
   bool any() const { return rows_ > 0; }
-  // The constraints at q and t; the integrator's node must be placed there.
-  void set(Integrator& integrator, const Placements& at, const VecCRef& q, double t);
-  // Rows W (nv, k) and M^-1 W become projected ones; mu (rows, k), offset (k,).
+  // The constraints at q and t; the node of `equations` must be placed there.
+  void set(StepEquations& equations, const Placements& at, const VecCRef& q, double t);
+  // Projects the rows W (nv, k) and M^-1 W; fills mu (rows, k) and offset (k,).
   void apply(Eigen::Ref<MatX> W, Eigen::Ref<MatX> MinvW, Eigen::Ref<MatX> mu, VecRef offset);
   const VecX& rate() const { return rate_; }
   const MatX& gradients() const { return Phi_; }

@@ -1,4 +1,4 @@
-// Stages: the forces on them beyond gravity, and their powers.
+// Stages: the forces beyond gravity, and their powers.
 #include <algorithm>
 #include <cmath>
 
@@ -7,7 +7,7 @@
 
 namespace contactvi {
 
-// The joints' springs and damping, those of the servos among them.
+// The gains of servos are added to the stiffness and damping of their joints.
 void Stages::set_servo(const Servo* servo) {
   const bool before = servo_ != nullptr && servo_->any, now = servo != nullptr && servo->any;
   servo_ = servo;
@@ -42,7 +42,7 @@ void Stages::set_forces(const VecCRef& q0, const VecX& tau) {
     for (const Joint& joint : tree_->joints) {
       const int d = joint.iv;
       if (joint.nv != 1 || servo_->kp[d] == 0.0) continue;
-      // Two springs are one: that of the joint and that of the servo.
+      // The springs of the joint and of the servo act as one, with the mean of their deflections.
       const double own = joint.stiffness != 0.0 ? joint.stiffness * deflection_[d] : 0.0;
       deflection_[d] = (own - servo_->kp[d] * joint_error(joint, q0, servo_->q_ref[d])) / stiffness_[d];
     }
@@ -53,7 +53,7 @@ void Stages::set_forces(const VecCRef& q0, const VecX& tau) {
     q0_ = q0;
     tau_ = tau;
     for (int d = 0; d < tree_->nv; ++d) input_[d] = tau[d];
-    // The forces on split joints turn with the body.
+    // The forces on split joints turn with the body: add_split_inputs() adds them at each stage.
     for (const SplitJoint& joint : tree_->split)
       for (int d = 0; d < (joint.planar ? 2 : 3); ++d) input_[joint.iv + d] = 0.0;
     work_.tau = input_;
@@ -82,7 +82,7 @@ double Stages::input_power(int i) const {
     for (int d = 0; d < tree_->nv; ++d)
       total += (input_[d] + (has_inputs_ && !tree_->split.empty() ? applied_[d * S + i] : 0.0)) * v_[d * S + i];
   if (servo_ == nullptr || !servo_->any) return total;
-  // input_ has the feed and what belongs to v_ref.
+  // input_ contains feed and kd v_ref, but not the parts of kp and of v.
   for (const Joint& joint : tree_->joints) {
     const int d = joint.iv;
     if (joint.nv != 1) continue;
@@ -118,7 +118,7 @@ void Stages::add_elements() {
     field_.add(time(i), q_stage_, v_stage_, force_, size_);
     element_input_[i] = field_.input();
     element_dissipation_[i] = field_.dissipation();
-    const int last = i + 1 == work_.s ? S : i + 1;  // lanes without a stage of their own get the last one's
+    const int last = i + 1 == work_.s ? S : i + 1;  // padding lanes repeat the last stage
     for (int d = 0; d < n; ++d)
       for (int k = i; k < last; ++k) {
         G_[d * S + k] += force_[d];

@@ -10,8 +10,8 @@ namespace contactvi {
 
 namespace {
 
-// Damping enters the factor as h d_i: d such that 1 - D^-1 A is nilpotent, so the sweeps contract however stiff it is
-// (MIN-SR-S of Caklovic, Lunet, Goetschel, Ruprecht, "Improving efficiency of parallel across the method spectral
+// Damping enters the factor as h d_i: d such that 1 - D^-1 A is nilpotent, so the iterations contract however stiff it
+// is (MIN-SR-S of Caklovic, Lunet, Goetschel, Ruprecht, "Improving efficiency of parallel across the method spectral
 // deferred corrections", 2024; computed for the Gauss nodes, contraction <= 0.38 for all h damping / M).
 constexpr double kDampingShare[kMaxStages][kMaxStages] = {
     {0.5},
@@ -26,12 +26,11 @@ constexpr double kDampingShare[kMaxStages][kMaxStages] = {
     {0.0502412342118846, 0.01902262904015866, 0.04697573049010983, 0.08098940134436716, 0.11556648235370606,
      0.1463601526582321, 0.17010037049336507, 0.1842079428360344}};
 
-// Springs as h^2 e_i, e = c^2 times this: the sweeps contract for every stiffness, the slower the stiffer.
+// Springs as h^2 e_i, e = c^2 times this share: the iterations contract for every stiffness, the slower the stiffer.
 double spring_share(int s) { return s == 1 ? 1.0 : s == 2 ? 0.5 : 0.25; }
 
-// Angles beyond this are turned back by whole revolutions: the kernel's sine is good to 1e6.
+// [rad] angle beyond which whole revolutions are taken off: the kernel's sine is accurate up to 1e6.
 constexpr double kManyTurns = 1e4;
-constexpr double kTwoPi = 6.283185307179586476925;
 
 }  // namespace
 
@@ -86,7 +85,7 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages)
   work_.slots = slots_;
   work_.error = per_stage_;
   work_.kinetic = per_stage_ + work_.S;
-  work_.floor = per_stage_ + 2 * work_.S;
+  work_.impulse_energy = per_stage_ + 2 * work_.S;
   work_.context = this;
 }
 

@@ -1,7 +1,7 @@
-// The stage equations of one step and their arrays: what the kernel needs besides the tree, forces included.
+// The stage equations of one step and their arrays, forces included: all that the kernel needs besides the tree.
 //
 // All stages of a Galerkin-Gauss step (Hairer, Lubich, Wanner, Geometric Numerical Integration, VI.6.2 and IX) on the
-// configuration group; the equations are in lanes/lane_sweep.hpp. s = 1 is the midpoint rule.
+// configuration group; the equations are in lanes/lane_iteration.hpp. s = 1 is the midpoint rule.
 #pragma once
 
 #include <limits>
@@ -14,8 +14,8 @@
 
 namespace contactvi {
 
-// What pushes the joints during one control step, besides the generalized force: one-dof joints follow references,
-// torque kp (q_ref - q) + kd (v_ref - v) + feed.
+// Servos of joints with one degree of freedom during one control step, with the torques kp (q_ref - q) + kd (v_ref - v)
+// + feed.
 struct Servo {
   bool any = false;
   VecX kp, kd, q_ref, v_ref, feed;  // nv
@@ -34,28 +34,28 @@ class Stages {
 
   // The step from (q0, p0) of length h; tau: generalized force in public coordinates, shape (nv,) or empty.
   void begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
-  // Of the steps that begin from now on: time of their start [s]; null: no servo.
+  // Start time of the steps that begin from now on [s], and their servo; null: none.
   void set_time(double t) { t0_ = t; }
   void set_servo(const Servo* servo);
   double time(int i) const { return t0_ + table_->c[i] * work_.h; }
   const Servo* servo() const { return servo_; }
   ForceField& field() { return field_; }
   const ForceField& field() const { return field_; }
-  // By which damping and stiffness enter the matrix of stage i: [s], [s^2].
+  // Factors by which damping [s] and stiffness [s^2] enter the matrix of stage i.
   std::pair<double, double> shares(int i) const;
-  // The same step from another momentum.
+  // Replaces the start momentum of the step that began.
   void start_from(const VecCRef& p0);
-  // Only the configuration, for what is asked of a single state.
+  // Sets a configuration without a step, for functions of a single state.
   void at(const VecCRef& q0);
 
-  void sweep(int flags) { kernel_->sweep(&model_->lanes, &work_, flags); }
+  void iterate(int flags) { kernel_->iterate(&model_->lanes, &work_, flags); }
   void evaluate() { kernel_->evaluate(&model_->lanes, &work_); }
   void place() { kernel_->place(&model_->lanes, &work_); }
   void factor() { kernel_->factor(&model_->lanes, &work_); }
   void solve() { kernel_->solve(&model_->lanes, &work_); }
   void rates() { kernel_->rates(&model_->lanes, &work_); }
 
-  // [dof * padded() + stage]
+  // Arrays over dofs and stages, [dof * padded() + stage].
   double* X() { return X_; }
   double* v() { return v_; }
   double* rate() { return work_.rate; }
@@ -64,21 +64,22 @@ class Stages {
   const double* G() const { return G_; }
   double* dv() { return dv_; }
   const double* dv() const { return dv_; }
-  const double* residual() const { return magnitude_; }  // that dv answers, after a sweep
+  const double* residual() const { return magnitude_; }  // that dv was solved from, after an iteration
   const double* v() const { return v_; }
   const double* X() const { return X_; }
-  // Per stage: r . dv, P . v, energy of the kick of the single forces.
+  // Per stage: r . dv, P . v, and the energy of the impulses h f of the single forces f [J].
   double error(int i) const { return per_stage_[i]; }
   double kinetic(int i) const { return per_stage_[work_.S + i]; }
-  double floor(int i) const { return per_stage_[2 * work_.S + i]; }
+  double impulse_energy(int i) const { return per_stage_[2 * work_.S + i]; }
   void set_error(int i, double value) { per_stage_[i] = value; }
 
   // h sum_j b_j x_j of a stage array.
   double sum(const double* array, int dof) const;
-  // Momentum of the ball at joint at the end of the step.
+  // Momentum of a spherical joint at the end of the step.
   Vec3 ball_end(const Joint& joint, const VecCRef& p0);
-  // Powers at stage i [W]: of inputs, servos and wrenches; taken by damping.
+  // Torque of the servo of dof d at stage i [N; N m].
   double servo_torque(int d, int i) const;
+  // Powers at stage i [W]: of inputs, servos and wrenches; taken by damping.
   double input_power(int i) const;
   double dissipation(int i) const;
   // Configuration at stage i.
@@ -108,7 +109,8 @@ class Stages {
   VecX q0_, tau_, q_stage_, X_stage_, v_stage_, force_, size_;
   VecX element_input_, element_dissipation_;  // per stage
   bool has_ball_springs_ = false, has_inputs_ = false;
-  double diagonal_h_ = std::numeric_limits<double>::quiet_NaN(), tableau_h_ = 0.0;  // h they are for; NaN: none
+  // Step lengths for which diagonal_ and the tableau hA_ were made; NaN: none.
+  double diagonal_h_ = std::numeric_limits<double>::quiet_NaN(), tableau_h_ = 0.0;
 };
 
 }  // namespace contactvi

@@ -5,7 +5,7 @@
 namespace contactvi {
 
 namespace {
-constexpr int kEnough = 4;  // nodes: a polynomial of degree 3 is what low orders can use
+constexpr int kEnough = 4;  // nodes of the extrapolation: low orders gain nothing from more than degree 3
 
 // Value at x of the Lagrange polynomial of node j.
 double lagrange(const double* nodes, int count, int j, double x) {
@@ -28,7 +28,7 @@ StartValues::StartValues(int nv, const Stages& stages)
 
 void StartValues::push(const Stages& stages, double h) {
   std::rotate(history_.begin(), history_.end() - 1, history_.end());
-  const int kept = static_cast<int>(history_.size());  // as many steps as are used
+  const int kept = static_cast<int>(history_.size());  // as many steps as the extrapolation uses
   for (int k = kept - 1; k > 0; --k) h_[k] = h_[k - 1];
   std::copy(stages.v(), stages.v() + history_[0].size(), history_[0].data());
   h_[0] = h;

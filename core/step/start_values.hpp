@@ -1,4 +1,4 @@
-// Start values of the stage velocities of a step: from the polynomials of the steps before it.
+// Start values of the stage velocities of a step, from the polynomials of the steps before it.
 #pragma once
 
 #include <vector>
@@ -11,16 +11,17 @@ class StartValues {
  public:
   StartValues(int nv, const Stages& stages);
 
-  // A step of length h was taken; its velocities are in stages.
+  // Remembers a step of length h that was taken; its velocities are in stages.
   void push(const Stages& stages, double h);
   void forget() { count_ = 0; }
   int count() const { return count_; }
 
-  // Continue the last steps' polynomial over the next step of length h, all of it or without its two highest modes.
+  // Continues the last steps' polynomial over the next step of length h; smoothed: that of the last step without its
+  // two highest modes.
   void extrapolate(double h, Stages& stages);
   void extrapolate_smoothed(double h, Stages& stages);
 
-  // Pieces of a ramp over one step: velocities at the stages of the whole from those of its parts.
+  // Pieces of a ramp: the start values of one step from the velocities of shorter steps that cover it.
   void clear_pieces() { pieces_ = 0; }
   void add_piece(const Stages& stages, double start, double length);
   void assemble(double h, Stages& stages);
@@ -41,7 +42,7 @@ class StartValues {
   int count_ = 0;
   std::vector<Piece> ramp_;  // empty until first used
   int pieces_ = 0;
-  // Weights of extrapolate for the last ratio asked.
+  // Weights of extrapolate() for the step lengths of its last call.
   std::vector<AlignedArray> weight_;
   double weight_h_[kSteps + 1] = {};
   int weight_count_ = 0;

@@ -1,4 +1,4 @@
-// What the search for events needs of a method that steps: parts of the step just made, each from its start.
+// A one-step method as the search for events uses it: it also solves parts of the step just made, each from its start.
 #pragma once
 
 #include "step/path.hpp"
@@ -9,10 +9,10 @@ class Stepper {
  public:
   virtual ~Stepper() = default;
   virtual int stages() const = 0;
-  // Solve the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False when
-  // it does not converge from any start; why() says it.
+  // Solves the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False when
+  // it does not converge from any start values; why() gives the reason.
   virtual bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) = 0;
-  // To rounding for the part alpha of a step whose path is known.
+  // Solves the part alpha of a step whose path is known, to rounding.
   virtual bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0,
                           const VecX& tau) = 0;
   // End state of the step just solved.

@@ -52,7 +52,7 @@ void StiffTerms::correct(Stages& stages) {
     const Terms& terms = at_[i];
     for (int d = 0; d < n; ++d) x_[d] = stages.dv()[d * S + i];
     const VecX change = terms.Z * terms.lu.solve(terms.C * (terms.J.transpose() * x_));
-    if (!change.allFinite()) continue;  // the sweep says it
+    if (!change.allFinite()) continue;  // the iteration that made it fails
     double error = 0.0;
     for (int d = 0; d < n; ++d) {
       stages.dv()[d * S + i] -= change[d];

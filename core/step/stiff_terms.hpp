@@ -17,11 +17,11 @@ class StiffTerms {
   StiffTerms(const Tree& tree, const Stages& stages);
 
   bool any() const { return columns_ > 0; }
-  // The terms at the stages as they are; the kernel's factor must be that of the step.
+  // Evaluates the terms at the stages; the kernel's factor must be that of the step.
   void factor(Stages& stages, const VecCRef& q0);
-  // After a sweep: what they change of its correction, in dv and v.
+  // After an iteration of the kernel: changes its correction, in dv and v, to that of the whole matrix.
   void correct(Stages& stages);
-  // X <- the step's inverse matrix instead of D^-1, of one stage; X: D^-1 times something.
+  // Changes X = D^-1 Y, of a single stage, to the step's inverse matrix times Y.
   void correct(Eigen::Ref<MatX> X) const;
 
  private:

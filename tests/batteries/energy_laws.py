@@ -84,13 +84,13 @@ def modification(traj: cvi.Trajectory, dt: float) -> tuple[Array, Array]:
 
 
 def energy_laws(traj: cvi.Trajectory, dt: float) -> Iterator[Finding]:
-    """H never rises: over a step, over the run; of CTEC, undamped and unheld, it falls by its losses alone."""
+    """H never rises, over a step and over the run; in free undamped motion with CTEC it falls by the losses alone."""
     if len(traj.t) < 2:
         return
     allowed, energy = allowed_rises(traj, dt), traj.energy
     yield from worst("energy rises in a step", np.diff(energy), allowed, traj.t[:-1])
-    if traj.events.method != "dtec":  # its energy walks by what its steps err (docs/theory.md)
-        # errors of steps add until they turn: an oscillation of (h Omega)^2 of the energy, without the quarter
+    if traj.events.method != "dtec":  # its energy drifts by the errors of its steps (docs/theory.md)
+        # the errors of the steps add up to an oscillation of (h Omega)^2 of the energy, without the quarter
         rise = (energy - np.minimum.accumulate(energy))[1:]
         yield from worst("energy rises", rise, 4.0 * np.maximum.accumulate(allowed), traj.t[1:])
     if traj.events.method == "ctec" and not np.any(traj.scene.model.damping > 0.0):

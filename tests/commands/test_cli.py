@@ -64,7 +64,7 @@ def test_ctrl_c_keeps_what_was_computed(tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        # a background job of a shell hands SIGINT down ignored
+        # Children of a shell's background job inherit an ignored SIGINT.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert run.stdout is not None

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from oracles.contact_points import VertexPlane
-from oracles.held_scenes import GRAVITY
+from oracles.persistent_scenes import GRAVITY
 
 
 def free_body(inertia: pin.Inertia, gravity: float = GRAVITY) -> pin.Model:

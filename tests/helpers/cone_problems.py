@@ -176,7 +176,7 @@ def skewed(rng: np.random.Generator, problem: Problem) -> Problem:
 
 Maker = Callable[[np.random.Generator], Problem]
 
-# The kinds of the table in held-contact order: what a step or an impact poses most often comes first.
+# The kinds in the order of the benchmark's table: what a step or an impact poses most often comes first.
 PLAIN: dict[str, Maker] = {
     "body 1": lambda rng: body(rng, 1),
     "body 2": lambda rng: body(rng, 2),

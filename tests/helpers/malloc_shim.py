@@ -1,4 +1,4 @@
-"""A library to preload that counts the calls of malloc, as C text, for tests of what allocates nothing."""
+"""A library to preload that counts the calls of malloc, as C text, for tests that something allocates nothing."""
 
 SHIM = """
 #define _GNU_SOURCE

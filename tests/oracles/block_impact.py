@@ -1,4 +1,4 @@
-"""Impacts with friction (held-contact.md, section 7): Poisson's law as two cone problems, all points of a pair at once.
+"""Impacts with friction: Poisson's law as two cone problems, all points of a pair at once.
 
 Compression: e = 0 with Coulomb friction, Lam1. Expansion: Lam2_n >= e Lam1_n, gamma+ >= 0, complementary, and
 |Lam2_t| <= mu Lam2_n with maximal dissipation on gamma+. Several pairs: the most closing elastic pair first, one at a
@@ -49,7 +49,7 @@ def poisson(mass, p, pair: Pair) -> Outcome:
     """One impact of one pair. e is lowered by bisection where the energy would rise (never seen)."""
     before, m = kinetic(mass, p), len(pair.w)
     middle, first = cone(mass, p, pair.w, [Law(pair.mu)] * m)
-    pushed = np.where(first[:, 0] > 1e-13 * np.abs(first).max(), first[:, 0], 0.0)  # what is left of open points
+    pushed = np.where(first[:, 0] > 1e-13 * np.abs(first).max(), first[:, 0], 0.0)  # open points: rounding
     e, low, high = pair.restitution, 0.0, pair.restitution
     while True:
         after, second = cone(mass, middle, pair.w, [Law(pair.mu, e * x) for x in pushed])

@@ -1,4 +1,4 @@
-"""N10: two blocks and a wall, elastic, exact in rational numbers.
+"""Two blocks and a wall, elastic, exact in rational numbers: their collisions count the digits of pi.
 
 Light block (mass 1) at rest between the wall x = 0 and the heavy block (mass 100^k) coming in.
 """

@@ -1,4 +1,4 @@
-"""Closed forms of cases.md: N01 bouncing ball, N08 pendulum at a wall, N16 rod, the fast ball at a plate."""
+"""Closed forms: a bouncing ball, a pendulum at a wall, a rod that hits the ground, a fast ball at a plate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ GRAVITY = 9.81
 
 
 class BouncingBall:
-    """N01: point falling from rest through `gap` [m] onto a plane, restitution e."""
+    """Point falling from rest through `gap` [m] onto a plane, restitution e."""
 
     def __init__(self, gap: float = 1.0, restitution: float = 1.0, gravity: float = GRAVITY):
         self.gap, self.e, self.g = gap, restitution, gravity
@@ -46,12 +46,12 @@ class BouncingBall:
 
 
 def pendulum_wall_period(theta0: float, length: float = 1.0, gravity: float = GRAVITY) -> float:
-    """N08: time between elastic impacts at theta = 0 of a pendulum released at theta0 [s]: 2 sqrt(l/g) K(k)."""
+    """Time between elastic impacts at theta = 0 of a pendulum released at theta0 [s]: 2 sqrt(l/g) K(k)."""
     return 2.0 * math.sqrt(length / gravity) * float(ellipk(math.sin(0.5 * theta0) ** 2))
 
 
 def rod_impact(theta: float, restitution: float = 1.0) -> tuple[float, float, float]:
-    """N16: (P, v_com, omega) after a uniform rod m = l = 1 moving at v = -1 hits the ground with one end.
+    """(P, v_com, omega) after a uniform rod m = l = 1 moving at v = -1 hits the ground with one end.
 
     theta: angle from the horizontal [rad]. The end is half a cos(theta) from the centre, inertia 1/12.
     """

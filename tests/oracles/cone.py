@@ -1,4 +1,5 @@
-"""The Coulomb cone problem, slow and obvious: the law itself, all solutions by modes, projected sweeps, least squares.
+"""The Coulomb cone problem, slow and obvious: the law itself, all solutions by modes, projected Gauss-Seidel, least
+squares.
 
 w = b + G lambda; rows of a contact (n, t1, t2), or one row. Nothing here shares a formula with the engine's solver.
 """
@@ -101,7 +102,7 @@ def all_solutions(p: Problem, starts: int = 12) -> list[np.ndarray]:
     return kept
 
 
-def projected_sweeps(p: Problem, sweeps: int = 20000) -> np.ndarray:
+def projected_gauss_seidel(p: Problem, sweeps: int = 20000) -> np.ndarray:
     """Projected gradient contact by contact, each with its own step length: slow, but each line is the law."""
     lam = np.zeros(len(p.b))
     for _ in range(sweeps):

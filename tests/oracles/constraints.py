@@ -4,7 +4,7 @@ Every constraint is one formula in jets. A jet carries a quantity along the moti
   value, jac (k, nv), rate = jac v + d/dt, bias = (second derivative in time) - jac a.
 The points and axes of bodies come from Pinocchio's joint Jacobians and classical accelerations; sums, products, lengths
 and angles follow by the rules of calculus. There are no differences, so the derivatives are good to rounding; the tests
-hold them against central differences. Coordinates and velocities are Pinocchio's (a free-flyer has its body twist).
+compare them with central differences. Coordinates and velocities are Pinocchio's (a free-flyer has its body twist).
 
 Multipliers enter as M a + nle = tau + J^T lam: lam is a force on the second body [N], or a torque on it [N m].
 """
@@ -18,19 +18,19 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-Drive = Callable[[float], tuple[float, float, float]]  # r, r', r'' at time t [s]
+PrescribedMotion = Callable[[float], tuple[float, float, float]]  # r, r', r'' at time t [s]
 Place = tuple[int, Sequence[float]]  # joint (0: the world) and a point in its frame [m]
 
 
-def constant(value: float) -> Drive:
+def constant(value: float) -> PrescribedMotion:
     return lambda _t: (value, 0.0, 0.0)
 
 
-def ramp(start: float, speed: float) -> Drive:
+def ramp(start: float, speed: float) -> PrescribedMotion:
     return lambda t: (start + speed * t, speed, 0.0)
 
 
-def sine(amplitude: float, omega: float, offset: float = 0.0) -> Drive:
+def sine(amplitude: float, omega: float, offset: float = 0.0) -> PrescribedMotion:
     """offset + amplitude sin(omega t)."""
     return lambda t: (
         offset + amplitude * math.sin(omega * t),
@@ -150,9 +150,9 @@ class Motion:
         jac[0, j.idx_v] = 1.0
         return Jet(np.array([x]), jac, self.v[j.idx_v : j.idx_v + 1].copy(), np.zeros(1))
 
-    def time(self, drive: tuple[float, float, float]) -> Jet:
+    def time(self, prescribed: tuple[float, float, float]) -> Jet:
         """A number given in time by r, r', r''."""
-        r, r1, r2 = drive
+        r, r1, r2 = prescribed
         return Jet(np.array([r]), np.zeros((1, self.model.nv)), np.array([r1]), np.array([r2]))
 
 
@@ -189,13 +189,13 @@ class Tape(Constraint):
     """Length along the points = length(t) [m]: -lam is the tension [N]. Two points: a rod between them."""
 
     places: Sequence[Place]
-    length: Drive
+    length: PrescribedMotion
 
     def jet(self, motion: Motion, t: float) -> Jet:
         return motion.length(self.places) - motion.time(self.length(t))
 
 
-def distance(a: Place, b: Place, length: float | Drive) -> Tape:
+def distance(a: Place, b: Place, length: float | PrescribedMotion) -> Tape:
     """|x_b - x_a| = length, a number [m] or a function of time."""
     return Tape((a, b), length if callable(length) else constant(length))
 
@@ -266,10 +266,10 @@ class JointPolynomial(Constraint):
 
 @dataclass(frozen=True)
 class Prescribed(Constraint):
-    """Coordinate of a joint of one degree of freedom = r(t): lam is the drive's force or torque."""
+    """Coordinate of a joint of one degree of freedom = r(t): lam is the force or torque that prescribes it."""
 
     joint: int
-    path: Drive
+    path: PrescribedMotion
 
     def jet(self, motion: Motion, t: float) -> Jet:
         phi = motion.joint(self.joint) - motion.time(self.path(t))

@@ -1,7 +1,7 @@
 """Contact laws solved by brute force: every combination of modes is tried, each as a system of equations by Newton.
 
 Unknowns x (any numbers) and the impulses lam (m, 3), rows (normal, two tangents). `function(x)` returns f (nx,) and
-w (m, 3), what the laws speak of (velocities, or gap / h and slip); f(x) = sum of pull_i^T lam_i. Laws of contact i:
+w (m, 3), the quantities in the laws (velocities, or gap / h and slip); f(x) = sum of pull_i^T lam_i. Laws of contact i:
   normal       lam_n >= lower, w_n >= 0, (lam_n - lower) w_n = 0
   tangential   |lam_t| <= mu lam_n;  w_t != 0 => lam_t = -mu lam_n w_t/|w_t|; with a direction d: lam_t = -mu lam_n d.
 Each contact is "open" (lam_n = lower) or "closed" (w_n = 0), and has one of the tangential modes "none" (lam_t = 0),
@@ -159,11 +159,11 @@ class Problem:
             self._slopes[key] = np.array(columns).T
         return self._slopes[key]
 
-    def _newton(self, z, modes, eps, directions=None, rounds=40):
-        """Newton with minimum-norm steps until it no longer improves; derivatives at x0, renewed every eight rounds."""
+    def _newton(self, z, modes, eps, directions=None, iterations=40):
+        """Newton with minimum-norm steps until it no longer improves; derivatives at x0, renewed every eighth time."""
         slopes = self._derivative(self.x0)
         r, jac, size = self._sized(z, modes, eps, directions, slopes)
-        for n in range(1, rounds):
+        for n in range(1, iterations):
             if size == 0.0 or not np.isfinite(size):
                 break
             if n % 8 == 0:

@@ -2,7 +2,7 @@
 
 `body` touches `support`; the normal n points from the support to the body, W = (W_n; W_t) gives the velocity of the
 body's point relative to the support's, rows (n, t1, t2). Joints are those of the split model (oracles.split), 0 is the
-world; velocities are split ones. Where there is a gap, each body has its own point (design.md, section 5).
+world; velocities are split ones. Where there is a gap, each body has its own point.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""CTEC impact (design.md, section 6) in NumPy: p+ = p- + lambda W^T, lambda = -(1 + e) gamma / G_c.
+"""CTEC impact in NumPy: p+ = p- + lambda W^T, lambda = -(1 + e) gamma / G_c.
 
 W is the gradient of the gap in Pinocchio's tangent space, by differences of any gap function or from
 pin's Jacobians; G_c = W M^-1 W^T does not depend on the coordinates of the tangent space.

@@ -1,4 +1,4 @@
-"""The midpoint variational step of design.md section 3, in dense NumPy on pin's matrices.
+"""The midpoint variational step in dense NumPy on pin's matrices.
 
 Equations, with q_m = q0 (+) h v/2 and G = dL/dq in the tangent space:
   p1 = Jv^-T [ P(q_m, v) + h/2 Jmv^T (G + F) ],   p0 = Jq^T p1 - h Jmq^T (G + F),   q1 = q0 (+) h v.
@@ -79,13 +79,13 @@ class System:
         p1 = np.linalg.solve(jv.T, mv + 0.5 * h * jmv.T @ force)
         return jq.T @ p1 - h * jmq.T @ force, p1
 
-    def split_step(self, q0, p0, h, tau=None, rounds=40):
+    def split_step(self, q0, p0, h, tau=None, iterations=40):
         """(q1, p1, v) in split coordinates, solved until Newton no longer improves."""
         tau = np.zeros(self.nv) if tau is None else tau
         v = np.linalg.solve(self.mass_matrix(q0), p0)
         scale = 1.0 + np.abs(p0).max()
         best, best_v, stalled, jac = np.inf, v, 0, None
-        for n in range(rounds):
+        for n in range(iterations):
             r = self.both_momenta(q0, v, h, tau)[0] - p0
             size = np.abs(r).max()
             if size < best:

@@ -1,4 +1,4 @@
-"""DTEC and MHC impacts (design.md, section 6) in slow NumPy on the oracles of the step and of the modified energy.
+"""DTEC and MHC impacts in slow NumPy on the oracles of the step and of the modified energy.
 
 p+ = p- + lambda W^T, one unknown lambda >= 0, loss = (1 - e^2) gamma-^2 / (2 G_c):
   DTEC  E_d of the partial step after the impact = E_d of the partial step before it - loss   (Fetecau et al. 2003)
@@ -23,7 +23,7 @@ class NoRoot(ArithmeticError):
 
 @dataclass(frozen=True)
 class Solved:
-    """impulse [N s], p_plus (nv,), gamma_minus [m/s], G_c [1/kg], loss [J], jump [J] left in the map's own scalar."""
+    """impulse [N s], p_plus (nv,), gamma_minus [m/s], G_c [1/kg], loss [J], jump [J]: residual of its scalar."""
 
     impulse: float
     p_plus: np.ndarray

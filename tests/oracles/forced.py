@@ -5,12 +5,12 @@ Redundant rows leave lam open: the one of least Euclidean norm in the rows as gi
 removed by projection in the metric M at every output time, nowhere else. Joint damping and friction stored in
 `pin.Model` are not used; what acts is in `forces`.
 
-Each force is of one kind, which says where its power goes:
+Each force is of one kind, by where its power goes:
   "spring"   has an `energy`, part of the potential energy
   "damping"  its power is -(rate of dissipation)
   "input"    its power is work put in
-Balance: kinetic + potential - (their start) = work_input - dissipated + work_drive, where the drive's power is
--lam . d phi/dt (v . J^T lam with J v = -d phi/dt).
+Balance: kinetic + potential - (their start) = work_input - dissipated + work_prescribed, where the power of
+prescribed motions is -lam . d phi/dt (v . J^T lam with J v = -d phi/dt).
 """
 
 from __future__ import annotations
@@ -154,9 +154,9 @@ class UserForce(Force):
 
 
 class Response(NamedTuple):
-    """Acceleration (nv,), multipliers (m,), powers [W] (input, dissipated, drive), and what redundant rows leave open.
+    """Acceleration (nv,), multipliers (m,), powers [W] (input, dissipated, prescribed motions), misfit.
 
-    misfit: largest entry of J a + gamma; not rounding where redundant constraints contradict each other.
+    misfit: largest entry of J a + gamma; more than rounding where redundant constraints contradict each other.
     """
 
     a: np.ndarray
@@ -205,9 +205,9 @@ def acceleration(
     phi = rows(motion, t, constraints)
     change, lam = least(mass, phi.jac, -(phi.jac @ free + phi.bias))
     a = free + change
-    drive = -lam @ (phi.rate - phi.jac @ v)
+    prescribed = -lam @ (phi.rate - phi.jac @ v)
     misfit = float(np.abs(phi.jac @ a + phi.bias).max(initial=0.0))
-    return Response(a, lam, np.array([tau["input"] @ v, -tau["damping"] @ v, drive]), misfit)
+    return Response(a, lam, np.array([tau["input"] @ v, -tau["damping"] @ v, prescribed]), misfit)
 
 
 def energies(model: pin.Model, q: np.ndarray, v: np.ndarray, forces: Sequence[Force] = ()) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The Galerkin-Gauss step of design.md section 3, order 2s, in dense NumPy on pin's matrices.
+"""The Galerkin-Gauss step of order 2s in dense NumPy on pin's matrices.
 
 Discrete Lagrangian: L_d(q0, q1) = ext h sum_i b_i L(q_i, v_i) over polynomials X(t) of degree s in the chart
 q(X) = q0 (+) X, with X(0) = 0 and q0 (+) X(h) = q1; q_i = q0 (+) X_i, v_i = J(X_i) X'_i, J the right Jacobian. Its
@@ -59,7 +59,7 @@ class Solved:
 
 
 class GaussStep:
-    """The step with s stages of a System (which holds springs and damping)."""
+    """The step with s stages of a System (with its springs and damping)."""
 
     def __init__(self, system: System, stages: int):
         self.system, self.split, self.s, self.nv = system, system.split, stages, system.nv
@@ -98,8 +98,8 @@ class GaussStep:
         m = np.kron(one, system.mass_matrix(q0)) + h * np.kron(self.a, np.diag(system.damping))
         return np.linalg.inv(m + h * h * np.kron(self.a @ self.a, system.spring_stiffness(q0)))
 
-    def split_step(self, q0, p0, h, tau=None, rounds=200, depth=12) -> Solved:
-        """Fixed-point sweeps on the rates with Anderson's acceleration, until they no longer improve."""
+    def split_step(self, q0, p0, h, tau=None, iterations=200, depth=12) -> Solved:
+        """Fixed-point iterations on the rates with Anderson's acceleration, until they no longer improve."""
         tau = np.zeros(self.nv) if tau is None else tau
         shape, inverse = (self.s, self.nv), self._preconditioner(q0, h)
         x = np.tile(np.linalg.solve(self.system.mass_matrix(q0), p0), self.s)
@@ -107,10 +107,10 @@ class GaussStep:
         points: list[np.ndarray] = []
         changes: list[np.ndarray] = []
         scale = 1.0 + np.abs(p0).max()
-        for n in range(rounds):
+        for n in range(iterations):
             r = self.equations(q0, p0, h, x.reshape(shape), tau)[0].ravel()
             size = np.abs(r).max()
-            scale += size if n == 0 else 0.0  # what the forces do within the step
+            scale += size if n == 0 else 0.0  # with the impulses of the forces
             stalled = 0 if size < 0.9 * best else stalled + 1
             if size < best:
                 best, best_x = size, x
@@ -120,7 +120,7 @@ class GaussStep:
             changes.append(inverse @ r)
             x = _anderson(points[-depth:], changes[-depth:])
         if not best <= 1e-12 * scale:  # far above rounding: the equations were not solved
-            raise ArithmeticError(f"oracle sweeps stopped at {best:.1e}")
+            raise ArithmeticError(f"the oracle's iterations stopped at {best:.1e}")
         rates = best_x.reshape(shape)
         _, p1, x1, q, v = self.equations(q0, p0, h, rates, tau)
         return Solved(self.split.integrate(q0, x1), p1, rates, q, v)

@@ -1,4 +1,4 @@
-"""Modified Hamiltonian of the midpoint step (design.md, section 4), with springs.
+"""Modified Hamiltonian of the midpoint step, with springs.
 
 H~ = H + h^2 H2,  H2 = -1/24 ( G.a - dG.v + p.[v, a] ),  dG = dG/dt along the exact motion. Since
 v.G = v.c - v.u with c = C v and u = g + spring gradient,  dG.v = d(v.c - v.u)/dt - a.G.

@@ -1,4 +1,4 @@
-"""Problem B of cases.md: double pendulum with absolute angles, tip against the wall x = 0.
+"""Problem B: double pendulum with absolute angles, tip against the wall x = 0.
 
 Point masses m1 = m2 = 1 kg, l1 = l2 = 1 m, g = 9.81 m/s^2, angles from the downward vertical; mass matrix
 and equations written by hand, DOP853 at rtol 1e-13, impact times by Newton on the integrated state

@@ -1,4 +1,4 @@
-"""N22: slider-crank whose slider has clearance in its channel (Flores, Leine, Glocker 2010, their table 1).
+"""Slider-crank whose slider has clearance in its channel (Flores, Leine, Glocker 2010, their table 1).
 
 Absolute angles q = (crank, rod, slider) from the x axis, w = q'; gravity along -y; the slider's pin is its centre, the
 crank's and the rod's centres are their middles. The slider has the half length a and the half height b, the channel the
@@ -231,7 +231,7 @@ class SliderClearance:
         )
 
     def _next_hit(self, q: np.ndarray, w: np.ndarray, duration: float) -> tuple[float, np.ndarray, np.ndarray] | None:
-        """(time, q, w) where the first gap closes; corners that leave a wall are watched again once they have left."""
+        """(time, q, w) where the first gap closes; corners on a wall count again once they have separated from it."""
         guards = []
         for k in range(4):
 

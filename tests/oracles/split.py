@@ -1,4 +1,4 @@
-"""A Pinocchio model rewritten so that no joint couples spin with translation (design.md, section 2).
+"""A Pinocchio model rewritten so that no joint couples spin with translation.
 
 free-flyer -> translation + spherical joint, planar -> prismatic x, prismatic y, revolute-unbounded z.
 The numbers of q stay; the tangent velocity of a split joint becomes (parent-frame linear, body

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import quad, solve_ivp
 from scipy.special import ellipj, ellipk
 
-from .constraints import Drive
+from .constraints import PrescribedMotion
 
 GRAVITY = 9.81
 
@@ -93,7 +93,7 @@ class CartPendulum:
     force on the cart: F = (M + m) x'' + m l (theta'' cos theta - theta'^2 sin theta).
     """
 
-    path: Drive
+    path: PrescribedMotion
     length: float = 1.0
     mass: float = 1.0
     cart: float = 1.0
@@ -103,7 +103,7 @@ class CartPendulum:
         return -(self.gravity * math.sin(theta) + self.path(t)[2] * math.cos(theta)) / self.length
 
     def force(self, t: float, theta: float, omega: float) -> float:
-        """The drive's force on the cart [N]."""
+        """Force on the cart that prescribes its motion [N]."""
         turn = self.angular_acceleration(t, theta) * math.cos(theta) - omega**2 * math.sin(theta)
         return (self.cart + self.mass) * self.path(t)[2] + self.mass * self.length * turn
 
@@ -113,7 +113,7 @@ class CartPendulum:
         return (self.cart + self.mass) * self.gravity + self.mass * self.length * turn
 
     def motion(self, times: Sequence[float], theta0: float, omega0: float = 0.0) -> np.ndarray:
-        """theta, theta', work of the drive since times[0] (n, 3)."""
+        """theta, theta', work of the prescribed motion since times[0] (n, 3)."""
 
         def rhs(t: float, y: np.ndarray) -> list[float]:
             return [y[1], self.angular_acceleration(t, y[0]), self.force(t, y[0], y[1]) * self.path(t)[1]]
@@ -129,13 +129,13 @@ class CartPendulum:
 
 @dataclass(frozen=True)
 class DrivenString:
-    """Point mass on a string of driven length l(t) about a fixed point, no gravity, in a plane.
+    """Point mass on a string of prescribed length l(t) about a fixed point, no gravity, in a plane.
 
-    The string's force is central, so l^2 w is conserved; radially T = m (l w^2 - l''). The drive's work -T l' over time
-    is the change of m (l'^2 + l^2 w^2) / 2.
+    The string's force is central, so l^2 w is conserved; radially T = m (l w^2 - l''). The work
+    of -T l' over time is the change of m (l'^2 + l^2 w^2) / 2.
     """
 
-    length: Drive
+    length: PrescribedMotion
     omega0: float
     mass: float = 1.0
 

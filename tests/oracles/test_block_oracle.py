@@ -1,4 +1,4 @@
-"""The oracle of impacts with friction, and the references of held contact, against closed forms and energy."""
+"""The oracle of impacts with friction, and the references of persistent contact, against closed forms and energy."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from helpers.bodies_on_planes import corners, free_body
-from oracles import block_impact, held_scenes
+from oracles import block_impact, persistent_scenes
 from oracles.block_impact import Pair
 from oracles.contact_points import Points, VertexPlane
 from oracles.del_step import System
-from oracles.held_scenes import GRAVITY
+from oracles.persistent_scenes import GRAVITY
 
 
 # --- impacts ----------------------------------------------------------------------------------------------------------
@@ -28,8 +28,8 @@ def body_impact(model, q, v, listed, restitution):
 
 
 def test_spinning_ball_has_the_digits_of_the_case():
-    """N03: the closed form has the digits of cases.md, and the impact oracle has the closed form's."""
-    ball = held_scenes.SpinningBall()
+    """A falling ball with spin: the closed form has its known digits, and the impact oracle has the same."""
+    ball = persistent_scenes.SpinningBall()
     digits = [*ball.after, ball.stick, ball.normal_impulse, ball.friction_impulse]
     assert digits == pytest.approx(
         [0.8404284622, 28.9892884461, 2.0585003825, 0.7281199942, 4.2021423108, 0.8404284622], abs=6e-11
@@ -39,7 +39,7 @@ def test_spinning_ball_has_the_digits_of_the_case():
     q, v = pin.neutral(model), np.array([0.0, 0.0, -ball.normal_impulse, 0.0, 50.0, 0.0])
     q[2] = 0.1
     outcome, after, _ = body_impact(model, q, v, [VertexPlane(2, (0.0, 0.0, 0.0), 0.2, radius=0.1)], 0.0)
-    # the ball spins about +y, so its lowest point moves to -x and friction drives it to +x
+    # the ball spins about +y, so its lowest point moves to -x and friction pushes it to +x
     assert after == pytest.approx([ball.after[0], 0.0, 0.0, 0.0, ball.after[1], 0.0], abs=1e-13)
     assert outcome.loss > 0.0
 
@@ -53,7 +53,7 @@ def test_rod_with_friction(mu, restitution, speed):
     q[2], q[3:7] = 0.5 * math.sin(theta), pin.Quaternion(turn).coeffs()
     v = np.append(turn.T @ [speed, 0.0, -1.0], np.zeros(3))
     outcome, after, bases = body_impact(model, q, v, [VertexPlane(2, (-0.5, 0.0, 0.0), mu)], restitution)
-    normal, along = held_scenes.rod_impact_with_friction(theta, (speed, -1.0), mu, restitution)
+    normal, along = persistent_scenes.rod_impact_with_friction(theta, (speed, -1.0), mu, restitution)
     impulse = bases[0] @ outcome.lam[0]
     assert impulse == pytest.approx([along, 0.0, normal], abs=1e-12)
     assert after[:3] == pytest.approx([speed + along, 0.0, normal - 1.0], abs=1e-12)
@@ -75,7 +75,7 @@ def test_box_dropped_flat_bounces_straight_up():
 def test_rocking_block_keeps_housner_s_share():
     size = (0.2, 0.3, 0.6)
     model = free_body(pin.Inertia.FromBox(2.0, *size))
-    assert held_scenes.housner(0.2, 0.6) == pytest.approx(0.85, rel=1e-14)
+    assert persistent_scenes.housner(0.2, 0.6) == pytest.approx(0.85, rel=1e-14)
     q = pin.neutral(model)
     q[2] = 0.3
     # it turns about the edge at -x and falls flat
@@ -106,7 +106,7 @@ def line(masses, restitutions, wall=None) -> tuple[np.ndarray, list[Pair]]:
      (1, 3, 0, (0.5, 0)), (3, 1, 1, (1, 0)), (3, 1, 0.5, (0.344, 0.047)), (3, 1, 0, (0, 0))],
 )  # fmt: skip
 def test_ball_on_a_block_on_the_ground(m1, m2, e, expected):
-    """The table of held-contact.md, section 7: three digits where it has three, else exact but for the cut at 1e-9."""
+    """Known results, to three digits where they have three, else exact but for the cut at 1e-9."""
     mass, pairs = line([m2, m1], [1.0], wall=e)
     p, _ = block_impact.sequence(mass, mass @ [0.0, -1.0], pairs)
     block, ball = np.linalg.solve(mass, p)
@@ -114,12 +114,12 @@ def test_ball_on_a_block_on_the_ground(m1, m2, e, expected):
 
 
 def test_plastic_chain_moves_on_together():
-    """N15: (1/3, 1/3, 1/3), whatever the order; the energy is Carnot's."""
+    """(1/3, 1/3, 1/3), whatever the order; the energy is Carnot's."""
     mass, pairs = line([1.0] * 3, [0.0] * 2)
     p, hits = block_impact.sequence(mass, np.array([1.0, 0.0, 0.0]), pairs)
     assert p == pytest.approx(np.full(3, 1 / 3), abs=1e-15)
     assert hits == [-1]
-    v, loss = held_scenes.carnot(mass, np.array([[-1.0, 1, 0], [0, -1, 1]]), np.array([1.0, 0.0, 0.0]))
+    v, loss = persistent_scenes.carnot(mass, np.array([[-1.0, 1, 0], [0, -1, 1]]), np.array([1.0, 0.0, 0.0]))
     assert v == pytest.approx(p, abs=1e-15)
     assert loss == pytest.approx(0.5 - 1 / 6, rel=1e-14)
 
@@ -141,9 +141,11 @@ def test_impacts_never_gain_energy():
 
 # --- closed forms among themselves ------------------------------------------------------------------------------------
 def test_painleve():
-    assert held_scenes.painleve_mu(math.atan(2.0)) == pytest.approx(4.0 / 3.0, rel=1e-14)
+    assert persistent_scenes.painleve_mu(math.atan(2.0)) == pytest.approx(4.0 / 3.0, rel=1e-14)
     for theta in (0.4, 1.0, 1.3):
-        assert held_scenes.painleve_number(theta, held_scenes.painleve_mu(theta)) == pytest.approx(0.0, abs=1e-14)
+        assert persistent_scenes.painleve_number(theta, persistent_scenes.painleve_mu(theta)) == pytest.approx(
+            0.0, abs=1e-14
+        )
     # A of the same rod in the oracle's matrices: it slides towards -x, its lower end first
     model, theta, mu = free_body(pin.Inertia(1.0, np.zeros(3), np.diag([1e-3, 1 / 12.0, 1 / 12.0]))), 1.0, 0.9
     system, q = System(model), pin.neutral(model)
@@ -152,18 +154,18 @@ def test_painleve():
     points = Points(system.split, [VertexPlane(2, (-0.5, 0.0, 0.0), mu)])
     w = points.gradients(q, [np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])])[0]
     a = w[0] @ np.linalg.solve(system.mass_matrix(q), w[0] + mu * w[1])
-    assert a == pytest.approx(held_scenes.painleve_number(theta, mu), rel=1e-13)
+    assert a == pytest.approx(persistent_scenes.painleve_number(theta, mu), rel=1e-13)
 
 
 def test_pendulum_at_its_limit():
     """Small limits: flights of a body thrown up under g, so the end of the bouncing is t1 (1 + e)/(1 - e)."""
-    first, speed, end = held_scenes.pendulum_at_limit(1e-4, 0.5)
+    first, speed, end = persistent_scenes.pendulum_at_limit(1e-4, 0.5)
     # the angle's cosine is 1 - 5e-9 there
     assert first == pytest.approx(math.sqrt(2e-4 / GRAVITY), rel=1e-8)
     assert speed == pytest.approx(math.sqrt(2e-4 * GRAVITY), rel=1e-8)
     assert end == pytest.approx(first * 1.5 / 0.5, rel=1e-7)
     # a large one: its first flights by DOP853
-    first, speed, end = held_scenes.pendulum_at_limit(0.8, 0.5)
+    first, speed, end = persistent_scenes.pendulum_at_limit(0.8, 0.5)
     y, flights = np.zeros(2), []
     for _ in range(5):
         run = solve_ivp(swing, (0.0, 9.0), y, "DOP853", rtol=1e-12, atol=1e-14, events=limit_hit)
@@ -171,8 +173,8 @@ def test_pendulum_at_its_limit():
         y = np.array([0.8, -0.5 * run.y[1, -1]])
     assert flights[0] == pytest.approx(first, abs=1e-11)
     assert -2.0 * y[1] == pytest.approx(speed * 0.5**4, rel=1e-10)
-    rest = held_scenes.pendulum_at_limit(0.8, 0.5)[2] - sum(flights)
-    # what is left starts with the speed -y[1]: between the flights of a plane field and ones a little longer
+    rest = persistent_scenes.pendulum_at_limit(0.8, 0.5)[2] - sum(flights)
+    # the rest of the flight starts with the speed -y[1]: between the flights of a plane field and ones a little longer
     plane = 2.0 * -y[1] / (GRAVITY * math.cos(0.8)) / 0.5
     assert 0.0 < (plane - rest) / plane < 0.1
     assert end > sum(flights)

@@ -153,7 +153,7 @@ def test_reversible_where_the_chart_is_a_vector_space_and_nearly_on_rotations():
     for name, s, tolerance in (("joint_planar", 4, 1e-14), ("joint_helical_x", 2, 1e-14), ("free_body", 1, 1e-14)):
         assert back_and_forth(name, s, 0.05) <= tolerance
     defects = [back_and_forth("free_body", 2, h) for h in (0.08, 0.04, 0.02)]
-    # of two steps h and -h of a method of order 2s only the even power h^(2s+2) is left
+    # of two steps h and -h of a method of order 2s only the even power h^(2s+2) remains
     assert np.abs(laws.orders(defects) - 6.0).max() <= 0.1
     assert back_and_forth("free_body", 4, 0.04) <= 1e-14
 
@@ -239,7 +239,7 @@ def test_problem_b_is_good_to_1e_13():
 
 @pytest.mark.parametrize("method", gauss_impacts.METHODS)
 def test_problem_b_with_one_stage_has_the_known_orders(method):
-    """cases.md, 0.04 to 0.02: 1.96 for CTEC and MHC, 2.12 for DTEC."""
+    """From h = 0.04 to 0.02 the orders are 1.96 for CTEC and MHC, 2.12 for DTEC."""
     exact = problem_b.run(3.0).q
     errors = [np.linalg.norm(ABSOLUTE @ bounce(1, h, method)[0][-1] - exact) for h in (0.04, 0.02)]
     assert laws.orders(errors)[0] == pytest.approx(2.12 if method == "dtec" else 1.96, abs=0.006)

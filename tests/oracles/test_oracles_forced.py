@@ -171,7 +171,7 @@ def test_a_wrench_has_the_power_of_its_point_and_spin():
 
 # --- motion ------------------------------------------------------------------------------------------------------
 def test_energy_balance_and_constraints_with_everything_at_once():
-    """Loops, drives, springs, dampers and inputs; a row given twice shares its multiplier."""
+    """Loops, prescribed motions, springs, dampers and inputs; a row given twice shares its multiplier."""
     model = forest()
     q, v = state(model, seed=4, size=0.5)
     motion = Motion(model, q)
@@ -201,17 +201,17 @@ def test_energy_balance_and_constraints_with_everything_at_once():
 
 
 def test_multipliers_are_newtons_law_of_the_whole():
-    """Free bodies held together and to the world: the rate of the total momentum is weight plus the world's forces."""
+    """Free bodies joined to each other and to the world: weight and the world's forces change the total momentum."""
     model = pin.Model()
     for name in "ab":
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
         model.appendBodyToJoint(joint, pin.Inertia(1.5, np.array([0.1, 0.2, 0.0]), np.eye(3)), pin.SE3.Identity())
     rng, (q, v) = np.random.default_rng(7), state(model)
-    held = Point((0, Motion(model, q).point((1, (0.3, 0.0, 0.0))).value), (1, (0.3, 0.0, 0.0)))
+    joined = Point((0, Motion(model, q).point((1, (0.3, 0.0, 0.0))).value), (1, (0.3, 0.0, 0.0)))
     x_1 = pose(rng)
     x_2 = pin.XYZQUATToSE3(q[7:]).actInv(pin.XYZQUATToSE3(q[:7]).act(x_1))
-    q, v, _ = forced.project(model, q, v, 0.0, [held, Weld(1, x_1, 2, x_2)])
-    now = forced.acceleration(model, q, v, 0.0, [], [held, Weld(1, x_1, 2, x_2)])
+    q, v, _ = forced.project(model, q, v, 0.0, [joined, Weld(1, x_1, 2, x_2)])
+    now = forced.acceleration(model, q, v, 0.0, [], [joined, Weld(1, x_1, 2, x_2)])
     data = model.createData()
     pin.computeCentroidalMomentumTimeVariation(model, data, q, v, now.a)
     weight = 3.0 * np.array([0.0, 0.0, -9.81])

@@ -1,4 +1,4 @@
-"""The known answers for linkages, pendulums, strings, springs and dry friction against the oracle of forced motion."""
+"""Known answers for linkages, pendulums, strings, springs and joint friction against the oracle of forced motion."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from scipy.integrate import solve_ivp
 
-from oracles import closed_forms, dry_friction, forced, strings
+from oracles import closed_forms, forced, joint_friction, strings
 from oracles.constraints import Motion, Point, Prescribed, Screw, Tape, constant, distance, ramp, sine
 from oracles.loops import FourBar, MassesOfSliderCrank, ScrewNut, SliderCrank
 
@@ -49,8 +49,8 @@ def test_crank_rocker_driven_through_a_turn(branch):
     c, r = bar.angles(start)
     wc, wr = bar.rates(start, speed)
     times = np.linspace(0.0, 2.0 * math.pi / speed, 9)
-    drive = Prescribed(1, ramp(start, speed))
-    run = forced.solve(model, [start, c - start, r], [speed, wc - speed, wr], times, (), [pin_joint, drive])
+    crank = Prescribed(1, ramp(start, speed))
+    run = forced.solve(model, [start, c - start, r], [speed, wc - speed, wr], times, (), [pin_joint, crank])
     for t, q, v, a in zip(times, run.q, run.v, run.a, strict=True):
         angles, rates = bar.angles(start + speed * t), bar.rates(start + speed * t, speed)
         change = np.array([q[0] + q[1], q[2]]) - angles
@@ -221,9 +221,9 @@ def test_lift_of_the_rail_is_the_multiplier_of_a_cart_held_at_its_height():
     along = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "along")
     cart = body(model, along, pin.JointModelPZ(), (0, 0, 0), 2.0)
     body(model, cart, pin.JointModelRY(), (0, 0, 0), 0.6, (0, 0, -0.8))
-    held = [Prescribed(along, exact.path), Prescribed(cart, constant(0.0))]
+    prescribed = [Prescribed(along, exact.path), Prescribed(cart, constant(0.0))]
     x, speed, _ = exact.path(0.7)
-    now = forced.acceleration(model, np.array([x, 0.0, -0.5]), np.array([speed, 0.0, -0.3]), 0.7, (), held)
+    now = forced.acceleration(model, np.array([x, 0.0, -0.5]), np.array([speed, 0.0, -0.3]), 0.7, (), prescribed)
     assert now.multipliers == pytest.approx([exact.force(0.7, 0.5, 0.3), exact.lift(0.7, 0.5, 0.3)], rel=1e-13)
 
 
@@ -282,7 +282,7 @@ def test_chain_of_springs(ends):
     assert np.abs(run.v[-1] - known[1]).max() <= 10 * MOTION
 
 
-# --- dry friction ------------------------------------------------------------------------------------------------
+# --- joint friction ----------------------------------------------------------------------------------------------
 def stopped(rhs, y, t):
     """(time, state) at the next rest, by DOP853 with an event."""
 
@@ -296,7 +296,7 @@ def stopped(rhs, y, t):
 
 @pytest.mark.parametrize(("x0", "v0"), [(1.0, 0.0), (-0.83, 0.0), (0.2, -1.7), (0.0, 2.0), (0.05, 0.0), (0.15, 0.0)])
 def test_spring_with_dry_friction(x0, v0):
-    exact = dry_friction.SpringMass(1.4, 30.0, 3.0, x0, v0)
+    exact = joint_friction.SpringMass(1.4, 30.0, 3.0, x0, v0)
     turns, t, y = exact.turns(), 0.0, np.array([x0, v0])
     for time, place in turns[1:] if v0 == 0.0 else turns:
         s = math.copysign(1.0, y[1]) if y[1] != 0.0 else -math.copysign(1.0, y[0])
@@ -318,11 +318,11 @@ def test_spring_with_dry_friction(x0, v0):
 
 
 def test_sliding_block():
-    level = dry_friction.block_on_slope(3.0, 0.3)
+    level = joint_friction.block_on_slope(3.0, 0.3)
     assert level.stop() == pytest.approx((3.0 / (0.3 * 9.81), 9.0 / (2.0 * 0.3 * 9.81)), rel=1e-15)
     assert level.sticks()
     for mu, slope, v0 in ((0.3, 0.2, 3.0), (0.3, 0.6, 3.0), (0.3, 0.2, -3.0), (0.3, 0.6, -3.0)):
-        block = dry_friction.block_on_slope(v0, mu, slope, 2.0)
+        block = joint_friction.block_on_slope(v0, mu, slope, 2.0)
         assert block.sticks() == (mu >= math.tan(slope))
         assert (block.stop() is None) == (v0 < 0.0 and mu < math.tan(slope))
         x, v = block.state(1.7)
@@ -333,7 +333,7 @@ def test_sliding_block():
 
 
 def test_pendulum_with_dry_friction():
-    turns = dry_friction.pendulum_turns(2.0, 5.0, 0.8)
+    turns = joint_friction.pendulum_turns(2.0, 5.0, 0.8)
     t, y, s = 0.0, np.array([2.0, 0.0]), -1.0
     for place in turns[1:]:
         t, y = stopped(lambda _t, z, s=s: [z[1], -5.0 * math.sin(z[0]) - 0.8 * s], y, t)

@@ -1,4 +1,4 @@
-"""The oracle of the slider-crank with clearance (N22) against Pinocchio, differences and the laws of impact."""
+"""The oracle of the slider-crank with clearance against Pinocchio, differences and the laws of impact."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_dynamics_are_those_of_the_pinocchio_model():
         m = RELATIVE.T @ (m + np.triu(m, 1).T) @ RELATIVE
         assert np.abs(m - slider.mass_matrix(q)).max() <= 16 * EPS * np.abs(m).max()
         a = pin.aba(model, data, RELATIVE @ q, RELATIVE @ w, np.zeros(3))
-        # the slider's inertia, 2.7e-6, is what is left of terms of 1e-2 in relative angles
+        # in relative angles the slider's inertia, 2.7e-6, is a difference of terms of 1e-2
         assert np.abs(a - RELATIVE @ slider.acceleration(q, w)).max() <= 1e4 * EPS * np.abs(a).max()
         energy = pin.computeMechanicalEnergy(model, data, RELATIVE @ q, RELATIVE @ w)
         assert energy == pytest.approx(slider.energy(q, w), rel=64 * EPS)

@@ -1,4 +1,4 @@
-"""The oracle of held contact against closed forms and the continuous motion."""
+"""The oracle of persistent contact against closed forms and the continuous motion."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import pytest
 from batteries.models import double_pendulum
 from helpers import laws
 from helpers.bodies_on_planes import corners, free_body, on_slope, slope_frame
-from oracles import held_scenes
+from oracles import persistent_scenes
 from oracles.contact_modes import Law, cone_problem
 from oracles.contact_points import Limit, Points, SphereSphere, VertexPlane
 from oracles.del_step import System
-from oracles.held_scenes import BALL, GRAVITY
-from oracles.held_step import HeldSystem
+from oracles.persistent_scenes import BALL, GRAVITY
+from oracles.persistent_step import PersistentSystem
 from oracles.split import SplitModel
 
 EPS = np.finfo(float).eps
 
 
-def steps(held: HeldSystem, q, p, h: float, n: int):
+def steps(contact: PersistentSystem, q, p, h: float, n: int):
     """The last of n steps, with anchors and modes handed on."""
     anchors = modes = result = None
     for _ in range(n):
-        result = held.step(q, p, h, anchors, None, modes)
+        result = contact.step(q, p, h, anchors, None, modes)
         q, p, anchors, modes = result.q, result.p, result.anchors, result.modes
     return result
 
@@ -71,7 +71,7 @@ def test_bases_are_carried_as_rotations():
 
 # --- the cone problem -------------------------------------------------------------------------------------------------
 def test_modes_satisfy_the_laws():
-    """Random problems of two contacts: the laws hold for what comes out, in their own words."""
+    """Random problems of two contacts: what comes out obeys the laws as they are written."""
     rng, kinds = np.random.default_rng(5), set()
     for _ in range(60):
         a = rng.normal(size=(6, 8))
@@ -97,17 +97,19 @@ def test_forces_that_are_not_unique_are_the_smallest():
     assert np.abs(cone_problem(g, b, [Law(), Law()], eps=1e-5).lam[:, 0] - 0.5).max() <= 1e-15
 
 
-# --- held steps: constant forces are stepped exactly ------------------------------------------------------------------
+# --- steps of persistent contact: constant forces are stepped exactly -------------------------------------------------
 @pytest.mark.parametrize("mu", [0.5, 0.05])
 def test_ball_on_a_slope(mu):
-    """Rolls or slides as the closed form says, exactly: the forces are constant."""
+    """Rolls or slides as in the closed form, exactly: the forces are constant."""
     slope, radius, h, n = 0.3, 0.1, 0.02, 10
     model = free_body(pin.Inertia.FromSphere(1.0, radius))
     down, normal = slope_frame(slope)
-    held = HeldSystem(System(model), [VertexPlane(2, (0.0, 0.0, 0.0), mu, normal=tuple(normal), radius=radius)])
+    contact = PersistentSystem(
+        System(model), [VertexPlane(2, (0.0, 0.0, 0.0), mu, normal=tuple(normal), radius=radius)]
+    )
     q0 = on_slope(model, slope, radius)
-    result = steps(held, q0, np.zeros(6), h, n)
-    a, spin, rolls = held_scenes.round_body_on_slope(slope, mu, BALL)
+    result = steps(contact, q0, np.zeros(6), h, n)
+    a, spin, rolls = persistent_scenes.round_body_on_slope(slope, mu, BALL)
     assert rolls == (mu == 0.5)
     t = n * h
     assert down @ (result.q - q0)[:3] == pytest.approx(0.5 * a * t * t, abs=1e-15)
@@ -116,7 +118,7 @@ def test_ball_on_a_slope(mu):
     force = (result.start + result.end)[0] / h
     assert force @ normal == pytest.approx(GRAVITY * math.cos(slope), rel=1e-12)
     assert force @ down == pytest.approx(a - GRAVITY * math.sin(slope), rel=1e-11)
-    assert np.abs(result.start - result.end).max() <= 1e-13  # trapezoidal: equal kicks
+    assert np.abs(result.start - result.end).max() <= 1e-13  # trapezoidal: equal impulses at both ends
 
 
 @pytest.mark.parametrize("mu", [0.5, 0.1])
@@ -124,10 +126,10 @@ def test_box_on_a_slope(mu):
     slope, size, mass, h, n = 0.3, (0.2, 0.3, 0.1), 2.0, 0.02, 4
     model = free_body(pin.Inertia.FromBox(mass, *size))
     down, normal = slope_frame(slope)
-    held = HeldSystem(System(model), corners(size, mu, {"normal": tuple(normal)}))
+    contact = PersistentSystem(System(model), corners(size, mu, {"normal": tuple(normal)}))
     q0 = on_slope(model, slope, 0.5 * size[2])
-    result = steps(held, q0, np.zeros(6), h, n)
-    a, t = held_scenes.block_on_slope(slope, mu), n * h
+    result = steps(contact, q0, np.zeros(6), h, n)
+    a, t = persistent_scenes.block_on_slope(slope, mu), n * h
     assert (a == 0.0) == (mu == 0.5)
     assert down @ (result.q - q0)[:3] == pytest.approx(0.5 * a * t * t, abs=1e-15)
     assert np.abs(result.q - q0 - np.append(0.5 * a * t * t * down, np.zeros(4))).max() <= 1e-15
@@ -140,9 +142,9 @@ def test_resting_box_stands_equally_on_its_corners():
     model = free_body(pin.Inertia.FromBox(mass, *size))
     q = pin.neutral(model)
     q[2] = 0.05
-    held = HeldSystem(System(model), corners(size, 0.6, {}))
-    result = steps(held, q, np.zeros(6), h, 3)
-    each = 0.25 * held_scenes.stack_loads([mass])[0]
+    contact = PersistentSystem(System(model), corners(size, 0.6, {}))
+    result = steps(contact, q, np.zeros(6), h, 3)
+    each = 0.25 * persistent_scenes.stack_loads([mass])[0]
     assert np.abs((result.start + result.end)[:, 2] / h - each).max() <= 1e-10 * each
     assert np.abs(result.p).max() <= 1e-15
 
@@ -152,13 +154,13 @@ def test_ball_in_a_groove():
     model = free_body(pin.Inertia.FromSphere(1.0, radius))
     turn = pin.exp3(np.array([0.0, slope, 0.0]))
     sides = [turn @ [0.0, s * math.sin(opening), math.cos(opening)] for s in (-1, 1)]
-    held = HeldSystem(
+    contact = PersistentSystem(
         System(model), [VertexPlane(2, (0.0, 0.0, 0.0), 1.2, normal=tuple(x), radius=radius) for x in sides]
     )
     q0 = pin.neutral(model)
     q0[:3] = turn @ [0.0, 0.0, radius / math.cos(opening)]
-    result = steps(held, q0, np.zeros(6), h, n)
-    a, spin, _ = held_scenes.ball_in_groove(slope, opening)
+    result = steps(contact, q0, np.zeros(6), h, n)
+    a, spin, _ = persistent_scenes.ball_in_groove(slope, opening)
     down = turn @ [1.0, 0.0, 0.0]
     assert (result.q - q0)[:3] @ down == pytest.approx(0.5 * a * (n * h) ** 2, abs=1e-15)
     assert result.p[4] == pytest.approx(BALL * radius * spin * n * h, abs=1e-15)
@@ -172,49 +174,53 @@ def test_ball_lies_in_a_groove_without_friction():
     opening, radius = 0.7, 0.1
     model = free_body(pin.Inertia.FromSphere(1.0, radius))
     sides = [np.array([0.0, s * math.sin(opening), math.cos(opening)]) for s in (-1, 1)]
-    held = HeldSystem(System(model), [VertexPlane(2, (0.0, 0.0, 0.0), normal=tuple(x), radius=radius) for x in sides])
+    contact = PersistentSystem(
+        System(model), [VertexPlane(2, (0.0, 0.0, 0.0), normal=tuple(x), radius=radius) for x in sides]
+    )
     q0 = pin.neutral(model)
     q0[2] = radius / math.cos(opening)
-    result = steps(held, q0, np.zeros(6), 0.01, 3)
-    load = held_scenes.ball_in_groove(0.0, opening)[2] * GRAVITY
+    result = steps(contact, q0, np.zeros(6), 0.01, 3)
+    load = persistent_scenes.ball_in_groove(0.0, opening)[2] * GRAVITY
     assert np.einsum("ij,ij->i", (result.start + result.end) / 0.01, sides) == pytest.approx([load, load], rel=1e-12)
 
 
-# --- held steps: order 2 against the continuous motion ----------------------------------------------------------------
-def spring_arm() -> tuple[HeldSystem, np.ndarray, np.ndarray]:
-    """A double pendulum whose tip slides along a floor below it, hinged with springs: it swings for ever, held."""
+# --- steps of persistent contact: order 2 against the continuous motion -----------------------------------------------
+def spring_arm() -> tuple[PersistentSystem, np.ndarray, np.ndarray]:
+    """A double pendulum whose tip slides along a floor below it, hinged with springs: it swings for ever in contact."""
     model = double_pendulum()
     system = System(model, stiffness=[0.0, 4.0, 0.0])
-    held = HeldSystem(system, [VertexPlane(2, (0.0, 0.0, -1.0), normal=(0.0, 0.0, 1.0), offset=-1.5, radius=0.05)])
+    contact = PersistentSystem(
+        system, [VertexPlane(2, (0.0, 0.0, -1.0), normal=(0.0, 0.0, 1.0), offset=-1.5, radius=0.05)]
+    )
     split = system.split
     q, v = np.array([0.5, 0.0]), np.zeros(2)
     for _ in range(30):  # the second joint closes the gap
-        gap = held.points.gaps(q)[0]
-        q[1] -= gap / held.points.gradients(q, held.points.bases(q))[0, 0, 1]
+        gap = contact.points.gaps(q)[0]
+        q[1] -= gap / contact.points.gradients(q, contact.points.bases(q))[0, 0, 1]
         if abs(gap) < 1e-16:
             break
     assert split.nv == 2
-    return held, q, v
+    return contact, q, v
 
 
-def converge(held, q0, v0, kinds, duration, counts):
+def converge(contact, q0, v0, kinds, duration, counts):
     """Errors of (q, v) against the continuous motion with these modes, for these numbers of steps."""
-    model = held.split.original
-    q, v, _ = held.flow(q0, v0, duration, kinds)
+    model = contact.split.original
+    q, v, _ = contact.flow(q0, v0, duration, kinds)
     errors = []
     for n in counts:
-        result = steps(held, q0, held.system.momentum(q0, v0), duration / n, n)
-        errors.append(laws.distance(model, (result.q, held.system.velocity(result.q, result.p)), (q, v)))
+        result = steps(contact, q0, contact.system.momentum(q0, v0), duration / n, n)
+        errors.append(laws.distance(model, (result.q, contact.system.velocity(result.q, result.p)), (q, v)))
     return errors
 
 
 def test_held_arm_is_of_order_two_and_reversible():
-    held, q0, v0 = spring_arm()
-    errors = converge(held, q0, v0, ["none"], 0.4, (10, 20, 40))
+    contact, q0, v0 = spring_arm()
+    errors = converge(contact, q0, v0, ["none"], 0.4, (10, 20, 40))
     assert np.abs(laws.orders(errors) - 2.0).max() <= 0.05, errors
-    p0 = held.system.momentum(q0, v0)
-    there = steps(held, q0, p0, 0.02, 20)
-    back = steps(held, there.q, -there.p, 0.02, 20)
+    p0 = contact.system.momentum(q0, v0)
+    there = steps(contact, q0, p0, 0.02, 20)
+    back = steps(contact, there.q, -there.p, 0.02, 20)
     assert np.abs(back.q - q0).max() <= 1e-13
     assert np.abs(back.p + p0).max() <= 1e-12
     assert np.abs(there.gap).max() <= 1e-15
@@ -225,10 +231,10 @@ def test_ball_on_a_ball_is_of_order_two(mu):
     radius, support = 0.1, 0.5
     model = free_body(pin.Inertia.FromSphere(1.0, radius))
     point = SphereSphere(2, (0.0, 0.0, 0.0), radius, (0.0, 0.0, 0.0), support, mu)
-    held = HeldSystem(System(model), [point])
+    contact = PersistentSystem(System(model), [point])
     q0 = pin.neutral(model)
     q0[:3] = 0.6 * np.array([math.sin(0.3), 0.0, math.cos(0.3)])
-    errors = converge(held, q0, np.zeros(6), ["none" if mu == 0.0 else "stick"], 0.2, (5, 10, 20))
+    errors = converge(contact, q0, np.zeros(6), ["none" if mu == 0.0 else "stick"], 0.2, (5, 10, 20))
     assert np.abs(laws.orders(errors) - 2.0).max() <= 0.1, errors
 
 
@@ -237,12 +243,14 @@ def test_turning_slip_is_of_order_two():
     slope, mu, radius, duration = 0.5, 0.1, 0.1, 0.3
     model = free_body(pin.Inertia.FromSphere(1.0, radius))
     down, normal = slope_frame(slope)
-    held = HeldSystem(System(model), [VertexPlane(2, (0.0, 0.0, 0.0), mu, normal=tuple(normal), radius=radius)])
+    contact = PersistentSystem(
+        System(model), [VertexPlane(2, (0.0, 0.0, 0.0), mu, normal=tuple(normal), radius=radius)]
+    )
     q0, v0 = on_slope(model, slope, radius), np.array([0.1, 0.6, 0.0, 0.0, 0.0, 0.0])
-    exact = held_scenes.ball_crossing_slope(slope, mu, (0.1, 0.6), duration)
-    q, v, _ = held.flow(q0, v0, duration, ["slip"])
+    exact = persistent_scenes.ball_crossing_slope(slope, mu, (0.1, 0.6), duration)
+    q, v, _ = contact.flow(q0, v0, duration, ["slip"])
     assert np.abs([down @ (q - q0)[:3] - exact[0], q[1] - exact[1]]).max() <= 1e-11
-    errors = converge(held, q0, v0, ["slip"], duration, (6, 12, 24))
+    errors = converge(contact, q0, v0, ["slip"], duration, (6, 12, 24))
     assert np.abs(laws.orders(errors) - 2.0).max() <= 0.1, errors
 
 
@@ -251,14 +259,14 @@ def test_sticking_corner_stays_where_it_is():
     width, height, h, n = 0.2, 0.4, 0.01, 20
     model = free_body(pin.Inertia.FromBox(1.0, width, 0.3, height))
     edge = [VertexPlane(2, (0.5 * width, y, -0.5 * height), 3.0) for y in (-0.15, 0.15)]
-    held, tilt = HeldSystem(System(model), edge), 0.6
+    contact, tilt = PersistentSystem(System(model), edge), 0.6
     q0 = pin.neutral(model)
     turn = pin.exp3(np.array([0.0, tilt, 0.0]))
     q0[:3], q0[3:7] = -turn @ [0.5 * width, 0.0, -0.5 * height], pin.Quaternion(turn).coeffs()
     errors = []
     for k in (1, 2):
-        result = steps(held, q0, np.zeros(6), h / k, n * k)
-        exact, _, grip = held_scenes.tipping_box(width, height, tilt, 0.0, n * h)
+        result = steps(contact, q0, np.zeros(6), h / k, n * k)
+        exact, _, grip = persistent_scenes.tipping_box(width, height, tilt, 0.0, n * h)
         assert grip < 3.0
         errors.append(2.0 * math.atan2(result.q[4], result.q[6]) - exact)
         pivot = result.q[:3] + pin.Quaternion(result.q[3:7]).matrix() @ [0.5 * width, 0.0, -0.5 * height]
@@ -276,18 +284,20 @@ def ladder_model() -> tuple[pin.Model, list]:
 
 def test_ladder_leaves_its_wall_at_two_thirds():
     theta0 = 1.2
-    ladder, (model, listed) = held_scenes.Ladder(theta0), ladder_model()
-    held = HeldSystem(System(model), listed)
+    ladder, (model, listed) = persistent_scenes.Ladder(theta0), ladder_model()
+    contact = PersistentSystem(System(model), listed)
     q0 = pin.neutral(model)
     turn = pin.exp3(np.array([0.0, theta0, 0.0]))  # body x points down to the floor
     q0[:3], q0[3:7] = [0.01 + 0.5 * math.cos(theta0), 0.0, 0.01 + 0.5 * math.sin(theta0)], pin.Quaternion(turn).coeffs()
-    assert np.abs(held.points.gaps(q0)).max() <= 1e-15
-    q, v, t = held.flow(q0, np.zeros(6), 2.0, ["none"] * 2, event=lambda x, u: held.forces(x, u, ["none"] * 2)[0][1, 0])
+    assert np.abs(contact.points.gaps(q0)).max() <= 1e-15
+    q, v, t = contact.flow(
+        q0, np.zeros(6), 2.0, ["none"] * 2, event=lambda x, u: contact.forces(x, u, ["none"] * 2)[0][1, 0]
+    )
     released, rate = ladder.release
     assert t == pytest.approx(released, abs=1e-10)
     assert v[4] == pytest.approx(rate, abs=1e-9)
     assert (q[2] - 0.01) / (0.5 * math.sin(theta0)) == pytest.approx(2.0 / 3.0, abs=1e-10)
-    q, _, _ = HeldSystem(System(model), listed[:1]).flow(q, v, 0.2, ["none"])
+    q, _, _ = PersistentSystem(System(model), listed[:1]).flow(q, v, 0.2, ["none"])
     theta, _, x, _ = ladder.state(t + 0.2)
     assert q[0] - 0.01 == pytest.approx(x, abs=1e-9)
     assert q[2] - 0.01 == pytest.approx(0.5 * math.sin(theta), abs=1e-9)
@@ -297,11 +307,11 @@ def test_ladder_leaves_its_wall_at_two_thirds():
 def test_ball_leaves_a_ball(rolling):
     radius, support, angle0 = 0.1, 0.5, 0.2
     model = free_body(pin.Inertia.FromSphere(1.0, radius))
-    held = HeldSystem(System(model), [SphereSphere(2, (0.0, 0.0, 0.0), radius, (0.0, 0.0, 0.0), support, 1.0)])
+    contact = PersistentSystem(System(model), [SphereSphere(2, (0.0, 0.0, 0.0), radius, (0.0, 0.0, 0.0), support, 1.0)])
     q0, kinds = pin.neutral(model), ["stick" if rolling else "none"]
     q0[:3] = 0.6 * np.array([math.sin(angle0), 0.0, math.cos(angle0)])
-    q, _, t = held.flow(q0, np.zeros(6), 5.0, kinds, event=lambda x, u: held.forces(x, u, kinds)[0][0, 0])
-    angle, time = held_scenes.ball_off_ball(radius + support, angle0, rolling)
+    q, _, t = contact.flow(q0, np.zeros(6), 5.0, kinds, event=lambda x, u: contact.forces(x, u, kinds)[0][0, 0])
+    angle, time = persistent_scenes.ball_off_ball(radius + support, angle0, rolling)
     assert math.atan2(q[0], q[2]) == pytest.approx(angle, abs=1e-9)
     assert t == pytest.approx(time, abs=1e-9)
 
@@ -310,7 +320,7 @@ def test_limit_force_is_the_torque_of_gravity():
     model = pin.Model()
     model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
     model.appendBodyToJoint(1, pin.Inertia(1.0, np.array([1.0, 0.0, 0.0]), np.zeros((3, 3))), pin.SE3.Identity())
-    held = HeldSystem(System(model), [Limit(1, 0.4, -1.0)])
-    result = steps(held, np.array([0.4]), np.zeros(1), 0.01, 3)
+    contact = PersistentSystem(System(model), [Limit(1, 0.4, -1.0)])
+    result = steps(contact, np.array([0.4]), np.zeros(1), 0.01, 3)
     assert (result.start + result.end)[0, 0] / 0.01 == pytest.approx(GRAVITY * math.cos(0.4), rel=1e-12)
     assert abs(result.p[0]) <= 1e-16

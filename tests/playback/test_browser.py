@@ -169,7 +169,7 @@ def test_forces_are_shown_where_they_act(browser, tmp_path):
     set_slider(browser, 0.3)
     arrows = np.array(browser.execute_script(VISIBLE_FORCES))
     assert len(arrows) == 4
-    # between two frames an arrow goes from point to point, each that of the end of a step
+    # Between two frames an arrow moves from the contact point of one step's end to that of the next.
     center = arrows[:, :2].mean(axis=0)
     assert center == pytest.approx([place(np.array(0.3)), 0.0], abs=STEP * SPEED)
     assert np.sort(arrows[:, 0] - center[0]) == pytest.approx(np.sort(CORNERS[:, 0]), abs=1e-6)

@@ -93,7 +93,7 @@ def test_masses_1_3_1_have_exactly_two_answers():
     assert found.certificate.angles[0, 1] == pytest.approx(math.acos(0.25), abs=4 * EPS)
     assert found.certificate.orders[0, 1] == 0
     assert found.certificate.bound == 3
-    # the tie of the two closing speeds goes to the lower number: block0 | block1 first
+    # The two contacts close equally fast: the lower number, block0 | block1, is first.
     expected = [(-0.5, -0.25, 1.25), (-1.25, 0.25, 0.5)]
     assert np.abs(np.array([outcome.v_plus for outcome in found]) - expected).max() <= 16 * EPS
     assert found.chosen.sequence[0] == (("block0", "block1"),)
@@ -153,7 +153,7 @@ def test_plastic_balls_move_on_together():
     assert np.abs(found.chosen.v_plus - 1.0 / 3.0).max() <= 16 * EPS
     assert found.chosen.energy == pytest.approx(1.0 / 6.0, abs=16 * EPS)
     assert np.abs(found.chosen.impulses - [2.0 / 3.0, 1.0 / 3.0]).max() <= 16 * EPS
-    # the same by single impacts, an endless sequence: each takes up a quarter of the closing speed of the one before
+    # Single plastic impacts make an endless sequence: each leaves a quarter of the closing speed.
     single = row([1, 1, 1], (1, 0, 0), e=0.0, max_states=3)
     assert not single.complete
 
@@ -189,7 +189,7 @@ def test_ball_on_a_block_on_the_ground(ratio, ground, after):
     ball, block = ratio
     made, q, _ = balls([block, ball])
     found = cvi.simultaneous_outcomes(made, q, (0.0, -1.0), e=(ground, 1.0))
-    # an endless sequence is cut at 1e-9 of the speeds
+    # An endless sequence is cut at 1e-9 of the speeds.
     assert np.abs(found.chosen.v_plus[::-1] - after).max() <= 2e-9
     assert found.chosen.cut == (ratio == (3, 1) and ground == 0.0)
 
@@ -214,7 +214,7 @@ def test_laws_of_any_row(bodies, e):
 
 
 @given(
-    # what closes slower than 1e-3 m/s does not cross the search's 1e-12 m in the time of the run
+    # A gap that closes slower than 1e-3 m/s does not cross the 1e-12 m of the root search in the time of the run.
     st.lists(st.tuples(st.floats(0.1, 10.0), st.integers(-1000, 1000).map((1e-3).__mul__)), min_size=2, max_size=4),
     st.lists(st.sampled_from([0.0, 0.3, 0.8, 1.0]), min_size=3, max_size=3),
 )
@@ -375,7 +375,7 @@ def test_newtons_cradle():
     times = traj.events.array("time").reshape(-1, 4)
     exact = period * (0.5 + np.arange(len(times)))
     assert len(times) == 5
-    # accurate to tol in q; the balls are at speed sin(.25) 2 sqrt(g) = 1.55 there
+    # The run is accurate to tol in q; at the impacts the speed of the balls is sin(.25) 2 sqrt(g) = 1.55 m/s.
     assert np.abs(times - exact[:, None]).max() <= 1e-9
     forth = [tuple(f"ball_{k + i}_0" for i in (0, 1)) for k in range(1, 5)]
     assert [event.pair for event in traj.events] == [*forth, *forth[::-1], *forth, *forth[::-1], *forth]
@@ -390,5 +390,5 @@ def test_the_cradle_has_one_answer_for_any_number_of_balls(v):
     found = cvi.simultaneous_outcomes(made, np.zeros(5), np.array(v, dtype=float))
     assert found.unique
     assert found.certificate.certified
-    # equal masses only swap their velocities: they end sorted
+    # Equal masses only exchange their velocities, which end sorted.
     assert np.abs(found.chosen.v_plus - np.sort(v)).max() <= 64 * EPS

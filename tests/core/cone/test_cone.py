@@ -90,14 +90,14 @@ def test_is_one_of_all_solutions(make):
         assert distance <= 1e-7 * np.abs(lam).max()
 
 
-def test_slow_sweeps_agree():
-    """Little friction: one solution, which projected sweeps reach too."""
+def test_projected_gauss_seidel_agrees():
+    """Little friction: one solution, which projected Gauss-Seidel reaches too."""
     rng = np.random.default_rng(6)
     for _ in range(5):
         p = hand(rng, 3)
         p = replace(p, mu=0.1 * p.mu)
         lam, ok, *_ = solve(p)
-        slow = oracle.projected_sweeps(p)
+        slow = oracle.projected_gauss_seidel(p)
         assert ok
         assert max(oracle.law_errors(p, slow).values()) <= 1e-9, "the oracle did not converge"
         # Errors of 1e-9 in velocity, times the condition of the contacts, up to 1e2.5.
@@ -145,7 +145,7 @@ def test_least_norm_where_redundant(boxes, friction):
 @pytest.mark.parametrize("friction", [False, True])
 @pytest.mark.parametrize("relative", [1e-13, 1e-11, 1e-9])
 def test_rows_that_disagree_by_rounding(friction, relative):
-    """Gaps of four corners over the step: rounding over h. Told of it, the solver still shares the load evenly."""
+    """Gaps of four corners over the step: rounding over h. With it as noise the solver shares the load evenly."""
     rng = np.random.default_rng(13)
     for _ in range(10):
         p = stack(rng, 1)
@@ -160,7 +160,7 @@ def test_rows_that_disagree_by_rounding(friction, relative):
         first, ok, *_ = solve(p, even * rng.uniform(0.5, 1.5, len(even)), noise=noise)
         assert ok
         np.testing.assert_allclose(first, even, atol=1e4 * EPS * np.abs(even).max())
-        # Later rounds keep the share; w is the noise at most.
+        # Later contact iterations keep the share; w is the noise at most.
         later, ok, *_ = solve(replace(p, b=1.001 * p.b), first, regularize=False, noise=noise)
         assert ok
         np.testing.assert_allclose(later, 1.001 * even, atol=10.0 * noise / np.diag(p.G).min())
@@ -300,7 +300,7 @@ count = ctypes.CDLL(None).malloc_calls
 count.restype = ctypes.c_long
 rng = np.random.default_rng(0)
 for kind in ("hand 4", "stack 12", "body 4"):
-    for _ in range(10):  # some of body 4 need sweeps
+    for _ in range(10):  # some of body 4 need Gauss-Seidel sweeps
         p = KINDS[kind](rng)
         def calls(n):
             before = count()
@@ -324,5 +324,5 @@ def test_allocates_nothing(tmp_path):
         LD_PRELOAD=str(shim),
         PYTHONPATH=os.pathsep.join(p for p in sys.path if p),
     )
-    # from elsewhere: the source of the package holds no engine
+    # Run from elsewhere: the package's source folder has no engine where the package is installed.
     subprocess.run([sys.executable, "-c", PROGRAM], check=True, env=env, cwd=tmp_path)

@@ -13,7 +13,7 @@ import contactvi as cvi
 from batteries import contact_laws
 from helpers import laws, persistent_runs
 from helpers.persistent_runs import GRAVITY, changes, check_contacts, check_sums, same
-from oracles import held_scenes
+from oracles import persistent_scenes
 
 
 def upright(height: float, restitution: float, mu=0.6, size=(0.2, 0.3, 0.6)):
@@ -72,7 +72,7 @@ def rest_of_stack(count: int, duration: float, h: float) -> None:
     traj = cvi.simulate(*persistent_runs.stack(count), duration, h)
     assert np.abs(traj.v).max() <= 1e-10
     assert np.abs(traj.q - traj.q[0]).max() <= 1e-10
-    loads = held_scenes.stack_loads([1.0] * count)
+    loads = persistent_scenes.stack_loads([1.0] * count)
     for k, pair in enumerate([("ground", "b0"), *((f"b{k}", f"b{k + 1}") for k in range(count - 1))]):
         _, force = traj.contacts.force_of(*pair)
         assert np.abs(np.abs(force[:, 2]) - loads[k]).max() <= 1e-8
@@ -115,7 +115,7 @@ def test_box_dropped_on_a_stack_comes_to_rest():
 def test_box_tips_about_its_edge():
     """The angle is of order 2, and the edge does not move."""
     tilt, duration = 0.6, 0.4
-    exact, _, grip = held_scenes.tipping_box(0.2, 0.4, tilt, 0.0, duration)
+    exact, _, grip = persistent_scenes.tipping_box(0.2, 0.4, tilt, 0.0, duration)
     assert grip < 3.0
     errors = []
     for h in (0.02, 0.01, 0.005):
@@ -137,7 +137,7 @@ def test_box_tilted_a_little_falls_back():
     assert event.q[2] == pytest.approx(0.3, abs=1e-9)
     # momentum about the y axis of the body is I omega
     ratio = event.p_plus[4] / event.p_minus[4]
-    assert ratio == pytest.approx(held_scenes.housner(width, height), rel=1e-9)
+    assert ratio == pytest.approx(persistent_scenes.housner(width, height), rel=1e-9)
     check_contacts(traj, 5.0)
     # it rocks over to +x, less far
     assert traj.q[:, 4].max() > 0.0
@@ -240,5 +240,5 @@ def test_ball_lies_in_a_corner():
     """A groove without friction: both sides carry weight / (2 cos)."""
     traj = cvi.simulate(*persistent_runs.groove(0.0, 0.0, 0.7), 1.0, 0.01)
     assert np.abs(traj.v).max() <= 1e-12
-    load = held_scenes.ball_in_groove(0.0, 0.7)[2] * GRAVITY
+    load = persistent_scenes.ball_in_groove(0.0, 0.7)[2] * GRAVITY
     assert traj.contacts.normal_impulse / traj.contacts.h == pytest.approx(np.full(200, load), rel=1e-10)

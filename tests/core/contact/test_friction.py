@@ -11,9 +11,9 @@ import pytest
 import contactvi as cvi
 from helpers import laws, persistent_runs
 from helpers.persistent_runs import GRAVITY, changes, check_contacts, check_sums
-from oracles import held_scenes
+from oracles import persistent_scenes
 from oracles.block_impact import Pair, poisson
-from oracles.held_scenes import BALL, CYLINDER
+from oracles.persistent_scenes import BALL, CYLINDER
 
 
 def spinning(h: float, duration: float, **options) -> cvi.Trajectory:
@@ -26,7 +26,7 @@ def spinning(h: float, duration: float, **options) -> cvi.Trajectory:
 @pytest.mark.parametrize("h", [0.02, 0.01, 0.005])
 def test_spinning_ball_of_the_case(h):
     """The spinning ball is exact at any step: the impact, the time at which it sticks, where and how fast it rolls."""
-    ball, traj = held_scenes.SpinningBall(), spinning(h, 1.0)
+    ball, traj = persistent_scenes.SpinningBall(), spinning(h, 1.0)
     (event,) = traj.events
     assert event.time == pytest.approx(0.4283529369, abs=6e-11)
     assert event.impulse == pytest.approx(4.2021423108, abs=1e-9)
@@ -89,7 +89,7 @@ def test_box_on_a_steep_slope_stays_for_100_s(ratio, h):
 @pytest.mark.parametrize("mu", [0.0, 0.1, 0.3])
 def test_box_slides_down(mu):
     slope, mass = 0.5, 2.0
-    a = held_scenes.block_on_slope(slope, mu)
+    a = persistent_scenes.block_on_slope(slope, mu)
     traj = cvi.simulate(*persistent_runs.box(mu=mu, slope=slope, mass=mass), 1.0, 0.02)
     # constant forces are stepped exactly: rounding of some meters over fifty steps
     moved = (traj.q[:, :3] - traj.q[0, :3]) @ persistent_runs.down(slope)
@@ -104,7 +104,7 @@ def test_box_slides_down(mu):
 def test_slip_turns_round_on_a_slope(h, order):
     """A box thrown up a slope too steep for its friction slides up, stops, and slides down: all of it exact."""
     slope, mu, speed = math.radians(20.0), 0.2, 1.0
-    falling = held_scenes.block_on_slope(slope, mu)
+    falling = persistent_scenes.block_on_slope(slope, mu)
     braking = GRAVITY * (math.sin(slope) + mu * math.cos(slope))
     stop = speed / braking
     scene, q, v = persistent_runs.box(mu=mu, slope=slope)
@@ -145,7 +145,7 @@ def test_round_bodies_on_a_slope(body, mu):
     slope, k = 0.3, BALL if body == "ball" else CYLINDER
     start = persistent_runs.ball(mu=mu, slope=slope) if body == "ball" else persistent_runs.cylinder(mu=mu, slope=slope)
     traj = cvi.simulate(*start, 1.0, 0.02)
-    a, spin, rolls = held_scenes.round_body_on_slope(slope, mu, k)
+    a, spin, rolls = persistent_scenes.round_body_on_slope(slope, mu, k)
     assert rolls == (mu == 0.2)
     moved = (traj.q[:, :3] - traj.q[0, :3]) @ persistent_runs.down(slope)
     assert moved == pytest.approx(0.5 * a * traj.t**2, abs=1e-11)
@@ -167,7 +167,7 @@ def test_ball_rolls_for_long_without_loss():
 def test_ball_rolls_down_a_groove():
     slope, opening = 0.2, 0.7
     traj = cvi.simulate(*persistent_runs.groove(0.8, slope, opening), 0.6, 0.01)
-    a, spin, _ = held_scenes.ball_in_groove(slope, opening)
+    a, spin, _ = persistent_scenes.ball_in_groove(slope, opening)
     moved = (traj.q[:, :3] - traj.q[0, :3]) @ persistent_runs.down(slope)
     assert moved == pytest.approx(0.5 * a * traj.t**2, abs=1e-11)
     assert traj.v[-1, 4] * 0.1 == pytest.approx(spin * 0.6, abs=1e-10)
@@ -179,7 +179,7 @@ def test_ball_rolls_down_a_groove():
 
 def test_slip_turns_with_order_two():
     slope, mu, duration = 0.5, 0.1, 0.4
-    exact = held_scenes.ball_crossing_slope(slope, mu, (0.1, 0.6), duration)
+    exact = persistent_scenes.ball_crossing_slope(slope, mu, (0.1, 0.6), duration)
     errors = []
     for h in (0.02, 0.01, 0.005):
         scene, q, v = persistent_runs.ball(mu=mu, slope=slope)
@@ -298,7 +298,7 @@ def sliding_rod(mu: float, speed: float) -> cvi.Trajectory:
 @pytest.mark.parametrize("speed", [-1.0, 1.0])
 def test_rod_below_the_paradox_slides_on(mu, speed):
     """The smallest friction with a paradox is 4/3 (a thin rod; the ball at the end shifts it by its radius)."""
-    assert held_scenes.painleve_mu(math.atan(2.0)) == pytest.approx(4.0 / 3.0)
+    assert persistent_scenes.painleve_mu(math.atan(2.0)) == pytest.approx(4.0 / 3.0)
     traj = sliding_rod(mu, speed)
     assert traj.status.ok
     assert not changes(traj, "inconsistent")

@@ -12,10 +12,10 @@ import contactvi as cvi
 from batteries import contact_laws, energy_laws
 from helpers import laws, persistent_runs
 from helpers.persistent_runs import GRAVITY, changes, check_contacts, check_sums, same
-from oracles import held_scenes
+from oracles import persistent_scenes
 from oracles.contact_points import SphereSphere, VertexPlane
 from oracles.del_step import System
-from oracles.held_step import HeldSystem
+from oracles.persistent_step import PersistentSystem
 
 EPS = np.finfo(float).eps
 
@@ -157,7 +157,7 @@ def test_steps_are_the_oracle_s(name):
     (scene, q, v), h, n = STEPS[name](), 0.01, 10
     traj = cvi.simulate(scene, q, v, n * h, h, tol=1e-14)
     stiffness = [0.0, 4.0, 0.0] if name == "arm" else None
-    oracle = HeldSystem(System(scene.model, stiffness=stiffness), oracle_points(name))
+    oracle = PersistentSystem(System(scene.model, stiffness=stiffness), oracle_points(name))
     p, anchors, modes = oracle.system.momentum(q, v), None, None
     for k in range(n):
         result = oracle.step(q, p, h, anchors, None, modes)
@@ -175,7 +175,7 @@ def test_steps_are_the_oracle_s(name):
 def test_ladder_leaves_its_wall():
     """The ladder leaves the wall at 2/3 of its height: release time O(h^2), then the motion on the floor alone."""
     theta0, duration = 1.2, 0.5
-    ladder = held_scenes.Ladder(theta0)
+    ladder = persistent_scenes.Ladder(theta0)
     released, _ = ladder.release
     theta, _, x, _ = ladder.state(duration)
     assert released < duration
@@ -203,7 +203,7 @@ def test_ladder_leaves_its_wall():
 def leave_a_ball(mu: float) -> tuple[float, float, float]:
     """(slip begins [s], it leaves [s], its angle from the top) of a ball at rest at .3 rad on a ball, by DOP853."""
     scene, q, v = persistent_runs.ball_on_ball(0.3, mu)
-    oracle = HeldSystem(System(scene.model), [SphereSphere(2, (0.0, 0.0, 0.0), 0.1, (0.0, 0.0, 0.0), 0.5, mu)])
+    oracle = PersistentSystem(System(scene.model), [SphereSphere(2, (0.0, 0.0, 0.0), 0.1, (0.0, 0.0, 0.0), 0.5, mu)])
 
     def grip(x, u):
         force = oracle.forces(x, u, ["stick"])[0][0]
@@ -229,7 +229,7 @@ def test_ball_leaves_a_ball(mu):
     """With friction it rolls, slips shortly before the end, and leaves; slipping is not located (O(h))."""
     slips, released, angle = leave_a_ball(mu)
     if mu == 0.0:
-        assert (angle, released) == pytest.approx(held_scenes.ball_off_ball(0.6, 0.3, False), abs=1e-9)
+        assert (angle, released) == pytest.approx(persistent_scenes.ball_off_ball(0.6, 0.3, False), abs=1e-9)
     times, angles = [], []
     for h in (0.02, 0.01, 0.005):
         traj = cvi.simulate(*persistent_runs.ball_on_ball(0.3, mu), 1.0, h)
@@ -250,7 +250,7 @@ def test_ball_leaves_a_ball(mu):
 def test_contact_step_is_of_order_two(name):
     scene, q0, v0 = STEPS[name]()
     stiffness = [0.0, 4.0, 0.0] if name == "arm" else None
-    oracle = HeldSystem(System(scene.model, stiffness=stiffness), oracle_points(name))
+    oracle = PersistentSystem(System(scene.model, stiffness=stiffness), oracle_points(name))
     kinds = {"ball on a ball, rolling": ["stick"], "tipping": ["stick"] * 2, "crossing slip": ["slip"]}
     duration = 0.2
     exact = oracle.flow(q0, v0, duration, kinds.get(name, ["none"] * len(oracle.mu)))[:2]
@@ -308,7 +308,7 @@ def test_contact_phases_of_high_order_runs_take_their_own_step(order):
 # --- limits of joints -------------------------------------------------------------------------------------------------
 def test_pendulum_rests_on_its_limit():
     limit = 0.8
-    first, _, _ = held_scenes.pendulum_at_limit(limit, 0.0)
+    first, _, _ = persistent_scenes.pendulum_at_limit(limit, 0.0)
     errors = []
     for h in (0.02, 0.01, 0.005):
         traj = cvi.simulate(*persistent_runs.pendulum_over_limit(limit, 0.0), 2.0, h)
@@ -327,7 +327,7 @@ def test_pendulum_rests_on_its_limit():
 
 def test_pendulum_bounces_to_rest_on_its_limit():
     limit, errors = 0.8, []
-    _, _, end = held_scenes.pendulum_at_limit(limit, 0.5)
+    _, _, end = persistent_scenes.pendulum_at_limit(limit, 0.5)
     for h in (0.02, 0.01, 0.005):
         traj = cvi.simulate(*persistent_runs.pendulum_over_limit(limit, 0.5), 3.0, h)
         (ended,) = changes(traj, "bouncing ended")

@@ -14,7 +14,7 @@ from helpers.contact_models import geometry, halfspace, place, problem_b, slider
 from helpers.contact_models import scene as public_scene
 from helpers.persistent_runs import check_contacts
 from oracles.ctec_oracle import gap_gradient, geometry_gap, mass_matrix
-from oracles.held_scenes import carnot
+from oracles.persistent_scenes import carnot
 
 MAPS = pytest.mark.parametrize("impact", ["ctec", "mhc"])
 

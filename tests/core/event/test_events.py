@@ -152,7 +152,7 @@ def row(masses, speeds, gap=0.0, restitution=1.0):
 
 @pytest.mark.parametrize("n", [2, 3, 5, 10])
 def test_touching_chain_hands_the_velocity_on(n):
-    """N11: n - 1 impacts, the last ball leaves with v."""
+    """Newton's cradle: n - 1 impacts, the last ball leaves with v."""
     traj = row((1.0,) * n, (1.0,) + (0.0,) * (n - 1))
     assert len(traj.events) == n - 1
     assert traj.v[-1] == pytest.approx([0.0] * (n - 1) + [1.0], abs=1e-14)
@@ -164,12 +164,12 @@ def test_touching_chain_hands_the_velocity_on(n):
     [((1, 0, 0), (0, 0, 1)), ((1, 0, -1), (-1, 0, 1)), ((1, 0.3, -1), (-1, 0.3, 1))],
 )
 def test_three_equal_balls(before, after):
-    """N13, equal masses: unique."""
+    """Two balls hit a third at once, equal masses: unique."""
     assert row((1.0, 1.0, 1.0), before).v[-1] == pytest.approx(after, abs=1e-14)
 
 
 def test_three_unequal_balls_have_two_outcomes():
-    """N13, masses (1, 3, 1): one of exactly two, never the simultaneous answer."""
+    """Two balls hit a third at once, masses (1, 3, 1): one of exactly two, never the simultaneous answer."""
     v = row((1.0, 3.0, 1.0), (1, 0, -1)).v[-1]
     outcomes = [np.array([-0.5, -0.25, 1.25]), np.array([-1.25, 0.25, 0.5])]
     assert min(np.abs(v - o).max() for o in outcomes) <= 1e-14
@@ -177,7 +177,7 @@ def test_three_unequal_balls_have_two_outcomes():
 
 @pytest.mark.parametrize("n", [2, 3])
 def test_particle_in_a_wedge(n):
-    """N14: frictionless wedge of angle pi/n, e = 1, into the corner. n = 2: v -> -v; n = 3: the bisector part turns."""
+    """Frictionless wedge of angle pi/n, e = 1, into the corner. n = 2: v -> -v; n = 3: the bisector part turns."""
     half = 0.5 * math.pi / n
     # inward normals of the two faces; the bisector is +x; the faces stand back by the ball's radius
     normals = [(math.sin(half), s * -math.cos(half), 0.0) for s in (1.0, -1.0)]

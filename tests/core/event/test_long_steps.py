@@ -64,7 +64,7 @@ def test_flights_from_the_ground(order, speed):
 
 @orders
 def test_resting_on_the_ground_is_no_flight(order):
-    """Touching, no speed, gravity: never separates, and the run says so at its start."""
+    """Touching, no speed, gravity: never separates, and the run reports it at its start."""
     result = run(ball(), *ball_state(0.0), 1.0, 0.5, "ctec", order=order, end_at_zeno=True)
     assert result.code == cvi.StatusCode.ZENO
     assert result.t[-1] == 0.0
@@ -96,7 +96,7 @@ def test_balls_that_pass_somewhere_in_a_long_step(order, offset, start):
 @pytest.mark.parametrize(("order", "h"), [(4, 0.02), (8, 0.1), (12, 0.2), (16, 0.25)])
 @pytest.mark.parametrize("depth", [1e-2, 1e-5, 1e-8, -1e-8, -1e-5])
 def test_grazing(order, h, depth):
-    """N27 on long steps: an event where the tip would dip below the wall, none where it turns just before."""
+    """Grazing on long steps: an event where the tip would dip below the wall, none where it turns just before."""
     free = public_scene(problem_b()[0], pin.GeometryModel())
     result = run(free, *START, 2.0, h, "ctec", order=order)
     core = free.core()

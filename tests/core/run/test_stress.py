@@ -84,7 +84,7 @@ def random_run(seed: int) -> SimpleNamespace:
         if rng.integers(2) and not kind.endswith(("FreeFlyer", "Planar")):
             scene.set_joint(model.names[i], stiffness=float(np.exp(rng.uniform(0.0, 6.0))))
     result = map_runs.run(
-        scene, q, v, 1.5, h, method, order=order, dense=True, tol=1e-13, max_impacts_per_step=300, zeno=1
+        scene, q, v, 1.5, h, method, order=order, dense=True, tol=1e-13, max_impacts_per_step=300, end_at_zeno=True
     )
     vars(result).update(scene=scene, order=order, restitution=restitution)
     return result

@@ -22,7 +22,7 @@ from helpers.trep_systems import (
     puppet,
     sine,
 )
-from oracles import dry_friction, forced, strings
+from oracles import forced, joint_friction, strings
 from oracles.slider_clearance import SPEEDS, SliderClearance
 
 PHI = 1e-10  # [m, rad] what every node has to satisfy
@@ -235,7 +235,7 @@ def sledge(stiffness: float, friction: float, push: float = 0.0) -> cvi.Scene:
 
 
 def test_a_sledge_stops_with_order_two():
-    exact, errors = dry_friction.Slide(2.0, 3.0, 1.0), []
+    exact, errors = joint_friction.Slide(2.0, 3.0, 1.0), []
     for dt in (0.01, 0.005):
         traj = cvi.simulate(sledge(0.0, 3.0), [0.0], [1.0], duration=1.0, dt=dt)
         errors.append(np.abs(traj.q[:, 0] - [exact.state(t)[0] for t in traj.t]).max())
@@ -245,7 +245,7 @@ def test_a_sledge_stops_with_order_two():
 
 def test_a_sledge_on_a_spring_comes_to_rest_where_it_should():
     """Four turns and a stick. A turn inside a step that is solved as one of rest is off by f dt / m at most."""
-    exact = dry_friction.SpringMass(2.0, 50.0, 3.0, 0.5)
+    exact = joint_friction.SpringMass(2.0, 50.0, 3.0, 0.5)
     turns = len(exact.turns()) - 1
     for dt in (0.01, 0.0025):
         traj = cvi.simulate(sledge(50.0, 3.0), [0.5], duration=4.0, dt=dt)

@@ -29,7 +29,7 @@ hand = cvi.Scene()
 hand.add_urdf("example-robot-data://robots/allegro_hand_description/urdf/allegro_right_hand.urdf")
 hand.add_sphere("ball", 0.03, 0.1, placement=(0.0, 0.0, 5.0))
 hand.set_joint("joint_*", stiffness=0.5, damping=0.01, limits=False)
-near = cvi.Scene(gravity=(0.0, 0.0, 0.0))  # moves 0.01 mm over the ground: looked at in every step
+near = cvi.Scene(gravity=(0.0, 0.0, 0.0))  # moves 0.01 mm over the ground: evaluated in every step
 near.add_capsule("stick", 0.1, 0.5, mass=1.0, placement=((0.0, 0.0, 0.10001), (0.0, np.pi / 2, 0.0)))
 near.add_halfspace()
 passing = np.array([0.0, 0.0, 0.3, 0.0, 0.0, 0.0])
@@ -73,7 +73,7 @@ for order, level in ((4, 1e-7), (8, 1e-12), (16, 1e-14)):
     (few, before), (many, after) = calls(auto(1e-4)), calls(auto(0.2))
     steps = after["steps"] - before["steps"]
     assert steps > 150
-    # Nodes are in vectors that double, and there is one state to go back to for each arc and try.
+    # Nodes are in vectors that double, and each adaptive step and each try at one keeps a state to go back to.
     assert many - few < 60 + 10 * after["rejected"], (order, few, many, steps)
     print("auto", order)
 """

@@ -1,7 +1,7 @@
 """Every model of the battery at the orders 2 to 16: the oracle's step and the laws of a Galerkin-Gauss step.
 
-Tolerances: the engine's sweeps end when what is left is below tol of the motion in the energy norm (1e-13 asked for
-here), or at their rounding; differences are measured in that norm, because M of Talos has a condition of 1e6.
+Tolerances: the engine's stage iterations end when the error is below tol of the motion in the energy norm (here
+1e-13), or at their rounding; differences are measured in that norm, because M of Talos has a condition of 1e6.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ STEP = 1e-11  # agreement of one step, relative, in the energy norm: 100 times t
 
 
 def assert_oracles_step(system, scene, q, p, h, tau, order, stiff=0.0):
-    """Stage velocities, end state, and what they leave in the discrete Euler-Lagrange equations.
+    """Stage velocities, end state, and the residual of the discrete Euler-Lagrange equations.
 
     stiff: h d/m + h^2 k/m, by which an error of the velocities enters the forces and with them p1.
     """
     gauss, split = GaussStep(system, order // 2), system.split
-    q1, p1, v, sweeps, _ = scene.step(q, p, h, tau, 1e-13, order)
+    q1, p1, v, iterations, _ = scene.step(q, p, h, tau, 1e-13, order)
     done = gauss.solve(q, p, h, tau)
     assert v.shape == (order // 2, system.nv)
-    assert sweeps >= 1
+    assert iterations >= 1
     start, end = split.tangent_map(q) @ p, split.tangent_map(q1) @ p1
     size = max(velocity_size(system, q, done.v), momentum_size(system, q, start), momentum_size(system, q, done.p1))
     assert velocity_size(system, q, v - done.v) <= STEP * size
@@ -89,7 +89,7 @@ def test_large_rotations_in_one_step(name, h, order):
 @pytest.mark.parametrize("damped", [False, True])
 @pytest.mark.parametrize("name", ["arm_spherical", "joint_helical_x", "joint_planar", "joint_translation", "forest"])
 def test_stiff_springs_and_dampers(name, damped, stiffness, orders):
-    """h sqrt(k/m) up to 100 and h d/m up to 1e4: the sweeps need the springs and dampers in their matrix."""
+    """h sqrt(k/m) up to 100 and h d/m up to 1e4: the stage iterations need the springs and dampers in their matrix."""
     c = case(name)
     model = c.model()
     k, d = np.zeros(model.njoints), np.zeros(model.nv)
@@ -113,7 +113,7 @@ def test_oscillator_is_the_diagonal_pade_approximant(order):
     model.gravity = pin.Motion.Zero()
     model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
     model.appendBodyToJoint(1, pin.Inertia(2.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
-    # h sqrt(k/m) = 0.6, 2 and, where the sweeps can do it in one piece, 141
+    # h sqrt(k/m) = 0.6, 2 and, where one step converges, 141
     for h, k, d in ((0.1, 80.0, 0.0), (0.1, 800.0, 3.0), (0.1, 4e6, 500.0))[: 3 if order <= 4 else 2]:
         scene = core_scene(model, [0.0, k], np.zeros(1), np.array([d]))
         matrix, s = h * np.array([[0.0, 0.5], [-k, -0.5 * d]]), order // 2  # on (q, p)
@@ -237,7 +237,7 @@ def test_order_four(case):
 
 @small_case
 def test_order_six(case):
-    """One halving above the rounding of a run is left where the error is nearly asymptotic."""
+    """One halving above the rounding of a run remains where the error is nearly asymptotic."""
     s = setup(case.name, True, True)
     _, errors = errors_seen(s, 6, 80 * case.h, (10, 20, 40, 80))
     assert laws.orders(errors)[-1] == pytest.approx(6.0, abs=0.25), errors
@@ -276,7 +276,7 @@ def test_damping_takes_energy(case):
 # --- through the event loop ---------------------------------------------------------------------------------------
 @every_case
 def test_the_event_loop_makes_the_same_steps(case):
-    """There a step starts from the last one's polynomial; what it is solved to stays the same."""
+    """There a step starts from the last one's polynomial; its solution stays the same."""
     s = setup(case.name, springs=True, damping=True)
     tau = 0.1 * np.random.default_rng(3).uniform(-1, 1, s.system.nv)
     for order in ORDERS:

@@ -1,7 +1,7 @@
-"""Dry (Coulomb) friction of one joint in closed form: |force| <= f at rest, -f sign(v) in motion.
+"""Friction of one joint in closed form: |force| <= f at rest, -f sign(v) in motion.
 
 In each stretch without a turn the friction is constant, so the motion is that of a shifted spring or a constant force.
-The motion is a list of arcs; a joint at rest sticks where the other forces are within f.
+The motion is a list of such stretches; a joint at rest sticks where the other forces are within f.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def block_on_slope(v0: float, mu: float, slope: float = 0.0, mass: float = 1.0, 
 
 
 def pendulum_turns(theta0: float, weight: float, friction: float) -> list[float]:
-    """Angles of rest of a hinge with the torques -weight sin(theta) and dry friction, released at theta0, |.| < pi.
+    """Angles of rest of a hinge with the torques -weight sin(theta) and joint friction, released at theta0, |.| < pi.
 
     From turn to turn weight (cos b - cos a) = friction |b - a|: a root beyond the bottom. The last one sticks:
     weight |sin theta| <= friction.

@@ -1,11 +1,11 @@
-// One sweep over the stage equations of the Galerkin-Gauss step, all groups of lanes. Included inside an unnamed
+// One iteration on the stage equations of the Galerkin-Gauss step, all groups of lanes. Included inside an unnamed
 // namespace after lane_solve.hpp.
 //
 // Chart X at q0, q_i = q0 (+) X_i, chart momentum px = J(X)^T p (1-dof and translation joints: J = 1):
 //   X_i = h sum a_ij X'_j, X' = J^-1 v
 //   px'_i = J^T (G_i + ad*_v p_i) + J'^T p_i,   p_i = J^-T (px_0 + h sum a_ij px'_j)
 //   px_0 = J(X_1)^T p_1 - h sum b_j px'_j,  p_1 = exp(-X_1) (p_0 + h sum b_i exp(X_i) G_i)   (momentum balance)
-// A sweep takes v, forms X, P = M v and G there, and corrects v by (M + diagonal)^-1 (p_i - P_i).
+// An iteration takes v, forms X, P = M v and G there, and corrects v by (M + diagonal)^-1 (p_i - P_i).
 
 template <class V>
 LANE_INLINE Group<V> group(const LaneTree* tree, const LaneWork* work, int index) {
@@ -51,7 +51,7 @@ void rates(const LaneTree* tree, const LaneWork* work) {
   }
 }
 
-// X = hA X'. Balls: what is left of X'_new = X'_old counts as an error, in energies of the joint.
+// X = hA X'. On balls the change of X counts as an error, in energies of the joint.
 template <class V>
 inline void displace(const Group<V>& g, int flags) {
   const LaneWork& w = *g.work;
@@ -124,9 +124,9 @@ inline void residuals(const Group<V>& g) {
   }
 }
 
-// Kick energies of the single forces, sum (h |force|)^2 / D: below it differences are rounding, not motion.
+// Energies of the impulses of the single forces, sum (h |force|)^2 / D: what differs by less is rounding, not motion.
 template <class V>
-inline void kick(const Group<V>& g) {
+inline void measure_impulses(const Group<V>& g) {
   const LaneWork& w = *g.work;
   V sum = Lane<V>::all(0.0);
   for (int i = 0; i < g.tree->joints; ++i) {
@@ -138,21 +138,21 @@ inline void kick(const Group<V>& g) {
       sum = sum + impulse * impulse * factor[has_three(j) ? three[d] : 6];
     }
   }
-  store<V>(w.floor + g.offset, sum);
+  store<V>(w.impulse_energy + g.offset, sum);
 }
 
 template <class V>
 inline void correct(const Group<V>& g, int flags) {
   const LaneWork& w = *g.work;
   if (flags & kLaneFactor) {
-    // The kick's scale is of M's factor, which a Newton step needs for nothing else.
+    // The impulses' energies need M's factor, which a Newton step needs for nothing else.
     if (!(flags & kLaneNewton) || (flags & kLaneFirst)) {
       factor_group(g);
-      kick(g);
+      measure_impulses(g);
     }
     if (flags & kLaneNewton) factor_newton(g);
   }
-  // The residual is needed once more after it was solved with; the magnitudes have done their work and make room.
+  // The residual is needed again after the solve overwrites it; the magnitudes are not, so it takes their array.
   for (int dof = 0; dof < g.tree->nv; ++dof) g.put(w.magnitude, dof, g.at(w.dv, dof));
   if (flags & kLaneNewton) {
     solve_newton_backward(g);
@@ -173,10 +173,10 @@ inline void correct(const Group<V>& g, int flags) {
 }
 
 template <class V>
-void sweep(const LaneTree* tree, const LaneWork* work, int flags) {
+void iterate(const LaneTree* tree, const LaneWork* work, int flags) {
   const int count = groups<V>(work);
   if (tree->balls > 0) {
-    // X' depends on X: once more, so that what is left of it does not hold up the rest.
+    // X' depends on X: iterated once more, so that its error does not slow down the iterations on v.
     rates<V>(tree, work);
     for (int k = 0; k < count; ++k) displace(group<V>(tree, work, k), kLaneFirst);
     rates<V>(tree, work);
@@ -243,5 +243,5 @@ void combine(int nv, int s, int S, const double* weight, const double* in, doubl
 template <class V>
 constexpr LaneKernel lane_kernel() {
   return {Lane<V>::count,  evaluate<V>, place_stages<V>, factor_stages<V>,
-          solve_stages<V>, sweep<V>,    rates<V>,        combine<V>};
+          solve_stages<V>, iterate<V>,  rates<V>,        combine<V>};
 }

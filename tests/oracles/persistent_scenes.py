@@ -1,4 +1,4 @@
-"""References for contact that lasts: closed forms, else DOP853 at rtol 1e-12 with events (cases.md, held-contact.md).
+"""References for persistent contact: closed forms, else DOP853 at rtol 1e-12 with events.
 
 SI units; g = 9.81 m/s^2 unless given. Every scene here can be built with the package's own shapes.
 """
@@ -64,7 +64,7 @@ def ball_crossing_slope(slope: float, mu: float, v0: tuple[float, float], durati
 # --- balls ----------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class SpinningBall:
-    """N03: ball (mass 1) dropped with spin about the horizontal y axis, plastic impact with friction, then slides.
+    """Ball (mass 1) dropped with spin about the horizontal y axis, plastic impact with friction, then slides.
 
     Attributes: hit, normal_impulse, friction_impulse (along x), speed and spin after the impact, slip speed, the time
     `stick` when it starts to roll, place, speed and spin from then on. x' = omega R when rolling (omega about +y).
@@ -85,7 +85,7 @@ class SpinningBall:
 
     @property
     def friction_impulse(self) -> float:
-        """The point of contact moves backwards with omega R, so friction drives forwards: never more than it needs."""
+        """The point of contact moves backwards with omega R, so friction pushes forwards, until it rolls at most."""
         need = self.spin0 * self.radius / (1.0 + 1.0 / BALL)
         return min(self.mu * self.normal_impulse, need)
 
@@ -189,8 +189,8 @@ def rod_impact_with_friction(
 ) -> tuple[float, float]:
     """(P_n, P_t) on a rod m = l = 1 at `theta` over the ground, its lower end (left) hitting with speed (u_t, u_n < 0).
 
-    Poisson's law in the plane as in held-contact.md, section 7: friction opposes the slip, or holds the end where the
-    cone allows it, first in the compression and then in the expansion with at least e times its impulse.
+    Poisson's law in the plane: friction opposes the slip, or keeps the end at rest where the cone allows it, first in
+    the compression and then in the expansion with at least e times its impulse.
     The end is at -cos/2, -sin/2 from the centre: G = [[1 + 3 c^2, -3 s c], [-3 s c, 1 + 3 s^2]] in (n, t).
     """
     s, c = math.sin(theta), math.cos(theta)
@@ -207,9 +207,9 @@ def rod_impact_with_friction(
                 after = w + g @ ray * size
                 if size >= lower and after[0] >= -1e-15 and sign * after[1] > 0.0:
                     return ray * size
-        hold = np.array([lower, -(w[1] + g[1, 0] * lower) / g[1, 1]])  # leaves, without slip
-        assert abs(hold[1]) <= mu * lower
-        return hold
+        sticks = np.array([lower, -(w[1] + g[1, 0] * lower) / g[1, 1]])  # leaves, without slip
+        assert abs(sticks[1]) <= mu * lower
+        return sticks
 
     w = np.array([speed[1], speed[0]])
     first = phase(w, 0.0)
@@ -218,7 +218,7 @@ def rod_impact_with_friction(
 
 
 def painleve_number(theta: float, mu: float) -> float:
-    """A = W_n M^-1 (W_n - mu W_t)^T of the rod (N18) sliding to the side where the paradox is; A <= 0 there."""
+    """A = W_n M^-1 (W_n - mu W_t)^T of the rod that slides to the side of Painleve's paradox: there A <= 0."""
     return 1.0 + 3.0 * math.cos(theta) ** 2 - 3.0 * mu * math.sin(theta) * math.cos(theta)
 
 

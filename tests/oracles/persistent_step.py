@@ -1,11 +1,11 @@
-"""One held midpoint step in RATTLE form (held-contact.md, sections 1, 3 and 8), solved by brute force over the modes.
+"""One midpoint step of persistent contact in RATTLE form, solved by brute force over the modes.
 
   start  p0(v) = p_k + W_k^T Lam,  0 <= Lam_n _|_ phi(q1) >= 0,  |Lam_t| <= mu Lam_n,  s != 0 => Lam_t = -mu Lam_n s/|s|
   end    M(q1) v1 = p^-(v) + W_1^T Lam',  0 <= Lam'_n _|_ w_n >= 0,  w = W_1 v1,  |Lam'_t| <= mu Lam'_n
 p0(v), p^-(v): both momenta of the smooth step (oracles.del_step). Slip s: W_t(q_m) v where the point of contact moves
 on the body, else the displacement of the body's point over its support since the anchor, over h. A point that slipped
-keeps its direction in the end kick unless that would reverse its slip.
-Also the continuous contact forces (section 2) and the motion that they give, for references at rtol 1e-12.
+keeps its direction in the velocity impulse unless that would reverse its slip.
+Also the continuous contact forces and the motion that they give, for references at rtol 1e-12.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from .contact_modes import Law, Problem
 from .contact_points import Points
 from .del_step import System
 
-TOUCHING = 1e-12  # [m], gaps up to it take part in the end kick
+TOUCHING = 1e-12  # [m], contacts with gaps up to it have velocity impulses
 REGULAR = 1e-5  # times the largest entry of G_c: what chooses among forces that are not unique
 
 
 @dataclass(frozen=True)
-class Held:
-    """A finished step: q, p (Pinocchio coordinates), velocity v of the step (split), modes of the start kick.
+class Step:
+    """A finished step: q, p (Pinocchio coordinates), velocity v of the step (split), modes of the position impulses.
 
     start, end: impulses on the bodies [N s], world frame, (m, 3); slip: relative velocity of the points at the end
     [m/s], world frame, (m, 3) (for a limit: along its joint); gap [m]; anchors: for the next step.
@@ -42,7 +42,7 @@ class Held:
     anchors: list
 
 
-class HeldSystem:
+class PersistentSystem:
     """A Lagrangian system with a list of contact points (oracles.contact_points), each with its own mu."""
 
     def __init__(self, system: System, points: list):
@@ -50,7 +50,7 @@ class HeldSystem:
         self.points = Points(system.split, points)
 
     # --- the step ---------------------------------------------------------------------------------------------------
-    def step(self, q0, p0, h, anchors=None, tau=None, first=None) -> Held:
+    def step(self, q0, p0, h, anchors=None, tau=None, first=None) -> Step:
         """One step of length h from (q0, p0), Pinocchio coordinates; anchors from the last step, None at first."""
         points, split = self.points, self.split
         tau = np.zeros(split.nv) if tau is None else tau
@@ -65,18 +65,18 @@ class HeldSystem:
             return f, self._measure(q0, v, h, bases, turned, reference)
 
         free = np.linalg.solve(self.system.mass_matrix(q0), start)
-        kick = Problem(function, w0, free, [Law(mu) for mu in self.mu]).solve(first, self._epsilon(q0, w0))
-        q1 = split.integrate(q0, h * kick.x)
-        p_minus = self.system.both_momenta(q0, kick.x, h, tau)[1]
+        position = Problem(function, w0, free, [Law(mu) for mu in self.mu]).solve(first, self._epsilon(q0, w0))
+        q1 = split.integrate(q0, h * position.x)
+        p_minus = self.system.both_momenta(q0, position.x, h, tau)[1]
         carried = points.carried(bases, q1)
-        lam, v1, w = self._end_kick(q1, p_minus, kick, carried)
-        stuck = [tangential == "stick" for _, tangential in kick.modes]
-        return Held(
+        lam, v1, w = self._velocity_impulses(q1, p_minus, position, carried)
+        stuck = [tangential == "stick" for _, tangential in position.modes]
+        return Step(
             q1,
             split.tangent_map(q1).T @ self.system.mass_matrix(q1) @ v1,
-            kick.x,
-            kick.modes,
-            np.array([b @ x for b, x in zip(bases, kick.lam, strict=True)]),
+            position.x,
+            position.modes,
+            np.array([b @ x for b, x in zip(bases, position.lam, strict=True)]),
             np.array([b @ x for b, x in zip(carried, lam, strict=True)]),
             np.array([b @ x for b, x in zip(carried, w, strict=True)]),
             points.gaps(q1),
@@ -93,17 +93,17 @@ class HeldSystem:
                 y[i, 1:] = (turned[i].T @ (place - reference[i]))[1:] / h
         return y
 
-    def _end_kick(self, q1, p_minus, kick, bases):
+    def _velocity_impulses(self, q1, p_minus, position, bases):
         """(impulses (m, 3), velocity, w (m, 3)) that leave no point approaching at q1."""
         gaps, mass = self.points.gaps(q1), self.system.mass_matrix(q1)
         gradients = self.points.gradients(q1, bases)
-        active = [i for i in range(len(gaps)) if kick.lam[i, 0] > 0.0 or gaps[i] <= TOUCHING]
+        active = [i for i in range(len(gaps)) if position.lam[i, 0] > 0.0 or gaps[i] <= TOUCHING]
         w1 = gradients[active]
 
         directions = {}
         for i in active:
-            if kick.modes[i][1] == "slip":
-                directions[i] = kick.w[i, 1:] / np.linalg.norm(kick.w[i, 1:])
+            if position.modes[i][1] == "slip":
+                directions[i] = position.w[i, 1:] / np.linalg.norm(position.w[i, 1:])
         while True:
             laws = [Law(self.mu[i], 0.0, directions.get(i)) for i in active]
             end = Problem(lambda v: (mass @ v - p_minus, w1 @ v), w1, np.linalg.solve(mass, p_minus), laws).solve(
@@ -129,7 +129,7 @@ class HeldSystem:
         """(lam (m, 3) [N; n, t1, t2], acceleration, bases) at (q, v) in split coordinates.
 
         tangential: for each point "none", "stick" (its three rows are constraints) or "slip" (against its slip);
-        None for a point that is not held. Normal forces may come out negative: the points are held both ways.
+        None for a point without contact. Normal forces may come out negative: the constraints are bilateral here.
         """
         m, bases = len(tangential), self.points.bases(q)
         w = self.points.gradients(q, bases)
@@ -157,7 +157,7 @@ class HeldSystem:
         return (np.array(pulls).T @ strength).reshape(m, 3), free + push @ strength, bases
 
     def flow(self, q, v, duration, tangential, tau=None, event=None, rtol=1e-12):
-        """(q, v, time) after `duration` [s] with these points held, Pinocchio coordinates, by DOP853.
+        """(q, v, time) after `duration` [s] with these points in contact, Pinocchio coordinates, by DOP853.
 
         event(q, v_split): a function whose zero ends the motion before.
         """

@@ -1,0 +1,211 @@
+// StepEquations: the end of a step, what is asked of it, and the mass matrix at its nodes.
+#include "step/step_equations.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace contactvi {
+
+StepEquations::StepEquations(const Tree& tree, int stages)
+    : tree_(&tree),
+      model_(tree),
+      stages_(tree, model_, stages),
+      node_(tree, model_, 1),
+      stiff_(tree, stages_),
+      q0_(tree.nq),
+      p0_(tree.nv),
+      carry_q_(VecX::Zero(tree.nq)),
+      carry_p_(VecX::Zero(tree.nv)),
+      next_carry_q_(VecX::Zero(tree.nq)),
+      next_carry_p_(VecX::Zero(tree.nv)),
+      placements_(tree),
+      q_stage_(tree.nq),
+      rates_(tree.nv, stages),
+      velocities_(tree.nv, stages) {}
+
+void StepEquations::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double after) {
+  if (q0.data() != q0_.data()) q0_ = q0;
+  if (p0.data() != p0_.data()) p0_ = p0;
+  h_ = h;
+  stages_.set_time(time_ + after);
+  stages_.begin(q0_, p0_, h, tau);
+}
+
+void StepEquations::start_constant(const VecCRef& v0) {
+  const int S = stages_.padded();
+  for (int d = 0; d < tree_->nv; ++d) std::fill_n(stages_.v() + static_cast<std::size_t>(d) * S, S, v0[d]);
+}
+
+void StepEquations::clear_turns() {
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type != JointType::kSpherical) continue;
+    double* X = stages_.X() + static_cast<std::size_t>(joint.iv) * stages_.padded();
+    std::fill(X, X + 3 * stages_.padded(), 0.0);
+  }
+}
+
+void StepEquations::iterate_stages(int flags) {
+  const bool factor = (flags & kLaneFactor) != 0;
+  stages_.iterate(flags);
+  if (stiff_.any()) {
+    if (factor) stiff_.factor(stages_, q0_);
+    stiff_.correct(stages_);
+  }
+  ++counters.stage_iterations;
+  counters.factorizations += factor;
+}
+
+void StepEquations::finish(VecRef q1, VecRef p1) {
+  if (model_.lanes.balls > 0) stages_.rates();
+  const double carried = part_ ? 0.0 : 1.0;  // the digits carried are those of the next whole step
+  for (const Joint& joint : tree_->joints) {
+    const int iq = joint.iq, iv = joint.iv;
+    if (joint.type == JointType::kSpherical) {
+      const Vec3 X1(stages_.sum(stages_.rate(), iv), stages_.sum(stages_.rate(), iv + 1),
+                    stages_.sum(stages_.rate(), iv + 2));
+      const Quat start(q0_[iq + 3], q0_[iq], q0_[iq + 1], q0_[iq + 2]);
+      const Vec3 end = stages_.ball_end(joint, p0_);
+      q1.segment<4>(iq) = (start * so3_exp(X1)).normalized().coeffs();
+      p1.segment<3>(iv) = end;
+      continue;
+    }
+    for (int d = 0; d < joint.nv; ++d) {
+      const double impulse = stages_.sum(stages_.G(), iv + d) + carried * carry_p_[iv + d];
+      const double p = p0_[iv + d] + impulse;
+      next_carry_p_[iv + d] = impulse - (p - p0_[iv + d]);
+      p1[iv + d] = p;
+    }
+    if (joint.type == JointType::kContinuous) {
+      const double angle = stages_.sum(stages_.v(), iv), c = std::cos(angle), s = std::sin(angle);
+      const double c1 = q0_[iq] * c - q0_[iq + 1] * s, s1 = q0_[iq] * s + q0_[iq + 1] * c;
+      const double scale = 1 / std::sqrt(c1 * c1 + s1 * s1);
+      q1[iq] = scale * c1;
+      q1[iq + 1] = scale * s1;
+      continue;
+    }
+    for (int d = 0; d < joint.nv; ++d) {
+      const double change = stages_.sum(stages_.v(), iv + d) + carried * carry_q_[iq + d];
+      const double q = q0_[iq + d] + change;
+      next_carry_q_[iq + d] = change - (q - q0_[iq + d]);
+      q1[iq + d] = q;
+    }
+  }
+}
+
+const MatX& StepEquations::rates() {
+  if (model_.lanes.balls > 0) stages_.rates();
+  for (int i = 0; i < stages_.count(); ++i)
+    for (int d = 0; d < tree_->nv; ++d) rates_(d, i) = stages_.rate()[d * stages_.padded() + i];
+  return rates_;
+}
+
+const MatX& StepEquations::velocities() {
+  for (int i = 0; i < stages_.count(); ++i)
+    for (int d = 0; d < tree_->nv; ++d) velocities_(d, i) = stages_.v()[d * stages_.padded() + i];
+  return velocities_;
+}
+
+double StepEquations::truncation() const {
+  const int s = stages_.count(), S = stages_.padded();
+  const double* weight = stages_.table().to_legendre[s - 1];
+  double sum = 0.0;
+  for (int d = 0; d < tree_->nv; ++d) {
+    double mode = 0.0;
+    for (int j = 0; j < s; ++j) mode += weight[j] * stages_.v()[d * S + j];
+    sum += mode * mode;
+  }
+  return std::abs(h_) * std::sqrt(sum);
+}
+
+// Gauss quadrature over the step of value(i), given at the stages.
+template <class Value>
+double StepEquations::quadrature(Value value) const {
+  double total = 0.0;
+  for (int i = 0; i < stages_.count(); ++i) total += h_ * stages_.table().b[i] * value(i);
+  return total;
+}
+
+double StepEquations::input_work() const {
+  return quadrature([&](int i) { return stages_.input_power(i); });
+}
+
+double StepEquations::damping_loss() const {
+  return quadrature([&](int i) { return stages_.dissipation(i); });
+}
+
+double StepEquations::mean_work() const {
+  const GaussTable& table = stages_.table();
+  double total = 0.0;
+  for (int j = 0; j < stages_.count(); ++j) {
+    double weight = 0.0;
+    for (int i = 0; i < stages_.count(); ++i) weight += table.b[i] * table.A[i][j];
+    total += h_ * weight * (stages_.input_power(j) - stages_.dissipation(j));
+  }
+  return total;
+}
+
+double StepEquations::discrete_energy() {
+  const int S = stages_.padded();
+  double total = 0.0;
+  for (int i = 0; i < stages_.count(); ++i) {
+    stages_.configuration(q0_, i, q_stage_);
+    place(*tree_, q_stage_, placements_);
+    double energy = total_potential(*tree_, stages_.field(), placements_, q_stage_);
+    // P belongs to the velocity before the last correction: 1/2 (v - dv) M (v - dv) + ... = 1/2 P.(v + dv) to second
+    // order.
+    for (int d = 0; d < tree_->nv; ++d)
+      energy += 0.5 * stages_.P()[d * S + i] * (stages_.v()[d * S + i] + stages_.dv()[d * S + i]);
+    total += stages_.table().b[i] * energy;
+  }
+  return total;
+}
+
+bool StepEquations::node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) {
+  node_.at(q);
+  node_.place();
+  node_.factor();
+  for (int d = 0; d < tree_->nv; ++d) node_.dv()[d] = p[d];
+  node_.solve();
+  double energy = 0.0;
+  for (int d = 0; d < tree_->nv; ++d) {
+    v[d] = node_.dv()[d];
+    energy += v[d] * p[d];
+  }
+  return energy >= 0.0;  // false for NaN
+}
+
+void StepEquations::place_node(const VecCRef& q) {
+  node_.at(q);
+  node_.place();
+  node_.factor();
+}
+
+void StepEquations::solve_mass(VecRef x) {
+  for (int d = 0; d < tree_->nv; ++d) node_.dv()[d] = x[d];
+  node_.solve();
+  for (int d = 0; d < tree_->nv; ++d) x[d] = node_.dv()[d];
+}
+
+// One column per lane: the factor of a single stage lies in all of them.
+void StepEquations::solve_columns(Stages& stages, Eigen::Ref<MatX> X) {
+  const int S = stages.padded(), count = static_cast<int>(X.cols());
+  for (int first = 0; first < count; first += S) {
+    for (int d = 0; d < tree_->nv; ++d)
+      for (int i = 0; i < S; ++i) stages.dv()[d * S + i] = X(d, std::min(first + i, count - 1));
+    stages.solve();
+    for (int d = 0; d < tree_->nv; ++d)
+      for (int i = 0; i < S && first + i < count; ++i) X(d, first + i) = stages.dv()[d * S + i];
+  }
+}
+
+void StepEquations::dynamics(const VecCRef& q, const VecCRef& v, VecRef P, VecRef G) {
+  node_.at(q);
+  for (int d = 0; d < tree_->nv; ++d) node_.v()[d] = v[d];
+  node_.evaluate();
+  for (int d = 0; d < tree_->nv; ++d) {
+    P[d] = node_.P()[d];
+    G[d] = node_.G()[d];
+  }
+}
+
+}  // namespace contactvi
