@@ -12,13 +12,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import contactvi as cvi
 from helpers import map_runs
 from helpers.contact_models import GRAVITY, geometry, place, problem_b, room, room_start, slider_blocks
 from helpers.contact_models import scene as public_scene
 from oracles import momentum_maps
 
 # SUCCESS, ZENO, NEWTON_FAILED, EVENT_UNRESOLVED: the last two where a step turns a body by more than its chart covers
-SUCCESS, ZENO, NEWTON, EVENT = 0, 1, 2, 4
+SUCCESS, ZENO, NEWTON, EVENT = (
+    cvi.StatusCode.SUCCESS,
+    cvi.StatusCode.ZENO,
+    cvi.StatusCode.NEWTON_FAILED,
+    cvi.StatusCode.EVENT_UNRESOLVED,
+)
 VARIANTS = [("ctec", False), ("dtec", False), ("mhc", False), ("mhc", True)]
 variants = pytest.mark.parametrize(("method", "mhc_global"), VARIANTS, ids=["ctec", "dtec", "mhc", "mhc_global"])
 

@@ -9,13 +9,19 @@ import threading
 import numpy as np
 import pytest
 
+import contactvi as cvi
 from helpers import map_runs
 from helpers.contact_models import problem_b
 from helpers.contact_models import scene as public_scene
 from helpers.run_scenes import HEIGHT, RADIUS, ball_scene, hand_scene
 from oracles.closed_forms import BouncingBall
 
-SUCCESS, ZENO, TOO_MANY, INTERRUPTED = 0, 1, 5, 7  # status codes
+SUCCESS, ZENO, TOO_MANY, INTERRUPTED = (
+    cvi.StatusCode.SUCCESS,
+    cvi.StatusCode.ZENO,
+    cvi.StatusCode.TOO_MANY_IMPACTS,
+    cvi.StatusCode.INTERRUPTED,
+)
 MAPS = pytest.mark.parametrize("method", map_runs.METHODS)
 ORDERS = pytest.mark.parametrize("order", [4, 8, 16])
 LEVELS = {4: 1e-5, 8: 1e-7, 16: 1e-9}

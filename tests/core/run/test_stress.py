@@ -12,12 +12,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import contactvi as cvi
 from batteries.models import JOINTS, Builder
 from helpers import map_runs
 from helpers.contact_models import geometry, halfspace
 from helpers.contact_models import scene as public_scene
 
-SUCCESS, ZENO, TOO_MANY = 0, 1, 5  # status codes
+SUCCESS, ZENO, TOO_MANY = (cvi.StatusCode.SUCCESS, cvi.StatusCode.ZENO, cvi.StatusCode.TOO_MANY_IMPACTS)
 RADIUS = 0.1
 ORDERS = [2, 4, 8, 16]
 
