@@ -5,7 +5,7 @@
 Times are the fastest of several blocks, measured in C++ (no Python in the loop). Machines are noisy: quote the ratios.
 
 - Evaluation: contactvi's kernel on each instruction set, nanoseconds for one stage when 1, 4 or 8 stages are done at
-  once; its columns are described at `_core.kernel_seconds`.
+  once; `_core.kernel_seconds` documents its columns.
 - Step: each order at its own h (one that reaches about the same error), tol 1e-12, on the best and on the plain
   instruction set; the error is that of q after 0.1 s against a run of order 16 with a step four times shorter.
 - Midpoint step of the Allegro hand at h = 1e-3, tol 1e-12 in units of one rnea: at most 3 is wanted.
@@ -26,12 +26,13 @@ from contactvi import _core
 from models import all_models, start, with_floor
 
 STEPS = {2: 1e-3, 4: 5e-3, 8: 1e-2, 12: 2e-2, 16: 2e-2}  # order -> h [s]
-CTEC = 0  # the engine's number of the impact map
 ENDS = 0.1  # s, where the error is taken
 
 
 def engine(scene: cvi.Scene, dt: float, order: int = 2, tol: float = 1e-12) -> _core.Simulator:
-    return _core.Simulator(scene.core(), dt, tol, CTEC, order=order)
+    options = _core.SimulatorOptions()
+    options.dt, options.tol, options.order = dt, tol, order
+    return _core.Simulator(scene.core(), options)
 
 
 def pinocchio_seconds(model: pin.Model, q: np.ndarray, v: np.ndarray) -> tuple[float, float]:
@@ -62,8 +63,8 @@ def evaluation_rows(name: str, scene: cvi.Scene, q: np.ndarray, v: np.ndarray) -
 def smooth_cost(
     scene: cvi.Scene, q: np.ndarray, v: np.ndarray, order: int, dt: float, steps: int
 ) -> tuple[float, float, int]:
-    """Time of a step [s], stage iterations per step, steps that were cut; NaN where the run does not get through."""
-    simulator, best, stage_iterations, halved = engine(scene, dt, order), np.nan, np.nan, 0
+    """Time of a step [s], stage iterations per step, steps that were cut; NaN where the run fails."""
+    simulator, best, iterations, halved = engine(scene, dt, order), np.nan, np.nan, 0
     for _ in range(7):
         simulator.reset(q, v)
         out = simulator.advance(steps, record_every=steps)
@@ -71,8 +72,8 @@ def smooth_cost(
         assert stats["guards_evaluated"] == 0  # a scene without pairs pays nothing for guards
         if out["code"] == 0:
             best = np.fmin(best, stats["seconds"] / steps)
-            stage_iterations, halved = stats["sweeps"] / steps, stats["halved"]
-    return float(best), stage_iterations, halved
+            iterations, halved = stats["stage_iterations"] / steps, stats["halved"]
+    return float(best), iterations, halved
 
 
 def end_error(scene: cvi.Scene, q: np.ndarray, v: np.ndarray, order: int, dt: float) -> float:
@@ -126,11 +127,11 @@ def step_rows(name: str, scene: cvi.Scene, steps: int, rnea: float, aba: float) 
         count = max(10, int(steps * STEPS[2] / dt))
         for isa in dict.fromkeys((sets[-1], sets[0])):
             _core.instruction_set(isa)
-            seconds, stage_iterations, halved = smooth_cost(scene, q, v, order, dt, count)
+            seconds, iterations, halved = smooth_cost(scene, q, v, order, dt, count)
             rows.append({
                 "model": name, "order": order, "h [s]": dt, "set": isa, "step us": 1e6 * seconds,
                 "step/rnea": seconds / rnea, "step/aba": seconds / aba, "ms per s": 1e3 * seconds / dt,
-                "sweeps": stage_iterations, "halved": halved, "error of q": f"{end_error(scene, q, v, order, dt):.1e}",
+                "iterations": iterations, "halved": halved, "error of q": f"{end_error(scene, q, v, order, dt):.1e}",
             })  # fmt: skip
     _core.instruction_set(chosen)
     return rows

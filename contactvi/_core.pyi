@@ -1,9 +1,10 @@
 """
-Engine of contactvi. Checks sizes only: users go through the Python face.
+Engine of contactvi. It checks sizes only: users go through the Python API.
 """
 
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Callable, Sequence
+import enum
+from typing import Annotated, Any
 
 import numpy
 from numpy.typing import NDArray
@@ -11,6 +12,123 @@ from numpy.typing import NDArray
 
 class CoreError(RuntimeError):
     pass
+
+class StatusCode(enum.IntEnum):
+    """How a run ended."""
+
+    SUCCESS = 0
+
+    ZENO = 1
+
+    NEWTON_FAILED = 2
+
+    NOT_FINITE = 3
+
+    EVENT_UNRESOLVED = 4
+
+    TOO_MANY_IMPACTS = 5
+
+    PENETRATION = 6
+
+    INTERRUPTED = 7
+
+    CONSTRAINT = 9
+
+class ImpactMap(enum.IntEnum):
+    """What an impact conserves besides the momentum."""
+
+    CTEC = 0
+
+    DTEC = 1
+
+    MHC = 2
+
+class MhcReference(enum.Enum):
+    """Where the value that MHC conserves is taken from."""
+
+    LOCAL = 0
+    """The start of the step."""
+
+    GLOBAL = 1
+    """The start of the run, less the losses of all impacts since."""
+
+class Fallback(enum.IntEnum):
+    """Why the impulse of an impact is that of CTEC."""
+
+    NONE = 0
+
+    PLASTIC = 1
+
+    NO_CONVERGENCE = 2
+
+    INADMISSIBLE = 3
+
+    GRAZING = 4
+
+    PERSISTENT = 5
+
+class GuardKind(enum.IntEnum):
+    """What a guard function watches."""
+
+    CONTACT = 0
+    """The distance of a pair of shapes."""
+
+    LIMIT = 1
+    """The distance of a joint from one of its limits."""
+
+class ContactMode(enum.IntEnum):
+    """What a contact did in a step."""
+
+    STICK = 0
+
+    SLIP = 1
+
+    FRICTIONLESS = 2
+
+    IMPACT = 3
+
+class ContactChange(enum.IntEnum):
+    """What became of a persistent contact."""
+
+    BEGIN = 0
+
+    RELEASE = 1
+
+    STICK = 2
+
+    SLIP = 3
+
+    BOUNCING_ENDED = 4
+
+    INCONSISTENT = 5
+
+class PointKind(enum.IntEnum):
+    """The geometry that a contact point comes from."""
+
+    WITNESS = 0
+
+    VERTEX = 1
+
+    RIM = 2
+
+    LIMIT = 3
+
+    EDGE = 4
+
+class ConstraintKind(enum.Enum):
+    """What a constraint holds; core/model/constraints.hpp has the residuals."""
+
+    POINT = 0
+
+    DISTANCE = 1
+
+    WELD = 2
+
+    SCREW = 3
+
+    EQUALITY = 4
+
+    PRESCRIBED = 5
 
 class Scene:
     def __init__(self, model: bytes, geometry: bytes, pair_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stiffness: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], damping: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limit_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair_friction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None) -> None:
@@ -34,22 +152,22 @@ class Scene:
     def rounding(self) -> list[float]:
         """Rounding radius [m] of each pair's shapes, 0 where they are sharp."""
 
-    def velocity(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> object:
+    def velocity(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
         """v = M(q)^-1 p, shapes (N, nq), (N, nv) -> (N, nv)."""
 
-    def momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> object:
+    def momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
         """p = M(q) v, shapes (N, nq), (N, nv) -> (N, nv)."""
 
-    def energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> object:
+    def energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
         """Kinetic and potential energy [J], (N, 2)."""
 
-    def modified_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float, order: int = 2) -> object:
+    def modified_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float, order: int = 2) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """Modified Hamiltonian [J] for step h, (N,); H for order >= 4."""
 
-    def discrete_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int = 2) -> object:
+    def discrete_energy(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int = 2) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """E_d [J] of one step h (N,) from each state, (N,)."""
 
-    def spatial_momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> object:
+    def spatial_momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
         """Total linear, angular momentum about the origin, (N, 6)."""
 
     def dynamics(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
@@ -57,7 +175,7 @@ class Scene:
 
     def step(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], h: float, tau: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, tol: float = 1e-12, order: int = 2) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], int, float]:
         """
-        One smooth step without contact: (q1, p1, stage velocities (s, nv) in engine coordinates, sweeps, residual).
+        One smooth step without contact: (q1, p1, stage velocities (s, nv) in engine coordinates, stage iterations, residual).
         """
 
     def gaps(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
@@ -74,28 +192,32 @@ class Scene:
 
     def momentum_to_public(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]: ...
 
-    def set_dry_friction(self, limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
-        """Largest dry friction of each dof [N; N m], (nv,)."""
+    def set_joint_friction(self, limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+        """Largest friction force of each dof [N; N m], (nv,)."""
 
-    def add_joint_potential(self, joint: int, rest: float, coefficients: Sequence[float]) -> None:
-        """V = sum_k c[k] x^(k+2), x = q - rest."""
+    def add_joint_potential(self, joint: int, rest: float, coefficients: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+        """Add V = sum_k c[k] x^(k+2), x = q - rest."""
 
     def add_path_spring(self, joints: Sequence[int], points: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], stiffness: float, rest_length: float, damping: float, tension_only: bool) -> None:
-        """Along a line through points (n, 3) in the frames of joints."""
-
-    def add_wrench(self, joint: int, point: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], R: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, wrench: object) -> None:
         """
-        (force, torque) (6,) or a function of t, in the axes R of the joint's frame, or None: of the world.
+        Add a spring along a line through points (n, 3) in the frames of joints.
         """
 
-    def add_user_force(self, value: object, derivatives: object | None = None) -> None:
+    def add_wrench(self, joint: int, point: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], R: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, wrench: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')] | Callable[[float], Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')]]) -> None:
+        """
+        (force, torque) (6,) or a function of t, in the axes R of the joint's frame; without R in those of the world.
+        """
+
+    def add_user_force(self, value: Callable[[float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], derivatives: Callable[[float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]]] | None = None) -> None:
         """value(t, q, v) -> (nv,)."""
 
-    def add_user_potential(self, value: object, gradient: object, hessian: object | None = None) -> None:
+    def add_user_potential(self, value: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], float], gradient: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], hessian: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]] | None = None) -> None:
         """value(q) [J], gradient(q) -> (nv,)."""
 
-    def add_constraint(self, kind: str, joint_a: int, R_a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_a: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], joint_b: int, R_b: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_b: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], numbers: Sequence[float], signal: object | None = None, name: str = '') -> None:
-        """See constraints.hpp."""
+    def add_constraint(self, kind: ConstraintKind, joint_a: int, R_a: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_a: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], joint_b: int, R_b: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')] | None, p_b: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], signal: Callable[[float], tuple[float, float, float]] | None = None, name: str = '') -> None:
+        """
+        Frames of two bodies or joints, numbers or their motion; see core/model/constraints.hpp.
+        """
 
     def set_servo(self, kp: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], kd: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], effort: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
         """
@@ -103,18 +225,21 @@ class Scene:
         """
 
     def set_actuator_limits(self, effort: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], velocity: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
-        """(nv,) each, inf: none."""
+        """
+        Largest effort [N; N m] and speed [m/s; rad/s] of the actuators, (nv,) each; inf is no limit.
+        """
 
     @property
-    def constraint_rows(self) -> list[int]: ...
+    def constraint_rows(self) -> list[int]:
+        """Number of rows of each constraint."""
 
-    def constraint_residual(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> object:
+    def constraint_residual(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """phi(q, t), (m,)."""
 
-    def constraint_jacobian(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> object:
+    def constraint_jacobian(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
         """d phi/dq in public coordinates, (m, nv)."""
 
-    def constraint_rate(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> object:
+    def constraint_rate(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """d phi/dt at fixed q, (m,)."""
 
 def solve_cone(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], b: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], frozen: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='F')] | None = None, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, regularize: bool = True, noise: float = 0.0) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], bool, float, int, int]:
@@ -127,7 +252,7 @@ def cone_seconds(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), o
     Seconds of one solve_cone, without Python, fastest of several blocks; for benchmarks.
     """
 
-def dense(scene: Scene, segments: dict, times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int, exact: bool = False) -> tuple[object, object]:
+def dense(scene: Scene, segments: dict[str, Any], times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int, exact: bool = False) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))]]:
     """
     States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by the steps of the lengths in between (of runs without inputs).
     """
@@ -140,62 +265,158 @@ def instruction_set(name: str = '') -> str:
     Set (given a name) and return the one that engines made from now on use. The digits do not depend on it.
     """
 
-def kernel_seconds(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stages: int, instruction_set: str = '', calls: int = 2000, repeats: int = 5) -> dict:
+def kernel_seconds(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stages: int, instruction_set: str = '', calls: int = 2000, repeats: int = 5) -> dict[str, float]:
     """
     Seconds per stage of evaluate, factor, solve, f(q, p) and sweep, fastest of several blocks; for benchmarks.
     """
+
+class SimulatorOptions:
+    """Settings of a simulator; each has a default."""
+
+    def __init__(self) -> None: ...
+
+    @property
+    def dt(self) -> float:
+        """Step length [s]."""
+
+    @dt.setter
+    def dt(self, arg: float, /) -> None: ...
+
+    @property
+    def tol(self) -> float:
+        """Tolerance on the residual of the stage equations, relative."""
+
+    @tol.setter
+    def tol(self, arg: float, /) -> None: ...
+
+    @property
+    def impact(self) -> ImpactMap: ...
+
+    @impact.setter
+    def impact(self, arg: ImpactMap, /) -> None: ...
+
+    @property
+    def mhc_reference(self) -> MhcReference: ...
+
+    @mhc_reference.setter
+    def mhc_reference(self, arg: MhcReference, /) -> None: ...
+
+    @property
+    def max_iterations(self) -> int:
+        """Stage iterations per attempt at a step."""
+
+    @max_iterations.setter
+    def max_iterations(self, arg: int, /) -> None: ...
+
+    @property
+    def max_impacts_per_step(self) -> int: ...
+
+    @max_impacts_per_step.setter
+    def max_impacts_per_step(self, arg: int, /) -> None: ...
+
+    @property
+    def order(self) -> int:
+        """Order 2s of the integrator with s Gauss stages."""
+
+    @order.setter
+    def order(self, arg: int, /) -> None: ...
+
+    @property
+    def dense(self) -> bool:
+        """Whether the polynomials of the steps are kept."""
+
+    @dense.setter
+    def dense(self, arg: bool, /) -> None: ...
+
+    @property
+    def dt_contact(self) -> float:
+        """Longest step with persistent contacts [s]; 0: dt."""
+
+    @dt_contact.setter
+    def dt_contact(self, arg: float, /) -> None: ...
+
+    @property
+    def end_at_zeno(self) -> bool:
+        """
+        Whether a run ends where impacts accumulate, instead of going on with a persistent contact.
+        """
+
+    @end_at_zeno.setter
+    def end_at_zeno(self, arg: bool, /) -> None: ...
+
+    @property
+    def stiff_support(self) -> bool:
+        """Whether persistent contacts take part in an impact as rigid supports."""
+
+    @stiff_support.setter
+    def stiff_support(self, arg: bool, /) -> None: ...
+
+    @property
+    def contact_points(self) -> int:
+        """Largest number of points of a pair."""
+
+    @contact_points.setter
+    def contact_points(self, arg: int, /) -> None: ...
+
+    @property
+    def record_contacts(self) -> bool: ...
+
+    @record_contacts.setter
+    def record_contacts(self, arg: bool, /) -> None: ...
 
 class Snapshot:
     """All that the rest of a run depends on."""
 
 class Simulator:
-    def __init__(self, scene: Scene, dt: float, tol: float = 1e-12, impact: int = 0, max_impacts_per_step: int = 100000, max_iterations: int = 50, mhc_global: bool = False, order: int = 2, dense: bool = False, dt_contact: float = 0.0, zeno: int = 0, stiff_support: bool = False, contact_points: int = 4, record_contacts: bool = True) -> None: ...
+    def __init__(self, scene: Scene, options: SimulatorOptions) -> None: ...
 
-    def reset(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> dict:
-        """Status fields as a dict."""
+    def reset(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> dict[str, Any]:
+        """Put the system to (q, v) at t [s]; return the fields of the status."""
 
-    def advance(self, steps: int, tau: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, record_every: int = 1, progress: object | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None) -> dict:
+    def advance(self, steps: int, tau: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, record_every: int = 1, progress: Callable[[float, int], object] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None) -> dict[str, Any]:
         """
-        Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.
+        Make steps without the interpreter lock; return nodes, events, statistics and status.
         """
 
-    def run_auto(self, duration: float, level: float, progress: object | None = None) -> dict:
+    def run_auto(self, duration: float, level: float, progress: Callable[[float, int], object] | None = None) -> dict[str, Any]:
         """
-        Run with a step chosen per smooth arc; level [m; rad] bounds what the stage polynomials leave out.
+        Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out.
         """
 
     def save(self) -> Snapshot:
-        """A snapshot to go back to."""
+        """Return a snapshot to go back to."""
 
     def load(self, snapshot: Snapshot) -> None:
-        """Go back; what follows has the same digits."""
+        """Go back to a snapshot; what follows is equal to the bit."""
 
     @property
     def t(self) -> float: ...
 
     @property
-    def q(self) -> object: ...
+    def q(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]: ...
 
     @property
-    def p(self) -> object: ...
+    def p(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]: ...
 
     @property
-    def v(self) -> object: ...
+    def v(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]: ...
 
-def contact_points(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, margin: float, max_points: int = 4) -> dict:
+def contact_points(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, margin: float, max_points: int = 4) -> dict[str, Any]:
     """
     Points at which a collision pair touches at q: dict of kind, feature, material, valid (lists), gap (n,), point_a, point_b, normal (n, 3), world frame.
     """
 
-def contact_points_of(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int]) -> dict:
-    """The same for known features, wherever they are at q."""
+def contact_points_of(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int]) -> dict[str, Any]:
+    """
+    Points of a pair at known features, wherever they are at q; entries as those of contact_points.
+    """
 
 def nearest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int) -> float:
     """
     Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.
     """
 
-def rest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int], max_points: int = 4) -> tuple:
+def rest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, features: Sequence[int], max_points: int = 4) -> tuple[float, float, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]:
     """
     (least gap over all features but these, slack included; that feature's gap, normal and point).
     """
@@ -206,7 +427,7 @@ def rnea_seconds(model: bytes, q: Annotated[NDArray[numpy.float64], dict(shape=(
     """
 
 def aba_seconds(model: bytes, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], calls: int = 2000, repeats: int = 5) -> float:
-    """Seconds per pinocchio::aba."""
+    """Seconds per pinocchio::aba, fastest of several blocks; for benchmarks."""
 
 class ImpactsAt:
     def __init__(self, scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], guards: Sequence[int], restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], margin: float, max_impacts: int) -> None:

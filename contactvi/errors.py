@@ -1,6 +1,6 @@
 """The exceptions of contactvi: one root, few children, the data kept as fields.
 
-Every message says what was expected, what was got and how to remedy it.
+Every message gives what was expected, what was got and how to remedy it.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ class InputError(ContactviError, ValueError):
 
 
 class SceneError(ContactviError):
-    """A file or a model that cannot be used. `path`, `joint` and `body` say where, when known.
+    """A file or a model that cannot be used. `path`, `joint` and `body` tell where, when known.
 
-    `report` is what was found in the model up to there (report.PartReport), when it was being imported.
+    `report` is what was found in the model until then (contactvi.importing.report.PartReport), during an import.
     """
 
     def __init__(
@@ -98,10 +98,10 @@ class PenetrationError(ContactviError):
 
 
 class ConstraintError(ContactviError):
-    """Constraints that do not hold, or cannot.
+    """Constraints that are not met, or cannot be.
 
-    `residuals` : name -> largest residual [m, rad; m/s, rad/s], worst first. `status`, `trajectory`: of a run that came
-    to where they cannot be met, its end and the part that was computed.
+    `residuals`: name -> largest residual [m, rad; m/s, rad/s], worst first. `status`, `trajectory`: the end of a run
+    that could not meet them, and the part of it that was computed.
     """
 
     def __init__(
@@ -172,7 +172,7 @@ class DerivativeError(InputError):
 
 
 class SimulationError(ContactviError):
-    """A run that ended before its time. `status` says why, `trajectory` is the part that was computed."""
+    """A run that ended before its time. `status` tells why, `trajectory` is the part that was computed."""
 
     def __init__(self, what: str, *, status: Any = None, trajectory: Any = None, **kwargs: Any) -> None:
         self.status = status
@@ -181,7 +181,7 @@ class SimulationError(ContactviError):
 
 
 class AccuracyWarning(UserWarning):
-    """A run with dt="auto" did not reach the accuracy asked of it; `Trajectory.error_estimate` says what it reached."""
+    """A run with dt="auto" did not reach the accuracy asked of it; `Trajectory.error_estimate` is what it reached."""
 
 
 def nearest(word: str, choices: Iterable[str]) -> str | None:

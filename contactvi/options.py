@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict, get_args
 
 from contactvi.errors import InputError, did_you_mean
 from contactvi.inputs import (
@@ -21,15 +21,46 @@ from contactvi.inputs import (
     tolerances,
 )
 
-IMPACT_MAPS = ("ctec", "dtec", "mhc")  # in the engine's order
-MHC_REFERENCES = ("local", "global")
-ZENO = ("hold", "end")  # in the engine's order
-SUPPORTS = ("sequence", "stiff")
+Dt = float | Literal["auto"]
+ImpactMap = Literal["ctec", "dtec", "mhc"]
+MhcReference = Literal["local", "global"]
+Zeno = Literal["hold", "end"]
+Support = Literal["sequence", "stiff"]
+IMPACT_MAPS: tuple[ImpactMap, ...] = get_args(ImpactMap)
+MHC_REFERENCES: tuple[MhcReference, ...] = get_args(MhcReference)
+ZENO: tuple[Zeno, ...] = get_args(Zeno)
+SUPPORTS: tuple[Support, ...] = get_args(Support)
 DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
-_FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # tolerances of steps made again
-_OF_THE_KIND = ("tol", "record_every")  # options that mean something else, or nothing, with the other kind of dt
+_FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # they need steps of one length
+_OF_THE_KIND = ("tol", "record_every")  # options with another meaning, or none, for the other kind of dt
 _UNSET: Any = None  # the default depends on other options; resolved in __post_init__
+
+
+class FurtherOptions(TypedDict, total=False):
+    """The options that `simulate` and `Simulator` both take beside those they name; `Options` describes them."""
+
+    mhc_reference: MhcReference | None
+    record_every: int | None
+    max_impacts_per_step: int | None
+    max_iterations: int | None
+    dense: bool | None
+    dt_contact: Dt | None
+    zeno: Zeno | None
+    support: Support | None
+    contact_points: int | None
+    record_contacts: bool | None
+
+
+class SteppingOptions(FurtherOptions, total=False):
+    """The options of a `Simulator`."""
+
+    duration: float | None
+    impact: ImpactMap | None
+    order: int | None
+    tol: float | None
+    ledger: Mapping[str, float] | None
+    sample_dt: float | None
 
 
 @dataclass(frozen=True)
@@ -58,30 +89,32 @@ class Options:
         max_impacts_per_step: a run with more impacts in one step ends with the status TOO_MANY_IMPACTS.
         ledger: tolerances on the ledger of the run, name -> bound >= 0 (see contactvi.trajectory.ledger for what is
             bounded, relative to what); the run ends with the status LEDGER where one is exceeded.
-        max_iterations: sweeps per attempt at a step before it is tried from other start values, or shorter.
+        max_iterations: stage iterations per attempt at a step before it is tried from other start values, or shorter.
         sample_dt: keep the states at every sample_dt [s] from the start, and the last one, instead of those at the ends
             of steps: the steps stay what they are, the samples are taken from their polynomials.
         dense: keep the polynomial of every step, which Trajectory.at evaluates; by default from order 4 on, and with
             sample_dt.
-        dt_contact: step while contacts are held [s], at most dt: it is a midpoint step whatever the order. By default
+        dt_contact: step with persistent contacts [s], at most dt: it is a midpoint step whatever the order. By default
             dt at order 2 and min(dt, 1e-3) above. With dt="auto" the run finds it ("auto", the default), and a number
-            is the longest one allowed. Trajectory.phases says which step was taken where.
-        zeno: where impacts accumulate: "hold" makes one of them plastic and holds the contact, "end" ends the run with
-            the status ZENO. Runs with "dtec", which has no answer there, end in both cases.
-        support: an impact on a body that others hold: "sequence" of single impacts, each contact with its own
-            restitution; "stiff": held contacts stay closed during it, as if what holds the body were infinitely stiff.
+            is the longest one allowed. Trajectory.phases tells which step was taken where.
+        zeno: where impacts accumulate: "hold" makes one of them plastic, which begins a persistent contact, "end" ends
+            the run with the status ZENO. Runs with "dtec", which has no answer there, end in both cases.
+        support: an impact on a body with persistent contacts: "sequence" of single impacts, each contact with its own
+            restitution; "stiff": the persistent contacts stay closed during it, as if their supports were infinitely
+            stiff.
         contact_points: points that a pair of shapes has at most, >= 1, by default 4; fewer only where no faces touch.
-            While a face tips more may be hit at one instant: spare points of the face, so that none penetrates.
+            While a face tips, impacts at one instant may have more: the unused points of the face, so that none
+            penetrates.
         record_contacts: keep the impulses of all contacts (Trajectory.contacts).
 
     Raises:
         InputError: for a value that is not of the type or in the range given above.
     """
 
-    dt: float | Literal["auto"]
+    dt: Dt
     duration: float | None = None
-    impact: str = "ctec"
-    mhc_reference: str = "local"
+    impact: ImpactMap = "ctec"
+    mhc_reference: MhcReference = "local"
     order: int = _UNSET
     tol: float = _UNSET
     record_every: int = 1
@@ -90,9 +123,9 @@ class Options:
     ledger: Mapping[str, float] | None = field(default=None, hash=False)
     sample_dt: float | None = None
     dense: bool = _UNSET
-    dt_contact: float | Literal["auto"] | None = None
-    zeno: str = "hold"
-    support: str = "sequence"
+    dt_contact: Dt | None = None
+    zeno: Zeno = "hold"
+    support: Support = "sequence"
     contact_points: int = 4
     record_contacts: bool = True
 
@@ -152,7 +185,7 @@ class Options:
 
     @property
     def contact_dt(self) -> float:
-        """The longest step while contacts are held [s]."""
+        """The longest step with persistent contacts [s]."""
         if isinstance(self.dt_contact, float):
             return self.dt_contact
         if isinstance(self.dt, str):
@@ -179,7 +212,7 @@ class Options:
 
     @property
     def stage_tol(self) -> float:
-        """What the equations of a step are solved to, relative, in the energy norm."""
+        """Tolerance to which the equations of a step are solved, relative, in the energy norm."""
         return min(max(1e-5 * self.tol, 1e-15), 1e-10) if self.auto else self.tol
 
     def to_dict(self) -> dict[str, Any]:
@@ -232,7 +265,7 @@ def merged(file: Mapping[str, Any], chosen: Mapping[str, Any], forced: bool = Fa
 
     Where neither has a dt it is "auto" if the run allows it (not with `forced`, inputs), else DEFAULT_DT. Where the
     chosen dt is a number and the file's is not, or the reverse, the file's tol and record_every do not count: they
-    were said of another kind of step.
+    were given for another kind of step.
     """
     check_names(chosen)
     given = {name: value for name, value in chosen.items() if value is not None}
@@ -255,7 +288,7 @@ def _set(options: Options, name: str, value: Any) -> None:
 
 
 def _check_nodes(options: Options) -> None:
-    """Only steps of one length are counted, and samples are no steps."""
+    """Raise InputError where record_every is given for steps of several lengths, or for samples."""
     if options.record_every == 1 or not (options.auto or options.sample_dt is not None):
         return
     raise InputError(
@@ -271,7 +304,7 @@ def _check_auto(options: Options) -> None:
     """Raise InputError where a run cannot choose its step."""
     what, remedy = "The step cannot be chosen by the run", "Give dt as a number, for example dt=1e-3"
     if options.order < 4:
-        expected = "order >= 4: it is the stages that say what a step leaves out"
+        expected = "order >= 4: the step is chosen by what its stages leave out"
         raise InputError(what, name="order", expected=expected, got=options.order, remedy="Use order=16")
     if options.impact == "dtec":
         raise InputError(
@@ -281,7 +314,7 @@ def _check_auto(options: Options) -> None:
             got="'dtec'",
             remedy=remedy,
         )
-    blind = [name for name in options.ledger or () if name in _FIXED_ONLY]
-    if blind:
+    unknown = [name for name in options.ledger or () if name in _FIXED_ONLY]
+    if unknown:
         expected = "tolerances of quantities that need no step of a fixed length"
-        raise InputError(what, name="ledger", expected=expected, got=", ".join(blind), remedy=remedy)
+        raise InputError(what, name="ledger", expected=expected, got=", ".join(unknown), remedy=remedy)

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any
 
+from contactvi.aliases import alias, renamed_arguments
+
 
 class StatusCode(IntEnum):
-    """How a run ended (the numbers are the engine's; LEDGER is the face's: a tolerance of the ledger was exceeded)."""
+    """How a run ended.
+
+    The numbers are those of the engine's status codes and of stored runs. LEDGER is the only one that the engine does
+    not know: a tolerance of the ledger was exceeded.
+    """
 
     SUCCESS = 0
     ZENO = 1
@@ -40,50 +46,73 @@ class Status:
         return f"{self.code.name} at t = {self.time:.9g} s: {self.message}"
 
 
+# Names in stored runs, where they are not those of the fields of Stats.
+_STORED = {"stage_iterations": "sweeps", "contact_steps": "held_steps", "contact_iterations": "contact_rounds"}
+_STORED_TWICE = ("iterations", "residuals")  # stored runs have the number of stage iterations under these names too
+
+
+@renamed_arguments(
+    sweeps="stage_iterations", held_steps="contact_steps", contact_rounds="contact_iterations",
+)  # fmt: skip
 @dataclass(frozen=True)
 class Stats:
     """What a run cost.
 
     Attributes:
         steps: accepted steps of length dt, or with dt="auto" of the lengths chosen.
-        iterations, sweeps: sweeps over the stages of a step (two names of one number).
-        residuals: evaluations of the step equation.
+        stage_iterations: iterations on the equations of the Gauss stages, each with one evaluation of their residual.
         factorizations: of the mass matrix or the Newton matrix.
-        halved: steps cut in two because their sweeps did not converge.
+        halved: steps cut in two because their stage iterations did not converge.
         rejected: steps that "auto" made again shorter.
         guards_evaluated, guards_skipped: pairs and limits looked at, and those that could not be reached in the step.
         impacts: number of them.
         seconds: wall time inside the engine.
-        held_steps: steps and parts of steps with held contacts.
-        contact_rounds: rounds of their equations.
+        contact_steps: steps and parts of steps with persistent contacts.
+        contact_iterations: iterations on the equations of these steps.
         cone_problems, cone_iterations: contact problems solved, and Newton iterations for them;
         cone_fallbacks: of the problems, those that needed another solver.
-        contact_seconds: wall time inside held steps.
+        contact_seconds: wall time inside steps with persistent contacts.
+
+    Old names, kept for this release: sweeps, iterations and residuals of stage_iterations, held_steps of
+    contact_steps, contact_rounds of contact_iterations.
     """
 
     steps: int = 0
-    iterations: int = 0
-    residuals: int = 0
+    stage_iterations: int = 0
     factorizations: int = 0
     guards_evaluated: int = 0
     guards_skipped: int = 0
     impacts: int = 0
     seconds: float = 0.0
-    sweeps: int = 0
     halved: int = 0
     rejected: int = 0
-    held_steps: int = 0
-    contact_rounds: int = 0
+    contact_steps: int = 0
+    contact_iterations: int = 0
     cone_problems: int = 0
     cone_iterations: int = 0
     cone_fallbacks: int = 0
     contact_seconds: float = 0.0
 
+    sweeps = iterations = residuals = alias("stage_iterations")
+    held_steps = alias("contact_steps")
+    contact_rounds = alias("contact_iterations")
+
     @classmethod
     def of(cls, counts: Mapping[str, Any], seconds: float = 0.0) -> Stats:
         """Return the engine's counts; `seconds` are those of the calls before."""
-        known = {name: counts[name] for name in _COUNTS if name in counts}
+        known = {name: counts[name] for name in _FIELDS if name != "seconds"}
         return cls(**known, seconds=counts["seconds"] + seconds)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the counts under the names of stored runs; `from_dict` reads them back."""
+        values: dict[str, Any] = {_STORED.get(name, name): getattr(self, name) for name in _FIELDS}
+        return values | dict.fromkeys(_STORED_TWICE, self.stage_iterations)
 
-_COUNTS = tuple(name for name in Stats.__dataclass_fields__ if name != "seconds")
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Stats:
+        """Return the counts of `to_dict`. Raises TypeError for a name that it does not write."""
+        own = {name: field for field, name in _STORED.items()}
+        return cls(**{own.get(name, name): value for name, value in stored.items() if name not in _STORED_TWICE})
+
+
+_FIELDS = tuple(field.name for field in fields(Stats))

@@ -39,7 +39,7 @@ def measure(dt):
     force = (cart + mass) * x2 + mass * length * (turn * np.cos(angle) - rate**2 * np.sin(angle))
     off = np.abs(traj.q[:, 0] - place).max()
     error = np.abs(traj.reactions("motion")[1:, 0] - force).max()
-    balance = np.abs(traj.energy - traj.energy[0] - traj.work.drive).max()
+    balance = np.abs(traj.energy - traj.energy[0] - traj.work.prescribed).max()
     print(f"dt {dt:.3f} s  cart off by {off:.1e} m  force off by {error:.2e} of {np.abs(force).max():.1f} N", end="  ")
     print(f"energy less the work of the motion {balance:.2e} J")
     return off, error, balance

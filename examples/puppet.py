@@ -58,7 +58,7 @@ for name, force in pull.items():
     print(f"{name:22s} pulls with {force.min():6.3f} to {force.max():6.3f} N")
 print(f"{len(traj) - 1} steps; strings too long or short by at most {off:.1e} m; knee bends from", end=" ")
 print(f"{lift.min():.2f} to {lift.max():.2f} rad")
-print(f"strings' work {traj.work.drive[-1]:.4f} J, dampers' {traj.work.damping[-1]:.4f} J,", end=" ")
+print(f"strings' work {traj.work.prescribed[-1]:.4f} J, dampers' {traj.work.damping[-1]:.4f} J,", end=" ")
 order = np.log2(balance[0] / balance[1])
 print(f"energy balance off by {balance[1]:.1e} J, order {order:.2f}")
 if len(sys.argv) > 1:

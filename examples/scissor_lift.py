@@ -36,7 +36,7 @@ q0 = scene.assemble(scene.configuration({**guess, "hinge_a1": low, "hinge_platfo
 balance = []
 for dt in (1e-2, 5e-3):
     traj = cvi.simulate(scene, q0, duration=2.5, dt=dt)
-    balance.append(np.abs(traj.energy - traj.energy[0] - traj.work.drive).max())
+    balance.append(np.abs(traj.energy - traj.energy[0] - traj.work.prescribed).max())
 
 core = scene.core()
 loop = max(np.abs(core.constraint_residual(q, t)).max() for t, q in zip(traj.t, traj.q, strict=True))
@@ -50,7 +50,9 @@ force = traj.reactions("motor")[-1, 0]
 order = np.log2(balance[0] / balance[1])
 print(f"{len(traj) - 1} steps, platform from {stages * np.sqrt(1 - x[0] ** 2):.4f} to {stages * np.sin(high):.4f} m")
 print(f"loops open by at most {loop:.1e}; heights off by {np.abs(height - exact).max():.1e} kg m")
-print(f"work of the motor {traj.work.drive[-1]:.6f} J, energy less work off by {balance[1]:.1e} J, order {order:.3f}")
+print(
+    f"work of the motor {traj.work.prescribed[-1]:.6f} J, energy less work off by {balance[1]:.1e} J, order {order:.3f}"
+)
 print(f"force at rest {force:.9f} N, by virtual work {hold:.9f} N")
 if len(sys.argv) > 1:
     traj.to_html(sys.argv[1], title="scissor lift")

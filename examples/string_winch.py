@@ -25,10 +25,10 @@ def measure(dt):
     turned = long * speed * traj.t / length  # integral of long speed / length^2
     angle = np.abs(np.unwrap(np.arctan2(traj.q[:, 1], traj.q[:, 0])) - turned).max()
     tension = np.abs(-traj.reactions("string")[1:, 0] - mass * (long * speed) ** 2 / middle**3).max()
-    work = np.abs(traj.work.drive - 0.5 * mass * ((long * speed / length) ** 2 - speed**2)).max()
+    work = np.abs(traj.work.prescribed - 0.5 * mass * ((long * speed / length) ** 2 - speed**2)).max()
     off = np.abs(np.linalg.norm(traj.q[:, :3], axis=1) - length).max()
     print(f"dt {dt:.4f} s  string off by {off:.1e} m, angle by {angle:.2e} rad, tension by {tension:.2e} N", end=", ")
-    print(f"work by {work:.2e} J of {traj.work.drive[-1]:.4f} J")
+    print(f"work by {work:.2e} J of {traj.work.prescribed[-1]:.4f} J")
     return off, angle, tension, work
 
 

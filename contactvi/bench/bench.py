@@ -35,7 +35,7 @@ from contactvi.bench.runs import (
 )
 from contactvi.errors import InputError, PenetrationError
 from contactvi.inputs import ORDERS
-from contactvi.options import IMPACT_MAPS
+from contactvi.options import IMPACT_MAPS, ImpactMap
 
 if TYPE_CHECKING:
     from contactvi.scene.scene import Scene
@@ -122,7 +122,7 @@ def bench(
     scene: Scene,
     *,
     budget: float = 60.0,
-    maps: Sequence[str] = IMPACT_MAPS,
+    maps: Sequence[ImpactMap] = IMPACT_MAPS,
     orders: Sequence[int] = BENCHED,
     progress: Progress | None = None,
     **options: Any,

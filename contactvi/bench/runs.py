@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.inputs import States
-from contactvi.options import DEFAULT_DT, IMPACT_MAPS, Options, merged
+from contactvi.options import DEFAULT_DT, IMPACT_MAPS, ImpactMap, Options, merged
 from contactvi.simulation.simulation import Simulator, simulate
 from contactvi.trajectory.trajectory import Trajectory
 
@@ -33,7 +33,7 @@ _MAX_NODES = 400
 class Setting(NamedTuple):
     """What is measured: impact map, order, and the length of a step in units of the scene's dt."""
 
-    impact: str
+    impact: ImpactMap
     order: int
     length: float
 

@@ -71,9 +71,9 @@ def _works(traj: Trajectory) -> tuple[str, float]:
     work = traj.work
     parts = {
         "inputs": float(work.input[-1]),
-        "prescribed motion": float(work.drive[-1]),
+        "prescribed motion": float(work.prescribed[-1]),
         "damping": -float(work.damping[-1]),
-        "joint friction": -float(work.dry[-1]),
+        "joint friction": -float(work.joint_friction[-1]),
     }
     return "".join(f", {value:+.6g} J by {name}" for name, value in parts.items() if value), sum(parts.values())
 
@@ -96,22 +96,22 @@ def _slid(loss: float) -> str:
 def _contact_lines(traj: Trajectory) -> list[tuple[str, str]]:
     """Return the lines of persistent contact and constrained steps: how long, how exact, at what cost."""
     stats = traj.stats
-    if not stats.held_steps:
+    if not stats.contact_steps:
         return []
     lines = []
     if len(traj.contacts):
         ledger = traj.ledger.contacts
         gap, complementarity = (float(np.abs(values).max()) for values in (ledger.gap, ledger.complementarity))
-        force = np.linalg.norm(traj.contacts.force[traj.contacts.lasting], axis=1)
+        force = np.linalg.norm(traj.contacts.force[traj.contacts.has_force], axis=1)
         strongest = float(force.max(initial=0.0))
         pairs = len(traj.contacts.pairs)
         text = f"{pairs} {'pairs' if pairs > 1 else 'pair'} touched, largest force at a point {strongest:.4g} N"
         lines.append(text)
         lines.append(f"gaps kept to {gap:.2g} m, gap times impulse to {complementarity:.2g} N s m")
     what = "constrained steps" if traj.scene.built().constrained else "steps in contact"
-    each = 1e6 * stats.contact_seconds / stats.held_steps
-    work = f"{stats.contact_rounds / stats.held_steps:.3g} contact iterations and {each:.3g} us per step"
+    each = 1e6 * stats.contact_seconds / stats.contact_steps
+    work = f"{stats.contact_iterations / stats.contact_steps:.3g} contact iterations and {each:.3g} us per step"
     solver = f"{stats.cone_problems} contact problems, {stats.cone_iterations} iterations"
     fallbacks = f", {stats.cone_fallbacks} by another solver" if stats.cone_fallbacks else ""
-    lines.append(f"{stats.held_steps} {what}, {work}, {solver}{fallbacks}")
+    lines.append(f"{stats.contact_steps} {what}, {work}, {solver}{fallbacks}")
     return [("" if k else "contact", line) for k, line in enumerate(lines)]

@@ -11,7 +11,6 @@ from pathlib import Path
 import coal
 import numpy as np
 import pinocchio as pin
-from scipy.spatial import ConvexHull, QhullError
 
 from contactvi.errors import SceneError
 from contactvi.importing.report import PartReport, number
@@ -54,6 +53,8 @@ def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
 
 def _outer_points(points: np.ndarray, name: str) -> np.ndarray:
     """Return the vertices of the hull of points (n, 3)."""
+    from scipy.spatial import ConvexHull, QhullError  # most scenes load no mesh, and SciPy takes long to import
+
     remedy = "Replace the mesh by a box or repair it"
     if len(points) < 4 or not np.all(np.isfinite(points)):
         what = "fewer than 4 vertices" if len(points) < 4 else "vertices that are not finite"

@@ -77,7 +77,7 @@ def forces_of(run: Run, times: Array) -> Forces | None:
     """Return the arrows at the frames of a run, `times` (F,) [s], run time; None without persistent contact."""
     log = run.contacts
     strength = np.linalg.norm(log.force, axis=1)
-    drawn = (log.array("kind") == 0) & log.lasting & (strength > 0.0) & np.isfinite(log.position).all(axis=1)
+    drawn = (log.array("kind") == 0) & log.has_force & (strength > 0.0) & np.isfinite(log.position).all(axis=1)
     if not drawn.any() or len(times) < 2:
         return None
     frame, row = _seen(log, np.flatnonzero(drawn), times)

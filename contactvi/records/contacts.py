@@ -1,9 +1,9 @@
 """Contacts of a run: who pushed whom, where, how strongly and how long; and when contacts began, slipped and ended.
 
-The engine gives one row per contact point and held step, and one per point of an impact of two shapes, whose length is
-0 and whose mode is "impact"; impacts at joint limits are events only. Impulses act on the second shape of a pair, minus
-them on the first, and are in world axes. A held limit pushes its joint back by a number >= 0 [N s; N m s for a revolute
-joint], the first component of its impulse.
+The engine reports one row per persistent contact point and step, and one per point of an impact of two shapes, whose
+length is 0 and whose mode is "impact"; impacts at joint limits are events only. Impulses are in world axes. They act on
+the second shape of a pair, and with the opposite sign on the first. A limit in persistent contact pushes its joint back
+by a number >= 0 [N s; N m s for a revolute joint], the first component of its impulse.
 """
 
 from __future__ import annotations
@@ -16,21 +16,14 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi.aliases import alias
 from contactvi.errors import InputError, did_you_mean
-from contactvi.records.events import KINDS, label
+from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
+from contactvi.records.events import label
 
 Array = NDArray[np.float64]
 
-MODES = ("stick", "slip", "frictionless", "impact")  # in the engine's order
 _BRIEF = 1e-3  # of the longest step
-CHANGES = (
-    "begin",
-    "release",
-    "stick",
-    "slip",
-    "bouncing ended",  # value: when impacts would have accumulated [s]
-    "inconsistent",  # Painleve: rigid bodies with friction have no answer without an impulse; value: A [1/kg]
-)
 # name -> (width, dtype) of one row; width 0 is a scalar. The order is that of the file format.
 FIELDS: dict[str, tuple[int, type]] = {
     "t": (0, float),
@@ -99,7 +92,7 @@ class ContactLog(Sequence[Contact]):
     """The contacts of a run, a sequence of `Contact` in the order of time, and the same data as arrays.
 
     `log[3]` is a Contact; `log.impulse`, `log.force`, `log.t`, ... are arrays of all rows, shape (m,) or (m, 3);
-    `log.array(name)` is one of FIELDS; kind and mode are places in KINDS and MODES there.
+    `log.array(name)` is one of FIELDS; kind and mode are numbers there (contactvi.records.codes).
     """
 
     def __init__(
@@ -149,22 +142,24 @@ class ContactLog(Sequence[Contact]):
     def force(self) -> Array:
         """Mean over the step, impulse / h, on the second shape [N], world axes, shape (m, 3); NaN for impacts."""
         h = self.h[:, None]
-        return np.divide(self.impulse, h, out=np.full(self.impulse.shape, np.nan), where=h > 0.0)
+        return np.asarray(np.divide(self.impulse, h, out=np.full(self.impulse.shape, np.nan), where=h > 0.0))
 
     @cached_property
-    def lasting(self) -> NDArray[np.bool_]:
+    def has_force(self) -> NDArray[np.bool_]:
         """Whether a row is long enough for its force to mean something, shape (m,): for pictures and largest values.
 
-        Neither impacts nor parts of steps between two changes that are shorter than a thousandth of the longest step:
-        an impulse of the size of rounding over no time is no force.
+        Impacts are not, nor are parts of steps between two changes that are shorter than a thousandth of the longest
+        step: an impulse of the size of rounding, divided by almost no time, is no force.
         """
         return np.asarray(self.h > _BRIEF * self.h.max(initial=0.0))
+
+    lasting = alias("has_force")
 
     @cached_property
     def normal_impulse(self) -> Array:
         """Along the normal [N s; N m s at the limit of a revolute joint], shape (m,)."""
         along = np.sum(self.impulse * self._arrays["normal"], axis=1)
-        return np.where(self._arrays["kind"] == 1, self.impulse[:, 0], along)
+        return np.where(self._arrays["kind"] == GuardKind.LIMIT, self.impulse[:, 0], along)
 
     @property
     def total_impulse(self) -> Array:
@@ -172,7 +167,7 @@ class ContactLog(Sequence[Contact]):
 
         Limits are left out.
         """
-        return np.asarray(self.impulse[self._arrays["kind"] == 0].sum(axis=0))
+        return np.asarray(self.impulse[self._arrays["kind"] == GuardKind.CONTACT].sum(axis=0))
 
     @cached_property
     def pairs(self) -> list[tuple[str, str]]:
@@ -184,7 +179,7 @@ class ContactLog(Sequence[Contact]):
         """Return the contacts that act at time t [s]: those of the step around it (the later of two), and impacts."""
         now = (self.t <= t) & ((t < self.end) | (self.t == t))
         if not np.any(now & (self.h > 0.0)) and len(self) and t == self.end.max():
-            now |= self.end == t  # the run ends with a held step
+            now |= self.end == t  # at its end a run has the contacts of its last step
         return [self[int(k)] for k in np.flatnonzero(now)]
 
     def of(self, a: str, b: str) -> ContactLog:
@@ -195,7 +190,7 @@ class ContactLog(Sequence[Contact]):
         """
         for pair in self.pairs:
             if (a, b) in (pair, pair[::-1]):
-                return self._rows(self._of_pair(pair))
+                return self.rows(self._of_pair(pair))
         raise InputError(
             f"{a!r} and {b!r} have no contact in this run",
             name="pair",
@@ -205,12 +200,13 @@ class ContactLog(Sequence[Contact]):
         )
 
     def force_of(self, a: str, b: str) -> tuple[Array, Array]:
-        """Return (t (k,) [s], force (k, 3) [N]) of a pair over the steps it was held: middle of a step, sum of points.
+        """Return (t (k,) [s], force (k, 3) [N]) of a pair over its steps in persistent contact.
 
-        The force is on the second shape of the pair as `pairs` names it; for a limit its first component.
+        Times are the middles of the steps, and the force of a step is the sum of its points. It acts on the second
+        shape of the pair as `pairs` names it; for a limit it is the first component.
         """
         rows = self.of(a, b)
-        rows = rows._rows(rows.h > 0.0)
+        rows = rows.rows(rows.h > 0.0)
         return _summed(rows, rows.force)
 
     def on(self, body: Any) -> tuple[Array, Array]:
@@ -218,7 +214,7 @@ class ContactLog(Sequence[Contact]):
 
         Args:
             body: name of a shape, several of them, or a handle of the scene, whose shapes count as one body. Times are
-                the middles of the steps in which it was held.
+                the middles of the steps in which it had persistent contact.
         """
         shapes = set(_shapes(body))
         signs = self._signs(shapes)
@@ -229,7 +225,7 @@ class ContactLog(Sequence[Contact]):
                 remedy=did_you_mean(str(body), known),
             )  # fmt: skip
         chosen = (signs != 0.0) & (self.h > 0.0)
-        rows = self._rows(chosen)
+        rows = self.rows(chosen)
         return _summed(rows, signs[chosen, None] * rows.force)
 
     def impulse_on(self, body: Any) -> Array:
@@ -240,15 +236,16 @@ class ContactLog(Sequence[Contact]):
     def _signs(self, shapes: set[str]) -> Array:
         """+1 where the second shape is one of these, -1 where the first is, 0 where both or none are, shape (m,)."""
         of_pair = np.array([(b in shapes) * 1.0 - (a in shapes) * 1.0 for a, b in self._names[0]] or [0.0])
-        index = np.where(self._arrays["kind"] == 0, self._arrays["index"], 0)
-        return np.where(self._arrays["kind"] == 0, of_pair[index], 0.0)
+        index = np.where(self._arrays["kind"] == GuardKind.CONTACT, self._arrays["index"], 0)
+        return np.where(self._arrays["kind"] == GuardKind.CONTACT, of_pair[index], 0.0)
 
     def _of_pair(self, pair: tuple[str, str]) -> NDArray[np.bool_]:
         keys = np.column_stack([self._arrays["kind"], self._arrays["index"]])
         kept = [key for key in np.unique(keys, axis=0) if label(int(key[0]), int(key[1]), *self._names) == pair]
         return np.asarray(np.any([np.all(keys == key, axis=1) for key in kept], axis=0))
 
-    def _rows(self, chosen: NDArray[Any]) -> ContactLog:
+    def rows(self, chosen: NDArray[Any]) -> ContactLog:
+        """Return the contacts of these rows, given by their numbers or by a mask (m,)."""
         return ContactLog({name: values[chosen] for name, values in self._arrays.items()}, *self._names)
 
     def __len__(self) -> int:
@@ -317,7 +314,7 @@ class ChangeLog(Sequence[ContactChange]):
         self._names = pair_names, joint_names
 
     def array(self, name: str) -> NDArray[Any]:
-        """Return one field of all changes as an array, shape (n,); change is a place in CHANGES."""
+        """Return one field of all changes as an array, shape (n,); change and kind are numbers (codes)."""
         return self._arrays[name]
 
     @property

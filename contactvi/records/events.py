@@ -11,20 +11,9 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.options import IMPACT_MAPS
+from contactvi.records.codes import FALLBACKS, KINDS, METHODS, GuardKind
 
-KINDS = ("contact", "limit")
-METHODS = IMPACT_MAPS
-FALLBACKS = (
-    None,
-    "plastic: without rebound the map's equation is singular",
-    "no convergence: no root near CTEC's impulse",
-    "inadmissible: the root pulls or does not separate",
-    "grazing: too slow for the equation to fix the impulse, its root is far from CTEC's",
-    "held: while contacts are held what the map conserves is not known",
-)
-HELD = 5  # place in FALLBACKS
-_SAME_TIME = 1e-13  # relative: an event at the start of a step
+_SAME_TIME = 1e-13  # relative: events so near to the start of a step happen there
 
 # name -> (width, dtype) of one event's entry; width 0 is a scalar, "q" and "v" the size of the configuration and of
 # the velocity. The order is that of the file format.
@@ -81,7 +70,7 @@ class Event:
         fallback: None, or the reason why the impulse is CTEC's because the map had no answer.
         jump: what is left of the map's own scalar equation [J], losses by restitution taken off; 0 for CTEC.
         before, after: lengths [s] of the partial step that ends at the impact (since the last event or node) and of the
-            rest of the step after it; NaN in runs stored before they were kept.
+            rest of the step after it.
         q: configuration at the impact, shape (nq,).
         p_minus, p_plus: momentum before and after, shape (nv,).
         impulse_vector: on the second shape, friction included [N s], world frame, shape (3,); zero for a limit.
@@ -131,7 +120,7 @@ class EventLog(Sequence[Event]):
     """The events of a run in the order of time: a sequence of `Event`, and the same data as arrays.
 
     `log[3]` is an Event, `log.array("impulse")` the array of all impulses, shape (n,); kind, method and fallback are
-    numbers there, places in KINDS, METHODS and FALLBACKS. `method` is the impact map of the run.
+    numbers there (contactvi.records.codes). `method` is the impact map of the run.
     """
 
     def __init__(
@@ -141,7 +130,7 @@ class EventLog(Sequence[Event]):
         joint_names: Sequence[str],
         method: str = "ctec",
     ) -> None:
-        """`arrays`: as in FIELDS, or a function that makes them when they are first asked for."""
+        """Take arrays as in FIELDS, or a function that makes them when they are first asked for."""
         self._source = arrays
         self._pair_names = pair_names
         self._joint_names = joint_names
@@ -151,7 +140,7 @@ class EventLog(Sequence[Event]):
     def _arrays(self) -> dict[str, NDArray[Any]]:
         arrays = self._source() if callable(self._source) else self._source
         self._source = {}
-        return complete(arrays)
+        return {name: np.asarray(arrays[name]) for name in FIELDS}
 
     def array(self, name: str) -> NDArray[Any]:
         """Return one field of all events as an array, shape (n,) or (n, width)."""
@@ -224,41 +213,27 @@ class EventLog(Sequence[Event]):
         return Event(**values)
 
 
-def complete(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return all fields; what is not there as for one point without friction, for which it follows from the others."""
-    found = {name: np.asarray(arrays[name]) for name in FIELDS if name in arrays}
-    impulse, count = found["impulse"], len(found["time"])
-    before, after, twice = found["gamma_minus"], found["gamma_plus"], 2.0 * found["G_c"]
-    if "impulse_vector" not in found:
-        found["impulse_vector"] = impulse[:, None] * found["normal"]
-    if "points" not in found:
-        found["points"] = np.ones(count, dtype=np.int64)
-    if "friction" not in found:
-        found["friction"] = np.zeros(count)
-    if "loss" not in found:
-        found["loss"] = (1.0 - found["restitution"] ** 2) * before**2 / twice
-    if "energy_change" not in found:
-        found["energy_change"] = (after**2 - before**2) / twice
-    return {name: found[name] for name in FIELDS}
-
-
 def with_energy_change(
     arrays: Mapping[str, NDArray[Any]], kinetic_energy: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """Return all fields, the change of energy measured where one speed and G_c do not say it: points that act together.
+    """Return all fields: those of `joined`, and the change of energy.
+
+    One point without friction has it from its speeds and G_c. Where points act together, or with friction, it is the
+    difference of two kinetic energies.
 
     Args:
         kinetic_energy: (q (k, nq), p (k, nv)) -> (k,) [J].
     """
-    found = complete(arrays)
-    formula = (1.0 - found["restitution"] ** 2) * found["gamma_minus"] ** 2 / (2.0 * found["G_c"])
+    found = dict(arrays)
+    before, after, twice = found["gamma_minus"], found["gamma_plus"], 2.0 * found["G_c"]
+    change = (after**2 - before**2) / twice
+    formula = (1.0 - found["restitution"] ** 2) * before**2 / twice
     alone = (found["points"] <= 1) & (found["friction"] == 0.0)
     rows = np.flatnonzero(~alone | (np.abs(found["loss"] - formula) > 1e-9 * formula))
     if len(rows):
         q, p_minus, p_plus = (found[name][rows] for name in ("q", "p_minus", "p_plus"))
-        found["energy_change"] = found["energy_change"].copy()
-        found["energy_change"][rows] = kinetic_energy(q, p_plus) - kinetic_energy(q, p_minus)
-    return found
+        change[rows] = kinetic_energy(q, p_plus) - kinetic_energy(q, p_minus)
+    return {name: change if name == "energy_change" else found[name] for name in FIELDS}
 
 
 def empty_arrays(nq: int, nv: int) -> dict[str, NDArray[Any]]:
@@ -271,22 +246,22 @@ def empty_arrays(nq: int, nv: int) -> dict[str, NDArray[Any]]:
     return {name: np.zeros(shapes[name], dtype=kind) for name, (_, kind) in FIELDS.items()}
 
 
-def join(parts: Sequence[Mapping[str, NDArray[Any]]], nq: int, nv: int) -> dict[str, NDArray[Any]]:
-    """Return the arrays of several logs, one after the other."""
+def joined(parts: Sequence[Mapping[str, NDArray[Any]]], nq: int, nv: int) -> dict[str, NDArray[Any]]:
+    """Return the events that the engine reported in several calls, all fields but energy_change."""
     empty = empty_arrays(nq, nv)
+    del empty["energy_change"]
     if not parts:
         return empty
-    parts = [complete(part) for part in parts]
     return {
-        name: np.concatenate([np.asarray(part[name]).reshape((-1, *empty[name].shape[1:])) for part in parts]).astype(
-            kind, copy=False
+        name: np.concatenate([np.asarray(part[name]).reshape((-1, *none.shape[1:])) for part in parts]).astype(
+            none.dtype, copy=False
         )
-        for name, (_, kind) in FIELDS.items()
+        for name, none in empty.items()
     }
 
 
 def label(kind: int, index: int, pair_names: Sequence[tuple[str, str]], joint_names: Sequence[str]) -> tuple[str, str]:
     """Return the two names of a guard in the engine's numbering: pairs, or 2 * joint + {0 lower, 1 upper}."""
-    if kind == 0:
+    if kind == GuardKind.CONTACT:
         return pair_names[index]
     return joint_names[index // 2], "upper limit" if index % 2 else "lower limit"

@@ -1,4 +1,4 @@
-"""What forces did in a run: work of inputs, damping, dry friction and drives, and the reactions of constraints.
+"""Forces of a run: work of inputs, damping, joint friction and prescribed motions, and reactions of constraints.
 
 Nodes as in contactvi.trajectory.trajectory: N of them, the first at the start.
 """
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from contactvi.errors import InputError, did_you_mean
 
 Array = NDArray[np.float64]
-WORKS = ("input", "damping", "dry", "drive")  # in the engine's order
 
 
 class Work(NamedTuple):
@@ -23,15 +22,30 @@ class Work(NamedTuple):
 
     Attributes:
         input: put in by control, servos, wrenches and forces given in Python.
-        drive: put in by prescribed motions and driven lengths.
         damping: taken by dampers, of joints and springs, >= 0.
-        dry: taken by the dry friction of joints, >= 0.
+        joint_friction: taken by the friction of joints, >= 0.
+        prescribed: put in by prescribed motions and lengths.
+
+    Old names, kept for this release: dry of joint_friction, drive of prescribed.
     """
 
     input: Array
     damping: Array
-    dry: Array
-    drive: Array
+    joint_friction: Array
+    prescribed: Array
+
+    @property
+    def dry(self) -> Array:
+        """Old name of `joint_friction`, kept for this release."""
+        return self.joint_friction
+
+    @property
+    def drive(self) -> Array:
+        """Old name of `prescribed`, kept for this release."""
+        return self.prescribed
+
+
+WORKS = tuple(Work.__annotations__)  # the columns that the engine reports
 
 
 class ConstraintRows(NamedTuple):
@@ -76,7 +90,10 @@ class Forces:
         return Forces(self.t[first:], self.values[first:], self.reactions[first:], self.constraints)
 
     def sampled(self, t: Array) -> Forces:
-        """Return the same at other nodes t (n,) [s]: work between nodes in proportion (O(dt^2)), reactions as means."""
+        """Return work and reactions at other nodes t (n,) [s].
+
+        Work between two nodes is shared in proportion to time, to O(dt^2), and reactions are means.
+        """
         spans = np.diff(self.t, prepend=self.t[:1])[:, None]
         impulse = np.cumsum(self.reactions * spans, axis=0)
         work, impulse = (
@@ -89,7 +106,7 @@ class Forces:
         return Forces(t, work, means, self.constraints)
 
 
-class Growing:
+class GrowingForces:
     """Work and reactions of a run as it grows: what the engine reports node by node, at the nodes that are kept."""
 
     def __init__(self, t: float, constraints: Sequence[ConstraintRows]) -> None:
@@ -98,16 +115,12 @@ class Growing:
         self._t: list[Array] = [np.array([t])]
         self._work: list[Array] = [np.zeros((1, len(WORKS)))]
         self._reactions: list[Array] = [np.zeros((1, self._rows))]
-        self._last = t  # node that was seen last
-        self._pending = np.zeros(self._rows)  # impulse since the node that was kept last [N s, N m s]
-        self.known = True
+        self._last = t  # time of the last node that was reported [s]
+        self._pending = np.zeros(self._rows)  # impulse since the last node that was kept [N s, N m s]
 
     def add(self, result: Mapping[str, Any], t: Array, keep: NDArray[np.bool_]) -> None:
         """Take over a result of the engine with nodes t (n,) [s]; keep (n,): which of them are kept."""
-        if result.get("work") is None:
-            self.known = False
-            return
-        if self._rows == 0:  # what a control loop without constraints does in every step
+        if self._rows == 0:  # a control loop comes here in every step, so it has to be quick
             if keep.any():
                 self._t.append(t[keep])
                 self._work.append(np.asarray(result["work"])[keep])
@@ -123,7 +136,7 @@ class Growing:
             times = t[new][kept]
             before = np.append(self._t[-1][-1], times[:-1])
             sums = np.diff(impulse[kept], axis=0, prepend=np.zeros((1, self._rows)))
-            exact = bool(np.all(kept)) and not self._pending.any()  # a mean of one is itself
+            exact = bool(np.all(kept)) and not self._pending.any()  # each node has its own mean
             self._reactions.append(reactions[new] if exact else sums / (times - before)[:, None])
             self._work.append(np.asarray(result["work"], dtype=float)[new][kept])
             self._t.append(times)
@@ -134,7 +147,7 @@ class Growing:
         if new.any():
             self._last = float(t[-1])
 
-    def copy(self) -> Growing:
+    def copy(self) -> GrowingForces:
         """Return a copy that grows on its own."""
         twin = copy.copy(self)
         for name in ("_t", "_work", "_reactions"):
@@ -146,10 +159,8 @@ class Growing:
         for name in ("_t", "_work", "_reactions"):
             setattr(self, name, [np.concatenate(getattr(self, name))[:count]])
 
-    def joined(self, first: int = 0) -> Forces | None:
-        """Return work and reactions of the blocks from `first` on; None where the engine reported none."""
-        if not self.known:
-            return None
+    def joined(self, first: int = 0) -> Forces:
+        """Return work and reactions of the blocks from `first` on."""
         t, work, reactions = (
             parts[0] if len(parts) == 1 else np.concatenate(parts)
             for parts in (self._t[first:], self._work[first:], self._reactions[first:])

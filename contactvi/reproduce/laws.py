@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError
+from contactvi.options import ImpactMap
 from contactvi.reproduce.check import at_least, at_most, between, reported
 from contactvi.reproduce.row import HOLDS, HOLDS_NOT, Row, listed, per_map
 from contactvi.reproduce.systems import (
@@ -116,7 +117,7 @@ def momentum_row() -> Row:
     )
 
 
-def _collide(make: Callable[[], tuple[Any, Array]], name: str) -> Trajectory:
+def _collide(make: Callable[[], tuple[Any, Array]], name: ImpactMap) -> Trajectory:
     scene, v0 = make()
     traj = simulate(scene, scene.neutral(), v0, duration=2.0, dt=0.02, impact=name, tol=1e-13)
     if not len(traj.events):
@@ -189,7 +190,7 @@ def smooth_symplectic_row() -> Row:
     )
 
 
-def symplectic_defect(name: str, h: float, impact: bool) -> float:
+def symplectic_defect(name: ImpactMap, h: float, impact: bool) -> float:
     """Return max |J^T Omega J - Omega| of one step of problem B: the one with impact 1, or the sixth, without any."""
     traj = run_b(name, h, 0.8)
     k = int(traj.events.array("step")[0]) if impact else 5
@@ -204,7 +205,7 @@ def symplectic_defect(name: str, h: float, impact: bool) -> float:
     return float(np.abs(jacobian.T @ _OMEGA @ jacobian - _OMEGA).max())
 
 
-def _flow_b(name: str, h: float, impacts: int) -> Callable[[Array], Array]:
+def _flow_b(name: ImpactMap, h: float, impacts: int) -> Callable[[Array], Array]:
     """Return the map of (absolute angles, their momenta) over one step, which must have so many impacts."""
     scene = problem_b()
     core, simulator = scene.core(), stepper(scene, name, h)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from contactvi.options import ImpactMap
 from contactvi.reproduce.check import Check
 
 HOLDS, IN_PART, HOLDS_NOT = "holds", "holds in part", "does not hold"
@@ -47,6 +48,6 @@ def listed(values: Iterable[float], digits: str = ".2g") -> str:
     return " ".join(f"{value:{digits}}" for value in values)
 
 
-def per_map(values: dict[str, str]) -> str:
+def per_map(values: Mapping[ImpactMap, str] | Mapping[str, str]) -> str:
     """Return "CTEC 1, DTEC 2, MHC 3"."""
     return "; ".join(f"{name.upper()} {text}" for name, text in values.items())

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi.options import ImpactMap
 from contactvi.reproduce.check import Check, about, at_most, between, near, reported
 from contactvi.reproduce.reference import reference
 from contactvi.reproduce.row import HOLDS, HOLDS_NOT, IN_PART, Row, listed, per_map
@@ -40,7 +41,7 @@ _SPREAD = 0.1  # [rad] around the start of problem B
 # An earlier measurement of the claims on the same problem with another code.
 _ORDERS = {"ctec": (1.96, 1.99, 2.00, 2.00), "dtec": (2.12, 1.94, 1.84, 2.16), "mhc": (1.96, 1.99, 2.00, 2.00)}
 _DENSE_DTEC = (4e-4, 1.2e-3, 1.3e-2, 0.21)
-_COST = {"dtec": 1.7, "mhc": 3.3}
+_COST: dict[ImpactMap, float] = {"dtec": 1.7, "mhc": 3.3}
 # DTEC's energy drifts in either direction: shifts of the start by 1e-12 rad give decile means of -0.086 .. 0.060 J,
 # which its range includes.
 _LONG_RANGES = {"ctec": (-6e-5, 2e-4), "dtec": (-1.2e-1, 1.2e-1), "mhc": (6.65e-4, 7.55e-4)}

@@ -12,13 +12,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi.options import IMPACT_MAPS, ImpactMap
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulation import Simulator, simulate
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-MAPS = ("ctec", "dtec", "mhc")
+MAPS = IMPACT_MAPS
 STEPS = (0.04, 0.02, 0.01, 0.005, 0.0025)  # [s]
 GRAVITY = 9.81
 START = np.array([0.3, 0.5])  # absolute angles [rad]
@@ -54,7 +55,7 @@ def problem_b(offset: float = 0.0, radius: float = _RADIUS) -> Scene:
 
 
 def run_b(
-    impact: str, dt: float, duration: float = DURATION, start: Array = START, record_every: int = 1
+    impact: ImpactMap, dt: float, duration: float = DURATION, start: Array = START, record_every: int = 1
 ) -> Trajectory:
     """Run problem B from rest at the absolute angles `start`, shape (2,) [rad], with one impact map."""
     q0 = np.linalg.solve(ABSOLUTE, start)
@@ -90,6 +91,6 @@ def body_at_wall() -> tuple[Scene, Array]:
     return scene, np.array([-1.0, 0.7, 0.4, 0.3, 0.9, -0.2])
 
 
-def stepper(scene: Scene, impact: str, dt: float) -> Simulator:
+def stepper(scene: Scene, impact: ImpactMap, dt: float) -> Simulator:
     """Return a simulator with the tolerance of `run_b`."""
     return Simulator(scene, dt=dt, impact=impact, tol=1e-13)

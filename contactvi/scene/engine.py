@@ -65,13 +65,15 @@ def make_engine_scene(
 def _set_joints(scene: EngineScene, arrays: JointArrays) -> None:
     """Hand joint friction and nonlinear springs to the engine's scene."""
     if np.any(arrays.joint_friction):
-        scene.set_dry_friction(arrays.joint_friction)
+        scene.set_joint_friction(arrays.joint_friction)
     for joint, rest, torque in arrays.polynomials:  # The torque -k_i x^i has the potential k_i x^(i + 1) / (i + 1).
         scene.add_joint_potential(joint, rest, torque / np.arange(2.0, len(torque) + 2.0))
 
 
 def _add_elements(scene: EngineScene, elements: Resolved) -> None:
     """Hand springs, wrenches, functions of the user and constraints to the engine's scene, in this order."""
+    from contactvi import _core
+
     for spring in elements.springs:
         scene.add_path_spring(*spring)
     for wrench in elements.wrenches:
@@ -83,12 +85,14 @@ def _add_elements(scene: EngineScene, elements: Resolved) -> None:
         scene.add_user_force(checked_force(force.function, repr(force.name), elements.dofs), derivatives)
     for potential in elements.potentials:
         functions = [(potential.value, "value"), (potential.gradient, "gradient"), (potential.hessian, "hessian")]
-        scene.add_user_potential(*(
+        checked: list[Any] = [
             None if function is None else checked_of_q(function, f"{what} of {potential.name!r}", elements.dofs, axes)
             for axes, (function, what) in enumerate(functions)
-        ))  # fmt: skip
+        ]
+        scene.add_user_potential(*checked)
     for row in elements.constraints:
-        scene.add_constraint(row.engine_kind, *row.a, *row.b, row.numbers.tolist(), row.signal, row.name)
+        kind = _core.ConstraintKind[row.engine_kind.upper()]
+        scene.add_constraint(kind, *row.a, *row.b, row.numbers, row.signal, row.name)
 
 
 def _set_actuation(scene: EngineScene, arrays: JointArrays) -> None:

@@ -70,6 +70,9 @@ class Scene:
         self.q0: np.ndarray | None = None
         self.v0: np.ndarray | None = None
         self.settings: dict[str, Any] = {}
+        # What contactvi.trajectory.compiled makes of the scene for its runs. It stands here for the garbage collector:
+        # functions of the user in it may hold the scene in turn.
+        self.compiled: object = None
 
     # --- parts --------------------------------------------------------------------------------------------------------
 
@@ -672,7 +675,7 @@ class Scene:
         vars(twin).update(vars(self))
         twin._parts, twin._contact = self._parts.copy(), self._contact.copy()
         twin._joints, twin._elements = self._joints.copy(), self._elements.copy()
-        twin.settings = dict(self.settings)
+        twin.settings, twin.compiled = dict(self.settings), None
         return twin
 
     def __copy__(self) -> Scene:

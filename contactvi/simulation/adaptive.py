@@ -1,18 +1,17 @@
 """dt = "auto": runs a scene with steps that make q as accurate as asked, and measures how accurate it is.
 
-The engine keeps the step h constant on each arc between impacts, so that what its stage polynomials leave out of the
-motion stays below a level [m, rad]. With s stages that goes with h^s, and the error of the run with h^2s, so with the
-square of the level. The factor in front depends on the motion and is measured, by a companion: a run with a coarser
-level. Its distance from the run is the difference of the two errors, whose ratio follows from the lengths of their
-steps. Where the error is above tol the level is lowered by the law and the run made again; the one before is then the
-companion.
+The engine keeps the step h constant between two impacts, so that what its stage polynomials leave out of the motion
+stays below a level [m, rad]. With s stages that goes with h^s, and the error of the run with h^2s, so with the square
+of the level. The factor in front depends on the motion and is measured by a companion: a run with a coarser level. Its
+distance from the run is the difference of the two errors, whose ratio follows from the lengths of their steps. Where
+the error is above tol the level is lowered by this law and the run is made again; the run before is then the companion.
 
-While contacts are held the steps are midpoint steps of one length, whatever the order. They are as long as the level
-times a constant, so that their error goes with the square of the level too and the same comparison measures it.
+Steps with persistent contacts are midpoint steps of one length, whatever the order. They are as long as the level times
+a constant, so that their error goes with the square of the level too and the same comparison measures it.
 
 The estimate is for the largest error of q over the nodes, norm of the tangent difference [m, rad]. It is no bound: it
 takes the law for granted while successive distances follow it, and the whole distance where they do not. Rounding and
-the tolerance of the stage equations are counted as a floor that no level can undercut. Motions that part for good
+the tolerance of the stage equations are counted as a floor that no level can undercut. Two motions that separate
 (chaos, another sequence of impacts) show as a large distance; a run that cannot meet tol ends with an AccuracyWarning.
 """
 
@@ -23,7 +22,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,31 +32,33 @@ from contactvi.options import Options
 from contactvi.simulation import engine
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.recorder import Record
-from contactvi.simulation.tolerances import Watch
+from contactvi.simulation.tolerances import LedgerWatch
 from contactvi.status import Status, StatusCode
 from contactvi.trajectory import polynomials as dense
 from contactvi.trajectory.compiled import CompiledScene
-from contactvi.trajectory.ledger import Ledger
 from contactvi.trajectory.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from contactvi import _core
 
 Array = NDArray[np.float64]
 
-_ROUNDS = 6  # runs besides the first companion
+_RUNS = 6  # at most, besides the first companion
 _START = 0.3  # level = _START sqrt(tol) to begin with
 _SEEN = 0.1  # errors / level^2 of many motions lie about this
 _COMPANION = 30.0  # times the error of the run, by the law
 _AIM = 0.3  # of tol: where the level is set to
-_LEAST = 10.0  # ratio of the errors of two runs, so that their distance is the coarser one's error
-_DISTINCT = 1.3  # ratio of errors, by the law, below which the steps of a flight are too much alike to say anything
+_LEAST = 10.0  # ratio of the errors of two runs; then their distance is the error of the coarser one
+_DISTINCT = 1.3  # ratio of errors, by the law, below which the steps of a flight are too much alike to compare
 _MATTERS = 0.01  # share of a flight in the error, by the law, below which that does not matter
 _FINER, _MOST = 0.6, 8.0  # length of finer steps / the shortest step; number of them / that of the steps
-_FOLLOWS = 5.0  # times what the law expects: more is not the law
+_FOLLOWS = 5.0  # times what the law expects: a larger distance does not follow it
 _LOST = 0.1  # of the size of the motion: two runs this far apart no longer follow the same motion
 _TIMES = 6  # at which two runs are compared
 _STARTS = 3  # flights whose first step is looked at
 _CONTACT = 3.0  # [s/m] step in contact / level: about 1e-3 s for tol = 1e-6
 _CONTACT_DT = (1e-6, 2e-2)  # [s] shortest and longest one
-_LEVELS = (1e-8, 3e-3)  # below: errors under rounding, and steps without end at low orders
+_LEVELS = (1e-8, 3e-3)  # [m, rad]; below the first errors drown in rounding, and low orders need too many steps
 _EPS = float(np.finfo(float).eps)
 
 
@@ -87,10 +88,10 @@ def run(
         return search.last.trajectory(None)
     record = found.record
     record.stats = replace(record.stats, seconds=search.seconds)
-    if not options.dense:  # its segments were needed for the comparison only
+    if not options.dense:  # the segments were needed for the comparison only
         record.options, record.segments = options, []
     if options.ledger:
-        _watch(record)
+        _check_ledger(record)
     traj = record.trajectory(found.engine, estimate)
     if record.status.ok and not estimate <= options.tol:
         warnings.warn(
@@ -105,13 +106,13 @@ def run(
 class _Found:
     """A run at a level: its record, and the engine at its end."""
 
-    def __init__(self, level: float, record: Record, simulator: Any, dt_contact: float = math.nan) -> None:
+    def __init__(self, level: float, record: Record, simulator: _core.Simulator, dt_contact: float = math.nan) -> None:
         self.level, self.record, self.engine, self.dt_contact = level, record, simulator, dt_contact
 
     @property
     def steps(self) -> Array:
-        """Lengths of the steps of its arcs [s]."""
-        return np.zeros(0) if self.record.arcs is None else self.record.arcs["dt"]
+        """Lengths of its adaptive steps [s], one for every time at which the length changes."""
+        return np.zeros(0) if self.record.adaptive_steps is None else self.record.adaptive_steps["dt"]
 
     @cached_property
     def segments(self) -> dict[str, Array]:
@@ -120,9 +121,9 @@ class _Found:
         return {name: np.zeros(0) for name in dense.FIELDS} if joined is None else joined.arrays
 
     @property
-    def held(self) -> bool:
-        """Whether contacts were held."""
-        return bool(np.any(self.segments["held"]))
+    def in_contact(self) -> bool:
+        """Whether there were persistent contacts."""
+        return bool(np.any(self.segments["persistent"]))
 
 
 class _Search:
@@ -132,22 +133,22 @@ class _Search:
         self,
         compiled: CompiledScene,
         options: Options,
-        q0: Any,
-        v0: Any,
+        q0: ArrayLike | None,
+        v0: ArrayLike | None,
         progress: Callable[[float, int], object] | None,
     ) -> None:
         self._compiled, self._options, self._start, self._progress = compiled, options, (q0, v0), progress
         self._stages = options.order // 2
         self.seconds = 0.0
         self.last: Record
-        self._engine: Any = None
+        self._engine: _core.Simulator | None = None
 
     def search(self) -> tuple[_Found, float]:
         """Return the run and its estimated error; an interrupted run as it is, with NaN."""
         tol = self._options.tol
         level = _clip(_START * math.sqrt(tol))
         companion, estimate = self._run(level * math.sqrt(_COMPANION), slack=_COMPANION), math.nan
-        for _ in range(_ROUNDS):
+        for _ in range(_RUNS):
             if _interrupted(companion) or not len(companion.segments["t"]):  # it ended where it started
                 return companion, math.nan
             found = self._run(level, companion)
@@ -162,16 +163,17 @@ class _Search:
         return found, estimate
 
     def stopped(self) -> _Found:
-        """Return the last run as it is, INTERRUPTED; raises KeyboardInterrupt before there is one."""
+        """Return the last run as it is, with the status INTERRUPTED; raise KeyboardInterrupt before there is one."""
         if self._engine is None:
             raise KeyboardInterrupt
         self.last.status = Status(StatusCode.INTERRUPTED, "stopped by the user", float(self.last.t[-1][-1]))
         return _Found(math.nan, self.last, self._engine)
 
     def _run(self, level: float, coarser: _Found | None = None, slack: float = 1.0) -> _Found:
-        """Run at a level; a coarser run says with which step to begin: one that is really shorter.
+        """Run at a level.
 
         Args:
+            coarser: a run with longer steps. Its law gives the step to begin with, which is shorter in any case.
             slack: factor on the tolerance of the stage equations, so that their error shows in a distance too.
         """
         guess = None
@@ -185,7 +187,7 @@ class _Search:
         if refused is not None:
             raise refused
         self._engine = simulator
-        engine.take(self.last, engine.call(simulator.run_auto, self._options.span, level, self._progress))
+        engine.advance_auto(simulator, self.last, self._options.span, level, self._progress)
         self.seconds += self.last.stats.seconds
         return _Found(level, self.last, simulator, dt_contact)
 
@@ -196,11 +198,11 @@ class _Search:
         return min(max(min(longest, _CONTACT * first) * level / first, _CONTACT_DT[0]), _CONTACT_DT[1])
 
     def _estimate(self, companion: _Found, found: _Found, expected: float) -> float:
-        """Estimate the error of a run from its distance to its companion, whose error is expected so large (or NaN)."""
+        """Estimate the error of a run from its distance to its companion, whose error is `expected` (NaN: unknown)."""
         floor, size = self._floor(found)
         floor = max(floor, _transient(found))
         if not found.record.status.ok:
-            # Accumulating impacts end runs where they meet them: up to there they are compared.
+            # Runs that end where impacts accumulate are compared up to there.
             same = companion.record.status.code == found.record.status.code
             return max(floor, _distance(companion.record, found.record, ended=True)) if same else math.inf
         share = _share(companion, found, 2 * self._stages + 1)
@@ -220,8 +222,8 @@ class _Search:
     def _against_finer(self, found: _Found) -> float:
         """Return the distance of a run to one with steps of one length, all shorter than its own.
 
-        For runs that have steps in common with their companion, whose errors do not show in the distance: where the
-        sweeps do not converge with longer steps, whatever the level says.
+        It serves runs that have steps in common with their companion, whose errors do not show in the distance to it.
+        That happens where the stage iterations do not converge with longer steps, whatever the level.
         """
         if not len(found.steps) or _interrupted(found):
             return math.inf
@@ -245,20 +247,24 @@ class _Search:
 def _share(companion: _Found, found: _Found, power: int) -> float:
     """Return error / (companion's error - error) by the lengths h of the segments: an error is their sum of h^power.
 
-    Lengths are counted in steps of the arc of `found` that a segment lies in, because the factor of the law is what
-    made these steps so long; in contact, in its steps in contact. Where the two runs do not meet the same impacts but
-    both hold contacts, by the levels alone. Infinite where flights (between two impacts) that matter have all but the
-    same segments.
+    Lengths are counted in the adaptive steps that `found` has at the time of a segment, because the factor of the law
+    has made these steps so long; with persistent contacts, in its contact steps. Where the two runs do not meet the
+    same impacts but both have persistent contacts, the levels alone decide. The result is infinite where flights
+    (between two impacts) that matter have almost the same segments in both runs.
     """
-    arcs = found.record.arcs
-    if arcs is None or not len(arcs["t"]) or found.record.impacts != companion.record.impacts:
-        return 1.0 / ((companion.level / found.level) ** 2 - 1.0) if found.held and companion.held else math.inf
+    steps = found.record.adaptive_steps
+    if steps is None or not len(steps["t"]) or found.record.impacts != companion.record.impacts:
+        return (
+            1.0 / ((companion.level / found.level) ** 2 - 1.0)
+            if found.in_contact and companion.in_contact
+            else math.inf
+        )
     sums = []
     for run in (found, companion):
-        t, h, held = (run.segments[name] for name in ("t", "h", "held"))
-        arc = np.clip(np.searchsorted(arcs["t"], t + 0.5 * h, side="right") - 1, 0, len(arcs["t"]) - 1)
+        t, h, persistent = (run.segments[name] for name in ("t", "h", "persistent"))
+        k = np.clip(np.searchsorted(steps["t"], t + 0.5 * h, side="right") - 1, 0, len(steps["t"]) - 1)
         flight = np.searchsorted(run.record.impact_times(), t + 0.5 * h)
-        weights = np.where(held != 0.0, (h / found.dt_contact) ** 3, (h / arcs["dt"][arc]) ** power)
+        weights = np.where(persistent != 0.0, (h / found.dt_contact) ** 3, (h / steps["dt"][k]) ** power)
         sums.append(np.bincount(flight, weights, minlength=found.record.impacts + 1))
     own, other = sums
     whole = float(own.sum())
@@ -270,8 +276,8 @@ def _share(companion: _Found, found: _Found, power: int) -> float:
 def _transient(found: _Found) -> float:
     """Return the largest distance between a step and two halves of it, of the first ones of some flights.
 
-    A stiff motion that damping ends within a step or two errs there and then no more: later nodes do not show it. And
-    the first steps of two runs are no comparison: at the end of the shorter one both have gone there in one step.
+    A stiff motion that damping ends within a step or two has an error there that later nodes do not show. Two runs are
+    no comparison in their first step either: up to the end of the shorter one both have made one step.
     """
     segments, record = found.segments, found.record
     times = record.impact_times()
@@ -279,7 +285,7 @@ def _transient(found: _Found) -> float:
     first = np.searchsorted(segments["t"], chosen)
     largest = 0.0
     for k in {0, *(int(k) for k in first if k < len(segments["t"]))}:
-        if segments["held"][k]:
+        if segments["persistent"][k]:
             continue
         q, p, h = segments["q"][k], segments["p"][k], float(segments["h"][k])
         p = record.compiled.core.momentum_to_public(q, p)
@@ -317,16 +323,17 @@ def _state(run: Record, pieces: dense.Segments, time: float) -> Array:
     """Return q of a run at a time [s] as accurate as its nodes: by the partial step that its polynomial stands for."""
     segments = pieces.arrays
     k = max(0, int(segments["t"].searchsorted(time, side="right")) - 1)
-    if segments["held"][k]:
-        return pieces.states(run.compiled.core, np.array([time]))[0][0]
-    q, h = segments["q"][k], min(time - float(segments["t"][k]), float(segments["h"][k]))
+    if segments["persistent"][k]:
+        return np.asarray(pieces.states(run.compiled.core, np.array([time]))[0][0])
+    q: Array = segments["q"][k]
+    h = min(time - float(segments["t"][k]), float(segments["h"][k]))
     if h <= 0.0:
         return q
     return _step(run, q, run.compiled.core.momentum_to_public(q, segments["p"][k]), h)[0]
 
 
 def _step(run: Record, q: Array, p: Array, h: float) -> tuple[Array, Array]:
-    """Return (q, p) after a smooth step h [s] of the run's order; in parts where its sweeps do not converge."""
+    """Return (q, p) after a smooth step h [s] of the run's order, in parts where the whole one does not converge."""
     options = run.options
     for parts in (1, 2, 4, 8, 16):
         try:
@@ -340,16 +347,9 @@ def _step(run: Record, q: Array, p: Array, h: float) -> tuple[Array, Array]:
     return np.full_like(q, np.nan), np.full_like(p, np.nan)
 
 
-def _watch(record: Record) -> None:
-    """Hold the run to the tolerances of its ledger; where one is exceeded it ends there."""
-    t, q, p = record.nodes()
-    compiled, options = record.compiled, record.options
-    ledger = Ledger(
-        compiled.core, options, t, q, p, record.log(), model=compiled.built.model, collision=compiled.built.collision,
-        forced=record.forced, start=record.start, contacts=record.contact_log(), phases=record.phases_joined(),
-        elements=compiled.built.elements.any, forces=record.forces.joined(),
-    )  # fmt: skip
-    excess = Watch(options.ledger or {}).check(ledger)
+def _check_ledger(record: Record) -> None:
+    """Check the run against the tolerances of its ledger; where one is exceeded the run ends there."""
+    excess = LedgerWatch(record.options.ledger or {}).check(record.ledger())
     if excess is not None:
         record.status = Status(StatusCode.LEDGER, str(excess), excess.time)
         record.cut(excess.time)

@@ -1,9 +1,13 @@
-"""What an impact map cannot answer is refused before a run: DTEC without rebound, a global reference with losses."""
+"""Combinations of a scene and options that are refused before a run, and bouncing that DTEC cannot end.
+
+DTEC has no answer without rebound, and the global reference of MHC none with losses.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +17,15 @@ from contactvi.options import Options
 from contactvi.records.events import EventLog
 from contactvi.trajectory.compiled import CompiledScene
 
+if TYPE_CHECKING:
+    from contactvi.simulation.results import EngineStatus
+
 UNFORCED_TOLERANCES = (
     *("discrete_energy", "discrete_energy_jump", "modified_energy_jump"),
     *("energy_rise", "impulse_balance"),
 )
 _REMADE_TOLERANCES = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")
-NO_ANSWER_DTEC = (  # accumulating impacts end a run of DTEC whatever options.zeno says
+NO_ANSWER_DTEC = (  # accumulating impacts end a run of DTEC with zeno="hold" too
     "DTEC cannot answer there: the energy it shifts at an impact, m g h times a part of the step, does not shrink with "
     "the flights"
 )
@@ -33,15 +40,15 @@ class Stall:
 
     Where the flights of a bouncing body get as short as the step, the energy that DTEC shifts at an impact balances
     what restitution takes, and the body goes on bouncing once per step instead of coming to rest: at one contact,
-    flight after flight of less than two steps, each impact loses less than half of what its restitution says.
+    flight after flight of less than two steps, each impact loses less than half of what its restitution asks for.
     """
 
     def __init__(self, dt: float) -> None:
         self._dt = dt
         self._last: dict[tuple[int, int], tuple[float, int]] = {}  # guard -> time of its last impact, hits in a row
 
-    def find(self, events: EventLog) -> tuple[float, int, int] | None:
-        """Return (time [s], kind, index) where the bouncing stalls in these next events of the run, else None."""
+    def find(self, events: EventLog) -> EngineStatus | None:
+        """Return the status where the bouncing stalls in these next events of the run, else None."""
         columns: list[NDArray[Any]] = [events.array(name) for name in ("time", "kind", "index")]
         kept = (events.array("restitution") < 1.0) & (events.energy_change > -0.5 * events.loss)
         for time, kind, index, alive in zip(*columns, kept, strict=True):
@@ -49,9 +56,18 @@ class Stall:
             last, hits = self._last.get(guard, (-np.inf, 0))
             hits = hits + 1 if alive and time - last < _STALL_FLIGHT * self._dt else 0
             if hits >= _STALL_HITS:
-                return float(time), *guard
+                return _accumulation(float(time), *guard)
             self._last[guard] = float(time), hits
         return None
+
+
+def _accumulation(time: float, kind: int, index: int) -> EngineStatus:
+    from contactvi import _core
+
+    return {
+        "code": _core.StatusCode.ZENO, "message": "", "time": time, "guard_kind": _core.GuardKind(kind),
+        "guard_index": index, "accumulation_time": time, "depth": math.nan,
+    }  # fmt: skip
 
 
 def check_map(compiled: CompiledScene, options: Options) -> None:
@@ -73,15 +89,18 @@ def check_unforced(options: Options) -> None:
 
 
 def check_elements(compiled: CompiledScene, options: Options) -> None:
-    """The same for what the scene has besides potentials and joint damping."""
+    """Raise InputError where elements of the scene spoil the impact map or a tolerance of the ledger.
+
+    Potentials and the damping of joints do not.
+    """
     if compiled.driven is not None:
         _refuse_blind(options, UNFORCED_TOLERANCES, compiled.driven)
     elif compiled.forced:
-        _refuse_blind(options, _REMADE_TOLERANCES, "constraints, dampers or dry friction")
+        _refuse_blind(options, _REMADE_TOLERANCES, "constraints, dampers or joint friction")
     if compiled.built.elements.any:
         _refuse_blind(options, ("impulse_balance",), "forces or constraints on bodies")
     if compiled.forced and _carries_reference(options):
-        what = compiled.driven or "constraints, dampers or dry friction"
+        what = compiled.driven or "constraints, dampers or joint friction"
         _refuse_global(what, f"a scene with {what}", "Use mhc_reference='local'")
 
 
@@ -93,7 +112,7 @@ def _refuse_blind(options: Options, names: Collection[str], what: str) -> None:
             name="ledger",
             expected=f"tolerances that need to know no {what}",
             got=", ".join(blind),
-            remedy="Leave it out; own_jump is the engine's own and works with inputs, and so does energy_balance",
+            remedy="Leave it out; own_jump and energy_balance are known with inputs too",
         )
 
 

@@ -1,21 +1,25 @@
-"""The engine's simulator as the face uses it: made from the options, started, called; its errors turned into ours."""
+"""The engine's simulator: made from the options of a run, started and called, with its errors turned into ours."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar, cast
 
 from numpy.typing import ArrayLike
 
 from contactvi import _core, inputs
 from contactvi.errors import ContactviError, PenetrationError, SimulationError
-from contactvi.options import IMPACT_MAPS, ZENO, Options
+from contactvi.options import Options
 from contactvi.simulation.messages import REMEDY
-from contactvi.simulation.recorder import Record
+from contactvi.simulation.recorder import Array, Record
+from contactvi.simulation.results import EngineResult, EngineStatus
 from contactvi.status import Status, StatusCode
 from contactvi.trajectory.compiled import CompiledScene
 
-_FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects in the first arc
+Progress = Callable[[float, int], object]
+Result = TypeVar("Result")
+
+_FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects before the first impact
 
 
 def make(
@@ -24,38 +28,42 @@ def make(
     first_dt: float | None = None,
     slack: float = 1.0,
     dt_contact: float | None = None,
-) -> Any:
-    """Return a new simulator of the engine (_core.Simulator).
+) -> _core.Simulator:
+    """Return a new simulator of the engine.
 
     Args:
         first_dt: of "auto", the step to begin with [s].
         slack: factor on the tolerance of the stage equations.
         dt_contact: longest step in contact [s], by default that of the options.
     """
-    return _core.Simulator(
-        compiled.core,
-        (first_dt or _FIRST_DT) if options.auto else options.fixed_dt,
-        options.stage_tol * slack,
-        IMPACT_MAPS.index(options.impact),
-        options.max_impacts_per_step,
-        options.max_iterations,
-        options.mhc_reference == "global",
-        options.order,
-        options.dense,
-        dt_contact=options.contact_dt if dt_contact is None else dt_contact,
-        zeno=ZENO.index(options.zeno),
-        stiff_support=options.support == "stiff",
-        contact_points=options.contact_points,
-        record_contacts=options.record_contacts,
-    )
+    settings = _core.SimulatorOptions()
+    settings.dt = (first_dt or _FIRST_DT) if options.auto else options.fixed_dt
+    settings.tol = options.stage_tol * slack
+    settings.order = options.order
+    settings.impact = _core.ImpactMap[options.impact.upper()]
+    settings.mhc_reference = _core.MhcReference[options.mhc_reference.upper()]
+    settings.max_iterations = options.max_iterations
+    settings.max_impacts_per_step = options.max_impacts_per_step
+    settings.dense = options.dense
+    settings.dt_contact = options.contact_dt if dt_contact is None else dt_contact
+    settings.end_at_zeno = options.zeno == "end"
+    settings.stiff_support = options.support == "stiff"
+    settings.contact_points = options.contact_points
+    settings.record_contacts = options.record_contacts
+    return _core.Simulator(compiled.core, settings)
 
 
 def start(
-    engine: Any, compiled: CompiledScene, options: Options, q0: ArrayLike | None, v0: ArrayLike | None, t: float = 0.0
+    engine: _core.Simulator,
+    compiled: CompiledScene,
+    options: Options,
+    q0: ArrayLike | None,
+    v0: ArrayLike | None,
+    t: float = 0.0,
 ) -> tuple[Record, ContactviError | None]:
     """Put the engine to (q0, v0), those of the scene where None, at t [s].
 
-    Return the record of the run that starts there, and the error if the start is refused (the record says it too).
+    Return the record of the run that starts there, and the error if the start is refused (the record reports it too).
 
     Raises:
         InputError: for a bad state.
@@ -66,31 +74,39 @@ def start(
     given = compiled.v0 if v0 is None else v0
     v = compiled.start_velocity(q, begin) if given is None else states.velocity(given)
     compiled.check_start(q, v, begin)
-    result = call(engine.reset, q, v, begin)
+    result = cast(EngineStatus, call(lambda: engine.reset(q, v, begin)))
     record = Record(compiled, options, begin, q, engine.p)
-    if result["code"] == StatusCode.SUCCESS:
+    if result["code"] == _core.StatusCode.SUCCESS:
         return record, None
     status = record.end(result, begin)
-    return record, _refusal(status, record.names(result), float(result["depth"]))
+    return record, _refusal(status, record.names(result), result["depth"])
 
 
 def advance(
-    engine: Any,
+    engine: _core.Simulator,
     record: Record,
     steps: int,
-    forces: Any,
-    progress: Callable[..., object] | None,
-    targets: Any = None,
+    forces: Array | None,
+    progress: Progress | None,
+    targets: Array | None = None,
 ) -> Status:
     """Make steps with forces (steps, nv) or None and record them; targets (steps, 2 nv) of servos, None without.
 
     Errors of the progress callback and of functions of the user are raised.
     """
-    more = () if targets is None else (targets,)
-    return take(record, call(engine.advance, steps, forces, record.options.record_every, progress, *more))
+    every = record.options.record_every
+    result = call(lambda: engine.advance(steps, forces, every, progress, targets))
+    return _take(record, cast(EngineResult, result))
 
 
-def take(record: Record, result: dict[str, Any]) -> Status:
+def advance_auto(
+    engine: _core.Simulator, record: Record, duration: float, level: float, progress: Progress | None
+) -> Status:
+    """Run for a duration [s] with steps chosen for a level [m, rad] and record them; errors as those of `advance`."""
+    return _take(record, cast(EngineResult, call(lambda: engine.run_auto(duration, level, progress))))
+
+
+def _take(record: Record, result: EngineResult) -> Status:
     """Record what the engine did; raise the error of a callback, except Ctrl-C, which ends the run."""
     status = record.collect(result)
     error = result["error"]
@@ -101,10 +117,10 @@ def take(record: Record, result: dict[str, Any]) -> Status:
     return status
 
 
-def call(function: Callable[..., Any], *arguments: Any) -> Any:
+def call(function: Callable[[], Result]) -> Result:
     """Call the engine; its own errors become ours."""
     try:
-        return function(*arguments)
+        return function()
     except _core.CoreError as error:
         raise ContactviError(f"The engine failed: {error}", remedy="This is a bug: please report the scene") from error
 

@@ -1,15 +1,14 @@
-"""How a run ended, in words: the engine's status with names instead of numbers, and what to do about it."""
+"""Messages about how a run ended: the engine's status with names instead of numbers, and what to do about it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
+from contactvi.records.codes import GuardKind
 from contactvi.simulation.compatibility import NO_ANSWER_DTEC
+from contactvi.simulation.results import EngineStatus
 from contactvi.status import StatusCode
 
 REMEDY = {
-    StatusCode.ZENO: "Use zeno='hold' and impact='ctec' or 'mhc': the contact is then held and the run goes on",
+    StatusCode.ZENO: "Use zeno='hold' and impact='ctec' or 'mhc': the run then goes on with a persistent contact",
     StatusCode.NEWTON_FAILED: "Use a smaller dt",
     StatusCode.NOT_FINITE: "Use a smaller dt, and look for huge forces or tiny masses",
     StatusCode.EVENT_UNRESOLVED: "Use a smaller dt",
@@ -20,22 +19,21 @@ REMEDY = {
 }
 
 
-def describe(code: StatusCode, result: Mapping[str, Any], names: tuple[str, str] | None, impact: str) -> str:
+def describe(code: StatusCode, result: EngineStatus, names: tuple[str, str] | None, impact: str) -> str:
     """Return the engine's message with the names of its pair or limit; `impact` is the map of the run."""
     pair = "" if names is None else f"{names[0]!r} and {names[1]!r}"
-    limit = names is not None and int(result["pair_kind"]) == 1
+    limit = GuardKind(result["guard_kind"].value) == GuardKind.LIMIT
     if code == StatusCode.SUCCESS:
         return "the run reached its end"
     if code == StatusCode.INTERRUPTED:
         return "stopped by the user"
     if code == StatusCode.ZENO and names is not None:
         what = f"the impacts of joint {names[0]!r} at its {names[1]}" if limit else f"the impacts of {pair}"
-        text = f"{what} accumulate at t = {float(result['accumulation_time']):.12g} s"
+        text = f"{what} accumulate at t = {result['accumulation_time']:.12g} s"
         return f"{text}; {NO_ANSWER_DTEC}" if impact == "dtec" else text
     if code == StatusCode.PENETRATION and names is not None:
-        depth = f"{float(result['depth']):.6g}"
+        depth = f"{result['depth']:.6g}"
         if limit:
             return f"joint {names[0]!r} is {depth} (rad or m) beyond its {names[1]}"
         return f"{pair} overlap by {depth} m"
-    message = str(result["message"])
-    return f"{message} ({pair})" if pair else message
+    return f"{result['message']} ({pair})" if pair else result["message"]

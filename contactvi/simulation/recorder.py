@@ -1,11 +1,10 @@
-"""What the engine has left of a run so far: nodes, impacts, contacts, segments, counts and how it stands."""
+"""The record of a run: the nodes, impacts, contacts, segments and counts that the engine has reported so far."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,17 @@ from numpy.typing import NDArray
 from contactvi.options import Options
 from contactvi.records import contacts
 from contactvi.records import events as event_log
-from contactvi.records.work import Growing
+from contactvi.records.work import GrowingForces
 from contactvi.simulation.messages import describe
+from contactvi.simulation.results import Columns, EngineResult, EngineStatus
 from contactvi.status import Stats, Status, StatusCode
 from contactvi.trajectory import polynomials as dense
 from contactvi.trajectory.compiled import CompiledScene
+from contactvi.trajectory.ledger import Ledger, LedgerInputs
 from contactvi.trajectory.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from contactvi import _core
 
 Array = NDArray[np.float64]
 
@@ -32,63 +36,67 @@ class Record:
         self.t: list[Array] = [np.array([t])]
         self.q: list[Array] = [q[None]]
         self.p: list[Array] = [p[None]]
-        self.events: list[Mapping[str, NDArray[Any]]] = []
-        self.segments: list[Mapping[str, NDArray[Any]]] = []
-        self.contacts: list[Mapping[str, NDArray[Any]]] = []
-        self.changes: list[Mapping[str, NDArray[Any]]] = []
-        self.phases: list[Mapping[str, NDArray[Any]]] = []
-        self.arcs: Mapping[str, Array] | None = None
+        self.events: list[Columns] = []
+        self.segments: list[Columns] = []
+        self.contacts: list[Columns] = []
+        self.changes: list[Columns] = []
+        self.phases: list[Columns] = []
+        self.adaptive_steps: Columns | None = None
         self._reached = t
         self.stats = Stats()
         self.forced = compiled.forced
-        self.forces = Growing(t, compiled.constraint_rows)
+        self.forces = GrowingForces(t, compiled.constraint_rows)
         self.status = Status(StatusCode.SUCCESS, "the run has started", t)
 
-    def collect(self, result: Mapping[str, Any]) -> Status:
+    def collect(self, result: EngineResult) -> Status:
         """Take over what the engine did: nodes that `record_every` wants, events, segments, counts, status."""
-        t = np.asarray(result["t"])
+        t = result["t"]
         keep = t > self.t[-1][-1]
         if self.options.record_every > 1:
             step = np.rint((t - self.start) / self.options.fixed_dt)
             keep &= step % self.options.record_every == 0
         if keep.any():
             self.t.append(t[keep])
-            self.q.append(np.asarray(result["q"])[keep])
-            self.p.append(np.asarray(result["p"])[keep])
+            self.q.append(result["q"][keep])
+            self.p.append(result["p"][keep])
         self.forces.add(result, t, keep)
-        for part, name in (
-            (self.events, "events"),
-            (self.contacts, "contacts"),
-            (self.changes, "changes"),
-            (self.phases, "phases"),
+        for part, columns in (
+            (self.events, result["events"]),
+            (self.contacts, result["contacts"]),
+            (self.changes, result["changes"]),
+            (self.segments, result["segments"]),
         ):
-            if result.get(name) is not None:
-                part.append(result[name])
-            elif part is self.phases and part and part[-1]["held"][-1]:  # what was held is free again
-                free = {"t": self._reached, "dt": self.options.fixed_dt, "held": 0.0}
-                part.append({name: np.array([value]) for name, value in free.items()})
-        self._reached = float(result["time"])
-        if self.options.dense:
-            self.segments.append(result["segments"])
+            if columns is not None:
+                part.append(columns)
+        self._collect_phases(result["phases"])
+        self._reached = result["time"]
         if self.options.auto:
-            self.arcs = result["arcs"]
+            self.adaptive_steps = result["adaptive_steps"]
         # The engine counts from its reset, except for the seconds, which are those of this call.
         self.stats = Stats.of(result["stats"], self.stats.seconds)
         return self.end(result)
 
-    def end(self, result: Mapping[str, Any], time: float | None = None) -> Status:
-        """Take over the engine's status, of `time` [s] where it says none."""
-        code = StatusCode(result["code"])
+    def _collect_phases(self, phases: Columns | None) -> None:
+        """Take over where steps have persistent contacts: a call without any ends those of the call before."""
+        if phases is not None:
+            self.phases.append(phases)
+        elif self.phases and self.phases[-1]["persistent"][-1]:
+            free = {"t": self._reached, "dt": self.options.fixed_dt, "persistent": 0.0}
+            self.phases.append({name: np.array([value]) for name, value in free.items()})
+
+    def end(self, result: EngineStatus, time: float | None = None) -> Status:
+        """Take over the engine's status; `time` [s] replaces the time that it gives."""
+        code = StatusCode(int(result["code"]))
         text = describe(code, result, self.names(result), self.options.impact)
-        self.status = Status(code, text, float(result["time"]) if time is None else time)
+        self.status = Status(code, text, result["time"] if time is None else time)
         return self.status
 
-    def names(self, result: Mapping[str, Any]) -> tuple[str, str] | None:
+    def names(self, result: EngineStatus) -> tuple[str, str] | None:
         """Return the names of the pair or limit that the engine's status is about."""
-        index = int(result["pair"])
+        index = result["guard_index"]
         if index < 0:
             return None
-        return event_log.label(int(result["pair_kind"]), index, self.compiled.pair_names, self.compiled.joint_names)
+        return event_log.label(int(result["guard_kind"]), index, self.compiled.pair_names, self.compiled.joint_names)
 
     def nodes(self, first: int = 0) -> tuple[Array, Array, Array]:
         """Return t (N,), q (N, nq), p (N, nv) of the blocks from `first` on."""
@@ -120,13 +128,13 @@ class Record:
         return contacts.ChangeLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def phases_joined(self) -> dict[str, Array] | None:
-        """Return {"t", "dt", "held"}: from these times on steps have these lengths; None where nothing was held."""
+        """Return {"t", "dt", "persistent"} as `Trajectory.phases`; None for a run without persistent contacts."""
         if not self.phases:
             return None
         whole = {name: np.concatenate([np.asarray(part[name], dtype=float) for part in self.phases])
-                 for name in ("t", "dt", "held")}  # fmt: skip
+                 for name in ("t", "dt", "persistent")}  # fmt: skip
         new = np.ones(len(whole["t"]), dtype=bool)
-        new[1:] = (np.diff(whole["dt"]) != 0.0) | (np.diff(whole["held"]) != 0.0)
+        new[1:] = (np.diff(whole["dt"]) != 0.0) | (np.diff(whole["persistent"]) != 0.0)
         return {name: values[new] for name, values in whole.items()}
 
     @property
@@ -140,7 +148,7 @@ class Record:
         return np.concatenate(times) if times else np.zeros(0)
 
     def copy(self) -> Record:
-        """Return a copy that grows on its own; what was recorded is shared, it does not change."""
+        """Return a copy that grows on its own. It shares what was recorded, which does not change."""
         twin = copy.copy(self)
         for name, value in vars(self).items():
             if isinstance(value, list):
@@ -160,11 +168,21 @@ class Record:
             setattr(self, name, [_rows(part, part["t"] < last) for part in getattr(self, name)])
         self.changes = [_rows(part, part["time"] <= last) for part in self.changes]
 
-    def trajectory(self, engine: Any, error_estimate: float = float("nan")) -> Trajectory:
+    def ledger(self, nodes: int = 0, events: int = 0, contacts: int = 0) -> Ledger:
+        """Return the ledger of the blocks from these on; of the first of several blocks of nodes only the last node."""
+        skipped = len(self.t[nodes]) - 1 if nodes or events or contacts else 0
+        t, q, p = self.nodes(nodes)
+        inputs = LedgerInputs(
+            self.options, self.start, self.forced, t[skipped:], q[skipped:], p[skipped:], self.log(events),
+            self.contact_log(contacts), self.phases_joined(), self.forces.joined(nodes).since(float(t[skipped])),
+        )  # fmt: skip
+        return Ledger(self.compiled.core, self.compiled.built, inputs)
+
+    def trajectory(self, engine: _core.Simulator | None, error_estimate: float = float("nan")) -> Trajectory:
         """Return what was recorded, with the present state of the engine where the run ended inside a step."""
         t, q, p = self.nodes()
         forces = self.forces.joined()
-        if self.status.time > t[-1]:
+        if engine is not None and self.status.time > t[-1]:
             t, q, p = np.append(t, self.status.time), np.vstack([q, engine.q]), np.vstack([p, engine.p])
         segments = self.segments_joined()
         if self.options.sample_dt is not None and segments is not None:
@@ -173,19 +191,19 @@ class Record:
             inner_q, inner_v = segments.states(self.compiled.core, times[1:-1], exact=not self.forced)
             inner_p = np.asarray(self.compiled.core.momentum(inner_q, inner_v))
             t, q, p = times, np.vstack([q[:1], inner_q, q[-1:]]), np.vstack([p[:1], inner_p, p[-1:]])
-        if forces is not None and (len(forces.t) != len(t) or np.any(forces.t != t)):
+        if len(forces.t) != len(t) or np.any(forces.t != t):
             forces = forces.sampled(t)
         return Trajectory(
             self.compiled, self.options, t, q, p, self.log(), self.status, self.stats,
-            forced=self.forced, segments=segments, arcs=self.arcs, error_estimate=error_estimate,
+            forced=self.forced, segments=segments, adaptive_steps=self.adaptive_steps, error_estimate=error_estimate,
             contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(), forces=forces,
         )  # fmt: skip
 
 
-def _events(core: Any, parts: list[Mapping[str, NDArray[Any]]], nq: int, nv: int) -> dict[str, NDArray[Any]]:
-    joined = event_log.join(parts, nq, nv)
+def _events(core: _core.Scene, parts: list[Columns], nq: int, nv: int) -> dict[str, NDArray[Any]]:
+    joined = event_log.joined(parts, nq, nv)
     return event_log.with_energy_change(joined, lambda q, p: np.asarray(core.energy(q, p))[:, 0])
 
 
-def _rows(part: Mapping[str, NDArray[Any]], chosen: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+def _rows(part: Columns, chosen: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(values)[chosen] for name, values in part.items()}

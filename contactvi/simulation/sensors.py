@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from contactvi.errors import InputError
 from contactvi.inputs import pose
-from contactvi.records.contacts import ContactLog
+from contactvi.records.codes import GuardKind
 from contactvi.simulation.simulator import Simulator
 
 Array = NDArray[np.float64]
-_ROUNDING = 1e-9  # of a step: an impact at its end may be a digit later than the step
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +78,7 @@ class Imu:
 
     def __init__(self, simulator: Simulator, body: Any, placement: Any = None) -> None:
         self._simulator = _checked(simulator)
-        built = simulator._scene.built
-        self._model: pin.Model = built.model
+        self._model: pin.Model = simulator.scene.model
         self._data = self._model.createData()
         self._joint, self._place = _frame(simulator, body)
         self._place = self._place * pose("placement", placement)
@@ -119,7 +117,7 @@ class ContactSensor:
             )  # fmt: skip
         self._simulator = simulator
         self._joint, self._place = _frame(simulator, body)
-        built = simulator._scene.built
+        built = simulator.scene.built()
         name = simulator.scene.names.select_body(body)
         frames = {k for k, frame in enumerate(built.model.frames) if frame.name == name}
         shapes = {g.name for g in built.collision.geometryObjects if g.parentFrame in frames}
@@ -133,9 +131,9 @@ class ContactSensor:
         """Return what it shows now. Raises SimulationError before the first step."""
         sim = self._simulator
         start = sim.last_step()[0]
-        log = self._rows(start)
-        index = np.where(log.array("kind") == 0, log.array("index"), 0)
-        signs = np.where((log.array("kind") == 0) & _within(log, start, sim.t), self._signs[index], 0.0)
+        log = sim.last_contacts()
+        of_pair = log.array("kind") == GuardKind.CONTACT
+        signs = np.where(of_pair, self._signs[np.where(of_pair, log.array("index"), 0)], 0.0)
         chosen = np.flatnonzero(signs)
         impulse = signs[chosen, None] * log.impulse[chosen]
         origin = self._origin()
@@ -143,28 +141,11 @@ class ContactSensor:
         h = sim.t - start
         return ContactReading(impulse.sum(axis=0) / h, moment.sum(axis=0) / h, len(chosen))
 
-    def _rows(self, start: float) -> ContactLog:
-        """Return the contacts since `start`, and perhaps some before it."""
-        record = self._simulator._started()
-        first = len(record.contacts)
-        while first > 0:
-            first -= 1
-            t = np.asarray(record.contacts[first]["t"])
-            if len(t) and t[0] < start:
-                break
-        return record.contact_log(first)
-
     def _origin(self) -> Array:
-        model = self._simulator._scene.built.model
+        model = self._simulator.scene.model
         data = model.createData()
         pin.forwardKinematics(model, data, self._simulator.q)
         return np.asarray((data.oMi[self._joint] * self._place).translation).copy()
-
-
-def _within(log: ContactLog, start: float, end: float) -> NDArray[np.bool_]:
-    """Return which rows lie in (start, end]: steps by their middle, impacts by their time."""
-    middle, slack = log.t + 0.5 * log.h, _ROUNDING * (end - start)
-    return np.asarray((middle > start + slack) & (middle <= end + slack))
 
 
 def _checked(simulator: Any) -> Simulator:
@@ -177,7 +158,7 @@ def _checked(simulator: Any) -> Simulator:
 def _frame(simulator: Simulator, body: Any) -> tuple[int, pin.SE3]:
     """Return the joint that carries a body, and the body's placement in its frame."""
     name = simulator.scene.names.select_body(body)
-    model = simulator._scene.built.model
+    model = simulator.scene.model
     if name == "world":
         return 0, pin.SE3.Identity()
     frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]

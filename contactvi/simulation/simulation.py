@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import ConstraintError, InputError, PenetrationError, SimulationError
-from contactvi.options import Options
-from contactvi.simulation import adaptive as auto_step
+from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
+from contactvi.simulation import adaptive
+from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.messages import REMEDY
-from contactvi.simulation.simulator import PROGRESS_PERIOD, Simulator, settings_of
+from contactvi.simulation.run import PROGRESS_PERIOD, Run
+from contactvi.simulation.simulator import Simulator, settings_of
 from contactvi.status import StatusCode
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from contactvi.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -31,9 +35,9 @@ def simulate(
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
     duration: float | None = None,
-    dt: float | Literal["auto"] | None = None,
+    dt: Dt | None = None,
     *,
-    impact: str | None = None,
+    impact: ImpactMap | None = None,
     order: int | None = None,
     tol: float | None = None,
     sample_dt: float | None = None,
@@ -42,7 +46,7 @@ def simulate(
     throw: bool = True,
     progress: Progress | bool | None = None,
     ledger: Mapping[str, float] | None = None,
-    **options: Any,
+    **options: Unpack[FurtherOptions],
 ) -> Trajectory:
     """Run a scene from (q0, v0) and return its trajectory.
 
@@ -53,8 +57,8 @@ def simulate(
         v0: initial velocity, shape (nv,).
         duration: simulated time [s]; a whole number of steps where dt is a number.
         dt: time step [s]; or "auto": the run finds the steps with which q is accurate to `tol`, and measures it
-            (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, constraints, dry
-            friction of joints, servos, forces that vary, "dtec", order 2, record_every, or tolerances on the discrete
+            (traj.error_estimate). By default "auto", and 1e-3 where a run cannot choose: with control, constraints,
+            joint friction, servos, forces that vary, "dtec", order 2, record_every, or tolerances on the discrete
             energy or on jumps of the modified one.
         order: 2, 4, ... 16; by default 2 for a number as dt, 16 for "auto".
         tol: for a number as dt what the equations of a step are solved to (1e-12); for "auto" the accuracy of q (1e-6).
@@ -63,7 +67,7 @@ def simulate(
         **options: mhc_reference, record_every, dense, ...: see `Options`.
         control: generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape (steps,
             nv), or a function (t, q, v) -> (nv,) called at the start of each step.
-        target: where servos (Scene.set_servo) are to go, constant over a step: an array or a function of t, one number
+        target: reference of the servos (Scene.set_servo), constant over a step: an array or a function of t, one number
             per servo joint, or a mapping joint -> motion (contactvi.simulation.targets); by default as given to
             set_servo.
         throw: raise SimulationError (with .status and .trajectory) when the run ends before its time, and
@@ -81,11 +85,12 @@ def simulate(
         DerivativeError: for wrong derivatives of theirs.
 
     Warns:
-        AccuracyWarning: where "auto" did not reach tol; traj.error_estimate says what it reached.
+        AccuracyWarning: where "auto" did not reach tol; traj.error_estimate is what it reached.
     """
-    chosen = dict(
-        options, duration=duration, dt=dt, impact=impact, order=order, tol=tol, sample_dt=sample_dt, ledger=ledger
-    )
+    chosen: dict[str, Any] = {
+        **options, "duration": duration, "dt": dt, "impact": impact, "order": order, "tol": tol,
+        "sample_dt": sample_dt, "ledger": ledger,
+    }  # fmt: skip
     settings = settings_of(scene, chosen, forced=control is not None or target is not None)
     span = settings.span
     compiled = compile_scene(scene)
@@ -141,24 +146,24 @@ def _run(
     throw: bool,
 ) -> Trajectory:
     if options.auto:
-        return auto_step.run(compiled, options, q0, v0, progress, throw)
-    simulator = Simulator.of_compiled(compiled, options)
-    try:
-        simulator.reset(q0, v0)
-    except PenetrationError:
-        if throw:
-            raise
-        return simulator.trajectory()
+        return adaptive.run(compiled, options, q0, v0, progress, throw)
+    check_map(compiled, options)
+    check_elements(compiled, options)
+    run = Run(compiled, options, q0, v0)
+    if run.refused is not None:
+        if throw or not isinstance(run.refused, PenetrationError):
+            raise run.refused
+        return run.trajectory()
     try:
         if callable(control):
-            _follow(simulator, options.steps, control, target, progress)
+            _follow(run, compiled, control, target, progress)
         else:
-            simulator._run(options.steps, control, target, progress)
+            run.advance(options.steps, control, run.targets(target, options.steps), progress)
     except KeyboardInterrupt:
-        simulator.interrupt()
-    if throw and simulator.unreachable is not None:
-        raise _unreachable(simulator.unreachable, simulator.trajectory())
-    return simulator.trajectory()
+        run.interrupt()
+    if throw and run.unreachable is not None:
+        raise _unreachable(run.unreachable, run.trajectory())
+    return run.trajectory()
 
 
 def _unreachable(found: ConstraintError, traj: Trajectory) -> ConstraintError:
@@ -175,17 +180,17 @@ def _unreachable(found: ConstraintError, traj: Trajectory) -> ConstraintError:
     )
 
 
-def _follow(simulator: Simulator, steps: int, control: Control, target: Any, progress: Progress | None) -> None:
-    states, last = simulator._scene.states, time.perf_counter()
-    goals = simulator._goals(target, steps)
+def _follow(run: Run, compiled: CompiledScene, control: Control, target: Any, progress: Progress | None) -> None:
+    last, steps = time.perf_counter(), run.options.steps
+    targets = run.targets(target, steps)
     for k in range(steps):
-        t = simulator.t
-        tau = states.controlled(control(t, simulator.q, simulator.v), t)
-        if not simulator._advance(1, tau[None], None if goals is None else goals[k : k + 1]).ok:
+        t = run.t
+        tau = compiled.states.controlled(control(t, run.q, run.v), t)
+        if not run.advance(1, tau[None], None if targets is None else targets[k : k + 1]).ok:
             return
         if progress is not None and time.perf_counter() - last > PROGRESS_PERIOD:
             last = time.perf_counter()
-            progress(simulator.t, simulator.impacts)
+            progress(run.t, run.record.impacts)
 
 
 __all__ = ["Simulator", "settings_of", "simulate"]

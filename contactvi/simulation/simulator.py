@@ -1,67 +1,45 @@
 """Stepping a scene by the caller: `Simulator`, for control loops.
 
-Every input is checked here; the engine (contactvi._core) only sees arrays of the right shape with finite numbers.
+Every input is checked here; the engine (contactvi._core) only gets arrays of the right shape with finite numbers.
 """
 
 from __future__ import annotations
 
-import copy
-import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.errors import ConstraintError, InputError, SimulationError
-from contactvi.options import Options, merged
-from contactvi.records import events as event_log
-from contactvi.records.contacts import Contact
-from contactvi.simulation import engine
-from contactvi.simulation.compatibility import Stall, check_elements, check_map, check_unforced
-from contactvi.simulation.recorder import Record
-from contactvi.simulation.targets import Targets
-from contactvi.simulation.tolerances import Watch
-from contactvi.status import Status, StatusCode
-from contactvi.trajectory.compiled import CompiledScene, compile_scene
-from contactvi.trajectory.ledger import Ledger
+from contactvi.errors import InputError, SimulationError
+from contactvi.options import Options, SteppingOptions, merged
+from contactvi.records.contacts import Contact, ContactLog
+from contactvi.records.events import EventLog
+from contactvi.simulation.compatibility import check_elements, check_map
+from contactvi.simulation.engine import Progress
+from contactvi.simulation.run import Run, Snapshot
+from contactvi.status import Status
+from contactvi.trajectory.compiled import compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from contactvi.scene.scene import Scene
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, int], object]
-
-_BLOCK = 500  # steps between two looks at what was recorded, for a ledger with tolerances and for DTEC
-PROGRESS_PERIOD = 0.1  # s of wall time, the engine's own
 
 
 def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -> Options:
     """Return the options of a run: those chosen (not None), else those of the scene's file, else the defaults.
 
     Args:
-        forced: whether it has inputs, which count where neither says a dt (options.merged), as some elements of scenes
-            do.
+        forced: whether it has inputs. These decide about a dt that is given nowhere (options.merged), and so do some
+            elements of scenes.
     """
     fixed = forced or scene.built().needs_fixed_step is not None
     return Options.from_dict(merged(scene.settings, chosen, fixed))
-
-
-@dataclass(frozen=True, eq=False)
-class Snapshot:
-    """The state of a `Simulator`, opaque; it belongs to one scene and its options."""
-
-    scene: CompiledScene
-    options: Options
-    engine: Any
-    record: Record
-    kept: Any
-
-
-_NO_WAY_ON = (StatusCode.NEWTON_FAILED, StatusCode.EVENT_UNRESOLVED, StatusCode.CONSTRAINT)
 
 
 class Simulator:
@@ -76,27 +54,17 @@ class Simulator:
     scene's file). The scene is taken as it is now; later edits do not reach a running simulator.
     """
 
-    def __init__(self, scene: Scene, dt: float | None = None, **options: Any) -> None:
+    def __init__(self, scene: Scene, dt: float | None = None, **options: Unpack[SteppingOptions]) -> None:
         if dt is None and scene.settings.get("dt") is None:
             settings = Options.from_dict({**scene.settings, **options})  # raises: there is no time step
         else:
             settings = settings_of(scene, dict(options, dt=dt))
         settings.require_fixed()
-        self._set_up(compile_scene(scene), settings)
-
-    @classmethod
-    def of_compiled(cls, compiled: CompiledScene, options: Options) -> Simulator:
-        simulator = cls.__new__(cls)
-        simulator._set_up(compiled, options)
-        return simulator
-
-    def _set_up(self, compiled: CompiledScene, options: Options) -> None:
-        self._scene, self.options = compiled, options
-        check_map(compiled, options)
-        check_elements(compiled, options)
-        self._engine: Any = None
-        self._record: Record | None = None
-        self.unreachable: ConstraintError | None = None  # why a run ended where constraints could not be met
+        self.options = settings
+        self._scene = compile_scene(scene)
+        check_map(self._scene, settings)
+        check_elements(self._scene, settings)
+        self._run: Run | None = None
 
     @cached_property
     def scene(self) -> Scene:
@@ -110,17 +78,9 @@ class Simulator:
             InputError: for a bad state and PenetrationError (pair, depth) where shapes overlap or a joint is beyond its
                 limit.
         """
-        self.unreachable = None
-        self._engine = engine.make(self._scene, self.options)  # a new one: its counters start at zero
-        self._watch = Watch(self.options.ledger) if self.options.ledger else None
-        inelastic = self.options.impact == "dtec" and self._scene.loses_energy
-        self._stall = Stall(self.options.fixed_dt) if inelastic else None
-        self._seen = (0, 0, 0)  # blocks of nodes, of events and of contacts that the watch has seen
-        self._record, refused = engine.start(self._engine, self._scene, self.options, q0, v0, t)
-        self._targets = Targets(self._scene, self._record.q[0][0])
-        self._before: tuple[float, Array, Array] | None = (t, self._record.q[0][0], self._record.p[0][0])
-        if refused is not None:
-            raise refused
+        self._run = Run(self._scene, self.options, q0, v0, t)
+        if self._run.refused is not None:
+            raise self._run.refused
 
     def step(self, tau: ArrayLike | None = None, target: Any = None) -> Status:
         """Make one step; return the status.
@@ -133,7 +93,7 @@ class Simulator:
             SimulationError: when there is nothing to step: before `reset`, and after a run has ended with a status
                 other than SUCCESS.
         """
-        return self._run(1, None if tau is None else self._scene.states.force(tau)[None], target)
+        return self._advance(1, None if tau is None else self._scene.states.force(tau)[None], target)
 
     def run(
         self, steps: int, tau: ArrayLike | None = None, progress: Progress | None = None, target: Any = None
@@ -142,153 +102,65 @@ class Simulator:
         if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 0:
             raise InputError("Number of steps", name="steps", expected="a whole number >= 0", got=repr(steps))
         forces = None if tau is None else self._scene.states.forces(tau, steps, "tau")
-        return self._run(steps, forces, target, progress)
+        return self._advance(steps, forces, target, progress)
 
-    def _run(self, steps: int, forces: Array | None, target: Any, progress: Progress | None = None) -> Status:
-        self._running()
-        return self._advance(steps, forces, self._goals(target, steps), progress)
-
-    def _goals(self, target: Any, steps: int) -> Array | None:
-        """Return the references of servos for the next steps, (steps, 2 nv); None without servos."""
-        if target is None and not self._targets.joints:
-            return None
-        return self._targets.rows(
-            target, np.asarray(self.t + self.options.fixed_dt * np.arange(steps), dtype=np.float64)
-        )
-
-    def _advance(
-        self, steps: int, forces: Array | None, goals: Array | None, progress: Progress | None = None
-    ) -> Status:
-        status = self._stepped(steps, forces, goals, progress)
-        if status.code in _NO_WAY_ON and self._scene.constraint_rows:
-            self.unreachable = self._scene.unreachable(self.q, status.time + self.options.fixed_dt)
-            if self.unreachable is not None:
-                names = ", ".join(repr(name) for name in self.unreachable.constraints)
-                text = f"{status.message}: there is no way on for the constraints {names}"
-                status = self._started().status = Status(status.code, text, status.time)
-        return status
-
-    def _stepped(self, steps: int, forces: Array | None, goals: Array | None, progress: Progress | None) -> Status:
-        record = self._running()
-        self._before = self._present(record) if steps == 1 else None
-        if forces is not None and np.any(forces):
-            check_unforced(self.options)
-            record.forced = True
-        if self._watch is None and self._stall is None:
-            return engine.advance(self._engine, record, steps, forces, progress, goals)
-        last = time.perf_counter()
-        for first in range(0, steps, _BLOCK):
-            count = min(_BLOCK, steps - first)
-            block = None if forces is None else forces[first : first + count]
-            ahead = None if goals is None else goals[first : first + count]
-            engine.advance(self._engine, record, count, block, progress, ahead)
-            if not self._inspect(record).ok:
-                break
-            if progress is not None and time.perf_counter() - last > PROGRESS_PERIOD:
-                last = time.perf_counter()
-                progress(self.t, self.impacts)
-        return record.status
-
-    def _present(self, record: Record) -> tuple[float, Array, Array]:
-        """Return t, q and p as they are; the last node has them where every step leaves one."""
-        if self.options.record_every == 1:
-            return float(record.t[-1][-1]), record.q[-1][-1], record.p[-1][-1]
-        return self.t, self.q, self.p
-
-    def _inspect(self, record: Record) -> Status:
-        """Look for stalled bouncing and for broken tolerances in what was recorded since the last call."""
-        nodes, events, contacts = self._seen
-        if self._watch is None and events == len(record.events):
-            return record.status
-        t, q, p = record.nodes(max(0, nodes - 1))
-        log = record.log(events)
-        self._seen = len(record.t), len(record.events), len(record.contacts)
-        forces = record.forces.joined(max(0, nodes - 1))
-        cut = max(0, len(record.t[max(0, nodes - 1)]) - 1)  # of the block before only the last node
-        block = Ledger(
-            self._scene.core, self.options, t[cut:], q[cut:], p[cut:], log,
-            model=self._scene.built.model, collision=self._scene.built.collision, forced=record.forced,
-            start=record.start, contacts=record.contact_log(contacts), phases=record.phases_joined(),
-            forces=None if forces is None else forces.since(float(t[cut])),
-            elements=self._scene.built.elements.any, constrained=self._scene.built.constrained,
-        )  # fmt: skip
-        stalled = None if self._stall is None else self._stall.find(log)
-        if stalled is not None and record.status.ok:
-            code = {"code": StatusCode.ZENO, "time": stalled[0], "accumulation_time": stalled[0]}
-            record.end({**code, "pair_kind": stalled[1], "pair": stalled[2]})
-        excess = None if self._watch is None else self._watch.check(block)
-        if excess is not None:
-            record.status = Status(StatusCode.LEDGER, str(excess), excess.time)
-        if excess is not None or stalled is not None:
-            record.cut(record.status.time)
-        return record.status
+    def _advance(self, steps: int, forces: Array | None, target: Any, progress: Progress | None = None) -> Status:
+        run = self._started()
+        if not run.record.status.ok:
+            raise SimulationError(
+                f"The run has ended: {run.record.status}",
+                status=run.record.status,
+                remedy="Call reset(q0, v0) to start again",
+            )
+        return run.advance(steps, forces, run.targets(target, steps), progress)
 
     @property
     def t(self) -> float:
         """Time [s]."""
-        self._started()
-        return float(self._engine.t)
+        return self._started().t
 
     @property
     def q(self) -> Array:
         """Configuration, shape (nq,)."""
-        self._started()
-        return np.array(self._engine.q)
+        return self._started().q
 
     @property
     def v(self) -> Array:
         """Velocity, shape (nv,)."""
-        self._started()
-        return np.array(self._engine.v)
+        return self._started().v
 
     @property
     def p(self) -> Array:
         """Momentum M(q) v, shape (nv,)."""
-        self._started()
-        return np.array(self._engine.p)
+        return self._started().p
 
     @property
     def status(self) -> Status | None:
         """The status after the last step; None before `reset`."""
-        return None if self._record is None else self._record.status
+        return None if self._run is None else self._run.record.status
 
     @property
     def impacts(self) -> int:
         """Number of impacts since `reset`."""
-        return 0 if self._record is None else self._record.impacts
+        return 0 if self._run is None else self._run.record.impacts
 
     @property
-    def events(self) -> event_log.EventLog:
+    def events(self) -> EventLog:
         """The impacts since `reset`."""
-        return self._started().log()
+        return self._started().record.log()
 
     @property
     def contacts(self) -> list[Contact]:
-        """The persistent contacts as the last step left them: one `Contact` per point (contactvi.records.contacts)."""
-        record = self._started()
-        now = self.t
-        log = record.contact_log(max(0, len(record.contacts) - 1))
-        slack = 1e-9 * self.options.fixed_dt
-        held = np.flatnonzero((np.abs(log.end - now) <= slack) & (log.h > 0.0))
-        ended = {
-            (change.pair, change.point)
-            for change in record.change_log(max(0, len(record.changes) - 1))
-            if change.change == "release" and change.time >= now - slack
-        }
-        return [log[int(k)] for k in held if (log[int(k)].pair, log[int(k)].point) not in ended]
+        """The persistent contacts at the end of the last step: one `Contact` per point (contactvi.records.contacts)."""
+        return self._started().contacts_now()
 
     def reaction(self, name: str) -> Array:
         """Return the force of a constraint, the mean over the last step, shape (rows,); see Trajectory.reactions."""
-        forces = self._started().forces.joined(-1)
-        if forces is None:
-            raise SimulationError("The engine reported no reactions", remedy="Make a step first")
-        return forces.of(name)[-1].copy()
+        return np.array(self._started().record.forces.joined(-1).of(name)[-1])
 
     def save(self) -> Snapshot:
         """Return all of the present state, with what was recorded, for `load`."""
-        record = self._started()
-        kept = (self._watch, self._stall, self._seen, self._targets, self._before)
-        return Snapshot(self._scene, self.options, self._engine.save(), record.copy(), copy.deepcopy(kept))
+        return self._started().save()
 
     def load(self, snapshot: Snapshot) -> None:
         """Go back to a state of `save`, of this simulator or another one of the same scene and options.
@@ -298,16 +170,15 @@ class Simulator:
         if not isinstance(snapshot, Snapshot) or snapshot.scene is not self._scene or snapshot.options != self.options:
             got = "of another scene or other options" if isinstance(snapshot, Snapshot) else repr(snapshot)
             raise InputError("Snapshot", name="snapshot", expected="one of this scene and these options", got=got)
-        if self._engine is None:
-            self._engine = engine.make(self._scene, self.options)
-        engine.call(self._engine.load, snapshot.engine)
-        self._record = snapshot.record.copy()
-        self._watch, self._stall, self._seen, self._targets, self._before = copy.deepcopy(snapshot.kept)
+        if self._run is None:
+            self._run = Run(self._scene, self.options)
+        self._run.load(snapshot)
 
     def copy(self) -> Simulator:
         """Return a simulator in the same state that goes on by itself."""
-        twin = Simulator.of_compiled(self._scene, self.options)
-        if self._record is not None:
+        twin = Simulator.__new__(Simulator)
+        twin.options, twin._scene, twin._run = self.options, self._scene, None
+        if self._run is not None:
             twin.load(self.save())
         return twin
 
@@ -318,41 +189,29 @@ class Simulator:
         return self.copy()
 
     def last_step(self) -> tuple[float, Array, Array]:
-        """Return time [s], q (nq,) and v (nv,) at the start of the last step; of several steps by `run`, of the last
-        node that was recorded before now. Raises SimulationError before the first step."""
-        record = self._started()
-        if self._before is not None and self._before[0] < self.t:
-            t, q, p = self._before
-        else:
-            times, states, momenta = record.nodes(max(0, len(record.t) - 2))
-            earlier = np.flatnonzero(times < self.t)
-            if not len(earlier):
-                raise SimulationError("No step was made yet", remedy="Call step() first")
-            t, q, p = float(times[earlier[-1]]), states[earlier[-1]], momenta[earlier[-1]]
-        return t, q, np.asarray(self._scene.core.velocity(q[None], p[None]))[0]
+        """Return time [s], q (nq,) and v (nv,) at the start of the last step.
+
+        After `run` it is the last node that was recorded before now.
+
+        Raises:
+            SimulationError: before the first step.
+        """
+        return self._started().last_step()
+
+    def last_contacts(self) -> ContactLog:
+        """Return the contacts of the last step (see `last_step`), its impacts included."""
+        run = self._started()
+        return run.contacts_since(run.last_step()[0])
 
     def trajectory(self) -> Trajectory:
         """Return what was recorded since `reset`, the present state included."""
-        record = self._started()
-        return record.trajectory(self._engine)
+        return self._started().trajectory()
 
     def interrupt(self) -> Status:
         """End the run where it is with the status INTERRUPTED."""
-        record = self._started()
-        record.status = Status(StatusCode.INTERRUPTED, "stopped by the user", self.t)
-        return record.status
+        return self._started().interrupt()
 
-    def _started(self) -> Record:
-        if self._record is None:
+    def _started(self) -> Run:
+        if self._run is None:
             raise SimulationError("The simulator has no state yet", remedy="Call reset(q0, v0) first")
-        return self._record
-
-    def _running(self) -> Record:
-        record = self._started()
-        if not record.status.ok:
-            raise SimulationError(
-                f"The run has ended: {record.status}",
-                status=record.status,
-                remedy="Call reset(q0, v0) to start again",
-            )
-        return record
+        return self._run

@@ -1,14 +1,14 @@
-"""Where servos are to go: references of position and velocity for every step of a run, from what the user gives.
+"""Targets of servos: references of position and velocity for every step of a run, from what the user gives.
 
 n servo joints in the order of v (Scene.servo_joints). A target is one of
 
 - an array (n,) of positions [rad or m], or (2 n,) of positions and then velocities [rad/s or m/s]: constant;
 - an array (steps, n) or (steps, 2 n): one row per step;
-- a function t -> (n,) or (2 n,), asked at the start of each step;
+- a function t -> (n,) or (2 n,), called at the start of each step;
 - a mapping joint -> motion as in `Scene.prescribe`, whose rate is the reference of the velocity; other joints keep
   their default.
 
-By default a servo goes where `set_servo(target=)` says, and else holds the position at the start of the run.
+By default the target is that of `set_servo(target=)`, else the position at the start of the run.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Targets:
         self._motions = {name: motion for name, motion in compiled.built.arrays.targets.items() if name in self.joints}
 
     def __deepcopy__(self, memo: Any) -> Targets:
-        return self  # nothing in it changes
+        return self  # nothing in it ever changes
 
     def rows(self, target: Any, times: Array) -> Array | None:
         """Return the references of steps that start at times (steps,) [s], shape (steps, 2 nv); None without servos.

@@ -26,7 +26,7 @@ class Excess(NamedTuple):
         return f"{self.name} is {self.value:.3g}{relative}, more than {self.bound:.3g}"
 
 
-class Watch:
+class LedgerWatch:
     """Holds the ledger of a growing run to its tolerances, block by block."""
 
     def __init__(self, tolerances: Mapping[str, float]) -> None:
@@ -37,19 +37,21 @@ class Watch:
         self._scale = 0.0
 
     def check(self, block: Ledger) -> Excess | None:
-        """Return the first excess in time of a block, None where all holds.
+        """Return the first excess in time of a block, None where the block keeps all tolerances.
 
-        A block starts with the last node of the one before it, and has the events since.
+        A block starts with the last node of the block before it, and has the events since.
         """
         nodes = np.maximum.accumulate(np.append(self._scale, block.kinetic_energy))[1:]
         hits = np.maximum.accumulate(np.append(self._scale, block.event_kinetic_energy))[1:]
         found: list[Excess] = []
         for name in self._tolerances:
             if name in _NODE:
-                self._look(found, name, block.t, self._drift(block, name), nodes, block.held & (name in _FREE))
+                self._look(found, name, block.t, self._drift(block, name), nodes, block.persistent & (name in _FREE))
             if name in _EVENT:
                 value = _EVENT[name](block)
-                self._look(found, name, block.events.array("time"), value, hits, block.event_held & np.isnan(value))
+                self._look(
+                    found, name, block.events.array("time"), value, hits, block.event_in_contact & np.isnan(value)
+                )
             if name in _CONTACT:
                 value = _CONTACT[name](block)
                 self._look(
@@ -63,19 +65,19 @@ class Watch:
     def _look(
         self, found: list[Excess], name: str, time: Array, value: Array, scale: Array, free: NDArray[np.bool_]
     ) -> None:
-        """Add the first value above the bound to `found`; `free`: where there is nothing to hold."""
+        """Add the first value above the bound to `found`; where `free` is true the value does not count."""
         if name in _RELATIVE:
             value = np.divide(value, scale, out=np.where(value > 0, np.inf, 0.0), where=scale > 0)
         bound = self._tolerances[name]
         holds = (value <= bound) | free
         if name in ("discrete_energy", "impulse_balance"):
-            holds |= np.isnan(value)  # of steps cut by an impact or across a node; any other NaN holds nothing
+            holds |= np.isnan(value)  # of steps cut by an impact or across a node; any other NaN is an excess
         over = np.flatnonzero(~holds)
         if len(over):
             found.append(Excess(name, float(value[over[0]]), bound, float(time[over[0]])))
 
     def _drift(self, block: Ledger, name: str) -> Array:
-        """Distance of a quantity at the nodes from the start of the run, losses added back, shape (N,)."""
+        """Return the distance of a quantity at the nodes from the start of the run, losses added back, shape (N,)."""
         if name == "energy_rise":
             return np.asarray(block.energy - np.minimum.accumulate(np.append(self._least, block.energy))[1:])
         value: Array = getattr(block, name)
@@ -87,15 +89,15 @@ class Watch:
             known = value[np.isfinite(value)]
             if name not in self._start and len(known):
                 self._start[name] = known[0]
-            return np.abs(value - self._start.get(name, 0.0))
-        return np.linalg.norm(value - self._start.setdefault(name, value[0]), axis=1)
+            return np.asarray(np.abs(value - self._start.get(name, 0.0)))
+        return np.asarray(np.linalg.norm(value - self._start.setdefault(name, value[0]), axis=1))
 
 
 _NODE = (
     *("energy", "modified_energy", "discrete_energy", "linear_momentum", "angular_momentum"),
     *("energy_rise", "impulse_balance", "energy_balance"),
 )
-_FREE = ("modified_energy", "discrete_energy")  # defined for free steps only
+_FREE = ("modified_energy", "discrete_energy")  # defined for steps without persistent contacts only
 _RELATIVE = (
     *("energy", "modified_energy", "discrete_energy", "energy_rise", "energy_balance"),
     *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),

@@ -179,7 +179,7 @@ def simultaneous_outcomes(
     # The search runs in the engine's coordinates, whose velocity of a free-flyer is that of its origin in the world.
     core = compiled.core
     mass = np.column_stack([core.dynamics(q0, unit)[0] for unit in np.eye(states.nv)])
-    lower = np.linalg.cholesky(0.5 * (mass + mass.T))
+    lower: Array = np.linalg.cholesky(0.5 * (mass + mass.T)).astype(float, copy=False)
     p = core.momentum_to_engine(q0, np.asarray(core.momentum(q0[None], v0[None]))[0])
     impacts = Impacts(engine, len(contacts), lower, p)
     ends, complete = impacts.every_order(limit)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from functools import cached_property
-from typing import Any
-from weakref import WeakKeyDictionary
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,12 @@ from contactvi.scene import closure as loops
 from contactvi.scene.derivative_check import GENERIC, check_element, mover
 from contactvi.scene.scene import Scene
 
+if TYPE_CHECKING:
+    from contactvi import _core
+
 
 class CompiledScene:
-    """What runs of a scene share: a copy that later edits do not reach, the engine's scene, names, checks of states.
+    """A scene that is ready to run: a copy that later edits do not reach, the engine's scene, names, checks of states.
 
     Attributes:
         built: the complete scene.
@@ -34,7 +36,7 @@ class CompiledScene:
     def __init__(self, scene: Scene) -> None:
         built = scene.built()
         _refuse_missing(scene)
-        self.core = scene.core()
+        self.core: _core.Scene = scene.core()
         self.built = built
         self._scene = scene.copy()
         self.states = States(built.model)
@@ -55,7 +57,7 @@ class CompiledScene:
 
     @property
     def q0(self) -> Any:
-        """Where runs start, shape (nq,): as the scene says, else neutral."""
+        """Configuration with which runs start, shape (nq,): that of the scene, else neutral."""
         return self.built.start if self._scene.q0 is None else self._scene.q0
 
     @property
@@ -83,7 +85,7 @@ class CompiledScene:
 
     @cached_property
     def driven(self) -> str | None:
-        """What of the scene puts energy in, in words; None where nothing does."""
+        """What of the scene may put energy in, in words; None where nothing does."""
         found, arrays = self.built.elements, self.built.arrays
         reasons = {
             "servos": bool(np.any(arrays.servo[:2])),
@@ -108,7 +110,7 @@ class CompiledScene:
             loops.assemble(self.core, self.built.model, rows, q, (), t)
         except ConstraintError as error:
             return error
-        except UserFunctionError:  # of a motion that ends there; the run has said so if it matters
+        except UserFunctionError:  # of a motion that ends there; the run has raised it if it matters
             return None
         return None
 
@@ -131,7 +133,7 @@ class CompiledScene:
                 continue
             check_element(element, dofs, move, q, v + generic, t)
             if isinstance(element, (UserPotential, UserForce)):
-                with contextlib.suppress(UserFunctionError):  # it need not be defined there
+                with contextlib.suppress(UserFunctionError):  # the function need not be defined there
                     check_element(element, dofs, move, move(q, GENERIC * generic), v + generic, t)
 
 
@@ -146,13 +148,9 @@ def _refuse_missing(scene: Scene) -> None:
         )
 
 
-# The compiled scene of each scene that has run; it lives as long as the scene does.
-_compiled: WeakKeyDictionary[Scene, CompiledScene] = WeakKeyDictionary()
-
-
 def compile_scene(scene: Scene) -> CompiledScene:
-    """Return what runs of the scene need, kept with it until it is edited."""
-    kept = _compiled.get(scene)
-    if kept is None or not kept.fits(scene):
-        kept = _compiled[scene] = CompiledScene(scene)
+    """Return the scene as its runs need it; it is kept with the scene until that is edited."""
+    kept = scene.compiled
+    if not isinstance(kept, CompiledScene) or not kept.fits(scene):
+        kept = scene.compiled = CompiledScene(scene)
     return kept

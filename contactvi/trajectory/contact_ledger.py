@@ -1,4 +1,4 @@
-"""The ledger of lasting contact: how exactly the law of contact holds, and where its impulses and its work go.
+"""The ledger of persistent contact: how exactly the law of contact holds, and where its impulses and its work go.
 
 Per row of the run's contacts (contactvi.records.contacts), shapes (m,): gap, impulse, complementarity, friction_work.
 Per node, shapes (N,): friction_loss, impulse_balance.
@@ -6,10 +6,10 @@ Per node, shapes (N,): friction_loss, impulse_balance.
 A row that carries no impulse may be open: its gap counts only as far as it is negative. Impacts count as rows of their
 own; their losses are those of their events and no friction work.
 
-Friction work is the impulses of a step against the slip between its ends, the first impulse as the force at a third
-of the step and the second at two thirds, where the held step has them: exact where the slip changes evenly, else to
-O(h^2). Where the slip at the start is not known (a contact just begun, or hit) it is what the step after goes
-back to, as long as that slips, else that of the end.
+Friction work is the work of a step's two impulses on the slip between its ends. They count as forces at a third and at
+two thirds of the step, where the contact step has them: that is exact where the slip changes evenly, else to O(h^2).
+The slip at the start of the first step of a contact, and after an impact, is not recorded. It is extrapolated from the
+end of that step and the step after it if that one slips, else it is taken to be the slip at the end.
 
 The balance is that of the trees of bodies that hang on a free joint without damping: what the contacts gave each one in
 a step, against the change of its momentum less its weight. It needs runs without inputs and whole steps between nodes.
@@ -27,14 +27,21 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.importing.checks import joint_kind
-from contactvi.records.contacts import MODES, ContactLog
+from contactvi.records.codes import ContactMode, GuardKind
+from contactvi.records.contacts import ContactLog
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class FreeTree:
-    """Bodies on one free joint: its places in q and v, their mass [kg], +1, -1, 0 as the pairs push them (npairs,)."""
+    """The bodies that hang on one free joint.
+
+    Attributes:
+        idx_q, idx_v: place of the joint in q and v.
+        mass: of all its bodies [kg].
+        signs: +1 for pairs whose impulses act on it, -1 where their reactions do, else 0, shape (npairs,).
+    """
 
     idx_q: int
     idx_v: int
@@ -71,14 +78,15 @@ class ContactLedger:
         p: Array,
         trees: Sequence[FreeTree] = (),
         gravity: Array | None = None,
-        forced: bool = False,
+        pushed: bool = False,
     ) -> None:
-        """Of nodes t (N,) [s], q (N, nq), p (N, nv).
+        """Take the contacts and the nodes t (N,) [s], q (N, nq), p (N, nv) of a run.
 
-        For the balance only: trees from `free_trees`, gravity [m/s^2], shape (3,), and whether there were inputs.
+        Only the balance needs trees from `free_trees`, gravity [m/s^2], shape (3,), and whether anything besides
+        gravity and contacts acts on the trees.
         """
         self._contacts, self._t, self._q, self._p = contacts, t, q, p
-        self._trees, self._forced = trees, forced
+        self._trees, self._pushed = trees, pushed
         self._gravity = np.zeros(3) if gravity is None else gravity
 
     @property
@@ -109,23 +117,25 @@ class ContactLedger:
         slip, h = log.array("slip"), log.h
         before = slip.copy()
         keys = [log.array(name) for name in ("kind", "index", "point")]
-        order = np.lexsort((h, log.t, *keys))  # of each point in the order of time, an impact before the step after it
+        order = np.lexsort(
+            (h, log.t, *keys)
+        )  # point by point, in the order of time, an impact before the step after it
         same = np.all([np.diff(key[order]) == 0 for key in keys], axis=0)
-        same &= h[order[:-1]] > 0.0  # rows of impacts do not say what slips after them
+        same &= h[order[:-1]] > 0.0  # rows of impacts have no slip after the impact
         same &= np.abs(log.t[order[1:]] - log.end[order[:-1]]) <= 1e-9 * (h[order[1:]] + h[order[:-1]])
         first, second = order[:-1][same], order[1:][same]
         before[second] = slip[first]
         new = np.ones(len(h), dtype=bool)
         new[second] = False
-        guessed = new[first] & (h[first] > 0.0) & (h[second] > 0.0) & (log.array("mode")[second] == MODES.index("slip"))
+        guessed = new[first] & (h[first] > 0.0) & (h[second] > 0.0) & (log.array("mode")[second] == ContactMode.SLIP)
         first, second = first[guessed], second[guessed]
         before[first] += (slip[first] - slip[second]) * (h[first] / h[second])[:, None]
         work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
-        return np.where((h > 0.0) & (log.array("kind") == 0), work.sum(axis=1) / 3.0, 0.0)
+        return np.where((h > 0.0) & (log.array("kind") == GuardKind.CONTACT), work.sum(axis=1) / 3.0, 0.0)
 
     @cached_property
     def friction_loss(self) -> Array:
-        """What friction in held contacts took until each node [J], shape (N,)."""
+        """What friction in persistent contacts took until each node [J], shape (N,)."""
         order = np.argsort(self.time, kind="stable")
         sums = np.concatenate([[0.0], -np.cumsum(self.friction_work[order])])
         return np.asarray(sums[np.searchsorted(self.time[order], self._t + self._slack, side="right")])
@@ -134,14 +144,14 @@ class ContactLedger:
     def impulse_balance(self) -> Array:
         """Impulse that is not accounted for since the node before [N s], largest of all free trees, shape (N,).
 
-        NaN in runs with inputs, and where a step of a contact goes across a node.
+        It is NaN in runs with inputs, and where a contact step crosses a node.
         """
         result = np.zeros(len(self._t))
-        if self._forced:
+        if self._pushed:
             return np.full(len(self._t), np.nan)
         log, slack = self._contacts, self._slack
-        node = np.searchsorted(self._t, self.time - slack)  # the first node that is not before the end
-        inside = (node < len(self._t)) & (node > 0) & (log.array("kind") == 0)
+        node = np.searchsorted(self._t, self.time - slack)  # the node at the end of the step
+        inside = (node < len(self._t)) & (node > 0) & (log.array("kind") == GuardKind.CONTACT)
         weight = np.diff(self._t, prepend=self._t[:1])[:, None] * self._gravity
         for tree in self._trees:
             q, v = tree.idx_q, tree.idx_v

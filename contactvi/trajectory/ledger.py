@@ -1,8 +1,8 @@
 """The ledger of a run: what should be conserved, node by node and impact by impact, and tolerances on it.
 
 Energies [J], momenta [N s, N m s] about the world's origin, in world axes. A loss is what the law of an impact takes by
-restitution and friction; a jump has it added back: what an impact changes beyond its loss. What held contacts do is in
-`Ledger.contacts` (contactvi.trajectory.contact_ledger).
+restitution and friction; a jump has it added back: what an impact changes beyond its loss. What persistent contacts do
+is in `Ledger.contacts` (contactvi.trajectory.contact_ledger).
 
 Jumps of the three scalars at an impact (q_c, p_minus -> p_plus; `before` and `after` the parts of the step):
 
@@ -13,48 +13,81 @@ Jumps of the three scalars at an impact (q_c, p_minus -> p_plus; `before` and `a
   without further impacts less that of the node it started from; of several impacts in one step each starts from what
   the one before it left.
 
-What damping does between the two things compared (the stages of the parts, the two nodes) is no jump, and taken off: by
-the Gauss weights of the stages.
+The work of damping between the two things compared (the stages of the parts, the two nodes) is no jump and is taken
+off, with the Gauss weights of the stages.
 
-Tolerances, the keys of `ledger` of a run (inputs.LEDGER_TOLERANCES), are upper bounds of
+Tolerances, the keys of the option `ledger` of a run, are upper bounds of
 
 - energy, modified_energy, discrete_energy: drift from the start at the recorded nodes, losses added back, relative to
   the largest kinetic energy so far. Damping and inputs change these energies; a tolerance is for runs without.
 - energy_jump, modified_energy_jump, discrete_energy_jump, own_jump (of the map used): likewise relative.
 - linear_momentum, angular_momentum: distance from the start [N s], [N m s], for free bodies without gravity;
   linear_momentum_jump, angular_momentum_jump: at an impact of free bodies.
-- energy_balance: of what H changed beyond the work of inputs and drives and the losses of damping, friction and
-  impacts, relative to the largest kinetic energy so far. It is O(dt^2).
+- energy_balance: of what H changed beyond the work of inputs and prescribed motions and the losses of damping, friction
+  and impacts, relative to the largest kinetic energy so far. It is O(dt^2).
 - energy_rise: how far the energy at a node is above the least one before it, relative to the largest kinetic energy so
   far: more than the error of the integrator is an error of a contact. For runs without inputs.
 - impulse: how far one is below zero [N s]. complementarity: abs(gap * impulse) [N m s]. gap: abs(gap) [m]. Of impacts
-  and of held contacts. impulse_balance: between two nodes, of free bodies [N s].
+  and of persistent contacts. impulse_balance: between two nodes, of free bodies [N s].
 
-Inputs are not kept in a run; what needs a step to be made again (discrete energy, jumps but that of the energy) is NaN
-where a run had some (or constraints, dry friction, servos, wrenches, dampers, forces of the user), and where the run
-had to cut that step in two because its sweeps did not converge. The same where contacts are held or the scene has
-constraints or dry friction: the discrete energy and the modified Hamiltonian are those of free steps.
+Inputs are not kept in a run. What needs a step to be made again (discrete energy, jumps but that of the energy) is NaN
+where a run had some (or constraints, joint friction, servos, wrenches, dampers, forces of the user), and where the run
+had to cut that step in two because its stage iterations did not converge. It is NaN, too, where there are persistent
+contacts, constraints or joint friction: the discrete energy and the modified Hamiltonian are those of free steps.
 """
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi.aliases import alias
 from contactvi.options import Options
-from contactvi.records.contacts import ContactLog, empty_contacts
-from contactvi.records.events import HELD, EventLog
+from contactvi.records.codes import METHODS, Fallback
+from contactvi.records.contacts import ContactLog
+from contactvi.records.events import EventLog
 from contactvi.records.work import Forces
+from contactvi.scene.build import Built
 from contactvi.trajectory.contact_ledger import ContactLedger, free_trees
 
+if TYPE_CHECKING:
+    from contactvi import _core
+
 Array = NDArray[np.float64]
-_STEP_TOL = 1e-13  # of the steps made again, below that of any run
+_STEP_TOL = 1e-13  # of the steps that are made again, below that of any run
+
+
+@dataclass(frozen=True, eq=False)
+class LedgerInputs:
+    """A run, or some consecutive nodes of it, as its ledger looks at it.
+
+    Attributes:
+        start: time at which the run began [s].
+        forced: whether there were inputs or forces that a step which is made again does not have.
+        t, q, p: nodes, shapes (N,) [s], (N, nq), (N, nv).
+        events, contacts, phases: those of these nodes.
+        forces: work and reactions at these nodes, None where they are not known.
+        energies: T and V at the nodes (N, 2) of a run whose scene lacks functions of the user. What would have to be
+            computed with them is NaN. None for a complete scene.
+    """
+
+    options: Options
+    start: float
+    forced: bool
+    t: Array
+    q: Array
+    p: Array
+    events: EventLog
+    contacts: ContactLog
+    phases: Mapping[str, Array] | None
+    forces: Forces | None
+    energies: Array | None = None
 
 
 class Ledger:
@@ -62,51 +95,23 @@ class Ledger:
 
     Per node, shapes (N,) and (N, 3): energy, modified_energy, discrete_energy (of the step that starts there; NaN where
     an impact cuts that step, and at the last node), linear_momentum, angular_momentum, loss (so far), friction_loss,
-    energy_balance, constraint_residual, energy_rise, impulse_balance, held (whether contacts are held in the step that
-    starts there).
+    energy_balance, constraint_residual, energy_rise, impulse_balance, persistent (whether the step that starts there
+    has persistent contacts).
     Per event, shapes (n,) and (n, 3): energy_jump, modified_energy_jump, discrete_energy_jump, own_jump, event_loss,
     impulse, gap, complementarity, linear_momentum_jump, angular_momentum_jump.
     """
 
-    def __init__(
-        self,
-        core: Any,
-        options: Options,
-        t: Array,
-        q: Array,
-        p: Array,
-        events: EventLog,
-        *,
-        model: pin.Model,
-        collision: pin.GeometryModel,
-        forced: bool,
-        start: float,
-        contacts: ContactLog | None = None,
-        phases: Mapping[str, Array] | None = None,
-        forces: Forces | None = None,
-        elements: bool = False,
-        constrained: bool = False,
-        energies: Array | None = None,
-    ) -> None:
-        """Of nodes t (N,) [s], q (N, nq), p (N, nv), events, contacts and phases of a run that began at `start` [s].
-
-        options: its settings; of them the order, and dt where all steps have one length. model, collision: those of the
-        complete scene. forced: whether there were inputs or forces that no step made again here has; forces: the work
-        they did, None where it is not known. elements: whether the scene has some; constrained: whether all its steps
-        have constraints or dry friction. energies: T and V at the nodes (N, 2) of a run whose scene lacks functions of
-        the user: what would have to be computed with them is NaN.
-        """
-        self._core, self._forced, self._start = core, forced, start
-        self._forces, self._elements, self._constrained = forces, elements, constrained
-        self._given = energies
-        self._dt = float("nan") if options.auto else options.fixed_dt
-        self._order = options.order
-        c, b = np.polynomial.legendre.leggauss(options.order // 2)
+    def __init__(self, core: _core.Scene, built: Built, run: LedgerInputs) -> None:
+        """Take the engine's scene, the complete scene that it is made from, and a run of it."""
+        self._core, self._built, self._run = core, built, run
+        self._forced, self._forces, self._given = run.forced, run.forces, run.energies
+        self._constrained = built.constrained or bool(run.forces is not None and run.forces.constraints)
+        self._dt = float("nan") if run.options.auto else run.options.fixed_dt
+        self._order = run.options.order
+        c, b = np.polynomial.legendre.leggauss(run.options.order // 2)
         self._gauss = 0.5 * (1.0 + c), 0.5 * b
-        self._damping = np.array(model.damping, dtype=float)
-        self._bodies = model, collision
-        self._contact_log, self._phases = empty_contacts() if contacts is None else contacts, phases
-        self.t, self._q, self._p, self.events = t, q, p, events
+        self._damping = np.array(built.model.damping, dtype=float)
+        self.t, self._q, self._p, self.events = run.t, run.q, run.p, run.events
 
     # -- per node ------------------------------------------------------------------------------------------------------
 
@@ -131,11 +136,11 @@ class Ledger:
         values = np.full(len(self.t), np.nan)
         if not np.isfinite(self._dt):
             return values
-        step = (self.t - self._start) / self._dt
+        step = (self.t - self._run.start) / self._dt
         index = np.rint(step).astype(np.int64)
-        whole = np.abs(step - index) < 1e-6  # a run that ended inside a step has its last node there
+        whole = np.abs(step - index) < 1e-6  # the last node of a run may lie inside a step
         whole[-1:] = False
-        whole &= ~np.isin(index, self.events.array("step")) & ~self.held
+        whole &= ~np.isin(index, self.events.array("step")) & ~self.persistent
         if not self._forced:
             values[whole] = self._discrete(self._q[whole], self._p[whole], np.full(int(whole.sum()), self._dt))
         return values
@@ -152,32 +157,32 @@ class Ledger:
 
     @cached_property
     def loss(self) -> Array:
-        """What impacts and the friction of held contacts took until each node [J], >= 0, shape (N,)."""
-        return self.events.total(self.event_loss, self.t, self._start, self._dt) + self.friction_loss
+        """What impacts and the friction of persistent contacts took until each node [J], >= 0, shape (N,)."""
+        return self.events.total(self.event_loss, self.t, self._run.start, self._dt) + self.friction_loss
 
     @property
     def friction_loss(self) -> Array:
-        """What sliding took in held contacts until each node [J], shape (N,)."""
+        """What sliding took in persistent contacts until each node [J], shape (N,)."""
         return self.contacts.friction_loss
 
     @cached_property
     def undriven_energy(self) -> Array:
-        """H less what inputs and drives put in, plus what damping and dry friction of joints took [J], shape (N,).
+        """H less what inputs and prescribed motions put in, plus what damping and joint friction took [J], shape (N,).
 
         NaN where that was not recorded, in runs with damping or forces.
         """
         if self._forces is not None:
             work = self._forces.work
-            return np.asarray(self.energy - work.input - work.drive + work.damping + work.dry)
+            return np.asarray(self.energy - work.input - work.prescribed + work.damping + work.joint_friction)
         lossless = not self._forced and not np.any(self._damping)
         return self.energy if lossless else np.full(len(self.t), np.nan)
 
     @cached_property
     def energy_balance(self) -> Array:
-        """Change of H that is not accounted for since the first node [J], shape (N,): of O(dt^2).
+        """Change of H that is not accounted for since the first node [J], shape (N,), of O(dt^2).
 
-        H less the work of inputs and drives, plus what damping, dry friction, friction of held contacts and impacts
-        took.
+        It is H less the work of inputs and prescribed motions, plus what damping, joint friction, friction of
+        persistent contacts and impacts took.
         """
         known = self.undriven_energy + self.loss
         return np.asarray(known - known[0])
@@ -201,19 +206,21 @@ class Ledger:
         return self.contacts.impulse_balance
 
     @cached_property
-    def held(self) -> NDArray[np.bool_]:
-        """Whether contacts are held after the node, shape (N,)."""
-        return self._held(self.t)
+    def persistent(self) -> NDArray[np.bool_]:
+        """Whether the step that starts at the node has persistent contacts, shape (N,)."""
+        return self._in_contact(self.t)
 
-    # -- of held contacts ----------------------------------------------------------------------------------------------
+    held = alias("persistent")
+
+    # -- of persistent contacts ----------------------------------------------------------------------------------------
 
     @cached_property
     def contacts(self) -> ContactLedger:
-        """How exactly contacts are held, row by row of the run's contacts."""
-        model, trees = self._bodies[0], free_trees(*self._bodies)
-        gravity = np.array(model.gravity.linear)
-        unknown = self._forced or self._elements
-        return ContactLedger(self._contact_log, self.t, self._q, self._p, trees, gravity, unknown)
+        """How exactly the law of contact holds, row by row of the run's contacts."""
+        model, run = self._built.model, self._run
+        trees = free_trees(model, self._built.collision)
+        pushed = self._forced or self._built.elements.any or self._given is not None
+        return ContactLedger(run.contacts, self.t, self._q, self._p, trees, np.array(model.gravity.linear), pushed)
 
     # -- per event -----------------------------------------------------------------------------------------------------
 
@@ -252,7 +259,7 @@ class Ledger:
         end = self._discrete(q, self.events.array("p_plus"), after) - self._after[3]
         chained = self._follows("step", "time", "before")
         start[chained] = end[np.flatnonzero(chained) - 1]
-        return np.where(self.event_held, np.nan, end - start + self.event_loss)
+        return np.where(self.event_in_contact, np.nan, end - start + self.event_loss)
 
     @cached_property
     def modified_energy_jump(self) -> Array:
@@ -265,14 +272,16 @@ class Ledger:
         start = self._modified(q_start, p_start)
         chained = self._follows("step")
         start[chained] = end[np.flatnonzero(chained) - 1]
-        # the work until the first impact of an instant; those after it have none of their own
+        # Damping works until the first impact of an instant; the impacts after it have no work of their own.
         start += np.where(self._follows("step", "time", "before"), 0.0, work_before)
         return end - start + self.event_loss
 
     @cached_property
     def own_jump(self) -> Array:
-        """Of the scalar that the map of the event conserves, against its own reference [J], shape (n,)."""
-        explicit = (self.events.array("method") == 0) | (self.events.array("fallback") == HELD)
+        """Of the scalar that the map of the event conserves, against the reference of that map [J], shape (n,)."""
+        explicit = (self.events.array("method") == METHODS.index("ctec")) | (
+            self.events.array("fallback") == Fallback.PERSISTENT
+        )
         return np.where(explicit, self.energy_jump, self.events.array("jump"))
 
     @property
@@ -306,17 +315,18 @@ class Ledger:
         return np.asarray(self._core.energy(self.events.array("q"), self.events.array("p_minus")))[:, 0]
 
     @cached_property
-    def event_held(self) -> NDArray[np.bool_]:
-        """Whether contacts are held just before or just after the impact, shape (n,)."""
+    def event_in_contact(self) -> NDArray[np.bool_]:
+        """Whether there are persistent contacts just before or just after the impact, shape (n,)."""
         time = self.events.array("time")
-        return self._held(time) | self._held(time, "left")
+        return self._in_contact(time) | self._in_contact(time, "left")
 
-    def _held(self, t: Array, side: Literal["left", "right"] = "right") -> NDArray[np.bool_]:
-        """Return whether contacts are held just after (or before: "left") these times, shape (N,)."""
-        if self._constrained or self._phases is None:
+    def _in_contact(self, t: Array, side: Literal["left", "right"] = "right") -> NDArray[np.bool_]:
+        """Return whether steps just after these times (or with "left" just before) have persistent contacts, (N,)."""
+        phases = self._run.phases
+        if self._constrained or phases is None:
             return np.full(len(t), self._constrained)
-        at = np.searchsorted(self._phases["t"], t, side=side) - 1
-        return np.asarray((at >= 0) & (self._phases["held"][np.clip(at, 0, None)] != 0.0))
+        at = np.searchsorted(phases["t"], t, side=side) - 1
+        return np.asarray((at >= 0) & (phases["persistent"][np.clip(at, 0, None)] != 0.0))
 
     def _follows(self, *names: str) -> NDArray[np.bool_]:
         """Return which events share these fields with the event before them, shape (n,)."""
@@ -330,11 +340,11 @@ class Ledger:
         """E_d of steps h (n,) from these states; H where the step has no length, NaN where its length is not known."""
         if self._given is not None:
             return np.full(len(q), np.nan)
-        values = np.asarray(self._core.energy(q, p)).sum(axis=1)
+        values: Array = self._core.energy(q, p).sum(axis=1)
         some = np.flatnonzero(h != 0.0)
         try:
             values[some] = self._core.discrete_energy(q[some], p[some], h[some], self._order)
-        except RuntimeError:  # CoreError is one: a step that the run had to cut in two is none to be made again
+        except RuntimeError:  # a CoreError: the run had to cut such a step in two, so it cannot be made again
             for i in some:
                 one = slice(i, i + 1)
                 with contextlib.suppress(RuntimeError):
@@ -345,8 +355,8 @@ class Ledger:
     def _modified(self, q: Array, p: Array) -> Array:
         if self._given is not None:
             return np.full(len(q), np.nan)
-        if self._constrained:  # of its steps no such quantity is known
-            return np.asarray(self._core.energy(q, p)).sum(axis=1)
+        if self._constrained:  # no modified Hamiltonian is known of constrained steps
+            return np.asarray(self._core.energy(q, p).sum(axis=1))
         return np.asarray(self._core.modified_energy(q, p, self._dt, self._order))
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Pictures of a run that are no animation: energy, impacts and gaps over time; the forces of lasting contacts."""
+"""Plots of a run over time: energy, impacts and gaps, and the forces of persistent contacts."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from contactvi.files import write_atomic
+from contactvi.records.codes import GuardKind
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -59,8 +60,8 @@ def save_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
 def plot_forces(traj: Trajectory) -> Figure:
     """Return a figure of the contact forces of a run: along the normal and along the surface, a line per pair.
 
-    Of each pair the sum of its points, mean over every step in which it was held; impacts have no force. A run without
-    forces has an empty figure. The figure belongs to no window, as that of `plot`.
+    Each pair has the sum of its points, a mean over every step with persistent contact; impacts have no force. A run
+    without forces has an empty figure. The figure belongs to no window (matplotlib.figure.Figure).
     """
     figure = Figure(figsize=(9.0, 5.8), layout="constrained")
     axes = figure.subplots(2, 1, sharex=True)
@@ -93,19 +94,19 @@ def save_force_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
 def _pair_force(traj: Trajectory, pair: tuple[str, str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return times (k,) [s] and the force of a pair along its normals and across them, (k,) [N]; gaps are NaN."""
     log = traj.contacts.of(*pair)
-    held = np.flatnonzero(log.lasting & (log.array("kind") == 0))
-    if not len(held):
+    rows = np.flatnonzero(log.has_force & (log.array("kind") == GuardKind.CONTACT))
+    if not len(rows):
         return np.zeros(0), np.zeros(0), np.zeros(0)
-    start, group = np.unique(log.t[held], return_inverse=True)
+    start, group = np.unique(log.t[rows], return_inverse=True)
     group = group.reshape(-1)
-    normal = np.bincount(group, log.normal_impulse[held] / log.h[held], minlength=len(start))
-    along = log.normal_impulse[held, None] * log.array("normal")[held]
-    across = (log.impulse[held] - along) / log.h[held, None]
+    normal = np.bincount(group, log.normal_impulse[rows] / log.h[rows], minlength=len(start))
+    along = log.normal_impulse[rows, None] * log.array("normal")[rows]
+    across = (log.impulse[rows] - along) / log.h[rows, None]
     total = np.zeros((len(start), 3))
     np.add.at(total, group, across)
     end = np.zeros(len(start))
-    end[group] = log.end[held]
-    # Lines are broken where the pair was apart, not where a part of a step is too short to be drawn.
+    end[group] = log.end[rows]
+    # Lines are broken where the pair separated, but not where a part of a step is too short to be drawn.
     apart = 1 + np.flatnonzero(start[1:] - end[:-1] > 1e-2 * log.h.max())
     columns = (0.5 * (start + end), normal, np.linalg.norm(total, axis=1))
     time, *values = (np.insert(column, apart, np.nan) for column in columns)
@@ -120,7 +121,7 @@ def _mark_changes(axis: Axes, traj: Trajectory, named: bool) -> None:
 
 
 def _draw_energy(axis: Axes, traj: Trajectory) -> None:
-    """Energy with its jumps: the impacts are put in as points of their own, before and after."""
+    """Draw the energy with its jumps: each impact has two points of its own, before and after."""
     t, change = _with_jumps(traj)
     axis.plot(t, change, color=_ENERGY, lw=1.4, marker=_marker(traj), ms=4, label="H - H(0)")
     axis.set_ylabel("energy change [J]")
@@ -128,16 +129,16 @@ def _draw_energy(axis: Axes, traj: Trajectory) -> None:
 
 
 def _draw_error(axis: Axes, traj: Trajectory) -> None:
-    """Energies with the losses of the impacts put back; the thick one is what the impact map of the run conserves.
+    """Draw the energies with the losses of the impacts put back, in bold what the impact map of the run conserves.
 
-    For a system without damping and inputs the rest is the error of the integrator and of the impact map.
+    For a system without damping and inputs what remains is the error of the integrator and of the impact map.
     """
     own, lost = traj.events.method, traj.impact_loss + traj.friction_loss
     curves = [
         ("ctec", "H - H(0) + losses", traj.energy, _CORRECTED, "-"),
         ("mhc", "the same of the modified H", traj.modified_energy, _MODIFIED, (0, (4, 3))),
     ]
-    if own == "dtec":  # has gaps where an impact cuts the step: what DTEC keeps is that of the parts of those steps
+    if own == "dtec":  # it has gaps, because where an impact cuts a step DTEC conserves the energy of the two parts
         curves.append(("dtec", "the same of the discrete energy of whole steps", traj.discrete_energy, _DISCRETE, "-"))
     for method, name, energy, color, style in curves:
         change = energy + lost
@@ -163,7 +164,7 @@ def _draw_gaps(axis: Axes, time: np.ndarray, pairs: list[tuple[str, str]], gap: 
 
 
 def _marker(traj: Trajectory) -> str:
-    """Nodes are marked where there are few: energies are known at nodes and impacts only."""
+    """Return the marker of nodes, none where they are many: energies are known at nodes and impacts only."""
     return "." if len(traj) <= _FEW_NODES else ""
 
 
@@ -174,11 +175,11 @@ def _with_jumps(traj: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     total = np.cumsum(jump)
     if not len(time):
         return traj.t, change
-    smooth = np.interp(time, traj.t, change - traj.impact_energy)  # what is not from impacts has no jumps
+    smooth = np.interp(time, traj.t, change - traj.impact_energy)  # without the impacts there are no jumps
     t = np.concatenate([traj.t, time, time])
     values = np.concatenate([change, smooth + total - jump, smooth + total])
     rank = np.concatenate([np.full(len(traj.t), 2.0), np.zeros(len(time)), np.ones(len(time))])
-    # Impacts at one instant keep their order: before and after of each, one after the other.
+    # Impacts at one instant keep their order, each with its points before and after.
     count = np.concatenate([np.full(len(traj.t), len(time)), np.arange(len(time)), np.arange(len(time))])
     order = np.lexsort((rank, count, t))
     return t[order], values[order]
@@ -186,7 +187,7 @@ def _with_jumps(traj: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 
 def _mark_impacts(axis: Axes, traj: Trajectory, named: bool) -> None:
     times, kinds = traj.events.array("time"), traj.events.array("kind")
-    for kind, color in ((0, _IMPACT), (1, _LIMIT)):
+    for kind, color in ((GuardKind.CONTACT, _IMPACT), (GuardKind.LIMIT, _LIMIT)):
         chosen: Any = np.unique(times[kinds == kind])
         if len(chosen) > _MAX_MARKS:
             chosen = chosen[np.linspace(0, len(chosen) - 1, _MAX_MARKS).astype(int)]

@@ -1,21 +1,24 @@
 """The polynomials of the steps of a run: states between the nodes, samples, and frames for pictures.
 
-A segment is one solved step, or the part of one between two impacts. The engine evaluates its polynomial: through the
-Gauss stages, raised so that it meets the velocities at both ends (core/step/path.hpp), it is accurate to O(h^(s+2))
-in q with s = order / 2 stages; at the ends of segments it is the run itself. In long steps of high order that is much
-less than at the nodes: what is asked for one by one is found by a step that ends there.
+A segment is one solved step, or the part of one between two impacts. Its polynomial goes through the Gauss stages and
+meets the velocities at both ends (core/step/path.hpp). It is accurate to O(h^(s+2)) in q with s = order / 2 stages, and
+exact at the ends. In long steps of high order it is much less accurate than the nodes are; states that are asked for
+one by one are therefore found by a step that ends there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.scene.engine import engine_states
+
+if TYPE_CHECKING:
+    from contactvi import _core
 
 Array = NDArray[np.float64]
 
@@ -27,7 +30,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "p": ("v",),  # momentum at the start, in the engine's coordinates
     "p1": ("v",),  # momentum at the end, before an impact there, in the engine's coordinates
     "rates": ("sv",),  # chart rates at the stages, one after the other, in the engine's coordinates
-    "held": (),  # 1 where contacts were held: a midpoint step whatever the order
+    "persistent": (),  # 1 for a step with persistent contacts: a midpoint step whatever the order
 }
 FRAME_DT = 1.0 / 60.0  # [s] between two frames of a picture
 MAX_FRAMES = 6000
@@ -52,36 +55,36 @@ class Segments:
     """
 
     def __init__(self, arrays: Mapping[str, NDArray[Any]], order: int) -> None:
-        arrays = {"held": np.zeros(len(arrays["t"])), **arrays}
         self.arrays = {name: np.ascontiguousarray(arrays[name], dtype=float) for name in FIELDS}
         self.order = order
 
     def __len__(self) -> int:
         return len(self.arrays["t"])
 
-    def states(self, core: Any, times: Array, exact: bool = False) -> tuple[Array, Array]:
-        """Return q (N, nq) and v (N, nv) at times [s], at an impact those after it. `core`: the engine's scene.
+    def states(self, core: _core.Scene, times: Array, exact: bool = False) -> tuple[Array, Array]:
+        """Return q (N, nq) and v (N, nv) at times [s], at an impact those after it.
 
         Args:
-            exact: by steps of the lengths in between, which start from the polynomials and are as accurate as the
-                nodes; not of runs with inputs, which segments do not keep. Where contacts are held it is always the
-                polynomial: the step is one of equations that segments do not keep either.
+            core: the engine's scene.
+            exact: find them by partial steps, which are as accurate as the nodes. Runs with inputs cannot have that,
+                because segments do not keep inputs. Steps with persistent contacts always give their polynomial,
+                because segments do not keep the equations of these steps either.
         """
         times = np.ascontiguousarray(times, dtype=float)
-        held = self.held_at(times) if exact else np.ones(len(times), dtype=bool)
-        if held.all() or not held.any():
-            return engine_states(core, self.arrays, times, self.order, exact and not held.any())
+        persistent = self.persistent_at(times) if exact else np.ones(len(times), dtype=bool)
+        if persistent.all() or not persistent.any():
+            return engine_states(core, self.arrays, times, self.order, exact and not persistent.any())
         parts = [(chosen, engine_states(core, self.arrays, times[chosen], self.order, free))
-                 for chosen, free in ((held, False), (~held, True))]  # fmt: skip
+                 for chosen, free in ((persistent, False), (~persistent, True))]  # fmt: skip
         q, v = (np.empty((len(times), parts[0][1][k].shape[1])) for k in (0, 1))
         for chosen, (part_q, part_v) in parts:
             q[chosen], v[chosen] = part_q, part_v
         return q, v
 
-    def held_at(self, times: Array) -> NDArray[np.bool_]:
-        """Return at which of these times [s] contacts were held, shape (N,)."""
+    def persistent_at(self, times: Array) -> NDArray[np.bool_]:
+        """Return which of these times [s] lie in steps with persistent contacts, shape (N,)."""
         at = np.searchsorted(self.arrays["t"], times, side="right") - 1
-        return np.asarray(self.arrays["held"][np.clip(at, 0, None)] != 0.0)
+        return np.asarray(self.arrays["persistent"][np.clip(at, 0, None)] != 0.0)
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int) -> Segments | None:
@@ -91,12 +94,11 @@ def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int) -> Segments 
         return None
     if len(parts) == 1:
         return Segments(parts[0], order)
-    whole = [Segments(part, order).arrays for part in parts]
-    return Segments({name: np.concatenate([part[name] for part in whole]) for name in FIELDS}, order)
+    return Segments({name: np.concatenate([part[name] for part in parts]) for name in FIELDS}, order)
 
 
 def sample_times(start: float, end: float, step: float) -> Array:
-    """Return start, start + step, ... and end [s]; the last full step is left out where it all but meets the end."""
+    """Return start, start + step, ... and end [s]; a last step shorter than rounding is left out."""
     count = int(np.floor((end - start) / step * (1.0 + 1e-12) + 1e-9))
     times: Array = start + step * np.arange(count + 1, dtype=np.float64)
     if end - times[-1] > 1e-9 * step:

@@ -1,7 +1,7 @@
 """The file of a run: one npz (a zip of npy arrays), schema 5. Nothing in it is pickled, nothing is executed on loading.
 
 N nodes, n events, c contacts, m segments, s stages (order / 2), nq and nv sizes of configuration and velocity; SI
-units; everything float64 unless it says int64.
+units; every entry is float64 unless int64 is given.
 
 ===================== ============== ===========================================================================
 entry                 shape          meaning
@@ -31,7 +31,7 @@ event/gap             (n,)           signed distance at the located configuratio
 event/restitution     (n,)           coefficient used
 event/method          (n,) int64     impact map: 0 CTEC, 1 DTEC, 2 MHC
 event/iterations      (n,) int64     evaluations of the map's scalar equation; 0 for CTEC
-event/fallback        (n,) int64     why the impulse is CTEC's: 0 it is not, else a place in records.events.FALLBACKS
+event/fallback        (n,) int64     why the impulse is CTEC's: 0 it is not, else records.codes.Fallback
 event/jump            (n,)           what is left of the map's own scalar equation [J]
 event/before          (n,)           length of the partial step that ends at the impact [s]
 event/after           (n,)           length of the rest of the step after it [s]
@@ -43,7 +43,7 @@ event/points          (n,) int64     points of the pair that took part
 event/friction        (n,)           Coulomb coefficient used
 event/loss            (n,)           what the law of the impact takes from the kinetic energy [J]
 event/energy_change   (n,)           H after less H before [J]
-contact/t             (c,)           start of a held step, or time of an impact [s]; only in runs with contacts
+contact/t             (c,)           start of a step, or time of an impact [s]; only in runs with contacts
 contact/h             (c,)           length of the step [s], 0 for an impact
 contact/step          (c,) int64     index of the step
 contact/kind          (c,) int64     as event/kind
@@ -52,31 +52,31 @@ contact/point         (c,) int64     number of the point within the pair
 contact/mode          (c,) int64     0 stick, 1 slip, 2 frictionless, 3 impact
 contact/position      (c, 3)         contact point at the end of the step [m], world frame
 contact/normal        (c, 3)         unit normal there, from the first shape to the second
-contact/start         (c, 3)         impulse on the second shape of the kick at the start [N s], of an impact all of it
-contact/end           (c, 3)         of the kick at the end [N s]; of limits the first component counts
+contact/start         (c, 3)         position impulse of the step on the second shape [N s], of an impact all of it
+contact/end           (c, 3)         velocity impulse of the step [N s]; of limits the first component counts
 contact/gap           (c,)           signed distance at the end [m or rad]
 contact/slip          (c, 3)         tangential velocity of the second shape against the first at the end [m/s]
 change/time           (d,)           when a contact changed [s]; changes only in runs that have some
 change/kind           (d,) int64     as event/kind
 change/index          (d,) int64     as event/index
 change/point          (d,) int64     number of the point within the pair
-change/change         (d,) int64     what became of it, a place in contactvi.records.contacts.CHANGES
+change/change         (d,) int64     what became of it, contactvi.records.codes.Change
 change/value          (d,)           see contactvi.records.contacts.ContactChange
-phase/t               (r,)           from these times on [s]; phases only in runs with held contacts
+phase/t               (r,)           from these times on [s]; phases only in runs with persistent contacts
 phase/dt              (r,)           the steps have these lengths [s]
-phase/held            (r,)           and contacts are held (1) or not (0)
+phase/held            (r,)           and there are persistent contacts (1) or not (0)
 segment/t             (m,)           start of a solved step or partial step [s]; segments only in runs that kept them
 segment/h             (m,)           its length [s]
 segment/q             (m, nq)        configuration at its start
 segment/p             (m, nv)        momentum at its start, this and the next two in the engine's coordinates
 segment/p1            (m, nv)        momentum at its end, before an impact there
 segment/rates         (m, s nv)      chart rates at the Gauss stages (core/step/path.hpp)
-segment/held          (m,)           1 where contacts were held: a midpoint step whatever the order
+segment/held          (m,)           1 for a step with persistent contacts: a midpoint step whatever the order
 arc/t                 (k,)           with dt "auto" only: from these times on [s]
 arc/dt                (k,)           the steps have these lengths [s]
 frame/time            (f,)           times of frames for pictures between nodes far apart [s], f may be 0
 frame/q               (f, nq)        configurations there
-force/work            (N, 4)         work since the start [J]: input, damping, dry, drive; where the engine reported it
+force/work            (N, 4)         work since the start [J]: input, damping, joint friction, prescribed motions
 force/reactions       (N, r)         mean forces of header["constraints"] since the node before [N; N m]
 array/0, array/1 ...  any            arrays (meshes) that the header refers to
 ===================== ============== ===========================================================================
@@ -84,7 +84,7 @@ array/0, array/1 ...  any            arrays (meshes) that the header refers to
 The header is an object with the keys
 
 - format: "contactvi-trajectory"; schema: 5; version: of the contactvi that wrote it
-- options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (contactvi.Stats)
+- options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (Stats.to_dict)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
 - forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
 - constraints: [[name, kind, rows], ...] of the columns of force/reactions, in runs with force/work
@@ -92,11 +92,8 @@ The header is an object with the keys
 
 in which {"$array": k} stands for the entry array/k, and NaN, Infinity, -Infinity are written as such.
 
-Schema 4 knew no constraints and no forces beyond joint springs; it is read. Schema 3 knew no lasting contact and no
-friction: it has neither contacts, changes and phases nor segment/held and the last five entries of events; it is read.
-Schema 2 knew order 2 and steps of one length, and had no segments, arcs and frames; it is read. Schema 1 knew CTEC
-only; it is read, with event/method, iterations, fallback and jump 0, before and after NaN, and forced true, since it
-did not say.
+The numbers in event/kind, event/method, event/fallback, contact/mode and change/change are those of
+contactvi.records.codes.
 """
 
 from __future__ import annotations
@@ -106,9 +103,9 @@ import os
 import pickle
 import zipfile
 import zlib
-from dataclasses import asdict
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,29 +114,21 @@ from contactvi.errors import ContactviError, SceneError
 from contactvi.files import write_atomic
 from contactvi.options import Options
 from contactvi.playback.visuals import Visual
+from contactvi.records import codes, contacts
 from contactvi.records import events as event_log
 from contactvi.records.contacts import ChangeLog, ContactLog
-from contactvi.records.work import Forces
+from contactvi.records.work import WORKS, ConstraintRows, Forces
 from contactvi.scene.scene import Scene
 from contactvi.status import Stats, Status, StatusCode
 from contactvi.trajectory import polynomials as dense
-from contactvi.trajectory.storage_entries import (
-    arcs,
-    check_indices,
-    contact_logs,
-    entry,
-    events,
-    forces,
-    frames,
-    nodes,
-    refuse,
-    segments,
-)
 from contactvi.version import version
+
+Entries = dict[str, NDArray[Any]]
 
 FORMAT = "contactvi-trajectory"
 SCHEMA = 5
-_OLD_EVENTS = {"method": 0.0, "iterations": 0.0, "fallback": 0.0, "jump": 0.0, "before": np.nan, "after": np.nan}
+_STORED = {"persistent": "held"}  # names in the file, where they are not those in memory
+_PHASES = ("t", "dt", "persistent")
 
 _NODES: dict[str, str | None] = {
     "t": None,
@@ -173,7 +162,7 @@ class Run(Protocol):
     stats: Stats
     forced: bool
     segments: dense.Segments | None
-    arcs: dict[str, NDArray[np.float64]] | None
+    adaptive_steps: dict[str, NDArray[np.float64]] | None
     phases: dict[str, NDArray[np.float64]] | None
     contacts: ContactLog
     contact_changes: ChangeLog
@@ -203,7 +192,7 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
         "version": version(),
         "options": traj.options.to_dict(),
         "status": {"code": int(traj.status.code), "message": traj.status.message, "time": traj.status.time},
-        "stats": asdict(traj.stats),
+        "stats": traj.stats.to_dict(),
         "method": traj.events.method,
         "forced": traj.forced,
         "error_estimate": traj.error_estimate,
@@ -218,10 +207,11 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
     entries: dict[str, Any] = {name: getattr(traj, name) for name in _stored_nodes(traj.options)}
     entries |= {"gap/time": gap_time, "gap/value": gap_value, "frame/time": traj.frames[0], "frame/q": traj.frames[1]}
     if traj.segments is not None:
-        entries |= {f"segment/{name}": values for name, values in traj.segments.arrays.items()}
-    entries |= {f"arc/{name}": values for name, values in (traj.arcs or {}).items()}
+        entries |= {_name("segment", name): values for name, values in traj.segments.arrays.items()}
+    entries |= {f"arc/{name}": values for name, values in (traj.adaptive_steps or {}).items()}
     entries |= {f"event/{name}": values for name, values in traj.events.arrays.items()}
-    entries |= {f"phase/{name}": values for name, values in (traj.phases or {}).items()}
+    if traj.phases is not None:
+        entries |= {_name("phase", name): traj.phases[name] for name in _PHASES}
     for group, log in (("contact", traj.contacts), ("change", traj.contact_changes)):
         entries |= {f"{group}/{name}": values for name, values in log.arrays.items() if len(log)}
     if traj.forces is not None:
@@ -238,103 +228,232 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     path = Path(path)
     if not path.is_file():
-        refuse(path, "there is no such file")
+        _refuse(path, "there is no such file")
     try:
         file = np.load(path, allow_pickle=False)
         if isinstance(file, np.ndarray):
-            refuse(path, "one array, not an npz")
+            _refuse(path, "one array, not an npz")
         with file:
             entries = {name: file[name] for name in file.files}
     except _UNREADABLE as error:
-        refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
+        _refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
     header = _read_header(path, entries)
     try:
-        if header["schema"] == 1:
-            _from_schema_1(entries, header)
-        if header["schema"] < 3:
-            _from_schema_2(entries, header)
         return _build(path, entries, _unpack(header, entries))
     except ContactviError:
         raise
     except Exception as error:  # whatever a wrong header makes the scene or the options stumble over
-        refuse(path, f"{type(error).__name__}: {error}", error)
+        _refuse(path, f"{type(error).__name__}: {error}", error)
 
 
-def _read_header(path: Path, entries: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def _read_header(path: Path, entries: Entries) -> dict[str, Any]:
     text = entries.get("header")
     if text is None or text.ndim != 0 or text.dtype.kind != "U":
-        refuse(path, "an npz without the entry 'header'")
+        _refuse(path, "an npz without the entry 'header'")
     try:
         header = json.loads(str(text))
     except (ValueError, RecursionError) as error:
-        refuse(path, "a header that is not JSON", error)
+        _refuse(path, "a header that is not JSON", error)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        refuse(path, "an npz of another format")
-    if header.get("schema") not in range(1, SCHEMA + 1):
+        _refuse(path, "an npz of another format")
+    if header.get("schema") != SCHEMA:
         raise SceneError(
             f"{path} has another schema",
             path=path,
-            expected=f"schema 1 to {SCHEMA}",
+            expected=f"schema {SCHEMA}",
             got=f"schema {header.get('schema')!r}, written by contactvi {header.get('version')}",
             remedy="Read it with the contactvi that wrote it, or run the scene again",
         )
     return header
 
 
-def _from_schema_1(entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
-    """Put in what schema 1 did not have."""
-    header["forced"] = True
-    count = len(np.atleast_1d(entries["event/time"]))
-    for name, value in _OLD_EVENTS.items():
-        entries[f"event/{name}"] = np.full(count, value).astype(event_log.FIELDS[name][1])
-
-
-def _from_schema_2(entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> None:
-    """Put in what schema 2 did not have."""
-    header["error_estimate"] = float("nan")
-    entries["frame/time"], entries["frame/q"] = np.zeros(0), np.zeros((0, np.atleast_2d(entries["q"]).shape[1]))
-
-
-def _build(path: Path, entries: dict[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, Any]:
+def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, Any]:
     scene = Scene.from_dict(header["scene"])
     sizes = {"q": int(scene.model.nq), "v": int(scene.model.nv)}
     options = Options.from_dict(header["options"])
-    found = nodes(path, entries, sizes, _stored_nodes(options))
+    read = _Reader(path, entries, sizes)
+    nodes = read.nodes(_stored_nodes(options))
+    t = nodes.pop("t")
     names = [(str(a), str(b)) for a, b in header["pair_names"]], list(header["joint_names"])
-    log = event_log.EventLog(events(path, entries, sizes, header["schema"]), *names, header["method"])
-    check_indices(path, log, len(names[0]), len(names[1]))
-    pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]
-    times = entry(path, entries, "gap/time", (None,), float)
+    gap_pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]
     status = header["status"]
     visuals = [Visual.from_dict(fields) for fields in header["visuals"]]
     if not all(0 <= visual.joint < scene.model.njoints for visual in visuals):
-        refuse(path, "pictures on joints that do not exist")
-    t = found.pop("t")
+        _refuse(path, "pictures on joints that do not exist")
     return {
         "scene": scene,
         "options": options,
         "t": t,
-        "q": found.pop("q"),
-        "p": found.pop("p"),
-        "events": log,
+        "q": nodes.pop("q"),
+        "p": nodes.pop("p"),
+        "events": read.events(names, header["method"]),
         "status": Status(StatusCode(status["code"]), str(status["message"]), float(status["time"])),
-        "stats": Stats(**header["stats"]),
+        "stats": Stats.from_dict(header["stats"]),
         "forced": bool(header["forced"]),
-        "segments": segments(path, entries, sizes, options, header["schema"]) if "segment/t" in entries else None,
-        "arcs": arcs(path, entries) if "arc/t" in entries else None,
+        "segments": read.segments(options.order),
+        "adaptive_steps": read.group("arc", ("t", "dt")),
         "error_estimate": float(header["error_estimate"]),
-        "frames": frames(path, entries, sizes),
-        "derived": found,
-        "gaps": (times, pairs, entry(path, entries, "gap/value", (len(times), len(pairs)), float)),
+        "frames": read.frames(),
+        "derived": nodes,
+        "gaps": read.gaps(gap_pairs),
         "visuals": visuals,
-        "forces": forces(path, entries, t, header["constraints"]) if "force/work" in entries else None,
-        **contact_logs(path, entries, names),
+        "forces": read.forces(t, header["constraints"]),
+        "contacts": read.contacts(names),
+        "changes": read.changes(names),
+        "phases": read.group("phase", _PHASES),
     }
 
 
 def _stored_nodes(options: Options) -> dict[str, str | None]:
     """Return the entries per node; the discrete energy costs a step per node and is kept where it is conserved."""
     return _NODES | {"discrete_energy": None} if options.impact == "dtec" else _NODES
+
+
+def _name(group: str, name: str) -> str:
+    return f"{group}/{_STORED.get(name, name)}"
+
+
+def _refuse(path: Path, got: str, cause: BaseException | None = None) -> NoReturn:
+    """Raise SceneError: the file is none that Trajectory.save has written; `got` tells why."""
+    raise SceneError(
+        f"Cannot read the run {path}",
+        path=path,
+        expected="an npz file written by Trajectory.save",
+        got=got,
+        remedy="Check the path; a damaged file has to be computed again",
+    ) from cause
+
+
+Names = tuple[list[tuple[str, str]], list[str]]
+
+
+class _Reader:
+    """Reads the entries of a file and checks their shapes, types and values.
+
+    Attributes:
+        sizes: of the configuration "q" and the velocity "v".
+    """
+
+    def __init__(self, path: Path, entries: Entries, sizes: Mapping[str, int]) -> None:
+        self._path, self._entries, self._sizes = path, entries, sizes
+
+    def entry(self, name: str, shape: tuple[int | None, ...], kind: type = float) -> NDArray[Any]:
+        """Return an entry of this shape (None: any) and type."""
+        values = self._entries.get(name)
+        if values is None:
+            self._refuse(f"a file without the entry {name!r}")
+        fits = values.ndim == len(shape) and all(
+            want is None or have == want for have, want in zip(values.shape, shape, strict=True)
+        )
+        if not fits or values.dtype != np.dtype(kind):
+            self._refuse(f"{name!r} of shape {values.shape} and type {values.dtype}, not {shape} {np.dtype(kind)}")
+        return values
+
+    def nodes(self, names: Mapping[str, str | None]) -> Entries:
+        """Return the entries per node: t, and `names` with "q", "v" or None as width."""
+        t = self.entry("t", (None,))
+        if len(t) == 0 or not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0):
+            self._refuse("times that do not increase")
+        nodes = {"t": t}
+        for name, width in names.items():
+            nodes[name] = self.entry(name, (len(t),) if width is None else (len(t), self._sizes[width]))
+        if not np.all(np.isfinite(nodes["q"])):
+            self._refuse("configurations that are not finite")
+        return nodes
+
+    def segments(self, order: int) -> dense.Segments | None:
+        """Return the polynomials of the steps, None where they were not kept."""
+        if "segment/t" not in self._entries:
+            return None
+        count = len(self.entry("segment/t", (None,)))
+        sizes = {**self._sizes, "sv": order // 2 * self._sizes["v"]}
+        arrays = {}
+        for name, axes in dense.FIELDS.items():
+            arrays[name] = self.entry(_name("segment", name), (count, *(sizes[axis] for axis in axes)))
+            if not np.all(np.isfinite(arrays[name])):
+                self._refuse("segments that are not finite")
+        rounding = 8.0 * np.finfo(float).eps * np.abs(arrays["t"][1:])
+        if count == 0 or np.any(np.diff(arrays["t"]) < -rounding) or np.any(arrays["h"] <= 0):
+            self._refuse("segments that do not follow each other")
+        return dense.Segments(arrays, order)
+
+    def group(self, group: str, names: tuple[str, ...]) -> Entries | None:
+        """Return the entries group/name, arrays of one length, None where the first of them is missing."""
+        if f"{group}/{names[0]}" not in self._entries:
+            return None
+        count = len(self.entry(f"{group}/{names[0]}", (None,)))
+        return {name: self.entry(_name(group, name), (count,)) for name in names}
+
+    def forces(self, t: NDArray[np.float64], constraints: list[Any]) -> Forces | None:
+        """Return work and reactions at nodes t (N,) [s]; constraints: (name, kind, rows) of the columns."""
+        if "force/work" not in self._entries:
+            return None
+        rows = [ConstraintRows(str(name), str(kind), int(count)) for name, kind, count in constraints]
+        work = self.entry("force/work", (len(t), len(WORKS)))
+        return Forces(t, work, self.entry("force/reactions", (len(t), sum(row.rows for row in rows))), rows)
+
+    def frames(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return (times (f,) [s], configurations (f, nq)) of the frames for pictures."""
+        times = self.entry("frame/time", (None,))
+        values = self.entry("frame/q", (len(times), self._sizes["q"]))
+        if not np.all(np.isfinite(times)) or not np.all(np.isfinite(values)):
+            self._refuse("frames that are not finite")
+        return times, values
+
+    def gaps(
+        self, pairs: list[tuple[str, str]]
+    ) -> tuple[NDArray[np.float64], list[tuple[str, str]], NDArray[np.float64]]:
+        """Return times (M,) [s], pairs and their gaps (M, len(pairs)) [m]."""
+        times = self.entry("gap/time", (None,))
+        return times, pairs, self.entry("gap/value", (len(times), len(pairs)))
+
+    def events(self, names: Names, method: str) -> event_log.EventLog:
+        """Return the events of a run with this impact map."""
+        count = len(self.entry("event/time", (None,)))
+        arrays = {}
+        for name, (width, kind) in event_log.FIELDS.items():
+            size = self._sizes[width] if isinstance(width, str) else width
+            arrays[name] = self.entry(f"event/{name}", (count, size) if width else (count,), kind)
+        self._check_codes(arrays, {"method": len(codes.METHODS), "fallback": len(codes.FALLBACKS)}, "events")
+        self._check_guards(arrays, names, "events")
+        return event_log.EventLog(arrays, *names, method)
+
+    def contacts(self, names: Names) -> ContactLog:
+        """Return the contacts of a run."""
+        rows = self._rows("contact", "t", contacts.FIELDS)
+        self._check_codes(rows, {"mode": len(codes.MODES)}, "contacts")
+        self._check_guards(rows, names, "contacts")
+        return ContactLog(rows, *names)
+
+    def changes(self, names: Names) -> ChangeLog:
+        """Return the changes of contacts in a run."""
+        rows = self._rows("change", "time", contacts.CHANGE_FIELDS)
+        self._check_codes(rows, {"change": len(codes.CHANGES)}, "contacts")
+        self._check_guards(rows, names, "contacts")
+        return ChangeLog(rows, *names)
+
+    def _rows(self, group: str, first: str, fields: Mapping[str, tuple[int, type]]) -> Entries:
+        if f"{group}/{first}" not in self._entries:
+            return contacts.joined((), fields)
+        count = len(self.entry(f"{group}/{first}", (None,)))
+        return {
+            name: self.entry(f"{group}/{name}", (count, width) if width else (count,), kind)
+            for name, (width, kind) in fields.items()
+        }
+
+    def _check_codes(self, arrays: Entries, counts: Mapping[str, int], what: str) -> None:
+        for name, count in counts.items():
+            if not np.all((arrays[name] >= 0) & (arrays[name] < count)):
+                self._refuse(f"{what} of an unknown {name}")
+
+    def _check_guards(self, arrays: Entries, names: Names, what: str) -> None:
+        kind, index = arrays["kind"], arrays["index"]
+        bound = np.where(kind == codes.GuardKind.CONTACT, len(names[0]), 2 * len(names[1]))
+        if not np.all(np.isin(kind, list(codes.GuardKind)) & (index >= 0) & (index < bound)):
+            self._refuse(f"{what} that name unknown pairs")
+
+    def _refuse(self, got: str) -> NoReturn:
+        _refuse(self._path, got)
 
 
 def _pack(item: Any, arrays: list[NDArray[Any]], seen: dict[tuple[Any, ...], int]) -> Any:
@@ -355,7 +474,7 @@ def _pack(item: Any, arrays: list[NDArray[Any]], seen: dict[tuple[Any, ...], int
     return item
 
 
-def _unpack(item: Any, entries: dict[str, NDArray[Any]]) -> Any:
+def _unpack(item: Any, entries: Entries) -> Any:
     if isinstance(item, dict):
         if set(item) == {"$array"}:
             return entries[f"array/{item['$array']}"]

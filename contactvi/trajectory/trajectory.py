@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,24 +11,29 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi.aliases import alias, renamed_arguments
 from contactvi.errors import InputError
 from contactvi.options import Options
+from contactvi.records.codes import GuardKind
 from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, empty_contacts
 from contactvi.records.events import EventLog
 from contactvi.records.work import ConstraintRows, Forces, Work
 from contactvi.status import Stats, Status
 from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.contact_ledger import ContactLedger
-from contactvi.trajectory.ledger import Ledger
+from contactvi.trajectory.ledger import Ledger, LedgerInputs
 from contactvi.trajectory.polynomials import Segments, State, frame_times
 
 if TYPE_CHECKING:
+    from contactvi import _core
+    from contactvi.playback.visuals import Visual
     from contactvi.scene.scene import Scene
 
 Array = NDArray[np.float64]
 _MAX_GAP_SAMPLES = 2000
 
 
+@renamed_arguments(arcs="adaptive_steps")
 class Trajectory:
     """A run: t (N,), q (N, nq), p (N, nv) at the recorded nodes, and what follows from them.
 
@@ -40,19 +45,21 @@ class Trajectory:
         events: the impacts, a sequence of `Event` (an `EventLog`).
         status: how the run ended.
         stats: what it cost.
-        forced: whether the run had inputs (control) other than zero, which are not kept, or constraints, dry friction,
-            servos, wrenches, dampers or forces given in Python.
+        forced: whether the run had inputs (control) other than zero, which are not kept, or constraints, joint
+            friction, servos, wrenches, dampers or forces given in Python.
         forces: work and reactions as arrays (contactvi.records.work.Forces), see `work` and `reactions`; None without.
         segments: the polynomials of its steps (contactvi.trajectory.polynomials), None without; `at` evaluates them.
-        contacts: every contact of every held step and impact, with its forces (a `ContactLog`); empty without, and with
-            record_contacts=False.
+        contacts: every persistent contact of every step, and every impact, with its forces (a `ContactLog`); empty
+            without, and with record_contacts=False.
         contact_changes: when contacts began, stuck, slipped, ended (a `ChangeLog`).
-        phases: where something was held, {"t": (k,), "dt": (k,), "held": (k,)}: from these times [s] on steps have
-            these lengths [s], and contacts are held (1) or not (0); else None.
-        arcs: with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths [s]; else
-            None.
+        phases: of a run with persistent contacts, {"t": (k,), "dt": (k,), "persistent": (k,)}: from these times [s] on
+            steps have these lengths [s], and there are persistent contacts (1) or not (0); else None.
+        adaptive_steps: with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths
+            [s]; else None.
         error_estimate: with dt="auto", the measured error of q over the run [m, rad] (contactvi.simulation.adaptive);
             else NaN.
+
+    Old names, kept for this release: arcs of adaptive_steps, "held" of "persistent" in phases.
     """
 
     def __init__(
@@ -68,7 +75,7 @@ class Trajectory:
         *,
         forced: bool = False,
         segments: Segments | None = None,
-        arcs: Mapping[str, Array] | None = None,
+        adaptive_steps: Mapping[str, Array] | None = None,
         error_estimate: float = float("nan"),
         derived: Mapping[str, Array] | None = None,
         gaps: tuple[Array, list[tuple[str, str]], Array] | None = None,
@@ -76,11 +83,11 @@ class Trajectory:
         contacts: ContactLog | None = None,
         changes: ChangeLog | None = None,
         phases: Mapping[str, Array] | None = None,
-        visuals: list[Any] | None = None,
+        visuals: list[Visual] | None = None,
         forces: Forces | None = None,
     ) -> None:
         self._scene = scene
-        # the engine's scene at the time of the run: the Python scene may be edited afterwards
+        # A run keeps the engine's scene that it was made with, because the Python scene may be edited afterwards.
         self._core = scene.core if isinstance(scene, CompiledScene) else None
         self.options = options
         self.t, self.q, self.p = t, q, p
@@ -89,8 +96,8 @@ class Trajectory:
         self.stats = stats
         self.forced = forced
         self.segments = segments
-        self.arcs = None if arcs is None else dict(arcs)
-        self.phases = None if phases is None else dict(phases)
+        self.adaptive_steps = None if adaptive_steps is None else dict(adaptive_steps)
+        self.phases = None if phases is None else {**phases, "held": phases["persistent"]}
         self.contacts = empty_contacts() if contacts is None else contacts
         self.contact_changes = empty_changes() if changes is None else changes
         self.error_estimate = error_estimate
@@ -100,6 +107,8 @@ class Trajectory:
         self._visuals = visuals
         self.forces = forces
         self._ledger: Ledger | None = None
+
+    arcs = alias("adaptive_steps")
 
     @property
     def scene(self) -> Scene:
@@ -122,20 +131,20 @@ class Trajectory:
         """How it was stepped, in words, for example "order 2, dt = 0.01 s"."""
         order = f"order {self.options.order}"
         if not self.options.auto:
-            return f"{order}, dt = {self.options.fixed_dt:.6g} s{self._held_stepping()}"
-        lengths = _lengths(np.zeros(0) if self.arcs is None else self.arcs["dt"])
-        return f"{order}, dt{lengths} (auto){self._held_stepping()}, error of q about {self.error_estimate:.1g}"
+            return f"{order}, dt = {self.options.fixed_dt:.6g} s{self._contact_stepping()}"
+        lengths = _lengths(np.zeros(0) if self.adaptive_steps is None else self.adaptive_steps["dt"])
+        return f"{order}, dt{lengths} (auto){self._contact_stepping()}, error of q about {self.error_estimate:.1g}"
 
-    def _held_stepping(self) -> str:
-        """How long contacts were held and with which steps, in words; of a scene with constraints the steps alone."""
+    def _contact_stepping(self) -> str:
+        """How long there were persistent contacts and with which steps, in words; with constraints the steps alone."""
         if self.phases is None:
             return ""
-        held, ends = self.phases["held"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
-        span = float((ends - self.phases["t"])[held].sum())
-        constrained = bool(self.forces is not None and self.forces.constraints) or self.scene.built().constrained
-        what = "constraints met" if constrained else f"contacts held for {span:.4g} s"
-        lengths, same = _lengths(self.phases["dt"][held]), self.options.order == 2 and not self.options.auto
-        if same and np.all(self.phases["dt"][held] == self.options.fixed_dt):
+        persistent, ends = self.phases["persistent"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
+        span = float((ends - self.phases["t"])[persistent].sum())
+        constrained = bool(self.constraints) or self.scene.built().constrained
+        what = "constraints met" if constrained else f"persistent contact for {span:.4g} s"
+        lengths, same = _lengths(self.phases["dt"][persistent]), self.options.order == 2 and not self.options.auto
+        if same and np.all(self.phases["dt"][persistent] == self.options.fixed_dt):
             return "" if constrained else f", {what}"
         return f", {what} with order 2, dt{lengths}"
 
@@ -166,7 +175,7 @@ class Trajectory:
         """The modified Hamiltonian [J], shape (N,).
 
         At order 2 what the midpoint rule with step dt conserves to O(dt^4); from order 4 on H itself, whose nodes are
-        within O(dt^order) of what the integrator conserves; H too with constraints and dry friction of joints.
+        within O(dt^order) of what the integrator conserves; with constraints and joint friction it is H too.
         """
         return self._get("modified_energy", lambda core: self.ledger.modified_energy)
 
@@ -174,14 +183,13 @@ class Trajectory:
     def ledger(self) -> Ledger:
         """What should be conserved, node by node and impact by impact (contactvi.trajectory.ledger)."""
         if self._ledger is None:
-            built, lacking = self.scene.built(), bool(self.scene.missing)
-            self._ledger = Ledger(
-                self._engine(), self.options, self.t, self.q, self.p, self.events,
-                model=self.scene.model, collision=self.scene.collision_model, forced=self.forced,
-                start=float(self.t[0]), contacts=self.contacts, phases=self.phases, forces=self.forces,
-                elements=built.elements.any or lacking, constrained=bool(self.constraints) or built.constrained,
-                energies=np.column_stack([self.kinetic_energy, self.potential_energy]) if lacking else None,
+            lacking = bool(self.scene.missing)
+            energies = np.column_stack([self.kinetic_energy, self.potential_energy]) if lacking else None
+            inputs = LedgerInputs(
+                self.options, float(self.t[0]), self.forced, self.t, self.q, self.p, self.events, self.contacts,
+                self.phases, self.forces, energies,
             )  # fmt: skip
+            self._ledger = Ledger(self._engine(), self.scene.built(), inputs)
         return self._ledger
 
     @property
@@ -206,14 +214,14 @@ class Trajectory:
 
     @property
     def friction_loss(self) -> Array:
-        """What sliding took in held contacts up to each node [J], shape (N,); to O(dt_contact^2)."""
+        """What sliding took in persistent contacts up to each node [J], shape (N,); to O(dt_contact^2)."""
         if not len(self.contacts):
             return np.zeros(len(self))
-        return ContactLedger(self.contacts, self.t, self.q, self.p).friction_loss  # needs no engine, as pictures do not
+        return ContactLedger(self.contacts, self.t, self.q, self.p).friction_loss  # pictures need it without an engine
 
     @property
     def work(self) -> Work:
-        """Work since the start at each node [J]: fields input, damping, dry, drive, shapes (N,); see `Work`.
+        """Work since the start at each node [J]: fields input, damping, joint_friction, prescribed, see `Work`.
 
         Known at the ends of steps; at samples (sample_dt) within a step in proportion, the ledger's balance too.
         """
@@ -240,13 +248,13 @@ class Trajectory:
     def _forces(self) -> Forces:
         if self.forces is None:
             raise InputError(
-                "The work of forces was not recorded", name="work", expected="a run that has it",
-                got="one that an older contactvi has stored", remedy="Run it again",
+                "The work of forces was not recorded", name="work", expected="a run of the engine", got="none",
+                remedy="Run the scene",
             )  # fmt: skip
         return self.forces
 
     @property
-    def visuals(self) -> list[Any]:
+    def visuals(self) -> list[Visual]:
         """What the viewer draws: a list of `contactvi.playback.visuals.Visual`."""
         if self._visuals is None:
             from contactvi.playback.visuals import from_scene
@@ -261,7 +269,7 @@ class Trajectory:
         The times are nodes; where these are too far apart for pictures, `frames` and impacts too.
         """
         if self._gaps is None:
-            index = np.unique(np.concatenate([log.array("index")[log.array("kind") == 0]
+            index = np.unique(np.concatenate([log.array("index")[log.array("kind") == GuardKind.CONTACT]
                                               for log in (self.events, self.contacts)]))  # fmt: skip
             t, q = self.t, self.q
             if len(self.frames[0]):
@@ -300,7 +308,7 @@ class Trajectory:
             )
         core = self._engine()
         q, v = self.segments.states(core, times, exact=not self.forced and not self.scene.missing)
-        last = times >= self.t[-1]  # of a run that ended with an impact the segments know only what was before it
+        last = times >= self.t[-1]  # where a run ends with an impact, the segments end before it
         q[last], v[last] = self.q[-1], core.velocity(self.q[-1:], self.p[-1:])[0]
         p = np.asarray(core.momentum(q, v))
         return State(np.array(t, dtype=float), q, v, p) if np.ndim(t) else State(float(times[0]), q[0], v[0], p[0])
@@ -330,7 +338,7 @@ class Trajectory:
     def frames(self) -> tuple[Array, Array]:
         """(times (M,) [s], configurations (M, nq)) between nodes that are too far apart for pictures, 60 a second.
 
-        None for runs whose nodes are dense enough or whose polynomials were not kept. They are stored with the run.
+        Empty for runs whose nodes are near enough or whose polynomials were not kept. They are stored with the run.
         """
         if self._frames is None:
             times = np.zeros(0) if self.segments is None else frame_times(self.t)
@@ -352,7 +360,7 @@ class Trajectory:
                 expected=f"a time in [{self.t[0]:.9g}, {self.t[-1]:.9g}] s",
                 got=np.array2string(wanted, threshold=4),
             )
-        return np.clip(wanted, self.t[0], self.t[-1])
+        return np.asarray(np.clip(wanted, self.t[0], self.t[-1]))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the run as one npz file (contactvi.trajectory.storage), whole or not at all; return its path."""
@@ -373,12 +381,12 @@ class Trajectory:
 
         return write_html(self, path, **options)
 
-    def _engine(self) -> Any:
+    def _engine(self) -> _core.Scene:
         if self._core is None:
             self._core = self.scene.core()
         return self._core
 
-    def _get(self, name: str, compute: Any) -> Array:
+    def _get(self, name: str, compute: Callable[[_core.Scene], Array]) -> Array:
         if name not in self._derived:
             self._derived[name] = np.asarray(compute(self._engine()), dtype=float)
         return self._derived[name]

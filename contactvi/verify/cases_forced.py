@@ -53,7 +53,7 @@ def friction_stop(runs: Runs) -> list[Check]:
             near(f"place [m]{of}", 0.5 * m * v * v / f, x[-1], 1e-12, "the stop is located in its step; " + _CONSTANT),
             near(f"time [s], by the place{of}", m * v / f, traj.t[last] + 2.0 * (x[-1] - x[last]) / speed[last], 1e-10,
                  "the error of the place over the speed"),
-            near(f"work of the friction [J]{of}", 0.5 * m * v * v, traj.work.dry[-1], 1e-11, _SOLVED),
+            near(f"work of the friction [J]{of}", 0.5 * m * v * v, traj.work.joint_friction[-1], 1e-11, _SOLVED),
             at_most(f"moved after it [m]{of}", 0.0, largest(x[after] - x[-1]), "a sticking joint is at rest exactly"),
         ]  # fmt: skip
     return checks
@@ -79,7 +79,7 @@ def friction_spring(runs: Runs) -> list[Check]:
             near(f"sticks at [m]{of}", turns[-1], x[-1], 1e-12, "energy is exact, turns are located; " + _SOLVED),
             near(f"first node at rest [s]{of}", stop + 0.5 * h, rest, 0.5 * h + 0.1 * h,
                  "the node after the stop; time to (w h)^2 / 12"),
-            near(f"work of the friction [J]{of}", work, traj.work.dry[-1], 1e-11, _SOLVED),
+            near(f"work of the friction [J]{of}", work, traj.work.joint_friction[-1], 1e-11, _SOLVED),
         ]  # fmt: skip
     return checks
 
@@ -145,7 +145,7 @@ def moved_cart(runs: Runs) -> list[Check]:
         turn = -(_G * np.sin(a) + x2 * np.cos(a))
         force = 2.0 * x2 + turn * np.cos(a) - rate**2 * np.sin(a)
         errors.append(largest(traj.reactions("motion")[1:, 0] - force))
-        works.append(largest(traj.energy - traj.energy[0] - traj.work.drive))
+        works.append(largest(traj.energy - traj.energy[0] - traj.work.prescribed))
         of = f", h = {h:g}"
         checks += [
             at_most(f"cart off its motion [m]{of}", 1e-12, largest(traj.q[:, 0] - A * np.sin(w * traj.t)), _SOLVED),

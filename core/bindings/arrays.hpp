@@ -1,4 +1,4 @@
-// Numbers handed to numpy without a copy.
+// Numbers handed to numpy without a copy, and the types that signatures name in the stub.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -12,29 +12,35 @@
 namespace contactvi {
 
 using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using IntVec = Eigen::Matrix<std::int64_t, Eigen::Dynamic, 1>;
 
-// Takes the storage over; data: its numbers, of the given shape.
-template <class Storage>
-nanobind::object hand_over(Storage&& storage, std::initializer_list<std::size_t> shape) {
+using Array1 = nanobind::ndarray<nanobind::numpy, double, nanobind::ndim<1>>;
+using Array2 = nanobind::ndarray<nanobind::numpy, double, nanobind::ndim<2>>;
+// Named results of a call. contactvi/simulation/results.py gives the types of their entries.
+using Dict = nanobind::typed<nanobind::dict, nanobind::str, nanobind::any>;
+
+// Takes the storage over, so that numpy sees its numbers, of the given shape, as long as the array lives.
+template <class Array, class Storage>
+Array hand_over_as(Storage&& storage, std::initializer_list<std::size_t> shape) {
   auto* kept = new std::decay_t<Storage>(std::forward<Storage>(storage));
   nanobind::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::decay_t<Storage>*>(p); });
-  return nanobind::cast(nanobind::ndarray<nanobind::numpy, double>(kept->data(), shape, owner));
+  return Array(kept->data(), shape, owner);
 }
 
-inline nanobind::object hand_over(std::vector<double>&& values) {
+inline Array1 hand_over(std::vector<double>&& values) {
   const std::size_t n = values.size();
-  return hand_over(std::move(values), {n});
+  return hand_over_as<Array1>(std::move(values), {n});
 }
-inline nanobind::object hand_over(std::vector<double>&& values, std::size_t rows, std::size_t columns) {
-  return hand_over(std::move(values), {rows, columns});
+inline Array2 hand_over(std::vector<double>&& values, std::size_t rows, std::size_t columns) {
+  return hand_over_as<Array2>(std::move(values), {rows, columns});
 }
-inline nanobind::object hand_over(VecX&& values) {
+inline Array1 hand_over(VecX&& values) {
   const std::size_t n = static_cast<std::size_t>(values.size());
-  return hand_over(std::move(values), {n});
+  return hand_over_as<Array1>(std::move(values), {n});
 }
-inline nanobind::object hand_over(Rows&& values) {
+inline Array2 hand_over(Rows&& values) {
   const std::size_t n = static_cast<std::size_t>(values.rows()), m = static_cast<std::size_t>(values.cols());
-  return hand_over(std::move(values), {n, m});
+  return hand_over_as<Array2>(std::move(values), {n, m});
 }
 
 }  // namespace contactvi

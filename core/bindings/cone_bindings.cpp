@@ -1,4 +1,4 @@
-// The cone solver by itself, for tests and benchmarks.
+// The solver of the contact problem by itself, for tests and benchmarks.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
@@ -60,7 +60,7 @@ Solution solve(const MatX& G, const VecX& b, const IndexVector& rows, const VecX
   return {lambda, r.ok, r.residual, r.iterations, r.fallbacks};
 }
 
-// Fastest of several blocks of calls; each call starts from `start` again.
+// Seconds per call, of the fastest of several blocks; each call starts from `start` again.
 double seconds(const MatX& G, const VecX& b, const IndexVector& rows, const VecX& mu, const VecX& lower,
                const std::optional<Directions>& frozen, const std::optional<VecX>& start, bool regularize, int calls,
                int repeats) {

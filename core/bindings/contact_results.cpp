@@ -2,34 +2,29 @@
 
 #include <nanobind/eigen/dense.h>
 
-#include "bindings/arrays.hpp"
-
 namespace nb = nanobind;
 
 namespace contactvi {
 
-namespace {
-using IntVec = Eigen::Matrix<std::int64_t, Eigen::Dynamic, 1>;
-}
-
-std::pair<int, int> public_guard(const Scene& s, int guard) {
-  if (guard < 0) return {-1, -1};
-  if (s.is_pair(guard)) return {0, guard};
+PublicGuard public_guard(const Scene& s, int guard) {
+  if (guard < 0 || s.is_pair(guard)) return {GuardKind::kContact, guard};
   const JointLimit& limit = s.tree.limits[guard - s.pairs.size()];
-  return {1, 2 * limit.source_joint + (limit.upper ? 1 : 0)};
+  return {GuardKind::kLimit, 2 * limit.source_joint + (limit.upper ? 1 : 0)};
 }
 
-nb::object contact_rows(const Scene& s, ContactRows& rows) {
+std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows) {
   const std::size_t n = rows.t.size();
-  if (n == 0) return nb::none();
+  if (n == 0) return std::nullopt;
   IntVec kind(n), index(n), point(n), mode(n), step(n);
   for (std::size_t i = 0; i < n; ++i) {
-    std::tie(kind[i], index[i]) = public_guard(s, rows.guard[i]);
+    const PublicGuard guard = public_guard(s, rows.guard[i]);
+    kind[i] = static_cast<int>(guard.kind);
+    index[i] = guard.index;
     point[i] = rows.point[i];
-    mode[i] = rows.mode[i];
+    mode[i] = static_cast<int>(rows.mode[i]);
     step[i] = rows.step[i];
   }
-  nb::dict d;
+  Dict d;
   d["kind"] = kind;
   d["index"] = index;
   d["point"] = point;
@@ -46,20 +41,22 @@ nb::object contact_rows(const Scene& s, ContactRows& rows) {
   return d;
 }
 
-nb::object contact_changes(const Scene& s, const std::vector<ChangeRecord>& changes) {
+std::optional<Dict> contact_changes(const Scene& s, const std::vector<ChangeRecord>& changes) {
   const Eigen::Index n = static_cast<Eigen::Index>(changes.size());
-  if (n == 0) return nb::none();
+  if (n == 0) return std::nullopt;
   VecX time(n), value(n);
   IntVec kind(n), index(n), point(n), change(n);
   for (Eigen::Index i = 0; i < n; ++i) {
     const ChangeRecord& c = changes[i];
-    std::tie(kind[i], index[i]) = public_guard(s, c.guard);
+    const PublicGuard guard = public_guard(s, c.guard);
+    kind[i] = static_cast<int>(guard.kind);
+    index[i] = guard.index;
     time[i] = c.time;
     value[i] = c.value;
     point[i] = c.point;
     change[i] = static_cast<int>(c.change);
   }
-  nb::dict d;
+  Dict d;
   d["time"] = hand_over(std::move(time));
   d["kind"] = kind;
   d["index"] = index;
@@ -69,22 +66,22 @@ nb::object contact_changes(const Scene& s, const std::vector<ChangeRecord>& chan
   return d;
 }
 
-nb::object step_phases(Recording& recording) {
+std::optional<Dict> step_phases(Recording& recording) {
   const std::size_t n = recording.phase_t.size();
-  if (n == 0) return nb::none();
+  if (n == 0) return std::nullopt;
   IntVec persistent(n);
   for (std::size_t i = 0; i < n; ++i) persistent[i] = recording.phase_persistent[i];
-  nb::dict d;
+  Dict d;
   d["t"] = hand_over(std::move(recording.phase_t));
   d["dt"] = hand_over(std::move(recording.phase_dt));
-  d["held"] = persistent;
+  d["persistent"] = persistent;
   return d;
 }
 
 void add_contact_stats(const Simulator& sim, nb::dict& d) {
   const ContactStepCounters& c = sim.contact_counters();
-  d["held_steps"] = c.steps;
-  d["contact_rounds"] = c.contact_iterations;
+  d["contact_steps"] = c.steps;
+  d["contact_iterations"] = c.contact_iterations;
   d["cone_problems"] = c.problems;
   d["cone_iterations"] = c.iterations;
   d["cone_fallbacks"] = c.fallbacks;

@@ -1,21 +1,30 @@
-// What a run says of held contacts, as dicts of arrays in public numbers.
+// Persistent contacts of a run as dicts of arrays, in the numbers of the Python API.
 #pragma once
 
 #include <nanobind/nanobind.h>
 
+#include <optional>
 #include <utility>
 
+#include "bindings/arrays.hpp"
 #include "run/simulator.hpp"
 
 namespace contactvi {
 
-// The numbers of a guard on the Python side: kind 0 and the pair, or kind 1 and 2 * joint + upper.
-std::pair<int, int> public_guard(const Scene& s, int guard);
+enum class GuardKind : int { kContact = 0, kLimit = 1 };
 
-// None where there is nothing. The lists are moved from.
-nanobind::object contact_rows(const Scene& s, ContactRows& rows);
-nanobind::object contact_changes(const Scene& s, const std::vector<ChangeRecord>& changes);
-nanobind::object step_phases(Recording& recording);
+// A guard in the numbers of the Python API: a contact and the number of its pair, or a limit and 2 * joint + upper. No
+// guard is a contact of the pair -1.
+struct PublicGuard {
+  GuardKind kind;
+  int index;
+};
+PublicGuard public_guard(const Scene& s, int guard);
+
+// Each is None where there is nothing to report. The lists are moved from.
+std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows);
+std::optional<Dict> contact_changes(const Scene& s, const std::vector<ChangeRecord>& changes);
+std::optional<Dict> step_phases(Recording& recording);
 void add_contact_stats(const Simulator& sim, nanobind::dict& d);
 
 }  // namespace contactvi

@@ -23,7 +23,7 @@ struct Pieces {
   Rows q, p, p1, rates;
 };
 
-// The path of one piece, raised by the velocities at its ends.
+// Sets the path of one segment and raises its degree by the velocities at its ends.
 bool set_path(Integrator& integrator, const Pieces& pieces, Eigen::Index i, int stages, StepPath& path) {
   const Tree& tree = integrator.tree();
   const VecX q0 = pieces.q.row(i), p0 = pieces.p.row(i), p1 = pieces.p1.row(i), flat = pieces.rates.row(i);
@@ -35,18 +35,18 @@ bool set_path(Integrator& integrator, const Pieces& pieces, Eigen::Index i, int 
   return true;
 }
 
-constexpr double kAtNode = 1e-9;
+constexpr double kAtNode = 1e-9;  // fraction of a segment; nearer to an end the polynomial is the node
 
-// State at the fraction tau of a segment by the step of that length from its start, which is as true as a node.
+// Finds the state at the fraction tau of a segment by a step from its start to there, which is as accurate as a node.
 bool solve_to(Integrator& integrator, const StepPath& path, double tau, const VecX& p0, VecRef q, VecRef v) {
-  if (tau < kAtNode || tau > 1.0 - kAtNode) return false;  // the polynomial meets the nodes
+  if (tau < kAtNode || tau > 1.0 - kAtNode) return false;
   VecX p1(v.size());
   if (!integrator.solve_part(path, tau, path.q0(), p0, VecX())) return false;
   integrator.finish(q, p1);
   return integrator.node_velocity(q, p1, v);
 }
 
-auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int order, bool exact) {
+std::tuple<Array2, Array2> dense(const Scene& s, const Dict& segments, const VecX& times, int order, bool exact) {
   const Pieces pieces{nb::cast<VecX>(segments["t"]), nb::cast<VecX>(segments["h"]),  nb::cast<Rows>(segments["q"]),
                       nb::cast<Rows>(segments["p"]), nb::cast<Rows>(segments["p1"]), nb::cast<Rows>(segments["rates"])};
   const Tree& tree = s.tree;
@@ -77,7 +77,7 @@ auto dense(const Scene& s, const nb::dict& segments, const VecX& times, int orde
     q.row(k) = qi;
     v.row(k) = vi;
   }
-  return std::make_tuple(hand_over(std::move(q)), hand_over(std::move(v)));
+  return {hand_over(std::move(q)), hand_over(std::move(v))};
 }
 
 }  // namespace

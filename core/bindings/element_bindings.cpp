@@ -1,12 +1,15 @@
-// What pushes, drives and closes a scene: added once, before any simulator is made.
+// Forces, actuation and constraints of a scene: added once, before any simulator is made.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include <cmath>
 #include <limits>
-#include <map>
+#include <tuple>
+#include <variant>
 
 #include "base/error.hpp"
 #include "bindings/arrays.hpp"
@@ -22,7 +25,7 @@ using namespace nb::literals;
 namespace contactvi {
 
 nb::object& UserErrors::kept() {
-  // Of the thread whose run it is. Never destroyed: the interpreter may be gone by then.
+  // Each thread has its own run. The object is never destroyed, because the interpreter may be gone by then.
   thread_local nb::object* error = new nb::object(nb::none());
   return *error;
 }
@@ -64,7 +67,7 @@ int clear(PyObject* self) {
   return 0;
 }
 
-// Keeps a function with the scene; what is returned finds it again.
+// A function that is kept with the scene, found again by its place.
 struct UserFunction {
   UserFunctions* kept;
   std::size_t index;
@@ -83,6 +86,14 @@ UserFunction keep(Scene& s, const nb::object& function) {
 }
 
 using Vec6 = Eigen::Matrix<double, 6, 1>;
+// Signatures of the user's functions, for the stub.
+using Motion = nb::typed<nb::callable, std::tuple<double, double, double>(double)>;
+using WrenchOfTime = nb::typed<nb::callable, Vec6(double)>;
+using Force = nb::typed<nb::callable, VecX(double, VecX, VecX)>;
+using ForceDerivatives = nb::typed<nb::callable, std::tuple<MatX, MatX>(double, VecX, VecX)>;
+using Potential = nb::typed<nb::callable, double(VecX)>;
+using Gradient = nb::typed<nb::callable, VecX(VecX)>;
+using Hessian = nb::typed<nb::callable, MatX(VecX)>;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 void need(bool condition, const char* what) {
@@ -98,7 +109,7 @@ Result guarded(const UserFunction& function, const Result& otherwise, Call call)
     return call();
   } catch (nb::python_error& error) {
     UserErrors::keep(error);
-  } catch (const std::exception&) {  // what is returned has the wrong type
+  } catch (const std::exception&) {  // the function returned something of a wrong type
   }
   function.kept->failed = true;
   return otherwise;
@@ -119,9 +130,9 @@ int one_dof(const Tree& tree, int joint, bool continuous) {
   return found;
 }
 
-Signal signal_of(Scene& s, const nb::object& function) {
-  if (function.is_none()) return {};
-  return [call = keep(s, function)](double t) -> std::array<double, 3> {
+Signal signal_of(Scene& s, const std::optional<Motion>& function) {
+  if (!function) return {};
+  return [call = keep(s, *function)](double t) -> std::array<double, 3> {
     return guarded(call, std::array<double, 3>{kNaN, kNaN, kNaN}, [&] {
       const nb::object value = call(t);
       return std::array<double, 3>{nb::cast<double>(value[0]), nb::cast<double>(value[1]), nb::cast<double>(value[2])};
@@ -135,9 +146,9 @@ void set_joint_friction(Scene& s, const VecX& limits) {
   e.joint_friction = limits;
   e.friction_dofs.clear();
   for (int d = 0; d < s.tree.nv; ++d) {
-    need(limits[d] >= 0.0, "dry friction must be >= 0");
+    need(limits[d] >= 0.0, "joint friction must be >= 0");
     if (limits[d] == 0.0) continue;
-    need(s.tree.joints[s.tree.dof_joint[d]].nv == 1, "dry friction is for joints with one degree of freedom");
+    need(s.tree.joints[s.tree.dof_joint[d]].nv == 1, "joint friction is for joints with one degree of freedom");
     e.friction_dofs.push_back(d);
   }
 }
@@ -160,8 +171,10 @@ void set_actuator_limits(Scene& s, const VecX& effort, const VecX& velocity) {
   s.tree.elements.speed = velocity;
 }
 
-void add_joint_potential(Scene& s, int joint, double rest, const std::vector<double>& coefficients) {
-  s.tree.elements.joint_potentials.push_back({one_dof(s.tree, joint, false), rest, coefficients});
+std::vector<double> list_of(const VecX& values) { return {values.data(), values.data() + values.size()}; }
+
+void add_joint_potential(Scene& s, int joint, double rest, const VecX& coefficients) {
+  s.tree.elements.joint_potentials.push_back({one_dof(s.tree, joint, false), rest, list_of(coefficients)});
 }
 
 void add_path_spring(Scene& s, const std::vector<int>& joints, const Rows& points, double stiffness, double rest_length,
@@ -174,19 +187,20 @@ void add_path_spring(Scene& s, const std::vector<int>& joints, const Rows& point
   s.tree.elements.path_springs.push_back(std::move(spring));
 }
 
-void add_wrench(Scene& s, int joint, const Vec3& point, std::optional<Mat3> R, nb::object wrench) {
+void add_wrench(Scene& s, int joint, const Vec3& point, const std::optional<Mat3>& R,
+                const std::variant<Vec6, WrenchOfTime>& wrench) {
   AppliedWrench w{frame(s.tree, joint, R, point), !R, Vec6::Zero(), {}};
-  if (PyCallable_Check(wrench.ptr()) != 0) {
-    w.signal = [wrench = keep(s, wrench)](double t) -> Vec6 {
+  if (const WrenchOfTime* function = std::get_if<WrenchOfTime>(&wrench)) {
+    w.signal = [wrench = keep(s, *function)](double t) -> Vec6 {
       return guarded(wrench, Vec6(Vec6::Constant(kNaN)), [&] { return nb::cast<Vec6>(wrench(t)); });
     };
   } else {
-    w.value = nb::cast<Vec6>(wrench);
+    w.value = std::get<Vec6>(wrench);
   }
   s.tree.elements.wrenches.push_back(std::move(w));
 }
 
-void add_user_force(Scene& s, nb::object value, nb::object derivatives) {
+void add_user_force(Scene& s, const Force& value, const std::optional<ForceDerivatives>& derivatives) {
   UserForce force;
   const int nv = s.tree.nv;
   force.value = [value = keep(s, value), nv](double t, const VecX& q, const VecX& v, VecX& f) {
@@ -196,9 +210,9 @@ void add_user_force(Scene& s, nb::object value, nb::object derivatives) {
       return result;
     });
   };
-  if (!derivatives.is_none())
-    force.derivative = [derivatives = keep(s, derivatives), nv](double t, const VecX& q, const VecX& v, MatX& dq,
-                                                                MatX& dv) {
+  if (derivatives)
+    force.derivative = [derivatives = keep(s, *derivatives), nv](double t, const VecX& q, const VecX& v, MatX& dq,
+                                                                 MatX& dv) {
       const MatX nan = MatX::Constant(nv, nv, kNaN);
       std::tie(dq, dv) = guarded(derivatives, std::make_tuple(nan, nan), [&] {
         const nb::object result = derivatives(t, q, v);
@@ -211,7 +225,8 @@ void add_user_force(Scene& s, nb::object value, nb::object derivatives) {
   s.tree.elements.forces.push_back(std::move(force));
 }
 
-void add_user_potential(Scene& s, nb::object value, nb::object gradient, nb::object hessian) {
+void add_user_potential(Scene& s, const Potential& value, const Gradient& gradient,
+                        const std::optional<Hessian>& hessian) {
   UserPotential p;
   const int nv = s.tree.nv;
   p.value = [value = keep(s, value)](const VecX& q) {
@@ -224,8 +239,8 @@ void add_user_potential(Scene& s, nb::object value, nb::object gradient, nb::obj
       return result;
     });
   };
-  if (!hessian.is_none())
-    p.hessian = [hessian = keep(s, hessian), nv](const VecX& q, MatX& H) {
+  if (hessian)
+    p.hessian = [hessian = keep(s, *hessian), nv](const VecX& q, MatX& H) {
       H = guarded(hessian, MatX(MatX::Constant(nv, nv, kNaN)), [&] {
         MatX result = nb::cast<MatX>(hessian(q));
         if (result.rows() != nv || result.cols() != nv) throw Error("a user's hessian has the wrong size");
@@ -235,17 +250,11 @@ void add_user_potential(Scene& s, nb::object value, nb::object gradient, nb::obj
   s.tree.elements.potentials.push_back(std::move(p));
 }
 
-void add_constraint(Scene& s, const std::string& kind, int joint_a, std::optional<Mat3> R_a, const Vec3& p_a,
-                    int joint_b, std::optional<Mat3> R_b, const Vec3& p_b, const std::vector<double>& numbers,
-                    nb::object signal, const std::string& name) {
-  static const std::map<std::string, ConstraintKind> kinds{
-      {"point", ConstraintKind::kPoint},       {"distance", ConstraintKind::kDistance},
-      {"weld", ConstraintKind::kWeld},         {"screw", ConstraintKind::kScrew},
-      {"equality", ConstraintKind::kEquality}, {"prescribed", ConstraintKind::kPrescribed}};
-  const auto found = kinds.find(kind);
-  need(found != kinds.end(), "unknown kind of constraint");
+void add_constraint(Scene& s, ConstraintKind kind, int joint_a, const std::optional<Mat3>& R_a, const Vec3& p_a,
+                    int joint_b, const std::optional<Mat3>& R_b, const Vec3& p_b, const VecX& numbers,
+                    const std::optional<Motion>& signal, const std::string& name) {
   Elements& e = s.tree.elements;
-  Constraint c{found->second, {}, {}, -1, -1, numbers, signal_of(s, signal), e.constraint_rows, 0};
+  Constraint c{kind, {}, {}, -1, -1, list_of(numbers), signal_of(s, signal), e.constraint_rows, 0};
   switch (c.kind) {
     case ConstraintKind::kEquality:
       c.joint_a = one_dof(s.tree, joint_a, false);
@@ -267,7 +276,7 @@ void add_constraint(Scene& s, const std::string& kind, int joint_a, std::optiona
   e.constraints.push_back(std::move(c));
 }
 
-// phi (m,), W (nv, m) in engine coordinates, rate (m,).
+// phi (m,), W (nv, m) in engine coordinates and rate (m,) of all constraints.
 struct Evaluated {
   VecX phi, rate;
   MatX W;
@@ -285,7 +294,7 @@ Evaluated evaluate(const Scene& s, const VecX& q, double t) {
   return e;
 }
 
-nb::object jacobian(const Scene& s, const VecX& q, double t) {
+Array2 jacobian(const Scene& s, const VecX& q, double t) {
   Evaluated e = evaluate(s, q, t);
   for (Eigen::Index k = 0; k < e.W.cols(); ++k) engine_to_public(s.tree, q, e.W.col(k));
   return hand_over(Rows(e.W.transpose()));
@@ -303,22 +312,26 @@ PyType_Slot scene_slots[] = {
     {Py_tp_traverse, reinterpret_cast<void*>(&traverse)}, {Py_tp_clear, reinterpret_cast<void*>(&clear)}, {0, nullptr}};
 
 void expose_elements(nb::class_<Scene>& scene) {
-  scene.def("set_dry_friction", &set_joint_friction, "limits"_a, "Largest dry friction of each dof [N; N m], (nv,).")
+  scene
+      .def("set_joint_friction", &set_joint_friction, "limits"_a, "Largest friction force of each dof [N; N m], (nv,).")
       .def("add_joint_potential", &add_joint_potential, "joint"_a, "rest"_a, "coefficients"_a,
-           "V = sum_k c[k] x^(k+2), x = q - rest.")
+           "Add V = sum_k c[k] x^(k+2), x = q - rest.")
       .def("add_path_spring", &add_path_spring, "joints"_a, "points"_a, "stiffness"_a, "rest_length"_a, "damping"_a,
-           "tension_only"_a, "Along a line through points (n, 3) in the frames of joints.")
+           "tension_only"_a, "Add a spring along a line through points (n, 3) in the frames of joints.")
       .def("add_wrench", &add_wrench, "joint"_a, "point"_a, "R"_a.none(), "wrench"_a,
-           "(force, torque) (6,) or a function of t, in the axes R of the joint's frame, or None: of the world.")
+           "(force, torque) (6,) or a function of t, in the axes R of the joint's frame; without R in those of the "
+           "world.")
       .def("add_user_force", &add_user_force, "value"_a, "derivatives"_a = nb::none(), "value(t, q, v) -> (nv,).")
       .def("add_user_potential", &add_user_potential, "value"_a, "gradient"_a, "hessian"_a = nb::none(),
            "value(q) [J], gradient(q) -> (nv,).")
       .def("add_constraint", &add_constraint, "kind"_a, "joint_a"_a, "R_a"_a.none(), "p_a"_a, "joint_b"_a,
-           "R_b"_a.none(), "p_b"_a, "numbers"_a, "signal"_a = nb::none(), "name"_a = "", "See constraints.hpp.")
+           "R_b"_a.none(), "p_b"_a, "numbers"_a, "signal"_a = nb::none(), "name"_a = "",
+           "Frames of two bodies or joints, numbers or their motion; see core/model/constraints.hpp.")
       .def("set_servo", &set_servo, "kp"_a, "kd"_a, "effort"_a,
            "Gains and largest torque of the servos of joints with one degree of freedom, (nv,) each.")
-      .def("set_actuator_limits", &set_actuator_limits, "effort"_a, "velocity"_a, "(nv,) each, inf: none.")
-      .def_prop_ro("constraint_rows", &rows_per_constraint)
+      .def("set_actuator_limits", &set_actuator_limits, "effort"_a, "velocity"_a,
+           "Largest effort [N; N m] and speed [m/s; rad/s] of the actuators, (nv,) each; inf is no limit.")
+      .def_prop_ro("constraint_rows", &rows_per_constraint, "Number of rows of each constraint.")
       .def(
           "constraint_residual",
           [](const Scene& s, const VecX& q, double t) { return hand_over(evaluate(s, q, t).phi); }, "q"_a, "t"_a = 0.0,

@@ -7,6 +7,7 @@ namespace contactvi {
 
 struct Scene;
 
+void expose_enums(nanobind::module_& m);
 void expose_scene(nanobind::module_& m);
 void expose_elements(nanobind::class_<Scene>& scene);
 void expose_simulator(nanobind::module_& m);

@@ -42,9 +42,11 @@ double fastest(int calls, int repeats, Call call) {
   return best;
 }
 
-// Seconds per stage, at stages a little apart from each other.
-nb::dict kernel_seconds(const Scene& s, const VecX& q, const VecX& v, int stages, const std::string& set, int calls,
-                        int repeats) {
+using Seconds = nb::typed<nb::dict, nb::str, double>;
+
+// Seconds per stage of each part of the kernel, at stages a little apart from each other.
+Seconds kernel_seconds(const Scene& s, const VecX& q, const VecX& v, int stages, const std::string& set, int calls,
+                       int repeats) {
   const Tree& tree = s.tree;
   if (q.size() != tree.nq || v.size() != tree.nv) throw Error("expected shapes (nq,) and (nv,)");
   if (stages < 1 || stages > kMaxStages) throw Error("expected 1 to 8 stages");
@@ -68,11 +70,11 @@ nb::dict kernel_seconds(const Scene& s, const VecX& q, const VecX& v, int stages
   auto load = [&] {
     for (int i = 0; i < tree.nv * S; ++i) work.dv()[i] = 1.0;
   };
-  nb::dict d;
+  Seconds d;
   d["evaluate"] = fastest(calls, repeats, [&] { work.evaluate(); }) / stages;
   d["factor"] = fastest(calls, repeats, [&] { work.factor(); }) / stages;
   d["solve"] = fastest(calls, repeats, [&] { load(), work.solve(); }) / stages;
-  // f(q, p) = (M^-1 p, dT/dq - dV/dq) without anything kept: place, factor, solve, evaluate.
+  // f(q, p) = (M^-1 p, dT/dq - dV/dq) from nothing: place, factor, solve, evaluate.
   d["f"] =
       fastest(calls, repeats, [&] { work.place(), work.factor(), load(), work.solve(), work.evaluate(); }) / stages;
   d["sweep"] = fastest(calls, repeats, [&] { work.iterate(kLaneKeepVelocity); }) / stages;

@@ -1,8 +1,10 @@
 // Contact points of a pair at one configuration, for tests.
 #include <nanobind/eigen/dense.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <limits>
+#include <tuple>
 
 #include "base/error.hpp"
 #include "bindings/arrays.hpp"
@@ -17,7 +19,7 @@ namespace contactvi {
 
 namespace {
 
-// A pair at a configuration.
+// A pair placed at a configuration, with its witness contact.
 struct Touch {
   Touch(const Scene& scene, const VecX& q, int pair, int max_points)
       : at(scene.tree), guards(scene), manifolds(scene, max_points) {
@@ -39,10 +41,10 @@ struct Touch {
   Contact witness;
 };
 
-nb::dict describe(const Touch& touch, const std::vector<ContactPoint>& points) {
+Dict describe(const Touch& touch, const std::vector<ContactPoint>& points) {
   const auto n = static_cast<Eigen::Index>(points.size());
   std::vector<std::int64_t> feature;
-  std::vector<int> kind;
+  std::vector<PointKind> kind;
   std::vector<bool> material, valid;
   VecX gap(n);
   Rows a(n, 3), b(n, 3), normal(n, 3);
@@ -51,7 +53,7 @@ nb::dict describe(const Touch& touch, const std::vector<ContactPoint>& points) {
     Contact c;
     touch.evaluate(p, c);
     feature.push_back(p.feature);
-    kind.push_back(static_cast<int>(p.kind));
+    kind.push_back(p.kind);
     material.push_back(p.material);
     valid.push_back(touch.manifolds.valid(p, touch.at));
     gap[i] = c.gap;
@@ -59,7 +61,7 @@ nb::dict describe(const Touch& touch, const std::vector<ContactPoint>& points) {
     b.row(i) = c.point_b;
     normal.row(i) = c.normal;
   }
-  nb::dict d;
+  Dict d;
   d["kind"] = kind;
   d["feature"] = feature;
   d["material"] = material;
@@ -71,7 +73,7 @@ nb::dict describe(const Touch& touch, const std::vector<ContactPoint>& points) {
   return d;
 }
 
-nb::dict contact_points(const Scene& s, const VecX& q, int pair, double margin, int max_points) {
+Dict contact_points(const Scene& s, const VecX& q, int pair, double margin, int max_points) {
   Touch touch(s, q, pair, max_points);
   std::vector<ContactPoint> points;
   touch.manifolds.find(pair, touch.at, touch.witness, margin, points);
@@ -84,12 +86,13 @@ std::vector<ContactPoint> points_of(const Touch& touch, int pair, const std::vec
   return points;
 }
 
-nb::dict points_of_features(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features) {
-  const Touch touch(s, q, pair, 4);
+Dict points_of_features(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features) {
+  Touch touch(s, q, pair, 4);
   return describe(touch, points_of(touch, pair, features));
 }
 
-nb::tuple rest_gap(const Scene& s, const VecX& q, int pair, const std::vector<std::int64_t>& features, int max_points) {
+std::tuple<double, double, Vec3, Vec3> rest_gap(const Scene& s, const VecX& q, int pair,
+                                                const std::vector<std::int64_t>& features, int max_points) {
   Touch touch(s, q, pair, max_points);
   const std::vector<ContactPoint> points = points_of(touch, pair, features);
   std::vector<const ContactPoint*> persistent;
@@ -97,10 +100,9 @@ nb::tuple rest_gap(const Scene& s, const VecX& q, int pair, const std::vector<st
   Contact c{};
   const double gap = touch.manifolds.next_gap(pair, touch.at, persistent.data(), static_cast<int>(persistent.size()),
                                               touch.witness, c);
-  return nb::make_tuple(gap, c.gap, Vec3(c.normal), Vec3(0.5 * (c.point_a + c.point_b)));
+  return {gap, c.gap, c.normal, 0.5 * (c.point_a + c.point_b)};
 }
 
-// NaN for pairs without a halfspace.
 double nearest_gap(const Scene& s, const VecX& q, int pair) {
   Touch touch(s, q, pair, 4);
   Contact c{};
@@ -114,7 +116,7 @@ void expose_manifold(nb::module_& m) {
         "Points at which a collision pair touches at q: dict of kind, feature, material, valid (lists), gap (n,), "
         "point_a, point_b, normal (n, 3), world frame.");
   m.def("contact_points_of", &points_of_features, "scene"_a, "q"_a, "pair"_a, "features"_a,
-        "The same for known features, wherever they are at q.");
+        "Points of a pair at known features, wherever they are at q; entries as those of contact_points.");
   m.def("nearest_gap", &nearest_gap, "scene"_a, "q"_a, "pair"_a,
         "Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.");
   m.def("rest_gap", &rest_gap, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,

@@ -1,3 +1,4 @@
+// The Python module contactvi._core.
 #include <cstdlib>
 #include <string>
 
@@ -7,7 +8,7 @@
 #include "model/flat_model.hpp"
 
 NB_MODULE(_core, m) {
-  m.doc() = "Engine of contactvi. Checks sizes only: users go through the Python face.";
+  m.doc() = "Engine of contactvi. It checks sizes only: users go through the Python API.";
   nanobind::exception<contactvi::Error>(m, "CoreError", PyExc_RuntimeError);
   const char* wanted = std::getenv("CONTACTVI_INSTRUCTION_SET");
   if (wanted != nullptr && *wanted != 0 && !contactvi::set_instruction_set(wanted))
@@ -15,6 +16,7 @@ NB_MODULE(_core, m) {
         (std::string("CONTACTVI_INSTRUCTION_SET: this processor has no ") + wanted + "; one of base, avx2, avx512")
             .c_str());
   contactvi::settle_box_support();
+  contactvi::expose_enums(m);
   contactvi::expose_scene(m);
   contactvi::expose_cone(m);
   contactvi::expose_dense(m);

@@ -1,4 +1,4 @@
-// Yardsticks for benchmarks/: Pinocchio's own algorithms, timed in C++ without Python in the loop.
+// Pinocchio's own algorithms for comparison in benchmarks/, timed in C++ without Python in the loop.
 #include <boost/archive/binary_iarchive.hpp>
 #include <boost/iostreams/device/array.hpp>
 #include <boost/iostreams/stream_buffer.hpp>
@@ -31,7 +31,7 @@ pinocchio::Model unpack(nb::bytes archive, const VecX& q, const VecX& v) {
   return model;
 }
 
-// Seconds of the fastest of repeats blocks of calls calls.
+// Seconds per call, of the fastest of several blocks.
 template <class Call>
 double fastest(int calls, int repeats, Call call) {
   double best = INFINITY;
@@ -63,7 +63,7 @@ void expose_reference(nb::module_& m) {
   m.def("rnea_seconds", &rnea_seconds, "model"_a, "q"_a, "v"_a, "calls"_a = 2000, "repeats"_a = 5,
         "Seconds per pinocchio::rnea, fastest of several blocks; for benchmarks.");
   m.def("aba_seconds", &aba_seconds, "model"_a, "q"_a, "v"_a, "calls"_a = 2000, "repeats"_a = 5,
-        "Seconds per pinocchio::aba.");
+        "Seconds per pinocchio::aba, fastest of several blocks; for benchmarks.");
 }
 
 }  // namespace contactvi

@@ -1,4 +1,4 @@
-// Scene: energies, momenta, gaps and single steps, in public coordinates unless said otherwise.
+// Scene: energies, momenta, gaps and single steps, in public coordinates unless documented otherwise.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
@@ -46,13 +46,13 @@ Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restituti
                     {pair_restitution, friction, stiffness, rest, damping, limits, limit_restitution});
 }
 
-// What a function of the user raised while the engine was asked something.
+// Raises what a function of the user raised while the engine called it.
 void raise_user_errors(const Scene& s) {
   s.tree.elements.forget_failure();
   UserErrors::raise();
 }
 
-nb::object velocity(const Scene& s, const Rows& q, const Rows& p) {
+Array2 velocity(const Scene& s, const Rows& q, const Rows& p) {
   need_states(s, q, p);
   Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows v(p.rows(), p.cols());
@@ -68,7 +68,7 @@ nb::object velocity(const Scene& s, const Rows& q, const Rows& p) {
   return hand_over(std::move(v));
 }
 
-nb::object momentum(const Scene& s, const Rows& q, const Rows& v) {
+Array2 momentum(const Scene& s, const Rows& q, const Rows& v) {
   need_states(s, q, v);
   Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows p(v.rows(), v.cols());
@@ -84,7 +84,7 @@ nb::object momentum(const Scene& s, const Rows& q, const Rows& v) {
   return hand_over(std::move(p));
 }
 
-nb::object energies(const Scene& s, const Rows& q, const Rows& p) {
+Array2 energies(const Scene& s, const Rows& q, const Rows& p) {
   need_states(s, q, p);
   Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows result(q.rows(), 2);
@@ -99,7 +99,7 @@ nb::object energies(const Scene& s, const Rows& q, const Rows& p) {
   return hand_over(std::move(result));
 }
 
-nb::object modified_energies(const Scene& s, const Rows& q, const Rows& p, double h, int order) {
+Array1 modified_energies(const Scene& s, const Rows& q, const Rows& p, double h, int order) {
   need_states(s, q, p);
   Integrator integrator(s.tree, stages_of(order), 1e-12, 1);
   VecX result(q.rows());
@@ -113,8 +113,8 @@ nb::object modified_energies(const Scene& s, const Rows& q, const Rows& p, doubl
   return hand_over(std::move(result));
 }
 
-// E_d of steps h[i] from (q[i], p[i]); negative h: the step that ended there.
-nb::object discrete_energies(const Scene& s, const Rows& q, const Rows& p, const VecX& h, int order) {
+// E_d of steps h[i] from (q[i], p[i]); a negative h stands for the step that ended there.
+Array1 discrete_energies(const Scene& s, const Rows& q, const Rows& p, const VecX& h, int order) {
   need_states(s, q, p);
   need(h.size() == q.rows(), "expected one step length per state");
   Integrator integrator(s.tree, stages_of(order), 1e-13, 100);
@@ -131,8 +131,8 @@ nb::object discrete_energies(const Scene& s, const Rows& q, const Rows& p, const
   return hand_over(std::move(result));
 }
 
-// Total momentum: linear (world frame) and angular about the world's origin.
-nb::object spatial_momenta(const Scene& s, const Rows& q, const Rows& p) {
+// Total momentum, linear (world frame) and angular about the world's origin, (N, 6).
+Array2 spatial_momenta(const Scene& s, const Rows& q, const Rows& p) {
   need_states(s, q, p);
   Integrator integrator(s.tree, 1, 1e-12, 1);
   Rows result = Rows::Zero(q.rows(), 6);
@@ -195,7 +195,7 @@ Rows gap_gradients(const Scene& s, const VecX& q) {
     Contact c;
     guards.evaluate(g, c);
     guards.gradient(g, c, row);
-    engine_to_public(s.tree, q, row);  // a covector, dual to v as a momentum is
+    engine_to_public(s.tree, q, row);  // it is a covector, dual to v as a momentum is
     W.row(g) = row;
   }
   return W;
@@ -248,9 +248,10 @@ void expose_scene(nb::module_& m) {
       .def("spatial_momentum", &spatial_momenta, "q"_a, "p"_a,
            "Total linear, angular momentum about the origin, (N, 6).")
       .def("dynamics", &dynamics, "q"_a, "v"_a, "(M v, dT/dq - dV/dq of gravity) in engine coordinates.")
-      .def("step", &step, "q"_a, "p"_a, "h"_a, "tau"_a = nb::none(), "tol"_a = 1e-12, "order"_a = 2,
-           "One smooth step without contact: (q1, p1, stage velocities (s, nv) in engine coordinates, sweeps, "
-           "residual).")
+      .def(
+          "step", &step, "q"_a, "p"_a, "h"_a, "tau"_a = nb::none(), "tol"_a = 1e-12, "order"_a = 2,
+          "One smooth step without contact: (q1, p1, stage velocities (s, nv) in engine coordinates, stage iterations, "
+          "residual).")
       .def("gaps", &gaps, "q"_a, "(gap (npairs,), normal, point_a, point_b (npairs, 3)), world frame.")
       .def("gap_gradients", &gap_gradients, "q"_a, "d(gap)/dq of all guards, pairs then limits, (nguards, nv).")
       .def("to_engine", &converted<public_to_engine>, "q"_a, "v"_a)

@@ -1,10 +1,10 @@
 // Simulator: the event loop without the interpreter lock, results as arrays in public coordinates.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 
 #include <chrono>
+#include <optional>
 
 #include "bindings/arrays.hpp"
 #include "bindings/contact_results.hpp"
@@ -20,14 +20,14 @@ namespace contactvi {
 
 namespace {
 
-using IntVec = Eigen::Matrix<std::int64_t, Eigen::Dynamic, 1>;
+using ProgressCallback = nb::typed<nb::callable, nb::object(double, long)>;
 
 VecX converted(const Tree& tree, const VecX& q, VecX p) {
   engine_to_public(tree, q, p);
   return p;
 }
 
-nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
+Dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
   const Eigen::Index n = static_cast<Eigen::Index>(impacts.size());
   VecX time(n), impulse(n), gamma_minus(n), gamma_plus(n), G_c(n), gap(n), restitution(n), jump(n), before(n), after(n);
   VecX friction(n), loss(n);
@@ -35,7 +35,9 @@ nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
   Rows point(n, 3), normal(n, 3), impulse_vector(n, 3), q(n, s.tree.nq), p_minus(n, s.tree.nv), p_plus(n, s.tree.nv);
   for (Eigen::Index i = 0; i < n; ++i) {
     const ImpactRecord& r = impacts[i];
-    std::tie(kind[i], index[i]) = public_guard(s, r.guard);
+    const PublicGuard guard = public_guard(s, r.guard);
+    kind[i] = static_cast<int>(guard.kind);
+    index[i] = guard.index;
     time[i] = r.time;
     impulse[i] = r.impulse;
     gamma_minus[i] = r.gamma_minus;
@@ -49,8 +51,8 @@ nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
     impulse_vector.row(i) = r.impulse_vector;
     iterations[i] = r.iterations;
     step[i] = r.step;
-    method[i] = r.method;
-    fallback[i] = r.fallback;
+    method[i] = static_cast<int>(r.method);
+    fallback[i] = static_cast<int>(r.fallback);
     jump[i] = r.jump;
     before[i] = r.before;
     after[i] = r.after;
@@ -60,7 +62,7 @@ nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
     p_minus.row(i) = converted(s.tree, r.q, r.p_minus);
     p_plus.row(i) = converted(s.tree, r.q, r.p_plus);
   }
-  nb::dict d;
+  Dict d;
   d["time"] = hand_over(std::move(time));
   d["kind"] = kind;
   d["index"] = index;
@@ -90,20 +92,20 @@ nb::dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
 }
 
 void add_status(const Scene& s, const Status& status, nb::dict& d) {
-  const auto [kind, index] = public_guard(s, status.guard);
-  d["code"] = static_cast<int>(status.code);
+  const PublicGuard guard = public_guard(s, status.guard);
+  d["code"] = status.code;
   d["message"] = status.message;
   d["time"] = status.time;
-  d["pair_kind"] = kind;
-  d["pair"] = index;
+  d["guard_kind"] = guard.kind;
+  d["guard_index"] = guard.index;
   d["accumulation_time"] = status.accumulation_time;
   d["depth"] = status.depth;
 }
 
-nb::dict stats(const Simulator& sim, double seconds) {
-  nb::dict d;
+Dict stats(const Simulator& sim, double seconds) {
+  Dict d;
   d["steps"] = sim.steps();
-  d["sweeps"] = d["iterations"] = d["residuals"] = sim.step_counters().stage_iterations;
+  d["stage_iterations"] = sim.step_counters().stage_iterations;
   d["halved"] = sim.halved();
   d["rejected"] = sim.rejected();
   d["factorizations"] = sim.step_counters().factorizations;
@@ -116,8 +118,8 @@ nb::dict stats(const Simulator& sim, double seconds) {
   return d;
 }
 
-Progress wrap(const nb::object& callback) {
-  if (callback.is_none()) {
+Progress wrap(const std::optional<ProgressCallback>& callback) {
+  if (!callback) {
     return [](double, long) {
       nb::gil_scoped_acquire gil;
       return PyErr_CheckSignals() == 0;
@@ -127,16 +129,16 @@ Progress wrap(const nb::object& callback) {
     nb::gil_scoped_acquire gil;
     if (PyErr_CheckSignals() != 0) return false;
     try {
-      callback(t, impacts);
+      (*callback)(t, impacts);
     } catch (nb::python_error& error) {
-      error.restore();  // re-raised or cleared by advance()
+      error.restore();  // run() hands it over
       return false;
     }
     return true;
   };
 }
 
-// Momenta row after row into public coordinates, at the configurations of q.
+// Turns momenta into public coordinates, row after row, at the configurations of q.
 void make_public(const Tree& tree, const std::vector<double>& q, std::vector<double>& p) {
   if (tree.split.empty()) return;
   VecX qi(tree.nq), pi(tree.nv);
@@ -149,22 +151,22 @@ void make_public(const Tree& tree, const std::vector<double>& q, std::vector<dou
   }
 }
 
-nb::dict segments(const Tree& tree, int stages, Segments& s) {
+Dict segments(const Tree& tree, int stages, Segments& s) {
   const std::size_t n = s.t.size();
-  nb::dict d;
+  Dict d;
   d["t"] = hand_over(std::move(s.t));
   d["h"] = hand_over(std::move(s.h));
   d["q"] = hand_over(std::move(s.q), n, tree.nq);
   d["p"] = hand_over(std::move(s.p), n, tree.nv);
   d["p1"] = hand_over(std::move(s.p1), n, tree.nv);
-  d["held"] = hand_over(std::move(s.persistent));
+  d["persistent"] = hand_over(std::move(s.persistent));
   d["rates"] = hand_over(std::move(s.rates), n, static_cast<std::size_t>(tree.nv) * stages);
   return d;
 }
 
-// What there is none of is None: making an array costs as much as a step.
+// Entries of which there is nothing are None, because an array costs as much time as a step of a small model.
 template <class Run>
-nb::dict run(Simulator& sim, nb::object progress, Run call) {
+Dict run(Simulator& sim, const std::optional<ProgressCallback>& progress, Run call) {
   const Scene& s = sim.scene();
   Recording recording;
   const Progress callback = wrap(progress);
@@ -175,8 +177,8 @@ nb::dict run(Simulator& sim, nb::object progress, Run call) {
     status = call(callback, recording);
   }
   const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-  nb::dict d;
-  // The error that interrupted the run is handed over as data: the partial result must not be lost with it.
+  Dict d;
+  // The error that interrupted the run is handed over as data, so that the partial result is not lost with it.
   d["error"] = nb::none();
   if (PyErr_Occurred() != nullptr) {
     nb::python_error error;
@@ -184,9 +186,9 @@ nb::dict run(Simulator& sim, nb::object progress, Run call) {
   }
   if (UserErrors::any()) d["error"] = UserErrors::take();
   const std::size_t n = recording.t.size(), rows = static_cast<std::size_t>(s.tree.elements.constraint_rows);
-  recording.work.resize(4 * n, 0.0);  // empty where nothing does work
+  recording.work.resize(4 * n, 0.0);  // it is empty where nothing does work
   d["work"] = hand_over(std::move(recording.work), n, 4);
-  d["reactions"] = rows == 0 ? nb::object(nb::none()) : hand_over(std::move(recording.reactions), n, rows);
+  d["reactions"] = rows == 0 ? nb::object(nb::none()) : nb::cast(hand_over(std::move(recording.reactions), n, rows));
   make_public(s.tree, recording.q, recording.p);
   d["t"] = hand_over(std::move(recording.t));
   d["q"] = hand_over(std::move(recording.q), n, s.tree.nq);
@@ -194,12 +196,12 @@ nb::dict run(Simulator& sim, nb::object progress, Run call) {
   d["events"] = recording.impacts.empty() ? nb::object(nb::none()) : nb::object(events(s, recording.impacts));
   d["segments"] = sim.options().dense ? nb::object(segments(s.tree, sim.options().stages, recording.segments))
                                       : nb::object(nb::none());
-  d["arcs"] = nb::none();
+  d["adaptive_steps"] = nb::none();
   if (!recording.adaptive_t.empty()) {
-    nb::dict arcs;
-    arcs["t"] = hand_over(std::move(recording.adaptive_t));
-    arcs["dt"] = hand_over(std::move(recording.adaptive_dt));
-    d["arcs"] = arcs;
+    Dict steps;
+    steps["t"] = hand_over(std::move(recording.adaptive_t));
+    steps["dt"] = hand_over(std::move(recording.adaptive_dt));
+    d["adaptive_steps"] = steps;
   }
   d["contacts"] = contact_rows(s, recording.contacts);
   d["changes"] = contact_changes(s, recording.changes);
@@ -209,8 +211,8 @@ nb::dict run(Simulator& sim, nb::object progress, Run call) {
   return d;
 }
 
-nb::dict advance(Simulator& sim, long steps, std::optional<Rows> tau, long record_every, nb::object progress,
-                 std::optional<Rows> target) {
+Dict advance(Simulator& sim, long steps, const std::optional<Rows>& tau, long record_every,
+             const std::optional<ProgressCallback>& progress, const std::optional<Rows>& target) {
   if (tau && (tau->rows() != steps || tau->cols() != sim.scene().tree.nv))
     throw Error("tau: expected shape (steps, nv)");
   if (target && (target->rows() != steps || target->cols() != 2 * sim.scene().tree.nv))
@@ -222,13 +224,13 @@ nb::dict advance(Simulator& sim, long steps, std::optional<Rows> tau, long recor
   });
 }
 
-// A snapshot with the scene it belongs to.
+// A snapshot belongs to a scene, and is refused by simulators of another one.
 struct Kept {
   std::shared_ptr<const Simulator::Snapshot> snapshot;
   const Scene* scene;
 };
 
-nb::dict run_auto(Simulator& sim, double duration, double level, nb::object progress) {
+Dict run_auto(Simulator& sim, double duration, double level, const std::optional<ProgressCallback>& progress) {
   if (!(duration > 0.0) || !(level > 0.0)) throw Error("duration and level must be > 0");
   if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
   return run(sim, progress, [&](const Progress& callback, Recording& recording) {
@@ -236,19 +238,19 @@ nb::dict run_auto(Simulator& sim, double duration, double level, nb::object prog
   });
 }
 
-nb::dict reset(Simulator& sim, const VecX& q, const VecX& v, double t) {
+Dict reset(Simulator& sim, const VecX& q, const VecX& v, double t) {
   const Scene& s = sim.scene();
   if (q.size() != s.tree.nq || v.size() != s.tree.nv) throw Error("expected shapes (nq,) and (nv,)");
   VecX w = v;
   public_to_engine(s.tree, q, w);
-  nb::dict d;
+  Dict d;
   const Status status = sim.reset(q, w, t);
   UserErrors::raise();
   add_status(s, status, d);
   return d;
 }
 
-nb::object current_velocity(Simulator& sim) {
+Array1 current_velocity(Simulator& sim) {
   const Tree& tree = sim.scene().tree;
   Integrator integrator(tree, 1, 1e-12, 1);
   VecX v(tree.nv);
@@ -256,7 +258,8 @@ nb::object current_velocity(Simulator& sim) {
   return hand_over(converted(tree, sim.q(), v));
 }
 
-// The scene that a simulator keeps alive, for the garbage collector: the functions of its user may hold the simulator.
+// A simulator keeps its scene alive. The garbage collector has to know, because functions of the user that the scene
+// calls may hold the simulator.
 int traverse(PyObject* self, visitproc visit, void* arg) {
   Py_VISIT(Py_TYPE(self));
   if (!nb::inst_ready(self)) return 0;
@@ -267,46 +270,63 @@ int traverse(PyObject* self, visitproc visit, void* arg) {
 
 PyType_Slot simulator_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse)}, {0, nullptr}};
 
+void set_order(SimulatorOptions& options, int order) {
+  if (order < 2 || order > 2 * kMaxStages || order % 2 != 0) throw Error("expected an even order from 2 to 16");
+  options.stages = order / 2;
+}
+
+void expose_options(nb::module_& m) {
+  nb::class_<SimulatorOptions>(m, "SimulatorOptions", "Settings of a simulator; each has a default.")
+      .def(nb::init<>())
+      .def_rw("dt", &SimulatorOptions::dt, "Step length [s].")
+      .def_rw("tol", &SimulatorOptions::tol, "Tolerance on the residual of the stage equations, relative.")
+      .def_rw("impact", &SimulatorOptions::impact)
+      .def_rw("mhc_reference", &SimulatorOptions::mhc_reference)
+      .def_rw("max_iterations", &SimulatorOptions::max_iterations, "Stage iterations per attempt at a step.")
+      .def_rw("max_impacts_per_step", &SimulatorOptions::max_impacts_per_step)
+      .def_prop_rw(
+          "order", [](const SimulatorOptions& options) { return 2 * options.stages; }, &set_order,
+          "Order 2s of the integrator with s Gauss stages.")
+      .def_rw("dense", &SimulatorOptions::dense, "Whether the polynomials of the steps are kept.")
+      .def_rw("dt_contact", &SimulatorOptions::dt_contact, "Longest step with persistent contacts [s]; 0: dt.")
+      .def_rw("end_at_zeno", &SimulatorOptions::end_at_zeno,
+              "Whether a run ends where impacts accumulate, instead of going on with a persistent contact.")
+      .def_rw("stiff_support", &SimulatorOptions::stiff_support,
+              "Whether persistent contacts take part in an impact as rigid supports.")
+      .def_rw("contact_points", &SimulatorOptions::contact_points, "Largest number of points of a pair.")
+      .def_rw("record_contacts", &SimulatorOptions::record_contacts);
+}
+
 }  // namespace
 
 void expose_simulator(nb::module_& m) {
+  expose_options(m);
   nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.");
   nb::class_<Simulator>(m, "Simulator", nb::type_slots(simulator_slots))
-      .def(
-          "__init__",
-          [](Simulator* self, const Scene& scene, double dt, double tol, int impact, long max_impacts_per_step,
-             int max_iterations, bool mhc_global, int order, bool dense, double dt_contact, int zeno,
-             bool stiff_support, int contact_points, bool record_contacts) {
-            if (order < 2 || order > 2 * kMaxStages || order % 2 != 0)
-              throw Error("expected an even order from 2 to 16");
-            new (self) Simulator(
-                scene, {dt, tol, static_cast<ImpactMap>(impact), mhc_global ? MhcReference::kRun : MhcReference::kStep,
-                        max_iterations, max_impacts_per_step, order / 2, dense, dt_contact, zeno != 0, stiff_support,
-                        contact_points, record_contacts});
-          },
-          "scene"_a, "dt"_a, "tol"_a = 1e-12, "impact"_a = 0, "max_impacts_per_step"_a = 100000,
-          "max_iterations"_a = 50, "mhc_global"_a = false, "order"_a = 2, "dense"_a = false, "dt_contact"_a = 0.0,
-          "zeno"_a = 0, "stiff_support"_a = false, "contact_points"_a = 4, "record_contacts"_a = true,
-          nb::keep_alive<1, 2>())
-      .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0, "Status fields as a dict.")
+      .def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())
+      .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0,
+           "Put the system to (q, v) at t [s]; return the fields of the status.")
       .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
            "target"_a = nb::none(),
-           "Run; the interpreter lock is released. Nodes, events, statistics and status as a dict.")
+           "Make steps without the interpreter lock; return nodes, events, statistics and status.")
       .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(),
-           "Run with a step chosen per smooth arc; level [m; rad] bounds what the stage polynomials leave out.")
+           "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out.")
       .def(
-          "save", [](Simulator& sim) { return Kept{sim.save(), &sim.scene()}; }, "A snapshot to go back to.")
+          "save", [](Simulator& sim) { return Kept{sim.save(), &sim.scene()}; }, "Return a snapshot to go back to.")
       .def(
           "load",
           [](Simulator& sim, const Kept& kept) {
             if (kept.scene != &sim.scene()) throw Error("the snapshot is of another scene");
             sim.restore(*kept.snapshot);
           },
-          "snapshot"_a, "Go back; what follows has the same digits.")
+          "snapshot"_a, "Go back to a snapshot; what follows is equal to the bit.")
       .def_prop_ro("t", &Simulator::time)
-      .def_prop_ro("q", [](const Simulator& sim) { return hand_over(VecX(sim.q())); })
-      .def_prop_ro("p", [](const Simulator& sim) { return hand_over(converted(sim.scene().tree, sim.q(), sim.p())); })
-      .def_prop_ro("v", &current_velocity);
+      .def_prop_ro(
+          "q", [](const Simulator& sim) { return hand_over(VecX(sim.q())); }, nb::rv_policy::automatic)
+      .def_prop_ro(
+          "p", [](const Simulator& sim) { return hand_over(converted(sim.scene().tree, sim.q(), sim.p())); },
+          nb::rv_policy::automatic)
+      .def_prop_ro("v", &current_velocity, nb::rv_policy::automatic);
 }
 
 }  // namespace contactvi

@@ -1,4 +1,4 @@
-// Calls of the user's Python functions from the engine, where no exception may pass: the first one is kept.
+// Calls of the user's Python functions from the engine. No exception may pass through it, so the first one is kept.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -10,7 +10,7 @@
 
 namespace contactvi {
 
-// The Python functions that a scene calls. Held here, where the garbage collector can see them, since they like to hold
+// The Python functions that a scene calls. They stand where the garbage collector can see them, because they often hold
 // the scene in turn.
 struct UserFunctions : UserCalls {
   std::vector<nanobind::object> list;
@@ -18,19 +18,19 @@ struct UserFunctions : UserCalls {
 
 class UserErrors {
  public:
-  // Keeps the exception under way, if it is the first; the interpreter lock is held.
+  // Keeps the present exception if it is the first one. The caller has the interpreter lock.
   static void keep(nanobind::python_error& error);
   static bool any() { return !kept().is_none(); }
-  // The exception object kept, None if there is none; nothing is kept afterwards.
+  // Returns the exception object that was kept, None without one, and forgets it.
   static nanobind::object take();
-  // Raises what is kept.
+  // Raises the exception that was kept, if there is one.
   static void raise();
 
  private:
   static nanobind::object& kept();
 };
 
-// Slots of the type Scene for the garbage collector.
+// The slots by which the garbage collector visits a Scene.
 extern PyType_Slot scene_slots[];
 
 }  // namespace contactvi

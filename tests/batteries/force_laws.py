@@ -109,7 +109,7 @@ def work_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
     if not b.inputs:
         yield from worst("input without any", np.abs(work.input), 0.0, traj.t)
     if not b.driven:
-        yield from worst("work of a prescribed motion without any", np.abs(work.drive), 1e-9 * size, traj.t)
+        yield from worst("work of a prescribed motion without any", np.abs(work.prescribed), 1e-9 * size, traj.t)
 
 
 def rest_laws(traj: cvi.Trajectory) -> Iterator[Finding]:

@@ -36,7 +36,7 @@ def examine(family: str, seed: int, **chosen: Any) -> Report:
     if stats.seconds > SLOW * (stats.steps + 1):
         found.append(f"slow: {1e3 * stats.seconds / (stats.steps + 1):.3g} ms a step")
     return Report(
-        str(drawn), traj.status.code.name, found, traj.status.time, len(traj.events), stats.held_steps, seconds
+        str(drawn), traj.status.code.name, found, traj.status.time, len(traj.events), stats.contact_steps, seconds
     )
 
 

@@ -51,7 +51,7 @@ def examine(family: str, seed: int, **chosen: Any) -> Report:
     found += [str(f) for f in energy_laws.energy_laws(traj, options.get("dt_contact", options["dt"]))]
     if status.code.name not in ALLOWED_STATUSES[options["impact"]]:
         found.insert(0, str(status))
-    seconds, contact_steps = time.perf_counter() - start, traj.stats.held_steps
+    seconds, contact_steps = time.perf_counter() - start, traj.stats.contact_steps
     return Report(str(drawn), status.code.name, found, status.time, len(traj.events), contact_steps, seconds)
 
 

@@ -129,7 +129,7 @@ def test_violent(name):
     found = [*force_laws.constraint_laws(traj), *force_laws.restitution_laws(traj)]
     found += contact_laws.gap_laws(traj)
     assert not found, [str(f) for f in found]
-    if not np.any(traj.work.drive):
+    if not np.any(traj.work.prescribed):
         assert traj.energy.max() <= traj.energy[0] + 1e-2 * force_laws.energy_scale(traj)
     assert traj.stats.seconds < force_runner.SLOW * traj.stats.steps
 

@@ -14,7 +14,7 @@ import pytest
 
 from batteries.models import CASES, FREE_FLOATING, case, springs_of
 from helpers import laws
-from helpers.engine import advance, core_scene, stepper
+from helpers.engine import advance, core_scene, simulator, stepper
 from oracles.del_step import System
 from oracles.modified_energy import modified_energy
 from oracles.momentum_maps import spatial_momentum
@@ -213,12 +213,10 @@ def test_damping_takes_energy(case):
 
 
 def test_steps_without_pairs_look_at_no_geometry():
-    from contactvi import _core
-
     _, scene, _, q, v, _ = setup("double_pendulum")
-    simulator = _core.Simulator(scene, 1e-2)
-    simulator.reset(q, v, 0.0)
-    stats = simulator.advance(100, None, 1, None)["stats"]
+    run = simulator(scene, 1e-2)
+    run.reset(q, v, 0.0)
+    stats = run.advance(100, None, 1, None)["stats"]
     assert (stats["guards_evaluated"], stats["guards_skipped"], stats["impacts"], stats["steps"]) == (0, 0, 0, 100)
 
 

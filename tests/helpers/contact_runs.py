@@ -75,8 +75,8 @@ def sliding_box(**changes: np.ndarray) -> cvi.Trajectory:
     )  # for the fields that do not matter here
     return cvi.Trajectory(
         scene, cvi.Options(dt=STEP, duration=SPAN), t, q, p, flight.events,
-        cvi.Status(cvi.StatusCode.SUCCESS, "the run reached its end", SPAN), cvi.Stats(steps=50, held_steps=50),
+        cvi.Status(cvi.StatusCode.SUCCESS, "the run reached its end", SPAN), cvi.Stats(steps=50, contact_steps=50),
         contacts=ContactLog({**contact_arrays(scene), **changes}, *names),
         changes=ChangeLog({name: changed[name].astype(kind) for name, (_, kind) in CHANGE_FIELDS.items()}, *names),
-        phases={"t": np.zeros(1), "dt": np.array([STEP]), "held": np.ones(1)},
+        phases={"t": np.zeros(1), "dt": np.array([STEP]), "persistent": np.ones(1)},
     )  # fmt: skip

@@ -30,15 +30,21 @@ def core_scene(model: pin.Model, stiffness=None, rest=None, damping=None):
     )
 
 
-def _order(order: int) -> dict[str, int]:
-    return {} if order == 2 else {"order": order}  # order 2 is the default
+def simulator(scene, dt: float, **options):
+    """The engine's simulator with steps dt [s] and fields of _core.SimulatorOptions."""
+    from contactvi import _core
+
+    settings = _core.SimulatorOptions()
+    for name, value in {"dt": dt, **options}.items():
+        setattr(settings, name, value)
+    return _core.Simulator(scene, settings)
 
 
 def stepper(scene, h: float, tau=None, tol: float = 1e-13, order: int = 2):
     """(q0, p0) -> (q1, p1) of the engine's smooth step, in the signature of tests/helpers/laws.py."""
 
     def step(q, p):
-        q1, p1, *_ = scene.step(q, p, h, tau, tol, **_order(order))
+        q1, p1, *_ = scene.step(q, p, h, tau, tol, order)
         return q1, p1
 
     return step
@@ -46,12 +52,10 @@ def stepper(scene, h: float, tau=None, tol: float = 1e-13, order: int = 2):
 
 def advance(scene, model: pin.Model, q, v, h: float, steps: int, every: int = 1, tau=None, tol=1e-13, order: int = 2):
     """Nodes (t, q, p) of a run through the event loop; fails unless the status is SUCCESS."""
-    from contactvi import _core
-
-    simulator = _core.Simulator(scene, h, tol, **_order(order))
-    start = simulator.reset(q, v, 0.0)
+    run = simulator(scene, h, tol=tol, order=order)
+    start = run.reset(q, v, 0.0)
     assert start["code"] == 0, start["message"]
     forces = None if tau is None else np.tile(tau, (steps, 1))
-    result = simulator.advance(steps, forces, every, None)
+    result = run.advance(steps, forces, every, None)
     assert result["code"] == 0, result["message"]
     return result["t"], result["q"], result["p"]

@@ -13,6 +13,7 @@ import pinocchio as pin
 from batteries.models import Builder, case
 from contactvi.records import events as event_log
 from helpers.contact_models import geometry, halfspace, place
+from helpers.engine import simulator
 from helpers.run_scenes import HAND_URDF
 from oracles import ctec_oracle, dtec_mhc
 from oracles.del_step import System
@@ -21,22 +22,22 @@ from oracles.modified_energy import modified_energy
 METHODS = ("ctec", "dtec", "mhc")
 
 
-def start(scene, q, v, h: float, method: str, **options):
+def start(scene, q, v, h: float, method: str, mhc_global: bool = False, **options):
     """The engine's simulator, set to (q, v) at t = 0."""
     from contactvi import _core
 
-    simulator = _core.Simulator(scene.core(), h, impact=METHODS.index(method), **options)
-    status = simulator.reset(np.asarray(q, float), np.asarray(v, float), 0.0)
+    reference = _core.MhcReference.GLOBAL if mhc_global else _core.MhcReference.LOCAL
+    found = simulator(scene.core(), h, impact=_core.ImpactMap[method.upper()], mhc_reference=reference, **options)
+    status = found.reset(np.asarray(q, float), np.asarray(v, float), 0.0)
     assert status["code"] == 0, status["message"]
-    return simulator
+    return found
 
 
 def run(scene, q, v, duration: float, h: float, method: str, every: int = 1, **options) -> SimpleNamespace:
     """Nodes t, q, p, events (list and arrays `log`), code, message and stats of a run of the engine from (q, v)."""
-    simulator = start(scene, q, v, h, method, **options)
-    result = simulator.advance(max(1, round(duration / h)), None, every, None)
+    result = start(scene, q, v, h, method, **options).advance(max(1, round(duration / h)), None, every, None)
     found = result.pop("events")
-    log = event_log.join([] if found is None else [found], scene.nq, scene.nv)
+    log = event_log.joined([] if found is None else [found], scene.nq, scene.nv)
     events = [SimpleNamespace(**{k: a[i] for k, a in log.items()}) for i in range(len(log["time"]))]
     return SimpleNamespace(**result, events=events, log=log, h=h, method=method)
 

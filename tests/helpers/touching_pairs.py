@@ -9,7 +9,8 @@ import pinocchio as pin
 from contactvi import _core
 from helpers.engine import buffer
 
-WITNESS, VERTEX, RIM, EDGE = 0, 1, 2, 4
+WITNESS, VERTEX = _core.PointKind.WITNESS, _core.PointKind.VERTEX
+RIM, EDGE = _core.PointKind.RIM, _core.PointKind.EDGE
 ROUNDING = 1e-3  # of polytopes against polytopes [m]
 SLACK = 3e-11
 Z = np.array([0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""Lasting contact as the face shows it: options, the log of contacts, its ledger, files, pictures, words.
+"""Persistent contact in the Python API: options, the log of contacts, its ledger, files, pictures, words.
 
 Most of it is tested on a run made by hand (helpers/contact_runs.py), whose forces have closed forms.
 """
@@ -16,7 +16,7 @@ from contactvi.inputs import CONTACT_DT
 from contactvi.playback import force_arrows
 from contactvi.playback.page import make_html
 from contactvi.records import events
-from contactvi.simulation.tolerances import Watch
+from contactvi.simulation.tolerances import LedgerWatch
 from contactvi.trajectory import polynomials as dense
 from helpers.contact_runs import CORNERS, GRAVITY, MASS, MU, SPAN, SPEED, STEP, STOP, box_scene, sliding_box
 from helpers.run_scenes import ball_file, ball_scene, slider_scene
@@ -55,7 +55,7 @@ def test_defaults():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"dt_contact": 0.0}, "dt_contact is not usable: expected the step in contact in seconds, > 0"),
         ({"dt_contact": math.nan}, "dt_contact is not usable"),
@@ -71,8 +71,8 @@ def test_defaults():
         ({"record_contacts": "yes"}, "record_contacts is not usable: expected True or False"),
     ],
 )
-def test_what_is_no_option(given, said):
-    with pytest.raises(cvi.InputError, match=re.escape(said)):
+def test_what_is_no_option(given, message):
+    with pytest.raises(cvi.InputError, match=re.escape(message)):
         cvi.Options(dt=0.01, **given)
 
 
@@ -153,7 +153,7 @@ def test_a_run_without_contacts():
     assert traj.phases is None
     assert np.all(traj.friction_loss == 0.0)
     assert force_arrows.forces_of(traj, traj.t) is None
-    assert "contacts held" not in traj.stepping
+    assert "persistent contact" not in traj.stepping
 
 
 def test_changes(box):
@@ -168,10 +168,12 @@ def test_changes(box):
 
 def test_which_step_was_taken_where():
     box = sliding_box()
-    assert box.stepping == "order 2, dt = 0.02 s, contacts held for 1 s"
+    assert box.stepping == "order 2, dt = 0.02 s, persistent contact for 1 s"
     box.options = cvi.Options(dt=0.02, duration=1.0, order=8)
-    box.phases = {"t": np.array([0.0, 0.25, 0.75]), "dt": np.array([0.02, 1e-3, 0.02]), "held": np.array([0, 1.0, 0])}
-    assert box.stepping == "order 8, dt = 0.02 s, contacts held for 0.5 s with order 2, dt = 0.001 s"
+    box.phases = {
+        "t": np.array([0.0, 0.25, 0.75]), "dt": np.array([0.02, 1e-3, 0.02]), "persistent": np.array([0, 1.0, 0])
+    }  # fmt: skip
+    assert box.stepping == "order 8, dt = 0.02 s, persistent contact for 0.5 s with order 2, dt = 0.001 s"
 
 
 # -- the ledger -------------------------------------------------------------------------------------------------------
@@ -184,7 +186,7 @@ def test_the_ledger_of_the_box(box):
     assert np.all(ledger.contacts.complementarity == 0.0)
     assert ledger.contacts.impulse == pytest.approx(np.full(200, 0.25 * MASS * GRAVITY * STEP), rel=8 * EPS)
     assert ledger.energy_rise.max() <= 8 * EPS * ledger.energy[0]
-    assert ledger.held[:-1].all()
+    assert ledger.persistent[:-1].all()
 
 
 def test_friction_takes_the_energy(box):
@@ -201,10 +203,10 @@ def damaged(**changes):
     """The name of the first tolerance that a damaged run of the box exceeds, at 1e-9, and when."""
     box = sliding_box(**changes)
     names = ("gap", "impulse", "complementarity", "impulse_balance", "energy_rise")
-    return Watch(dict.fromkeys(names, 1e-9)).check(box.ledger)
+    return LedgerWatch(dict.fromkeys(names, 1e-9)).check(box.ledger)
 
 
-def test_tolerances_of_held_contacts(box):
+def test_tolerances_of_persistent_contacts(box):
     assert damaged() is None
     arrays = box.contacts.arrays
     gap = arrays["gap"].copy()
@@ -220,7 +222,7 @@ def test_tolerances_of_held_contacts(box):
     assert damaged(end=end, start=start).name == "impulse"
     rising = sliding_box()
     rising.p[:, 0] = -rising.p[::-1, 0]
-    assert Watch({"energy_rise": 1e-9}).check(rising.ledger).name == "energy_rise"
+    assert LedgerWatch({"energy_rise": 1e-9}).check(rising.ledger).name == "energy_rise"
 
 
 def test_tolerances_that_need_a_run_without_inputs():
@@ -241,20 +243,18 @@ def test_what_several_points_or_friction_change_is_measured():
     """The formula of one point without friction stays where it holds; elsewhere T(p_plus) - T(p_minus)."""
     traj = cvi.simulate(ball_scene(restitution=0.8), duration=2.0, dt=1e-2)
     arrays = traj.events.arrays
-    old = {name: values for name, values in arrays.items() if name not in ("loss", "energy_change")}
     asked = []
 
     def kinetic_energy(q, p):
         asked.append(len(q))
         return np.asarray(traj._engine().energy(q, p))[:, 0]
 
-    plain = {name: old[name] for name in old if name not in ("impulse_vector", "points", "friction")}
-    found = events.with_energy_change(plain, kinetic_energy)
+    found = events.with_energy_change(arrays, kinetic_energy)
     assert not asked
     np.testing.assert_array_equal(found["points"], 1)
     assert found["energy_change"] == pytest.approx(-found["loss"], rel=1e-13)
-    assert found["impulse_vector"] == pytest.approx(found["impulse"][:, None] * found["normal"], abs=0.0)
-    rough = old | {"friction": np.full(len(traj.events), 0.3)}
+    assert found["impulse_vector"] == pytest.approx(found["impulse"][:, None] * found["normal"], abs=1e-15)
+    rough = arrays | {"friction": np.full(len(traj.events), 0.3)}
     found = events.with_energy_change(rough, kinetic_energy)
     assert asked == [len(traj.events)] * 2
     assert found["energy_change"] == pytest.approx(arrays["energy_change"], abs=1e-12)
@@ -263,7 +263,7 @@ def test_what_several_points_or_friction_change_is_measured():
 # -- states between the nodes -----------------------------------------------------------------------------------------
 
 
-def test_held_segments_are_evaluated_by_their_polynomials(monkeypatch):
+def test_segments_in_contact_are_evaluated_by_their_polynomials(monkeypatch):
     asked = []
 
     def states(core, segments, times, order, exact):
@@ -273,7 +273,7 @@ def test_held_segments_are_evaluated_by_their_polynomials(monkeypatch):
     monkeypatch.setattr(dense, "engine_states", states)
     count = 4
     arrays = {name: np.zeros((count, 1)) for name in ("q", "p", "p1", "rates")}
-    arrays |= {"t": np.arange(4.0), "h": np.ones(4), "held": np.array([0, 1.0, 1.0, 0])}
+    arrays |= {"t": np.arange(4.0), "h": np.ones(4), "persistent": np.array([0, 1.0, 1.0, 0])}
     segments = dense.Segments(arrays, 2)
     q, v = segments.states(None, np.array([0.5, 1.5, 2.9, 3.0, -0.1]), exact=True)
     assert asked == [([1.5, 2.9], False), ([0.5, 3.0, -0.1], True)]
@@ -312,14 +312,14 @@ def test_a_ball_comes_to_rest(order, impact):
     assert force[10:, 2] == pytest.approx(np.full(len(force) - 10, weight), rel=1e-9)
     assert traj.contacts.impulse_on("ball")[2] == pytest.approx(3.0 * weight, rel=1e-9)
     assert np.nanmax(traj.ledger.impulse_balance) <= 1e-12
-    assert traj.phases["held"].tolist() == [0.0, 1.0]
+    assert traj.phases["persistent"].tolist() == [0.0, 1.0]
     assert traj.phases["dt"][1] == (1e-2 if order == 2 else CONTACT_DT)
     assert traj.ledger.contacts.gap == pytest.approx(0.0, abs=1e-10)
     assert np.abs(traj.ledger.contacts.complementarity).max() <= 1e-12
     ended = [change for change in traj.contact_changes if change.change == "bouncing ended"]
     assert ended[0].value == pytest.approx(3.0 * math.sqrt(2.0 / GRAVITY), abs=1e-9)
     assert traj.at(2.345).q == pytest.approx(traj.q[-1], abs=1e-9)
-    assert traj.stats.held_steps > 100
+    assert traj.stats.contact_steps > 100
     assert len(make_html(traj)) > 500_000
 
 
@@ -333,7 +333,7 @@ def test_a_ball_that_is_lifted(block):
         sim.run(block, up if 28 <= k < 42 else None)
     traj = sim.trajectory()
     assert traj.phases["t"] == pytest.approx([0.0, 0.28], abs=1e-12)
-    assert traj.phases["held"].tolist() == [1.0, 0.0]
+    assert traj.phases["persistent"].tolist() == [1.0, 0.0]
     assert traj.contact_changes[-1].change == "release"
     assert traj.contact_changes[-1].time == pytest.approx(0.28, abs=1e-9)
     height = 0.5 * GRAVITY * 0.14**2 + GRAVITY * 0.14 * 0.07 - 0.5 * GRAVITY * 0.07**2
@@ -350,7 +350,7 @@ def test_nothing_is_kept_where_not_wanted():
     traj = cvi.simulate(ball_scene(restitution=0.0), duration=0.8, dt=1e-2, record_contacts=False)
     assert len(traj.contacts) == 0
     assert traj.phases is not None
-    assert "contacts held" in traj.stepping
+    assert "persistent contact" in traj.stepping
 
 
 def test_endings():
@@ -369,7 +369,7 @@ def test_auto_measures_runs_that_come_to_rest():
     """The motion is known: bounces, then rest; more or fewer impacts before it do not confuse the estimate."""
     traj = cvi.simulate(ball_scene(restitution=0.5), duration=3.0)
     assert traj.error_estimate <= 1e-6
-    assert traj.phases["held"][-1] == 1.0
+    assert traj.phases["persistent"][-1] == 1.0
     assert traj.phases["dt"][-1] <= 1e-2
     longest = cvi.simulate(ball_scene(restitution=0.5), duration=3.0, dt="auto", dt_contact=2e-4)
     assert longest.phases["dt"][-1] <= 2e-4

@@ -1,4 +1,4 @@
-"""dt = "auto": q is as accurate as asked, the estimate says so honestly, and what cannot be met is said."""
+"""dt = "auto": q is as accurate as asked, the estimate is honest, and what cannot be met is reported."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_the_accuracy_asked_for_is_met(name, tol, exact):
     assert error(traj, exact[name]) <= tol
     assert traj.error_estimate <= tol
     # An estimate, from two runs: it may miss, but not by an order. (At 1e-3 the engine's level is capped, steps are
-    # as long as their sweeps converge, and the law of the error is not yet seen: only the promise counts.)
+    # as long as their stage iterations converge, and the law of the error is not yet seen: only the promise counts.)
     if tol < 1e-3:
         assert traj.error_estimate >= 0.1 * error(traj, exact[name]) - 1e-12
 
@@ -106,19 +106,19 @@ def test_more_accuracy_takes_shorter_steps(exact):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_steps_are_constant_on_arcs(name):
-    """All steps of an arc have its length but the last one, which ends at the impact or at the end of the run."""
+def test_steps_are_constant_between_impacts(name):
+    """Between two changes all steps have one length, but for the last one, which ends at an impact or with the run."""
     make, span = SCENES[name]
     traj = cvi.simulate(make(), duration=span)
     assert traj.options.dt == "auto"
     assert traj.t[0] == 0.0
     assert traj.t[-1] == pytest.approx(span, abs=EPS * span)
     assert np.all(np.diff(traj.t) > 0)
-    assert traj.stats.steps >= len(traj.arcs["t"])
-    assert traj.arcs["t"][0] == 0.0
-    assert np.all(np.diff(traj.arcs["t"]) > 0)
-    ends = np.append(traj.arcs["t"][1:], traj.t[-1])
-    for begin, end, dt in zip(traj.arcs["t"], ends, traj.arcs["dt"], strict=True):
+    assert traj.stats.steps >= len(traj.adaptive_steps["t"])
+    assert traj.adaptive_steps["t"][0] == 0.0
+    assert np.all(np.diff(traj.adaptive_steps["t"]) > 0)
+    ends = np.append(traj.adaptive_steps["t"][1:], traj.t[-1])
+    for begin, end, dt in zip(traj.adaptive_steps["t"], ends, traj.adaptive_steps["dt"], strict=True):
         nodes = traj.t[(traj.t > begin) & (traj.t < end - 1e-9)]
         assert np.diff(nodes) == pytest.approx(np.full(max(0, len(nodes) - 1), dt), rel=1e-9)
 
@@ -188,7 +188,7 @@ def test_samples():
     free = cvi.simulate(wall(), duration=3.0)
     assert traj.t == pytest.approx(0.01 * np.arange(301), abs=1e-12)
     assert traj.q == pytest.approx(free.at(traj.t).q, abs=1e-13)
-    np.testing.assert_array_equal(traj.arcs["dt"], free.arcs["dt"])
+    np.testing.assert_array_equal(traj.adaptive_steps["dt"], free.adaptive_steps["dt"])
 
 
 def test_without_polynomials():
@@ -268,8 +268,8 @@ def test_a_global_reference_with_damping_is_refused():
         cvi.simulate(scene, duration=1.0, dt="auto", impact="mhc", mhc_reference="global")
 
 
-def test_progress_comes_with_short_arcs_too():
-    """A ball that bounces for four hours: every arc is a few steps, the whole is long enough for reports."""
+def test_progress_comes_with_many_impacts_too():
+    """A ball that bounces for four hours: few steps between impacts, and long enough for reports."""
     scene, q0 = falling_ball(1.0, 0.5)
     calls: list[tuple[float, int]] = []
     traj = cvi.simulate(scene, q0, duration=15_000.0, dt="auto", progress=lambda t, n: calls.append((t, n)))
@@ -293,7 +293,7 @@ def test_round_trip(tmp_path):
     assert loaded.options == traj.options
     assert loaded.error_estimate == traj.error_estimate
     for name in ("t", "dt"):
-        np.testing.assert_array_equal(loaded.arcs[name], traj.arcs[name])
+        np.testing.assert_array_equal(loaded.adaptive_steps[name], traj.adaptive_steps[name])
     assert loaded.stepping == traj.stepping
     assert "order 16, dt = " in traj.stepping
     assert "(auto), error of q about " in traj.stepping

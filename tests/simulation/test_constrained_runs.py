@@ -1,4 +1,4 @@
-"""Runs with constraints through the face: residuals, reactions, works, files; prescribed joints and mimic tags."""
+"""Runs with constraints in the Python API: residuals, reactions, works, files; prescribed joints and mimic tags."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_a_distance_is_a_pendulum():
     lowest = np.argmin(traj.q[:1000, 2])
     assert traj.q[lowest, :3] == pytest.approx([0, 0, -1], abs=5e-3)
     assert traj.reactions("rod")[lowest, 0] == pytest.approx(-3.0 * 9.81, rel=1e-3)  # released from the side
-    assert traj.work.drive == pytest.approx(np.zeros(2001), abs=1e-12)
+    assert traj.work.prescribed == pytest.approx(np.zeros(2001), abs=1e-12)
 
 
 def test_redundant_loops_run():
@@ -102,7 +102,7 @@ def test_a_screw_drives_a_nut():
     assert residuals(traj) <= PHI
 
 
-# -- drives -----------------------------------------------------------------------------------------------------------
+# -- prescribed motions -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", ["function", "rates", "all", "table"])
@@ -121,7 +121,7 @@ def test_a_prescribed_joint_is_where_it_should_be(form):
     assert residuals(traj) <= PHI
 
 
-def test_the_reaction_of_a_drive_is_the_torque_of_inverse_dynamics():
+def test_the_reaction_of_a_prescribed_joint_is_the_torque_of_inverse_dynamics():
     scene = arm_scene(1)
     scene.prescribe("j1", crank, name="crank")
     errors = []
@@ -134,27 +134,27 @@ def test_the_reaction_of_a_drive_is_the_torque_of_inverse_dynamics():
     assert math.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.3)
 
 
-def test_the_drive_pays_for_the_energy():
+def test_the_prescribed_motion_does_the_work():
     scene = arm_scene(2)
     scene.prescribe("j1", crank)
     scene.set_joint("j2", damping=0.1)
     worst = []
     for dt in (4e-3, 2e-3):
         traj = cvi.simulate(scene, duration=2.0, dt=dt)
-        assert np.ptp(traj.work.drive) > 0.1
+        assert np.ptp(traj.work.prescribed) > 0.1
         assert np.all(np.diff(traj.work.damping) >= 0.0)
         worst.append(np.abs(traj.ledger.energy_balance).max())
     assert math.log2(worst[0] / worst[1]) == pytest.approx(2.0, abs=0.3)
 
 
-def test_a_driven_length_lifts():
+def test_a_prescribed_length_lifts():
     scene = cvi.Scene()
     scene.add_sphere("load", 0.05, mass=2.0, placement=(0, 0, 0))
     scene.add_distance("world", "load", (0, 0, 2.0), length=lambda t: (2.0 - 0.5 * t, -0.5, 0.0), name="winch")
     traj = cvi.simulate(scene, duration=1.0, dt=1e-3)
     assert traj.q[:, 2] == pytest.approx(0.5 * traj.t, abs=PHI)
     assert traj.reactions("winch")[5:, 0] == pytest.approx(np.full(996, -2.0 * 9.81), abs=1e-6)
-    assert traj.work.drive[-1] == pytest.approx(2.0 * 9.81 * 0.5, rel=1e-6)
+    assert traj.work.prescribed[-1] == pytest.approx(2.0 * 9.81 * 0.5, rel=1e-6)
 
 
 def test_a_motion_that_fails_ends_the_run_by_name():
@@ -184,7 +184,7 @@ def test_a_motion_out_of_reach_is_named():
         cvi.simulate(winch, winch.assemble(), duration=1.0, dt=1e-3)
 
 
-def test_drives_that_part_are_named():
+def test_motions_that_contradict_each_other_are_named():
     scene = arm_scene(1)
     scene.prescribe("j1", 0.0, name="a")
     scene.prescribe("j1", lambda t: max(0.0, t - 0.5) ** 3, name="b")
@@ -230,20 +230,20 @@ def test_a_quadratic_gear():
     assert traj.q[:, 1] == pytest.approx(0.1 + 0.5 * q - 0.3 * q**2, abs=PHI)
 
 
-# -- dry friction -----------------------------------------------------------------------------------------------------
+# -- joint friction ---------------------------------------------------------------------------------------------------
 
 
-def test_dry_friction_holds_exactly_and_slips():
+def test_joint_friction_sticks_exactly_and_slips():
     scene = arm_scene(1)
     weight = 9.81 * 0.5 * BAR
     scene.set_joint("j1", friction=1.01 * weight)
-    held = cvi.simulate(scene, duration=1.0, dt=1e-3)
-    assert np.abs(held.q).max() <= 1e-12
+    stuck = cvi.simulate(scene, duration=1.0, dt=1e-3)
+    assert np.abs(stuck.q).max() <= 1e-12
     scene.set_joint("j1", friction=0.4 * weight)
     traj = cvi.simulate(scene, duration=1.0, dt=1e-3)
     assert traj.q[-1, 0] > 0.1
-    assert traj.work.dry[-1] > 0.1
-    assert np.all(np.diff(traj.work.dry) >= -1e-14)
+    assert traj.work.joint_friction[-1] > 0.1
+    assert np.all(np.diff(traj.work.joint_friction) >= -1e-14)
     assert np.abs(traj.ledger.energy_balance).max() < 1e-4
     fell = 0.5 * (BAR**2 / 12.0 + 0.25 * BAR**2) * traj.v[100, 0] ** 2
     angle = traj.q[100, 0]
@@ -310,4 +310,4 @@ def test_sampled_and_thinned_runs_keep_their_means():
     wanted = full.reactions("crank")[1:].reshape(10, 10, 1).mean(axis=1)
     for traj in (thin, sampled):
         assert traj.reactions("crank")[1:] == pytest.approx(wanted, rel=1e-9)
-        assert traj.work.drive == pytest.approx(full.work.drive[::10], abs=1e-12)
+        assert traj.work.prescribed == pytest.approx(full.work.prescribed[::10], abs=1e-12)

@@ -1,8 +1,10 @@
-"""Runs with springs, wrenches, functions of the user: closed forms, equal laws said in two ways, named errors."""
+"""Runs with springs, wrenches, functions of the user: closed forms, one law given in two ways, named errors."""
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 
 import coal
 import numpy as np
@@ -185,7 +187,7 @@ def test_a_tape_is_as_long_as_its_line():
     assert energy == pytest.approx(9.81 * (-0.2 + 0.1) + 50.0 * stretch**2, abs=1e-13)
 
 
-# -- the same said twice ---------------------------------------------------------------------------------------------
+# -- one law given in two ways ----------------------------------------------------------------------------------------
 
 
 def start(scene: cvi.Scene) -> np.ndarray:
@@ -285,8 +287,8 @@ def test_the_tangent_of_free_bodies():
     assert np.ptp(traj.energy) < 1e-12
 
 
-def test_a_drive_bears_the_friction_of_what_it_drags():
-    """Dry friction of the driven joint, and a ball that is dragged without turning: both in the drive's force."""
+def test_a_prescribed_motion_bears_the_friction_of_what_it_drags():
+    """Friction of the driven joint, and of a ball that is dragged without turning: both are in the reaction."""
     model = pin.Model()
     slide = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
     lift = model.addJoint(slide, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
@@ -299,9 +301,23 @@ def test_a_drive_bears_the_friction_of_what_it_drags():
     scene.add_halfspace(offset=-0.1)
     scene.set_contact(restitution=0.0, friction=0.4)
     scene.set_joint("slide", friction=1.5)
-    scene.prescribe("slide", lambda t: (t, 1.0, 0.0), name="drive")
+    scene.prescribe("slide", lambda t: (t, 1.0, 0.0), name="motion")
     traj = cvi.simulate(scene, duration=0.1, dt=1e-3)
-    assert traj.reactions("drive")[5:, 0] == pytest.approx(0.4 * 9.81 + 1.5, abs=1e-9)
-    assert traj.work.dry[-1] == pytest.approx(1.5 * 0.1, abs=1e-9)
+    assert traj.reactions("motion")[5:, 0] == pytest.approx(0.4 * 9.81 + 1.5, abs=1e-9)
+    assert traj.work.joint_friction[-1] == pytest.approx(1.5 * 0.1, abs=1e-9)
     assert np.abs(traj.ledger.energy_balance).max() < 1e-9
     assert traj.ledger.constraint_residual.max() <= 1e-12
+
+
+def test_a_scene_that_its_own_functions_hold_is_freed():
+    """The scene keeps what its runs need, the engine keeps the functions, and these keep the scene: a cycle."""
+
+    def run() -> weakref.ref:
+        scene = ball_scene()
+        scene.add_force(lambda t, q, v: np.zeros(scene.nv))
+        cvi.simulate(scene, duration=0.02, dt=0.01)
+        return weakref.ref(scene)
+
+    found = run()
+    gc.collect()
+    assert found() is None

@@ -14,7 +14,7 @@ from helpers.persistent_runs import check_contacts
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 GRAVITY, MASS, RADIUS, MU, RESTITUTION = 9.81, 0.1, 0.03, 0.8, 0.3
-OMEGA = 2 * np.pi * 10.0  # of the springs with their links [1/s], as the file says
+OMEGA = 2 * np.pi * 10.0  # of the springs with their links [1/s], as in the file
 BALL = slice(16, 22)  # in v: the hand's 16 joints come first
 SLOPE, PALM_TOP = 0.4, 0.0204  # the fingers are lowered by this angle [rad]; the palm's surface over its centre [m]
 # The start as it is, and moved sideways [m]: a law of contact that holds by luck of one start is none.
@@ -81,7 +81,7 @@ def test_laws_of_contact(start):
     """Every row: gap, signs, complementarity, cone and sticking; every impact within the cone, losing energy."""
     traj = run(start)
     log = traj.contacts
-    check_contacts(traj, MU)  # held: |gap| <= 1e-10, impulses >= 0, |gap impulse| <= 1e-12
+    check_contacts(traj, MU)  # persistent: |gap| <= 1e-10, impulses >= 0, |gap impulse| <= 1e-12
     assert np.abs(log.array("gap")[log.h > 0.0]).max() <= 1e-10
     assert (log.normal_impulse >= 0.0).all()
     assert np.abs(log.array("gap") * log.normal_impulse).max() <= 1e-12

@@ -135,7 +135,7 @@ def test_contact_forces_carry_the_weight(steps):
     assert ground.force == pytest.approx([0, 0, -2.0 * G], abs=1e-7)
 
 
-def test_contacts_are_those_held_now():
+def test_contacts_are_those_of_the_last_step():
     scene, sim = resting_box()
     assert sim.contacts == []
     sim.step()

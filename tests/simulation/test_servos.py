@@ -1,4 +1,4 @@
-"""Servos, targets, actuator limits: bad input, laws of PD, saturation, and targets said in several ways."""
+"""Servos, targets, actuator limits: bad input, laws of PD, saturation, and targets given in several ways."""
 
 from __future__ import annotations
 
@@ -84,12 +84,12 @@ def test_targets_said_in_several_ways():
     goal, rate = 0.3 * np.sin(5 * times), 1.5 * np.cos(5 * times)
     rows = np.column_stack([goal, 0 * goal, rate, 0 * goal])
     scene = servo_scene()
-    said = [
+    given = [
         rows,
         lambda t: [0.3 * math.sin(5 * t), 0.0, 1.5 * math.cos(5 * t), 0.0],
         {"j1": lambda t: (0.3 * math.sin(5 * t), 1.5 * math.cos(5 * t), 0.0)},
     ]
-    runs = [cvi.simulate(scene, duration=0.2, dt=1e-3, target=target).q for target in said]
+    runs = [cvi.simulate(scene, duration=0.2, dt=1e-3, target=target).q for target in given]
     for other in runs[1:]:
         assert other == pytest.approx(runs[0], abs=1e-12)
     own = arm_scene(2, gravity=False)

@@ -33,7 +33,7 @@ def test_round_trip(box, tmp_path):
         np.testing.assert_array_equal(loaded.contacts.array(name), box.contacts.array(name))
     for name in contacts.CHANGE_FIELDS:
         np.testing.assert_array_equal(loaded.contact_changes.array(name), box.contact_changes.array(name))
-    for name in ("t", "dt", "held"):
+    for name in ("t", "dt", "persistent"):
         np.testing.assert_array_equal(loaded.phases[name], box.phases[name])
     assert loaded.contacts.pairs == box.contacts.pairs
     assert loaded.stepping == box.stepping
@@ -62,28 +62,6 @@ def test_damaged_contacts_are_refused(box, tmp_path, change):
     np.savez(path, **entries)
     with pytest.raises(cvi.SceneError, match="Cannot read the run"):
         cvi.Trajectory.load(path)
-
-
-def test_a_run_of_schema_3_is_read(tmp_path):
-    traj = cvi.simulate(ball_scene(0.8), duration=1.0, dt=1e-2, dense=True)
-    path = traj.save(tmp_path / "run.npz")
-    with np.load(path) as file:
-        entries = {name: file[name] for name in file.files}
-    header = json.loads(str(entries["header"]))
-    header["schema"] = 3
-    for name in ("dt_contact", "zeno", "support", "contact_points", "record_contacts"):
-        del header["options"][name]
-    header["stats"] = {name: n for name, n in header["stats"].items() if not name.startswith(("held", "co"))}
-    new = ("impulse_vector", "points", "friction", "loss", "energy_change")
-    for name in [f"event/{name}" for name in new] + ["segment/held"]:
-        del entries[name]
-    entries = {name: values for name, values in entries.items() if name.partition("/")[0] not in ("contact", "change")}
-    np.savez(path, **entries | {"header": np.array(json.dumps(header))})
-    old = cvi.Trajectory.load(path)
-    assert old.events.array("loss") == pytest.approx(traj.events.array("loss"), rel=1e-13)
-    assert old.impact_energy == pytest.approx(traj.impact_energy, rel=1e-13)
-    assert old.at(0.333).q == pytest.approx(traj.at(0.333).q, abs=1e-12)
-    assert len(old.contacts) == 0
 
 
 # -- pictures ---------------------------------------------------------------------------------------------------------
@@ -155,10 +133,10 @@ def test_plot_of_the_forces(box, tmp_path):
     assert plots.save_force_plot(box, tmp_path / "forces.png").stat().st_size > 10_000
     h = box.contacts.h.copy()
     h[80:100] = 0.0
-    apart = plots.plot_forces(sliding_box(h=h)).axes[0].lines  # the line is broken where the box is not held
+    apart = plots.plot_forces(sliding_box(h=h)).axes[0].lines  # the line is broken where the box has no contact
     assert any(np.isnan(line.get_ydata()).sum() == 1 and len(line.get_ydata()) == 46 for line in apart)
     assert not any(len(line.get_ydata()) > 2 for line in plots.plot_forces(sliding_box(h=0.0 * h)).axes[0].lines)
-    plots.plot_forces(cvi.simulate(ball_scene(), duration=0.1, dt=0.01))  # nothing held: empty, no error
+    plots.plot_forces(cvi.simulate(ball_scene(), duration=0.1, dt=0.01))  # without contacts: empty, no error
 
 
 def test_what_lasts_no_time_has_no_force_to_show(box):
@@ -173,7 +151,7 @@ def test_what_lasts_no_time_has_no_force_to_show(box):
 
 
 def test_words_of_the_command_line(box):
-    text = "\n".join(f"{name} {said}" for name, said in summary(box))
+    text = "\n".join(f"{name} {value}" for name, value in summary(box))
     assert "1 pair touched, largest force at a point 5.1" in text
     assert "gaps kept to 0 m" in text
     assert "50 steps in contact" in text

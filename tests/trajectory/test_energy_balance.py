@@ -56,19 +56,19 @@ def driven_loop() -> tuple[cvi.Scene, dict]:
     return scene, {"q0": q}
 
 
-def dry_friction() -> tuple[cvi.Scene, dict]:
+def joint_friction() -> tuple[cvi.Scene, dict]:
     scene = arm_scene(2)
     scene.set_joint("j*", friction=0.3)
     return scene, {}
 
 
-SCENES = [damped_and_pushed, spring_dampers, wrenches, user_force, servos, driven_loop, dry_friction]
+SCENES = [damped_and_pushed, spring_dampers, wrenches, user_force, servos, driven_loop, joint_friction]
 
 
 def unaccounted(make, dt: float) -> tuple[float, float]:
     scene, options = make()
     traj = cvi.simulate(scene, duration=0.8, dt=dt, **options)
-    assert np.ptp(traj.energy) > 1e-2 or np.ptp(traj.work.input + traj.work.drive) > 1e-2
+    assert np.ptp(traj.energy) > 1e-2 or np.ptp(traj.work.input + traj.work.prescribed) > 1e-2
     return float(np.abs(traj.ledger.energy_balance).max()), float(traj.kinetic_energy.max())
 
 
@@ -78,10 +78,10 @@ def test_the_balance_is_of_order_two(make):
     (coarse, _), (middle, _), (fine, scale) = (unaccounted(make, dt) for dt in (8e-3, 4e-3, 2e-3))
     assert fine < 1e-3 * scale
     if fine > 1e-13 * scale:
-        assert 0.5 * math.log2(coarse / fine) == pytest.approx(2.0, abs=0.15 if make is not dry_friction else 0.5)
+        assert 0.5 * math.log2(coarse / fine) == pytest.approx(2.0, abs=0.15 if make is not joint_friction else 0.5)
 
 
-def test_impacts_and_held_contact_are_in_it():
+def test_impacts_and_persistent_contact_are_in_it():
     """A box is thrown on a ground with friction, hits it, slides and stops, pushed by a force all the while."""
     worst = []
     for dt in (2e-3, 1e-3, 5e-4):

@@ -11,7 +11,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.inputs import LEDGER_TOLERANCES
-from contactvi.records.events import METHODS
+from contactvi.records.codes import METHODS
 from helpers import laws
 from helpers.run_scenes import slider_scene
 from oracles import dtec_mhc
@@ -48,7 +48,7 @@ def spatial_momentum(model: pin.Model, q: np.ndarray, p: np.ndarray) -> np.ndarr
     return np.concatenate([centroidal.linear, centroidal.angular + np.cross(data.com[0], centroidal.linear)])
 
 
-# -- what it says -----------------------------------------------------------------------------------------------------
+# -- its quantities ---------------------------------------------------------------------------------------------------
 
 
 @maps

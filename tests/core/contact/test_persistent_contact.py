@@ -295,7 +295,7 @@ def test_contact_phases_of_high_order_runs_take_their_own_step(order):
     traj = cvi.simulate(scene, q, v, 1.0, 0.1, order=order, dt_contact=0.005)
     impact_time = math.sqrt(2.0 / GRAVITY)
     assert traj.phases is not None
-    assert traj.phases["held"].tolist() == [0, 1]
+    assert traj.phases["persistent"].tolist() == [0, 1]
     assert traj.phases["t"][1] == pytest.approx(impact_time, abs=1e-10)
     assert traj.phases["dt"][1] <= 0.005 + 1e-15
     assert traj.contacts.h.max() <= 0.005 * (1 + 1e-12)
@@ -353,7 +353,7 @@ def test_limp_arm_falls_on_its_limits(restitution, order):
     assert np.max(low - traj.q) <= 1e-10
     assert np.max(traj.q - high) <= 1e-10
     assert len({event.pair for event in traj.events}) >= 3
-    assert traj.stats.held_steps > 0
+    assert traj.stats.contact_steps > 0
     check_contacts(traj)
     assert not list(contact_laws.event_laws(traj))
     assert not list(contact_laws.contact_laws(traj))

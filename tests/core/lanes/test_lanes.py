@@ -14,7 +14,7 @@ import pytest
 
 from batteries.models import CASES, case
 from helpers import contact_models, map_runs
-from helpers.engine import core_scene
+from helpers.engine import core_scene, simulator
 from helpers.gauss_laws import EVERY_ORDER, extra_of
 
 CORE = Path(__file__).resolve().parents[3] / "core"
@@ -118,17 +118,15 @@ def test_steps_are_bitwise_equal(sets, case):
 @pytest.mark.parametrize("order", [2, 4, 6, 16])
 def test_runs_are_bitwise_equal(sets, name, order):
     """Through the event loop, where each step starts from the last one's polynomial."""
-    from contactvi import _core
-
     c = case(name)
     model = c.model()
     q, v = c.state(model)
     extra = extra_of(name, model, True, False)
 
     def run():
-        simulator = _core.Simulator(core_scene(model, **extra), 2 * c.h, order=order)
-        assert simulator.reset(q, v, 0.0)["code"] == 0
-        result = simulator.advance(100, None, 1, None)
+        run = simulator(core_scene(model, **extra), 2 * c.h, order=order)
+        assert run.reset(q, v, 0.0)["code"] == 0
+        result = run.advance(100, None, 1, None)
         assert result["code"] == 0, result["message"]
         return {k: result[k] for k in ("t", "q", "p")}
 

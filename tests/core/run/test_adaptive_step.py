@@ -9,13 +9,19 @@ import threading
 import numpy as np
 import pytest
 
+import contactvi as cvi
 from helpers import map_runs
 from helpers.contact_models import problem_b
 from helpers.contact_models import scene as public_scene
 from helpers.run_scenes import HEIGHT, RADIUS, ball_scene, hand_scene
 from oracles.closed_forms import BouncingBall
 
-SUCCESS, ZENO, TOO_MANY, INTERRUPTED = 0, 1, 5, 7  # status codes
+SUCCESS, ZENO, TOO_MANY, INTERRUPTED = (
+    cvi.StatusCode.SUCCESS,
+    cvi.StatusCode.ZENO,
+    cvi.StatusCode.TOO_MANY_IMPACTS,
+    cvi.StatusCode.INTERRUPTED,
+)
 MAPS = pytest.mark.parametrize("method", map_runs.METHODS)
 ORDERS = pytest.mark.parametrize("order", [4, 8, 16])
 LEVELS = {4: 1e-5, 8: 1e-7, 16: 1e-9}
@@ -38,7 +44,7 @@ def test_arcs_end_after_their_impact(method, order):
     """Steps are equal between two impacts; the last one of them has the impact, or ends with the run."""
     result = run_b(method, order)
     assert result["code"] == SUCCESS
-    t, arcs, impacts = result["t"], result["arcs"], result["events"]["time"]
+    t, arcs, impacts = result["t"], result["adaptive_steps"], result["events"]["time"]
     assert len(impacts) >= 4
     ends = [*arcs["t"][1:], t[-1]]
     for begin, end, dt in zip(arcs["t"], ends, arcs["dt"], strict=True):
@@ -80,8 +86,8 @@ def test_bouncing_to_the_end_as_with_fixed_steps(order):
     ball = BouncingBall(restitution=0.5)
     scene = ball_scene(0.5)
     start = (scene.neutral(), np.zeros(6))
-    fixed = map_runs.run(scene, *start, 3.0, 0.01, "ctec", order=order, zeno=1)
-    auto = map_runs.start(scene, *start, 0.01, "ctec", order=order, zeno=1).run_auto(3.0, LEVELS[order])
+    fixed = map_runs.run(scene, *start, 3.0, 0.01, "ctec", order=order, end_at_zeno=True)
+    auto = map_runs.start(scene, *start, 0.01, "ctec", order=order, end_at_zeno=True).run_auto(3.0, LEVELS[order])
     for result in (vars(fixed), auto):
         assert result["code"] == ZENO
         assert result["accumulation_time"] == pytest.approx(ball.zeno_time(), abs=1e-9)
@@ -188,7 +194,7 @@ def test_a_tolerance_below_rounding_ends(order):
         for tol in (1e-12, 1e-15)
     ]
     assert all(r.code == SUCCESS and r.stats["halved"] == 0 for r in runs)
-    assert runs[1].stats["sweeps"] <= 3 * runs[0].stats["sweeps"]
+    assert runs[1].stats["stage_iterations"] <= 3 * runs[0].stats["stage_iterations"]
     assert np.abs(runs[0].q - runs[1].q).max() <= 1e-9
 
 

@@ -55,7 +55,7 @@ def quantities(traj: cvi.Trajectory, nodes: np.ndarray, run: forced.Run) -> dict
         "potential": (traj.potential_energy[nodes], run.potential[1:]),
         "input": (traj.work.input[nodes], run.work_input[1:]),
         "damping": (traj.work.damping[nodes], run.dissipated[1:]),
-        "drive": (traj.work.drive[nodes], run.work_drive[1:]),
+        "drive": (traj.work.prescribed[nodes], run.work_drive[1:]),
         "reactions": (reactions(traj, nodes), run.multipliers[1:]),
         "balance": (traj.ledger.energy_balance[nodes], np.zeros(1)),
     }
@@ -187,7 +187,7 @@ def test_a_winch_and_its_closed_form():
         assert residuals(traj) <= PHI
         angle = math.atan2(traj.q[k, 1], traj.q[k, 0]) % (2.0 * math.pi)
         pull = -reactions(traj, np.array([k]))[0, 0]
-        errors.append([angle - exact.angle(1.0), pull - exact.tension(1.0), traj.work.drive[k] - exact.work(1.0)])
+        errors.append([angle - exact.angle(1.0), pull - exact.tension(1.0), traj.work.prescribed[k] - exact.work(1.0)])
     ratio = np.array(errors[0]) / errors[1]
     assert np.all((ratio > 3.8) & (ratio < 4.2)), errors
 
@@ -216,7 +216,7 @@ def test_strings_of_the_puppet_are_driven():
         for element in scene.elements:
             rate = np.array([element.length(t)[1] for t in middle])
             work += dt * (traj.reactions(element.name)[1:, 0] @ rate)
-        gaps.append(abs(work - traj.work.drive[-1]))
+        gaps.append(abs(work - traj.work.prescribed[-1]))
     assert gaps[1] < max(0.3 * gaps[0], 1e-12)
 
 
@@ -252,7 +252,7 @@ def test_a_sledge_on_a_spring_comes_to_rest_where_it_should():
         off = np.abs(traj.v[:, 0] - [exact.state(t)[1] for t in traj.t]).max()
         assert off < turns * 3.0 * dt / 2.0
         assert traj.q[-1, 0] == pytest.approx(exact.stick()[1], abs=0.02 * dt)
-        assert traj.work.dry[-1] == pytest.approx(exact.dissipated(), abs=0.5 * dt)
+        assert traj.work.joint_friction[-1] == pytest.approx(exact.dissipated(), abs=0.5 * dt)
         assert np.ptp(traj.q[traj.t > exact.stick()[0] + dt, 0]) == 0.0
 
 

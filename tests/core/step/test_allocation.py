@@ -12,14 +12,14 @@ import pytest
 
 from helpers.malloc_shim import SHIM
 
-# Built through the public API; then the engine alone, so that Python's own allocations stay out of the count.
+# Scenes are built through the Python API. Then the engine runs alone, so that Python's allocations are not counted.
 PROGRAM = """
 import ctypes
 import sys
 import numpy as np
 import pinocchio as pin
 import contactvi as cvi
-from contactvi import _core
+from helpers import engine
 from helpers.engine import core_scene
 
 count = ctypes.CDLL(None).malloc_calls
@@ -54,7 +54,7 @@ def auto(duration):
 
 for name, (core, q, v) in SCENES.items():
     for order in map(int, sys.argv[1:]):
-        simulator = _core.Simulator(core, 1e-4, order=order)
+        simulator = engine.simulator(core, 1e-4, order=order)
         simulator.reset(q, v)
         calls(fixed(10))  # first use of the interpreter's own caches
         few, many = calls(fixed(100))[0], calls(fixed(1100))[0]
@@ -68,7 +68,7 @@ alone.add_urdf("example-robot-data://robots/allegro_hand_description/urdf/allegr
 alone.add_halfspace(offset=-1.0)
 alone.set_joint("joint_*", stiffness=0.5, limits=False)
 for order, level in ((4, 1e-7), (8, 1e-12), (16, 1e-14)):
-    simulator = _core.Simulator(alone.core(), 1e-4, order=order)
+    simulator = engine.simulator(alone.core(), 1e-4, order=order)
     simulator.reset(alone.neutral(), np.zeros(alone.nv))
     (few, before), (many, after) = calls(auto(1e-4)), calls(auto(0.2))
     steps = after["steps"] - before["steps"]

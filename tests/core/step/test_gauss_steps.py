@@ -12,7 +12,7 @@ import pytest
 
 from batteries.models import CASES, FREE_FLOATING, SMALL, case
 from helpers import laws
-from helpers.engine import advance, core_scene, stepper
+from helpers.engine import advance, core_scene, simulator, stepper
 from helpers.gauss_laws import EPS, EVERY_ORDER, ORDERS, momentum_size, rotates, setup, velocity_size
 from oracles.del_step import System
 from oracles.gauss_step import GaussStep
@@ -203,11 +203,9 @@ def test_energy_stays_bounded(name, order):
 # --- the order ------------------------------------------------------------------------------------------------------
 def end_of(s, order, duration, steps):
     """(q, v) after `duration` [s], and how many steps were cut."""
-    from contactvi import _core
-
-    simulator = _core.Simulator(s.scene, duration / steps, 1e-15, order=order)
-    assert simulator.reset(s.q, s.v, 0.0)["code"] == 0
-    result = simulator.advance(steps, None, steps, None)
+    run = simulator(s.scene, duration / steps, tol=1e-15, order=order)
+    assert run.reset(s.q, s.v, 0.0)["code"] == 0
+    result = run.advance(steps, None, steps, None)
     assert result["code"] == 0, result["message"]
     q, p = result["q"][-1], result["p"][-1]
     return (q, s.system.velocity(q, p)), result["stats"]["halved"]
@@ -295,17 +293,15 @@ def test_the_event_loop_makes_the_same_steps(case):
 @pytest.mark.parametrize("order", [2, 8, 16])
 def test_steps_that_turn_too_far_are_cut(order):
     """Six radians per step are beyond the chart of SO(3): the run goes on in halves, and ends right."""
-    from contactvi import _core
-
     c = case("free_body")
     model, ends = c.model(), []
     model.gravity.setZero()
     q, v = c.state(model)
     v *= 60.0 / np.abs(v[3:]).max()
     for parts in (1, 256):
-        simulator = _core.Simulator(core_scene(model), 0.1 / parts, 1e-13, order=order)
-        assert simulator.reset(q, v, 0.0)["code"] == 0
-        result = simulator.advance(10 * parts, None, 10 * parts, None)
+        run = simulator(core_scene(model), 0.1 / parts, tol=1e-13, order=order)
+        assert run.reset(q, v, 0.0)["code"] == 0
+        result = run.advance(10 * parts, None, 10 * parts, None)
         assert (result["code"], result["stats"]["steps"]) == (0, 10 * parts)
         assert (result["stats"]["halved"] > 0) == (parts == 1)
         ends.append((result["q"][-1], result["p"][-1]))

@@ -1,0 +1,34 @@
+"""Old names of public attributes, arguments and keys, which are kept for one release beside the new ones."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+Class = TypeVar("Class", bound=type)
+
+
+def alias(name: str) -> Any:
+    """Return a property that reads the attribute `name`."""
+
+    def read(self: Any) -> Any:
+        return getattr(self, name)
+
+    return property(read, doc=f"Old name of `{name}`, kept for this release.")
+
+
+def renamed_arguments(**new_names: str) -> Callable[[Class], Class]:
+    """Let the constructor of a class take old names of arguments too: old name -> new name."""
+
+    def decorate(cls: Class) -> Class:
+        initialize = cls.__init__  # type: ignore[misc]
+
+        @functools.wraps(initialize)
+        def accept(self: Any, *arguments: Any, **named: Any) -> None:
+            initialize(self, *arguments, **{new_names.get(name, name): value for name, value in named.items()})
+
+        cls.__init__ = accept  # type: ignore[misc]
+        return cls
+
+    return decorate

@@ -1,0 +1,230 @@
+"""A run with steps of one length: the engine's simulator, the record of what it did, and the checks of the record.
+
+Its inputs are checked already, by `simulate` and by `Simulator`.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from contactvi.errors import ConstraintError, SimulationError
+from contactvi.options import Options
+from contactvi.records.contacts import Contact, ContactLog
+from contactvi.simulation import engine
+from contactvi.simulation.compatibility import Stall, check_unforced
+from contactvi.simulation.engine import Progress
+from contactvi.simulation.recorder import Record
+from contactvi.simulation.targets import Targets
+from contactvi.simulation.tolerances import LedgerWatch
+from contactvi.status import Status, StatusCode
+from contactvi.trajectory.compiled import CompiledScene
+from contactvi.trajectory.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from contactvi import _core
+
+Array = NDArray[np.float64]
+
+PROGRESS_PERIOD = 0.1  # s of wall time between two calls of a progress callback, as in the engine
+_BLOCK = 500  # steps between two checks of what was recorded, for a ledger with tolerances and for DTEC
+_ROUNDING = 1e-9  # of a step: an impact at its end may be a digit later than the step
+_NO_WAY_ON = (StatusCode.NEWTON_FAILED, StatusCode.EVENT_UNRESOLVED, StatusCode.CONSTRAINT)
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The state of a `Simulator`, opaque; it belongs to one scene and its options."""
+
+    scene: CompiledScene
+    options: Options
+    engine: _core.Snapshot
+    record: Record
+    rest: Any
+
+
+class Run:
+    """A run that has started.
+
+    Attributes:
+        record: what the engine has done so far.
+        refused: the error of a start that the engine refuses, else None; such a run makes no steps.
+        unreachable: why the run ended where constraints could not be met, else None.
+    """
+
+    def __init__(
+        self,
+        compiled: CompiledScene,
+        options: Options,
+        q0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        t: float = 0.0,
+    ) -> None:
+        """Start at (q0, v0), by default that of the scene, at t [s]. Raises InputError for a bad state."""
+        self._compiled, self.options = compiled, options
+        self._engine = engine.make(compiled, options)
+        self.record, self.refused = engine.start(self._engine, compiled, options, q0, v0, t)
+        self.unreachable: ConstraintError | None = None
+        self._watch = LedgerWatch(options.ledger) if options.ledger else None
+        inelastic = options.impact == "dtec" and compiled.loses_energy
+        self._stall = Stall(options.fixed_dt) if inelastic else None
+        self._seen = (0, 0, 0)  # blocks of nodes, of events and of contacts that were inspected
+        q, p = self.record.q[0][0], self.record.p[0][0]
+        self._targets = Targets(compiled, q)
+        self._before: tuple[float, Array, Array] | None = (float(self.record.t[0][0]), q, p)
+
+    @property
+    def t(self) -> float:
+        """Time [s]."""
+        return self._engine.t
+
+    @property
+    def q(self) -> Array:
+        """Configuration, shape (nq,)."""
+        return np.array(self._engine.q)
+
+    @property
+    def v(self) -> Array:
+        """Velocity, shape (nv,)."""
+        return np.array(self._engine.v)
+
+    @property
+    def p(self) -> Array:
+        """Momentum M(q) v, shape (nv,)."""
+        return np.array(self._engine.p)
+
+    def targets(self, target: Any, steps: int) -> Array | None:
+        """Return the references of servos for the next steps, (steps, 2 nv); None without servos."""
+        if target is None and not self._targets.joints:
+            return None
+        times: Array = self.t + self.options.fixed_dt * np.arange(steps, dtype=np.float64)
+        return self._targets.rows(target, times)
+
+    def advance(
+        self, steps: int, forces: Array | None, targets: Array | None, progress: Progress | None = None
+    ) -> Status:
+        """Make steps with forces (steps, nv) and targets of servos (steps, 2 nv), or None; return the status."""
+        status = self._make_steps(steps, forces, targets, progress)
+        if status.code in _NO_WAY_ON and self._compiled.constraint_rows:
+            self.unreachable = self._compiled.unreachable(self.q, status.time + self.options.fixed_dt)
+            if self.unreachable is not None:
+                names = ", ".join(repr(name) for name in self.unreachable.constraints)
+                text = f"{status.message}: there is no way on for the constraints {names}"
+                status = self.record.status = Status(status.code, text, status.time)
+        return status
+
+    def _make_steps(self, steps: int, forces: Array | None, targets: Array | None, progress: Progress | None) -> Status:
+        record = self.record
+        self._before = self._present() if steps == 1 else None
+        if forces is not None and np.any(forces):
+            check_unforced(self.options)
+            record.forced = True
+        if self._watch is None and self._stall is None:
+            return engine.advance(self._engine, record, steps, forces, progress, targets)
+        last = time.perf_counter()
+        for first in range(0, steps, _BLOCK):
+            count = min(_BLOCK, steps - first)
+            block = None if forces is None else forces[first : first + count]
+            ahead = None if targets is None else targets[first : first + count]
+            engine.advance(self._engine, record, count, block, progress, ahead)
+            if not self._inspect().ok:
+                break
+            if progress is not None and time.perf_counter() - last > PROGRESS_PERIOD:
+                last = time.perf_counter()
+                progress(self.t, record.impacts)
+        return record.status
+
+    def _present(self) -> tuple[float, Array, Array]:
+        """Return t, q and p as they are now, from the last node where every step records one."""
+        record = self.record
+        if self.options.record_every == 1:
+            return float(record.t[-1][-1]), record.q[-1][-1], record.p[-1][-1]
+        return self.t, self.q, self.p
+
+    def _inspect(self) -> Status:
+        """Look for stalled bouncing and for broken tolerances in what was recorded since the last call."""
+        record = self.record
+        nodes, events, contacts = self._seen
+        if self._watch is None and events == len(record.events):
+            return record.status
+        block = record.ledger(max(0, nodes - 1), events, contacts)
+        self._seen = len(record.t), len(record.events), len(record.contacts)
+        stalled = None if self._stall is None else self._stall.find(block.events)
+        if stalled is not None and record.status.ok:
+            record.end(stalled)
+        excess = None if self._watch is None else self._watch.check(block)
+        if excess is not None:
+            record.status = Status(StatusCode.LEDGER, str(excess), excess.time)
+        if excess is not None or stalled is not None:
+            record.cut(record.status.time)
+        return record.status
+
+    def last_step(self) -> tuple[float, Array, Array]:
+        """Return time [s], q (nq,) and v (nv,) at the start of the last step.
+
+        Of several steps that were made by one call it is the last node that was recorded before now.
+
+        Raises:
+            SimulationError: before the first step.
+        """
+        record = self.record
+        if self._before is not None and self._before[0] < self.t:
+            t, q, p = self._before
+        else:
+            times, states, momenta = record.nodes(max(0, len(record.t) - 2))
+            earlier = np.flatnonzero(times < self.t)
+            if not len(earlier):
+                raise SimulationError("No step was made yet", remedy="Call step() first")
+            t, q, p = float(times[earlier[-1]]), states[earlier[-1]], momenta[earlier[-1]]
+        return t, q, np.asarray(self._compiled.core.velocity(q[None], p[None]))[0]
+
+    def contacts_since(self, start: float) -> ContactLog:
+        """Return the contacts from `start` [s] until now: steps by their middle, impacts in (start, now]."""
+        record = self.record
+        first = len(record.contacts)
+        while first > 0:
+            first -= 1
+            t = np.asarray(record.contacts[first]["t"])
+            if len(t) and t[0] < start:
+                break
+        log = record.contact_log(first)
+        middle, slack = log.t + 0.5 * log.h, _ROUNDING * (self.t - start)
+        return log.rows((middle > start + slack) & (middle <= self.t + slack))
+
+    def contacts_now(self) -> list[Contact]:
+        """Return the persistent contacts at the end of the last step, one `Contact` per point."""
+        record, now = self.record, self.t
+        log = record.contact_log(max(0, len(record.contacts) - 1))
+        slack = _ROUNDING * self.options.fixed_dt
+        current = np.flatnonzero((np.abs(log.end - now) <= slack) & (log.h > 0.0))
+        ended = {
+            (change.pair, change.point)
+            for change in record.change_log(max(0, len(record.changes) - 1))
+            if change.change == "release" and change.time >= now - slack
+        }
+        return [log[int(k)] for k in current if (log[int(k)].pair, log[int(k)].point) not in ended]
+
+    def save(self) -> Snapshot:
+        """Return all of the present state, with what was recorded."""
+        rest = (self._watch, self._stall, self._seen, self._targets, self._before)
+        return Snapshot(self._compiled, self.options, self._engine.save(), self.record.copy(), copy.deepcopy(rest))
+
+    def load(self, snapshot: Snapshot) -> None:
+        """Go back to the state of a snapshot of this scene and these options; what follows is equal to the bit."""
+        engine.call(lambda: self._engine.load(snapshot.engine))
+        self.record = snapshot.record.copy()
+        self._watch, self._stall, self._seen, self._targets, self._before = copy.deepcopy(snapshot.rest)
+
+    def trajectory(self) -> Trajectory:
+        """Return what was recorded, the present state included."""
+        return self.record.trajectory(self._engine)
+
+    def interrupt(self) -> Status:
+        """End the run where it is with the status INTERRUPTED."""
+        self.record.status = Status(StatusCode.INTERRUPTED, "stopped by the user", self.t)
+        return self.record.status
