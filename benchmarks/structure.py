@@ -10,6 +10,7 @@ count constructors, operators and names that start with an underscore. Nothing i
 
 from __future__ import annotations
 
+import argparse
 import ast
 import re
 import sys
@@ -270,7 +271,9 @@ def report(language: str, code: Code) -> None:
 
 
 def main() -> int:
-    root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1]).resolve()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("root", nargs="?", type=Path, default=Path(__file__).parents[1], help="a checkout")
+    root = parser.parse_args().root.resolve()
     if not (root / "contactvi").is_dir() or not (root / "core").is_dir():
         print(f"{root} is no checkout of contactvi: expected the folders contactvi and core", file=sys.stderr)
         return 2
