@@ -78,6 +78,16 @@ class Run:
         self._targets = Targets(compiled, q)
         self._before: tuple[float, Array, Array] | None = (float(self.record.t[0][0]), q, p)
 
+    @classmethod
+    def of(cls, snapshot: Snapshot) -> Run:
+        """Return a run that goes on from a snapshot."""
+        run = cls.__new__(cls)
+        run._compiled, run.options = snapshot.scene, snapshot.options
+        run._engine = engine.make(snapshot.scene, snapshot.options)
+        run.refused = None
+        run.load(snapshot)
+        return run
+
     @property
     def t(self) -> float:
         """Time [s]."""
@@ -217,7 +227,7 @@ class Run:
     def load(self, snapshot: Snapshot) -> None:
         """Go back to the state of a snapshot of this scene and these options; what follows is equal to the bit."""
         engine.call(lambda: self._engine.load(snapshot.engine))
-        self.record = snapshot.record.copy()
+        self.record, self.unreachable = snapshot.record.copy(), None
         self._watch, self._stall, self._seen, self._targets, self._before = copy.deepcopy(snapshot.rest)
 
     def trajectory(self) -> Trajectory:

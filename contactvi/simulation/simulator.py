@@ -171,15 +171,16 @@ class Simulator:
             got = "of another scene or other options" if isinstance(snapshot, Snapshot) else repr(snapshot)
             raise InputError("Snapshot", name="snapshot", expected="one of this scene and these options", got=got)
         if self._run is None:
-            self._run = Run(self._scene, self.options)
-        self._run.load(snapshot)
+            self._run = Run.of(snapshot)
+        else:
+            self._run.load(snapshot)
 
     def copy(self) -> Simulator:
         """Return a simulator in the same state that goes on by itself."""
         twin = Simulator.__new__(Simulator)
         twin.options, twin._scene, twin._run = self.options, self._scene, None
         if self._run is not None:
-            twin.load(self.save())
+            twin._run = Run.of(self.save())
         return twin
 
     def __copy__(self) -> Simulator:

@@ -89,13 +89,13 @@ def restitution_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
         impulse = a["p_plus"][i] - a["p_minus"][i]
         rest[i] = np.linalg.norm(impulse - rows.T @ np.linalg.lstsq(rows.T, impulse, rcond=None)[0])
         rest[i] /= 1e-3 + np.linalg.norm(impulse)
-    if not np.any(traj.scene._complete().arrays.dry_friction):
+    if not np.any(traj.scene.built().arrays.joint_friction):
         yield from worst("an impulse from elsewhere", rest[single], GAMMA, t[single])
 
 
 def own_restitution(traj: cvi.Trajectory) -> Array:
     """Restitution that the scene gives for the contacts of the impacts, shape (n,)."""
-    log, arrays = traj.events, traj.scene._complete().arrays
+    log, arrays = traj.events, traj.scene.built().arrays
     pairs = traj.scene.pair_restitution
     kinds = zip(log.array("kind"), log.array("index"), strict=True)
     return np.array([arrays.limit_restitution[i // 2] if kind else pairs[i] for kind, i in kinds])
@@ -104,7 +104,7 @@ def own_restitution(traj: cvi.Trajectory) -> Array:
 def work_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
     """Damping and joint friction dissipate; without inputs and prescribed motions they do no work."""
     work, size = traj.work, np.abs(traj.energy).max()
-    for name in ("damping", "dry"):
+    for name in ("damping", "joint_friction"):
         yield from worst(f"{name} gives", -np.diff(getattr(work, name)), 1e-13 * size, traj.t[1:])
     if not b.inputs:
         yield from worst("input without any", np.abs(work.input), 0.0, traj.t)
@@ -114,7 +114,7 @@ def work_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
 
 def rest_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
     """A joint that sticks by its friction does not move until an impact."""
-    model, limits = traj.scene.model, traj.scene._complete().arrays.dry_friction
+    model, limits = traj.scene.model, traj.scene.built().arrays.joint_friction
     for joint in model.joints[1:]:
         if joint.nv == 1 and limits[joint.idx_v] > 0.0:
             q, still = traj.q[:, joint.idx_q], np.abs(traj.v[:, joint.idx_v]) <= STILL
@@ -127,7 +127,7 @@ def rest_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
 
 def effort_laws(traj: cvi.Trajectory, b: Built) -> Iterator[Finding]:
     """Where only servos do work it is at most effort times displacement, in steps without impacts."""
-    kp, kd, effort = traj.scene._complete().arrays.servo
+    kp, kd, effort = traj.scene.built().arrays.servo
     used = np.flatnonzero((kp > 0.0) | (kd > 0.0))
     others = {"push", "shake", "drag"} & set(b.elements)
     if not len(used) or others:

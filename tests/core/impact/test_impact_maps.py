@@ -328,7 +328,7 @@ def test_dense_impacts_of_a_ball(method, height, record_property):
     t = np.sqrt(2.0 * height / GRAVITY)
     energy = ball_scene().core().energy(result.q, result.p).sum(axis=1) - 0.5 * GRAVITY * 0.1  # above rest
     error = float(np.abs(energy / energy[0] - 1.0).max())
-    record_property("relative_energy_error", error)
+    record_property("relative_energy_error", float(error))
     if method != "dtec":
         assert abs(len(result.events) - (100.0 / t + 1.0) / 2.0) <= 1.0
         assert error <= 1e-11

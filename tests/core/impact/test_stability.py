@@ -200,7 +200,7 @@ def test_a_hundred_thousand_impacts_of_a_ball(method, record_property):
     assert np.all(result.log["fallback"] == 0)
     energy = scene.core().energy(result.q, result.p).sum(axis=1) - 0.5 * GRAVITY * 0.1
     error = float(np.abs(energy / energy[0] - 1.0).max())
-    record_property("relative_energy_error", error)
+    record_property("relative_energy_error", float(error))
     if method != "dtec":  # DTEC: 1.3e-2 already at 100 s
         assert error <= 1e-10  # 1e-11 per 1e3 impacts is the bar of a long run; errors of either sign add up slowly
 
@@ -265,7 +265,7 @@ def test_grazing(method, mhc_global, h, record_property):
         for e in result.events:
             h_minus, h_plus = (scene.core().energy(e.q[None], p[None]).sum() for p in (e.p_minus, e.p_plus))
             worst = max(worst, abs(h_plus - h_minus))
-    record_property("largest_energy_jump", worst)
+    record_property("largest_energy_jump", float(worst))
     if method == "ctec":  # the other two conserve their own scalar (`lawful`), and H to their order only
         assert worst <= 1e-8
 

@@ -10,7 +10,7 @@ import pytest
 
 import contactvi as cvi
 from helpers.element_oracles import Translator
-from helpers.trep_systems import (
+from helpers.forced_systems import (
     FOUR_BAR,
     MODELS,
     PUPPET,
