@@ -13,7 +13,7 @@ uphill = np.array([np.cos(slope), 0.0, np.sin(slope)])
 
 for friction in (0.5, 0.2):  # tan(20 deg) = 0.364
     scene = cvi.Scene(gravity=(0, 0, -gravity))
-    scene.add_halfspace(normal=tuple(normal), name="slope")
+    scene.add_halfspace(normal=normal, name="slope")
     scene.add_box("box", size=(0.2, 0.2, 0.2), mass=2.0, placement=(0.1 * normal, (0, -slope, 0)))
     scene.set_contact(restitution=0.0, friction=friction)
     traj = cvi.simulate(scene, v0=scene.velocity({"box": -speed * uphill}), duration=1.0, dt=1e-2)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from contactvi.elements.elements import Constraint
 from contactvi.errors import InputError
@@ -148,7 +149,7 @@ def sphere(name: str, radius: float, mass: float) -> tuple[coal.CollisionGeometr
     return coal.Sphere(radius), pin.Inertia.FromSphere(mass, radius)
 
 
-def box(name: str, size: Sequence[float], mass: float) -> tuple[coal.CollisionGeometry, pin.Inertia]:
+def box(name: str, size: ArrayLike, mass: float) -> tuple[coal.CollisionGeometry, pin.Inertia]:
     """Return shape and inertia of a solid box: full edge lengths [m], mass [kg]."""
     edges = vector(f"size of {name!r}", size, 3)
     for edge in edges:
@@ -169,7 +170,7 @@ def cylinder(name: str, radius: float, length: float, mass: float) -> tuple[coal
     return coal.Cylinder(radius, length), pin.Inertia.FromCylinder(_size(name, "mass", mass), radius, length)
 
 
-def halfspace(normal: Sequence[float], offset: float, name: str) -> coal.CollisionGeometry:
+def halfspace(normal: ArrayLike, offset: float, name: str) -> coal.CollisionGeometry:
     """Return the solid halfspace n.x <= offset [m]; the free side is where the normal points."""
     return coal.Halfspace(unit_vector(f"normal of {name!r}", normal), real(f"offset of {name!r}", offset))
 

@@ -10,6 +10,7 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from contactvi.elements import elements as kinds
 from contactvi.errors import InputError
@@ -61,7 +62,7 @@ class Scene:
         settings: settings of a run from the scene file (dt, duration, ...); empty otherwise.
     """
 
-    def __init__(self, gravity: Sequence[float] | np.ndarray = GRAVITY) -> None:
+    def __init__(self, gravity: ArrayLike = GRAVITY) -> None:
         self._parts = PartList(vector("gravity", gravity, 3))
         self._contact = ContactRules()
         self._joints = JointTable()
@@ -168,7 +169,7 @@ class Scene:
     def add_box(
         self,
         name: str,
-        size: Sequence[float],
+        size: ArrayLike,
         mass: float = 1.0,
         free: bool = True,
         placement: Any = None,
@@ -204,7 +205,7 @@ class Scene:
         return self._add_shape(name, shapes.cylinder(name, radius, length, mass), free, placement, color)
 
     def add_halfspace(
-        self, normal: Sequence[float] = (0.0, 0.0, 1.0), offset: float = 0.0, name: str = "ground", color: Any = None
+        self, normal: ArrayLike = (0.0, 0.0, 1.0), offset: float = 0.0, name: str = "ground", color: Any = None
     ) -> BodyHandle:
         """Add the solid halfspace n . x <= offset [m], fixed to the world; n is the normal made a unit vector."""
         shape = shapes.halfspace(normal, offset, name)
@@ -261,7 +262,7 @@ class Scene:
         limits: bool | Sequence[float] | None = None,
         restitution: float | None = None,
         friction: bool | float | None = None,
-        spring: Sequence[float] | None = None,
+        spring: ArrayLike | None = None,
         armature: float | None = None,
         gear_ratio: float | None = None,
         rotor_inertia: float | None = None,
@@ -319,8 +320,8 @@ class Scene:
         self,
         a: Selector,
         b: Selector,
-        point_a: Sequence[float] = (0.0, 0.0, 0.0),
-        point_b: Sequence[float] | None = (0.0, 0.0, 0.0),
+        point_a: ArrayLike = (0.0, 0.0, 0.0),
+        point_b: ArrayLike | None = (0.0, 0.0, 0.0),
         name: str | None = None,
     ) -> str:
         """Join a point of body a and one of body b (a ball joint, 3 constraints); return its name.
@@ -334,8 +335,8 @@ class Scene:
         self,
         a: Selector,
         b: Selector,
-        point_a: Sequence[float] = (0.0, 0.0, 0.0),
-        point_b: Sequence[float] = (0.0, 0.0, 0.0),
+        point_a: ArrayLike = (0.0, 0.0, 0.0),
+        point_b: ArrayLike = (0.0, 0.0, 0.0),
         length: Any = None,
         name: str | None = None,
     ) -> str:
@@ -378,7 +379,7 @@ class Scene:
         self,
         joint: Selector,
         other: Selector | None,
-        coefficients: Sequence[float] = (0.0, 1.0),
+        coefficients: ArrayLike = (0.0, 1.0),
         name: str | None = None,
     ) -> str:
         """Make a joint follow another one: q_joint = c0 + c1 q_other + c2 q_other^2 + ...; return the name.
@@ -410,8 +411,8 @@ class Scene:
         *,
         rest_length: float | None = None,
         damping: float = 0.0,
-        point_a: Sequence[float] = (0.0, 0.0, 0.0),
-        point_b: Sequence[float] = (0.0, 0.0, 0.0),
+        point_a: ArrayLike = (0.0, 0.0, 0.0),
+        point_b: ArrayLike = (0.0, 0.0, 0.0),
         tension_only: bool = False,
         name: str | None = None,
     ) -> str:
@@ -427,7 +428,7 @@ class Scene:
 
     def add_tape_spring(
         self,
-        points: Sequence[tuple[Selector, Sequence[float]]],
+        points: Sequence[tuple[Selector, ArrayLike]],
         stiffness: float,
         *,
         rest_length: float | None = None,
@@ -453,7 +454,7 @@ class Scene:
         body: Selector,
         force: Any = None,
         torque: Any = None,
-        point: Sequence[float] = (0.0, 0.0, 0.0),
+        point: ArrayLike = (0.0, 0.0, 0.0),
         axes: str = "world",
         name: str | None = None,
     ) -> str:
