@@ -37,7 +37,7 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
         ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
         ("", f"{taken:+.6g} J by impacts{_slid(slid)}{put_in}, {rest:+.3g} J by {cause}{share}"),
         ("wall time", f"{stats.seconds:.3g} s, {factor}"),
-        ("work", f"{stats.iterations} stage iterations, {stats.factorizations} factorizations{skipped}"),
+        ("work", f"{stats.stage_iterations} stage iterations, {stats.factorizations} factorizations{skipped}"),
     ]
 
 
@@ -55,7 +55,7 @@ def _map_lines(traj: Trajectory, scale: float) -> list[tuple[str, str]]:
         return []
     fallbacks = int((events.array("fallback") != 0).sum())
     solved = np.abs(events.array("jump")[events.array("fallback") == 0])
-    own = {"dtec": "discrete energy", "mhc": "modified Hamiltonian"}[events.method]
+    own = {"dtec": "discrete energy", "mhc": "modified Hamiltonian"}.get(events.method, "its own scalar")
     text = f"{events.method.upper()}, {int(events.array('iterations').sum())} evaluations"
     if len(solved) and scale > 0:
         text += f", {own} kept to {solved.max() / scale:.2g} of the largest kinetic energy"

@@ -283,6 +283,6 @@ def test_the_ledger_of_a_stored_run_without_its_functions(tmp_path: Path):
     assert np.array_equal(again.ledger.energy, traj.ledger.energy)
     assert np.array_equal(again.ledger.energy_balance, traj.ledger.energy_balance)
     assert np.abs(again.ledger.energy_balance).max() < 1e-4
-    assert np.array_equal(again.ledger.held, traj.ledger.held)
+    assert np.array_equal(again.ledger.persistent, traj.ledger.persistent)
     assert np.array_equal(again.modified_energy, traj.modified_energy)
     assert np.isnan(again.ledger.modified_energy).all()
