@@ -100,6 +100,7 @@ class Runner:
             stdout=subprocess.PIPE,
             text=True,
             env={**os.environ, "PYTHONPATH": paths},
+            cwd=tests,  # The module option puts this folder first; the source root would shadow an installed package.
         )
         return self._process
 
