@@ -1,11 +1,7 @@
 // Pinocchio's own algorithms for comparison in benchmarks/, timed in C++ without Python in the loop.
-#include <boost/archive/binary_iarchive.hpp>
-#include <boost/iostreams/device/array.hpp>
-#include <boost/iostreams/stream_buffer.hpp>
 #include <pinocchio/algorithm/aba.hpp>
 #include <pinocchio/algorithm/rnea.hpp>
 #include <pinocchio/multibody.hpp>
-#include <pinocchio/serialization.hpp>
 
 #include <nanobind/eigen/dense.h>
 
@@ -14,6 +10,7 @@
 #include "base/error.hpp"
 #include "base/numerics.hpp"
 #include "bindings/expose.hpp"
+#include "model/archive.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -24,9 +21,7 @@ namespace {
 
 pinocchio::Model unpack(nb::bytes archive, const VecX& q, const VecX& v) {
   pinocchio::Model model;
-  boost::iostreams::stream_buffer<boost::iostreams::basic_array_source<char>> stream(archive.c_str(), archive.size());
-  boost::archive::binary_iarchive in(stream);
-  in >> model;
+  read_model({archive.c_str(), archive.size()}, model);
   if (q.size() != model.nq || v.size() != model.nv) throw Error("expected shapes (nq,) and (nv,)");
   return model;
 }

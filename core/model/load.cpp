@@ -11,6 +11,7 @@
 #include <cmath>
 
 #include "base/error.hpp"
+#include "model/archive.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
@@ -261,6 +262,8 @@ void ensure_rounded(Geometry& g) {
 }
 
 }  // namespace
+
+void read_model(std::string_view bytes, pinocchio::Model& model) { unpack(model, bytes, "model"); }
 
 Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, const SceneParameters& parameters) {
   pinocchio::Model model;
