@@ -1,0 +1,39 @@
+// The contact problem of many bodies, kept sparse: a block per static tree (a free body, a robot), and contacts that act
+// on one or two of them.
+//
+//   v = v_free + M^-1 W lambda,   w = W^T v + offset       M: one block per tree; W: columns of the contacts' rows
+//   normal      lambda_n >= lower, w_n >= 0, (lambda_n - lower) w_n = 0
+//   tangential  |lambda_t| <= mu lambda_n; w_t != 0 => lambda_t = -mu lambda_n w_t/|w_t|     (maximal dissipation)
+//   box         one row, |lambda| <= box; w != 0 => lambda = -box sign(w)                    (friction of a joint)
+//
+// The laws are those of problem.hpp, which keeps the matrix G = W^T M^-1 W dense.
+#pragma once
+
+#include <vector>
+
+#include "base/numerics.hpp"
+
+namespace contactvi {
+
+struct BlockContact {
+  int a = -1, b = -1;  // the blocks that the contact acts on, a >= 0; b = -1: only one
+  int row = 0;         // first row
+  int rows = 3;        // 3: n, t1, t2; 1: normal alone, or joint friction
+  int column = 0;      // where its rows' coefficients begin in BlockProblem::W: rows x size(a), then rows x size(b)
+  double mu = 0.0, lower = 0.0, box = 0.0;  // box > 0: joint friction
+};
+
+struct BlockProblem {
+  std::vector<int> start;              // (blocks + 1,): first degree of freedom of each block; the last one is nv
+  std::vector<MatX> M;                 // per block, symmetric positive definite [kg; kg m; kg m^2]
+  std::vector<BlockContact> contacts;  // their rows follow each other without gaps
+  std::vector<double> W;               // coefficients of the rows, row after row (BlockContact::column)
+  VecX v_free;                         // (nv,) [m/s; rad/s]
+  VecX offset;                         // (rows,) [m/s]
+
+  int blocks() const { return static_cast<int>(start.size()) - 1; }
+  int size(int block) const { return start[block + 1] - start[block]; }
+  int rows() const { return static_cast<int>(offset.size()); }
+};
+
+}  // namespace contactvi
