@@ -24,9 +24,9 @@ struct BlockOptions {
 struct BlockResult {
   enum class Stage { kSweeps, kNewton, kInteriorPoint, kRepaired, kBlended, kFailed };
   Stage stage = Stage::kFailed;
-  double residual = 0.0;   // natural map of the law, over the scale of speeds
-  double scale = 0.0;      // of speeds: the largest of |W^T v_free + offset| in a row [m/s]
-  double violation = 0.0;  // -min(w_n) where that is positive [m/s]
+  double residual = 0.0;                   // natural map of the law, over the scale of speeds
+  double scale = 0.0;                      // of speeds: the largest of |W^T v_free + offset| in a row [m/s]
+  double violation = 0.0;                  // -min(w_n) where that is positive [m/s]
   double energy = 0.0, free_energy = 0.0;  // T(v), T(v_free) [J]
   double blend = 1.0;                      // share of the repaired answer in the returned one
   int sweeps = 0, factors = 0;
