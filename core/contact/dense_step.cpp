@@ -3,8 +3,6 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 
 #include "model/point_jacobian.hpp"
 #include "step/energy.hpp"
@@ -135,13 +133,16 @@ void DenseStep::make_node_blocks() {
 
 // --- candidates ---
 
-// The pairs that may close in the step, with their points at its start. bound_: of the velocities in the step.
-void DenseStep::collect(const VecCRef& q0, double h) {
-  guards_->bound_motion(q0, bound_, h);
+// The pairs that may close in the step, with their points at its start, as far as they are not known yet. bound_: of
+// the velocities in the step.
+void DenseStep::collect(const VecCRef& q0) {
+  guards_->bound_motion(q0, bound_, h_);
   guards_->place(q0);
-  near_.clear();
+  known_.resize(guards_->count());
+  std::fill(known_.begin(), known_.end(), 0);
+  for (const Near& near : near_) known_[near.guard] = 1;
   for (int g = 0; g < guards_->count(); ++g) {
-    if (guards_->separated_at_end(g)) continue;
+    if (known_[g] || guards_->separated_at_end(g)) continue;
     Near near{};
     near.guard = g;
     near.gap0 = guards_->evaluate_witness(g, near.witness0);
@@ -409,24 +410,18 @@ bool DenseStep::position_problem() {
 bool DenseStep::add_violated() {
   points_.clear();
   report_.gap = 0.0;
+  guards_->place(q1_);
   for (Near& near : near_) {
     Contact witness;
     near.gap1 = guards_->evaluate_witness(near.guard, witness);
     report_.gap = std::min(report_.gap, near.gap1);
     const double noise = guards_->is_noisy(near.guard) ? guards_->root_tolerance(near.guard) : kGapPromised;
     if (!(near.gap1 < -noise) || !scene_->is_pair(near.guard)) continue;
-    const std::size_t count = points_.size();
     guards_->manifolds().find(near.guard, guards_->placements(), witness, 0.0, points_);
-    if (getenv("DENSE_DEBUG")) {
-      fprintf(stderr, "violated guard %d gap0 %.3e gap1 %.3e reach %.3e found %zu:", near.guard, near.gap0, near.gap1, near.reach, points_.size() - count);
-      for (std::size_t k = count; k < points_.size(); ++k) { Contact c; evaluate(points_[k], &witness, c); fprintf(stderr, " [kind %d feature %lx gap %.2e n %.2f %.2f %.2f]", (int)points_[k].kind, (long)points_[k].feature, c.gap, c.normal[0], c.normal[1], c.normal[2]); }
-      for (auto& c : contacts_) if (c.point.guard == near.guard) fprintf(stderr, " {known kind %d %lx gap0 %.2e gap1 %.2e imp %.2e}", (int)c.point.kind, (long)c.point.feature, c.at0.gap, c.at1.gap, c.position[0]);
-      fprintf(stderr, "\n");
-    }
   }
   if (points_.empty()) return false;
   guards_->place(q0_);
-  bool added = false;
+  bool added = contacts_.size() > active_.size();
   for (const ContactPoint& point : points_) {
     const auto near =
         std::find_if(near_.begin(), near_.end(), [&](const Near& n) { return n.guard == point.guard; });
@@ -515,19 +510,19 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   add_size(scene_->tree, w_, 1.0, bound_);
   bound_ = bound_.cwiseMax(v1_);
   contacts_.clear();
-  for (int widened = 0; widened < 4; ++widened) {
-    collect(q0, h);
-    bool added = true;
-    for (int k = 0; k < kAdditions && added; ++k) {
-      if (!position_problem()) return false;
-      added = add_violated();
-      report_.additions += added;
-    }
+  near_.clear();
+  collect(q0);
+  for (int k = 0; k < kAdditions; ++k) {
+    if (!position_problem()) return false;
     // Impulses may have made a body faster than the bound with which the candidates were found.
     w_.setZero();
     add_size(scene_->tree, v_, 1.0, w_);
-    if (!((w_ - bound_).maxCoeff() > 0.0)) break;
-    bound_ = bound_.cwiseMax(kWider * w_);
+    if ((w_ - bound_).maxCoeff() > 0.0) {
+      bound_ = bound_.cwiseMax(kWider * w_);
+      collect(q0);
+    }
+    if (!add_violated()) break;
+    ++report_.additions;
   }
   for (DenseContact& c : contacts_) c.closing = 0.0;
   guards_->place(q0_);

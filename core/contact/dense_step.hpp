@@ -110,7 +110,7 @@ class DenseStep {
   void make_step_blocks();
   void make_node_blocks();
   void invert_blocks();
-  void collect(const VecCRef& q0, double h);
+  void collect(const VecCRef& q0);
   void add_points(const Near& near, const std::vector<ContactPoint>& points);
   void set_start_impulses(DenseContact& c) const;
   bool add_point(const ContactPoint& point, const Contact& witness0);
@@ -132,6 +132,7 @@ class DenseStep {
   BlockProblem problem_;
   std::vector<int> tree_of_joint_;
   std::vector<Near> near_;
+  std::vector<char> known_;  // per guard: whether it is among them
   std::vector<DenseContact> contacts_;
   std::vector<int> active_;  // contacts of the present problem
   std::vector<ContactPoint> points_;
