@@ -50,6 +50,7 @@ struct DenseReport {
   int contacts = 0;           // that carried an impulse
   int repaired = 0;           // problems whose answer was repaired or blended
   int gap_iterations = 0, additions = 0;
+  int solves = 0, sweeps = 0, factors = 0;  // contact problems of the whole law, and what they took
 };
 
 class DenseStep {
@@ -117,6 +118,7 @@ class DenseStep {
   void evaluate(const ContactPoint& point, const Contact* witness, Contact& contact);
   void set_rows(bool at_end);
   void write_row(int column, int size, int first_dof, int body, const Vec3& x, const Vec3& n, double sign);
+  void set_mobilities();
   bool position_problem();
   bool gap_iterations(double h);
   double place_end(double h);
@@ -134,13 +136,14 @@ class DenseStep {
   std::vector<Near> near_;
   std::vector<char> known_;  // per guard: whether it is among them
   std::vector<DenseContact> contacts_;
-  std::vector<int> active_;  // contacts of the present problem
+  std::vector<int> active_;       // contacts of the present problem
+  std::vector<double> mobility_;  // of each of them along the normal [1/kg]
   std::vector<ContactPoint> points_;
   Memory memory_;
   VecX q0_, p0_, v0_, v_free_, v_, v1_, q1_, p1_, p_start_, lambda_, lambda_v_, bound_, w_;
   MatX columns_;
   DenseReport report_;
-  double h_ = 0.0, joint_friction_loss_ = 0.0;
+  double h_ = 0.0, joint_friction_loss_ = 0.0, solver_error_ = 0.0;
   const char* why_ = "";
 };
 

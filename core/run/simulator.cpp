@@ -111,7 +111,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
       return status_;
     }
   }
-  if (allows_persistent_contact()) close_contacts_at_start();
+  if (allows_persistent_contact() && options_.contact_steps != ContactSteps::kDense) close_contacts_at_start();
   return status_;
 }
 
