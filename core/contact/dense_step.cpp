@@ -17,11 +17,17 @@ constexpr double kStageStalled = 1e-10;   // of the velocities: accepted where r
 constexpr int kGapIterations = 12;
 constexpr double kGapSolved = 1e-11;  // [m] to which gaps of loaded contacts are zero
 constexpr double kGapPromised = 5e-10;  // [m] overlap at the end from which on a point joins the candidates
-constexpr int kAdditions = 6;         // times that points join the candidates of one step
+constexpr double kSamePoint = 1e-7;   // [m] points of one feature nearer to each other are one
+constexpr int kAdditions = 8;         // times that points join the candidates of one step
 constexpr double kTouching = 1e-11;   // [m] a closed point without load takes part in the velocity impulse
 constexpr double kFastFall = 4.0;     // contacts that close faster than this many g h have restitution
 constexpr double kWider = 1.5;        // of the motion's bound, where the step has left it
 constexpr double kEnergyRounding = 1e-13;  // of the energies
+
+Vec3 world_turned(const Placements& at, int body, const Vec3& x) { return body < 0 ? x : Vec3(at.R_W[body] * x); }
+Vec3 body_point(const Placements& at, int body, const Vec3& x_W) {
+  return body < 0 ? x_W : Vec3(at.R_W[body].transpose() * (x_W - at.p_W[body]));
+}
 
 // An answer that meets Coulomb's law to 1e-4 of the largest free speed is below the error of the step where impacts lie
 // inside of it; where none do the sweeps and Newton's method reach 1e-8.
@@ -43,7 +49,7 @@ Vec3 DenseContact::velocity_W() const {
   return velocity[0] * at1.normal + velocity[1] * t1_1 + velocity[2] * at1.normal.cross(t1_1);
 }
 
-DenseStep::DenseStep(const Scene& scene, Guards& guards, double /*tol*/)
+DenseStep::DenseStep(const Scene& scene, Guards& guards)
     : scene_(&scene), guards_(&guards), integrator_(scene.tree) {
   const Tree& tree = scene.tree;
   for (VecX* x : {&p0_, &v0_, &v_free_, &v_, &v1_, &p1_, &p_start_, &bound_, &w_}) *x = VecX::Zero(tree.nv);
@@ -73,6 +79,7 @@ DenseStep::DenseStep(const Scene& scene, Guards& guards, double /*tol*/)
 }
 
 void DenseStep::restart() {
+  memory_.change.resize(0);
   memory_.impulses.clear();
   memory_.joint_friction.setZero(static_cast<Eigen::Index>(scene_->tree.elements.friction_dofs.size()));
 }
@@ -167,7 +174,26 @@ void DenseStep::collect(const VecCRef& q0) {
     } else {
       guards_->manifolds().find(g, guards_->placements(), near.witness0, std::max(near.gap0, 0.0) + near.reach, points_);
     }
-    for (const ContactPoint& point : points_) add_point(point, near.witness0);
+    for (const ContactPoint& point : points_) add_point(point, frozen(point, near.witness0), near.witness0);
+    add_rims(near);
+  }
+}
+
+// A rim that is nearly flat may touch all around within the step: material points at its quarters join the lowest one.
+// The guards are placed at the start of the step.
+void DenseStep::add_rims(const Near& near) {
+  for (std::size_t k = 0, count = points_.size(); k < count; ++k) {
+    if (points_[k].kind != PointKind::kRim) continue;
+    const std::int64_t lowest = points_[k].feature;
+    for (int quarter = 0; quarter < 4; ++quarter) {
+      const std::int64_t feature = rim_quarter(lowest, quarter);
+      const ContactPoint point = guards_->manifolds().point(near.guard, guards_->placements(), near.witness0, feature);
+      Contact contact;
+      evaluate(point, nullptr, contact);
+      if (contact.gap <= std::max(near.gap0, 0.0) + near.reach &&
+          guards_->manifolds().is_over_face(point, guards_->placements()))
+        add_point(point, point, near.witness0);
+    }
   }
 }
 
@@ -180,15 +206,42 @@ void DenseStep::evaluate(const ContactPoint& point, const Contact* witness, Cont
     guards_->evaluate_witness(point.guard, contact);
 }
 
-// The guards are placed at the start of the step.
-bool DenseStep::add_point(const ContactPoint& point, const Contact& witness0) {
+// The point as the step sees it: what touches moves with the bodies. The lowest point of a rim and the witness of shapes
+// with edges become a point of one body over a plane of the other, because they would run around the bodies within the
+// step; another such point joins where that one leaves an overlap. The guards are placed where the point was found.
+ContactPoint DenseStep::frozen(const ContactPoint& point, const Contact& witness) const {
+  ContactPoint law = point;
+  const Placements& at = guards_->placements();
+  if (point.kind == PointKind::kRim) {
+    const Vec3 n_W = world_turned(at, point.plane_body, point.normal_B);
+    const Vec3 n = point.point_body < 0 ? n_W : Vec3(at.R_W[point.point_body].transpose() * n_W);
+    law.kind = PointKind::kVertex;
+    law.center_B = lowest_of_rim(point.center_B, point.axis_B, point.rim_radius, n);
+  } else if (point.kind == PointKind::kWitness && !guards_->manifolds().is_single(point.guard)) {
+    law.kind = PointKind::kVertex;
+    law.on_b = true;
+    law.radius = 0.0;
+    law.point_body = witness.body_b;
+    law.plane_body = witness.body_a;
+    law.center_B = body_point(at, witness.body_b, witness.point_b);
+    law.normal_B = witness.body_a < 0 ? witness.normal : Vec3(at.R_W[witness.body_a].transpose() * witness.normal);
+    law.offset = law.normal_B.dot(body_point(at, witness.body_a, witness.point_a));
+  }
+  return law;
+}
+
+// A point joins the candidates, unless it is one of them. The guards are placed at the start of the step.
+bool DenseStep::add_point(const ContactPoint& point, const ContactPoint& law, const Contact& witness0) {
   for (const DenseContact& c : contacts_)
-    if (c.point.guard == point.guard && c.point.feature == point.feature) return false;
+    if (c.point.guard == point.guard && c.point.feature == point.feature &&
+        (c.law.center_B - law.center_B).squaredNorm() < kSamePoint * kSamePoint)
+      return false;
   DenseContact c{};
   c.point = point;
+  c.law = law;
   c.mu = scene_->friction(point.guard);
   c.restitution = scene_->restitution(point.guard);
-  evaluate(point, &witness0, c.at0);
+  evaluate(law, &witness0, c.at0);
   c.t1_0 = scene_->is_pair(point.guard) ? any_tangent(c.at0.normal) : Vec3(Vec3::Zero());
   set_start_impulses(c);
   contacts_.push_back(c);
@@ -327,7 +380,7 @@ double DenseStep::place_end(double h) {
   for (std::size_t k = 0; k < active_.size(); ++k) {
     DenseContact& c = contacts_[active_[k]];
     const BlockContact& block = problem_.contacts[k];
-    evaluate(c.point, nullptr, c.at1);
+    evaluate(c.law, nullptr, c.at1);
     const double gap = c.at1.gap, n = lambda_[block.row];
     const double least = block.rows == 3 ? lambda_.segment<2>(block.row + 1).norm() / c.mu : 0.0;
     const double noise = guards_->is_noisy(c.point.guard) ? guards_->root_tolerance(c.point.guard) : kGapSolved;
@@ -434,23 +487,29 @@ bool DenseStep::position_problem() {
 // placed at the end of the step.
 bool DenseStep::add_violated() {
   points_.clear();
+  laws_.clear();
   report_.gap = 0.0;
   guards_->place(q1_);
   for (Near& near : near_) {
     Contact witness;
     near.gap1 = guards_->evaluate_witness(near.guard, witness);
-    report_.gap = std::min(report_.gap, near.gap1);
-    const double noise = guards_->is_noisy(near.guard) ? guards_->root_tolerance(near.guard) : kGapPromised;
+    const double noise = guards_->is_noisy(near.guard) ? 2.0 * guards_->root_tolerance(near.guard) : kGapPromised;
+    if (near.gap1 < report_.gap) {
+      report_.gap = near.gap1;
+      report_.gap_noise = 2.0 * noise;
+    }
     if (!(near.gap1 < -noise) || !scene_->is_pair(near.guard)) continue;
+    const std::size_t count = points_.size();
     guards_->manifolds().find(near.guard, guards_->placements(), witness, 0.0, points_);
+    for (std::size_t k = count; k < points_.size(); ++k) laws_.push_back(frozen(points_[k], witness));
   }
   if (points_.empty()) return false;
   guards_->place(q0_);
   bool added = contacts_.size() > active_.size();
-  for (const ContactPoint& point : points_) {
-    const auto near =
-        std::find_if(near_.begin(), near_.end(), [&](const Near& n) { return n.guard == point.guard; });
-    added |= add_point(point, near->witness0);
+  for (std::size_t k = 0; k < points_.size(); ++k) {
+    const int guard = points_[k].guard;
+    const auto near = std::find_if(near_.begin(), near_.end(), [&](const Near& n) { return n.guard == guard; });
+    added |= add_point(points_[k], laws_[k], near->witness0);
   }
   return added;
 }
@@ -507,10 +566,52 @@ void DenseStep::restitution_problem(double bound_energy) {
   }
   if (!any) return;
   problem_.v_free = v1_;
-  const BlockResult result = solver_.solve(problem_, bound_energy, solver_options(), lambda_, v1_);
+  const VecX plastic = v1_;
+  const BlockResult result = solver_.solve(problem_, INFINITY, solver_options(), lambda_, v1_);
   account(result);
+  // Energy, cone and gaps are convex conditions: a share of the expansion keeps them as the whole and none of it do.
+  const double share = expansion_share(plastic, bound_energy);
+  if (share < 1.0) {
+    lambda_ *= share;
+    v1_ = plastic + share * (v1_ - plastic);
+    ++report_.repaired;
+  }
   add_impulses(problem_, lambda_, p1_);
   lambda_v_ += lambda_;
+}
+
+// The largest share of the step from `plastic` to v1_ with which the kinetic energy stays within the bound.
+double DenseStep::expansion_share(const VecX& plastic, double bound_energy) const {
+  double start = 0.0, slope = 0.0, square = 0.0;
+  for (int b = 0; b < problem_.blocks(); ++b) {
+    const int n = problem_.size(b), first = problem_.start[b];
+    const VecX v = plastic.segment(first, n), d = v1_.segment(first, n) - v, Md = problem_.M[b] * d;
+    start += 0.5 * v.dot(problem_.M[b] * v);
+    slope += v.dot(Md);
+    square += 0.5 * d.dot(Md);
+  }
+  const double room = bound_energy - start;
+  if (start + slope + square <= bound_energy || !(square > 0.0)) return 1.0;
+  if (room <= 0.0) return std::clamp(-slope / square, 0.0, 1.0) > 0.0 && slope < 0.0 ? std::min(1.0, -slope / square) : 0.0;
+  const double root = std::sqrt(slope * slope + 4.0 * square * room);
+  return std::clamp(slope > 0.0 ? 2.0 * room / (slope + root) : (root - slope) / (2.0 * square), 0.0, 1.0);
+}
+
+// Error of a step without impacts inside of it: the energy that it conserves differs from H by terms of the order h^2,
+// which change with the acceleration. The factor is that of the modified Hamiltonian, h^2 a M a/24 + ..., with room for
+// its other terms.
+double DenseStep::smooth_contact_error() const {
+  const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
+  for (const DenseContact& c : contacts_)
+    if (c.position[0] > 0.0 && c.closing < -fast) return 0.0;
+  if (memory_.change.size() != v_.size()) return 0.0;
+  double error = 0.0;
+  for (int b = 0; b < problem_.blocks(); ++b) {
+    const int n = problem_.size(b), first = problem_.start[b];
+    const VecX d = 2.0 * (v_ - v0_).segment(first, n);
+    error += std::abs(d.dot(problem_.M[b] * (d - memory_.change.segment(first, n) * (h_ / memory_.h))));
+  }
+  return 0.5 * error;
 }
 
 // --- the step ---
@@ -563,7 +664,7 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   // Speeds of contacts that are wrong by the residual that the solver accepts change the energy by impulse times speed.
   double impulses = 0.0;
   for (const DenseContact& c : contacts_) impulses += c.position.norm();
-  report_.energy_error += impulses * solver_error_;
+  report_.energy_error += impulses * solver_error_ + smooth_contact_error();
   const double allowed =
       before.kinetic + before.potential + integrator_.work() + report_.energy_error - middle.potential;
   if (!velocity_problem(allowed)) {
@@ -600,12 +701,18 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   return true;
 }
 
+bool DenseStep::keeps_promises() const {
+  return report_.gap >= -report_.gap_noise && report_.energy_rise <= 0.0;
+}
+
 void DenseStep::finish(VecRef q1, VecRef p1) const {
   q1 = q1_;
   p1 = p1_;
 }
 
 void DenseStep::commit() {
+  memory_.change = v1_ - v0_;
+  memory_.h = h_;
   memory_.impulses.clear();
   for (const DenseContact& c : contacts_) {
     if (!(c.position[0] + c.velocity[0] > 0.0)) continue;

@@ -26,6 +26,7 @@ namespace contactvi {
 // A point that may touch in the step, and the result of the step for it.
 struct DenseContact {
   ContactPoint point;
+  ContactPoint law;  // the point as the step sees it (DenseStep::frozen)
   double mu, restitution;
   Contact at0, at1;            // at the start and the end of the step
   Vec3 t1_0, t1_1;             // tangents there, world
@@ -44,6 +45,7 @@ struct DenseContact {
 struct DenseReport {
   double residual = 0.0;      // of Coulomb's law, over the largest free speed of a contact (block_solver.hpp)
   double gap = 0.0;           // least gap at the end [m]
+  double gap_noise = 0.0;     // what of it is the error of the distance [m]
   double energy_rise = 0.0;   // of the whole step beyond the works of inputs and damping, where it is positive [J]
   double energy_loss = 0.0;   // what contacts took: restitution and friction [J]
   double energy_error = 0.0;  // of the smooth step from the same state: how much the energy may rise [J]
@@ -55,7 +57,7 @@ struct DenseReport {
 
 class DenseStep {
  public:
-  DenseStep(const Scene& scene, Guards& guards, double tol);
+  DenseStep(const Scene& scene, Guards& guards);
   DenseStep(const DenseStep&) = delete;
   DenseStep& operator=(const DenseStep&) = delete;
 
@@ -78,6 +80,8 @@ class DenseStep {
   const VecX& end_configuration() const { return q1_; }
   const VecX& stage_velocity() const { return v_; }
   const VecX& end_velocity() const { return v1_; }
+  // Whether gaps and energy are within what is promised.
+  bool keeps_promises() const;
   double h() const { return h_; }
   double joint_friction_loss() const { return joint_friction_loss_; }
   double work() const { return integrator_.work() - joint_friction_loss_; }
@@ -93,6 +97,8 @@ class DenseStep {
   struct Memory {
     std::vector<Impulse> impulses;
     VecX joint_friction;
+    VecX change;  // of the velocity in the last step; empty: not known
+    double h = 1.0;
   };
   const Memory& memory() const { return memory_; }
   void recall(const Memory& memory) { memory_ = memory; }
@@ -112,9 +118,10 @@ class DenseStep {
   void make_node_blocks();
   void invert_blocks();
   void collect(const VecCRef& q0);
-  void add_points(const Near& near, const std::vector<ContactPoint>& points);
   void set_start_impulses(DenseContact& c) const;
-  bool add_point(const ContactPoint& point, const Contact& witness0);
+  void add_rims(const Near& near);
+  ContactPoint frozen(const ContactPoint& point, const Contact& witness) const;
+  bool add_point(const ContactPoint& point, const ContactPoint& law, const Contact& witness0);
   void evaluate(const ContactPoint& point, const Contact* witness, Contact& contact);
   void set_rows(bool at_end);
   void write_row(int column, int size, int first_dof, int body, const Vec3& x, const Vec3& n, double sign);
@@ -125,6 +132,8 @@ class DenseStep {
   bool add_violated();
   bool velocity_problem(double bound_energy);
   void restitution_problem(double bound_energy);
+  double expansion_share(const VecX& plastic, double bound_energy) const;
+  double smooth_contact_error() const;
   void account(const BlockResult& result);
 
   const Scene* scene_;
@@ -138,7 +147,7 @@ class DenseStep {
   std::vector<DenseContact> contacts_;
   std::vector<int> active_;       // contacts of the present problem
   std::vector<double> mobility_;  // of each of them along the normal [1/kg]
-  std::vector<ContactPoint> points_;
+  std::vector<ContactPoint> points_, laws_;
   Memory memory_;
   VecX q0_, p0_, v0_, v_free_, v_, v1_, q1_, p1_, p_start_, lambda_, lambda_v_, bound_, w_;
   MatX columns_;

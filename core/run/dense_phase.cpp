@@ -23,8 +23,15 @@ constexpr int kContactParts = 64;        // of steps with persistent contacts in
 constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
 constexpr int kSoon = 8;                 // times the quiet steps wanted: events that accumulate again so soon
 constexpr std::size_t kMostPersistent = 16;  // points: beyond them the dense step is as accurate and cheaper
+constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
 constexpr double kShortestDense = 1e-6;  // of a step: dense steps are halved down to this length
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+bool find_feature(const std::vector<PersistentContact>& contacts, const ContactPoint& point) {
+  return std::any_of(contacts.begin(), contacts.end(), [&](const PersistentContact& c) {
+    return c.point.guard == point.guard && c.point.feature == point.feature;
+  });
+}
 }  // namespace
 
 // Whether the run may take dense steps at all.
@@ -99,7 +106,9 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
     bool solved = dense_step_.solve(q_, p_, h, interval.tau);
     while (solved && saturate_servos(dense_step_.integrator()))
       solved = dense_step_.solve(q_, p_, h, interval.tau);
-    if (solved) break;
+    // Where gaps or energy are not what the step promises a shorter one is nearer to them; the shortest is taken as it is.
+    const bool shortest = h <= kShortestPromise * options_.dt;
+    if (solved && (shortest || dense_step_.keeps_promises())) break;
     if (user_function_failed(at)) return false;
     h *= 0.5;
     ++halved_;
@@ -147,25 +156,21 @@ bool Simulator::record_dense_contacts(double time, double h, Recording& recordin
     if (!(c.position[0] + c.velocity[0] > 0.0)) continue;
     if (options_.record_contacts) record_dense_contact(c, time, h, recording);
     if (!c.closed || c.expands) continue;
+    // Several points of one feature, a rim's, persist as one.
+    if (find_feature(now, c.point)) continue;
     PersistentContact persistent = make_persistent(c.point, c.at1, c.slip_W);
     const bool is_vertex = c.point.kind == PointKind::kVertex && c.point.plane_body >= 0;
     persistent.tangent =
         is_vertex ? Vec3(guards_.placements().R_W[c.point.plane_body].transpose() * c.t1_1) : c.t1_1;
     persistent.force = (c.position + c.velocity) / h;
-    const bool known = std::any_of(previous_contacts_.begin(), previous_contacts_.end(), [&](const auto& old) {
-      return old.point.guard == c.point.guard && old.point.feature == c.point.feature;
-    });
-    if (!known) {
+    if (!find_feature(previous_contacts_, c.point)) {
       record_change(time + h, c.point, Change::kBegin, 0.0, recording);
       changed = true;
     }
     now.push_back(persistent);
   }
   for (const PersistentContact& old : previous_contacts_) {
-    const bool stays = std::any_of(now.begin(), now.end(), [&](const auto& c) {
-      return old.point.guard == c.point.guard && old.point.feature == c.point.feature;
-    });
-    if (stays) continue;
+    if (find_feature(now, old.point)) continue;
     record_change(time + h, old.point, Change::kRelease, 0.0, recording);
     changed = true;
   }

@@ -34,7 +34,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       bouncing_(scene.guard_count()),
       contact_step_(scene, guards_, guards_.manifolds(), options.tol),
       contact_path_(scene.tree, 1),
-      dense_step_(scene, guards_, options.tol),
+      dense_step_(scene, guards_),
       sequence_(
           scene, integrator_, guards_,
           {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step, options.record_contacts}),
