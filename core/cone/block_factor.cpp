@@ -124,7 +124,7 @@ void BlockFactor::order(const BlockProblem& problem) {
                      std::back_inserter(merged_));
       merged_.erase(std::remove_if(merged_.begin(), merged_.end(), [&](int b) { return b == u || b == best; }),
                     merged_.end());
-      near_[u].swap(merged_);
+      near_[u].assign(merged_.begin(), merged_.end());  // each list keeps its own storage
     }
   }
   for (int& position : position_) position = position == -1 ? -1 : -2 - position;

@@ -1,6 +1,5 @@
 #include "cone/block_solver.hpp"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -190,7 +189,8 @@ void BlockSolver::Work::blend(double bound) {
   find_safe(bound);
   const double safe_energy = system.energy(safe.v);
   bound = std::max(bound, safe_energy);
-  const VecX d = best.v - safe.v;
+  VecX& d = point.v;
+  d = best.v - safe.v;
   const double a = 0.5 * system.product(d, d), b = system.product(d, safe.v), c = safe_energy - bound;
   const double root = std::sqrt(std::max(0.0, b * b - 4.0 * a * c));
   // The larger root of a x^2 + b x + c = 0, c <= 0, without cancellation.

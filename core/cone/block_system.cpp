@@ -1,6 +1,5 @@
 #include "cone/block_system.hpp"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
@@ -102,9 +101,10 @@ bool BlockSystem::invert(const BlockProblem& problem) {
       if (factor.info() != Eigen::Success) return false;
       inverse_[block] = factor.solve(Eigen::Matrix<double, 6, 6>::Identity());
     } else {
-      const Eigen::LLT<MatX> factor(M);
-      if (factor.info() != Eigen::Success) return false;
-      inverse_[block] = factor.solve(MatX::Identity(n, n));
+      factor_.compute(M);
+      if (factor_.info() != Eigen::Success) return false;
+      inverse_[block].setIdentity(n, n);
+      factor_.solveInPlace(inverse_[block]);
     }
     if (!inverse_[block].allFinite()) return false;
   }

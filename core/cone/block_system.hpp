@@ -2,6 +2,7 @@
 // products that the stages of the solver need.
 #pragma once
 
+#include <Eigen/Cholesky>
 #include <vector>
 
 #include "cone/block_law.hpp"
@@ -63,6 +64,7 @@ class BlockSystem {
   std::vector<double> response_;  // M^-1 W^T, laid out as W
   std::vector<ContactMatrix> matrices_;
   std::vector<MatX> inverse_;  // M^-1 per block
+  Eigen::LLT<MatX> factor_;    // of a block that is no free body
   double scale_ = 1.0;
   bool bounded_ = false;
 };
