@@ -1,10 +1,11 @@
-// The laws of block_problem.hpp for one contact by itself. Impulses and velocities of a contact are (n, t1, t2); one with
-// a single row has zeros behind it.
+// The laws of block_problem.hpp for one contact by itself. Impulses and velocities of a contact are (n, t1, t2); one
+// with a single row has zeros behind it.
 //
 // With De Saxce's correction (De Saxce, Feng, "The bipotential method", 1998) the law of contact and friction is one
 // variational inequality, also with a lower bound of the normal impulse:
 //
-//   lambda in S,  -(w_n + mu |w_t|, w_t) in the normal cone of S at lambda,   S: lambda_n >= lower, |lambda_t| <= mu lambda_n
+//   lambda in S,  -(w_n + mu |w_t|, w_t) in the normal cone of S at lambda
+//   S: lambda_n >= lower, |lambda_t| <= mu lambda_n
 //
 // so that lambda = P_S(lambda - r (w_n + mu |w_t|, w_t)) for any r > 0, P_S the projection onto S.
 #pragma once

@@ -17,9 +17,11 @@ constexpr double kShift = 1e-8;  // of the natural map's derivative, as in block
 constexpr double kBoundary = 0.995, kLeastCentering = 1e-6;
 constexpr double kNearPath = 1e-2;  // start of the interior point, of the scale of speeds
 constexpr double kHalved = 0.5;
-// Compliance of a gap, a share of the contact's own mobility: keeps the weights finite. The second is for problems whose
-// gaps cannot all be kept (offset < 0): impulses grow to violation over compliance.
+// Compliance of a gap, a share of the contact's own mobility: keeps the weights finite. The second is for problems
+// whose gaps cannot all be kept (offset < 0): impulses grow to violation over compliance.
 constexpr double kRigid = 1e-11, kSoft = 1e-6;
+constexpr double kOpen = 1e-6;     // of the scale: a gap that is not kept
+constexpr double kNoWorse = 1.01;  // between gaps that are not kept
 // A cone whose edge is kept in spite of rounding.
 constexpr double kInside = 1.0 + 4.0 * std::numeric_limits<double>::epsilon();
 
@@ -212,16 +214,34 @@ int BlockNormals::run(const BlockSystem& system, BlockFactor& factor, double tol
   point.lambda = best_.lambda;
   point.v = best_.v;
   int used = newton(system, factor, tolerance, std::min(kNewtonSteps, iterations), point);
-  for (const double compliance : {kRigid, kSoft}) {
-    if (best_residual_ <= tolerance) break;
-    used += interior_point(system, factor, tolerance, compliance, iterations);
+  if (best_residual_ > tolerance) {
+    used += interior_point(system, factor, tolerance, kRigid, iterations);
     point.lambda = best_.lambda;
     point.v = best_.v;
     used += newton(system, factor, tolerance, kPolishSteps, point);
-    if (-system.worst_gap(best_.v) <= system.scale() * 10.0 * tolerance) break;
   }
   point.lambda = best_.lambda;
   point.v = best_.v;
+  if (-system.worst_gap(point.v) > kOpen * system.scale()) used += soften(system, factor, tolerance, iterations, point);
+  return used;
+}
+
+// Gaps that cannot all be kept, or were not: the answer with a small compliance, from impulses as low as they can be,
+// unless its gaps are worse. point: the best so far, then the better of the two.
+int BlockNormals::soften(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations,
+                         BlockPoint& point) {
+  const double residual = best_residual_;
+  best_residual_ = std::numeric_limits<double>::infinity();
+  for (int c = 0; c < system.contacts(); ++c)
+    if (!is_box(system.contact(c))) best_.lambda[c][0] = low_[c];
+  system.update(best_);
+  const int used = interior_point(system, factor, tolerance, kSoft, iterations);
+  if (system.worst_gap(best_.v) >= kNoWorse * system.worst_gap(point.v)) {
+    point.lambda = best_.lambda;
+    point.v = best_.v;
+  } else {
+    best_residual_ = residual;
+  }
   return used;
 }
 

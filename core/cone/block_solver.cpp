@@ -183,8 +183,8 @@ void BlockSolver::Work::find_safe(double bound) {
   result.factors += normals.run(system, pattern(), kRepairTolerance, kNormalIterations, safe);
 }
 
-// Stage E: the point between the safe answer and `best`, as near to the latter as the energy allows. Cone, gaps and energy
-// are convex conditions: every point between keeps what both ends keep.
+// Stage E: the point between the safe answer and `best`, as near to the latter as the energy allows. Cone, gaps and
+// energy are convex conditions: every point between keeps what both ends keep.
 void BlockSolver::Work::blend(double bound) {
   find_safe(bound);
   const double safe_energy = system.energy(safe.v);
@@ -195,7 +195,11 @@ void BlockSolver::Work::blend(double bound) {
   const double root = std::sqrt(std::max(0.0, b * b - 4.0 * a * c));
   // The larger root of a x^2 + b x + c = 0, c <= 0, without cancellation.
   double share = b > 0.0 ? -2.0 * c / (b + root) : a > 0.0 ? (root - b) / (2.0 * a) : 0.0;
-  if (!gaps_kept(best) || !std::isfinite(share)) share = 0.0;
+  if (within(system.energy(best.v), bound)) share = 1.0;
+  // Where not all gaps can be kept, those of the safe answer decide.
+  const bool kept = system.worst_gap(best.v) >= system.worst_gap(safe.v) - options.accept * system.scale();
+  if (!kept || !std::isfinite(share)) share = 0.0;
+  if (share >= 1.0) return;
   share = std::clamp(share, 0.0, 1.0);
   for (int k = 0; k < system.contacts(); ++k)
     best.lambda[k] = safe.lambda[k] + share * (best.lambda[k] - safe.lambda[k]);
@@ -229,7 +233,8 @@ BlockResult BlockSolver::solve(const BlockProblem& problem, double bound, const 
     return work.result;
   }
   work.options = options;
-  // With a lower bound of an impulse the law is no complementarity of cones any more, and has no convex problem of stage C.
+  // With a lower bound of an impulse the law is no complementarity of cones any more, and has no convex problem of
+  // stage C.
   if (!work.sweeps() && !work.polish() && !work.system.bounded()) work.interior_points();
   if (!work.lawful()) work.repair();
   const double energy = work.system.energy(work.best.v);

@@ -25,7 +25,7 @@ struct BlockResult {
   enum class Stage { kSweeps, kNewton, kInteriorPoint, kRepaired, kBlended, kFailed };
   Stage stage = Stage::kFailed;
   double residual = 0.0;                   // natural map of the law, over the scale of speeds
-  double scale = 0.0;                      // of speeds: the largest of |W^T v_free + offset| in a row [m/s]
+  double scale = 0.0;                      // of speeds [m/s], block_system.hpp (scale)
   double violation = 0.0;                  // -min(w_n) where that is positive [m/s]
   double energy = 0.0, free_energy = 0.0;  // T(v), T(v_free) [J]
   double blend = 1.0;                      // share of the repaired answer in the returned one
@@ -43,8 +43,9 @@ class BlockSolver {
   // Factors the masses and the contacts' own matrices. The problem must stay; v_free, offset, lower, mu and box may
   // change between solves, W and M and the contacts' blocks may not.
   void prepare(const BlockProblem& problem);
-  // lambda (rows,): start on entry [N s], projected onto the cone; the answer on return. v (nv,): v_free + M^-1 W lambda.
-  // bound: the kinetic energy that v may have [J]; it is raised to that of the safe answer of stage E if that has more.
+  // lambda (rows,): start on entry [N s], projected onto the cone; the answer on return. v (nv,): v_free + M^-1 W
+  // lambda. bound: the kinetic energy that v may have [J]; it is raised to that of the safe answer of stage E if that
+  // has more.
   BlockResult solve(const BlockProblem& problem, double bound, const BlockOptions& options, VecRef lambda, VecRef v);
   // Stage D alone: tangential impulses and box rows stay as in lambda, the normal ones become the solution of
   //   lambda_n >= max(lower, |lambda_t|/mu), w_n >= 0, complementary.

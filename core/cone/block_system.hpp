@@ -29,7 +29,9 @@ class BlockSystem {
   const BlockProblem& problem() const { return *problem_; }
   const BlockContact& contact(int c) const { return problem_->contacts[c]; }
   const ContactMatrix& matrix(int c) const { return matrices_[c]; }
-  double scale() const { return scale_; }    // largest free speed of a contact [m/s], positive
+  // Scale of speeds [m/s], positive: the largest |W^T v_free| in a row, which is g h at rest; where something is asked
+  // for, overlaps (-offset) and what lower bounds of impulses move.
+  double scale() const { return scale_; }
   bool bounded() const { return bounded_; }  // some contact has a lower bound of its normal impulse
 
   // W^T v and W^T v + offset of one contact.

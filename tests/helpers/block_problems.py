@@ -1,6 +1,6 @@
 """Random contact problems of many bodies: sparse heaps, with robots, joint limits, joint friction, Poisson's bounds.
 
-A body is a block of degrees of freedom with its own mass matrix; a contact acts on one or two of them. Rows (n, t1, t2).
+A block of degrees of freedom has its own mass matrix; a contact acts on one or two of them. Rows (n, t1, t2).
 """
 
 from __future__ import annotations

@@ -74,9 +74,10 @@ def law_errors(p: BlockProblem, lam: np.ndarray) -> dict[str, float]:
             continue
         l_t, w_t, limit = lam[n + 1 : n + 3], w[n + 1 : n + 3], p.mu[i] * lam[n]
         note("cone", g * (np.linalg.norm(l_t) - limit))
-        # Slip is opposite to friction, and friction at its limit; what little friction there is moves nothing.
-        slip, stuck = np.linalg.norm(w_t), g * limit
-        note("dissipation", min(stuck, np.linalg.norm(w_t + slip * l_t / limit) if limit > 0.0 else stuck))
+        # Friction is opposite to slip, and at its limit: the error of the direction, as slip or as what friction moves.
+        slip = np.linalg.norm(w_t)
+        if slip > 0.0 and limit > 0.0:
+            note("dissipation", min(slip, g * limit) * np.linalg.norm(w_t / slip + l_t / limit))
     return worst
 
 
