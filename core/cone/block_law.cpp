@@ -143,10 +143,11 @@ double scalar_map(const BlockContact& c, double g, double lambda, double w, bool
 
 }  // namespace
 
-void ContactMatrix::finish(double floor) {
+void ContactMatrix::finish(double floor, bool single) {
   largest = std::max(G.diagonal().maxCoeff(), floor);
   G.diagonal().array() += kOwnShift * largest;
   G(0, 0) = std::max(G(0, 0), kOwnShift * largest);
+  if (single) return;
   coupling = G.block<2, 1>(1, 0) / G(0, 0);
   const Mat2 S = G.block<2, 2>(1, 1) - coupling * G.block<1, 2>(0, 1);
   Eigen::SelfAdjointEigenSolver<Mat2> eigen;

@@ -21,12 +21,13 @@ using Mat2 = Eigen::Matrix2d;
 
 // A contact's own matrix G = W^T M^-1 W, and what its exact solution needs of it.
 struct ContactMatrix {
-  Mat3 G = Mat3::Zero();      // with a shift that keeps singular contacts (few joints) solvable
-  double largest = 0.0;       // of the diagonal [1/kg]: the scale between impulse and velocity of this contact
-  Vec2 coupling;              // G_tn / G_nn
-  Mat2 axes;                  // principal axes of S = G_tt - G_tn G_nt / G_nn
-  Vec2 stiffness;             // eigenvalues of S
-  void finish(double floor);  // from G; floor: least diagonal that counts [1/kg]
+  Mat3 G = Mat3::Zero();          // with a shift that keeps singular contacts (few joints) solvable
+  double largest = 0.0;           // of the diagonal [1/kg]: the scale between impulse and velocity of this contact
+  Vec2 coupling = Vec2::Zero();   // G_tn / G_nn
+  Mat2 axes = Mat2::Identity();   // principal axes of S = G_tt - G_tn G_nt / G_nn
+  Vec2 stiffness = Vec2::Zero();  // eigenvalues of S
+  // From G. floor: least diagonal that counts [1/kg]; single: one row, which has no axes.
+  void finish(double floor, bool single);
 };
 
 inline bool is_box(const BlockContact& c) { return c.box > 0.0; }

@@ -34,8 +34,8 @@ class BlockNormals {
   bool keep(const BlockSystem& system, const BlockPoint& point);
   bool newton_step(const BlockSystem& system, BlockFactor& factor, BlockPoint& point);
   int newton(const BlockSystem& system, BlockFactor& factor, double tolerance, int steps, BlockPoint& point);
-  int interior_point(const BlockSystem& system, BlockFactor& factor, double tolerance, double compliance,
-                     int iterations);
+  void start_path(const BlockSystem& system, double tolerance);
+  int follow_path(const BlockSystem& system, BlockFactor& factor, double goal, double compliance, int iterations);
   int soften(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations, BlockPoint& point);
   bool advance(const BlockSystem& system, BlockFactor& factor, double compliance);
   double direction(const BlockSystem& system, BlockFactor& factor, double target, bool corrected);

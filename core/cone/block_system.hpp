@@ -2,7 +2,6 @@
 // products that the stages of the solver need.
 #pragma once
 
-#include <Eigen/Cholesky>
 #include <vector>
 
 #include "cone/block_law.hpp"
@@ -65,8 +64,8 @@ class BlockSystem {
   std::vector<Place> places_;
   std::vector<double> response_;  // M^-1 W^T, laid out as W
   std::vector<ContactMatrix> matrices_;
-  std::vector<MatX> inverse_;  // M^-1 per block
-  Eigen::LLT<MatX> factor_;    // of a block that is no free body
+  std::vector<MatX> inverse_;   // M^-1 per block
+  std::vector<double> factor_;  // of one block's mass
   double scale_ = 1.0;
   bool bounded_ = false;
 };

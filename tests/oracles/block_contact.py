@@ -185,10 +185,12 @@ def normal_velocity(p: BlockProblem, lam: np.ndarray, clarabel) -> np.ndarray | 
 
 
 def _clarabel(P, q, A, b, cones, clarabel) -> np.ndarray | None:
+    """In units in which the largest mass and the largest velocity are 1: its tolerances are absolute."""
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
-    solution = clarabel.DefaultSolver(
-        sparse.csc_matrix(np.triu(P)), q, sparse.csc_matrix(A), b, cones, settings
-    ).solve()
-    return np.array(solution.x) if "Solved" in str(solution.status) else None
+    mass = np.diag(P).max()
+    speed = max(np.abs(np.linalg.solve(P, q)).max(), np.abs(b).max(), 1e-300)
+    problem = sparse.csc_matrix(np.triu(P / mass)), q / (mass * speed), sparse.csc_matrix(A), b / speed
+    solution = clarabel.DefaultSolver(*problem, cones, settings).solve()
+    return speed * np.array(solution.x) if "Solved" in str(solution.status) else None
