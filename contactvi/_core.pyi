@@ -52,6 +52,24 @@ class MhcReference(enum.Enum):
     GLOBAL = 1
     """The start of the run, less the losses of all impacts since."""
 
+class ContactSteps(enum.IntEnum):
+    """Which steps a run takes where bodies touch."""
+
+    AUTO = 0
+
+    EVENTS = 1
+
+    STEPS = 2
+
+class StepKind(enum.IntEnum):
+    """The kind of a step."""
+
+    FREE = 0
+
+    PERSISTENT = 1
+
+    DENSE = 2
+
 class Fallback(enum.IntEnum):
     """Why the impulse of an impact is that of CTEC."""
 
@@ -400,6 +418,12 @@ class SimulatorOptions:
 
     @record_contacts.setter
     def record_contacts(self, arg: bool, /) -> None: ...
+
+    @property
+    def contact_steps(self) -> ContactSteps: ...
+
+    @contact_steps.setter
+    def contact_steps(self, arg: ContactSteps, /) -> None: ...
 
 class Snapshot:
     """All that the rest of a run depends on."""

@@ -206,6 +206,7 @@ Dict run(Simulator& sim, const std::optional<ProgressCallback>& progress, Run ca
   d["contacts"] = contact_rows(s, recording.contacts);
   d["changes"] = contact_changes(s, recording.changes);
   d["phases"] = step_phases(recording);
+  d["dense"] = dense_steps(recording);
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);
   return d;
@@ -294,7 +295,8 @@ void expose_options(nb::module_& m) {
       .def_rw("stiff_support", &SimulatorOptions::stiff_support,
               "Whether persistent contacts take part in an impact as rigid supports.")
       .def_rw("contact_points", &SimulatorOptions::contact_points, "Largest number of points of a pair.")
-      .def_rw("record_contacts", &SimulatorOptions::record_contacts);
+      .def_rw("record_contacts", &SimulatorOptions::record_contacts)
+      .def_rw("contact_steps", &SimulatorOptions::contact_steps);
 }
 
 }  // namespace

@@ -52,7 +52,6 @@ struct BlockSolver::Work {
   bool convex_round(double& last);
   void interior_points();
   void repair();
-  bool lawful() const { return best.residual <= options.accept && gaps_kept(best); }
   bool gaps_kept(const BlockPoint& p) const { return -system.worst_gap(p.v) <= options.accept * system.scale(); }
   bool within(double energy, double bound) const {
     return energy <= bound + kEnergyRounding * (std::abs(bound) + result.free_energy);
@@ -233,10 +232,12 @@ BlockResult BlockSolver::solve(const BlockProblem& problem, double bound, const 
     return work.result;
   }
   work.options = options;
+  const bool solved = work.sweeps() || work.polish();
   // With a lower bound of an impulse the law is no complementarity of cones any more, and has no convex problem of
-  // stage C.
-  if (!work.sweeps() && !work.polish() && !work.system.bounded()) work.interior_points();
-  if (!work.lawful()) work.repair();
+  // stage C. Where the law is not met but cone, gaps and energy are as they should be, the answer stays: new normal
+  // impulses would only be further from the law.
+  if (!solved && !work.system.bounded() && work.best.residual > options.accept) work.interior_points();
+  if (!work.gaps_kept(work.best)) work.repair();
   const double energy = work.system.energy(work.best.v);
   if (!work.within(energy, bound) || !work.gaps_kept(work.best)) work.blend(bound);
   work.finish(lambda, v);

@@ -5,8 +5,9 @@
 //   B  semismooth Newton steps on the natural map of the whole law
 //   C  a convex interior point with the slip speeds frozen that couple normal and tangential law (de Saxce), repeated
 //      with these speeds extrapolated
-//   D  where the law is not met: the normal impulses anew for tangential impulses that stay, a convex problem
-//   E  where that gains energy: the answer between D's and a safe one that just does not
+//   D  where gaps are not kept: the normal impulses anew for tangential impulses that stay, a convex problem
+//   E  where the answer gains energy: the one between it and a safe one that just does not
+// D and E bound what is returned, not how far it is from the law, which `residual` says.
 #pragma once
 
 #include <memory>
@@ -17,7 +18,7 @@ namespace contactvi {
 
 struct BlockOptions {
   double tolerance = 1e-8;  // residual at which the solver stops, relative to the largest free speed of a contact
-  double accept = 1e-6;     // residual up to which an answer needs no repair
+  double accept = 1e-6;     // residual from which the interior point is not worth its time, and gaps that count as kept
   int sweeps = 50, newton_steps = 8, factors = 25;  // stage A, B, and of B and C together
 };
 

@@ -81,6 +81,7 @@ void Simulator::apply_servo() {
   const Servo* servo = scene_->tree.elements.servo_kp.size() > 0 ? &servo_ : nullptr;
   integrator_.set_servo(servo);
   contact_step_.set_servo(servo);
+  dense_step_.set_servo(servo);
 }
 
 // Sets servos that were beyond their effort limit in the step just solved to that limit. True if there were any: the

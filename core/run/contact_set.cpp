@@ -36,18 +36,18 @@ void Simulator::record_change(double time, const ContactPoint& point, Change cha
   recording.changes.push_back({time, point.guard, point.feature, change, value});
 }
 
-void Simulator::record_phase(double time, double dt, bool persistent, Recording& recording) const {
-  if (!recording.phase_t.empty() && recording.phase_persistent.back() == (persistent ? 1 : 0) &&
+void Simulator::record_phase(double time, double dt, StepKind kind, Recording& recording) const {
+  if (!recording.phase_t.empty() && recording.phase_kind.back() == static_cast<int>(kind) &&
       recording.phase_dt.back() == dt)
     return;
   if (recording.phase_t.empty() && !recording.t.empty() && recording.t.front() < time) {
     recording.phase_t.push_back(recording.t.front());
     recording.phase_dt.push_back(truncation_bound_ > 0.0 ? adaptive_dt_ : options_.dt);
-    recording.phase_persistent.push_back(0);
+    recording.phase_kind.push_back(0);
   }
   recording.phase_t.push_back(time);
   recording.phase_dt.push_back(dt);
-  recording.phase_persistent.push_back(persistent ? 1 : 0);
+  recording.phase_kind.push_back(static_cast<int>(kind));
 }
 
 // Tells the guards which of their points are persistent contacts, after a change of the set.

@@ -34,6 +34,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       bouncing_(scene.guard_count()),
       contact_step_(scene, guards_, guards_.manifolds(), options.tol),
       contact_path_(scene.tree, 1),
+      dense_step_(scene, guards_, options.tol),
       sequence_(
           scene, integrator_, guards_,
           {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step, options.record_contacts}),
@@ -72,6 +73,11 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   saturated_ = 0;
   scene_->tree.elements.forget_failure();
   servo_.any = false;
+  dense_phase_ = DensePhase();
+  dense_phase_.active = options_.contact_steps == ContactSteps::kDense && allows_dense_steps();
+  dense_step_.restart();
+  dense_step_.set_servo(&servo_);
+  dense_steps_ = 0;
   integrator_.set_time(t);
   integrator_.set_servo(&servo_);
   contact_step_.set_time(t);
@@ -105,7 +111,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
       return status_;
     }
   }
-  if (allows_persistent_contact()) close_contacts_at_start();
+  if (allows_persistent_contact() && options_.contact_steps != ContactSteps::kDense) close_contacts_at_start();
   return status_;
 }
 
@@ -218,11 +224,27 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   long parts = 0;
   sequence_.begin_step();
   sticks_located_ = 0;
+  event_count_ = EventCount();
+  const std::size_t changes = recording.changes.size();
+  const bool dense_allowed = allows_dense_steps();
+  if (dense_phase_.active && dense_may_end()) end_dense_phase();
+  if (!dense_phase_.active) ++dense_phase_.since_return;
   law_->start_step(q_, p_, reference_);
   while (interval.remaining > 0.0) {
-    if (++parts % 64 == 0 && !report_progress(start + interval.done)) return false;
-    if (parts > 1) limit_actuation();
-    if (!(contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording)))
+    if (parts++ > 0) {
+      if (!report_progress(start + interval.done)) return false;
+      limit_actuation();
+    }
+    if (dense_phase_.active) {
+      if (!advance_dense(interval, recording)) return false;
+      continue;
+    }
+    const bool going =
+        contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
+    event_count_.changes = static_cast<int>(recording.changes.size() - changes);
+    if (dense_allowed && (going ? events_accumulate() : dense_steps_go_on()))
+      begin_dense_phase();
+    else if (!going)
       return false;
   }
   if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, start + length, "the state is not finite");
@@ -233,7 +255,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
 bool Simulator::advance_free(Interval& interval, long halved, Recording& recording) {
   const double at = interval.start + interval.done;
   if (!recording.phase_t.empty())
-    record_phase(at, truncation_bound_ > 0.0 ? adaptive_dt_ : options_.dt, false, recording);
+    record_phase(at, truncation_bound_ > 0.0 ? adaptive_dt_ : options_.dt, StepKind::kFree, recording);
   const double longest = flight_dt_ > 0.0 ? std::min(trial_dt_, flight_dt_) : trial_dt_;
   const bool shorter = longest < interval.remaining * (1.0 - 1e-9);
   const double h = shorter ? longest : interval.remaining;
@@ -321,7 +343,9 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
   find_accumulating_impacts(time);
   // A contact that has separated by rounding only has no impact with the closing speed that rounding has left.
   const bool rounding = (stays_closed || touched) && scale <= kSeparated * largest_speed_;
+  const long impacts_before = impacts_;
   const bool ran = rounding || run_impacts(now, recording);
+  if (sequence_.count() > 1) event_count_.coupled_impacts += impacts_ - impacts_before;
   if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
   if (!update_bouncing(first, stays_closed || touched, time, recording)) return false;

@@ -7,9 +7,11 @@
 
 #include "base/error.hpp"
 #include "contact/contact_step.hpp"
+#include "contact/dense_step.hpp"
 #include "event/finder.hpp"
 #include "impact/sequence.hpp"
 #include "record/recording.hpp"
+#include "run/dense_phase.hpp"
 
 namespace contactvi {
 
@@ -27,6 +29,7 @@ struct SimulatorOptions {
   bool stiff_support = false;  // persistent contacts are rigid supports in an impact instead of partners
   int contact_points = 4;      // of a pair, at most
   bool record_contacts = true;
+  ContactSteps contact_steps = ContactSteps::kAuto;
 };
 
 // Called about ten times a second with (time [s], impacts so far); false asks the run to stop.
@@ -61,6 +64,7 @@ class Simulator {
   long rejected() const { return rejected_; }
   const ContactStepCounters& contact_counters() const { return contact_step_.counters; }
   double contact_seconds() const { return contact_seconds_; }
+  long dense_steps() const { return dense_steps_; }
   long saturated() const { return saturated_; }
 
   // All that the rest of a run depends on: a run that goes on after restore() has the same digits.
@@ -158,10 +162,22 @@ class Simulator {
   void close_contacts_at_start();
   PersistentContact make_persistent(const ContactPoint& point, const Contact& contact, const Vec3& slip);
   void update_persistent_guards();
-  void record_phase(double time, double dt, bool persistent, Recording& recording) const;
+  void record_phase(double time, double dt, StepKind kind, Recording& recording) const;
   void record_change(double time, const ContactPoint& point, Change change, double value, Recording& recording) const;
   double current_dt() const { return contact_step_.contacts().empty() ? options_.dt : contact_dt(); }
   double contact_dt() const { return options_.dt_contact > 0.0 ? options_.dt_contact : options_.dt; }
+
+  // dense_phase.cpp: dense steps, and the decision between them and located events.
+  bool allows_dense_steps() const;
+  bool events_accumulate() const;
+  bool dense_steps_go_on() const;
+  bool dense_may_end() const;
+  void begin_dense_phase();
+  void end_dense_phase();
+  bool advance_dense(Interval& interval, Recording& recording);
+  void accept_dense_step(double time, double h, Recording& recording);
+  bool record_dense_contacts(double time, double h, Recording& recording);
+  void record_dense_contact(const DenseContact& c, double time, double h, Recording& recording) const;
 
   bool end(StatusCode code, double time, std::string message, int guard = -1);
 
@@ -186,6 +202,10 @@ class Simulator {
   std::vector<Bouncing> bouncing_;
   ContactStep contact_step_;
   StepPath contact_path_;
+  DenseStep dense_step_;
+  DensePhase dense_phase_;
+  EventCount event_count_;
+  long dense_steps_ = 0;
   ImpactSequence sequence_;
   const ImpactLaw* law_;
   ImpactReference reference_;
