@@ -281,6 +281,14 @@ class BlockContacts:
         The normal impulses anew for the tangential ones of start; the same results.
         """
 
+    def solve_convex(self, slip: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], tolerance: float = 1e-09) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float, int]:
+        """
+        Impulses (rows,) of the law with frozen slip speeds (m,) [m/s], residual, factorizations.
+        """
+
+    def solve_weighted(self, K: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], symmetric: bool) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """(M + W K W^T)^-1 x with matrices K (3 m, 3) of the contacts, x (nv,)."""
+
     def seconds(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, bound: float = float('inf'), tolerance: float = 1e-08, accept: float = 1e-06, sweeps: int = 50, newton_steps: int = 8, factors: int = 25, prepare: bool = True, repeats: int = 3) -> float:
         """
         Seconds of one solve, with its preparation or without, the fastest of several.

@@ -12,6 +12,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
+#include "cone/block_interior_point.hpp"
 #include "cone/block_solver.hpp"
 #include "cone/solver.hpp"
 
@@ -161,6 +162,35 @@ class BlockContacts {
     const BlockResult r = solver_.solve_normals(problem_, tolerance, lambda, v);
     return named(r, std::move(lambda), std::move(v));
   }
+  // The convex problem of frozen slip speeds, cold.
+  std::tuple<VecX, double, int> solve_convex(const VecX& slip, double tolerance) {
+    if (slip.size() != static_cast<Eigen::Index>(problem_.contacts.size())) throw nb::value_error("expected slip (m,)");
+    BlockSystem system;
+    VecX lambda = VecX::Zero(problem_.rows());
+    if (!system.prepare(problem_) || !system.start(problem_)) return {lambda, 0.0, 0};
+    BlockFactor factor;
+    factor.analyse(problem_);
+    BlockInteriorPoint interior;
+    BlockPoint point;
+    point.lambda.assign(problem_.contacts.size(), Vec3::Zero());
+    system.update(point);
+    const int used = interior.run(system, factor, {slip.begin(), slip.end()}, 1.0, tolerance, 60, point);
+    for (std::size_t i = 0; i < point.lambda.size(); ++i)
+      for (int r = 0; r < problem_.contacts[i].rows; ++r) lambda[problem_.contacts[i].row + r] = point.lambda[i][r];
+    return {lambda, interior.residual(), used};
+  }
+  // (M + W K W^T)^-1 x, K (3, 3) per contact.
+  VecX solve_weighted(const Rows& K, VecX x, bool symmetric) {
+    const Eigen::Index m = static_cast<Eigen::Index>(problem_.contacts.size());
+    if (K.rows() != 3 * m || K.cols() != 3 || x.size() != problem_.v_free.size())
+      throw nb::value_error("expected K (3 m, 3) and x (nv,)");
+    std::vector<Mat3> weights(m);
+    for (Eigen::Index i = 0; i < m; ++i) weights[i] = K.middleRows(3 * i, 3);
+    BlockFactor factor;
+    factor.analyse(problem_);
+    if (!factor.factor(problem_, weights, symmetric) || !factor.solve(x)) throw nb::value_error("singular");
+    return x;
+  }
   // Seconds of one prepare and solve, of the fastest of several.
   double seconds(const std::optional<VecX>& start, double bound, double tolerance, double accept, int sweeps,
                  int newton_steps, int factors, bool prepare, int repeats) {
@@ -227,6 +257,10 @@ void expose_block_contacts(nb::module_& m) {
            "[J], free_energy [J], blend, sweeps, factors. start (rows,) [N s]; bound of the energy [J].")
       .def("solve_normals", &BlockContacts::solve_normals, "start"_a = nb::none(), "tolerance"_a = usual.tolerance,
            "The normal impulses anew for the tangential ones of start; the same results.")
+      .def("solve_convex", &BlockContacts::solve_convex, "slip"_a, "tolerance"_a = 1e-9,
+           "Impulses (rows,) of the law with frozen slip speeds (m,) [m/s], residual, factorizations.")
+      .def("solve_weighted", &BlockContacts::solve_weighted, "K"_a, "x"_a, "symmetric"_a,
+           "(M + W K W^T)^-1 x with matrices K (3 m, 3) of the contacts, x (nv,).")
       .def("seconds", &BlockContacts::seconds, "start"_a = nb::none(),
            "bound"_a = std::numeric_limits<double>::infinity(), "tolerance"_a = usual.tolerance,
            "accept"_a = usual.accept, "sweeps"_a = usual.sweeps, "newton_steps"_a = usual.newton_steps,

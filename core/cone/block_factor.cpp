@@ -4,39 +4,16 @@
 #include <cmath>
 #include <iterator>
 
+#include "cone/inverse_cholesky.hpp"
+
 namespace contactvi {
 
 namespace {
 
 template <int N>
-using Block = Eigen::Map<Eigen::Matrix<double, N, N>>;
+using Block = SquareMap<N>;
 template <int N>
 using Column = Eigen::Map<Eigen::Matrix<double, N, 1>>;
-
-// Replaces the lower triangle of a positive definite A by the inverse of its Cholesky factor, zeros above.
-template <int N>
-bool invert_cholesky(Block<N> A) {
-  const int n = static_cast<int>(A.rows());
-  for (int j = 0; j < n; ++j) {
-    for (int k = 0; k < j; ++k) {
-      const double f = A(j, k);
-      for (int i = j; i < n; ++i) A(i, j) -= f * A(i, k);
-    }
-    if (!(A(j, j) > 0.0) || !std::isfinite(A(j, j))) return false;
-    const double scale = 1.0 / std::sqrt(A(j, j));
-    for (int i = j; i < n; ++i) A(i, j) *= scale;
-  }
-  for (int j = 0; j < n; ++j) {
-    A(j, j) = 1.0 / A(j, j);
-    for (int i = j + 1; i < n; ++i) {
-      double sum = 0.0;
-      for (int k = j; k < i; ++k) sum += A(i, k) * A(k, j);
-      A(i, j) = -sum / A(i, i);
-    }
-    for (int i = 0; i < j; ++i) A(i, j) = 0.0;
-  }
-  return true;
-}
 
 // Inverse in place by elimination with pivots of the column. rows: workspace (n,).
 template <int N>
@@ -124,7 +101,7 @@ void BlockFactor::order(const BlockProblem& problem) {
                      std::back_inserter(merged_));
       merged_.erase(std::remove_if(merged_.begin(), merged_.end(), [&](int b) { return b == u || b == best; }),
                     merged_.end());
-      near_[u].swap(merged_);
+      near_[u].assign(merged_.begin(), merged_.end());  // each list keeps its own storage
     }
   }
   for (int& position : position_) position = position == -1 ? -1 : -2 - position;

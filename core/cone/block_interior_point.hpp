@@ -3,8 +3,8 @@
 //   min |v - v_free|^2_M / 2   with   (w_n + offset + mu s, w_t) in the dual of the friction cone
 //
 // by a primal-dual interior point with Nesterov and Todd's scaling and Mehrotra's predictor and corrector (the scaling
-// of second-order cones as in Vandenberghe, "The CVXOPT linear and quadratic cone program solvers", 2010). Lower bounds of
-// impulses have no place in it; joint friction keeps the impulses it has.
+// of second-order cones as in Vandenberghe, "The CVXOPT linear and quadratic cone program solvers", 2010). Lower bounds
+// of impulses have no place in it; joint friction keeps the impulses it has.
 #pragma once
 
 #include <vector>

@@ -13,11 +13,11 @@ namespace {
 
 constexpr double kEps = std::numeric_limits<double>::epsilon();
 // Shift of a contact's own matrix, a share of its largest diagonal. The sweeps subtract the same matrix from w, so that
-// their fixed points are those of the unshifted law; a direction that joints leave immobile changes by rounding over the
-// shift, 1e-6 of the impulses, and moves nothing.
+// their fixed points are those of the unshifted law; a direction that joints leave immobile changes by rounding over
+// the shift, 1e-6 of the impulses, and moves nothing.
 constexpr double kOwnShift = 1e-10;
-// Share of the shift of the natural map's derivative that small friction may add: the cone's dual coordinates stretch the
-// normal by 1/mu, hence the stiffness of a closed contact by 1/mu^2.
+// Share of the shift of the natural map's derivative that small friction may add: the cone's dual coordinates stretch
+// the normal by 1/mu, hence the stiffness of a closed contact by 1/mu^2.
 constexpr double kLargestShift = 1e-4;
 constexpr int kSlipIterations = 60;  // Newton's method in a bracket; bisection alone would need about 60
 
@@ -143,10 +143,11 @@ double scalar_map(const BlockContact& c, double g, double lambda, double w, bool
 
 }  // namespace
 
-void ContactMatrix::finish(double floor) {
+void ContactMatrix::finish(double floor, bool single) {
   largest = std::max(G.diagonal().maxCoeff(), floor);
   G.diagonal().array() += kOwnShift * largest;
   G(0, 0) = std::max(G(0, 0), kOwnShift * largest);
+  if (single) return;
   coupling = G.block<2, 1>(1, 0) / G(0, 0);
   const Mat2 S = G.block<2, 2>(1, 1) - coupling * G.block<1, 2>(0, 1);
   Eigen::SelfAdjointEigenSolver<Mat2> eigen;

@@ -1,10 +1,11 @@
-// The laws of block_problem.hpp for one contact by itself. Impulses and velocities of a contact are (n, t1, t2); one with
-// a single row has zeros behind it.
+// The laws of block_problem.hpp for one contact by itself. Impulses and velocities of a contact are (n, t1, t2); one
+// with a single row has zeros behind it.
 //
 // With De Saxce's correction (De Saxce, Feng, "The bipotential method", 1998) the law of contact and friction is one
 // variational inequality, also with a lower bound of the normal impulse:
 //
-//   lambda in S,  -(w_n + mu |w_t|, w_t) in the normal cone of S at lambda,   S: lambda_n >= lower, |lambda_t| <= mu lambda_n
+//   lambda in S,  -(w_n + mu |w_t|, w_t) in the normal cone of S at lambda
+//   S: lambda_n >= lower, |lambda_t| <= mu lambda_n
 //
 // so that lambda = P_S(lambda - r (w_n + mu |w_t|, w_t)) for any r > 0, P_S the projection onto S.
 #pragma once
@@ -20,12 +21,13 @@ using Mat2 = Eigen::Matrix2d;
 
 // A contact's own matrix G = W^T M^-1 W, and what its exact solution needs of it.
 struct ContactMatrix {
-  Mat3 G = Mat3::Zero();      // with a shift that keeps singular contacts (few joints) solvable
-  double largest = 0.0;       // of the diagonal [1/kg]: the scale between impulse and velocity of this contact
-  Vec2 coupling;              // G_tn / G_nn
-  Mat2 axes;                  // principal axes of S = G_tt - G_tn G_nt / G_nn
-  Vec2 stiffness;             // eigenvalues of S
-  void finish(double floor);  // from G; floor: least diagonal that counts [1/kg]
+  Mat3 G = Mat3::Zero();          // with a shift that keeps singular contacts (few joints) solvable
+  double largest = 0.0;           // of the diagonal [1/kg]: the scale between impulse and velocity of this contact
+  Vec2 coupling = Vec2::Zero();   // G_tn / G_nn
+  Mat2 axes = Mat2::Identity();   // principal axes of S = G_tt - G_tn G_nt / G_nn
+  Vec2 stiffness = Vec2::Zero();  // eigenvalues of S
+  // From G. floor: least diagonal that counts [1/kg]; single: one row, which has no axes.
+  void finish(double floor, bool single);
 };
 
 inline bool is_box(const BlockContact& c) { return c.box > 0.0; }

@@ -1,7 +1,7 @@
-// Stage B: semismooth Newton steps on the natural map of the whole law (block_law.hpp), with the velocities of the blocks
-// as unknowns (Alart and Curnier, "A mixed formulation for frictional contact problems prone to Newton like solution
-// methods", 1991; the projection in the coordinates in which the cone is its own dual, Acary and Brogliato, "Numerical
-// methods for nonsmooth dynamical systems", 2008).
+// Stage B: semismooth Newton steps on the natural map of the whole law (block_law.hpp), with the velocities of the
+// blocks as unknowns (Alart and Curnier, "A mixed formulation for frictional contact problems prone to Newton like
+// solution methods", 1991; the projection in the coordinates in which the cone is its own dual, Acary and Brogliato,
+// "Numerical methods for nonsmooth dynamical systems", 2008).
 #pragma once
 
 #include <vector>

@@ -13,13 +13,19 @@ namespace {
 constexpr int kSweeps = 12;  // tried first, as long as they halve the residual in kBetweenChecks
 constexpr int kBetweenChecks = 3;
 constexpr int kNewtonSteps = 6, kPolishSteps = 3;
+constexpr int kSweepsAfter = 3;  // a Newton step
+constexpr int kStalled = 3;      // steps that do not halve the residual, until the next method
 constexpr double kShift = 1e-8;  // of the natural map's derivative, as in block_newton.cpp
 constexpr double kBoundary = 0.995, kLeastCentering = 1e-6;
 constexpr double kNearPath = 1e-2;  // start of the interior point, of the scale of speeds
+constexpr double kNearEnd = 1e-5;   // residual from which it is interrupted for Newton steps
+constexpr int kStalledPath = 5;     // its iterations that do not halve the residual
 constexpr double kHalved = 0.5;
-// Compliance of a gap, a share of the contact's own mobility: keeps the weights finite. The second is for problems whose
-// gaps cannot all be kept (offset < 0): impulses grow to violation over compliance.
+// Compliance of a gap, a share of the contact's own mobility: keeps the weights finite. The second is for problems
+// whose gaps cannot all be kept (offset < 0): impulses grow to violation over compliance.
 constexpr double kRigid = 1e-11, kSoft = 1e-6;
+constexpr double kOpen = 1e-6;     // of the scale: a gap that is not kept
+constexpr double kNoWorse = 1.01;  // between gaps that are not kept
 // A cone whose edge is kept in spite of rounding.
 constexpr double kInside = 1.0 + 4.0 * std::numeric_limits<double>::epsilon();
 
@@ -100,10 +106,14 @@ bool BlockNormals::newton_step(const BlockSystem& system, BlockFactor& factor, B
 int BlockNormals::newton(const BlockSystem& system, BlockFactor& factor, double tolerance, int steps,
                          BlockPoint& point) {
   int used = 0, stalled = 0;
-  while (used < steps && best_residual_ > tolerance && stalled < 3) {
+  while (used < steps && best_residual_ > tolerance && stalled < kStalled) {
     ++used;
     if (!newton_step(system, factor, point)) break;
     const double before = best_residual_;
+    keep(system, point);
+    // Redundant contacts whose gaps disagree: sweeps sort out which of them carry.
+    for (int k = 0; k < kSweepsAfter && best_residual_ > tolerance; ++k) sweep(system, point);
+    system.update(point);
     keep(system, point);
     stalled = best_residual_ < kHalved * before ? 0 : stalled + 1;
   }
@@ -167,9 +177,8 @@ bool BlockNormals::advance(const BlockSystem& system, BlockFactor& factor, doubl
   return true;
 }
 
-// From the best point; stops when the gaps are in and the rest no longer halves.
-int BlockNormals::interior_point(const BlockSystem& system, BlockFactor& factor, double tolerance, double compliance,
-                                 int iterations) {
+// From the best point to the central path above it.
+void BlockNormals::start_path(const BlockSystem& system, double tolerance) {
   trial_.lambda = best_.lambda;
   trial_.v = best_.v;
   const double start = std::max(kNearPath, std::sqrt(tolerance)) * system.scale();
@@ -183,15 +192,21 @@ int BlockNormals::interior_point(const BlockSystem& system, BlockFactor& factor,
     trial_.lambda[c][0] = low_[c] + pairs_[c].n;
   }
   system.update(trial_);
+}
+
+// Along the path to a residual `goal`; stops when the gaps are in and the rest no longer halves.
+int BlockNormals::follow_path(const BlockSystem& system, BlockFactor& factor, double goal, double compliance,
+                              int iterations) {
   int used = 0;
-  double last = std::numeric_limits<double>::infinity();
-  while (used < iterations) {
+  double least = std::numeric_limits<double>::infinity();
+  for (int stalled = 0; used < iterations;) {
     ++used;
     if (!advance(system, factor, compliance)) break;
     keep(system, trial_);
-    const double residual = evaluate(system, trial_), gap = -system.worst_gap(trial_.v);
-    if (residual <= tolerance || (gap <= tolerance * system.scale() && residual > kHalved * last)) break;
-    last = residual;
+    const double residual = evaluate(system, trial_);
+    stalled = residual < kHalved * least ? 0 : stalled + 1;
+    least = std::min(least, residual);
+    if (residual <= goal || (stalled >= kStalledPath && -system.worst_gap(trial_.v) <= goal * system.scale())) break;
   }
   return used;
 }
@@ -212,16 +227,40 @@ int BlockNormals::run(const BlockSystem& system, BlockFactor& factor, double tol
   point.lambda = best_.lambda;
   point.v = best_.v;
   int used = newton(system, factor, tolerance, std::min(kNewtonSteps, iterations), point);
-  for (const double compliance : {kRigid, kSoft}) {
-    if (best_residual_ <= tolerance) break;
-    used += interior_point(system, factor, tolerance, compliance, iterations);
+  if (best_residual_ > tolerance) start_path(system, tolerance);
+  // Contacts that touch without load make the end of the path slow: Newton steps know by then who carries.
+  int left = iterations;
+  for (const double goal : {std::max(kNearEnd, tolerance), tolerance}) {
+    if (best_residual_ <= tolerance || left <= 0) break;
+    const int along = follow_path(system, factor, goal, kRigid, left);
+    left -= along;
     point.lambda = best_.lambda;
     point.v = best_.v;
-    used += newton(system, factor, tolerance, kPolishSteps, point);
-    if (-system.worst_gap(best_.v) <= system.scale() * 10.0 * tolerance) break;
+    used += along + newton(system, factor, tolerance, kPolishSteps, point);
   }
   point.lambda = best_.lambda;
   point.v = best_.v;
+  if (-system.worst_gap(point.v) > kOpen * system.scale()) used += soften(system, factor, tolerance, iterations, point);
+  return used;
+}
+
+// Gaps that cannot all be kept, or were not: the answer with a small compliance, from impulses as low as they can be,
+// unless its gaps are worse. point: the best so far, then the better of the two.
+int BlockNormals::soften(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations,
+                         BlockPoint& point) {
+  const double residual = best_residual_;
+  best_residual_ = std::numeric_limits<double>::infinity();
+  for (int c = 0; c < system.contacts(); ++c)
+    if (!is_box(system.contact(c))) best_.lambda[c][0] = low_[c];
+  system.update(best_);
+  start_path(system, tolerance);
+  const int used = follow_path(system, factor, tolerance, kSoft, iterations);
+  if (system.worst_gap(best_.v) >= kNoWorse * system.worst_gap(point.v)) {
+    point.lambda = best_.lambda;
+    point.v = best_.v;
+  } else {
+    best_residual_ = residual;
+  }
   return used;
 }
 

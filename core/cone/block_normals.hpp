@@ -2,8 +2,8 @@
 //
 //   lambda_n >= low = max(lower, |lambda_t|/mu),  w_n >= 0,  (lambda_n - low) w_n = 0
 //
-// a convex quadratic problem. For offset >= 0 it has a solution whatever the redundancy and the friction, since v = 0 has
-// no gap that closes; where it has none, the gaps are given a small compliance.
+// a convex quadratic problem. For offset >= 0 it has a solution whatever the redundancy and the friction, since v = 0
+// has no gap that closes; where it has none, the gaps are given a small compliance.
 #pragma once
 
 #include <vector>
@@ -16,8 +16,8 @@ namespace contactvi {
 class BlockNormals {
  public:
   // point: start on entry, the answer on return, its tangential impulses inside the friction that its normals allow.
-  // tolerance: of the natural map of this problem over the scale of speeds. From a start with few changes some sweeps are
-  // enough; else semismooth Newton steps, then an interior point. Returns the factorizations used.
+  // tolerance: of the natural map of this problem over the scale of speeds. From a start with few changes some sweeps
+  // are enough; else semismooth Newton steps, then an interior point. Returns the factorizations used.
   int run(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations, BlockPoint& point);
   double residual() const { return best_residual_; }
 
@@ -34,8 +34,9 @@ class BlockNormals {
   bool keep(const BlockSystem& system, const BlockPoint& point);
   bool newton_step(const BlockSystem& system, BlockFactor& factor, BlockPoint& point);
   int newton(const BlockSystem& system, BlockFactor& factor, double tolerance, int steps, BlockPoint& point);
-  int interior_point(const BlockSystem& system, BlockFactor& factor, double tolerance, double compliance,
-                     int iterations);
+  void start_path(const BlockSystem& system, double tolerance);
+  int follow_path(const BlockSystem& system, BlockFactor& factor, double goal, double compliance, int iterations);
+  int soften(const BlockSystem& system, BlockFactor& factor, double tolerance, int iterations, BlockPoint& point);
   bool advance(const BlockSystem& system, BlockFactor& factor, double compliance);
   double direction(const BlockSystem& system, BlockFactor& factor, double target, bool corrected);
 

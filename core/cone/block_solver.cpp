@@ -1,6 +1,5 @@
 #include "cone/block_solver.hpp"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -183,18 +182,23 @@ void BlockSolver::Work::find_safe(double bound) {
   result.factors += normals.run(system, pattern(), kRepairTolerance, kNormalIterations, safe);
 }
 
-// Stage E: the point between the safe answer and `best`, as near to the latter as the energy allows. Cone, gaps and energy
-// are convex conditions: every point between keeps what both ends keep.
+// Stage E: the point between the safe answer and `best`, as near to the latter as the energy allows. Cone, gaps and
+// energy are convex conditions: every point between keeps what both ends keep.
 void BlockSolver::Work::blend(double bound) {
   find_safe(bound);
   const double safe_energy = system.energy(safe.v);
   bound = std::max(bound, safe_energy);
-  const VecX d = best.v - safe.v;
+  VecX& d = point.v;
+  d = best.v - safe.v;
   const double a = 0.5 * system.product(d, d), b = system.product(d, safe.v), c = safe_energy - bound;
   const double root = std::sqrt(std::max(0.0, b * b - 4.0 * a * c));
   // The larger root of a x^2 + b x + c = 0, c <= 0, without cancellation.
   double share = b > 0.0 ? -2.0 * c / (b + root) : a > 0.0 ? (root - b) / (2.0 * a) : 0.0;
-  if (!gaps_kept(best) || !std::isfinite(share)) share = 0.0;
+  if (within(system.energy(best.v), bound)) share = 1.0;
+  // Where not all gaps can be kept, those of the safe answer decide.
+  const bool kept = system.worst_gap(best.v) >= system.worst_gap(safe.v) - options.accept * system.scale();
+  if (!kept || !std::isfinite(share)) share = 0.0;
+  if (share >= 1.0) return;
   share = std::clamp(share, 0.0, 1.0);
   for (int k = 0; k < system.contacts(); ++k)
     best.lambda[k] = safe.lambda[k] + share * (best.lambda[k] - safe.lambda[k]);
@@ -228,8 +232,10 @@ BlockResult BlockSolver::solve(const BlockProblem& problem, double bound, const 
     return work.result;
   }
   work.options = options;
-  // With a lower bound of an impulse the law is no complementarity of cones any more, and has no convex problem of stage C.
   const bool solved = work.sweeps() || work.polish();
+  // With a lower bound of an impulse the law is no complementarity of cones any more, and has no convex problem of
+  // stage C. Where the law is not met but cone, gaps and energy are as they should be, the answer stays: new normal
+  // impulses would only be further from the law.
   if (!solved && !work.system.bounded() && work.best.residual > options.accept) work.interior_points();
   if (!work.gaps_kept(work.best)) work.repair();
   const double energy = work.system.energy(work.best.v);

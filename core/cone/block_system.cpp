@@ -1,10 +1,10 @@
 #include "cone/block_system.hpp"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
 #include "base/tolerances.hpp"
+#include "cone/inverse_cholesky.hpp"
 
 namespace contactvi {
 
@@ -18,6 +18,10 @@ using SixMap = Eigen::Map<Six>;
 using SixCMap = Eigen::Map<const Six>;
 using AnyMap = Eigen::Map<VecX>;
 using AnyCMap = Eigen::Map<const VecX>;
+
+inline double dot(const double* x, const double* y, int n) {
+  return n == 6 ? SixCMap(x).dot(SixCMap(y)) : AnyCMap(x, n).dot(AnyCMap(y, n));
+}
 
 // w += the rows of coefficients (rows, n) times v. Free bodies have six degrees of freedom: their size is known to the
 // compiler.
@@ -74,19 +78,20 @@ void BlockSystem::mobility(const BlockProblem& problem) {
     const Place& p = places_[i];
     Mat3& G = matrices_[i].G;
     G.setZero();
+    const int second = p.column + p.rows * p.size_a;
     for (int r = 0; r < p.rows; ++r) {
-      for (int s = 0; s < p.rows; ++s) {
-        const int a = p.column, b = p.column + p.rows * p.size_a;
-        G(r, s) = AnyCMap(&problem.W[a] + r * p.size_a, p.size_a).dot(AnyCMap(&response_[a] + s * p.size_a, p.size_a));
+      for (int s = 0; s <= r; ++s) {
+        const int a = p.column, n = p.size_a;
+        G(r, s) = dot(&problem.W[a + r * n], &response_[a + s * n], n);
         if (p.size_b > 0)
-          G(r, s) +=
-              AnyCMap(&problem.W[b] + r * p.size_b, p.size_b).dot(AnyCMap(&response_[b] + s * p.size_b, p.size_b));
+          G(r, s) += dot(&problem.W[second + r * p.size_b], &response_[second + s * p.size_b], p.size_b);
+        G(s, r) = G(r, s);
       }
     }
-    G = (0.5 * (G + G.transpose())).eval();
     largest = std::max(largest, G.diagonal().maxCoeff());
   }
-  for (ContactMatrix& m : matrices_) m.finish(std::max(kLeastMobility * largest, kLeastDivisor));
+  const double floor = std::max(kLeastMobility * largest, kLeastDivisor);
+  for (std::size_t i = 0; i < places_.size(); ++i) matrices_[i].finish(floor, places_[i].rows == 1);
 }
 
 bool BlockSystem::invert(const BlockProblem& problem) {
@@ -97,14 +102,17 @@ bool BlockSystem::invert(const BlockProblem& problem) {
     const int n = problem.size(block);
     const MatX& M = problem.M[block];
     if (M.rows() != n || M.cols() != n || !M.allFinite()) return false;
+    factor_.assign(M.data(), M.data() + M.size());
+    MatX& inverse = inverse_[block];
+    inverse.resize(n, n);
     if (n == 6) {
-      const Eigen::LLT<Eigen::Matrix<double, 6, 6>> factor(M);
-      if (factor.info() != Eigen::Success) return false;
-      inverse_[block] = factor.solve(Eigen::Matrix<double, 6, 6>::Identity());
+      const SquareMap<6> L(factor_.data());
+      if (!invert_cholesky<6>(L)) return false;
+      SquareMap<6>(inverse.data()).noalias() = L.transpose() * L;
     } else {
-      const Eigen::LLT<MatX> factor(M);
-      if (factor.info() != Eigen::Success) return false;
-      inverse_[block] = factor.solve(MatX::Identity(n, n));
+      const SquareMap<Eigen::Dynamic> L(factor_.data(), n, n);
+      if (!invert_cholesky<Eigen::Dynamic>(L)) return false;
+      inverse.noalias() = L.transpose() * L;
     }
     if (!inverse_[block].allFinite()) return false;
   }
@@ -124,7 +132,8 @@ bool BlockSystem::prepare(const BlockProblem& problem) {
       const int n = problem.size(block);
       for (int r = 0; r < p.rows; ++r, column += n) {
         if (n == 6)
-          SixMap(&response_[column]).noalias() = inverse_[block].topLeftCorner<6, 6>() * SixCMap(&problem.W[column]);
+          SixMap(&response_[column]).noalias() =
+              Eigen::Map<const Eigen::Matrix<double, 6, 6>>(inverse_[block].data()) * SixCMap(&problem.W[column]);
         else
           AnyMap(&response_[column], n).noalias() = inverse_[block] * AnyCMap(&problem.W[column], n);
       }

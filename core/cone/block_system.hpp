@@ -28,7 +28,9 @@ class BlockSystem {
   const BlockProblem& problem() const { return *problem_; }
   const BlockContact& contact(int c) const { return problem_->contacts[c]; }
   const ContactMatrix& matrix(int c) const { return matrices_[c]; }
-  double scale() const { return scale_; }    // largest free speed of a contact [m/s], positive
+  // Scale of speeds [m/s], positive: the largest |W^T v_free| in a row, which is g h at rest; where something is asked
+  // for, overlaps (-offset) and what lower bounds of impulses move.
+  double scale() const { return scale_; }
   bool bounded() const { return bounded_; }  // some contact has a lower bound of its normal impulse
 
   // W^T v and W^T v + offset of one contact.
@@ -62,7 +64,8 @@ class BlockSystem {
   std::vector<Place> places_;
   std::vector<double> response_;  // M^-1 W^T, laid out as W
   std::vector<ContactMatrix> matrices_;
-  std::vector<MatX> inverse_;  // M^-1 per block
+  std::vector<MatX> inverse_;   // M^-1 per block
+  std::vector<double> factor_;  // of one block's mass
   double scale_ = 1.0;
   bool bounded_ = false;
 };
