@@ -85,7 +85,7 @@ void add_contact_stats(const Simulator& sim, nb::dict& d) {
   d["cone_problems"] = c.problems;
   d["cone_iterations"] = c.iterations;
   d["cone_fallbacks"] = c.fallbacks;
-  d["contact_seconds"] = sim.contact_seconds();
+  d["contact_seconds"] = sim.state().contact_seconds;
 }
 
 }  // namespace contactvi
