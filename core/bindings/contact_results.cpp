@@ -114,8 +114,8 @@ void add_contact_stats(const Simulator& sim, nb::dict& d) {
   d["cone_problems"] = c.problems;
   d["cone_iterations"] = c.iterations;
   d["cone_fallbacks"] = c.fallbacks;
-  d["contact_seconds"] = sim.contact_seconds();
-  d["dense_steps"] = sim.dense_steps();
+  d["contact_seconds"] = sim.state().contact_seconds;
+  d["dense_steps"] = sim.state().dense_steps;
 }
 
 }  // namespace contactvi

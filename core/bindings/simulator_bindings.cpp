@@ -104,16 +104,16 @@ void add_status(const Scene& s, const Status& status, nb::dict& d) {
 
 Dict stats(const Simulator& sim, double seconds) {
   Dict d;
-  d["steps"] = sim.steps();
+  d["steps"] = sim.state().step;
   d["stage_iterations"] = sim.step_counters().stage_iterations;
-  d["halved"] = sim.halved();
-  d["rejected"] = sim.rejected();
+  d["halved"] = sim.state().control.halved;
+  d["rejected"] = sim.state().rejected;
   d["factorizations"] = sim.step_counters().factorizations;
   d["guards_evaluated"] = sim.guard_counters().evaluated;
   d["guards_skipped"] = sim.guard_counters().skipped;
-  d["impacts"] = sim.impacts();
+  d["impacts"] = sim.state().impacts;
   d["seconds"] = seconds;
-  d["saturated"] = sim.saturated();
+  d["saturated"] = sim.state().actuators.saturated;
   add_contact_stats(sim, d);
   return d;
 }
@@ -227,7 +227,7 @@ Dict advance(Simulator& sim, long steps, const std::optional<Rows>& tau, long re
 
 // A snapshot belongs to a scene, and is refused by simulators of another one.
 struct Kept {
-  std::shared_ptr<const Simulator::Snapshot> snapshot;
+  std::shared_ptr<const Snapshot> snapshot;
   const Scene* scene;
 };
 

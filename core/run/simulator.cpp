@@ -10,134 +10,130 @@ namespace contactvi {
 
 namespace {
 constexpr double kSeparated = 1e-13;  // of the event's speeds: a slower closing speed is rounding
-constexpr double kShortest = 1e-6;    // of a step: steps are halved down to this length
-constexpr int kMostHalvings = 4000;   // and at most so often within one step
-constexpr int kEasySteps = 4;         // short steps solved one after the other before a longer one is tried
-constexpr double kFlights = 20.0;     // a free step after a short flight covers so many flights,
-constexpr double kGrowth = 8.0;       // and grows by this factor while there is no event
+constexpr int kMostHalvings = 4000;   // of the free steps within one interval
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+// Whether some force dissipates energy.
+bool dissipates(const Tree& tree) {
+  const Elements& e = tree.elements;
+  bool any = tree.has_damping || !e.friction_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
+  for (const PathSpring& spring : e.path_springs) any |= spring.damping > 0.0;
+  return any;
+}
 }  // namespace
 
 Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
     : scene_(&scene),
       options_(options),
+      law_(&impact_law(options.impact)),
+      dissipative_(dissipates(scene.tree)),
+      does_work_(dissipative_ || scene.tree.elements.any_force() || scene.tree.elements.constrained() ||
+                 scene.tree.elements.servo_kp.size() > 0),
       integrator_(scene.tree, options.stages, options.tol, options.max_iterations),
       guards_(scene, options.contact_points),
       finder_(scene, integrator_, guards_),
-      path_(scene.tree, options.stages),
-      q_(VecX::Zero(scene.tree.nq)),
-      p_(VecX::Zero(scene.tree.nv)),
-      q1_(scene.tree.nq),
-      p1_(scene.tree.nv),
-      v_(scene.tree.nv),
-      rates_(scene.tree.nv, options.stages),
-      bouncing_(scene.guard_count()),
       contact_step_(scene, guards_, guards_.manifolds(), options.tol),
-      contact_path_(scene.tree, 1),
       dense_step_(scene, guards_),
       sequence_(
           scene, integrator_, guards_,
           {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step, options.record_contacts}),
-      law_(&impact_law(options.impact)),
-      plastic_(scene.guard_count(), 0) {
-  reference_.kind = options.mhc_reference;
-  const Elements& e = scene.tree.elements;
-  dissipative_ = scene.tree.has_damping || !e.friction_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
-  for (const PathSpring& spring : e.path_springs) dissipative_ |= spring.damping > 0.0;
-  does_work_ = dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0;
+      path_(scene.tree, options.stages),
+      contact_path_(scene.tree, 1),
+      actuation_(scene.tree, state_.actuators, integrator_, contact_step_, dense_step_),
+      zeno_(scene, dissipative_, allows_persistent_contact()),
+      contacts_(scene, state_, integrator_, guards_, finder_, contact_step_, sequence_),
+      changes_(state_, contact_step_, contact_path_),
+      q1_(scene.tree.nq),
+      p1_(scene.tree.nv),
+      v_(scene.tree.nv),
+      rates_(scene.tree.nv, options.stages) {
+  state_.q.setZero(scene.tree.nq);
+  state_.p.setZero(scene.tree.nv);
 }
 
 bool Simulator::end(StatusCode code, double time, std::string message, int guard) {
-  status_ = {code, std::move(message), time, guard, kNaN, kNaN};
+  state_.status = {code, std::move(message), time, guard, kNaN, kNaN};
   return false;
 }
 
 Status Simulator::reset(const VecX& q, const VecX& v, double t) {
-  status_ = {StatusCode::kSuccess, "", t, -1, kNaN, kNaN};
-  q_ = q;
-  v_ = v;
-  t0_ = time_ = t;
-  step_ = halved_ = rejected_ = impacts_ = 0;
-  largest_speed_ = 0.0;
-  reference_.step = -1;
-  trial_dt_ = options_.dt;
-  solved_in_row_ = contact_solved_in_row_ = changes_without_progress_ = 0;
-  contact_trial_dt_ = contact_dt();
-  contact_seconds_ = kinetic_ = 0.0;
+  const VecX q0 = q, v0 = v;  // the arguments may be those of the state
+  ActuatorState actuators = state_.actuators;
+  state_ = RunState();
+  state_.actuators = std::move(actuators);  // the references of servos stay
+  state_.status = {StatusCode::kSuccess, "", t, -1, kNaN, kNaN};
+  state_.q = q0;
+  state_.p.resize(scene_->tree.nv);
+  state_.start_time = state_.time = t;
+  state_.reference.kind = options_.mhc_reference;
+  state_.adaptive_dt = options_.dt;
+  state_.control.start(options_.dt, contact_dt());
+  state_.work.start(t, scene_->tree.elements.constraint_rows, does_work_);
+  scene_->tree.elements.forget_failure();
+  actuation_.start();
+  integrator_.set_time(t);
   contact_step_.contacts().clear();
   contact_step_.restart();
-  work_ = Work();
-  reactions_.setZero(scene_->tree.elements.constraint_rows);
-  mean_reactions_ = reactions_;
-  node_time_ = t;
-  saturated_ = 0;
-  scene_->tree.elements.forget_failure();
-  servo_.any = false;
-  dense_phase_ = DensePhase();
-  dense_phase_.active = options_.contact_steps == ContactSteps::kDense && allows_dense_steps();
+  state_.dense.active = options_.contact_steps == ContactSteps::kDense && allows_dense_steps();
   dense_step_.restart();
-  dense_step_.set_servo(&servo_);
-  dense_steps_ = 0;
-  integrator_.set_time(t);
-  integrator_.set_servo(&servo_);
   contact_step_.set_time(t);
-  contact_step_.set_servo(&servo_);
   contact_step_.set_nominal(options_.dt);
-  separated_.clear();
-  initial_changes_.clear();
-  flight_dt_ = 0.0;
   contact_step_.counters = ContactStepCounters();
-  update_persistent_guards();
-  adaptive_dt_ = options_.dt;
+  contacts_.update_persistent_guards();
   integrator_.counters = StepCounters();
   integrator_.forget();
   guards_.counters = GuardCounters();
   guards_.unmark_all();
-  bouncing_.assign(bouncing_.size(), Bouncing());
-  if (!q.allFinite() || !v.allFinite()) {
+  if (!q0.allFinite() || !v0.allFinite()) {
     end(StatusCode::kNotFinite, t, "the start state is not finite");
-    return status_;
+    return state_.status;
   }
-  integrator_.dynamics(q_, v_, p_, p1_);
-  law_->start_run(free_state(), reference_);
-  guards_.place(q_);
+  integrator_.dynamics(q0, v0, state_.p, p1_);
+  law_->start_run(free_state(), state_.reference);
+  guards_.place(q0);
   for (int g = 0; g < guards_.count(); ++g) {
     Contact contact;
     const double gap = guards_.evaluate(g, contact), tolerance = guards_.touch_tolerance(g);
     finder_.set_touching(g, gap <= tolerance);
     if (!(gap >= -tolerance)) {
       end(StatusCode::kPenetration, t, "the start state is in penetration", g);
-      status_.depth = -gap;
-      return status_;
+      state_.status.depth = -gap;
+      return state_.status;
     }
   }
-  if (allows_persistent_contact() && options_.contact_steps != ContactSteps::kDense) close_contacts_at_start();
-  return status_;
+  if (allows_persistent_contact() && !state_.dense.active) contacts_.close_contacts_at_start();
+  return state_.status;
 }
 
 void Simulator::record_node(double t, Recording& recording) {
   recording.t.push_back(t);
-  recording.q.insert(recording.q.end(), q_.data(), q_.data() + q_.size());
-  recording.p.insert(recording.p.end(), p_.data(), p_.data() + p_.size());
-  if (!does_work_) return;
-  recording.work.insert(recording.work.end(), {work_.input, work_.damping, work_.joint_friction, work_.driven});
-  if (t > node_time_) {
-    mean_reactions_ = reactions_ / (t - node_time_);
-    reactions_.setZero();
-    node_time_ = t;
-  }
-  recording.reactions.insert(recording.reactions.end(), mean_reactions_.data(),
-                             mean_reactions_.data() + mean_reactions_.size());
+  recording.q.insert(recording.q.end(), state_.q.data(), state_.q.data() + state_.q.size());
+  recording.p.insert(recording.p.end(), state_.p.data(), state_.p.data() + state_.p.size());
+  state_.work.record_node(t, recording);
 }
 
-// The step of length h from (q_, p_) whose rates are in rates_.
+void Simulator::record_phase(double time, double dt, StepKind kind, Recording& recording) const {
+  if (!recording.phase_t.empty() && recording.phase_kind.back() == static_cast<int>(kind) &&
+      recording.phase_dt.back() == dt)
+    return;
+  if (recording.phase_t.empty() && !recording.t.empty() && recording.t.front() < time) {
+    recording.phase_t.push_back(recording.t.front());
+    recording.phase_dt.push_back(truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt);
+    recording.phase_kind.push_back(0);
+  }
+  recording.phase_t.push_back(time);
+  recording.phase_dt.push_back(dt);
+  recording.phase_kind.push_back(static_cast<int>(kind));
+}
+
+// The step of length h from the state, whose rates are in rates_.
 void Simulator::record_segment(double t, double h, const VecX& p1, Recording& recording) {
   if (!options_.dense) return;
   Segments& s = recording.segments;
   s.t.push_back(t);
   s.h.push_back(h);
-  s.q.insert(s.q.end(), q_.data(), q_.data() + q_.size());
-  s.p.insert(s.p.end(), p_.data(), p_.data() + p_.size());
+  s.q.insert(s.q.end(), state_.q.data(), state_.q.data() + state_.q.size());
+  s.p.insert(s.p.end(), state_.p.data(), state_.p.data() + state_.p.size());
   s.p1.insert(s.p1.end(), p1.data(), p1.data() + p1.size());
   s.rates.insert(s.rates.end(), rates_.data(), rates_.data() + rates_.size());
   s.persistent.push_back(0.0);
@@ -148,60 +144,63 @@ bool Simulator::report_progress(double time) {
   using Clock = std::chrono::steady_clock;
   if (!*progress_ || Clock::now() - last_report_ < std::chrono::milliseconds(100)) return true;
   last_report_ = Clock::now();
-  return (*progress_)(time, impacts_) || end(StatusCode::kInterrupted, time, "interrupted");
+  return (*progress_)(time, state_.impacts) || end(StatusCode::kInterrupted, time, "interrupted");
+}
+
+// The first node of a call, and what the reset has left to record.
+void Simulator::start_recording(const Progress& progress, Recording& recording) {
+  state_.status = {StatusCode::kSuccess, "", state_.time, -1, kNaN, kNaN};
+  if (recording.t.empty()) record_node(state_.time, recording);
+  std::vector<ChangeRecord>& initial = state_.initial_changes;
+  recording.changes.insert(recording.changes.end(), initial.begin(), initial.end());
+  initial.clear();
+  last_report_ = std::chrono::steady_clock::now();
+  progress_ = &progress;
 }
 
 Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
                           Recording& recording) {
-  status_ = {StatusCode::kSuccess, "", time_, -1, kNaN, kNaN};
   VecX force;
-  does_work_ |= tau.rows() > 0;
-  if (recording.t.empty()) record_node(time_, recording);
-  recording.changes.insert(recording.changes.end(), initial_changes_.begin(), initial_changes_.end());
-  initial_changes_.clear();
-  last_report_ = std::chrono::steady_clock::now();
-  progress_ = &progress;
+  if (tau.rows() > 0) {
+    does_work_ = true;
+    state_.work.expect_inputs();
+  }
+  start_recording(progress, recording);
   for (long k = 0; k < steps; ++k) {
     if (tau.rows() > 0) force = tau.row(k).transpose();
-    set_actuation(force, target, k);
-    if (!advance_interval(t0_ + static_cast<double>(step_) * options_.dt, options_.dt, limited_tau_, recording)) {
+    actuation_.set(force, target, k, state_.q, state_.p);
+    const double start = state_.start_time + static_cast<double>(state_.step) * options_.dt;
+    if (!advance_interval(start, options_.dt, actuation_.force(), recording)) {
       // Where the run ends inside a step, its last node is the state there.
-      if (status_.code != StatusCode::kNotFinite && status_.time > recording.t.back())
-        record_node(status_.time, recording);
-      return status_;
+      if (state_.status.code != StatusCode::kNotFinite && state_.status.time > recording.t.back())
+        record_node(state_.status.time, recording);
+      return state_.status;
     }
-    ++step_;
-    time_ = t0_ + static_cast<double>(step_) * options_.dt;
-    if (step_ % record_every == 0 || k + 1 == steps) record_node(time_, recording);
-    if (k % 64 == 63 && !report_progress(time_)) return status_;
+    ++state_.step;
+    state_.time = state_.start_time + static_cast<double>(state_.step) * options_.dt;
+    if (state_.step % record_every == 0 || k + 1 == steps) record_node(state_.time, recording);
+    if (k % 64 == 63 && !report_progress(state_.time)) return state_.status;
   }
-  status_.time = time_;
-  return status_;
+  state_.status.time = state_.time;
+  return state_.status;
 }
 
-// After a step of length h that was not solved the next steps are half as long.
-void Simulator::halve_step(double h) {
-  trial_dt_ = 0.5 * h;
-  solved_in_row_ = 0;
-  ++halved_;
-}
-
-// Solves the smooth step of length h from (q_, p_) into (q1_, p1_). False where it was not solved; with last_try or
+// Solves the smooth step of length h from the state into (q1_, p1_). False where it was not solved; with last_try or
 // after an error of a user's function the run has ended then.
 bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool last_try) {
-  bool solved = integrator_.solve(q_, p_, h, tau);
-  while (solved && saturate_servos(integrator_)) {
+  bool solved = integrator_.solve(state_.q, state_.p, h, tau);
+  while (solved && actuation_.saturate_servos(integrator_)) {
     integrator_.forget();
-    solved = integrator_.solve(q_, p_, h, tau);
+    solved = integrator_.solve(state_.q, state_.p, h, tau);
   }
   if (!solved) {
     if (user_function_failed(time)) return false;
     if (!last_try) return false;
-    const bool finite = q_.allFinite() && p_.allFinite();
+    const bool finite = state_.q.allFinite() && state_.p.allFinite();
     return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, time,
                std::string("the discrete Euler-Lagrange equation was not solved: ") + integrator_.why());
   }
-  truncation_ = std::max(truncation_, truncation_bound_ > 0.0 ? integrator_.truncation() : 0.0);
+  if (truncation_.bound > 0.0) truncation_.largest = std::max(truncation_.largest, integrator_.truncation());
   integrator_.finish(q1_, p1_);
   if (guards_.count() > 0 || options_.dense) rates_ = integrator_.rates();
   integrator_.accept();
@@ -213,29 +212,29 @@ bool Simulator::end_failed_search(Search outcome, double time) {
     return end(StatusCode::kNewtonFailed, time,
                std::string("a partial step to an event was not solved: ") + integrator_.why(), finder_.failed_guard());
   end(StatusCode::kEventUnresolved, time, "a guard crossed zero and its root was not found", finder_.failed_guard());
-  status_.depth = -finder_.failed_gap();
+  state_.status.depth = -finder_.failed_gap();
   return false;
 }
 
 // The interval of one control step: steps as long as they can be, with the events in them.
 bool Simulator::advance_interval(double start, double length, const VecX& tau, Recording& recording) {
   Interval interval{start, length, 0.0, length, tau};
-  const long halved = halved_;
+  const long halved = state_.control.halved;
   long parts = 0;
   sequence_.begin_step();
-  sticks_located_ = 0;
+  changes_.begin_interval();
   event_count_ = EventCount();
   const std::size_t changes = recording.changes.size();
   const bool dense_allowed = allows_dense_steps();
-  if (dense_phase_.active && dense_may_end()) end_dense_phase();
-  if (!dense_phase_.active) ++dense_phase_.since_return;
-  law_->start_step(q_, p_, reference_);
+  if (state_.dense.active && dense_may_end()) end_dense_phase();
+  if (!state_.dense.active) ++state_.dense.since_return;
+  law_->start_step(state_.q, state_.p, state_.reference);
   while (interval.remaining > 0.0) {
     if (parts++ > 0) {
       if (!report_progress(start + interval.done)) return false;
-      limit_actuation();
+      actuation_.limit(state_.q, state_.p);
     }
-    if (dense_phase_.active) {
+    if (state_.dense.active) {
       if (!advance_dense(interval, recording)) return false;
       continue;
     }
@@ -247,85 +246,102 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     else if (!going)
       return false;
   }
-  if (!q_.allFinite() || !p_.allFinite()) return end(StatusCode::kNotFinite, start + length, "the state is not finite");
+  if (!state_.q.allFinite() || !state_.p.allFinite())
+    return end(StatusCode::kNotFinite, start + length, "the state is not finite");
   return true;
 }
 
 // One smooth step without contact, to the end of the interval or to an event in it.
 bool Simulator::advance_free(Interval& interval, long halved, Recording& recording) {
+  StepControl& control = state_.control;
   const double at = interval.start + interval.done;
   if (!recording.phase_t.empty())
-    record_phase(at, truncation_bound_ > 0.0 ? adaptive_dt_ : options_.dt, StepKind::kFree, recording);
-  const double longest = flight_dt_ > 0.0 ? std::min(trial_dt_, flight_dt_) : trial_dt_;
+    record_phase(at, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt, StepKind::kFree, recording);
+  const double longest = control.longest_free();
   const bool shorter = longest < interval.remaining * (1.0 - 1e-9);
   const double h = shorter ? longest : interval.remaining;
-  const bool last_try = truncation_bound_ > 0.0 || h < kShortest * options_.dt || halved_ - halved >= kMostHalvings;
+  const bool last_try =
+      truncation_.bound > 0.0 || h < StepControl::kShortest * options_.dt || control.halved - halved >= kMostHalvings;
   integrator_.set_time(at);
   if (!solve_smooth_step(at, h, interval.tau, last_try)) {
     if (last_try || scene_->tree.elements.user_failed()) return false;
-    halve_step(h);
+    control.halve_free(h);
     return true;
   }
-  const double input = does_work_ ? integrator_.input_work() : 0.0,
-               damping = does_work_ ? integrator_.damping_loss() : 0.0;
+  const WorkAccount::FreeWork work = state_.work.of(integrator_);
   Search found = Search::kNone;
   if (guards_.count() > 0) {
-    path_.set(q_, h, rates_);
+    path_.set(state_.q, h, rates_);
     finder_.set_stepper(integrator_);
-    found = finder_.search(q_, p_, q1_, p1_, h, interval.tau, path_);
+    found = finder_.search(state_.q, state_.p, q1_, p1_, h, interval.tau, path_);
   }
   if ((found == Search::kNewtonFailed || found == Search::kUnresolved) && !last_try) {
     integrator_.forget();  // solve_smooth_step has accepted the step
-    halve_step(h);
+    control.halve_free(h);
     return true;
   }
-  if (shorter && longest == trial_dt_ && ++solved_in_row_ >= kEasySteps) {
-    trial_dt_ *= 2.0;
-    solved_in_row_ = 0;
-  }
-  if (found == Search::kNone) {
-    work_.input += input;
-    work_.damping += damping;
-    flight_dt_ = kGrowth * flight_dt_ < options_.dt ? kGrowth * flight_dt_ : 0.0;
-    changes_without_progress_ = 0;
-    record_segment(at, h, p1_, recording);
-    q_.swap(q1_);
-    p_.swap(p1_);
-    interval.done += h;
-    interval.remaining = shorter ? interval.length - interval.done : 0.0;
-    if (interval.remaining > 0.0)
-      law_->start_step(q_, p_, reference_);  // each part of a step that was cut counts as a step of its own
-    return true;
-  }
-  if (found != Search::kFound) return end_failed_search(found, at);
+  if (shorter && longest == control.free.longest) control.free.grow();
+  if (found == Search::kFound) return take_event(interval, h, shorter, recording);
+  if (found != Search::kNone) return end_failed_search(found, at);
+  state_.work.add(work);
+  control.flew(options_.dt);
+  record_segment(at, h, p1_, recording);
+  state_.q.swap(q1_);
+  state_.p.swap(p1_);
+  interval.done += h;
+  interval.remaining = shorter ? interval.length - interval.done : 0.0;
+  // Each part of a step that was cut counts as a step of its own.
+  if (interval.remaining > 0.0) law_->start_step(state_.q, state_.p, state_.reference);
+  return true;
+}
+
+// The part of a smooth step of length h up to the event that was found in it, and the event. shorter: the step does not
+// reach the end of the interval.
+bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording& recording) {
   const Event& event = finder_.event();
-  const double before = event.alpha * h;
+  const double at = interval.start + interval.done, before = event.alpha * h;
   if (before > 0.0) {
-    work_.input += integrator_.input_work();
-    work_.damping += integrator_.damping_loss();
+    state_.work.add(WorkAccount::FreeWork{integrator_.input_work(), integrator_.damping_loss()});
+    if (options_.dense) rates_ = integrator_.rates();
+    record_segment(at, before, event.p, recording);
   }
-  if (options_.dense && before > 0.0) rates_ = integrator_.rates();
-  if (before > 0.0) record_segment(at, before, event.p, recording);
   integrator_.forget();
   interval.done += before;
   interval.remaining = event.alpha >= 1.0 && !shorter ? 0.0 : interval.length - interval.done;
-  q_ = event.q;
-  p_ = event.p;
-  if (!resolve_event(event.guard, event.stays_closed, {at, before, interval.remaining, interval.tau, step_}, recording))
-    return false;
-  if (before <= 0.0 && impacted_guards_.empty()) {
-    if (++changes_without_progress_ > kMaxWithoutProgress)
+  state_.q = event.q;
+  state_.p = event.p;
+  const Instant instant{at, before, interval.remaining, interval.tau, state_.step};
+  if (!resolve_event(event.guard, event.stays_closed, instant, recording)) return false;
+  StepControl& control = state_.control;
+  if (before <= 0.0 && zeno_.impacted().empty()) {
+    if (!control.count_standstill())
       return end(StatusCode::kTooManyImpacts, at, "contacts open and close without end at one instant", event.guard);
     step_past_rounding(event.guard);
   }
-  // The polynomial of a whole step would be too coarse to show the next flight, if that is as short as the last one.
-  const double flight = shortest_flight();
-  flight_dt_ =
-      !law_->implicit() && flight > 0.0 && kFlights * kFlights * flight < options_.dt ? kFlights * flight : 0.0;
+  control.expect_flight(law_->implicit() ? 0.0 : zeno_.shortest_flight(state_.flights), options_.dt);
   // An implicit map has chosen its impulse for the rest of the step, which therefore is solved as a whole.
-  if (law_->implicit() && !impacted_guards_.empty()) trial_dt_ = std::max(trial_dt_, interval.remaining);
+  if (law_->implicit() && !zeno_.impacted().empty())
+    control.free.longest = std::max(control.free.longest, interval.remaining);
   return true;
 }
+
+// Runs the impacts at one instant and adds the reactions and the work of constraints in them. False: they do not end.
+bool Simulator::run_impacts(const Instant& now, Recording& recording) {
+  const bool ended = sequence_.run(now, zeno_.plastic(), state_.reference, state_.p, recording);
+  state_.impacts += sequence_.impacts();
+  if (contact_step_.constrained()) state_.work.add(sequence_);
+  return ended;
+}
+
+// True if a function of the user has failed: the run ends, for no step after that can be trusted.
+bool Simulator::user_function_failed(double time) {
+  if (!scene_->tree.elements.user_failed()) return false;
+  end(StatusCode::kNotFinite, time, "a function of the user failed");
+  return true;
+}
+
+// The shortest nominal length of steps, with which flights are compared [s].
+double Simulator::shortest_nominal_step() const { return std::min({state_.adaptive_dt, contact_dt(), options_.dt}); }
 
 // The impacts at the event of the guard `first`. stays_closed: it was touching and has not separated since. at.time is
 // the start of the partial step that ends at the event.
@@ -333,32 +349,40 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
   const double time = at.time + at.before;
   const Instant now{time, at.before, at.after, at.tau, at.step};
   const bool touched = finder_.touching(first), was_persistent = !contact_step_.empty();
-  if (contact_step_.empty()) law_->evaluate_before(free_state(), at.before, step_, reference_);
+  if (contact_step_.empty()) law_->evaluate_before(free_state(), at.before, state_.step, state_.reference);
   integrator_.set_time(time);
   contact_step_.set_time(time);
-  if (!sequence_.collect(q_, p_, time, finder_.active(), first, contact_step_.contacts()))
+  if (!sequence_.collect(state_.q, state_.p, time, finder_.active(), first, contact_step_.contacts()))
     return end(sequence_.code(), time, sequence_.message());
-  const double scale = sequence_.largest_speed(p_);
-  largest_speed_ = std::max(largest_speed_, scale);
-  find_accumulating_impacts(time);
+  const double scale = sequence_.largest_speed(state_.p);
+  state_.largest_speed = std::max(state_.largest_speed, scale);
+  zeno_.find_accumulating_impacts(state_.flights, sequence_, time, shortest_nominal_step());
   // A contact that has separated by rounding only has no impact with the closing speed that rounding has left.
-  const bool rounding = (stays_closed || touched) && scale <= kSeparated * largest_speed_;
-  const long impacts_before = impacts_;
+  const bool rounding = (stays_closed || touched) && scale <= kSeparated * state_.largest_speed;
+  const long impacts_before = state_.impacts;
   const bool ran = rounding || run_impacts(now, recording);
-  if (sequence_.count() > 1) event_count_.coupled_impacts += impacts_ - impacts_before;
+  if (sequence_.count() > 1) event_count_.coupled_impacts += state_.impacts - impacts_before;
   if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
-  if (!update_bouncing(first, stays_closed || touched, time, recording)) return false;
-  bool any_hit = false;
-  for (int i = 0; i < sequence_.count(); ++i) any_hit |= sequence_.closed(i).impacted;
+  if (!zeno_.update_bouncing(state_.flights, sequence_, time, shortest_nominal_step(), state_.adaptive_dt, recording)) {
+    end(StatusCode::kZeno, time, "impacts accumulate", zeno_.accumulating());
+    state_.status.accumulation_time = zeno_.ends();
+    return false;
+  }
+  const bool any_hit = !zeno_.impacted().empty();
+  if (!any_hit && (stays_closed || touched) && !allows_persistent_contact()) {
+    end(StatusCode::kZeno, time, "a contact stays closed", first);
+    state_.status.accumulation_time = time;
+    return false;
+  }
   // A contact that closes again without a flight becomes persistent even if it separates: the step decides.
   if (allows_persistent_contact())
-    close_contacts((stays_closed || touched) && !any_hit ? first : -1, time, at.tau, recording);
+    contacts_.close_contacts((stays_closed || touched) && !any_hit ? first : -1, time, at.tau, recording);
   if (was_persistent && contact_step_.empty()) resume_free_motion();
   return true;
 }
 
 // Free motion goes on where the last persistent contact has ended.
-void Simulator::resume_free_motion() { law_->resume(free_state(), reference_); }
+void Simulator::resume_free_motion() { law_->resume(free_state(), state_.reference); }
 
 }  // namespace contactvi

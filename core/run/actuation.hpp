@@ -1,0 +1,48 @@
+// The actuation of a control step: inputs and servos within the limits of effort and speed.
+#pragma once
+
+#include "contact/contact_step.hpp"
+#include "contact/dense_step.hpp"
+#include "step/integrator.hpp"
+
+namespace contactvi {
+
+// A value: part of the state of a run.
+struct ActuatorState {
+  VecX given, limited;  // generalized force of the step under way: as given, within the limits
+  Servo servo;
+  long saturated = 0;  // actuators at their limits, summed over steps
+};
+
+class Actuation {
+ public:
+  // The servo of `state` acts in the steps of all three, from the first limit() on.
+  Actuation(const Tree& tree, ActuatorState& state, Integrator& free, ContactStep& contact, DenseStep& dense);
+
+  void start();
+  // Sets the input and, if target has rows, the references of the servos (its row k) for the next control step that
+  // starts at (q, p).
+  void set(const VecX& tau, const MatX& target, long k, const VecX& q, const VecX& p);
+  // Applies the limits of the actuators at a state. Where an actuator is at its limit, its torque is constant until the
+  // next part of the step.
+  void limit(const VecX& q, const VecX& p);
+  // Sets servos that were beyond their effort limit in the step just solved to that limit. True if there were any: the
+  // step is to be solved again.
+  bool saturate_servos(const StepEquations& step);
+  // The generalized force of the step under way, within the limits; (nv,) or empty.
+  const VecX& force() const { return state_->limited; }
+  // To be called after `state` has been restored.
+  void apply_servo();
+
+ private:
+  double effort_limit(int d) const;
+
+  const Tree* tree_;
+  ActuatorState* state_;
+  Integrator* free_;
+  ContactStep* contact_;
+  DenseStep* dense_;
+  VecX v_;
+};
+
+}  // namespace contactvi

@@ -1,0 +1,69 @@
+// All that the rest of a run depends on, as values: a snapshot is a copy, and going back is an assignment.
+#pragma once
+
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "base/error.hpp"
+#include "contact/contact_step.hpp"
+#include "contact/dense_step.hpp"
+#include "event/finder.hpp"
+#include "impact/impact_law.hpp"
+#include "record/recording.hpp"
+#include "run/actuation.hpp"
+#include "run/dense_phase.hpp"
+#include "run/step_control.hpp"
+#include "run/work_account.hpp"
+#include "run/zeno_detector.hpp"
+
+namespace contactvi {
+
+// A point that has separated and whose gap is still closed: guard and feature.
+using SeparatedPoint = std::pair<int, std::int64_t>;
+
+// What the event loop itself carries from step to step. The persistent contacts are in the memory of the contact step,
+// which guards touch in that of the event finder.
+struct RunState {
+  double start_time = 0, time = 0;  // [s] of the reset, now
+  long step = 0;                    // steps since the reset
+  VecX q, p;                        // engine coordinates
+  Status status;
+  StepControl control;
+  double adaptive_dt = 0;  // length of the steps of run_auto [s]
+  ImpactReference reference;
+  Flights flights;
+  double largest_speed = 0;  // largest normal speed of a closed contact so far [m/s]
+  std::vector<SeparatedPoint> separated;
+  std::vector<ChangeRecord> initial_changes;  // changes of contact made by reset, which the next run records
+  double kinetic = 0;                         // kinetic energy at the end of the last contact step [J]
+  ActuatorState actuators;
+  WorkAccount work;
+  DensePhase dense;
+  long impacts = 0, rejected = 0, dense_steps = 0;
+  double contact_seconds = 0;
+};
+
+// What the parts of the engine start the next step from, besides the state of the run.
+struct EngineMemory {
+  Integrator::Memory integrator;
+  ContactStep::Memory contact_step;
+  DenseStep::Memory dense_step;
+  EventFinder::Memory finder;
+  Guards::Memory guards;
+  bool searched_contact_step = false;  // whether the finder searched a contact step last
+};
+
+struct EngineCounters {
+  StepCounters steps;
+  GuardCounters guards;
+  ContactStepCounters contact;
+};
+
+struct Snapshot {
+  RunState run;
+  EngineMemory memory;
+  EngineCounters counters;
+};
+
+}  // namespace contactvi

@@ -1,0 +1,39 @@
+#include "run/step_control.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr int kEasySteps = 4;           // short steps solved one after the other before a longer one is tried
+constexpr double kFlights = 20.0;       // a free step after a short flight covers so many flights,
+constexpr double kGrowth = 8.0;         // and grows by this factor while there is no event
+constexpr double kPastRounding = 1e-4;  // of a nominal step: length of the step past an event by rounding
+}  // namespace
+
+void StepLength::grow() {
+  if (++solved_in_row < kEasySteps) return;
+  longest *= 2.0;
+  solved_in_row = 0;
+}
+
+void StepControl::start(double dt, double contact_dt) {
+  *this = StepControl();
+  free.start(dt);
+  contact.start(contact_dt);
+}
+
+void StepControl::flew(double dt) {
+  flight = kGrowth * flight < dt ? kGrowth * flight : 0.0;
+  progress();
+}
+
+// The polynomial of a whole step would be too coarse to show the next flight, if that is as short as the last one.
+void StepControl::expect_flight(double length, double dt) {
+  flight = length > 0.0 && kFlights * kFlights * length < dt ? kFlights * length : 0.0;
+}
+
+void StepControl::step_past_rounding(double dt, double contact_dt) {
+  contact.limit(kPastRounding * contact_dt);
+  free.limit(kPastRounding * dt);
+}
+
+}  // namespace contactvi
