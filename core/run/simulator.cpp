@@ -241,7 +241,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     const bool going =
         contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
     event_count_.changes = static_cast<int>(recording.changes.size() - changes);
-    if (dense_allowed && (going ? events_accumulate() : dense_steps_go_on()))
+    if (dense_allowed && (going ? events_accumulate(length) : dense_steps_go_on()))
       begin_dense_phase();
     else if (!going)
       return false;
