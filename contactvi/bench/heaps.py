@@ -1,13 +1,12 @@
-"""Seeded scenes of many contacts, one description of which becomes a contactvi scene or a MuJoCo model.
+"""Seeded scenes of many contacts, and their gaps by coal alone.
 
-A heap is a list of free bodies of simple shapes and of fixed halfspaces. Nothing overlaps at the start; the walls, towers
-and dominoes start with gaps from 0 to 1 mm, so that hundreds of contacts close within the first steps. SI units, places
-and velocities in the world's frame.
+A heap is a list of free bodies of simple shapes and of fixed halfspaces. Nothing overlaps at the start; the walls,
+towers and dominoes start with gaps from 0 to 1 mm, so that hundreds of contacts close within the first steps. SI units,
+places and velocities in the world's frame. contactvi.bench.mujoco_peer makes a MuJoCo model of the scene.
 """
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -273,9 +272,7 @@ FAMILIES: dict[str, Callable[..., None]] = {
 }
 
 
-def make(
-    family: str, seed: int, *, restitution: float = 0.0, friction: float = 0.5, count: int | None = None
-) -> Heap:
+def make(family: str, seed: int, *, restitution: float = 0.0, friction: float = 0.5, count: int | None = None) -> Heap:
     """Return the heap of a family and a seed.
 
     Args:
@@ -288,7 +285,9 @@ def make(
         InputError: for an unknown family and numbers out of range.
     """
     if family not in FAMILIES:
-        raise InputError("Unknown family of heaps", name="family", got=repr(family), remedy=did_you_mean(family, FAMILIES))
+        raise InputError(
+            "Unknown family of heaps", name="family", got=repr(family), remedy=did_you_mean(family, FAMILIES)
+        )
     if count is not None and count < 1:
         raise InputError("A heap needs bodies", name="count", expected="a number >= 1", got=count)
     heap = Heap(family, seed, real("restitution", restitution, 0.0, 1.0), real("friction", friction, 0.0))
@@ -298,20 +297,25 @@ def make(
 
 
 # --- contactvi --------------------------------------------------------------------------------------------------------
-def to_scene(heap: Heap) -> tuple[Scene, Array, Array]:
-    """Return the scene, its initial configuration (nq,) and velocity (nv,): per body 7 and 6 numbers, in their order."""
-    scene, moving = Scene(), {}
+def to_scene(heap: Heap, scene: Scene | None = None) -> tuple[Scene, Array, Array]:
+    """Return the scene, its initial configuration (nq,) and velocity (nv,): per body 7 and 6 numbers, in their order.
+
+    scene: an empty one to fill, for example without gravity.
+    """
+    scene = Scene() if scene is None else scene
+    moving = {}
     for k, (normal, offset) in enumerate(heap.planes):
         scene.add_halfspace(normal, offset, name=f"plane{k}")
     for k, body in enumerate(heap.bodies):
-        common = {"mass": body.mass, "placement": pin.SE3(body.rotation, body.place)}
+        common: dict[str, Any] = {"mass": body.mass, "placement": pin.SE3(body.rotation, body.place)}
         if body.kind == "box":
             handle = scene.add_box(f"body{k}", body.size, **common)
         elif body.kind == "sphere":
             handle = scene.add_sphere(f"body{k}", body.size[0], **common)
         else:
+            radius, length = body.size
             add = scene.add_capsule if body.kind == "capsule" else scene.add_cylinder
-            handle = add(f"body{k}", *body.size, **common)
+            handle = add(f"body{k}", radius, length, **common)
         if np.any(body.velocity) or np.any(body.spin):
             moving[handle] = (body.rotation.T @ body.velocity, body.rotation.T @ body.spin)
     scene.set_contact(restitution=heap.restitution, friction=heap.friction)
@@ -339,11 +343,14 @@ class GapCheck:
         self._request.enable_signed_distance = True
         self._request.gjk_tolerance = 1e-10  # The default of 1e-6 is the error of the gap.
 
-    def worst(self, q: Array) -> tuple[float, tuple[str, str]]:
-        """Return the least gap [m] at a configuration (nq,), below 0 where shapes overlap, and its two shapes."""
+    def worst(self, q: Array, within: float = math.inf) -> tuple[float, tuple[str, str]]:
+        """Return the least gap [m] at a configuration (nq,), below 0 where shapes overlap, and its two shapes.
+
+        Gaps above `within` [m] are not looked for; where all are, it is returned, without names.
+        """
         places = np.asarray(q, dtype=float).reshape(-1, 7)
         centers, rotations = places[:, :3], rotation_of(places[:, 3:])
-        least, where = self._worst_of_planes(centers, rotations)
+        least, where = min((within, ("", "")), self._worst_of_planes(centers, rotations))
         first, second = np.triu_indices(len(centers), 1)
         bound = np.linalg.norm(centers[first] - centers[second], axis=1) - self._radii[first] - self._radii[second]
         for k in np.argsort(bound, kind="stable"):
@@ -401,83 +408,3 @@ def _coal_shape(body: Body, rounding: float = 0.0, share: float = 0.0) -> Any:
     shape = coal.Box(*(2.0 * x for x in inner)) if body.kind == "box" else coal.Cylinder(inner[0], 2.0 * inner[1])
     shape.setSweptSphereRadius(r)
     return shape
-
-
-# --- MuJoCo -----------------------------------------------------------------------------------------------------------
-def to_mujoco(heap: Heap, dt: float = 1e-3) -> tuple[Any, Array]:
-    """Return the MjModel of a heap and its initial velocity (nv,); needs the package mujoco.
-
-    Elliptic cones, integrator implicitfast, contacts as stiff as MuJoCo allows: the time constant 2 dt (the stiffness
-    1 / (2 dt)^2 per mass), with the damping that gives the restitution (`damping_ratio`); no restitution is critical
-    damping. Without friction the contacts have one dimension.
-    """
-    mujoco = importlib.import_module("mujoco")
-    spec, kinds = mujoco.MjSpec(), mujoco.mjtGeom
-    spec.option.timestep = dt
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    contact = {"friction": [heap.friction, 0.0, 0.0], "condim": 3 if heap.friction > 0.0 else 1}
-    contact["solref"] = stiff_contact(dt, heap.restitution)
-    for k, (normal, offset) in enumerate(heap.planes):
-        quaternion = _quaternion(_frame_along(np.array(normal)))
-        place = offset * np.array(normal)
-        spec.worldbody.add_geom(
-            name=f"plane{k}", type=kinds.mjGEOM_PLANE, size=[0, 0, 1], pos=place, quat=quaternion, **contact
-        )
-    for k, body in enumerate(heap.bodies):
-        holder = spec.worldbody.add_body(name=f"body{k}", pos=body.place, quat=_quaternion(body.rotation))
-        holder.add_freejoint()
-        half = [0.5 * x for x in body.size] if body.kind == "box" else [body.size[0], 0.5 * body.size[-1], 0.0]
-        kind = getattr(kinds, f"mjGEOM_{body.kind.upper()}")
-        holder.add_geom(name=f"shape{k}", type=kind, size=half, mass=body.mass, **contact)
-    v0 = np.concatenate([np.concatenate([body.velocity, body.rotation.T @ body.spin]) for body in heap.bodies])
-    return spec.compile(), v0
-
-
-def from_mujoco(qpos: Array) -> Array:
-    """Return contactvi's q (nq,) of MuJoCo's qpos of free bodies: quaternions x y z w instead of w x y z."""
-    return np.asarray(qpos, dtype=float).reshape(-1, 7)[:, [0, 1, 2, 4, 5, 6, 3]].ravel()
-
-
-def stiff_contact(dt: float, restitution: float = 0.0) -> list[float]:
-    """Return solref of the stiffest contact that MuJoCo allows at a step, with a restitution.
-
-    Time constant 2 dt and damping ratio 1 mean the stiffness k = 1 / (2 dt)^2 and the damping 2 sqrt(k), per mass. With
-    restitution k stays and the damping is less; then both are given by themselves, as negative numbers.
-    """
-    if restitution == 0.0:
-        return [2.0 * dt, 1.0]
-    stiffness = 0.25 / dt**2
-    return [-stiffness, -2.0 * damping_ratio(restitution) * math.sqrt(stiffness)]
-
-
-def damping_ratio(restitution: float) -> float:
-    """Return the damping ratio of a spring and damper that can only push and give a mass back with this restitution.
-
-    By bisection. In units of the natural frequency x = -exp(-z t) sin(w t) / w; the contact ends where the force
-    x + 2 z x' is zero.
-    """
-    if restitution >= 1.0:
-        return 0.0
-    low, high = 0.0, 0.99
-    for _ in range(60):
-        z = 0.5 * (low + high)
-        w = math.sqrt(1.0 - z * z)
-        end = math.atan2(2.0 * z * w, 2.0 * z * z - 1.0) / w
-        back = -math.exp(-z * end) * (math.cos(w * end) - z / w * math.sin(w * end))
-        low, high = (z, high) if back > restitution else (low, z)
-    return low
-
-
-def _frame_along(normal: Array) -> Array:
-    """Return a rotation whose third column is the normal."""
-    helper = [1.0, 0.0, 0.0] if abs(normal[0]) < 0.9 else [0.0, 1.0, 0.0]
-    tangent = np.cross(normal, helper)
-    tangent /= np.linalg.norm(tangent)
-    return np.column_stack([tangent, np.cross(normal, tangent), normal])
-
-
-def _quaternion(rotation: Array) -> Array:
-    """Return the quaternion w x y z of a rotation."""
-    x, y, z, w = pin.Quaternion(np.asarray(rotation)).coeffs()
-    return np.array([w, x, y, z])
