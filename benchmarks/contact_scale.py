@@ -4,14 +4,14 @@
                                        [--match TEXT] [--budget 60] [--jobs 1] [-o FILE.json]
 
 Needs mujoco in this environment. Each measurement runs in a process of its own, MuJoCo's first: one that hangs, crashes
-or eats more than 10 GB is a row of the table. The budget [s] is of wall time, once for making the scene and once for
+or eats more than 6 GB is a row of the table. The budget [s] is of wall time, once for making the scene and once for
 runs and measures. With -o the rows are written after each one, so that an interrupted benchmark leaves what it has.
 
 - time: CPU time of the process without making the scene, the best of up to three runs; ratio: over MuJoCo's.
 - gap: the worst one at 16 nodes [m], by coal; below 0 shapes overlap. Of MuJoCo's states by the same check.
 - energy: the largest rise above the least value so far, over the largest kinetic energy or, where that is more, the
   weight times 1 mm. With servos contactvi's energy balance instead, and nothing of MuJoCo.
-- residual: of contactvi how far the worst impulse is outside of its cone, over the largest impulse (those at the ends of
+- residual: of contactvi how far the worst impulse is outside of its cone, over the largest impulse (those at the end of
   steps and of impacts); of MuJoCo the scaled gradient at which its solver stopped.
 
 What is measured and the bars: scale/rows.py; the scenes: scale/scale_scenes.py and contactvi.bench.heaps; MuJoCo's

@@ -23,7 +23,7 @@ import scale_scenes as scenes
 import contactvi as cvi
 from contactvi.bench.mujoco_peer import MujocoPeer
 
-MEMORY = 10 << 30  # [bytes] of address space: a run that eats more is a row of the table
+MEMORY = 6 << 30  # [bytes] of address space: a run that eats more is a row of the table
 SHORT, REPEATS = 1.0, 3  # [s]
 LOOKS = 16  # configurations at which gaps are looked at
 CHUNK = 5  # MuJoCo steps between two looks at its energy

@@ -8,7 +8,7 @@ places and velocities in the world's frame. contactvi.bench.mujoco_peer makes a 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -348,19 +348,46 @@ class GapCheck:
 
         Gaps above `within` [m] are not looked for; where all are, it is returned, without names.
         """
-        places = np.asarray(q, dtype=float).reshape(-1, 7)
-        centers, rotations = places[:, :3], rotation_of(places[:, 3:])
-        least, where = min((within, ("", "")), self._worst_of_planes(centers, rotations))
+        guess = within, ("", "")
+        for names, gap in self._planes(q, math.inf):
+            guess = min(guess, (gap, names))
+        first, second, bounds = self._bounds(_places(q)[1])
+        if len(bounds):
+            k = int(np.argmin(bounds))
+            guess = min(guess, self._named(q, int(first[k]), int(second[k])))
+        return min(self.below(q, guess[0]), default=guess)
+
+    def below(self, q: Array, bound: float) -> list[tuple[float, tuple[str, str]]]:
+        """Return all gaps less than a bound [m] at a configuration (nq,), with their two shapes."""
+        first, second, bounds = self._bounds(_places(q)[1])
+        near = np.flatnonzero(bounds < bound)
+        found = [(gap, names) for names, gap in self._planes(q, bound)]
+        found += [self._named(q, int(first[k]), int(second[k])) for k in near]
+        return [item for item in found if item[0] < bound]
+
+    def kind(self, name: str) -> str:
+        """Return the kind of a shape, "plane" for a halfspace."""
+        return "plane" if name.startswith("plane") else self._heap.bodies[int(name.removeprefix("body"))].kind
+
+    def _bounds(self, centers: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Return all pairs of bodies, and the gaps of their bounding spheres [m]."""
         first, second = np.triu_indices(len(centers), 1)
-        bound = np.linalg.norm(centers[first] - centers[second], axis=1) - self._radii[first] - self._radii[second]
-        for k in np.argsort(bound, kind="stable"):
-            if bound[k] >= least:
-                break
-            i, j = int(first[k]), int(second[k])
-            gap = self.pair(i, (rotations[i], centers[i]), j, (rotations[j], centers[j]))
-            if gap < least:
-                least, where = gap, (f"body{i}", f"body{j}")
-        return least, where
+        apart = np.linalg.norm(centers[first] - centers[second], axis=1)
+        return first, second, apart - self._radii[first] - self._radii[second]
+
+    def _named(self, q: Array, i: int, j: int) -> tuple[float, tuple[str, str]]:
+        rotations, centers = _places(np.asarray(q).reshape(-1, 7)[[i, j]])
+        gap = self.pair(i, (rotations[0], centers[0]), j, (rotations[1], centers[1]))
+        return gap, (f"body{i}", f"body{j}")
+
+    def _planes(self, q: Array, bound: float) -> Iterator[tuple[tuple[str, str], float]]:
+        """Yield the gaps to halfspaces of bodies whose bounding spheres are nearer than the bound."""
+        rotations, centers = _places(q)
+        for number, (normal, offset) in enumerate(self._heap.planes):
+            heights = centers @ np.array(normal) - offset
+            for k in np.flatnonzero(heights - self._radii < bound):
+                reach = _support(self._heap.bodies[k], rotations[k].T @ np.array(normal))
+                yield (f"plane{number}", f"body{k}"), float(heights[k]) - reach
 
     def pair(self, i: int, place_i: tuple[Array, Array], j: int, place_j: tuple[Array, Array]) -> float:
         """Return the gap of two bodies [m], each at (rotation, centre)."""
@@ -368,14 +395,11 @@ class GapCheck:
         a, b = coal.Transform3s(*place_i), coal.Transform3s(*place_j)
         return float(coal.distance(shapes[i], a, shapes[j], b, self._request, coal.DistanceResult()))
 
-    def _worst_of_planes(self, centers: Array, rotations: Array) -> tuple[float, tuple[str, str]]:
-        least, where = math.inf, ("", "")
-        for number, (normal, offset) in enumerate(self._heap.planes):
-            for k, body in enumerate(self._heap.bodies):
-                gap = float(centers[k] @ normal) - offset - _support(body, rotations[k].T @ normal)
-                if gap < least:
-                    least, where = gap, (f"plane{number}", f"body{k}")
-        return least, where
+
+def _places(q: Array) -> tuple[Array, Array]:
+    """Return rotations (n, 3, 3) and centres (n, 3) of the bodies at a configuration (7 n,)."""
+    places = np.asarray(q, dtype=float).reshape(-1, 7)
+    return rotation_of(places[:, 3:]), places[:, :3]
 
 
 def worst_gap(heap: Heap, q: Array) -> float:
