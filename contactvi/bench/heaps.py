@@ -317,7 +317,7 @@ def to_scene(heap: Heap, scene: Scene | None = None) -> tuple[Scene, Array, Arra
             add = scene.add_capsule if body.kind == "capsule" else scene.add_cylinder
             handle = add(f"body{k}", radius, length, **common)
         if np.any(body.velocity) or np.any(body.spin):
-            moving[handle] = (body.rotation.T @ body.velocity, body.rotation.T @ body.spin)
+            moving[handle] = (body.velocity, body.spin)
     scene.set_contact(restitution=heap.restitution, friction=heap.friction)
     return scene, scene.neutral(), scene.velocity(moving) if moving else np.zeros(scene.nv)
 
