@@ -5,7 +5,7 @@
 
 Needs mujoco in this environment. Each measurement runs in a process of its own, MuJoCo's first: one that hangs, crashes
 or eats more than 6 GB is a row of the table. The budget [s] is of wall time, once for making the scene and once for
-runs and measures. With -o the rows are written after each one, so that an interrupted benchmark leaves what it has.
+runs and measures; MuJoCo has four times as much. With -o the rows are written after each one, so that an interrupted benchmark leaves what it has.
 
 - time: CPU time of the process without making the scene, the best of up to three runs; ratio: over MuJoCo's.
 - gap: the worst one at 16 nodes [m], by coal; below 0 shapes overlap. Of MuJoCo's states by the same check.
@@ -96,8 +96,9 @@ def lines_of(process: subprocess.Popen[bytes], budget: float) -> Iterator[Result
 def run(row: Row, budget: float) -> Result:
     """Both engines, and the verdict."""
     result: Result = {"section": row.section, "name": row.name, "unit": row.unit, "job": row.job}
-    for engine in ("mujoco", "contactvi"):
-        result[engine] = measure(engine, row.job, budget)
+    # Without MuJoCo's time there is no ratio, whatever contactvi does: it may take longer.
+    for engine, allowed in (("mujoco", 4.0 * budget), ("contactvi", budget)):
+        result[engine] = measure(engine, row.job, allowed)
     mine, peer = (value_of(result[engine], "seconds") for engine in ("contactvi", "mujoco"))
     result["ratio"] = mine / peer if mine is not None and peer else None
     result["bars"] = {"ratio": row.ratio, row.unit: row.bar, **row.extra}

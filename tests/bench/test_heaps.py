@@ -194,6 +194,8 @@ def peer_scene() -> tuple[cvi.Scene, MujocoPeer]:
     scene = heaps.to_scene(heap)[0]
     scene.add_urdf(HAND_URDF, base="free", placement=(0.0, 0.0, 3.0))
     scene.set_servo("joint_*", kp=2.0, kd=0.1)
+    # The link of a finger tip has two shapes: now some of their pairs with another such link are tested and some not.
+    scene.disable_pair("link_3.0_0", "link_7.0_0")
     return scene, MujocoPeer(scene, 1e-3)
 
 
@@ -249,6 +251,11 @@ def test_peer_tests_the_pairs_of_the_scene(peer_scene):
     deep = {frozenset(pair) for pair, gap in zip(scene.pair_names, gaps, strict=True) if gap < -1e-3}
     assert deep <= found
     assert len(deep) > 30
+    sides = zip(peer.model.pair_geom1, peer.model.pair_geom2, strict=True)
+    single = {frozenset((name[int(a)], name[int(b)])) for a, b in sides}
+    assert single <= tested
+    assert frozenset(("link_3.0_tip_0", "link_7.0_0")) in single
+    assert frozenset(("link_3.0_0", "link_7.0_0")) not in tested
 
 
 def test_peer_comes_to_rest_on_the_ground():
