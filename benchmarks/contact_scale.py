@@ -5,7 +5,8 @@
 
 Needs mujoco in this environment. Each measurement runs in a process of its own, MuJoCo's first: one that hangs, crashes
 or eats more than 6 GB is a row of the table. The budget [s] is of wall time, once for making the scene and once for
-runs and measures; MuJoCo has four times as much. With -o the rows are written after each one, so that an interrupted benchmark leaves what it has.
+runs and measures; MuJoCo has four times as much. With -o the rows are written after each one, so that an interrupted
+benchmark leaves what it has.
 
 - time: CPU time of the process without making the scene, the best of up to three runs; ratio: over MuJoCo's.
 - gap: the worst one at 16 nodes [m], by coal; below 0 shapes overlap. Of MuJoCo's states by the same check.
