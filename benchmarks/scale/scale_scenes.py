@@ -45,15 +45,18 @@ ROBOTS = {
     "icub": ("icub_description/robots/icub.urdf", "icub_description/srdf/icub.srdf"),
 }
 STANCES = ("standing", "half_sitting")
+# The file's stance has the centre of mass above the edge of the heels: the base leans about y by an angle [rad], which
+# the ankles take back.
+LEANS = {"icub": (-0.02, {"l_ankle_pitch": 1.0, "r_ankle_pitch": 1.0})}
 ARMS = {
     "ur5": "ur_description/urdf/ur5_robot.urdf",
     "panda": "panda_description/urdf/panda.urdf",
     "kinova": "kinova_description/robots/kinova.urdf",
     "xarm7": "xarm_description/urdf/xarm7.urdf",
 }
-# Servos: kp = M_jj (20/s)^2, on the legs also the weight times the height of the base, so that they carry it; kd / kp
+# Servos: kp = M_jj RATE^2, on the legs also STIFFNESS times weight x height of the base, so that they carry it; kd / kp
 # is the critical damping of an arm's joint.
-RATE, DAMPING = 20.0, 0.1  # [1/s], [s]
+RATE, DAMPING, STIFFNESS = 20.0, 0.1, 3.0  # [1/s], [s], [1/rad]
 SOLE = 0.03  # [m] a leg ends at most this far above the lowest point of the robot
 
 
@@ -165,6 +168,12 @@ def robot(name: str) -> Setup:
         scene.add_halfspace(name="ground")
         scene.set_contact(restitution=0.0, friction=FRICTION)
         q0 = stance(scene, DATA + srdf if srdf else None)
+        if name in LEANS:
+            angle, joints = LEANS[name]
+            q0[3:7] = [0.0, np.sin(0.5 * angle), 0.0, np.cos(0.5 * angle)]
+            for joint, sign in joints.items():
+                q0[scene.q_index(joint)] += sign * angle
+            notes.append(f"leans by {angle} rad")
         disable_overlapping(scene, q0, notes)
         q0[2] = DROP - ground_gaps(scene, q0).min()
         set_servos(scene, q0)
@@ -224,7 +233,7 @@ def set_servos(scene: cvi.Scene, q: np.ndarray) -> None:
             joint = model.parents[joint]
     gains = {}
     for i in range(2, model.njoints):
-        kp = mass[model.idx_vs[i]] * RATE**2 + (weight * height if i in legs else 0.0)
+        kp = mass[model.idx_vs[i]] * RATE**2 + (STIFFNESS * weight * height if i in legs else 0.0)
         gains[model.names[i]] = float(kp)
     for name, kp in gains.items():
         scene.set_servo(name, kp=kp, kd=DAMPING * kp)
