@@ -117,7 +117,8 @@ def idle(count: int) -> Setup:
     scene.disable_pair(hand, hand)
     for joint in [name for name in scene.model.names if name.startswith("joint_")]:
         scene.set_joint(joint, damping=0.0, limits=False)
-    scene.add_halfspace()
+    # Given pairs: the choice of the hand's own makes a pin.Data, whose memory grows with the cube of nv.
+    scene.enable_pair(hand, scene.add_halfspace())
     places = grid(4 * count + 400, 0.15)
     far = places[np.abs(places).max(axis=1) > 2.0][:count]
     for k, place in enumerate(far):
