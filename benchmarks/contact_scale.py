@@ -1,7 +1,7 @@
 """Contact at scale: contactvi beside MuJoCo on the same scenes with the same step, in one run, against bars.
 
     python benchmarks/contact_scale.py [--only heaps,rest,idle,flight,gas,drop,robots,limp,reset,s7] [--quick]
-                                       [--match TEXT] [--budget 60] [--jobs 1] [-o FILE.json]
+                                       [--match TEXT] [--budget 60] [--jobs 1] [--option NAME=VALUE] [-o FILE.json]
 
 Needs mujoco in this environment. Each measurement runs in a process of its own, MuJoCo's first: one that hangs, crashes
 or eats more than 6 GB is a row of the table. The budget [s] is of wall time, once for making the scene and once for
@@ -168,9 +168,12 @@ def remark(found: Result) -> str:
     parts = [found.get("unmeasured", "")]
     if found.get("status") != "SUCCESS":
         parts.append(found.get("message", ""))
-    for key, word in (("impacts", "impacts"), ("cone_fallbacks", "fallbacks"), ("drift", "drift")):
-        if found.get(key):
-            parts.append(f"{word} {found[key]:.3g}")
+    counts = found.get("counts", {})
+    for key in ("impacts", "dense_steps", "cone_fallbacks"):
+        if counts.get(key):
+            parts.append(f"{key.replace('_', ' ')} {counts[key]}")
+    if found.get("drift"):
+        parts.append(f"drift {found['drift']:.3g}")
     if "ms_first" in found:
         parts.append(f"first one {found['ms_first']:.3g} ms, {found['pairs']} pairs")
     parts += found.get("notes", [])
@@ -218,13 +221,23 @@ def main() -> None:
     parser.add_argument("--match", default="", help="rows whose name holds this text")
     parser.add_argument("--quick", action="store_true", help="a selection that takes less than three minutes")
     parser.add_argument("--budget", type=float, help="of one measurement [s]; by default 60, of a quick run 5")
+    parser.add_argument("--option", action="append", default=[], help="of contactvi's simulator, NAME=VALUE")
     parser.add_argument("--jobs", type=int, default=1, help="rows at the same time")
     parser.add_argument("-o", "--output", type=Path, help="JSON file")
     args = parser.parse_args()
     budget = args.budget or (5.0 if args.quick else 60.0)
     names = chosen_rows(args, parser)
+    options = dict(option.split("=", 1) for option in args.option)
+    for row in names:
+        row.job["options"] = options
     about = {"contactvi": cvi.__version__} | {name: version(name) for name in ("mujoco", "pin", "coal")}
-    head = {"date": time.strftime("%Y-%m-%d"), "machine": platform.machine(), "versions": about, "budget": budget}
+    head = {
+        "date": time.strftime("%Y-%m-%d"),
+        "machine": platform.machine(),
+        "versions": about,
+        "budget": budget,
+        "options": options,
+    }
     results: list[Result] = []
     with ThreadPoolExecutor(args.jobs) as pool:
         for result in pool.map(lambda row: run(row, budget), names):

@@ -72,7 +72,7 @@ def follow() -> Callable[[float, int], None]:
 
 def started(job: dict[str, Any], setup: scenes.Setup) -> cvi.Simulator | None:
     """A simulator at the start; None where the start is refused."""
-    simulator = cvi.Simulator(setup.scene, dt=job["dt"])
+    simulator = cvi.Simulator(setup.scene, dt=job["dt"], **job.get("options", {}))
     try:
         simulator.reset(setup.q0, setup.v0)
     except cvi.ContactviError as error:
@@ -108,7 +108,7 @@ def run_contactvi(job: dict[str, Any], setup: scenes.Setup) -> None:
 def judge_contactvi(traj: cvi.Trajectory, setup: scenes.Setup) -> None:
     """Accuracy: gaps by coal, energy, and how far impulses are from Coulomb's law."""
     stats, rows, ledger = traj.stats, traj.contacts, traj.ledger
-    tell(impacts=stats.impacts, contact_steps=stats.contact_steps, cone_fallbacks=stats.cone_fallbacks)
+    tell(counts=stats.to_dict())
     kinetic = energy_scale(setup.scene, float(traj.kinetic_energy.max()))
     if setup.free:
         energy = traj.energy
