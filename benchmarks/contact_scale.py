@@ -160,6 +160,8 @@ def time_cell(found: Result, unit: str, name: str, factor: float) -> str:
         if value is not None:
             return f"{scale * value:.3g} {word}"
     reached = f" at {found['time']:.3g} s" if "time" in found else ""
+    if "so_far" in found:
+        reached += f", {found['so_far']:.3g} ms/s so far"
     return f"{found.get('status', 'no answer')}{reached}"
 
 

@@ -59,7 +59,7 @@ def test_small_heaps(runner, family):
 @pytest.mark.parametrize("family", heaps.FAMILIES)
 def test_every_family_restitution_and_friction(runner, capsys, family, restitution, friction):
     chosen = {"restitution": restitution, "friction": friction}
-    check([runner.examine(family, seed, LIMIT, **chosen) for seed in SEEDS], capsys)
+    check(family, [runner.examine(family, seed, LIMIT, **chosen) for seed in SEEDS], capsys)
 
 
 @pytest.mark.long
@@ -67,7 +67,7 @@ def test_every_family_restitution_and_friction(runner, capsys, family, restituti
 @pytest.mark.parametrize("family", LARGE)
 def test_large_heaps(runner, capsys, family, restitution):
     chosen = {"restitution": restitution, "friction": 0.5, "count": LARGE[family]}
-    check([runner.examine(family, seed, LARGE_LIMIT, **chosen) for seed in range(2)], capsys)
+    check(family, [runner.examine(family, seed, LARGE_LIMIT, **chosen) for seed in range(2)], capsys)
 
 
 @pytest.mark.long
@@ -76,7 +76,7 @@ def test_no_failure_on_fresh_seeds(runner, capsys, part):
     start = int(os.environ.get("CONTACTVI_HEAP_SEED", datetime.date.today().toordinal()))
     count = int(os.environ.get("CONTACTVI_HEAP_SCENES", 500))
     reports = [runner.examine(limit=LIMIT, **draw(start, k)) for k in range(part, count, PARTS)]
-    check(reports, capsys, f"CONTACTVI_HEAP_SEED={start}: ")
+    check("fresh", reports, capsys, f"CONTACTVI_HEAP_SEED={start}: ")
 
 
 def draw(start: int, number: int) -> dict[str, Any]:
@@ -88,11 +88,11 @@ def draw(start: int, number: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def check(reports: list[Report], capsys: pytest.CaptureFixture[str], about: str = "") -> None:
-    """Fail with all runs that break a law."""
+def check(title: str, reports: list[Report], capsys: pytest.CaptureFixture[str], about: str = "") -> None:
+    """Print a table of the runs, and fail with all that break a law."""
     failed = [str(report) for report in reports if report.found]
     with capsys.disabled():
-        print(f"\n{table({reports[0].label.split()[0]: reports})}")
+        print(f"\n{table({title: reports})}")
     assert not failed, f"{about}{len(failed)} of {len(reports)} runs:\n" + "\n".join(failed)
 
 
