@@ -9,8 +9,8 @@ runs and measures; MuJoCo has four times as much. With -o the rows are written a
 benchmark leaves what it has.
 
 - time: CPU time of the process without making the scene, the best of up to three runs; ratio: over MuJoCo's.
-- gap: the worst one at 16 nodes [m], by coal; below 0 shapes overlap. Of MuJoCo's states by the same check. Of contactvi
-  also those of its own contacts at every step, where one is less.
+- gap: the worst one at 16 nodes [m], by coal; below 0 shapes overlap. Of MuJoCo's states by the same check. Of
+  contactvi also those of its own contacts at every step, where one is less.
 - energy: the largest rise above the least value so far, over the largest kinetic energy or, where that is more, the
   weight times 1 mm. With servos contactvi's energy balance instead, and nothing of MuJoCo.
 - residual: of contactvi how far the worst impulse is outside of its cone, over the largest impulse (those at the end of
