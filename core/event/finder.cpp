@@ -7,6 +7,7 @@ namespace contactvi {
 
 namespace {
 constexpr std::size_t kManyCandidates = 16;  // for the first event: from then on rounding may decide among them
+constexpr int kUsualSuspects = 512;  // of a step: the workspace for them is made in advance, that for more on demand
 }  // namespace
 
 EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
@@ -20,9 +21,10 @@ EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
       doubt_(scene.tree.nv),
       W_(scene.tree.nv),
       memory_{std::vector<char>(guards.count(), 0), {}, VecX(scene.tree.nv), VecX(scene.tree.nq), VecX(scene.tree.nv)} {
-  active_.reserve(guards.count());
-  pass_.reserve(guards.count());
-  suspects_.reserve(guards.count());
+  const std::size_t usual = std::min(guards.count(), kUsualSuspects);
+  active_.reserve(usual);
+  pass_.reserve(usual);
+  suspects_.reserve(usual);
   event_.q.resize(scene.tree.nq);
   event_.p.resize(scene.tree.nv);
 }

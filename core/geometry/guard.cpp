@@ -1,27 +1,18 @@
 #include "geometry/guard.hpp"
 
-#include <coal/distance.h>
-#include <coal/narrowphase/support_functions.h>
-#include <coal/shape/geometric_shapes.h>
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
+#include "geometry/box.hpp"
+
 namespace contactvi {
 
-struct Guards::Functors {
-  std::vector<coal::ComputeDistance> distance;
-  coal::DistanceRequest request;
-  coal::DistanceResult result;
-};
-
-void settle_box_support() {
-  const coal::Box box(1, 1, 1);
-  int hint = 0;
-  coal::details::getSupport<coal::details::SupportOptions::NoSweptSphere>(&box, coal::Vec3s(1, 2, 3), hint);
-  coal::details::getSupport<coal::details::SupportOptions::WithSweptSphere>(&box, coal::Vec3s(1, 2, 3), hint);
-}
+namespace {
+// [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching (5e-9) and the
+// noise of coal's distances (2e-8).
+constexpr double kMeeting = 1e-7;
+}  // namespace
 
 Guards::Guards(const Scene& scene, int contact_points)
     : scene_(&scene),
@@ -31,24 +22,11 @@ Guards::Guards(const Scene& scene, int contact_points)
       persistent_points_(count_),
       placements_(scene.tree),
       q_(VecX::Zero(scene.tree.nq)),
-      functors_(new Functors),
       linear_(scene.tree.joints.size()),
       motion_(make_reach()),
       doubt_(make_reach()),
       odometer_(scene.geometries.size()),
-      marks_(count_, -1.0) {
-  functors_->distance.reserve(pairs_);
-  for (const Pair& pair : scene.pairs) {
-    const Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
-    functors_->distance.emplace_back((pair.rounded ? a.rounded : a.sharp).get(),
-                                     (pair.rounded ? b.rounded : b.sharp).get());
-  }
-  functors_->request.enable_signed_distance = true;
-  functors_->request.gjk_tolerance =
-      1e-10;  // the default 1e-6 is the error of the gap; EPA's default stays, below it NaN
-}
-
-Guards::~Guards() = default;
+      marks_(count_, -1.0) {}
 
 void Guards::place(const VecCRef& q) {
   q_ = q;
@@ -91,6 +69,23 @@ void Guards::set_persistent(int guard, std::vector<const ContactPoint*> points) 
   unmark(guard);
 }
 
+void Guards::list_meeting(std::vector<int>& guards) {
+  place_bodies();
+  std::vector<Box> boxes(scene_->geometries.size());
+  for (std::size_t g = 0; g < boxes.size(); ++g)
+    if (!scene_->geometries[g].unbounded) boxes[g] = box_of(scene_->geometries[g], placements_);
+  guards.clear();
+  for (int k = 0; k < pairs_; ++k) {
+    const Pair& pair = scene_->pairs[k];
+    const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+    const double apart = a.unbounded   ? separation(boxes[pair.b], a, placements_)
+                         : b.unbounded ? separation(boxes[pair.a], b, placements_)
+                                       : separation(boxes[pair.a], boxes[pair.b]);
+    if (!(apart > kMeeting)) guards.push_back(k);
+  }
+  for (int k = pairs_; k < count_; ++k) guards.push_back(k);
+}
+
 double Guards::evaluate(int guard, Contact& contact) {
   const std::vector<const ContactPoint*>& persistent = persistent_points_[guard];
   if (persistent.empty()) return evaluate_witness(guard, contact);
@@ -126,12 +121,10 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
   Vec3 p_a, p_b;
   geometry_pose(a, placements_, R_a, p_a);
   geometry_pose(b, placements_, R_b, p_b);
-  Functors& f = *functors_;
-  f.result.clear();
-  f.distance[guard](coal::Transform3s(R_a, p_a), coal::Transform3s(R_b, p_b), f.request, f.result);
-  contact = {f.result.min_distance,      f.result.normal, f.result.nearest_points[0],
-             f.result.nearest_points[1], a.body,          b.body};
-  if (!contact.normal.allFinite()) contact.gap = std::numeric_limits<double>::quiet_NaN();
+  distance_.evaluate(*(pair.rounded && a.rounded ? a.rounded : a.sharp), R_a, p_a,
+                     *(pair.rounded && b.rounded ? b.rounded : b.sharp), R_b, p_b, contact);
+  contact.body_a = a.body;
+  contact.body_b = b.body;
   return contact.gap;
 }
 

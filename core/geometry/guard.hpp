@@ -11,10 +11,10 @@
 // joint limits.
 #pragma once
 
-#include <memory>
 #include <vector>
 
 #include "geometry/contact.hpp"
+#include "geometry/distance.hpp"
 #include "geometry/manifold.hpp"
 #include "model/scene.hpp"
 
@@ -25,16 +25,10 @@ struct GuardCounters {
   long skipped = 0;    // guards of a step settled without one
 };
 
-// To be called before coal first evaluates a box: it inflates all boxes of a process by 1e-10 of their size if the
-// direction of that very first query has a zero component (a static variable in its support function), so distances
-// would depend on earlier queries of the process.
-void settle_box_support();
-
 class Guards {
  public:
   // contact_points: of a pair, at most.
   explicit Guards(const Scene& scene, int contact_points = 4);
-  ~Guards();
 
   int count() const { return count_; }
   const Scene& scene() const { return *scene_; }
@@ -47,6 +41,8 @@ class Guards {
   // it is the least gap of the other features, kNothingElse if no other feature can touch.
   double evaluate(int guard, Contact& contact);
   static constexpr double kNothingElse = 1e9;
+  // Guards that may be closed where the bodies are placed, ascending: joint limits, and pairs whose boxes meet.
+  void list_meeting(std::vector<int>& guards);
   // The gap of the whole guard, with or without persistent contacts.
   double evaluate_witness(int guard, Contact& contact);
   const Placements& placements() {
@@ -118,8 +114,7 @@ class Guards {
   Placements placements_;
   bool placed_ = false;  // at q_
   VecX q_;
-  struct Functors;  // coal's, kept out of this header
-  std::unique_ptr<Functors> functors_;
+  ShapeDistance distance_;
   std::vector<double> linear_;  // per body: bound on its origin's displacement
   Reach motion_, doubt_;
   std::vector<double> odometer_;  // per geometry

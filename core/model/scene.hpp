@@ -14,6 +14,8 @@ class CollisionGeometry;
 
 namespace contactvi {
 
+struct ShapeFeatures;
+
 struct Geometry {
   int body;   // engine joint that moves it, -1: world
   Mat3 R_BG;  // geometry frame in the body frame
@@ -28,6 +30,12 @@ struct Geometry {
   Vec3 center_B;  // bounding sphere, body frame
   double radius;
   double reach;  // largest distance of one of its points from the body origin
+  // Bounding box along the axes of the geometry's frame [m]; a ball has the same box whichever way it is turned.
+  Vec3 box_center, box_half;
+  bool is_ball;
+  // Features of the sharp and of the rounded shape, made once per scene (add_shape_features) and shared by all that
+  // simulate it; null where no pair needs them.
+  std::shared_ptr<const ShapeFeatures> sharp_features, rounded_features;
 };
 
 struct Pair {

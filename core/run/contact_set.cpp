@@ -163,7 +163,7 @@ void Simulator::release_unloaded(int forced, const VecX& tau) {
 // The persistent contacts at the start of a run: guards that touch and do not separate.
 void Simulator::close_contacts_at_start() {
   std::vector<int> touching;
-  for (int g = 0; g < guards_.count(); ++g)
+  for (int g : meeting_guards_)
     if (finder_.touching(g)) touching.push_back(g);
   if (touching.empty() || !sequence_.collect(q_, p_, time_, touching, -1, {})) return;
   Recording start;

@@ -95,10 +95,12 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   integrator_.dynamics(q_, v_, p_, p1_);
   law_->start_run(free_state(), reference_);
   guards_.place(q_);
-  for (int g = 0; g < guards_.count(); ++g) {
+  finder_.forget_touching();
+  guards_.list_meeting(meeting_guards_);
+  for (int g : meeting_guards_) {
     Contact contact;
     const double gap = guards_.evaluate(g, contact), tolerance = guards_.touch_tolerance(g);
-    finder_.set_touching(g, gap <= tolerance);
+    if (gap <= tolerance) finder_.set_touching(g, true);
     if (!(gap >= -tolerance)) {
       end(StatusCode::kPenetration, t, "the start state is in penetration", g);
       status_.depth = -gap;

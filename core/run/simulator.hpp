@@ -193,6 +193,7 @@ class Simulator {
   std::vector<char> plastic_;           // per guard: whether its impacts at this event count as plastic
   std::vector<int> persistent_guards_;  // guards with persistent contacts, as guards_ knows them
   std::vector<PersistentContact> previous_contacts_;
+  std::vector<int> meeting_guards_;   // guards that may be closed at the start
   std::vector<int> impacted_guards_;  // guards that had an impact at the last event
   // Guard and feature of points that have separated and whose gap is still closed.
   std::vector<std::pair<int, std::int64_t>> separated_;
