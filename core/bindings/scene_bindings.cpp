@@ -10,7 +10,7 @@
 #include "bindings/expose.hpp"
 #include "bindings/user_calls.hpp"
 #include "geometry/guard.hpp"
-#include "geometry/shape_features.hpp"
+#include "geometry/prepare.hpp"
 #include "model/coordinates.hpp"
 #include "step/energy.hpp"
 #include "step/integrator.hpp"
@@ -45,7 +45,7 @@ Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restituti
   const VecX friction = pair_friction ? *pair_friction : VecX(VecX::Zero(pair_restitution.size()));
   Scene scene = load_scene({model.c_str(), model.size()}, {geometry.c_str(), geometry.size()},
                            {pair_restitution, friction, stiffness, rest, damping, limits, limit_restitution});
-  add_shape_features(scene);
+  prepare_geometry(scene);
   return scene;
 }
 

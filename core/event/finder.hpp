@@ -82,6 +82,7 @@ class EventFinder {
   bool raise_path();
   bool bound_grows();
   bool collect();
+  bool collect(int guard);
   Search start(Suspect& s);
   Search separate_touching(Suspect& s, Point a);
   Search close(Suspect& s, const Point& a, const Point& below);

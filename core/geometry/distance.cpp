@@ -45,9 +45,8 @@ void ShapeDistance::evaluate(const coal::CollisionGeometry& a, const Mat3& R_a, 
   w.result.clear();
   w.solver.set(w.request);
   w.solver.support_func_cached_guess.setZero();
-  functions().distance_matrix[a.getNodeType()][b.getNodeType()](&a, coal::Transform3s(R_a, p_a), &b,
-                                                                coal::Transform3s(R_b, p_b), &w.solver, w.request,
-                                                                w.result);
+  functions().distance_matrix[a.getNodeType()][b.getNodeType()](
+      &a, coal::Transform3s(R_a, p_a), &b, coal::Transform3s(R_b, p_b), &w.solver, w.request, w.result);
   contact.gap = w.result.min_distance;
   contact.normal = w.result.normal;
   contact.point_a = w.result.nearest_points[0];

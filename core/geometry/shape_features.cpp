@@ -239,9 +239,8 @@ std::vector<int> first_at_same_place(const Points& points, double near) {
   const int n = static_cast<int>(points.size());
   std::vector<int> same(n), order(n), place(n);
   std::iota(order.begin(), order.end(), 0);
-  std::sort(order.begin(), order.end(), [&](int i, int j) {
-    return points[i][0] != points[j][0] ? points[i][0] < points[j][0] : i < j;
-  });
+  std::sort(order.begin(), order.end(),
+            [&](int i, int j) { return points[i][0] != points[j][0] ? points[i][0] < points[j][0] : i < j; });
   for (int k = 0; k < n; ++k) place[order[k]] = k;
   for (int i = 0; i < n; ++i) {
     int first = i;

@@ -60,8 +60,7 @@ struct ShapeFeatures {
   bool is_unbounded() const { return !faces.empty() && std::isinf(faces[0].radius); }
 };
 
-// Makes the features of all geometries of the scene's pairs. To be called once after loading. Throws Error for a hull
-// without triangles.
+// Makes the features that the scene's pairs need and that are not made yet. Throws Error for a hull without triangles.
 void add_shape_features(Scene& scene);
 
 // Of the shape that distances of a pair refer to: rounded or sharp.

@@ -15,6 +15,7 @@ class CollisionGeometry;
 namespace contactvi {
 
 struct ShapeFeatures;
+class PairTable;
 
 struct Geometry {
   int body;   // engine joint that moves it, -1: world
@@ -33,8 +34,8 @@ struct Geometry {
   // Bounding box along the axes of the geometry's frame [m]; a ball has the same box whichever way it is turned.
   Vec3 box_center, box_half;
   bool is_ball;
-  // Features of the sharp and of the rounded shape, made once per scene (add_shape_features) and shared by all that
-  // simulate it; null where no pair needs them.
+  // Features of the sharp and of the rounded shape, made by prepare_geometry and shared by all that simulate the scene;
+  // null where no pair needs them.
   std::shared_ptr<const ShapeFeatures> sharp_features, rounded_features;
 };
 
@@ -50,6 +51,7 @@ struct Scene {
   Tree tree;
   std::vector<Geometry> geometries;
   std::vector<Pair> pairs;
+  std::shared_ptr<const PairTable> pair_table;  // of the pairs, made by prepare_geometry
 
   int guard_count() const { return static_cast<int>(pairs.size() + tree.limits.size()); }
   bool is_pair(int guard) const { return guard < static_cast<int>(pairs.size()); }

@@ -62,7 +62,7 @@ void Simulator::return_to(const AdaptiveStart& start, Recording& recording) {
   node_time_ = start.node_time;
   step_ = start.step;
   for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, start.touching[g] != 0);
-  guards_.unmark_all();
+  guards_.restart();
   update_persistent_guards();
   integrator_.forget();
   recording.cut(start.mark);

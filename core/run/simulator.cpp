@@ -86,7 +86,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   integrator_.counters = StepCounters();
   integrator_.forget();
   guards_.counters = GuardCounters();
-  guards_.unmark_all();
+  guards_.restart();
   bouncing_.assign(bouncing_.size(), Bouncing());
   if (!q.allFinite() || !v.allFinite()) {
     end(StatusCode::kNotFinite, t, "the start state is not finite");
