@@ -1,8 +1,8 @@
 // Broad phase: the pairs of shapes that are near enough to touch in a step.
 //
 // Each geometry has a fat box: its bounding box, fattened by its motion of several steps. A bound on the way of its
-// points, the odometer, tells until when it stays in there. Pairs whose fat boxes are apart are far, and a step does not
-// look at them; the list of the near ones changes only where a geometry may leave its fat box and gets a new one.
+// points, the odometer, tells until when it stays in there. Pairs whose fat boxes are apart are far, and a step does
+// not look at them; the list of the near ones changes only where a geometry may leave its fat box and gets a new one.
 //
 // What a far pair keeps: whatever the step does within its motion bound, both shapes stay in their fat boxes, and so
 // they would for as long a way again. The gap of a far pair therefore is larger at the end of the step than the motion

@@ -48,7 +48,9 @@ void Guards::place_pair(int guard) {
 }
 
 void Guards::place_bodies() {
+  if (all_placed_for_ == configuration_) return;
   for (int i = 0; i < static_cast<int>(placed_for_.size()); ++i) place_body(i);
+  all_placed_for_ = configuration_;
 }
 
 void Guards::restart() {

@@ -6,9 +6,9 @@
 // it is excluded until it has separated, unless it closes again. A start below zero is an error, never projected away.
 //
 // Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was
-// d when it was last evaluated is skipped until the two odometers have advanced by d; then its bounding spheres are
-// compared, and the distance of its shapes is evaluated only if they may touch. Pairs that are far from each other for
-// several steps are not even looked at (broad_phase.hpp). Numbering: collision pairs first, then joint limits.
+// d when it was last evaluated is skipped until the two odometers have nearly advanced by d; then its bounding spheres
+// are compared, and the distance of its shapes is evaluated only if they may touch. Pairs that are far from each other
+// for several steps are not even looked at (broad_phase.hpp). Numbering: collision pairs first, then joint limits.
 #pragma once
 
 #include <vector>
@@ -34,7 +34,8 @@ class Guards {
   int count() const { return count_; }
   const Scene& scene() const { return *scene_; }
 
-  // Configuration that evaluate, gradient and separated_at_end refer to. A body is placed when a pair first asks for it.
+  // Configuration that evaluate, gradient and separated_at_end refer to. A body is placed when a pair first asks for
+  // it.
   void place(const VecCRef& q);
 
   // Exact gap [m] or [rad] at the placed configuration, not finite if coal fails. For a guard with persistent contacts
@@ -83,7 +84,8 @@ class Guards {
   void bound_doubt(const VecCRef& q, const VecX& doubt, double h);
   double doubt(int guard) const;
   bool is_noisy(int guard) const { return guard < pairs_ && scene_->pairs[guard].curved; }
-  // True if the odometers say that the guard cannot reach zero in the step.
+  // True if the odometers say that the gap stays open in the step and is larger than the step's motion at its end. A
+  // guard whose gap is not is a suspect, so that suspects do not depend on when guards were last evaluated.
   bool skip(int guard) const;
   // True if the bounding spheres at the placed end of the step say so; then also moves the pair's mark.
   bool separated_at_end(int guard);
@@ -129,6 +131,7 @@ class Guards {
   VecX q_;
   std::vector<long> placed_for_;  // per body: the last configuration for which it was placed
   long configuration_ = 0;        // number of the configuration q_
+  long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
   std::vector<double> linear_;  // per body: bound on its origin's displacement
   Reach motion_, doubt_;

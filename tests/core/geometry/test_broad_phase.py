@@ -168,6 +168,17 @@ def test_a_start_evaluates_only_what_meets():
     assert 1 <= evaluated(simulator) <= 8  # the one pair, a few times
 
 
+def test_a_robot_of_meshes_starts_without_their_distances():
+    """Of solo12, 2 m above the ground: its 24 joint limits, and none of its 129 pairs of hulls and with the ground."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_urdf("example-robot-data://robots/solo_description/robots/solo12.urdf", base="free", placement=(0, 0, 2))
+    simulator = engine(scene)
+    status = simulator.reset(np.asarray(scene.neutral()), np.zeros(scene.nv), 0.0)
+    assert status["code"] == _core.StatusCode.SUCCESS
+    assert evaluated(simulator) == 24
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_a_start_in_penetration_is_found_as_by_brute_force(seed: int):
     """The first pair in penetration, with its depth, or none."""
