@@ -274,7 +274,7 @@ double Guards::turn(int guard) const {
 bool Guards::skip(int guard) const {
   if (guard >= pairs_) return false;  // a joint limit costs one subtraction
   const Pair& pair = scene_->pairs[guard];
-  return odometer_[pair.a] + odometer_[pair.b] + motion(guard) < marks_[guard];
+  return odometer_[pair.a] + odometer_[pair.b] + 2.0 * motion(guard) < marks_[guard];
 }
 
 bool Guards::separated_at_end(int guard) {
