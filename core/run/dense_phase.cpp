@@ -66,7 +66,7 @@ void Simulator::begin_dense_phase() {
   state_.dense.active = true;
   state_.dense.quiet = 0;
   dense_step_.restart();
-  guards_.unmark_all();
+  guards_.restart();
   integrator_.forget();
 }
 
@@ -81,9 +81,9 @@ void Simulator::end_dense_phase() {
   state_.dense.active = false;
   state_.dense.since_return = 0;
   state_.separated.clear();
-  guards_.unmark_all();
+  guards_.restart();
   integrator_.forget();
-  for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, false);
+  finder_.forget_touching();
   for (const DenseContact& c : dense_step_.contacts())
     if (c.closed) finder_.set_touching(c.point.guard, true);
   for (const PersistentContact& c : contact_step_.contacts()) finder_.set_touching(c.point.guard, false);

@@ -83,7 +83,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   integrator_.counters = StepCounters();
   integrator_.forget();
   guards_.counters = GuardCounters();
-  guards_.unmark_all();
+  guards_.restart();
   if (!q0.allFinite() || !v0.allFinite()) {
     end(StatusCode::kNotFinite, t, "the start state is not finite");
     return state_.status;
@@ -91,10 +91,13 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   integrator_.dynamics(q0, v0, state_.p, p1_);
   law_->start_run(free_state(), state_.reference);
   guards_.place(q0);
-  for (int g = 0; g < guards_.count(); ++g) {
+  finder_.forget_touching();
+  std::vector<int> meeting;
+  guards_.list_meeting(meeting);
+  for (int g : meeting) {
     Contact contact;
     const double gap = guards_.evaluate(g, contact), tolerance = guards_.touch_tolerance(g);
-    finder_.set_touching(g, gap <= tolerance);
+    if (gap <= tolerance) finder_.set_touching(g, true);
     if (!(gap >= -tolerance)) {
       end(StatusCode::kPenetration, t, "the start state is in penetration", g);
       state_.status.depth = -gap;
