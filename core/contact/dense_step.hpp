@@ -134,6 +134,7 @@ class DenseStep {
   void restitution_problem(double bound_energy);
   double expansion_share(const VecX& plastic, double bound_energy) const;
   double smooth_contact_error() const;
+  double fastest_turn() const;
   void account(const BlockResult& result);
 
   const Scene* scene_;
