@@ -111,10 +111,10 @@ class Options:
         record_contacts: keep the impulses of all contacts (Trajectory.contacts).
         contact_mode: which steps are taken where bodies touch. "auto": events are located, and where they accumulate or
             would end the run the rest of a step is a dense step, which has all impacts inside of it without their times
-            (contactvi.trajectory.ledger says how exactly its law holds). "events": never a dense step; a run whose
+            (contactvi.records.dense_steps says how exactly its law holds). "events": never a dense step; a run whose
             events accumulate ends with a status. "steps": dense steps alone, which makes the run a time-stepping
-            simulation to compare with. With dt="auto", "dtec" and zeno="end" no dense step is taken, and "steps" is
-            refused.
+            simulation to compare with. With dt="auto", "dtec", zeno="end" and in scenes with constraints no dense step
+            is taken, and "steps" is refused.
 
     Raises:
         InputError: for a value that is not of the type or in the range given above.
