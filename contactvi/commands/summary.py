@@ -20,6 +20,7 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
     dense = float(traj.dense_steps["energy_loss"].sum())
     slid = float(traj.friction_loss[-1]) - dense
     put_in, known = _works(traj)
+    lost = _lost(slid, "sliding") + _lost(dense, "dense steps")
     rest = float(energy[-1] - energy[0]) - taken + slid + dense - known
     scale = float(traj.kinetic_energy.max())
     share = f" ({rest / scale:+.2g} of the largest kinetic energy)" if scale > 0 else ""
@@ -37,10 +38,7 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
         *_dense_lines(traj),
         *_constraint_lines(traj),
         ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
-        (
-            "",
-            f"{taken:+.6g} J by impacts{_lost(slid, 'sliding')}{_lost(dense, 'dense steps')}{put_in}, {rest:+.3g} J by {cause}{share}",
-        ),
+        ("", f"{taken:+.6g} J by impacts{lost}{put_in}, {rest:+.3g} J by {cause}{share}"),
         ("wall time", f"{stats.seconds:.3g} s, {factor}"),
         ("work", f"{stats.stage_iterations} stage iterations, {stats.factorizations} factorizations{skipped}"),
     ]

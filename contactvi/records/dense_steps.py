@@ -1,16 +1,16 @@
-"""Dense steps of a run: steps that have all impacts inside of them, without their times, and how exactly their law holds.
+"""Dense steps of a run, which have all impacts inside of them without their times, and how exactly their law holds.
 
 Columns, one row per dense step, shapes (n,):
 
 - t, h: start and length [s]; step: index of the step of length dt that it belongs to (int64).
-- residual: largest residual of Coulomb's law in the contact problems of the step, as a speed over the largest speed that
-  a contact would have without impulses; 0 is exact.
+- residual: largest residual of Coulomb's law in the contact problems of the step, as a speed over the largest speed
+  that a contact would have without impulses; 0 is exact.
 - gap: least gap at the end of the step [m; rad]; below zero the shapes overlap.
 - energy_loss: what the energy fell by, less the works of inputs, damping and joint friction [J]: what contacts took by
   restitution and friction. It is a difference of energies and so contains the error of the step; where it is below zero
   the energy rose.
-- energy_error: how much the energy may rise [J]: the error of the step without contacts from the same state, and that of
-  its curvature and of the contact problems.
+- energy_error: how much the energy may rise [J]: the error of the step without contacts from the same state, and what
+  the curvature of the contacts and the tolerance of the contact problems add.
 - energy_rise: how far it rose beyond that [J]; 0 where the promise is kept.
 - contacts: contact points that carried an impulse (int64); repaired: contact problems whose answer was repaired or
   blended, so that gaps and energy are kept and Coulomb's law is not (int64).
@@ -114,12 +114,13 @@ class DenseSteps:
     def worst(self) -> str:
         """Return the worst figures in words."""
         low = min(0.0, float(self._arrays["gap"].min(initial=0.0)))
-        rise = float(self._arrays["energy_rise"].max(initial=0.0))
+        residual, rise = (float(self._arrays[name].max(initial=0.0)) for name in ("residual", "energy_rise"))
+        margin = float(self.energy_margin.min(initial=np.inf))
+        energy = f"up by {rise:.2g} J beyond its error" if rise > 0.0 else f"within its error (margin {margin:.2g} J)"
         repaired = f", {self.repaired} contact problems repaired" if self.repaired else ""
         return (
-            f"residual of Coulomb's law up to {self._arrays['residual'].max(initial=0.0):.2g} of the largest free speed, "
-            f"overlap up to {-low:.2g} m, energy up by at most {rise:.2g} J more than its error (least margin "
-            f"{self.energy_margin.min(initial=np.inf):.2g} J){repaired}"
+            f"residual of Coulomb's law up to {residual:.2g} of the largest free speed, overlap up to "
+            f"{-low:.2g} m, energy {energy}{repaired}"
         )
 
     def __len__(self) -> int:

@@ -11,10 +11,10 @@ two thirds of the step, where the contact step has them: that is exact where the
 The slip at the start of the first step of a contact, and after an impact, is not recorded. It is extrapolated from the
 end of that step and the step after it if that one slips, else it is taken to be the slip at the end.
 
-Rows of dense steps do no friction work: impacts lie inside of these steps, so slips at the ends do not give the work. What
-a dense step took, by friction and restitution together, is its energy_loss (contactvi.records.dense_steps), which counts in
-friction_loss. It is a difference of energies: the balance closes over dense steps whatever they did, and how well they kept
-the energy is in their margin.
+Rows of dense steps do no friction work: impacts lie inside of these steps, so slips at the ends do not give the work.
+What a dense step took, by friction and restitution together, is its energy_loss (contactvi.records.dense_steps), which
+counts in friction_loss. It is a difference of energies: the balance of energy closes over dense steps whatever they
+did, and how well they kept the energy is in their margin.
 
 The balance is that of the trees of bodies that hang on a free joint without damping: what the contacts gave each one in
 a step, against the change of its momentum less its weight. It needs runs without inputs and whole steps between nodes.
@@ -120,7 +120,7 @@ class ContactLedger:
 
     @cached_property
     def friction_work(self) -> Array:
-        """What friction did over the step [J], <= 0 where it slows the slip, shape (m,); 0 for impacts, in dense steps."""
+        """What friction did over the step [J], <= 0 where it slows the slip, shape (m,); 0 for impacts and dense steps."""
         log = self._contacts
         slip, h = log.array("slip"), log.h
         before = slip.copy()

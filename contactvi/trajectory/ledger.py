@@ -27,9 +27,9 @@ Tolerances, the keys of the option `ledger` of a run, are upper bounds of
   and impacts, relative to the largest kinetic energy so far. It is O(dt^2).
 - energy_rise: how far the energy at a node is above the least one before it, relative to the largest kinetic energy so
   far: more than the error of the integrator is an error of a contact. For runs without inputs.
-- dense_residual: of Coulomb's law in a dense step, over the largest free speed of a contact. dense_gap: how far a gap is
-  below zero at its end [m]. dense_energy_rise: how far the energy rose in it beyond the error of the smooth step, relative
-  to the largest kinetic energy so far.
+- dense_residual: of Coulomb's law in a dense step, over the largest free speed of a contact. dense_gap: how far a gap
+  is below zero at its end [m]. dense_energy_rise: how far the energy rose in it beyond the error of the step, relative
+  to the largest kinetic energy so far. See contactvi.records.dense_steps.
 - impulse: how far one is below zero [N s]. complementarity: abs(gap * impulse) [N m s]. gap: abs(gap) [m]. Of impacts
   and of persistent contacts. impulse_balance: between two nodes, of free bodies [N s].
 

@@ -53,9 +53,9 @@ class Trajectory:
         contacts: every persistent contact of every step, and every impact, with its forces (a `ContactLog`); empty
             without, and with record_contacts=False.
         contact_changes: when contacts began, stuck, slipped, ended (a `ChangeLog`).
-        phases: of a run with persistent contacts or dense steps, {"t": (k,), "dt": (k,), "kind": (k,)}: from these times
-            [s] on steps have these lengths [s] and this kind: "free", "persistent" (contacts persist) or "dense" (all
-            impacts are inside of them); else None. "persistent" has the kinds as numbers 0, 1 and 2
+        phases: of a run with persistent contacts or dense steps, {"t": (k,), "dt": (k,), "kind": (k,)}: from these
+            times [s] on steps have these lengths [s] and this kind: "free", "persistent" (contacts persist) or "dense"
+            (all impacts are inside of them); else None. "persistent" has the kinds as numbers 0, 1 and 2
             (contactvi.records.codes.StepKind).
         dense_steps: the dense steps and how exactly their law holds (contactvi.records.dense_steps); empty without.
         adaptive_steps: with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths
