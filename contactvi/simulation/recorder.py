@@ -81,10 +81,15 @@ class Record:
     def _collect_phases(self, phases: Columns | None) -> None:
         """Take over of which kind steps are: a call without any phase is free, and ends that of the call before."""
         if phases is not None:
+            if not self.phases and phases["t"][0] > self.start:  # the calls before it were free
+                self._add_free_phase(self.start)
             self.phases.append(phases)
         elif self.phases and self.phases[-1]["persistent"][-1]:
-            free = {"t": self._reached, "dt": self.options.fixed_dt, "persistent": 0.0}
-            self.phases.append({name: np.array([value]) for name, value in free.items()})
+            self._add_free_phase(self._reached)
+
+    def _add_free_phase(self, t: float) -> None:
+        free = {"t": t, "dt": self.options.fixed_dt, "persistent": 0.0}
+        self.phases.append({name: np.array([value]) for name, value in free.items()})
 
     def end(self, result: EngineStatus, time: float | None = None) -> Status:
         """Take over the engine's status; `time` [s] replaces the time that it gives."""

@@ -87,8 +87,8 @@ def simulate(
 
     Warns:
         AccuracyWarning: where "auto" did not reach tol; traj.error_estimate is what it reached.
-        DenseStepWarning: once, at the end, where a run with contact_mode="auto" took dense steps: their share of the time
-            and their worst figures. Not with "steps", which asks for them, and not before a SimulationError, whose
+        DenseStepWarning: once, at the end, where a run with contact_mode="auto" took dense steps: their share of the
+            time and their worst figures. Not with "steps", which asks for them, and not before a SimulationError, whose
             trajectory has them.
     """
     chosen: dict[str, Any] = {

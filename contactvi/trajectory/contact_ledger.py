@@ -120,7 +120,7 @@ class ContactLedger:
 
     @cached_property
     def friction_work(self) -> Array:
-        """What friction did over the step [J], <= 0 where it slows the slip, shape (m,); 0 for impacts and dense steps."""
+        """What friction did over the step [J], <= 0 where it slows the slip, shape (m,); 0 in impacts, dense steps."""
         log = self._contacts
         slip, h = log.array("slip"), log.h
         before = slip.copy()
