@@ -14,7 +14,7 @@ from contactvi.errors import ConstraintError, DenseStepWarning, InputError, Pene
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation import adaptive
 from contactvi.simulation.compatibility import check_elements, check_map
-from contactvi.simulation.messages import REMEDY
+from contactvi.simulation.messages import remedy
 from contactvi.simulation.run import PROGRESS_PERIOD, Run
 from contactvi.simulation.simulator import Simulator, settings_of
 from contactvi.status import StatusCode
@@ -116,7 +116,7 @@ def simulate(
             f"The run {fact} with the status {traj.status.code.name}: {traj.status.message}",
             expected=f"t = {span if settings.auto else steps * settings.fixed_dt:.9g} s",
             got=f"t = {traj.status.time:.9g} s",
-            remedy=REMEDY.get(traj.status.code),
+            remedy=remedy(traj.status.code, settings.contact_mode),
             status=traj.status,
             trajectory=traj,
         )

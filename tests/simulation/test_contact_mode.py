@@ -87,6 +87,8 @@ def test_events_alone_end_with_a_status():
     assert len(traj.dense_steps) == traj.stats.dense_steps == 0
     assert "dense" not in traj.stepping
     assert "dense" not in dict(summary(traj))
+    with pytest.raises(cvi.SimulationError, match="contact_mode='auto' goes on with dense steps"):
+        heap_run(contact_mode="events")
 
 
 def test_steps_alone_locate_nothing(stack):
@@ -301,6 +303,23 @@ def test_files_without_dense_steps_load(heap, tmp_path):
         np.savez(path, **{**entries, name: wrong})
         with pytest.raises(cvi.SceneError, match="Cannot read the run"):
             cvi.Trajectory.load(path)
+
+
+def test_pictures_of_dense_steps(heap, tmp_path):
+    """The page has arrows of the mean forces of dense steps, the plot their forces."""
+    assert heap.to_html(tmp_path / "run.html", fps=20.0).stat().st_size > 1000
+    assert cvi.plot_forces(heap).axes
+    during = heap.dense_steps.t[len(heap.dense_steps) // 2]
+    assert any(contact.mode in ("stick", "slip") and contact.force.any() for contact in heap.contacts.at(during))
+
+
+def test_states_inside_dense_steps():
+    """From the polynomials that are kept: the nodes to the bit, no jump of the configuration in between."""
+    traj = tower_run(dense=True)
+    np.testing.assert_allclose(traj.at(traj.t[1:-1]).q, traj.q[1:-1], rtol=0.0, atol=1e-14)
+    middles = 0.5 * (traj.t[1:] + traj.t[:-1])
+    way = np.abs(np.diff(traj.q, axis=0)).max()
+    assert np.abs(traj.at(middles).q - 0.5 * (traj.q[1:] + traj.q[:-1])).max() <= 0.5 * way
 
 
 def test_words_of_the_summary(heap):
