@@ -365,7 +365,7 @@ def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> Non
         )
     if traj.options.contact_mode == "auto" and len(traj.dense_steps):
         _err.print(
-            f"[bold yellow]Events accumulated:[/] dense steps for {traj.dense_steps.span:.4g} s, in which impacts have "
+            f"[bold yellow]Dense contact:[/] dense steps for {traj.dense_steps.span:.4g} s, in which impacts have "
             f"no times; {traj.dense_steps.worst()}"
         )
     if not traj.status.ok:

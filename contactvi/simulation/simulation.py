@@ -126,10 +126,10 @@ def simulate(
 
 
 def _warn_of_dense_steps(traj: Trajectory) -> None:
-    """Warn that impacts accumulated; the warning is that of the line that called `simulate`."""
+    """Warn that a run took dense steps; the warning is that of the line that called `simulate`."""
     steps, span = traj.dense_steps, float(traj.status.time - traj.t[0])
     warnings.warn(
-        f"Events accumulated: {len(steps)} dense steps for {steps.span:.4g} s of {span:.4g} s, in which impacts have no"
+        f"Dense contact: {len(steps)} dense steps for {steps.span:.4g} s of {span:.4g} s, in which impacts have no"
         f" times; {steps.worst()}. contact_mode='events' refuses such steps, 'steps' asks for them",
         DenseStepWarning,
         stacklevel=3,

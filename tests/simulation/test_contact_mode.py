@@ -99,6 +99,22 @@ def test_steps_alone_locate_nothing(stack):
     assert np.all(stack.ledger.persistent)
 
 
+def test_many_resting_points_are_stepped_densely():
+    """Seven boxes beside each other have 28 points: at rest to rounding, and the ground carries their weight."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    boxes = [scene.add_box(f"box{k}", size=(0.1, 0.1, 0.1), placement=(0.2 * k, 0.0, 0.05)) for k in range(7)]
+    scene.set_contact(restitution=0.0, friction=0.5)
+    with pytest.warns(cvi.DenseStepWarning):
+        traj = cvi.simulate(scene, duration=0.02, dt=1e-3)
+    assert traj.dense_steps.span == pytest.approx(0.02, rel=0.1)
+    assert np.abs(traj.q - traj.q[0]).max() <= 1e-12
+    for box in boxes:
+        times, force = traj.contacts.on(box)
+        assert len(times) == 20
+        np.testing.assert_allclose(force, np.tile([0.0, 0.0, 9.81], (20, 1)), atol=1e-6)
+
+
 def test_a_bouncing_ball_never_takes_a_dense_step():
     """Its impacts accumulate at one contact: bouncing ends with a plastic impact and the contact persists."""
     scene = ball_scene(restitution=0.7)
@@ -399,21 +415,21 @@ xyz = [0, 0, 0.051]
     result = CliRunner().invoke(app, ["run", str(file), *options])
     assert result.exit_code == 0, result.output
     assert "50 dense steps for 0.05 s of 0.05 s" in result.stdout
-    assert "Events accumulated" not in result.output
+    assert "Dense contact" not in result.output
     stored = cvi.Trajectory.load(tmp_path / "out" / "trajectory.npz")
     assert stored.options.contact_mode == "steps"
 
 
-def test_the_command_line_says_that_events_accumulated(heap, capsys):
+def test_the_command_line_says_that_contact_was_dense(heap, capsys):
     from contactvi.commands import cli
 
     cli._print_summary(heap, [], 0.0)
     words = " ".join(capsys.readouterr().err.split())
-    assert f"Events accumulated: dense steps for {heap.dense_steps.span:.4g} s" in words
+    assert f"Dense contact: dense steps for {heap.dense_steps.span:.4g} s" in words
     steps = replace(heap.options, contact_mode="steps")
     heap.options, kept = steps, heap.options
     try:
         cli._print_summary(heap, [], 0.0)
-        assert "Events accumulated" not in capsys.readouterr().err
+        assert "Dense contact" not in capsys.readouterr().err
     finally:
         heap.options = kept
