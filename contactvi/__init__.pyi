@@ -3,6 +3,7 @@ from . import errors as errors
 from .errors import AccuracyWarning as AccuracyWarning
 from .errors import ConstraintError as ConstraintError
 from .errors import ContactviError as ContactviError
+from .errors import DenseStepWarning as DenseStepWarning
 from .errors import DerivativeError as DerivativeError
 from .errors import InputError as InputError
 from .errors import PenetrationError as PenetrationError

@@ -184,6 +184,10 @@ class AccuracyWarning(UserWarning):
     """A run with dt="auto" did not reach the accuracy asked of it; `Trajectory.error_estimate` is what it reached."""
 
 
+class DenseStepWarning(UserWarning):
+    """A run with contact_mode="auto" took dense steps: impacts in them have no times (`Trajectory.dense_steps`)."""
+
+
 def nearest(word: str, choices: Iterable[str]) -> str | None:
     """Return the choice most like `word`, or None when nothing is near."""
     names = [str(choice) for choice in choices]

@@ -28,6 +28,7 @@ LEDGER_TOLERANCES = (
     *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
     *("linear_momentum_jump", "angular_momentum_jump", "impulse", "complementarity", "gap"),
     *("energy_rise", "impulse_balance", "energy_balance"),
+    *("dense_residual", "dense_gap", "dense_energy_rise"),
 )
 _STEP_TOLERANCE = 1e-9  # relative; decimal input such as 0.1 / 1e-3 is off by a few eps * steps
 

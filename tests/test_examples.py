@@ -109,6 +109,13 @@ def test_guide_code_of_persistent_contact_runs(tmp_path):
     assert (tmp_path / "forces.png").stat().st_size > 0
 
 
+def test_guide_code_of_a_heap_runs(tmp_path):
+    """By dense steps alone, and within the bounds of its ledger, which would raise."""
+    printed = run_marked("heap", tmp_path, "\nprint(len(steps) == traj.stats.dense_steps, set(traj.phases['kind']))")
+    assert "residual of Coulomb's law" in printed[0]
+    assert printed[-1] == "True {np.str_('dense')}" or printed[-1] == "True {'dense'}"
+
+
 def test_guide_code_of_simultaneous_impacts_runs(tmp_path):
     printed = run_marked("simultaneous", tmp_path, "\nprint(found.unique, found.certificate.certified)")
     assert printed[-1] == "True True"

@@ -100,6 +100,10 @@ def run(
         str | None,
         typer.Option(help="Impacts on a body that rests on others: sequence, or stiff (the supports stay closed)."),
     ] = None,
+    contact_mode: Annotated[
+        str | None,
+        typer.Option(help="In contact: auto, events (all are located) or steps (dense steps, no times of impacts)."),
+    ] = None,
     record_every: Annotated[int | None, typer.Option(help="Keep the state every so many steps.")] = None,
     sample_dt: Annotated[float | None, typer.Option(help="Keep the state every so many seconds instead.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per simulated second of the playback.")] = 60.0,
@@ -118,14 +122,15 @@ def run(
     chosen: dict[str, Any] = {
         "dt": _step(dt), "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order,
         "tol": tol, "record_every": record_every, "sample_dt": sample_dt,
-        "dt_contact": dt_contact, "zeno": zeno, "support": support,
+        "dt_contact": dt_contact, "zeno": zeno, "support": support, "contact_mode": contact_mode,
     }  # fmt: skip
     settings = settings_of(scene, chosen)
     folder = output if output is not None else Path(scene_file.stem)
     _make_folder(folder)  # before the run: a long one must not fail when its files are written
     try:
         with RunProgress(settings.span, _err) as bar, warnings.catch_warnings():
-            warnings.simplefilter("ignore", cvi.AccuracyWarning)  # the summary reports it
+            for reported in (cvi.AccuracyWarning, cvi.DenseStepWarning):  # by the summary
+                warnings.simplefilter("ignore", reported)
             traj = cvi.simulate(scene, progress=bar, **chosen)
     except SimulationError as error:
         traj = error.trajectory
@@ -357,6 +362,11 @@ def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> Non
         _err.print(
             f"[bold yellow]The accuracy asked for was not reached:[/] error of q about {traj.error_estimate:.2g}, "
             f"tol = {traj.options.tol:.2g}"
+        )
+    if traj.options.contact_mode == "auto" and len(traj.dense_steps):
+        _err.print(
+            f"[bold yellow]Dense contact:[/] dense steps for {traj.dense_steps.span:.4g} s, in which impacts have "
+            f"no times; {traj.dense_steps.worst()}"
         )
     if not traj.status.ok:
         _err.print(f"[bold yellow]The run ended early:[/] {escape(str(traj.status))}")

@@ -17,9 +17,11 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
     limits = int((events.array("kind") == 1).sum())
     span = float(traj.t[-1] - traj.t[0])
     energy, taken = traj.energy, float(traj.impact_energy[-1])
-    slid = float(traj.friction_loss[-1]) if len(traj.contacts) else 0.0
+    dense = float(traj.dense_steps["energy_loss"].sum())
+    slid = float(traj.friction_loss[-1]) - dense
     put_in, known = _works(traj)
-    rest = float(energy[-1] - energy[0]) - taken + slid - known
+    lost = _lost(slid, "sliding") + _lost(dense, "dense steps")
+    rest = float(energy[-1] - energy[0]) - taken + slid + dense - known
     scale = float(traj.kinetic_energy.max())
     share = f" ({rest / scale:+.2g} of the largest kinetic energy)" if scale > 0 else ""
     cause = "integration error" if traj.forces is not None else "damping, inputs and integration error"
@@ -33,9 +35,10 @@ def summary(traj: Trajectory) -> list[tuple[str, str]]:
         ("impacts", f"{len(events)}" + (f", {limits} of them at joint limits" if limits else "")),
         *_map_lines(traj, scale),
         *_contact_lines(traj),
+        *_dense_lines(traj),
         *_constraint_lines(traj),
         ("energy", f"{energy[0]:.9g} J at the start, {energy[-1]:.9g} J at the end"),
-        ("", f"{taken:+.6g} J by impacts{_slid(slid)}{put_in}, {rest:+.3g} J by {cause}{share}"),
+        ("", f"{taken:+.6g} J by impacts{lost}{put_in}, {rest:+.3g} J by {cause}{share}"),
         ("wall time", f"{stats.seconds:.3g} s, {factor}"),
         ("work", f"{stats.stage_iterations} stage iterations, {stats.factorizations} factorizations{skipped}"),
     ]
@@ -89,8 +92,18 @@ def _constraint_lines(traj: Trajectory) -> list[tuple[str, str]]:
     return [("reactions", text)]
 
 
-def _slid(loss: float) -> str:
-    return f", {-loss:+.6g} J by sliding" if loss else ""
+def _lost(loss: float, cause: str) -> str:
+    return f", {-loss:+.6g} J by {cause}" if loss else ""
+
+
+def _dense_lines(traj: Trajectory) -> list[tuple[str, str]]:
+    """Return the line of dense steps: how many, how long, how exact."""
+    steps = traj.dense_steps
+    if not len(steps):
+        return []
+    span = float(traj.status.time - traj.t[0])
+    count = f"{len(steps)} dense {'steps' if len(steps) > 1 else 'step'} for {steps.span:.4g} s of {span:.4g} s"
+    return [("dense", f"{count}: impacts inside them have no times"), ("", steps.worst())]
 
 
 def _contact_lines(traj: Trajectory) -> list[tuple[str, str]]:

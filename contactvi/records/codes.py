@@ -38,6 +38,14 @@ class Change(IntEnum):
     INCONSISTENT = 5  # Painleve: rigid bodies with friction have no answer without an impulse; value: A [1/kg]
 
 
+class StepKind(IntEnum):
+    """The kind of a step: without contacts, with persistent contacts, or with all impacts inside of it (dense)."""
+
+    FREE = 0
+    PERSISTENT = 1
+    DENSE = 2
+
+
 class Fallback(IntEnum):
     """Why the impulse of an impact is CTEC's."""
 
@@ -53,6 +61,7 @@ class Fallback(IntEnum):
 KINDS = tuple(kind.name.lower() for kind in GuardKind)
 MODES = tuple(mode.name.lower() for mode in ContactMode)
 CHANGES = tuple(change.name.lower().replace("_", " ") for change in Change)
+STEP_KINDS = tuple(kind.name.lower() for kind in StepKind)
 METHODS = IMPACT_MAPS
 FALLBACKS = (
     None,

@@ -93,6 +93,14 @@ def check_elements(compiled: CompiledScene, options: Options) -> None:
 
     Potentials and the damping of joints do not.
     """
+    if options.contact_mode == "steps" and compiled.constraint_rows:
+        raise InputError(
+            "Dense steps do not know constraints",
+            name="contact_mode",
+            expected="'auto' or 'events' for a scene with constraints",
+            got="'steps'",
+            remedy="Leave contact_mode out, or take the constraints out of the scene",
+        )
     if compiled.driven is not None:
         _refuse_blind(options, UNFORCED_TOLERANCES, compiled.driven)
     elif compiled.forced:

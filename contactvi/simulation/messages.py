@@ -19,6 +19,14 @@ REMEDY = {
 }
 
 
+def remedy(code: StatusCode, contact_mode: str) -> str | None:
+    """Return what to do about a run with this contact mode that ended so, None where nothing is known."""
+    text = REMEDY.get(code)
+    if contact_mode == "events" and code in (StatusCode.EVENT_UNRESOLVED, StatusCode.TOO_MANY_IMPACTS):
+        return f"{text}. Where events accumulate contact_mode='auto' goes on with dense steps"
+    return text
+
+
 def describe(code: StatusCode, result: EngineStatus, names: tuple[str, str] | None, impact: str) -> str:
     """Return the engine's message with the names of its pair or limit; `impact` is the map of the run."""
     pair = "" if names is None else f"{names[0]!r} and {names[1]!r}"

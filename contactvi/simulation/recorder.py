@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.options import Options
-from contactvi.records import contacts
+from contactvi.records import contacts, dense_steps
 from contactvi.records import events as event_log
 from contactvi.records.work import GrowingForces
 from contactvi.simulation.messages import describe
@@ -41,6 +41,7 @@ class Record:
         self.contacts: list[Columns] = []
         self.changes: list[Columns] = []
         self.phases: list[Columns] = []
+        self.dense_steps: list[Columns] = []
         self.adaptive_steps: Columns | None = None
         self._reached = t
         self.stats = Stats()
@@ -65,6 +66,7 @@ class Record:
             (self.contacts, result["contacts"]),
             (self.changes, result["changes"]),
             (self.segments, result["segments"]),
+            (self.dense_steps, result["dense"]),
         ):
             if columns is not None:
                 part.append(columns)
@@ -77,12 +79,17 @@ class Record:
         return self.end(result)
 
     def _collect_phases(self, phases: Columns | None) -> None:
-        """Take over where steps have persistent contacts: a call without any ends those of the call before."""
+        """Take over of which kind steps are: a call without any phase is free, and ends that of the call before."""
         if phases is not None:
+            if not self.phases and phases["t"][0] > self.start:  # the calls before it were free
+                self._add_free_phase(self.start)
             self.phases.append(phases)
         elif self.phases and self.phases[-1]["persistent"][-1]:
-            free = {"t": self._reached, "dt": self.options.fixed_dt, "persistent": 0.0}
-            self.phases.append({name: np.array([value]) for name, value in free.items()})
+            self._add_free_phase(self._reached)
+
+    def _add_free_phase(self, t: float) -> None:
+        free = {"t": t, "dt": self.options.fixed_dt, "persistent": 0.0}
+        self.phases.append({name: np.array([value]) for name, value in free.items()})
 
     def end(self, result: EngineStatus, time: float | None = None) -> Status:
         """Take over the engine's status; `time` [s] replaces the time that it gives."""
@@ -128,7 +135,7 @@ class Record:
         return contacts.ChangeLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def phases_joined(self) -> dict[str, Array] | None:
-        """Return {"t", "dt", "persistent"} as `Trajectory.phases`; None for a run without persistent contacts."""
+        """Return {"t", "dt", "persistent"} as `Trajectory.phases`; None for a run of free steps alone."""
         if not self.phases:
             return None
         whole = {name: np.concatenate([np.asarray(part[name], dtype=float) for part in self.phases])
@@ -136,6 +143,10 @@ class Record:
         new = np.ones(len(whole["t"]), dtype=bool)
         new[1:] = (np.diff(whole["dt"]) != 0.0) | (np.diff(whole["persistent"]) != 0.0)
         return {name: values[new] for name, values in whole.items()}
+
+    def dense_log(self, first: int = 0) -> dense_steps.DenseSteps:
+        """Return the dense steps of the blocks from `first` on."""
+        return dense_steps.of_parts(self.dense_steps[first:])
 
     @property
     def impacts(self) -> int:
@@ -164,17 +175,18 @@ class Record:
         self.forces.cut(count)
         last = max(time, float(self.t[0][-1]))
         self.events = [_rows(part, part["time"] <= last) for part in self.events]
-        for name in ("segments", "contacts", "phases"):
+        for name in ("segments", "contacts", "phases", "dense_steps"):
             setattr(self, name, [_rows(part, part["t"] < last) for part in getattr(self, name)])
         self.changes = [_rows(part, part["time"] <= last) for part in self.changes]
 
-    def ledger(self, nodes: int = 0, events: int = 0, contacts: int = 0) -> Ledger:
+    def ledger(self, nodes: int = 0, events: int = 0, contacts: int = 0, dense_steps: int = 0) -> Ledger:
         """Return the ledger of the blocks from these on; of the first of several blocks of nodes only the last node."""
-        skipped = len(self.t[nodes]) - 1 if nodes or events or contacts else 0
+        skipped = len(self.t[nodes]) - 1 if nodes or events or contacts or dense_steps else 0
         t, q, p = self.nodes(nodes)
         inputs = LedgerInputs(
             self.options, self.start, self.forced, t[skipped:], q[skipped:], p[skipped:], self.log(events),
             self.contact_log(contacts), self.phases_joined(), self.forces.joined(nodes).since(float(t[skipped])),
+            dense_steps=self.dense_log(dense_steps),
         )  # fmt: skip
         return Ledger(self.compiled.core, self.compiled.built, inputs)
 
@@ -197,6 +209,7 @@ class Record:
             self.compiled, self.options, t, q, p, self.log(), self.status, self.stats,
             forced=self.forced, segments=segments, adaptive_steps=self.adaptive_steps, error_estimate=error_estimate,
             contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(), forces=forces,
+            dense_steps=self.dense_log(),
         )  # fmt: skip
 
 

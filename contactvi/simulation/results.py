@@ -68,6 +68,7 @@ class EngineResult(EngineStatus):
         t, q, p: times [s] (N,), configurations (N, nq) and momenta (N, nv) at the nodes.
         work: since the start [J], (N, 4), columns as in contactvi.records.work.WORKS.
         reactions: mean forces of the constraints since the node before, (N, rows).
+        dense: one row per dense step, columns as in contactvi.records.dense_steps.
         error: what a callback or a function of the user raised.
     """
 

@@ -73,7 +73,7 @@ class Run:
         self._watch = LedgerWatch(options.ledger) if options.ledger else None
         inelastic = options.impact == "dtec" and compiled.loses_energy
         self._stall = Stall(options.fixed_dt) if inelastic else None
-        self._seen = (0, 0, 0)  # blocks of nodes, of events and of contacts that were inspected
+        self._seen = (0, 0, 0, 0)  # blocks of nodes, events, contacts and dense steps that were inspected
         q, p = self.record.q[0][0], self.record.p[0][0]
         self._targets = Targets(compiled, q)
         self._before: tuple[float, Array, Array] | None = (float(self.record.t[0][0]), q, p)
@@ -159,11 +159,11 @@ class Run:
     def _inspect(self) -> Status:
         """Look for stalled bouncing and for broken tolerances in what was recorded since the last call."""
         record = self.record
-        nodes, events, contacts = self._seen
+        nodes, events, contacts, dense_steps = self._seen
         if self._watch is None and events == len(record.events):
             return record.status
-        block = record.ledger(max(0, nodes - 1), events, contacts)
-        self._seen = len(record.t), len(record.events), len(record.contacts)
+        block = record.ledger(max(0, nodes - 1), events, contacts, dense_steps)
+        self._seen = len(record.t), len(record.events), len(record.contacts), len(record.dense_steps)
         stalled = None if self._stall is None else self._stall.find(block.events)
         if stalled is not None and record.status.ok:
             record.end(stalled)

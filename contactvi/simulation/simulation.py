@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.errors import ConstraintError, InputError, PenetrationError, SimulationError
+from contactvi.errors import ConstraintError, DenseStepWarning, InputError, PenetrationError, SimulationError
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation import adaptive
 from contactvi.simulation.compatibility import check_elements, check_map
-from contactvi.simulation.messages import REMEDY
+from contactvi.simulation.messages import remedy
 from contactvi.simulation.run import PROGRESS_PERIOD, Run
 from contactvi.simulation.simulator import Simulator, settings_of
 from contactvi.status import StatusCode
@@ -86,6 +87,9 @@ def simulate(
 
     Warns:
         AccuracyWarning: where "auto" did not reach tol; traj.error_estimate is what it reached.
+        DenseStepWarning: once, at the end, where a run with contact_mode="auto" took dense steps: their share of the
+            time and their worst figures. Not with "steps", which asks for them, and not before a SimulationError, whose
+            trajectory has them.
     """
     chosen: dict[str, Any] = {
         **options, "duration": duration, "dt": dt, "impact": impact, "order": order, "tol": tol,
@@ -112,11 +116,24 @@ def simulate(
             f"The run {fact} with the status {traj.status.code.name}: {traj.status.message}",
             expected=f"t = {span if settings.auto else steps * settings.fixed_dt:.9g} s",
             got=f"t = {traj.status.time:.9g} s",
-            remedy=REMEDY.get(traj.status.code),
+            remedy=remedy(traj.status.code, settings.contact_mode),
             status=traj.status,
             trajectory=traj,
         )
+    if settings.contact_mode == "auto" and len(traj.dense_steps):
+        _warn_of_dense_steps(traj)
     return traj
+
+
+def _warn_of_dense_steps(traj: Trajectory) -> None:
+    """Warn that a run took dense steps; the warning is that of the line that called `simulate`."""
+    steps, span = traj.dense_steps, float(traj.status.time - traj.t[0])
+    warnings.warn(
+        f"Dense contact: {len(steps)} dense steps for {steps.span:.4g} s of {span:.4g} s, in which impacts have no"
+        f" times; {steps.worst()}. contact_mode='events' refuses such steps, 'steps' asks for them",
+        DenseStepWarning,
+        stacklevel=3,
+    )
 
 
 def _check_auto(compiled: CompiledScene, inputs: str | None) -> None:

@@ -57,6 +57,10 @@ class LedgerWatch:
                 self._look(
                     found, name, block.contacts.time, value, np.ones(len(value)), np.zeros(len(value), dtype=bool)
                 )
+            if name in _DENSE:
+                steps = block.dense_steps
+                at = np.clip(np.searchsorted(block.t, steps.end - 0.5 * steps.h), 0, len(nodes) - 1)  # the node after
+                self._look(found, name, steps.end, _DENSE[name](block), nodes[at], np.zeros(len(steps), dtype=bool))
         self._scale = max(self._scale, *nodes[-1:], *hits[-1:])
         self._lost += float(block.event_loss.sum() + block.friction_loss[-1])
         self._least = min(self._least, float(block.energy.min()))
@@ -99,7 +103,7 @@ _NODE = (
 )
 _FREE = ("modified_energy", "discrete_energy")  # defined for steps without persistent contacts only
 _RELATIVE = (
-    *("energy", "modified_energy", "discrete_energy", "energy_rise", "energy_balance"),
+    *("energy", "modified_energy", "discrete_energy", "energy_rise", "energy_balance", "dense_energy_rise"),
     *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
 )
 _EVENT: dict[str, Callable[[Ledger], Array]] = {
@@ -117,4 +121,9 @@ _CONTACT: dict[str, Callable[[Ledger], Array]] = {
     "impulse": lambda ledger: -ledger.contacts.impulse,
     "complementarity": lambda ledger: np.abs(ledger.contacts.complementarity),
     "gap": lambda ledger: np.abs(ledger.contacts.gap),
+}
+_DENSE: dict[str, Callable[[Ledger], Array]] = {
+    "dense_residual": lambda ledger: ledger.dense_residual,
+    "dense_gap": lambda ledger: np.maximum(0.0, -ledger.dense_gap),
+    "dense_energy_rise": lambda ledger: ledger.dense_energy_rise,
 }

@@ -11,6 +11,11 @@ two thirds of the step, where the contact step has them: that is exact where the
 The slip at the start of the first step of a contact, and after an impact, is not recorded. It is extrapolated from the
 end of that step and the step after it if that one slips, else it is taken to be the slip at the end.
 
+Rows of dense steps do no friction work: impacts lie inside of these steps, so slips at the ends do not give the work.
+What a dense step took, by friction and restitution together, is its energy_loss (contactvi.records.dense_steps), which
+counts in friction_loss. It is a difference of energies: the balance of energy closes over dense steps whatever they
+did, and how well they kept the energy is in their margin.
+
 The balance is that of the trees of bodies that hang on a free joint without damping: what the contacts gave each one in
 a step, against the change of its momentum less its weight. It needs runs without inputs and whole steps between nodes.
 """
@@ -29,6 +34,7 @@ from numpy.typing import NDArray
 from contactvi.importing.checks import joint_kind
 from contactvi.records.codes import ContactMode, GuardKind
 from contactvi.records.contacts import ContactLog
+from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 
 Array = NDArray[np.float64]
 
@@ -79,14 +85,16 @@ class ContactLedger:
         trees: Sequence[FreeTree] = (),
         gravity: Array | None = None,
         pushed: bool = False,
+        dense_steps: DenseSteps | None = None,
     ) -> None:
         """Take the contacts and the nodes t (N,) [s], q (N, nq), p (N, nv) of a run.
 
         Only the balance needs trees from `free_trees`, gravity [m/s^2], shape (3,), and whether anything besides
-        gravity and contacts acts on the trees.
+        gravity and contacts acts on the trees. dense_steps are those of these nodes.
         """
         self._contacts, self._t, self._q, self._p = contacts, t, q, p
         self._trees, self._pushed = trees, pushed
+        self._dense = no_dense_steps() if dense_steps is None else dense_steps
         self._gravity = np.zeros(3) if gravity is None else gravity
 
     @property
@@ -112,7 +120,7 @@ class ContactLedger:
 
     @cached_property
     def friction_work(self) -> Array:
-        """What friction did over the step [J], <= 0 where it slows the slip, shape (m,); 0 for impacts."""
+        """What friction did over the step [J], <= 0 where it slows the slip, shape (m,); 0 in impacts, dense steps."""
         log = self._contacts
         slip, h = log.array("slip"), log.h
         before = slip.copy()
@@ -131,14 +139,24 @@ class ContactLedger:
         first, second = first[guessed], second[guessed]
         before[first] += (slip[first] - slip[second]) * (h[first] / h[second])[:, None]
         work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
-        return np.where((h > 0.0) & (log.array("kind") == GuardKind.CONTACT), work.sum(axis=1) / 3.0, 0.0)
+        counts = (h > 0.0) & (log.array("kind") == GuardKind.CONTACT) & ~self._dense.contain(log.t, h)
+        return np.where(counts, work.sum(axis=1) / 3.0, 0.0)
 
     @cached_property
     def friction_loss(self) -> Array:
-        """What friction in persistent contacts took until each node [J], shape (N,)."""
-        order = np.argsort(self.time, kind="stable")
-        sums = np.concatenate([[0.0], -np.cumsum(self.friction_work[order])])
-        return np.asarray(sums[np.searchsorted(self.time[order], self._t + self._slack, side="right")])
+        """What friction in persistent contacts, and dense steps, took until each node [J], shape (N,)."""
+        return self._until_nodes(self.time, -self.friction_work) + self.dense_loss
+
+    @cached_property
+    def dense_loss(self) -> Array:
+        """What contacts took in dense steps until each node, by friction and restitution [J], shape (N,)."""
+        return self._until_nodes(self._dense.end, self._dense["energy_loss"])
+
+    def _until_nodes(self, time: Array, values: Array) -> Array:
+        """Return the sums of values (k,) until each node, of steps that end at time (k,) [s], shape (N,)."""
+        order = np.argsort(time, kind="stable")
+        sums = np.concatenate([[0.0], np.cumsum(values[order])])
+        return np.asarray(sums[np.searchsorted(time[order], self._t + self._slack, side="right")])
 
     @cached_property
     def impulse_balance(self) -> Array:

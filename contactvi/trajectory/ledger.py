@@ -27,6 +27,9 @@ Tolerances, the keys of the option `ledger` of a run, are upper bounds of
   and impacts, relative to the largest kinetic energy so far. It is O(dt^2).
 - energy_rise: how far the energy at a node is above the least one before it, relative to the largest kinetic energy so
   far: more than the error of the integrator is an error of a contact. For runs without inputs.
+- dense_residual: of Coulomb's law in a dense step, over the largest free speed of a contact. dense_gap: how far a gap
+  is below zero at its end [m]. dense_energy_rise: how far the energy rose in it beyond the error of the step, relative
+  to the largest kinetic energy so far. See contactvi.records.dense_steps.
 - impulse: how far one is below zero [N s]. complementarity: abs(gap * impulse) [N m s]. gap: abs(gap) [m]. Of impacts
   and of persistent contacts. impulse_balance: between two nodes, of free bodies [N s].
 
@@ -40,7 +43,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -51,6 +54,7 @@ from contactvi.aliases import alias
 from contactvi.options import Options
 from contactvi.records.codes import METHODS, Fallback
 from contactvi.records.contacts import ContactLog
+from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 from contactvi.records.events import EventLog
 from contactvi.records.work import Forces
 from contactvi.scene.build import Built
@@ -71,7 +75,7 @@ class LedgerInputs:
         start: time at which the run began [s].
         forced: whether there were inputs or forces that a step which is made again does not have.
         t, q, p: nodes, shapes (N,) [s], (N, nq), (N, nv).
-        events, contacts, phases: those of these nodes.
+        events, contacts, phases, dense_steps: those of these nodes.
         forces: work and reactions at these nodes, None where they are not known.
         energies: T and V at the nodes (N, 2) of a run whose scene lacks functions of the user. What would have to be
             computed with them is NaN. None for a complete scene.
@@ -88,6 +92,7 @@ class LedgerInputs:
     phases: Mapping[str, Array] | None
     forces: Forces | None
     energies: Array | None = None
+    dense_steps: DenseSteps = field(default_factory=no_dense_steps)
 
 
 class Ledger:
@@ -95,10 +100,12 @@ class Ledger:
 
     Per node, shapes (N,) and (N, 3): energy, modified_energy, discrete_energy (of the step that starts there; NaN where
     an impact cuts that step, and at the last node), linear_momentum, angular_momentum, loss (so far), friction_loss,
-    energy_balance, constraint_residual, energy_rise, impulse_balance, persistent (whether the step that starts there
-    has persistent contacts).
+    dense_loss, energy_balance, constraint_residual, energy_rise, impulse_balance, persistent (whether the step that
+    starts there has persistent contacts or is a dense one).
     Per event, shapes (n,) and (n, 3): energy_jump, modified_energy_jump, discrete_energy_jump, own_jump, event_loss,
     impulse, gap, complementarity, linear_momentum_jump, angular_momentum_jump.
+    Per dense step (contactvi.records.dense_steps), shapes (d,): dense_residual, dense_gap, dense_energy_rise,
+    dense_energy_margin.
     """
 
     def __init__(self, core: _core.Scene, built: Built, run: LedgerInputs) -> None:
@@ -157,13 +164,22 @@ class Ledger:
 
     @cached_property
     def loss(self) -> Array:
-        """What impacts and the friction of persistent contacts took until each node [J], >= 0, shape (N,)."""
+        """What impacts, the friction of persistent contacts and dense steps took until each node [J], shape (N,)."""
         return self.events.total(self.event_loss, self.t, self._run.start, self._dt) + self.friction_loss
 
     @property
     def friction_loss(self) -> Array:
-        """What sliding took in persistent contacts until each node [J], shape (N,)."""
+        """What sliding in persistent contacts, and dense steps, took until each node [J], shape (N,)."""
         return self.contacts.friction_loss
+
+    @property
+    def dense_loss(self) -> Array:
+        """The part of `friction_loss` that dense steps took, by friction and restitution [J], shape (N,).
+
+        It is a difference of energies, with the error of the steps in it: `energy_balance` says nothing about them, and
+        dense_energy_margin does.
+        """
+        return self.contacts.dense_loss
 
     @cached_property
     def undriven_energy(self) -> Array:
@@ -182,7 +198,7 @@ class Ledger:
         """Change of H that is not accounted for since the first node [J], shape (N,), of O(dt^2).
 
         It is H less the work of inputs and prescribed motions, plus what damping, joint friction, friction of
-        persistent contacts and impacts took.
+        persistent contacts, dense steps and impacts took.
         """
         known = self.undriven_energy + self.loss
         return np.asarray(known - known[0])
@@ -207,7 +223,7 @@ class Ledger:
 
     @cached_property
     def persistent(self) -> NDArray[np.bool_]:
-        """Whether the step that starts at the node has persistent contacts, shape (N,)."""
+        """Whether the step that starts at the node has persistent contacts or is a dense one, shape (N,)."""
         return self._in_contact(self.t)
 
     held = alias("persistent")
@@ -220,7 +236,35 @@ class Ledger:
         model, run = self._built.model, self._run
         trees = free_trees(model, self._built.collision)
         pushed = self._forced or self._built.elements.any or self._given is not None
-        return ContactLedger(run.contacts, self.t, self._q, self._p, trees, np.array(model.gravity.linear), pushed)
+        gravity = np.array(model.gravity.linear)
+        return ContactLedger(run.contacts, self.t, self._q, self._p, trees, gravity, pushed, run.dense_steps)
+
+    # -- of dense steps ------------------------------------------------------------------------------------------------
+
+    @property
+    def dense_steps(self) -> DenseSteps:
+        """The dense steps, all columns (contactvi.records.dense_steps)."""
+        return self._run.dense_steps
+
+    @property
+    def dense_residual(self) -> Array:
+        """Residual of Coulomb's law over the largest free speed of a contact, shape (d,)."""
+        return self._run.dense_steps["residual"]
+
+    @property
+    def dense_gap(self) -> Array:
+        """Least gap at the end of the step [m; rad], shape (d,); below zero shapes overlap."""
+        return self._run.dense_steps["gap"]
+
+    @property
+    def dense_energy_rise(self) -> Array:
+        """How far the energy rose beyond the error of the step [J], >= 0, shape (d,)."""
+        return self._run.dense_steps["energy_rise"]
+
+    @property
+    def dense_energy_margin(self) -> Array:
+        """The error of the step less the rise of the energy [J], shape (d,); below zero it rose too far."""
+        return self._run.dense_steps.energy_margin
 
     # -- per event -----------------------------------------------------------------------------------------------------
 

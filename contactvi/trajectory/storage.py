@@ -62,16 +62,26 @@ change/index          (d,) int64     as event/index
 change/point          (d,) int64     number of the point within the pair
 change/change         (d,) int64     what became of it, contactvi.records.codes.Change
 change/value          (d,)           see contactvi.records.contacts.ContactChange
-phase/t               (r,)           from these times on [s]; phases only in runs with persistent contacts
+phase/t               (r,)           from these times on [s]; phases only in runs with contacts
 phase/dt              (r,)           the steps have these lengths [s]
-phase/held            (r,)           and there are persistent contacts (1) or not (0)
+phase/held            (r,)           and are free (0), with persistent contacts (1) or dense (2)
+dense/t               (u,)           start of a dense step [s]; only in runs with some
+dense/h               (u,)           its length [s]
+dense/step            (u,) int64     index of the step
+dense/residual        (u,)           of Coulomb's law, over the largest free speed of a contact
+dense/gap             (u,)           least gap at its end [m or rad]
+dense/energy_rise     (u,)           rise of the energy beyond energy_error [J]
+dense/energy_loss     (u,)           what contacts took [J]
+dense/energy_error    (u,)           how much the energy may rise [J]
+dense/contacts        (u,) int64     contact points that carried an impulse
+dense/repaired        (u,) int64     contact problems whose answer was repaired
 segment/t             (m,)           start of a solved step or partial step [s]; segments only in runs that kept them
 segment/h             (m,)           its length [s]
 segment/q             (m, nq)        configuration at its start
 segment/p             (m, nv)        momentum at its start, this and the next two in the engine's coordinates
 segment/p1            (m, nv)        momentum at its end, before an impact there
 segment/rates         (m, s nv)      chart rates at the Gauss stages (core/step/path.hpp)
-segment/held          (m,)           1 for a step with persistent contacts: a midpoint step whatever the order
+segment/held          (m,)           1 for a step with contacts or a dense one: a midpoint step whatever the order
 arc/t                 (k,)           with dt "auto" only: from these times on [s]
 arc/dt                (k,)           the steps have these lengths [s]
 frame/time            (f,)           times of frames for pictures between nodes far apart [s], f may be 0
@@ -114,9 +124,10 @@ from contactvi.errors import ContactviError, SceneError
 from contactvi.files import write_atomic
 from contactvi.options import Options
 from contactvi.playback.visuals import Visual
-from contactvi.records import codes, contacts
+from contactvi.records import codes, contacts, dense_steps
 from contactvi.records import events as event_log
 from contactvi.records.contacts import ChangeLog, ContactLog
+from contactvi.records.dense_steps import DenseSteps
 from contactvi.records.work import WORKS, ConstraintRows, Forces
 from contactvi.scene.scene import Scene
 from contactvi.status import Stats, Status, StatusCode
@@ -166,6 +177,7 @@ class Run(Protocol):
     phases: dict[str, NDArray[np.float64]] | None
     contacts: ContactLog
     contact_changes: ChangeLog
+    dense_steps: DenseSteps
     error_estimate: float
     forces: Forces | None
 
@@ -212,7 +224,8 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
     entries |= {f"event/{name}": values for name, values in traj.events.arrays.items()}
     if traj.phases is not None:
         entries |= {_name("phase", name): traj.phases[name] for name in _PHASES}
-    for group, log in (("contact", traj.contacts), ("change", traj.contact_changes)):
+    logs = ("contact", traj.contacts), ("change", traj.contact_changes), ("dense", traj.dense_steps)
+    for group, log in logs:
         entries |= {f"{group}/{name}": values for name, values in log.arrays.items() if len(log)}
     if traj.forces is not None:
         entries |= {"force/work": traj.forces.values, "force/reactions": traj.forces.reactions}
@@ -300,7 +313,8 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
         "forces": read.forces(t, header["constraints"]),
         "contacts": read.contacts(names),
         "changes": read.changes(names),
-        "phases": read.group("phase", _PHASES),
+        "phases": read.phases(),
+        "dense_steps": read.dense_steps(),
     }
 
 
@@ -431,6 +445,20 @@ class _Reader:
         self._check_codes(rows, {"change": len(codes.CHANGES)}, "contacts")
         self._check_guards(rows, names, "contacts")
         return ChangeLog(rows, *names)
+
+    def phases(self) -> Entries | None:
+        """Return where the kind and the length of the steps change, None in a run of free steps alone."""
+        phases = self.group("phase", _PHASES)
+        if phases is not None and not np.all(np.isin(phases["persistent"], list(codes.StepKind))):
+            self._refuse("steps of an unknown kind")
+        return phases
+
+    def dense_steps(self) -> DenseSteps:
+        """Return the dense steps of a run."""
+        rows = self._rows("dense", "t", dense_steps.FIELDS)
+        if np.any(np.diff(rows["t"]) <= 0.0):
+            self._refuse("dense steps that do not follow each other")
+        return DenseSteps(rows)
 
     def _rows(self, group: str, first: str, fields: Mapping[str, tuple[int, type]]) -> Entries:
         if f"{group}/{first}" not in self._entries:

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.aliases import alias, renamed_arguments
 from contactvi.errors import InputError
 from contactvi.options import Options
-from contactvi.records.codes import GuardKind
+from contactvi.records.codes import STEP_KINDS, GuardKind, StepKind
 from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, empty_contacts
+from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 from contactvi.records.events import EventLog
 from contactvi.records.work import ConstraintRows, Forces, Work
 from contactvi.status import Stats, Status
@@ -52,8 +53,11 @@ class Trajectory:
         contacts: every persistent contact of every step, and every impact, with its forces (a `ContactLog`); empty
             without, and with record_contacts=False.
         contact_changes: when contacts began, stuck, slipped, ended (a `ChangeLog`).
-        phases: of a run with persistent contacts, {"t": (k,), "dt": (k,), "persistent": (k,)}: from these times [s] on
-            steps have these lengths [s], and there are persistent contacts (1) or not (0); else None.
+        phases: of a run with persistent contacts or dense steps, {"t": (k,), "dt": (k,), "kind": (k,)}: from these
+            times [s] on steps have these lengths [s] and this kind: "free", "persistent" (contacts persist) or "dense"
+            (all impacts are inside of them); else None. "persistent" has the kinds as numbers 0, 1 and 2
+            (contactvi.records.codes.StepKind).
+        dense_steps: the dense steps and how exactly their law holds (contactvi.records.dense_steps); empty without.
         adaptive_steps: with dt="auto", {"t": (m,), "dt": (m,)}: from these times [s] on the steps have these lengths
             [s]; else None.
         error_estimate: with dt="auto", the measured error of q over the run [m, rad] (contactvi.simulation.adaptive);
@@ -85,6 +89,7 @@ class Trajectory:
         phases: Mapping[str, Array] | None = None,
         visuals: list[Visual] | None = None,
         forces: Forces | None = None,
+        dense_steps: DenseSteps | None = None,
     ) -> None:
         self._scene = scene
         # A run keeps the engine's scene that it was made with, because the Python scene may be edited afterwards.
@@ -97,7 +102,11 @@ class Trajectory:
         self.forced = forced
         self.segments = segments
         self.adaptive_steps = None if adaptive_steps is None else dict(adaptive_steps)
-        self.phases = None if phases is None else {**phases, "held": phases["persistent"]}
+        self.phases: dict[str, NDArray[Any]] | None = None
+        if phases is not None:
+            kind = np.array(STEP_KINDS)[np.asarray(phases["persistent"], dtype=np.int64)]
+            self.phases = {**phases, "kind": kind, "held": phases["persistent"]}
+        self.dense_steps = no_dense_steps() if dense_steps is None else dense_steps
         self.contacts = empty_contacts() if contacts is None else contacts
         self.contact_changes = empty_changes() if changes is None else changes
         self.error_estimate = error_estimate
@@ -136,10 +145,19 @@ class Trajectory:
         return f"{order}, dt{lengths} (auto){self._contact_stepping()}, error of q about {self.error_estimate:.1g}"
 
     def _contact_stepping(self) -> str:
-        """How long there were persistent contacts and with which steps, in words; with constraints the steps alone."""
-        if self.phases is None:
+        """How long there were contacts and with which steps, in words; with constraints the steps alone."""
+        return self._persistent_stepping() + self._dense_stepping()
+
+    def _dense_stepping(self) -> str:
+        if not len(self.dense_steps):
             return ""
-        persistent, ends = self.phases["persistent"] != 0.0, np.append(self.phases["t"][1:], self.status.time)
+        return f", dense steps for {self.dense_steps.span:.4g} s of {float(self.status.time - self.t[0]):.4g} s"
+
+    def _persistent_stepping(self) -> str:
+        if self.phases is None or not np.any(self.phases["persistent"] == StepKind.PERSISTENT):
+            return ""
+        persistent = self.phases["persistent"] == StepKind.PERSISTENT
+        ends = np.append(self.phases["t"][1:], self.status.time)
         span = float((ends - self.phases["t"])[persistent].sum())
         constrained = bool(self.constraints) or self.scene.built().constrained
         what = "constraints met" if constrained else f"persistent contact for {span:.4g} s"
@@ -187,7 +205,7 @@ class Trajectory:
             energies = np.column_stack([self.kinetic_energy, self.potential_energy]) if lacking else None
             inputs = LedgerInputs(
                 self.options, float(self.t[0]), self.forced, self.t, self.q, self.p, self.events, self.contacts,
-                self.phases, self.forces, energies,
+                self.phases, self.forces, energies, self.dense_steps,
             )  # fmt: skip
             self._ledger = Ledger(self._engine(), self.scene.built(), inputs)
         return self._ledger
@@ -214,10 +232,14 @@ class Trajectory:
 
     @property
     def friction_loss(self) -> Array:
-        """What sliding took in persistent contacts up to each node [J], shape (N,); to O(dt_contact^2)."""
-        if not len(self.contacts):
+        """What sliding took in persistent contacts up to each node [J], shape (N,); to O(dt_contact^2).
+
+        With what contacts took in dense steps, by friction and restitution (`ledger.dense_loss` alone).
+        """
+        if not len(self.contacts) and not len(self.dense_steps):
             return np.zeros(len(self))
-        return ContactLedger(self.contacts, self.t, self.q, self.p).friction_loss  # pictures need it without an engine
+        ledger = ContactLedger(self.contacts, self.t, self.q, self.p, dense_steps=self.dense_steps)
+        return ledger.friction_loss  # pictures need it without an engine
 
     @property
     def work(self) -> Work:

@@ -21,6 +21,7 @@ def members(enumeration) -> dict[str, int]:
         (codes.ContactMode, _core.ContactMode),
         (codes.Change, _core.ContactChange),
         (codes.Fallback, _core.Fallback),
+        (codes.StepKind, _core.StepKind),
     ],
 )
 def test_numbers(own, engine):

@@ -17,7 +17,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from contactvi.records import contacts
+from contactvi.records import contacts, dense_steps
 from contactvi.trajectory import polynomials as dense
 from contactvi.trajectory import storage
 from helpers.run_scenes import FIRST_IMPACT, GRAVITY, HEIGHT, RADIUS, ball_scene, hand_scene, slider_scene
@@ -185,6 +185,7 @@ def test_every_entry_is_documented(ball, tmp_path):
     stored |= {"segment/held"}
     stored |= {f"contact/{name}" for name in contacts.FIELDS}  # of runs with contacts
     stored |= {f"change/{name}" for name in contacts.CHANGE_FIELDS} | {f"phase/{name}" for name in ("t", "dt", "held")}
+    stored |= {f"dense/{name}" for name in dense_steps.FIELDS}  # of runs with dense steps
     stored |= {"force/work", "force/reactions"}  # tests/elements/test_elements.py
     stored |= {"arc/t", "arc/dt"}  # of runs with dt "auto", tests/simulation/test_adaptive.py
     assert described == {name for name in stored if not name.startswith("array/")}

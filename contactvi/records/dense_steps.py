@@ -1,0 +1,140 @@
+"""Dense steps of a run, which have all impacts inside of them without their times, and how exactly their law holds.
+
+Columns, one row per dense step, shapes (n,):
+
+- t, h: start and length [s]; step: index of the step of length dt that it belongs to (int64).
+- residual: largest residual of Coulomb's law in the contact problems of the step, as a speed over the largest speed
+  that a contact would have without impulses; 0 is exact.
+- gap: least gap at the end of the step [m; rad]; below zero the shapes overlap.
+- energy_loss: what the energy fell by, less the works of inputs, damping and joint friction [J]: what contacts took by
+  restitution and friction. It is a difference of energies and so contains the error of the step; where it is below zero
+  the energy rose.
+- energy_error: how much the energy may rise [J]: the error of the step without contacts from the same state, and what
+  the curvature of the contacts and the tolerance of the contact problems add.
+- energy_rise: how far it rose beyond that [J]; 0 where the promise is kept.
+- contacts: contact points that carried an impulse (int64); repaired: contact problems whose answer was repaired or
+  blended, so that gaps and energy are kept and Coulomb's law is not (int64).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi.records.contacts import joined
+
+Array = NDArray[np.float64]
+
+# name -> (width, dtype) of one row, as of the contacts. The order is that of the file format.
+FIELDS: dict[str, tuple[int, type]] = {
+    "t": (0, float),
+    "h": (0, float),
+    "step": (0, np.int64),
+    "residual": (0, float),
+    "gap": (0, float),
+    "energy_rise": (0, float),
+    "energy_loss": (0, float),
+    "energy_error": (0, float),
+    "contacts": (0, np.int64),
+    "repaired": (0, np.int64),
+}
+
+
+class DenseSteps:
+    """The dense steps of a run in the order of time; see the module for what the columns are.
+
+    `len(steps)` is their number, `steps["gap"]` or `steps.array("gap")` a column, shape (n,).
+    """
+
+    def __init__(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+        self._arrays = {name: np.asarray(arrays[name]) for name in FIELDS}
+
+    def array(self, name: str) -> NDArray[Any]:
+        """Return a column, shape (n,)."""
+        return self._arrays[name]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._arrays[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All columns (the dictionary is a copy, the arrays are not)."""
+        return dict(self._arrays)
+
+    @property
+    def t(self) -> Array:
+        """Starts of the steps [s], shape (n,)."""
+        return self._arrays["t"]
+
+    @property
+    def h(self) -> Array:
+        """Lengths of the steps [s], shape (n,)."""
+        return self._arrays["h"]
+
+    @property
+    def end(self) -> Array:
+        """Ends of the steps [s], shape (n,)."""
+        return self.t + self.h
+
+    @property
+    def span(self) -> float:
+        """Time that dense steps took together [s]."""
+        return float(self.h.sum())
+
+    @property
+    def repaired(self) -> int:
+        """Number of contact problems whose answer was repaired or blended."""
+        return int(self._arrays["repaired"].sum())
+
+    @cached_property
+    def energy_margin(self) -> Array:
+        """How much further the energy could have risen within its error [J], shape (n,); below zero it rose too far.
+
+        It is energy_error less the rise, which is 0 where the energy fell.
+        """
+        return np.asarray(self._arrays["energy_error"] - np.maximum(0.0, -self._arrays["energy_loss"]))
+
+    def contain(self, t: Array, h: Array) -> NDArray[np.bool_]:
+        """Return which rows of contacts, of start t and length h [s], shapes (m,), are those of dense steps, (m,).
+
+        A contact of a dense step has the start and the length of the step to the bit.
+        """
+        if not len(self):
+            return np.zeros(len(t), dtype=bool)
+        at = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, None)
+        return np.asarray((self.t[at] == t) & (self.h[at] == h))
+
+    def worst(self) -> str:
+        """Return the worst figures in words."""
+        low = min(0.0, float(self._arrays["gap"].min(initial=0.0)))
+        residual, rise = (float(self._arrays[name].max(initial=0.0)) for name in ("residual", "energy_rise"))
+        margin = float(self.energy_margin.min(initial=np.inf))
+        energy = f"up by {rise:.2g} J beyond its error" if rise > 0.0 else f"within its error (margin {margin:.2g} J)"
+        repaired = f", {self.repaired} contact problems repaired" if self.repaired else ""
+        return (
+            f"residual of Coulomb's law up to {residual:.2g} of the largest free speed, overlap up to "
+            f"{-low:.2g} m, energy {energy}{repaired}"
+        )
+
+    def __len__(self) -> int:
+        return int(self._arrays["t"].shape[0])
+
+    def __repr__(self) -> str:
+        return f"<DenseSteps: {len(self)} steps, {self.span:.4g} s>"
+
+
+def of_parts(parts: Sequence[Mapping[str, NDArray[Any]]]) -> DenseSteps:
+    """Return the dense steps that the engine reported in several calls."""
+    return DenseSteps(joined(parts, FIELDS))
+
+
+def no_dense_steps() -> DenseSteps:
+    """Return a log without dense steps."""
+    return of_parts(())
