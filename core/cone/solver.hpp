@@ -22,7 +22,8 @@ class ConeSolver {
   void reserve(int rows);
   // lambda: start on entry, solution on return (m,) [N s]; finite also if the result is not ok.
   ConeResult solve(const ConeProblem& problem, VecRef lambda, bool regularize);
-  // Problems with more rows are given up where Newton's method fails: other starts cost far more than their share there.
+  // Problems with more rows are given up where Newton's method fails: other starts cost far more than their share
+  // there.
   void limit_rescue(int rows) { most_rescued_rows_ = rows; }
 
  private:

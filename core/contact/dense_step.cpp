@@ -15,13 +15,13 @@ constexpr int kStageIterations = 40;
 constexpr double kStageRounding = 1e-14;  // of the velocities: the smooth equation is solved
 constexpr double kStageStalled = 1e-10;   // of the velocities: accepted where rounding stops the iterations
 constexpr int kGapIterations = 12;
-constexpr double kGapSolved = 1e-11;  // [m] to which gaps of loaded contacts are zero
-constexpr double kGapPromised = 5e-10;  // [m] overlap at the end from which on a point joins the candidates
-constexpr double kSamePoint = 1e-7;   // [m] points of one feature nearer to each other are one
-constexpr int kAdditions = 8;         // times that points join the candidates of one step
-constexpr double kTouching = 1e-11;   // [m] a closed point without load takes part in the velocity impulse
-constexpr double kFastFall = 4.0;     // contacts that close faster than this many g h have restitution
-constexpr double kWider = 1.5;        // of the motion's bound, where the step has left it
+constexpr double kGapSolved = 1e-11;       // [m] to which gaps of loaded contacts are zero
+constexpr double kGapPromised = 5e-10;     // [m] overlap at the end from which on a point joins the candidates
+constexpr double kSamePoint = 1e-7;        // [m] points of one feature nearer to each other are one
+constexpr int kAdditions = 8;              // times that points join the candidates of one step
+constexpr double kTouching = 1e-11;        // [m] a closed point without load takes part in the velocity impulse
+constexpr double kFastFall = 4.0;          // contacts that close faster than this many g h have restitution
+constexpr double kWider = 1.5;             // of the motion's bound, where the step has left it
 constexpr double kEnergyRounding = 1e-13;  // of the energies
 constexpr double kEnergyShare = 1e-8;      // of the kinetic energy: smaller gains are not worth a shorter step
 
@@ -50,8 +50,7 @@ Vec3 DenseContact::velocity_W() const {
   return velocity[0] * at1.normal + velocity[1] * t1_1 + velocity[2] * at1.normal.cross(t1_1);
 }
 
-DenseStep::DenseStep(const Scene& scene, Guards& guards)
-    : scene_(&scene), guards_(&guards), integrator_(scene.tree) {
+DenseStep::DenseStep(const Scene& scene, Guards& guards) : scene_(&scene), guards_(&guards), integrator_(scene.tree) {
   const Tree& tree = scene.tree;
   for (VecX* x : {&p0_, &v0_, &v_free_, &v_, &v1_, &p1_, &p_start_, &bound_, &w_}) *x = VecX::Zero(tree.nv);
   for (VecX* x : {&q0_, &q1_}) x->setZero(tree.nq);
@@ -178,7 +177,8 @@ void DenseStep::collect(const VecCRef& q0) {
       limit.kind = PointKind::kLimit;
       points_.push_back(limit);
     } else {
-      guards_->manifolds().find(g, guards_->placements(), near.witness0, std::max(near.gap0, 0.0) + near.reach, points_);
+      guards_->manifolds().find(g, guards_->placements(), near.witness0, std::max(near.gap0, 0.0) + near.reach,
+                                points_);
     }
     for (const ContactPoint& point : points_) add_point(point, frozen(point, near.witness0), near.witness0);
     add_rims(near);
@@ -212,9 +212,10 @@ void DenseStep::evaluate(const ContactPoint& point, const Contact* witness, Cont
     guards_->evaluate_witness(point.guard, contact);
 }
 
-// The point as the step sees it: what touches moves with the bodies. The lowest point of a rim and the witness of shapes
-// with edges become a point of one body over a plane of the other, because they would run around the bodies within the
-// step; another such point joins where that one leaves an overlap. The guards are placed where the point was found.
+// The point as the step sees it: what touches moves with the bodies. The lowest point of a rim and the witness of
+// shapes with edges become a point of one body over a plane of the other, because they would run around the bodies
+// within the step; another such point joins where that one leaves an overlap. The guards are placed where the point was
+// found.
 ContactPoint DenseStep::frozen(const ContactPoint& point, const Contact& witness) const {
   ContactPoint law = point;
   const Placements& at = guards_->placements();
@@ -415,8 +416,8 @@ void DenseStep::set_mobilities() {
   }
 }
 
-// The impulses have been changed and v_ with them: the smooth equation again, then the normal impulses for the gaps that
-// it leads to, until the gaps of loaded contacts are zero and none overlaps.
+// The impulses have been changed and v_ with them: the smooth equation again, then the normal impulses for the gaps
+// that it leads to, until the gaps of loaded contacts are zero and none overlaps.
 bool DenseStep::gap_iterations(double h) {
   double last = INFINITY;
   for (int k = 0;; ++k) {
@@ -598,7 +599,8 @@ double DenseStep::expansion_share(const VecX& plastic, double bound_energy) cons
   }
   const double room = bound_energy - start;
   if (start + slope + square <= bound_energy || !(square > 0.0)) return 1.0;
-  if (room <= 0.0) return std::clamp(-slope / square, 0.0, 1.0) > 0.0 && slope < 0.0 ? std::min(1.0, -slope / square) : 0.0;
+  if (room <= 0.0)
+    return std::clamp(-slope / square, 0.0, 1.0) > 0.0 && slope < 0.0 ? std::min(1.0, -slope / square) : 0.0;
   const double root = std::sqrt(slope * slope + 4.0 * square * room);
   return std::clamp(slope > 0.0 ? 2.0 * room / (slope + root) : (root - slope) / (2.0 * square), 0.0, 1.0);
 }
@@ -640,8 +642,8 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   integrator_.finish(q1_, p1_);
   const Energy free = energy(integrator_, q1_, p1_);
   const double rounding = kEnergyRounding * (potential_scale(before) + potential_scale(free));
-  report_.energy_error = rounding + std::abs(free.kinetic + free.potential - before.kinetic - before.potential -
-                                             integrator_.work());
+  report_.energy_error =
+      rounding + std::abs(free.kinetic + free.potential - before.kinetic - before.potential - integrator_.work());
   make_step_blocks();
   w_ = 2.0 * v_free_ - v0_;
   bound_.setZero();
@@ -682,8 +684,8 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   for (const DenseContact& c : contacts_) impulses += c.position.norm();
   report_.energy_error += impulses * solver_error_ + smooth_contact_error() + kEnergyShare * before.kinetic;
   const double turn = h * fastest_turn();
-  report_.energy_error += turn * turn / 12.0 *
-                          (std::abs(middle.potential - before.potential) + std::abs(free.kinetic - before.kinetic));
+  report_.energy_error +=
+      turn * turn / 12.0 * (std::abs(middle.potential - before.potential) + std::abs(free.kinetic - before.kinetic));
   const double allowed =
       before.kinetic + before.potential + integrator_.work() + report_.energy_error - middle.potential;
   if (!velocity_problem(allowed)) {
@@ -720,9 +722,7 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   return true;
 }
 
-bool DenseStep::keeps_promises() const {
-  return report_.gap >= -report_.gap_noise && report_.energy_rise <= 0.0;
-}
+bool DenseStep::keeps_promises() const { return report_.gap >= -report_.gap_noise && report_.energy_rise <= 0.0; }
 
 void DenseStep::finish(VecRef q1, VecRef p1) const {
   q1 = q1_;

@@ -5,12 +5,13 @@
 //   1. position impulse   p0 + W0^T L1 = smooth equation of v, q1 = q0 (+) h v,   0 <= L1_n _|_ phi(q1) >= 0, Coulomb
 //   2. velocity impulse   over the closed ones, plastic: 0 <= L2_n _|_ w_n >= 0 at q1, Coulomb
 //   3. restitution        contacts that closed fast: Poisson's expansion, an impulse of at least e (L1 + L2)_n
-// Moreau, "Unilateral contact and dry friction in finite freedom dynamics", 1988; Acary, Brogliato, "Numerical methods for
-// nonsmooth dynamical systems", 2008; nonsmooth RATTLE: Breuling, Capobianco, Eugster, Leine, 2024. It is of first order
-// where impacts lie inside the step, of second where none do.
+// Moreau, "Unilateral contact and dry friction in finite freedom dynamics", 1988; Acary, Brogliato, "Numerical methods
+// for nonsmooth dynamical systems", 2008; nonsmooth RATTLE: Breuling, Capobianco, Eugster, Leine, 2024. It is of first
+// order where impacts lie inside the step, of second where none do.
 //
-// Promised at every node, whatever the solver reached: impulses in the cone, gaps >= -kGap against the simulated shapes,
-// and an energy that rises by no more than the error of the smooth step. The residual of Coulomb's law is reported.
+// Promised at every node, whatever the solver reached: impulses in the cone, gaps >= -1e-9 m against the simulated
+// shapes, and an energy that rises by no more than the error of the smooth step. The residual of Coulomb's law is
+// reported.
 #pragma once
 
 #include <string>
@@ -28,14 +29,14 @@ struct DenseContact {
   ContactPoint point;
   ContactPoint law;  // the point as the step sees it (DenseStep::frozen)
   double mu, restitution;
-  Contact at0, at1;            // at the start and the end of the step
-  Vec3 t1_0, t1_1;             // tangents there, world
-  Vec3 position, velocity;     // impulses (n, t1, t2) [N s]: with the rows of the start, of the end
-  double closing;              // normal speed before the step [m/s], negative: closing
-  double slip_speed;           // at the end [m/s]
+  Contact at0, at1;         // at the start and the end of the step
+  Vec3 t1_0, t1_1;          // tangents there, world
+  Vec3 position, velocity;  // impulses (n, t1, t2) [N s]: with the rows of the start, of the end
+  double closing;           // normal speed before the step [m/s], negative: closing
+  double slip_speed;        // at the end [m/s]
   Vec3 slip_W;
-  bool closed;                 // takes part in the velocity impulse
-  bool expands;                // restitution acts
+  bool closed;   // takes part in the velocity impulse
+  bool expands;  // restitution acts
   int rows() const { return mu > 0.0 ? 3 : 1; }
   Vec3 position_W() const;
   Vec3 velocity_W() const;

@@ -116,7 +116,8 @@ struct Recording {
     std::size_t nodes, impacts, segments, contacts, changes, phases, dense;
   };
   Mark mark() const {
-    return {t.size(), impacts.size(), segments.t.size(), contacts.t.size(), changes.size(), phase_t.size(), dense.size()};
+    return {t.size(),       impacts.size(), segments.t.size(), contacts.t.size(),
+            changes.size(), phase_t.size(), dense.size()};
   }
   void cut(const Mark& mark) {
     const std::size_t nodes = t.size() > 0 ? t.size() : 1;

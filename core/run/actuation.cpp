@@ -13,8 +13,7 @@ double bound(const VecX& limits, int dof) { return limits.size() > 0 ? limits[do
 
 }  // namespace
 
-Actuation::Actuation(const Tree& tree, ActuatorState& state, Integrator& free, ContactStep& contact,
-                     DenseStep& dense)
+Actuation::Actuation(const Tree& tree, ActuatorState& state, Integrator& free, ContactStep& contact, DenseStep& dense)
     : tree_(&tree), state_(&state), free_(&free), contact_(&contact), dense_(&dense), v_(tree.nv) {}
 
 void Actuation::start() {

@@ -117,8 +117,7 @@ bool ContactSet::follow(const DenseStep& dense, double time, Recording& recordin
       continue;
     PersistentContact persistent = make_persistent(c.point, c.at1, c.slip_W);
     const bool is_vertex = c.point.kind == PointKind::kVertex && c.point.plane_body >= 0;
-    persistent.tangent =
-        is_vertex ? Vec3(guards_->placements().R_W[c.point.plane_body].transpose() * c.t1_1) : c.t1_1;
+    persistent.tangent = is_vertex ? Vec3(guards_->placements().R_W[c.point.plane_body].transpose() * c.t1_1) : c.t1_1;
     persistent.force = (c.position + c.velocity) / dense.h();
     if (find_contact(previous_, c.point.guard, c.point) == nullptr) {
       record_change(time, c.point, Change::kBegin, 0.0, recording);

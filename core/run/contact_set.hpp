@@ -23,8 +23,8 @@ class ContactSet {
   // The set after an event whose closed guards are in the sequence: points that neither close nor separate, and those
   // of the guard `forced` (-1: none).
   void close_contacts(int forced, double time, const VecX& tau, Recording& recording);
-  // The set at the start of a run: guards that touch and do not separate. False, with no contacts, if they touch in more
-  // points than that.
+  // The set at the start of a run: guards that touch and do not separate. False, with no contacts, if they touch in
+  // more points than that.
   bool close_contacts_at_start(int most_points);
   // Finds the contact points again at a node, because those of faces change as bodies slide on each other. Returns a
   // guard whose points have changed, -1: none.
@@ -32,8 +32,8 @@ class ContactSet {
   // Releases the contacts that have separated in the contact step just accepted; `releasing` is the one whose force has
   // come to zero (-1: none).
   void release_separated(int releasing, double time, Recording& recording);
-  // The set after a dense step that ends at `time`: what it has left closed and loaded. True if a contact began, ended or
-  // closed fast.
+  // The set after a dense step that ends at `time`: what it has left closed and loaded. True if a contact began, ended
+  // or closed fast.
   bool follow(const DenseStep& step, double time, Recording& recording);
   // Releases contact `i` before a step.
   void release(int i, double time, Recording& recording);

@@ -12,8 +12,8 @@ enum class ContactSteps : int {
 
 struct DensePhase {
   bool active = false;
-  int quiet = 0;        // dense steps one after the other in which no contact began, ended or closed fast
-  int wanted = 8;       // quiet steps after which events are located again
+  int quiet = 0;          // dense steps one after the other in which no contact began, ended or closed fast
+  int wanted = 8;         // quiet steps after which events are located again
   long since_return = 0;  // steps since then
 };
 

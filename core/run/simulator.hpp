@@ -112,7 +112,7 @@ class Simulator {
   double current_dt() const { return contact_step_.contacts().empty() ? options_.dt : contact_dt(); }
   double contact_dt() const { return options_.dt_contact > 0.0 ? options_.dt_contact : options_.dt; }
 
-  // dense_phase.cpp: dense steps, and the decision between them and located events.
+  // dense_steps.cpp: dense steps, and the decision between them and located events.
   bool allows_dense_steps() const;
   int most_persistent() const;
   bool events_accumulate(double length) const;

@@ -1,9 +1,9 @@
 // Simulator: dense steps, and the decision between them and located events.
 //
-// Events are given up for the rest of an interval where they accumulate: too many impacts at instants with several closed
-// contacts, too many changes of the persistent contacts, too many parts of steps; and where the run would end because an
-// event or the forces of persistent contacts are not found. They are located again after a number of quiet steps, which
-// doubles each time that they accumulate again soon.
+// Events are given up for the rest of an interval where they accumulate: too many impacts at instants with several
+// closed contacts, too many changes of the persistent contacts, too many parts of steps; and where the run would end
+// because an event or the forces of persistent contacts are not found. They are located again after a number of quiet
+// steps, which doubles each time that they accumulate again soon.
 #include "run/dense_phase.hpp"
 
 #include <algorithm>
@@ -15,21 +15,21 @@
 namespace contactvi {
 
 namespace {
-// Limits of what may happen in an interval, or in each millisecond of a longer one. Impacts are counted at instants with
-// several closed contacts.
+// Limits of what may happen in an interval, or in each millisecond of a longer one. Impacts are counted at instants
+// with several closed contacts.
 constexpr double kCounted = 1e-3;  // [s]
-constexpr double kCoupledImpacts = 64, kImpactsPerContact = 8;
-constexpr double kChanges = 16, kChangesPerContact = 4;  // of persistent contacts
-constexpr int kContactHalvings = 8;                      // of steps with persistent contacts that were not solved
-constexpr double kContactParts = 64;                     // of steps with persistent contacts
+constexpr double kCoupledImpacts = 256, kImpactsPerContact = 32;
+constexpr double kChanges = 64, kChangesPerContact = 16;  // of persistent contacts
+constexpr int kContactHalvings = 16;                      // of steps with persistent contacts that were not solved
+constexpr double kContactParts = 256;                     // of steps with persistent contacts
 constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
-constexpr int kSoon = 8;                 // times the quiet steps wanted: events that accumulate again so soon
+constexpr int kSoon = 8;  // times the quiet steps wanted: events that accumulate again so soon
 // Persistent contact points: with more of them the dense step, of the same order without impacts, is far cheaper, since
 // the matrix of the contact step is full.
 constexpr int kMostPersistent = 24;
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
-constexpr double kSlow = 1e-11;  // of the speeds: a slower slip is rounding
-constexpr double kShortestDense = 1e-6;  // of a step: dense steps are halved down to this length
+constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
+constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 }  // namespace
@@ -46,9 +46,11 @@ int Simulator::most_persistent() const {
 }
 
 bool Simulator::events_accumulate(double length) const {
-  const double contacts = static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
+  const double contacts =
+      static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
   const double times = std::max(1.0, length / kCounted);
-  return static_cast<double>(event_count_.coupled_impacts) > times * (kCoupledImpacts + kImpactsPerContact * contacts) ||
+  return static_cast<double>(event_count_.coupled_impacts) >
+             times * (kCoupledImpacts + kImpactsPerContact * contacts) ||
          event_count_.changes > times * (kChanges + kChangesPerContact * contacts) ||
          event_count_.contact_parts > times * kContactParts || event_count_.contact_halvings > kContactHalvings ||
          static_cast<int>(contact_step_.contacts().size()) > most_persistent();
@@ -70,8 +72,8 @@ void Simulator::begin_dense_phase() {
   state_.status = {StatusCode::kSuccess, "", state_.time, -1, kNaN, kNaN};
   if (state_.dense.active) return;
   const bool soon = state_.dense.since_return < kSoon * static_cast<long>(state_.dense.wanted);
-  state_.dense.wanted = soon && state_.dense.since_return > 0 ? std::min(2 * state_.dense.wanted, kMostQuietSteps)
-                                                              : kQuietSteps;
+  state_.dense.wanted =
+      soon && state_.dense.since_return > 0 ? std::min(2 * state_.dense.wanted, kMostQuietSteps) : kQuietSteps;
   state_.dense.active = true;
   state_.dense.quiet = 0;
   dense_step_.restart();
@@ -114,7 +116,8 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
     bool solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
     while (solved && actuation_.saturate_servos(dense_step_.integrator()))
       solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
-    // Where gaps or energy are not what the step promises a shorter one is nearer to them; the shortest is taken as it is.
+    // Where gaps or energy are not what the step promises a shorter one is nearer to them; the shortest is taken as it
+    // is.
     const bool shortest = h <= kShortestPromise * options_.dt;
     if (solved && (shortest || dense_step_.keeps_promises())) break;
     if (user_function_failed(at)) return false;
@@ -160,12 +163,12 @@ void Simulator::record_dense_contact(const DenseContact& c, double time, double 
     return;
   }
   const double slow = kSlow * (1.0 + dense_step_.end_velocity().cwiseAbs().maxCoeff());
-  const ContactMode mode = c.mu == 0.0              ? ContactMode::kFrictionless
+  const ContactMode mode = c.mu == 0.0           ? ContactMode::kFrictionless
                            : c.slip_speed > slow ? ContactMode::kSlips
-                                                    : ContactMode::kSticks;
+                                                 : ContactMode::kSticks;
   recording.contacts.push(time, h, c.point.guard, c.point.feature, mode, state_.step,
-                          0.5 * (c.at1.point_a + c.at1.point_b), c.at1.normal, c.position_W(), c.velocity_W(), c.at1.gap,
-                          c.slip_W);
+                          0.5 * (c.at1.point_a + c.at1.point_b), c.at1.normal, c.position_W(), c.velocity_W(),
+                          c.at1.gap, c.slip_W);
 }
 
 }  // namespace contactvi
