@@ -14,9 +14,9 @@ namespace {
 constexpr int kStageIterations = 40;
 constexpr double kStageRounding = 1e-14;  // of the velocities: the smooth equation is solved
 constexpr double kStageStalled = 1e-10;   // of the velocities: accepted where rounding stops the iterations
-constexpr int kGapIterations = 12;
+constexpr int kGapIterations = 30;
 constexpr double kGapSolved = 1e-11;       // [m] to which gaps of loaded contacts are zero
-constexpr double kGapPromised = 5e-10;     // [m] overlap at the end from which on a point joins the candidates
+constexpr double kGapPromised = 1e-10;     // [m] overlap at the end from which on a point joins the candidates
 constexpr double kSamePoint = 1e-7;        // [m] points of one feature nearer to each other are one
 constexpr int kAdditions = 8;              // times that points join the candidates of one step
 constexpr double kTouching = 1e-11;        // [m] a closed point without load takes part in the velocity impulse
@@ -425,7 +425,7 @@ bool DenseStep::gap_iterations(double h) {
     add_impulses(problem_, lambda_, p_start_);
     if (!iterate_stage()) return false;
     const double error = place_end(h);
-    if (error == 0.0 || k >= kGapIterations || (k > 3 && error > 0.5 * last)) return true;
+    if (error == 0.0 || k >= kGapIterations || (k > 3 && error > 0.9 * last)) return true;
     last = error;
     ++report_.gap_iterations;
     // v = v_free + M^-1 W lambda holds for the present v and lambda.
@@ -496,6 +496,7 @@ bool DenseStep::add_violated() {
   points_.clear();
   laws_.clear();
   report_.gap = 0.0;
+  bool limit_overlaps = false;
   guards_->place(q1_);
   for (Near& near : near_) {
     Contact witness;
@@ -505,14 +506,15 @@ bool DenseStep::add_violated() {
       report_.gap = near.gap1;
       report_.gap_noise = 2.0 * noise;
     }
+    if (!scene_->is_pair(near.guard)) limit_overlaps |= near.gap1 < -kGapSolved;
     if (!(near.gap1 < -noise) || !scene_->is_pair(near.guard)) continue;
     const std::size_t count = points_.size();
     guards_->manifolds().find(near.guard, guards_->placements(), witness, 0.0, points_);
     for (std::size_t k = count; k < points_.size(); ++k) laws_.push_back(frozen(points_[k], witness));
   }
-  if (points_.empty()) return false;
+  // Limits, and points of pairs that became near since the problem was made, are among the contacts already.
+  bool added = (limit_overlaps || !points_.empty()) && contacts_.size() > active_.size();
   guards_->place(q0_);
-  bool added = contacts_.size() > active_.size();
   for (std::size_t k = 0; k < points_.size(); ++k) {
     const int guard = points_[k].guard;
     const auto near = std::find_if(near_.begin(), near_.end(), [&](const Near& n) { return n.guard == guard; });

@@ -18,10 +18,10 @@ namespace {
 // Limits of what may happen in an interval, or in each millisecond of a longer one. Impacts are counted at instants
 // with several closed contacts.
 constexpr double kCounted = 1e-3;  // [s]
-constexpr double kCoupledImpacts = 256, kImpactsPerContact = 32;
-constexpr double kChanges = 64, kChangesPerContact = 16;  // of persistent contacts
-constexpr int kContactHalvings = 16;                      // of steps with persistent contacts that were not solved
-constexpr double kContactParts = 256;                     // of steps with persistent contacts
+constexpr double kCoupledImpacts = 1000, kImpactsPerContact = 100;
+constexpr double kChanges = 200, kChangesPerContact = 50;  // of persistent contacts
+constexpr int kContactHalvings = 30;                       // of steps with persistent contacts that were not solved
+constexpr double kContactParts = 1000;                     // of steps with persistent contacts
 constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
 constexpr int kSoon = 8;  // times the quiet steps wanted: events that accumulate again so soon
 // Persistent contact points: with more of them the dense step, of the same order without impacts, is far cheaper, since
