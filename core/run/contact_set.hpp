@@ -25,7 +25,7 @@ class ContactSet {
   void close_contacts(int forced, double time, const VecX& tau, Recording& recording);
   // The set at the start of a run: guards that touch and do not separate. False, with no contacts, if they touch in
   // more points than that.
-  bool close_contacts_at_start(int most_points);
+  bool close_contacts_at_start(int most_rows);
   // Finds the contact points again at a node, because those of faces change as bodies slide on each other. Returns a
   // guard whose points have changed, -1: none.
   int find_points(double time, Recording& recording);

@@ -24,9 +24,9 @@ constexpr int kContactHalvings = 30;                       // of steps with pers
 constexpr double kContactParts = 1000;                     // of steps with persistent contacts
 constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
 constexpr int kSoon = 8;  // times the quiet steps wanted: events that accumulate again so soon
-// Persistent contact points: with more of them the dense step, of the same order without impacts, is far cheaper, since
-// the matrix of the contact step is full.
-constexpr int kMostPersistent = 24;
+// Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order without
+// impacts, is far cheaper, since the matrix of the contact step is full.
+constexpr int kMostPersistent = 72;
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
@@ -40,7 +40,13 @@ bool Simulator::allows_dense_steps() const {
          allows_persistent_contact();
 }
 
-// Persistent contact points of a run with located events.
+int Simulator::persistent_rows() const {
+  int rows = 0;
+  for (const PersistentContact& c : contact_step_.contacts()) rows += c.rows();
+  return rows;
+}
+
+// Rows of persistent contacts at most, of a run with located events.
 int Simulator::most_persistent() const {
   return allows_dense_steps() ? kMostPersistent : std::numeric_limits<int>::max();
 }
@@ -53,7 +59,7 @@ bool Simulator::events_accumulate(double length) const {
              times * (kCoupledImpacts + kImpactsPerContact * contacts) ||
          event_count_.changes > times * (kChanges + kChangesPerContact * contacts) ||
          event_count_.contact_parts > times * kContactParts || event_count_.contact_halvings > kContactHalvings ||
-         static_cast<int>(contact_step_.contacts().size()) > most_persistent();
+         persistent_rows() > most_persistent();
 }
 
 // Whether a run that has ended so goes on with dense steps.
@@ -84,7 +90,7 @@ void Simulator::begin_dense_phase() {
 // Whether events may be located again: some steps were quiet, and the contacts are so few that their step is cheap.
 bool Simulator::dense_may_end() const {
   return options_.contact_steps == ContactSteps::kAuto && state_.dense.quiet >= state_.dense.wanted &&
-         static_cast<int>(contact_step_.contacts().size()) <= most_persistent();
+         persistent_rows() <= most_persistent();
 }
 
 // Events are located again: what the last dense step has left closed persists.

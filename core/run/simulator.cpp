@@ -11,7 +11,7 @@ namespace contactvi {
 namespace {
 constexpr double kSeparated = 1e-13;  // of the event's speeds: a slower closing speed is rounding
 constexpr int kMostHalvings = 4000;   // of the free steps within one interval
-constexpr int kMostRescuedRows = 36;  // of a contact problem, where a run may take dense steps instead
+constexpr int kMostRescuedRows = 72;  // of a contact problem, where a run may take dense steps instead
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether some force dissipates energy.

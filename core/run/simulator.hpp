@@ -114,6 +114,7 @@ class Simulator {
 
   // dense_steps.cpp: dense steps, and the decision between them and located events.
   bool allows_dense_steps() const;
+  int persistent_rows() const;
   int most_persistent() const;
   bool events_accumulate(double length) const;
   bool dense_steps_go_on() const;
