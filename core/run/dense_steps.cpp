@@ -19,13 +19,13 @@ namespace {
 // with several closed contacts.
 constexpr double kCounted = 1e-3;  // [s]
 constexpr double kCoupledImpacts = 1000, kImpactsPerContact = 100;
-constexpr double kChanges = 200, kChangesPerContact = 50;  // of persistent contacts
+constexpr double kChanges = 2000, kChangesPerContact = 100;  // of persistent contacts
 constexpr int kContactHalvings = 30;                       // of steps with persistent contacts that were not solved
 constexpr double kContactParts = 1000;                     // of steps with persistent contacts
 constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
 constexpr int kSoon = 8;  // times the quiet steps wanted: events that accumulate again so soon
-// Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order without
-// impacts, is far cheaper, since the matrix of the contact step is full.
+// Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order
+// without impacts, is far cheaper, since the matrix of the contact step is full.
 constexpr int kMostPersistent = 72;
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
