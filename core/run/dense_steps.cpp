@@ -18,10 +18,10 @@ namespace {
 // Limits of what may happen in an interval, or in each millisecond of a longer one. Impacts are counted at instants
 // with several closed contacts.
 constexpr double kCounted = 1e-3;  // [s]
-constexpr double kCoupledImpacts = 1000, kImpactsPerContact = 100;
-constexpr double kChanges = 2000, kChangesPerContact = 100;  // of persistent contacts
-constexpr int kContactHalvings = 30;                       // of steps with persistent contacts that were not solved
-constexpr double kContactParts = 1000;                     // of steps with persistent contacts
+constexpr double kCoupledImpacts = 4000, kImpactsPerContact = 400;
+constexpr double kChanges = 6000, kChangesPerContact = 300;  // of persistent contacts
+constexpr int kContactHalvings = 30;                         // of steps with persistent contacts that were not solved
+constexpr double kContactParts = 4000;                       // of steps with persistent contacts
 constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
 constexpr int kSoon = 8;  // times the quiet steps wanted: events that accumulate again so soon
 // Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order
@@ -54,7 +54,7 @@ int Simulator::most_persistent() const {
 bool Simulator::events_accumulate(double length) const {
   const double contacts =
       static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
-  const double times = std::max(1.0, length / kCounted);
+  const double times = std::max(1.0, length / kCounted) * std::min(1.0, kSmall / std::max(1, scene_->tree.nv));
   return static_cast<double>(event_count_.coupled_impacts) >
              times * (kCoupledImpacts + kImpactsPerContact * contacts) ||
          event_count_.changes > times * (kChanges + kChangesPerContact * contacts) ||
