@@ -18,6 +18,8 @@ namespace {
 // Limits of what may happen in an interval, or in each millisecond of a longer one. Impacts are counted at instants
 // with several closed contacts.
 constexpr double kCounted = 1e-3;  // [s]
+// Worlds of more degrees of freedom have lower limits in proportion: a part of a step costs as much more there.
+constexpr double kSmall = 24;
 constexpr double kCoupledImpacts = 4000, kImpactsPerContact = 400;
 constexpr double kChanges = 6000, kChangesPerContact = 300;  // of persistent contacts
 constexpr int kContactHalvings = 30;                         // of steps with persistent contacts that were not solved
