@@ -10,7 +10,7 @@ Columns, one row per dense step, shapes (n,):
   restitution and friction. It is a difference of energies and so contains the error of the step; where it is below zero
   the energy rose.
 - energy_error: how much the energy may rise [J]: the error of the step without contacts from the same state, and what
-  the curvature of the contacts and the tolerance of the contact problems add.
+  the curvature of the contacts and the tolerance of the contact problems add, and 1e-8 of the kinetic energy.
 - energy_rise: how far it rose beyond that [J]; 0 where the promise is kept.
 - contacts: contact points that carried an impulse (int64); repaired: contact problems whose answer was repaired or
   blended, so that gaps and energy are kept and Coulomb's law is not (int64).
