@@ -87,6 +87,10 @@ class Guards {
   void unmark(int guard) { marks_[guard] = -1.0; }
   void unmark_all();
   void commit();  // the step is taken: odometers advance
+  // Bound on how far any point of a geometry has moved since an arbitrary instant [m].
+  double odometer(int geometry) const { return odometer_[geometry]; }
+  // As bound_motion found it, for one geometry [m].
+  double motion_of_geometry(int geometry) const { return motion_.geometry[geometry]; }
 
   // The motion since the guards were last evaluated.
   struct Memory {

@@ -100,6 +100,28 @@ struct Recording {
   std::vector<double> phase_t, phase_dt;
   std::vector<int> phase_persistent;
 
+  // From `time` [s] on steps have the length dt [s], with persistent contacts or without. first_dt: that of the steps
+  // before the first entry, which have none.
+  void enter_phase(double time, double dt, bool persistent, double first_dt) {
+    const int kind = persistent ? 1 : 0;
+    if (!phase_t.empty() && phase_persistent.back() == kind && phase_dt.back() == dt) return;
+    if (phase_t.empty() && !t.empty() && t.front() < time) push_phase(t.front(), first_dt, 0);
+    push_phase(time, dt, kind);
+  }
+  void push_phase(double time, double dt, int kind) {
+    phase_t.push_back(time);
+    phase_dt.push_back(dt);
+    phase_persistent.push_back(kind);
+  }
+  // Forgets impacts, contacts, changes and phases, and keeps their memory.
+  void clear() {
+    impacts.clear();
+    contacts.cut(0);
+    changes.clear();
+    phase_t.clear();
+    phase_dt.clear();
+    phase_persistent.clear();
+  }
   // The amount recorded so far, to which cut() returns.
   struct Mark {
     std::size_t nodes, impacts, segments, contacts, changes, phases;

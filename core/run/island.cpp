@@ -1,0 +1,175 @@
+#include "run/island.hpp"
+
+#include <algorithm>
+
+namespace contactvi {
+
+namespace {
+
+int position(const std::vector<int>& sorted, int value) {
+  const auto at = std::lower_bound(sorted.begin(), sorted.end(), value);
+  return at != sorted.end() && *at == value ? static_cast<int>(at - sorted.begin()) : -1;
+}
+
+// The step lengths of two islands that become one.
+void combine(const StepControl& part, StepControl& all) {
+  all.free.longest = std::min(all.free.longest, part.free.longest);
+  all.free.solved_in_row = std::min(all.free.solved_in_row, part.free.solved_in_row);
+  all.contact.longest = std::min(all.contact.longest, part.contact.longest);
+  all.contact.solved_in_row = std::min(all.contact.solved_in_row, part.contact.solved_in_row);
+  if (part.flight > 0.0 && (all.flight == 0.0 || part.flight < all.flight)) all.flight = part.flight;
+  all.without_progress = std::max(all.without_progress, part.without_progress);
+}
+
+}  // namespace
+
+Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, const SimulatorOptions& options)
+    : whole_(&whole),
+      trees_(std::move(trees)),
+      numbers_(restrict_scene(whole, all, trees_)),
+      own_(std::make_unique<Simulator>(numbers_->scene, options)),
+      engine_(own_.get()),
+      fresh_(engine_->memory()) {
+  for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
+  odometer_.assign(numbers_->geometries.size(), 0.0);
+  engine_->follow_motion();
+}
+
+Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, Simulator& engine)
+    : whole_(&whole),
+      trees_(std::move(trees)),
+      numbers_(whole_scene_numbers(whole)),
+      engine_(&engine),
+      fresh_(engine_->memory()) {
+  for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
+  odometer_.assign(numbers_->geometries.size(), 0.0);
+  engine_->follow_motion();
+}
+
+int Island::local_guard(int guard) const { return position(numbers_->guards, guard); }
+
+void Island::number_bodies(ContactPoint& point, bool into) const {
+  for (int* body : {&point.point_body, &point.plane_body})
+    if (*body >= 0 && point.kind != PointKind::kLimit)
+      *body = into ? position(numbers_->joints, *body) : numbers_->joints[*body];
+}
+
+void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose,
+                  std::vector<std::pair<bool, double>>& anchors, double t, double start_time) {
+  Handover& to = handover_;
+  to.q.resize(static_cast<Eigen::Index>(numbers_->q.size()));
+  to.p.resize(static_cast<Eigen::Index>(numbers_->v.size()));
+  for (std::size_t i = 0; i < numbers_->q.size(); ++i) to.q[static_cast<Eigen::Index>(i)] = q[numbers_->q[i]];
+  for (std::size_t i = 0; i < numbers_->v.size(); ++i) to.p[static_cast<Eigen::Index>(i)] = p[numbers_->v[i]];
+  to.control = loose[trees_[0]].control;
+  to.largest_speed = to.kinetic = 0.0;
+  to.contacts.clear();
+  to.touching.clear();
+  to.exempt.clear();
+  to.separated.clear();
+  to.flights.clear();
+  // Takes the entries of this island's guards out of a list.
+  const auto take = [this](auto& list, auto guard_of, auto&& put) {
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < list.size(); ++i) {
+      const int guard = local_guard(guard_of(list[i]));
+      if (guard >= 0) {
+        put(list[i], guard);
+      } else {
+        list[kept++] = list[i];
+      }
+    }
+    list.erase(list.begin() + static_cast<std::ptrdiff_t>(kept), list.end());
+  };
+  for (int tree : trees_) {
+    LooseState& from = loose[tree];
+    combine(from.control, to.control);
+    to.largest_speed = std::max(to.largest_speed, from.largest_speed);
+    to.kinetic += from.kinetic;
+    from.kinetic = 0.0;
+    take(
+        from.contacts, [](const PersistentContact& c) { return c.point.guard; },
+        [&](PersistentContact& c, int guard) {
+          c.point.guard = guard;
+          number_bodies(c.point, true);
+          to.contacts.push_back(c);
+        });
+    const auto itself = [](int guard) { return guard; };
+    take(from.touching, itself, [&](int, int guard) { to.touching.push_back(guard); });
+    take(from.exempt, itself, [&](int, int guard) { to.exempt.push_back(guard); });
+    take(
+        from.separated, [](const SeparatedPoint& s) { return s.first; },
+        [&](const SeparatedPoint& s, int guard) { to.separated.emplace_back(guard, s.second); });
+    take(
+        from.flights, [](const Flights::Entry& f) { return f.first; },
+        [&](const Flights::Entry& f, int guard) { to.flights.emplace_back(guard, f.second); });
+  }
+  to.anchors.clear();
+  for (int k : numbers_->friction) to.anchors.push_back(anchors[k]);
+  engine_->take_over(to, fresh_, t, start_time);
+}
+
+void Island::file(const Handover& from, std::vector<LooseState>& loose,
+                  std::vector<std::pair<bool, double>>& anchors) const {
+  const auto home = [&](int guard) -> LooseState& {
+    const auto [a, b] = guard_trees_[guard];
+    return loose[a < 0 ? b : b < 0 ? a : std::min(a, b)];
+  };
+  for (int tree : trees_) {
+    loose[tree].control = from.control;
+    loose[tree].largest_speed = from.largest_speed;
+    loose[tree].kinetic = tree == trees_[0] ? from.kinetic : 0.0;
+  }
+  for (PersistentContact contact : from.contacts) {
+    LooseState& to = home(contact.point.guard);
+    contact.point.guard = numbers_->guards[contact.point.guard];
+    number_bodies(contact.point, false);
+    to.contacts.push_back(contact);
+  }
+  for (int g : from.touching) home(g).touching.push_back(numbers_->guards[g]);
+  for (int g : from.exempt) home(g).exempt.push_back(numbers_->guards[g]);
+  for (const SeparatedPoint& s : from.separated)
+    home(s.first).separated.emplace_back(numbers_->guards[s.first], s.second);
+  for (const Flights::Entry& f : from.flights) home(f.first).flights.emplace_back(numbers_->guards[f.first], f.second);
+  for (std::size_t k = 0; k < from.anchors.size(); ++k) anchors[numbers_->friction[k]] = from.anchors[k];
+}
+
+void Island::dissolve(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) {
+  engine_->hand_over(handover_);
+  file(handover_, loose, anchors);
+}
+
+void Island::undo(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) {
+  file(before_, loose, anchors);
+}
+
+void Island::step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
+                  const Progress& progress) {
+  engine_->hand_over(before_);
+  for (std::size_t k = 0; k < odometer_.size(); ++k) odometer_[k] = engine_->guards().odometer(static_cast<int>(k));
+  const std::vector<int>& v = numbers_->v;
+  const Eigen::Index nv = static_cast<Eigen::Index>(v.size());
+  if (tau.size() > 0) {
+    tau_.resize(nv);
+    for (Eigen::Index i = 0; i < nv; ++i) tau_[i] = tau[v[i]];
+  } else {
+    tau_.resize(0);
+  }
+  if (q_ref.size() > 0 && engine_->scene().tree.elements.servo_kp.size() > 0) {
+    target_.resize(1, 2 * nv);
+    for (Eigen::Index i = 0; i < nv; ++i) {
+      target_(0, i) = q_ref[v[i]];
+      target_(0, nv + i) = v_ref[v[i]];
+    }
+  }
+  recording_.clear();
+  ok_ = engine_->step_island(step, t, length, tau_, target_, progress, recording_);
+}
+
+void Island::gather(VecX& q, VecX& p) const {
+  const RunState& state = std::as_const(*engine_).state();
+  for (std::size_t i = 0; i < numbers_->q.size(); ++i) q[numbers_->q[i]] = state.q[static_cast<Eigen::Index>(i)];
+  for (std::size_t i = 0; i < numbers_->v.size(); ++i) p[numbers_->v[i]] = state.p[static_cast<Eigen::Index>(i)];
+}
+
+}  // namespace contactvi
