@@ -364,6 +364,13 @@ class SimulatorOptions:
     @record_contacts.setter
     def record_contacts(self, arg: bool, /) -> None: ...
 
+    @property
+    def islands(self) -> bool:
+        """Whether islands are advanced one by one where that is possible."""
+
+    @islands.setter
+    def islands(self, arg: bool, /) -> None: ...
+
 class Snapshot:
     """All that the rest of a run depends on."""
 
@@ -388,6 +395,10 @@ class Simulator:
 
     def load(self, snapshot: Snapshot) -> None:
         """Go back to a snapshot; what follows is equal to the bit."""
+
+    @property
+    def islands(self) -> int:
+        """Number of islands now; 0 where all bodies are advanced together."""
 
     @property
     def t(self) -> float: ...

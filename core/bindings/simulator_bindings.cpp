@@ -295,7 +295,8 @@ void expose_options(nb::module_& m) {
       .def_rw("stiff_support", &SimulatorOptions::stiff_support,
               "Whether persistent contacts take part in an impact as rigid supports.")
       .def_rw("contact_points", &SimulatorOptions::contact_points, "Largest number of points of a pair.")
-      .def_rw("record_contacts", &SimulatorOptions::record_contacts);
+      .def_rw("record_contacts", &SimulatorOptions::record_contacts)
+      .def_rw("islands", &SimulatorOptions::islands, "Whether islands are advanced one by one where that is possible.");
 }
 
 }  // namespace
@@ -321,6 +322,7 @@ void expose_simulator(nb::module_& m) {
             sim.restore(*kept.snapshot);
           },
           "snapshot"_a, "Go back to a snapshot; what follows is equal to the bit.")
+      .def_prop_ro("islands", &World::islands, "Number of islands now; 0 where all bodies are advanced together.")
       .def_prop_ro("t", &World::time)
       .def_prop_ro(
           "q", [](const World& sim) { return hand_over(VecX(sim.q())); }, nb::rv_policy::automatic)

@@ -25,6 +25,7 @@ struct SimulatorOptions {
   bool stiff_support = false;  // persistent contacts are rigid supports in an impact instead of partners
   int contact_points = 4;      // of a pair, at most
   bool record_contacts = true;
+  bool islands = true;  // islands are advanced one by one where that is possible (run/world.hpp)
 };
 
 // Called about ten times a second with (time [s], impacts so far); false asks the run to stop.
