@@ -11,6 +11,13 @@ int position(const std::vector<int>& sorted, int value) {
   return at != sorted.end() && *at == value ? static_cast<int>(at - sorted.begin()) : -1;
 }
 
+// Whether some force or constraint is a function of time, or may be one.
+bool depends_on_time(const Elements& e) {
+  bool any = e.driven() || !e.forces.empty() || !e.potentials.empty();
+  for (const AppliedWrench& wrench : e.wrenches) any |= static_cast<bool>(wrench.signal);
+  return any;
+}
+
 // The step lengths of two islands that become one.
 void combine(const StepControl& part, StepControl& all) {
   all.free.longest = std::min(all.free.longest, part.free.longest);
@@ -33,6 +40,7 @@ Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> tree
   for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
   odometer_.assign(numbers_->geometries.size(), 0.0);
   engine_->follow_motion();
+  depends_on_time_ = depends_on_time(engine_->scene().tree.elements);
 }
 
 Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, Simulator& engine)
@@ -44,6 +52,7 @@ Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> tree
   for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
   odometer_.assign(numbers_->geometries.size(), 0.0);
   engine_->follow_motion();
+  depends_on_time_ = depends_on_time(engine_->scene().tree.elements);
 }
 
 int Island::local_guard(int guard) const { return position(numbers_->guards, guard); }
@@ -107,6 +116,7 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose,
   to.anchors.clear();
   for (int k : numbers_->friction) to.anchors.push_back(anchors[k]);
   engine_->take_over(to, fresh_, t, start_time);
+  rests_ = 0;
 }
 
 void Island::file(const Handover& from, std::vector<LooseState>& loose,
@@ -140,21 +150,21 @@ void Island::dissolve(std::vector<LooseState>& loose, std::vector<std::pair<bool
 }
 
 void Island::undo(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) {
-  file(before_, loose, anchors);
+  if (asleep()) {
+    dissolve(loose, anchors);
+  } else {
+    file(before_, loose, anchors);
+  }
 }
 
-void Island::step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
-                  const Progress& progress) {
-  engine_->hand_over(before_);
-  for (std::size_t k = 0; k < odometer_.size(); ++k) odometer_[k] = engine_->guards().odometer(static_cast<int>(k));
+// Takes its part of the inputs; false: they are those of the step before.
+bool Island::set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref) {
+  before_tau_ = tau_;
+  before_target_ = target_;
   const std::vector<int>& v = numbers_->v;
   const Eigen::Index nv = static_cast<Eigen::Index>(v.size());
-  if (tau.size() > 0) {
-    tau_.resize(nv);
-    for (Eigen::Index i = 0; i < nv; ++i) tau_[i] = tau[v[i]];
-  } else {
-    tau_.resize(0);
-  }
+  tau_.resize(tau.size() > 0 ? nv : 0);
+  for (Eigen::Index i = 0; i < tau_.size(); ++i) tau_[i] = tau[v[i]];
   if (q_ref.size() > 0 && engine_->scene().tree.elements.servo_kp.size() > 0) {
     target_.resize(1, 2 * nv);
     for (Eigen::Index i = 0; i < nv; ++i) {
@@ -162,8 +172,50 @@ void Island::step(long step, double t, double length, const VecX& tau, const Vec
       target_(0, nv + i) = v_ref[v[i]];
     }
   }
+  return tau_.size() != before_tau_.size() || target_.size() != before_target_.size() || tau_ != before_tau_ ||
+         target_ != before_target_;
+}
+
+// The record of the last step is that of this one, at another time.
+void Island::repeat_record(long step, double t, double length) {
+  ContactRows& rows = recording_.contacts;
+  std::fill(rows.t.begin(), rows.t.end(), t);
+  std::fill(rows.h.begin(), rows.h.end(), length);
+  std::fill(rows.step.begin(), rows.step.end(), step);
+  std::fill(recording_.phase_t.begin(), recording_.phase_t.end(), t);
+}
+
+// Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay.
+void Island::count_rest() {
+  bool rests = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty();
+  for (std::size_t k = 0; k < odometer_.size() && rests; ++k)
+    rests = engine_->guards().odometer(static_cast<int>(k)) - odometer_[k] <= kStill;
+  const std::vector<double>& starts = recording_.contacts.t;
+  for (double t : starts) rests = rests && t == starts.front();
+  for (const PersistentContact& contact : engine_->contact_step().contacts())
+    rests = rests && (contact.mu == 0.0 || contact.sticks);
+  rests_ = rests ? rests_ + 1 : 0;
+}
+
+void Island::restore_rest(int rests, const Recording& record, const VecX& tau, const MatX& target) {
+  rests_ = rests;
+  recording_ = record;
+  tau_ = tau;
+  target_ = target;
+}
+
+void Island::step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
+                  const Progress& progress) {
+  if (set_inputs(tau, q_ref, v_ref)) rests_ = 0;
+  if (asleep()) {
+    repeat_record(step, t, length);
+    return;
+  }
+  engine_->hand_over(before_);
+  for (std::size_t k = 0; k < odometer_.size(); ++k) odometer_[k] = engine_->guards().odometer(static_cast<int>(k));
   recording_.clear();
   ok_ = engine_->step_island(step, t, length, tau_, target_, progress, recording_);
+  count_rest();
 }
 
 void Island::gather(VecX& q, VecX& p) const {

@@ -44,8 +44,16 @@ class Island {
   // One control step; tau, target: of the whole scene, or empty.
   void step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
             const Progress& progress);
+  // Whether the last steps have moved nothing by more than rounding, so that it repeats the last one until something
+  // changes: its trees, or its inputs.
+  bool asleep() const { return rests_ >= kRests; }
+  int rests() const { return rests_; }
+  // Goes back to having repeated a step whose record is this.
+  void restore_rest(int rests, const Recording& record, const VecX& tau, const MatX& target);
+  const VecX& tau() const { return tau_; }
+  const MatX& target() const { return target_; }
   // Bound on the motion of its geometry `k` in that step [m].
-  double motion(int k) const { return engine_->guards().odometer(k) - odometer_[k]; }
+  double motion(int k) const { return asleep() ? 0.0 : engine_->guards().odometer(k) - odometer_[k]; }
   // Enters its state in that of the whole scene.
   void gather(VecX& q, VecX& p) const;
   // Calls join(tree, tree) for those that a contact or a guard that touches keeps together.
@@ -55,6 +63,13 @@ class Island {
   long last_used = 0;  // the step in which it was in use, for the pool
 
  private:
+  static constexpr int kRests = 3;  // steps that move nothing, one after the other, before an island sleeps
+  // [m] that any point may move in such a step: the spacing of doubles near 1 m. In 10^6 steps that is 0.2 nm.
+  static constexpr double kStill = 2.2e-16;
+
+  bool set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref);
+  void repeat_record(long step, double t, double length);
+  void count_rest();
   void file(const Handover& from, std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) const;
   void number_bodies(ContactPoint& point, bool into) const;
   int local_guard(int guard) const;
@@ -69,9 +84,11 @@ class Island {
   Handover before_, handover_;
   Recording recording_;
   std::vector<double> odometer_;
-  VecX tau_;
-  MatX target_;
+  VecX tau_, before_tau_;
+  MatX target_, before_target_;
   bool ok_ = true;
+  bool depends_on_time_ = false;  // some force or constraint is a function of time
+  int rests_ = 0;                 // steps one after the other that moved nothing
 };
 
 template <class Join>

@@ -56,7 +56,15 @@ struct World::Saved {
   std::vector<double> motion;
   VecX q_ref, v_ref;
   EngineCounters counters;
-  std::vector<std::pair<std::vector<int>, std::shared_ptr<const Snapshot>>> islands;
+  struct SavedIsland {
+    std::vector<int> trees;
+    std::shared_ptr<const Snapshot> engine;
+    int rests;
+    Recording record;  // of the step that an island at rest repeats
+    VecX tau;
+    MatX target;
+  };
+  std::vector<SavedIsland> islands;
 };
 
 World::World(const Scene& scene, const SimulatorOptions& options)
@@ -459,7 +467,9 @@ std::shared_ptr<const World::Saved> World::save() {
   saved->q_ref = q_ref_;
   saved->v_ref = v_ref_;
   saved->counters = counters();
-  for (Island* island : islands_) saved->islands.emplace_back(island->trees(), island->engine().save());
+  for (Island* island : islands_)
+    saved->islands.push_back({island->trees(), island->engine().save(), island->rests(),
+                              island->asleep() ? island->recording() : Recording(), island->tau(), island->target()});
   return saved;
 }
 
@@ -476,10 +486,11 @@ void World::restore(const Saved& saved) {
   v_ref_ = saved.v_ref;
   graph_.restart(saved.motion);
   islands_.clear();
-  for (const auto& [trees, snapshot] : saved.islands) {
-    Island& island = island_of(trees);
-    island.engine().restore(*snapshot);
-    for (int tree : trees) island_of_tree_[tree] = static_cast<int>(islands_.size());
+  for (const Saved::SavedIsland& from : saved.islands) {
+    Island& island = island_of(from.trees);
+    island.engine().restore(*from.engine);
+    island.restore_rest(from.rests, from.record, from.tau, from.target);
+    for (int tree : from.trees) island_of_tree_[tree] = static_cast<int>(islands_.size());
     islands_.push_back(&island);
   }
   for (auto& [trees, island] : pool_) island->engine().reset_counters();
