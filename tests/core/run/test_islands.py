@@ -207,3 +207,64 @@ def test_the_run_ends_at_one_time():
     t, height = result["time"], result["q"][-1, 9]
     assert result["t"][-1] == t
     assert height == pytest.approx(50.0 + 3.0 * t - 0.5 * 9.81 * t * t, rel=1e-12)
+
+
+# --- islands at rest --------------------------------------------------------------------------------------------------
+def resting_boxes(count: int = 4) -> cvi.Scene:
+    scene = cvi.Scene()
+    for i in range(count):
+        scene.add_box(f"box{i}", (0.1, 0.12, 0.08), placement=at(0.3 * i, 0.0, 0.04))
+    scene.add_halfspace()
+    scene.set_contact(restitution=0.0, friction=0.5)
+    return scene
+
+
+def test_islands_at_rest_are_not_solved_and_keep_their_forces():
+    scene = resting_boxes()
+    early, simulator = run(scene, np.zeros(scene.nv), 1e-3, 20)
+    late = simulator.advance(400)
+    assert late["stats"]["contact_steps"] == early["stats"]["contact_steps"] < 4 * 20
+    rows = late["contacts"]
+    weights = np.bincount(rows["step"] - rows["step"].min(), weights=(rows["start"] + rows["end"])[:, 2] / rows["h"])
+    masses = np.asarray([i.mass for i in scene.model.inertias[1:]]).sum()
+    assert np.abs(weights / (masses * 9.81) - 1.0).max() <= 1e-9
+    assert np.abs(rows["t"] - 1e-3 * rows["step"]).max() <= 1e-15
+    assert same_bits(late["q"][0], late["q"][-1])
+
+
+def test_a_blow_a_force_and_a_load_wake_it():
+    """Beside a run that solves every step: rest within 1e-15 m a step, then the same events."""
+    scene = resting_boxes(3)
+    scene.add_sphere("ball", 0.05, placement=at(0.02, 0.01, 0.35))
+    scene.set_contact(restitution=0.0, friction=0.5)
+    results = []
+    for islands in (True, False):
+        simulator = engine.simulator(scene.core(), 1e-3, islands=islands)
+        simulator.reset(scene.neutral(), np.zeros(scene.nv))
+        falls = simulator.advance(300)
+        force = np.zeros((40, scene.nv))
+        force[:, 6 * 2] = 1.2 * 0.5 * 9.81 * scene.model.inertias[3].mass  # pushes the third box
+        pushed = simulator.advance(40, force)
+        assert falls["code"] == pushed["code"] == 0
+        results.append((falls, pushed))
+    (falls, pushed), (falls_too, pushed_too) = results
+    assert len(falls["events"]["time"]) == len(falls_too["events"]["time"]) > 0
+    assert np.abs(falls["events"]["time"][0] - falls_too["events"]["time"][0]) <= 1e-12
+    third = columns(scene, ["box2"])[:3]
+    assert np.abs(pushed["q"][-1, third] - pushed_too["q"][-1, third]).max() <= 1e-11
+    assert pushed["q"][-1, third[0]] - pushed["q"][0, third[0]] > 5e-4
+
+
+def test_a_snapshot_of_islands_at_rest_goes_on_to_the_bit():
+    scene = resting_boxes()
+    _, simulator = run(scene, np.zeros(scene.nv), 1e-3, 30)
+    kept = simulator.save()
+    first = simulator.advance(10)
+    other = engine.simulator(scene.core(), 1e-3)
+    other.load(kept)
+    again = other.advance(10)
+    assert again["stats"]["contact_steps"] == first["stats"]["contact_steps"]
+    for name in ("q", "p"):
+        assert same_bits(first[name], again[name])
+    for name in ("start", "end", "position"):
+        assert same_bits(first["contacts"][name], again["contacts"][name])
