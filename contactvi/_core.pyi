@@ -52,6 +52,24 @@ class MhcReference(enum.Enum):
     GLOBAL = 1
     """The start of the run, less the losses of all impacts since."""
 
+class ContactSteps(enum.IntEnum):
+    """Which steps a run takes where bodies touch."""
+
+    AUTO = 0
+
+    EVENTS = 1
+
+    STEPS = 2
+
+class StepKind(enum.IntEnum):
+    """The kind of a step."""
+
+    FREE = 0
+
+    PERSISTENT = 1
+
+    DENSE = 2
+
 class Fallback(enum.IntEnum):
     """Why the impulse of an impact is that of CTEC."""
 
@@ -242,6 +260,43 @@ class Scene:
     def constraint_rate(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """d phi/dt at fixed q, (m,)."""
 
+class BlockContacts:
+    """A contact problem of many blocks and its solver, for tests."""
+
+    def __init__(self, sizes: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], masses: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], blocks: Annotated[NDArray[numpy.int32], dict(shape=(None, 2), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], box: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], W: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v_free: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+        """
+        sizes (b,): degrees of freedom of each block; masses: their matrices, one after the other [kg]; blocks (m, 2): the blocks of each contact, -1 for the world as second; rows (m,): 3 (n, t1, t2) or 1; mu (m,), lower (m,) [N s], box (m,) [N s], > 0 for joint friction; W: per contact rows x size of the first block, then rows x size of the second; v_free (nv,) and offset (rows,) [m/s].
+        """
+
+    def set_free(self, v_free: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], offset: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+        """New data of the same contacts."""
+
+    def solve(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, bound: float = float('inf'), tolerance: float = 1e-08, accept: float = 1e-06, sweeps: int = 50, newton_steps: int = 8, factors: int = 25) -> dict[str, Any]:
+        """
+        Impulses (rows,) [N s], velocity v (nv,), stage, residual (over the scale [m/s]), violation [m/s], energy [J], free_energy [J], blend, sweeps, factors. start (rows,) [N s]; bound of the energy [J].
+        """
+
+    def solve_normals(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, tolerance: float = 1e-08) -> dict[str, Any]:
+        """
+        The normal impulses anew for the tangential ones of start; the same results.
+        """
+
+    def solve_convex(self, slip: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], tolerance: float = 1e-09) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float, int]:
+        """
+        Impulses (rows,) of the law with frozen slip speeds (m,) [m/s], residual, factorizations.
+        """
+
+    def solve_weighted(self, K: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], symmetric: bool) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """(M + W K W^T)^-1 x with matrices K (3 m, 3) of the contacts, x (nv,)."""
+
+    def seconds(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, bound: float = float('inf'), tolerance: float = 1e-08, accept: float = 1e-06, sweeps: int = 50, newton_steps: int = 8, factors: int = 25, prepare: bool = True, repeats: int = 3) -> float:
+        """
+        Seconds of one solve, with its preparation or without, the fastest of several.
+        """
+
+    def seconds_normals(self, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, tolerance: float = 1e-08, repeats: int = 3) -> float:
+        """The same of solve_normals, prepared."""
+
 def solve_cone(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')], b: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rows: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C')], mu: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], frozen: Annotated[NDArray[numpy.float64], dict(shape=(None, 2), order='F')] | None = None, start: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, regularize: bool = True, noise: float = 0.0) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], bool, float, int, int]:
     """
     Coulomb cone problem w = b + G lambda of n contacts with rows[i] = 1 or 3 rows (n, t1, t2) each: G (m, m) [1/kg], b (m,) [m/s], mu (n,), lower (n,) [N s] bounds of the normal impulses, frozen (n, 2) unit slip directions (NaN: free), start (m,) [N s], noise [m/s] by which rows of b may disagree. Returns (lambda (m,) [N s], ok, relative residual, Newton iterations, fallbacks).
@@ -370,6 +425,12 @@ class SimulatorOptions:
 
     @islands.setter
     def islands(self, arg: bool, /) -> None: ...
+
+    @property
+    def contact_steps(self) -> ContactSteps: ...
+
+    @contact_steps.setter
+    def contact_steps(self, arg: ContactSteps, /) -> None: ...
 
 class Snapshot:
     """All that the rest of a run depends on."""

@@ -26,10 +26,12 @@ ImpactMap = Literal["ctec", "dtec", "mhc"]
 MhcReference = Literal["local", "global"]
 Zeno = Literal["hold", "end"]
 Support = Literal["sequence", "stiff"]
+ContactSteps = Literal["auto", "events", "steps"]
 IMPACT_MAPS: tuple[ImpactMap, ...] = get_args(ImpactMap)
 MHC_REFERENCES: tuple[MhcReference, ...] = get_args(MhcReference)
 ZENO: tuple[Zeno, ...] = get_args(Zeno)
 SUPPORTS: tuple[Support, ...] = get_args(Support)
+CONTACT_MODES: tuple[ContactSteps, ...] = get_args(ContactSteps)
 DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
 _FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # they need steps of one length
@@ -50,6 +52,7 @@ class FurtherOptions(TypedDict, total=False):
     support: Support | None
     contact_points: int | None
     record_contacts: bool | None
+    contact_mode: ContactSteps | None
 
 
 class SteppingOptions(FurtherOptions, total=False):
@@ -106,6 +109,12 @@ class Options:
             While a face tips, impacts at one instant may have more: the unused points of the face, so that none
             penetrates.
         record_contacts: keep the impulses of all contacts (Trajectory.contacts).
+        contact_mode: which steps are taken where bodies touch. "auto": events are located, and where they accumulate or
+            would end the run the rest of a step is a dense step, which has all impacts inside of it without their times
+            (contactvi.trajectory.ledger says how exactly its law holds). "events": never a dense step; a run whose
+            events accumulate ends with a status. "steps": dense steps alone, which makes the run a time-stepping
+            simulation to compare with. With dt="auto", "dtec" and zeno="end" no dense step is taken, and "steps" is
+            refused.
 
     Raises:
         InputError: for a value that is not of the type or in the range given above.
@@ -128,6 +137,7 @@ class Options:
     support: Support = "sequence"
     contact_points: int = 4
     record_contacts: bool = True
+    contact_mode: ContactSteps = "auto"
 
     def __post_init__(self) -> None:
         if not self.auto:
@@ -148,6 +158,7 @@ class Options:
         check_choice("mhc_reference", self.mhc_reference, MHC_REFERENCES, "Unknown reference of MHC")
         check_choice("zeno", self.zeno, ZENO, "Unknown answer to accumulating impacts")
         check_choice("support", self.support, SUPPORTS, "Unknown reading of a support")
+        check_choice("contact_mode", self.contact_mode, CONTACT_MODES, "Unknown kind of steps in contact")
         _set(self, "order", integrator_order(self.order, self.auto))
         _set(self, "ledger", tolerances(self.ledger))
         if self.duration is not None:
@@ -160,6 +171,14 @@ class Options:
             _check_auto(self)
         elif self.duration is not None:
             check_whole(self.duration, self.fixed_dt)
+        if self.contact_mode == "steps" and (self.auto or self.impact == "dtec" or self.zeno == "end"):
+            raise InputError(
+                "Dense steps need a fixed step and contacts that may persist",
+                name="contact_mode",
+                expected="'auto' or 'events' with dt='auto', impact='dtec' or zeno='end'",
+                got="'steps'",
+                remedy="Give dt=1e-3, impact='ctec' or 'mhc', and zeno='hold'",
+            )
 
     @property
     def auto(self) -> bool:

@@ -72,6 +72,7 @@ class Stats:
         cone_problems, cone_iterations: contact problems solved, and Newton iterations for them;
         cone_fallbacks: of the problems, those that needed another solver.
         contact_seconds: wall time inside steps with persistent contacts.
+        dense_steps: steps with all impacts inside of them (contact_mode).
 
     Old names, kept for this release: sweeps, iterations and residuals of stage_iterations, held_steps of
     contact_steps, contact_rounds of contact_iterations.
@@ -92,6 +93,7 @@ class Stats:
     cone_iterations: int = 0
     cone_fallbacks: int = 0
     contact_seconds: float = 0.0
+    dense_steps: int = 0
 
     sweeps = iterations = residuals = alias("stage_iterations")
     held_steps = alias("contact_steps")

@@ -58,6 +58,7 @@ class EngineCounts(TypedDict):
     cone_iterations: int
     cone_fallbacks: int
     contact_seconds: float
+    dense_steps: int
 
 
 class EngineResult(EngineStatus):
@@ -79,6 +80,7 @@ class EngineResult(EngineStatus):
     contacts: Columns | None
     changes: Columns | None
     phases: Columns | None
+    dense: Columns | None
     segments: Columns | None
     adaptive_steps: Columns | None
     stats: EngineCounts

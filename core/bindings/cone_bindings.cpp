@@ -1,4 +1,4 @@
-// The solver of the contact problem by itself, for tests and benchmarks.
+// The solvers of the contact problem by themselves, for tests and benchmarks.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
@@ -10,7 +10,10 @@
 #include <tuple>
 #include <vector>
 
+#include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
+#include "cone/block_interior_point.hpp"
+#include "cone/block_solver.hpp"
 #include "cone/solver.hpp"
 
 namespace nb = nanobind;
@@ -81,9 +84,196 @@ double seconds(const MatX& G, const VecX& b, const IndexVector& rows, const VecX
   return best;
 }
 
+using IndexPairs = Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor>;
+
+const char* name_of(BlockResult::Stage stage) {
+  switch (stage) {
+    case BlockResult::Stage::kSweeps:
+      return "sweeps";
+    case BlockResult::Stage::kNewton:
+      return "newton";
+    case BlockResult::Stage::kInteriorPoint:
+      return "interior point";
+    case BlockResult::Stage::kRepaired:
+      return "repaired";
+    case BlockResult::Stage::kBlended:
+      return "blended";
+    case BlockResult::Stage::kFailed:
+      break;
+  }
+  return "failed";
+}
+
+// A block problem with its solver.
+class BlockContacts {
+ public:
+  BlockContacts(const IndexVector& sizes, const VecX& masses, const IndexPairs& blocks, const IndexVector& rows,
+                const VecX& mu, const VecX& lower, const VecX& box, const VecX& W, const VecX& v_free,
+                const VecX& offset) {
+    const Eigen::Index m = rows.size();
+    if (blocks.rows() != m || mu.size() != m || lower.size() != m || box.size() != m)
+      throw nb::value_error("expected blocks (m, 2) and rows, mu, lower, box (m,) for m contacts");
+    problem_.start.push_back(0);
+    Eigen::Index read = 0;
+    for (const int n : sizes) {
+      if (n < 0 || read + n * n > masses.size()) throw nb::value_error("expected masses of sizes[i]^2 numbers each");
+      problem_.start.push_back(problem_.start.back() + n);
+      problem_.M.push_back(Eigen::Map<const MatX>(masses.data() + read, n, n));
+      read += n * n;
+    }
+    int row = 0, column = 0;
+    for (Eigen::Index i = 0; i < m; ++i) {
+      BlockContact c;
+      c.a = blocks(i, 0);
+      c.b = blocks(i, 1);
+      for (const int block : {c.a, c.b})
+        if (block >= sizes.size() || block < (block == c.a ? 0 : -1)) throw nb::value_error("no such block");
+      c.row = row;
+      c.rows = rows[i];
+      c.column = column;
+      c.mu = mu[i];
+      c.lower = lower[i];
+      c.box = box[i];
+      row += c.rows;
+      column += c.rows * (problem_.size(c.a) + (c.b < 0 ? 0 : problem_.size(c.b)));
+      problem_.contacts.push_back(c);
+    }
+    if (W.size() != column || offset.size() != row || v_free.size() != problem_.start.back())
+      throw nb::value_error("expected W of rows x (size a + size b) numbers per contact, offset (rows,), v_free (nv,)");
+    problem_.W.assign(W.data(), W.data() + W.size());
+    problem_.v_free = v_free;
+    problem_.offset = offset;
+    solver_.prepare(problem_);
+  }
+  void set_free(const VecX& v_free, const VecX& offset) {
+    if (v_free.size() != problem_.v_free.size() || offset.size() != problem_.offset.size())
+      throw nb::value_error("expected v_free (nv,) and offset (rows,)");
+    problem_.v_free = v_free;
+    problem_.offset = offset;
+  }
+  Dict solve(const std::optional<VecX>& start, double bound, double tolerance, double accept, int sweeps,
+             int newton_steps, int factors) {
+    VecX lambda = start_of(start, problem_.rows()), v = problem_.v_free;
+    const BlockResult r = solver_.solve(problem_, bound, {tolerance, accept, sweeps, newton_steps, factors}, lambda, v);
+    return named(r, std::move(lambda), std::move(v));
+  }
+  Dict solve_normals(const std::optional<VecX>& start, double tolerance) {
+    VecX lambda = start_of(start, problem_.rows()), v = problem_.v_free;
+    const BlockResult r = solver_.solve_normals(problem_, tolerance, lambda, v);
+    return named(r, std::move(lambda), std::move(v));
+  }
+  // The convex problem of frozen slip speeds, cold.
+  std::tuple<VecX, double, int> solve_convex(const VecX& slip, double tolerance) {
+    if (slip.size() != static_cast<Eigen::Index>(problem_.contacts.size())) throw nb::value_error("expected slip (m,)");
+    BlockSystem system;
+    VecX lambda = VecX::Zero(problem_.rows());
+    if (!system.prepare(problem_) || !system.start(problem_)) return {lambda, 0.0, 0};
+    BlockFactor factor;
+    factor.analyse(problem_);
+    BlockInteriorPoint interior;
+    BlockPoint point;
+    point.lambda.assign(problem_.contacts.size(), Vec3::Zero());
+    system.update(point);
+    const int used = interior.run(system, factor, {slip.begin(), slip.end()}, 1.0, tolerance, 60, point);
+    for (std::size_t i = 0; i < point.lambda.size(); ++i)
+      for (int r = 0; r < problem_.contacts[i].rows; ++r) lambda[problem_.contacts[i].row + r] = point.lambda[i][r];
+    return {lambda, interior.residual(), used};
+  }
+  // (M + W K W^T)^-1 x, K (3, 3) per contact.
+  VecX solve_weighted(const Rows& K, VecX x, bool symmetric) {
+    const Eigen::Index m = static_cast<Eigen::Index>(problem_.contacts.size());
+    if (K.rows() != 3 * m || K.cols() != 3 || x.size() != problem_.v_free.size())
+      throw nb::value_error("expected K (3 m, 3) and x (nv,)");
+    std::vector<Mat3> weights(m);
+    for (Eigen::Index i = 0; i < m; ++i) weights[i] = K.middleRows(3 * i, 3);
+    BlockFactor factor;
+    factor.analyse(problem_);
+    if (!factor.factor(problem_, weights, symmetric) || !factor.solve(x)) throw nb::value_error("singular");
+    return x;
+  }
+  // Seconds of one prepare and solve, of the fastest of several.
+  double seconds(const std::optional<VecX>& start, double bound, double tolerance, double accept, int sweeps,
+                 int newton_steps, int factors, bool prepare, int repeats) {
+    const VecX first = start_of(start, problem_.rows());
+    VecX lambda = first, v = problem_.v_free;
+    double best = std::numeric_limits<double>::infinity();
+    for (int k = 0; k < repeats; ++k) {
+      lambda = first;
+      const auto begin = std::chrono::steady_clock::now();
+      if (prepare) solver_.prepare(problem_);
+      solver_.solve(problem_, bound, {tolerance, accept, sweeps, newton_steps, factors}, lambda, v);
+      best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+    }
+    return best;
+  }
+  double seconds_normals(const std::optional<VecX>& start, double tolerance, int repeats) {
+    const VecX first = start_of(start, problem_.rows());
+    VecX lambda = first, v = problem_.v_free;
+    double best = std::numeric_limits<double>::infinity();
+    for (int k = 0; k < repeats; ++k) {
+      lambda = first;
+      const auto begin = std::chrono::steady_clock::now();
+      solver_.solve_normals(problem_, tolerance, lambda, v);
+      best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+    }
+    return best;
+  }
+
+ private:
+  static Dict named(const BlockResult& r, VecX&& lambda, VecX&& v) {
+    nb::dict out;
+    out["impulses"] = hand_over(std::move(lambda));
+    out["v"] = hand_over(std::move(v));
+    out["stage"] = name_of(r.stage);
+    out["residual"] = r.residual;
+    out["scale"] = r.scale;
+    out["violation"] = r.violation;
+    out["energy"] = r.energy;
+    out["free_energy"] = r.free_energy;
+    out["blend"] = r.blend;
+    out["sweeps"] = r.sweeps;
+    out["factors"] = r.factors;
+    return Dict(out);
+  }
+  BlockProblem problem_;
+  BlockSolver solver_;
+};
+
+void expose_block_contacts(nb::module_& m) {
+  const BlockOptions usual;
+  nb::class_<BlockContacts>(m, "BlockContacts", "A contact problem of many blocks and its solver, for tests.")
+      .def(nb::init<const IndexVector&, const VecX&, const IndexPairs&, const IndexVector&, const VecX&, const VecX&,
+                    const VecX&, const VecX&, const VecX&, const VecX&>(),
+           "sizes"_a, "masses"_a, "blocks"_a, "rows"_a, "mu"_a, "lower"_a, "box"_a, "W"_a, "v_free"_a, "offset"_a,
+           "sizes (b,): degrees of freedom of each block; masses: their matrices, one after the other [kg]; blocks "
+           "(m, 2): the blocks of each contact, -1 for the world as second; rows (m,): 3 (n, t1, t2) or 1; mu (m,), "
+           "lower (m,) [N s], box (m,) [N s], > 0 for joint friction; W: per contact rows x size of the first block, "
+           "then rows x size of the second; v_free (nv,) and offset (rows,) [m/s].")
+      .def("set_free", &BlockContacts::set_free, "v_free"_a, "offset"_a, "New data of the same contacts.")
+      .def("solve", &BlockContacts::solve, "start"_a = nb::none(), "bound"_a = std::numeric_limits<double>::infinity(),
+           "tolerance"_a = usual.tolerance, "accept"_a = usual.accept, "sweeps"_a = usual.sweeps,
+           "newton_steps"_a = usual.newton_steps, "factors"_a = usual.factors,
+           "Impulses (rows,) [N s], velocity v (nv,), stage, residual (over the scale [m/s]), violation [m/s], energy "
+           "[J], free_energy [J], blend, sweeps, factors. start (rows,) [N s]; bound of the energy [J].")
+      .def("solve_normals", &BlockContacts::solve_normals, "start"_a = nb::none(), "tolerance"_a = usual.tolerance,
+           "The normal impulses anew for the tangential ones of start; the same results.")
+      .def("solve_convex", &BlockContacts::solve_convex, "slip"_a, "tolerance"_a = 1e-9,
+           "Impulses (rows,) of the law with frozen slip speeds (m,) [m/s], residual, factorizations.")
+      .def("solve_weighted", &BlockContacts::solve_weighted, "K"_a, "x"_a, "symmetric"_a,
+           "(M + W K W^T)^-1 x with matrices K (3 m, 3) of the contacts, x (nv,).")
+      .def("seconds", &BlockContacts::seconds, "start"_a = nb::none(),
+           "bound"_a = std::numeric_limits<double>::infinity(), "tolerance"_a = usual.tolerance,
+           "accept"_a = usual.accept, "sweeps"_a = usual.sweeps, "newton_steps"_a = usual.newton_steps,
+           "factors"_a = usual.factors, "prepare"_a = true, "repeats"_a = 3,
+           "Seconds of one solve, with its preparation or without, the fastest of several.")
+      .def("seconds_normals", &BlockContacts::seconds_normals, "start"_a = nb::none(), "tolerance"_a = usual.tolerance,
+           "repeats"_a = 3, "The same of solve_normals, prepared.");
+}
+
 }  // namespace
 
 void expose_cone(nb::module_& m) {
+  expose_block_contacts(m);
   m.def("solve_cone", &solve, "G"_a, "b"_a, "rows"_a, "mu"_a, "lower"_a, "frozen"_a = nb::none(),
         "start"_a = nb::none(), "regularize"_a = true, "noise"_a = 0.0,
         "Coulomb cone problem w = b + G lambda of n contacts with rows[i] = 1 or 3 rows (n, t1, t2) each: G (m, m) "

@@ -70,11 +70,40 @@ std::optional<Dict> step_phases(Recording& recording) {
   const std::size_t n = recording.phase_t.size();
   if (n == 0) return std::nullopt;
   IntVec persistent(n);
-  for (std::size_t i = 0; i < n; ++i) persistent[i] = recording.phase_persistent[i];
+  for (std::size_t i = 0; i < n; ++i) persistent[i] = recording.phase_kind[i];
   Dict d;
   d["t"] = hand_over(std::move(recording.phase_t));
   d["dt"] = hand_over(std::move(recording.phase_dt));
   d["persistent"] = persistent;
+  return d;
+}
+
+std::optional<Dict> dense_steps(const Recording& recording) {
+  const std::size_t n = recording.dense.size();
+  if (n == 0) return std::nullopt;
+  using Field = double DenseRecord::*;
+  const std::pair<const char*, Field> fields[] = {{"t", &DenseRecord::time},
+                                                  {"h", &DenseRecord::h},
+                                                  {"residual", &DenseRecord::residual},
+                                                  {"gap", &DenseRecord::gap},
+                                                  {"energy_rise", &DenseRecord::energy_rise},
+                                                  {"energy_loss", &DenseRecord::energy_loss},
+                                                  {"energy_error", &DenseRecord::energy_error}};
+  Dict d;
+  for (const auto& [name, field] : fields) {
+    std::vector<double> values(n);
+    for (std::size_t i = 0; i < n; ++i) values[i] = recording.dense[i].*field;
+    d[name] = hand_over(std::move(values));
+  }
+  IntVec contacts(n), repaired(n), step(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    contacts[i] = recording.dense[i].contacts;
+    repaired[i] = recording.dense[i].repaired;
+    step[i] = static_cast<int>(recording.dense[i].step);
+  }
+  d["contacts"] = contacts;
+  d["repaired"] = repaired;
+  d["step"] = step;
   return d;
 }
 
@@ -86,6 +115,7 @@ void add_contact_stats(const World& sim, nb::dict& d) {
   d["cone_iterations"] = c.iterations;
   d["cone_fallbacks"] = c.fallbacks;
   d["contact_seconds"] = sim.state().contact_seconds;
+  d["dense_steps"] = sim.state().dense_steps;
 }
 
 }  // namespace contactvi

@@ -9,6 +9,7 @@
 #include "impact/impact_law.hpp"
 #include "model/elements.hpp"
 #include "record/recording.hpp"
+#include "run/dense_phase.hpp"
 
 namespace nb = nanobind;
 
@@ -34,6 +35,14 @@ void expose_run_enums(nb::module_& m) {
   nb::enum_<MhcReference>(m, "MhcReference", "Where the value that MHC conserves is taken from.")
       .value("LOCAL", MhcReference::kStep, "The start of the step.")
       .value("GLOBAL", MhcReference::kRun, "The start of the run, less the losses of all impacts since.");
+  nb::enum_<ContactSteps>(m, "ContactSteps", nb::is_arithmetic(), "Which steps a run takes where bodies touch.")
+      .value("AUTO", ContactSteps::kAuto)
+      .value("EVENTS", ContactSteps::kEvents)
+      .value("STEPS", ContactSteps::kDense);
+  nb::enum_<StepKind>(m, "StepKind", nb::is_arithmetic(), "The kind of a step.")
+      .value("FREE", StepKind::kFree)
+      .value("PERSISTENT", StepKind::kPersistent)
+      .value("DENSE", StepKind::kDense);
   nb::enum_<Fallback>(m, "Fallback", nb::is_arithmetic(), "Why the impulse of an impact is that of CTEC.")
       .value("NONE", Fallback::kNone)
       .value("PLASTIC", Fallback::kPlastic)

@@ -207,6 +207,7 @@ Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) 
   d["contacts"] = contact_rows(s, recording.contacts);
   d["changes"] = contact_changes(s, recording.changes);
   d["phases"] = step_phases(recording);
+  d["dense"] = dense_steps(recording);
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);
   return d;
@@ -296,7 +297,8 @@ void expose_options(nb::module_& m) {
               "Whether persistent contacts take part in an impact as rigid supports.")
       .def_rw("contact_points", &SimulatorOptions::contact_points, "Largest number of points of a pair.")
       .def_rw("record_contacts", &SimulatorOptions::record_contacts)
-      .def_rw("islands", &SimulatorOptions::islands, "Whether islands are advanced one by one where that is possible.");
+      .def_rw("islands", &SimulatorOptions::islands, "Whether islands are advanced one by one where that is possible.")
+      .def_rw("contact_steps", &SimulatorOptions::contact_steps);
 }
 
 }  // namespace

@@ -1,5 +1,5 @@
-// The contact problem of many bodies, kept sparse: a block per static tree (a free body, a robot), and contacts that act
-// on one or two of them.
+// The contact problem of many bodies, kept sparse: a block per static tree (a free body, a robot), and contacts that
+// act on one or two of them.
 //
 //   v = v_free + M^-1 W lambda,   w = W^T v + offset       M: one block per tree; W: columns of the contacts' rows
 //   normal      lambda_n >= lower, w_n >= 0, (lambda_n - lower) w_n = 0

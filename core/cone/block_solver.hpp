@@ -5,8 +5,9 @@
 //   B  semismooth Newton steps on the natural map of the whole law
 //   C  a convex interior point with the slip speeds frozen that couple normal and tangential law (de Saxce), repeated
 //      with these speeds extrapolated
-//   D  where the law is not met: the normal impulses anew for tangential impulses that stay, a convex problem
-//   E  where that gains energy: the answer between D's and a safe one that just does not
+//   D  where gaps are not kept: the normal impulses anew for tangential impulses that stay, a convex problem
+//   E  where the answer gains energy: the one between it and a safe one that just does not
+// D and E bound what is returned, not how far it is from the law, which `residual` says.
 #pragma once
 
 #include <memory>
@@ -17,16 +18,16 @@ namespace contactvi {
 
 struct BlockOptions {
   double tolerance = 1e-8;  // residual at which the solver stops, relative to the largest free speed of a contact
-  double accept = 1e-6;     // residual up to which an answer needs no repair
+  double accept = 1e-6;     // residual from which the interior point is not worth its time, and gaps that count as kept
   int sweeps = 50, newton_steps = 8, factors = 25;  // stage A, B, and of B and C together
 };
 
 struct BlockResult {
   enum class Stage { kSweeps, kNewton, kInteriorPoint, kRepaired, kBlended, kFailed };
   Stage stage = Stage::kFailed;
-  double residual = 0.0;   // natural map of the law, over the scale of speeds
-  double scale = 0.0;      // of speeds: the largest of |W^T v_free + offset| in a row [m/s]
-  double violation = 0.0;  // -min(w_n) where that is positive [m/s]
+  double residual = 0.0;                   // natural map of the law, over the scale of speeds
+  double scale = 0.0;                      // of speeds [m/s], block_system.hpp (scale)
+  double violation = 0.0;                  // -min(w_n) where that is positive [m/s]
   double energy = 0.0, free_energy = 0.0;  // T(v), T(v_free) [J]
   double blend = 1.0;                      // share of the repaired answer in the returned one
   int sweeps = 0, factors = 0;
@@ -43,8 +44,9 @@ class BlockSolver {
   // Factors the masses and the contacts' own matrices. The problem must stay; v_free, offset, lower, mu and box may
   // change between solves, W and M and the contacts' blocks may not.
   void prepare(const BlockProblem& problem);
-  // lambda (rows,): start on entry [N s], projected onto the cone; the answer on return. v (nv,): v_free + M^-1 W lambda.
-  // bound: the kinetic energy that v may have [J]; it is raised to that of the safe answer of stage E if that has more.
+  // lambda (rows,): start on entry [N s], projected onto the cone; the answer on return. v (nv,): v_free + M^-1 W
+  // lambda. bound: the kinetic energy that v may have [J]; it is raised to that of the safe answer of stage E if that
+  // has more.
   BlockResult solve(const BlockProblem& problem, double bound, const BlockOptions& options, VecRef lambda, VecRef v);
   // Stage D alone: tangential impulses and box rows stay as in lambda, the normal ones become the solution of
   //   lambda_n >= max(lower, |lambda_t|/mu), w_n >= 0, complementary.

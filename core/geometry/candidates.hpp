@@ -34,6 +34,12 @@ inline int feature_j(std::int64_t n) { return static_cast<int>(n & 0xFFFFF); }
 
 inline bool feature_on_b(std::int64_t n) { return (n >> 40) % 2 == 0; }
 
+// The material point at a quarter of the rim of a kRimA or kRimB feature, over the same face.
+inline std::int64_t rim_quarter(std::int64_t lowest, int quarter) {
+  const Feature kind = feature_on_b(lowest) ? Feature::kRimPointB : Feature::kRimPointA;
+  return feature_number(kind, feature_i(lowest) * kRimPoints + quarter * (kRimPoints / 4), feature_j(lowest));
+}
+
 int feature_rim(std::int64_t n);  // the cylinder's rim that it belongs to, -1: none
 
 struct Candidate {

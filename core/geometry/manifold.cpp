@@ -136,6 +136,18 @@ void edge_gap(const ContactPoint& p, const Placements& at, Contact& contact) {
   contact.body_b = p.point_body;
 }
 
+// Whether a vertex, or the lowest point of a rim, lies over the face of its feature.
+bool is_over(const Parts& parts, const ContactPoint& point, const Placements& at) {
+  if (parts.plane->is_unbounded()) return true;
+  const ShapeFeatures::Face& face = parts.plane->faces[parts.face];
+  Vec3 x = point_W(at, point.point_body, point.center_B);
+  if (point.kind == PointKind::kRim) {
+    const Vec3 n = parts.plane_pose->R * face.normal;
+    x = lowest_of_rim(x, turned_W(at, point.point_body, point.axis_B), point.rim_radius, n);
+  }
+  return outside_of(*parts.plane, face, parts.plane_pose->into(x)) <= kStay * kBorder;
+}
+
 }  // namespace
 
 // The candidate with the least gap that is no persistent contact.
@@ -385,13 +397,12 @@ bool Manifolds::valid(const ContactPoint& point, const Placements& at) const {
     if (point.kind == PointKind::kRim && kStay * tilt <= kUpright) return false;
     if (point.kind == PointKind::kVertex && tilt > kStay * kUpright) return false;
   }
-  if (parts.plane->is_unbounded()) return true;
-  Vec3 x = point_W(at, point.point_body, point.center_B);
-  if (point.kind == PointKind::kRim) {
-    const Vec3 n = parts.plane_pose->R * face.normal;
-    x = lowest_of_rim(x, turned_W(at, point.point_body, point.axis_B), point.rim_radius, n);
-  }
-  return outside_of(*parts.plane, face, parts.plane_pose->into(x)) <= kStay * kBorder;
+  return is_over(parts, point, at);
+}
+
+bool Manifolds::is_over_face(const ContactPoint& point, const Placements& at) const {
+  const PairView v = view(point.guard, at);
+  return is_over(parts_of(v, point.feature), point, at);
 }
 
 // Gap of the point of a rim that was farthest from the plane, as long as the rim is nearly flat; infinite otherwise. It

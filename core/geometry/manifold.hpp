@@ -87,6 +87,8 @@ class Manifolds {
 
   // False where another feature touches instead: a vertex slid off its face, an edge off its edge, a flat rim tilted.
   bool valid(const ContactPoint& point, const Placements& at) const;
+  // Whether a vertex or the lowest point of a rim lies over the face of its feature, touching or not.
+  bool is_over_face(const ContactPoint& point, const Placements& at) const;
 
   // Least gap [m] over the features of the pair that may touch next while the `persistent` points touch; +infinity if
   // there are none. contact: of that feature. To features that touch merely because the persistent points do (further
@@ -95,6 +97,9 @@ class Manifolds {
   // flat closes 5e-12 m early.
   double next_gap(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                   const Contact& witness, Contact& contact);
+
+  // Whether coal's point is the only one of the pair.
+  bool is_single(int pair) const { return shapes_[pair].single; }
 
   // Largest error of coal's distance of the pair, against that of its features [m].
   double noise(int pair) const { return shapes_[pair].noise; }

@@ -37,8 +37,8 @@ bool PoissonImpact::cone(const VecX& start, bool expansion, double share, const 
   return (result.ok || result.residual <= kAccept) && lambda.allFinite();
 }
 
-BlockResult PoissonImpact::solve(const std::vector<BlockMember>& members, const VecX& p) {
-  BlockResult result;
+PoissonResult PoissonImpact::solve(const std::vector<BlockMember>& members, const VecX& p) {
+  PoissonResult result;
   int rows = 0;
   cones_.clear();
   bool elastic = false;

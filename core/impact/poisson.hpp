@@ -53,7 +53,7 @@ struct BlockMember {
   double e;
 };
 
-struct BlockResult {
+struct PoissonResult {
   bool ok = false;
   VecX lambda;  // impulses of all rows, member after member
   VecX gamma_minus, gamma_plus;
@@ -64,7 +64,7 @@ struct BlockResult {
 
 class PoissonImpact {
  public:
-  BlockResult solve(const std::vector<BlockMember>& members, const VecX& p);
+  PoissonResult solve(const std::vector<BlockMember>& members, const VecX& p);
 
  private:
   bool cone(const VecX& start, bool expansion, double share, const std::vector<BlockMember>& members, VecX& lambda);

@@ -146,7 +146,7 @@ bool ImpactSequence::impact_at_point(ClosedGuard& closed, double e, const Instan
 
 // The impulse of an implicit map for an impact with friction or several points: the normal impulses on all points are
 // scaled by one factor.
-ImpactResult ImpactSequence::correct_impulse(const ClosedGuard& closed, const BlockResult& block, double e,
+ImpactResult ImpactSequence::correct_impulse(const ClosedGuard& closed, const PoissonResult& block, double e,
                                              const Instant& at, VecX& p) {
   ImpactResult ctec;
   ctec.ok = true;
@@ -195,7 +195,7 @@ bool ImpactSequence::impact_of_contact(ClosedGuard& closed, double e, const Inst
   if (options_.stiff_support)
     for (int i = 0; i < count_; ++i)
       if (closed_[i].persistent && &closed_[i] != &closed) members.push_back({&closed_[i], 0.0});
-  const BlockResult block = poisson_.solve(members, p);
+  const PoissonResult block = poisson_.solve(members, p);
   if (!block.ok) return fail_unsolved("an impact with friction was not solved", closed.guard);
   reference_->value -= block.loss;
   VecX p_minus = p;
@@ -247,7 +247,7 @@ bool ImpactSequence::plastic_impact(const std::vector<char>& plastic, bool all, 
     members.push_back({&c, 0.0});
   }
   if (!any) return true;
-  const BlockResult block = poisson_.solve(members, p);
+  const PoissonResult block = poisson_.solve(members, p);
   if (!block.ok) return fail_unsolved("a plastic impact was not solved", members[0].closed->guard);
   reference_->value -= block.loss;
   int row = 0;

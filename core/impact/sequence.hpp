@@ -75,7 +75,7 @@ class ImpactSequence {
   bool impact_of_contact(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
   bool plastic_impact(const std::vector<char>& plastic, bool all, const Instant& at, double scale, VecX& p, bool& any,
                       Recording& recording);
-  ImpactResult correct_impulse(const ClosedGuard& closed, const BlockResult& block, double e, const Instant& at,
+  ImpactResult correct_impulse(const ClosedGuard& closed, const PoissonResult& block, double e, const Instant& at,
                                VecX& p);
   bool leaves_friction_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const;
   ImpactResult apply_map(const ImpactProblem& problem, VecX& p) const;

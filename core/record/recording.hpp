@@ -85,6 +85,16 @@ struct ChangeRecord {
   double value;
 };
 
+// The kinds of steps in Recording::phase_kind. The numbers are those of stored runs.
+enum class StepKind : int { kFree = 0, kPersistent = 1, kDense = 2 };
+
+// A dense step: how exactly its law holds, and what it took (contact/dense_step.hpp, DenseReport).
+struct DenseRecord {
+  double time, h, residual, gap, energy_rise, energy_loss, energy_error;
+  int contacts, repaired;
+  long step;
+};
+
 struct Recording {
   std::vector<double> t, q, p;  // row-major (N, nq), (N, nv)
   // Per node: work since the reset [J], four kinds (Simulator::Work); mean forces of the constraints since the node
@@ -95,39 +105,41 @@ struct Recording {
   std::vector<double> adaptive_t, adaptive_dt;  // of run_auto: start and step of each smooth piece of the motion [s]
   ContactRows contacts;
   std::vector<ChangeRecord> changes;
-  // Where the kind or the length of the steps changes: from phase_t on steps of length phase_dt, with persistent
-  // contacts (1) or without (0).
+  std::vector<DenseRecord> dense;
+  // Where the kind or the length of the steps changes: from phase_t on steps of length phase_dt and of kind phase_kind
+  // (StepKind).
   std::vector<double> phase_t, phase_dt;
-  std::vector<int> phase_persistent;
+  std::vector<int> phase_kind;
 
-  // From `time` [s] on steps have the length dt [s], with persistent contacts or without. first_dt: that of the steps
-  // before the first entry, which have none.
-  void enter_phase(double time, double dt, bool persistent, double first_dt) {
-    const int kind = persistent ? 1 : 0;
-    if (!phase_t.empty() && phase_persistent.back() == kind && phase_dt.back() == dt) return;
-    if (phase_t.empty() && !t.empty() && t.front() < time) push_phase(t.front(), first_dt, 0);
+  // From `time` [s] on steps are of this kind and have the length dt [s]. first_dt: that of the steps before the first
+  // entry, which are free.
+  void enter_phase(double time, double dt, StepKind kind, double first_dt) {
+    if (!phase_t.empty() && phase_kind.back() == static_cast<int>(kind) && phase_dt.back() == dt) return;
+    if (phase_t.empty() && !t.empty() && t.front() < time) push_phase(t.front(), first_dt, StepKind::kFree);
     push_phase(time, dt, kind);
   }
-  void push_phase(double time, double dt, int kind) {
+  void push_phase(double time, double dt, StepKind kind) {
     phase_t.push_back(time);
     phase_dt.push_back(dt);
-    phase_persistent.push_back(kind);
+    phase_kind.push_back(static_cast<int>(kind));
   }
-  // Forgets impacts, contacts, changes and phases, and keeps their memory.
+  // Forgets impacts, contacts, changes, dense steps and phases, and keeps their memory.
   void clear() {
     impacts.clear();
     contacts.cut(0);
     changes.clear();
+    dense.clear();
     phase_t.clear();
     phase_dt.clear();
-    phase_persistent.clear();
+    phase_kind.clear();
   }
   // The amount recorded so far, to which cut() returns.
   struct Mark {
-    std::size_t nodes, impacts, segments, contacts, changes, phases;
+    std::size_t nodes, impacts, segments, contacts, changes, phases, dense;
   };
   Mark mark() const {
-    return {t.size(), impacts.size(), segments.t.size(), contacts.t.size(), changes.size(), phase_t.size()};
+    return {t.size(),       impacts.size(), segments.t.size(), contacts.t.size(),
+            changes.size(), phase_t.size(), dense.size()};
   }
   void cut(const Mark& mark) {
     const std::size_t nodes = t.size() > 0 ? t.size() : 1;
@@ -150,7 +162,8 @@ struct Recording {
     changes.resize(mark.changes);
     phase_t.resize(mark.phases);
     phase_dt.resize(mark.phases);
-    phase_persistent.resize(mark.phases);
+    phase_kind.resize(mark.phases);
+    dense.resize(mark.dense);
   }
 };
 

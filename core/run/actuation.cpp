@@ -13,14 +13,16 @@ double bound(const VecX& limits, int dof) { return limits.size() > 0 ? limits[do
 
 }  // namespace
 
-Actuation::Actuation(const Tree& tree, ActuatorState& state, Integrator& free, ContactStep& contact)
-    : tree_(&tree), state_(&state), free_(&free), contact_(&contact), v_(tree.nv) {}
+Actuation::Actuation(const Tree& tree, ActuatorState& state, Integrator& free, ContactStep& contact,
+                     DenseStep& dense)
+    : tree_(&tree), state_(&state), free_(&free), contact_(&contact), dense_(&dense), v_(tree.nv) {}
 
 void Actuation::start() {
   state_->saturated = 0;
   state_->servo.any = false;
   free_->set_servo(&state_->servo);
   contact_->set_servo(&state_->servo);
+  dense_->set_servo(&state_->servo);
 }
 
 void Actuation::set(const VecX& tau, const MatX& target, long k, const VecX& q, const VecX& p) {
@@ -90,6 +92,7 @@ void Actuation::apply_servo() {
   const Servo* servo = tree_->elements.servo_kp.size() > 0 ? &state_->servo : nullptr;
   free_->set_servo(servo);
   contact_->set_servo(servo);
+  dense_->set_servo(servo);
 }
 
 bool Actuation::saturate_servos(const StepEquations& step) {

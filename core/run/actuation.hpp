@@ -2,6 +2,7 @@
 #pragma once
 
 #include "contact/contact_step.hpp"
+#include "contact/dense_step.hpp"
 #include "step/integrator.hpp"
 
 namespace contactvi {
@@ -15,8 +16,8 @@ struct ActuatorState {
 
 class Actuation {
  public:
-  // The servo of `state` acts in the steps of both, from the first limit() on.
-  Actuation(const Tree& tree, ActuatorState& state, Integrator& free, ContactStep& contact);
+  // The servo of `state` acts in the steps of all three, from the first limit() on.
+  Actuation(const Tree& tree, ActuatorState& state, Integrator& free, ContactStep& contact, DenseStep& dense);
 
   void start();
   // Sets the input and, if target has rows, the references of the servos (its row k) for the next control step that
@@ -40,6 +41,7 @@ class Actuation {
   ActuatorState* state_;
   Integrator* free_;
   ContactStep* contact_;
+  DenseStep* dense_;
   VecX v_;
 };
 

@@ -133,7 +133,8 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   }
   const double whole = interval.remaining / std::max(1.0, std::ceil(interval.remaining / nominal - 1e-9));
   const double h = std::min(whole, state_.control.contact.longest);
-  record_phase(at, nominal, true, recording);
+  record_phase(at, nominal, StepKind::kPersistent, recording);
+  ++event_count_.contact_parts;
   contact_step_.set_nominal(nominal);
   double alpha = 1.0;
   bool hit = false, again = false;

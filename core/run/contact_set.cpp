@@ -102,6 +102,38 @@ void ContactSet::keep_point(const ClosedGuard& c, int k) {
   step_->contacts().push_back(persistent);
 }
 
+bool ContactSet::follow(const DenseStep& dense, double time, Recording& recording) {
+  guards_->place(dense.end_configuration());
+  v_ = dense.end_velocity();
+  bool changed = false;
+  previous_.swap(step_->contacts());
+  std::vector<PersistentContact>& now = step_->contacts();
+  now.clear();
+  for (const DenseContact& c : dense.contacts()) {
+    changed |= c.expands;
+    // Several points of one feature, a rim's, persist as one.
+    if (!(c.position[0] + c.velocity[0] > 0.0) || !c.closed || c.expands ||
+        find_contact(now, c.point.guard, c.point) != nullptr)
+      continue;
+    PersistentContact persistent = make_persistent(c.point, c.at1, c.slip_W);
+    const bool is_vertex = c.point.kind == PointKind::kVertex && c.point.plane_body >= 0;
+    persistent.tangent =
+        is_vertex ? Vec3(guards_->placements().R_W[c.point.plane_body].transpose() * c.t1_1) : c.t1_1;
+    persistent.force = (c.position + c.velocity) / dense.h();
+    if (find_contact(previous_, c.point.guard, c.point) == nullptr) {
+      record_change(time, c.point, Change::kBegin, 0.0, recording);
+      changed = true;
+    }
+    now.push_back(persistent);
+  }
+  for (const PersistentContact& old : previous_) {
+    if (find_contact(now, old.point.guard, old.point) != nullptr) continue;
+    record_change(time, old.point, Change::kRelease, 0.0, recording);
+    changed = true;
+  }
+  return changed;
+}
+
 void ContactSet::close_contacts(int forced, double time, const VecX& tau, Recording& recording) {
   guards_->place(run_->q);
   integrator_->node_velocity(run_->q, run_->p, v_);

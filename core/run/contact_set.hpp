@@ -2,6 +2,7 @@
 #pragma once
 
 #include "contact/contact_step.hpp"
+#include "contact/dense_step.hpp"
 #include "event/finder.hpp"
 #include "impact/sequence.hpp"
 #include "run/run_state.hpp"
@@ -30,6 +31,9 @@ class ContactSet {
   // Releases the contacts that have separated in the contact step just accepted; `releasing` is the one whose force has
   // come to zero (-1: none).
   void release_separated(int releasing, double time, Recording& recording);
+  // The set after a dense step that ends at `time`: what it has left closed and loaded. True if a contact began, ended or
+  // closed fast.
+  bool follow(const DenseStep& step, double time, Recording& recording);
   // Releases contact `i` before a step.
   void release(int i, double time, Recording& recording);
   // Tells the guards which of their points are persistent contacts, after a change of the set.

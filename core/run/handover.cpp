@@ -14,6 +14,10 @@ void Simulator::hand_over(Handover& to) const {
   for (int g = 0; g < guards_.count(); ++g)
     if (finder_.touching(g)) to.touching.push_back(g);
   to.exempt = finder_.exempted();
+  to.dense = state_.dense;
+  to.impulses = dense_step_.memory().impulses;
+  to.change = dense_step_.memory().change;
+  to.change_h = dense_step_.memory().h;
   to.separated = state_.separated;
   to.flights = state_.flights.entries();
   to.anchors.clear();
@@ -40,7 +44,8 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
   s.actuators.saturated = 0;
   s.actuators.servo.any = false;
   s.work.start(t, scene_->tree.elements.constraint_rows, does_work_);
-  s.impacts = s.rejected = 0;
+  s.dense = from.dense;
+  s.impacts = s.rejected = s.dense_steps = 0;
   s.contact_seconds = 0.0;
   actuation_.start();
   recall(fresh);
@@ -51,13 +56,18 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
     contact_step_.friction_joints()[k].anchored = from.anchors[k].first;
     contact_step_.friction_joints()[k].anchor = from.anchors[k].second;
   }
+  DenseStep::Memory dense = fresh.dense_step;
+  dense.impulses = from.impulses;
+  dense.change = from.change;
+  dense.h = from.change_h;
+  dense_step_.recall(dense);
   for (int g : from.touching) finder_.set_touching(g, true);
   for (int g : from.exempt) finder_.exempt(g);
   law_->start_run(free_state(), s.reference);
 }
 
 void Simulator::forget_counts() {
-  state_.impacts = state_.control.halved = state_.actuators.saturated = 0;
+  state_.impacts = state_.dense_steps = state_.control.halved = state_.actuators.saturated = 0;
   state_.contact_seconds = 0.0;
   state_.work.clear();
 }

@@ -41,6 +41,7 @@ Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> tree
   odometer_.assign(numbers_->geometries.size(), 0.0);
   engine_->follow_motion();
   depends_on_time_ = depends_on_time(engine_->scene().tree.elements);
+  for (int d : numbers_->v) dof_tree_.push_back(all.of_joint(whole.tree.dof_joint[d]));
 }
 
 Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, Simulator& engine)
@@ -53,6 +54,7 @@ Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> tree
   odometer_.assign(numbers_->geometries.size(), 0.0);
   engine_->follow_motion();
   depends_on_time_ = depends_on_time(engine_->scene().tree.elements);
+  for (int d : numbers_->v) dof_tree_.push_back(all.of_joint(whole.tree.dof_joint[d]));
 }
 
 int Island::local_guard(int guard) const { return position(numbers_->guards, guard); }
@@ -113,10 +115,46 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose,
         from.flights, [](const Flights::Entry& f) { return f.first; },
         [&](const Flights::Entry& f, int guard) { to.flights.emplace_back(guard, f.second); });
   }
+  take_dense(loose);
   to.anchors.clear();
   for (int k : numbers_->friction) to.anchors.push_back(anchors[k]);
   engine_->take_over(to, fresh_, t, start_time);
   rests_ = 0;
+}
+
+// What dense steps carry: they go on where one of the trees had them.
+void Island::take_dense(std::vector<LooseState>& loose) {
+  Handover& to = handover_;
+  to.dense = loose[trees_[0]].dense;
+  to.impulses.clear();
+  to.change.resize(static_cast<Eigen::Index>(numbers_->v.size()));
+  to.change_h = loose[trees_[0]].change_h;
+  std::size_t known = 0;
+  for (int tree : trees_) {
+    LooseState& from = loose[tree];
+    to.dense.active |= from.dense.active;
+    to.dense.quiet = std::min(to.dense.quiet, from.dense.quiet);
+    to.dense.wanted = std::max(to.dense.wanted, from.dense.wanted);
+    to.dense.since_return = std::min(to.dense.since_return, from.dense.since_return);
+    std::size_t kept = 0;
+    for (DenseStep::Impulse& impulse : from.impulses) {
+      const int guard = local_guard(impulse.guard);
+      if (guard < 0) {
+        from.impulses[kept++] = impulse;
+      } else {
+        to.impulses.push_back(impulse);
+        to.impulses.back().guard = guard;
+      }
+    }
+    from.impulses.resize(kept);
+    for (const auto& [dof, change] : from.change)
+      if (from.change_h == to.change_h) {
+        to.change[position(numbers_->v, dof)] = change;
+        ++known;
+      }
+    from.change.clear();
+  }
+  if (known < numbers_->v.size()) to.change.resize(0);
 }
 
 void Island::file(const Handover& from, std::vector<LooseState>& loose,
@@ -129,6 +167,9 @@ void Island::file(const Handover& from, std::vector<LooseState>& loose,
     loose[tree].control = from.control;
     loose[tree].largest_speed = from.largest_speed;
     loose[tree].kinetic = tree == trees_[0] ? from.kinetic : 0.0;
+    loose[tree].dense = from.dense;
+    loose[tree].change.clear();
+    loose[tree].change_h = from.change_h;
   }
   for (PersistentContact contact : from.contacts) {
     LooseState& to = home(contact.point.guard);
@@ -136,6 +177,13 @@ void Island::file(const Handover& from, std::vector<LooseState>& loose,
     number_bodies(contact.point, false);
     to.contacts.push_back(contact);
   }
+  for (DenseStep::Impulse impulse : from.impulses) {
+    LooseState& to = home(impulse.guard);
+    impulse.guard = numbers_->guards[impulse.guard];
+    to.impulses.push_back(impulse);
+  }
+  for (Eigen::Index d = 0; d < from.change.size(); ++d)
+    loose[dof_tree_[d]].change.emplace_back(numbers_->v[d], from.change[d]);
   for (int g : from.touching) home(g).touching.push_back(numbers_->guards[g]);
   for (int g : from.exempt) home(g).exempt.push_back(numbers_->guards[g]);
   for (const SeparatedPoint& s : from.separated)
@@ -183,6 +231,10 @@ void Island::repeat_record(long step, double t, double length) {
   std::fill(rows.h.begin(), rows.h.end(), length);
   std::fill(rows.step.begin(), rows.step.end(), step);
   std::fill(recording_.phase_t.begin(), recording_.phase_t.end(), t);
+  for (DenseRecord& dense : recording_.dense) {
+    dense.time = t;
+    dense.step = step;
+  }
 }
 
 // Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay.
@@ -192,8 +244,7 @@ void Island::count_rest() {
     rests = engine_->guards().odometer(static_cast<int>(k)) - odometer_[k] <= kStill;
   const std::vector<double>& starts = recording_.contacts.t;
   for (double t : starts) rests = rests && t == starts.front();
-  for (const PersistentContact& contact : engine_->contact_step().contacts())
-    rests = rests && (contact.mu == 0.0 || contact.sticks);
+  for (int mode : recording_.contacts.mode) rests = rests && mode != static_cast<int>(ContactMode::kSlips);
   rests_ = rests ? rests_ + 1 : 0;
 }
 

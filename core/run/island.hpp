@@ -17,6 +17,10 @@ struct LooseState {
   std::vector<int> touching, exempt;
   std::vector<SeparatedPoint> separated;
   std::vector<Flights::Entry> flights;
+  DensePhase dense;
+  std::vector<DenseStep::Impulse> impulses;
+  std::vector<std::pair<int, double>> change;  // dof and change of its velocity in the last dense step
+  double change_h = 1.0;
 };
 
 class Island {
@@ -70,6 +74,7 @@ class Island {
   bool set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref);
   void repeat_record(long step, double t, double length);
   void count_rest();
+  void take_dense(std::vector<LooseState>& loose);
   void file(const Handover& from, std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) const;
   void number_bodies(ContactPoint& point, bool into) const;
   int local_guard(int guard) const;
@@ -80,6 +85,7 @@ class Island {
   std::unique_ptr<Simulator> own_;
   Simulator* engine_;
   std::vector<std::pair<int, int>> guard_trees_;  // of its guards
+  std::vector<int> dof_tree_;                     // of its dofs
   EngineMemory fresh_;
   Handover before_, handover_;
   Recording recording_;
@@ -96,6 +102,7 @@ void Island::each_bond(Join join) const {
   if (trees_.size() < 2) return;
   const auto bind = [&](int guard) { join(guard_trees_[guard].first, guard_trees_[guard].second); };
   for (const PersistentContact& contact : engine_->contact_step().contacts()) bind(contact.point.guard);
+  for (const DenseStep::Impulse& impulse : engine_->dense_step().memory().impulses) bind(impulse.guard);
   for (int g = 0; g < static_cast<int>(guard_trees_.size()); ++g)
     if (engine_->touches(g)) bind(g);
   for (const SeparatedPoint& point : std::as_const(*engine_).state().separated) bind(point.first);

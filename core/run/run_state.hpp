@@ -7,10 +7,12 @@
 
 #include "base/error.hpp"
 #include "contact/contact_step.hpp"
+#include "contact/dense_step.hpp"
 #include "event/finder.hpp"
 #include "impact/impact_law.hpp"
 #include "record/recording.hpp"
 #include "run/actuation.hpp"
+#include "run/dense_phase.hpp"
 #include "run/step_control.hpp"
 #include "run/work_account.hpp"
 #include "run/zeno_detector.hpp"
@@ -37,7 +39,8 @@ struct RunState {
   double kinetic = 0;                         // kinetic energy at the end of the last contact step [J]
   ActuatorState actuators;
   WorkAccount work;
-  long impacts = 0, rejected = 0;
+  DensePhase dense;
+  long impacts = 0, rejected = 0, dense_steps = 0;
   double contact_seconds = 0;
 };
 
@@ -45,6 +48,7 @@ struct RunState {
 struct EngineMemory {
   Integrator::Memory integrator;
   ContactStep::Memory contact_step;
+  DenseStep::Memory dense_step;
   EventFinder::Memory finder;
   Guards::Memory guards;
   bool searched_contact_step = false;  // whether the finder searched a contact step last
@@ -60,6 +64,10 @@ struct Handover {
   std::vector<int> touching, exempt;  // guards, as the event finder knows them
   std::vector<SeparatedPoint> separated;
   std::vector<Flights::Entry> flights;
+  DensePhase dense;
+  std::vector<DenseStep::Impulse> impulses;  // of the last dense step
+  VecX change;                               // of the velocity in it; empty: not known
+  double change_h = 1.0;                     // its length [s]
   std::vector<std::pair<bool, double>> anchors;  // of the joints with friction: whether one sticks, and where
 };
 

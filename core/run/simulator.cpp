@@ -33,12 +33,13 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       guards_(scene, options.contact_points),
       finder_(scene, integrator_, guards_),
       contact_step_(scene, guards_, guards_.manifolds(), options.tol),
+      dense_step_(scene, guards_),
       sequence_(
           scene, integrator_, guards_,
           {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step, options.record_contacts}),
       path_(scene.tree, options.stages),
       contact_path_(scene.tree, 1),
-      actuation_(scene.tree, state_.actuators, integrator_, contact_step_),
+      actuation_(scene.tree, state_.actuators, integrator_, contact_step_, dense_step_),
       zeno_(scene, dissipative_, allows_persistent_contact()),
       contacts_(scene, state_, integrator_, guards_, finder_, contact_step_, sequence_),
       changes_(state_, contact_step_, contact_path_),
@@ -73,6 +74,8 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   integrator_.set_time(t);
   contact_step_.contacts().clear();
   contact_step_.restart();
+  state_.dense.active = options_.contact_steps == ContactSteps::kDense && allows_dense_steps();
+  dense_step_.restart();
   contact_step_.set_time(t);
   contact_step_.set_nominal(options_.dt);
   contact_step_.counters = ContactStepCounters();
@@ -98,7 +101,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
       return state_.status;
     }
   }
-  if (allows_persistent_contact()) contacts_.close_contacts_at_start();
+  if (allows_persistent_contact() && !state_.dense.active) contacts_.close_contacts_at_start();
   return state_.status;
 }
 
@@ -109,8 +112,8 @@ void Simulator::record_node(double t, Recording& recording) {
   state_.work.record_node(t, recording);
 }
 
-void Simulator::record_phase(double time, double dt, bool persistent, Recording& recording) const {
-  recording.enter_phase(time, dt, persistent, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt);
+void Simulator::record_phase(double time, double dt, StepKind kind, Recording& recording) const {
+  recording.enter_phase(time, dt, kind, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt);
 }
 
 // The step of length h from the state, whose rates are in rates_.
@@ -210,11 +213,27 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   long parts = 0;
   sequence_.begin_step();
   changes_.begin_interval();
+  event_count_ = EventCount();
+  const std::size_t changes = recording.changes.size();
+  const bool dense_allowed = allows_dense_steps();
+  if (state_.dense.active && dense_may_end()) end_dense_phase();
+  if (!state_.dense.active) ++state_.dense.since_return;
   law_->start_step(state_.q, state_.p, state_.reference);
   while (interval.remaining > 0.0) {
-    if (++parts % 64 == 0 && !report_progress(start + interval.done)) return false;
-    if (parts > 1) actuation_.limit(state_.q, state_.p);
-    if (!(contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording)))
+    if (parts++ > 0) {
+      if (!report_progress(start + interval.done)) return false;
+      actuation_.limit(state_.q, state_.p);
+    }
+    if (state_.dense.active) {
+      if (!advance_dense(interval, recording)) return false;
+      continue;
+    }
+    const bool going =
+        contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
+    event_count_.changes = static_cast<int>(recording.changes.size() - changes);
+    if (dense_allowed && (going ? events_accumulate() : dense_steps_go_on()))
+      begin_dense_phase();
+    else if (!going)
       return false;
   }
   if (!state_.q.allFinite() || !state_.p.allFinite())
@@ -227,7 +246,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   StepControl& control = state_.control;
   const double at = interval.start + interval.done;
   if (!recording.phase_t.empty())
-    record_phase(at, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt, false, recording);
+    record_phase(at, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt, StepKind::kFree, recording);
   const double longest = control.longest_free();
   const bool shorter = longest < interval.remaining * (1.0 - 1e-9);
   const double h = shorter ? longest : interval.remaining;
@@ -330,7 +349,9 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
   zeno_.find_accumulating_impacts(state_.flights, sequence_, time, shortest_nominal_step());
   // A contact that has separated by rounding only has no impact with the closing speed that rounding has left.
   const bool rounding = (stays_closed || touched) && scale <= kSeparated * state_.largest_speed;
+  const long impacts_before = state_.impacts;
   const bool ran = rounding || run_impacts(now, recording);
+  if (sequence_.count() > 1) event_count_.coupled_impacts += state_.impacts - impacts_before;
   if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
   if (!zeno_.update_bouncing(state_.flights, sequence_, time, shortest_nominal_step(), state_.adaptive_dt, recording)) {

@@ -26,6 +26,7 @@ struct SimulatorOptions {
   int contact_points = 4;      // of a pair, at most
   bool record_contacts = true;
   bool islands = true;  // islands are advanced one by one where that is possible (run/world.hpp)
+  ContactSteps contact_steps = ContactSteps::kAuto;
 };
 
 // Called about ten times a second with (time [s], impacts so far); false asks the run to stop.
@@ -75,6 +76,7 @@ class Simulator {
   RunState& state() { return state_; }
   Guards& guards() { return guards_; }
   const ContactStep& contact_step() const { return contact_step_; }
+  const DenseStep& dense_step() const { return dense_step_; }
   // Whether a guard is closed, within tolerance, or has just opened.
   bool touches(int guard) const { return finder_.touching(guard); }
   Integrator& integrator() { return integrator_; }
@@ -103,7 +105,7 @@ class Simulator {
   bool solve_smooth_step(double time, double h, const VecX& tau, bool last_try);
   void start_recording(const Progress& progress, Recording& recording);
   void record_node(double t, Recording& recording);
-  void record_phase(double time, double dt, bool persistent, Recording& recording) const;
+  void record_phase(double time, double dt, StepKind kind, Recording& recording) const;
   void record_segment(double t, double h, const VecX& p1, Recording& recording);
   bool report_progress(double time);
   bool end_failed_search(Search outcome, double time);
@@ -135,6 +137,17 @@ class Simulator {
   double current_dt() const { return contact_step_.contacts().empty() ? options_.dt : contact_dt(); }
   double contact_dt() const { return options_.dt_contact > 0.0 ? options_.dt_contact : options_.dt; }
 
+  // dense_phase.cpp: dense steps, and the decision between them and located events.
+  bool allows_dense_steps() const;
+  bool events_accumulate() const;
+  bool dense_steps_go_on() const;
+  bool dense_may_end() const;
+  void begin_dense_phase();
+  void end_dense_phase();
+  bool advance_dense(Interval& interval, Recording& recording);
+  void accept_dense_step(double time, double h, Recording& recording);
+  void record_dense_contact(const DenseContact& c, double time, double h, Recording& recording) const;
+
   bool end(StatusCode code, double time, std::string message, int guard = -1);
 
   const Scene* scene_;
@@ -146,6 +159,8 @@ class Simulator {
   Guards guards_;
   EventFinder finder_;
   ContactStep contact_step_;
+  DenseStep dense_step_;
+  EventCount event_count_;
   ImpactSequence sequence_;
   StepPath path_, contact_path_;
   Actuation actuation_;

@@ -4,8 +4,8 @@
 namespace contactvi {
 
 EngineMemory Simulator::memory() {
-  return {integrator_.memory(), contact_step_.memory(), finder_.memory(), guards_.memory(),
-          finder_.stepper() == &contact_step_};
+  return {integrator_.memory(), contact_step_.memory(), dense_step_.memory(),
+          finder_.memory(),     guards_.memory(),       finder_.stepper() == &contact_step_};
 }
 
 Snapshot Simulator::snapshot() {
@@ -18,6 +18,7 @@ void Simulator::recall(const EngineMemory& memory) {
   contact_step_.contacts() = memory.contact_step.contacts;
   contacts_.update_persistent_guards();
   contact_step_.recall(memory.contact_step);
+  dense_step_.recall(memory.dense_step);
   integrator_.recall(memory.integrator);
   finder_.set_stepper(memory.searched_contact_step ? static_cast<Stepper&>(contact_step_)
                                                    : static_cast<Stepper&>(integrator_));

@@ -28,6 +28,12 @@ void WorkAccount::add(const ContactStep& step) {
   if (step.constrained()) reactions_ += step.constraint_impulses();
 }
 
+void WorkAccount::add(const DenseStep& step) {
+  input_ += step.integrator().input_work();
+  damping_ += step.integrator().damping_loss();
+  joint_friction_ += step.joint_friction_loss();
+}
+
 void WorkAccount::add(const ImpactSequence& impacts) {
   reactions_ += impacts.constraint_impulses();
   driven_ += impacts.driven_work();

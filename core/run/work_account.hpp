@@ -3,6 +3,7 @@
 #pragma once
 
 #include "contact/contact_step.hpp"
+#include "contact/dense_step.hpp"
 #include "impact/sequence.hpp"
 #include "record/recording.hpp"
 #include "step/integrator.hpp"
@@ -23,6 +24,7 @@ class WorkAccount {
   FreeWork of(const Integrator& integrator) const;
   void add(const FreeWork& work);
   void add(const ContactStep& step);
+  void add(const DenseStep& step);
   void add(const ImpactSequence& impacts);
   // Adds what another account has counted since it was last taken; rows: its constraint rows in this one's numbers.
   void take(WorkAccount& part, const std::vector<int>& rows);

@@ -328,24 +328,22 @@ void World::add_contact(const Entry& entry, Recording& recording) {
                           three(from.slip));
 }
 
-// The world has persistent contacts where some island has.
+// The kind of the world's steps is the highest one of its islands.
 void World::merge_phases(double t, Recording& recording) {
-  double begins = std::numeric_limits<double>::infinity(), dt = 0.0;
+  int kind = static_cast<int>(StepKind::kFree);
+  double begins = t, dt = options_.dt;
   for (Island* island : islands_) {
     const Recording& part = island->recording();
     for (std::size_t k = 0; k < part.phase_t.size(); ++k) {
-      if (part.phase_persistent[k] == 0 || part.phase_t[k] >= begins) continue;
+      if (part.phase_kind[k] < kind || (part.phase_kind[k] == kind && part.phase_t[k] >= begins)) continue;
+      kind = part.phase_kind[k];
       begins = part.phase_t[k];
       dt = part.phase_dt[k];
     }
   }
-  const bool any = std::isfinite(begins);
-  if (any) {
-    if (begins > t && !recording.phase_t.empty()) recording.enter_phase(t, options_.dt, false, options_.dt);
-    recording.enter_phase(begins, dt, true, options_.dt);
-  } else if (!recording.phase_t.empty()) {
-    recording.enter_phase(t, options_.dt, false, options_.dt);
-  }
+  if (kind == static_cast<int>(StepKind::kFree) && recording.phase_t.empty()) return;
+  if (begins > t && !recording.phase_t.empty()) recording.enter_phase(t, options_.dt, StepKind::kFree, options_.dt);
+  recording.enter_phase(begins, dt, static_cast<StepKind>(kind), options_.dt);
 }
 
 void World::merge_recordings(double t, double length, Recording& recording) {
@@ -362,6 +360,9 @@ void World::merge_recordings(double t, double length, Recording& recording) {
           change.guard = entry.island->numbers().guards[change.guard];
           recording.changes.push_back(change);
         });
+  merge([](const Recording& r) { return r.dense.size(); },
+        [](const Recording& r, std::size_t i) { return r.dense[i].time; },
+        [&](const Entry& entry) { recording.dense.push_back(entry.island->recording().dense[entry.row]); });
   merge_phases(t, recording);
 }
 
@@ -374,6 +375,7 @@ void World::accept(double t, double length, Recording& recording) {
     RunState& part = island->engine().state();
     state_.work.take(part.work, island->numbers().constraint_rows);
     state_.impacts += part.impacts;
+    state_.dense_steps += part.dense_steps;
     state_.control.halved += part.control.halved;
     state_.actuators.saturated += part.actuators.saturated;
     state_.contact_seconds += part.contact_seconds;

@@ -1,0 +1,261 @@
+#include "cone/block_solver.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "cone/block_factor.hpp"
+#include "cone/block_interior_point.hpp"
+#include "cone/block_newton.hpp"
+#include "cone/block_normals.hpp"
+#include "cone/block_system.hpp"
+#include "cone/slip_speeds.hpp"
+
+namespace contactvi {
+
+namespace {
+
+constexpr int kBetweenChecks = 5;      // sweeps
+constexpr int kSweepsAfter = 3;        // an interior point
+constexpr int kConvexIterations = 30;  // factorizations of one convex problem
+constexpr int kNormalIterations = 25;  // and of the normal problem
+constexpr double kConvexStart = 10.0;  // distance from the central path over the residual
+constexpr double kConvexShare = 0.1;   // residual of the convex problem over that of the law
+constexpr double kSafeTolerance = 1e-8;
+constexpr double kRepairTolerance = 1e-9;
+constexpr double kSlow = 0.7;       // share of the residual that is left: above, a round was of little use
+constexpr int kSlowRounds = 4;      // until an answer that can be accepted is
+constexpr double kFarBetter = 0.3;  // residual after Newton's method over that of the interior point: a new start
+// Energies are sums of terms of their own size: equal to this share of it.
+constexpr double kEnergyRounding = 1e-12;
+
+}  // namespace
+
+struct BlockSolver::Work {
+  BlockSystem system;
+  BlockFactor factor;
+  BlockNewton newton;
+  BlockInteriorPoint interior;
+  BlockNormals normals;
+  SlipSpeeds slip;
+  BlockPoint point, best, safe;
+  bool prepared = false, analysed = false;
+  BlockOptions options;
+  BlockResult result;
+
+  bool start(const BlockProblem& problem, VecCRef lambda);
+  BlockFactor& pattern();
+  void note();
+  void sweep();
+  bool sweeps();
+  bool polish();
+  bool convex_round(double& last);
+  void interior_points();
+  void repair();
+  bool gaps_kept(const BlockPoint& p) const { return -system.worst_gap(p.v) <= options.accept * system.scale(); }
+  bool within(double energy, double bound) const {
+    return energy <= bound + kEnergyRounding * (std::abs(bound) + result.free_energy);
+  }
+  void find_safe(double bound);
+  void blend(double bound);
+  void finish(VecRef lambda, VecRef v);
+};
+
+BlockSolver::BlockSolver() : work_(std::make_unique<Work>()) {}
+BlockSolver::~BlockSolver() = default;
+
+bool BlockSolver::Work::start(const BlockProblem& problem, VecCRef lambda) {
+  result = BlockResult();
+  if (!prepared || !system.start(problem) || lambda.size() != problem.rows()) return false;
+  point.lambda.resize(system.contacts());
+  for (int c = 0; c < system.contacts(); ++c) {
+    const BlockContact& law = system.contact(c);
+    point.lambda[c].setZero();
+    for (int r = 0; r < law.rows; ++r)
+      if (std::isfinite(lambda[law.row + r])) point.lambda[c][r] = lambda[law.row + r];
+  }
+  result.scale = system.scale();
+  result.free_energy = system.energy(problem.v_free);
+  return std::isfinite(result.free_energy);
+}
+
+// The factor, with the pattern of this problem: most problems are solved by sweeps and never ask for it.
+BlockFactor& BlockSolver::Work::pattern() {
+  if (!analysed) factor.analyse(system.problem());
+  analysed = true;
+  return factor;
+}
+
+// Computes the residual of the point and keeps the best.
+void BlockSolver::Work::note() {
+  point.residual = system.residual(point);
+  if (point.residual < best.residual) best = point;
+}
+
+void BlockSolver::Work::sweep() {
+  ++result.sweeps;
+  for (int c = 0; c < system.contacts(); ++c) {
+    const BlockContact& law = system.contact(c);
+    Vec3& lambda = point.lambda[c];
+    const Vec3 w = system.velocity(c, point.v);
+    if (w[0] > 0.0 && lambda[0] == 0.0 && law.lower == 0.0 && !is_box(law)) continue;
+    const ContactMatrix& m = system.matrix(c);
+    const Vec3 next = solve_contact(law, m, w - m.G * lambda, lambda), change = next - lambda;
+    if (change.isZero(0.0)) continue;
+    system.push(c, change, point.v);
+    lambda = next;
+  }
+}
+
+// Stage A. True at the tolerance.
+bool BlockSolver::Work::sweeps() {
+  best.residual = std::numeric_limits<double>::infinity();
+  system.project(point);
+  note();
+  while (result.sweeps < options.sweeps && best.residual > options.tolerance) {
+    sweep();
+    if (result.sweeps % kBetweenChecks != 0) continue;
+    system.update(point);
+    note();
+  }
+  result.stage = BlockResult::Stage::kSweeps;
+  return best.residual <= options.tolerance;
+}
+
+// Stage B. True at the tolerance.
+bool BlockSolver::Work::polish() {
+  const double before = best.residual;
+  const int steps = std::min(options.newton_steps, options.factors - result.factors);
+  if (steps > 0) result.factors += newton.run(system, pattern(), steps, options.tolerance, best);
+  if (best.residual < before) result.stage = BlockResult::Stage::kNewton;
+  return best.residual <= options.tolerance;
+}
+
+// One convex problem with the slip speeds of `slip`, sweeps, Newton steps.
+bool BlockSolver::Work::convex_round(double& last) {
+  point = best;
+  const double residual = best.residual;
+  result.factors += interior.run(system, pattern(), slip.speeds(), std::min(1.0, kConvexStart * residual),
+                                 std::max(0.3 * options.tolerance, kConvexShare * residual), kConvexIterations, point);
+  note();
+  if (best.residual < residual) result.stage = BlockResult::Stage::kInteriorPoint;
+  const double convex = point.residual;
+  slip.extrapolate(system, point.v);
+  for (int k = 0; k < kSweepsAfter; ++k) sweep();
+  system.update(point);
+  note();
+  if (best.residual <= options.tolerance || polish()) return true;
+  if (best.residual < kFarBetter * convex) slip.restart(system, best.v);
+  last = best.residual;
+  return false;
+}
+
+// Stage C, with B in between.
+void BlockSolver::Work::interior_points() {
+  slip.restart(system, best.v);
+  double last = best.residual;
+  for (int slow = 0; result.factors < options.factors;) {
+    const double before = last;
+    if (convex_round(last)) return;
+    slow = last > kSlow * before ? slow + 1 : 0;
+    if (slow >= kSlowRounds && best.residual <= options.accept) return;
+  }
+}
+
+// Stage D on `best`.
+void BlockSolver::Work::repair() {
+  result.factors += normals.run(system, pattern(), kRepairTolerance, kNormalIterations, best);
+  best.residual = system.residual(best);
+  result.stage = BlockResult::Stage::kRepaired;
+}
+
+// An answer whose energy is below the bound, or as low as it can be had: the law without slip, which dissipates, or
+// contacts without friction.
+void BlockSolver::Work::find_safe(double bound) {
+  if (!system.bounded()) {
+    slip.clear(system);
+    safe = best;
+    result.factors += interior.run(system, pattern(), slip.speeds(), 1.0, kSafeTolerance, kConvexIterations, safe);
+    if (gaps_kept(safe) && within(system.energy(safe.v), bound)) return;
+  }
+  safe.lambda.assign(system.contacts(), Vec3::Zero());
+  result.factors += normals.run(system, pattern(), kRepairTolerance, kNormalIterations, safe);
+}
+
+// Stage E: the point between the safe answer and `best`, as near to the latter as the energy allows. Cone, gaps and
+// energy are convex conditions: every point between keeps what both ends keep.
+void BlockSolver::Work::blend(double bound) {
+  find_safe(bound);
+  const double safe_energy = system.energy(safe.v);
+  bound = std::max(bound, safe_energy);
+  VecX& d = point.v;
+  d = best.v - safe.v;
+  const double a = 0.5 * system.product(d, d), b = system.product(d, safe.v), c = safe_energy - bound;
+  const double root = std::sqrt(std::max(0.0, b * b - 4.0 * a * c));
+  // The larger root of a x^2 + b x + c = 0, c <= 0, without cancellation.
+  double share = b > 0.0 ? -2.0 * c / (b + root) : a > 0.0 ? (root - b) / (2.0 * a) : 0.0;
+  if (within(system.energy(best.v), bound)) share = 1.0;
+  // Where not all gaps can be kept, those of the safe answer decide.
+  const bool kept = system.worst_gap(best.v) >= system.worst_gap(safe.v) - options.accept * system.scale();
+  if (!kept || !std::isfinite(share)) share = 0.0;
+  if (share >= 1.0) return;
+  share = std::clamp(share, 0.0, 1.0);
+  for (int k = 0; k < system.contacts(); ++k)
+    best.lambda[k] = safe.lambda[k] + share * (best.lambda[k] - safe.lambda[k]);
+  system.update(best);
+  best.residual = system.residual(best);
+  result.stage = BlockResult::Stage::kBlended;
+  result.blend = share;
+}
+
+void BlockSolver::Work::finish(VecRef lambda, VecRef v) {
+  for (int c = 0; c < system.contacts(); ++c)
+    for (int r = 0; r < system.contact(c).rows; ++r) lambda[system.contact(c).row + r] = best.lambda[c][r];
+  v = best.v;
+  result.residual = best.residual;
+  result.violation = -system.worst_gap(best.v);
+  result.energy = system.energy(best.v);
+  if (lambda.allFinite() && v.allFinite() && std::isfinite(result.energy)) return;
+  result.stage = BlockResult::Stage::kFailed;
+}
+
+void BlockSolver::prepare(const BlockProblem& problem) {
+  work_->analysed = false;
+  work_->prepared = work_->system.prepare(problem);
+}
+
+BlockResult BlockSolver::solve(const BlockProblem& problem, double bound, const BlockOptions& options, VecRef lambda,
+                               VecRef v) {
+  Work& work = *work_;
+  if (!work.start(problem, lambda)) {
+    lambda.setZero();
+    return work.result;
+  }
+  work.options = options;
+  const bool solved = work.sweeps() || work.polish();
+  // With a lower bound of an impulse the law is no complementarity of cones any more, and has no convex problem of
+  // stage C. Where the law is not met but cone, gaps and energy are as they should be, the answer stays: new normal
+  // impulses would only be further from the law.
+  if (!solved && !work.system.bounded() && work.best.residual > options.accept) work.interior_points();
+  if (!work.gaps_kept(work.best)) work.repair();
+  const double energy = work.system.energy(work.best.v);
+  if (!work.within(energy, bound) || !work.gaps_kept(work.best)) work.blend(bound);
+  work.finish(lambda, v);
+  return work.result;
+}
+
+BlockResult BlockSolver::solve_normals(const BlockProblem& problem, double tolerance, VecRef lambda, VecRef v) {
+  Work& work = *work_;
+  if (!work.start(problem, lambda)) {
+    lambda.setZero();
+    return work.result;
+  }
+  std::swap(work.best, work.point);
+  work.result.factors = work.normals.run(work.system, work.pattern(), tolerance, kNormalIterations, work.best);
+  work.best.residual = work.normals.residual();
+  work.result.stage = BlockResult::Stage::kRepaired;
+  work.finish(lambda, v);
+  return work.result;
+}
+
+}  // namespace contactvi

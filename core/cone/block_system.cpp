@@ -1,0 +1,243 @@
+#include "cone/block_system.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/tolerances.hpp"
+#include "cone/inverse_cholesky.hpp"
+
+namespace contactvi {
+
+namespace {
+
+// Least diagonal of a contact's own matrix, a share of the largest of all: keeps what nothing can move finite.
+constexpr double kLeastMobility = 1e-12;
+
+using Six = Eigen::Matrix<double, 6, 1>;
+using SixMap = Eigen::Map<Six>;
+using SixCMap = Eigen::Map<const Six>;
+using AnyMap = Eigen::Map<VecX>;
+using AnyCMap = Eigen::Map<const VecX>;
+
+inline double dot(const double* x, const double* y, int n) {
+  return n == 6 ? SixCMap(x).dot(SixCMap(y)) : AnyCMap(x, n).dot(AnyCMap(y, n));
+}
+
+// w += the rows of coefficients (rows, n) times v. Free bodies have six degrees of freedom: their size is known to the
+// compiler.
+inline void add_rates(const double* coefficients, int rows, int n, const double* v, Vec3& w) {
+  if (n == 6) {
+    for (int r = 0; r < rows; ++r) w[r] += SixCMap(coefficients + 6 * r).dot(SixCMap(v));
+  } else {
+    for (int r = 0; r < rows; ++r) w[r] += AnyCMap(coefficients + n * r, n).dot(AnyCMap(v, n));
+  }
+}
+
+// v += d times the rows of coefficients (rows, n).
+inline void add_columns(const double* coefficients, int rows, int n, const double* d, double* v) {
+  if (n == 6) {
+    if (rows == 3)
+      SixMap(v) += d[0] * SixCMap(coefficients) + d[1] * SixCMap(coefficients + 6) + d[2] * SixCMap(coefficients + 12);
+    else
+      SixMap(v) += d[0] * SixCMap(coefficients);
+  } else {
+    for (int r = 0; r < rows; ++r) AnyMap(v, n) += d[r] * AnyCMap(coefficients + n * r, n);
+  }
+}
+
+bool finite(const std::vector<double>& x) {
+  return std::all_of(x.begin(), x.end(), [](double value) { return std::isfinite(value); });
+}
+
+}  // namespace
+
+bool BlockSystem::place(const BlockProblem& problem) {
+  const int blocks = problem.blocks(), values = static_cast<int>(problem.W.size());
+  places_.resize(problem.contacts.size());
+  int row = 0;
+  for (std::size_t i = 0; i < places_.size(); ++i) {
+    const BlockContact& c = problem.contacts[i];
+    if (c.a < 0 || c.a >= blocks || c.b < -1 || c.b >= blocks || c.a == c.b) return false;
+    if (c.row != row || (c.rows != 1 && c.rows != 3)) return false;
+    Place& p = places_[i];
+    p = {problem.start[c.a], problem.size(c.a), 0, 0, c.rows, c.row, c.column};
+    if (c.b >= 0) {
+      p.b = problem.start[c.b];
+      p.size_b = problem.size(c.b);
+    }
+    if (c.column < 0 || c.column + c.rows * (p.size_a + p.size_b) > values) return false;
+    row += c.rows;
+  }
+  return row == problem.rows();
+}
+
+void BlockSystem::mobility(const BlockProblem& problem) {
+  matrices_.resize(places_.size());
+  double largest = 0.0;
+  for (std::size_t i = 0; i < places_.size(); ++i) {
+    const Place& p = places_[i];
+    Mat3& G = matrices_[i].G;
+    G.setZero();
+    const int second = p.column + p.rows * p.size_a;
+    for (int r = 0; r < p.rows; ++r) {
+      for (int s = 0; s <= r; ++s) {
+        const int a = p.column, n = p.size_a;
+        G(r, s) = dot(&problem.W[a + r * n], &response_[a + s * n], n);
+        if (p.size_b > 0)
+          G(r, s) += dot(&problem.W[second + r * p.size_b], &response_[second + s * p.size_b], p.size_b);
+        G(s, r) = G(r, s);
+      }
+    }
+    largest = std::max(largest, G.diagonal().maxCoeff());
+  }
+  const double floor = std::max(kLeastMobility * largest, kLeastDivisor);
+  for (std::size_t i = 0; i < places_.size(); ++i) matrices_[i].finish(floor, places_[i].rows == 1);
+}
+
+bool BlockSystem::invert(const BlockProblem& problem) {
+  const int blocks = problem.blocks();
+  if (static_cast<int>(problem.M.size()) != blocks) return false;
+  if (static_cast<int>(inverse_.size()) < blocks) inverse_.resize(blocks);
+  for (int block = 0; block < blocks; ++block) {
+    const int n = problem.size(block);
+    const MatX& M = problem.M[block];
+    if (M.rows() != n || M.cols() != n || !M.allFinite()) return false;
+    factor_.assign(M.data(), M.data() + M.size());
+    MatX& inverse = inverse_[block];
+    inverse.resize(n, n);
+    if (n == 6) {
+      const SquareMap<6> L(factor_.data());
+      if (!invert_cholesky<6>(L)) return false;
+      SquareMap<6>(inverse.data()).noalias() = L.transpose() * L;
+    } else {
+      const SquareMap<Eigen::Dynamic> L(factor_.data(), n, n);
+      if (!invert_cholesky<Eigen::Dynamic>(L)) return false;
+      inverse.noalias() = L.transpose() * L;
+    }
+    if (!inverse_[block].allFinite()) return false;
+  }
+  return true;
+}
+
+bool BlockSystem::prepare(const BlockProblem& problem) {
+  problem_ = nullptr;
+  matrices_.clear();
+  if (problem.start.empty() || !finite(problem.W) || !invert(problem) || !place(problem)) return false;
+  response_.resize(problem.W.size());
+  for (std::size_t i = 0; i < places_.size(); ++i) {
+    const Place& p = places_[i];
+    int column = p.column;
+    for (const int block : {problem.contacts[i].a, problem.contacts[i].b}) {
+      if (block < 0) continue;
+      const int n = problem.size(block);
+      for (int r = 0; r < p.rows; ++r, column += n) {
+        if (n == 6)
+          SixMap(&response_[column]).noalias() =
+              Eigen::Map<const Eigen::Matrix<double, 6, 6>>(inverse_[block].data()) * SixCMap(&problem.W[column]);
+        else
+          AnyMap(&response_[column], n).noalias() = inverse_[block] * AnyCMap(&problem.W[column], n);
+      }
+    }
+  }
+  mobility(problem);
+  problem_ = &problem;
+  return true;
+}
+
+bool BlockSystem::start(const BlockProblem& problem) {
+  if (problem_ == nullptr || problem.contacts.size() != places_.size()) return false;
+  problem_ = &problem;
+  if (!problem.v_free.allFinite() || !problem.offset.allFinite() || problem.v_free.size() != problem.start.back())
+    return false;
+  scale_ = 0.0;
+  bounded_ = false;
+  for (int c = 0; c < contacts(); ++c) {
+    const BlockContact& law = contact(c);
+    if (!std::isfinite(law.mu) || !std::isfinite(law.lower) || !std::isfinite(law.box)) return false;
+    if (law.mu < 0.0 || law.lower < 0.0 || law.box < 0.0 || (law.box > 0.0 && law.rows != 1)) return false;
+    bounded_ = bounded_ || (law.lower > 0.0 && !is_box(law));
+    const Vec3 w = speed(c, problem.v_free);
+    scale_ = std::max({scale_, w.cwiseAbs().maxCoeff(), is_box(law) ? std::abs(problem.offset[law.row]) : 0.0,
+                       -problem.offset[law.row], law.lower * matrix(c).largest});
+  }
+  scale_ = std::max(scale_, kLeastDivisor);
+  return std::isfinite(scale_);
+}
+
+Vec3 BlockSystem::speed(int c, const VecX& v) const {
+  const Place& p = places_[c];
+  const double* W = problem_->W.data() + p.column;
+  Vec3 w = Vec3::Zero();
+  add_rates(W, p.rows, p.size_a, v.data() + p.a, w);
+  if (p.size_b > 0) add_rates(W + p.rows * p.size_a, p.rows, p.size_b, v.data() + p.b, w);
+  return w;
+}
+
+Vec3 BlockSystem::velocity(int c, const VecX& v) const {
+  const Place& p = places_[c];
+  Vec3 w = speed(c, v);
+  for (int r = 0; r < p.rows; ++r) w[r] += problem_->offset[p.row + r];
+  return w;
+}
+
+double BlockSystem::normal_velocity(int c, const VecX& v) const {
+  return problem_->offset[places_[c].row] + normal_speed(c, v);
+}
+
+double BlockSystem::normal_speed(int c, const VecX& v) const {
+  const Place& p = places_[c];
+  const double* W = problem_->W.data() + p.column;
+  Vec3 w = Vec3::Zero();
+  add_rates(W, 1, p.size_a, v.data() + p.a, w);
+  if (p.size_b > 0) add_rates(W + p.rows * p.size_a, 1, p.size_b, v.data() + p.b, w);
+  return w[0];
+}
+
+void BlockSystem::add(const double* values, int c, int rows, const Vec3& d, VecX& x) const {
+  const Place& p = places_[c];
+  add_columns(values + p.column, rows, p.size_a, d.data(), x.data() + p.a);
+  if (p.size_b > 0) add_columns(values + p.column + p.rows * p.size_a, rows, p.size_b, d.data(), x.data() + p.b);
+}
+
+void BlockSystem::push(int c, const Vec3& d, VecX& v) const { add(response_.data(), c, places_[c].rows, d, v); }
+void BlockSystem::push_normal(int c, double d, VecX& v) const { add(response_.data(), c, 1, Vec3(d, 0.0, 0.0), v); }
+void BlockSystem::pull(int c, const Vec3& d, VecX& f) const { add(problem_->W.data(), c, places_[c].rows, d, f); }
+
+void BlockSystem::update(BlockPoint& point) const {
+  point.v = problem_->v_free;
+  for (int c = 0; c < contacts(); ++c)
+    if (!point.lambda[c].isZero(0.0)) push(c, point.lambda[c], point.v);
+}
+
+void BlockSystem::project(BlockPoint& point) const {
+  for (int c = 0; c < contacts(); ++c) point.lambda[c] = project_impulse(contact(c), point.lambda[c]);
+  update(point);
+}
+
+double BlockSystem::residual(const BlockPoint& point) const {
+  double worst = 0.0;
+  for (int c = 0; c < contacts(); ++c) {
+    const double error = law_error(contact(c), matrix(c).largest, point.lambda[c], velocity(c, point.v));
+    if (!(error <= worst)) worst = error;  // also if it is not a number
+  }
+  return worst / scale_;
+}
+
+double BlockSystem::product(const VecX& x, const VecX& y) const {
+  double sum = 0.0;
+  for (int block = 0; block < problem_->blocks(); ++block) {
+    const int first = problem_->start[block], n = problem_->size(block);
+    const MatX& M = problem_->M[block];
+    for (int j = 0; j < n; ++j) sum += y[first + j] * AnyCMap(M.data() + j * n, n).dot(AnyCMap(x.data() + first, n));
+  }
+  return sum;
+}
+
+double BlockSystem::worst_gap(const VecX& v) const {
+  double worst = 0.0;
+  for (int c = 0; c < contacts(); ++c)
+    if (!is_box(contact(c))) worst = std::min(worst, normal_velocity(c, v));
+  return worst;
+}
+
+}  // namespace contactvi

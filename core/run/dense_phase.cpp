@@ -1,0 +1,165 @@
+// Simulator: dense steps, and the decision between them and located events.
+//
+// Events are given up for the rest of an interval where they accumulate: too many impacts at instants with several closed
+// contacts, too many changes of the persistent contacts, too many parts of steps; and where the run would end because an
+// event or the forces of persistent contacts are not found. They are located again after a number of quiet steps, which
+// doubles each time that they accumulate again soon.
+#include "run/dense_phase.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "run/simulator.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr long kCoupledImpacts = 64;  // in an interval, and so many more per closed contact:
+constexpr long kImpactsPerContact = 8;
+constexpr int kChanges = 16;             // of the persistent contacts in an interval, and so many more per contact:
+constexpr int kChangesPerContact = 4;
+constexpr int kContactParts = 64;        // of steps with persistent contacts in an interval
+constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
+constexpr int kSoon = 8;                 // times the quiet steps wanted: events that accumulate again so soon
+constexpr std::size_t kMostPersistent = 16;  // points: beyond them the dense step is as accurate and cheaper
+constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
+constexpr double kSlow = 1e-11;  // of the speeds: a slower slip is rounding
+constexpr double kShortestDense = 1e-6;  // of a step: dense steps are halved down to this length
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+}  // namespace
+
+// Whether the run may take dense steps at all.
+bool Simulator::allows_dense_steps() const {
+  return options_.contact_steps != ContactSteps::kEvents && dense_step_.available() && truncation_.bound == 0.0 &&
+         allows_persistent_contact();
+}
+
+bool Simulator::events_accumulate() const {
+  const long contacts = static_cast<long>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
+  return event_count_.coupled_impacts > kCoupledImpacts + kImpactsPerContact * contacts ||
+         event_count_.changes > kChanges + kChangesPerContact * contacts || event_count_.contact_parts > kContactParts;
+}
+
+// Whether a run that has ended so goes on with dense steps.
+bool Simulator::dense_steps_go_on() const {
+  switch (state_.status.code) {
+    case StatusCode::kNewtonFailed:
+    case StatusCode::kEventUnresolved:
+    case StatusCode::kTooManyImpacts:
+      return state_.q.allFinite() && state_.p.allFinite() && !scene_->tree.elements.user_failed();
+    default:
+      return false;
+  }
+}
+
+void Simulator::begin_dense_phase() {
+  state_.status = {StatusCode::kSuccess, "", state_.time, -1, kNaN, kNaN};
+  if (state_.dense.active) return;
+  const bool soon = state_.dense.since_return < kSoon * static_cast<long>(state_.dense.wanted);
+  state_.dense.wanted = soon && state_.dense.since_return > 0 ? std::min(2 * state_.dense.wanted, kMostQuietSteps)
+                                                              : kQuietSteps;
+  state_.dense.active = true;
+  state_.dense.quiet = 0;
+  dense_step_.restart();
+  guards_.unmark_all();
+  integrator_.forget();
+}
+
+// Whether events may be located again: some steps were quiet, and the contacts are so few that their step is cheap.
+bool Simulator::dense_may_end() const {
+  return options_.contact_steps == ContactSteps::kAuto && state_.dense.quiet >= state_.dense.wanted &&
+         contact_step_.contacts().size() <= kMostPersistent;
+}
+
+// Events are located again: what the last dense step has left closed persists.
+void Simulator::end_dense_phase() {
+  state_.dense.active = false;
+  state_.dense.since_return = 0;
+  state_.separated.clear();
+  guards_.unmark_all();
+  integrator_.forget();
+  for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, false);
+  for (const DenseContact& c : dense_step_.contacts())
+    if (c.closed) finder_.set_touching(c.point.guard, true);
+  for (const PersistentContact& c : contact_step_.contacts()) finder_.set_touching(c.point.guard, false);
+  finder_.cut();
+  contacts_.update_persistent_guards();
+  const long halved = state_.control.halved;
+  state_.control.start(options_.dt, contact_dt());
+  state_.control.halved = halved;
+  state_.kinetic = 0.0;
+  if (contact_step_.empty()) resume_free_motion();
+}
+
+// One dense step, to the end of the interval where it can be solved.
+bool Simulator::advance_dense(Interval& interval, Recording& recording) {
+  const double at = interval.start + interval.done;
+  dense_step_.set_time(at);
+  double h = interval.remaining;
+  for (;;) {
+    bool solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
+    while (solved && actuation_.saturate_servos(dense_step_.integrator()))
+      solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
+    // Where gaps or energy are not what the step promises a shorter one is nearer to them; the shortest is taken as it is.
+    const bool shortest = h <= kShortestPromise * options_.dt;
+    if (solved && (shortest || dense_step_.keeps_promises())) break;
+    if (user_function_failed(at)) return false;
+    h *= 0.5;
+    ++state_.control.halved;
+    if (h < kShortestDense * options_.dt)
+      return end(StatusCode::kNewtonFailed, at, std::string("a dense step was not solved: ") + dense_step_.why());
+  }
+  record_phase(at, options_.dt, StepKind::kDense, recording);
+  accept_dense_step(at, h, recording);
+  interval.done += h;
+  interval.remaining = h >= interval.remaining * (1.0 - 1e-12) ? 0.0 : interval.length - interval.done;
+  return true;
+}
+
+void Simulator::accept_dense_step(double time, double h, Recording& recording) {
+  state_.work.add(dense_step_);
+  if (options_.record_contacts)
+    for (const DenseContact& c : dense_step_.contacts())
+      if (c.position[0] + c.velocity[0] > 0.0) record_dense_contact(c, time, h, recording);
+  const bool changed = contacts_.follow(dense_step_, time + h, recording);
+  const DenseReport& report = dense_step_.report();
+  recording.dense.push_back({time, h, report.residual, report.gap, report.energy_rise, report.energy_loss,
+                             report.energy_error, report.contacts, report.repaired, state_.step});
+  dense_step_.commit();
+  if (follows_motion_) {  // all of the step is made with the velocity of its stage
+    v_.setZero();
+    add_size(scene_->tree, dense_step_.stage_velocity(), 1.0, v_);
+    guards_.bound_motion(state_.q, v_, h);
+    guards_.commit();
+  }
+  dense_step_.finish(q1_, p1_);
+  if (options_.dense) {
+    rates_.colwise() = dense_step_.stage_velocity();
+    record_segment(time, h, p1_, recording);
+    recording.segments.persistent.back() = 1.0;
+  }
+  state_.q = q1_;
+  state_.p = p1_;
+  state_.dense.quiet = changed ? 0 : state_.dense.quiet + 1;
+  ++state_.dense_steps;
+}
+
+void Simulator::record_dense_contact(const DenseContact& c, double time, double h, Recording& recording) const {
+  if (!scene_->is_pair(c.point.guard)) {
+    const Vec3 zero = Vec3::Zero();
+    recording.contacts.push(time, h, c.point.guard, 0, ContactMode::kFrictionless, state_.step, zero, zero, c.position,
+                            c.velocity, c.at1.gap, zero);
+    return;
+  }
+  const double slow = kSlow * (1.0 + dense_step_.end_velocity().cwiseAbs().maxCoeff());
+  const ContactMode mode = c.mu == 0.0              ? ContactMode::kFrictionless
+                           : c.slip_speed > slow ? ContactMode::kSlips
+                                                    : ContactMode::kSticks;
+  recording.contacts.push(time, h, c.point.guard, c.point.feature, mode, state_.step,
+                          0.5 * (c.at1.point_a + c.at1.point_b), c.at1.normal, c.position_W(), c.velocity_W(), c.at1.gap,
+                          c.slip_W);
+}
+
+}  // namespace contactvi
