@@ -269,6 +269,19 @@ void Island::step(long step, double t, double length, const VecX& tau, const Vec
   count_rest();
 }
 
+void Island::gather_at(long step, double t, double part, const Progress& progress, VecX& q, VecX& p) {
+  if (!asleep() && part > 0.0) {
+    const std::shared_ptr<const Snapshot> end = engine_->save();
+    Recording unused;
+    engine_->take_over(before_, fresh_, t, t);
+    const bool reached = engine_->step_island(step, t, part, tau_, target_, progress, unused);
+    if (reached) gather(q, p);
+    engine_->restore(*end);
+    if (reached) return;
+  }
+  gather(q, p);
+}
+
 void Island::gather(VecX& q, VecX& p) const {
   const RunState& state = std::as_const(*engine_).state();
   for (std::size_t i = 0; i < numbers_->q.size(); ++i) q[numbers_->q[i]] = state.q[static_cast<Eigen::Index>(i)];

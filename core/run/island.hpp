@@ -58,6 +58,10 @@ class Island {
   const MatX& target() const { return target_; }
   // Bound on the motion of its geometry `k` in that step [m].
   double motion(int k) const { return asleep() ? 0.0 : engine_->guards().odometer(k) - odometer_[k]; }
+  // Whether a state of it has to obey constraints.
+  bool constrained() const { return !numbers_->constraint_rows.empty(); }
+  // Enters the state that it had a time `part` [s] after the start t [s] of the last step in that of the whole scene.
+  void gather_at(long step, double t, double part, const Progress& progress, VecX& q, VecX& p);
   // Enters its state in that of the whole scene.
   void gather(VecX& q, VecX& p) const;
   // Calls join(tree, tree) for those that a contact or a guard that touches keeps together.

@@ -66,8 +66,8 @@ class Simulator {
   void take_over(const Handover& from, const EngineMemory& fresh, double t, double start_time);
   // Bounds of the motion are kept even where no guard needs them.
   void follow_motion() { follows_motion_ = true; }
-  // One control step, the number `step` of the run, of this length from t [s] on. tau: (nv,) or empty; target: (1, 2 nv)
-  // or empty. False: it ended early, see the status.
+  // One control step, the number `step` of the run, of this length from t [s] on. tau: (nv,) or empty; target: (1,
+  // 2 nv) or empty. False: it ended early, see the status.
   bool step_island(long step, double t, double length, const VecX& tau, const MatX& target, const Progress& progress,
                    Recording& recording);
   // Forgets what has been counted in the state since it was last taken, and what the parts have counted.

@@ -298,7 +298,8 @@ void World::merge(Count count, Time time, Put put) {
   for (const Entry& entry : entries_) put(entry);
 }
 
-// An impact with the state of the whole scene: of the bodies of other islands that between the ends of the interval.
+// An impact with the state of the whole scene: of the bodies of other islands that between the ends of the interval,
+// or, where it has to obey constraints, that at the end of a shorter step.
 void World::add_impact(const Entry& entry, double t, double length, Recording& recording) {
   ImpactRecord impact = entry.island->recording().impacts[entry.row];
   const SubScene& numbers = entry.island->numbers();
@@ -306,6 +307,9 @@ void World::add_impact(const Entry& entry, double t, double length, Recording& r
   const double x = length > 0.0 ? std::clamp((impact.time - t) / length, 0.0, 1.0) : 0.0;
   interpolate(scene_->tree, state_.q, q1_, x, impact.q);
   impact.p_minus = (1.0 - x) * state_.p + x * p1_;
+  for (Island* island : islands_)
+    if (island->constrained() && island != entry.island)
+      island->gather_at(state_.step, t, x * length, island_progress_, impact.q, impact.p_minus);
   impact.p_plus = impact.p_minus;
   for (std::size_t i = 0; i < numbers.q.size(); ++i) impact.q[numbers.q[i]] = q[static_cast<Eigen::Index>(i)];
   for (std::size_t i = 0; i < numbers.v.size(); ++i) {
