@@ -483,6 +483,11 @@ def contact_points_of(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(sh
     Points of a pair at known features, wherever they are at q; entries as those of contact_points.
     """
 
+def near_pairs(scene: Scene, start: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], end: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], bound: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float) -> list[tuple[list[int], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]:
+    """
+    For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,))].
+    """
+
 def nearest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int) -> float:
     """
     Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.

@@ -1,10 +1,12 @@
-// Contact points of a pair at one configuration, for tests.
+// Contact points of a pair at one configuration, and the pairs that a sequence of steps looks at, for tests.
 #include <nanobind/eigen/dense.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <limits>
 #include <tuple>
+#include <utility>
 
 #include "base/error.hpp"
 #include "bindings/arrays.hpp"
@@ -109,6 +111,26 @@ double nearest_gap(const Scene& s, const VecX& q, int pair) {
   return touch.manifolds.nearest(pair, touch.at, c) ? c.gap : std::numeric_limits<double>::quiet_NaN();
 }
 
+std::vector<std::pair<std::vector<int>, VecX>> near_pairs(const Scene& s, const Rows& start, const Rows& end,
+                                                          const Rows& bound, double h) {
+  if (start.cols() != s.tree.nq || end.cols() != s.tree.nq || bound.cols() != s.tree.nv || start.rows() != end.rows() ||
+      start.rows() != bound.rows())
+    throw Error("expected shapes (N, nq), (N, nq) and (N, nv)");
+  Guards guards(s);
+  std::vector<std::pair<std::vector<int>, VecX>> found;
+  for (Eigen::Index k = 0; k < bound.rows(); ++k) {
+    guards.bound_motion(start.row(k).transpose(), bound.row(k).transpose(), h);
+    guards.place(end.row(k).transpose());
+    std::vector<int> near;
+    for (const BroadPhase::NearPair& pair : guards.near_pairs()) near.push_back(pair.guard);
+    VecX motion(static_cast<Eigen::Index>(s.pairs.size()));
+    for (int g = 0; g < static_cast<int>(s.pairs.size()); ++g) motion[g] = guards.motion(g);
+    found.emplace_back(std::move(near), std::move(motion));
+    guards.commit();
+  }
+  return found;
+}
+
 }  // namespace
 
 void expose_manifold(nb::module_& m) {
@@ -117,6 +139,10 @@ void expose_manifold(nb::module_& m) {
         "point_a, point_b, normal (n, 3), world frame.");
   m.def("contact_points_of", &points_of_features, "scene"_a, "q"_a, "pair"_a, "features"_a,
         "Points of a pair at known features, wherever they are at q; entries as those of contact_points.");
+  m.def(
+      "near_pairs", &near_pairs, "scene"_a, "start"_a, "end"_a, "bound"_a, "h"_a,
+      "For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) "
+      "of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,))].");
   m.def("nearest_gap", &nearest_gap, "scene"_a, "q"_a, "pair"_a,
         "Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.");
   m.def("rest_gap", &rest_gap, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,

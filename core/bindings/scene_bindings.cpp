@@ -10,6 +10,7 @@
 #include "bindings/expose.hpp"
 #include "bindings/user_calls.hpp"
 #include "geometry/guard.hpp"
+#include "geometry/prepare.hpp"
 #include "model/coordinates.hpp"
 #include "step/energy.hpp"
 #include "step/integrator.hpp"
@@ -42,8 +43,10 @@ Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restituti
                  const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
                  const std::optional<VecX>& pair_friction) {
   const VecX friction = pair_friction ? *pair_friction : VecX(VecX::Zero(pair_restitution.size()));
-  return load_scene({model.c_str(), model.size()}, {geometry.c_str(), geometry.size()},
-                    {pair_restitution, friction, stiffness, rest, damping, limits, limit_restitution});
+  Scene scene = load_scene({model.c_str(), model.size()}, {geometry.c_str(), geometry.size()},
+                           {pair_restitution, friction, stiffness, rest, damping, limits, limit_restitution});
+  prepare_geometry(scene);
+  return scene;
 }
 
 // Raises what a function of the user raised while the engine called it.

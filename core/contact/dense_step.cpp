@@ -152,13 +152,18 @@ void DenseStep::make_node_blocks() {
 // The pairs that may close in the step, with their points at its start, as far as they are not known yet. bound_: of
 // the velocities in the step.
 void DenseStep::collect(const VecCRef& q0) {
+  // The list is made anew in each step: the broad phase counts on bodies that end where they are placed.
+  guards_->restart();
   guards_->bound_motion(q0, bound_, h_);
   guards_->place(q0);
-  known_.resize(guards_->count());
-  std::fill(known_.begin(), known_.end(), 0);
-  for (const Near& near : near_) known_[near.guard] = 1;
-  for (int g = 0; g < guards_->count(); ++g) {
-    if (known_[g] || guards_->separated_at_end(g)) continue;
+  candidates_.clear();
+  for (const BroadPhase::NearPair& pair : guards_->near_pairs()) candidates_.push_back(pair.guard);
+  for (int g = static_cast<int>(scene_->pairs.size()); g < guards_->count(); ++g) candidates_.push_back(g);
+  const std::size_t known = near_.size();
+  for (int g : candidates_) {
+    const auto last = near_.begin() + static_cast<std::ptrdiff_t>(known);
+    if (std::any_of(near_.begin(), last, [g](const Near& near) { return near.guard == g; })) continue;
+    if (guards_->separated_at_end(g)) continue;
     Near near{};
     near.guard = g;
     near.gap0 = guards_->evaluate_witness(g, near.witness0);

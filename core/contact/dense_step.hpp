@@ -143,7 +143,7 @@ class DenseStep {
   BlockProblem problem_;
   std::vector<int> tree_of_joint_;
   std::vector<Near> near_;
-  std::vector<char> known_;  // per guard: whether it is among them
+  std::vector<int> candidates_;
   std::vector<DenseContact> contacts_;
   std::vector<int> active_;       // contacts of the present problem
   std::vector<double> mobility_;  // of each of them along the normal [1/kg]

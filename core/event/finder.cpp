@@ -7,6 +7,7 @@ namespace contactvi {
 
 namespace {
 constexpr std::size_t kManyCandidates = 16;  // for the first event: from then on rounding may decide among them
+constexpr int kUsualSuspects = 512;  // of a step: the workspace for them is made in advance, that for more on demand
 }  // namespace
 
 EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
@@ -20,9 +21,10 @@ EventFinder::EventFinder(const Scene& scene, Stepper& stepper, Guards& guards)
       doubt_(scene.tree.nv),
       W_(scene.tree.nv),
       memory_{std::vector<char>(guards.count(), 0), {}, VecX(scene.tree.nv), VecX(scene.tree.nq), VecX(scene.tree.nv)} {
-  active_.reserve(guards.count());
-  pass_.reserve(guards.count());
-  suspects_.reserve(guards.count());
+  const std::size_t usual = std::min(guards.count(), kUsualSuspects);
+  active_.reserve(usual);
+  pass_.reserve(usual);
+  suspects_.reserve(usual);
   event_.q.resize(scene.tree.nq);
   event_.p.resize(scene.tree.nv);
 }
@@ -136,34 +138,44 @@ bool EventFinder::collect() {
   pass_.clear();
   suspects_.clear();
   guards_->place(*q1_);
-  for (int g = 0; g < guards_->count(); ++g) {
-    const auto exempted = std::find(memory_.exempt.begin(), memory_.exempt.end(), g);
-    if (exempted != memory_.exempt.end()) {
-      if (guards_->evaluate(g, contact_) >= -guards_->depth_tolerance(g)) continue;
-      memory_.exempt.erase(exempted);  // it does not separate
-    }
-    if (!memory_.touching[g] && guards_->skip(g)) {
-      ++guards_->counters.skipped;
-      continue;
-    }
-    pass_.push_back(g);
-    if (!memory_.touching[g] && guards_->separated_at_end(g)) {
-      ++guards_->counters.skipped;
-      continue;
-    }
-    const double gap = guards_->evaluate(g, contact_);
-    if (!std::isfinite(gap)) {
-      fail(Search::kUnresolved, g, gap);
-      return false;
-    }
-    if (!memory_.touching[g] && gap > guards_->motion(g)) {
-      guards_->mark(g, gap);
-      continue;
-    }
-    active_.push_back(g);
-    const Point none{0.0, 0.0, 0.0};
-    suspects_.push_back({g, gap, none, false, false, none, none, false, false, 0.0});
+  const std::vector<BroadPhase::NearPair>& near = guards_->near_pairs();
+  const int pairs = static_cast<int>(scene_->pairs.size());
+  guards_->counters.skipped += pairs - static_cast<long>(near.size());
+  for (const BroadPhase::NearPair& pair : near)
+    if (!collect(pair.guard)) return false;
+  for (int g = pairs; g < guards_->count(); ++g)
+    if (!collect(g)) return false;
+  return true;
+}
+
+// Adds a guard to the suspects if it may reach zero in the step; false if its gap is not finite.
+bool EventFinder::collect(int g) {
+  const auto exempted = std::find(memory_.exempt.begin(), memory_.exempt.end(), g);
+  if (exempted != memory_.exempt.end()) {
+    if (guards_->evaluate(g, contact_) >= -guards_->depth_tolerance(g)) return true;
+    memory_.exempt.erase(exempted);  // it does not separate
   }
+  if (!memory_.touching[g] && guards_->skip(g)) {
+    ++guards_->counters.skipped;
+    return true;
+  }
+  pass_.push_back(g);
+  if (!memory_.touching[g] && guards_->separated_at_end(g)) {
+    ++guards_->counters.skipped;
+    return true;
+  }
+  const double gap = guards_->evaluate(g, contact_);
+  if (!std::isfinite(gap)) {
+    fail(Search::kUnresolved, g, gap);
+    return false;
+  }
+  if (!memory_.touching[g] && gap > guards_->motion(g)) {
+    guards_->mark(g, gap);
+    return true;
+  }
+  active_.push_back(g);
+  const Point none{0.0, 0.0, 0.0};
+  suspects_.push_back({g, gap, none, false, false, none, none, false, false, 0.0});
   return true;
 }
 

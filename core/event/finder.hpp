@@ -6,6 +6,7 @@
 // exact path decides.
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include "event/gap_path.hpp"
@@ -49,6 +50,7 @@ class EventFinder {
   // Whether a guard is closed, within tolerance, at the start of the next step.
   bool touching(int guard) const { return memory_.touching[guard]; }
   void set_touching(int guard, bool value) { memory_.touching[guard] = value; }
+  void forget_touching() { std::fill(memory_.touching.begin(), memory_.touching.end(), 0); }
   // What the next search uses of the last one.
   struct Memory {
     std::vector<char> touching;  // per guard: closed, within tolerance, at the start of the next step
@@ -81,6 +83,7 @@ class EventFinder {
   bool raise_path();
   bool bound_grows();
   bool collect();
+  bool collect(int guard);
   Search start(Suspect& s);
   Search separate_touching(Suspect& s, Point a);
   Search close(Suspect& s, const Point& a, const Point& below);

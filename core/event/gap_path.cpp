@@ -31,20 +31,32 @@ double lowest(const GapPath::Point& a, const GapPath::Point& b) {
 }  // namespace
 
 GapPath::GapPath(Guards& guards)
-    : guards_(&guards), q_(guards.scene().tree.nq), v_(guards.scene().tree.nv), W_(guards.scene().tree.nv) {}
+    : guards_(&guards), q_(guards.scene().tree.nq), v_(VecX::Zero(guards.scene().tree.nv)), W_(guards.scene().tree.nv) {
+  joints_.reserve(2 * guards.scene().tree.joints.size());
+}
 
-double GapPath::rate(double tau, const VecX& W) {
-  path_->velocity(tau, v_);
-  return path_->h() * W.dot(v_);
+void GapPath::set(const StepPath& path) {
+  path_ = &path;
+  q_ = path.q0();
+}
+
+double GapPath::rate(int guard, double tau, const VecX& W) {
+  guards_->list_joints(guard, joints_);
+  path_->velocity(tau, joints_, v_);
+  const double rate = path_->h() * W.dot(v_);
+  const Tree& tree = guards_->scene().tree;
+  for (int j : joints_) v_.segment(tree.joints[j].iv, tree.joints[j].nv).setZero();
+  return rate;
 }
 
 GapPath::Point GapPath::at(int guard, double tau) {
-  path_->configuration(tau, q_);
+  guards_->list_joints(guard, joints_);
+  path_->configuration(tau, joints_, q_);
   guards_->place(q_);
   const double gap = guards_->evaluate(guard, contact_);
   if (!std::isfinite(gap)) return {tau, gap, gap};
   guards_->gradient(guard, contact_, W_);
-  return {tau, gap, rate(tau, W_)};
+  return {tau, gap, rate(guard, tau, W_)};
 }
 
 double GapPath::doubt(int guard, double tau) const {

@@ -25,10 +25,10 @@ class GapPath {
   };
 
   // Sets the path, which has been raised; the guards' motion and doubt over its step have been bounded.
-  void set(const StepPath& path) { path_ = &path; }
+  void set(const StepPath& path);
   Point at(int guard, double tau);
-  // d(gap)/d(tau) at tau of a gap with the gradient W there, shape (nv,).
-  double rate(double tau, const VecX& W);
+  // d(gap)/d(tau) at tau of the guard's gap with the gradient W there, shape (nv,).
+  double rate(int guard, double tau, const VecX& W);
 
   // The first event of the guard between from, with a gap > 0, and to.
   Course first(int guard, const Point& from, const Point& to, Point& lo, Point& hi);
@@ -46,7 +46,11 @@ class GapPath {
 
   Guards* guards_;
   const StepPath* path_ = nullptr;
-  VecX q_, v_, W_;
+  // Where only the guard's own joints are placed; the others are at the start of the step.
+  VecX q_;
+  VecX v_;  // zero but inside of rate
+  VecX W_;
+  std::vector<int> joints_;
   Contact contact_;
 };
 

@@ -30,7 +30,7 @@ bool EventFinder::exact_at(int guard, double tau, Point& point) {
   guards_->place(event_.q);
   point = {tau, guards_->evaluate(guard, contact_), 0.0};
   guards_->gradient(guard, contact_, W_);
-  point.rate = gaps_.rate(tau, W_);
+  point.rate = gaps_.rate(guard, tau, W_);
   return true;
 }
 

@@ -1,64 +1,71 @@
 #include "geometry/guard.hpp"
 
-#include <coal/distance.h>
-#include <coal/narrowphase/support_functions.h>
-#include <coal/shape/geometric_shapes.h>
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
+#include "geometry/box.hpp"
+
 namespace contactvi {
 
-struct Guards::Functors {
-  std::vector<coal::ComputeDistance> distance;
-  coal::DistanceRequest request;
-  coal::DistanceResult result;
-};
-
-void settle_box_support() {
-  const coal::Box box(1, 1, 1);
-  int hint = 0;
-  coal::details::getSupport<coal::details::SupportOptions::NoSweptSphere>(&box, coal::Vec3s(1, 2, 3), hint);
-  coal::details::getSupport<coal::details::SupportOptions::WithSweptSphere>(&box, coal::Vec3s(1, 2, 3), hint);
-}
+namespace {
+// [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching (5e-9) and the
+// noise of coal's distances (2e-8).
+constexpr double kMeeting = 1e-7;
+}  // namespace
 
 Guards::Guards(const Scene& scene, int contact_points)
     : scene_(&scene),
       count_(scene.guard_count()),
       pairs_(static_cast<int>(scene.pairs.size())),
       manifolds_(scene, contact_points),
-      persistent_points_(count_),
+      persistent_number_(count_, -1),
       placements_(scene.tree),
       q_(VecX::Zero(scene.tree.nq)),
-      functors_(new Functors),
+      placed_for_(scene.tree.joints.size(), -1),
       linear_(scene.tree.joints.size()),
       motion_(make_reach()),
       doubt_(make_reach()),
       odometer_(scene.geometries.size()),
-      marks_(count_, -1.0) {
-  functors_->distance.reserve(pairs_);
-  for (const Pair& pair : scene.pairs) {
-    const Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
-    functors_->distance.emplace_back((pair.rounded ? a.rounded : a.sharp).get(),
-                                     (pair.rounded ? b.rounded : b.sharp).get());
-  }
-  functors_->request.enable_signed_distance = true;
-  functors_->request.gjk_tolerance =
-      1e-10;  // the default 1e-6 is the error of the gap; EPA's default stays, below it NaN
-}
-
-Guards::~Guards() = default;
+      marks_(count_, -1.0),
+      broad_phase_(scene) {}
 
 void Guards::place(const VecCRef& q) {
   q_ = q;
-  placed_ = false;
+  ++configuration_;
+}
+
+void Guards::place_body(int body) {
+  if (body < 0 || placed_for_[body] == configuration_) return;
+  place_body(scene_->tree.joints[body].parent);
+  contactvi::place_body(scene_->tree, body, q_, placements_);
+  placed_for_[body] = configuration_;
+}
+
+void Guards::place_pair(int guard) {
+  place_body(scene_->geometries[scene_->pairs[guard].a].body);
+  place_body(scene_->geometries[scene_->pairs[guard].b].body);
 }
 
 void Guards::place_bodies() {
-  if (placed_) return;
-  contactvi::place(scene_->tree, q_, placements_);
-  placed_ = true;
+  if (all_placed_for_ == configuration_) return;
+  for (int i = 0; i < static_cast<int>(placed_for_.size()); ++i) place_body(i);
+  all_placed_for_ = configuration_;
+}
+
+void Guards::restart() {
+  std::fill(marks_.begin(), marks_.end(), -1.0);
+  std::fill(motion_.geometry.begin(), motion_.geometry.end(), 0.0);
+  std::fill(odometer_.begin(), odometer_.end(), 0.0);
+  broad_phase_.invalidate();
+}
+
+const std::vector<BroadPhase::NearPair>& Guards::near_pairs() {
+  if (pairs_ > 0 && broad_phase_.is_outdated(odometer_, motion_.geometry)) {
+    for (int g : broad_phase_.leaving()) place_body(scene_->geometries[g].body);
+    broad_phase_.renew(placements_, odometer_, motion_.geometry);
+  }
+  return broad_phase_.near_pairs();
 }
 
 namespace {
@@ -87,19 +94,55 @@ double Guards::limit_gap(int guard, const VecCRef& q) const {
 }
 
 void Guards::set_persistent(int guard, std::vector<const ContactPoint*> points) {
-  persistent_points_[guard] = std::move(points);
+  int& number = persistent_number_[guard];
+  if (number < 0 && free_lists_.empty()) {
+    free_lists_.push_back(static_cast<int>(persistent_points_.size()));
+    persistent_points_.emplace_back();
+  }
+  if (number < 0 && !points.empty()) {
+    number = free_lists_.back();
+    free_lists_.pop_back();
+  }
+  if (number >= 0 && points.empty()) {
+    free_lists_.push_back(number);
+    number = -1;
+  }
+  if (number >= 0) persistent_points_[number] = std::move(points);
   unmark(guard);
 }
 
+void Guards::list_joints(int guard, std::vector<int>& joints) const {
+  joints.clear();
+  if (guard >= pairs_) {
+    joints.push_back(scene_->tree.limits[guard - pairs_].joint);
+    return;
+  }
+  for (int g : {scene_->pairs[guard].a, scene_->pairs[guard].b})
+    for (int j = scene_->geometries[g].body; j >= 0; j = scene_->tree.joints[j].parent) joints.push_back(j);
+}
+
+void Guards::list_meeting(std::vector<int>& guards) {
+  guards.clear();
+  for (const BroadPhase::NearPair& pair : near_pairs()) {
+    const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+    place_pair(pair.guard);
+    const double apart = a.unbounded   ? separation(box_of(b, placements_), a, placements_)
+                         : b.unbounded ? separation(box_of(a, placements_), b, placements_)
+                                       : separation(box_of(a, placements_), box_of(b, placements_));
+    if (!(apart > kMeeting)) guards.push_back(pair.guard);
+  }
+  for (int k = pairs_; k < count_; ++k) guards.push_back(k);
+}
+
 double Guards::evaluate(int guard, Contact& contact) {
-  const std::vector<const ContactPoint*>& persistent = persistent_points_[guard];
-  if (persistent.empty()) return evaluate_witness(guard, contact);
+  if (persistent_number_[guard] < 0) return evaluate_witness(guard, contact);
+  const std::vector<const ContactPoint*>& persistent = persistent_points_[persistent_number_[guard]];
   double gap = std::numeric_limits<double>::infinity();
   Contact witness{};
   if (persistent[0]->kind != PointKind::kWitness && persistent[0]->kind != PointKind::kLimit) {
     evaluate_witness(guard, witness);
     contact = witness;
-    gap = manifolds_.next_gap(guard, placements(), persistent.data(), static_cast<int>(persistent.size()), witness,
+    gap = manifolds_.next_gap(guard, placements_, persistent.data(), static_cast<int>(persistent.size()), witness,
                               contact);
   }
   if (gap == std::numeric_limits<double>::infinity()) {
@@ -119,19 +162,17 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
   }
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
-  place_bodies();
+  place_pair(guard);
   // Coal inflates cylinders by 1e-10 of their size where they stand or lie along the normal.
   if (a.unbounded != b.unbounded && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
   Mat3 R_a, R_b;
   Vec3 p_a, p_b;
   geometry_pose(a, placements_, R_a, p_a);
   geometry_pose(b, placements_, R_b, p_b);
-  Functors& f = *functors_;
-  f.result.clear();
-  f.distance[guard](coal::Transform3s(R_a, p_a), coal::Transform3s(R_b, p_b), f.request, f.result);
-  contact = {f.result.min_distance,      f.result.normal, f.result.nearest_points[0],
-             f.result.nearest_points[1], a.body,          b.body};
-  if (!contact.normal.allFinite()) contact.gap = std::numeric_limits<double>::quiet_NaN();
+  distance_.evaluate(*(pair.rounded && a.rounded ? a.rounded : a.sharp), R_a, p_a,
+                     *(pair.rounded && b.rounded ? b.rounded : b.sharp), R_b, p_b, contact);
+  contact.body_a = a.body;
+  contact.body_b = b.body;
   return contact.gap;
 }
 
@@ -150,7 +191,8 @@ void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<
     gradient(guard, contact, W.col(0));
     return;
   }
-  contact_rows(scene_->tree, placements(), contact, t1, W);
+  place_pair(guard);
+  contact_rows(scene_->tree, placements_, contact, t1, W);
 }
 
 double Guards::touch_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-11; }
@@ -232,14 +274,14 @@ double Guards::turn(int guard) const {
 bool Guards::skip(int guard) const {
   if (guard >= pairs_) return false;  // a joint limit costs one subtraction
   const Pair& pair = scene_->pairs[guard];
-  return odometer_[pair.a] + odometer_[pair.b] + motion(guard) < marks_[guard];
+  return odometer_[pair.a] + odometer_[pair.b] + 2.0 * motion(guard) < marks_[guard];
 }
 
 bool Guards::separated_at_end(int guard) {
   if (guard >= pairs_) {
     return limit_gap(guard, q_) > motion(guard);
   }
-  place_bodies();
+  place_pair(guard);
   const Pair& pair = scene_->pairs[guard];
   const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
   double bound;
@@ -263,8 +305,6 @@ void Guards::mark(int guard, double gap_at_end) {
   const Pair& pair = scene_->pairs[guard];
   marks_[guard] = odometer_[pair.a] + odometer_[pair.b] + motion(guard) + gap_at_end;
 }
-
-void Guards::unmark_all() { std::fill(marks_.begin(), marks_.end(), -1.0); }
 
 void Guards::commit() {
   for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += motion_.geometry[g];

@@ -6,15 +6,16 @@
 // it is excluded until it has separated, unless it closes again. A start below zero is an error, never projected away.
 //
 // Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was
-// d when it was last evaluated is skipped until the two odometers have advanced by d; then its bounding spheres are
-// compared, and the distance of its shapes is evaluated only if they may touch. Numbering: collision pairs first, then
-// joint limits.
+// d when it was last evaluated is skipped until the two odometers have nearly advanced by d; then its bounding spheres
+// are compared, and the distance of its shapes is evaluated only if they may touch. Pairs that are far from each other
+// for several steps are not even looked at (broad_phase.hpp). Numbering: collision pairs first, then joint limits.
 #pragma once
 
-#include <memory>
 #include <vector>
 
+#include "geometry/broad_phase.hpp"
 #include "geometry/contact.hpp"
+#include "geometry/distance.hpp"
 #include "geometry/manifold.hpp"
 #include "model/scene.hpp"
 
@@ -25,28 +26,30 @@ struct GuardCounters {
   long skipped = 0;    // guards of a step settled without one
 };
 
-// To be called before coal first evaluates a box: it inflates all boxes of a process by 1e-10 of their size if the
-// direction of that very first query has a zero component (a static variable in its support function), so distances
-// would depend on earlier queries of the process.
-void settle_box_support();
-
 class Guards {
  public:
   // contact_points: of a pair, at most.
   explicit Guards(const Scene& scene, int contact_points = 4);
-  ~Guards();
 
   int count() const { return count_; }
   const Scene& scene() const { return *scene_; }
 
-  // Configuration that evaluate, gradient and separated_at_end refer to. The bodies are placed when a pair first
-  // asks.
+  // Configuration that evaluate, gradient and separated_at_end refer to. A body is placed when a pair first asks for
+  // it.
   void place(const VecCRef& q);
 
   // Exact gap [m] or [rad] at the placed configuration, not finite if coal fails. For a guard with persistent contacts
   // it is the least gap of the other features, kNothingElse if no other feature can touch.
   double evaluate(int guard, Contact& contact);
   static constexpr double kNothingElse = 1e9;
+  // The bodies have been put to a new place: what is known about their distances and their motion is forgotten.
+  void restart();
+  // Guards that may be closed after a restart, where the bodies are placed, ascending: joint limits, and pairs whose
+  // boxes meet.
+  void list_meeting(std::vector<int>& guards);
+  // Pairs that may touch in the step whose motion is bounded and at whose end the bodies are placed; the guards of all
+  // others can be left out.
+  const std::vector<BroadPhase::NearPair>& near_pairs();
   // The gap of the whole guard, with or without persistent contacts.
   double evaluate_witness(int guard, Contact& contact);
   const Placements& placements() {
@@ -56,9 +59,11 @@ class Guards {
   Manifolds& manifolds() { return manifolds_; }
   // Sets the persistent contacts of a guard. The pointers must stay valid.
   void set_persistent(int guard, std::vector<const ContactPoint*> points);
-  bool is_persistent(int guard) const { return !persistent_points_[guard].empty(); }
+  bool is_persistent(int guard) const { return persistent_number_[guard] >= 0; }
   // W = d(gap)/dq, shape (nv,).
   void gradient(int guard, const Contact& contact, VecRef W) const;
+  // The joints that a guard's gap depends on; one that moves both bodies of a pair may be named twice.
+  void list_joints(int guard, std::vector<int>& joints) const;
   // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3).
   void rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
   // How far from zero a gap may be and still count as touching.
@@ -79,13 +84,13 @@ class Guards {
   void bound_doubt(const VecCRef& q, const VecX& doubt, double h);
   double doubt(int guard) const;
   bool is_noisy(int guard) const { return guard < pairs_ && scene_->pairs[guard].curved; }
-  // True if the odometers say that the guard cannot reach zero in the step.
+  // True if the odometers say that the gap stays open in the step and is larger than the step's motion at its end. A
+  // guard whose gap is not is a suspect, so that suspects do not depend on when guards were last evaluated.
   bool skip(int guard) const;
   // True if the bounding spheres at the placed end of the step say so; then also moves the pair's mark.
   bool separated_at_end(int guard);
   void mark(int guard, double gap_at_end);  // gap at the end of the step
   void unmark(int guard) { marks_[guard] = -1.0; }
-  void unmark_all();
   void commit();  // the step is taken: odometers advance
   // Bound on how far any point of a geometry has moved since an arbitrary instant [m].
   double odometer(int geometry) const { return odometer_[geometry]; }
@@ -95,11 +100,13 @@ class Guards {
   // The motion since the guards were last evaluated.
   struct Memory {
     std::vector<double> odometer, marks;
+    BroadPhase::Memory broad_phase;
   };
-  Memory memory() const { return {odometer_, marks_}; }
+  Memory memory() const { return {odometer_, marks_, broad_phase_.memory()}; }
   void recall(const Memory& memory) {
     odometer_ = memory.odometer;
     marks_ = memory.marks;
+    broad_phase_.recall(memory.broad_phase);
   }
 
   GuardCounters counters;
@@ -112,22 +119,29 @@ class Guards {
   Reach make_reach() const;
   void propagate_reach(const VecCRef& q, const VecX& bound, double h, Reach& reach);
   double reach_of(const Reach& reach, int guard) const;
+  void place_body(int body);
+  void place_pair(int guard);
   void place_bodies();
   double limit_gap(int guard, const VecCRef& q) const;
 
   const Scene* scene_;
   int count_, pairs_;
   Manifolds manifolds_;
-  std::vector<std::vector<const ContactPoint*>> persistent_points_;
+  // Per guard: the number of its list of persistent contacts, -1: it has none.
+  std::vector<int> persistent_number_;
+  std::vector<std::vector<const ContactPoint*>> persistent_points_;  // the lists
+  std::vector<int> free_lists_;
   Placements placements_;
-  bool placed_ = false;  // at q_
   VecX q_;
-  struct Functors;  // coal's, kept out of this header
-  std::unique_ptr<Functors> functors_;
+  std::vector<long> placed_for_;  // per body: the last configuration for which it was placed
+  long configuration_ = 0;        // number of the configuration q_
+  long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
+  ShapeDistance distance_;
   std::vector<double> linear_;  // per body: bound on its origin's displacement
   Reach motion_, doubt_;
   std::vector<double> odometer_;  // per geometry
   std::vector<double> marks_;     // per guard: odometer sum up to which it may be skipped
+  BroadPhase broad_phase_;
 };
 
 }  // namespace contactvi

@@ -197,29 +197,28 @@ class Manifolds::Least final : public CandidateSink {
   bool supported_;  // at enough points to fix the faces to each other
 };
 
-Manifolds::Manifolds(const Scene& scene, int max_points) : max_points_(std::max(1, max_points)) {
-  std::vector<int> number(2 * scene.geometries.size(), -1);
-  auto shape_features = [&](int geometry, bool rounded) {
-    int& n = number[2 * geometry + rounded];
-    if (n < 0) {
-      n = static_cast<int>(shape_features_.size());
-      shape_features_.push_back(make_shape_features(scene.geometries[geometry], rounded));
-    }
-    return n;
-  };
-  for (const Pair& pair : scene.pairs) {
-    const int i = shape_features(pair.a, pair.rounded), j = shape_features(pair.b, pair.rounded);
-    const ShapeFeatures &a = shape_features_[i], &b = shape_features_[j];
-    auto is_empty = [](const ShapeFeatures& o) { return o.vertices.empty() && o.faces.empty(); };
-    auto is_point = [](const ShapeFeatures& o) { return o.vertices.size() == 1; };
-    bool single = is_empty(a) || is_empty(b) || (a.faces.empty() && b.faces.empty());
-    single |= (is_point(a) && !b.is_unbounded()) || (is_point(b) && !a.is_unbounded());
-    shapes_.push_back({i, j, single, (pair.curved ? 2e-8 : 1e-9) + a.roughness + b.roughness});
-  }
+Manifolds::Manifolds(const Scene& scene, int max_points) : scene_(&scene), max_points_(std::max(1, max_points)) {}
+
+const ShapeFeatures& Manifolds::features(int pair, int geometry) const {
+  return shape_features_of(scene_->geometries[geometry], scene_->pairs[pair].rounded);
+}
+
+// Whether coal's point is the only one of the pair.
+bool Manifolds::is_single(int pair) const {
+  const ShapeFeatures &a = features(pair, scene_->pairs[pair].a), &b = features(pair, scene_->pairs[pair].b);
+  auto is_empty = [](const ShapeFeatures& o) { return o.vertices.empty() && o.faces.empty(); };
+  auto is_point = [](const ShapeFeatures& o) { return o.vertices.size() == 1; };
+  return is_empty(a) || is_empty(b) || (a.faces.empty() && b.faces.empty()) || (is_point(a) && !b.is_unbounded()) ||
+         (is_point(b) && !a.is_unbounded());
+}
+
+double Manifolds::noise(int pair) const {
+  const Pair& p = scene_->pairs[pair];
+  return (p.curved ? 2e-8 : 1e-9) + features(pair, p.a).roughness + features(pair, p.b).roughness;
 }
 
 PairView Manifolds::view(int pair, const Placements& at) const {
-  const ShapeFeatures &a = shape_features_[shapes_[pair].a], &b = shape_features_[shapes_[pair].b];
+  const ShapeFeatures &a = features(pair, scene_->pairs[pair].a), &b = features(pair, scene_->pairs[pair].b);
   return {&a, &b, pose_of(a.body, at), pose_of(b.body, at)};
 }
 
@@ -242,7 +241,7 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
   found_.clear();
   const Candidate nearest{0, witness.gap, 0.5 * (witness.point_a + witness.point_b)};
   Vec3 n = witness.normal;
-  if (!shapes_[pair].single) {
+  if (!is_single(pair)) {
     const Sides sides = sides_of_witness(v, witness);
     n = sides.n_W;
     Collect sink(margin, found_);
@@ -250,7 +249,7 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
     double least = kInfinity;
     for (const Candidate& c : found_) least = std::min(least, c.gap);
     // The nearest features of the pair are none of the listed ones: coal's point represents them.
-    if (witness.gap < least - shapes_[pair].noise) found_.insert(found_.begin(), nearest);
+    if (witness.gap < least - noise(pair)) found_.insert(found_.begin(), nearest);
   } else {
     found_.push_back(nearest);
   }
@@ -264,7 +263,7 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
 
 double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                            const Contact& witness, Contact& contact) {
-  if (shapes_[pair].single) return kInfinity;
+  if (is_single(pair)) return kInfinity;
   const PairView v = view(pair, at);
   const ContactPoint* known = nullptr;
   for (int i = 0; i < count && known == nullptr; ++i)
@@ -289,7 +288,7 @@ double Manifolds::next_gap(int pair, const Placements& at, const ContactPoint* c
 // point then gives the gap.
 double Manifolds::include_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                                   const Contact& witness, double value, Contact& contact) const {
-  const double noise = shapes_[pair].noise;
+  const double noise = this->noise(pair);
   double least = 0.0;
   for (int i = 0; i < count; ++i) {
     if (persistent[i]->kind == PointKind::kWitness || persistent[i]->kind == PointKind::kLimit) return value;
@@ -304,8 +303,8 @@ double Manifolds::include_witness(int pair, const Placements& at, const ContactP
 }
 
 bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) {
-  const Shapes& s = shapes_[pair];
-  if (s.single || !(shape_features_[s.a].is_unbounded() || shape_features_[s.b].is_unbounded())) return false;
+  const Pair& p = scene_->pairs[pair];
+  if (is_single(pair) || !(features(pair, p.a).is_unbounded() || features(pair, p.b).is_unbounded())) return false;
   next_gap(pair, at, nullptr, 0, Contact{}, contact);
   return true;
 }

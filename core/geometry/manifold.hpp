@@ -99,19 +99,15 @@ class Manifolds {
                   const Contact& witness, Contact& contact);
 
   // Whether coal's point is the only one of the pair.
-  bool is_single(int pair) const { return shapes_[pair].single; }
+  bool is_single(int pair) const;
 
   // Largest error of coal's distance of the pair, against that of its features [m].
-  double noise(int pair) const { return shapes_[pair].noise; }
+  double noise(int pair) const;
 
  private:
   double include_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                          const Contact& witness, double value, Contact& contact) const;
-  struct Shapes {
-    int a, b;      // in shape_features_
-    bool single;   // coal's point is the only one of the pair
-    double noise;  // largest error of coal's distance of the pair [m]
-  };
+  const ShapeFeatures& features(int pair, int geometry) const;
   class Least;
   PairView view(int pair, const Placements& at) const;
   ContactPoint make_point(int pair, const PairView& v, const Candidate& c, const Vec3& n_W) const;
@@ -119,9 +115,8 @@ class Manifolds {
   Sides sides_of_witness(const PairView& v, const Contact& witness) const;
   Sides sides_of_point(const PairView& v, const ContactPoint& point, const Placements& at) const;
 
+  const Scene* scene_;
   int max_points_;
-  std::vector<ShapeFeatures> shape_features_;
-  std::vector<Shapes> shapes_;
   // Workspace, which grows to the largest manifold found.
   std::vector<Candidate> found_;
   Selection selection_;

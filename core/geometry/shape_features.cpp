@@ -49,6 +49,59 @@ std::vector<int> order_corners(const Points& points, std::vector<int> all, const
   return hull;
 }
 
+// Whether one number is in all three ascending lists.
+bool share_a_face(const std::vector<int>& a, const std::vector<int>& b, const std::vector<int>& c) {
+  for (int f : a)
+    if (std::binary_search(b.begin(), b.end(), f) && std::binary_search(c.begin(), c.end(), f)) return true;
+  return false;
+}
+
+// Which points of a hull its triangles join, points at the same place being one. Finds the points in a plane that
+// touches the hull by walking from one to the next: those above any plane are joined with each other.
+class HullWalk {
+ public:
+  HullWalk(const Points& points, const std::vector<coal::Triangle>& triangles, const std::vector<int>& same)
+      : points_(points), neighbors_(points.size()), walk_of_(points.size(), 0) {
+    for (const coal::Triangle& t : triangles)
+      for (int k = 0; k < 3; ++k) {
+        const int i = same[t[k]], j = same[t[(k + 1) % 3]];
+        if (i == j) continue;
+        neighbors_[i].push_back(j);
+        neighbors_[j].push_back(i);
+      }
+  }
+
+  // The points within `flat` of the plane, ascending; the three numbers are some of them.
+  void find(const Vec3& normal, double offset, double flat, std::initializer_list<int> start, std::vector<int>& found) {
+    found.clear();
+    ++walk_;
+    open_.clear();
+    for (int i : start) enter(i);
+    while (!open_.empty()) {
+      const int i = open_.back();
+      open_.pop_back();
+      const double above = normal.dot(points_[i]) - offset;
+      if (above < -flat) continue;
+      if (!(above > flat)) found.push_back(i);
+      for (int j : neighbors_[i]) enter(j);
+    }
+    std::sort(found.begin(), found.end());
+  }
+
+ private:
+  void enter(int i) {
+    if (walk_of_[i] == walk_) return;
+    walk_of_[i] = walk_;
+    open_.push_back(i);
+  }
+
+  const Points& points_;
+  std::vector<std::vector<int>> neighbors_;
+  std::vector<int> walk_of_;  // the last walk that came to the point
+  std::vector<int> open_;
+  int walk_ = 0;
+};
+
 // The faces of a hull from its triangles, largest first; a face has all points in its plane.
 std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coal::Triangle>& triangles, double size,
                                      const std::vector<int>& same, double& roughness) {
@@ -66,24 +119,19 @@ std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coa
   std::stable_sort(seeds.begin(), seeds.end(), [](const Seed& s, const Seed& t) { return s.area > t.area; });
   Vec3 center = Vec3::Zero();
   for (const Vec3& p : points) center += p / static_cast<double>(points.size());
+  HullWalk walk(points, triangles, same);
   std::vector<Polygon> faces;
-  std::vector<std::vector<bool>> on;
+  std::vector<std::vector<int>> faces_of(points.size());  // per point: the faces found so far that have it, ascending
+  std::vector<int> all;
   const double flat = kFlat * size;
   for (const Seed& seed : seeds) {
     const coal::Triangle& t = triangles[seed.i];
     const int a = same[t[0]], b = same[t[1]], c = same[t[2]];
-    if (std::any_of(on.begin(), on.end(), [&](const std::vector<bool>& in) { return in[a] && in[b] && in[c]; }))
-      continue;
+    if (share_a_face(faces_of[a], faces_of[b], faces_of[c])) continue;
     Polygon face;
     face.normal = seed.normal.dot(points[a] - center) < 0.0 ? Vec3(-seed.normal) : seed.normal;
     face.offset = face.normal.dot(points[a]);
-    std::vector<bool> in(points.size(), false);
-    std::vector<int> all;
-    for (int i = 0; i < static_cast<int>(points.size()); ++i) {
-      if (same[i] != i || std::abs(face.normal.dot(points[i]) - face.offset) > flat) continue;
-      in[i] = true;
-      all.push_back(i);
-    }
+    walk.find(face.normal, face.offset, flat, {a, b, c}, all);
     face.corners = order_corners(points, all, face.normal, flat);
     if (face.corners.size() < 3) continue;
     // The plane of the whole polygon (Newell) has less rounding than that of one triangle.
@@ -95,8 +143,8 @@ std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coa
     face.offset = -std::numeric_limits<double>::infinity();
     for (int i : face.corners) face.offset = std::max(face.offset, face.normal.dot(points[i]));
     for (int i : face.corners) roughness = std::max(roughness, face.offset - face.normal.dot(points[i]));
+    for (int i : all) faces_of[i].push_back(static_cast<int>(faces.size()));
     faces.push_back(std::move(face));
-    on.push_back(std::move(in));
   }
   return faces;
 }
@@ -186,6 +234,29 @@ void add_box(ShapeFeatures& o, const Geometry& g, const Vec3& half) {
   add_polygons(o, points, faces);
 }
 
+// Per point the first one that is within `near` of it; the first of that one if it has one.
+std::vector<int> first_at_same_place(const Points& points, double near) {
+  const int n = static_cast<int>(points.size());
+  std::vector<int> same(n), order(n), place(n);
+  std::iota(order.begin(), order.end(), 0);
+  std::sort(order.begin(), order.end(),
+            [&](int i, int j) { return points[i][0] != points[j][0] ? points[i][0] < points[j][0] : i < j; });
+  for (int k = 0; k < n; ++k) place[order[k]] = k;
+  for (int i = 0; i < n; ++i) {
+    int first = i;
+    auto compare = [&](int k) {  // false: this point and those beyond it are too far along x
+      const int j = order[k];
+      if (std::abs(points[j][0] - points[i][0]) > near) return false;
+      if (j < first && (points[i] - points[j]).squaredNorm() <= near * near) first = j;
+      return true;
+    };
+    for (int k = place[i] - 1; k >= 0 && compare(k);) --k;
+    for (int k = place[i] + 1; k < n && compare(k);) ++k;
+    same[i] = first == i ? i : same[first];
+  }
+  return same;
+}
+
 void add_hull(ShapeFeatures& o, const Geometry& g, const coal::ConvexBase& shape) {
   const auto* hull = dynamic_cast<const coal::Convex<coal::Triangle>*>(&shape);
   if (hull == nullptr || !hull->polygons) throw Error("a convex shape has no triangles");
@@ -197,15 +268,7 @@ void add_hull(ShapeFeatures& o, const Geometry& g, const coal::ConvexBase& shape
     high = high.cwiseMax(p);
   }
   const double size = (high - low).norm();
-  std::vector<int> same(points.size());  // the first point at the same place
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    same[i] = static_cast<int>(i);
-    for (std::size_t j = 0; j < i; ++j)
-      if ((points[i] - points[j]).squaredNorm() <= kSame * kSame * size * size) {
-        same[i] = same[j];
-        break;
-      }
-  }
+  const std::vector<int> same = first_at_same_place(points, kSame * size);
   add_polygons(o, points, merge_triangles(points, *hull->polygons, size, same, o.roughness));
 }
 
@@ -223,10 +286,7 @@ void add_cylinder(ShapeFeatures& o, const Geometry& g, const coal::Cylinder& sha
   }
 }
 
-}  // namespace
-
-ShapeFeatures make_shape_features(const Geometry& g, bool rounded) {
-  const coal::CollisionGeometry& shape = rounded && g.rounded ? *g.rounded : *g.sharp;
+ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeometry& shape) {
   ShapeFeatures o;
   o.body = g.body;
   o.radius = static_cast<const coal::ShapeBase&>(shape).getSweptSphereRadius();
@@ -269,6 +329,19 @@ ShapeFeatures make_shape_features(const Geometry& g, bool rounded) {
   // This is the largest number that a feature number (candidates.hpp) can hold.
   if (std::max(o.ring.size(), o.edges.size()) > (1u << 19)) throw Error("a convex shape has too many edges");
   return o;
+}
+
+}  // namespace
+
+void add_shape_features(Scene& scene) {
+  for (const Pair& pair : scene.pairs)
+    for (int i : {pair.a, pair.b}) {
+      Geometry& g = scene.geometries[i];
+      const bool rounded = pair.rounded && g.rounded;
+      std::shared_ptr<const ShapeFeatures>& features = rounded ? g.rounded_features : g.sharp_features;
+      if (!features)
+        features = std::make_shared<const ShapeFeatures>(make_shape_features(g, rounded ? *g.rounded : *g.sharp));
+    }
 }
 
 double outside_of(const ShapeFeatures& o, const ShapeFeatures::Face& face, const Vec3& x) {

@@ -60,8 +60,13 @@ struct ShapeFeatures {
   bool is_unbounded() const { return !faces.empty() && std::isinf(faces[0].radius); }
 };
 
-// Of the shape that distances of a pair refer to: rounded or sharp. Throws Error for a hull without triangles.
-ShapeFeatures make_shape_features(const Geometry& geometry, bool rounded);
+// Makes the features that the scene's pairs need and that are not made yet. Throws Error for a hull without triangles.
+void add_shape_features(Scene& scene);
+
+// Of the shape that distances of a pair refer to: rounded or sharp.
+inline const ShapeFeatures& shape_features_of(const Geometry& geometry, bool rounded) {
+  return rounded && geometry.rounded ? *geometry.rounded_features : *geometry.sharp_features;
+}
 
 // How far x lies outside of the prism over a face [m], negative inside; 0 over a halfspace.
 double outside_of(const ShapeFeatures& shape_features, const ShapeFeatures::Face& face, const Vec3& x);

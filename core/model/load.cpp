@@ -242,11 +242,16 @@ Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree
     g.halfspace_offset = halfspace.d;
     g.center_B.setZero();
     g.radius = g.reach = 0;
+    g.box_center = g.box_half = Vec3::Zero();
+    g.is_ball = false;
     return g;
   }
   g.center_B = g.R_BG * shape.aabb_center + g.p_BG;
   g.radius = shape.aabb_radius;
   g.reach = g.center_B.norm() + g.radius;
+  g.box_center = shape.aabb_center;
+  g.box_half = 0.5 * (shape.aabb_local.max_ - shape.aabb_local.min_);
+  g.is_ball = shape.getNodeType() == coal::GEOM_SPHERE;
   return g;
 }
 

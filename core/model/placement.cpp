@@ -47,18 +47,20 @@ inline void place_joint(const Joint& joint, const double* q, Mat3& R, Vec3& r) {
 
 }  // namespace
 
-void place(const Tree& tree, const VecCRef& q, Placements& at) {
-  for (std::size_t i = 0; i < tree.joints.size(); ++i) {
-    const Joint& joint = tree.joints[i];
-    place_joint(joint, q.data() + joint.iq, at.R[i], at.r[i]);
-    if (joint.parent < 0) {
-      at.R_W[i] = at.R[i];
-      at.p_W[i] = at.r[i];
-    } else {
-      at.R_W[i].noalias() = at.R_W[joint.parent] * at.R[i];
-      at.p_W[i] = at.p_W[joint.parent] + at.R_W[joint.parent] * at.r[i];
-    }
+void place_body(const Tree& tree, int i, const VecCRef& q, Placements& at) {
+  const Joint& joint = tree.joints[i];
+  place_joint(joint, q.data() + joint.iq, at.R[i], at.r[i]);
+  if (joint.parent < 0) {
+    at.R_W[i] = at.R[i];
+    at.p_W[i] = at.r[i];
+  } else {
+    at.R_W[i].noalias() = at.R_W[joint.parent] * at.R[i];
+    at.p_W[i] = at.p_W[joint.parent] + at.R_W[joint.parent] * at.r[i];
   }
+}
+
+void place(const Tree& tree, const VecCRef& q, Placements& at) {
+  for (int i = 0; i < static_cast<int>(tree.joints.size()); ++i) place_body(tree, i, q, at);
 }
 
 double gravity_potential(const Tree& tree, const Placements& at) {

@@ -15,6 +15,8 @@ struct Placements {
   std::vector<Vec3> p_W;
 };
 
+// Pose of one body at q, shape (nq,), whose parent is placed.
+void place_body(const Tree& tree, int body, const VecCRef& q, Placements& at);
 // All poses at q, shape (nq,).
 void place(const Tree& tree, const VecCRef& q, Placements& at);
 

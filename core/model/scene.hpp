@@ -14,6 +14,9 @@ class CollisionGeometry;
 
 namespace contactvi {
 
+struct ShapeFeatures;
+class PairTable;
+
 struct Geometry {
   int body;   // engine joint that moves it, -1: world
   Mat3 R_BG;  // geometry frame in the body frame
@@ -28,6 +31,12 @@ struct Geometry {
   Vec3 center_B;  // bounding sphere, body frame
   double radius;
   double reach;  // largest distance of one of its points from the body origin
+  // Bounding box along the axes of the geometry's frame [m]; a ball has the same box whichever way it is turned.
+  Vec3 box_center, box_half;
+  bool is_ball;
+  // Features of the sharp and of the rounded shape, made by prepare_geometry and shared by all that simulate the scene;
+  // null where no pair needs them.
+  std::shared_ptr<const ShapeFeatures> sharp_features, rounded_features;
 };
 
 struct Pair {
@@ -42,6 +51,7 @@ struct Scene {
   Tree tree;
   std::vector<Geometry> geometries;
   std::vector<Pair> pairs;
+  std::shared_ptr<const PairTable> pair_table;  // of the pairs, made by prepare_geometry
 
   int guard_count() const { return static_cast<int>(pairs.size() + tree.limits.size()); }
   bool is_pair(int guard) const { return guard < static_cast<int>(pairs.size()); }

@@ -15,11 +15,12 @@
 namespace contactvi {
 
 namespace {
-constexpr long kCoupledImpacts = 64;  // in an interval, and so many more per closed contact:
-constexpr long kImpactsPerContact = 8;
-constexpr int kChanges = 16;             // of the persistent contacts in an interval, and so many more per contact:
-constexpr int kChangesPerContact = 4;
-constexpr int kContactParts = 64;        // of steps with persistent contacts in an interval
+// Limits of what may happen in an interval, or in each millisecond of a longer one. Impacts are counted at instants with
+// several closed contacts.
+constexpr double kCounted = 1e-3;  // [s]
+constexpr double kCoupledImpacts = 64, kImpactsPerContact = 8;
+constexpr double kChanges = 16, kChangesPerContact = 4;  // of persistent contacts
+constexpr double kContactParts = 64;                     // of steps with persistent contacts
 constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
 constexpr int kSoon = 8;                 // times the quiet steps wanted: events that accumulate again so soon
 constexpr std::size_t kMostPersistent = 16;  // points: beyond them the dense step is as accurate and cheaper
@@ -36,10 +37,12 @@ bool Simulator::allows_dense_steps() const {
          allows_persistent_contact();
 }
 
-bool Simulator::events_accumulate() const {
-  const long contacts = static_cast<long>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
-  return event_count_.coupled_impacts > kCoupledImpacts + kImpactsPerContact * contacts ||
-         event_count_.changes > kChanges + kChangesPerContact * contacts || event_count_.contact_parts > kContactParts;
+bool Simulator::events_accumulate(double length) const {
+  const double contacts = static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
+  const double times = std::max(1.0, length / kCounted);
+  return static_cast<double>(event_count_.coupled_impacts) > times * (kCoupledImpacts + kImpactsPerContact * contacts) ||
+         event_count_.changes > times * (kChanges + kChangesPerContact * contacts) ||
+         event_count_.contact_parts > times * kContactParts;
 }
 
 // Whether a run that has ended so goes on with dense steps.
@@ -63,7 +66,7 @@ void Simulator::begin_dense_phase() {
   state_.dense.active = true;
   state_.dense.quiet = 0;
   dense_step_.restart();
-  guards_.unmark_all();
+  guards_.restart();
   integrator_.forget();
 }
 
@@ -78,9 +81,9 @@ void Simulator::end_dense_phase() {
   state_.dense.active = false;
   state_.dense.since_return = 0;
   state_.separated.clear();
-  guards_.unmark_all();
+  guards_.restart();
   integrator_.forget();
-  for (int g = 0; g < guards_.count(); ++g) finder_.set_touching(g, false);
+  finder_.forget_touching();
   for (const DenseContact& c : dense_step_.contacts())
     if (c.closed) finder_.set_touching(c.point.guard, true);
   for (const PersistentContact& c : contact_step_.contacts()) finder_.set_touching(c.point.guard, false);

@@ -83,7 +83,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   integrator_.counters = StepCounters();
   integrator_.forget();
   guards_.counters = GuardCounters();
-  guards_.unmark_all();
+  guards_.restart();
   if (!q0.allFinite() || !v0.allFinite()) {
     end(StatusCode::kNotFinite, t, "the start state is not finite");
     return state_.status;
@@ -91,10 +91,13 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   integrator_.dynamics(q0, v0, state_.p, p1_);
   law_->start_run(free_state(), state_.reference);
   guards_.place(q0);
-  for (int g = 0; g < guards_.count(); ++g) {
+  finder_.forget_touching();
+  std::vector<int> meeting;
+  guards_.list_meeting(meeting);
+  for (int g : meeting) {
     Contact contact;
     const double gap = guards_.evaluate(g, contact), tolerance = guards_.touch_tolerance(g);
-    finder_.set_touching(g, gap <= tolerance);
+    if (gap <= tolerance) finder_.set_touching(g, true);
     if (!(gap >= -tolerance)) {
       end(StatusCode::kPenetration, t, "the start state is in penetration", g);
       state_.status.depth = -gap;
@@ -231,7 +234,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     const bool going =
         contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
     event_count_.changes = static_cast<int>(recording.changes.size() - changes);
-    if (dense_allowed && (going ? events_accumulate() : dense_steps_go_on()))
+    if (dense_allowed && (going ? events_accumulate(length) : dense_steps_go_on()))
       begin_dense_phase();
     else if (!going)
       return false;

@@ -127,17 +127,44 @@ void StepPath::configuration(double tau, VecRef q) const {
   }
 }
 
+// v = J(X) X' of a spherical joint whose X' is in v.
+void StepPath::turn_rate(const double* I, int iv, VecRef v) const {
+  Vec3 xi;
+  joint_displacement(I, iv, 3, xi.data());
+  const Vec3 rate = v.segment<3>(iv);
+  const So3Coefficients c = so3_coefficients(xi.squaredNorm());
+  v.segment<3>(iv) = so3_apply(xi, -c.cos_t, c.cub_t, rate);
+}
+
 void StepPath::velocity(double tau, VecRef v) const {
   double I[kMaxStages + 2];
   legendre_integrals(tau, count_, I);
   chart_rate(tau, v);
-  for_spherical(*tree_, [&](int iv) {
-    Vec3 xi;
-    joint_displacement(I, iv, 3, xi.data());
-    const Vec3 rate = v.segment<3>(iv);
-    const So3Coefficients c = so3_coefficients(xi.squaredNorm());
-    v.segment<3>(iv) = so3_apply(xi, -c.cos_t, c.cub_t, rate);
-  });
+  for_spherical(*tree_, [&](int iv) { turn_rate(I, iv, v); });
+}
+
+void StepPath::configuration(double tau, const std::vector<int>& joints, VecRef q) const {
+  double I[kMaxStages + 2], X[3];
+  legendre_integrals(tau, count_, I);
+  for (int j : joints) {
+    const Joint& joint = tree_->joints[j];
+    joint_displacement(I, joint.iv, joint.nv, X);
+    integrate_joint(joint, q0_, X, q);
+  }
+}
+
+void StepPath::velocity(double tau, const std::vector<int>& joints, VecRef v) const {
+  double I[kMaxStages + 2], P[kMaxStages + 2];
+  legendre_integrals(tau, count_, I);
+  legendre(2.0 * tau - 1.0, count_, P);
+  for (int j : joints) {
+    const Joint& joint = tree_->joints[j];
+    for (int d = joint.iv; d < joint.iv + joint.nv; ++d) {
+      v[d] = coef_(d, 0);
+      for (int k = 1; k < count_; ++k) v[d] += P[k] * coef_(d, k);
+    }
+    if (joint.type == JointType::kSpherical) turn_rate(I, joint.iv, v);
+  }
 }
 
 void StepPath::bound(VecRef bound) const {

@@ -38,6 +38,9 @@ class StepPath {
   void configuration(double tau, VecRef q) const;  // (nq,)
   void chart_rate(double tau, VecRef rate) const;  // X', (nv,)
   void velocity(double tau, VecRef v) const;       // J(X) X', (nv,)
+  // As these, of some joints only; the other entries of q and v stay as they are.
+  void configuration(double tau, const std::vector<int>& joints, VecRef q) const;
+  void velocity(double tau, const std::vector<int>& joints, VecRef v) const;
 
   // Bound on |v| over the step, (nv,): for each dof, and for the norm of the vector in all three entries of a spherical
   // joint (the Jacobian J of SO(3)'s exponential lengthens no vector).
@@ -48,6 +51,7 @@ class StepPath {
 
  private:
   void joint_displacement(const double* I, int iv, int nv, double* X) const;
+  void turn_rate(const double* I, int iv, VecRef v) const;
 
   const Tree* tree_;
   int stages_;

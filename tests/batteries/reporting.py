@@ -6,8 +6,11 @@ import itertools
 from collections import Counter
 from typing import Any
 
+import numpy as np
+
 import contactvi as cvi
 from batteries.runner import Report
+from contactvi.records.contacts import ContactLog
 
 
 def table(reports: dict[str, list[Report]]) -> str:
@@ -28,3 +31,11 @@ class Altered:
 
     def __getattr__(self, name: str) -> Any:
         return self._changes[name] if name in self._changes else getattr(self._traj, name)
+
+
+def altered_rows(traj: cvi.Trajectory, name: str, change: Any) -> Altered:
+    """Contact rows with one field changed, in the row of a persistent contact with the largest impulse."""
+    arrays = {key: values.copy() for key, values in traj.contacts.arrays.items()}
+    row = int(np.argmax(np.where(traj.contacts.h > 0.0, np.abs(arrays["end"][:, 2]), 0.0)))
+    arrays[name][row] = change(arrays[name][row])
+    return Altered(traj, contacts=ContactLog(arrays, traj.scene.pair_names, []))

@@ -19,9 +19,8 @@ from hypothesis import strategies as st
 import contactvi as cvi
 from batteries import contact_laws, contact_scenes, energy_laws
 from batteries.contact_scenes import run_of
-from batteries.reporting import Altered, table
+from batteries.reporting import Altered, altered_rows, table
 from batteries.runner import Report, Runner
-from contactvi.records.contacts import ContactLog
 
 IMPACTS = 100_000  # of the long run
 LIMIT = 60.0  # [s] of wall time of one run; the slowest that is not in KNOWN takes a sixth
@@ -146,14 +145,6 @@ def test_known_failures(runner, family, seed, chosen, what):
 
 
 # --- the battery itself -----------------------------------------------------------------------------------------------
-def altered_rows(traj: cvi.Trajectory, name: str, change: Any) -> Altered:
-    """Contact rows with one field changed, in the row of a persistent contact with the largest impulse."""
-    arrays = {key: values.copy() for key, values in traj.contacts.arrays.items()}
-    row = int(np.argmax(np.where(traj.contacts.h > 0.0, np.abs(arrays["end"][:, 2]), 0.0)))
-    arrays[name][row] = change(arrays[name][row])
-    return Altered(traj, contacts=ContactLog(arrays, traj.scene.pair_names, []))
-
-
 def test_the_laws_can_fail():
     drawn = contact_scenes.draw("drop", 0, impact="ctec", restitution=0.5, friction=0.6, order=2, dt=0.005)
     traj = cvi.simulate(drawn.scene, drawn.q, drawn.v, **drawn.options)

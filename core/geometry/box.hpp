@@ -1,0 +1,28 @@
+// Bounding boxes along the axes of the world.
+#pragma once
+
+#include "model/placement.hpp"
+#include "model/scene.hpp"
+
+namespace contactvi {
+
+struct Box {
+  Vec3 center, half;  // [m]
+
+  Box fattened(double margin) const { return {center, half + Vec3::Constant(margin)}; }
+};
+
+// How far two boxes are apart along the axis where they are farthest [m], negative if they overlap: a lower bound on
+// the distance of what is in them.
+inline double separation(const Box& a, const Box& b) {
+  return ((a.center - b.center).cwiseAbs() - a.half - b.half).maxCoeff();
+}
+
+// Of a geometry that is no halfspace, with its body as placed. Also of its rounded shape, which reaches as far along
+// the axes of the geometry.
+Box box_of(const Geometry& geometry, const Placements& at);
+
+// Smallest distance of a box from a halfspace as placed [m], negative below its face.
+double separation(const Box& box, const Geometry& halfspace, const Placements& at);
+
+}  // namespace contactvi

@@ -1,0 +1,34 @@
+"""Runs of heaps in a process of their own, for test_heap_battery: as batteries.runner, with the laws of heap_laws."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from batteries.runner import Report, main
+
+DT = 1e-3
+NODES = 2e5  # of all bodies together: where there are more, gaps are looked at every so many nodes
+
+
+def examine(family: str, seed: int, duration: float | None = None, **chosen: Any) -> Report:
+    """Run one heap and check all laws; chosen: restitution, friction, count."""
+    import contactvi as cvi
+    from batteries import heap_laws
+    from contactvi.bench import heaps
+
+    heap = heaps.make(family, seed, **chosen)
+    scene, q, v = heaps.to_scene(heap)
+    start = time.perf_counter()
+    traj = cvi.simulate(scene, q, v, duration or heap.duration, dt=DT, throw=False)
+    every = max(1, int(len(traj.t) * len(heap.bodies) ** 2 / NODES))
+    found = [str(f) for f in heap_laws.broken(heap, traj, DT, every)]
+    if not traj.status.ok:
+        found.insert(0, str(traj.status))
+    label = " ".join([family, str(seed), *(f"{name}={value}" for name, value in chosen.items())])
+    seconds, contact_steps = time.perf_counter() - start, traj.stats.contact_steps
+    return Report(label, traj.status.code.name, found, traj.status.time, len(traj.events), contact_steps, seconds)
+
+
+if __name__ == "__main__":
+    main(examine)
