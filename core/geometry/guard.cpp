@@ -54,9 +54,13 @@ void Guards::place_bodies() {
 }
 
 void Guards::restart() {
+  forget_distances();
+  std::fill(odometer_.begin(), odometer_.end(), 0.0);
+}
+
+void Guards::forget_distances() {
   std::fill(marks_.begin(), marks_.end(), -1.0);
   std::fill(motion_.geometry.begin(), motion_.geometry.end(), 0.0);
-  std::fill(odometer_.begin(), odometer_.end(), 0.0);
   broad_phase_.invalidate();
 }
 

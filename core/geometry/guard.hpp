@@ -44,6 +44,8 @@ class Guards {
   static constexpr double kNothingElse = 1e9;
   // The bodies have been put to a new place: what is known about their distances and their motion is forgotten.
   void restart();
+  // What is known about the distances is forgotten; the odometers go on.
+  void forget_distances();
   // Guards that may be closed after a restart, where the bodies are placed, ascending: joint limits, and pairs whose
   // boxes meet.
   void list_meeting(std::vector<int>& guards);

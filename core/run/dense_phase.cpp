@@ -66,7 +66,7 @@ void Simulator::begin_dense_phase() {
   state_.dense.active = true;
   state_.dense.quiet = 0;
   dense_step_.restart();
-  guards_.restart();
+  guards_.forget_distances();
   integrator_.forget();
 }
 
@@ -81,7 +81,7 @@ void Simulator::end_dense_phase() {
   state_.dense.active = false;
   state_.dense.since_return = 0;
   state_.separated.clear();
-  guards_.restart();
+  guards_.forget_distances();
   integrator_.forget();
   finder_.forget_touching();
   for (const DenseContact& c : dense_step_.contacts())

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "geometry/prepare.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -28,13 +30,18 @@ void combine(const StepControl& part, StepControl& all) {
   all.without_progress = std::max(all.without_progress, part.without_progress);
 }
 
+const Scene& prepared(Scene& scene) {
+  prepare_geometry(scene);
+  return scene;
+}
+
 }  // namespace
 
 Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, const SimulatorOptions& options)
     : whole_(&whole),
       trees_(std::move(trees)),
       numbers_(restrict_scene(whole, all, trees_)),
-      own_(std::make_unique<Simulator>(numbers_->scene, options)),
+      own_(std::make_unique<Simulator>(prepared(numbers_->scene), options)),
       engine_(own_.get()),
       fresh_(engine_->memory()) {
   for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
@@ -262,7 +269,7 @@ void Island::step(long step, double t, double length, const VecX& tau, const Vec
     repeat_record(step, t, length);
     return;
   }
-  engine_->hand_over(before_);
+  if (own_) engine_->hand_over(before_);  // the island of all trees is never undone
   for (std::size_t k = 0; k < odometer_.size(); ++k) odometer_[k] = engine_->guards().odometer(static_cast<int>(k));
   recording_.clear();
   ok_ = engine_->step_island(step, t, length, tau_, target_, progress, recording_);
