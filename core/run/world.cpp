@@ -76,6 +76,8 @@ World::World(const Scene& scene, const SimulatorOptions& options)
       loose_(trees_.count()),
       anchors_(scene.tree.elements.friction_dofs.size()),
       island_of_tree_(trees_.count(), -1) {
+  // Now, while the memory of its engine is fresh.
+  if (may_divide()) island_of(numbers_up_to(trees_.count()));
   island_progress_ = [this](double t, long impacts) {
     return !*progress_ || (*progress_)(t, state_.impacts + impacts);
   };
@@ -100,7 +102,8 @@ void World::divide(const VecX& v) {
   state_ = from;
   state_.control.halved = 0;
   for (LooseState& loose : loose_) loose = LooseState();
-  for (auto& [trees, island] : pool_) island->engine().reset_counters();
+  for (auto& [trees, island] : pool_)
+    if (&island->engine() != &whole_) island->engine().reset_counters();  // the reset has counted already
   forgotten_ = EngineCounters();
   Island& all = island_of(numbers_up_to(trees_.count()));
   all.dissolve(loose_, anchors_);

@@ -79,7 +79,7 @@ def test_an_island_alone_has_the_bits_of_one_in_a_crowd(seed):
             v.append(heap(scene, "b", 3.0, 100 + seed))
         scene.add_halfspace()
         scene.set_contact(restitution=0.3, friction=0.4)
-        result, simulator = run(scene, np.concatenate(v), 1e-3, 200)
+        result, simulator = run(scene, np.concatenate(v), 1e-3, 300)
         mine = columns(scene, [f"a{i}" for i in range(4)])
         found.append(result["q"][:, mine])
         assert simulator.islands >= 1 + len(v) - 1
@@ -178,6 +178,22 @@ def test_a_snapshot_of_islands_goes_on_to_the_bit():
     for name in ("t", "q", "p"):
         assert same_bits(first[name], again[name]), name
         assert same_bits(first[name], elsewhere[name]), name
+
+
+def test_a_reset_leaves_nothing_of_the_run_before():
+    """Engines of islands are kept for later: what they have been through does not show."""
+    scene = cvi.Scene()
+    v = np.concatenate([heap(scene, "a", 0.0, 8), heap(scene, "b", 1.0, 9)])
+    scene.add_halfspace()
+    scene.set_contact(restitution=0.3, friction=0.4)
+    first, simulator = run(scene, v, 1e-3, 200)
+    simulator.reset(scene.neutral(), 0.5 * v)
+    simulator.advance(150)
+    simulator.reset(scene.neutral(), v)
+    again = simulator.advance(200)
+    assert again["stats"]["impacts"] == first["stats"]["impacts"]
+    for name in ("q", "p"):
+        assert same_bits(first[name], again[name])
 
 
 def test_calls_of_one_step_and_of_many_are_the_same():
