@@ -136,7 +136,8 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
     result_.residual = std::numeric_limits<double>::infinity();
     std::fill_n(best_.data(), m, 0.0);
     attempt(problem, regularize, lambda.data());
-    result_.ok = keep_better(lambda.data(), m) || rescue(problem, regularize, lambda.data());
+    result_.ok = keep_better(lambda.data(), m) ||
+                 (m <= most_rescued_rows_ && rescue(problem, regularize, lambda.data()));
     std::copy_n(best_.data(), m, lambda.data());
   }
   result_.iterations = newton_.iterations();

@@ -1,6 +1,7 @@
 // Solver of the Coulomb cone problem (problem.hpp).
 #pragma once
 
+#include <limits>
 #include <vector>
 
 #include "cone/fallback.hpp"
@@ -21,6 +22,8 @@ class ConeSolver {
   void reserve(int rows);
   // lambda: start on entry, solution on return (m,) [N s]; finite also if the result is not ok.
   ConeResult solve(const ConeProblem& problem, VecRef lambda, bool regularize);
+  // Problems with more rows are given up where Newton's method fails: other starts cost far more than their share there.
+  void limit_rescue(int rows) { most_rescued_rows_ = rows; }
 
  private:
   bool one_contact(const ConeProblem& problem, double* lambda);
@@ -35,6 +38,7 @@ class ConeSolver {
   ConeFallback fallback_;
   ConeResult result_;
   std::vector<double> start_, best_, w_;
+  int most_rescued_rows_ = std::numeric_limits<int>::max();
 };
 
 }  // namespace contactvi

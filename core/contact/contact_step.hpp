@@ -48,6 +48,8 @@ class ContactStep final : public Stepper {
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
   // Nominal length of a step [s], over which errors of the constraints are corrected.
   void set_nominal(double h) { nominal_h_ = h; }
+  // See ConeSolver::limit_rescue.
+  void limit_rescue(int rows) { solver_.limit_rescue(rows); }
   // To be called after contacts were added or released, or if the state is not the end of the last step.
   void invalidate() { node0_.known = follows_ = false; }
 

@@ -32,6 +32,7 @@ bool Simulator::retry_contact_step(double h, double time) {
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with persistent contacts was not solved: ") +
                    (*contact_step_.why() != 0 ? contact_step_.why() : "an event in it was not located"));
+  event_count_.contact_halvings += contact_step_.rim_turns_far() ? 0 : 1;
   state_.control.halve_contact(h);
   contact_step_.invalidate();
   return true;

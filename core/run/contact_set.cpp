@@ -185,14 +185,18 @@ void ContactSet::release_unloaded(int forced, const VecX& tau) {
   }
 }
 
-void ContactSet::close_contacts_at_start() {
+bool ContactSet::close_contacts_at_start(int most_points) {
   std::vector<int> touching;
   for (int g = 0; g < guards_->count(); ++g)
     if (finder_->touching(g)) touching.push_back(g);
-  if (touching.empty() || !sequence_->collect(run_->q, run_->p, run_->time, touching, -1, {})) return;
+  if (touching.empty() || !sequence_->collect(run_->q, run_->p, run_->time, touching, -1, {})) return true;
+  int points = 0;
+  for (int i = 0; i < sequence_->count(); ++i) points += sequence_->closed(i).count;
+  if (points > most_points) return false;
   Recording start;
   close_contacts(-1, run_->time, VecX(), start);
   run_->initial_changes = start.changes;
+  return true;
 }
 
 void ContactSet::release_separated(int releasing, double time, Recording& recording) {

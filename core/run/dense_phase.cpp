@@ -20,10 +20,13 @@ namespace {
 constexpr double kCounted = 1e-3;  // [s]
 constexpr double kCoupledImpacts = 64, kImpactsPerContact = 8;
 constexpr double kChanges = 16, kChangesPerContact = 4;  // of persistent contacts
+constexpr int kContactHalvings = 8;                      // of steps with persistent contacts that were not solved
 constexpr double kContactParts = 64;                     // of steps with persistent contacts
 constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
 constexpr int kSoon = 8;                 // times the quiet steps wanted: events that accumulate again so soon
-constexpr std::size_t kMostPersistent = 16;  // points: beyond them the dense step is as accurate and cheaper
+// Persistent contact points: with more of them the dense step, of the same order without impacts, is far cheaper, since
+// the matrix of the contact step is full.
+constexpr int kMostPersistent = 24;
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
 constexpr double kSlow = 1e-11;  // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;  // of a step: dense steps are halved down to this length
@@ -37,12 +40,18 @@ bool Simulator::allows_dense_steps() const {
          allows_persistent_contact();
 }
 
+// Persistent contact points of a run with located events.
+int Simulator::most_persistent() const {
+  return allows_dense_steps() ? kMostPersistent : std::numeric_limits<int>::max();
+}
+
 bool Simulator::events_accumulate(double length) const {
   const double contacts = static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
   const double times = std::max(1.0, length / kCounted);
   return static_cast<double>(event_count_.coupled_impacts) > times * (kCoupledImpacts + kImpactsPerContact * contacts) ||
          event_count_.changes > times * (kChanges + kChangesPerContact * contacts) ||
-         event_count_.contact_parts > times * kContactParts;
+         event_count_.contact_parts > times * kContactParts || event_count_.contact_halvings > kContactHalvings ||
+         static_cast<int>(contact_step_.contacts().size()) > most_persistent();
 }
 
 // Whether a run that has ended so goes on with dense steps.
@@ -73,7 +82,7 @@ void Simulator::begin_dense_phase() {
 // Whether events may be located again: some steps were quiet, and the contacts are so few that their step is cheap.
 bool Simulator::dense_may_end() const {
   return options_.contact_steps == ContactSteps::kAuto && state_.dense.quiet >= state_.dense.wanted &&
-         contact_step_.contacts().size() <= kMostPersistent;
+         static_cast<int>(contact_step_.contacts().size()) <= most_persistent();
 }
 
 // Events are located again: what the last dense step has left closed persists.

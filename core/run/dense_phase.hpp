@@ -21,6 +21,7 @@ struct DensePhase {
 struct EventCount {
   long coupled_impacts = 0;  // at instants with several closed contacts
   int changes = 0;           // begins and releases of persistent contacts
+  int contact_halvings = 0;  // of steps with persistent contacts that were not solved
   int contact_parts = 0;     // partial steps with persistent contacts
 };
 

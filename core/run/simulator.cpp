@@ -11,6 +11,7 @@ namespace contactvi {
 namespace {
 constexpr double kSeparated = 1e-13;  // of the event's speeds: a slower closing speed is rounding
 constexpr int kMostHalvings = 4000;   // of the free steps within one interval
+constexpr int kMostRescuedRows = 36;  // of a contact problem, where a run may take dense steps instead
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether some force dissipates energy.
@@ -70,6 +71,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   state_.control.start(options_.dt, contact_dt());
   state_.work.start(t, scene_->tree.elements.constraint_rows, does_work_);
   scene_->tree.elements.forget_failure();
+  contact_step_.limit_rescue(allows_dense_steps() ? kMostRescuedRows : std::numeric_limits<int>::max());
   actuation_.start();
   integrator_.set_time(t);
   contact_step_.contacts().clear();
@@ -104,7 +106,8 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
       return state_.status;
     }
   }
-  if (allows_persistent_contact() && !state_.dense.active) contacts_.close_contacts_at_start();
+  if (allows_persistent_contact() && !state_.dense.active)
+    state_.dense.active = !contacts_.close_contacts_at_start(most_persistent());
   return state_.status;
 }
 

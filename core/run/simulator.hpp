@@ -139,6 +139,7 @@ class Simulator {
 
   // dense_phase.cpp: dense steps, and the decision between them and located events.
   bool allows_dense_steps() const;
+  int most_persistent() const;
   bool events_accumulate(double length) const;
   bool dense_steps_go_on() const;
   bool dense_may_end() const;
