@@ -84,18 +84,26 @@ BroadPhase::BroadPhase(const Scene& scene)
       is_leaving_(scene.geometries.size(), 0),
       tree_(new BoxTree) {
   tree_->leaves.assign(scene.geometries.size(), nullptr);
-  for (std::size_t g = 0; g < scene.geometries.size(); ++g)
+  for (std::size_t g = 0; g < scene.geometries.size(); ++g) {
+    if (scene.geometries[g].body >= 0) moving_.push_back(static_cast<int>(g));
     if (scene.geometries[g].unbounded) planes_.push_back(static_cast<int>(g));
+  }
 }
 
 BroadPhase::~BroadPhase() = default;
 
-void BroadPhase::invalidate() { std::fill(limits_.begin(), limits_.end(), -kInfinity); }
+// Boxes of what does not move stay.
+void BroadPhase::invalidate() {
+  for (int g : moving_) limits_[g] = -kInfinity;
+}
 
 bool BroadPhase::is_outdated(const std::vector<double>& odometer, const std::vector<double>& motion) {
   leaving_.clear();
-  for (std::size_t g = 0; g < limits_.size(); ++g)
-    if (!(odometer[g] + 2.0 * motion[g] <= limits_[g])) leaving_.push_back(static_cast<int>(g));
+  for (int g : moving_)
+    if (!(odometer[g] + 2.0 * motion[g] <= limits_[g])) leaving_.push_back(g);
+  if (fixed_are_new_)
+    for (std::size_t g = 0; g < limits_.size(); ++g)
+      if (scene_->geometries[g].body < 0) leaving_.push_back(static_cast<int>(g));
   return !leaving_.empty();
 }
 
@@ -124,6 +132,7 @@ void BroadPhase::renew(const Placements& at, const std::vector<double>& odometer
   added_.clear();
   for (int g : leaving_) find_partners(g, at);
   for (int g : leaving_) is_leaving_[g] = 0;
+  fixed_are_new_ = false;
   std::sort(added_.begin(), added_.end(), is_before);
   merged_.resize(near_.size() + added_.size());
   std::merge(near_.begin(), near_.end(), added_.begin(), added_.end(), merged_.begin(), is_before);
@@ -160,8 +169,11 @@ void BroadPhase::recall(const Memory& memory) {
   limits_ = memory.limits;
   near_ = memory.near;
   tree_->clear();
-  for (std::size_t g = 0; g < boxes_.size(); ++g)
+  fixed_are_new_ = false;
+  for (std::size_t g = 0; g < boxes_.size(); ++g) {
+    if (scene_->geometries[g].body < 0) fixed_are_new_ |= limits_[g] < kInfinity;
     if (!scene_->geometries[g].unbounded && limits_[g] > -kInfinity) tree_->enter(static_cast<int>(g), boxes_[g]);
+  }
 }
 
 }  // namespace contactvi

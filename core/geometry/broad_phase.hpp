@@ -31,6 +31,8 @@ class BroadPhase {
   // Whether some geometry may leave its fat box in a step that moves its points by at most motion[geometry]; then renew
   // has to be called. odometer: per geometry, at the start of the step.
   bool is_outdated(const std::vector<double>& odometer, const std::vector<double>& motion);
+  // The geometries on bodies: all that ever move.
+  const std::vector<int>& moving() const { return moving_; }
   // The geometries that is_outdated has found.
   const std::vector<int>& leaving() const { return leaving_; }
   // Gives them new boxes about their places at the end of the step, where their bodies have been placed.
@@ -53,7 +55,9 @@ class BroadPhase {
 
   const Scene* scene_;
   std::shared_ptr<const PairTable> pairs_;
+  std::vector<int> moving_;
   std::vector<int> planes_;     // the halfspaces
+  bool fixed_are_new_ = true;   // geometries that do not move have no boxes yet
   std::vector<Box> boxes_;      // per geometry: its fat box
   std::vector<double> limits_;  // per geometry: what its odometer may come to
   std::vector<NearPair> near_;

@@ -247,10 +247,9 @@ void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, Reac
     reach.turn[i] = angular;
     linear_[i] = linear;
   }
-  for (std::size_t g = 0; g < reach.geometry.size(); ++g) {
+  for (int g : broad_phase_.moving()) {
     const Geometry& geometry = scene_->geometries[g];
-    const int body = geometry.body;
-    reach.geometry[g] = body < 0 ? 0.0 : linear_[body] + reach.turn[body] * geometry.reach;
+    reach.geometry[g] = linear_[geometry.body] + reach.turn[geometry.body] * geometry.reach;
   }
 }
 
@@ -307,7 +306,7 @@ void Guards::mark(int guard, double gap_at_end) {
 }
 
 void Guards::commit() {
-  for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += motion_.geometry[g];
+  for (int g : broad_phase_.moving()) odometer_[g] += motion_.geometry[g];
 }
 
 }  // namespace contactvi
