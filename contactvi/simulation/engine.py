@@ -50,7 +50,7 @@ def make(
     settings.stiff_support = options.support == "stiff"
     settings.contact_points = options.contact_points
     settings.record_contacts = options.record_contacts
-    settings.contact_steps = _core.ContactSteps[options.contact_mode.upper()]
+    settings.contact_steps = _core.ContactSteps["EVENTS" if options.auto else options.contact_mode.upper()]
     return _core.Simulator(compiled.core, settings)
 
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/tolerances.hpp"
 #include "model/point_jacobian.hpp"
 #include "step/energy.hpp"
 #include "step/path.hpp"
@@ -82,6 +83,7 @@ void DenseStep::restart() {
   memory_.change.resize(0);
   memory_.impulses.clear();
   memory_.joint_friction.setZero(static_cast<Eigen::Index>(scene_->tree.elements.friction_dofs.size()));
+  memory_.closed.clear();
 }
 
 // --- the smooth equation ---
@@ -368,9 +370,6 @@ void add_impulses(const BlockProblem& problem, const VecX& lambda, VecX& p) {
 
 void DenseStep::account(const BlockResult& result) {
   report_.residual = std::max(report_.residual, result.residual);
-  ++report_.solves;
-  report_.sweeps += result.sweeps;
-  report_.factors += result.factors;
   using Stage = BlockResult::Stage;
   report_.repaired +=
       result.stage == Stage::kRepaired || result.stage == Stage::kBlended || result.stage == Stage::kFailed;
@@ -427,7 +426,6 @@ bool DenseStep::gap_iterations(double h) {
     const double error = place_end(h);
     if (error == 0.0 || k >= kGapIterations || (k > 3 && error > 0.9 * last)) return true;
     last = error;
-    ++report_.gap_iterations;
     // v = v_free + M^-1 W lambda holds for the present v and lambda.
     problem_.v_free = v_;
     p_start_.setZero();
@@ -463,8 +461,7 @@ bool DenseStep::position_problem() {
     lambda_[block.row] = c.position[0];
     if (block.rows == 3) lambda_.segment<2>(block.row + 1) = c.position.tail<2>();
   }
-  const Eigen::Index joints = memory_.joint_friction.size();
-  if (joints > 0) lambda_.tail(joints) = memory_.joint_friction;
+  lambda_.tail(joint_friction_.size()) = joint_friction_;
   problem_.v_free = v_free_;
   set_mobilities();
   solver_.prepare(problem_);
@@ -486,7 +483,7 @@ bool DenseStep::position_problem() {
     c.position.setZero();
     c.position.head(block.rows) = lambda_.segment(block.row, block.rows);
   }
-  if (joints > 0) memory_.joint_friction = lambda_.tail(joints);
+  joint_friction_ = lambda_.tail(joint_friction_.size());
   return true;
 }
 
@@ -549,8 +546,7 @@ bool DenseStep::velocity_problem(double bound_energy) {
     const BlockContact& block = problem_.contacts[i];
     lambda_.segment(block.row, block.rows) = c.velocity.head(block.rows);
   }
-  const Eigen::Index joints = memory_.joint_friction.size();
-  if (joints > 0) lambda_.tail(joints) = memory_.joint_friction;
+  lambda_.tail(joint_friction_.size()) = joint_friction_;
   problem_.v_free = v1_;
   solver_.prepare(problem_);
   account(solver_.solve(problem_, bound_energy, solver_options(), lambda_, v1_));
@@ -574,6 +570,11 @@ void DenseStep::restitution_problem(double bound_energy) {
     any = true;
   }
   if (!any) return;
+  // The friction of joints in the expansion is what their bound has left.
+  for (std::size_t i = active_.size(); i < problem_.contacts.size(); ++i) {
+    BlockContact& joint = problem_.contacts[i];
+    joint.box = std::max(kLeastDivisor, joint.box - std::abs(lambda_v_[joint.row]));
+  }
   problem_.v_free = v1_;
   const VecX plastic = v1_;
   const BlockResult result = solver_.solve(problem_, INFINITY, solver_options(), lambda_, v1_);
@@ -656,6 +657,7 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   bound_ = bound_.cwiseMax(v1_);
   contacts_.clear();
   near_.clear();
+  joint_friction_ = h * memory_.joint_friction;
   collect(q0);
   for (int k = 0; k < kAdditions; ++k) {
     if (!position_problem()) return false;
@@ -667,8 +669,9 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
       collect(q0);
     }
     if (!add_violated()) break;
-    ++report_.additions;
   }
+  // Points that joined after the last solution have no impulse: they do not overlap, or the step is refused.
+  contacts_.resize(active_.size());
   for (DenseContact& c : contacts_) c.closing = 0.0;
   guards_->place(q0_);
   for (std::size_t i = 0; i < active_.size(); ++i)
@@ -732,10 +735,13 @@ void DenseStep::finish(VecRef q1, VecRef p1) const {
 }
 
 void DenseStep::commit() {
+  memory_.joint_friction = joint_friction_ / h_;
+  memory_.closed.clear();
   memory_.change = v1_ - v0_;
   memory_.h = h_;
   memory_.impulses.clear();
   for (const DenseContact& c : contacts_) {
+    if (c.closed) memory_.closed.push_back(c.point.guard);
     if (!(c.position[0] + c.velocity[0] > 0.0)) continue;
     // An expansion does not go on.
     const Vec3 velocity = c.expands ? c.position_W() : c.velocity_W();

@@ -10,8 +10,8 @@
 // order where impacts lie inside the step, of second where none do.
 //
 // Promised at every node, whatever the solver reached: impulses in the cone, gaps >= -1e-9 m against the simulated
-// shapes, and an energy that rises by no more than the error of the smooth step. The residual of Coulomb's law is
-// reported.
+// shapes, and an energy that rises by no more than the error of the step. A step that does not keep this is to be made
+// again shorter (keeps_promises). The residual of Coulomb's law is reported.
 #pragma once
 
 #include <string>
@@ -47,13 +47,11 @@ struct DenseReport {
   double residual = 0.0;      // of Coulomb's law, over the largest free speed of a contact (block_solver.hpp)
   double gap = 0.0;           // least gap at the end [m]
   double gap_noise = 0.0;     // what of it is the error of the distance [m]
-  double energy_rise = 0.0;   // of the whole step beyond the works of inputs and damping, where it is positive [J]
+  double energy_rise = 0.0;   // how far the energy rose beyond energy_error and the works of inputs and damping [J]
   double energy_loss = 0.0;   // what contacts took: restitution and friction [J]
-  double energy_error = 0.0;  // of the smooth step from the same state: how much the energy may rise [J]
+  double energy_error = 0.0;  // how much the energy may rise: the error of the step [J]
   int contacts = 0;           // that carried an impulse
   int repaired = 0;           // problems whose answer was repaired or blended
-  int gap_iterations = 0, additions = 0;
-  int solves = 0, sweeps = 0, factors = 0;  // contact problems of the whole law, and what they took
 };
 
 class DenseStep {
@@ -97,8 +95,9 @@ class DenseStep {
   };
   struct Memory {
     std::vector<Impulse> impulses;
-    VecX joint_friction;
-    VecX change;  // of the velocity in the last step; empty: not known
+    VecX joint_friction;      // mean over the step [N; N m]
+    std::vector<int> closed;  // guards of points that were closed at its end
+    VecX change;              // of the velocity in the last step; empty: not known
     double h = 1.0;
   };
   const Memory& memory() const { return memory_; }
@@ -151,7 +150,7 @@ class DenseStep {
   std::vector<double> mobility_;  // of each of them along the normal [1/kg]
   std::vector<ContactPoint> points_, laws_;
   Memory memory_;
-  VecX q0_, p0_, v0_, v_free_, v_, v1_, q1_, p1_, p_start_, lambda_, lambda_v_, bound_, w_;
+  VecX q0_, p0_, v0_, v_free_, v_, v1_, q1_, p1_, p_start_, lambda_, lambda_v_, joint_friction_, bound_, w_;
   MatX columns_;
   DenseReport report_;
   double h_ = 0.0, joint_friction_loss_ = 0.0, solver_error_ = 0.0;

@@ -11,10 +11,16 @@ enum class ContactSteps : int {
 };
 
 struct DensePhase {
+  static constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
+  static constexpr int kSoon = 8;  // times the quiet steps wanted: events that accumulate again so soon
+
   bool active = false;
   int quiet = 0;          // dense steps one after the other in which no contact began, ended or closed fast
-  int wanted = 8;         // quiet steps after which events are located again
+  int wanted = 0;         // quiet steps after which events are located again; 0: there were no dense steps yet
   long since_return = 0;  // steps since then
+
+  // Dense steps from here on; after twice as many quiet steps as the last time where that was not long ago.
+  void begin();
 };
 
 // What has accumulated in the interval under way.

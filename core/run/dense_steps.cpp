@@ -24,8 +24,6 @@ constexpr double kCoupledImpacts = 4000, kImpactsPerContact = 400;
 constexpr double kChanges = 6000, kChangesPerContact = 300;  // of persistent contacts
 constexpr int kContactHalvings = 30;                         // of steps with persistent contacts that were not solved
 constexpr double kContactParts = 4000;                       // of steps with persistent contacts
-constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
-constexpr int kSoon = 8;  // times the quiet steps wanted: events that accumulate again so soon
 // Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order
 // without impacts, is far cheaper, since the matrix of the contact step is full.
 constexpr int kMostPersistent = 72;
@@ -79,14 +77,17 @@ bool Simulator::dense_steps_go_on() const {
 void Simulator::begin_dense_phase() {
   state_.status = {StatusCode::kSuccess, "", state_.time, -1, kNaN, kNaN};
   if (state_.dense.active) return;
-  const bool soon = state_.dense.since_return < kSoon * static_cast<long>(state_.dense.wanted);
-  state_.dense.wanted =
-      soon && state_.dense.since_return > 0 ? std::min(2 * state_.dense.wanted, kMostQuietSteps) : kQuietSteps;
-  state_.dense.active = true;
-  state_.dense.quiet = 0;
+  state_.dense.begin();
   dense_step_.restart();
   guards_.restart();
   integrator_.forget();
+}
+
+void DensePhase::begin() {
+  const bool soon = wanted > 0 && since_return < kSoon * static_cast<long>(wanted);
+  wanted = soon ? std::min(2 * wanted, kMostQuietSteps) : kQuietSteps;
+  active = true;
+  quiet = 0;
 }
 
 // Whether events may be located again: some steps were quiet, and the contacts are so few that their step is cheap.
@@ -103,8 +104,7 @@ void Simulator::end_dense_phase() {
   guards_.restart();
   integrator_.forget();
   finder_.forget_touching();
-  for (const DenseContact& c : dense_step_.contacts())
-    if (c.closed) finder_.set_touching(c.point.guard, true);
+  for (int guard : dense_step_.memory().closed) finder_.set_touching(guard, true);
   for (const PersistentContact& c : contact_step_.contacts()) finder_.set_touching(c.point.guard, false);
   finder_.cut();
   contacts_.update_persistent_guards();

@@ -11,7 +11,6 @@ namespace contactvi {
 namespace {
 constexpr double kSeparated = 1e-13;  // of the event's speeds: a slower closing speed is rounding
 constexpr int kMostHalvings = 4000;   // of the free steps within one interval
-constexpr int kMostRescuedRows = 72;  // of a contact problem, where a run may take dense steps instead
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether some force dissipates energy.
@@ -71,12 +70,12 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
   state_.control.start(options_.dt, contact_dt());
   state_.work.start(t, scene_->tree.elements.constraint_rows, does_work_);
   scene_->tree.elements.forget_failure();
-  contact_step_.limit_rescue(allows_dense_steps() ? kMostRescuedRows : std::numeric_limits<int>::max());
+  contact_step_.limit_rescue(most_persistent());
   actuation_.start();
   integrator_.set_time(t);
   contact_step_.contacts().clear();
   contact_step_.restart();
-  state_.dense.active = options_.contact_steps == ContactSteps::kDense && allows_dense_steps();
+  if (options_.contact_steps == ContactSteps::kDense && allows_dense_steps()) state_.dense.begin();
   dense_step_.restart();
   contact_step_.set_time(t);
   contact_step_.set_nominal(options_.dt);
@@ -106,8 +105,8 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
       return state_.status;
     }
   }
-  if (allows_persistent_contact() && !state_.dense.active)
-    state_.dense.active = !contacts_.close_contacts_at_start(most_persistent());
+  if (allows_persistent_contact() && !state_.dense.active && !contacts_.close_contacts_at_start(most_persistent()))
+    state_.dense.begin();
   return state_.status;
 }
 

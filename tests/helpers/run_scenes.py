@@ -74,3 +74,20 @@ def ball_file(folder: Path, restitution: float = 1.0, duration: float = 1.0) -> 
     path = folder / "ball.toml"
     path.write_text(BALL_TOML.format(restitution=restitution, duration=duration))
     return path
+
+
+def funnel() -> cvi.Scene:
+    """Balls of unlike mass that fall into a funnel of three walls, nearly one above the other: impacts accumulate."""
+    radius, lean = 0.04, 0.6
+    scene = cvi.Scene()
+    for k in range(3):
+        angle = 2.0 * math.pi * k / 3.0 + 0.1
+        normal = (-math.cos(lean) * math.cos(angle), -math.cos(lean) * math.sin(angle), math.sin(lean))
+        scene.add_halfspace(normal, name=f"wall{k}")
+    lowest = radius / math.sin(lean) * 1.2 + 0.01
+    for k, mass in enumerate((1.0, 5.0, 0.2, 1.0, 5.0)):
+        aside = 0.004 * math.cos(2.0 * k), 0.004 * math.sin(3.0 * k)
+        place = (*aside, lowest + 2.05 * radius * k)
+        scene.add_sphere(f"ball{k}", radius=radius, mass=mass, placement=place)
+    scene.set_contact(restitution=0.3, friction=0.5)
+    return scene

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from dataclasses import replace
 
@@ -14,29 +13,11 @@ from contactvi.commands.cli import app
 from contactvi.commands.summary import summary
 from contactvi.records import dense_steps
 from contactvi.records.codes import StepKind
-from helpers.run_scenes import ball_scene
+from helpers.run_scenes import ball_scene, funnel
 
-RADIUS, LEAN = 0.04, 0.6
-MASSES = (1.0, 5.0, 0.2, 1.0, 5.0)
 SPAN = 0.25  # [s]
 ROUNDING = 1e-13  # relative, of energies that are differences over hundreds of steps
 SHORTEST_RISE = 1e-9  # of the largest kinetic energy; (dt / 64)^2 over (0.1 s)^2, the time in which motions change
-
-
-def funnel() -> cvi.Scene:
-    """Balls of unlike mass that fall into a funnel of three walls, nearly one above the other: impacts accumulate."""
-    scene = cvi.Scene()
-    for k in range(3):
-        angle = 2.0 * math.pi * k / 3.0 + 0.1
-        normal = (-math.cos(LEAN) * math.cos(angle), -math.cos(LEAN) * math.sin(angle), math.sin(LEAN))
-        scene.add_halfspace(normal, name=f"wall{k}")
-    lowest = RADIUS / math.sin(LEAN) * 1.2 + 0.01
-    for k, mass in enumerate(MASSES):
-        aside = 0.004 * math.cos(2.0 * k), 0.004 * math.sin(3.0 * k)
-        place = (*aside, lowest + 2.05 * RADIUS * k)
-        scene.add_sphere(f"ball{k}", radius=RADIUS, mass=mass, placement=place)
-    scene.set_contact(restitution=0.3, friction=0.5)
-    return scene
 
 
 def tower() -> cvi.Scene:
