@@ -14,39 +14,19 @@
 // again shorter (keeps_promises). The residual of Coulomb's law is reported.
 #pragma once
 
-#include <string>
 #include <vector>
 
-#include "base/error.hpp"
 #include "cone/block_solver.hpp"
-#include "geometry/guard.hpp"
+#include "contact/dense_rows.hpp"
+#include "step/energy.hpp"
 #include "step/impulse_step.hpp"
 
 namespace contactvi {
-
-// A point that may touch in the step, and the result of the step for it.
-struct DenseContact {
-  ContactPoint point;
-  ContactPoint law;  // the point as the step sees it (DenseStep::frozen)
-  double mu, restitution;
-  Contact at0, at1;         // at the start and the end of the step
-  Vec3 t1_0, t1_1;          // tangents there, world
-  Vec3 position, velocity;  // impulses (n, t1, t2) [N s]: with the rows of the start, of the end
-  double closing;           // normal speed before the step [m/s], negative: closing
-  double slip_speed;        // at the end [m/s]
-  Vec3 slip_W;
-  bool closed;   // takes part in the velocity impulse
-  bool expands;  // restitution acts
-  int rows() const { return mu > 0.0 ? 3 : 1; }
-  Vec3 position_W() const;
-  Vec3 velocity_W() const;
-};
 
 // What a dense step has reached.
 struct DenseReport {
   double residual = 0.0;      // of Coulomb's law, over the largest free speed of a contact (block_solver.hpp)
   double gap = 0.0;           // least gap at the end [m]
-  double gap_noise = 0.0;     // what of it is the error of the distance [m]
   double energy_rise = 0.0;   // how far the energy rose beyond energy_error and the works of inputs and damping [J]
   double energy_loss = 0.0;   // what contacts took: restitution and friction [J]
   double energy_error = 0.0;  // how much the energy may rise: the error of the step [J]
@@ -64,94 +44,70 @@ class DenseStep {
   bool available() const { return scene_->tree.elements.constraint_rows == 0; }
   void set_time(double t) { integrator_.set_time(t); }
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
-  // Forgets the impulses of the last step, from which the next one starts.
+  // Forgets the last step, from which the next one starts.
   void restart();
 
   // The step from (q0, p0). False only if the smooth equation is not solved or a number is not finite: why().
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   void finish(VecRef q1, VecRef p1) const;
-  // The step is taken: its impulses are the start values of the next one.
+  // The step is taken: the next one starts from its impulses.
   void commit();
 
   // Results of the step just solved.
-  const std::vector<DenseContact>& contacts() const { return contacts_; }
+  const std::vector<DenseContact>& contacts() const { return candidates_.contacts(); }
   const DenseReport& report() const { return report_; }
   const VecX& end_configuration() const { return q1_; }
   const VecX& stage_velocity() const { return v_; }
   const VecX& end_velocity() const { return v1_; }
   // Whether gaps and energy are within what is promised.
-  bool keeps_promises() const;
+  bool keeps_promises() const { return report_.gap >= -candidates_.gap_noise() && report_.energy_rise <= 0.0; }
   double h() const { return h_; }
   double joint_friction_loss() const { return joint_friction_loss_; }
-  double work() const { return integrator_.work() - joint_friction_loss_; }
   const StepEquations& integrator() const { return integrator_; }
   const char* why() const { return why_; }
 
   // All that the next step depends on.
-  struct Impulse {
-    int guard;
-    std::int64_t feature;
-    Vec3 position_force, velocity_force;  // world frame [N]
-  };
   struct Memory {
-    std::vector<Impulse> impulses;
+    std::vector<DenseImpulse> impulses;
     VecX joint_friction;      // mean over the step [N; N m]
     std::vector<int> closed;  // guards of points that were closed at its end
-    VecX change;              // of the velocity in the last step; empty: not known
+    VecX change;              // of the velocity; empty: not known
     double h = 1.0;
   };
   const Memory& memory() const { return memory_; }
   void recall(const Memory& memory) { memory_ = memory; }
 
  private:
-  // A pair that may close in the step, or a joint limit.
-  struct Near {
-    int guard;
-    double gap0, reach;  // reach: how much nearer its bodies may come [m]
-    Contact witness0;
-    double gap1;
-  };
-
+  bool fail(const char* why);
   bool solve_smooth(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   bool iterate_stage();
-  void make_step_blocks();
-  void make_node_blocks();
-  void invert_blocks();
-  void collect(const VecCRef& q0);
-  void set_start_impulses(DenseContact& c) const;
-  void add_rims(const Near& near);
-  ContactPoint frozen(const ContactPoint& point, const Contact& witness) const;
-  bool add_point(const ContactPoint& point, const ContactPoint& law, const Contact& witness0);
-  void evaluate(const ContactPoint& point, const Contact* witness, Contact& contact);
-  void set_rows(bool at_end);
-  void write_row(int column, int size, int first_dof, int body, const Vec3& x, const Vec3& n, double sign);
-  void set_mobilities();
+  void bound_velocities();
+  bool position_impulses();
   bool position_problem();
-  bool gap_iterations(double h);
-  double place_end(double h);
-  bool add_violated();
-  bool velocity_problem(double bound_energy);
-  void restitution_problem(double bound_energy);
+  bool gap_iterations();
+  double place_end();
+  bool velocity_impulses(double bound_energy);
+  void expand(double bound_energy);
   double expansion_share(const VecX& plastic, double bound_energy) const;
-  double smooth_contact_error() const;
+  double contact_error(const Energy& before, const Energy& free, const Energy& middle) const;
+  double curvature_error() const;
   double fastest_turn() const;
+  void set_results(const VecX& lambda);
+  double joint_friction_work(const VecX& lambda, const VecX& v) const;
   void account(const BlockResult& result);
 
   const Scene* scene_;
   Guards* guards_;
   ImpulseStep integrator_;
   BlockSolver solver_;
-  BlockProblem problem_;
-  std::vector<int> tree_of_joint_;
-  std::vector<Near> near_;
-  std::vector<int> candidates_;
-  std::vector<DenseContact> contacts_;
-  std::vector<int> active_;       // contacts of the present problem
+  DenseCandidates candidates_;
+  DenseRows rows_;
+  std::vector<int> active_;       // contacts of the present problem; joint friction follows them
   std::vector<double> mobility_;  // of each of them along the normal [1/kg]
-  std::vector<ContactPoint> points_, laws_;
   Memory memory_;
-  VecX q0_, p0_, v0_, v_free_, v_, v1_, q1_, p1_, p_start_, lambda_, lambda_v_, joint_friction_, bound_, w_;
-  MatX columns_;
+  VecX q0_, p0_, v0_, v_free_, v_, v1_, q1_, p1_;
+  VecX p_start_, bound_, work_;  // momentum after the position impulse; bound on the velocities; workspace
+  VecX lambda_, lambda_end_, joint_friction_;  // impulses of the present problem, of the end, of joint friction
   DenseReport report_;
   double h_ = 0.0, joint_friction_loss_ = 0.0, solver_error_ = 0.0;
   const char* why_ = "";

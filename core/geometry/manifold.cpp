@@ -95,6 +95,13 @@ Vec3 point_W(const Placements& at, int body, const Vec3& x) {
   return body < 0 ? x : Vec3(at.p_W[body] + at.R_W[body] * x);
 }
 Vec3 turned_W(const Placements& at, int body, const Vec3& x) { return body < 0 ? x : Vec3(at.R_W[body] * x); }
+// And from the world into a body's frame.
+Vec3 point_B(const Placements& at, int body, const Vec3& x_W) {
+  return body < 0 ? x_W : Vec3(at.R_W[body].transpose() * (x_W - at.p_W[body]));
+}
+Vec3 turned_B(const Placements& at, int body, const Vec3& x_W) {
+  return body < 0 ? x_W : Vec3(at.R_W[body].transpose() * x_W);
+}
 
 void set_contact(const ContactPoint& p, const Vec3& n, const Vec3& lowest, double gap, Contact& contact) {
   const Vec3 on_other = lowest - p.radius * n, on_plane = on_other - gap * n;
@@ -415,9 +422,27 @@ double Manifolds::far_of_rim(const ContactPoint& point, const Placements& at, Co
 
 void Manifolds::update_rim(ContactPoint& point, const Placements& at) const {
   if (point.kind != PointKind::kRim) return;
-  const Vec3 n_W = turned_W(at, point.plane_body, point.normal_B);
-  const Vec3 n = point.point_body < 0 ? n_W : Vec3(at.R_W[point.point_body].transpose() * n_W);
+  const Vec3 n = turned_B(at, point.point_body, turned_W(at, point.plane_body, point.normal_B));
   point.far_B = lowest_of_rim(point.center_B, point.axis_B, point.rim_radius, -n);
+}
+
+ContactPoint Manifolds::frozen(const ContactPoint& point, const Placements& at, const Contact& witness) const {
+  ContactPoint p = point;
+  if (point.kind == PointKind::kRim) {
+    const Vec3 n = turned_B(at, point.point_body, turned_W(at, point.plane_body, point.normal_B));
+    p.kind = PointKind::kVertex;
+    p.center_B = lowest_of_rim(point.center_B, point.axis_B, point.rim_radius, n);
+  } else if (point.kind == PointKind::kWitness && !is_single(point.guard)) {
+    p.kind = PointKind::kVertex;
+    p.on_b = true;
+    p.radius = 0.0;
+    p.point_body = witness.body_b;
+    p.plane_body = witness.body_a;
+    p.center_B = point_B(at, witness.body_b, witness.point_b);
+    p.normal_B = turned_B(at, witness.body_a, witness.normal);
+    p.offset = p.normal_B.dot(point_B(at, witness.body_a, witness.point_a));
+  }
+  return p;
 }
 
 Vec3 Manifolds::side_of_rim(const ContactPoint& point, const Placements& at) {

@@ -79,6 +79,9 @@ class Manifolds {
 
   // Sets the farthest point of a rim, which moves as the rim rolls, to that of these placements.
   void update_rim(ContactPoint& point, const Placements& at) const;
+  // The point as one that moves with the bodies, where these are placed: the lowest point of a rim, and the witness of
+  // shapes with edges, become a point of one body over a plane of the other. Other points stay what they are.
+  ContactPoint frozen(const ContactPoint& point, const Placements& at, const Contact& witness) const;
   // Direction from the centre of a rim to its contact point, unit, world frame; zero for other points.
   static Vec3 side_of_rim(const ContactPoint& point, const Placements& at);
 
@@ -98,9 +101,6 @@ class Manifolds {
   double next_gap(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                   const Contact& witness, Contact& contact);
 
-  // Whether coal's point is the only one of the pair.
-  bool is_single(int pair) const;
-
   // Largest error of coal's distance of the pair, against that of its features [m].
   double noise(int pair) const;
 
@@ -108,6 +108,7 @@ class Manifolds {
   double include_witness(int pair, const Placements& at, const ContactPoint* const* persistent, int count,
                          const Contact& witness, double value, Contact& contact) const;
   const ShapeFeatures& features(int pair, int geometry) const;
+  bool is_single(int pair) const;
   class Least;
   PairView view(int pair, const Placements& at) const;
   ContactPoint make_point(int pair, const PairView& v, const Candidate& c, const Vec3& n_W) const;

@@ -112,9 +112,7 @@ bool ContactSet::follow(const DenseStep& dense, double time, Recording& recordin
   for (const DenseContact& c : dense.contacts()) {
     changed |= c.expands;
     // Several points of one feature, a rim's, persist as one.
-    if (!(c.position[0] + c.velocity[0] > 0.0) || !c.closed || c.expands ||
-        find_contact(now, c.point.guard, c.point) != nullptr)
-      continue;
+    if (!c.loaded() || !c.closed || c.expands || find_contact(now, c.point.guard, c.point) != nullptr) continue;
     PersistentContact persistent = make_persistent(c.point, c.at1, c.slip_W);
     const bool is_vertex = c.point.kind == PointKind::kVertex && c.point.plane_body >= 0;
     persistent.tangent = is_vertex ? Vec3(guards_->placements().R_W[c.point.plane_body].transpose() * c.t1_1) : c.t1_1;

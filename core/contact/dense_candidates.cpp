@@ -1,0 +1,162 @@
+#include "contact/dense_candidates.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace contactvi {
+
+namespace {
+constexpr double kGapPromised = 1e-10;    // [m] overlap at the end from which on a point joins the candidates
+constexpr double kLimitPromised = 1e-11;  // [m; rad] of joint limits, which are exact
+constexpr double kSamePoint = 1e-7;       // [m] points of one feature nearer to each other are one
+}  // namespace
+
+Vec3 DenseContact::position_W() const {
+  return position[0] * at0.normal + position[1] * t1_0 + position[2] * at0.normal.cross(t1_0);
+}
+
+Vec3 DenseContact::velocity_W() const {
+  return velocity[0] * at1.normal + velocity[1] * t1_1 + velocity[2] * at1.normal.cross(t1_1);
+}
+
+void DenseCandidates::begin(const VecCRef& q0, double h) {
+  q0_ = q0;
+  h_ = h;
+  near_.clear();
+  contacts_.clear();
+}
+
+void DenseCandidates::collect(const VecX& bound, const std::vector<DenseImpulse>& impulses) {
+  // The list is made anew in each step: the broad phase counts on bodies that end where they are placed.
+  guards_->restart();
+  guards_->bound_motion(q0_, bound, h_);
+  guards_->place(q0_);
+  guards_to_look_at_.clear();
+  for (const BroadPhase::NearPair& pair : guards_->near_pairs()) guards_to_look_at_.push_back(pair.guard);
+  for (int g = static_cast<int>(scene_->pairs.size()); g < guards_->count(); ++g) guards_to_look_at_.push_back(g);
+  const std::size_t known = near_.size();
+  for (int g : guards_to_look_at_) {
+    const auto last = near_.begin() + static_cast<std::ptrdiff_t>(known);
+    if (std::any_of(near_.begin(), last, [g](const Near& near) { return near.guard == g; })) continue;
+    Near near{};
+    if (!is_near(g, near)) continue;
+    near_.push_back(near);
+    add_points(near, impulses);
+  }
+}
+
+bool DenseCandidates::is_near(int guard, Near& near) {
+  if (guards_->separated_at_end(guard)) return false;
+  near.guard = guard;
+  near.gap0 = guards_->evaluate_witness(guard, near.witness0);
+  near.reach = guards_->motion(guard);
+  return near.gap0 <= near.reach;
+}
+
+// The points of a pair at the start of the step, where the guards are placed.
+void DenseCandidates::add_points(const Near& near, const std::vector<DenseImpulse>& impulses) {
+  points_.clear();
+  if (!scene_->is_pair(near.guard)) {
+    ContactPoint limit{};
+    limit.guard = near.guard;
+    limit.kind = PointKind::kLimit;
+    points_.push_back(limit);
+  } else {
+    const double margin = std::max(near.gap0, 0.0) + near.reach;
+    guards_->manifolds().find(near.guard, guards_->placements(), near.witness0, margin, points_);
+  }
+  for (const ContactPoint& point : points_) add(point, frozen(point, near.witness0), near.witness0, impulses);
+  add_rims(near, impulses);
+}
+
+// A rim that is nearly flat may touch all around within the step: material points at its quarters join the lowest one.
+void DenseCandidates::add_rims(const Near& near, const std::vector<DenseImpulse>& impulses) {
+  Manifolds& manifolds = guards_->manifolds();
+  for (std::size_t k = 0, count = points_.size(); k < count; ++k) {
+    if (points_[k].kind != PointKind::kRim) continue;
+    for (int quarter = 0; quarter < 4; ++quarter) {
+      const std::int64_t feature = rim_quarter(points_[k].feature, quarter);
+      const ContactPoint point = manifolds.point(near.guard, guards_->placements(), near.witness0, feature);
+      Contact contact;
+      evaluate(point, contact);
+      if (contact.gap <= std::max(near.gap0, 0.0) + near.reach && manifolds.is_over_face(point, guards_->placements()))
+        add(point, point, near.witness0, impulses);
+    }
+  }
+}
+
+void DenseCandidates::evaluate(const ContactPoint& point, const Contact* witness, Contact& contact) {
+  if (point.kind != PointKind::kWitness && point.kind != PointKind::kLimit)
+    guards_->manifolds().evaluate(point, guards_->placements(), contact);
+  else if (witness != nullptr)
+    contact = *witness;
+  else
+    guards_->evaluate_witness(point.guard, contact);
+}
+
+// A point joins the candidates, unless it is one of them. The guards are placed at the start of the step.
+bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, const Contact& witness0,
+                          const std::vector<DenseImpulse>& impulses) {
+  for (const DenseContact& c : contacts_)
+    if (c.point.guard == point.guard && c.point.feature == point.feature &&
+        (c.law.center_B - law.center_B).squaredNorm() < kSamePoint * kSamePoint)
+      return false;
+  DenseContact c{};
+  c.point = point;
+  c.law = law;
+  c.mu = scene_->friction(point.guard);
+  c.restitution = scene_->restitution(point.guard);
+  evaluate(law, &witness0, c.at0);
+  c.t1_0 = scene_->is_pair(point.guard) ? any_tangent(c.at0.normal) : Vec3(Vec3::Zero());
+  set_start_impulses(c, impulses);
+  contacts_.push_back(c);
+  return true;
+}
+
+void DenseCandidates::set_start_impulses(DenseContact& c, const std::vector<DenseImpulse>& impulses) const {
+  const auto last = std::find_if(impulses.begin(), impulses.end(), [&](const DenseImpulse& impulse) {
+    return impulse.guard == c.point.guard && impulse.feature == c.point.feature;
+  });
+  if (last == impulses.end()) return;
+  const Vec3 t2 = c.at0.normal.cross(c.t1_0);
+  auto along = [&](const Vec3& f) { return Vec3(f.dot(c.at0.normal), f.dot(c.t1_0), f.dot(t2)); };
+  const bool pair = scene_->is_pair(c.point.guard);
+  c.position = h_ * (pair ? along(last->position_force) : last->position_force);
+  c.velocity = h_ * (pair ? along(last->velocity_force) : last->velocity_force);
+  if (c.rows() == 3) return;
+  c.position.tail<2>().setZero();
+  c.velocity.tail<2>().setZero();
+}
+
+bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const std::vector<DenseImpulse>& impulses) {
+  points_.clear();
+  laws_.clear();
+  gap_ = gap_noise_ = 0.0;
+  bool limit_overlaps = false;
+  guards_->place(q1);
+  for (const Near& near : near_) {
+    Contact witness;
+    const double gap = guards_->evaluate_witness(near.guard, witness);
+    const double noise = guards_->is_noisy(near.guard) ? 2.0 * guards_->root_tolerance(near.guard) : kGapPromised;
+    if (gap < gap_) {
+      gap_ = gap;
+      gap_noise_ = 2.0 * noise;
+    }
+    if (!scene_->is_pair(near.guard)) limit_overlaps |= gap < -kLimitPromised;
+    if (!(gap < -noise) || !scene_->is_pair(near.guard)) continue;
+    const std::size_t count = points_.size();
+    guards_->manifolds().find(near.guard, guards_->placements(), witness, 0.0, points_);
+    for (std::size_t k = count; k < points_.size(); ++k) laws_.push_back(frozen(points_[k], witness));
+  }
+  // Limits, and points of pairs that became near since the step was solved, are among the contacts already.
+  bool added = (limit_overlaps || !points_.empty()) && contacts_.size() > known;
+  guards_->place(q0_);
+  for (std::size_t k = 0; k < points_.size(); ++k) {
+    const int guard = points_[k].guard;
+    const auto near = std::find_if(near_.begin(), near_.end(), [&](const Near& n) { return n.guard == guard; });
+    added |= add(points_[k], laws_[k], near->witness0, impulses);
+  }
+  return added;
+}
+
+}  // namespace contactvi

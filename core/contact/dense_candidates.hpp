@@ -1,0 +1,86 @@
+// The points that may touch in a dense step: those of all pairs that may close within it, and joint limits.
+#pragma once
+
+#include <vector>
+
+#include "geometry/guard.hpp"
+
+namespace contactvi {
+
+// A point that may touch in the step, and the result of the step for it.
+struct DenseContact {
+  ContactPoint point;
+  ContactPoint law;  // the point as the step sees it (Manifolds::frozen)
+  double mu, restitution;
+  Contact at0, at1;         // at the start and the end of the step
+  Vec3 t1_0, t1_1;          // tangents there, world
+  Vec3 position, velocity;  // impulses (n, t1, t2) [N s]: with the rows of the start, of the end
+  double closing;           // normal speed before the step [m/s], negative: closing
+  double slip_speed;        // at the end [m/s]
+  Vec3 slip_W;
+  bool closed;   // takes part in the velocity impulse
+  bool expands;  // restitution acts
+  int rows() const { return mu > 0.0 ? 3 : 1; }
+  bool loaded() const { return position[0] + velocity[0] > 0.0; }
+  Vec3 position_W() const;
+  Vec3 velocity_W() const;
+};
+
+// What a point carried in the last step, from which the next one starts.
+struct DenseImpulse {
+  int guard;
+  std::int64_t feature;
+  Vec3 position_force, velocity_force;  // world frame [N]; of a joint limit the first number
+};
+
+class DenseCandidates {
+ public:
+  DenseCandidates(const Scene& scene, Guards& guards) : scene_(&scene), guards_(&guards) {}
+
+  // For a step of length h from q0.
+  void begin(const VecCRef& q0, double h);
+  // Adds the points of the pairs that may close with velocities within bound, shape (nv,), as far as they are not known
+  // yet. impulses: of the last step.
+  void collect(const VecX& bound, const std::vector<DenseImpulse>& impulses);
+  // Looks at the pairs at the end q1 of the step. Points that overlap there and are none of the first `known` contacts
+  // join. True if there were any: then the step is to be solved again with them.
+  bool add_overlapping(const VecX& q1, std::size_t known, const std::vector<DenseImpulse>& impulses);
+
+  std::vector<DenseContact>& contacts() { return contacts_; }
+  const std::vector<DenseContact>& contacts() const { return contacts_; }
+  // Gap, normal and points where the guards are placed.
+  void evaluate(const ContactPoint& law, Contact& contact) { evaluate(law, nullptr, contact); }
+  // Least gap at the last end looked at, at most 0, and what of it may be the error of the distance [m].
+  double gap() const { return gap_; }
+  double gap_noise() const { return gap_noise_; }
+
+ private:
+  // A pair that may close in the step, or a joint limit.
+  struct Near {
+    int guard;
+    double gap0, reach;  // reach: how much nearer its bodies may come [m]
+    Contact witness0;
+  };
+
+  bool is_near(int guard, Near& near);
+  void add_points(const Near& near, const std::vector<DenseImpulse>& impulses);
+  void add_rims(const Near& near, const std::vector<DenseImpulse>& impulses);
+  void evaluate(const ContactPoint& point, const Contact* witness, Contact& contact);
+  ContactPoint frozen(const ContactPoint& point, const Contact& witness) const {
+    return guards_->manifolds().frozen(point, guards_->placements(), witness);
+  }
+  bool add(const ContactPoint& point, const ContactPoint& law, const Contact& witness0,
+           const std::vector<DenseImpulse>& impulses);
+  void set_start_impulses(DenseContact& c, const std::vector<DenseImpulse>& impulses) const;
+
+  const Scene* scene_;
+  Guards* guards_;
+  std::vector<Near> near_;
+  std::vector<int> guards_to_look_at_;
+  std::vector<DenseContact> contacts_;
+  std::vector<ContactPoint> points_, laws_;
+  VecX q0_;
+  double h_ = 0.0, gap_ = 0.0, gap_noise_ = 0.0;
+};
+
+}  // namespace contactvi

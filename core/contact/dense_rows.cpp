@@ -1,0 +1,160 @@
+#include "contact/dense_rows.hpp"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+
+#include "base/error.hpp"
+#include "model/point_jacobian.hpp"
+
+namespace contactvi {
+
+DenseRows::DenseRows(const Scene& scene) : scene_(&scene), row_(VecX::Zero(scene.tree.nv)) {
+  // Blocks: the subtrees of the world's children.
+  const Tree& tree = scene.tree;
+  problem_.start = {0};
+  for (const Joint& joint : tree.joints) {
+    if (joint.parent < 0) problem_.start.push_back(problem_.start.back());
+    const int last = problem_.blocks() - 1;
+    if (joint.parent >= 0 && tree_of_joint_[joint.parent] != last)
+      throw Error("the joints of a tree do not follow each other");
+    tree_of_joint_.push_back(last);
+    problem_.start.back() = joint.iv + joint.nv;
+  }
+  int largest = 0;
+  for (int b = 0; b < problem_.blocks(); ++b) {
+    largest = std::max(largest, problem_.size(b));
+    problem_.M.emplace_back(problem_.size(b), problem_.size(b));
+  }
+  inverse_.resize(tree.nv, largest);
+  problem_.v_free.setZero(tree.nv);
+}
+
+void DenseRows::set_unit_columns() {
+  inverse_.setZero();
+  for (int b = 0; b < problem_.blocks(); ++b)
+    for (int d = 0; d < problem_.size(b); ++d) inverse_(problem_.start[b] + d, d) = 1.0;
+}
+
+void DenseRows::invert() {
+  for (int b = 0; b < problem_.blocks(); ++b) {
+    const int n = problem_.size(b);
+    MatX inverse = inverse_.block(problem_.start[b], 0, n, n);
+    inverse = 0.5 * (inverse + inverse.transpose().eval());
+    problem_.M[b] = inverse.llt().solve(MatX::Identity(n, n));
+    problem_.M[b] = 0.5 * (problem_.M[b] + problem_.M[b].transpose().eval());
+  }
+}
+
+BlockContact& DenseRows::add_block(int a, int b, int rows) {
+  BlockContact c;
+  c.a = a;
+  c.b = b;
+  c.row = rows_;
+  c.rows = rows;
+  c.column = columns_;
+  rows_ += rows;
+  columns_ += rows * (problem_.size(a) + (b >= 0 ? problem_.size(b) : 0));
+  problem_.W.resize(columns_);
+  std::fill(problem_.W.begin() + c.column, problem_.W.end(), 0.0);
+  problem_.contacts.push_back(c);
+  return problem_.contacts.back();
+}
+
+// Adds a body's part of a row to the coefficients of its tree, which begin at `column`.
+void DenseRows::write_row(int column, int block, int body, const Vec3& x, const Vec3& n, double sign,
+                          const Placements& at) {
+  const int first = problem_.start[block], size = problem_.size(block);
+  row_.segment(first, size).setZero();
+  add_point_row(scene_->tree, at, body, x, n, sign, row_);
+  for (int d = 0; d < size; ++d) problem_.W[column + d] += row_[first + d];
+}
+
+void DenseRows::add_contact(const DenseContact& c, bool at_end, const Placements& at) {
+  const Contact& contact = at_end ? c.at1 : c.at0;
+  const int tree_a = contact.body_a < 0 ? -1 : tree_of_joint_[contact.body_a];
+  const int tree_b = contact.body_b < 0 ? -1 : tree_of_joint_[contact.body_b];
+  const int first = tree_a >= 0 ? tree_a : tree_b, second = tree_a >= 0 && tree_b != tree_a ? tree_b : -1;
+  BlockContact& block = add_block(first, second, c.rows());
+  block.mu = c.mu;
+  const Vec3& t1 = at_end ? c.t1_1 : c.t1_0;
+  const Vec3 directions[3] = {contact.normal, t1, contact.normal.cross(t1)};
+  const int size_1 = problem_.size(first), size_2 = second >= 0 ? problem_.size(second) : 0;
+  for (int r = 0; r < block.rows; ++r) {
+    const int column_1 = block.column + r * size_1, column_2 = block.column + block.rows * size_1 + r * size_2;
+    if (tree_a >= 0) write_row(column_1, first, contact.body_a, contact.point_a, directions[r], -1.0, at);
+    if (tree_b < 0) continue;
+    write_row(tree_b == first ? column_1 : column_2, tree_b, contact.body_b, contact.point_b, directions[r], 1.0, at);
+  }
+}
+
+void DenseRows::set(const std::vector<DenseContact>& contacts, const std::vector<int>& active, bool at_end,
+                    const Placements& at, double h) {
+  const Tree& tree = scene_->tree;
+  problem_.contacts.clear();
+  rows_ = columns_ = 0;
+  for (int i : active) {
+    const DenseContact& c = contacts[i];
+    if (scene_->is_pair(c.point.guard)) {
+      add_contact(c, at_end, at);
+      continue;
+    }
+    const JointLimit& limit = tree.limits[c.point.guard - scene_->pairs.size()];
+    const int t = tree_of_joint_[limit.joint];
+    const BlockContact& block = add_block(t, -1, 1);
+    problem_.W[block.column + tree.joints[limit.joint].iv - problem_.start[t]] = limit.upper ? -1.0 : 1.0;
+  }
+  const Elements& e = tree.elements;
+  for (int dof : e.friction_dofs) {
+    const int t = tree_of_joint_[tree.dof_joint[dof]];
+    BlockContact& block = add_block(t, -1, 1);
+    block.box = 0.5 * h * e.joint_friction[dof];
+    problem_.W[block.column + dof - problem_.start[t]] = 1.0;
+  }
+  problem_.offset.setZero(rows_);
+}
+
+double DenseRows::velocity(std::size_t k, int r, const VecX& v) const {
+  const BlockContact& c = problem_.contacts[k];
+  const int size_a = problem_.size(c.a), size_b = c.b >= 0 ? problem_.size(c.b) : 0;
+  double w = 0.0;
+  const double* a = problem_.W.data() + c.column + r * size_a;
+  for (int d = 0; d < size_a; ++d) w += a[d] * v[problem_.start[c.a] + d];
+  const double* b = problem_.W.data() + c.column + c.rows * size_a + r * size_b;
+  for (int d = 0; d < size_b; ++d) w += b[d] * v[problem_.start[c.b] + d];
+  return w;
+}
+
+void DenseRows::add_impulses(const VecX& lambda, VecX& p) const {
+  for (const BlockContact& c : problem_.contacts) {
+    const int size_a = problem_.size(c.a), size_b = c.b >= 0 ? problem_.size(c.b) : 0;
+    for (int r = 0; r < c.rows; ++r) {
+      const double* a = problem_.W.data() + c.column + r * size_a;
+      for (int d = 0; d < size_a; ++d) p[problem_.start[c.a] + d] += lambda[c.row + r] * a[d];
+      const double* b = problem_.W.data() + c.column + c.rows * size_a + r * size_b;
+      for (int d = 0; d < size_b; ++d) p[problem_.start[c.b] + d] += lambda[c.row + r] * b[d];
+    }
+  }
+}
+
+void DenseRows::subtract_solved(const VecX& p, VecX& v) const {
+  for (int b = 0; b < problem_.blocks(); ++b) {
+    const int n = problem_.size(b), first = problem_.start[b];
+    v.segment(first, n) -= inverse_.block(first, 0, n, n) * p.segment(first, n);
+  }
+}
+
+double DenseRows::mobility(std::size_t k) const {
+  const BlockContact& c = problem_.contacts[k];
+  double sum = 0.0;
+  const double* w = problem_.W.data() + c.column;
+  for (int block : {c.a, c.b}) {
+    if (block < 0) continue;
+    const int n = problem_.size(block), first = problem_.start[block];
+    const Eigen::Map<const VecX> row(w, n);
+    sum += row.dot(inverse_.block(first, 0, n, n) * row);
+    w = problem_.W.data() + c.column + c.rows * n;
+  }
+  return sum;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,55 @@
+// The contact problem of a dense step: the rows of its contacts and of joint friction, and the masses, tree by tree.
+#pragma once
+
+#include <vector>
+
+#include "cone/block_problem.hpp"
+#include "contact/dense_candidates.hpp"
+
+namespace contactvi {
+
+class DenseRows {
+ public:
+  // Throws Error if the degrees of freedom of a tree do not follow each other.
+  explicit DenseRows(const Scene& scene);
+
+  // Takes the masses from solve(X): X <- M^-1 X for X (nv, k).
+  template <class Solve>
+  void set_masses(Solve solve) {
+    set_unit_columns();
+    solve(inverse_);
+    invert();
+  }
+  // The rows of the contacts `active`, at the end of the step or its start, where the bodies are placed, and of joint
+  // friction with the bound of one of the two impulses of a step of length h. Offsets become zero.
+  void set(const std::vector<DenseContact>& contacts, const std::vector<int>& active, bool at_end, const Placements& at,
+           double h);
+
+  BlockProblem& problem() { return problem_; }
+  const BlockProblem& problem() const { return problem_; }
+  const BlockContact& block(std::size_t k) const { return problem_.contacts[k]; }
+  // Velocity of row r of block k, without its offset.
+  double velocity(std::size_t k, int r, const VecX& v) const;
+  // p += W lambda.
+  void add_impulses(const VecX& lambda, VecX& p) const;
+  // v -= M^-1 p.
+  void subtract_solved(const VecX& p, VecX& v) const;
+  // W_n M^-1 W_n^T of block k [1/kg].
+  double mobility(std::size_t k) const;
+
+ private:
+  void set_unit_columns();
+  void invert();
+  BlockContact& add_block(int a, int b, int rows);
+  void add_contact(const DenseContact& c, bool at_end, const Placements& at);
+  void write_row(int column, int block, int body, const Vec3& x, const Vec3& n, double sign, const Placements& at);
+
+  const Scene* scene_;
+  BlockProblem problem_;
+  std::vector<int> tree_of_joint_;
+  MatX inverse_;  // (nv, largest block): the inverse masses, block under block
+  VecX row_;
+  int rows_ = 0, columns_ = 0;
+};
+
+}  // namespace contactvi
