@@ -353,5 +353,7 @@ def test_no_allocations(tmp_path):
     subprocess.run(["cc", "-O2", "-shared", "-fPIC", "-o", shim, source, "-ldl"], check=True)
     paths = os.pathsep.join([p for p in sys.path if p])
     env = {**os.environ, "LD_PRELOAD": str(shim), "PYTHONPATH": paths}
-    run = subprocess.run([sys.executable, "-c", ALLOCATIONS], env=env, capture_output=True, text=True, check=True)
+    command = [sys.executable, "-c", ALLOCATIONS]
+    # In another folder than the source root, which would shadow the installed package.
+    run = subprocess.run(command, env=env, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["0"] * 5, run.stdout
