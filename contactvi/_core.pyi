@@ -420,6 +420,13 @@ class SimulatorOptions:
     def record_contacts(self, arg: bool, /) -> None: ...
 
     @property
+    def islands(self) -> bool:
+        """Whether islands are advanced one by one where that is possible."""
+
+    @islands.setter
+    def islands(self, arg: bool, /) -> None: ...
+
+    @property
     def contact_steps(self) -> ContactSteps: ...
 
     @contact_steps.setter
@@ -449,6 +456,10 @@ class Simulator:
 
     def load(self, snapshot: Snapshot) -> None:
         """Go back to a snapshot; what follows is equal to the bit."""
+
+    @property
+    def islands(self) -> int:
+        """Number of islands now; 0 where all bodies are advanced together."""
 
     @property
     def t(self) -> float: ...

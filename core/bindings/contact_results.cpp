@@ -107,8 +107,8 @@ std::optional<Dict> dense_steps(const Recording& recording) {
   return d;
 }
 
-void add_contact_stats(const Simulator& sim, nb::dict& d) {
-  const ContactStepCounters& c = sim.contact_counters();
+void add_contact_stats(const World& sim, nb::dict& d) {
+  const ContactStepCounters& c = sim.counters().contact;
   d["contact_steps"] = c.steps;
   d["contact_iterations"] = c.contact_iterations;
   d["cone_problems"] = c.problems;

@@ -11,7 +11,7 @@
 #include "bindings/expose.hpp"
 #include "bindings/user_calls.hpp"
 #include "model/coordinates.hpp"
-#include "run/simulator.hpp"
+#include "run/world.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -102,15 +102,16 @@ void add_status(const Scene& s, const Status& status, nb::dict& d) {
   d["depth"] = status.depth;
 }
 
-Dict stats(const Simulator& sim, double seconds) {
+Dict stats(const World& sim, double seconds) {
   Dict d;
   d["steps"] = sim.state().step;
-  d["stage_iterations"] = sim.step_counters().stage_iterations;
+  const EngineCounters counters = sim.counters();
+  d["stage_iterations"] = counters.steps.stage_iterations;
   d["halved"] = sim.state().control.halved;
   d["rejected"] = sim.state().rejected;
-  d["factorizations"] = sim.step_counters().factorizations;
-  d["guards_evaluated"] = sim.guard_counters().evaluated;
-  d["guards_skipped"] = sim.guard_counters().skipped;
+  d["factorizations"] = counters.steps.factorizations;
+  d["guards_evaluated"] = counters.guards.evaluated;
+  d["guards_skipped"] = counters.guards.skipped;
   d["impacts"] = sim.state().impacts;
   d["seconds"] = seconds;
   d["saturated"] = sim.state().actuators.saturated;
@@ -166,7 +167,7 @@ Dict segments(const Tree& tree, int stages, Segments& s) {
 
 // Entries of which there is nothing are None, because an array costs as much time as a step of a small model.
 template <class Run>
-Dict run(Simulator& sim, const std::optional<ProgressCallback>& progress, Run call) {
+Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) {
   const Scene& s = sim.scene();
   Recording recording;
   const Progress callback = wrap(progress);
@@ -212,7 +213,7 @@ Dict run(Simulator& sim, const std::optional<ProgressCallback>& progress, Run ca
   return d;
 }
 
-Dict advance(Simulator& sim, long steps, const std::optional<Rows>& tau, long record_every,
+Dict advance(World& sim, long steps, const std::optional<Rows>& tau, long record_every,
              const std::optional<ProgressCallback>& progress, const std::optional<Rows>& target) {
   if (tau && (tau->rows() != steps || tau->cols() != sim.scene().tree.nv))
     throw Error("tau: expected shape (steps, nv)");
@@ -227,11 +228,11 @@ Dict advance(Simulator& sim, long steps, const std::optional<Rows>& tau, long re
 
 // A snapshot belongs to a scene, and is refused by simulators of another one.
 struct Kept {
-  std::shared_ptr<const Snapshot> snapshot;
+  std::shared_ptr<const World::Saved> snapshot;
   const Scene* scene;
 };
 
-Dict run_auto(Simulator& sim, double duration, double level, const std::optional<ProgressCallback>& progress) {
+Dict run_auto(World& sim, double duration, double level, const std::optional<ProgressCallback>& progress) {
   if (!(duration > 0.0) || !(level > 0.0)) throw Error("duration and level must be > 0");
   if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
   return run(sim, progress, [&](const Progress& callback, Recording& recording) {
@@ -239,7 +240,7 @@ Dict run_auto(Simulator& sim, double duration, double level, const std::optional
   });
 }
 
-Dict reset(Simulator& sim, const VecX& q, const VecX& v, double t) {
+Dict reset(World& sim, const VecX& q, const VecX& v, double t) {
   const Scene& s = sim.scene();
   if (q.size() != s.tree.nq || v.size() != s.tree.nv) throw Error("expected shapes (nq,) and (nv,)");
   VecX w = v;
@@ -251,7 +252,7 @@ Dict reset(Simulator& sim, const VecX& q, const VecX& v, double t) {
   return d;
 }
 
-Array1 current_velocity(Simulator& sim) {
+Array1 current_velocity(World& sim) {
   const Tree& tree = sim.scene().tree;
   Integrator integrator(tree, 1, 1e-12, 1);
   VecX v(tree.nv);
@@ -264,7 +265,7 @@ Array1 current_velocity(Simulator& sim) {
 int traverse(PyObject* self, visitproc visit, void* arg) {
   Py_VISIT(Py_TYPE(self));
   if (!nb::inst_ready(self)) return 0;
-  const nb::object scene = nb::find(nb::inst_ptr<Simulator>(self)->scene());
+  const nb::object scene = nb::find(nb::inst_ptr<World>(self)->scene());
   Py_VISIT(scene.ptr());
   return 0;
 }
@@ -296,6 +297,7 @@ void expose_options(nb::module_& m) {
               "Whether persistent contacts take part in an impact as rigid supports.")
       .def_rw("contact_points", &SimulatorOptions::contact_points, "Largest number of points of a pair.")
       .def_rw("record_contacts", &SimulatorOptions::record_contacts)
+      .def_rw("islands", &SimulatorOptions::islands, "Whether islands are advanced one by one where that is possible.")
       .def_rw("contact_steps", &SimulatorOptions::contact_steps);
 }
 
@@ -304,7 +306,7 @@ void expose_options(nb::module_& m) {
 void expose_simulator(nb::module_& m) {
   expose_options(m);
   nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.");
-  nb::class_<Simulator>(m, "Simulator", nb::type_slots(simulator_slots))
+  nb::class_<World>(m, "Simulator", nb::type_slots(simulator_slots))
       .def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())
       .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0,
            "Put the system to (q, v) at t [s]; return the fields of the status.")
@@ -314,19 +316,20 @@ void expose_simulator(nb::module_& m) {
       .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(),
            "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out.")
       .def(
-          "save", [](Simulator& sim) { return Kept{sim.save(), &sim.scene()}; }, "Return a snapshot to go back to.")
+          "save", [](World& sim) { return Kept{sim.save(), &sim.scene()}; }, "Return a snapshot to go back to.")
       .def(
           "load",
-          [](Simulator& sim, const Kept& kept) {
+          [](World& sim, const Kept& kept) {
             if (kept.scene != &sim.scene()) throw Error("the snapshot is of another scene");
             sim.restore(*kept.snapshot);
           },
           "snapshot"_a, "Go back to a snapshot; what follows is equal to the bit.")
-      .def_prop_ro("t", &Simulator::time)
+      .def_prop_ro("islands", &World::islands, "Number of islands now; 0 where all bodies are advanced together.")
+      .def_prop_ro("t", &World::time)
       .def_prop_ro(
-          "q", [](const Simulator& sim) { return hand_over(VecX(sim.q())); }, nb::rv_policy::automatic)
+          "q", [](const World& sim) { return hand_over(VecX(sim.q())); }, nb::rv_policy::automatic)
       .def_prop_ro(
-          "p", [](const Simulator& sim) { return hand_over(converted(sim.scene().tree, sim.q(), sim.p())); },
+          "p", [](const World& sim) { return hand_over(converted(sim.scene().tree, sim.q(), sim.p())); },
           nb::rv_policy::automatic)
       .def_prop_ro("v", &current_velocity, nb::rv_policy::automatic);
 }

@@ -149,6 +149,9 @@ class ContactStep final : public Stepper {
   };
   Memory memory() const;
   void recall(const Memory& memory);
+  // Of the joints with friction only where they stick is a state.
+  std::vector<FrictionJoint>& friction_joints() { return friction_joints_; }
+  const std::vector<FrictionJoint>& friction_joints() const { return friction_joints_; }
 
  private:
   void set_rows();

@@ -54,9 +54,13 @@ void Guards::place_bodies() {
 }
 
 void Guards::restart() {
+  forget_distances();
+  std::fill(odometer_.begin(), odometer_.end(), 0.0);
+}
+
+void Guards::forget_distances() {
   std::fill(marks_.begin(), marks_.end(), -1.0);
   std::fill(motion_.geometry.begin(), motion_.geometry.end(), 0.0);
-  std::fill(odometer_.begin(), odometer_.end(), 0.0);
   broad_phase_.invalidate();
 }
 
@@ -215,7 +219,7 @@ void Guards::bound_doubt(const VecCRef& q, const VecX& doubt, double h) { propag
 void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, Reach& reach) {
   const Tree& tree = scene_->tree;
   for (std::size_t k = 0; k < tree.limits.size(); ++k) reach.limit[k] = h * bound[tree.joints[tree.limits[k].joint].iv];
-  if (pairs_ == 0) return;
+  if (scene_->geometries.empty()) return;
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
     const Joint& joint = tree.joints[i];
     double angular = 0, linear = 0, arm = joint.p_PJ.norm();

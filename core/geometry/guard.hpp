@@ -44,6 +44,8 @@ class Guards {
   static constexpr double kNothingElse = 1e9;
   // The bodies have been put to a new place: what is known about their distances and their motion is forgotten.
   void restart();
+  // What is known about the distances is forgotten; the odometers go on.
+  void forget_distances();
   // Guards that may be closed after a restart, where the bodies are placed, ascending: joint limits, and pairs whose
   // boxes meet.
   void list_meeting(std::vector<int>& guards);
@@ -92,6 +94,10 @@ class Guards {
   void mark(int guard, double gap_at_end);  // gap at the end of the step
   void unmark(int guard) { marks_[guard] = -1.0; }
   void commit();  // the step is taken: odometers advance
+  // Bound on how far any point of a geometry has moved since an arbitrary instant [m].
+  double odometer(int geometry) const { return odometer_[geometry]; }
+  // As bound_motion found it, for one geometry [m].
+  double motion_of_geometry(int geometry) const { return motion_.geometry[geometry]; }
 
   // The motion since the guards were last evaluated.
   struct Memory {

@@ -111,6 +111,28 @@ struct Recording {
   std::vector<double> phase_t, phase_dt;
   std::vector<int> phase_kind;
 
+  // From `time` [s] on steps are of this kind and have the length dt [s]. first_dt: that of the steps before the first
+  // entry, which are free.
+  void enter_phase(double time, double dt, StepKind kind, double first_dt) {
+    if (!phase_t.empty() && phase_kind.back() == static_cast<int>(kind) && phase_dt.back() == dt) return;
+    if (phase_t.empty() && !t.empty() && t.front() < time) push_phase(t.front(), first_dt, StepKind::kFree);
+    push_phase(time, dt, kind);
+  }
+  void push_phase(double time, double dt, StepKind kind) {
+    phase_t.push_back(time);
+    phase_dt.push_back(dt);
+    phase_kind.push_back(static_cast<int>(kind));
+  }
+  // Forgets impacts, contacts, changes, dense steps and phases, and keeps their memory.
+  void clear() {
+    impacts.clear();
+    contacts.cut(0);
+    changes.clear();
+    dense.clear();
+    phase_t.clear();
+    phase_dt.clear();
+    phase_kind.clear();
+  }
   // The amount recorded so far, to which cut() returns.
   struct Mark {
     std::size_t nodes, impacts, segments, contacts, changes, phases, dense;

@@ -80,7 +80,7 @@ void Simulator::begin_dense_phase() {
   if (state_.dense.active) return;
   state_.dense.begin();
   dense_step_.restart();
-  guards_.restart();
+  guards_.forget_distances();
   integrator_.forget();
 }
 
@@ -102,7 +102,7 @@ void Simulator::end_dense_phase() {
   state_.dense.active = false;
   state_.dense.since_return = 0;
   state_.separated.clear();
-  guards_.restart();
+  guards_.forget_distances();
   integrator_.forget();
   finder_.forget_touching();
   for (int guard : dense_step_.memory().closed) finder_.set_touching(guard, true);
@@ -152,6 +152,12 @@ void Simulator::accept_dense_step(double time, double h, Recording& recording) {
   recording.dense.push_back({time, h, report.residual, report.gap, report.energy_rise, report.energy_loss,
                              report.energy_error, report.contacts, report.repaired, state_.step});
   dense_step_.commit();
+  if (follows_motion_) {  // all of the step is made with the velocity of its stage
+    v_.setZero();
+    add_size(scene_->tree, dense_step_.stage_velocity(), 1.0, v_);
+    guards_.bound_motion(state_.q, v_, h);
+    guards_.commit();
+  }
   dense_step_.finish(q1_, p1_);
   if (options_.dense) {
     rates_.colwise() = dense_step_.stage_velocity();

@@ -54,6 +54,23 @@ struct EngineMemory {
   bool searched_contact_step = false;  // whether the finder searched a contact step last
 };
 
+// What bodies carry from one engine to another when they meet or part: their motion, their contacts, and the history
+// that decides about these. Numbers are those of the engine's scene.
+struct Handover {
+  VecX q, p;
+  StepControl control;
+  double largest_speed = 0, kinetic = 0;
+  std::vector<PersistentContact> contacts;
+  std::vector<int> touching, exempt;  // guards, as the event finder knows them
+  std::vector<SeparatedPoint> separated;
+  std::vector<Flights::Entry> flights;
+  DensePhase dense;
+  std::vector<DenseStep::Impulse> impulses;  // of the last dense step
+  VecX change;                               // of the velocity in it; empty: not known
+  double change_h = 1.0;                     // its length [s]
+  std::vector<std::pair<bool, double>> anchors;  // of the joints with friction: whether one sticks, and where
+};
+
 struct EngineCounters {
   StepCounters steps;
   GuardCounters guards;

@@ -118,17 +118,7 @@ void Simulator::record_node(double t, Recording& recording) {
 }
 
 void Simulator::record_phase(double time, double dt, StepKind kind, Recording& recording) const {
-  if (!recording.phase_t.empty() && recording.phase_kind.back() == static_cast<int>(kind) &&
-      recording.phase_dt.back() == dt)
-    return;
-  if (recording.phase_t.empty() && !recording.t.empty() && recording.t.front() < time) {
-    recording.phase_t.push_back(recording.t.front());
-    recording.phase_dt.push_back(truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt);
-    recording.phase_kind.push_back(0);
-  }
-  recording.phase_t.push_back(time);
-  recording.phase_dt.push_back(dt);
-  recording.phase_kind.push_back(static_cast<int>(kind));
+  recording.enter_phase(time, dt, kind, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt);
 }
 
 // The step of length h from the state, whose rates are in rates_.
@@ -207,7 +197,7 @@ bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool l
   }
   if (truncation_.bound > 0.0) truncation_.largest = std::max(truncation_.largest, integrator_.truncation());
   integrator_.finish(q1_, p1_);
-  if (guards_.count() > 0 || options_.dense) rates_ = integrator_.rates();
+  if (guards_.count() > 0 || follows_motion_ || options_.dense) rates_ = integrator_.rates();
   integrator_.accept();
   return true;
 }
@@ -275,7 +265,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   }
   const WorkAccount::FreeWork work = state_.work.of(integrator_);
   Search found = Search::kNone;
-  if (guards_.count() > 0) {
+  if (guards_.count() > 0 || follows_motion_) {
     path_.set(state_.q, h, rates_);
     finder_.set_stepper(integrator_);
     found = finder_.search(state_.q, state_.p, q1_, p1_, h, interval.tau, path_);

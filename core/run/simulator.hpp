@@ -25,6 +25,7 @@ struct SimulatorOptions {
   bool stiff_support = false;  // persistent contacts are rigid supports in an impact instead of partners
   int contact_points = 4;      // of a pair, at most
   bool record_contacts = true;
+  bool islands = true;  // islands are advanced one by one where that is possible (run/world.hpp)
   ContactSteps contact_steps = ContactSteps::kAuto;
 };
 
@@ -56,6 +57,29 @@ class Simulator {
   const StepCounters& step_counters() const { return integrator_.counters; }
   const GuardCounters& guard_counters() const { return guards_.counters; }
   const ContactStepCounters& contact_counters() const { return contact_step_.counters; }
+
+  // For bodies that are one island of a larger scene (run/world.hpp).
+  // The engine's memory as it is before any run, with which every island starts.
+  EngineMemory memory();
+  void hand_over(Handover& to) const;
+  // Starts from there at t [s] with a fresh memory, and with nothing counted.
+  void take_over(const Handover& from, const EngineMemory& fresh, double t, double start_time);
+  // Bounds of the motion are kept even where no guard needs them.
+  void follow_motion() { follows_motion_ = true; }
+  // One control step, the number `step` of the run, of this length from t [s] on. tau: (nv,) or empty; target: (1,
+  // 2 nv) or empty. False: it ended early, see the status.
+  bool step_island(long step, double t, double length, const VecX& tau, const MatX& target, const Progress& progress,
+                   Recording& recording);
+  // Forgets what has been counted in the state since it was last taken, and what the parts have counted.
+  void forget_counts();
+  void reset_counters();
+  RunState& state() { return state_; }
+  Guards& guards() { return guards_; }
+  const ContactStep& contact_step() const { return contact_step_; }
+  const DenseStep& dense_step() const { return dense_step_; }
+  // Whether a guard is closed, within tolerance, or has just opened.
+  bool touches(int guard) const { return finder_.touching(guard); }
+  Integrator& integrator() { return integrator_; }
 
   // A run that goes on after restore() has the same digits.
   std::shared_ptr<const Snapshot> save();
@@ -98,6 +122,7 @@ class Simulator {
   void redo_from(const Snapshot& start, const Recording::Mark& mark, Recording& recording);
   Snapshot snapshot();
   void restore_state(const Snapshot& snapshot);
+  void recall(const EngineMemory& memory);
 
   // contact_phase.cpp: steps in persistent contact.
   bool advance_contact(Interval& interval, Recording& recording);
@@ -146,6 +171,7 @@ class Simulator {
   ContactChangeFinder changes_;
   Truncation truncation_;
   VecX q1_, p1_, v_;
+  bool follows_motion_ = false;
   MatX rates_;                          // chart rates at the stages of the step just solved
   const Progress* progress_ = nullptr;  // of the present call of advance or run_auto
   std::chrono::steady_clock::time_point last_report_;

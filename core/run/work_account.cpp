@@ -39,6 +39,21 @@ void WorkAccount::add(const ImpactSequence& impacts) {
   driven_ += impacts.driven_work();
 }
 
+void WorkAccount::clear() {
+  input_ = damping_ = joint_friction_ = driven_ = 0.0;
+  reactions_.setZero();
+}
+
+void WorkAccount::take(WorkAccount& part, const std::vector<int>& rows) {
+  if (!part.does_work_) return;
+  input_ += part.input_;
+  damping_ += part.damping_;
+  joint_friction_ += part.joint_friction_;
+  driven_ += part.driven_;
+  for (std::size_t k = 0; k < rows.size(); ++k) reactions_[rows[k]] += part.reactions_[static_cast<Eigen::Index>(k)];
+  part.clear();
+}
+
 void WorkAccount::record_node(double t, Recording& recording) {
   if (!does_work_) return;
   recording.work.insert(recording.work.end(), {input_, damping_, joint_friction_, driven_});

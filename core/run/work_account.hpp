@@ -26,6 +26,9 @@ class WorkAccount {
   void add(const ContactStep& step);
   void add(const DenseStep& step);
   void add(const ImpactSequence& impacts);
+  // Adds what another account has counted since it was last taken; rows: its constraint rows in this one's numbers.
+  void take(WorkAccount& part, const std::vector<int>& rows);
+  void clear();
   // Appends the entries of a node at t [s].
   void record_node(double t, Recording& recording);
 

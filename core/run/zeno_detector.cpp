@@ -11,7 +11,20 @@ constexpr double kShortFlight = 6e-4;       // of the longest flight: upper limi
 constexpr double kShortFlightToEnd = 0.02;  // and where the run ends instead
 constexpr int kZenoFlights = 4;             // flights one after the other, each shorter than the one before
 constexpr int kChatterFlights = 8;          // flights one after the other below kZenoFlight of a step, shrinking or not
+
+bool before(const Flights::Entry& entry, int guard) { return entry.first < guard; }
 }  // namespace
+
+const Bouncing* Flights::find(int guard) const {
+  const auto at = std::lower_bound(entries_.begin(), entries_.end(), guard, before);
+  return at != entries_.end() && at->first == guard ? &at->second : nullptr;
+}
+
+Bouncing& Flights::at(int guard) {
+  auto at = std::lower_bound(entries_.begin(), entries_.end(), guard, before);
+  if (at == entries_.end() || at->first != guard) at = entries_.insert(at, {guard, Bouncing()});
+  return at->second;
+}
 
 ZenoDetector::ZenoDetector(const Scene& scene, bool dissipative, bool persistent)
     : dissipative_(dissipative), persistent_(persistent), plastic_(scene.guard_count(), 0) {}
@@ -29,9 +42,9 @@ void ZenoDetector::find_accumulating_impacts(const Flights& flights, ImpactSeque
   if (!persistent_) return;
   for (int i = 0; i < sequence.count(); ++i) {
     const ClosedGuard& c = sequence.closed(i);
-    const auto found = flights.find(c.guard);
-    if (found == flights.end()) continue;
-    const Bouncing& b = found->second;
+    const Bouncing* found = flights.find(c.guard);
+    if (found == nullptr) continue;
+    const Bouncing& b = *found;
     const double flight = time - b.last_time;
     if ((c.e >= 1.0 && !dissipative_) || c.e == 0.0 || b.impacts == 0 || !(flight > 0.0)) continue;
     const bool shorter = b.impacts > 1 && flight < b.last_flight;
@@ -48,7 +61,7 @@ void ZenoDetector::find_accumulating_impacts(const Flights& flights, ImpactSeque
 double ZenoDetector::shortest_flight(const Flights& flights) const {
   double shortest = 0.0;
   for (int g : impacted_) {
-    const double flight = flights.at(g).last_flight;
+    const double flight = flights.find(g)->last_flight;
     if (flight > 0.0 && (shortest == 0.0 || flight < shortest)) shortest = flight;
   }
   return shortest;
@@ -61,7 +74,7 @@ bool ZenoDetector::update_bouncing(Flights& flights, ImpactSequence& sequence, d
     const ClosedGuard& c = sequence.closed(i);
     if (!c.impacted) continue;
     impacted_.push_back(c.guard);
-    Bouncing& b = flights[c.guard];
+    Bouncing& b = flights.at(c.guard);
     const double flight = time - b.last_time;
     if (b.impacts > 0 && flight > 0.0) {
       const bool shorter = b.impacts > 1 && flight < b.last_flight;

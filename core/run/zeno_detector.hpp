@@ -2,7 +2,7 @@
 // finite time, and where a run without persistent contact ends for that reason.
 #pragma once
 
-#include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include "impact/sequence.hpp"
@@ -14,8 +14,18 @@ struct Bouncing {
   double last_time = 0, last_flight = 0, longest_flight = 0;
   int impacts = 0, shrinking_flights = 0, short_flights = 0;
 };
-// Of the guards that have had impacts. Looked up by guard and never run through, so that its order has no effect.
-using Flights = std::unordered_map<int, Bouncing>;
+// Of the guards that have had impacts, sorted by guard.
+class Flights {
+ public:
+  using Entry = std::pair<int, Bouncing>;
+  const Bouncing* find(int guard) const;  // null: no impact so far
+  Bouncing& at(int guard);                // a new one where there is none
+  const std::vector<Entry>& entries() const { return entries_; }
+  void clear() { entries_.clear(); }
+
+ private:
+  std::vector<Entry> entries_;
+};
 
 class ZenoDetector {
  public:

@@ -324,7 +324,8 @@ def test_reason_of_a_fallback():
         plastic, ctec = run(name, "mhc", 0.0).events[0], run(name, "ctec", 0.0).events[0]
         assert plastic.fallback.startswith("plastic")
         assert (plastic.method, plastic.iterations) == ("mhc", 0)
-        assert plastic.impulse == ctec.impulse
+        # CTEC's islands are advanced one by one, MHC's bodies all together: rounding
+        assert plastic.impulse == pytest.approx(ctec.impulse, rel=1e-12)
         assert run(name, "mhc", 0.0).events.array("fallback")[0] == FALLBACKS.index(plastic.fallback)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 
 import numpy as np
 import pinocchio as pin
@@ -17,6 +18,7 @@ from oracles.del_step import System
 
 EPS = np.finfo(float).eps
 ANALYTIC = {"hand", "ball", "capsule"}  # against walls and each other their distances are exact
+NOISE = 5e-9  # [m] to which events of the other pairs are located (docs/limits.md)
 cases = pytest.mark.parametrize(
     ("gravity", "restitution", "seed"), [(True, 1.0, 0), (False, 0.8, 1), (True, 1.0, 4), (True, 1.0, 5)]
 )
@@ -62,7 +64,8 @@ def test_every_impact_is_the_oracles(gravity, restitution, seed):
         assert event.gamma_minus < 0.0
         assert event.gamma_plus == pytest.approx(-restitution * event.gamma_minus, rel=1e-12)
         assert abs(np.linalg.norm(event.normal) - 1.0) <= 1e-12
-        assert abs(event.gap) <= 1e-12
+        exact = all(name in ANALYTIC or name.startswith("wall") for name in event.pair)
+        assert abs(event.gap) <= (1e-12 if exact else NOISE)
 
 
 @cases
@@ -84,26 +87,57 @@ def test_gradients_are_differences_of_coal_gaps(gravity, restitution, seed):
     assert checked >= 10
 
 
+def root_of(model: pin.Model, joint: int) -> int:
+    """The child of the world that a joint hangs on; 0 for the world."""
+    return int(model.supports[joint][1]) if joint else 0
+
+
+def parts_of(traj: cvi.Trajectory, k: int, cuts: tuple[cvi.Event, ...]) -> list[tuple]:
+    """The interval k in parts (length, q, p at the start, q, p at the end), cut at these impacts."""
+    parts, (t, q, p) = [], (traj.t[k], traj.q[k], traj.p[k])
+    for e in cuts:
+        parts.append((e.time - t, q, p, e.q, e.p_minus))
+        t, q, p = e.time, e.q, e.p_plus
+    parts.append((traj.t[k + 1] - t, q, p, traj.q[k + 1], traj.p[k + 1]))
+    return [part for part in parts if part[0] > 1e-7]
+
+
 @cases
 def test_between_nodes_and_impacts_the_motion_is_the_oracles_step(gravity, restitution, seed):
-    """Discrete Euler-Lagrange residual of every part of a step between nodes and impacts."""
+    """Discrete Euler-Lagrange residual of every part of a step between nodes and impacts, tree by tree.
+
+    The step of a tree is cut at its own impacts, and at those of others that are in one island with it in that step.
+    """
     traj = run(gravity, restitution, seed)
+    model, geometry = room(gravity)
     system = System(traj.scene.model)
-    parts = []
-    events = list(traj.events)
-    for k in range(len(traj.t) - 1):
-        t, q, p = traj.t[k], traj.q[k], traj.p[k]
-        while events and events[0].time <= traj.t[k + 1]:
-            e = events.pop(0)
-            parts.append((e.time - t, q, p, e.q, e.p_minus))
-            t, q, p = e.time, e.q, e.p_plus
-        parts.append((traj.t[k + 1] - t, q, p, traj.q[k + 1], traj.p[k + 1]))
+    trees = sorted({root_of(model, j) for j in range(1, model.njoints)})
+    dofs = [
+        (root_of(model, j), model.joints[j].idx_v + k)
+        for j in range(1, model.njoints)
+        for k in range(model.joints[j].nv)
+    ]
+    rows = [[d for root, d in dofs if root == r] for r in trees]
     size = float(np.abs(system.mass_matrix(traj.q[0])).sum(axis=1).max())
-    for dt, q0, p0, q1, p1 in parts:
-        if dt > 1e-7:
-            # v is taken from q1 - q0 and from times of size t: their rounding enters as eps / dt and |v| eps t / dt
-            floor = size * (16 * EPS + 10.0 * EPS * traj.t[-1]) / dt
-            assert np.abs(system.residual(q0, p0, q1, p1, dt)).max() <= 1e-10 + floor
+
+    def excess(part: tuple) -> np.ndarray:
+        """The residual of each tree less what rounding explains."""
+        dt, q0, p0, q1, p1 = part
+        # v is taken from q1 - q0 and from times of size t: their rounding enters as eps / dt and |v| eps t / dt
+        floor = size * (16 * EPS + 10.0 * EPS * traj.t[-1]) / dt
+        both = np.abs(system.residual(q0, p0, q1, p1, dt)).reshape(2, -1)
+        return np.array([both[:, of].max() for of in rows]) - 1e-10 - floor
+
+    for k in range(len(traj.t) - 1):
+        events = [e for e in traj.events if traj.t[k] < e.time <= traj.t[k + 1]]
+        hit = [{root_of(model, joint_of(geometry, name)) for name in e.pair} for e in events]
+        best = np.full(len(trees), np.inf)  # over the sets of impacts that contain all of the tree
+        for chosen in itertools.product([False, True], repeat=len(events)):
+            cuts = tuple(e for e, taken in zip(events, chosen, strict=True) if taken)
+            residual = np.max([excess(part) for part in parts_of(traj, k, cuts)], axis=0)
+            whole = [all(taken or r not in struck for taken, struck in zip(chosen, hit, strict=True)) for r in trees]
+            best = np.where(whole, np.minimum(best, residual), best)
+        assert best.max() <= 0.0, (k, best)
 
 
 def corner_gaps(model: pin.Model, q: np.ndarray) -> dict[str, float]:

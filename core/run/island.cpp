@@ -1,0 +1,311 @@
+#include "run/island.hpp"
+
+#include <algorithm>
+
+#include "geometry/prepare.hpp"
+#include "geometry/shape_features.hpp"
+
+namespace contactvi {
+
+namespace {
+
+int position(const std::vector<int>& sorted, int value) {
+  const auto at = std::lower_bound(sorted.begin(), sorted.end(), value);
+  return at != sorted.end() && *at == value ? static_cast<int>(at - sorted.begin()) : -1;
+}
+
+// Whether some force or constraint is a function of time, or may be one.
+bool depends_on_time(const Elements& e) {
+  bool any = e.driven() || !e.forces.empty() || !e.potentials.empty();
+  for (const AppliedWrench& wrench : e.wrenches) any |= static_cast<bool>(wrench.signal);
+  return any;
+}
+
+// The step lengths of two islands that become one.
+void combine(const StepControl& part, StepControl& all) {
+  all.free.longest = std::min(all.free.longest, part.free.longest);
+  all.free.solved_in_row = std::min(all.free.solved_in_row, part.free.solved_in_row);
+  all.contact.longest = std::min(all.contact.longest, part.contact.longest);
+  all.contact.solved_in_row = std::min(all.contact.solved_in_row, part.contact.solved_in_row);
+  if (part.flight > 0.0 && (all.flight == 0.0 || part.flight < all.flight)) all.flight = part.flight;
+  all.without_progress = std::max(all.without_progress, part.without_progress);
+}
+
+// Shape features of the whole scene with the number that the body has in a part of it.
+void number_features(std::shared_ptr<const ShapeFeatures>& features, int body) {
+  if (!features || features->body == body) return;
+  auto own = std::make_shared<ShapeFeatures>(*features);
+  own->body = body;
+  features = std::move(own);
+}
+
+const Scene& prepared(Scene& scene) {
+  for (Geometry& geometry : scene.geometries) {
+    number_features(geometry.sharp_features, geometry.body);
+    number_features(geometry.rounded_features, geometry.body);
+  }
+  prepare_geometry(scene);
+  return scene;
+}
+
+}  // namespace
+
+Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, const SimulatorOptions& options)
+    : whole_(&whole),
+      trees_(std::move(trees)),
+      numbers_(restrict_scene(whole, all, trees_)),
+      own_(std::make_unique<Simulator>(prepared(numbers_->scene), options)),
+      engine_(own_.get()),
+      fresh_(engine_->memory()) {
+  for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
+  odometer_.assign(numbers_->geometries.size(), 0.0);
+  engine_->follow_motion();
+  depends_on_time_ = depends_on_time(engine_->scene().tree.elements);
+  for (int d : numbers_->v) dof_tree_.push_back(all.of_joint(whole.tree.dof_joint[d]));
+}
+
+Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, Simulator& engine)
+    : whole_(&whole),
+      trees_(std::move(trees)),
+      numbers_(whole_scene_numbers(whole)),
+      engine_(&engine),
+      fresh_(engine_->memory()) {
+  for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
+  odometer_.assign(numbers_->geometries.size(), 0.0);
+  engine_->follow_motion();
+  depends_on_time_ = depends_on_time(engine_->scene().tree.elements);
+  for (int d : numbers_->v) dof_tree_.push_back(all.of_joint(whole.tree.dof_joint[d]));
+}
+
+int Island::local_guard(int guard) const { return position(numbers_->guards, guard); }
+
+void Island::number_bodies(ContactPoint& point, bool into) const {
+  for (int* body : {&point.point_body, &point.plane_body})
+    if (*body >= 0 && point.kind != PointKind::kLimit)
+      *body = into ? position(numbers_->joints, *body) : numbers_->joints[*body];
+}
+
+void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose,
+                  std::vector<std::pair<bool, double>>& anchors, double t, double start_time) {
+  Handover& to = handover_;
+  to.q.resize(static_cast<Eigen::Index>(numbers_->q.size()));
+  to.p.resize(static_cast<Eigen::Index>(numbers_->v.size()));
+  for (std::size_t i = 0; i < numbers_->q.size(); ++i) to.q[static_cast<Eigen::Index>(i)] = q[numbers_->q[i]];
+  for (std::size_t i = 0; i < numbers_->v.size(); ++i) to.p[static_cast<Eigen::Index>(i)] = p[numbers_->v[i]];
+  to.control = loose[trees_[0]].control;
+  to.largest_speed = to.kinetic = 0.0;
+  to.contacts.clear();
+  to.touching.clear();
+  to.exempt.clear();
+  to.separated.clear();
+  to.flights.clear();
+  // Takes the entries of this island's guards out of a list.
+  const auto take = [this](auto& list, auto guard_of, auto&& put) {
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < list.size(); ++i) {
+      const int guard = local_guard(guard_of(list[i]));
+      if (guard >= 0) {
+        put(list[i], guard);
+      } else {
+        list[kept++] = list[i];
+      }
+    }
+    list.erase(list.begin() + static_cast<std::ptrdiff_t>(kept), list.end());
+  };
+  for (int tree : trees_) {
+    LooseState& from = loose[tree];
+    combine(from.control, to.control);
+    to.largest_speed = std::max(to.largest_speed, from.largest_speed);
+    to.kinetic += from.kinetic;
+    from.kinetic = 0.0;
+    take(
+        from.contacts, [](const PersistentContact& c) { return c.point.guard; },
+        [&](PersistentContact& c, int guard) {
+          c.point.guard = guard;
+          number_bodies(c.point, true);
+          to.contacts.push_back(c);
+        });
+    const auto itself = [](int guard) { return guard; };
+    take(from.touching, itself, [&](int, int guard) { to.touching.push_back(guard); });
+    take(from.exempt, itself, [&](int, int guard) { to.exempt.push_back(guard); });
+    take(
+        from.separated, [](const SeparatedPoint& s) { return s.first; },
+        [&](const SeparatedPoint& s, int guard) { to.separated.emplace_back(guard, s.second); });
+    take(
+        from.flights, [](const Flights::Entry& f) { return f.first; },
+        [&](const Flights::Entry& f, int guard) { to.flights.emplace_back(guard, f.second); });
+  }
+  take_dense(loose);
+  to.anchors.clear();
+  for (int k : numbers_->friction) to.anchors.push_back(anchors[k]);
+  engine_->take_over(to, fresh_, t, start_time);
+  rests_ = 0;
+}
+
+// What dense steps carry: they go on where one of the trees had them.
+void Island::take_dense(std::vector<LooseState>& loose) {
+  Handover& to = handover_;
+  to.dense = loose[trees_[0]].dense;
+  to.impulses.clear();
+  to.change.resize(static_cast<Eigen::Index>(numbers_->v.size()));
+  to.change_h = loose[trees_[0]].change_h;
+  std::size_t known = 0;
+  for (int tree : trees_) {
+    LooseState& from = loose[tree];
+    to.dense.active |= from.dense.active;
+    to.dense.quiet = std::min(to.dense.quiet, from.dense.quiet);
+    to.dense.wanted = std::max(to.dense.wanted, from.dense.wanted);
+    to.dense.since_return = std::min(to.dense.since_return, from.dense.since_return);
+    std::size_t kept = 0;
+    for (DenseStep::Impulse& impulse : from.impulses) {
+      const int guard = local_guard(impulse.guard);
+      if (guard < 0) {
+        from.impulses[kept++] = impulse;
+      } else {
+        to.impulses.push_back(impulse);
+        to.impulses.back().guard = guard;
+      }
+    }
+    from.impulses.resize(kept);
+    for (const auto& [dof, change] : from.change)
+      if (from.change_h == to.change_h) {
+        to.change[position(numbers_->v, dof)] = change;
+        ++known;
+      }
+    from.change.clear();
+  }
+  if (known < numbers_->v.size()) to.change.resize(0);
+}
+
+void Island::file(const Handover& from, std::vector<LooseState>& loose,
+                  std::vector<std::pair<bool, double>>& anchors) const {
+  const auto home = [&](int guard) -> LooseState& {
+    const auto [a, b] = guard_trees_[guard];
+    return loose[a < 0 ? b : b < 0 ? a : std::min(a, b)];
+  };
+  for (int tree : trees_) {
+    loose[tree].control = from.control;
+    loose[tree].largest_speed = from.largest_speed;
+    loose[tree].kinetic = tree == trees_[0] ? from.kinetic : 0.0;
+    loose[tree].dense = from.dense;
+    loose[tree].change.clear();
+    loose[tree].change_h = from.change_h;
+  }
+  for (PersistentContact contact : from.contacts) {
+    LooseState& to = home(contact.point.guard);
+    contact.point.guard = numbers_->guards[contact.point.guard];
+    number_bodies(contact.point, false);
+    to.contacts.push_back(contact);
+  }
+  for (DenseStep::Impulse impulse : from.impulses) {
+    LooseState& to = home(impulse.guard);
+    impulse.guard = numbers_->guards[impulse.guard];
+    to.impulses.push_back(impulse);
+  }
+  for (Eigen::Index d = 0; d < from.change.size(); ++d)
+    loose[dof_tree_[d]].change.emplace_back(numbers_->v[d], from.change[d]);
+  for (int g : from.touching) home(g).touching.push_back(numbers_->guards[g]);
+  for (int g : from.exempt) home(g).exempt.push_back(numbers_->guards[g]);
+  for (const SeparatedPoint& s : from.separated)
+    home(s.first).separated.emplace_back(numbers_->guards[s.first], s.second);
+  for (const Flights::Entry& f : from.flights) home(f.first).flights.emplace_back(numbers_->guards[f.first], f.second);
+  for (std::size_t k = 0; k < from.anchors.size(); ++k) anchors[numbers_->friction[k]] = from.anchors[k];
+}
+
+void Island::dissolve(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) {
+  engine_->hand_over(handover_);
+  file(handover_, loose, anchors);
+}
+
+void Island::undo(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) {
+  if (asleep()) {
+    dissolve(loose, anchors);
+  } else {
+    file(before_, loose, anchors);
+  }
+}
+
+// Takes its part of the inputs; false: they are those of the step before.
+bool Island::set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref) {
+  before_tau_ = tau_;
+  before_target_ = target_;
+  const std::vector<int>& v = numbers_->v;
+  const Eigen::Index nv = static_cast<Eigen::Index>(v.size());
+  tau_.resize(tau.size() > 0 ? nv : 0);
+  for (Eigen::Index i = 0; i < tau_.size(); ++i) tau_[i] = tau[v[i]];
+  if (q_ref.size() > 0 && engine_->scene().tree.elements.servo_kp.size() > 0) {
+    target_.resize(1, 2 * nv);
+    for (Eigen::Index i = 0; i < nv; ++i) {
+      target_(0, i) = q_ref[v[i]];
+      target_(0, nv + i) = v_ref[v[i]];
+    }
+  }
+  return tau_.size() != before_tau_.size() || target_.size() != before_target_.size() || tau_ != before_tau_ ||
+         target_ != before_target_;
+}
+
+// The record of the last step is that of this one, at another time.
+void Island::repeat_record(long step, double t, double length) {
+  ContactRows& rows = recording_.contacts;
+  std::fill(rows.t.begin(), rows.t.end(), t);
+  std::fill(rows.h.begin(), rows.h.end(), length);
+  std::fill(rows.step.begin(), rows.step.end(), step);
+  std::fill(recording_.phase_t.begin(), recording_.phase_t.end(), t);
+  for (DenseRecord& dense : recording_.dense) {
+    dense.time = t;
+    dense.step = step;
+  }
+}
+
+// Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay.
+void Island::count_rest() {
+  bool rests = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty();
+  for (std::size_t k = 0; k < odometer_.size() && rests; ++k)
+    rests = engine_->guards().odometer(static_cast<int>(k)) - odometer_[k] <= kStill;
+  const std::vector<double>& starts = recording_.contacts.t;
+  for (double t : starts) rests = rests && t == starts.front();
+  for (int mode : recording_.contacts.mode) rests = rests && mode != static_cast<int>(ContactMode::kSlips);
+  rests_ = rests ? rests_ + 1 : 0;
+}
+
+void Island::restore_rest(int rests, const Recording& record, const VecX& tau, const MatX& target) {
+  rests_ = rests;
+  recording_ = record;
+  tau_ = tau;
+  target_ = target;
+}
+
+void Island::step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
+                  const Progress& progress) {
+  if (set_inputs(tau, q_ref, v_ref)) rests_ = 0;
+  if (asleep()) {
+    repeat_record(step, t, length);
+    return;
+  }
+  if (own_) engine_->hand_over(before_);  // the island of all trees is never undone
+  for (std::size_t k = 0; k < odometer_.size(); ++k) odometer_[k] = engine_->guards().odometer(static_cast<int>(k));
+  recording_.clear();
+  ok_ = engine_->step_island(step, t, length, tau_, target_, progress, recording_);
+  count_rest();
+}
+
+void Island::gather_at(long step, double t, double part, const Progress& progress, VecX& q, VecX& p) {
+  if (!asleep() && part > 0.0) {
+    const std::shared_ptr<const Snapshot> end = engine_->save();
+    Recording unused;
+    engine_->take_over(before_, fresh_, t, t);
+    const bool reached = engine_->step_island(step, t, part, tau_, target_, progress, unused);
+    if (reached) gather(q, p);
+    engine_->restore(*end);
+    if (reached) return;
+  }
+  gather(q, p);
+}
+
+void Island::gather(VecX& q, VecX& p) const {
+  const RunState& state = std::as_const(*engine_).state();
+  for (std::size_t i = 0; i < numbers_->q.size(); ++i) q[numbers_->q[i]] = state.q[static_cast<Eigen::Index>(i)];
+  for (std::size_t i = 0; i < numbers_->v.size(); ++i) p[numbers_->v[i]] = state.p[static_cast<Eigen::Index>(i)];
+}
+
+}  // namespace contactvi

@@ -1,0 +1,115 @@
+// One island: static trees that are advanced together, by an engine of their own on the scene restricted to them.
+#pragma once
+
+#include <memory>
+
+#include "model/static_trees.hpp"
+#include "run/simulator.hpp"
+
+namespace contactvi {
+
+// What a static tree carries while it changes islands, and what guards between trees of different islands remember. A
+// guard between two trees is kept with the first one. Numbers of the whole scene.
+struct LooseState {
+  StepControl control;
+  double largest_speed = 0, kinetic = 0;
+  std::vector<PersistentContact> contacts;
+  std::vector<int> touching, exempt;
+  std::vector<SeparatedPoint> separated;
+  std::vector<Flights::Entry> flights;
+  DensePhase dense;
+  std::vector<DenseStep::Impulse> impulses;
+  std::vector<std::pair<int, double>> change;  // dof and change of its velocity in the last dense step
+  double change_h = 1.0;
+};
+
+class Island {
+ public:
+  Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, const SimulatorOptions& options);
+  // The island of all trees, which uses this engine.
+  Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, Simulator& engine);
+  Island(const Island&) = delete;
+  Island& operator=(const Island&) = delete;
+
+  const std::vector<int>& trees() const { return trees_; }
+  const SubScene& numbers() const { return *numbers_; }
+  Simulator& engine() { return *engine_; }
+  Recording& recording() { return recording_; }
+  // Whether the last call of step() reached the end of the interval.
+  bool ended_early() const { return !ok_; }
+
+  // Takes its trees over at (q, p) of the whole scene, t [s].
+  void form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors,
+            double t, double start_time);
+  // Hands its trees over as they are, or as they were before the last step.
+  void dissolve(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors);
+  void undo(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors);
+
+  // One control step; tau, target: of the whole scene, or empty.
+  void step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
+            const Progress& progress);
+  // Whether the last steps have moved nothing by more than rounding, so that it repeats the last one until something
+  // changes: its trees, or its inputs.
+  bool asleep() const { return rests_ >= kRests; }
+  int rests() const { return rests_; }
+  // Goes back to having repeated a step whose record is this.
+  void restore_rest(int rests, const Recording& record, const VecX& tau, const MatX& target);
+  const VecX& tau() const { return tau_; }
+  const MatX& target() const { return target_; }
+  // Bound on the motion of its geometry `k` in that step [m].
+  double motion(int k) const { return asleep() ? 0.0 : engine_->guards().odometer(k) - odometer_[k]; }
+  // Whether a state of it has to obey constraints.
+  bool constrained() const { return !numbers_->constraint_rows.empty(); }
+  // Enters the state that it had a time `part` [s] after the start t [s] of the last step in that of the whole scene.
+  void gather_at(long step, double t, double part, const Progress& progress, VecX& q, VecX& p);
+  // Enters its state in that of the whole scene.
+  void gather(VecX& q, VecX& p) const;
+  // Calls join(tree, tree) for those that a contact or a guard that touches keeps together.
+  template <class Join>
+  void each_bond(Join join) const;
+
+  long last_used = 0;  // the step in which it was in use, for the pool
+
+ private:
+  static constexpr int kRests = 3;  // steps that move nothing, one after the other, before an island sleeps
+  // [m] that any point may move in such a step: the spacing of doubles near 1 m. In 10^6 steps that is 0.2 nm.
+  static constexpr double kStill = 2.2e-16;
+
+  bool set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref);
+  void repeat_record(long step, double t, double length);
+  void count_rest();
+  void take_dense(std::vector<LooseState>& loose);
+  void file(const Handover& from, std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) const;
+  void number_bodies(ContactPoint& point, bool into) const;
+  int local_guard(int guard) const;
+
+  const Scene* whole_;
+  std::vector<int> trees_;
+  std::unique_ptr<SubScene> numbers_;
+  std::unique_ptr<Simulator> own_;
+  Simulator* engine_;
+  std::vector<std::pair<int, int>> guard_trees_;  // of its guards
+  std::vector<int> dof_tree_;                     // of its dofs
+  EngineMemory fresh_;
+  Handover before_, handover_;
+  Recording recording_;
+  std::vector<double> odometer_;
+  VecX tau_, before_tau_;
+  MatX target_, before_target_;
+  bool ok_ = true;
+  bool depends_on_time_ = false;  // some force or constraint is a function of time
+  int rests_ = 0;                 // steps one after the other that moved nothing
+};
+
+template <class Join>
+void Island::each_bond(Join join) const {
+  if (trees_.size() < 2) return;
+  const auto bind = [&](int guard) { join(guard_trees_[guard].first, guard_trees_[guard].second); };
+  for (const PersistentContact& contact : engine_->contact_step().contacts()) bind(contact.point.guard);
+  for (const DenseStep::Impulse& impulse : engine_->dense_step().memory().impulses) bind(impulse.guard);
+  for (int g = 0; g < static_cast<int>(guard_trees_.size()); ++g)
+    if (engine_->touches(g)) bind(g);
+  for (const SeparatedPoint& point : std::as_const(*engine_).state().separated) bind(point.first);
+}
+
+}  // namespace contactvi

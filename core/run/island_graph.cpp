@@ -1,0 +1,171 @@
+#include "run/island_graph.hpp"
+
+#include <coal/collision_object.h>
+#include <coal/shape/geometric_shapes.h>
+
+#include <algorithm>
+#include <limits>
+
+namespace contactvi {
+
+namespace {
+constexpr double kReach = 1.5;      // of the motion in the last interval: that expected in the next one
+constexpr double kIntervals = 8.0;  // a ball's margin lasts for about so many of them,
+constexpr double kMargin = 0.05;    // and is at least this part of its radius
+}  // namespace
+
+void TreeSets::reset(int count) {
+  parent_.resize(count);
+  for (int i = 0; i < count; ++i) parent_[i] = i;
+}
+
+int TreeSets::root(int tree) {
+  while (parent_[tree] != tree) tree = parent_[tree] = parent_[parent_[tree]];
+  return tree;
+}
+
+void TreeSets::join(int a, int b) {
+  if (a < 0 || b < 0) return;
+  a = root(a);
+  b = root(b);
+  parent_[std::max(a, b)] = std::min(a, b);
+}
+
+IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
+    : trees_(&trees), guards_(&guards), scene_(&guards.scene()) {
+  const std::size_t n = scene_->geometries.size();
+  partners_.resize(n);
+  for (std::size_t k = 0; k < scene_->pairs.size(); ++k) {
+    const Pair& pair = scene_->pairs[k];
+    const int a = trees.of_geometry(pair.a), b = trees.of_geometry(pair.b), guard = static_cast<int>(k);
+    if (a == b || a < 0 || b < 0) continue;
+    partners_[pair.a].push_back({pair.b, guard});
+    partners_[pair.b].push_back({pair.a, guard});
+  }
+  slot_.assign(n, -1);
+  for (std::size_t g = 0; g < n; ++g) {
+    const Geometry& geometry = scene_->geometries[g];
+    sphere_.push_back(geometry.sharp->getNodeType() == coal::GEOM_SPHERE ? 1 : 0);
+    radius_.push_back(sphere_[g]           ? static_cast<const coal::Sphere&>(*geometry.sharp).radius
+                      : geometry.unbounded ? std::numeric_limits<double>::infinity()
+                                           : geometry.radius);
+    std::sort(partners_[g].begin(), partners_[g].end(),
+              [](const Partner& a, const Partner& b) { return a.geometry < b.geometry; });
+    if (partners_[g].empty()) continue;
+    slot_[g] = static_cast<int>(movable_.size());
+    movable_.push_back(static_cast<int>(g));
+  }
+  neighbours_.resize(n);
+  for (std::vector<double>* list : {&reach_, &motion_, &odometer_, &limit_}) list->assign(n, 0.0);
+  for (std::vector<double>* list : {&x_, &y_, &z_, &ball_}) list->assign(movable_.size(), 0.0);
+}
+
+void IslandGraph::restart(const std::vector<double>& motion) {
+  motion_ = motion;
+  std::fill(odometer_.begin(), odometer_.end(), 0.0);
+  std::fill(limit_.begin(), limit_.end(), -1.0);
+  std::fill(ball_.begin(), ball_.end(), -std::numeric_limits<double>::infinity());  // overlaps nothing
+  for (std::vector<Neighbour>& list : neighbours_) list.clear();
+}
+
+void IslandGraph::place(const VecX& q) {
+  if (!placed_) guards_->place(q);
+  placed_ = true;
+}
+
+int IslandGraph::guard_of(int a, int b) const {
+  const std::vector<Partner>& list = partners_[a];
+  const auto at = std::lower_bound(list.begin(), list.end(), b, [](const Partner& p, int g) { return p.geometry < g; });
+  return at != list.end() && at->geometry == b ? at->guard : -1;
+}
+
+// Puts the ball of a geometry where that is now, and finds its neighbours anew.
+void IslandGraph::renew(int g, double margin) {
+  for (const Neighbour& n : neighbours_[g]) {
+    std::vector<Neighbour>& list = neighbours_[n.geometry];
+    list.erase(std::find_if(list.begin(), list.end(), [g](const Neighbour& m) { return m.geometry == g; }));
+  }
+  neighbours_[g].clear();
+  const Placements& at = guards_->placements();
+  const Geometry& geometry = scene_->geometries[g];
+  const Vec3 c = at.p_W[geometry.body] + at.R_W[geometry.body] * geometry.center_B;
+  const int slot = slot_[g];
+  x_[slot] = c[0];
+  y_[slot] = c[1];
+  z_[slot] = c[2];
+  ball_[slot] = radius_[g] + margin;
+  limit_[g] = odometer_[g] + margin;
+  for (std::size_t k = 0; k < movable_.size(); ++k) {
+    const double dx = x_[k] - c[0], dy = y_[k] - c[1], dz = z_[k] - c[2], r = ball_[k] + ball_[slot];
+    if (!(r > 0.0 && dx * dx + dy * dy + dz * dz <= r * r)) continue;
+    const int other = movable_[k], guard = guard_of(g, other);
+    if (guard < 0) continue;
+    neighbours_[g].push_back({other, guard, -1.0});
+    neighbours_[other].push_back({g, guard, -1.0});
+  }
+}
+
+// A lower bound on the distance of two neighbours now, which is the distance itself where it is small.
+double IslandGraph::clearance(const Neighbour& n, int g) {
+  const Placements& at = guards_->placements();
+  const auto center = [&](int k) {
+    const Geometry& geometry = scene_->geometries[k];
+    return Vec3(at.p_W[geometry.body] + at.R_W[geometry.body] * geometry.center_B);
+  };
+  return (center(g) - center(n.geometry)).norm() - radius_[g] - radius_[n.geometry];
+}
+
+// Whether two neighbours may meet when they move by `reach` together.
+bool IslandGraph::may_meet(int g, Neighbour& n, double reach) {
+  const double odometers = odometer_[g] + odometer_[n.geometry];
+  if (odometers + reach < n.mark) return false;
+  double distance = clearance(n, g);
+  if (distance <= reach && !(sphere_[g] && sphere_[n.geometry])) {
+    Contact contact;
+    distance = guards_->evaluate_witness(n.guard, contact);
+  }
+  if (!(distance > reach)) return true;
+  n.mark = odometers + distance;
+  return false;
+}
+
+void IslandGraph::join_suspects(const VecX& q, double slack, TreeSets& sets) {
+  placed_ = false;
+  for (int g : movable_) reach_[g] = kReach * motion_[g] + slack;
+  for (int g : movable_) {
+    if (odometer_[g] + reach_[g] <= limit_[g]) continue;
+    place(q);
+    renew(g, std::max(kIntervals * reach_[g], std::isfinite(radius_[g]) ? kMargin * radius_[g] : 0.0));
+  }
+  for (int g : movable_) {
+    for (Neighbour& n : neighbours_[g]) {
+      if (n.geometry < g || sets.joined(trees_->of_geometry(g), trees_->of_geometry(n.geometry))) continue;
+      const double reach = reach_[g] + reach_[n.geometry];
+      if (odometer_[g] + odometer_[n.geometry] + reach < n.mark) continue;
+      place(q);
+      if (may_meet(g, n, reach)) sets.join(trees_->of_geometry(g), trees_->of_geometry(n.geometry));
+    }
+  }
+}
+
+void IslandGraph::join_met(const VecX& q, TreeSets& sets) {
+  bool any = false;
+  for (int g : movable_) any |= motion_[g] > reach_[g];
+  if (!any) return;
+  place(q);
+  for (int g : movable_)
+    if (odometer_[g] + motion_[g] > limit_[g]) renew(g, kIntervals * motion_[g]);
+  for (int g : movable_) {
+    if (!(motion_[g] > reach_[g])) continue;
+    for (Neighbour& n : neighbours_[g]) {
+      const int a = trees_->of_geometry(g), b = trees_->of_geometry(n.geometry);
+      if (!sets.joined(a, b) && may_meet(g, n, motion_[g] + motion_[n.geometry])) sets.join(a, b);
+    }
+  }
+}
+
+void IslandGraph::commit() {
+  for (int g : movable_) odometer_[g] += motion_[g];
+}
+
+}  // namespace contactvi

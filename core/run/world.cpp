@@ -1,0 +1,510 @@
+#include "run/world.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "impact/impact_maps.hpp"
+#include "step/path.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr std::size_t kKept = 64;  // islands that are kept for later, beside two for each tree
+
+std::vector<int> numbers_up_to(int count) {
+  std::vector<int> list(count);
+  for (int i = 0; i < count; ++i) list[i] = i;
+  return list;
+}
+
+void add(const Simulator& engine, EngineCounters& sum) {
+  const StepCounters& s = engine.step_counters();
+  sum.steps.steps += s.steps;
+  sum.steps.stage_iterations += s.stage_iterations;
+  sum.steps.factorizations += s.factorizations;
+  sum.guards.evaluated += engine.guard_counters().evaluated;
+  sum.guards.skipped += engine.guard_counters().skipped;
+  const ContactStepCounters& c = engine.contact_counters();
+  sum.contact.steps += c.steps;
+  sum.contact.contact_iterations += c.contact_iterations;
+  sum.contact.problems += c.problems;
+  sum.contact.iterations += c.iterations;
+  sum.contact.fallbacks += c.fallbacks;
+}
+
+// Between two configurations, at the fraction x: along each coordinate, normalised on circles and spheres.
+void interpolate(const Tree& tree, const VecX& q0, const VecX& q1, double x, VecX& q) {
+  q = (1.0 - x) * q0 + x * q1;
+  for (const Joint& joint : tree.joints) {
+    if (joint.nq == joint.nv) continue;
+    if (q0.segment(joint.iq, joint.nq).dot(q1.segment(joint.iq, joint.nq)) < 0.0)
+      q.segment(joint.iq, joint.nq) = (1.0 - x) * q0.segment(joint.iq, joint.nq) - x * q1.segment(joint.iq, joint.nq);
+    q.segment(joint.iq, joint.nq).normalize();
+  }
+}
+}  // namespace
+
+// All that the rest of a run depends on.
+struct World::Saved {
+  std::shared_ptr<const Snapshot> whole;
+  bool divided = false;
+  RunState run;
+  std::vector<LooseState> loose;
+  std::vector<std::pair<bool, double>> anchors;
+  std::vector<double> motion;
+  VecX q_ref, v_ref;
+  EngineCounters counters;
+  struct SavedIsland {
+    std::vector<int> trees;
+    std::shared_ptr<const Snapshot> engine;
+    int rests;
+    Recording record;  // of the step that an island at rest repeats
+    VecX tau;
+    MatX target;
+  };
+  std::vector<SavedIsland> islands;
+};
+
+World::World(const Scene& scene, const SimulatorOptions& options)
+    : scene_(&scene),
+      options_(options),
+      whole_(scene, options),
+      trees_(scene),
+      graph_(trees_, whole_.guards()),
+      loose_(trees_.count()),
+      anchors_(scene.tree.elements.friction_dofs.size()),
+      island_of_tree_(trees_.count(), -1) {
+  // Now, while the memory of its engine is fresh.
+  if (may_divide()) island_of(numbers_up_to(trees_.count()));
+  island_progress_ = [this](double t, long impacts) {
+    return !*progress_ || (*progress_)(t, state_.impacts + impacts);
+  };
+}
+
+// Whether islands are advanced one by one: an impulse that solves an equation of the whole step belongs to the whole
+// world, and so do the polynomials of whole steps.
+bool World::may_divide() const {
+  return options_.islands && trees_.count() > 1 && !impact_law(options_.impact).implicit() && !options_.dense;
+}
+
+Status World::reset(const VecX& q, const VecX& v, double t) {
+  divided_ = false;
+  const Status status = whole_.reset(q, v, t);
+  if (status.ok() && may_divide()) divide(v);
+  return status;
+}
+
+// From the state of the whole engine to islands. v: velocities at that state.
+void World::divide(const VecX& v) {
+  const RunState& from = std::as_const(whole_).state();
+  state_ = from;
+  state_.control.halved = 0;
+  for (LooseState& loose : loose_) loose = LooseState();
+  for (auto& [trees, island] : pool_)
+    if (&island->engine() != &whole_) island->engine().reset_counters();  // the reset has counted already
+  forgotten_ = EngineCounters();
+  Island& all = island_of(numbers_up_to(trees_.count()));
+  all.dissolve(loose_, anchors_);
+  islands_.clear();
+  std::fill(island_of_tree_.begin(), island_of_tree_.end(), -1);
+  VecX speed = VecX::Zero(scene_->tree.nv);
+  add_size(scene_->tree, v, 1.0, speed);
+  whole_.guards().bound_motion(state_.q, speed, options_.dt);
+  std::vector<double> motion(scene_->geometries.size());
+  for (std::size_t g = 0; g < motion.size(); ++g) motion[g] = whole_.guards().motion_of_geometry(static_cast<int>(g));
+  graph_.restart(motion);
+  q_ref_.resize(0);
+  v_ref_.resize(0);
+  if (scene_->tree.elements.servo_kp.size() > 0) {
+    q_ref_.setZero(scene_->tree.nv);
+    v_ref_.setZero(scene_->tree.nv);
+  }
+  divided_ = true;
+}
+
+// From islands to the whole engine, which goes on alone.
+void World::unite() {
+  if (!divided_) return;
+  for (Island* island : islands_) island->dissolve(loose_, anchors_);
+  islands_.clear();
+  Island& all = island_of(numbers_up_to(trees_.count()));
+  all.form(state_.q, state_.p, loose_, anchors_, state_.time, state_.start_time);
+  StepControl control = whole_.state().control;
+  control.halved = state_.control.halved;
+  ActuatorState actuators = whole_.state().actuators;
+  actuators.saturated = state_.actuators.saturated;
+  whole_.state() = state_;
+  whole_.state().control = control;
+  whole_.state().actuators = actuators;
+  divided_ = false;
+}
+
+Island& World::island_of(const std::vector<int>& trees) {
+  std::unique_ptr<Island>& found = pool_[trees];
+  if (!found) {
+    found = static_cast<int>(trees.size()) == trees_.count()
+                ? std::make_unique<Island>(*scene_, trees_, trees, whole_)
+                : std::make_unique<Island>(*scene_, trees_, trees, options_);
+    found->engine().follow_motion();
+  }
+  found->last_used = state_.step;
+  return *found;
+}
+
+// Keeps the pool small: the islands that were not in use for the longest time go.
+void World::forget_unused() {
+  const std::size_t most = kKept + 2 * static_cast<std::size_t>(trees_.count());
+  if (pool_.size() <= 2 * most) return;
+  std::vector<std::pair<long, const std::vector<int>*>> ages;
+  for (const auto& [trees, island] : pool_) {
+    const bool used = std::find(islands_.begin(), islands_.end(), island.get()) != islands_.end();
+    if (!used && static_cast<int>(trees.size()) < trees_.count())
+      ages.emplace_back(island->last_used, &island->trees());
+  }
+  std::stable_sort(ages.begin(), ages.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  for (std::size_t k = 0; k < ages.size() && pool_.size() > most; ++k) {
+    const auto at = pool_.find(*ages[k].second);
+    add(at->second->engine(), forgotten_);
+    pool_.erase(at);
+  }
+}
+
+// The islands of the interval that starts at t [s].
+void World::regroup(double t) {
+  sets_.reset(trees_.count());
+  for (Island* island : islands_) island->each_bond([this](int a, int b) { sets_.join(a, b); });
+  if (islands_.empty())  // at the start
+    for (const LooseState& loose : loose_) {
+      const auto bind = [this](int guard) {
+        const auto [a, b] = trees_.of_guard(*scene_, guard);
+        sets_.join(a, b);
+      };
+      for (const PersistentContact& contact : loose.contacts) bind(contact.point.guard);
+      for (int guard : loose.touching) bind(guard);
+      for (const SeparatedPoint& point : loose.separated) bind(point.first);
+    }
+  const double fall = scene_->tree.gravity.norm() * options_.dt * options_.dt;
+  graph_.join_suspects(state_.q, 2.0 * fall, sets_);
+  replace_islands(t, false);
+}
+
+// Makes the islands those of sets_. Islands that stay are kept as they are; the others are dissolved, or undone, and
+// new ones formed, which are in to_run_.
+void World::replace_islands(double t, bool undo) {
+  to_run_.clear();
+  std::vector<std::vector<int>> members;
+  std::vector<int>& number = island_of_tree_;
+  bool same = !islands_.empty();
+  for (int tree = 0; tree < trees_.count() && same; ++tree)
+    same = sets_.root(tree) == islands_[number[tree]]->trees()[0];
+  if (same) return;
+  members.resize(trees_.count());
+  for (int tree = 0; tree < trees_.count(); ++tree) members[sets_.root(tree)].push_back(tree);
+  std::vector<Island*> now;
+  const auto stays = [&](const std::vector<int>& trees) {
+    if (islands_.empty()) return false;
+    Island* before = islands_[number[trees[0]]];
+    return before->trees() == trees;
+  };
+  for (Island* island : islands_) {
+    if (members[island->trees()[0]] == island->trees()) continue;
+    if (undo) {
+      island->undo(loose_, anchors_);
+      island->engine().forget_counts();
+    } else {
+      island->dissolve(loose_, anchors_);
+    }
+  }
+  for (const std::vector<int>& trees : members) {
+    if (trees.empty()) continue;
+    Island& island = island_of(trees);
+    now.push_back(&island);
+    if (stays(trees)) continue;
+    island.form(state_.q, state_.p, loose_, anchors_, t, state_.start_time);
+    to_run_.push_back(&island);
+  }
+  islands_ = std::move(now);
+  for (std::size_t k = 0; k < islands_.size(); ++k)
+    for (int tree : islands_[k]->trees()) number[tree] = static_cast<int>(k);
+  forget_unused();
+}
+
+void World::run(Island& island, double length) {
+  island.step(state_.step, state_.start_time + static_cast<double>(state_.step) * options_.dt, length, tau_, q_ref_,
+              v_ref_, island_progress_);
+  island.last_used = state_.step;
+}
+
+// Tells the graph how far an island has moved in the interval.
+void World::measure(Island& island) {
+  const std::vector<int>& geometries = island.numbers().geometries;
+  for (std::size_t k = 0; k < geometries.size(); ++k)
+    graph_.set_motion(geometries[k], island.motion(static_cast<int>(k)));
+}
+
+// All islands over the interval, those that have met together.
+void World::run_interval(double length) {
+  const double t = state_.start_time + static_cast<double>(state_.step) * options_.dt;
+  regroup(t);
+  to_run_ = islands_;
+  while (!to_run_.empty()) {
+    for (Island* island : to_run_) run(*island, length);
+    for (Island* island : to_run_) measure(*island);
+    graph_.join_met(state_.q, sets_);
+    replace_islands(t, true);
+  }
+}
+
+// Where an island has ended early, the run ends at that time: the others are brought there. False: none has.
+bool World::end_early(double length) {
+  const double t = state_.start_time + static_cast<double>(state_.step) * options_.dt;
+  Island* first = nullptr;
+  for (Island* island : islands_)
+    if (island->ended_early() &&
+        (first == nullptr || island->engine().state().status.time < first->engine().state().status.time))
+      first = island;
+  if (first == nullptr) return false;
+  state_.status = first->engine().state().status;
+  if (state_.status.guard >= 0) state_.status.guard = first->numbers().guards[state_.status.guard];
+  const double taken = std::clamp(state_.status.time - t, 0.0, length);
+  for (Island* island : islands_) {
+    if (island == first) continue;
+    island->undo(loose_, anchors_);
+    island->engine().forget_counts();
+    island->form(state_.q, state_.p, loose_, anchors_, t, state_.start_time);
+    island->recording().clear();
+    if (taken > 0.0) run(*island, taken);
+  }
+  return true;
+}
+
+void World::set_inputs(const MatX& tau, const MatX& target, long k) {
+  if (tau.rows() > 0) tau_ = tau.row(k).transpose();
+  if (q_ref_.size() == 0 || target.rows() == 0) return;
+  q_ref_ = target.row(k).head(scene_->tree.nv).transpose();
+  v_ref_ = target.row(k).tail(scene_->tree.nv).transpose();
+}
+
+// Calls put(entry) for the entries of a kind of all islands in the order of time, those of one time in the order of the
+// islands.
+template <class Count, class Time, class Put>
+void World::merge(Count count, Time time, Put put) {
+  entries_.clear();
+  for (Island* island : islands_)
+    for (std::size_t row = 0; row < count(island->recording()); ++row)
+      entries_.push_back({time(island->recording(), row), island, row});
+  const auto earlier = [](const Entry& a, const Entry& b) { return a.time < b.time; };
+  if (!std::is_sorted(entries_.begin(), entries_.end(), earlier))
+    std::stable_sort(entries_.begin(), entries_.end(), earlier);
+  for (const Entry& entry : entries_) put(entry);
+}
+
+// An impact with the state of the whole scene: of the bodies of other islands that between the ends of the interval,
+// or, where it has to obey constraints, that at the end of a shorter step.
+void World::add_impact(const Entry& entry, double t, double length, Recording& recording) {
+  ImpactRecord impact = entry.island->recording().impacts[entry.row];
+  const SubScene& numbers = entry.island->numbers();
+  const VecX q = impact.q, minus = impact.p_minus, plus = impact.p_plus;
+  const double x = length > 0.0 ? std::clamp((impact.time - t) / length, 0.0, 1.0) : 0.0;
+  interpolate(scene_->tree, state_.q, q1_, x, impact.q);
+  impact.p_minus = (1.0 - x) * state_.p + x * p1_;
+  for (Island* island : islands_)
+    if (island->constrained() && island != entry.island)
+      island->gather_at(state_.step, t, x * length, island_progress_, impact.q, impact.p_minus);
+  impact.p_plus = impact.p_minus;
+  for (std::size_t i = 0; i < numbers.q.size(); ++i) impact.q[numbers.q[i]] = q[static_cast<Eigen::Index>(i)];
+  for (std::size_t i = 0; i < numbers.v.size(); ++i) {
+    impact.p_minus[numbers.v[i]] = minus[static_cast<Eigen::Index>(i)];
+    impact.p_plus[numbers.v[i]] = plus[static_cast<Eigen::Index>(i)];
+  }
+  impact.guard = numbers.guards[impact.guard];
+  recording.impacts.push_back(std::move(impact));
+}
+
+void World::add_contact(const Entry& entry, Recording& recording) {
+  const ContactRows& from = entry.island->recording().contacts;
+  const std::size_t i = entry.row;
+  const auto three = [i](const std::vector<double>& list) {
+    return Vec3(list[3 * i], list[3 * i + 1], list[3 * i + 2]);
+  };
+  recording.contacts.push(from.t[i], from.h[i], entry.island->numbers().guards[from.guard[i]], from.point[i],
+                          static_cast<ContactMode>(from.mode[i]), from.step[i], three(from.position),
+                          three(from.normal), three(from.position_impulse), three(from.velocity_impulse), from.gap[i],
+                          three(from.slip));
+}
+
+// The kind of the world's steps is the highest one of its islands.
+void World::merge_phases(double t, Recording& recording) {
+  int kind = static_cast<int>(StepKind::kFree);
+  double begins = t, dt = options_.dt;
+  for (Island* island : islands_) {
+    const Recording& part = island->recording();
+    for (std::size_t k = 0; k < part.phase_t.size(); ++k) {
+      if (part.phase_kind[k] < kind || (part.phase_kind[k] == kind && part.phase_t[k] >= begins)) continue;
+      kind = part.phase_kind[k];
+      begins = part.phase_t[k];
+      dt = part.phase_dt[k];
+    }
+  }
+  if (kind == static_cast<int>(StepKind::kFree) && recording.phase_t.empty()) return;
+  if (begins > t && !recording.phase_t.empty()) recording.enter_phase(t, options_.dt, StepKind::kFree, options_.dt);
+  recording.enter_phase(begins, dt, static_cast<StepKind>(kind), options_.dt);
+}
+
+void World::merge_recordings(double t, double length, Recording& recording) {
+  merge([](const Recording& r) { return r.impacts.size(); },
+        [](const Recording& r, std::size_t i) { return r.impacts[i].time; },
+        [&](const Entry& entry) { add_impact(entry, t, length, recording); });
+  merge([](const Recording& r) { return r.contacts.t.size(); },
+        [](const Recording& r, std::size_t i) { return r.contacts.t[i]; },
+        [&](const Entry& entry) { add_contact(entry, recording); });
+  merge([](const Recording& r) { return r.changes.size(); },
+        [](const Recording& r, std::size_t i) { return r.changes[i].time; },
+        [&](const Entry& entry) {
+          ChangeRecord change = entry.island->recording().changes[entry.row];
+          change.guard = entry.island->numbers().guards[change.guard];
+          recording.changes.push_back(change);
+        });
+  merge([](const Recording& r) { return r.dense.size(); },
+        [](const Recording& r, std::size_t i) { return r.dense[i].time; },
+        [&](const Entry& entry) { recording.dense.push_back(entry.island->recording().dense[entry.row]); });
+  merge_phases(t, recording);
+}
+
+// The ends of all islands become the state.
+void World::accept(double t, double length, Recording& recording) {
+  q1_ = state_.q;
+  p1_ = state_.p;
+  for (Island* island : islands_) {
+    island->gather(q1_, p1_);
+    RunState& part = island->engine().state();
+    state_.work.take(part.work, island->numbers().constraint_rows);
+    state_.impacts += part.impacts;
+    state_.dense_steps += part.dense_steps;
+    state_.control.halved += part.control.halved;
+    state_.actuators.saturated += part.actuators.saturated;
+    state_.contact_seconds += part.contact_seconds;
+    island->engine().forget_counts();
+  }
+  merge_recordings(t, length, recording);
+  state_.q.swap(q1_);
+  state_.p.swap(p1_);
+  graph_.commit();
+}
+
+void World::record_node(Recording& recording) {
+  recording.t.push_back(state_.time);
+  recording.q.insert(recording.q.end(), state_.q.data(), state_.q.data() + state_.q.size());
+  recording.p.insert(recording.p.end(), state_.p.data(), state_.p.data() + state_.p.size());
+  state_.work.record_node(state_.time, recording);
+}
+
+// True unless the caller asks to stop.
+bool World::report_progress() {
+  using Clock = std::chrono::steady_clock;
+  if (!*progress_ || Clock::now() - last_report_ < std::chrono::milliseconds(100)) return true;
+  last_report_ = Clock::now();
+  if ((*progress_)(state_.time, state_.impacts)) return true;
+  state_.status = {StatusCode::kInterrupted, "interrupted", state_.time, -1, kNaN, kNaN};
+  return false;
+}
+
+Status World::advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
+                      Recording& recording) {
+  if (!divided_) return whole_.advance(steps, tau, target, record_every, progress, recording);
+  progress_ = &progress;
+  last_report_ = std::chrono::steady_clock::now();
+  state_.status = {StatusCode::kSuccess, "", state_.time, -1, kNaN, kNaN};
+  if (tau.rows() > 0) state_.work.expect_inputs();
+  tau_.resize(0);
+  if (recording.t.empty()) record_node(recording);
+  std::vector<ChangeRecord>& initial = state_.initial_changes;
+  recording.changes.insert(recording.changes.end(), initial.begin(), initial.end());
+  initial.clear();
+  for (long k = 0; k < steps; ++k) {
+    const double t = state_.start_time + static_cast<double>(state_.step) * options_.dt;
+    set_inputs(tau, target, k);
+    run_interval(options_.dt);
+    if (end_early(options_.dt)) {
+      accept(t, state_.status.time - t, recording);
+      state_.time = state_.start_time + static_cast<double>(state_.step) * options_.dt;
+      if (state_.status.code != StatusCode::kNotFinite && state_.status.time > recording.t.back()) {
+        const double node = state_.time;
+        state_.time = state_.status.time;
+        record_node(recording);
+        state_.time = node;
+      }
+      return state_.status;
+    }
+    accept(t, options_.dt, recording);
+    ++state_.step;
+    state_.time = state_.start_time + static_cast<double>(state_.step) * options_.dt;
+    if (state_.step % record_every == 0 || k + 1 == steps) record_node(recording);
+    if (k % 64 == 63 && !report_progress()) return state_.status;
+  }
+  state_.status.time = state_.time;
+  return state_.status;
+}
+
+Status World::run_auto(double duration, double level, const Progress& progress, Recording& recording) {
+  unite();
+  return whole_.run_auto(duration, level, progress, recording);
+}
+
+EngineCounters World::counters() const {
+  EngineCounters sum = forgotten_;
+  add(whole_, sum);
+  if (divided_)
+    for (const auto& [trees, island] : pool_)
+      if (&island->engine() != &whole_) add(island->engine(), sum);
+  return sum;
+}
+
+std::shared_ptr<const World::Saved> World::save() {
+  auto saved = std::make_shared<Saved>();
+  saved->divided = divided_;
+  if (!divided_) {
+    saved->whole = whole_.save();
+    return saved;
+  }
+  saved->run = state_;
+  saved->loose = loose_;
+  saved->anchors = anchors_;
+  saved->motion = graph_.motion();
+  saved->q_ref = q_ref_;
+  saved->v_ref = v_ref_;
+  saved->counters = counters();
+  for (Island* island : islands_)
+    saved->islands.push_back({island->trees(), island->engine().save(), island->rests(),
+                              island->asleep() ? island->recording() : Recording(), island->tau(), island->target()});
+  return saved;
+}
+
+void World::restore(const Saved& saved) {
+  divided_ = saved.divided;
+  if (!divided_) {
+    whole_.restore(*saved.whole);
+    return;
+  }
+  state_ = saved.run;
+  loose_ = saved.loose;
+  anchors_ = saved.anchors;
+  q_ref_ = saved.q_ref;
+  v_ref_ = saved.v_ref;
+  graph_.restart(saved.motion);
+  islands_.clear();
+  for (const Saved::SavedIsland& from : saved.islands) {
+    Island& island = island_of(from.trees);
+    island.engine().restore(*from.engine);
+    island.restore_rest(from.rests, from.record, from.tau, from.target);
+    for (int tree : from.trees) island_of_tree_[tree] = static_cast<int>(islands_.size());
+    islands_.push_back(&island);
+  }
+  for (auto& [trees, island] : pool_) island->engine().reset_counters();
+  whole_.reset_counters();
+  forgotten_ = saved.counters;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,98 @@
+// A scene advanced island by island: static trees that touch or may meet in an interval form an island, and every
+// island is advanced over the interval by an engine of its own. What happens in an island, to the last bit, does not
+// depend on the others.
+//
+// An island assumes that its trees meet none of the others in the interval. Where one has moved further than that, the
+// islands that it may have met become one, and the interval is done again from its start.
+#pragma once
+
+#include <map>
+#include <memory>
+
+#include "run/island.hpp"
+#include "run/island_graph.hpp"
+
+namespace contactvi {
+
+class World {
+ public:
+  World(const Scene& scene, const SimulatorOptions& options);
+  World(const World&) = delete;
+  World& operator=(const World&) = delete;
+
+  // As those of Simulator, which they are where the scene has one static tree.
+  Status reset(const VecX& q, const VecX& v, double t);
+  Status advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
+                 Recording& recording);
+  // Advances all trees together from then on.
+  Status run_auto(double duration, double level, const Progress& progress, Recording& recording);
+
+  double time() const { return state().time; }
+  const VecX& q() const { return state().q; }
+  const VecX& p() const { return state().p; }
+  const RunState& state() const { return divided_ ? state_ : std::as_const(whole_).state(); }
+  const Scene& scene() const { return *scene_; }
+  const SimulatorOptions& options() const { return options_; }
+  // Summed over the engines.
+  EngineCounters counters() const;
+  // Islands now; 0 where all trees are advanced together.
+  int islands() const { return divided_ ? static_cast<int>(islands_.size()) : 0; }
+
+  struct Saved;
+  std::shared_ptr<const Saved> save();
+  void restore(const Saved& saved);
+
+ private:
+  // The kinds of entries that islands record, merged by time.
+  struct Entry {
+    double time;
+    Island* island;
+    std::size_t row;
+  };
+
+  bool may_divide() const;
+  void divide(const VecX& v);
+  void unite();
+  Island& island_of(const std::vector<int>& trees);
+  void forget_unused();
+  void regroup(double t);
+  void replace_islands(double t, bool undo);
+  void run(Island& island, double length);
+  void run_interval(double length);
+  void measure(Island& island);
+  bool end_early(double length);
+  void set_inputs(const MatX& tau, const MatX& target, long k);
+  void accept(double t, double length, Recording& recording);
+  template <class Count, class Time, class Put>
+  void merge(Count count, Time time, Put put);
+  void merge_phases(double t, Recording& recording);
+  void merge_recordings(double t, double length, Recording& recording);
+  void add_impact(const Entry& entry, double t, double length, Recording& recording);
+  void add_contact(const Entry& entry, Recording& recording);
+  void record_node(Recording& recording);
+  bool report_progress();
+
+  const Scene* scene_;
+  SimulatorOptions options_;
+  Simulator whole_;
+  StaticTrees trees_;
+  bool divided_ = false;
+  IslandGraph graph_;
+  RunState state_;  // of all islands together
+  std::vector<LooseState> loose_;
+  std::vector<std::pair<bool, double>> anchors_;
+  // Every island that has been in use, until it is forgotten; those in use now, by their first tree, which is in the
+  // order of the bodies; and the number among these of each tree's.
+  std::map<std::vector<int>, std::unique_ptr<Island>> pool_;
+  std::vector<Island*> islands_, to_run_;
+  std::vector<int> island_of_tree_;
+  TreeSets sets_;
+  EngineCounters forgotten_;  // of islands that are in the pool no more
+  VecX tau_, q_ref_, v_ref_, q1_, p1_;
+  std::vector<Entry> entries_;
+  const Progress* progress_ = nullptr;
+  Progress island_progress_;
+  std::chrono::steady_clock::time_point last_report_;
+};
+
+}  // namespace contactvi
