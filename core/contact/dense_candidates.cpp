@@ -27,8 +27,6 @@ void DenseCandidates::begin(const VecCRef& q0, double h) {
 }
 
 void DenseCandidates::collect(const VecX& bound, const std::vector<DenseImpulse>& impulses) {
-  // The list is made anew in each step: the broad phase counts on bodies that end where they are placed.
-  guards_->restart();
   guards_->bound_motion(q0_, bound, h_);
   guards_->place(q0_);
   guards_to_look_at_.clear();

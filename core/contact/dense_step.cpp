@@ -408,6 +408,10 @@ void DenseStep::finish(VecRef q1, VecRef p1) const {
 }
 
 void DenseStep::commit() {
+  work_.setZero();
+  add_size(scene_->tree, v_, 1.0, work_);
+  guards_->bound_motion(q0_, work_, h_);
+  guards_->commit();
   memory_.change = v1_ - v0_;
   memory_.h = h_;
   memory_.joint_friction = joint_friction_ / h_;

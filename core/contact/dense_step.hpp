@@ -50,7 +50,7 @@ class DenseStep {
   // The step from (q0, p0). False only if the smooth equation is not solved or a number is not finite: why().
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   void finish(VecRef q1, VecRef p1) const;
-  // The step is taken: the next one starts from its impulses.
+  // The step is taken: the next one starts from its impulses, and the odometers of the guards advance.
   void commit();
 
   // Results of the step just solved.

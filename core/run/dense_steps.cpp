@@ -152,12 +152,6 @@ void Simulator::accept_dense_step(double time, double h, Recording& recording) {
   recording.dense.push_back({time, h, report.residual, report.gap, report.energy_rise, report.energy_loss,
                              report.energy_error, report.contacts, report.repaired, state_.step});
   dense_step_.commit();
-  if (follows_motion_) {  // all of the step is made with the velocity of its stage
-    v_.setZero();
-    add_size(scene_->tree, dense_step_.stage_velocity(), 1.0, v_);
-    guards_.bound_motion(state_.q, v_, h);
-    guards_.commit();
-  }
   dense_step_.finish(q1_, p1_);
   if (options_.dense) {
     rates_.colwise() = dense_step_.stage_velocity();

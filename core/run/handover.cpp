@@ -15,14 +15,14 @@ void Simulator::hand_over(Handover& to) const {
     if (finder_.touching(g)) to.touching.push_back(g);
   to.exempt = finder_.exempted();
   to.dense = state_.dense;
-  to.impulses = dense_step_.memory().impulses;
-  to.change = dense_step_.memory().change;
-  to.change_h = dense_step_.memory().h;
+  to.dense_step = dense_step_.memory();
   to.separated = state_.separated;
   to.flights = state_.flights.entries();
-  to.anchors.clear();
+  to.joint_friction.clear();
   for (const ContactStep::FrictionJoint& joint : contact_step_.friction_joints())
-    to.anchors.emplace_back(joint.anchored, joint.anchor);
+    to.joint_friction.push_back({joint.anchored, joint.anchor, 0.0});
+  const VecX& forces = to.dense_step.joint_friction;
+  for (Eigen::Index k = 0; k < forces.size(); ++k) to.joint_friction[k].force = forces[k];
 }
 
 void Simulator::take_over(const Handover& from, const EngineMemory& fresh, double t, double start_time) {
@@ -52,14 +52,14 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
   contact_step_.set_nominal(options_.dt);
   contact_step_.contacts() = from.contacts;
   contacts_.update_persistent_guards();
-  for (std::size_t k = 0; k < from.anchors.size(); ++k) {
-    contact_step_.friction_joints()[k].anchored = from.anchors[k].first;
-    contact_step_.friction_joints()[k].anchor = from.anchors[k].second;
+  DenseStep::Memory dense = from.dense_step;
+  dense.joint_friction.resize(static_cast<Eigen::Index>(from.joint_friction.size()));
+  for (std::size_t k = 0; k < from.joint_friction.size(); ++k) {
+    const JointFriction& joint = from.joint_friction[k];
+    contact_step_.friction_joints()[k].anchored = joint.anchored;
+    contact_step_.friction_joints()[k].anchor = joint.anchor;
+    dense.joint_friction[static_cast<Eigen::Index>(k)] = joint.force;
   }
-  DenseStep::Memory dense = fresh.dense_step;
-  dense.impulses = from.impulses;
-  dense.change = from.change;
-  dense.h = from.change_h;
   dense_step_.recall(dense);
   for (int g : from.touching) finder_.set_touching(g, true);
   for (int g : from.exempt) finder_.exempt(g);

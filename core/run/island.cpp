@@ -85,8 +85,23 @@ void Island::number_bodies(ContactPoint& point, bool into) const {
       *body = into ? position(numbers_->joints, *body) : numbers_->joints[*body];
 }
 
+// Takes the entries of this island's guards out of a list.
+template <class List, class GuardOf, class Put>
+void Island::take(List& list, GuardOf guard_of, Put put) const {
+  std::size_t kept = 0;
+  for (std::size_t i = 0; i < list.size(); ++i) {
+    const int guard = local_guard(guard_of(list[i]));
+    if (guard >= 0) {
+      put(list[i], guard);
+    } else {
+      list[kept++] = list[i];
+    }
+  }
+  list.erase(list.begin() + static_cast<std::ptrdiff_t>(kept), list.end());
+}
+
 void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose,
-                  std::vector<std::pair<bool, double>>& anchors, double t, double start_time) {
+                  std::vector<JointFriction>& friction, double t, double start_time) {
   Handover& to = handover_;
   to.q.resize(static_cast<Eigen::Index>(numbers_->q.size()));
   to.p.resize(static_cast<Eigen::Index>(numbers_->v.size()));
@@ -99,19 +114,6 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose,
   to.exempt.clear();
   to.separated.clear();
   to.flights.clear();
-  // Takes the entries of this island's guards out of a list.
-  const auto take = [this](auto& list, auto guard_of, auto&& put) {
-    std::size_t kept = 0;
-    for (std::size_t i = 0; i < list.size(); ++i) {
-      const int guard = local_guard(guard_of(list[i]));
-      if (guard >= 0) {
-        put(list[i], guard);
-      } else {
-        list[kept++] = list[i];
-      }
-    }
-    list.erase(list.begin() + static_cast<std::ptrdiff_t>(kept), list.end());
-  };
   for (int tree : trees_) {
     LooseState& from = loose[tree];
     combine(from.control, to.control);
@@ -136,8 +138,8 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose,
         [&](const Flights::Entry& f, int guard) { to.flights.emplace_back(guard, f.second); });
   }
   take_dense(loose);
-  to.anchors.clear();
-  for (int k : numbers_->friction) to.anchors.push_back(anchors[k]);
+  to.joint_friction.clear();
+  for (int k : numbers_->friction) to.joint_friction.push_back(friction[k]);
   engine_->take_over(to, fresh_, t, start_time);
   rests_ = 0;
 }
@@ -145,10 +147,12 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose,
 // What dense steps carry: they go on where one of the trees had them.
 void Island::take_dense(std::vector<LooseState>& loose) {
   Handover& to = handover_;
+  DenseStep::Memory& step = to.dense_step;
   to.dense = loose[trees_[0]].dense;
-  to.impulses.clear();
-  to.change.resize(static_cast<Eigen::Index>(numbers_->v.size()));
-  to.change_h = loose[trees_[0]].change_h;
+  step.impulses.clear();
+  step.closed.clear();
+  step.change.resize(static_cast<Eigen::Index>(numbers_->v.size()));
+  step.h = loose[trees_[0]].change_h;
   std::size_t known = 0;
   for (int tree : trees_) {
     LooseState& from = loose[tree];
@@ -156,29 +160,26 @@ void Island::take_dense(std::vector<LooseState>& loose) {
     to.dense.quiet = std::min(to.dense.quiet, from.dense.quiet);
     to.dense.wanted = std::max(to.dense.wanted, from.dense.wanted);
     to.dense.since_return = std::min(to.dense.since_return, from.dense.since_return);
-    std::size_t kept = 0;
-    for (DenseStep::Impulse& impulse : from.impulses) {
-      const int guard = local_guard(impulse.guard);
-      if (guard < 0) {
-        from.impulses[kept++] = impulse;
-      } else {
-        to.impulses.push_back(impulse);
-        to.impulses.back().guard = guard;
-      }
-    }
-    from.impulses.resize(kept);
+    take(
+        from.impulses, [](const DenseImpulse& i) { return i.guard; },
+        [&](DenseImpulse impulse, int guard) {
+          impulse.guard = guard;
+          step.impulses.push_back(impulse);
+        });
+    take(
+        from.closed, [](int guard) { return guard; }, [&](int, int guard) { step.closed.push_back(guard); });
     for (const auto& [dof, change] : from.change)
-      if (from.change_h == to.change_h) {
-        to.change[position(numbers_->v, dof)] = change;
+      if (from.change_h == step.h) {
+        step.change[position(numbers_->v, dof)] = change;
         ++known;
       }
     from.change.clear();
   }
-  if (known < numbers_->v.size()) to.change.resize(0);
+  if (known < numbers_->v.size()) step.change.resize(0);
 }
 
 void Island::file(const Handover& from, std::vector<LooseState>& loose,
-                  std::vector<std::pair<bool, double>>& anchors) const {
+                  std::vector<JointFriction>& friction) const {
   const auto home = [&](int guard) -> LooseState& {
     const auto [a, b] = guard_trees_[guard];
     return loose[a < 0 ? b : b < 0 ? a : std::min(a, b)];
@@ -189,7 +190,7 @@ void Island::file(const Handover& from, std::vector<LooseState>& loose,
     loose[tree].kinetic = tree == trees_[0] ? from.kinetic : 0.0;
     loose[tree].dense = from.dense;
     loose[tree].change.clear();
-    loose[tree].change_h = from.change_h;
+    loose[tree].change_h = from.dense_step.h;
   }
   for (PersistentContact contact : from.contacts) {
     LooseState& to = home(contact.point.guard);
@@ -197,31 +198,33 @@ void Island::file(const Handover& from, std::vector<LooseState>& loose,
     number_bodies(contact.point, false);
     to.contacts.push_back(contact);
   }
-  for (DenseStep::Impulse impulse : from.impulses) {
+  for (DenseImpulse impulse : from.dense_step.impulses) {
     LooseState& to = home(impulse.guard);
     impulse.guard = numbers_->guards[impulse.guard];
     to.impulses.push_back(impulse);
   }
-  for (Eigen::Index d = 0; d < from.change.size(); ++d)
-    loose[dof_tree_[d]].change.emplace_back(numbers_->v[d], from.change[d]);
+  for (int g : from.dense_step.closed) home(g).closed.push_back(numbers_->guards[g]);
+  const VecX& change = from.dense_step.change;
+  for (Eigen::Index d = 0; d < change.size(); ++d) loose[dof_tree_[d]].change.emplace_back(numbers_->v[d], change[d]);
   for (int g : from.touching) home(g).touching.push_back(numbers_->guards[g]);
   for (int g : from.exempt) home(g).exempt.push_back(numbers_->guards[g]);
   for (const SeparatedPoint& s : from.separated)
     home(s.first).separated.emplace_back(numbers_->guards[s.first], s.second);
   for (const Flights::Entry& f : from.flights) home(f.first).flights.emplace_back(numbers_->guards[f.first], f.second);
-  for (std::size_t k = 0; k < from.anchors.size(); ++k) anchors[numbers_->friction[k]] = from.anchors[k];
+  for (std::size_t k = 0; k < from.joint_friction.size(); ++k)
+    friction[numbers_->friction[k]] = from.joint_friction[k];
 }
 
-void Island::dissolve(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) {
+void Island::dissolve(std::vector<LooseState>& loose, std::vector<JointFriction>& friction) {
   engine_->hand_over(handover_);
-  file(handover_, loose, anchors);
+  file(handover_, loose, friction);
 }
 
-void Island::undo(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) {
+void Island::undo(std::vector<LooseState>& loose, std::vector<JointFriction>& friction) {
   if (asleep()) {
-    dissolve(loose, anchors);
+    dissolve(loose, friction);
   } else {
-    file(before_, loose, anchors);
+    file(before_, loose, friction);
   }
 }
 

@@ -18,8 +18,10 @@ struct LooseState {
   std::vector<SeparatedPoint> separated;
   std::vector<Flights::Entry> flights;
   DensePhase dense;
-  std::vector<DenseStep::Impulse> impulses;
-  std::vector<std::pair<int, double>> change;  // dof and change of its velocity in the last dense step
+  // Of the last dense step; change: dof and change of its velocity.
+  std::vector<DenseImpulse> impulses;
+  std::vector<int> closed;
+  std::vector<std::pair<int, double>> change;
   double change_h = 1.0;
 };
 
@@ -39,11 +41,11 @@ class Island {
   bool ended_early() const { return !ok_; }
 
   // Takes its trees over at (q, p) of the whole scene, t [s].
-  void form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors,
+  void form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, std::vector<JointFriction>& friction,
             double t, double start_time);
   // Hands its trees over as they are, or as they were before the last step.
-  void dissolve(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors);
-  void undo(std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors);
+  void dissolve(std::vector<LooseState>& loose, std::vector<JointFriction>& friction);
+  void undo(std::vector<LooseState>& loose, std::vector<JointFriction>& friction);
 
   // One control step; tau, target: of the whole scene, or empty.
   void step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
@@ -78,8 +80,10 @@ class Island {
   bool set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref);
   void repeat_record(long step, double t, double length);
   void count_rest();
+  template <class List, class GuardOf, class Put>
+  void take(List& list, GuardOf guard_of, Put put) const;
   void take_dense(std::vector<LooseState>& loose);
-  void file(const Handover& from, std::vector<LooseState>& loose, std::vector<std::pair<bool, double>>& anchors) const;
+  void file(const Handover& from, std::vector<LooseState>& loose, std::vector<JointFriction>& friction) const;
   void number_bodies(ContactPoint& point, bool into) const;
   int local_guard(int guard) const;
 
@@ -106,7 +110,8 @@ void Island::each_bond(Join join) const {
   if (trees_.size() < 2) return;
   const auto bind = [&](int guard) { join(guard_trees_[guard].first, guard_trees_[guard].second); };
   for (const PersistentContact& contact : engine_->contact_step().contacts()) bind(contact.point.guard);
-  for (const DenseStep::Impulse& impulse : engine_->dense_step().memory().impulses) bind(impulse.guard);
+  for (const DenseImpulse& impulse : engine_->dense_step().memory().impulses) bind(impulse.guard);
+  for (int guard : engine_->dense_step().memory().closed) bind(guard);
   for (int g = 0; g < static_cast<int>(guard_trees_.size()); ++g)
     if (engine_->touches(g)) bind(g);
   for (const SeparatedPoint& point : std::as_const(*engine_).state().separated) bind(point.first);

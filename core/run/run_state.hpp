@@ -54,6 +54,13 @@ struct EngineMemory {
   bool searched_contact_step = false;  // whether the finder searched a contact step last
 };
 
+// What a joint with friction remembers.
+struct JointFriction {
+  bool anchored = false;  // whether it sticks
+  double anchor = 0.0;    // and where
+  double force = 0.0;     // mean over the last dense step [N; N m]
+};
+
 // What bodies carry from one engine to another when they meet or part: their motion, their contacts, and the history
 // that decides about these. Numbers are those of the engine's scene.
 struct Handover {
@@ -65,10 +72,8 @@ struct Handover {
   std::vector<SeparatedPoint> separated;
   std::vector<Flights::Entry> flights;
   DensePhase dense;
-  std::vector<DenseStep::Impulse> impulses;  // of the last dense step
-  VecX change;                               // of the velocity in it; empty: not known
-  double change_h = 1.0;                     // its length [s]
-  std::vector<std::pair<bool, double>> anchors;  // of the joints with friction: whether one sticks, and where
+  DenseStep::Memory dense_step;
+  std::vector<JointFriction> joint_friction;
 };
 
 struct EngineCounters {

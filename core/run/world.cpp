@@ -52,7 +52,7 @@ struct World::Saved {
   bool divided = false;
   RunState run;
   std::vector<LooseState> loose;
-  std::vector<std::pair<bool, double>> anchors;
+  std::vector<JointFriction> joint_friction;
   std::vector<double> motion;
   VecX q_ref, v_ref;
   EngineCounters counters;
@@ -74,7 +74,7 @@ World::World(const Scene& scene, const SimulatorOptions& options)
       trees_(scene),
       graph_(trees_, whole_.guards()),
       loose_(trees_.count()),
-      anchors_(scene.tree.elements.friction_dofs.size()),
+      joint_friction_(scene.tree.elements.friction_dofs.size()),
       island_of_tree_(trees_.count(), -1) {
   // Now, while the memory of its engine is fresh.
   if (may_divide()) island_of(numbers_up_to(trees_.count()));
@@ -106,7 +106,7 @@ void World::divide(const VecX& v) {
     if (&island->engine() != &whole_) island->engine().reset_counters();  // the reset has counted already
   forgotten_ = EngineCounters();
   Island& all = island_of(numbers_up_to(trees_.count()));
-  all.dissolve(loose_, anchors_);
+  all.dissolve(loose_, joint_friction_);
   islands_.clear();
   std::fill(island_of_tree_.begin(), island_of_tree_.end(), -1);
   VecX speed = VecX::Zero(scene_->tree.nv);
@@ -127,10 +127,10 @@ void World::divide(const VecX& v) {
 // From islands to the whole engine, which goes on alone.
 void World::unite() {
   if (!divided_) return;
-  for (Island* island : islands_) island->dissolve(loose_, anchors_);
+  for (Island* island : islands_) island->dissolve(loose_, joint_friction_);
   islands_.clear();
   Island& all = island_of(numbers_up_to(trees_.count()));
-  all.form(state_.q, state_.p, loose_, anchors_, state_.time, state_.start_time);
+  all.form(state_.q, state_.p, loose_, joint_friction_, state_.time, state_.start_time);
   StepControl control = whole_.state().control;
   control.halved = state_.control.halved;
   ActuatorState actuators = whole_.state().actuators;
@@ -211,10 +211,10 @@ void World::replace_islands(double t, bool undo) {
   for (Island* island : islands_) {
     if (members[island->trees()[0]] == island->trees()) continue;
     if (undo) {
-      island->undo(loose_, anchors_);
+      island->undo(loose_, joint_friction_);
       island->engine().forget_counts();
     } else {
-      island->dissolve(loose_, anchors_);
+      island->dissolve(loose_, joint_friction_);
     }
   }
   for (const std::vector<int>& trees : members) {
@@ -222,7 +222,7 @@ void World::replace_islands(double t, bool undo) {
     Island& island = island_of(trees);
     now.push_back(&island);
     if (stays(trees)) continue;
-    island.form(state_.q, state_.p, loose_, anchors_, t, state_.start_time);
+    island.form(state_.q, state_.p, loose_, joint_friction_, t, state_.start_time);
     to_run_.push_back(&island);
   }
   islands_ = std::move(now);
@@ -271,9 +271,9 @@ bool World::end_early(double length) {
   const double taken = std::clamp(state_.status.time - t, 0.0, length);
   for (Island* island : islands_) {
     if (island == first) continue;
-    island->undo(loose_, anchors_);
+    island->undo(loose_, joint_friction_);
     island->engine().forget_counts();
-    island->form(state_.q, state_.p, loose_, anchors_, t, state_.start_time);
+    island->form(state_.q, state_.p, loose_, joint_friction_, t, state_.start_time);
     island->recording().clear();
     if (taken > 0.0) run(*island, taken);
   }
@@ -471,7 +471,7 @@ std::shared_ptr<const World::Saved> World::save() {
   }
   saved->run = state_;
   saved->loose = loose_;
-  saved->anchors = anchors_;
+  saved->joint_friction = joint_friction_;
   saved->motion = graph_.motion();
   saved->q_ref = q_ref_;
   saved->v_ref = v_ref_;
@@ -490,7 +490,7 @@ void World::restore(const Saved& saved) {
   }
   state_ = saved.run;
   loose_ = saved.loose;
-  anchors_ = saved.anchors;
+  joint_friction_ = saved.joint_friction;
   q_ref_ = saved.q_ref;
   v_ref_ = saved.v_ref;
   graph_.restart(saved.motion);

@@ -80,7 +80,7 @@ class World {
   IslandGraph graph_;
   RunState state_;  // of all islands together
   std::vector<LooseState> loose_;
-  std::vector<std::pair<bool, double>> anchors_;
+  std::vector<JointFriction> joint_friction_;
   // Every island that has been in use, until it is forgotten; those in use now, by their first tree, which is in the
   // order of the bodies; and the number among these of each tree's.
   std::map<std::vector<int>, std::unique_ptr<Island>> pool_;
