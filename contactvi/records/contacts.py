@@ -8,10 +8,10 @@ by a number >= 0 [N s; N m s for a revolute joint], the first component of its i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,11 @@ from contactvi.aliases import alias
 from contactvi.errors import InputError, did_you_mean
 from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
 from contactvi.records.events import label
-
-Array = NDArray[np.float64]
+from contactvi.records.rows import Array, Arrays, Fields, Items, Rows, StepRows, joined
 
 _BRIEF = 1e-3  # of the longest step
-# name -> (width, dtype) of one row; width 0 is a scalar. The order is that of the file format.
-FIELDS: dict[str, tuple[int, type]] = {
+# The order is that of the file format.
+FIELDS: Fields = {
     "t": (0, float),
     "h": (0, float),
     "step": (0, np.int64),
@@ -40,7 +39,7 @@ FIELDS: dict[str, tuple[int, type]] = {
     "gap": (0, float),
     "slip": (3, float),
 }
-CHANGE_FIELDS: dict[str, tuple[int, type]] = {
+CHANGE_FIELDS: Fields = {
     "time": (0, float),
     "kind": (0, np.int64),
     "index": (0, np.int64),
@@ -88,45 +87,19 @@ class Contact:
         return float(self.force[0] if self.kind == "limit" else self.force @ self.normal)
 
 
-class ContactLog(Sequence[Contact]):
+class ContactLog(StepRows, Items[Contact]):
     """The contacts of a run, a sequence of `Contact` in the order of time, and the same data as arrays.
 
     `log[3]` is a Contact; `log.impulse`, `log.force`, `log.t`, ... are arrays of all rows, shape (m,) or (m, 3);
     `log.array(name)` is one of FIELDS; kind and mode are numbers there (contactvi.records.codes).
     """
 
-    def __init__(
-        self,
-        arrays: Mapping[str, NDArray[Any]],
-        pair_names: Sequence[tuple[str, str]],
-        joint_names: Sequence[str],
-    ) -> None:
-        self._arrays = {name: np.asarray(arrays[name]) for name in FIELDS}
+    _fields = FIELDS
+    _word = "contact"
+
+    def __init__(self, arrays: Arrays, pair_names: Sequence[tuple[str, str]], joint_names: Sequence[str]) -> None:
+        super().__init__(arrays)
         self._names = pair_names, joint_names
-
-    def array(self, name: str) -> NDArray[Any]:
-        """Return one field of all rows as an array, shape (m,) or (m, 3)."""
-        return self._arrays[name]
-
-    @property
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """All fields as arrays (the dictionary is a copy, the arrays are not)."""
-        return dict(self._arrays)
-
-    @property
-    def t(self) -> Array:
-        """Starts of the steps [s], shape (m,)."""
-        return self._arrays["t"]
-
-    @property
-    def h(self) -> Array:
-        """Lengths of the steps [s], 0 for impacts, shape (m,)."""
-        return self._arrays["h"]
-
-    @property
-    def end(self) -> Array:
-        """Ends of the steps [s], shape (m,)."""
-        return self.t + self.h
 
     @property
     def position(self) -> Array:
@@ -248,28 +221,10 @@ class ContactLog(Sequence[Contact]):
         """Return the contacts of these rows, given by their numbers or by a mask (m,)."""
         return ContactLog({name: values[chosen] for name, values in self._arrays.items()}, *self._names)
 
-    def __len__(self) -> int:
-        return int(self._arrays["t"].shape[0])
-
-    @overload
-    def __getitem__(self, item: int) -> Contact: ...
-    @overload
-    def __getitem__(self, item: slice) -> list[Contact]: ...
-    def __getitem__(self, item: int | slice) -> Contact | list[Contact]:
-        if isinstance(item, slice):
-            return [self._contact(i) for i in range(*item.indices(len(self)))]
-        i = item + len(self) if item < 0 else item
-        if not 0 <= i < len(self):
-            raise IndexError(f"contact {item} of {len(self)}")
-        return self._contact(i)
-
-    def __iter__(self) -> Iterator[Contact]:
-        return (self._contact(i) for i in range(len(self)))
-
     def __repr__(self) -> str:
         return f"<ContactLog: {len(self)} rows of {len(self.pairs)} pairs>"
 
-    def _contact(self, i: int) -> Contact:
+    def _item(self, i: int) -> Contact:
         row = {name: values[i] for name, values in self._arrays.items()}
         kind = int(row["kind"])
         return Contact(
@@ -304,60 +259,25 @@ class ContactChange:
         return f"t = {self.time:.9g} s  {self.pair[0]} | {self.pair[1]}  {self.change}"
 
 
-class ChangeLog(Sequence[ContactChange]):
+class ChangeLog(Rows, Items[ContactChange]):
     """The changes of contacts in a run, in the order of time; `log.array("time")` is one of CHANGE_FIELDS as array."""
 
-    def __init__(
-        self, arrays: Mapping[str, NDArray[Any]], pair_names: Sequence[tuple[str, str]], joint_names: Sequence[str]
-    ) -> None:
-        self._arrays = {name: np.asarray(arrays[name]) for name in CHANGE_FIELDS}
+    _fields = CHANGE_FIELDS
+    _word = "change"
+
+    def __init__(self, arrays: Arrays, pair_names: Sequence[tuple[str, str]], joint_names: Sequence[str]) -> None:
+        super().__init__(arrays)
         self._names = pair_names, joint_names
-
-    def array(self, name: str) -> NDArray[Any]:
-        """Return one field of all changes as an array, shape (n,); change and kind are numbers (codes)."""
-        return self._arrays[name]
-
-    @property
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """All fields as arrays (the dictionary is a copy, the arrays are not)."""
-        return dict(self._arrays)
-
-    def __len__(self) -> int:
-        return int(self._arrays["time"].shape[0])
-
-    @overload
-    def __getitem__(self, item: int) -> ContactChange: ...
-    @overload
-    def __getitem__(self, item: slice) -> list[ContactChange]: ...
-    def __getitem__(self, item: int | slice) -> ContactChange | list[ContactChange]:
-        if isinstance(item, slice):
-            return [self._change(i) for i in range(*item.indices(len(self)))]
-        i = item + len(self) if item < 0 else item
-        if not 0 <= i < len(self):
-            raise IndexError(f"change {item} of {len(self)}")
-        return self._change(i)
 
     def __repr__(self) -> str:
         return f"<ChangeLog: {len(self)} changes>"
 
-    def _change(self, i: int) -> ContactChange:
+    def _item(self, i: int) -> ContactChange:
         row = {name: values[i] for name, values in self._arrays.items()}
         kind = int(row["kind"])
         pair = label(kind, int(row["index"]), *self._names)
         change = CHANGES[int(row["change"])]
         return ContactChange(float(row["time"]), KINDS[kind], pair, int(row["point"]), change, float(row["value"]))
-
-
-def joined(
-    parts: Sequence[Mapping[str, NDArray[Any]]], fields: Mapping[str, tuple[int, type]]
-) -> dict[str, NDArray[Any]]:
-    """Return the rows of several parts, one after the other; `fields`: FIELDS or CHANGE_FIELDS."""
-    found: dict[str, NDArray[Any]] = {}
-    for name, (width, kind) in fields.items():
-        shape = (-1, width) if width else (-1,)
-        columns = [np.zeros((0, width) if width else 0), *(np.asarray(part[name]).reshape(shape) for part in parts)]
-        found[name] = np.concatenate(columns).astype(kind)
-    return found
 
 
 def empty_contacts() -> ContactLog:

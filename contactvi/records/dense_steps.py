@@ -18,19 +18,17 @@ Columns, one row per dense step, shapes (n,):
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.records.contacts import joined
+from contactvi.records.rows import Array, Arrays, Fields, StepRows, joined
 
-Array = NDArray[np.float64]
-
-# name -> (width, dtype) of one row, as of the contacts. The order is that of the file format.
-FIELDS: dict[str, tuple[int, type]] = {
+# The order is that of the file format.
+FIELDS: Fields = {
     "t": (0, float),
     "h": (0, float),
     "step": (0, np.int64),
@@ -44,44 +42,19 @@ FIELDS: dict[str, tuple[int, type]] = {
 }
 
 
-class DenseSteps:
+class DenseSteps(StepRows):
     """The dense steps of a run in the order of time; see the module for what the columns are.
 
     `len(steps)` is their number, `steps["gap"]` or `steps.array("gap")` a column, shape (n,).
     """
 
-    def __init__(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        self._arrays = {name: np.asarray(arrays[name]) for name in FIELDS}
-
-    def array(self, name: str) -> NDArray[Any]:
-        """Return a column, shape (n,)."""
-        return self._arrays[name]
+    _fields = FIELDS
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self._arrays[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._arrays)
-
-    @property
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """All columns (the dictionary is a copy, the arrays are not)."""
-        return dict(self._arrays)
-
-    @property
-    def t(self) -> Array:
-        """Starts of the steps [s], shape (n,)."""
-        return self._arrays["t"]
-
-    @property
-    def h(self) -> Array:
-        """Lengths of the steps [s], shape (n,)."""
-        return self._arrays["h"]
-
-    @property
-    def end(self) -> Array:
-        """Ends of the steps [s], shape (n,)."""
-        return self.t + self.h
 
     @property
     def span(self) -> float:
@@ -123,14 +96,11 @@ class DenseSteps:
             f"{-low:.2g} m, energy {energy}{repaired}"
         )
 
-    def __len__(self) -> int:
-        return int(self._arrays["t"].shape[0])
-
     def __repr__(self) -> str:
         return f"<DenseSteps: {len(self)} steps, {self.span:.4g} s>"
 
 
-def of_parts(parts: Sequence[Mapping[str, NDArray[Any]]]) -> DenseSteps:
+def of_parts(parts: Sequence[Arrays]) -> DenseSteps:
     """Return the dense steps that the engine reported in several calls."""
     return DenseSteps(joined(parts, FIELDS))
 

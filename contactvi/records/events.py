@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.records.codes import FALLBACKS, KINDS, METHODS, GuardKind
+from contactvi.records.rows import Arrays, Items, Rows
 
 _SAME_TIME = 1e-13  # relative: events so near to the start of a step happen there
 
@@ -117,40 +117,28 @@ class Event:
         )
 
 
-class EventLog(Sequence[Event]):
+class EventLog(Rows, Items[Event]):
     """The events of a run in the order of time: a sequence of `Event`, and the same data as arrays.
 
     `log[3]` is an Event, `log.array("impulse")` the array of all impulses, shape (n,); kind, method and fallback are
     numbers there (contactvi.records.codes). `method` is the impact map of the run.
     """
 
+    _fields = FIELDS
+    _word = "event"
+
     def __init__(
         self,
-        arrays: Mapping[str, NDArray[Any]] | Callable[[], Mapping[str, NDArray[Any]]],
+        arrays: Arrays | Callable[[], Arrays],
         pair_names: Sequence[tuple[str, str]],
         joint_names: Sequence[str],
         method: str = "ctec",
     ) -> None:
         """Take arrays as in FIELDS, or a function that makes them when they are first asked for."""
-        self._source = arrays
+        super().__init__(arrays)
         self._pair_names = pair_names
         self._joint_names = joint_names
         self.method = method
-
-    @cached_property
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        arrays = self._source() if callable(self._source) else self._source
-        self._source = {}
-        return {name: np.asarray(arrays[name]) for name in FIELDS}
-
-    def array(self, name: str) -> NDArray[Any]:
-        """Return one field of all events as an array, shape (n,) or (n, width)."""
-        return self._arrays[name]
-
-    @property
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """All fields as arrays (the dictionary is a copy, the arrays are not)."""
-        return dict(self._arrays)
 
     def label(self, kind: int, index: int) -> tuple[str, str]:
         """Return the names that belong to (kind, index) in the engine's numbering."""
@@ -180,28 +168,10 @@ class EventLog(Sequence[Event]):
         sums = np.concatenate([[0.0], np.cumsum(values)])
         return np.asarray(sums[np.searchsorted(np.maximum.accumulate(times), t, side="right")])
 
-    def __len__(self) -> int:
-        return int(self._arrays["time"].shape[0])
-
-    @overload
-    def __getitem__(self, item: int) -> Event: ...
-    @overload
-    def __getitem__(self, item: slice) -> list[Event]: ...
-    def __getitem__(self, item: int | slice) -> Event | list[Event]:
-        if isinstance(item, slice):
-            return [self._event(i) for i in range(*item.indices(len(self)))]
-        i = item + len(self) if item < 0 else item
-        if not 0 <= i < len(self):
-            raise IndexError(f"event {item} of {len(self)}")
-        return self._event(i)
-
-    def __iter__(self) -> Iterator[Event]:
-        return (self._event(i) for i in range(len(self)))
-
     def __repr__(self) -> str:
         return f"<EventLog: {len(self)} events>"
 
-    def _event(self, i: int) -> Event:
+    def _item(self, i: int) -> Event:
         values: dict[str, Any] = {}
         for name, (width, kind) in FIELDS.items():
             entry = self._arrays[name][i]
@@ -215,7 +185,7 @@ class EventLog(Sequence[Event]):
 
 
 def with_energy_change(
-    arrays: Mapping[str, NDArray[Any]], kinetic_energy: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+    arrays: Arrays, kinetic_energy: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
     """Return all fields: those of `joined`, and the change of energy.
 
@@ -247,7 +217,7 @@ def empty_arrays(nq: int, nv: int) -> dict[str, NDArray[Any]]:
     return {name: np.zeros(shapes[name], dtype=kind) for name, (_, kind) in FIELDS.items()}
 
 
-def joined(parts: Sequence[Mapping[str, NDArray[Any]]], nq: int, nv: int) -> dict[str, NDArray[Any]]:
+def joined(parts: Sequence[Arrays], nq: int, nv: int) -> dict[str, NDArray[Any]]:
     """Return the events that the engine reported in several calls, all fields but energy_change."""
     empty = empty_arrays(nq, nv)
     del empty["energy_change"]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from contactvi.options import Options
 from contactvi.records import contacts, dense_steps
 from contactvi.records import events as event_log
+from contactvi.records.rows import joined
 from contactvi.records.work import GrowingForces
 from contactvi.simulation.messages import describe
 from contactvi.simulation.results import Columns, EngineResult, EngineStatus
@@ -126,12 +127,12 @@ class Record:
 
     def contact_log(self, first: int = 0) -> contacts.ContactLog:
         """Return the contacts of the blocks from `first` on."""
-        rows = contacts.joined(self.contacts[first:], contacts.FIELDS)
+        rows = joined(self.contacts[first:], contacts.FIELDS)
         return contacts.ContactLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def change_log(self, first: int = 0) -> contacts.ChangeLog:
         """Return the changes of contacts of the blocks from `first` on."""
-        rows = contacts.joined(self.changes[first:], contacts.CHANGE_FIELDS)
+        rows = joined(self.changes[first:], contacts.CHANGE_FIELDS)
         return contacts.ChangeLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def phases_joined(self) -> dict[str, Array] | None:
@@ -214,8 +215,8 @@ class Record:
 
 
 def _events(core: _core.Scene, parts: list[Columns], nq: int, nv: int) -> dict[str, NDArray[Any]]:
-    joined = event_log.joined(parts, nq, nv)
-    return event_log.with_energy_change(joined, lambda q, p: np.asarray(core.energy(q, p))[:, 0])
+    arrays = event_log.joined(parts, nq, nv)
+    return event_log.with_energy_change(arrays, lambda q, p: np.asarray(core.energy(q, p))[:, 0])
 
 
 def _rows(part: Columns, chosen: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:

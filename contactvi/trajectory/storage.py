@@ -128,6 +128,7 @@ from contactvi.records import codes, contacts, dense_steps
 from contactvi.records import events as event_log
 from contactvi.records.contacts import ChangeLog, ContactLog
 from contactvi.records.dense_steps import DenseSteps
+from contactvi.records.rows import Fields, joined
 from contactvi.records.work import WORKS, ConstraintRows, Forces
 from contactvi.scene.scene import Scene
 from contactvi.status import Stats, Status, StatusCode
@@ -460,9 +461,9 @@ class _Reader:
             self._refuse("dense steps that do not follow each other")
         return DenseSteps(rows)
 
-    def _rows(self, group: str, first: str, fields: Mapping[str, tuple[int, type]]) -> Entries:
+    def _rows(self, group: str, first: str, fields: Fields) -> Entries:
         if f"{group}/{first}" not in self._entries:
-            return contacts.joined((), fields)
+            return joined((), fields)
         count = len(self.entry(f"{group}/{first}", (None,)))
         return {
             name: self.entry(f"{group}/{name}", (count, width) if width else (count,), kind)

@@ -1,0 +1,101 @@
+"""What all logs of a run have in common: rows in the order of time, with one array per field."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any, ClassVar, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Arrays = Mapping[str, NDArray[Any]]
+# name -> (width, dtype) of one row; width 0 is a scalar.
+Fields = Mapping[str, tuple[int, type]]
+Item = TypeVar("Item", covariant=True)
+
+
+class Rows:
+    """Rows as arrays, one per field."""
+
+    _fields: ClassVar[Mapping[str, tuple[int | str, type]]]
+
+    def __init__(self, arrays: Arrays | Callable[[], Arrays]) -> None:
+        """Take the arrays of all fields, or a function that makes them when they are first asked for."""
+        self._source = arrays
+
+    @cached_property
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        arrays = self._source() if callable(self._source) else self._source
+        self._source = {}
+        return {name: np.asarray(arrays[name]) for name in self._fields}
+
+    def array(self, name: str) -> NDArray[Any]:
+        """Return one field of all rows as an array, shape (n,) or (n, width).
+
+        Kinds, modes and other words are numbers there (contactvi.records.codes).
+        """
+        return self._arrays[name]
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All fields as arrays (the dictionary is a copy, the arrays are not)."""
+        return dict(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays[next(iter(self._fields))])
+
+
+class StepRows(Rows):
+    """Rows that belong to steps, of start t and length h."""
+
+    @property
+    def t(self) -> Array:
+        """Starts of the steps [s], one per row."""
+        return self._arrays["t"]
+
+    @property
+    def h(self) -> Array:
+        """Lengths of the steps [s], one per row; 0 for impacts."""
+        return self._arrays["h"]
+
+    @property
+    def end(self) -> Array:
+        """Ends of the steps [s], one per row."""
+        return self.t + self.h
+
+
+class Items(Sequence[Item]):
+    """A sequence whose items are made when they are asked for."""
+
+    _word: ClassVar[str]  # for one item, in messages
+
+    @abstractmethod
+    def _item(self, i: int) -> Item: ...
+
+    @overload
+    def __getitem__(self, item: int) -> Item: ...
+    @overload
+    def __getitem__(self, item: slice) -> list[Item]: ...
+    def __getitem__(self, item: int | slice) -> Item | list[Item]:
+        if isinstance(item, slice):
+            return [self._item(i) for i in range(*item.indices(len(self)))]
+        i = item + len(self) if item < 0 else item
+        if not 0 <= i < len(self):
+            raise IndexError(f"{self._word} {item} of {len(self)}")
+        return self._item(i)
+
+    def __iter__(self) -> Iterator[Item]:
+        return (self._item(i) for i in range(len(self)))
+
+
+def joined(parts: Sequence[Arrays], fields: Fields) -> dict[str, NDArray[Any]]:
+    """Return the rows of several parts, one after the other."""
+    found: dict[str, NDArray[Any]] = {}
+    for name, (width, kind) in fields.items():
+        shape = (-1, width) if width else (-1,)
+        columns = [np.zeros((0, width) if width else 0), *(np.asarray(part[name]).reshape(shape) for part in parts)]
+        found[name] = np.concatenate(columns).astype(kind)
+    return found
