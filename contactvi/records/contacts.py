@@ -32,6 +32,7 @@ FIELDS: Fields = {
     "index": (0, np.int64),
     "point": (0, np.int64),
     "mode": (0, np.int64),
+    "dense": (0, np.int64),
     "position": (3, float),
     "normal": (3, float),
     "start": (3, float),
@@ -59,6 +60,7 @@ class Contact:
         kind, pair: as of an `Event`.
         point: number of the point within the pair, the same from step to step.
         mode: "stick", "slip" (it slid in a part of the step at least), "frictionless" or "impact".
+        dense: whether the step is a dense one (contactvi.records.dense_steps).
         position: of the point at the end of the step [m], normal : unit, from the first shape to the second, both in
             world axes, shape (3,); zero for a limit.
         impulse: on the second shape [N s], friction included, world axes, shape (3,); of a limit its first component.
@@ -74,6 +76,7 @@ class Contact:
     pair: tuple[str, str]
     point: int
     mode: str
+    dense: bool
     position: Array
     normal: Array
     impulse: Array
@@ -230,7 +233,7 @@ class ContactLog(StepRows, Items[Contact]):
         return Contact(
             t=float(row["t"]), h=float(row["h"]), step=int(row["step"]), kind=KINDS[kind],
             pair=label(kind, int(row["index"]), *self._names), point=int(row["point"]), mode=MODES[int(row["mode"])],
-            position=row["position"], normal=row["normal"], impulse=self.impulse[i], force=self.force[i],
+            dense=bool(row["dense"]), position=row["position"], normal=row["normal"], impulse=self.impulse[i], force=self.force[i],
             gap=float(row["gap"]), slip=row["slip"],
         )  # fmt: skip
 

@@ -3,6 +3,8 @@
 Columns, one row per dense step, shapes (n,):
 
 - t, h: start and length [s]; step: index of the step of length dt that it belongs to (int64).
+- island: the joint, by its number in the model, that is the first one of the island, which is the bodies that touch or
+  may touch in the step and are advanced together (int64). Islands take their dense steps at the same time.
 - residual: largest residual of Coulomb's law in the contact problems of the step, as a speed over the largest speed
   that a contact would have without impulses; 0 is exact.
 - gap: least gap at the end of the step [m; rad]; below zero the shapes overlap.
@@ -32,6 +34,7 @@ FIELDS: Fields = {
     "t": (0, float),
     "h": (0, float),
     "step": (0, np.int64),
+    "island": (0, np.int64),
     "residual": (0, float),
     "gap": (0, float),
     "energy_rise": (0, float),
@@ -58,8 +61,11 @@ class DenseSteps(StepRows):
 
     @property
     def span(self) -> float:
-        """Time that dense steps took together [s]."""
-        return float(self.h.sum())
+        """Time in which some island took dense steps [s]."""
+        if not len(self):
+            return 0.0
+        ends = np.maximum.accumulate(self.end)
+        return float(np.sum(np.maximum(0.0, ends - np.maximum(self.t, np.append(self.t[0], ends[:-1])))))
 
     @property
     def repaired(self) -> int:
@@ -73,16 +79,6 @@ class DenseSteps(StepRows):
         It is energy_error less the rise, which is 0 where the energy fell.
         """
         return np.asarray(self._arrays["energy_error"] - np.maximum(0.0, -self._arrays["energy_loss"]))
-
-    def contain(self, t: Array, h: Array) -> NDArray[np.bool_]:
-        """Return which rows of contacts, of start t and length h [s], shapes (m,), are those of dense steps, (m,).
-
-        A contact of a dense step has the start and the length of the step to the bit.
-        """
-        if not len(self):
-            return np.zeros(len(t), dtype=bool)
-        at = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, None)
-        return np.asarray((self.t[at] == t) & (self.h[at] == h))
 
     def worst(self) -> str:
         """Return the worst figures in words."""

@@ -139,7 +139,7 @@ class ContactLedger:
         first, second = first[guessed], second[guessed]
         before[first] += (slip[first] - slip[second]) * (h[first] / h[second])[:, None]
         work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
-        counts = (h > 0.0) & (log.array("kind") == GuardKind.CONTACT) & ~self._dense.contain(log.t, h)
+        counts = (h > 0.0) & (log.array("kind") == GuardKind.CONTACT) & (log.array("dense") == 0)
         return np.where(counts, work.sum(axis=1) / 3.0, 0.0)
 
     @cached_property

@@ -50,6 +50,7 @@ contact/kind          (c,) int64     as event/kind
 contact/index         (c,) int64     as event/index
 contact/point         (c,) int64     number of the point within the pair
 contact/mode          (c,) int64     0 stick, 1 slip, 2 frictionless, 3 impact
+contact/dense         (c,) int64     1 for a row of a dense step
 contact/position      (c, 3)         contact point at the end of the step [m], world frame
 contact/normal        (c, 3)         unit normal there, from the first shape to the second
 contact/start         (c, 3)         position impulse of the step on the second shape [N s], of an impact all of it
@@ -68,6 +69,7 @@ phase/held            (r,)           and are free (0), with persistent contacts 
 dense/t               (u,)           start of a dense step [s]; only in runs with some
 dense/h               (u,)           its length [s]
 dense/step            (u,) int64     index of the step
+dense/island          (u,) int64     first joint of the island that it belongs to
 dense/residual        (u,)           of Coulomb's law, over the largest free speed of a contact
 dense/gap             (u,)           least gap at its end [m or rad]
 dense/energy_rise     (u,)           rise of the energy beyond energy_error [J]
@@ -93,7 +95,7 @@ array/0, array/1 ...  any            arrays (meshes) that the header refers to
 
 The header is an object with the keys
 
-- format: "contactvi-trajectory"; schema: 5; version: of the contactvi that wrote it
+- format: "contactvi-trajectory"; schema: 6; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (Stats.to_dict)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
 - forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
@@ -138,7 +140,7 @@ from contactvi.version import version
 Entries = dict[str, NDArray[Any]]
 
 FORMAT = "contactvi-trajectory"
-SCHEMA = 5
+SCHEMA = 6
 _STORED = {"persistent": "held"}  # names in the file, where they are not those in memory
 _PHASES = ("t", "dt", "persistent")
 
@@ -457,7 +459,7 @@ class _Reader:
     def dense_steps(self) -> DenseSteps:
         """Return the dense steps of a run."""
         rows = self._rows("dense", "t", dense_steps.FIELDS)
-        if np.any(np.diff(rows["t"]) <= 0.0):
+        if np.any(np.diff(rows["t"]) < 0.0):
             self._refuse("dense steps that do not follow each other")
         return DenseSteps(rows)
 

@@ -2,6 +2,8 @@
 
 #include <nanobind/eigen/dense.h>
 
+#include <algorithm>
+
 namespace nb = nanobind;
 
 namespace contactvi {
@@ -15,13 +17,14 @@ PublicGuard public_guard(const Scene& s, int guard) {
 std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows) {
   const std::size_t n = rows.t.size();
   if (n == 0) return std::nullopt;
-  IntVec kind(n), index(n), point(n), mode(n), step(n);
+  IntVec kind(n), index(n), point(n), mode(n), dense(n), step(n);
   for (std::size_t i = 0; i < n; ++i) {
     const PublicGuard guard = public_guard(s, rows.guard[i]);
     kind[i] = static_cast<int>(guard.kind);
     index[i] = guard.index;
     point[i] = rows.point[i];
     mode[i] = static_cast<int>(rows.mode[i]);
+    dense[i] = rows.dense[i];
     step[i] = rows.step[i];
   }
   Dict d;
@@ -29,6 +32,7 @@ std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows) {
   d["index"] = index;
   d["point"] = point;
   d["mode"] = mode;
+  d["dense"] = dense;
   d["step"] = step;
   d["t"] = hand_over(std::move(rows.t));
   d["h"] = hand_over(std::move(rows.h));
@@ -78,7 +82,18 @@ std::optional<Dict> step_phases(Recording& recording) {
   return d;
 }
 
-std::optional<Dict> dense_steps(const Recording& recording) {
+namespace {
+
+// Number of Pinocchio's joint that this joint of the engine is, or is a part of.
+int source_of(const Tree& tree, int joint) {
+  const std::vector<int>& bodies = tree.body_of_source;
+  return static_cast<int>(std::find_if(bodies.begin(), bodies.end(), [joint](int b) { return b >= joint; }) -
+                          bodies.begin());
+}
+
+}  // namespace
+
+std::optional<Dict> dense_steps(const Scene& s, const Recording& recording) {
   const std::size_t n = recording.dense.size();
   if (n == 0) return std::nullopt;
   using Field = double DenseRecord::*;
@@ -95,12 +110,14 @@ std::optional<Dict> dense_steps(const Recording& recording) {
     for (std::size_t i = 0; i < n; ++i) values[i] = recording.dense[i].*field;
     d[name] = hand_over(std::move(values));
   }
-  IntVec contacts(n), repaired(n), step(n);
+  IntVec contacts(n), repaired(n), step(n), island(n);
   for (std::size_t i = 0; i < n; ++i) {
     contacts[i] = recording.dense[i].contacts;
     repaired[i] = recording.dense[i].repaired;
     step[i] = static_cast<int>(recording.dense[i].step);
+    island[i] = source_of(s.tree, recording.dense[i].island);
   }
+  d["island"] = island;
   d["contacts"] = contacts;
   d["repaired"] = repaired;
   d["step"] = step;

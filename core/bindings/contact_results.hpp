@@ -25,7 +25,7 @@ PublicGuard public_guard(const Scene& s, int guard);
 std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows);
 std::optional<Dict> contact_changes(const Scene& s, const std::vector<ChangeRecord>& changes);
 std::optional<Dict> step_phases(Recording& recording);
-std::optional<Dict> dense_steps(const Recording& recording);
+std::optional<Dict> dense_steps(const Scene& s, const Recording& recording);
 void add_contact_stats(const World& sim, nanobind::dict& d);
 
 }  // namespace contactvi

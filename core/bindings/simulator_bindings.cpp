@@ -207,7 +207,7 @@ Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) 
   d["contacts"] = contact_rows(s, recording.contacts);
   d["changes"] = contact_changes(s, recording.changes);
   d["phases"] = step_phases(recording);
-  d["dense"] = dense_steps(recording);
+  d["dense"] = dense_steps(sim.scene(), recording);
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);
   return d;

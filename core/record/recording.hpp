@@ -40,7 +40,7 @@ enum class ContactMode : int { kSticks = 0, kSlips = 1, kFrictionless = 2, kImpa
 struct ContactRows {
   std::vector<double> t, h, gap;
   std::vector<double> position, normal, position_impulse, velocity_impulse, slip;  // three numbers a row
-  std::vector<int> guard, mode;                                                    // mode: ContactMode
+  std::vector<int> guard, mode, dense;  // mode: ContactMode; dense: 1 for a row of a dense step, else 0
   std::vector<std::int64_t> point;
   std::vector<long> step;
 
@@ -52,6 +52,7 @@ struct ContactRows {
     guard.push_back(guard_number);
     point.push_back(feature);
     mode.push_back(static_cast<int>(contact_mode));
+    dense.push_back(0);
     step.push_back(step_number);
     gap.push_back(phi);
     for (auto [list, value] : {std::pair(&position, &x), std::pair(&normal, &n), std::pair(&position_impulse, &first),
@@ -61,8 +62,7 @@ struct ContactRows {
   void cut(std::size_t rows) {
     for (auto* list : {&t, &h, &gap}) list->resize(rows);
     for (auto* list : {&position, &normal, &position_impulse, &velocity_impulse, &slip}) list->resize(3 * rows);
-    guard.resize(rows);
-    mode.resize(rows);
+    for (auto* list : {&guard, &mode, &dense}) list->resize(rows);
     point.resize(rows);
     step.resize(rows);
   }
@@ -93,6 +93,7 @@ struct DenseRecord {
   double time, h, residual, gap, energy_rise, energy_loss, energy_error;
   int contacts, repaired;
   long step;
+  int island;  // the first body of the island that the step belongs to
 };
 
 struct Recording {

@@ -93,8 +93,11 @@ void DensePhase::begin() {
 
 // Whether events may be located again: some steps were quiet, and the contacts are so few that their step is cheap.
 bool Simulator::dense_may_end() const {
-  return options_.contact_steps == ContactSteps::kAuto && state_.dense.quiet >= state_.dense.wanted &&
-         persistent_rows() <= most_persistent();
+  return may_leave_dense_steps() && state_.dense.quiet >= state_.dense.wanted;
+}
+
+bool Simulator::may_leave_dense_steps() const {
+  return state_.dense.active && options_.contact_steps == ContactSteps::kAuto && persistent_rows() <= most_persistent();
 }
 
 // Events are located again: what the last dense step has left closed persists.
@@ -146,11 +149,14 @@ void Simulator::accept_dense_step(double time, double h, Recording& recording) {
   state_.work.add(dense_step_);
   if (options_.record_contacts)
     for (const DenseContact& c : dense_step_.contacts())
-      if (c.loaded()) record_dense_contact(c, time, h, recording);
+      if (c.loaded()) {
+        record_dense_contact(c, time, h, recording);
+        recording.contacts.dense.back() = 1;
+      }
   const bool changed = contacts_.follow(dense_step_, time + h, recording);
   const DenseReport& report = dense_step_.report();
   recording.dense.push_back({time, h, report.residual, report.gap, report.energy_rise, report.energy_loss,
-                             report.energy_error, report.contacts, report.repaired, state_.step});
+                             report.energy_error, report.contacts, report.repaired, state_.step, 0});
   dense_step_.commit();
   dense_step_.finish(q1_, p1_);
   if (options_.dense) {

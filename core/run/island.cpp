@@ -260,9 +260,11 @@ void Island::repeat_record(long step, double t, double length) {
   }
 }
 
-// Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay.
+// Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay,
+// and no dense steps that end some time.
 void Island::count_rest() {
-  bool rests = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty();
+  bool rests = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty() &&
+               !engine_->may_leave_dense_steps();
   for (std::size_t k = 0; k < odometer_.size() && rests; ++k)
     rests = engine_->guards().odometer(static_cast<int>(k)) - odometer_[k] <= kStill;
   const std::vector<double>& starts = recording_.contacts.t;
@@ -283,6 +285,8 @@ void Island::step(long step, double t, double length, const VecX& tau, const Vec
   if (set_inputs(tau, q_ref, v_ref)) rests_ = 0;
   if (asleep()) {
     repeat_record(step, t, length);
+    DensePhase& dense = engine_->state().dense;
+    if (!dense.active) ++dense.since_return;
     return;
   }
   if (own_) engine_->hand_over(before_);  // the island of all trees is never undone

@@ -57,6 +57,16 @@ bool Simulator::end(StatusCode code, double time, std::string message, int guard
 }
 
 Status Simulator::reset(const VecX& q, const VecX& v, double t) {
+  if (start(q, v, t).ok()) close_contacts_at_start();
+  return state_.status;
+}
+
+void Simulator::close_contacts_at_start() {
+  if (allows_persistent_contact() && !state_.dense.active && !contacts_.close_contacts_at_start(most_persistent()))
+    state_.dense.begin();
+}
+
+Status Simulator::start(const VecX& q, const VecX& v, double t) {
   const VecX q0 = q, v0 = v;  // the arguments may be those of the state
   ActuatorState actuators = state_.actuators;
   state_ = RunState();
@@ -105,8 +115,6 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
       return state_.status;
     }
   }
-  if (allows_persistent_contact() && !state_.dense.active && !contacts_.close_contacts_at_start(most_persistent()))
-    state_.dense.begin();
   return state_.status;
 }
 

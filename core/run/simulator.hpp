@@ -73,10 +73,16 @@ class Simulator {
   // Forgets what has been counted in the state since it was last taken, and what the parts have counted.
   void forget_counts();
   void reset_counters();
+  // The two parts of reset(): the state, without persistent contacts; and those of the shapes that touch there, or
+  // dense steps where they are too many.
+  Status start(const VecX& q, const VecX& v, double t);
+  void close_contacts_at_start();
   RunState& state() { return state_; }
   Guards& guards() { return guards_; }
   const ContactStep& contact_step() const { return contact_step_; }
   const DenseStep& dense_step() const { return dense_step_; }
+  // Whether it takes dense steps now and locates events again after some quiet ones.
+  bool may_leave_dense_steps() const;
   // Whether a guard is closed, within tolerance, or has just opened.
   bool touches(int guard) const { return finder_.touching(guard); }
   Integrator& integrator() { return integrator_; }

@@ -91,8 +91,9 @@ bool World::may_divide() const {
 
 Status World::reset(const VecX& q, const VecX& v, double t) {
   divided_ = false;
-  const Status status = whole_.reset(q, v, t);
-  if (status.ok() && may_divide()) divide(v);
+  if (!may_divide()) return whole_.reset(q, v, t);
+  const Status status = whole_.start(q, v, t);
+  if (status.ok()) divide(v);
   return status;
 }
 
@@ -122,6 +123,16 @@ void World::divide(const VecX& v) {
     v_ref_.setZero(scene_->tree.nv);
   }
   divided_ = true;
+  regroup(state_.time);
+  for (Island* island : islands_) {
+    island->engine().close_contacts_at_start();
+    for (ChangeRecord change : island->engine().state().initial_changes) {
+      change.guard = island->numbers().guards[change.guard];
+      state_.initial_changes.push_back(change);
+    }
+  }
+  std::stable_sort(state_.initial_changes.begin(), state_.initial_changes.end(),
+                   [](const ChangeRecord& a, const ChangeRecord& b) { return a.guard < b.guard; });
 }
 
 // From islands to the whole engine, which goes on alone.
@@ -176,15 +187,11 @@ void World::regroup(double t) {
   sets_.reset(trees_.count());
   for (Island* island : islands_) island->each_bond([this](int a, int b) { sets_.join(a, b); });
   if (islands_.empty())  // at the start
-    for (const LooseState& loose : loose_) {
-      const auto bind = [this](int guard) {
+    for (const LooseState& loose : loose_)
+      for (int guard : loose.touching) {
         const auto [a, b] = trees_.of_guard(*scene_, guard);
         sets_.join(a, b);
-      };
-      for (const PersistentContact& contact : loose.contacts) bind(contact.point.guard);
-      for (int guard : loose.touching) bind(guard);
-      for (const SeparatedPoint& point : loose.separated) bind(point.first);
-    }
+      }
   const double fall = scene_->tree.gravity.norm() * options_.dt * options_.dt;
   graph_.join_suspects(state_.q, 2.0 * fall, sets_);
   replace_islands(t, false);
@@ -333,6 +340,7 @@ void World::add_contact(const Entry& entry, Recording& recording) {
                           static_cast<ContactMode>(from.mode[i]), from.step[i], three(from.position),
                           three(from.normal), three(from.position_impulse), three(from.velocity_impulse), from.gap[i],
                           three(from.slip));
+  recording.contacts.dense.back() = from.dense[i];
 }
 
 // The kind of the world's steps is the highest one of its islands.
@@ -369,7 +377,10 @@ void World::merge_recordings(double t, double length, Recording& recording) {
         });
   merge([](const Recording& r) { return r.dense.size(); },
         [](const Recording& r, std::size_t i) { return r.dense[i].time; },
-        [&](const Entry& entry) { recording.dense.push_back(entry.island->recording().dense[entry.row]); });
+        [&](const Entry& entry) {
+          recording.dense.push_back(entry.island->recording().dense[entry.row]);
+          recording.dense.back().island = entry.island->numbers().joints.front();
+        });
   merge_phases(t, recording);
 }
 
@@ -382,7 +393,7 @@ void World::accept(double t, double length, Recording& recording) {
     RunState& part = island->engine().state();
     state_.work.take(part.work, island->numbers().constraint_rows);
     state_.impacts += part.impacts;
-    state_.dense_steps += part.dense_steps;
+    state_.dense_steps += static_cast<long>(island->recording().dense.size());
     state_.control.halved += part.control.halved;
     state_.actuators.saturated += part.actuators.saturated;
     state_.contact_seconds += part.contact_seconds;

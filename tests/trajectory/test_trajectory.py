@@ -300,8 +300,8 @@ def test_nothing_is_unpickled(saved, tmp_path):
 
 
 def test_other_schema(saved):
-    rewrite(saved, header=np.array(header(saved).replace('"schema": 5', '"schema": 6')))
-    with pytest.raises(cvi.SceneError, match="expected schema 5, got schema 6"):
+    rewrite(saved, header=np.array(header(saved).replace('"schema": 6', '"schema": 7')))
+    with pytest.raises(cvi.SceneError, match="expected schema 6, got schema 7"):
         cvi.Trajectory.load(saved)
 
 
@@ -311,7 +311,7 @@ def test_other_schema(saved):
         {"header": None},
         {"header": np.array("not json")},
         {"header": np.array("[1, 2]")},
-        {"header": np.array('{"format": "contactvi-trajectory", "schema": 5}')},
+        {"header": np.array('{"format": "contactvi-trajectory", "schema": 6}')},
         {"header": np.array("[" * 100_000)},
         {"header": np.zeros(3)},
         {"t": None},
