@@ -74,8 +74,8 @@ SMALL: dict[str, dict] = {
     "robots": {"robots": 1},
     "one body": {"bodies": 1, "contacts": 3},
 }
-# Of the 30 problems of the five kinds and six seeds, 27 are compared. On one the oracle does not converge from its second
-# start. On two there is one answer, which the engine does not find: it says so, and its own is that of a repair.
+# Of the 30 problems of the five kinds and six seeds, 27 are compared. On one the oracle does not converge from its
+# second start. On two there is one answer, which the engine does not find: it says so, and its own is that of a repair.
 ENDLESS = [("frictionless", 3)]
 REPAIRED = [("joints", 2), ("joints", 4)]
 COMPARED = [case for case in itertools.product(SMALL, range(6)) if case not in ENDLESS + REPAIRED]
