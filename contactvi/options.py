@@ -111,10 +111,10 @@ class Options:
         record_contacts: keep the impulses of all contacts (Trajectory.contacts).
         contact_mode: which steps are taken where bodies touch. "auto": events are located; where they accumulate or
             would end the run, and where many points persist, steps are dense: impacts lie inside of them, without times
-            (contactvi.records.dense_steps says how exactly their law holds). "events": never a dense step; a run whose
-            events accumulate ends with a status. "steps": dense steps alone, which makes the run a time-stepping
-            simulation to compare with. With dt="auto", "dtec", zeno="end" and in scenes with constraints no dense step
-            is taken, and "steps" is refused.
+            (contactvi.records.dense_steps says how exactly their law holds). "events": never a dense step; where
+            events accumulate the run is slow or ends with a status. "steps": dense steps alone, which makes the run a
+            time-stepping simulation to compare with. With dt="auto", "dtec", zeno="end" and in scenes with constraints
+            no dense step is taken, and "steps" is refused.
 
     Raises:
         InputError: for a value that is not of the type or in the range given above.

@@ -194,32 +194,31 @@ class BlockContacts {
   // Seconds of one prepare and solve, of the fastest of several.
   double seconds(const std::optional<VecX>& start, double bound, double tolerance, double accept, int sweeps,
                  int newton_steps, int factors, bool prepare, int repeats) {
-    const VecX first = start_of(start, problem_.rows());
-    VecX lambda = first, v = problem_.v_free;
-    double best = std::numeric_limits<double>::infinity();
-    for (int k = 0; k < repeats; ++k) {
-      lambda = first;
-      const auto begin = std::chrono::steady_clock::now();
+    return fastest(start, repeats, [&](VecX& lambda, VecX& v) {
       if (prepare) solver_.prepare(problem_);
       solver_.solve(problem_, bound, {tolerance, accept, sweeps, newton_steps, factors}, lambda, v);
-      best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
-    }
-    return best;
+    });
   }
   double seconds_normals(const std::optional<VecX>& start, double tolerance, int repeats) {
-    const VecX first = start_of(start, problem_.rows());
-    VecX lambda = first, v = problem_.v_free;
-    double best = std::numeric_limits<double>::infinity();
-    for (int k = 0; k < repeats; ++k) {
-      lambda = first;
-      const auto begin = std::chrono::steady_clock::now();
-      solver_.solve_normals(problem_, tolerance, lambda, v);
-      best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
-    }
-    return best;
+    return fastest(start, repeats,
+                   [&](VecX& lambda, VecX& v) { solver_.solve_normals(problem_, tolerance, lambda, v); });
   }
 
  private:
+  // Seconds of the fastest of several calls of solve(lambda, v), each from `start` again.
+  template <class Solve>
+  double fastest(const std::optional<VecX>& start, int repeats, const Solve& solve) {
+    const VecX first = start_of(start, problem_.rows());
+    VecX lambda = first, v = problem_.v_free;
+    double best = std::numeric_limits<double>::infinity();
+    for (int k = 0; k < repeats; ++k) {
+      lambda = first;
+      const auto begin = std::chrono::steady_clock::now();
+      solve(lambda, v);
+      best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
+    }
+    return best;
+  }
   static Dict named(const BlockResult& r, VecX&& lambda, VecX&& v) {
     nb::dict out;
     out["impulses"] = hand_over(std::move(lambda));

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from contactvi import _core
+from helpers.contact_rows import frame, point_velocity
 
 SAVED = Path(__file__).resolve().parents[1] / "data" / "contact_problems.npz"
 
@@ -71,20 +72,6 @@ class BlockProblem:
         )  # fmt: skip
 
 
-def frame(normal: np.ndarray) -> np.ndarray:
-    """Rows n, t1, t2."""
-    n = normal / np.linalg.norm(normal)
-    t = np.cross(n, [1.0, 0.0, 0.0] if abs(n[0]) < 0.9 else [0.0, 1.0, 0.0])
-    t /= np.linalg.norm(t)
-    return np.array([n, t, np.cross(n, t)])
-
-
-def _point(arm: np.ndarray) -> np.ndarray:
-    """Velocity (3, 6) of a body's point from (linear, angular) velocity."""
-    x, y, z = arm
-    return np.hstack([np.eye(3), [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]])
-
-
 def _mass(rng: np.random.Generator, size: int, mass: float) -> np.ndarray:
     if size == 6:
         return np.diag(np.r_[np.full(3, mass), mass * 0.1 * rng.uniform(0.2, 1.0, 3)])
@@ -119,8 +106,8 @@ def heap(
 
     def side(body: int, arm: np.ndarray, directions: np.ndarray) -> np.ndarray:
         if sizes[body] == 6:
-            return directions @ _point(arm)
-        return directions @ np.hstack([_point(arm), 0.5 * rng.normal(size=(3, sizes[body] - 6))])
+            return directions @ point_velocity(arm)
+        return directions @ np.hstack([point_velocity(arm), 0.5 * rng.normal(size=(3, sizes[body] - 6))])
 
     for _ in range(contacts):
         if W and rng.uniform() < redundant:  # nearly or exactly the contact before, as on the face of a box

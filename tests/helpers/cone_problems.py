@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from helpers.contact_rows import frame, point_velocity
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -31,20 +33,6 @@ class Problem:
         return np.cumsum(self.rows) - self.rows
 
 
-def _frame(normal: np.ndarray) -> np.ndarray:
-    """Rows n, t1, t2."""
-    n = normal / np.linalg.norm(normal)
-    t1 = np.cross(n, [1.0, 0.0, 0.0] if abs(n[0]) < 0.9 else [0.0, 1.0, 0.0])
-    t1 /= np.linalg.norm(t1)
-    return np.array([n, t1, np.cross(n, t1)])
-
-
-def _point(position: np.ndarray) -> np.ndarray:
-    """Velocity of a body's point (3, 6) from (linear, angular) velocity."""
-    x, y, z = position
-    return np.hstack([np.eye(3), np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])])
-
-
 def _friction(rng: np.random.Generator, contacts: int) -> np.ndarray:
     return rng.uniform(0.1, 1.0, contacts)
 
@@ -60,7 +48,7 @@ def body(rng: np.random.Generator, contacts: int) -> Problem:
     for _ in range(contacts):
         normal = rng.normal(size=3)
         normal[2] = abs(normal[2]) + 0.3
-        rows.append(_frame(normal) @ _point(rng.uniform(-0.5, 0.5, 3) - [0.0, 0.0, 0.5]))
+        rows.append(frame(normal) @ point_velocity(rng.uniform(-0.5, 0.5, 3) - [0.0, 0.0, 0.5]))
     v = np.r_[rng.normal(size=2), -rng.uniform(0.0, 2.0), rng.normal(size=3)]
     return _problem(f"body {contacts}", np.vstack(rows), inverse_mass, v, _friction(rng, contacts))
 
@@ -77,8 +65,8 @@ def hand(rng: np.random.Generator, fingers: int) -> Problem:
         inverse_mass[own, own] = turn @ np.diag(10.0 ** rng.uniform(2.0, 4.5, 3)) @ turn.T
         normal = rng.normal(size=3)
         W = np.zeros((3, nv))
-        W[:, :6] = _frame(normal) @ _point(-0.03 * normal / np.linalg.norm(normal))
-        W[:, own] = -_frame(normal) @ rng.normal(size=(3, 3)) * 0.05
+        W[:, :6] = frame(normal) @ point_velocity(-0.03 * normal / np.linalg.norm(normal))
+        W[:, own] = -frame(normal) @ rng.normal(size=(3, 3)) * 0.05
         rows.append(W)
     v = rng.normal(size=nv) * np.r_[np.full(6, 0.3), np.full(nv - 6, 3.0)]
     return _problem(f"hand {fingers}", np.vstack(rows), inverse_mass, v, _friction(rng, fingers))
@@ -95,9 +83,9 @@ def stack(rng: np.random.Generator, boxes: int) -> Problem:
         inverse_mass[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] = np.diag(np.r_[np.ones(3), np.full(3, 6.0)]) / mass
         for corner in corners:
             W = np.zeros((3, nv))
-            W[:, 6 * i : 6 * i + 6] = _frame(np.array([0.0, 0.0, 1.0])) @ _point(corner)
+            W[:, 6 * i : 6 * i + 6] = frame(np.array([0.0, 0.0, 1.0])) @ point_velocity(corner)
             if i > 0:
-                W[:, 6 * i - 6 : 6 * i] = -_frame(np.array([0.0, 0.0, 1.0])) @ _point(corner + [0.0, 0.0, 1.0])
+                W[:, 6 * i - 6 : 6 * i] = -frame(np.array([0.0, 0.0, 1.0])) @ point_velocity(corner + [0.0, 0.0, 1.0])
             rows.append(W)
     v = np.zeros((boxes, 6))
     v[:, 2] = -9.81 * 0.01
