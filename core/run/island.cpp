@@ -141,7 +141,7 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose,
   to.joint_friction.clear();
   for (int k : numbers_->friction) to.joint_friction.push_back(friction[k]);
   engine_->take_over(to, fresh_, t, start_time);
-  rests_ = 0;
+  rest_.steps = 0;
 }
 
 // What dense steps carry: they go on where one of the trees had them.
@@ -260,21 +260,28 @@ void Island::repeat_record(long step, double t, double length) {
   }
 }
 
+void Rest::count(const VecX& now, bool quiet) {
+  if (quiet && steps > 0 && ((now - q).cwiseAbs().array() <= kStill * q.cwiseAbs().array().max(1.0)).all()) {
+    ++steps;
+    return;
+  }
+  steps = quiet ? 1 : 0;
+  q = now;
+}
+
 // Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay,
 // and no dense steps that end some time.
 void Island::count_rest() {
-  bool rests = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty() &&
+  bool quiet = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty() &&
                !engine_->may_leave_dense_steps();
-  for (std::size_t k = 0; k < odometer_.size() && rests; ++k)
-    rests = engine_->guards().odometer(static_cast<int>(k)) - odometer_[k] <= kStill;
   const std::vector<double>& starts = recording_.contacts.t;
-  for (double t : starts) rests = rests && t == starts.front();
-  for (int mode : recording_.contacts.mode) rests = rests && mode != static_cast<int>(ContactMode::kSlips);
-  rests_ = rests ? rests_ + 1 : 0;
+  for (double t : starts) quiet = quiet && t == starts.front();
+  for (int mode : recording_.contacts.mode) quiet = quiet && mode != static_cast<int>(ContactMode::kSlips);
+  rest_.count(std::as_const(*engine_).state().q, quiet);
 }
 
-void Island::restore_rest(int rests, const Recording& record, const VecX& tau, const MatX& target) {
-  rests_ = rests;
+void Island::restore_rest(const Rest& rest, const Recording& record, const VecX& tau, const MatX& target) {
+  rest_ = rest;
   recording_ = record;
   tau_ = tau;
   target_ = target;
@@ -282,7 +289,7 @@ void Island::restore_rest(int rests, const Recording& record, const VecX& tau, c
 
 void Island::step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
                   const Progress& progress) {
-  if (set_inputs(tau, q_ref, v_ref)) rests_ = 0;
+  if (set_inputs(tau, q_ref, v_ref)) rest_.steps = 0;
   if (asleep()) {
     repeat_record(step, t, length);
     DensePhase& dense = engine_->state().dense;

@@ -25,6 +25,21 @@ struct LooseState {
   double change_h = 1.0;
 };
 
+// For how many steps, one after the other, an island has been at rest, and where.
+struct Rest {
+  // Steps before it sleeps. What leaves an unstable equilibrium slowly has come further in them than in the first one.
+  static constexpr int kSteps = 32;
+  // How far a coordinate may be from where it was at the first of them, over the larger of 1 and its size: two spacings
+  // of the doubles there.
+  static constexpr double kStill = 4.5e-16;
+
+  int steps = 0;
+  VecX q;  // at the first of them
+
+  // A step has ended at this configuration; quiet: nothing but rest happened in it.
+  void count(const VecX& now, bool quiet);
+};
+
 class Island {
  public:
   Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, const SimulatorOptions& options);
@@ -52,10 +67,10 @@ class Island {
             const Progress& progress);
   // Whether the last steps have moved nothing by more than rounding, so that it repeats the last one until something
   // changes: its trees, or its inputs.
-  bool asleep() const { return rests_ >= kRests; }
-  int rests() const { return rests_; }
+  bool asleep() const { return rest_.steps >= Rest::kSteps; }
+  const Rest& rest() const { return rest_; }
   // Goes back to having repeated a step whose record is this.
-  void restore_rest(int rests, const Recording& record, const VecX& tau, const MatX& target);
+  void restore_rest(const Rest& rest, const Recording& record, const VecX& tau, const MatX& target);
   const VecX& tau() const { return tau_; }
   const MatX& target() const { return target_; }
   // Bound on the motion of its geometry `k` in that step [m].
@@ -73,10 +88,6 @@ class Island {
   long last_used = 0;  // the step in which it was in use, for the pool
 
  private:
-  static constexpr int kRests = 3;  // steps that move nothing, one after the other, before an island sleeps
-  // [m] that any point may move in such a step: the spacing of doubles near 1 m. In 10^6 steps that is 0.2 nm.
-  static constexpr double kStill = 2.2e-16;
-
   bool set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref);
   void repeat_record(long step, double t, double length);
   void count_rest();
@@ -102,7 +113,7 @@ class Island {
   MatX target_, before_target_;
   bool ok_ = true;
   bool depends_on_time_ = false;  // some force or constraint is a function of time
-  int rests_ = 0;                 // steps one after the other that moved nothing
+  Rest rest_;
 };
 
 template <class Join>

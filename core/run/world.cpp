@@ -59,7 +59,7 @@ struct World::Saved {
   struct SavedIsland {
     std::vector<int> trees;
     std::shared_ptr<const Snapshot> engine;
-    int rests;
+    Rest rest;
     Recording record;  // of the step that an island at rest repeats
     VecX tau;
     MatX target;
@@ -488,7 +488,7 @@ std::shared_ptr<const World::Saved> World::save() {
   saved->v_ref = v_ref_;
   saved->counters = counters();
   for (Island* island : islands_)
-    saved->islands.push_back({island->trees(), island->engine().save(), island->rests(),
+    saved->islands.push_back({island->trees(), island->engine().save(), island->rest(),
                               island->asleep() ? island->recording() : Recording(), island->tau(), island->target()});
   return saved;
 }
@@ -509,7 +509,7 @@ void World::restore(const Saved& saved) {
   for (const Saved::SavedIsland& from : saved.islands) {
     Island& island = island_of(from.trees);
     island.engine().restore(*from.engine);
-    island.restore_rest(from.rests, from.record, from.tau, from.target);
+    island.restore_rest(from.rest, from.record, from.tau, from.target);
     for (int tree : from.trees) island_of_tree_[tree] = static_cast<int>(islands_.size());
     islands_.push_back(&island);
   }

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 ENDLESS = 1e-9  # of the first closing speeds: where an endless sequence ends plastically
 TIE = 1e-12  # of the closing speed: which contact closes faster is decided by its number
+ROUNDING = 1e-15  # of the sizes of the factors: a slower closing speed is rounding
 
 
 def velocity_after(M: Array, rows: Sequence[Array], e: Sequence[float], v: Array, most: int = 20_000) -> Array:
@@ -46,7 +47,8 @@ def velocity_after(M: Array, rows: Sequence[Array], e: Sequence[float], v: Array
 
 def settled(a: Array, x: Array) -> Array:
     """Return x after the contacts with rows a end plastically as one problem: the nearest x with a x >= 0."""
-    if not len(a):
+    size = np.linalg.norm(a, axis=1, keepdims=True) * np.linalg.norm(x)
+    if not len(a) or np.all(a @ x >= -ROUNDING * size[:, 0]):  # of speeds that are rounding nnls makes large impulses
         return x
     impulse, _ = nnls(a.T, -x)
     return x + a.T @ impulse

@@ -100,7 +100,7 @@ def test_auto_steps_are_never_dense():
     scene = cvi.Scene()
     scene.add_halfspace()
     for k in range(7):
-        scene.add_box(f"box{k}", size=(0.1, 0.1, 0.1), placement=(0.3 * k, 0.0, 0.05))
+        scene.add_box(f"box{k}", size=(0.1, 0.1, 0.1), placement=(0.1 * k, 0.0, 0.05))
     scene.set_contact(friction=0.5)
     with warnings.catch_warnings():
         warnings.simplefilter("error", cvi.DenseStepWarning)
