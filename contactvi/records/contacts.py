@@ -233,8 +233,8 @@ class ContactLog(StepRows, Items[Contact]):
         return Contact(
             t=float(row["t"]), h=float(row["h"]), step=int(row["step"]), kind=KINDS[kind],
             pair=label(kind, int(row["index"]), *self._names), point=int(row["point"]), mode=MODES[int(row["mode"])],
-            dense=bool(row["dense"]), position=row["position"], normal=row["normal"], impulse=self.impulse[i], force=self.force[i],
-            gap=float(row["gap"]), slip=row["slip"],
+            dense=bool(row["dense"]), position=row["position"], normal=row["normal"], impulse=self.impulse[i],
+            force=self.force[i], gap=float(row["gap"]), slip=row["slip"],
         )  # fmt: skip
 
 

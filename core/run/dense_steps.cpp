@@ -1,6 +1,6 @@
 // Simulator: dense steps, and the decision between them and located events.
 //
-// Events are given up for the rest of an interval where they accumulate: too many impacts at instants with several
+// Events are given up where they accumulate: too many impacts at instants with several
 // closed contacts, too many changes of the persistent contacts, too many parts of steps; and where the run would end
 // because an event or the forces of persistent contacts are not found. They are located again after a number of quiet
 // steps, which doubles each time that they accumulate again soon.
@@ -15,16 +15,13 @@
 namespace contactvi {
 
 namespace {
-// Limits of what may happen in an interval, or in each millisecond of a longer one. Impacts are counted at instants
-// with several closed contacts. The limits bound the time that a step takes; they lie above what the hands of the force
-// battery need (tests/batteries/test_force_battery.py, test_violent), which located events bring to their end exactly.
-constexpr double kCounted = 1e-3;  // [s]
-// Worlds of more degrees of freedom have lower limits in proportion: a part of a step costs as much more there.
-constexpr double kSmall = 24;
-constexpr double kCoupledImpacts = 4000, kImpactsPerContact = 400;
-constexpr double kChanges = 6000, kChangesPerContact = 300;  // of persistent contacts
-constexpr int kContactHalvings = 30;                         // of steps with persistent contacts that were not solved
-constexpr double kContactParts = 4000;                       // of steps with persistent contacts
+// Limits of what may happen to an island in an interval, or in each millisecond of a longer one. They bound the time that
+// a step takes to some tens of dense steps, and lie above what single contacts, grasps and steps of legs need.
+constexpr double kCounted = 1e-3;                               // [s]
+constexpr double kCoupledImpacts = 64, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
+constexpr double kChanges = 64, kChangesPerContact = 4;         // begins and releases of persistent contacts
+constexpr double kContactParts = 64;                            // parts of steps with persistent contacts
+constexpr int kContactHalvings = 30;  // of steps with persistent contacts that were not solved
 // Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order
 // without impacts, is far cheaper, since the matrix of the contact step is full.
 constexpr int kMostPersistent = 72;
@@ -55,7 +52,7 @@ int Simulator::most_persistent() const {
 bool Simulator::events_accumulate(double length) const {
   const double contacts =
       static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
-  const double times = std::max(1.0, length / kCounted) * std::min(1.0, kSmall / std::max(1, scene_->tree.nv));
+  const double times = std::max(1.0, length / kCounted);
   return static_cast<double>(event_count_.coupled_impacts) >
              times * (kCoupledImpacts + kImpactsPerContact * contacts) ||
          event_count_.changes > times * (kChanges + kChangesPerContact * contacts) ||
@@ -69,6 +66,7 @@ bool Simulator::dense_steps_go_on() const {
     case StatusCode::kNewtonFailed:
     case StatusCode::kEventUnresolved:
     case StatusCode::kTooManyImpacts:
+    case StatusCode::kNotFinite:  // an impact was not solved; a state that is not finite ends the run
       return state_.q.allFinite() && state_.p.allFinite() && !scene_->tree.elements.user_failed();
     default:
       return false;
@@ -92,9 +90,7 @@ void DensePhase::begin() {
 }
 
 // Whether events may be located again: some steps were quiet, and the contacts are so few that their step is cheap.
-bool Simulator::dense_may_end() const {
-  return may_leave_dense_steps() && state_.dense.quiet >= state_.dense.wanted;
-}
+bool Simulator::dense_may_end() const { return may_leave_dense_steps() && state_.dense.quiet >= state_.dense.wanted; }
 
 bool Simulator::may_leave_dense_steps() const {
   return state_.dense.active && options_.contact_steps == ContactSteps::kAuto && persistent_rows() <= most_persistent();

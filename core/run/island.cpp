@@ -100,8 +100,8 @@ void Island::take(List& list, GuardOf guard_of, Put put) const {
   list.erase(list.begin() + static_cast<std::ptrdiff_t>(kept), list.end());
 }
 
-void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose,
-                  std::vector<JointFriction>& friction, double t, double start_time) {
+void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, std::vector<JointFriction>& friction,
+                  double t, double start_time) {
   Handover& to = handover_;
   to.q.resize(static_cast<Eigen::Index>(numbers_->q.size()));
   to.p.resize(static_cast<Eigen::Index>(numbers_->v.size()));
@@ -166,8 +166,7 @@ void Island::take_dense(std::vector<LooseState>& loose) {
           impulse.guard = guard;
           step.impulses.push_back(impulse);
         });
-    take(
-        from.closed, [](int guard) { return guard; }, [&](int, int guard) { step.closed.push_back(guard); });
+    take(from.closed, [](int guard) { return guard; }, [&](int, int guard) { step.closed.push_back(guard); });
     for (const auto& [dof, change] : from.change)
       if (from.change_h == step.h) {
         step.change[position(numbers_->v, dof)] = change;
@@ -178,8 +177,7 @@ void Island::take_dense(std::vector<LooseState>& loose) {
   if (known < numbers_->v.size()) step.change.resize(0);
 }
 
-void Island::file(const Handover& from, std::vector<LooseState>& loose,
-                  std::vector<JointFriction>& friction) const {
+void Island::file(const Handover& from, std::vector<LooseState>& loose, std::vector<JointFriction>& friction) const {
   const auto home = [&](int guard) -> LooseState& {
     const auto [a, b] = guard_trees_[guard];
     return loose[a < 0 ? b : b < 0 ? a : std::min(a, b)];
@@ -211,8 +209,7 @@ void Island::file(const Handover& from, std::vector<LooseState>& loose,
   for (const SeparatedPoint& s : from.separated)
     home(s.first).separated.emplace_back(numbers_->guards[s.first], s.second);
   for (const Flights::Entry& f : from.flights) home(f.first).flights.emplace_back(numbers_->guards[f.first], f.second);
-  for (std::size_t k = 0; k < from.joint_friction.size(); ++k)
-    friction[numbers_->friction[k]] = from.joint_friction[k];
+  for (std::size_t k = 0; k < from.joint_friction.size(); ++k) friction[numbers_->friction[k]] = from.joint_friction[k];
 }
 
 void Island::dissolve(std::vector<LooseState>& loose, std::vector<JointFriction>& friction) {

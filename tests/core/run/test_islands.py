@@ -255,9 +255,8 @@ def test_what_leaves_an_unstable_equilibrium_does_not_sleep():
     for k, angle in enumerate((0.0, np.pi - 1e-13)):
         place = pin.SE3(pin.rpy.rpyToMatrix(angle, 0.0, 0.0), np.array([3.0 * k, 0.0, 0.0]))
         model.addJoint(0, pin.JointModelRX(), place, f"hinge{k}")
-        model.appendBodyToJoint(
-            k + 1, pin.Inertia(1.0, np.array([0.0, 0.0, -0.5]), np.eye(3) / 12.0), pin.SE3.Identity()
-        )
+        rod = pin.Inertia(1.0, np.array([0.0, 0.0, -0.5]), np.eye(3) / 12.0)
+        model.appendBodyToJoint(k + 1, rod, pin.SE3.Identity())
     scene = core_scene(model)
     ends = []
     for islands in (True, False):
