@@ -39,6 +39,7 @@ struct BlockSolver::Work {
   BlockNormals normals;
   SlipSpeeds slip;
   BlockPoint point, best, safe;
+  VecX free;
   bool prepared = false, analysed = false;
   BlockOptions options;
   BlockResult result;
@@ -242,6 +243,18 @@ BlockResult BlockSolver::solve(const BlockProblem& problem, double bound, const 
   if (!work.within(energy, bound) || !work.gaps_kept(work.best)) work.blend(bound);
   work.finish(lambda, v);
   return work.result;
+}
+
+void BlockSolver::free_velocity(const BlockProblem& problem, VecCRef lambda, VecCRef v, VecRef v_free) const {
+  VecX& free = work_->free;
+  free = v;
+  for (int c = 0; work_->prepared && c < static_cast<int>(problem.contacts.size()); ++c) {
+    const BlockContact& law = problem.contacts[c];
+    Vec3 impulse = Vec3::Zero();
+    impulse.head(law.rows) = lambda.segment(law.row, law.rows);
+    if (!impulse.isZero(0.0)) work_->system.push(c, -impulse, free);
+  }
+  v_free = free;
 }
 
 BlockResult BlockSolver::solve_normals(const BlockProblem& problem, double tolerance, VecRef lambda, VecRef v) {

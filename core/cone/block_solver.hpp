@@ -52,6 +52,9 @@ class BlockSolver {
   //   lambda_n >= max(lower, |lambda_t|/mu), w_n >= 0, complementary.
   // A warm start with few changes costs some sweeps and no factorization.
   BlockResult solve_normals(const BlockProblem& problem, double tolerance, VecRef lambda, VecRef v);
+  // The free velocity from which the impulses lambda lead to v, with the solver's own masses to the last bit: those of
+  // light and heavy bodies in one block differ from others by much rounding.
+  void free_velocity(const BlockProblem& problem, VecCRef lambda, VecCRef v, VecRef v_free) const;
 
  private:
   struct Work;

@@ -136,13 +136,6 @@ void DenseRows::add_impulses(const VecX& lambda, VecX& p) const {
   }
 }
 
-void DenseRows::subtract_solved(const VecX& p, VecX& v) const {
-  for (int b = 0; b < problem_.blocks(); ++b) {
-    const int n = problem_.size(b), first = problem_.start[b];
-    v.segment(first, n) -= inverse_.block(first, 0, n, n) * p.segment(first, n);
-  }
-}
-
 double DenseRows::mobility(std::size_t k) const {
   const BlockContact& c = problem_.contacts[k];
   double sum = 0.0;

@@ -32,8 +32,6 @@ class DenseRows {
   double velocity(std::size_t k, int r, const VecX& v) const;
   // p += W lambda.
   void add_impulses(const VecX& lambda, VecX& p) const;
-  // v -= M^-1 p.
-  void subtract_solved(const VecX& p, VecX& v) const;
   // W_n M^-1 W_n^T of block k [1/kg].
   double mobility(std::size_t k) const;
 

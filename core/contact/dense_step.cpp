@@ -137,10 +137,7 @@ bool DenseStep::gap_iterations() {
     last = error;
     // v = v_free + M^-1 W lambda holds for the present v and lambda.
     BlockProblem& problem = rows_.problem();
-    problem.v_free = v_;
-    work_.setZero();
-    rows_.add_impulses(lambda_, work_);
-    rows_.subtract_solved(work_, problem.v_free);
+    solver_.free_velocity(problem, lambda_, v_, problem.v_free);
     for (std::size_t i = 0; i < active_.size(); ++i)
       problem.offset[rows_.block(i).row] = contacts()[active_[i]].at1.gap / h_ - rows_.velocity(i, 0, v_);
     work_ = v_;
