@@ -7,7 +7,8 @@ namespace contactvi {
 
 namespace {
 constexpr double kGapPromised = 1e-10;    // [m] overlap at the end from which on a point joins the candidates
-constexpr double kLimitPromised = 1e-11;  // [m; rad] of joint limits, which are exact
+constexpr double kLimitPromised = 5e-11;  // [m; rad] of joint limits, which are exact
+constexpr double kLimitJoins = 1e-11;     // [m; rad] overlap of limits from which points that became near take part
 constexpr double kSamePoint = 1e-7;       // [m] points of one feature nearer to each other are one
 }  // namespace
 
@@ -135,13 +136,16 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   for (const Near& near : near_) {
     Contact witness;
     const double gap = guards_->evaluate_witness(near.guard, witness);
-    const double noise = guards_->is_noisy(near.guard) ? 2.0 * guards_->root_tolerance(near.guard) : kGapPromised;
+    const bool pair = scene_->is_pair(near.guard);
+    const double noise = guards_->is_noisy(near.guard) ? 2.0 * guards_->root_tolerance(near.guard)
+                         : pair                        ? kGapPromised
+                                                       : kLimitPromised;
     if (gap < gap_) {
       gap_ = gap;
       gap_noise_ = 2.0 * noise;
     }
-    if (!scene_->is_pair(near.guard)) limit_overlaps |= gap < -kLimitPromised;
-    if (!(gap < -noise) || !scene_->is_pair(near.guard)) continue;
+    limit_overlaps |= !pair && gap < -kLimitJoins;
+    if (!(gap < -noise) || !pair) continue;
     const std::size_t count = points_.size();
     guards_->manifolds().find(near.guard, guards_->placements(), witness, 0.0, points_);
     for (std::size_t k = count; k < points_.size(); ++k) laws_.push_back(frozen(points_[k], witness));
