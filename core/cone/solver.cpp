@@ -100,6 +100,7 @@ bool ConeSolver::keep_better(double* lambda, int rows) {
 
 bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lambda) {
   const int m = static_cast<int>(problem.b.size());
+  if (m > kFew) --rescues_left_;
   for (bool shift : {true, false}) {
     if (shift && !regularize) continue;
     for (bool by_seidel : {true, false}) {
@@ -136,8 +137,8 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
     result_.residual = std::numeric_limits<double>::infinity();
     std::fill_n(best_.data(), m, 0.0);
     attempt(problem, regularize, lambda.data());
-    result_.ok =
-        keep_better(lambda.data(), m) || (m <= most_rescued_rows_ && rescue(problem, regularize, lambda.data()));
+    result_.ok = keep_better(lambda.data(), m) ||
+                 ((m <= kFew || rescues_left_ > 0) && rescue(problem, regularize, lambda.data()));
     std::copy_n(best_.data(), m, lambda.data());
   }
   result_.iterations = newton_.iterations();

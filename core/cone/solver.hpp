@@ -22,9 +22,11 @@ class ConeSolver {
   void reserve(int rows);
   // lambda: start on entry, solution on return (m,) [N s]; finite also if the result is not ok.
   ConeResult solve(const ConeProblem& problem, VecRef lambda, bool regularize);
-  // Problems with more rows are given up where Newton's method fails: other starts cost far more than their share
-  // there.
-  void limit_rescue(int rows) { most_rescued_rows_ = rows; }
+  // In how many problems of more than kFew rows, from now on, other starts are tried where Newton's method fails: they
+  // cost a hundred times as much. Later ones are given up.
+  static constexpr int kFew = 12;
+  void allow_rescues(int count) { rescues_left_ = count; }
+  int rescues_left() const { return rescues_left_; }
 
  private:
   bool one_contact(const ConeProblem& problem, double* lambda);
@@ -39,7 +41,7 @@ class ConeSolver {
   ConeFallback fallback_;
   ConeResult result_;
   std::vector<double> start_, best_, w_;
-  int most_rescued_rows_ = std::numeric_limits<int>::max();
+  int rescues_left_ = std::numeric_limits<int>::max();
 };
 
 }  // namespace contactvi

@@ -48,8 +48,9 @@ class ContactStep final : public Stepper {
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
   // Nominal length of a step [s], over which errors of the constraints are corrected.
   void set_nominal(double h) { nominal_h_ = h; }
-  // See ConeSolver::limit_rescue.
-  void limit_rescue(int rows) { solver_.limit_rescue(rows); }
+  // See ConeSolver::allow_rescues.
+  void allow_rescues(int count) { solver_.allow_rescues(count); }
+  int rescues_left() const { return solver_.rescues_left(); }
   // To be called after contacts were added or released, or if the state is not the end of the last step.
   void invalidate() { node0_.known = follows_ = false; }
 

@@ -21,6 +21,7 @@ constexpr double kCounted = 1e-3;                               // [s]
 constexpr double kCoupledImpacts = 64, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
 constexpr double kChanges = 64, kChangesPerContact = 4;         // begins and releases of persistent contacts
 constexpr double kContactParts = 64;                            // parts of steps with persistent contacts
+constexpr int kRescues = 8;           // contact problems of many rows in which slow methods are tried
 constexpr int kContactHalvings = 30;  // of steps with persistent contacts that were not solved
 // Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order
 // without impacts, is far cheaper, since the matrix of the contact step is full.
@@ -29,6 +30,9 @@ constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is t
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+// What the limits are multiplied by in an interval of this length [s].
+double times(double length) { return std::max(1.0, length / kCounted); }
 
 }  // namespace
 
@@ -49,15 +53,19 @@ int Simulator::most_persistent() const {
   return allows_dense_steps() ? kMostPersistent : std::numeric_limits<int>::max();
 }
 
+// Contact problems of an interval in which slow methods are tried.
+int Simulator::most_rescues(double length) const {
+  return allows_dense_steps() ? static_cast<int>(times(length) * kRescues) : std::numeric_limits<int>::max();
+}
+
 bool Simulator::events_accumulate(double length) const {
   const double contacts =
       static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
-  const double times = std::max(1.0, length / kCounted);
-  return static_cast<double>(event_count_.coupled_impacts) >
-             times * (kCoupledImpacts + kImpactsPerContact * contacts) ||
-         event_count_.changes > times * (kChanges + kChangesPerContact * contacts) ||
-         event_count_.contact_parts > times * kContactParts || event_count_.contact_halvings > kContactHalvings ||
-         persistent_rows() > most_persistent();
+  const double more = times(length);
+  return static_cast<double>(event_count_.coupled_impacts) > more * (kCoupledImpacts + kImpactsPerContact * contacts) ||
+         event_count_.changes > more * (kChanges + kChangesPerContact * contacts) ||
+         event_count_.contact_parts > more * kContactParts || event_count_.contact_halvings > kContactHalvings ||
+         contact_step_.rescues_left() <= 0 || persistent_rows() > most_persistent();
 }
 
 // Whether a run that has ended so goes on with dense steps.

@@ -50,7 +50,6 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
   actuation_.start();
   recall(fresh);
   contact_step_.set_nominal(options_.dt);
-  contact_step_.limit_rescue(most_persistent());
   contact_step_.contacts() = from.contacts;
   contacts_.update_persistent_guards();
   DenseStep::Memory dense = from.dense_step;

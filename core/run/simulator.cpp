@@ -62,6 +62,7 @@ Status Simulator::reset(const VecX& q, const VecX& v, double t) {
 }
 
 void Simulator::close_contacts_at_start() {
+  contact_step_.allow_rescues(most_rescues(options_.dt));
   if (allows_persistent_contact() && !state_.dense.active && !contacts_.close_contacts_at_start(most_persistent()))
     state_.dense.begin();
 }
@@ -80,7 +81,6 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
   state_.control.start(options_.dt, contact_dt());
   state_.work.start(t, scene_->tree.elements.constraint_rows, does_work_);
   scene_->tree.elements.forget_failure();
-  contact_step_.limit_rescue(most_persistent());
   actuation_.start();
   integrator_.set_time(t);
   contact_step_.contacts().clear();
@@ -227,6 +227,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   sequence_.begin_step();
   changes_.begin_interval();
   event_count_ = EventCount();
+  contact_step_.allow_rescues(most_rescues(length));
   const std::size_t changes = recording.changes.size();
   const bool dense_allowed = allows_dense_steps();
   if (state_.dense.active && dense_may_end()) end_dense_phase();
