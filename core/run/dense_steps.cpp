@@ -15,8 +15,8 @@
 namespace contactvi {
 
 namespace {
-// Limits of what may happen to an island in an interval, or in each millisecond of a longer one. They bound the time that
-// a step takes to some tens of dense steps, and lie above what single contacts, grasps and steps of legs need.
+// Limits of what may happen to an island in an interval, or in each millisecond of a longer one. They bound the time
+// that a step takes to some tens of dense steps, and lie above what single contacts, grasps and steps of legs need.
 constexpr double kCounted = 1e-3;                               // [s]
 constexpr double kCoupledImpacts = 64, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
 constexpr double kChanges = 64, kChangesPerContact = 4;         // begins and releases of persistent contacts
