@@ -98,9 +98,19 @@ bool ConeSolver::keep_better(double* lambda, int rows) {
   return result_.residual <= kConeTolerance;
 }
 
+bool ConeSolver::may_rescue(int rows) {
+  if (rows <= kFew) return true;
+  const double square = static_cast<double>(rows) * rows;
+  if (square > rescues_left_) {
+    gave_up_ = true;
+    return false;
+  }
+  rescues_left_ -= square;
+  return true;
+}
+
 bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lambda) {
   const int m = static_cast<int>(problem.b.size());
-  if (m > kFew) --rescues_left_;
   for (bool shift : {true, false}) {
     if (shift && !regularize) continue;
     for (bool by_seidel : {true, false}) {
@@ -137,8 +147,7 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
     result_.residual = std::numeric_limits<double>::infinity();
     std::fill_n(best_.data(), m, 0.0);
     attempt(problem, regularize, lambda.data());
-    result_.ok = keep_better(lambda.data(), m) ||
-                 ((m <= kFew || rescues_left_ > 0) && rescue(problem, regularize, lambda.data()));
+    result_.ok = keep_better(lambda.data(), m) || (may_rescue(m) && rescue(problem, regularize, lambda.data()));
     std::copy_n(best_.data(), m, lambda.data());
   }
   result_.iterations = newton_.iterations();

@@ -22,17 +22,22 @@ class ConeSolver {
   void reserve(int rows);
   // lambda: start on entry, solution on return (m,) [N s]; finite also if the result is not ok.
   ConeResult solve(const ConeProblem& problem, VecRef lambda, bool regularize);
-  // In how many problems of more than kFew rows, from now on, other starts are tried where Newton's method fails: they
-  // cost a hundred times as much. Later ones are given up.
+  // Where Newton's method fails other starts are tried, which cost a hundred times as much. In problems of more than
+  // kFew rows they are, from now on, tried for as long as the sum of the squares of the rows stays within this.
   static constexpr int kFew = 12;
-  void allow_rescues(int count) { rescues_left_ = count; }
-  int rescues_left() const { return rescues_left_; }
+  void allow_rescues(double squares) {
+    rescues_left_ = squares;
+    gave_up_ = false;
+  }
+  // Whether a problem was given up for that reason since then.
+  bool gave_up() const { return gave_up_; }
 
  private:
   bool one_contact(const ConeProblem& problem, double* lambda);
   bool plain(const ConeProblem& problem, double* lambda);
   bool shifted(const ConeProblem& problem, double* lambda);
   bool attempt(const ConeProblem& problem, bool regularize, double* lambda);
+  bool may_rescue(int rows);
   bool rescue(const ConeProblem& problem, bool regularize, double* lambda);
   bool keep_better(double* lambda, int rows);
 
@@ -41,7 +46,8 @@ class ConeSolver {
   ConeFallback fallback_;
   ConeResult result_;
   std::vector<double> start_, best_, w_;
-  int rescues_left_ = std::numeric_limits<int>::max();
+  double rescues_left_ = std::numeric_limits<double>::infinity();
+  bool gave_up_ = false;
 };
 
 }  // namespace contactvi

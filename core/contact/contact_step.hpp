@@ -49,8 +49,8 @@ class ContactStep final : public Stepper {
   // Nominal length of a step [s], over which errors of the constraints are corrected.
   void set_nominal(double h) { nominal_h_ = h; }
   // See ConeSolver::allow_rescues.
-  void allow_rescues(int count) { solver_.allow_rescues(count); }
-  int rescues_left() const { return solver_.rescues_left(); }
+  void allow_rescues(double squares) { solver_.allow_rescues(squares); }
+  bool gave_up() const { return solver_.gave_up(); }
   // To be called after contacts were added or released, or if the state is not the end of the last step.
   void invalidate() { node0_.known = follows_ = false; }
 

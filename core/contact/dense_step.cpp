@@ -37,7 +37,12 @@ double total(const Energy& e) { return e.kinetic + e.potential; }
 }  // namespace
 
 DenseStep::DenseStep(const Scene& scene, Guards& guards)
-    : scene_(&scene), guards_(&guards), integrator_(scene.tree), candidates_(scene, guards), rows_(scene) {
+    : scene_(&scene),
+      guards_(&guards),
+      integrator_(scene.tree),
+      candidates_(scene, guards),
+      rows_(scene),
+      end_rows_(scene) {
   const Tree& tree = scene.tree;
   for (VecX* x : {&p0_, &v0_, &v_free_, &v_, &v1_, &p1_, &p_start_, &bound_, &work_}) *x = VecX::Zero(tree.nv);
   for (VecX* x : {&q0_, &q1_}) x->setZero(tree.nq);
@@ -147,6 +152,26 @@ bool DenseStep::gap_iterations() {
   }
 }
 
+// The slip of a contact that lasts is the mean of those at both ends of the step, with the velocity v_ of the step
+// without contacts at the end: with the one at the start alone friction would be of first order where bodies turn.
+void DenseStep::set_slips() {
+  std::vector<DenseContact>& all = candidates_.contacts();
+  lasting_.clear();
+  for (int i : active_) {
+    DenseContact& c = all[i];
+    if (c.rows() == 1 || !c.loaded()) continue;
+    c.t1_1 = carried_tangent(c.t1_0, c.at0.normal, c.at1.normal);
+    lasting_.push_back(i);
+  }
+  end_rows_.set(all, lasting_, true, guards_->placements(), h_);
+  for (std::size_t i = 0, k = 0; i < active_.size() && k < lasting_.size(); ++i) {
+    if (active_[i] != lasting_[k]) continue;
+    for (int r = 1; r < 3; ++r)
+      rows_.problem().offset[rows_.block(i).row + r] = 0.5 * (end_rows_.velocity(k, r, v_) - rows_.velocity(i, r, v_));
+    ++k;
+  }
+}
+
 // The whole law once, with the gaps linearised about the end of the present motion, then the gap iterations.
 bool DenseStep::position_problem() {
   std::vector<DenseContact>& all = candidates_.contacts();
@@ -166,6 +191,7 @@ bool DenseStep::position_problem() {
     lambda_.segment(block.row, block.rows) = c.position.head(block.rows);
     mobility_[i] = rows_.mobility(i);
   }
+  set_slips();
   lambda_.tail(joint_friction_.size()) = joint_friction_;
   problem.v_free = v_free_;
   solver_.prepare(problem);
@@ -307,12 +333,13 @@ double DenseStep::expansion_share(const VecX& plastic, double bound_energy) cons
 // --- energy ---
 
 // What contacts add to the error of the step without them: speeds of contacts are wrong by the residual that the solver
-// accepts, which changes the energy by impulse times speed; and what the step conserves differs from H.
+// accepts, and gaps by what the gap iterations leave, which changes the energy by impulse times speed; and what the step conserves differs from H.
 double DenseStep::contact_error(const Energy& before, const Energy& free, const Energy& middle) const {
   double impulses = 0.0;
   for (const DenseContact& c : contacts()) impulses += c.position.norm();
   const double turn = h_ * fastest_turn();
-  return impulses * solver_error_ + curvature_error() + kEnergyShare * before.kinetic +
+  return impulses * (solver_error_ + kGapSolved / h_) + curvature_error() + kEnergyShare * before.kinetic +
+
          turn * turn / 12.0 * (std::abs(middle.potential - before.potential) + std::abs(free.kinetic - before.kinetic));
 }
 

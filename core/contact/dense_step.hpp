@@ -84,6 +84,7 @@ class DenseStep {
   void bound_velocities();
   bool position_impulses();
   bool position_problem();
+  void set_slips();
   bool gap_iterations();
   double place_end();
   bool velocity_impulses(double bound_energy);
@@ -101,8 +102,9 @@ class DenseStep {
   ImpulseStep integrator_;
   BlockSolver solver_;
   DenseCandidates candidates_;
-  DenseRows rows_;
+  DenseRows rows_, end_rows_;     // end_rows_: of the contacts lasting_, for their slips
   std::vector<int> active_;       // contacts of the present problem; joint friction follows them
+  std::vector<int> lasting_;      // those among them that were loaded in the last step
   std::vector<double> mobility_;  // of each of them along the normal [1/kg]
   Memory memory_;
   VecX q0_, p0_, v0_, v_free_, v_, v1_, q1_, p1_;

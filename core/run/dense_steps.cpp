@@ -21,7 +21,7 @@ constexpr double kCounted = 1e-3;                               // [s]
 constexpr double kCoupledImpacts = 64, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
 constexpr double kChanges = 64, kChangesPerContact = 4;         // begins and releases of persistent contacts
 constexpr double kContactParts = 64;                            // parts of steps with persistent contacts
-constexpr int kRescues = 8;           // contact problems of many rows in which slow methods are tried
+constexpr double kRescues = 2000;  // sum of the squares of the rows of contact problems in which slow methods are tried
 constexpr int kContactHalvings = 30;  // of steps with persistent contacts that were not solved
 // Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order
 // without impacts, is far cheaper, since the matrix of the contact step is full.
@@ -53,9 +53,9 @@ int Simulator::most_persistent() const {
   return allows_dense_steps() ? kMostPersistent : std::numeric_limits<int>::max();
 }
 
-// Contact problems of an interval in which slow methods are tried.
-int Simulator::most_rescues(double length) const {
-  return allows_dense_steps() ? static_cast<int>(times(length) * kRescues) : std::numeric_limits<int>::max();
+// How much slow methods may be tried in the contact problems of an interval: the sum of the squares of their rows.
+double Simulator::most_rescues(double length) const {
+  return allows_dense_steps() ? times(length) * kRescues : std::numeric_limits<double>::infinity();
 }
 
 bool Simulator::events_accumulate(double length) const {
@@ -65,7 +65,7 @@ bool Simulator::events_accumulate(double length) const {
   return static_cast<double>(event_count_.coupled_impacts) > more * (kCoupledImpacts + kImpactsPerContact * contacts) ||
          event_count_.changes > more * (kChanges + kChangesPerContact * contacts) ||
          event_count_.contact_parts > more * kContactParts || event_count_.contact_halvings > kContactHalvings ||
-         contact_step_.rescues_left() <= 0 || persistent_rows() > most_persistent();
+         contact_step_.gave_up() || persistent_rows() > most_persistent();
 }
 
 // Whether a run that has ended so goes on with dense steps.

@@ -147,7 +147,7 @@ class Simulator {
   bool allows_dense_steps() const;
   int persistent_rows() const;
   int most_persistent() const;
-  int most_rescues(double length) const;
+  double most_rescues(double length) const;
   bool events_accumulate(double length) const;
   bool dense_steps_go_on() const;
   bool dense_may_end() const;
