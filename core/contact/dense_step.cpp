@@ -333,7 +333,8 @@ double DenseStep::expansion_share(const VecX& plastic, double bound_energy) cons
 // --- energy ---
 
 // What contacts add to the error of the step without them: speeds of contacts are wrong by the residual that the solver
-// accepts, and gaps by what the gap iterations leave, which changes the energy by impulse times speed; and what the step conserves differs from H.
+// accepts, and gaps by what the gap iterations leave, which changes the energy by impulse times speed; and what the
+// step conserves differs from H.
 double DenseStep::contact_error(const Energy& before, const Energy& free, const Energy& middle) const {
   double impulses = 0.0;
   for (const DenseContact& c : contacts()) impulses += c.position.norm();
