@@ -30,13 +30,7 @@ FAMILIES = tuple(force_scenes.FAMILIES)
 # (family, seed, what goes wrong): left out of all other runs, and expected to fail in the long one, so that an entry
 # that is mended has to go.
 KNOWN: list[tuple[str, int, str]] = [
-    (
-        "closed_arm",
-        37,
-        "a prescribed motion jams against a limit: constraint rates off by .8 after an impact, CONSTRAINT 2 ms later",
-    ),
     ("closed_arm", 4, "two frictions of one axis in a loop: NEWTON_FAILED"),
-    ("group", 28, "a corner pushes at a gap of 5e-10 m"),
     ("group", 54, "DTEC, e = 1, a force that damps: bounces without end, 80 ms a step"),
     ("joined", 8, "a tilt of rounding: an impact at a gap of 1.1e-10 m"),
     ("joined", 198, "wedged between a point and a sticking point: forces of 1e6 N, NEWTON_FAILED"),
