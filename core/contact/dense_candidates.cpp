@@ -49,6 +49,9 @@ bool DenseCandidates::is_near(int guard, Near& near) {
   near.guard = guard;
   near.gap0 = guards_->evaluate_witness(guard, near.witness0);
   near.reach = guards_->motion(guard);
+  // An overlap at the start goes no faster than a body falls in the step: pushed out at once it would become a speed.
+  const double fall = 0.5 * scene_->tree.gravity.norm() * h_ * h_ + kGapPromised;
+  near.allowed = std::min(0.0, near.gap0 + fall);
   return near.gap0 <= near.reach;
 }
 
@@ -64,7 +67,7 @@ void DenseCandidates::add_points(const Near& near, const std::vector<DenseImpuls
     const double margin = std::max(near.gap0, 0.0) + near.reach;
     guards_->manifolds().find(near.guard, guards_->placements(), near.witness0, margin, points_);
   }
-  for (const ContactPoint& point : points_) add(point, frozen(point, near.witness0), near.witness0, impulses);
+  for (const ContactPoint& point : points_) add(point, frozen(point, near.witness0), near, impulses);
   add_rims(near, impulses);
 }
 
@@ -79,7 +82,7 @@ void DenseCandidates::add_rims(const Near& near, const std::vector<DenseImpulse>
       Contact contact;
       evaluate(point, contact);
       if (contact.gap <= std::max(near.gap0, 0.0) + near.reach && manifolds.is_over_face(point, guards_->placements()))
-        add(point, point, near.witness0, impulses);
+        add(point, point, near, impulses);
     }
   }
 }
@@ -94,7 +97,7 @@ void DenseCandidates::evaluate(const ContactPoint& point, const Contact* witness
 }
 
 // A point joins the candidates, unless it is one of them. The guards are placed at the start of the step.
-bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, const Contact& witness0,
+bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, const Near& near,
                           const std::vector<DenseImpulse>& impulses) {
   for (const DenseContact& c : contacts_)
     if (c.point.guard == point.guard && c.point.feature == point.feature &&
@@ -105,7 +108,8 @@ bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, co
   c.law = law;
   c.mu = scene_->friction(point.guard);
   c.restitution = scene_->restitution(point.guard);
-  evaluate(law, &witness0, c.at0);
+  c.allowed = near.allowed;
+  evaluate(law, &near.witness0, c.at0);
   c.t1_0 = scene_->is_pair(point.guard) ? any_tangent(c.at0.normal) : Vec3(Vec3::Zero());
   set_start_impulses(c, impulses);
   contacts_.push_back(c);
@@ -130,7 +134,7 @@ void DenseCandidates::set_start_impulses(DenseContact& c, const std::vector<Dens
 bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const std::vector<DenseImpulse>& impulses) {
   points_.clear();
   laws_.clear();
-  gap_ = gap_noise_ = 0.0;
+  gap_ = gap_noise_ = excess_ = 0.0;
   bool limit_overlaps = false;
   guards_->place(q1);
   for (const Near& near : near_) {
@@ -140,12 +144,14 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
     const double noise = guards_->is_noisy(near.guard) ? 2.0 * guards_->root_tolerance(near.guard)
                          : pair                        ? kGapPromised
                                                        : kLimitPromised;
-    if (gap < gap_) {
-      gap_ = gap;
+    gap_ = std::min(gap_, gap);
+    const double excess = gap - near.allowed;
+    if (excess < excess_) {
+      excess_ = excess;
       gap_noise_ = 2.0 * noise;
     }
-    limit_overlaps |= !pair && gap < -kLimitJoins;
-    if (!(gap < -noise) || !pair) continue;
+    limit_overlaps |= !pair && excess < -kLimitJoins;
+    if (!(excess < -noise) || !pair) continue;
     const std::size_t count = points_.size();
     guards_->manifolds().find(near.guard, guards_->placements(), witness, 0.0, points_);
     for (std::size_t k = count; k < points_.size(); ++k) laws_.push_back(frozen(points_[k], witness));
@@ -156,7 +162,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   for (std::size_t k = 0; k < points_.size(); ++k) {
     const int guard = points_[k].guard;
     const auto near = std::find_if(near_.begin(), near_.end(), [&](const Near& n) { return n.guard == guard; });
-    added |= add(points_[k], laws_[k], near->witness0, impulses);
+    added |= add(points_[k], laws_[k], *near, impulses);
   }
   return added;
 }

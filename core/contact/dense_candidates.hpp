@@ -12,6 +12,7 @@ struct DenseContact {
   ContactPoint point;
   ContactPoint law;  // the point as the step sees it (Manifolds::frozen)
   double mu, restitution;
+  double allowed;           // what its gap may be at the end, at most 0 [m]
   Contact at0, at1;         // at the start and the end of the step
   Vec3 t1_0, t1_1;          // tangents there, world
   Vec3 position, velocity;  // impulses (n, t1, t2) [N s]: with the rows of the start, of the end
@@ -50,15 +51,17 @@ class DenseCandidates {
   const std::vector<DenseContact>& contacts() const { return contacts_; }
   // Gap, normal and points where the guards are placed.
   void evaluate(const ContactPoint& law, Contact& contact) { evaluate(law, nullptr, contact); }
-  // Least gap at the last end looked at, at most 0, and what of it may be the error of the distance [m].
+  // Least gap at the last end looked at, at most 0 [m].
   double gap() const { return gap_; }
-  double gap_noise() const { return gap_noise_; }
+  // Whether no gap there is below what is allowed by more than the error of its distance.
+  bool keeps_gaps() const { return excess_ >= -gap_noise_; }
 
  private:
   // A pair that may close in the step, or a joint limit.
   struct Near {
     int guard;
     double gap0, reach;  // reach: how much nearer its bodies may come [m]
+    double allowed;      // as of a contact
     Contact witness0;
   };
 
@@ -69,7 +72,7 @@ class DenseCandidates {
   ContactPoint frozen(const ContactPoint& point, const Contact& witness) const {
     return guards_->manifolds().frozen(point, guards_->placements(), witness);
   }
-  bool add(const ContactPoint& point, const ContactPoint& law, const Contact& witness0,
+  bool add(const ContactPoint& point, const ContactPoint& law, const Near& near,
            const std::vector<DenseImpulse>& impulses);
   void set_start_impulses(DenseContact& c, const std::vector<DenseImpulse>& impulses) const;
 
@@ -81,6 +84,7 @@ class DenseCandidates {
   std::vector<ContactPoint> points_, laws_;
   VecX q0_;
   double h_ = 0.0, gap_ = 0.0, gap_noise_ = 0.0;
+  double excess_ = 0.0;  // of the gap that is furthest below what is allowed
 };
 
 }  // namespace contactvi

@@ -117,7 +117,7 @@ double DenseStep::place_end() {
     DenseContact& c = candidates_.contacts()[active_[k]];
     const BlockContact& block = rows_.block(k);
     candidates_.evaluate(c.law, c.at1);
-    const double gap = c.at1.gap, n = lambda_[block.row];
+    const double gap = c.at1.gap - c.allowed, n = lambda_[block.row];
     const double least = block.rows == 3 ? lambda_.segment<2>(block.row + 1).norm() / c.mu : 0.0;
     const double noise = guards_->is_noisy(c.point.guard) ? guards_->root_tolerance(c.point.guard) : kGapSolved;
     // What the normal impulse above its bound moves the contact by in the step: a gap that is open counts up to that.
@@ -143,8 +143,10 @@ bool DenseStep::gap_iterations() {
     // v = v_free + M^-1 W lambda holds for the present v and lambda.
     BlockProblem& problem = rows_.problem();
     solver_.free_velocity(problem, lambda_, v_, problem.v_free);
-    for (std::size_t i = 0; i < active_.size(); ++i)
-      problem.offset[rows_.block(i).row] = contacts()[active_[i]].at1.gap / h_ - rows_.velocity(i, 0, v_);
+    for (std::size_t i = 0; i < active_.size(); ++i) {
+      const DenseContact& c = contacts()[active_[i]];
+      problem.offset[rows_.block(i).row] = (c.at1.gap - c.allowed) / h_ - rows_.velocity(i, 0, v_);
+    }
     work_ = v_;
     solver_.solve_normals(problem, kNormalsSolved, lambda_, v_);
     work_ = v_ - work_;
@@ -187,7 +189,7 @@ bool DenseStep::position_problem() {
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const DenseContact& c = all[active_[i]];
     const BlockContact& block = rows_.block(i);
-    problem.offset[block.row] = c.at1.gap / h_ - rows_.velocity(i, 0, v_);
+    problem.offset[block.row] = (c.at1.gap - c.allowed) / h_ - rows_.velocity(i, 0, v_);
     lambda_.segment(block.row, block.rows) = c.position.head(block.rows);
     mobility_[i] = rows_.mobility(i);
   }

@@ -60,7 +60,7 @@ class DenseStep {
   const VecX& stage_velocity() const { return v_; }
   const VecX& end_velocity() const { return v1_; }
   // Whether gaps and energy are within what is promised.
-  bool keeps_promises() const { return report_.gap >= -candidates_.gap_noise() && report_.energy_rise <= 0.0; }
+  bool keeps_promises() const { return candidates_.keeps_gaps() && report_.energy_rise <= 0.0; }
   double h() const { return h_; }
   double joint_friction_loss() const { return joint_friction_loss_; }
   const StepEquations& integrator() const { return integrator_; }
