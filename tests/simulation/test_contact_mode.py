@@ -192,7 +192,7 @@ def test_promises_of_every_dense_step(heap, stack):
 
 
 def test_an_overlap_is_not_thrown_out():
-    """In this bin located events leave two shapes 0.5 mm in each other, from where dense steps go on: no speed of it."""
+    """In this bin located events leave two shapes 0.5 mm in each other; dense steps that go on make no speed of it."""
     scene, q, v = heaps.to_scene(heaps.make("bin", 3, restitution=0.3, friction=0.5))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cvi.DenseStepWarning)
