@@ -44,14 +44,17 @@ void DenseCandidates::collect(const VecX& bound, const std::vector<DenseImpulse>
   }
 }
 
+// An overlap at the start goes no faster than a body falls in the step: pushed out at once it would become a speed.
+double DenseCandidates::allowed(double gap0) const {
+  return std::min(0.0, gap0 + 0.5 * scene_->tree.gravity.norm() * h_ * h_ + kGapPromised);
+}
+
 bool DenseCandidates::is_near(int guard, Near& near) {
   if (guards_->separated_at_end(guard)) return false;
   near.guard = guard;
   near.gap0 = guards_->evaluate_witness(guard, near.witness0);
   near.reach = guards_->motion(guard);
-  // An overlap at the start goes no faster than a body falls in the step: pushed out at once it would become a speed.
-  const double fall = 0.5 * scene_->tree.gravity.norm() * h_ * h_ + kGapPromised;
-  near.allowed = std::min(0.0, near.gap0 + fall);
+  near.allowed = allowed(near.gap0);
   return near.gap0 <= near.reach;
 }
 
@@ -108,8 +111,8 @@ bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, co
   c.law = law;
   c.mu = scene_->friction(point.guard);
   c.restitution = scene_->restitution(point.guard);
-  c.allowed = near.allowed;
   evaluate(law, &near.witness0, c.at0);
+  c.allowed = std::min(near.allowed, allowed(c.at0.gap));
   c.t1_0 = scene_->is_pair(point.guard) ? any_tangent(c.at0.normal) : Vec3(Vec3::Zero());
   set_start_impulses(c, impulses);
   contacts_.push_back(c);

@@ -65,6 +65,7 @@ class DenseCandidates {
     Contact witness0;
   };
 
+  double allowed(double gap0) const;
   bool is_near(int guard, Near& near);
   void add_points(const Near& near, const std::vector<DenseImpulse>& impulses);
   void add_rims(const Near& near, const std::vector<DenseImpulse>& impulses);

@@ -21,6 +21,7 @@ constexpr double kTouching = 1e-11;        // [m] a closed point without load ta
 constexpr double kFastFall = 4.0;          // contacts that close faster than this many g h have restitution
 constexpr double kWider = 1.5;             // of the motion's bound, where the step has left it
 constexpr double kEnergyRounding = 1e-13;  // of the energies
+constexpr double kCurvature = 1e-3;        // of the kinetic energy: the error of a smooth step is less
 constexpr double kEnergyShare = 1e-8;      // of the kinetic energy: smaller gains are not worth a shorter step
 
 // An answer that meets Coulomb's law to 1e-4 of the largest free speed is below the error of the step where impacts lie
@@ -128,6 +129,12 @@ double DenseStep::place_end() {
   return error;
 }
 
+// What the gap of the active contact i at the end of the step, linearized about its present motion, is at rest, over h.
+double DenseStep::offset(const DenseContact& c, std::size_t i) const {
+  const double at_rest = (c.at1.gap - c.allowed) / h_ - rows_.velocity(i, 0, v_);
+  return gently_ ? std::max(0.0, at_rest) : at_rest;
+}
+
 // The impulses have been changed and v_ with them: the smooth equation again, then the normal impulses for the gaps
 // that it leads to, until the gaps of loaded contacts are zero and none overlaps.
 bool DenseStep::gap_iterations() {
@@ -144,8 +151,7 @@ bool DenseStep::gap_iterations() {
     BlockProblem& problem = rows_.problem();
     solver_.free_velocity(problem, lambda_, v_, problem.v_free);
     for (std::size_t i = 0; i < active_.size(); ++i) {
-      const DenseContact& c = contacts()[active_[i]];
-      problem.offset[rows_.block(i).row] = (c.at1.gap - c.allowed) / h_ - rows_.velocity(i, 0, v_);
+      problem.offset[rows_.block(i).row] = offset(contacts()[active_[i]], i);
     }
     work_ = v_;
     solver_.solve_normals(problem, kNormalsSolved, lambda_, v_);
@@ -189,7 +195,7 @@ bool DenseStep::position_problem() {
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const DenseContact& c = all[active_[i]];
     const BlockContact& block = rows_.block(i);
-    problem.offset[block.row] = (c.at1.gap - c.allowed) / h_ - rows_.velocity(i, 0, v_);
+    problem.offset[block.row] = offset(c, i);
     lambda_.segment(block.row, block.rows) = c.position.head(block.rows);
     mobility_[i] = rows_.mobility(i);
   }
@@ -341,7 +347,9 @@ double DenseStep::contact_error(const Energy& before, const Energy& free, const 
   double impulses = 0.0;
   for (const DenseContact& c : contacts()) impulses += c.position.norm();
   const double turn = h_ * fastest_turn();
-  return impulses * (solver_error_ + kGapSolved / h_) + curvature_error() + kEnergyShare * before.kinetic +
+  return impulses * (solver_error_ + kGapSolved / h_) +
+         std::min(curvature_error(), kCurvature * std::max(before.kinetic, free.kinetic)) +
+         kEnergyShare * before.kinetic +
 
          turn * turn / 12.0 * (std::abs(middle.potential - before.potential) + std::abs(free.kinetic - before.kinetic));
 }
@@ -375,6 +383,13 @@ double DenseStep::fastest_turn() const {
 }
 
 // --- the step ---
+
+bool DenseStep::solve_gently(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
+  gently_ = true;
+  const bool solved = solve(q0, p0, h, tau);
+  gently_ = false;
+  return solved;
+}
 
 bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
   why_ = "";

@@ -49,6 +49,9 @@ class DenseStep {
 
   // The step from (q0, p0). False only if the smooth equation is not solved or a number is not finite: why().
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  // The same where gaps may stay below what is promised rather than that the energy rises: no point is pushed further
+  // than it would be at rest.
+  bool solve_gently(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   void finish(VecRef q1, VecRef p1) const;
   // The step is taken: the next one starts from its impulses, and the odometers of the guards advance.
   void commit();
@@ -87,6 +90,7 @@ class DenseStep {
   void set_slips();
   bool gap_iterations();
   double place_end();
+  double offset(const DenseContact& c, std::size_t i) const;
   bool velocity_impulses(double bound_energy);
   void expand(double bound_energy);
   double expansion_share(const VecX& plastic, double bound_energy) const;
@@ -111,6 +115,7 @@ class DenseStep {
   VecX p_start_, bound_, work_;  // momentum after the position impulse; bound on the velocities; workspace
   VecX lambda_, lambda_end_, joint_friction_;  // impulses of the present problem, of the end, of joint friction
   DenseReport report_;
+  bool gently_ = false;
   double h_ = 0.0, joint_friction_loss_ = 0.0, solver_error_ = 0.0;
   const char* why_ = "";
 };

@@ -133,8 +133,10 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
     while (solved && actuation_.saturate_servos(dense_step_.integrator()))
       solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
     // Where gaps or energy are not what the step promises a shorter one is nearer to them; the shortest is taken as it
-    // is.
+    // is, or with what gaps are left where the energy would rise.
     const bool shortest = h <= kShortestPromise * options_.dt;
+    if (solved && shortest && dense_step_.report().energy_rise > 0.0)
+      solved = dense_step_.solve_gently(state_.q, state_.p, h, interval.tau);
     if (solved && (shortest || dense_step_.keeps_promises())) break;
     if (user_function_failed(at)) return false;
     h *= 0.5;
