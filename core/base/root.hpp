@@ -3,11 +3,19 @@
 // Which one fits depends on what a function can tell: its value, its value and rate, or only on which side it is.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 
 #include "base/tolerances.hpp"
 
 namespace contactvi {
+
+// The largest x in [0, 1] with slope x + square x^2 <= room, where square, room >= 0; without cancellation.
+inline double largest_share(double slope, double square, double room) {
+  const double root = std::sqrt(slope * slope + 4.0 * square * room);
+  const double x = slope > 0.0 ? 2.0 * room / (slope + root) : square > 0.0 ? (root - slope) / (2.0 * square) : 1.0;
+  return std::clamp(x, 0.0, 1.0);
+}
 
 // Value of a function of one variable and its derivative.
 struct ValueAndRate {

@@ -124,15 +124,14 @@ std::optional<Dict> dense_steps(const Scene& s, const Recording& recording) {
   return d;
 }
 
-void add_contact_stats(const World& sim, nb::dict& d) {
-  const ContactStepCounters& c = sim.counters().contact;
+void add_contact_stats(const ContactStepCounters& c, const RunState& state, nb::dict& d) {
   d["contact_steps"] = c.steps;
   d["contact_iterations"] = c.contact_iterations;
   d["cone_problems"] = c.problems;
   d["cone_iterations"] = c.iterations;
   d["cone_fallbacks"] = c.fallbacks;
-  d["contact_seconds"] = sim.state().contact_seconds;
-  d["dense_steps"] = sim.state().dense_steps;
+  d["contact_seconds"] = state.contact_seconds;
+  d["dense_steps"] = state.dense_steps;
 }
 
 }  // namespace contactvi

@@ -115,7 +115,7 @@ Dict stats(const World& sim, double seconds) {
   d["impacts"] = sim.state().impacts;
   d["seconds"] = seconds;
   d["saturated"] = sim.state().actuators.saturated;
-  add_contact_stats(sim, d);
+  add_contact_stats(counters.contact, sim.state(), d);
   return d;
 }
 
@@ -207,7 +207,7 @@ Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) 
   d["contacts"] = contact_rows(s, recording.contacts);
   d["changes"] = contact_changes(s, recording.changes);
   d["phases"] = step_phases(recording);
-  d["dense"] = dense_steps(sim.scene(), recording);
+  d["dense"] = dense_steps(s, recording);
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);
   return d;

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "base/root.hpp"
 #include "cone/block_factor.hpp"
 #include "cone/block_interior_point.hpp"
 #include "cone/block_newton.hpp"
@@ -191,16 +192,12 @@ void BlockSolver::Work::blend(double bound) {
   bound = std::max(bound, safe_energy);
   VecX& d = point.v;
   d = best.v - safe.v;
-  const double a = 0.5 * system.product(d, d), b = system.product(d, safe.v), c = safe_energy - bound;
-  const double root = std::sqrt(std::max(0.0, b * b - 4.0 * a * c));
-  // The larger root of a x^2 + b x + c = 0, c <= 0, without cancellation.
-  double share = b > 0.0 ? -2.0 * c / (b + root) : a > 0.0 ? (root - b) / (2.0 * a) : 0.0;
+  double share = largest_share(system.product(d, safe.v), 0.5 * system.product(d, d), bound - safe_energy);
   if (within(system.energy(best.v), bound)) share = 1.0;
   // Where not all gaps can be kept, those of the safe answer decide.
   const bool kept = system.worst_gap(best.v) >= system.worst_gap(safe.v) - options.accept * system.scale();
   if (!kept || !std::isfinite(share)) share = 0.0;
   if (share >= 1.0) return;
-  share = std::clamp(share, 0.0, 1.0);
   for (int k = 0; k < system.contacts(); ++k)
     best.lambda[k] = safe.lambda[k] + share * (best.lambda[k] - safe.lambda[k]);
   system.update(best);

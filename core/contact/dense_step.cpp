@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
+#include "contact/dense_energy.hpp"
 #include "step/path.hpp"
 
 namespace contactvi {
@@ -132,7 +133,7 @@ double DenseStep::place_end() {
 // What the gap of the active contact i at the end of the step, linearized about its present motion, is at rest, over h.
 double DenseStep::offset(const DenseContact& c, std::size_t i) const {
   const double at_rest = (c.at1.gap - c.allowed) / h_ - rows_.velocity(i, 0, v_);
-  return gently_ ? std::max(0.0, at_rest) : at_rest;
+  return kept_ == Kept::kEnergy ? std::max(0.0, at_rest) : at_rest;
 }
 
 // The impulses have been changed and v_ with them: the smooth equation again, then the normal impulses for the gaps
@@ -311,7 +312,7 @@ void DenseStep::expand(double bound_energy) {
   const VecX plastic = v1_;
   account(solver_.solve(problem, INFINITY, solver_options(), lambda_, v1_));
   // Energy, cone and gaps are convex conditions: a share of the expansion keeps them as the whole and none of it do.
-  const double share = expansion_share(plastic, bound_energy);
+  const double share = kinetic_share(problem, plastic, v1_, bound_energy);
   if (share < 1.0) {
     lambda_ *= share;
     v1_ = plastic + share * (v1_ - plastic);
@@ -321,78 +322,30 @@ void DenseStep::expand(double bound_energy) {
   lambda_end_ += lambda_;
 }
 
-// The largest share of the way from `plastic` to v1_ with which the kinetic energy stays within the bound, or is as low
-// as it can be. T on the way is start + slope x + square x^2.
-double DenseStep::expansion_share(const VecX& plastic, double bound_energy) const {
-  const BlockProblem& problem = rows_.problem();
-  double start = 0.0, slope = 0.0, square = 0.0;
-  for (int b = 0; b < problem.blocks(); ++b) {
-    const int n = problem.size(b), first = problem.start[b];
-    const VecX v = plastic.segment(first, n), d = v1_.segment(first, n) - v, Md = problem.M[b] * d;
-    start += 0.5 * v.dot(problem.M[b] * v);
-    slope += v.dot(Md);
-    square += 0.5 * d.dot(Md);
-  }
-  if (start + slope + square <= bound_energy || !(square > 0.0)) return 1.0;
-  const double room = std::max(0.0, bound_energy - start), root = std::sqrt(slope * slope + 4.0 * square * room);
-  return std::clamp(slope > 0.0 ? 2.0 * room / (slope + root) : (root - slope) / (2.0 * square), 0.0, 1.0);
-}
-
-// --- energy ---
+// --- the step ---
 
 // What contacts add to the error of the step without them: speeds of contacts are wrong by the residual that the solver
 // accepts, and gaps by what the gap iterations leave, which changes the energy by impulse times speed; and what the
 // step conserves differs from H.
-double DenseStep::contact_error(const Energy& before, const Energy& free, const Energy& middle) const {
+double DenseStep::contacts_error(const Energy& before, const Energy& free, const Energy& middle) const {
   double impulses = 0.0;
-  for (const DenseContact& c : contacts()) impulses += c.position.norm();
-  const double turn = h_ * fastest_turn();
-  return impulses * (solver_error_ + kGapSolved / h_) +
-         std::min(curvature_error(), kCurvature * std::max(before.kinetic, free.kinetic)) +
-         kEnergyShare * before.kinetic +
-
-         turn * turn / 12.0 * (std::abs(middle.potential - before.potential) + std::abs(free.kinetic - before.kinetic));
-}
-
-// Of a step without impacts inside of it: the energy that it conserves differs from H by terms of the order h^2, which
-// change with the acceleration. The factor is that of the modified Hamiltonian, h^2 a M a/24 + ..., with room for its
-// other terms.
-double DenseStep::curvature_error() const {
+  bool impact = false;
   const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
-  for (const DenseContact& c : contacts())
-    if (c.position[0] > 0.0 && c.closing < -fast) return 0.0;
-  if (memory_.change.size() != v_.size()) return 0.0;
-  const BlockProblem& problem = rows_.problem();
-  double error = 0.0;
-  for (int b = 0; b < problem.blocks(); ++b) {
-    const int n = problem.size(b), first = problem.start[b];
-    const VecX d = 2.0 * (v_ - v0_).segment(first, n);
-    error += std::abs(d.dot(problem.M[b] * (d - memory_.change.segment(first, n) * (h_ / memory_.h))));
+  for (const DenseContact& c : contacts()) {
+    impulses += c.position.norm();
+    impact |= c.position[0] > 0.0 && c.closing < -fast;
   }
-  return 0.5 * error;
+  const double smooth = kCurvature * std::max(before.kinetic, free.kinetic);
+  const double curved = impact || memory_.change.size() != v_.size()
+                            ? 0.0
+                            : curvature_error(rows_.problem(), 2.0 * (v_ - v0_), memory_.change * (h_ / memory_.h));
+  return impulses * (solver_error_ + kGapSolved / h_) + std::min(curved, smooth) + kEnergyShare * before.kinetic +
+         turning_error(scene_->tree, v_, h_, before, free, middle);
 }
 
-// Largest angular speed of a joint in the step [rad/s].
-double DenseStep::fastest_turn() const {
-  double fastest = 0.0;
-  for (const Joint& joint : scene_->tree.joints) {
-    const bool slides = joint.type == JointType::kPrismatic || joint.type == JointType::kTranslation;
-    if (!slides) fastest = std::max(fastest, v_.segment(joint.iv, joint.nv).norm());
-  }
-  return fastest;
-}
-
-// --- the step ---
-
-bool DenseStep::solve_gently(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
-  gently_ = true;
-  const bool solved = solve(q0, p0, h, tau);
-  gently_ = false;
-  return solved;
-}
-
-bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
+bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, Kept kept) {
   why_ = "";
+  kept_ = kept;
   report_ = DenseReport();
   if (!solve_smooth(q0, p0, h, tau)) return false;
   const Energy before = energy(integrator_, q0, p0);
@@ -404,7 +357,7 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   if (!position_impulses()) return false;
   const Energy middle = energy(integrator_, q1_, p1_);
   report_.energy_error =
-      kEnergyRounding * (size_of(before) + size_of(free)) + smooth_error + contact_error(before, free, middle);
+      kEnergyRounding * (size_of(before) + size_of(free)) + smooth_error + contacts_error(before, free, middle);
   if (!velocity_impulses(total(before) + integrator_.work() + report_.energy_error - middle.potential)) return false;
   joint_friction_loss_ -= joint_friction_work(lambda_end_, v1_);
   set_results(lambda_end_);

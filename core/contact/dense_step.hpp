@@ -47,11 +47,12 @@ class DenseStep {
   // Forgets the last step, from which the next one starts.
   void restart();
 
+  // What has the last word where gaps and energy cannot both be kept. With kEnergy no point is pushed further than it
+  // would be at rest, and gaps may stay below what is promised.
+  enum class Kept { kGaps, kEnergy };
+
   // The step from (q0, p0). False only if the smooth equation is not solved or a number is not finite: why().
-  bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
-  // The same where gaps may stay below what is promised rather than that the energy rises: no point is pushed further
-  // than it would be at rest.
-  bool solve_gently(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
+  bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, Kept kept = Kept::kGaps);
   void finish(VecRef q1, VecRef p1) const;
   // The step is taken: the next one starts from its impulses, and the odometers of the guards advance.
   void commit();
@@ -93,10 +94,7 @@ class DenseStep {
   double offset(const DenseContact& c, std::size_t i) const;
   bool velocity_impulses(double bound_energy);
   void expand(double bound_energy);
-  double expansion_share(const VecX& plastic, double bound_energy) const;
-  double contact_error(const Energy& before, const Energy& free, const Energy& middle) const;
-  double curvature_error() const;
-  double fastest_turn() const;
+  double contacts_error(const Energy& before, const Energy& free, const Energy& middle) const;
   void set_results(const VecX& lambda);
   double joint_friction_work(const VecX& lambda, const VecX& v) const;
   void account(const BlockResult& result);
@@ -115,7 +113,7 @@ class DenseStep {
   VecX p_start_, bound_, work_;  // momentum after the position impulse; bound on the velocities; workspace
   VecX lambda_, lambda_end_, joint_friction_;  // impulses of the present problem, of the end, of joint friction
   DenseReport report_;
-  bool gently_ = false;
+  Kept kept_ = Kept::kGaps;
   double h_ = 0.0, joint_friction_loss_ = 0.0, solver_error_ = 0.0;
   const char* why_ = "";
 };

@@ -3,28 +3,17 @@
 #include <algorithm>
 #include <numeric>
 
+#include "base/disjoint_sets.hpp"
+
 namespace contactvi {
 
 namespace {
 
-int root_of(std::vector<int>& parent, int i) {
-  while (parent[i] != i) i = parent[i] = parent[parent[i]];
-  return i;
-}
-
-// The smaller number becomes the root, so that a tree is named by its first joint.
-void join(std::vector<int>& parent, int a, int b) {
-  if (a < 0 || b < 0) return;
-  a = root_of(parent, a);
-  b = root_of(parent, b);
-  parent[std::max(a, b)] = std::min(a, b);
-}
-
-void join_constraint(std::vector<int>& parent, const Constraint& c) {
+void join_constraint(DisjointSets& sets, const Constraint& c) {
   if (c.kind == ConstraintKind::kEquality) {
-    join(parent, c.joint_a, c.joint_b);
+    sets.join(c.joint_a, c.joint_b);
   } else if (c.kind != ConstraintKind::kPrescribed) {
-    join(parent, c.a.body, c.b.body);
+    sets.join(c.a.body, c.b.body);
   }
 }
 
@@ -175,22 +164,21 @@ void restrict_geometry(const Scene& whole, const StaticTrees& trees, const std::
 StaticTrees::StaticTrees(const Scene& scene) {
   const Tree& tree = scene.tree;
   const Elements& e = tree.elements;
-  std::vector<int> parent(tree.joints.size());
-  std::iota(parent.begin(), parent.end(), 0);
-  for (std::size_t j = 0; j < tree.joints.size(); ++j) join(parent, static_cast<int>(j), tree.joints[j].parent);
-  for (const Constraint& c : e.constraints) join_constraint(parent, c);
+  DisjointSets sets(static_cast<int>(tree.joints.size()));
+  for (std::size_t j = 0; j < tree.joints.size(); ++j) sets.join(static_cast<int>(j), tree.joints[j].parent);
+  for (const Constraint& c : e.constraints) join_constraint(sets, c);
   for (const PathSpring& spring : e.path_springs) {
     int first = -1;
     for (const BodyFrame& point : spring.points) {
-      join(parent, first, point.body);
+      sets.join(first, point.body);
       if (first < 0) first = point.body;
     }
   }
   if (!e.forces.empty() || !e.potentials.empty())
-    for (std::size_t j = 0; j < tree.joints.size(); ++j) join(parent, 0, static_cast<int>(j));
+    for (std::size_t j = 0; j < tree.joints.size(); ++j) sets.join(0, static_cast<int>(j));
   of_joint_.assign(tree.joints.size(), -1);
   for (std::size_t j = 0; j < tree.joints.size(); ++j) {
-    const int root = root_of(parent, static_cast<int>(j));
+    const int root = sets.root(static_cast<int>(j));
     if (root == static_cast<int>(j)) {
       of_joint_[j] = static_cast<int>(joints_.size());
       joints_.emplace_back();

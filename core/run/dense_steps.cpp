@@ -136,7 +136,7 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
     // is, or with what gaps are left where the energy would rise.
     const bool shortest = h <= kShortestPromise * options_.dt;
     if (solved && shortest && dense_step_.report().energy_rise > 0.0)
-      solved = dense_step_.solve_gently(state_.q, state_.p, h, interval.tau);
+      solved = dense_step_.solve(state_.q, state_.p, h, interval.tau, DenseStep::Kept::kEnergy);
     if (solved && (shortest || dense_step_.keeps_promises())) break;
     if (user_function_failed(at)) return false;
     h *= 0.5;
@@ -155,10 +155,7 @@ void Simulator::accept_dense_step(double time, double h, Recording& recording) {
   state_.work.add(dense_step_);
   if (options_.record_contacts)
     for (const DenseContact& c : dense_step_.contacts())
-      if (c.loaded()) {
-        record_dense_contact(c, time, h, recording);
-        recording.contacts.dense.back() = 1;
-      }
+      if (c.loaded()) record_dense_contact(c, time, h, recording);
   const bool changed = contacts_.follow(dense_step_, time + h, recording);
   const DenseReport& report = dense_step_.report();
   recording.dense.push_back({time, h, report.residual, report.gap, report.energy_rise, report.energy_loss,
@@ -181,6 +178,7 @@ void Simulator::record_dense_contact(const DenseContact& c, double time, double 
     const Vec3 zero = Vec3::Zero();
     recording.contacts.push(time, h, c.point.guard, 0, ContactMode::kFrictionless, state_.step, zero, zero, c.position,
                             c.velocity, c.at1.gap, zero);
+    recording.contacts.dense.back() = 1;
     return;
   }
   const double slow = kSlow * (1.0 + dense_step_.end_velocity().cwiseAbs().maxCoeff());
@@ -190,6 +188,7 @@ void Simulator::record_dense_contact(const DenseContact& c, double time, double 
   recording.contacts.push(time, h, c.point.guard, c.point.feature, mode, state_.step,
                           0.5 * (c.at1.point_a + c.at1.point_b), c.at1.normal, c.position_W(), c.velocity_W(),
                           c.at1.gap, c.slip_W);
+  recording.contacts.dense.back() = 1;
 }
 
 }  // namespace contactvi

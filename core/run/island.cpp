@@ -51,25 +51,20 @@ const Scene& prepared(Scene& scene) {
 }  // namespace
 
 Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, const SimulatorOptions& options)
-    : whole_(&whole),
-      trees_(std::move(trees)),
+    : trees_(std::move(trees)),
       numbers_(restrict_scene(whole, all, trees_)),
       own_(std::make_unique<Simulator>(prepared(numbers_->scene), options)),
       engine_(own_.get()),
       fresh_(engine_->memory()) {
-  for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
-  odometer_.assign(numbers_->geometries.size(), 0.0);
-  engine_->follow_motion();
-  depends_on_time_ = depends_on_time(engine_->scene().tree.elements);
-  for (int d : numbers_->v) dof_tree_.push_back(all.of_joint(whole.tree.dof_joint[d]));
+  begin(whole, all);
 }
 
 Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> trees, Simulator& engine)
-    : whole_(&whole),
-      trees_(std::move(trees)),
-      numbers_(whole_scene_numbers(whole)),
-      engine_(&engine),
-      fresh_(engine_->memory()) {
+    : trees_(std::move(trees)), numbers_(whole_scene_numbers(whole)), engine_(&engine), fresh_(engine_->memory()) {
+  begin(whole, all);
+}
+
+void Island::begin(const Scene& whole, const StaticTrees& all) {
   for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
   odometer_.assign(numbers_->geometries.size(), 0.0);
   engine_->follow_motion();

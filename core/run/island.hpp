@@ -52,7 +52,7 @@ class Island {
   const SubScene& numbers() const { return *numbers_; }
   Simulator& engine() { return *engine_; }
   Recording& recording() { return recording_; }
-  // Whether the last call of step() reached the end of the interval.
+  // Whether the last call of step() ended before the end of the interval.
   bool ended_early() const { return !ok_; }
 
   // Takes its trees over at (q, p) of the whole scene, t [s].
@@ -88,6 +88,7 @@ class Island {
   long last_used = 0;  // the step in which it was in use, for the pool
 
  private:
+  void begin(const Scene& whole, const StaticTrees& all);
   bool set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref);
   void repeat_record(long step, double t, double length);
   void count_rest();
@@ -98,7 +99,6 @@ class Island {
   void number_bodies(ContactPoint& point, bool into) const;
   int local_guard(int guard) const;
 
-  const Scene* whole_;
   std::vector<int> trees_;
   std::unique_ptr<SubScene> numbers_;
   std::unique_ptr<Simulator> own_;

@@ -14,23 +14,6 @@ constexpr double kIntervals = 8.0;  // a ball's margin lasts for about so many o
 constexpr double kMargin = 0.05;    // and is at least this part of its radius
 }  // namespace
 
-void TreeSets::reset(int count) {
-  parent_.resize(count);
-  for (int i = 0; i < count; ++i) parent_[i] = i;
-}
-
-int TreeSets::root(int tree) {
-  while (parent_[tree] != tree) tree = parent_[tree] = parent_[parent_[tree]];
-  return tree;
-}
-
-void TreeSets::join(int a, int b) {
-  if (a < 0 || b < 0) return;
-  a = root(a);
-  b = root(b);
-  parent_[std::max(a, b)] = std::min(a, b);
-}
-
 IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
     : trees_(&trees), guards_(&guards), scene_(&guards.scene()) {
   const std::size_t n = scene_->geometries.size();
@@ -105,7 +88,7 @@ void IslandGraph::renew(int g, double margin) {
   }
 }
 
-// A lower bound on the distance of two neighbours now, which is the distance itself where it is small.
+// A lower bound on the distance of two neighbours now: that of their balls.
 double IslandGraph::clearance(const Neighbour& n, int g) {
   const Placements& at = guards_->placements();
   const auto center = [&](int k) {
@@ -129,7 +112,7 @@ bool IslandGraph::may_meet(int g, Neighbour& n, double reach) {
   return false;
 }
 
-void IslandGraph::join_suspects(const VecX& q, double slack, TreeSets& sets) {
+void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets) {
   placed_ = false;
   for (int g : movable_) reach_[g] = kReach * motion_[g] + slack;
   for (int g : movable_) {
@@ -148,7 +131,7 @@ void IslandGraph::join_suspects(const VecX& q, double slack, TreeSets& sets) {
   }
 }
 
-void IslandGraph::join_met(const VecX& q, TreeSets& sets) {
+void IslandGraph::join_met(const VecX& q, DisjointSets& sets) {
   bool any = false;
   for (int g : movable_) any |= motion_[g] > reach_[g];
   if (!any) return;

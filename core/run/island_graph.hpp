@@ -7,22 +7,11 @@
 
 #include <vector>
 
+#include "base/disjoint_sets.hpp"
 #include "geometry/guard.hpp"
 #include "model/static_trees.hpp"
 
 namespace contactvi {
-
-// Sets of trees that belong together; the smallest number of a set names it.
-class TreeSets {
- public:
-  void reset(int count);
-  int root(int tree);
-  bool joined(int a, int b) { return root(a) == root(b); }
-  void join(int a, int b);  // -1: the world, which joins nothing
-
- private:
-  std::vector<int> parent_;
-};
 
 class IslandGraph {
  public:
@@ -32,11 +21,11 @@ class IslandGraph {
   // Forgets where everything is; motion: bound on the motion of each geometry in the next interval [m].
   void restart(const std::vector<double>& motion);
   // Joins trees that may meet in the next interval from q.
-  void join_suspects(const VecX& q, double slack, TreeSets& sets);
+  void join_suspects(const VecX& q, double slack, DisjointSets& sets);
   // Sets how far a geometry has moved at most in the interval under way [m].
   void set_motion(int geometry, double distance) { motion_[geometry] = distance; }
   // Joins trees of different sets that may have met in the interval under way from q.
-  void join_met(const VecX& q, TreeSets& sets);
+  void join_met(const VecX& q, DisjointSets& sets);
   // The interval is over.
   void commit();
   // Of the last interval, per geometry: all that the next search depends on.

@@ -70,6 +70,7 @@ class World {
   void add_impact(const Entry& entry, double t, double length, Recording& recording);
   void add_contact(const Entry& entry, Recording& recording);
   void record_node(Recording& recording);
+  bool ask(double time, long impacts);
   bool report_progress();
 
   const Scene* scene_;
@@ -86,7 +87,7 @@ class World {
   std::map<std::vector<int>, std::unique_ptr<Island>> pool_;
   std::vector<Island*> islands_, to_run_;
   std::vector<int> island_of_tree_;
-  TreeSets sets_;
+  DisjointSets sets_;
   EngineCounters forgotten_;  // of islands that are in the pool no more
   VecX tau_, q_ref_, v_ref_, q1_, p1_;
   std::vector<Entry> entries_;

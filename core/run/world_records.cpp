@@ -1,0 +1,112 @@
+// World: what the islands have recorded in an interval becomes the record of the world, in the order of time and in the
+// numbers of the whole scene.
+#include <algorithm>
+
+#include "run/world.hpp"
+
+namespace contactvi {
+
+namespace {
+// Between two configurations, at the fraction x: along each coordinate, normalised on circles and spheres.
+void interpolate(const Tree& tree, const VecX& q0, const VecX& q1, double x, VecX& q) {
+  q = (1.0 - x) * q0 + x * q1;
+  for (const Joint& joint : tree.joints) {
+    if (joint.nq == joint.nv) continue;
+    if (q0.segment(joint.iq, joint.nq).dot(q1.segment(joint.iq, joint.nq)) < 0.0)
+      q.segment(joint.iq, joint.nq) = (1.0 - x) * q0.segment(joint.iq, joint.nq) - x * q1.segment(joint.iq, joint.nq);
+    q.segment(joint.iq, joint.nq).normalize();
+  }
+}
+}  // namespace
+
+// Calls put(entry) for the entries of a kind of all islands in the order of time, those of one time in the order of the
+// islands.
+template <class Count, class Time, class Put>
+void World::merge(Count count, Time time, Put put) {
+  entries_.clear();
+  for (Island* island : islands_)
+    for (std::size_t row = 0; row < count(island->recording()); ++row)
+      entries_.push_back({time(island->recording(), row), island, row});
+  const auto earlier = [](const Entry& a, const Entry& b) { return a.time < b.time; };
+  if (!std::is_sorted(entries_.begin(), entries_.end(), earlier))
+    std::stable_sort(entries_.begin(), entries_.end(), earlier);
+  for (const Entry& entry : entries_) put(entry);
+}
+
+// An impact with the state of the whole scene: of the bodies of other islands that between the ends of the interval,
+// or, where it has to obey constraints, that at the end of a shorter step.
+void World::add_impact(const Entry& entry, double t, double length, Recording& recording) {
+  ImpactRecord impact = entry.island->recording().impacts[entry.row];
+  const SubScene& numbers = entry.island->numbers();
+  const VecX q = impact.q, minus = impact.p_minus, plus = impact.p_plus;
+  const double x = length > 0.0 ? std::clamp((impact.time - t) / length, 0.0, 1.0) : 0.0;
+  interpolate(scene_->tree, state_.q, q1_, x, impact.q);
+  impact.p_minus = (1.0 - x) * state_.p + x * p1_;
+  for (Island* island : islands_)
+    if (island->constrained() && island != entry.island)
+      island->gather_at(state_.step, t, x * length, island_progress_, impact.q, impact.p_minus);
+  impact.p_plus = impact.p_minus;
+  for (std::size_t i = 0; i < numbers.q.size(); ++i) impact.q[numbers.q[i]] = q[static_cast<Eigen::Index>(i)];
+  for (std::size_t i = 0; i < numbers.v.size(); ++i) {
+    impact.p_minus[numbers.v[i]] = minus[static_cast<Eigen::Index>(i)];
+    impact.p_plus[numbers.v[i]] = plus[static_cast<Eigen::Index>(i)];
+  }
+  impact.guard = numbers.guards[impact.guard];
+  recording.impacts.push_back(std::move(impact));
+}
+
+void World::add_contact(const Entry& entry, Recording& recording) {
+  const ContactRows& from = entry.island->recording().contacts;
+  const std::size_t i = entry.row;
+  const auto three = [i](const std::vector<double>& list) {
+    return Vec3(list[3 * i], list[3 * i + 1], list[3 * i + 2]);
+  };
+  recording.contacts.push(from.t[i], from.h[i], entry.island->numbers().guards[from.guard[i]], from.point[i],
+                          static_cast<ContactMode>(from.mode[i]), from.step[i], three(from.position),
+                          three(from.normal), three(from.position_impulse), three(from.velocity_impulse), from.gap[i],
+                          three(from.slip));
+  recording.contacts.dense.back() = from.dense[i];
+}
+
+// The kind of the world's steps is the highest one of its islands.
+void World::merge_phases(double t, Recording& recording) {
+  int kind = static_cast<int>(StepKind::kFree);
+  double begins = t, dt = options_.dt;
+  for (Island* island : islands_) {
+    const Recording& part = island->recording();
+    for (std::size_t k = 0; k < part.phase_t.size(); ++k) {
+      if (part.phase_kind[k] < kind || (part.phase_kind[k] == kind && part.phase_t[k] >= begins)) continue;
+      kind = part.phase_kind[k];
+      begins = part.phase_t[k];
+      dt = part.phase_dt[k];
+    }
+  }
+  if (kind == static_cast<int>(StepKind::kFree) && recording.phase_t.empty()) return;
+  if (begins > t && !recording.phase_t.empty()) recording.enter_phase(t, options_.dt, StepKind::kFree, options_.dt);
+  recording.enter_phase(begins, dt, static_cast<StepKind>(kind), options_.dt);
+}
+
+void World::merge_recordings(double t, double length, Recording& recording) {
+  merge([](const Recording& r) { return r.impacts.size(); },
+        [](const Recording& r, std::size_t i) { return r.impacts[i].time; },
+        [&](const Entry& entry) { add_impact(entry, t, length, recording); });
+  merge([](const Recording& r) { return r.contacts.t.size(); },
+        [](const Recording& r, std::size_t i) { return r.contacts.t[i]; },
+        [&](const Entry& entry) { add_contact(entry, recording); });
+  merge([](const Recording& r) { return r.changes.size(); },
+        [](const Recording& r, std::size_t i) { return r.changes[i].time; },
+        [&](const Entry& entry) {
+          ChangeRecord change = entry.island->recording().changes[entry.row];
+          change.guard = entry.island->numbers().guards[change.guard];
+          recording.changes.push_back(change);
+        });
+  merge([](const Recording& r) { return r.dense.size(); },
+        [](const Recording& r, std::size_t i) { return r.dense[i].time; },
+        [&](const Entry& entry) {
+          recording.dense.push_back(entry.island->recording().dense[entry.row]);
+          recording.dense.back().island = entry.island->numbers().joints.front();
+        });
+  merge_phases(t, recording);
+}
+
+}  // namespace contactvi
