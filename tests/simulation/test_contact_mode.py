@@ -198,7 +198,8 @@ def test_an_overlap_is_not_thrown_out():
         warnings.simplefilter("ignore", cvi.DenseStepWarning)
         traj = cvi.simulate(scene, q, v, duration=0.34, dt=1e-3)
     rise = traj.energy - np.minimum.accumulate(traj.energy)
-    assert rise.max() <= 1e-4 * traj.kinetic_energy.max()
+    assert len(traj.dense_steps) >= 3
+    assert rise.max() <= 1e-8 * len(traj.dense_steps) * traj.kinetic_energy.max()  # what each step may be wrong by
 
 
 def test_the_balances_close(heap, stack):
@@ -305,7 +306,7 @@ def test_round_trip(heap, tmp_path):
 
 
 def test_files_without_dense_steps_load(heap, tmp_path):
-    """Such as were written before there were any; files whose steps make no sense do not."""
+    """A run without them has no such entries; files whose steps make no sense do not load."""
     path = heap.save(tmp_path / "run.npz")
     with np.load(path) as file:
         entries = {name: file[name] for name in file.files}

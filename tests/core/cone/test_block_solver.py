@@ -143,10 +143,13 @@ def test_the_answer_of_the_dense_solver(seed):
 def test_one_sphere_sticks_slips_opens():
     """By hand: a unit mass on a plane."""
     W = [np.array([[0.0, 0.0, 1.0, 0, 0, 0], [1.0, 0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0, 0]])]
-    one = lambda v: BlockProblem(  # noqa: E731
-        [np.eye(6)], np.array([[0, -1]]), np.array([3]), np.array([0.5]), np.zeros(1), np.zeros(1), [W],
-        np.array([*v, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3),
-    )  # fmt: skip
+
+    def one(v: tuple[float, ...]) -> BlockProblem:
+        return BlockProblem(
+            [np.eye(6)], np.array([[0, -1]]), np.array([3]), np.array([0.5]), np.zeros(1), np.zeros(1), [W],
+            np.array([*v, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3),
+        )  # fmt: skip
+
     for v, after in (((0.3, 0.0, -1.0), (0, 0, 0)), ((2.0, 0, -1.0), (1.5, 0, 0)), ((2.0, 0, 1.0), (2.0, 0, 1.0))):
         np.testing.assert_allclose(solved(one(v))["v"][:3], after, atol=1e-15)
 

@@ -137,5 +137,5 @@ def test_friction_of_a_turning_body_is_of_second_order():
     """No impact lies inside of the steps: they converge to the run with located events like those of its contacts."""
     exact = tilted_box("events", 1e-4)
     errors = [np.abs(tilted_box("steps", dt) - exact).max() for dt in (4e-3, 2e-3, 1e-3)]
-    assert errors[0] < 2e-5
+    assert errors[0] < 9.81 * 4e-3**2  # of the size of g h^2
     assert np.log2(errors[1] / errors[2]) > 1.9, errors

@@ -29,6 +29,15 @@ def heap(scene: cvi.Scene, name: str, x: float, seed: int, count: int = 4) -> Ar
     return np.hstack([0.3 * rng.normal(size=(count, 3)), 2.0 * rng.normal(size=(count, 3))]).ravel()
 
 
+def two_heaps(apart: float, seed: int) -> tuple[cvi.Scene, Array]:
+    """On the ground, `apart` [m] along x; and their velocities."""
+    scene = cvi.Scene()
+    v = np.concatenate([heap(scene, "a", 0.0, seed), heap(scene, "b", apart, seed + 1)])
+    scene.add_halfspace()
+    scene.set_contact(restitution=0.3, friction=0.4)
+    return scene, v
+
+
 def gas(count: int, seed: int, density: float = 0.02, order: Array | None = None) -> tuple[cvi.Scene, Array, list[str]]:
     """Elastic spheres between six walls; order: in which they are added."""
     rng = np.random.default_rng(seed)
@@ -163,11 +172,8 @@ def test_an_impact_costs_its_bodies_only():
 
 # --- the state is a value ---------------------------------------------------------------------------------------------
 def test_a_snapshot_of_islands_goes_on_to_the_bit():
-    scene = cvi.Scene()
-    v = np.concatenate([heap(scene, "a", 0.0, 4), heap(scene, "b", 2.0, 5)])
-    scene.add_halfspace()
-    scene.set_contact(restitution=0.3, friction=0.4)
-    one, simulator = run(scene, v, 1e-3, 120)
+    scene, v = two_heaps(2.0, 4)
+    _, simulator = run(scene, v, 1e-3, 120)
     kept = simulator.save()
     first = simulator.advance(80)
     simulator.advance(50)
@@ -183,10 +189,7 @@ def test_a_snapshot_of_islands_goes_on_to_the_bit():
 
 def test_a_reset_leaves_nothing_of_the_run_before():
     """Engines of islands are kept for later: what they have been through does not show."""
-    scene = cvi.Scene()
-    v = np.concatenate([heap(scene, "a", 0.0, 8), heap(scene, "b", 1.0, 9)])
-    scene.add_halfspace()
-    scene.set_contact(restitution=0.3, friction=0.4)
+    scene, v = two_heaps(1.0, 8)
     first, simulator = run(scene, v, 1e-3, 200)
     simulator.reset(scene.neutral(), 0.5 * v)
     simulator.advance(150)
