@@ -17,11 +17,13 @@ namespace contactvi {
 namespace {
 // Limits of what may happen to an island in an interval, or in each millisecond of a longer one. They bound the time
 // that a step takes to some tens of dense steps, and lie above what single contacts, grasps and steps of legs need.
-constexpr double kCounted = 1e-3;                               // [s]
-constexpr double kCoupledImpacts = 64, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
-constexpr double kChanges = 64, kChangesPerContact = 4;         // begins and releases of persistent contacts
-constexpr double kContactParts = 64;                            // parts of steps with persistent contacts
+constexpr double kCounted = 1e-3;                                // [s]
+constexpr double kCoupledImpacts = 256, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
+constexpr double kChanges = 512, kChangesPerContact = 4;         // begins and releases of persistent contacts
+constexpr double kContactParts = 256;                            // parts of steps with persistent contacts
 constexpr double kRescues = 2000;  // sum of the squares of the rows of contact problems in which slow methods are tried
+// Larger islands have lower limits in proportion to their degrees of freedom: an event costs as much more there.
+constexpr double kSmall = 24;
 constexpr int kContactHalvings = 30;  // of steps with persistent contacts that were not solved
 // Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order
 // without impacts, is far cheaper, since the matrix of the contact step is full.
@@ -61,7 +63,7 @@ double Simulator::most_rescues(double length) const {
 bool Simulator::events_accumulate(double length) const {
   const double contacts =
       static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
-  const double more = times(length);
+  const double more = times(length) * std::min(1.0, kSmall / std::max(1, scene_->tree.nv));
   return static_cast<double>(event_count_.coupled_impacts) > more * (kCoupledImpacts + kImpactsPerContact * contacts) ||
          event_count_.changes > more * (kChanges + kChangesPerContact * contacts) ||
          event_count_.contact_parts > more * kContactParts || event_count_.contact_halvings > kContactHalvings ||

@@ -57,6 +57,14 @@ def test_the_run_reaches_its_end(start):
     assert traj.t[-1] == 5.0
 
 
+@every_start
+def test_every_impact_is_located(start):
+    """A grasp is no heap: events do not accumulate enough for dense steps."""
+    traj = run(start)
+    assert len(traj.events) > 1000
+    assert len(traj.dense_steps) == 0
+
+
 def test_the_first_impact_is_that_of_free_fall():
     """Straight down onto the palm, a plane whose normal leans by the slope; the palm does not move."""
     traj = run()
