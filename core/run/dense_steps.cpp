@@ -16,11 +16,11 @@ namespace contactvi {
 
 namespace {
 // Limits of what may happen to an island in an interval, or in each millisecond of a longer one. They bound the time
-// that a step takes to some tens of dense steps, and lie above what single contacts, grasps and steps of legs need.
+// that a step takes, and lie two to three times above what a grasp needs (tests/simulation/test_hand_scene.py).
 constexpr double kCounted = 1e-3;                                // [s]
-constexpr double kCoupledImpacts = 256, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
-constexpr double kChanges = 512, kChangesPerContact = 4;         // begins and releases of persistent contacts
-constexpr double kContactParts = 256;                            // parts of steps with persistent contacts
+constexpr double kCoupledImpacts = 512, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
+constexpr double kChanges = 1024, kChangesPerContact = 4;        // begins and releases of persistent contacts
+constexpr double kContactParts = 512;                            // parts of steps with persistent contacts
 constexpr double kRescues = 2000;  // sum of the squares of the rows of contact problems in which slow methods are tried
 // Larger islands have lower limits in proportion to their degrees of freedom: an event costs as much more there.
 constexpr double kSmall = 24;
