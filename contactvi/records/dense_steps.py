@@ -6,7 +6,8 @@ Columns, one row per dense step, shapes (n,):
 - island: the joint, by its number in the model, that is the first one of the island, which is the bodies that touch or
   may touch in the step and are advanced together (int64). Islands take their dense steps at the same time.
 - residual: largest residual of Coulomb's law in the contact problems of the step, as a speed over the largest speed
-  that a contact would have without impulses; 0 is exact.
+  that a contact would have without impulses; 0 is exact. The gap by which a loaded contact is open at the end, over h,
+  is such a speed.
 - gap: least gap at the end of the step [m; rad]; below zero the shapes overlap.
 - energy_loss: what the energy fell by, less the works of inputs, damping and joint friction [J]: what contacts took by
   restitution and friction. It is a difference of energies and so contains the error of the step; where it is below zero

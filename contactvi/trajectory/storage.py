@@ -459,7 +459,9 @@ class _Reader:
     def dense_steps(self) -> DenseSteps:
         """Return the dense steps of a run."""
         rows = self._rows("dense", "t", dense_steps.FIELDS)
-        if np.any(np.diff(rows["t"]) < 0.0):
+        same = np.argsort(rows["island"], kind="stable")  # in the order of time
+        follow = np.diff(rows["t"][same]) > 0.0
+        if np.any(np.diff(rows["t"]) < 0.0) or not np.all(follow[np.diff(rows["island"][same]) == 0]):
             self._refuse("dense steps that do not follow each other")
         return DenseSteps(rows)
 

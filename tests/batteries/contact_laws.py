@@ -133,12 +133,13 @@ def energy_at_impacts(traj: cvi.Trajectory) -> Iterator[Finding]:
 
 
 # --- contact rows -----------------------------------------------------------------------------------------------------
-def starts(log: cvi.ContactLog) -> tuple[Array, Array]:
-    """Normals (m, 3) and gaps (m,) at the starts of the steps.
+def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
+    """Normals (m, 3), gaps (m,) and what the residual of a dense step may have opened them by (m,), at the starts.
 
     They are those of the point at the end of the row before; NaN in the first row of a point. Impacts have one normal.
     """
     normal, gap = np.full_like(log.array("normal"), np.nan), np.full(len(log), np.nan)
+    opened_before = np.zeros(len(log))
     keys = [log.array(name) for name in ("kind", "index", "point")]
     order = np.lexsort((log.h, log.t, *keys))  # an impact before the step after it
     same = np.all([np.diff(key[order]) == 0 for key in keys], axis=0)
@@ -146,9 +147,10 @@ def starts(log: cvi.ContactLog) -> tuple[Array, Array]:
     near = np.abs(log.end[before] - log.t[after]) <= 1e-12
     normal[after[near]] = log.array("normal")[before[near]]
     gap[after[near]] = log.array("gap")[before[near]]
+    opened_before[after[near]] = opened[before[near]]
     impact = log.h == 0.0
     normal[impact], gap[impact] = log.array("normal")[impact], log.array("gap")[impact]
-    return normal, gap
+    return normal, gap, opened_before
 
 
 def contact_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
@@ -162,13 +164,13 @@ def contact_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
     mu = np.where(limit | (not known), 0.0, traj.scene.pair_friction[pair] if known else 0.0)
     overlap = np.where(limit | (not known), GAP, pair_tolerances(traj.scene)[pair] if known else GAP)
     overlap = of_the_step(log, overlap)  # a step with an iterated pair is as accurate as that pair
-    normals, gaps = starts(log)
-    sides = (("start", normals, gaps), ("end", log.array("normal"), log.array("gap")))
+    opened = left_open(traj)
+    sides = (("start", *starts(log, opened)), ("end", log.array("normal"), log.array("gap"), opened))
     # a step's problem is solved relative to all its impulses; the rounding of positions over the step is a speed
     sizes = np.maximum(*(np.linalg.norm(log.array(name), axis=1) for name in ("start", "end")))
     place = np.where(overlap > GAP, PLACE_ITERATED, PLACE)
     rounding = CONE * of_the_step(log, sizes) + place * mass_of(traj) / np.where(persistent, log.h, 1.0)
-    for name, normal, gap in sides:
+    for name, normal, gap, away in sides:
         unit = np.where(limit[:, None], [1.0, 0.0, 0.0], normal)  # the impulse of a limit is its first component
         impulse = log.array(name)
         along = np.einsum("ij,ij->i", impulse, unit)
@@ -176,14 +178,27 @@ def contact_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
         k = np.isfinite(along)
         yield from worst(f"impulse pulls ({name})", -along[k], rounding[k], t[k])
         yield from worst(f"cone ({name})", (across - mu * along)[k], rounding[k], t[k])
-        # Of dense steps Coulomb's law holds to their residual (traj.dense_steps), not to the size of a gap.
-        k &= persistent & np.isfinite(gap) & (log.array("dense") == 0)
-        yield from worst(
-            f"complementarity ({name})", np.abs(along * gap)[k], np.maximum(overlap * along, COMPLEMENTARITY)[k], t[k]
-        )
+        k &= persistent & np.isfinite(gap)
+        least = np.maximum((overlap + away) * along, COMPLEMENTARITY)
+        yield from worst(f"complementarity ({name})", np.abs(along * gap)[k], least[k], t[k])
     yield from worst("gap of a persistent contact", -log.array("gap")[persistent], overlap[persistent], t[persistent])
     sticking = persistent & (log.array("mode") == STICK) & ~limit
     yield from worst("slip where it sticks", np.linalg.norm(log.array("slip")[sticking], axis=1), 1e-9, t[sticking])
+
+
+def left_open(traj: cvi.Trajectory) -> Array:
+    """What the residual of a dense step may leave a loaded gap open by [m], shape (m,); 0 for other rows of contacts.
+
+    The residual is a speed over the largest speed that a contact would have without impulses, which is below that of
+    two bodies of 1 m with the largest velocity of the run.
+    """
+    log, steps = traj.contacts, traj.dense_steps
+    reached: dict[tuple[float, float], float] = {}
+    for t, h, residual in zip(steps["t"], steps["h"], steps["residual"], strict=True):
+        reached[t, h] = max(residual, reached.get((t, h), 0.0))
+    speed = 2.0 * np.abs(traj.v).sum(axis=1).max()
+    dense = log.array("dense") == 1
+    return np.where(dense, [h * speed * reached.get((t, h), 0.0) for t, h in zip(log.t, log.h, strict=True)], 0.0)
 
 
 def of_the_step(log: cvi.ContactLog, values: Array) -> Array:
