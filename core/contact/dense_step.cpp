@@ -24,7 +24,7 @@ constexpr double kTouching = 1e-11;        // [m] a closed point without load ta
 constexpr double kFastFall = 4.0;          // contacts that close faster than this many g h have restitution
 constexpr double kWider = 1.5;             // of the motion's bound, where the step has left it
 constexpr double kEnergyRounding = 1e-13;  // of the energies
-constexpr double kCurvature = 1e-3;        // of the kinetic energy: the error of a smooth step is less
+constexpr double kCurvature = 1e-4;        // of the kinetic energy: the error of a smooth step is less
 constexpr double kEnergyShare = 1e-8;      // of the kinetic energy: smaller gains are not worth a shorter step
 
 // An answer that meets Coulomb's law to 1e-4 of the largest free speed is below the error of the step where impacts lie
@@ -187,13 +187,14 @@ void DenseStep::set_slips() {
   }
 }
 
-// The largest gap at the end of a contact that is loaded, beyond what is solved [m].
+// The natural map of loaded contacts that are open at the end of the step [m]: the gap, or what the normal impulse
+// moves the contact by, whichever is less.
 double DenseStep::widest_loaded_gap() const {
   double widest = 0.0;
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const DenseContact& c = contacts()[active_[i]];
     const double gap = c.at1.gap - c.allowed;
-    if (lambda_[rows_.block(i).row] > 0.0 && gap > solved_gap(c)) widest = std::max(widest, gap);
+    if (gap > solved_gap(c)) widest = std::max(widest, std::min(gap, lambda_[rows_.block(i).row] * mobility_[i] * h_));
   }
   return widest;
 }

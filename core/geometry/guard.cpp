@@ -307,6 +307,10 @@ bool Guards::separated_at_end(int guard) {
 void Guards::mark(int guard, double gap_at_end) {
   if (guard >= pairs_) return;
   const Pair& pair = scene_->pairs[guard];
+  // Which other features a persistent guard looks at depends on how the shapes lie: motion does not bound their gaps.
+  // Against a halfspace all of them are looked at.
+  const bool all = scene_->geometries[pair.a].unbounded || scene_->geometries[pair.b].unbounded;
+  if (is_persistent(guard) && !all) return;
   marks_[guard] = odometer_[pair.a] + odometer_[pair.b] + motion(guard) + gap_at_end;
 }
 

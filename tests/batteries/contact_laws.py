@@ -136,7 +136,9 @@ def energy_at_impacts(traj: cvi.Trajectory) -> Iterator[Finding]:
 def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
     """Normals (m, 3), gaps (m,) and what the residual of a dense step may have opened them by (m,), at the starts.
 
-    They are those of the point at the end of the row before; NaN in the first row of a point. Impacts have one normal.
+    They are those of the point at the end of the row before; NaN in the first row of a point, and, where the point is
+    coal's, in a dense step and after one: each such step takes the plane between the shapes anew. Impacts have one
+    normal.
     """
     normal, gap = np.full_like(log.array("normal"), np.nan), np.full(len(log), np.nan)
     opened_before = np.zeros(len(log))
@@ -148,6 +150,9 @@ def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
     normal[after[near]] = log.array("normal")[before[near]]
     gap[after[near]] = log.array("gap")[before[near]]
     opened_before[after[near]] = opened[before[near]]
+    dense = log.array("dense") == 1
+    anew = after[(dense[before] | dense[after]) & (log.array("point")[after] == 0)]
+    normal[anew], gap[anew] = np.nan, np.nan
     impact = log.h == 0.0
     normal[impact], gap[impact] = log.array("normal")[impact], log.array("gap")[impact]
     return normal, gap, opened_before

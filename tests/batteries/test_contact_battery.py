@@ -39,10 +39,8 @@ KNOWN: list[tuple[str, int, dict[str, Any], str]] = [
     ("stack", 6, {}, "an impact 2e-8 m off, the energy rises by 9e-6 J in a step"),
     ("stack", 8, {}, "points of box and cylinder 5e-7 m off"),
     ("stack", 9, {}, "points of box and cylinder 5e-7 m off"),
-    ("balls", 5, {}, "a ball pushes over the ground, gap x impulse 6e-9"),
     # of the normal run
     ("room", 8464, run_of("mhc", "local", 0.5, 0.2, 2, 0.02), "an impact 5e-10 m off"),
-    ("pile", 0, run_of("ctec", "local", 0.0, 0.0, 2, 0.001), "an impact of a cylinder 2e-4 m inside a box"),
     ("stack", 0, run_of("ctec", "local", 0.0, 0.0, 2, 0.001), "points 4e-8 m off"),
     ("stack", 7970, run_of("ctec", "local", 1.0, 0.2, 2, 0.005), "a point pushes at a gap, gap x impulse 2e-9"),
     ("stack", 5562, run_of("mhc", "global", 1.0, 1.5, 4, 0.02), "a cylinder overlaps with the ground by 3e-9 m"),

@@ -19,6 +19,7 @@ from helpers.run_scenes import ball_scene, funnel
 
 SPAN = 0.25  # [s]
 ROUNDING = 1e-13  # relative, of energies that are differences over hundreds of steps
+NOISE = 2.4e-8  # [m] of the distances of two cylinders, with which an impact may be located
 SHORTEST_RISE = 1e-9  # of the largest kinetic energy; (dt / 64)^2 over (0.1 s)^2, the time in which motions change
 
 
@@ -191,15 +192,18 @@ def test_promises_of_every_dense_step(heap, stack):
             assert np.count_nonzero((log.t == t) & (log.h == h) & dense) == count
 
 
-def test_an_overlap_is_not_thrown_out():
-    """In this bin located events leave two shapes 0.5 mm in each other; dense steps that go on make no speed of it."""
-    scene, q, v = heaps.to_scene(heaps.make("bin", 3, restitution=0.3, friction=0.5))
+@pytest.mark.parametrize(("seed", "restitution", "friction", "duration"), [(0, 0.0, 0.0, 0.37), (3, 0.3, 0.5, 0.35)])
+def test_other_points_of_a_pair_in_contact_are_located(seed, restitution, friction, duration):
+    """Cylinders that touch and turn fast meet at another point; while they touched it had been skipped, 0.5 mm deep."""
+    heap = heaps.make("bin", seed, restitution=restitution, friction=friction)
+    scene, q, v = heaps.to_scene(heap)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cvi.DenseStepWarning)
-        traj = cvi.simulate(scene, q, v, duration=0.34, dt=1e-3)
-    rise = traj.energy - np.minimum.accumulate(traj.energy)
-    assert len(traj.dense_steps) >= 3
-    assert rise.max() <= 1e-8 * len(traj.dense_steps) * traj.kinetic_energy.max()  # what each step may be wrong by
+        traj = cvi.simulate(scene, q, v, duration, dt=1e-3)
+    check = heaps.GapCheck(heap)
+    deepest = min((gap for q in traj.q for gap, _ in check.below(q, -NOISE)), default=0.0)
+    assert deepest >= -NOISE
+    assert min(event.gap for event in traj.events) >= -NOISE
 
 
 def test_the_balances_close(heap, stack):
