@@ -125,6 +125,7 @@ class Guards {
   void place_pair(int guard);
   void place_bodies();
   double limit_gap(int guard, const VecCRef& q) const;
+  double noise_tolerance(int guard) const;
 
   const Scene* scene_;
   int count_, pairs_;

@@ -1,0 +1,24 @@
+// The nearest features of two shapes from the nearest points that coal has found, to rounding.
+//
+// Where a shape is curved GJK iterates: distances of cylinders are wrong by up to 2e-8 m near contact (of polytopes by
+// 1e-9 m). Its points tell which features are nearest: a vertex, an edge, a face, the rim or the side of a cylinder.
+// The nearest points of two features are known in closed form or by Newton's method. Every answer is checked by a
+// bound that does not depend on how it was found: two convex shapes are at least as far from each other as along any
+// unit vector n (Boyd, Vandenberghe, "Convex Optimization", 2004, section 8.2.1), and at most as far as two of their
+// points.
+#pragma once
+
+#include "geometry/candidates.hpp"
+#include "geometry/contact.hpp"
+
+namespace contactvi {
+
+// Gap, normal and points of `contact`, whose normal points from a to b, from those of coal. False where no pair of
+// features gives a distance that is the bound to rounding: the contact stays as it is.
+bool refine_nearest(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatures& b, const Pose& pose_b,
+                    Contact& contact);
+
+// Whether the features of the shape are enough for this: not those of an ellipsoid or of a halfspace.
+bool is_refinable(const ShapeFeatures& shape);
+
+}  // namespace contactvi
