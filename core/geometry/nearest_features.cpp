@@ -12,6 +12,7 @@ constexpr double kCertified = 2e-13;  // [m] per metre of the places: distance a
 constexpr double kOnFeature = 1e-5;   // [m] coal's point is this near to a feature that is tried first
 constexpr double kFlat = 1e-3;        // [rad] from here on a disc or a side of a cylinder is tried first
 constexpr double kFacingSide = 0.05;  // [rad] of a face to the normal, for it to be tried
+constexpr double kFlush = 1e-13;      // [m] a side, a disc or an edge whose points differ by less is parallel to a face
 constexpr int kNewton = 12;
 constexpr double kStep = 1e-15;  // of the size: Newton's method has converged
 
@@ -74,6 +75,19 @@ Piece plane_piece(const Pose& pose, const ShapeFeatures& o, int face) {
   return {Piece::kPlane, pose.point(f.offset * f.normal), pose.R * f.normal, Vec3::Zero(), 0.0, 0.0, 0.0, 0.0, face};
 }
 
+// out: unit vector across the axis, from which the angle counts.
+Piece circle_piece(const Pose& pose, const ShapeFeatures::Rim& rim, const Vec3& out) {
+  return {Piece::kCircle,
+          pose.point(rim.center),
+          pose.R * out,
+          pose.R * rim.axis.cross(out),
+          rim.radius,
+          0.0,
+          0.0,
+          0.0,
+          -1};
+}
+
 // m: outward normal, x: coal's point on the core, both in the cylinder's frame.
 void cylinder_pieces(const ShapeFeatures& o, const Pose& pose, const Vec3& m, const Vec3& x, Pieces& pieces) {
   const ShapeFeatures::Edge& axis = o.edges[0];
@@ -89,11 +103,7 @@ void cylinder_pieces(const ShapeFeatures& o, const Pose& pose, const Vec3& m, co
   if (disc >= 0 && along > 0.0 && across < kFlat) pieces.add(plane_piece(pose, o, disc));
   Vec3 out = x - rim.center - (x - rim.center).dot(rim.axis) * rim.axis;
   if (!(out.norm() > 1e-3 * rim.radius)) out = m - along * rim.axis;
-  if (out.norm() > 0.0) {
-    const Vec3 u = out.normalized();
-    pieces.add({Piece::kCircle, pose.point(rim.center), pose.R * u, pose.R * rim.axis.cross(u), rim.radius, 0.0, 0.0,
-                0.0, -1});
-  }
+  if (out.norm() > 0.0) pieces.add(circle_piece(pose, rim, out.normalized()));
   if (disc >= 0 && along > 0.0 && across >= kFlat && across < kFacingSide) pieces.add(plane_piece(pose, o, disc));
   if (std::abs(along) >= kFlat && std::abs(along) < kFacingSide) pieces.add(side);
 }
@@ -153,6 +163,13 @@ void point_of(const Piece& p, double s, Vec3& x, Vec3& first, Vec3& second) {
 bool nearest_points(const Piece& a, const Piece& b, Vec3& x_a, Vec3& x_b) {
   double s = a.start, t = b.start;
   Vec3 a1, a2, b1, b2;
+  auto start_at_circle = [&](const Piece& line, const Piece& circle, double& at) {
+    if (line.kind != Piece::kLine || circle.kind != Piece::kCircle) return;
+    point_of(circle, circle.start, x_a, a1, a2);
+    at = line.u.dot(x_a - line.origin);
+  };
+  start_at_circle(a, b, s);
+  start_at_circle(b, a, t);
   const double unit_a = a.kind == Piece::kPoint ? 1.0 : 0.0, unit_b = b.kind == Piece::kPoint ? 1.0 : 0.0;
   for (int k = 0;; ++k) {
     point_of(a, s, x_a, a1, a2);
@@ -194,12 +211,12 @@ bool point_over(const ShapeFeatures& plane, const Pose& plane_pose, int face, co
   if (is_cylinder(other)) {
     const ShapeFeatures::Rim& rim = down.dot(other.rims[0].axis) >= 0.0 ? other.rims[0] : other.rims[1];
     const ShapeFeatures::Edge& axis = other.edges[0];
-    if (std::abs(down.dot(axis.direction)) * axis.length <= kUpright) {  // it lies on its side
+    if (std::abs(down.dot(axis.direction)) * axis.length <= kFlush) {  // it lies on its side
       const double back = std::clamp((lowest - near).dot(rim.axis), 0.0, axis.length);
       x_W = other_pose.point(lowest - back * rim.axis);
       return is_over(x_W);
     }
-    if (rim_tilt(rim.radius, rim.axis, down) > kUpright) return false;
+    if (rim_tilt(rim.radius, rim.axis, down) > kFlush) return false;
     Vec3 out = near - rim.center;  // it stands
     out -= out.dot(rim.axis) * rim.axis;
     const double length = out.norm();
@@ -211,7 +228,7 @@ bool point_over(const ShapeFeatures& plane, const Pose& plane_pose, int face, co
   const Vec3* ends[2];
   int count = 0;
   for (const Vec3& v : other.vertices) {
-    if (down.dot(v) < most - kUpright) continue;
+    if (down.dot(v) < most - kFlush) continue;
     x_W = other_pose.point(v);
     if (is_over(x_W)) return true;
     if (count < 2) ends[count] = &v;
@@ -223,64 +240,150 @@ bool point_over(const ShapeFeatures& plane, const Pose& plane_pose, int face, co
   return is_over(x_W);
 }
 
+// One pair with coal's contact, and the attempts to find its nearest features.
+class Refinement {
+ public:
+  Refinement(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatures& b, const Pose& pose_b, Contact& contact)
+      : a_{&a, &pose_a, contact.point_a - a.radius * contact.normal, {}},
+        b_{&b, &pose_b, contact.point_b + b.radius * contact.normal, {}},
+        contact_(&contact),
+        rounding_(kCertified * (1.0 + contact.point_a.cwiseAbs().maxCoeff())) {
+    add_pieces(a_, contact.normal);
+    add_pieces(b_, -contact.normal);
+  }
+
+  bool run() {
+    const int last = a_.pieces.count + b_.pieces.count - 2;
+    for (int sum = 0; sum <= last; ++sum)
+      for (int i = std::max(0, sum - b_.pieces.count + 1); i <= sum && i < a_.pieces.count; ++i)
+        if (try_pieces(a_.pieces.list[i], b_.pieces.list[sum - i])) return true;
+    return try_borders(a_, b_) || try_borders(b_, a_);
+  }
+
+ private:
+  struct Body {
+    const ShapeFeatures* shape;
+    const Pose* pose;
+    Vec3 near;  // coal's point on the core, world frame
+    Pieces pieces;
+  };
+
+  static void add_pieces(Body& body, const Vec3& n_W) {
+    const Vec3 m = into(*body.pose, n_W), x = body.pose->into(body.near);
+    if (is_cylinder(*body.shape)) {
+      cylinder_pieces(*body.shape, *body.pose, m, x, body.pieces);
+    } else {
+      polytope_pieces(*body.shape, *body.pose, m, x, body.pieces);
+    }
+  }
+
+  bool try_pieces(const Piece& p, const Piece& q) {
+    if (p.kind == Piece::kPlane) return try_plane(a_, p, b_, p.u);
+    if (q.kind == Piece::kPlane) return try_plane(b_, q, a_, -q.u);
+    return try_curves(p, q);
+  }
+
+  // A face of `body` and the lowest point of the other one over it; n: the face's normal, directed from a to b.
+  bool try_plane(const Body& body, const Piece& plane, const Body& other, const Vec3& n) {
+    Vec3 x;
+    if (!point_over(*body.shape, *body.pose, plane.face, *other.shape, *other.pose, plane.u, other.near, x))
+      return false;
+    const double distance = plane.u.dot(x - plane.origin);
+    const Vec3 on_face = x - distance * plane.u;
+    return &body == &a_ ? accept(n, distance, on_face, x) : accept(n, distance, x, on_face);
+  }
+
+  bool try_curves(const Piece& p, const Piece& q) {
+    Vec3 x_a, x_b;
+    if (!nearest_points(p, q, x_a, x_b)) return false;
+    Vec3 n = x_b - x_a;
+    const double distance = n.norm();
+    if (!(distance > 0.0)) return false;
+    n /= distance;
+    return accept(n, distance - p.swept - q.swept, x_a + p.swept * n, x_b - q.swept * n);
+  }
+
+  // Where a side, an edge or a disc lies flat over a face but for rounding, and its lowest point is not over the face,
+  // the nearest points are where it crosses the border of the face in the view along the normal.
+  bool try_borders(const Body& body, const Body& other) {
+    for (int i = 0; i < body.pieces.count; ++i) {
+      if (body.pieces.list[i].kind != Piece::kPlane) continue;
+      const ShapeFeatures::Face& face = body.shape->faces[body.pieces.list[i].face];
+      for (int k = face.first; k < face.first + face.count; ++k) {
+        const Piece edge =
+            line_piece(*body.pose, body.shape->edges[body.shape->ring_edge[k]], body.pose->into(body.near));
+        if (try_border(body, edge, other)) return true;
+      }
+      for (const ShapeFeatures::Rim& rim : body.shape->rims)
+        if (face.normal.dot(rim.axis) > 0.5 && try_border(body, circle_piece(*body.pose, rim, rim.zero), other))
+          return true;
+    }
+    return false;
+  }
+
+  bool try_border(const Body& body, const Piece& border, const Body& other) {
+    for (int j = 0; j < other.pieces.count; ++j) {
+      const Piece& piece = other.pieces.list[j];
+      if (piece.kind != Piece::kLine && piece.kind != Piece::kCircle) continue;
+      Piece starts[2][2] = {{border, piece}, {border, piece}};
+      if (border.kind == Piece::kCircle) set_crossings(starts[0][0], starts[1][0], piece);
+      if (piece.kind == Piece::kCircle) set_crossings(starts[0][1], starts[1][1], border);
+      for (const auto& start : starts)
+        if (&body == &a_ ? try_curves(start[0], start[1]) : try_curves(start[1], start[0])) return true;
+    }
+    return false;
+  }
+
+  // The two angles of a circle where it crosses another piece in the view along its axis, if it does.
+  static void set_crossings(Piece& first, Piece& second, const Piece& other) {
+    const Vec3 axis = first.u.cross(first.w);
+    const Vec3 d = other.origin - first.origin;
+    double x = d.dot(first.u), y = d.dot(first.w);
+    double middle, half;
+    if (other.kind == Piece::kLine) {
+      const Vec3 along = other.u - other.u.dot(axis) * axis;
+      const double length = along.norm();
+      if (!(length > 0.0)) return;
+      const double u = along.dot(first.u) / length, w = along.dot(first.w) / length;
+      const double away = x * w - y * u;  // of the line from the centre, on the side (w, -u)
+      middle = std::atan2(-u * away, w * away);
+      if (away == 0.0) middle = std::atan2(-u, w);
+      half = std::abs(away) < first.radius ? std::acos(std::abs(away) / first.radius) : 0.0;
+    } else {
+      const double apart = std::hypot(x, y), r = first.radius;
+      const double c = (apart * apart + r * r - other.radius * other.radius) / (2.0 * apart * r);
+      if (!(std::abs(c) <= 1.0)) return;
+      middle = std::atan2(y, x);
+      half = std::acos(c);
+    }
+    first.start = middle - half;
+    second.start = middle + half;
+  }
+
+  // Takes the answer if the bound along its normal is its distance to rounding.
+  bool accept(const Vec3& n, double distance, const Vec3& x_a, const Vec3& x_b) {
+    if (!(distance > 0.0) || distance - along_normal(*a_.shape, *a_.pose, *b_.shape, *b_.pose, n) > rounding_)
+      return false;
+    contact_->gap = distance - a_.shape->radius - b_.shape->radius;
+    contact_->normal = n;
+    contact_->point_a = x_a + a_.shape->radius * n;
+    contact_->point_b = x_b - b_.shape->radius * n;
+    return true;
+  }
+
+  Body a_, b_;
+  Contact* contact_;
+  double rounding_;
+};
+
 }  // namespace
 
 bool is_refinable(const ShapeFeatures& o) { return !o.is_unbounded() && (is_cylinder(o) || !o.vertices.empty()); }
 
 bool refine_nearest(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatures& b, const Pose& pose_b,
                     Contact& contact) {
-  if (!is_refinable(a) || !is_refinable(b)) return false;
-  const Vec3 core_a = contact.point_a - a.radius * contact.normal, core_b = contact.point_b + b.radius * contact.normal;
-  const double radii = a.radius + b.radius;
-  const double rounding = kCertified * (1.0 + core_a.cwiseAbs().maxCoeff());
-  auto add_pieces = [](const ShapeFeatures& o, const Pose& pose, const Vec3& n_W, const Vec3& x_W, Pieces& pieces) {
-    if (is_cylinder(o)) {
-      cylinder_pieces(o, pose, into(pose, n_W), pose.into(x_W), pieces);
-    } else {
-      polytope_pieces(o, pose, into(pose, n_W), pose.into(x_W), pieces);
-    }
-  };
-  Pieces of_a, of_b;
-  add_pieces(a, pose_a, contact.normal, core_a, of_a);
-  add_pieces(b, pose_b, -contact.normal, core_b, of_b);
-  for (int sum = 0; sum <= of_a.count + of_b.count - 2; ++sum) {
-    for (int i = 0; i <= sum && i < of_a.count; ++i) {
-      const int j = sum - i;
-      if (j >= of_b.count) continue;
-      const Piece &p = of_a.list[i], &q = of_b.list[j];
-      Vec3 n, x_a, x_b;
-      double distance;
-      if (p.kind == Piece::kPlane || q.kind == Piece::kPlane) {
-        const bool on_a = p.kind == Piece::kPlane;
-        n = on_a ? p.u : Vec3(-q.u);
-        if (on_a) {
-          if (!point_over(a, pose_a, p.face, b, pose_b, n, core_b, x_b)) continue;
-          distance = n.dot(x_b - p.origin);
-          x_a = x_b - distance * n;
-        } else {
-          if (!point_over(b, pose_b, q.face, a, pose_a, -n, core_a, x_a)) continue;
-          distance = n.dot(q.origin - x_a);
-          x_b = x_a + distance * n;
-        }
-      } else {
-        if (!nearest_points(p, q, x_a, x_b)) continue;
-        n = x_b - x_a;
-        distance = n.norm();
-        if (!(distance > 0.0)) continue;
-        n /= distance;
-        x_a += p.swept * n;
-        x_b -= q.swept * n;
-        distance -= p.swept + q.swept;
-      }
-      if (!(distance > 0.0) || distance - along_normal(a, pose_a, b, pose_b, n) > rounding) continue;
-      contact.gap = distance - radii;
-      contact.normal = n;
-      contact.point_a = x_a + a.radius * n;
-      contact.point_b = x_b - b.radius * n;
-      return true;
-    }
-  }
-  return false;
+  return is_refinable(a) && is_refinable(b) && contact.normal.allFinite() &&
+         Refinement(a, pose_a, b, pose_b, contact).run();
 }
 
 }  // namespace contactvi
