@@ -177,7 +177,7 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
                      *(pair.rounded && b.rounded ? b.rounded : b.sharp), R_b, p_b, contact);
   contact.body_a = a.body;
   contact.body_b = b.body;
-  if (pair.curved) manifolds_.refine(guard, placements_, contact);
+  if (pair.refined) manifolds_.refine(guard, placements_, contact);
   return contact.gap;
 }
 
@@ -200,17 +200,13 @@ void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<
   contact_rows(scene_->tree, placements_, contact, t1, W);
 }
 
-// Of a pair whose distance is not that of features to rounding. Where cylinders are flat to 1e-10 m features may leave
-// coal's distance as it is, which is then wrong by that much (tests/core/geometry/test_nearest_features.py).
-double Guards::noise_tolerance(int guard) const { return manifolds_.is_refined(guard) ? 5e-10 : 5e-9; }
-
-double Guards::touch_tolerance(int guard) const { return is_noisy(guard) ? noise_tolerance(guard) : 1e-11; }
+double Guards::touch_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-11; }
 
 double Guards::depth_tolerance(int guard) const {
   return guard < pairs_ ? std::max(kFeatureRounding, 1.2 * manifolds_.noise(guard)) : kFeatureRounding;
 }
 
-double Guards::root_tolerance(int guard) const { return is_noisy(guard) ? noise_tolerance(guard) : 1e-12; }
+double Guards::root_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-12; }
 
 Guards::Reach Guards::make_reach() const {
   return {std::vector<double>(scene_->geometries.size()), std::vector<double>(scene_->tree.limits.size()),

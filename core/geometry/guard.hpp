@@ -85,7 +85,7 @@ class Guards {
   // As bound_motion, for velocities that are known to within `doubt` only: doubt(guard) is the possible error of a gap.
   void bound_doubt(const VecCRef& q, const VecX& doubt, double h);
   double doubt(int guard) const;
-  bool is_noisy(int guard) const { return guard < pairs_ && scene_->pairs[guard].curved; }
+  bool is_noisy(int guard) const { return guard < pairs_ && scene_->pairs[guard].noisy; }
   // True if the odometers say that the gap stays open in the step and is larger than the step's motion at its end. A
   // guard whose gap is not is a suspect, so that suspects do not depend on when guards were last evaluated.
   bool skip(int guard) const;
@@ -125,7 +125,6 @@ class Guards {
   void place_pair(int guard);
   void place_bodies();
   double limit_gap(int guard, const VecCRef& q) const;
-  double noise_tolerance(int guard) const;
 
   const Scene* scene_;
   int count_, pairs_;

@@ -223,7 +223,7 @@ bool Manifolds::is_single(int pair) const {
 
 double Manifolds::noise(int pair) const {
   const Pair& p = scene_->pairs[pair];
-  return (is_refined(pair) ? 5e-10 : 2e-8) + features(pair, p.a).roughness + features(pair, p.b).roughness;
+  return (p.noisy ? 2e-8 : 5e-10) + features(pair, p.a).roughness + features(pair, p.b).roughness;
 }
 
 PairView Manifolds::view(int pair, const Placements& at) const {
@@ -316,11 +316,6 @@ bool Manifolds::nearest(int pair, const Placements& at, Contact& contact) {
   if (is_single(pair) || !(features(pair, p.a).is_unbounded() || features(pair, p.b).is_unbounded())) return false;
   next_gap(pair, at, nullptr, 0, Contact{}, contact);
   return true;
-}
-
-bool Manifolds::is_refined(int pair) const {
-  const Pair& p = scene_->pairs[pair];
-  return !p.curved || (is_refinable(features(pair, p.a)) && is_refinable(features(pair, p.b)));
 }
 
 bool Manifolds::refine(int pair, const Placements& at, Contact& contact) const {

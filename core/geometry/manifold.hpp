@@ -80,9 +80,6 @@ class Manifolds {
   // Coal's contact of the pair, to rounding (nearest_features.hpp). False where it stays as it is.
   bool refine(int pair, const Placements& at, Contact& contact) const;
 
-  // Whether distances of the pair are those of features, or of GJK where it ends by itself; not with an ellipsoid.
-  bool is_refined(int pair) const;
-
   // Sets the farthest point of a rim, which moves as the rim rolls, to that of these placements.
   void update_rim(ContactPoint& point, const Placements& at) const;
   // The point as one that moves with the bodies, where these are placed: the lowest point of a rim, and the witness of

@@ -201,15 +201,15 @@ bool needs_no_rounding(coal::NODE_TYPE type) {
   return type == coal::GEOM_HALFSPACE || type == coal::GEOM_SPHERE || type == coal::GEOM_CAPSULE;
 }
 
-// Whether GJK iterates towards a curved surface. Measured noise of the distance near contact (gjk_tolerance 1e-10):
-// 1e-15 between polytopes, spheres and capsules, up to 8e-10 with an ellipsoid or a cylinder; smaller tolerances make
-// it worse.
-bool is_curved_iteration(coal::NODE_TYPE a, coal::NODE_TYPE b) {
-  auto curved = [](coal::NODE_TYPE t) { return t == coal::GEOM_ELLIPSOID || t == coal::GEOM_CYLINDER; };
-  if (a == coal::GEOM_HALFSPACE || b == coal::GEOM_HALFSPACE) return false;
-  const bool sphere_cylinder =
-      (a == coal::GEOM_SPHERE && b == coal::GEOM_CYLINDER) || (a == coal::GEOM_CYLINDER && b == coal::GEOM_SPHERE);
-  return !sphere_cylinder && (curved(a) || curved(b));
+// Where GJK iterates towards a curved surface. Measured noise of the distance near contact (gjk_tolerance 1e-10): 1e-15
+// between polytopes, spheres and capsules, up to 2e-8 with an ellipsoid or a cylinder; smaller tolerances make it
+// worse. Cylinders have features, from which the distance follows to rounding (geometry/nearest_features.hpp).
+void set_iteration(coal::NODE_TYPE a, coal::NODE_TYPE b, Pair& pair) {
+  const bool closed_form = a == coal::GEOM_HALFSPACE || b == coal::GEOM_HALFSPACE ||
+                           (a == coal::GEOM_SPHERE && b == coal::GEOM_CYLINDER) ||
+                           (a == coal::GEOM_CYLINDER && b == coal::GEOM_SPHERE);
+  pair.noisy = !closed_form && (a == coal::GEOM_ELLIPSOID || b == coal::GEOM_ELLIPSOID);
+  pair.refined = !closed_form && !pair.noisy && (a == coal::GEOM_CYLINDER || b == coal::GEOM_CYLINDER);
 }
 
 Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree) {
@@ -292,6 +292,7 @@ Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, 
               parameters.pair_restitution[k],
               parameters.pair_friction[k],
               false,
+              false,
               false};
     Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
     if (a.unbounded && b.unbounded) throw Error("two halfspaces cannot be a collision pair");
@@ -300,7 +301,7 @@ Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, 
       ensure_rounded(b);
       pair.rounded = true;
     }
-    pair.curved = is_curved_iteration(a.sharp->getNodeType(), b.sharp->getNodeType());
+    set_iteration(a.sharp->getNodeType(), b.sharp->getNodeType(), pair);
     scene.pairs.push_back(pair);
   }
   return scene;

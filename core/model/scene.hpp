@@ -44,7 +44,8 @@ struct Pair {
   double restitution;
   double friction;  // Coulomb's coefficient
   bool rounded;     // both shapes are taken rounded: near contact GJK and EPA give wrong normals on sharp ones
-  bool curved;      // GJK iterates towards a curved surface: the distance carries noise of up to 1e-9 m
+  bool refined;     // the distance is that of the nearest features where GJK iterates towards a cylinder
+  bool noisy;       // GJK iterates towards an ellipsoid: the distance carries noise of up to 1e-9 m, seldom more
 };
 
 struct Scene {

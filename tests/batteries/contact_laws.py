@@ -19,13 +19,13 @@ from contactvi.trajectory.contact_ledger import free_trees
 Array = np.ndarray
 EXPLICIT = 0  # impact map "ctec", as in EventLog
 STICK, LIMIT = 0, 1  # mode and kind, as in ContactLog
-# [m] accuracy of gaps: of closed forms, and of distances that coal iterates, without and with a curved surface
-GAP, GAP_ITERATED, GAP_CURVED = 1e-10, 1e-8, 2.5e-8
+# [m] accuracy of gaps: of closed forms, and of distances from coal's nearest points
+GAP, GAP_ITERATED = 1e-10, 1e-9
 CONE = 1e-8  # of the largest impulse of the step: its contact problem is solved to 1e-9 of its terms at worst
 # [m] rounding of positions of some metres, and of the distances that coal iterates
 PLACE, PLACE_ITERATED = 1e-14, 1e-11
 COMPLEMENTARITY = 1e-12  # [N s m]
-ROUND, CURVED = ("Sphere", "Capsule"), ("Cylinder",)
+ROUND = ("Sphere", "Capsule")
 
 
 @dataclass
@@ -71,8 +71,7 @@ def pair_tolerances(scene: cvi.Scene) -> Array:
     for pair in scene.pair_names:
         kinds = [kind[name] for name in pair]
         exact = "Halfspace" in kinds or ("Sphere" in kinds and all(k in ROUND for k in kinds))
-        curved = any(k in CURVED for k in kinds) and "Sphere" not in kinds
-        bounds.append(GAP if exact else GAP_CURVED if curved else GAP_ITERATED)
+        bounds.append(GAP if exact else GAP_ITERATED)
     return np.array(bounds)
 
 

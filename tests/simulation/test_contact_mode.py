@@ -19,7 +19,7 @@ from helpers.run_scenes import ball_scene, funnel
 
 SPAN = 0.25  # [s]
 ROUNDING = 1e-13  # relative, of energies that are differences over hundreds of steps
-NOISE = 2.4e-8  # [m] of the distances of two cylinders, with which an impact may be located
+NOISE = 1e-9  # [m] of coal's distance of two cylinders
 SHORTEST_RISE = 1e-9  # of the largest kinetic energy; (dt / 64)^2 over (0.1 s)^2, the time in which motions change
 
 
