@@ -246,6 +246,9 @@ bool DenseStep::position_problem() {
   for (std::size_t i = 0; i < active_.size(); ++i) {
     DenseContact& c = all[active_[i]];
     const BlockContact& block = rows_.block(i);
+    // The solver's rounding at points that stay open.
+    const double lift = lambda_[block.row] * mobility_[i] * h_;
+    if (c.at1.gap - c.allowed > solved_gap(c) && lift <= kGapSolved) lambda_.segment(block.row, block.rows).setZero();
     c.position.setZero();
     c.position.head(block.rows) = lambda_.segment(block.row, block.rows);
   }
@@ -293,7 +296,9 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   for (int i = 0; i < static_cast<int>(all.size()); ++i) {
     DenseContact& c = all[i];
     const double noise = guards_->is_noisy(c.point.guard) ? guards_->root_tolerance(c.point.guard) : kTouching;
-    c.closed = c.position[0] > 0.0 || c.at1.gap <= noise;
+    // A point whose gap is larger than what its impulse moves it by is open: that impulse is an error of the solver.
+    const double lift = c.position[0] * mobility_[i] * h_;
+    c.closed = c.at1.gap <= std::max(noise, lift);
     c.t1_1 = scene_->is_pair(c.point.guard) ? carried_tangent(c.t1_0, c.at0.normal, c.at1.normal) : Vec3(Vec3::Zero());
     if (c.closed) active_.push_back(i);
   }
