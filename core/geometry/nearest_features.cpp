@@ -13,6 +13,7 @@ constexpr double kOnFeature = 1e-5;   // [m] coal's point is this near to a feat
 constexpr double kFlat = 1e-3;        // [rad] from here on a disc or a side of a cylinder is tried first
 constexpr double kFacingSide = 0.05;  // [rad] of a face to the normal, for it to be tried
 constexpr double kFlush = 1e-13;      // [m] a side, a disc or an edge whose points differ by less is parallel to a face
+constexpr double kParallel = 1e-12;   // square of the sine between two pieces from which they are parallel
 constexpr int kNewton = 12;
 constexpr double kStep = 1e-15;  // of the size: Newton's method has converged
 
@@ -25,8 +26,9 @@ struct Piece {
   double radius;  // of the circle
   double length;  // of the line
   double swept;   // the piece is swept by this, besides the shape's own radius
-  double start;   // parameter at coal's point
+  double start;   // of a line: the parameter at coal's point
   int face;       // of a plane
+  Eigen::Vector2d angle{1.0, 0.0};  // of a circle: cosine and sine of the angle at coal's point
 };
 
 // The pieces of a shape near coal's point, in the order in which they are tried.
@@ -143,52 +145,63 @@ void polytope_pieces(const ShapeFeatures& o, const Pose& pose, const Vec3& m, co
               0.0, 0.0, -1});
 }
 
-// A piece's point at the parameter s, and its first and second derivative.
-void point_of(const Piece& p, double s, Vec3& x, Vec3& first, Vec3& second) {
-  if (p.kind == Piece::kCircle) {
-    const double c = std::cos(s), d = std::sin(s);
-    second = -p.radius * (c * p.u + d * p.w);
-    first = p.radius * (c * p.w - d * p.u);
-    x = p.origin - second;
-  } else {
-    x = p.origin + s * p.u;
-    first = p.u;
+// A point that moves on a piece: place, first and second derivative. Angles are unit vectors, so that the library's sine,
+// which is another one on other processors, has no part in the result.
+struct Runner {
+  const Piece* piece;
+  double s = 0.0;
+  Eigen::Vector2d angle{1.0, 0.0};
+  Vec3 x{}, first{}, second{};
+
+  explicit Runner(const Piece& p) : piece(&p), s(p.start), angle(p.angle) { place(); }
+
+  void place() {
+    if (piece->kind == Piece::kCircle) {
+      second = -piece->radius * (angle[0] * piece->u + angle[1] * piece->w);
+      first = piece->radius * (angle[0] * piece->w - angle[1] * piece->u);
+      x = piece->origin - second;
+      return;
+    }
+    x = piece->origin + s * piece->u;  // of a point u is zero
+    first = piece->u;
     second.setZero();
   }
-  if (p.kind == Piece::kPoint) first.setZero();
-}
+
+  void move(double step) {
+    s += step;
+    angle = Eigen::Vector2d(angle[0] - step * angle[1], angle[1] + step * angle[0]).normalized();
+    place();
+  }
+
+  bool has_converged(double step) const {
+    return std::abs(step) <= kStep * (1.0 + (piece->kind == Piece::kLine ? std::abs(s) : 0.0));
+  }
+
+  bool is_inside() const { return piece->kind != Piece::kLine || (s >= -kBorder && s <= piece->length + kBorder); }
+};
 
 // Newton's method for the nearest points of two pieces that are no planes; false where it does not lead to a minimum
 // inside of both.
-bool nearest_points(const Piece& a, const Piece& b, Vec3& x_a, Vec3& x_b) {
-  double s = a.start, t = b.start;
-  Vec3 a1, a2, b1, b2;
-  auto start_at_circle = [&](const Piece& line, const Piece& circle, double& at) {
-    if (line.kind != Piece::kLine || circle.kind != Piece::kCircle) return;
-    point_of(circle, circle.start, x_a, a1, a2);
-    at = line.u.dot(x_a - line.origin);
-  };
-  start_at_circle(a, b, s);
-  start_at_circle(b, a, t);
-  const double unit_a = a.kind == Piece::kPoint ? 1.0 : 0.0, unit_b = b.kind == Piece::kPoint ? 1.0 : 0.0;
+bool nearest_points(const Piece& p, const Piece& q, Vec3& x_a, Vec3& x_b) {
+  Runner a(p), b(q);
+  if (p.kind == Piece::kLine && q.kind == Piece::kCircle) a.move(p.u.dot(b.x - a.x));
+  if (q.kind == Piece::kLine && p.kind == Piece::kCircle) b.move(q.u.dot(a.x - b.x));
+  const double unit_a = p.kind == Piece::kPoint ? 1.0 : 0.0, unit_b = q.kind == Piece::kPoint ? 1.0 : 0.0;
   for (int k = 0;; ++k) {
-    point_of(a, s, x_a, a1, a2);
-    point_of(b, t, x_b, b1, b2);
-    const Vec3 d = x_b - x_a;
-    const double g_a = -d.dot(a1), g_b = d.dot(b1);
-    const double aa = a1.squaredNorm() - d.dot(a2) + unit_a, bb = b1.squaredNorm() + d.dot(b2) + unit_b;
-    const double ab = -a1.dot(b1), det = aa * bb - ab * ab;
-    if (!(aa > 0.0) || !(det > 1e-12 * aa * bb)) return false;
-    const double ds = -(bb * g_a - ab * g_b) / det, dt = -(aa * g_b - ab * g_a) / det;
-    const bool converged = std::abs(ds) <= kStep * (1.0 + std::abs(s)) && std::abs(dt) <= kStep * (1.0 + std::abs(t));
-    if (converged || k == kNewton) break;
-    s += ds;
-    t += dt;
+    const Vec3 d = b.x - a.x;
+    const double g_a = -d.dot(a.first), g_b = d.dot(b.first);
+    const double aa = a.first.squaredNorm() - d.dot(a.second) + unit_a;
+    const double bb = b.first.squaredNorm() + d.dot(b.second) + unit_b;
+    const double ab = -a.first.dot(b.first), det = aa * bb - ab * ab;
+    if (!(aa > 0.0) || !(det > kParallel * aa * bb)) return false;
+    const double step_a = -(bb * g_a - ab * g_b) / det, step_b = -(aa * g_b - ab * g_a) / det;
+    if ((a.has_converged(step_a) && b.has_converged(step_b)) || k == kNewton) break;
+    a.move(step_a);
+    b.move(step_b);
   }
-  auto is_inside = [](const Piece& p, double at) {
-    return p.kind != Piece::kLine || (at >= -kBorder && at <= p.length + kBorder);
-  };
-  return is_inside(a, s) && is_inside(b, t);
+  x_a = a.x;
+  x_b = b.x;
+  return a.is_inside() && b.is_inside();
 }
 
 // The distance of the cores along the unit vector n from a to b: a lower bound on their distance.
@@ -336,28 +349,27 @@ class Refinement {
 
   // The two angles of a circle where it crosses another piece in the view along its axis, if it does.
   static void set_crossings(Piece& first, Piece& second, const Piece& other) {
-    const Vec3 axis = first.u.cross(first.w);
     const Vec3 d = other.origin - first.origin;
-    double x = d.dot(first.u), y = d.dot(first.w);
-    double middle, half;
+    const double x = d.dot(first.u), y = d.dot(first.w);
+    Eigen::Vector2d middle;  // direction halfway between the crossings
+    double cosine;           // of the angle from there to each of them
     if (other.kind == Piece::kLine) {
-      const Vec3 along = other.u - other.u.dot(axis) * axis;
+      const Eigen::Vector2d along(other.u.dot(first.u), other.u.dot(first.w));
       const double length = along.norm();
       if (!(length > 0.0)) return;
-      const double u = along.dot(first.u) / length, w = along.dot(first.w) / length;
-      const double away = x * w - y * u;  // of the line from the centre, on the side (w, -u)
-      middle = std::atan2(-u * away, w * away);
-      if (away == 0.0) middle = std::atan2(-u, w);
-      half = std::abs(away) < first.radius ? std::acos(std::abs(away) / first.radius) : 0.0;
+      middle = Eigen::Vector2d(along[1], -along[0]) / length;
+      cosine = middle.dot(Eigen::Vector2d(x, y)) / first.radius;
     } else {
-      const double apart = std::hypot(x, y), r = first.radius;
-      const double c = (apart * apart + r * r - other.radius * other.radius) / (2.0 * apart * r);
-      if (!(std::abs(c) <= 1.0)) return;
-      middle = std::atan2(y, x);
-      half = std::acos(c);
+      const double apart = std::sqrt(x * x + y * y), r = first.radius;
+      if (!(apart > 0.0)) return;
+      middle = Eigen::Vector2d(x, y) / apart;
+      cosine = (apart * apart + r * r - other.radius * other.radius) / (2.0 * apart * r);
     }
-    first.start = middle - half;
-    second.start = middle + half;
+    if (!(std::abs(cosine) <= 1.0)) return;
+    const double sine = std::sqrt(1.0 - cosine * cosine);
+    const Eigen::Vector2d across(-middle[1], middle[0]);
+    first.angle = cosine * middle - sine * across;
+    second.angle = cosine * middle + sine * across;
   }
 
   // Takes the answer if the bound along its normal is its distance to rounding.
