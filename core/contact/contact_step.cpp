@@ -7,18 +7,19 @@ namespace contactvi {
 
 namespace {
 constexpr int kMaxIterations = 40;
-constexpr double kRounding = 1e-14;       // of the velocities: converged
-constexpr double kGapRounding = 2e-16;    // [m] of the gaps; divided by the step it is a velocity
+constexpr double kRounding = 1e-14;  // of the velocities: converged
+// [m] of gaps, of those of cylinders and of constraints; divided by the step it is a velocity
+constexpr double kGapRounding = 2e-16, kLargerRounding = 1e-15;
+constexpr double kGapNoise = 1e-11;       // [m] of gaps to which distances carry noise
 constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking points disagree
 constexpr double kAccept = 1e-9;          // residual of a cone problem that was not solved better: it counts as solved
 constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // relative disagreement of dependent rows: at first, when settled
 constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_displacement_step
-constexpr double kStalled = 1e3;               // of the convergence limit: iterations that stall below it end
-constexpr int kIdle = 4;                       // iterations without gain that count as a stall
-constexpr double kBest = 1e-4;                 // smallest contraction rate that is assumed
-constexpr double kConstraintRounding = 1e-15;  // [m] of the residuals of constraints
-constexpr double kSameTime = 1e-13;            // of 1 s + t: times that differ less are equal
-constexpr double kSettled = 1e-3;              // relative change of v from which on the contact matrix is kept
+constexpr double kStalled = 1e3;     // of the convergence limit: iterations that stall below it end
+constexpr int kIdle = 4;             // iterations without gain that count as a stall
+constexpr double kBest = 1e-4;       // smallest contraction rate that is assumed
+constexpr double kSameTime = 1e-13;  // of 1 s + t: times that differ less are equal
+constexpr double kSettled = 1e-3;    // relative change of v from which on the contact matrix is kept
 }  // namespace
 
 ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol)
@@ -63,7 +64,7 @@ void ContactStep::set_rows() {
   reference_positions_.resize(n);
   paradox_.resize(n);
   rows_ = bilateral_ + friction_rows_;
-  noisy_ = false;
+  noisy_ = has_cylinders_ = false;
   for (std::size_t i = 0; i < n; ++i) {
     row_[i] = rows_;
     rows_ += contacts_[i].rows();
@@ -71,7 +72,9 @@ void ContactStep::set_rows() {
     cones_[friction_rows_ + i].row = row_[i] - bilateral_;
     cones_[friction_rows_ + i].rows = contacts_[i].rows();
     cones_[friction_rows_ + i].mu = contacts_[i].mu;
-    noisy_ |= guards_->is_noisy(contacts_[i].point.guard);
+    const int guard = contacts_[i].point.guard;
+    noisy_ |= guards_->is_noisy(guard);
+    has_cylinders_ |= scene_->is_pair(guard) && scene_->pairs[guard].refined;
   }
   const int nv = scene_->tree.nv;
   for (Node* node : {&node0_, &node1_}) {
@@ -221,10 +224,8 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
   int idle = 0;
   double last = INFINITY;
   bool settled = false;
-  const double noise = std::max(kGapRounding, noisy_           ? 1e-11
-                                              : bilateral_ > 0 ? kConstraintRounding
-                                                               : 0.0) /
-                       h;  // of the rows, as a velocity
+  const double rounding = bilateral_ > 0 || has_cylinders_ ? kLargerRounding : kGapRounding;
+  const double noise = (noisy_ ? kGapNoise : rounding) / h;  // of the rows, as a velocity
   for (int k = 0; k < kMaxIterations; ++k) {
     ++counters.contact_iterations;
     p_start_ = p0;

@@ -428,8 +428,8 @@ void DenseStep::set_results(const VecX& lambda) {
       c.slip_W = rows_.velocity(i, 1, v1_) * c.t1_1 + rows_.velocity(i, 2, v1_) * t2;
       c.slip_speed = c.slip_W.norm();
     }
-    report_.contacts += c.loaded();
   }
+  for (const DenseContact& c : all) report_.contacts += c.loaded();
 }
 
 void DenseStep::finish(VecRef q1, VecRef p1) const {

@@ -145,8 +145,8 @@ void polytope_pieces(const ShapeFeatures& o, const Pose& pose, const Vec3& m, co
               0.0, 0.0, -1});
 }
 
-// A point that moves on a piece: place, first and second derivative. Angles are unit vectors, so that the library's sine,
-// which is another one on other processors, has no part in the result.
+// A point that moves on a piece: place, first and second derivative. Angles are unit vectors, because the sine of the C
+// library is another one on other processors.
 struct Runner {
   const Piece* piece;
   double s = 0.0;
