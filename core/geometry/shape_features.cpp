@@ -8,6 +8,7 @@
 #include <map>
 #include <numeric>
 
+#include "base/disjoint_sets.hpp"
 #include "base/error.hpp"
 #include "geometry/planar_hull.hpp"
 
@@ -152,21 +153,15 @@ std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coa
 Vec3 to_body(const Geometry& g, const Vec3& x) { return g.R_BG * x + g.p_BG; }
 
 void join_plates(ShapeFeatures& o) {
-  std::vector<int> leader(o.faces.size());
-  std::iota(leader.begin(), leader.end(), 0);
-  auto find = [&](int i) {
-    while (leader[i] != i) i = leader[i];
-    return i;
-  };
+  DisjointSets sets(static_cast<int>(o.faces.size()));
   for (const ShapeFeatures::Edge& e : o.edges) {
     if (e.left < 0 || e.right < 0) continue;
     if (o.faces[e.left].normal.cross(o.faces[e.right].normal).norm() > kPlateAngle) continue;
-    const int i = find(e.left), j = find(e.right);
-    leader[std::max(i, j)] = std::min(i, j);
+    sets.join(e.left, e.right);
   }
   std::vector<int> number(o.faces.size(), -1);
   for (std::size_t i = 0; i < o.faces.size(); ++i) {
-    int& plate = number[find(static_cast<int>(i))];
+    int& plate = number[sets.root(static_cast<int>(i))];
     if (plate < 0) {
       plate = static_cast<int>(o.plates.size());
       o.plates.emplace_back();

@@ -18,7 +18,7 @@ from oracles.del_step import System
 
 EPS = np.finfo(float).eps
 ANALYTIC = {"hand", "ball", "capsule"}  # against walls and each other their distances are exact
-NOISY, NOISE = {"ellipsoid", "cylinder"}, 5e-9  # against other shapes than spheres and walls [m] (docs/limits.md)
+NOISY, NOISE = {"ellipsoid"}, 5e-9  # against other shapes than spheres and walls [m] (docs/limits.md)
 cases = pytest.mark.parametrize(
     ("gravity", "restitution", "seed"), [(True, 1.0, 0), (False, 0.8, 1), (True, 1.0, 4), (True, 1.0, 5)]
 )
