@@ -53,13 +53,13 @@ VecX start_of(const std::optional<VecX>& start, Eigen::Index rows) {
 }
 
 Solution solve(const MatX& G, const VecX& b, const IndexVector& rows, const VecX& mu, const VecX& lower,
-               const std::optional<Directions>& frozen, const std::optional<VecX>& start, bool regularize,
-               double noise) {
+               const std::optional<Directions>& frozen, const std::optional<VecX>& start, bool regularize, double noise,
+               double accept) {
   const std::vector<ConeContact> contacts = contacts_of(rows, mu, lower, frozen);
   VecX lambda = start_of(start, b.size());
   ConeSolver solver;
   solver.reserve(static_cast<int>(b.size()));
-  const ConeResult r = solver.solve({contacts, G, b, noise}, lambda, regularize);
+  const ConeResult r = solver.solve({contacts, G, b, noise, 0.0, accept}, lambda, regularize);
   return {lambda, r.ok, r.residual, r.iterations, r.fallbacks};
 }
 
@@ -274,12 +274,12 @@ void expose_block_contacts(nb::module_& m) {
 void expose_cone(nb::module_& m) {
   expose_block_contacts(m);
   m.def("solve_cone", &solve, "G"_a, "b"_a, "rows"_a, "mu"_a, "lower"_a, "frozen"_a = nb::none(),
-        "start"_a = nb::none(), "regularize"_a = true, "noise"_a = 0.0,
+        "start"_a = nb::none(), "regularize"_a = true, "noise"_a = 0.0, "accept"_a = kConeTolerance,
         "Coulomb cone problem w = b + G lambda of n contacts with rows[i] = 1 or 3 rows (n, t1, t2) each: G (m, m) "
         "[1/kg], b (m,) [m/s], mu (n,), lower (n,) [N s] bounds of the normal impulses, frozen (n, 2) unit slip "
-        "directions (NaN: free), start (m,) [N s], noise [m/s] by which rows of b may disagree. Returns (lambda (m,) "
-        "[N s], ok, relative residual, Newton "
-        "iterations, fallbacks).");
+        "directions (NaN: free), start (m,) [N s], noise [m/s] by which rows of b may disagree, accept: residual "
+        "below which no other starts are tried. Returns (lambda (m,) [N s], ok, relative residual, Newton iterations, "
+        "fallbacks).");
   m.def("cone_seconds", &seconds, "G"_a, "b"_a, "rows"_a, "mu"_a, "lower"_a, "frozen"_a = nb::none(),
         "start"_a = nb::none(), "regularize"_a = true, "calls"_a = 100, "repeats"_a = 5,
         "Seconds of one solve_cone, without Python, fastest of several blocks; for benchmarks.");

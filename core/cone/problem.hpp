@@ -36,6 +36,8 @@ struct ConeProblem {
   double noise = 0.0;
   // Share of the terms by which the rows of a contact may disagree, where its matrix is singular and it is alone.
   double rough = 0.0;
+  // Residual that is good enough: where Newton's method ends below it no other starts are tried.
+  double accept = kConeTolerance;
 };
 
 struct ConeResult {

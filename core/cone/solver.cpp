@@ -131,6 +131,23 @@ bool ConeSolver::rescue(const ConeProblem& problem, bool regularize, double* lam
   return false;
 }
 
+// What Newton's method leaves of the law is better left in the velocities than outside of the friction cones.
+void ConeSolver::keep_in_cones(const ConeProblem& problem, double* lambda) {
+  for (const ConeContact& c : problem.contacts) {
+    double* x = lambda + c.row;
+    if (c.box > 0.0) {
+      x[0] = std::clamp(x[0], -c.box, c.box);
+      continue;
+    }
+    x[0] = std::max(x[0], c.lower);
+    if (c.rows == 1) continue;
+    const double friction = std::sqrt(x[1] * x[1] + x[2] * x[2]), most = c.mu * x[0];
+    if (friction <= most) continue;
+    x[1] *= most / friction;
+    x[2] *= most / friction;
+  }
+}
+
 ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool regularize) {
   const int m = static_cast<int>(problem.b.size());
   result_ = ConeResult();
@@ -147,8 +164,11 @@ ConeResult ConeSolver::solve(const ConeProblem& problem, VecRef lambda, bool reg
     result_.residual = std::numeric_limits<double>::infinity();
     std::fill_n(best_.data(), m, 0.0);
     attempt(problem, regularize, lambda.data());
-    result_.ok = keep_better(lambda.data(), m) || (may_rescue(m) && rescue(problem, regularize, lambda.data()));
+    result_.ok = keep_better(lambda.data(), m);
+    if (!(result_.residual <= std::max(problem.accept, kConeTolerance)) && may_rescue(m))
+      result_.ok = rescue(problem, regularize, lambda.data());
     std::copy_n(best_.data(), m, lambda.data());
+    if (!result_.ok) keep_in_cones(problem, lambda.data());
   }
   result_.iterations = newton_.iterations();
   return result_;

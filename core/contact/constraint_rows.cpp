@@ -143,11 +143,12 @@ ConeContact ContactStep::joint_friction_cone(int k, double bound) const {
 
 // Solves the cone problem of all rows with the constraints eliminated; reduction_ has been set to G before.
 bool ContactStep::solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise,
-                             VecX& lambda, bool regularize, double rough) {
-  if (bilateral_ == 0) return solve_cone({cones, G, b, noise, rough}, lambda, regularize);
+                             VecX& lambda, bool regularize, const Agreement& agreement) {
+  const auto [rough, accept] = agreement;
+  if (bilateral_ == 0) return solve_cone({cones, G, b, noise, rough, accept}, lambda, regularize);
   const VecX& right = reduction_.right_side(b);
   rest_ = lambda.tail(right.size());
-  if (right.size() > 0 && !solve_cone({cones, reduction_.matrix(), right, noise, rough}, rest_, regularize))
+  if (right.size() > 0 && !solve_cone({cones, reduction_.matrix(), right, noise, rough, accept}, rest_, regularize))
     return false;
   // Friction of a joint whose motion the constraints determine: it acts in full, and the constraints bear it.
   for (std::size_t i = 0; i < reduction_.idle().size(); ++i) {

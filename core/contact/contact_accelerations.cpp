@@ -66,7 +66,7 @@ bool ContactStep::force_problem(VecX& value) {
   }
   change_ = h_ > 0.0 ? VecX((2.0 / h_) * lambda_end_) : VecX(VecX::Zero(rows_));
   if (bilateral_ > 0) reduction_.set(G_end_, bilateral_, friction_rows_);
-  if (!solve_rows(force_cones_, G_end_, b_, 1e-9 * b_.cwiseAbs().maxCoeff(), change_, true)) return false;
+  if (!solve_rows(force_cones_, G_end_, b_, 1e-9 * b_.cwiseAbs().maxCoeff(), change_, true, Agreement())) return false;
   b_.noalias() += G_end_ * change_;
   double stiffest = 0.0;
   for (std::size_t i = 0; i < contacts_.size(); ++i) stiffest = std::max(stiffest, G_end_(row_[i], row_[i]));

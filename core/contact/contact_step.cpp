@@ -12,7 +12,10 @@ constexpr double kRounding = 1e-14;  // of the velocities: converged
 constexpr double kGapRounding = 2e-16, kLargerRounding = 1e-15;
 constexpr double kGapNoise = 1e-11;       // [m] of gaps to which distances carry noise
 constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking points disagree
-constexpr double kAccept = 1e-9;          // residual of a cone problem that was not solved better: it counts as solved
+// Residual of a cone problem that counts as solved: while the iterations go on, and when they have settled. Redundant
+// rows agree only as far as the iterations have come; better impulses would press the points of a body against each
+// other.
+constexpr double kAcceptFirst = 1e-7, kAccept = 1e-9;
 constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // relative disagreement of dependent rows: at first, when settled
 constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_displacement_step
 constexpr double kStalled = 1e3;     // of the convergence limit: iterations that stall below it end
@@ -202,7 +205,8 @@ bool ContactStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regu
   ++counters.problems;
   counters.iterations += result.iterations;
   counters.fallbacks += result.fallbacks;
-  return result.ok || result.residual <= kAccept;
+  residual_ = result.ok ? 0.0 : result.residual;
+  return residual_ <= problem.accept;
 }
 
 // Start values of the position impulses from the forces of the last step, the bounds of joint friction, and the
@@ -246,8 +250,8 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     b_ = y_;
     b_.noalias() -= G_ * lambda_;
     change_ = lambda_;
-    const bool solved = solve_rows(cones_, G_, b_, std::max(noise, kPlaceRounding / h), lambda_, k == 0,
-                                   settled ? kAgree : kAgreeFirst);
+    const Agreement agreement = settled ? Agreement{kAgree, kAccept} : Agreement{kAgreeFirst, kAcceptFirst};
+    const bool solved = solve_rows(cones_, G_, b_, std::max(noise, kPlaceRounding / h), lambda_, k == 0, agreement);
     if (k == 0) find_paradox(v);
     if (!solved) {
       why_ = "the contact forces were not found";
@@ -263,10 +267,11 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     // The change of the next iteration is estimated by the contraction rate.
     const double theta = k > 0 ? std::max(kBest, change / last) : 1.0;
     last = change;
-    if (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= floor)) return true;
+    const bool accepted = residual_ <= kAccept;
+    if (accepted && (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= floor))) return true;
     idle = change < 0.7 * best ? 0 : idle + 1;
     best = std::min(best, change);
-    if (idle >= kIdle && best < kStalled * floor) return true;
+    if (accepted && idle >= kIdle && best < kStalled * floor) return true;
     if (idle >= 4 * kIdle) break;
   }
   why_ = "the step with persistent contacts does not converge";

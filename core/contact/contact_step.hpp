@@ -163,8 +163,12 @@ class ContactStep final : public Stepper {
   bool constraints_met(double h, bool rates);
   int find_prescribed_jump(double h) const;
   ConeContact joint_friction_cone(int k, double bound) const;
+  // How well rows may agree that leave no choice, and the residual that is good enough; see ConeProblem.
+  struct Agreement {
+    double rough = 0.0, accept = 1e-9;
+  };
   bool solve_rows(const std::vector<ConeContact>& cones, const MatX& G, const VecX& b, double noise, VecX& lambda,
-                  bool regularize, double rough = 0.0);
+                  bool regularize, const Agreement& agreement);
   double contact_matrix(int row, int column) const;
   void start_node(const VecCRef& q0);
   void end_node(const VecX& q1, double t1);
@@ -190,6 +194,7 @@ class ContactStep final : public Stepper {
   const Manifolds* manifolds_;
   ImpulseStep integrator_;
   ConeSolver solver_;
+  double residual_ = 0.0;  // of the last cone problem, 0 where it was solved
   std::vector<PersistentContact> contacts_;
   std::vector<ContactOutcome> outcomes_;
   std::vector<int> row_;                        // first row of each contact

@@ -125,7 +125,7 @@ bool ContactStep::solve_end(VecX& lambda) {
   lambda.setZero();
   if (rows == 0) return true;
   for (int attempt = 0; attempt < 3; ++attempt) {
-    if (!solve_rows(end_cones_, G, b_sub_, kSlipping * 1e-3 * speed, x_, true)) {
+    if (!solve_rows(end_cones_, G, b_sub_, kSlipping * 1e-3 * speed, x_, true, Agreement())) {
       // In Painleve's paradox no force keeps a contact closed that goes on slipping.
       bool frozen = false;
       for (ConeContact& cone : end_cones_) {

@@ -53,6 +53,10 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
     settle();
     return Search::kNone;
   }
+  if (plainly_clear()) {
+    settle();
+    return Search::kNone;
+  }
   if (!raise_path()) return fail(Search::kNewtonFailed, -1, 0);
   if (bound_grows()) {
     guards_->bound_motion(q0, bound_, h);
@@ -119,6 +123,22 @@ bool EventFinder::raise_path() {
   }
   if (!stepper_->node_velocity(*q1_, *p1_, v1_)) return false;
   path_->raise(v0_, v1_);
+  return true;
+}
+
+// Whether no suspect of a step with one stage comes near zero, which spares the half step that raises its path. The
+// velocities of its partial steps lead from v0 to that in the middle of the step; their whole change counts as doubt.
+bool EventFinder::plainly_clear() {
+  if (path_->stages() > 1 || path_->raised()) return false;
+  for (const Suspect& s : suspects_)
+    if (memory_.touching[s.guard] || !(s.end_gap > 0.0)) return false;
+  if (!stepper_->node_velocity(*q0_, *p0_, v0_)) return false;
+  path_->lean(v0_);
+  path_->doubt(doubt_);
+  guards_->bound_doubt(*q0_, doubt_, h_);
+  gaps_.set(*path_);
+  for (const Suspect& s : suspects_)
+    if (!gaps_.plainly_clear(s.guard, gaps_.at(s.guard, 0.0), gaps_.at(s.guard, 1.0))) return false;
   return true;
 }
 

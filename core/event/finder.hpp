@@ -81,6 +81,7 @@ class EventFinder {
 
   bool bound_step();
   bool raise_path();
+  bool plainly_clear();
   bool bound_grows();
   bool collect();
   bool collect(int guard);

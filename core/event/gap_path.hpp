@@ -30,6 +30,8 @@ class GapPath {
   // d(gap)/d(tau) at tau of the guard's gap with the gradient W there, shape (nv,).
   double rate(int guard, double tau, const VecX& W);
 
+  // Whether the guard's gap, positive at both ends of the step, stays so beyond doubt, from these ends alone.
+  bool plainly_clear(int guard, const Point& start, const Point& end) const;
   // The first event of the guard between from, with a gap > 0, and to.
   Course first(int guard, const Point& from, const Point& to, Point& lo, Point& hi);
   // Place where the gap plus offset is zero; it is > 0 at lo and <= 0 at hi.

@@ -32,7 +32,7 @@ bool Simulator::retry_contact_step(double h, double time) {
     return end(StatusCode::kNewtonFailed, time,
                std::string("a step with persistent contacts was not solved: ") +
                    (*contact_step_.why() != 0 ? contact_step_.why() : "an event in it was not located"));
-  event_count_.contact_halvings += contact_step_.rim_turns_far() ? 0 : 1;
+  state_.dense.events.contact_halvings += contact_step_.rim_turns_far() ? 0 : 1;
   state_.control.halve_contact(h);
   contact_step_.invalidate();
   return true;
@@ -135,7 +135,7 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   const double whole = interval.remaining / std::max(1.0, std::ceil(interval.remaining / nominal - 1e-9));
   const double h = std::min(whole, state_.control.contact.longest);
   record_phase(at, nominal, StepKind::kPersistent, recording);
-  ++event_count_.contact_parts;
+  state_.dense.events.contact_parts += 1.0;
   contact_step_.set_nominal(nominal);
   double alpha = 1.0;
   bool hit = false, again = false;

@@ -10,6 +10,19 @@ enum class ContactSteps : int {
   kDense = 2,   // dense steps alone
 };
 
+// What has accumulated. The counts fade, so that a burst and a rate that lasts are bounded by the same limits.
+struct EventCount {
+  double coupled_impacts = 0;  // at instants with several closed contacts
+  double changes = 0;          // begins and releases of persistent contacts
+  double contact_parts = 0;    // partial steps with persistent contacts
+  int contact_halvings = 0;    // of steps with persistent contacts that were not solved, in the interval under way
+
+  // An interval of this length [s] begins.
+  void fade(double length);
+  // Of bodies that meet.
+  void join(const EventCount& other);
+};
+
 struct DensePhase {
   static constexpr int kQuietSteps = 8, kMostQuietSteps = 1024;
   static constexpr int kSoon = 8;  // times the quiet steps wanted: events that accumulate again so soon
@@ -18,17 +31,10 @@ struct DensePhase {
   int quiet = 0;          // dense steps one after the other in which no contact began, ended or closed fast
   int wanted = 0;         // quiet steps after which events are located again; 0: there were no dense steps yet
   long since_return = 0;  // steps since then
+  EventCount events;
 
   // Dense steps from here on; after twice as many quiet steps as the last time where that was not long ago.
   void begin();
-};
-
-// What has accumulated in the interval under way.
-struct EventCount {
-  long coupled_impacts = 0;  // at instants with several closed contacts
-  int changes = 0;           // begins and releases of persistent contacts
-  int contact_halvings = 0;  // of steps with persistent contacts that were not solved
-  int contact_parts = 0;     // partial steps with persistent contacts
 };
 
 }  // namespace contactvi

@@ -15,14 +15,16 @@
 namespace contactvi {
 
 namespace {
-// Limits of what may happen to an island in an interval, or in each millisecond of a longer one. They bound the time
-// that a step takes, and lie two to three times above what a grasp needs (tests/simulation/test_hand_scene.py).
-constexpr double kCounted = 1e-3;                                // [s]
-constexpr double kCoupledImpacts = 512, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
-constexpr double kChanges = 1024, kChangesPerContact = 4;        // begins and releases of persistent contacts
-constexpr double kContactParts = 512;                            // parts of steps with persistent contacts
+// Limits of what may have happened to an island lately, for intervals of a millisecond; longer ones have them in
+// proportion. They bound the time that a step takes, and lie twice above what a grasp needs
+// (tests/simulation/test_hand_scene.py).
+constexpr double kCounted = 1e-3;                                 // [s]
+constexpr double kMemory = 5e-2;                                  // [s] after which half of a count is forgotten
+constexpr double kCoupledImpacts = 1024, kImpactsPerContact = 8;  // impacts at instants with several closed contacts
+constexpr double kChanges = 3072, kChangesPerContact = 4;         // begins and releases of persistent contacts
+constexpr double kContactParts = 1024;                            // parts of steps with persistent contacts
 constexpr double kRescues = 2000;  // sum of the squares of the rows of contact problems in which slow methods are tried
-// Larger islands have lower limits in proportion to their degrees of freedom: an event costs as much more there.
+// Larger islands have lower limits, as the square of their degrees of freedom: an event costs that much more there.
 constexpr double kSmall = 24;
 constexpr int kContactHalvings = 30;  // of steps with persistent contacts that were not solved
 // Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order
@@ -63,10 +65,12 @@ double Simulator::most_rescues(double length) const {
 bool Simulator::events_accumulate(double length) const {
   const double contacts =
       static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
-  const double more = times(length) * std::min(1.0, kSmall / std::max(1, scene_->tree.nv));
-  return static_cast<double>(event_count_.coupled_impacts) > more * (kCoupledImpacts + kImpactsPerContact * contacts) ||
-         event_count_.changes > more * (kChanges + kChangesPerContact * contacts) ||
-         event_count_.contact_parts > more * kContactParts || event_count_.contact_halvings > kContactHalvings ||
+  const double small = std::min(1.0, kSmall / std::max(1, scene_->tree.nv));
+  const double more = times(length) * small * small;
+  const EventCount& count = state_.dense.events;
+  return count.coupled_impacts > more * (kCoupledImpacts + kImpactsPerContact * contacts) ||
+         count.changes > more * (kChanges + kChangesPerContact * contacts) ||
+         count.contact_parts > more * kContactParts || count.contact_halvings > kContactHalvings ||
          contact_step_.gave_up() || persistent_rows() > most_persistent();
 }
 
@@ -92,7 +96,22 @@ void Simulator::begin_dense_phase() {
   integrator_.forget();
 }
 
+void EventCount::fade(double length) {
+  const double left = 1.0 / (1.0 + length / kMemory);
+  coupled_impacts *= left;
+  changes *= left;
+  contact_parts *= left;
+  contact_halvings = 0;
+}
+
+void EventCount::join(const EventCount& other) {
+  coupled_impacts = std::max(coupled_impacts, other.coupled_impacts);
+  changes = std::max(changes, other.changes);
+  contact_parts = std::max(contact_parts, other.contact_parts);
+}
+
 void DensePhase::begin() {
+  events = EventCount();
   const bool soon = wanted > 0 && since_return < kSoon * static_cast<long>(wanted);
   wanted = soon ? std::min(2 * wanted, kMostQuietSteps) : kQuietSteps;
   active = true;

@@ -155,6 +155,7 @@ void Island::take_dense(std::vector<LooseState>& loose) {
     to.dense.quiet = std::min(to.dense.quiet, from.dense.quiet);
     to.dense.wanted = std::max(to.dense.wanted, from.dense.wanted);
     to.dense.since_return = std::min(to.dense.since_return, from.dense.since_return);
+    to.dense.events.join(from.dense.events);
     take(
         from.impulses, [](const DenseImpulse& i) { return i.guard; },
         [&](DenseImpulse impulse, int guard) {
@@ -286,6 +287,7 @@ void Island::step(long step, double t, double length, const VecX& tau, const Vec
     repeat_record(step, t, length);
     DensePhase& dense = engine_->state().dense;
     if (!dense.active) ++dense.since_return;
+    dense.events.fade(length);
     return;
   }
   if (own_) engine_->hand_over(before_);  // the island of all trees is never undone

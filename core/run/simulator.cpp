@@ -226,9 +226,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   long parts = 0;
   sequence_.begin_step();
   changes_.begin_interval();
-  event_count_ = EventCount();
+  state_.dense.events.fade(length);
   contact_step_.allow_rescues(most_rescues(length));
-  const std::size_t changes = recording.changes.size();
   const bool dense_allowed = allows_dense_steps();
   if (state_.dense.active && dense_may_end()) end_dense_phase();
   if (!state_.dense.active) ++state_.dense.since_return;
@@ -242,9 +241,10 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
       if (!advance_dense(interval, recording)) return false;
       continue;
     }
+    const std::size_t changes = recording.changes.size();
     const bool going =
         contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
-    event_count_.changes = static_cast<int>(recording.changes.size() - changes);
+    state_.dense.events.changes += static_cast<double>(recording.changes.size() - changes);
     if (dense_allowed && (going ? events_accumulate(length) : dense_steps_go_on()))
       begin_dense_phase();
     else if (!going)
@@ -365,7 +365,8 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
   const bool rounding = (stays_closed || touched) && scale <= kSeparated * state_.largest_speed;
   const long impacts_before = state_.impacts;
   const bool ran = rounding || run_impacts(now, recording);
-  if (sequence_.count() > 1) event_count_.coupled_impacts += state_.impacts - impacts_before;
+  if (sequence_.count() > 1)
+    state_.dense.events.coupled_impacts += static_cast<double>(state_.impacts - impacts_before);
   if (!ran) return end(sequence_.code(), time, sequence_.message(), sequence_.guard());
   for (int i = 0; i < sequence_.count(); ++i) finder_.set_touching(sequence_.closed(i).guard, true);
   if (!zeno_.update_bouncing(state_.flights, sequence_, time, shortest_nominal_step(), state_.adaptive_dt, recording)) {

@@ -169,7 +169,6 @@ class Simulator {
   EventFinder finder_;
   ContactStep contact_step_;
   DenseStep dense_step_;
-  EventCount event_count_;
   ImpactSequence sequence_;
   StepPath path_, contact_path_;
   Actuation actuation_;

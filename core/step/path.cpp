@@ -96,6 +96,12 @@ void StepPath::raise_by_half_step(const VecCRef& v0, const VecCRef& half_rate) {
   raised_ = true;
 }
 
+void StepPath::lean(const VecCRef& v0) {
+  if (raised_) return;
+  coef_.col(1) = coef_.col(0) - v0;
+  count_ = 2;
+}
+
 void StepPath::displacement(double tau, VecRef X) const {
   double I[kMaxStages + 2];
   legendre_integrals(tau, count_, I);
@@ -183,7 +189,7 @@ void StepPath::doubt(VecRef doubt) const {
     add_size(*tree_, coef_.col(stages_ + 1), 2.0 * safety, doubt);
     return;
   }
-  add_size(*tree_, coef_.col(stages_ - 1), 1.0, doubt);
+  add_size(*tree_, coef_.col(count_ - 1), 1.0, doubt);
   if (stages_ > 1) add_size(*tree_, coef_.col(stages_ - 2), kSafety, doubt);  // parity may make the last one vanish
 }
 

@@ -28,6 +28,9 @@ class StepPath {
   // Raises it, with one stage, by the velocity at its start and the stage rate of the exact half step. It is then
   // within O(h^4) of the ends of the midpoint rule's partial steps, which agree with the end velocities only to O(h^3).
   void raise_by_half_step(const VecCRef& v0, const VecCRef& half_rate);
+  // With one stage and not raised: lets the rates of the partial steps grow linearly from the velocity at its start,
+  // until it is raised. Their whole growth counts as doubt.
+  void lean(const VecCRef& v0);
 
   int stages() const { return stages_; }
   double h() const { return h_; }
@@ -45,8 +48,8 @@ class StepPath {
   // Bound on |v| over the step, (nv,): for each dof, and for the norm of the vector in all three entries of a spherical
   // joint (the Jacobian J of SO(3)'s exponential lengthens no vector).
   void bound(VecRef bound) const;
-  // Estimate of the error of the rates from the last coefficients; entries as in bound(). A single stage that was not
-  // raised gives none: all of its rate then counts as error.
+  // Estimate of the error of the rates from the last coefficients; entries as in bound(). A single stage that was
+  // neither raised nor leant gives none: all of its rate then counts as error.
   void doubt(VecRef doubt) const;
 
  private:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from contactvi import _core
-from helpers.cone_problems import KINDS, Problem, body, frictionless, hand, mechanism, stack
+from helpers.cone_problems import KINDS, Problem, body, frame, frictionless, hand, mechanism, point_velocity, stack
 from helpers.malloc_shim import SHIM
 from oracles import cone as oracle
 
@@ -20,8 +20,10 @@ EPS = np.finfo(float).eps
 SOLVED = 1e-12  # the solver's own tolerance, relative to the terms of a velocity
 
 
-def solve(p: Problem, start: np.ndarray | None = None, regularize: bool = True, noise: float = 0.0):
-    return _core.solve_cone(p.G, p.b, p.rows, p.mu, p.lower, p.frozen, start, regularize, noise)
+def solve(
+    p: Problem, start: np.ndarray | None = None, regularize: bool = True, noise: float = 0.0, accept: float = SOLVED
+):
+    return _core.solve_cone(p.G, p.b, p.rows, p.mu, p.lower, p.frozen, start, regularize, noise, accept)
 
 
 def check_law(p: Problem, lam: np.ndarray, residual: float) -> None:
@@ -164,6 +166,33 @@ def test_rows_that_disagree_by_rounding(friction, relative):
         later, ok, *_ = solve(replace(p, b=1.001 * p.b), first, regularize=False, noise=noise)
         assert ok
         np.testing.assert_allclose(later, 1.001 * even, atol=10.0 * noise / np.diag(p.G).min())
+
+
+def test_rows_that_disagree_are_accepted_without_other_starts():
+    """Two points of an edge that stick: along it their rows are one. Where these disagree by little they share it.
+
+    The law is met where the two press against each other up to their cones, which only other starts find.
+    """
+    rng = np.random.default_rng(14)
+    inverse_mass = np.diag([1.0, 1.0, 1.0, 40.0, 50.0, 60.0])
+    plane = frame(np.array([0.0, 0.0, 1.0]))
+    W = np.vstack([plane @ point_velocity(np.array([x, 0.0, -0.1])) for x in (-0.1, 0.1)])
+    falls = W @ np.array([0.0, 0.0, -0.01, 0.0, 0.0, 0.0])
+    p = Problem("edge", W @ inverse_mass @ W.T, falls, np.array([3, 3], dtype=np.int32), np.full(2, 0.7))
+    for _ in range(20):
+        b = falls.copy()
+        b[:3] += 1e-11 * rng.uniform(0.5, 1.0) * (plane @ [1.0, 0.0, 0.0])
+        p = replace(p, b=b)
+        pressed, *_, fallbacks = solve(p)
+        assert fallbacks > 0
+        assert np.linalg.norm(pressed[1:3]) > 0.3 * pressed[0]
+        lam, ok, residual, _, fallbacks = solve(p, accept=1e-7)
+        assert fallbacks == 0
+        assert not ok
+        assert residual <= 1e-9
+        np.testing.assert_allclose(lam.reshape(2, 3)[:, 0], 5e-3, rtol=1e-8)
+        np.testing.assert_allclose(lam.reshape(2, 3)[:, 1:], 0.0, atol=1e-11)
+        check_law(p, lam, residual)
 
 
 def test_three_loaded_corners_are_no_answer():

@@ -158,7 +158,7 @@ def test_the_order_of_bodies_does_not_matter():
 
 
 def test_an_impact_costs_its_bodies_only():
-    """Stage iterations beyond one for each body and step, per impact: not more among many bodies than among few."""
+    """Stage iterations beyond one for each body and step, per impact: a few, where a step of all would be 120."""
     cost = {}
     for count, steps in ((10, 400), (120, 60)):
         scene, v, _ = gas(count, 5)
@@ -167,7 +167,7 @@ def test_an_impact_costs_its_bodies_only():
         assert stats["impacts"] >= 30
         assert np.abs(energy / energy[0] - 1.0).max() <= 1e-12
         cost[count] = (stats["stage_iterations"] - count * steps) / stats["impacts"]
-    assert cost[120] <= 1.5 * cost[10], cost
+    assert max(cost.values()) <= 4.0, cost
 
 
 # --- the state is a value ---------------------------------------------------------------------------------------------
