@@ -166,17 +166,4 @@ double ContactStep::contact_matrix(int row, int column) const {
   return bilateral_ == 0 ? G_(row, column) : reduction_.matrix()(row - bilateral_, column - bilateral_);
 }
 
-double ContactStep::joint_friction_loss() const {
-  double total = 0.0;
-  for (int k = 0; k < friction_rows_; ++k)
-    total -= (lambda_[bilateral_ + k] + lambda_end_[bilateral_ + k]) * v_[friction_joints_[k].dof];
-  return total;
-}
-
-// The forces of a constraint that depends on time have power: the velocities of its rows are -rate.
-double ContactStep::driven_work() const {
-  if (bilateral_ == 0) return 0.0;
-  return -lambda_.head(bilateral_).dot(node0_.rate) - lambda_end_.head(bilateral_).dot(node1_.rate);
-}
-
 }  // namespace contactvi

@@ -41,6 +41,7 @@ ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& ma
       bilateral_(scene.tree.elements.constraint_rows),
       friction_rows_(static_cast<int>(scene.tree.elements.friction_dofs.size())),
       guess_(scene.tree.nv),
+      v_start_(scene.tree.nv),
       q_side_(scene.tree.nq),
       v_side_(scene.tree.nv),
       acceleration_(scene.tree.nv) {
@@ -303,15 +304,15 @@ bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const Ve
   if (node0_.known && follows_ && (node0_.q.array() == q0.array()).all()) {
     guess_ = v_node_ + (h / h_last_) *
                            (v_node_ - v_last_);  // velocity in the middle of the step, extrapolated from the last step
-    start_joint_friction(v_node_);
+    v_start_ = v_node_;
   } else {
     if (!integrator_.node_velocity(q0, p0, v1_)) {
       why_ = "the mass matrix is not positive definite";
       return false;
     }
-    guess_ = v1_;
-    start_joint_friction(v1_);
+    guess_ = v_start_ = v1_;
   }
+  start_joint_friction(v_start_);
   h_ = h;
   ++counters.steps;
   return iterate(q0, p0, h, tau, guess_) && velocity_impulses();

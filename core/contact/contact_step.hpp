@@ -71,7 +71,10 @@ class ContactStep final : public Stepper {
   // Results of the step just solved.
   double h() const { return h_; }
   const std::vector<ContactOutcome>& outcomes() const { return outcomes_; }
+  const VecX& start_velocity() const { return v_start_; }
   const VecX& end_velocity() const { return v1_; }
+  // By how much the step may change the energy besides its work [J], but for rounding: see gains_energy.
+  double energy_error(const VecCRef& p0, const VecCRef& p1) const;
   // Work of inputs, dissipation by damping and by joint friction, work of driven constraints [J].
   double input_work() const { return integrator_.input_work(); }
   double damping_loss() const { return integrator_.damping_loss(); }
@@ -219,6 +222,7 @@ class ContactStep final : public Stepper {
   VecX b_sub_, x_, rest_;
   std::vector<ConeContact> force_cones_;
   VecX w_end_, guess_, q_side_, v_side_, acceleration_;
+  VecX v_start_;          // velocity at the start of the step just solved
   VecX v_node_, v_last_;  // velocities of the last step: at its end, in its middle
   double h_last_ = 1;
   bool follows_ = false;  // the state is the end of the last step

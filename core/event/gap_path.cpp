@@ -71,8 +71,8 @@ double GapPath::smooth_width(int guard) const {
   return turn * kSmooth > kTurn ? kTurn / turn : kSmooth;
 }
 
-// Between the ends a convex gap lies above its tangents and a concave one above its chord. What turns a gap from the one
-// to the other is the rotation of the bodies, which changes the rates by less than the motion times the angle.
+// Between the ends a convex gap lies above its tangents and a concave one above its chord. What turns it from the one
+// to the other is the rotation of the bodies, which changes its rate by less than the motion times the angle.
 bool GapPath::plainly_clear(int guard, const Point& start, const Point& end) const {
   const double turn = guards_->turn(guard);
   const double unsure = 2.0 * guards_->doubt(guard) + turn * guards_->motion(guard) +

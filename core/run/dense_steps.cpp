@@ -140,7 +140,6 @@ void Simulator::end_dense_phase() {
   const long halved = state_.control.halved;
   state_.control.start(options_.dt, contact_dt());
   state_.control.halved = halved;
-  state_.kinetic = 0.0;
   if (contact_step_.empty()) resume_free_motion();
 }
 

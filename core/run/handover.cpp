@@ -8,7 +8,6 @@ void Simulator::hand_over(Handover& to) const {
   to.p = state_.p;
   to.control = state_.control;
   to.largest_speed = state_.largest_speed;
-  to.kinetic = state_.kinetic;
   to.contacts = contact_step_.contacts();
   to.touching.clear();
   for (int g = 0; g < guards_.count(); ++g)
@@ -36,7 +35,6 @@ void Simulator::take_over(const Handover& from, const EngineMemory& fresh, doubl
   s.control = from.control;
   s.control.halved = 0;
   s.largest_speed = from.largest_speed;
-  s.kinetic = from.kinetic;
   s.separated = from.separated;
   s.flights.clear();
   for (const Flights::Entry& entry : from.flights) s.flights.at(entry.first) = entry.second;

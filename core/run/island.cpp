@@ -103,7 +103,7 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, 
   for (std::size_t i = 0; i < numbers_->q.size(); ++i) to.q[static_cast<Eigen::Index>(i)] = q[numbers_->q[i]];
   for (std::size_t i = 0; i < numbers_->v.size(); ++i) to.p[static_cast<Eigen::Index>(i)] = p[numbers_->v[i]];
   to.control = loose[trees_[0]].control;
-  to.largest_speed = to.kinetic = 0.0;
+  to.largest_speed = 0.0;
   to.contacts.clear();
   to.touching.clear();
   to.exempt.clear();
@@ -113,8 +113,6 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, 
     LooseState& from = loose[tree];
     combine(from.control, to.control);
     to.largest_speed = std::max(to.largest_speed, from.largest_speed);
-    to.kinetic += from.kinetic;
-    from.kinetic = 0.0;
     take(
         from.contacts, [](const PersistentContact& c) { return c.point.guard; },
         [&](PersistentContact& c, int guard) {
@@ -181,7 +179,6 @@ void Island::file(const Handover& from, std::vector<LooseState>& loose, std::vec
   for (int tree : trees_) {
     loose[tree].control = from.control;
     loose[tree].largest_speed = from.largest_speed;
-    loose[tree].kinetic = tree == trees_[0] ? from.kinetic : 0.0;
     loose[tree].dense = from.dense;
     loose[tree].change.clear();
     loose[tree].change_h = from.dense_step.h;

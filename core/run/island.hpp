@@ -12,7 +12,7 @@ namespace contactvi {
 // guard between two trees is kept with the first one. Numbers of the whole scene.
 struct LooseState {
   StepControl control;
-  double largest_speed = 0, kinetic = 0;
+  double largest_speed = 0;
   std::vector<PersistentContact> contacts;
   std::vector<int> touching, exempt;
   std::vector<SeparatedPoint> separated;

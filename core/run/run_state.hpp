@@ -36,7 +36,6 @@ struct RunState {
   double largest_speed = 0;  // largest normal speed of a closed contact so far [m/s]
   std::vector<SeparatedPoint> separated;
   std::vector<ChangeRecord> initial_changes;  // changes of contact made by reset, which the next run records
-  double kinetic = 0;                         // kinetic energy at the end of the last contact step [J]
   ActuatorState actuators;
   WorkAccount work;
   DensePhase dense;
@@ -66,7 +65,7 @@ struct JointFriction {
 struct Handover {
   VecX q, p;
   StepControl control;
-  double largest_speed = 0, kinetic = 0;
+  double largest_speed = 0;
   std::vector<PersistentContact> contacts;
   std::vector<int> touching, exempt;  // guards, as the event finder knows them
   std::vector<SeparatedPoint> separated;

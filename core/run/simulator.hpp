@@ -137,6 +137,7 @@ class Simulator {
                             Recording& recording);
   void step_past_rounding(int guard);
   bool gains_energy();
+  double potential(const VecX& q);
   bool update_contact_points(const Interval& interval, Recording& recording);
   void accept_contact_step(double time, double h, bool dense, Recording& recording);
   void record_contact_forces(double time, double h, Recording& recording);
