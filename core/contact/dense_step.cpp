@@ -242,7 +242,6 @@ bool DenseStep::position_problem() {
     solver_.free_velocity(problem, lambda_, v_, problem.v_free);
   }
   account(result);
-  solver_error_ = std::min(result.residual, solver_options().accept) * result.scale;
   for (std::size_t i = 0; i < active_.size(); ++i) {
     DenseContact& c = all[active_[i]];
     const BlockContact& block = rows_.block(i);
@@ -359,9 +358,9 @@ void DenseStep::expand(double bound_energy) {
 
 // --- the step ---
 
-// What contacts add to the error of the step without them: speeds of contacts are wrong by the residual that the solver
-// accepts, and gaps by what the gap iterations leave, which changes the energy by impulse times speed; and what the
-// step conserves differs from H.
+// What contacts add to the error of the step without them: gaps are wrong by what the gap iterations leave, which changes
+// the energy by force times gap; and what the step conserves differs from H. What the solver leaves of Coulomb's law may
+// not gain anything.
 double DenseStep::contacts_error(const Energy& before, const Energy& free, const Energy& middle) const {
   double impulses = 0.0;
   bool impact = false;
@@ -374,7 +373,7 @@ double DenseStep::contacts_error(const Energy& before, const Energy& free, const
   const double curved = impact || memory_.change.size() != v_.size()
                             ? 0.0
                             : curvature_error(rows_.problem(), 2.0 * (v_ - v0_), memory_.change * (h_ / memory_.h));
-  return impulses * (solver_error_ + kGapSolved / h_) + std::min(curved, smooth) + kEnergyShare * before.kinetic +
+  return impulses * kGapSolved / h_ + std::min(curved, smooth) + kEnergyShare * before.kinetic +
          turning_error(scene_->tree, v_, h_, before, free, middle);
 }
 

@@ -116,7 +116,7 @@ class DenseStep {
   VecX lambda_, lambda_end_, joint_friction_;  // impulses of the present problem, of the end, of joint friction
   DenseReport report_;
   Kept kept_ = Kept::kGaps;
-  double h_ = 0.0, joint_friction_loss_ = 0.0, solver_error_ = 0.0;
+  double h_ = 0.0, joint_friction_loss_ = 0.0;
   const char* why_ = "";
 };
 
