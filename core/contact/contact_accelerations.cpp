@@ -14,6 +14,8 @@ namespace contactvi {
 namespace {
 constexpr double kSide = 1e-5;     // [m; rad] displacement of the finite difference at most,
 constexpr double kLongest = 1e-3;  // [s] and its time at most
+constexpr double kNoise = 1e-9;    // of the largest acceleration: error of the finite differences,
+constexpr double kAgree = 1e-7;    // and residual that they leave where contacts share their load
 constexpr double kStill = 1e-11;   // of the speeds: a joint that sticks
 constexpr double kFalling = 0.35;  // of the larger force: one extrapolated to less may reach zero soon
 }  // namespace
@@ -66,7 +68,8 @@ bool ContactStep::force_problem(VecX& value) {
   }
   change_ = h_ > 0.0 ? VecX((2.0 / h_) * lambda_end_) : VecX(VecX::Zero(rows_));
   if (bilateral_ > 0) reduction_.set(G_end_, bilateral_, friction_rows_);
-  if (!solve_rows(force_cones_, G_end_, b_, 1e-9 * b_.cwiseAbs().maxCoeff(), change_, true, Agreement())) return false;
+  if (!solve_rows(force_cones_, G_end_, b_, kNoise * b_.cwiseAbs().maxCoeff(), change_, true, {0.0, kAgree}))
+    return false;
   b_.noalias() += G_end_ * change_;
   double stiffest = 0.0;
   for (std::size_t i = 0; i < contacts_.size(); ++i) stiffest = std::max(stiffest, G_end_(row_[i], row_[i]));
