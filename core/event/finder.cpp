@@ -53,16 +53,17 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
     settle();
     return Search::kNone;
   }
-  if (plainly_clear()) {
-    settle();
-    return Search::kNone;
+  if (path.stages() == 1 && !path.raised()) {
+    if (!stepper_->node_velocity(q0, p0, v0_)) return fail(Search::kNewtonFailed, -1, 0);
+    path.lean(v0_);
+    if (!bound_again()) return Search::kUnresolved;
+    if (plainly_clear()) {
+      settle();
+      return Search::kNone;
+    }
   }
   if (!raise_path()) return fail(Search::kNewtonFailed, -1, 0);
-  if (bound_grows()) {
-    guards_->bound_motion(q0, bound_, h);
-    for (int g : pass_) guards_->unmark(g);
-    if (!collect()) return Search::kUnresolved;
-  }
+  if (!bound_again()) return Search::kUnresolved;
   guards_->bound_doubt(q0, doubt_, h / (2 * path.stages() + 1));  // the integral of P_s is smaller by that factor
   gaps_.set(path);
   for (Suspect& s : suspects_) {
@@ -129,12 +130,8 @@ bool EventFinder::raise_path() {
 // Whether no suspect of a step with one stage comes near zero, which spares the half step that raises its path. The
 // velocities of its partial steps lead from v0 to that in the middle of the step; their whole change counts as doubt.
 bool EventFinder::plainly_clear() {
-  if (path_->stages() > 1 || path_->raised()) return false;
   for (const Suspect& s : suspects_)
     if (memory_.touching[s.guard] || !(s.end_gap > 0.0)) return false;
-  if (!stepper_->node_velocity(*q0_, *p0_, v0_)) return false;
-  path_->lean(v0_);
-  path_->doubt(doubt_);
   guards_->bound_doubt(*q0_, doubt_, h_);
   gaps_.set(*path_);
   for (const Suspect& s : suspects_)
@@ -142,14 +139,18 @@ bool EventFinder::plainly_clear() {
   return true;
 }
 
-// Bounds the velocities by the raised path; true if one may be larger than its first bound.
-bool EventFinder::bound_grows() {
+// Bounds the velocities by the path as it is now known; where one may be larger than its bound so far, guards may have
+// been left out. False if a gap is not finite.
+bool EventFinder::bound_again() {
   path_->doubt(doubt_);
   path_->bound(W_);
   W_ += doubt_;
   const bool grows = (W_.array() > bound_.array()).any();
   bound_ = bound_.cwiseMax(W_);
-  return grows;
+  if (!grows) return true;
+  guards_->bound_motion(*q0_, bound_, h_);
+  for (int g : pass_) guards_->unmark(g);
+  return collect();
 }
 
 // Collects the guards that may reach zero in the step; false if a gap is not finite.

@@ -82,7 +82,7 @@ class EventFinder {
   bool bound_step();
   bool raise_path();
   bool plainly_clear();
-  bool bound_grows();
+  bool bound_again();
   bool collect();
   bool collect(int guard);
   Search start(Suspect& s);

@@ -223,7 +223,10 @@ bool Manifolds::is_single(int pair) const {
 
 double Manifolds::noise(int pair) const {
   const Pair& p = scene_->pairs[pair];
-  return (p.noisy ? 2e-8 : 5e-10) + features(pair, p.a).roughness + features(pair, p.b).roughness;
+  const ShapeFeatures &a = features(pair, p.a), &b = features(pair, p.b);
+  // Over a halfspace the lowest corner gives the distance, wherever it lies on its face.
+  const bool over_halfspace = a.is_unbounded() || b.is_unbounded();
+  return (p.noisy ? 2e-8 : 5e-10) + (over_halfspace ? 0.0 : a.roughness + b.roughness);
 }
 
 PairView Manifolds::view(int pair, const Placements& at) const {
