@@ -488,6 +488,11 @@ def near_pairs(scene: Scene, start: Annotated[NDArray[numpy.float64], dict(shape
     For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,))].
     """
 
+def distance_noise(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int) -> float:
+    """
+    How far the distance of a pair may be from the gap of its lowest point [m].
+    """
+
 def nearest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int) -> float:
     """
     Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.

@@ -143,6 +143,10 @@ void expose_manifold(nb::module_& m) {
       "near_pairs", &near_pairs, "scene"_a, "start"_a, "end"_a, "bound"_a, "h"_a,
       "For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) "
       "of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,))].");
+  m.def(
+      "distance_noise",
+      [](const Scene& s, const VecX& q, int pair) { return Touch(s, q, pair, 1).manifolds.noise(pair); }, "scene"_a,
+      "q"_a, "pair"_a, "How far the distance of a pair may be from the gap of its lowest point [m].");
   m.def("nearest_gap", &nearest_gap, "scene"_a, "q"_a, "pair"_a,
         "Distance [m] of a pair with a halfspace by its own features, NaN for other pairs.");
   m.def("rest_gap", &rest_gap, "scene"_a, "q"_a, "pair"_a, "features"_a, "max_points"_a = 4,

@@ -80,6 +80,9 @@ class Two:
     def nearest(self, a: pin.SE3, b: pin.SE3) -> float:
         return _core.nearest_gap(self.core, self.q(a, b), 0)
 
+    def noise(self) -> float:
+        return _core.distance_noise(self.core, self.q(IDENTITY, IDENTITY), 0)
+
     def gap(self, a: pin.SE3, b: pin.SE3) -> float:
         return self.core.gaps(self.q(a, b))[0][0]
 

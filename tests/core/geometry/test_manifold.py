@@ -32,6 +32,20 @@ from oracles import manifold as oracle
 
 
 @pytest.mark.parametrize("swapped", [False, True])
+def test_a_rough_sole_is_exact_over_a_halfspace(swapped):
+    """A corner 30 nm above the plane of its face: between two shapes that is noise, over a halfspace it is known."""
+    points = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.2, 0.2) for z in (-0.05, 0.05)])
+    points[0, 2] += 3e-8
+    sole = hull(points)
+    pair = (sole, GROUND) if swapped else (GROUND, sole)
+    assert Two(*pair).noise() == Two(GROUND, coal.Box(0.2, 0.4, 0.1)).noise()
+    other = coal.Box(1.0, 1.0, 1.0)
+    # A plane through the middle of the four corners has them 7.5 nm off, one that lies on the highest 15 nm.
+    rough = Two(other, sole).noise() - Two(other, coal.Box(0.2, 0.4, 0.1)).noise()
+    assert 7e-9 < rough <= 1.5e-8
+
+
+@pytest.mark.parametrize("swapped", [False, True])
 @pytest.mark.parametrize("kind", ["box", "hull", "capsule", "sphere", "cylinder"])
 def test_halfspace_gaps_are_the_oracles_and_coals(kind, swapped):
     rng = np.random.default_rng(1)
