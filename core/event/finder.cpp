@@ -83,6 +83,7 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
     if (outcome != Search::kFound) return outcome;
     if (!exists || someone_is_earlier(*first, k >= kManyCandidates)) continue;
     for (int g : pass_) guards_->unmark(g);  // their marks are for the end of the whole step
+    if (exempted_closes()) return search(q0, p0, q1, p1, h, tau, path);
     guards_->commit();
     memory_.h = 0.0;
     return Search::kFound;
@@ -282,6 +283,15 @@ bool EventFinder::someone_is_earlier(const Suspect& first, bool coarse) {
     s.root = alpha;
   }
   return earlier;
+}
+
+bool EventFinder::exempted_closes() {
+  for (auto g = memory_.exempt.begin(); g != memory_.exempt.end(); ++g) {
+    if (guards_->evaluate(*g, contact_) >= -guards_->depth_tolerance(*g)) continue;
+    memory_.exempt.erase(g);
+    return true;
+  }
+  return false;
 }
 
 void EventFinder::cut() {

@@ -38,6 +38,9 @@ class EventFinder {
   // Leaves a guard out until the next step has been taken: a contact that has just separated.
   void exempt(int guard) { memory_.exempt.push_back(guard); }
   const std::vector<int>& exempted() const { return memory_.exempt; }
+  // Whether a guard that is left out is below zero where the guards are placed: it does not separate, and is left out
+  // no more.
+  bool exempted_closes();
 
   // Searches the step of length h from (q0, p0) to (q1, p1); path: its collocation polynomial, which is raised if
   // some guard may reach zero. On kFound event() is filled, and the integrator holds the partial step to it.

@@ -59,6 +59,12 @@ def test_a_step_in_contact_that_gains_energy_is_taken_shorter(runner):
     assert not report.found, str(report)
 
 
+def test_a_contact_that_has_just_separated_may_close_within_the_step(runner):
+    """It is left out of the search of that step: where another event cuts it, it is looked at."""
+    report = runner.examine("funnel", 27270, SHORT_LIMIT, restitution=0.0, friction=0.8, duration=0.7)
+    assert not report.found, str(report)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("friction", FRICTIONS)
 @pytest.mark.parametrize("restitution", RESTITUTIONS)
