@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "contact/contact_step.hpp"
+#include "step/energy.hpp"
 
 namespace contactvi {
 
@@ -27,11 +28,7 @@ double ContactStep::driven_work() const {
 // The energy that a midpoint step conserves differs from H by h^2 (a.M a and T omega^2) / 12 or less, and what it
 // differs by changes in the step. Persistent contacts do no work but where they move bodies out of an overlap.
 double ContactStep::energy_error(const VecCRef& p0, const VecCRef& p1) const {
-  double turn = 0.0;  // the largest of a joint in the step [rad]
-  for (const Joint& joint : scene_->tree.joints) {
-    const bool slides = joint.type == JointType::kPrismatic || joint.type == JointType::kTranslation;
-    if (!slides) turn = std::max(turn, h_ * v_.segment(joint.iv, joint.nv).norm());
-  }
+  const double turn = largest_turn(scene_->tree, v_, h_);
   const double kinetic = 0.5 * std::max(p0.dot(v_start_), p1.dot(v1_));
   double mass = 0.0, impulses = 0.0;
   for (const Joint& joint : scene_->tree.joints) mass += joint.mass;

@@ -32,11 +32,7 @@ double curvature_error(const BlockProblem& problem, const VecX& change, const Ve
 
 double turning_error(const Tree& tree, const VecX& v, double h, const Energy& before, const Energy& free,
                      const Energy& middle) {
-  double turn = 0.0;  // the largest of a joint in the step [rad]
-  for (const Joint& joint : tree.joints) {
-    const bool slides = joint.type == JointType::kPrismatic || joint.type == JointType::kTranslation;
-    if (!slides) turn = std::max(turn, h * v.segment(joint.iv, joint.nv).norm());
-  }
+  const double turn = largest_turn(tree, v, h);
   return turn * turn / 12.0 * (std::abs(middle.potential - before.potential) + std::abs(free.kinetic - before.kinetic));
 }
 

@@ -7,8 +7,8 @@
 #include <chrono>
 #include <cmath>
 
+#include "model/forces.hpp"
 #include "run/simulator.hpp"
-#include "step/energy.hpp"
 
 namespace contactvi {
 

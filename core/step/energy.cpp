@@ -1,5 +1,6 @@
 #include "step/energy.hpp"
 
+#include <algorithm>
 #include <limits>
 #include <vector>
 
@@ -174,6 +175,15 @@ Energy energy(StepEquations& equations, const VecCRef& q, const VecCRef& p) {
   Placements at(tree);
   place(tree, q, at);
   return {0.5 * p.dot(v), total_potential(tree, equations.field(), at, q)};
+}
+
+double largest_turn(const Tree& tree, const VecCRef& v, double h) {
+  double turn = 0.0;
+  for (const Joint& joint : tree.joints) {
+    const bool slides = joint.type == JointType::kPrismatic || joint.type == JointType::kTranslation;
+    if (!slides) turn = std::max(turn, h * v.segment(joint.iv, joint.nv).norm());
+  }
+  return turn;
 }
 
 double modified_hamiltonian(StepEquations& equations, const VecCRef& q, const VecCRef& p, double h) {

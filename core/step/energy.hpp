@@ -12,6 +12,9 @@ struct Energy {
 // Engine coordinates. NaN if the mass matrix is not positive.
 Energy energy(StepEquations& equations, const VecCRef& q, const VecCRef& p);
 
+// The largest turn of a joint over the step h at the velocities v [rad].
+double largest_turn(const Tree& tree, const VecCRef& v, double h);
+
 // The energy that the integrator conserves so well that losses can be measured by it. At order 4 and more it is H
 // itself, whose node values stay within O(h^2s). For the midpoint rule it is H~_h = H + h^2 H2 of the undamped,
 // unforced system, H2 = -(G.a - dG.v + p.[v,a])/24 with a the free acceleration and dG.v the derivative of G = dL/dq
