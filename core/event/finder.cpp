@@ -46,6 +46,7 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
   tau_ = &tau;
   path_ = &path;
   h_ = h;
+  left_out_.clear();
   if (!bound_step()) return fail(Search::kNewtonFailed, -1, 0);
   guards_->bound_motion(q0, bound_, h);
   if (!collect()) return Search::kUnresolved;
@@ -286,12 +287,13 @@ bool EventFinder::someone_is_earlier(const Suspect& first, bool coarse) {
 }
 
 bool EventFinder::exempted_closes() {
-  for (auto g = memory_.exempt.begin(); g != memory_.exempt.end(); ++g) {
-    if (guards_->evaluate(*g, contact_) >= -guards_->depth_tolerance(*g)) continue;
+  const auto closes = [&](int g) { return guards_->evaluate(g, contact_) < -guards_->depth_tolerance(g); };
+  const auto g = std::find_if(memory_.exempt.begin(), memory_.exempt.end(), closes);
+  if (g != memory_.exempt.end()) {
     memory_.exempt.erase(g);
     return true;
   }
-  return false;
+  return std::any_of(left_out_.begin(), left_out_.end(), closes);
 }
 
 void EventFinder::cut() {
@@ -301,6 +303,7 @@ void EventFinder::cut() {
 
 // The step has no event: what it has shown about the guards is kept for the next one.
 void EventFinder::settle() {
+  left_out_.swap(memory_.exempt);
   memory_.exempt.clear();
   for (const Suspect& s : suspects_) {
     if (s.end_gap > guards_->touch_tolerance(s.guard)) memory_.touching[s.guard] = 0;

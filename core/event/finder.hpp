@@ -38,8 +38,8 @@ class EventFinder {
   // Leaves a guard out until the next step has been taken: a contact that has just separated.
   void exempt(int guard) { memory_.exempt.push_back(guard); }
   const std::vector<int>& exempted() const { return memory_.exempt; }
-  // Whether a guard that is left out is below zero where the guards are placed: it does not separate, and is left out
-  // no more.
+  // Whether a guard that is left out, or was in the last search, is below zero where the guards are placed: it does not
+  // separate, and is left out no more.
   bool exempted_closes();
 
   // Searches the step of length h from (q0, p0) to (q1, p1); path: its collocation polynomial, which is raised if
@@ -111,6 +111,7 @@ class EventFinder {
   GapPath gaps_;
   Event event_;
   std::vector<int> active_, pass_;
+  std::vector<int> left_out_;  // exempt guards of the last search, if it found no event
   std::vector<Suspect> suspects_;
   VecX v0_, v1_, bound_, doubt_, W_;
   Memory memory_;
