@@ -286,14 +286,20 @@ bool EventFinder::someone_is_earlier(const Suspect& first, bool coarse) {
   return earlier;
 }
 
+bool EventFinder::closes(int guard) { return guards_->evaluate(guard, contact_) < -guards_->depth_tolerance(guard); }
+
 bool EventFinder::exempted_closes() {
-  const auto closes = [&](int g) { return guards_->evaluate(g, contact_) < -guards_->depth_tolerance(g); };
-  const auto g = std::find_if(memory_.exempt.begin(), memory_.exempt.end(), closes);
-  if (g != memory_.exempt.end()) {
-    memory_.exempt.erase(g);
-    return true;
-  }
-  return std::any_of(left_out_.begin(), left_out_.end(), closes);
+  const auto g = std::find_if(memory_.exempt.begin(), memory_.exempt.end(), [&](int guard) { return closes(guard); });
+  if (g == memory_.exempt.end()) return false;
+  memory_.exempt.erase(g);
+  return true;
+}
+
+bool EventFinder::closes_before_cut() {
+  const auto any = [&](const std::vector<int>& guards) {
+    return std::any_of(guards.begin(), guards.end(), [&](int guard) { return closes(guard); });
+  };
+  return exempted_closes() || any(left_out_) || any(active_);
 }
 
 void EventFinder::cut() {

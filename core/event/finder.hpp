@@ -38,9 +38,9 @@ class EventFinder {
   // Leaves a guard out until the next step has been taken: a contact that has just separated.
   void exempt(int guard) { memory_.exempt.push_back(guard); }
   const std::vector<int>& exempted() const { return memory_.exempt; }
-  // Whether a guard that is left out, or was in the last search, is below zero where the guards are placed: it does not
-  // separate, and is left out no more.
-  bool exempted_closes();
+  // Where the guards are placed, inside of the step of the last search, which a change of the contacts has cut: whether
+  // a guard is below zero there, which the path of the whole step did not show. One that is left out is so no more.
+  bool closes_before_cut();
 
   // Searches the step of length h from (q0, p0) to (q1, p1); path: its collocation polynomial, which is raised if
   // some guard may reach zero. On kFound event() is filled, and the integrator holds the partial step to it.
@@ -100,6 +100,8 @@ class EventFinder {
   Search polish(Suspect& s, bool lo_seen, bool& exists);
   bool someone_is_earlier(const Suspect& first, bool coarse);
   bool exact_at(int guard, double tau, Point& point);  // false: no convergence
+  bool closes(int guard);
+  bool exempted_closes();
   void cross(Suspect& s, const Point& lo, const Point& hi, double offset);
   Search accept(int guard, const Point& at, bool stays_closed);
   void settle();

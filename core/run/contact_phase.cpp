@@ -37,8 +37,8 @@ bool Simulator::retry_contact_step(double h, double time) {
 }
 
 // After a contact step of length h was solved: the fraction alpha of it at which it has to end, and whether another
-// guard has an impact there (hit). again: the contacts have changed at its start, or one that had separated there
-// closes again, and the step is to be solved again with them. False: a shorter step has to be tried.
+// guard has an impact there (hit). again: the step is to be solved again, with the contacts changed at its start; or
+// as one that ends where a contact changes, for a guard closes before that. False: a shorter step has to be tried.
 bool Simulator::first_contact_change(const Interval& interval, double h, double& alpha, bool& hit, bool& again,
                                      Recording& recording) {
   alpha = 1.0;
@@ -87,7 +87,10 @@ bool Simulator::first_contact_change(const Interval& interval, double h, double&
     finder_.cut();
     contact_step_.finish(q1_, p1_);
     guards_.place(q1_);
-    if (finder_.exempted_closes()) again = true;
+    if (finder_.closes_before_cut()) {
+      state_.control.contact.limit(alpha * h);
+      again = true;
+    }
   }
   return alpha <= 0.0 || !contact_step_.rim_turns_far() || h <= kShortestSwing * contact_dt();
 }

@@ -65,6 +65,16 @@ def test_a_contact_that_has_just_separated_may_close_within_the_step(runner):
     assert not report.found, str(report)
 
 
+@pytest.mark.parametrize(
+    "seed, restitution", [(243696, 0.0), (307783, 0.3)], ids=["a contact left out", "a contact that touched"]
+)
+def test_a_change_that_cuts_a_step_looks_at_what_has_separated(runner, seed, restitution):
+    """The whole step shows no event, but where a release cuts it another contact has closed."""
+    chosen = {"restitution": restitution, "friction": 0.5, "duration": 0.33}
+    report = runner.examine("dominoes", seed, SHORT_LIMIT, **chosen)
+    assert not report.found, str(report)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("friction", FRICTIONS)
 @pytest.mark.parametrize("restitution", RESTITUTIONS)
