@@ -6,8 +6,10 @@ results: gaps are coal's and closed forms, energies those of rigid bodies.
 
 The energy error of a midpoint step of a motion that turns at a rate w is at most (h w)^2 / 12 of its kinetic energy
 (batteries.energy_laws); 3 / 12 are allowed, body by body. The rate is that at which the body turns, and sqrt(g / r) of
-gravity, r its least half size; of a cylinder also that at which a contact runs around its rim. An impact and a dense
-step may not gain anything. Where a body is moved out of an overlap within the tolerance of gaps, it is lifted by that.
+gravity, r its least half size; of a cylinder also that at which a contact runs around its rim. The forces of persistent
+contacts, which change the velocity by dv in the step, err by dv.M dv / 12 (docs/theory.md, the energy of contacts). An
+impact and a dense step may not gain anything. Where a body is moved out of an overlap within the tolerance of gaps, it
+is lifted by that.
 """
 
 from __future__ import annotations
@@ -100,7 +102,24 @@ def allowed_rises(heap: Heap, traj: cvi.Trajectory, dt: float) -> Array:
     squares = np.maximum(spin[1:], spin[:-1]) ** 2 + GRAVITY / least + running_rates(heap, traj, least, dt) ** 2
     weight = GRAVITY * sum(body.mass or 0.0 for body in heap.bodies)
     size = float((kinetic.sum(axis=1)).max() + np.abs(potential).sum(axis=1).max())
-    return (0.25 * dt**2 * squares * kinetic).sum(axis=1) + GAP * weight + ROUNDING * size
+    error = 0.25 * dt**2 * squares * kinetic + changes_by_forces(heap, traj) / 12.0
+    return error.sum(axis=1) + GAP * weight + ROUNDING * size
+
+
+def changes_by_forces(heap: Heap, traj: cvi.Trajectory) -> Array:
+    """dv.M dv of each step and body [J], shape (N - 1, bodies); zero where the body has an impact or a dense step."""
+    steps, count = len(traj.t) - 1, len(heap.bodies)
+    change = np.diff(traj.v.reshape(steps + 1, count, 6), axis=0)
+    mass = np.array([body.mass for body in heap.bodies])
+    inertias = np.array([moments(heap, k) for k in range(count)])
+    work = mass * (change[:, :, :3] ** 2).sum(axis=2) + (inertias * change[:, :, 3:] ** 2).sum(axis=2)
+    rows = traj.contacts
+    sudden = (rows.h == 0.0) | (rows.array("dense") != 0)
+    step = np.clip(np.searchsorted(traj.t, rows.t[sudden], side="right") - 1, 0, steps - 1)
+    names = np.array([[f"body{k}" in pair for k in range(count)] for pair in traj.scene.pair_names])
+    hit = np.zeros((steps, count), dtype=bool)
+    np.logical_or.at(hit, step, names[rows.array("index")[sudden]])
+    return np.where(hit, 0.0, work)
 
 
 def least_half_size(heap: Heap, k: int) -> float:

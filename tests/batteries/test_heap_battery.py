@@ -66,7 +66,7 @@ def test_a_contact_that_has_just_separated_may_close_within_the_step(runner):
 
 
 @pytest.mark.parametrize(
-    "seed, restitution", [(243696, 0.0), (307783, 0.3)], ids=["a contact left out", "a contact that touched"]
+    ("seed", "restitution"), [(243696, 0.0), (307783, 0.3)], ids=["a contact left out", "a contact that touched"]
 )
 def test_a_change_that_cuts_a_step_looks_at_what_has_separated(runner, seed, restitution):
     """The whole step shows no event, but where a release cuts it another contact has closed."""
