@@ -6,7 +6,6 @@
 namespace contactvi {
 
 namespace {
-constexpr double kGapPromised = 1e-10;    // [m] overlap at the end from which on a point joins the candidates
 constexpr double kLimitPromised = 5e-11;  // [m; rad] of joint limits, which are exact
 constexpr double kLimitJoins = 1e-11;     // [m; rad] overlap of limits from which points that became near take part
 constexpr double kSamePoint = 1e-7;       // [m] points of one feature nearer to each other are one

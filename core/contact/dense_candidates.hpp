@@ -36,6 +36,8 @@ struct DenseImpulse {
 
 class DenseCandidates {
  public:
+  static constexpr double kGapPromised = 1e-10;  // [m] overlap at the end from which on a point joins the candidates
+
   DenseCandidates(const Scene& scene, Guards& guards) : scene_(&scene), guards_(&guards) {}
 
   // For a step of length h from q0.
@@ -71,7 +73,7 @@ class DenseCandidates {
   void add_rims(const Near& near, const std::vector<DenseImpulse>& impulses);
   void evaluate(const ContactPoint& point, const Contact* witness, Contact& contact);
   ContactPoint frozen(const ContactPoint& point, const Contact& witness) const {
-    return guards_->manifolds().frozen(point, guards_->placements(), witness);
+    return guards_->manifolds().frozen(point, guards_->placements(), witness, guards_->turn(point.guard));
   }
   bool add(const ContactPoint& point, const ContactPoint& law, const Near& near,
            const std::vector<DenseImpulse>& impulses);

@@ -358,22 +358,23 @@ void DenseStep::expand(double bound_energy) {
 
 // --- the step ---
 
-// What contacts add to the error of the step without them: gaps are wrong by what the gap iterations leave, which
-// changes the energy by force times gap; and what the step conserves differs from H. What the solver leaves of
+// What contacts add to the error of the step without them: gaps are wrong by what the gap iterations leave, and at the
+// start by rounding, which changes the energy by force times gap; and what the step conserves differs from H. What the solver leaves of
 // Coulomb's law may not gain anything.
 double DenseStep::contacts_error(const Energy& before, const Energy& free, const Energy& middle) const {
-  double impulses = 0.0;
+  double lifts = 0.0;
   bool impact = false;
   const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
   for (const DenseContact& c : contacts()) {
-    impulses += c.position.norm();
+    const double noise = std::max(DenseCandidates::kGapPromised, solved_gap(c));
+    lifts += c.position.norm() * (kGapSolved + std::clamp(-c.at0.gap, 0.0, noise));
     impact |= c.position[0] > 0.0 && c.closing < -fast;
   }
   const double smooth = kCurvature * std::max(before.kinetic, free.kinetic);
   const double curved = impact || memory_.change.size() != v_.size()
                             ? 0.0
                             : curvature_error(rows_.problem(), 2.0 * (v_ - v0_), memory_.change * (h_ / memory_.h));
-  return impulses * kGapSolved / h_ + std::min(curved, smooth) + kEnergyShare * before.kinetic +
+  return lifts / h_ + std::min(curved, smooth) + kEnergyShare * before.kinetic +
          turning_error(scene_->tree, v_, h_, before, free, middle);
 }
 

@@ -145,6 +145,18 @@ void edge_gap(const ContactPoint& p, const Placements& at, Contact& contact) {
   contact.body_b = p.point_body;
 }
 
+// Makes a point of b over a plane of a of the point that has this contact.
+void make_material(ContactPoint& p, const Placements& at, const Contact& contact) {
+  p.kind = PointKind::kVertex;
+  p.on_b = true;
+  p.radius = 0.0;
+  p.point_body = contact.body_b;
+  p.plane_body = contact.body_a;
+  p.center_B = point_B(at, contact.body_b, contact.point_b);
+  p.normal_B = turned_B(at, contact.body_a, contact.normal);
+  p.offset = p.normal_B.dot(point_B(at, contact.body_a, contact.point_a));
+}
+
 // Whether a vertex, or the lowest point of a rim, lies over the face of its feature.
 bool is_over(const Parts& parts, const ContactPoint& point, const Placements& at) {
   if (parts.plane->is_unbounded()) return true;
@@ -436,21 +448,21 @@ void Manifolds::update_rim(ContactPoint& point, const Placements& at) const {
   point.far_B = lowest_of_rim(point.center_B, point.axis_B, point.rim_radius, -n);
 }
 
-ContactPoint Manifolds::frozen(const ContactPoint& point, const Placements& at, const Contact& witness) const {
+ContactPoint Manifolds::frozen(const ContactPoint& point, const Placements& at, const Contact& witness,
+                               double turn) const {
   ContactPoint p = point;
   if (point.kind == PointKind::kRim) {
     const Vec3 n = turned_B(at, point.point_body, turned_W(at, point.plane_body, point.normal_B));
     p.kind = PointKind::kVertex;
     p.center_B = lowest_of_rim(point.center_B, point.axis_B, point.rim_radius, n);
   } else if (point.kind == PointKind::kWitness && !is_single(point.guard)) {
-    p.kind = PointKind::kVertex;
-    p.on_b = true;
-    p.radius = 0.0;
-    p.point_body = witness.body_b;
-    p.plane_body = witness.body_a;
-    p.center_B = point_B(at, witness.body_b, witness.point_b);
-    p.normal_B = turned_B(at, witness.body_a, witness.normal);
-    p.offset = p.normal_B.dot(point_B(at, witness.body_a, witness.point_a));
+    make_material(p, at, witness);
+  } else if (point.kind == PointKind::kEdge) {
+    const Vec3 a = turned_W(at, point.plane_body, point.normal_B), b = turned_W(at, point.point_body, point.axis_B);
+    if (a.cross(b).norm() > turn) return p;
+    Contact crossing;
+    edge_gap(point, at, crossing);
+    make_material(p, at, crossing);
   }
   return p;
 }

@@ -82,9 +82,10 @@ class Manifolds {
 
   // Sets the farthest point of a rim, which moves as the rim rolls, to that of these placements.
   void update_rim(ContactPoint& point, const Placements& at) const;
-  // The point as one that moves with the bodies, where these are placed: the lowest point of a rim, and the witness of
-  // shapes with edges, become a point of one body over a plane of the other. Other points stay what they are.
-  ContactPoint frozen(const ContactPoint& point, const Placements& at, const Contact& witness) const;
+  // The point as one that moves with the bodies, where these are placed: the lowest point of a rim, the witness of
+  // shapes with edges, and the crossing of edges that become parallel where the bodies turn by `turn` [rad], become a
+  // point of one body over a plane of the other. Other points stay what they are.
+  ContactPoint frozen(const ContactPoint& point, const Placements& at, const Contact& witness, double turn) const;
   // Direction from the centre of a rim to its contact point, unit, world frame; zero for other points.
   static Vec3 side_of_rim(const ContactPoint& point, const Placements& at);
 

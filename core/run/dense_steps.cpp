@@ -116,6 +116,7 @@ void DensePhase::begin() {
   wanted = soon ? std::min(2 * wanted, kMostQuietSteps) : kQuietSteps;
   active = true;
   quiet = 0;
+  longest = 0.0;
 }
 
 // Whether events may be located again: some steps were quiet, and the contacts are so few that their step is cheap.
@@ -143,11 +144,11 @@ void Simulator::end_dense_phase() {
   if (contact_step_.empty()) resume_free_motion();
 }
 
-// One dense step, to the end of the interval where it can be solved.
+// One dense step, to the end of the interval where it can be solved and keeps its promises.
 bool Simulator::advance_dense(Interval& interval, Recording& recording) {
   const double at = interval.start + interval.done;
   dense_step_.set_time(at);
-  double h = interval.remaining;
+  double h = state_.dense.longest > 0.0 ? std::min(interval.remaining, state_.dense.longest) : interval.remaining;
   for (;;) {
     bool solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
     while (solved && actuation_.saturate_servos(dense_step_.integrator()))
@@ -164,6 +165,7 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
     if (h < kShortestDense * options_.dt)
       return end(StatusCode::kNewtonFailed, at, std::string("a dense step was not solved: ") + dense_step_.why());
   }
+  state_.dense.longest = 2.0 * h < options_.dt ? 2.0 * h : 0.0;
   record_phase(at, options_.dt, StepKind::kDense, recording);
   accept_dense_step(at, h, recording);
   interval.done += h;

@@ -151,6 +151,8 @@ void Island::take_dense(std::vector<LooseState>& loose) {
     LooseState& from = loose[tree];
     to.dense.active |= from.dense.active;
     to.dense.quiet = std::min(to.dense.quiet, from.dense.quiet);
+    const double longest = from.dense.longest;
+    if (longest > 0.0 && (to.dense.longest == 0.0 || longest < to.dense.longest)) to.dense.longest = longest;
     to.dense.wanted = std::max(to.dense.wanted, from.dense.wanted);
     to.dense.since_return = std::min(to.dense.since_return, from.dense.since_return);
     to.dense.events.join(from.dense.events);

@@ -19,6 +19,7 @@ from contactvi.trajectory.contact_ledger import free_trees
 Array = np.ndarray
 EXPLICIT = 0  # impact map "ctec", as in EventLog
 STICK, LIMIT = 0, 1  # mode and kind, as in ContactLog
+FEATURE_BITS, CROSSING = 40, 1  # a point is numbered by its kind of feature: coal's, edges that cross, ... and the feature
 # [m] accuracy of gaps: of closed forms, and of distances from coal's nearest points
 GAP, GAP_ITERATED = 1e-10, 1e-9
 CONE = 1e-8  # of the largest impulse of the step: its contact problem is solved to 1e-9 of its terms at worst
@@ -136,8 +137,8 @@ def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
     """Normals (m, 3), gaps (m,) and what the residual of a dense step may have opened them by (m,), at the starts.
 
     They are those of the point at the end of the row before; NaN in the first row of a point, and, where the point is
-    coal's, in a dense step and after one: each such step takes the plane between the shapes anew. Impacts have one
-    normal.
+    coal's or a crossing of edges, in a dense step and after one: each such step takes the plane between the shapes
+    anew. Impacts have one normal.
     """
     normal, gap = np.full_like(log.array("normal"), np.nan), np.full(len(log), np.nan)
     opened_before = np.zeros(len(log))
@@ -150,7 +151,8 @@ def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
     gap[after[near]] = log.array("gap")[before[near]]
     opened_before[after[near]] = opened[before[near]]
     dense = log.array("dense") == 1
-    anew = after[(dense[before] | dense[after]) & (log.array("point")[after] == 0)]
+    kind = log.array("point") >> FEATURE_BITS
+    anew = after[(dense[before] | dense[after]) & (kind[after] <= CROSSING)]
     normal[anew], gap[anew] = np.nan, np.nan
     impact = log.h == 0.0
     normal[impact], gap[impact] = log.array("normal")[impact], log.array("gap")[impact]

@@ -75,6 +75,19 @@ def test_a_change_that_cuts_a_step_looks_at_what_has_separated(runner, seed, res
     assert not report.found, str(report)
 
 
+@pytest.mark.parametrize(("seed", "restitution"), [(674721, 0.3), (209777, 0.8)])
+def test_edges_that_become_parallel_in_a_dense_step(runner, seed, restitution):
+    """Bricks whose edges cross at a small angle, which passes through zero: the crossing is somewhere else then."""
+    report = runner.examine("wall", seed, SHORT_LIMIT, restitution=restitution, friction=0.0, duration=0.37)
+    assert not report.found, str(report)
+
+
+def test_an_overlap_of_rounding_that_a_dense_step_takes_back_is_no_gain(runner):
+    """Three boxes lie on each other 5e-11 m deep: no step is halved for the 2e-9 J that lift them by that."""
+    report = runner.examine("tower", 225039, SHORT_LIMIT, restitution=0.8, friction=0.0, duration=0.15)
+    assert not report.found, str(report)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("friction", FRICTIONS)
 @pytest.mark.parametrize("restitution", RESTITUTIONS)
