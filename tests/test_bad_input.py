@@ -1,6 +1,6 @@
 """Bad models and arguments: each raises an error of contactvi with expected and got, and never crashes the interpreter.
 
-Several of these end the process or pass silently in Pinocchio 4.1, urdfdom or coal 3.0: see urdf.py, mjcf.py, hulls.py.
+Several of these end the process or pass silently in Pinocchio 4.1, urdfdom or coal 3.0: see urdf.py, hulls.py.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ URDFS = {
 }
 
 
-def mujoco(*bodies: str, head: str = "") -> str:
-    return f'<mujoco model="m">{head}<worldbody>{"".join(bodies)}</worldbody></mujoco>'
+def mujoco(*bodies: str, head: str = "", tail: str = "") -> str:
+    return f'<mujoco model="m">{head}<worldbody>{"".join(bodies)}</worldbody>{tail}</mujoco>'
 
 
 def body(inside: str = '<joint name="h"/><geom type="sphere" size="1"/>', where: str = "") -> str:
@@ -101,25 +101,23 @@ def body(inside: str = '<joint name="h"/><geom type="sphere" size="1"/>', where:
 MJCFS = {
     "broken": ("<mujoco>", "Broken XML"),
     "URDF": ("<robot/>", "add_urdf"),
-    "no world": ("<mujoco/>", "<worldbody>"),
-    "two bodies of a name": (mujoco(body(), body()), "'a'"),
+    "nothing": ("<mujoco/>", "nothing in it"),
+    "no world": ("<mujoco><asset/></mujoco>", "nothing in it"),
+    "two bodies of a name": (mujoco(body(), body()), "repeated name 'a'"),
     "nan place": (mujoco(body(where='pos="nan 0 0"')), "finite"),
-    "words for numbers": (mujoco(body(where='pos="a 0 0"')), "finite"),
-    "negative size": (mujoco(body('<joint/><geom type="sphere" size="-1"/>')), "> 0"),
-    "zero axis": (mujoco(body('<joint axis="0 0 0"/><geom type="sphere" size="1"/>')), "nonzero"),
-    "no mass": (mujoco(body("<joint/>")), "moves no mass"),
-    "joint type": (mujoco(body('<joint type="wobble"/><geom type="sphere" size="1"/>')), "Unknown joint type"),
-    "shape": (mujoco(body('<joint/><geom type="wobble" size="1"/>')), "geomType"),
-    "several joints": (
-        mujoco(body('<joint/><joint axis="1 0 0"/><geom type="sphere" size="1"/>')),
-        "JointModelComposite",
-    ),
+    "words for numbers": (mujoco(body(where='pos="a 0 0"')), "bad format in attribute 'pos'"),
+    "too few numbers": (mujoco(body(where='pos="1 0"')), "pos"),
+    "negative size": (mujoco(body('<joint/><geom type="sphere" size="-1"/>')), "size"),
+    "zero axis": (mujoco(body('<joint axis="0 0 0"/><geom type="sphere" size="1"/>')), "axis"),
+    "no mass": (mujoco(body("<joint/>")), "mass and inertia of moving bodies"),
+    "joint type": (mujoco(body('<joint type="wobble"/><geom type="sphere" size="1"/>')), "invalid keyword: 'wobble'"),
+    "shape": (mujoco(body('<joint/><geom type="wobble" size="1"/>')), "invalid keyword: 'wobble'"),
     "missing include": (mujoco('<include file="none.xml"/>'), "none.xml"),
-    "circular include": (mujoco('<include file="model.xml"/>'), "circle"),
-    "replicate": (mujoco('<replicate count="3"/>'), "mj_saveLastXML"),
-    "height field": (mujoco(body(), head='<asset><hfield name="h"/></asset>'), "height field"),
+    "include without a file": (mujoco("<include/>"), "include"),
+    "circular include": (mujoco('<include file="model.xml"/>'), "already included"),
     "missing mesh": (mujoco(body(), head='<asset><mesh name="t" file="no.stl"/></asset>'), "no.stl"),
-    "unknown mesh": (mujoco(body('<joint/><geom type="mesh" mesh="t"/>')), "mesh t"),
+    "unknown mesh": (mujoco(body('<joint/><geom type="mesh" mesh="t"/>')), "mesh"),
+    "unknown joint of an equality": (mujoco(body(), tail='<equality><joint joint1="x"/></equality>'), "'x'"),
 }
 
 

@@ -134,10 +134,12 @@ def python_unit(parts: tuple[str, ...], root: Path) -> str:
         return "_core"
     if parts and (root / f"{parts[0]}.py").is_file():
         return f"base.{parts[0]}"
-    if len(parts) > 1 and (root / parts[0] / f"{parts[1]}.py").is_file():
-        return f"{parts[0]}.{parts[1]}"
-    if parts and (root / parts[0]).is_dir():
-        return f"{parts[0]}.__init__"
+    for count in range(len(parts), 0, -1):
+        place = root.joinpath(*parts[:count])
+        if count > 1 and place.with_suffix(".py").is_file():
+            return ".".join(parts[:count])
+        if place.is_dir():
+            return ".".join([*parts[:count], "__init__"])
     return "public"
 
 

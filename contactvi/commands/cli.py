@@ -301,11 +301,10 @@ def _read_model(model: str, package_dirs: list[str], base: str) -> Scene:
         )
     if ending == ".toml":
         return cvi.load_scene(model)
+    if ending != ".urdf":
+        return cvi.Scene.from_mjcf(model)
     scene = cvi.Scene()
-    if ending == ".urdf":
-        scene.add_urdf(model, package_dirs=package_dirs, base=base)
-    else:
-        scene.add_mjcf(model)
+    scene.add_urdf(model, package_dirs=package_dirs, base=base)
     return scene
 
 

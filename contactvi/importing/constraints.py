@@ -1,21 +1,20 @@
-"""The constraints that a model's file brings: mimic tags of a URDF, <equality> of an MJCF; noted in its report."""
+"""The constraints that the mimic tags of a URDF bring, noted in its report."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 import pinocchio as pin
 
-from contactvi.elements.elements import WORLD, Constraint, EqualityConstraint, PointConstraint, WeldConstraint
+from contactvi.elements.elements import Element, EqualityConstraint
 from contactvi.importing.checks import joint_kind
 from contactvi.importing.part import Part
 from contactvi.importing.urdf import Mimic
 
 
-def mimic_constraints(part: Part, mimics: Mapping[str, Mimic], use: bool) -> list[Constraint]:
+def mimic_constraints(part: Part, mimics: Mapping[str, Mimic], use: bool) -> list[Element]:
     """Return a joint equality for each mimic tag between joints with one number in q; none unless `use`."""
-    found: list[Constraint] = []
+    found: list[Element] = []
     for name, mimic in mimics.items():
         free = _many_numbers(part.model, name, mimic.joint)
         joint, other = part.prefix + name, part.prefix + mimic.joint
@@ -28,28 +27,6 @@ def mimic_constraints(part: Part, mimics: Mapping[str, Mimic], use: bool) -> lis
         part.report.note("ignored", "joint", joint, f"mimic tag: treated as an independent joint{reason}")
         text = "the file couples it to another joint (mimic), here it moves freely"
         part.report.note("suspicious", "joint", joint, text)
-    return found
-
-
-def equality_constraints(part: Part, given: Sequence[Mapping[str, Any]], use: bool) -> list[Constraint]:
-    """Return the constraints of mjcf.read_equality; none unless `use`."""
-    found: list[Constraint] = []
-    for data in given:
-        values, kind = dict(data), data["kind"]
-        name = values.pop("name")
-        del values["kind"]
-        free = ""
-        if kind == "equality":
-            free = _many_numbers(part.model, *(values[key] for key in ("joint", "other") if values[key]))
-        if free or not use:
-            part.report.note("ignored", "equality", part.prefix + name, free or "equality=False")
-            continue
-        for key in ("a", "b", "joint", "other"):
-            if values.get(key) not in (None, WORLD):
-                values[key] = part.prefix + values[key]
-        values["name"] = part.prefix + name
-        found.append({"point": PointConstraint, "weld": WeldConstraint, "equality": EqualityConstraint}[kind](**values))
-        part.report.note("used", "equality", part.prefix + name, found[-1].describe())
     return found
 
 

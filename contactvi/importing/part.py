@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from contactvi.elements.elements import Constraint
+from contactvi.elements.elements import Element
 from contactvi.errors import InputError
 from contactvi.importing.hulls import describe
+from contactvi.importing.mjcf.actuators import Actuator
 from contactvi.importing.report import BodyRow, GeometryRow, PartReport
 from contactvi.inputs import real, unit_vector, vector
 
@@ -29,6 +31,28 @@ GROUND_THICKNESS = 0.01
 
 
 @dataclass
+class FileData:
+    """What the file of a model says beyond bodies, joints and shapes; the scene takes it over.
+
+    Attributes:
+        elements: constraints, springs and forces, with the scene's names.
+        springs: stiffness and rest of joints, by the file's names.
+        actuators: actuators of an MJCF, with the scene's names.
+        contact: friction and restitution (None: the scene's) of a geometry (name,) or a pair (name, name), by the
+            file's names.
+        limit_restitution: restitution of the limits of joints, None: the scene's.
+        configurations: q (nq,) and v (nv,) of the part by name: keyframes, reference poses.
+    """
+
+    elements: list[Element] = field(default_factory=list)
+    springs: dict[str, tuple[float, Any]] = field(default_factory=dict)
+    actuators: list[Actuator] = field(default_factory=list)
+    contact: dict[tuple[str, ...], tuple[float, float | None]] = field(default_factory=dict)
+    limit_restitution: float | None = None
+    configurations: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+
+
+@dataclass
 class Part:
     """One addition to the scene.
 
@@ -40,8 +64,9 @@ class Part:
         start: neutral configuration of the part, shape (nq,).
         disabled: link pairs switched off by the SRDF, with its reason.
         given_pairs: collision pairs (geometry indices) given with the model; None = the default choice.
+        checks_overlaps: whether given pairs that overlap in the model's own pose are left out.
         mimics: mimic tags by joint, for the report.
-        constraints: those of the file, with the scene's names.
+        data: what else the file says.
     """
 
     name: str
@@ -55,8 +80,9 @@ class Part:
     placement: pin.SE3 = field(default_factory=pin.SE3.Identity)
     disabled: list[tuple[str, str, str]] = field(default_factory=list)
     given_pairs: list[tuple[int, int]] | None = None
+    checks_overlaps: bool = False
     mimics: Mapping[str, object] = field(default_factory=dict)
-    constraints: list[Constraint] = field(default_factory=list)
+    data: FileData = field(default_factory=FileData)
 
     def joint_names(self) -> list[str]:
         return [self.prefix + name for name in list(self.model.names)[1:]]

@@ -1,13 +1,14 @@
 """Make parts of a scene from files and Pinocchio models: checked, with convex hulls, and with a report.
 
-Pinocchio parses the files; what its readers drop or crash on is caught before, in urdf.py, mjcf.py and hulls.py.
+Pinocchio parses a URDF; what its reader drops or crashes on is caught before, in urdf.py and hulls.py. An MJCF is
+compiled by MuJoCo (mjcf/).
 """
 
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,17 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import ContactviError, InputError, SceneError
-from contactvi.importing.checks import check_joints, check_numbers, describe_model, has_limits, joint_kind
-from contactvi.importing.constraints import equality_constraints, mimic_constraints
+from contactvi.importing.checks import check_joints, check_numbers, describe_model, has_limits
+from contactvi.importing.constraints import mimic_constraints
 from contactvi.importing.hulls import describe, prepare_geometry
-from contactvi.importing.mjcf import STATIC, read_mjcf
+from contactvi.importing.mjcf.compiler import Source, compile_file, import_mujoco
+from contactvi.importing.mjcf.model import SOLREF, Choices, MjcfFile, part_of
 from contactvi.importing.part import Part, plate_of
 from contactvi.importing.paths import resolve_path
 from contactvi.importing.report import GeometryRow, PartReport
 from contactvi.importing.urdf import read_urdf
-from contactvi.importing.xml import read_xml
-from contactvi.inputs import flag
+from contactvi.importing.xml import numbers, read_xml
+from contactvi.inputs import flag, real
 
 ROOT_JOINT = "root_joint"  # Pinocchio's name for the free-flyer of a free base
 
@@ -59,6 +61,7 @@ def import_urdf(
         else:
             model = _parse(file, lambda: pin.buildModelFromXML(text.xml))
         collision = _parse(file, lambda: pin.buildGeomFromUrdfString(model, text.xml, pin.GeometryType.COLLISION))
+        found = Srdf([], {}) if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report)
         part = Part(
             name=prefix + text.name,
             kind="urdf",
@@ -71,56 +74,53 @@ def import_urdf(
             ),
             prefix=prefix,
             placement=pin.SE3.Identity() if base == "free" else placement,
-            disabled=[] if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report),
+            disabled=found.pairs,
             mimics=text.mimics,
         )
         _finish(part, file.name)
-        part.constraints = mimic_constraints(part, text.mimics, flag("mimic", mimic))
+        part.data.elements += mimic_constraints(part, text.mimics, flag("mimic", mimic))
     if base == "free":
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
+    _configurations(part, found.states)
     return part
 
 
-def import_mjcf(
-    path: str | os.PathLike[str],
-    *,
-    placement: pin.SE3,
-    prefix: str = "",
-    folder: Path | None = None,
-    equality: Any = True,
-) -> Part:
-    """Return the part described by an MJCF; arguments as in Scene.add_mjcf. Raises like import_urdf."""
+def open_mjcf(path: str | os.PathLike[str], prefix: str = "", folder: Path | None = None) -> MjcfFile:
+    """Return a compiled MJCF, of which `import_mjcf` makes a part. Raises like import_urdf."""
     file = resolve_path(path, folder)
     report = PartReport(f"{prefix}{file.stem}: MJCF {file}")
     with _reported(report, file):
-        text = read_mjcf(file, report)
-        report.prefix_names(prefix)
-        report.title = f"{prefix}{text.name}: MJCF {file}"
-        # Pinocchio reads MJCF from a file only, so the rewritten text goes through a temporary one.
-        with tempfile.TemporaryDirectory() as scratch:
-            copy = Path(scratch) / file.name
-            copy.write_text(text.xml, encoding="utf-8")
-            model = _parse(file, lambda: pin.buildModelFromMJCF(str(copy)))
-            collision = _parse(file, lambda: pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.COLLISION))
-            visual = _parse(file, lambda: pin.buildGeomFromMJCF(model, str(copy), pin.GeometryType.VISUAL))
-        _reset_free_joints(model)
-        part = Part(
-            name=prefix + text.name,
-            kind="mjcf",
-            model=model,
-            collision=collision,
-            start=np.zeros(model.nq),
-            report=report,
-            load_visual=lambda: visual,
-            prefix=prefix,
-            placement=placement,
-            disabled=text.excluded,
+        mujoco = import_mujoco()
+        return MjcfFile(file, Source(mujoco, compile_file(mujoco, file, report), report))
+
+
+def import_mjcf(
+    opened: MjcfFile,
+    *,
+    placement: pin.SE3,
+    gravity: np.ndarray,
+    prefix: str = "",
+    equality: Any = True,
+    actuators: Any = True,
+    restitution: Any = 0.0,
+) -> Part:
+    """Return the part of an MJCF; arguments as in Scene.add_mjcf, gravity [m/s^2] is the scene's.
+
+    Raises like import_urdf.
+    """
+    if not (restitution is None or restitution == SOLREF):
+        restitution = real("restitution", restitution, 0.0, 1.0)
+    report = opened.source.report
+    with _reported(report, opened.path):
+        part = part_of(
+            opened,
+            Choices(prefix, placement, gravity, flag("equality", equality), flag("actuators", actuators), restitution),
         )
-        _finish(part, file.name)
-        part.constraints = equality_constraints(part, text.constraints, flag("equality", equality))
-    start = {entry.key(): entry.data() for entry in model.referenceConfigurations}.get("qpos0")
-    if start is not None:
-        _take_free_poses(part, start)
+        report.prefix_names(prefix)
+        report.title = f"{part.name}: MJCF {opened.path}"
+        start = part.start
+        _finish(part, opened.path.name)
+        part.start = start
     return part
 
 
@@ -173,23 +173,62 @@ def copy_geometry(source: pin.GeometryModel | None) -> pin.GeometryModel:
     return result
 
 
-def read_srdf(file: Path, model: pin.Model, report: PartReport) -> list[tuple[str, str, str]]:
-    """Return the disabled link pairs of an SRDF with their reasons.
+@dataclass
+class Srdf:
+    """What an SRDF says about a model.
+
+    Attributes:
+        pairs: disabled pairs of links with their reasons.
+        states: values of joints (each a list of numbers) by the name of a group state.
+    """
+
+    pairs: list[tuple[str, str, str]]
+    states: dict[str, dict[str, list[float]]]
+
+
+def read_srdf(file: Path, model: pin.Model, report: PartReport) -> Srdf:
+    """Return what an SRDF says about the links and joints of a model; what it has not is noted.
 
     Raises:
-        SceneError: broken XML or not an SRDF.
+        SceneError: broken XML, not an SRDF, or words in place of numbers.
     """
     root = read_xml(file, "robot", "an SRDF")
     known = {frame.name for frame in model.frames}
-    pairs = []
+    found = Srdf([], {})
     for element in root.iter("disable_collisions"):
         first, second = element.get("link1", ""), element.get("link2", "")
         if first in known and second in known:
-            pairs.append((first, second, element.get("reason", "")))
+            found.pairs.append((first, second, element.get("reason", "")))
         else:
             missing = first if first not in known else second
             report.note("suspicious", "SRDF", missing, "disable_collisions of a link the model does not have")
-    return pairs
+    for state in root.iter("group_state"):
+        values = found.states.setdefault(state.get("name", ""), {})
+        for joint in state.iter("joint"):
+            name = joint.get("name", "")
+            if model.existJointName(name):
+                values[name] = numbers(joint, "value", file, f"group_state {state.get('name')!r}") or []
+            else:
+                report.note("suspicious", "SRDF", name, "group_state of a joint the model does not have")
+    return found
+
+
+def _configurations(part: Part, states: Mapping[str, Mapping[str, list[float]]]) -> None:
+    """Enter group states as configurations: joints that a state does not name are as in the start."""
+    model = part.model
+    for title, values in states.items():
+        q = part.start.copy()
+        for name, given in values.items():
+            joint = model.joints[model.getJointId(name)]
+            value = np.array(given)
+            if joint.nq == 2 and len(value) == 1:
+                value = np.array([np.cos(value[0]), np.sin(value[0])])
+            if len(value) != joint.nq:
+                text = f"group_state {title!r} gives {len(value)} numbers, the joint has {joint.nq}"
+                part.report.note("suspicious", "SRDF", name, text)
+                continue
+            q[joint.idx_q : joint.idx_q + joint.nq] = value
+        part.data.configurations[title] = pin.normalize(model, q), np.zeros(model.nv)
 
 
 class _reported:
@@ -235,7 +274,6 @@ def _finish(part: Part, source: str) -> None:
     check_numbers(model, source)
     part.start = neutral(model)
     describe_model(model, report, part.start, part.prefix, part.mimics)
-    report.bodies = [body for body in report.bodies if body.name != part.prefix + STATIC]
     for geometry in part.collision.geometryObjects:
         frame = geometry.parentFrame
         body = part.prefix + model.frames[frame].name if frame else "universe"
@@ -248,9 +286,8 @@ def _finish(part: Part, source: str) -> None:
             raise
         shape = describe(geometry.geometry)
         report.geometries.append(GeometryRow(part.prefix + geometry.name, body, shape, done))
-    for name in (entry.key() for entry in model.referenceConfigurations):
-        if name != "qpos0":
-            report.note("ignored", "configuration", name, "reference configuration: set the start with q0")
+    for entry in model.referenceConfigurations:
+        part.data.configurations[entry.key()] = np.array(entry.data()), np.zeros(model.nv)
 
 
 def neutral(model: pin.Model) -> np.ndarray:
@@ -261,25 +298,6 @@ def neutral(model: pin.Model) -> np.ndarray:
             k = model.idx_qs[i]
             q[k] = min(max(q[k], model.lowerPositionLimit[k]), model.upperPositionLimit[k])
     return q
-
-
-def _reset_free_joints(model: pin.Model) -> None:
-    """Give the free joints of an MJCF the identity placement, so that q is the pose in the world.
-
-    pin 4.1 multiplies the body's frame with a wrong inverse of itself: the placement is wrong where it has a rotation.
-    """
-    for i in range(1, model.njoints):
-        if joint_kind(model.joints[i]) == "free" and model.parents[i] == 0:
-            model.jointPlacements[i] = pin.SE3.Identity()
-
-
-def _take_free_poses(part: Part, start: np.ndarray) -> None:
-    """Start free bodies where the file puts them (moved with the part)."""
-    model = part.model
-    for i in range(1, model.njoints):
-        if joint_kind(model.joints[i]) == "free" and model.parents[i] == 0:
-            q = slice(model.idx_qs[i], model.idx_qs[i] + 7)
-            part.start[q] = start[q]
 
 
 def _name_bodies(model: pin.Model) -> None:
@@ -327,4 +345,14 @@ def pictures(part: Part) -> list[pin.GeometryObject]:
     ]
 
 
-__all__ = ["STATIC", "copy_geometry", "import_mjcf", "import_pinocchio", "import_urdf", "neutral", "pictures"]
+__all__ = [
+    "MjcfFile",
+    "copy_geometry",
+    "import_mjcf",
+    "import_pinocchio",
+    "import_urdf",
+    "neutral",
+    "open_mjcf",
+    "pictures",
+    "read_srdf",
+]

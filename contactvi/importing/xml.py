@@ -11,11 +11,11 @@ from contactvi.errors import SceneError
 Element = ElementTree.Element
 
 
-def read_xml(path: Path, root_tag: str, kind: str) -> Element:
+def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
     """Return the root element of an XML file.
 
     Raises:
-        SceneError: not readable, broken XML (with the line), or the root is not `root_tag`.
+        SceneError: not readable, broken XML (with the line), or the root is not `root_tag` (None: any).
     """
     try:
         root = ElementTree.parse(path).getroot()
@@ -29,7 +29,7 @@ def read_xml(path: Path, root_tag: str, kind: str) -> Element:
         ) from None
     except (OSError, UnicodeDecodeError, LookupError, ValueError) as error:
         raise SceneError(f"Cannot read {path}", path=path, got=str(error)) from None
-    if root.tag != root_tag:
+    if root_tag is not None and root.tag != root_tag:
         remedies = {
             "robot": "This is a URDF: use add_urdf",
             "mujoco": "This is an MJCF: use add_mjcf",

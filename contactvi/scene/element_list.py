@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable
 from dataclasses import replace
 
-from contactvi.elements.elements import Constraint, Element
+from contactvi.elements.elements import Element
 from contactvi.errors import InputError, did_you_mean
 from contactvi.inputs import short
 
@@ -45,12 +45,12 @@ class ElementList:
         self.elements.append(element)
         self.supply({element.name})
 
-    def add_from_file(self, constraints: Iterable[Constraint]) -> None:
-        """Add the constraints of a model's file, numbered where their names are taken."""
-        for constraint in constraints:
-            taken = {element.name for element in self.elements}
-            names = (constraint.name, *(f"{constraint.name}_{k}" for k in range(2, len(taken) + 3)))
-            self.elements.append(replace(constraint, name=next(name for name in names if name not in taken)))
+    def add_from_file(self, elements: Iterable[Element]) -> None:
+        """Add the elements of a model's file, numbered where their names are taken."""
+        for element in elements:
+            taken = {known.name for known in self.elements}
+            names = (element.name, *(f"{element.name}_{k}" for k in range(2, len(taken) + 3)))
+            self.elements.append(replace(element, name=next(name for name in names if name not in taken)))
 
     def supply(self, names: Container[str]) -> None:
         """Take names off the list of what is missing."""

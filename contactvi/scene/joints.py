@@ -83,12 +83,29 @@ class JointTable:
             own = JointSettings(limits=False if not limits and has_limits(model, i) else None)
             if friction and model.nvs[i] == 1 and model.upperDryFrictionLimit[model.idx_vs[i]] > 0.0:
                 own.friction = True
+            own.update(_file_settings(part, i))
             if own != JointSettings():
                 self.settings[part.prefix + model.names[i]] = own
 
     def copy(self) -> JointTable:
         """Return a table that is edited apart from this one."""
         return JointTable({name: replace(own) for name, own in self.settings.items()})
+
+
+def _file_settings(part: Part, i: int) -> JointSettings:
+    """Return the spring, the servo and the restitution of the limits that a model's file gives joint i."""
+    model, data, name = part.model, part.data, str(part.model.names[i])
+    values: dict[str, Any] = {}
+    if name in data.springs:
+        values["stiffness"], values["rest"] = data.springs[name]
+    if has_limits(model, i):
+        values["restitution"] = data.limit_restitution
+    found = joint_settings(model, name, **values)
+    servos = [a for a in data.actuators if a.joint == part.prefix + name and a.kind != "motor"]
+    if servos:
+        effort = min(*(a.effort for a in servos), file_limit(model, model.idx_vs[i], "effort"))
+        found.servo = Servo(sum(a.kp for a in servos), sum(a.kd for a in servos), effort)
+    return found
 
 
 def joint_value(model: pin.Model, name: str, value: Any, argument: str | None = None) -> np.ndarray:

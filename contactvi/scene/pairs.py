@@ -4,7 +4,7 @@ By default every pair on two different bodies, except
 - adjacent bodies (one joint apart); the links of one robot base, fixed to the world, count as one body, while
   halfspaces, fixed primitives and shapes attached to the world itself are scenery and adjacent to nothing;
 - two halfspaces;
-- pairs disabled by the part's SRDF or MJCF (exclude), or by disable_pair;
+- pairs disabled by the part's SRDF or by disable_pair; an MJCF says itself which of its pairs are tested;
 - pairs that overlap at the neutral pose, when their relative pose there is the model's own: two bodies of which one
   hangs on a free, planar, translation or prismatic root joint of another tree are placed by the start of a run, where
   an overlap is an error and not a property of the model.
@@ -21,7 +21,6 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from contactvi.importing.mjcf import STATIC
 from contactvi.importing.part import Part
 from contactvi.importing.report import ADJACENT, BY_FILE, BY_USER, HALFSPACES, NOT_GIVEN, OVERLAP, RemovedPair
 from contactvi.scene.assembly import Assembly
@@ -91,6 +90,17 @@ class ContactRules:
     disabled: list[tuple[str, str]] = field(default_factory=list)
     enabled: list[tuple[str, str]] = field(default_factory=list)
 
+    def add_part(self, part: Part) -> None:
+        """Take over friction and restitution of a model's file; what the user sets later counts."""
+        for names, (friction, restitution) in part.data.contact.items():
+            for rule, value in ((self.friction, friction), (self.restitution, restitution)):
+                if value is None:
+                    continue
+                if len(names) == 1:
+                    rule.set_single([part.prefix + names[0]], value)
+                else:
+                    rule.set_pair([part.prefix + names[0]], [part.prefix + names[1]], value)
+
     def disable(self, first: Sequence[str], second: Sequence[str]) -> None:
         """Switch off all pairs of one of `first` and one of `second`."""
         self._switch(first, second, self.disabled)
@@ -153,7 +163,7 @@ def choose_pairs(
     drop(_adjacent(assembly, parts, joints) & ~given, ADJACENT)
     drop(*_disabled_by_file(assembly, parts))
     drop(_not_given(assembly, parts) & ~given, NOT_GIVEN)
-    details = _overlaps(assembly, keep & ~forced & ~given)
+    details = _overlaps(assembly, keep & ~forced & ~(given & ~_checked(assembly, parts)))
     mask = np.zeros((count, count), dtype=bool)
     for pair in details:
         mask[pair] = True
@@ -181,12 +191,10 @@ def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> 
 
 def _scenery(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
     """Return the mask of geometries that are fixed to the world and belong to no robot base."""
-    model = assembly.model
     result = []
     for index, geometry in zip(assembly.part_of_geometry, assembly.collision.geometryObjects, strict=True):
-        part, frame = parts[index], geometry.parentFrame
-        in_world = frame == 0 or model.frames[frame].name == part.prefix + STATIC
-        result.append(part.kind == "primitive" or in_world or isinstance(geometry.geometry, coal.Halfspace))
+        in_world = geometry.parentFrame == 0
+        result.append(parts[index].kind == "primitive" or in_world or isinstance(geometry.geometry, coal.Halfspace))
     return np.array(result, dtype=bool)
 
 
@@ -200,6 +208,14 @@ def _given(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
             i, j = sorted((int(own[a]), int(own[b])))
             mask[i, j] = True
     return mask
+
+
+def _checked(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
+    """Return the mask of inner pairs of the parts whose given pairs may overlap in the model's own pose."""
+    checked = np.array([part.checks_overlaps for part in parts], dtype=bool)
+    if not checked.any():
+        return np.zeros((len(assembly.part_of_geometry),) * 2, dtype=bool)
+    return np.asarray(_same_part(assembly) & checked[assembly.part_of_geometry][:, None])
 
 
 def _not_given(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:

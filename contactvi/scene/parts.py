@@ -35,7 +35,13 @@ class PartList:
     def add(self, part: Part, kind: type[Handle]) -> Handle:
         """Add a part and return its handle; raise InputError, and change nothing, where a name is taken already."""
         take_names(part, self._taken)
-        handle = kind(part.name, tuple(part.joint_names()), tuple(part.body_names()), tuple(part.geometry_names()))
+        handle = kind(
+            part.name,
+            tuple(part.joint_names()),
+            tuple(part.body_names()),
+            tuple(part.geometry_names()),
+            tuple(part.data.actuators),
+        )
         self.parts.append(part)
         self.handles[part.name] = handle
         self._forget()
@@ -68,6 +74,18 @@ class PartList:
         if self._visual is None:
             self._visual = assemble_visual(self.parts, self.assembly.model)
         return self._visual
+
+    def named_configurations(self, neutral: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return q (nq,) and v (nv,) by name; `neutral` (nq,) is where the other parts are."""
+        found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        nv, at_q, at_v = sum(part.model.nv for part in self.parts), 0, 0
+        for part in self.parts:
+            for name, (own_q, own_v) in part.data.configurations.items():
+                q, v = neutral.copy(), np.zeros(nv)
+                q[at_q : at_q + part.model.nq], v[at_v : at_v + part.model.nv] = own_q, own_v
+                found[part.prefix + name] = q, v
+            at_q, at_v = at_q + part.model.nq, at_v + part.model.nv
+        return found
 
     def copy(self) -> PartList:
         """Return a list with these parts, to which parts can be added apart from this one."""

@@ -13,10 +13,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from contactvi.elements import elements as kinds
-from contactvi.errors import InputError
+from contactvi.errors import InputError, did_you_mean
 from contactvi.importing import part as shapes
 from contactvi.importing.part import Part, shape_part
-from contactvi.importing.readers import import_mjcf, import_pinocchio, import_urdf
+from contactvi.importing.readers import MjcfFile, import_mjcf, import_pinocchio, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
 from contactvi.inputs import States, flag, pose, real, vector
 from contactvi.scene import closure
@@ -130,31 +130,55 @@ class Scene:
         part = import_urdf(path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic)
         return self.add_model(part, limits, friction)
 
+    @classmethod
+    def from_mjcf(cls, path: str | os.PathLike[str], **options: Any) -> Scene:
+        """Return a scene with an MJCF and with its gravity; options as in add_mjcf."""
+        opened = open_mjcf(path, str(options.get("prefix", "")))
+        scene = cls(opened.gravity)
+        scene.add_mjcf(opened, **options)
+        return scene
+
     def add_mjcf(
         self,
-        path: str | os.PathLike[str],
+        path: str | os.PathLike[str] | MjcfFile,
         *,
         placement: Any = None,
         prefix: str = "",
         limits: bool = True,
         friction: bool = False,
         equality: bool = True,
+        actuators: bool = True,
+        restitution: float | str | None = 0.0,
     ) -> PartHandle:
-        """Add an MJCF model: bodies, joints, geometries; planes are halfspaces. Arguments and errors as in add_urdf.
+        """Add an MJCF, compiled by MuJoCo (needs `pip install "contactvi[mjcf]"`). The rest as in add_urdf.
+
+        The file says which of its geoms may touch, and their friction; what the engine has no place for is in `report`.
+        Geoms are rigid, planes endless, meshes convex. Keyframes are in `named_configurations`; gravity is the scene's.
 
         Args:
-            equality: whether connect, weld and joint of its <equality> become constraints.
-            friction: its frictionloss.
+            friction: whether joints have their frictionloss.
+            equality: whether its <equality> become constraints.
+            actuators: whether its position and velocity actuators become servos, whose target is the start unless the
+                run gives one; `PartHandle.actuators` has the numbers of all.
+            restitution: of the contacts in the file and with it and of the limits, in [0, 1]; "solref": of its contacts
+                what a spring and damper with the file's damping ratio has (0.135 for MuJoCo's default); None: as set by
+                `set_contact`.
         """
         where = pose("placement", placement)
-        return self.add_model(import_mjcf(path, placement=where, prefix=prefix, equality=equality), limits, friction)
+        opened = path if isinstance(path, MjcfFile) else open_mjcf(path, prefix)
+        part = import_mjcf(
+            opened, placement=where, gravity=self.gravity, prefix=prefix, equality=equality, actuators=actuators,
+            restitution=restitution,
+        )  # fmt: skip
+        return self.add_model(part, limits, friction)
 
     def add_model(self, part: Part, limits: Any, friction: Any = False) -> PartHandle:
         """Add an imported model (for scene files); `limits` and `friction` as in add_urdf."""
         limits, friction = flag("limits", limits), flag("friction", friction)
         handle = self._add(part, PartHandle)
         self._joints.add_part(part, limits, friction)
-        self._elements.add_from_file(part.constraints)
+        self._contact.add_part(part)
+        self._elements.add_from_file(part.data.elements)
         return handle
 
     def add_sphere(
@@ -607,27 +631,41 @@ class Scene:
         found = self._one_joint(joint)
         return slice(found.idx_v, found.idx_v + found.nv)
 
-    def configuration(self, values: Mapping[Any, Any], base: np.ndarray | None = None) -> np.ndarray:
-        """Return `base` (neutral when None) with the values of some joints, shape (nq,).
+    @property
+    def named_configurations(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """q (nq,) and v (nv,) of the models' files by name: keyframes of an MJCF, group states of an SRDF.
+
+        Other parts are neutral; the name has the part's prefix.
+        """
+        return self._parts.named_configurations(self.neutral())
+
+    def configuration(self, values: Mapping[Any, Any], base: np.ndarray | str | None = None) -> np.ndarray:
+        """Return `base` with the values of some joints, shape (nq,).
+
+        base: (nq,), the name of one of `named_configurations`, or None, neutral.
 
         Keys: joint names, patterns, handles. Values: rad or m; free body: xyz, (xyz, rpy), xyz + quaternion xyzw or
         pin.SE3; spherical: quaternion xyzw; planar: x, y, angle; translation: x, y, z.
         """
         model = self.model
+        if isinstance(base, str):
+            base = self._named(base)
         q = self.neutral() if base is None else vector("base", base, model.nq)
         for selector, value in values.items():
             for name in self.names.select_joints(selector):
                 q[self.q_index(name)] = joint_value(model, name, value)
         return q
 
-    def velocity(self, values: Mapping[Any, Any], q: np.ndarray | None = None) -> np.ndarray:
-        """Return the velocity of some joints, zero for the others, shape (nv,), Pinocchio coordinates.
+    def velocity(
+        self, values: Mapping[Any, Any], q: np.ndarray | None = None, base: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return `base` (nv,) (zero when None) with the velocities of some joints, Pinocchio coordinates.
 
         Values: rad/s or m/s; free body: linear or (linear, angular) in world axes at configuration q; else 3 numbers.
         """
         model = self.model
         q = self.neutral() if q is None else vector("q", q, model.nq)
-        v = np.zeros(model.nv)
+        v = np.zeros(model.nv) if base is None else vector("base", base, model.nv)
         for selector, value in values.items():
             for name in self.names.select_joints(selector):
                 v[self.v_index(name)] = joint_velocity(model, name, value, q)
@@ -746,6 +784,18 @@ class Scene:
         name = self.names.select_joint(selector)
         one_number(self._parts.assembly.model, name, what)
         return name
+
+    def _named(self, name: str) -> np.ndarray:
+        known = self.named_configurations
+        if name not in known:
+            raise InputError(
+                "Unknown configuration",
+                name="base",
+                expected=" | ".join(map(repr, known)) or "an array: the files name none",
+                got=repr(name),
+                remedy=did_you_mean(name, list(known)),
+            )
+        return known[name][0]
 
     def _state(self, q: Any) -> np.ndarray:
         built = self.built()

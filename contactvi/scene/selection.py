@@ -9,18 +9,20 @@ from dataclasses import dataclass
 import pinocchio as pin
 
 from contactvi.errors import InputError, did_you_mean
+from contactvi.importing.mjcf.actuators import Actuator
 
 _PATTERN = ("*", "?", "[")
 
 
 @dataclass(frozen=True)
 class PartHandle:
-    """An added model: names of its joints, bodies and collision geometries, with the prefix."""
+    """An added model: names of its joints, bodies and collision geometries, with the prefix; actuators of an MJCF."""
 
     name: str
     joints: tuple[str, ...] = ()
     bodies: tuple[str, ...] = ()
     geometries: tuple[str, ...] = ()
+    actuators: tuple[Actuator, ...] = ()
 
     def __str__(self) -> str:
         return self.name

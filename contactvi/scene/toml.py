@@ -3,7 +3,8 @@
     [scene]                 gravity = [0, 0, -9.81]                 title, description: for the reader
     [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true,
                             friction = false, mimic = true
-    [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true
+    [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true, actuators = true,
+                            restitution = 0 | "solref"
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
     [[halfspace]]           normal, offset, name, color
@@ -20,7 +21,8 @@
     [[tape_spring]]         points = [["body", [x, y, z]], ...], and the rest of [[spring]]
     [[wrench]]              body, force, torque, point, axes = "world" | "body", name
     [[servo]], [[actuator]] joint; [[servo]] kp, kd, effort, target; [[actuator]] effort, velocity = true | number
-    [initial]               q = { joint = value }, v = { joint = value }, springs_at_rest = true | false,
+    [initial]               configuration = a name in the models' files (keyframe, group state), q = { joint = value },
+                            v = { joint = value }, springs_at_rest = true | false,
                             assemble = true | false (the nearest start on the constraints)
     [[initial.body]]        name, xyz, rpy or quaternion, velocity, angular_velocity    of a free body
     [run]                   dt = number | "auto", duration, order, tol, impact, mhc_reference, sample_dt, record_every,
@@ -49,7 +51,7 @@ import pinocchio as pin
 
 from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
 from contactvi.importing.paths import resolve_path
-from contactvi.importing.readers import import_mjcf, import_urdf
+from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.inputs import flag, pose, unit_quaternion
 from contactvi.options import Options
 from contactvi.scene.scene import GRAVITY, Scene
@@ -82,7 +84,7 @@ _BODY = ("name", "mass", "free", "color", *_PLACE)
 KEYS: dict[str, tuple[str, ...]] = {
     "scene": ("title", "description", "gravity"),
     "urdf": ("path", "base", "package_dirs", "srdf", "prefix", "limits", "friction", "mimic", *_PLACE),
-    "mjcf": ("path", "prefix", "limits", "friction", "equality", *_PLACE),
+    "mjcf": ("path", "prefix", "limits", "friction", "equality", "actuators", "restitution", *_PLACE),
     "sphere": ("radius", *_BODY),
     "box": ("size", *_BODY),
     "capsule": ("radius", "length", *_BODY),
@@ -96,7 +98,7 @@ KEYS: dict[str, tuple[str, ...]] = {
         *("friction", "spring", "armature", "gear_ratio", "rotor_inertia"),
     ),
     **{section: keys for section, (keys, _) in ELEMENTS.items()},
-    "initial": ("q", "v", "springs_at_rest", "assemble", "body"),
+    "initial": ("configuration", "q", "v", "springs_at_rest", "assemble", "body"),
     "initial.body": ("name", "quaternion", "velocity", "angular_velocity", *_PLACE),
     "run": tuple(f.name for f in fields(Options)),
 }
@@ -238,8 +240,9 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
         )
         scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
     elif section == "mjcf":
-        prefix, equality = entry.get("prefix", ""), entry.get("equality", True)
-        part = import_mjcf(entry["path"], placement=placement, prefix=prefix, folder=folder, equality=equality)
+        options = {key: entry[key] for key in ("prefix", "equality", "actuators", "restitution") if key in entry}
+        opened = open_mjcf(entry["path"], options.get("prefix", ""), folder)
+        part = import_mjcf(opened, placement=placement, gravity=scene.gravity, **options)
         scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
     elif section == "halfspace":
         scene.add_halfspace(**entry)
@@ -311,9 +314,7 @@ def _set_start(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
     initial = data.get("initial", {})
     with _at(file, "initial"):
         values = dict(initial.get("q", {}))
-        q = scene.neutral()
-        if initial.get("springs_at_rest", False):
-            q = scene.spring_rest()
+        q, v = _base(scene, initial)
         q = scene.configuration(values, q)
         speeds: dict[str, Any] = dict(initial.get("v", {}))
     for number, entry in enumerate(initial.get("body", ())):
@@ -327,12 +328,23 @@ def _set_start(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
             zero = [0.0, 0.0, 0.0]
             speeds[name] = (entry.get("velocity", zero), entry.get("angular_velocity", zero))
     with _at(file, "initial"):
-        scene.q0, scene.v0 = q, scene.velocity(speeds, q)
+        scene.q0, scene.v0 = q, scene.velocity(speeds, q, v)
         if flag("assemble", initial.get("assemble", False)):
             scene.q0 = scene.assemble(q)
             scene.v0 = scene.consistent_velocity(scene.q0, scene.v0)
-        elif not speeds and scene.elements:
+        elif not speeds and not np.any(v) and scene.elements:
             scene.v0 = None  # A run then starts with the velocity that driven constraints give.
+
+
+def _base(scene: Scene, initial: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Return q (nq,) and v (nv,) of what [initial] begins with."""
+    at_rest, named = flag("springs_at_rest", initial.get("springs_at_rest", False)), initial.get("configuration")
+    if named is None:
+        return scene.spring_rest() if at_rest else scene.neutral(), np.zeros(scene.nv)
+    if at_rest or not isinstance(named, str):
+        got = "configuration and springs_at_rest" if at_rest else repr(named)
+        raise InputError("Start of the run", name="configuration", expected="the name of one", got=got)
+    return scene.configuration({}, named), scene.named_configurations[named][1]
 
 
 def _body_pose(entry: Mapping[str, Any], now: np.ndarray) -> pin.SE3:

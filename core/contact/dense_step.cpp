@@ -359,8 +359,8 @@ void DenseStep::expand(double bound_energy) {
 // --- the step ---
 
 // What contacts add to the error of the step without them: gaps are wrong by what the gap iterations leave, and at the
-// start by rounding, which changes the energy by force times gap; and what the step conserves differs from H. What the solver leaves of
-// Coulomb's law may not gain anything.
+// start by rounding, which changes the energy by force times gap; and what the step conserves differs from H. What the
+// solver leaves of Coulomb's law may not gain anything.
 double DenseStep::contacts_error(const Energy& before, const Energy& free, const Energy& middle) const {
   double lifts = 0.0;
   bool impact = false;

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -18,25 +17,6 @@ from contactvi.scene.toml import load_scene
 
 ROBOTS = "example-robot-data://robots/"
 HAND = ROBOTS + "allegro_hand_description/urdf/allegro_right_hand.urdf"
-MJCF = """<mujoco model="toy">
-  <option timestep="0.002"/>
-  <worldbody>
-    <geom name="floor" type="plane" size="1 1 1" pos="0 0 -2"/>
-    <body name="arm" pos="0 1 0">
-      <joint name="hinge" axis="0 1 0" range="-90 90" damping="0.1" frictionloss="0.2" armature="0.01" stiffness="3"/>
-      <geom name="upper" type="capsule" size="0.02 0.1" friction="1 0 0"/>
-      <body name="tip" pos="0 0 .3"><geom name="tip" type="box" size=".1 .1 .1"/></body>
-    </body>
-    <body name="ball" pos="0 0 1" euler="90 0 0">
-      <freejoint name="free"/><geom type="sphere" size="0.1" mass="1"/>
-    </body>
-    <body pos="1 0 0"><joint type="slide" axis="1 0 0"/><geom type="sphere" size="0.1"/></body>
-  </worldbody>
-  <actuator><motor joint="hinge"/></actuator>
-  <equality><joint joint1="hinge"/></equality>
-  <keyframe><key name="home" qpos="0"/></keyframe>
-  <contact><exclude body1="arm" body2="ball"/></contact>
-</mujoco>"""
 
 
 def loaded(file: str, **options) -> Scene:
@@ -145,29 +125,6 @@ def test_g1_with_hands():
     report = report_of("g1_description/urdf/g1_29dof_with_hand_rev_1_0.urdf", base="free")
     assert len(report.parts[0].joints) == 44
     assert len(names(report, "changed", "convex hull")) == 38
-
-
-def test_mjcf(tmp_path: Path):
-    file = tmp_path / "toy.xml"
-    file.write_text(MJCF)
-    scene = Scene()
-    scene.add_mjcf(file, prefix="m_")
-    report = scene.report
-    assert [joint.type for joint in report.parts[0].joints] == ["revolute", "free", "prismatic"]
-    ignored = {note.name for note in report.all_notes("ignored")}
-    assert names(report, "used", "constraint: m_hinge = 0") == {"m_joint_1"}
-    assert {"<actuator>", "<keyframe>", "m_upper", "m_hinge", "timestep"} <= ignored
-    assert names(report, "changed", "named by its place") == {"m_body_3"}
-    # All bodies are read (Pinocchio alone stops after the first one), the plane is a halfspace, the exclude is kept.
-    assert isinstance(scene.collision_model.geometryObjects[0].geometry, coal.Halfspace)
-    assert [(p.first, p.second, p.detail) for p in report.removed] == [("m_upper", "m_ballGeom_0", "MJCF exclude")]
-    assert len(scene.pair_names) == 8
-    # A turned free body starts in the world pose that the file gives (Pinocchio alone: at (0, 1, 1)).
-    data = scene.model.createData()
-    pin.forwardKinematics(scene.model, data, scene.neutral())
-    pose = data.oMi[scene.model.getJointId("m_free")]
-    assert pose.translation == pytest.approx([0, 0, 1], abs=1e-15)
-    assert pose.rotation == pytest.approx(pin.rpy.rpyToMatrix(np.pi / 2, 0, 0), abs=1e-15)
 
 
 def urdf(inertia: str, mass: str = "1", limit: str = 'lower="-1" upper="1"', dynamics: str = "") -> str:

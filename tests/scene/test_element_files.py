@@ -170,57 +170,6 @@ def test_a_mimic_of_a_continuous_joint_stays_independent(tmp_path: Path):
     assert "'j1' is continuous" in str(scene.report)
 
 
-MJCF = """<mujoco model="m"><compiler angle="radian"/><worldbody>
-<body name="a"><joint name="x" type="hinge" axis="0 1 0"/><geom type="sphere" size="0.1" pos="0.2 0 0"/>
-<body name="b" pos="0.4 0 0"><joint name="y" type="hinge" axis="0 1 0"/><geom type="sphere" size="0.1" pos="0.2 0 0"/>
-</body></body>
-<body name="c" pos="0 0 1"><freejoint/><geom type="sphere" size="0.1"/></body>
-</worldbody><equality>
-<connect name="pin" body1="b" anchor="0.4 0 0"/>
-<weld body1="a" body2="c" relpose="0 0 1 0.7071067811865476 0 0 0.7071067811865476"/>
-<weld name="asis" body1="a" body2="c"/>
-<joint name="gear" joint1="y" joint2="x" polycoef="0.1 -2 0 0 0"/>
-<connect name="off" body1="a" body2="b" anchor="0 0 0" active="false"/>
-<connect name="sites" site1="s" site2="t"/>
-<tendon name="rope" tendon1="t"/>
-</equality></mujoco>"""
-
-
-def test_equality_of_mjcf(tmp_path: Path):
-    (tmp_path / "m.xml").write_text(MJCF)
-    scene = cvi.Scene()
-    scene.add_mjcf(tmp_path / "m.xml", prefix="m_")
-    kinds = {element.name: element.kind for element in scene.elements}
-    assert kinds == {"m_pin": "point", "m_weld_2": "weld", "m_asis": "weld", "m_gear": "equality"}
-    ignored = {note.name for note in scene.report.all_notes("ignored", "equality")}
-    assert ignored == {"m_off", "m_sites", "m_rope"}
-    residual = scene.core().constraint_residual(scene.neutral(), 0.0)
-    assert scene.neutral()[scene.q_index("m_y")] == pytest.approx(0.1)
-    assert residual[:3] == pytest.approx(np.zeros(3), abs=1e-15)
-    assert residual[9:] == pytest.approx(np.zeros(7), abs=1e-15)  # the weld without relpose, and the gear
-    # The weld with relpose is off by 90 degrees.
-    assert np.linalg.norm(residual[6:9]) == pytest.approx(2 * np.sin(np.pi / 4), abs=1e-9)
-    off = cvi.Scene()
-    off.add_mjcf(tmp_path / "m.xml", equality=False)
-    assert not off.elements
-
-
-@pytest.mark.parametrize(
-    ("element", "reason"),
-    [
-        ('<joint joint2="x"/>', "of a joint that the file does not have"),
-        ('<joint name="gear" joint1="gear"/>', "of a joint that the file does not have"),
-        ('<connect body2="a" anchor="0 0 0"/>', "of a body that the file does not have"),
-    ],
-)
-def test_an_equality_of_nothing_is_ignored(tmp_path: Path, element: str, reason: str):
-    (tmp_path / "m.xml").write_text(MJCF.split("<equality>")[0] + f"<equality>{element}</equality></mujoco>")
-    scene = cvi.Scene()
-    scene.add_mjcf(tmp_path / "m.xml")
-    assert not scene.elements
-    assert reason in "".join(note.text for note in scene.report.all_notes("ignored", "equality"))
-
-
 # -- stored scenes ----------------------------------------------------------------------------------------------------
 
 

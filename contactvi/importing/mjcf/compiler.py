@@ -1,0 +1,174 @@
+"""Compile an MJCF by MuJoCo, and hold the result with a name for everything in it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from contactvi.errors import SceneError
+from contactvi.importing.report import PartReport
+from contactvi.importing.xml import Element, read_xml
+
+REMEDY = "pip install 'contactvi[mjcf]'"
+_MOST_INCLUDES = 1000
+_HANDLER = threading.Lock()
+
+
+def import_mujoco() -> Any:
+    """Return the module mujoco; raise SceneError where it is not installed."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise SceneError(
+            "An MJCF is read by MuJoCo's compiler, which is not installed",
+            expected="the package mujoco-core, version 4",
+            got=str(error),
+            remedy=REMEDY,
+        ) from None
+    version = str(getattr(mujoco, "__version__", "unknown"))
+    if version.partition(".")[0] != "4":
+        raise SceneError(
+            "An MJCF is read by MuJoCo's compiler", expected="mujoco-core, version 4", got=version, remedy=REMEDY
+        )
+    return mujoco
+
+
+def compile_file(mujoco: Any, file: Path, report: PartReport) -> Any:
+    """Return the mujoco.MjModel of an MJCF; what MuJoCo warns of goes to the report.
+
+    Raises:
+        SceneError: no MJCF, or one that MuJoCo refuses, with its reason and the line.
+    """
+    # MuJoCo's own reader also takes URDF and binary models, and has no limit for the depth of a file.
+    for _ in _files(file):
+        pass
+    try:
+        with _warnings_go_to(mujoco, report):
+            return mujoco.MjModel.from_xml_path(str(file))
+    except (ValueError, RuntimeError, MemoryError, UnicodeError) as error:
+        reason = " ".join(line.strip() for line in str(error).splitlines() if line.strip()) or type(error).__name__
+        raise SceneError(
+            f"MuJoCo cannot compile {file.name}",
+            path=file,
+            expected="a model that MuJoCo loads",
+            got=reason,
+            remedy="Correct the file; a part of a model is loaded through the file that includes it",
+        ) from None
+
+
+@contextmanager
+def _warnings_go_to(mujoco: Any, report: PartReport) -> Iterator[None]:
+    """Collect what MuJoCo else prints; its handler of warnings is one for the process."""
+    with _HANDLER:
+        before = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(lambda text: report.note("suspicious", "file", "", f"MuJoCo: {text}"))
+        try:
+            yield
+        finally:
+            mujoco.set_mju_user_warning(before)
+
+
+def _files(file: Path) -> Iterator[Path]:
+    """Yield the file and what it includes, each read as XML."""
+    waiting, seen = [(file, read_xml(file, "mujoco", "an MJCF"))], {file}
+    while waiting:
+        path, root = waiting.pop()
+        yield path
+        for name in _included(root):
+            inner = (path.parent / name).resolve()
+            if not inner.is_file():
+                inner = (file.parent / name).resolve()  # MuJoCo looks beside the main file
+            if not inner.is_file():
+                raise SceneError(
+                    f"{path.name}: no such include file",
+                    path=path,
+                    expected="an existing file",
+                    got=name,
+                    remedy=f"Put it into {path.parent}, or correct the name",
+                )
+            if inner not in seen and len(seen) < _MOST_INCLUDES:
+                seen.add(inner)
+                waiting.append((inner, read_xml(inner, None, "an MJCF")))
+
+
+def _included(root: Element) -> list[str]:
+    return [element.get("file", "") for element in root.iter("include")]
+
+
+class Source:
+    """A compiled model (`m`, its fields as in MuJoCo's mjModel) with distinct names, and the report of its import.
+
+    Attributes:
+        mujoco: the module.
+        m: mujoco.MjModel.
+        names: {"body" | "joint" | "geom" | "site" | "actuator" | "tendon" | "equality" | "key": names}.
+    """
+
+    def __init__(self, mujoco: Any, m: Any, report: PartReport) -> None:
+        self.mujoco, self.m, self.report = mujoco, m, report
+        counts = {
+            "body": m.nbody, "joint": m.njnt, "geom": m.ngeom, "site": m.nsite, "actuator": m.nactuator,
+            "tendon": m.ntendon, "equality": m.neq, "key": m.nkey,
+        }  # fmt: skip
+        self.names = {kind: self._distinct(kind, count) for kind, count in counts.items()}
+        self.switched_off = int(m.opt.disableflags)
+
+    def _distinct(self, kind: str, count: int) -> list[str]:
+        """Return the names of one kind; what has none is called by its kind and number, a geom by its body."""
+        number = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}")
+        given = [self.mujoco.mj_id2name(self.m, number, i) or "" for i in range(count)]
+        taken = set(given)
+        for i, name in enumerate(given):
+            if name:
+                continue
+            base, k = f"{kind}_{i}", 0
+            if kind == "geom":
+                base = self.mujoco.mj_id2name(self.m, self.mujoco.mjtObj.mjOBJ_BODY, self.m.geom_bodyid[i]) or base
+                given[i] = base if base != "world" else f"{base}_0"
+            else:
+                given[i] = base
+            while given[i] in taken:
+                k += 1
+                given[i] = f"{base}_{k}"
+            taken.add(given[i])
+        return given
+
+    def lose(self, topic: str, name: str, text: str) -> None:
+        """Note what the engine has no place for."""
+        self.report.note("ignored", topic, name, text)
+
+    def off(self, flag: str) -> bool:
+        """Whether the file's <option><flag> switches something off: "CONTACT", "LIMIT", "SPRING", ..."""
+        return bool(self.switched_off & int(getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
+
+    def number(self, enum: str, name: str) -> int:
+        """Return the number of a member: number("Geom", "BOX")."""
+        return int(getattr(getattr(self.mujoco, f"mjt{enum}"), f"mj{_PREFIXES[enum]}_{name}"))
+
+    def word(self, enum: str, value: int) -> str:
+        """Return the name of a member in small letters: word("Geom", 6) = "box"."""
+        name = str(getattr(self.mujoco, f"mjt{enum}")(int(value)).name)
+        return name.partition("_")[2].lower()
+
+
+_PREFIXES = {
+    "Joint": "JNT", "Geom": "GEOM", "Eq": "EQ", "Trn": "TRN", "Dyn": "DYN", "Gain": "GAIN", "Bias": "BIAS",
+    "Wrap": "WRAP", "Obj": "OBJ",
+}  # fmt: skip
+
+
+def rotation(wxyz: Any) -> np.ndarray:
+    """Return the rotation matrix (3, 3) of a quaternion w, x, y, z of any length."""
+    w, x, y, z = np.asarray(wxyz, dtype=float) / np.linalg.norm(wxyz)
+    return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
+
+
+def pose(position: Any, wxyz: Any) -> pin.SE3:
+    """Return the placement with this position [m] and quaternion w, x, y, z."""
+    return pin.SE3(rotation(wxyz), np.array(position, dtype=float))
