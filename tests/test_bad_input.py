@@ -40,6 +40,11 @@ def shape(text: str) -> str:
     return robot(link("a"), link("b", inside=f"<collision><geometry>{text}</geometry></collision>"), joint())
 
 
+def chain(count: int) -> str:
+    joints = (joint(f"j{k}", f"l{k}", f"l{k + 1}") for k in range(count))
+    return robot(*(link(f"l{k}") for k in range(count + 1)), *joints)
+
+
 URDFS = {
     "empty": ("", "Broken XML"),
     "broken": ("<robot name='r'>\n<link", "line 2"),
@@ -51,6 +56,11 @@ URDFS = {
         '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="x"/></robot>',
         "xacro",
     ),
+    "deep": ("<robot name='r'><link name='a'/>" + "<x>" * 900 + "</x>" * 900 + "</robot>", "nested too deeply"),
+    "long chain": (chain(5000), "at most 1500 joints"),
+    "digits of Python": (robot(link("a", mass="1_0")), "finite number"),
+    "other digits": (robot(link("a", mass="\u0661")), "finite number"),
+    "no-break space": (robot(link("a", mass="1\u00a0")), "finite number"),
     "no link": (robot(), "no link"),
     "link without a name": (robot("<link/>"), "without a name"),
     "two links of a name": (robot(link("a"), link("a")), "'a'"),
@@ -131,6 +141,8 @@ def folder(tmp_path: Path) -> Path:
     stl("flat.stl", first, second)
     stl("one.stl", first)
     stl("nan.stl", first, "vertex 0 0 0 vertex 1 0 0 vertex nan 0 1", "vertex 0 0 0 vertex 0 1 0 vertex 0 0 1")
+    thin = ["vertex 0 0 0 vertex 1 0 0 vertex 0 1 0", "vertex 0 0 0 vertex 1 0 0 vertex .2 .2 1e-9"]
+    stl("thin.stl", *thin, "vertex 1 0 0 vertex 0 1 0 vertex .2 .2 1e-9", "vertex 0 1 0 vertex 0 0 0 vertex .2 .2 1e-9")
     (tmp_path / "empty.stl").touch()
     (tmp_path / "junk.stl").write_bytes(bytes(range(256)) * 10)
     return tmp_path
@@ -157,7 +169,7 @@ def test_mjcf(folder: Path, case: str):
         Scene().add_mjcf(file)
 
 
-@pytest.mark.parametrize("mesh", ["flat.stl", "nan.stl"])
+@pytest.mark.parametrize("mesh", ["flat.stl", "nan.stl", "thin.stl"])
 def test_meshes_that_kill_a_process_do_not_kill_ours(folder: Path, mesh: str):
     """A process of its own runs it, because a failure would end the test runner."""
     (folder / "model.urdf").write_text(shape(f'<mesh filename="{mesh}"/>'))

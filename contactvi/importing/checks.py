@@ -30,9 +30,11 @@ KINDS = {
 }
 ONE_DOF = ("revolute", "continuous", "prismatic", "helical")
 PLACING = ("free", "planar", "translation", "prismatic")  # root joints whose start values place a whole tree
+MOST_DOFS = 400  # of one model: pin.Data takes 70 bytes times their cube, 4 GB for so many
 SINGULAR = 1e-12  # eigenvalue of the scaled mass matrix below which a motion has no inertia
 NO_LIMIT = 1e300  # Pinocchio writes both inf and the largest double for "no limit".
 FILE_FRICTION = "joint friction"  # beginning of the note on the friction that a file gives a joint
+NEARLY_SINGULAR = 1e-9  # the same of one pose: velocities then have half of the digits of doubles at most
 FAST_DAMPING = 1e3  # [1/s] damping / inertia above which a motion dies within a millisecond
 
 
@@ -55,6 +57,17 @@ def motion_axis(joint: pin.JointModel) -> np.ndarray:
     data = joint.createData()
     joint.calc(data, np.array([1.0, 0.0]) if joint.nq == 2 else np.zeros(1))
     return np.asarray(data.S, dtype=float).reshape(6)
+
+
+def check_size(model: pin.Model, source: str) -> None:
+    """Raise SceneError for a model that the checks below cannot hold in memory."""
+    if model.nv > MOST_DOFS:
+        raise SceneError(
+            f"{source} has too many degrees of freedom",
+            expected=f"at most {MOST_DOFS} in one model",
+            got=model.nv,
+            remedy="Split it into several files",
+        )
 
 
 def check_joints(model: pin.Model, report: PartReport, source: str) -> None:
@@ -184,35 +197,49 @@ def dof_joint(model: pin.Model, dof: int) -> str:
     return "universe"
 
 
-def check_mass(model: pin.Model, q: np.ndarray, source: str) -> np.ndarray:
-    """Return the diagonal of the mass matrix at q, shape (nv,).
+def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str = "") -> np.ndarray:
+    """Return the diagonal of the mass matrix near q, shape (nv,); note where it is nearly singular at q itself.
 
     Raises:
         SceneError: some motion has no inertia (a joint that moves nothing), at a generic pose near q.
     """
     if model.nv == 0:
         return np.zeros(0)
-    data = model.createData()
     # The pose is generic: at a special one even a good model may be singular, and a bad one regular.
     generic = pin.integrate(model, q, 0.3 * np.sin(1.0 + np.arange(model.nv)))
-    upper = np.triu(pin.crba(model, data, generic))
-    mass = upper + np.triu(upper, 1).T
-    diagonal = np.diag(mass).copy()
-    worst = int(np.argmin(diagonal))
-    if diagonal[worst] > 0.0:
-        scale = 1.0 / np.sqrt(diagonal)
-        values, vectors = np.linalg.eigh(mass * np.outer(scale, scale))
-        worst = int(np.argmax(np.abs(vectors[:, 0])))
-    if diagonal[worst] <= 0.0 or values[0] < SINGULAR:
+    diagonal, least, worst = _least_inertia(model, generic)
+    if least < SINGULAR:
         name = dof_joint(model, worst)
         raise SceneError(
-            f"{source}: joint {name!r} moves no mass",
+            f"{report.title.partition(':')[0]}: joint {name!r} moves no mass",
             joint=name,
             expected="a positive mass or inertia behind every joint",
             got=f"inertia {diagonal[worst]:g} about it",
-            remedy="Give its link an <inertial>, or make the joint fixed",
+            remedy="Give its link an <inertial>, make the joint fixed, or give it an armature: "
+            f"add_urdf(..., armature={{{name!r}: 1e-4}})",
         )
+    _, here, worst = _least_inertia(model, q)
+    if here < NEARLY_SINGULAR:
+        name = dof_joint(model, worst)
+        text = (
+            f"a motion of it and others has nearly no inertia in the neutral pose ({here:.1g} of theirs): runs from "
+            f"there are nonsense; set_joint({prefix + name!r}, armature=1e-4) mends it"
+        )
+        report.note("suspicious", "joint", prefix + name, text)
     return diagonal
+
+
+def _least_inertia(model: pin.Model, q: np.ndarray) -> tuple[np.ndarray, float, int]:
+    """Return the diagonal of M(q), the least eigenvalue of M scaled to a unit diagonal, and the dof that moves most."""
+    upper = np.triu(pin.crba(model, model.createData(), q))
+    mass = upper + np.triu(upper, 1).T
+    diagonal = np.diag(mass).copy()
+    worst = int(np.argmin(diagonal))
+    if diagonal[worst] <= 0.0:
+        return diagonal, 0.0, worst
+    scale = 1.0 / np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(mass * np.outer(scale, scale))
+    return diagonal, float(values[0]), int(np.argmax(np.abs(vectors[:, 0])))
 
 
 def describe_model(
@@ -222,7 +249,7 @@ def describe_model(
     names = list(model.names)
     for body, joint, mass in body_masses(model):
         report.bodies.append(BodyRow(prefix + body, prefix + names[joint] if joint else names[0], mass))
-    diagonal = check_mass(model, q, report.title.partition(":")[0])
+    diagonal = check_mass(model, q, report, prefix)
     for i in range(1, model.njoints):
         _describe_joint(model, i, report, prefix, str((mimics or {}).get(names[i], "")), diagonal)
         _describe_inertia(model, i, report, prefix)

@@ -17,6 +17,9 @@ from contactvi.importing.report import PartReport, number
 
 # Coal counts neighbours of a vertex up to 255. The engine rounds hulls, which may add to the faces around a vertex.
 MOST_NEIGHBOURS = 100
+# Least thickness of a mesh over its size. Below 1e-7 coal's hull ends the process; that is also the rounding of single
+# precision, in which mesh files hold their vertices.
+THINNEST = 1e-6
 PRIMITIVES = (coal.Sphere, coal.Box, coal.Capsule, coal.Cylinder, coal.Ellipsoid)
 
 
@@ -60,11 +63,28 @@ def _outer_points(points: np.ndarray, name: str) -> np.ndarray:
         what = "fewer than 4 vertices" if len(points) < 4 else "vertices that are not finite"
         raise SceneError(f"Mesh of geometry {name!r}", body=name, expected="a solid", got=what, remedy=remedy)
     try:
-        return np.asarray(points[ConvexHull(points).vertices])
+        outer = np.asarray(points[ConvexHull(points).vertices])
     except (QhullError, ValueError):
+        outer = points[:0]
+    if not thickness(outer) > THINNEST:
         raise SceneError(
-            f"Mesh of geometry {name!r}", body=name, expected="a solid", got="points in a plane", remedy=remedy
-        ) from None
+            f"Mesh of geometry {name!r}",
+            body=name,
+            expected=f"a solid, at least {THINNEST:g} of its size thick",
+            got="points in a plane",
+            remedy=remedy,
+        )
+    return outer
+
+
+def thickness(points: np.ndarray) -> float:
+    """Return the width of points (n, 3) across the plane nearest to them over their largest extent; 0 for none."""
+    if len(points) < 4:
+        return 0.0
+    centered = points - points.mean(axis=0)
+    axes = np.linalg.svd(centered, full_matrices=False)[2]
+    widths = np.ptp(centered @ axes.T, axis=0)
+    return float(widths.min() / widths.max()) if widths.max() > 0.0 else 0.0
 
 
 def hull_from_faces(vertices: np.ndarray, faces: np.ndarray) -> coal.Convex:

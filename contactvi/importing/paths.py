@@ -52,6 +52,8 @@ def resolve_path(path: str | os.PathLike[str], base: Path | None = None, package
     if not isinstance(path, (str, os.PathLike)) or not str(path):
         raise InputError("Path of a file", name="path", expected="a non-empty str or Path", got=repr(path))
     text = os.fspath(path)
+    if "\0" in str(text):
+        raise InputError("Path of a file", name="path", expected="a path without zero bytes", got=repr(path))
     scheme, _, rest = text.partition("://")
     if scheme == ROBOT_DATA and rest:
         found = example_robot_data_share() / ROBOT_DATA / rest

@@ -6,6 +6,7 @@ compiled by MuJoCo (mjcf/).
 
 from __future__ import annotations
 
+import fnmatch
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,8 +17,16 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from contactvi.errors import ContactviError, InputError, SceneError
-from contactvi.importing.checks import check_joints, check_numbers, describe_model, has_limits
+from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
+from contactvi.importing.checks import (
+    ONE_DOF,
+    check_joints,
+    check_numbers,
+    check_size,
+    describe_model,
+    has_limits,
+    joint_kind,
+)
 from contactvi.importing.constraints import mimic_constraints
 from contactvi.importing.hulls import describe, prepare_geometry
 from contactvi.importing.mjcf.compiler import Source, compile_file, import_mujoco
@@ -42,6 +51,7 @@ def import_urdf(
     prefix: str = "",
     folder: Path | None = None,
     mimic: Any = True,
+    armature: Any = None,
 ) -> Part:
     """Return the part described by a URDF; arguments as in Scene.add_urdf, a relative path is relative to `folder`.
 
@@ -50,10 +60,11 @@ def import_urdf(
     """
     if base not in ("fixed", "free"):
         raise InputError("Argument base", name="base", expected="'fixed' or 'free'", got=repr(base))
+    mimic = flag("mimic", mimic)
     file = resolve_path(path, folder, package_dirs)
     report = PartReport(f"{prefix}{file.stem}: URDF {file}, base {base}")
     with _reported(report, file):
-        text = read_urdf(file, package_dirs, report)
+        text = read_urdf(file, package_dirs, report, mimic)
         report.prefix_names(prefix)
         report.title = f"{prefix}{text.name}: URDF {file}, base {base}"
         if base == "free":
@@ -61,6 +72,7 @@ def import_urdf(
         else:
             model = _parse(file, lambda: pin.buildModelFromXML(text.xml))
         collision = _parse(file, lambda: pin.buildGeomFromUrdfString(model, text.xml, pin.GeometryType.COLLISION))
+        _add_armature(model, armature, report, prefix)
         found = Srdf([], {}) if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report)
         part = Part(
             name=prefix + text.name,
@@ -78,11 +90,38 @@ def import_urdf(
             mimics=text.mimics,
         )
         _finish(part, file.name)
-        part.data.elements += mimic_constraints(part, text.mimics, flag("mimic", mimic))
+        part.data.elements += mimic_constraints(part, text.mimics, mimic)
     if base == "free":
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
     _configurations(part, found.states)
     return part
+
+
+def _add_armature(model: pin.Model, armature: Any, report: PartReport, prefix: str) -> None:
+    """Give joints an armature [kg m^2 or kg]: one number for all with one degree of freedom, or numbers by pattern."""
+    if armature is None:
+        return
+    given = armature if isinstance(armature, Mapping) else {"*": armature}
+    values = np.array(model.armature)
+    for pattern, value in given.items():
+        number = real(f"armature of {pattern!r}", value, 0.0)
+        chosen = [
+            i
+            for i in range(1, model.njoints)
+            if fnmatch.fnmatchcase(model.names[i], str(pattern)) and joint_kind(model.joints[i]) in ONE_DOF
+        ]
+        if not chosen:
+            raise InputError(
+                "Armature of a joint",
+                name="armature",
+                expected="names or patterns of joints with one degree of freedom",
+                got=repr(pattern),
+                remedy=did_you_mean(str(pattern), list(model.names)[1:]),
+            )
+        for i in chosen:
+            values[model.idx_vs[i]] = number
+            report.note("changed", "joint", prefix + model.names[i], f"armature {number:g} kg m^2 or kg")
+    model.armature = values
 
 
 def open_mjcf(path: str | os.PathLike[str], prefix: str = "", folder: Path | None = None) -> MjcfFile:
@@ -270,6 +309,7 @@ def _parse(file: Path, build: Callable[[], Any]) -> Any:
 def _finish(part: Part, source: str) -> None:
     """Check the model, replace its meshes by hulls, set the neutral pose and fill the report."""
     model, report = part.model, part.report
+    check_size(model, source)
     check_joints(model, report, source)
     check_numbers(model, source)
     part.start = neutral(model)

@@ -19,6 +19,8 @@ from contactvi.importing.xml import Element, check_positive, named, numbers, rea
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 SHAPES = ("box", "sphere", "cylinder", "mesh")
+# urdfdom recurses over the links, and ends the process for some thousands of them.
+MOST_LINKS_IN_A_CHAIN = 1500
 KNOWN = ("link", "joint", "material")
 FILE_LIMITS = "effort and velocity limits"
 
@@ -43,8 +45,11 @@ class UrdfText:
     mimics: dict[str, Mimic]
 
 
-def read_urdf(path: Path, package_dirs: Sequence[object], report: PartReport) -> UrdfText:
+def read_urdf(path: Path, package_dirs: Sequence[object], report: PartReport, mimic: bool = True) -> UrdfText:
     """Read, check and complete a URDF; what is ignored or changed goes to the report.
+
+    Args:
+        mimic: whether mimic tags are needed; else those of unknown joints are noted only.
 
     Raises:
         SceneError: whatever makes the file unusable, with path, joint or body.
@@ -61,7 +66,7 @@ def read_urdf(path: Path, package_dirs: Sequence[object], report: PartReport) ->
         _check_joint(name, joint, path)
     for name, link in links.items():
         _check_link(name, link, path, package_dirs, report)
-    mimics = _mimics(joints, path)
+    mimics = _mimics(joints, path, report, mimic)
     _note_joints(joints, report)
     for tag in sorted({str(child.tag) for child in root if child.tag not in KNOWN}):
         names = [child.get("name") or child.get("reference") or "" for child in root.findall(tag)]
@@ -121,6 +126,29 @@ def _check_tree(links: dict[str, Element], joints: dict[str, Element], path: Pat
             expected="one link without a parent joint",
             got=", ".join(roots) or "none (the joints form a loop)",
             remedy="Join the links, or put separate bodies in separate files",
+        )
+    _check_depth(parent_of, path)
+
+
+def _check_depth(parent_of: dict[str, str], path: Path) -> None:
+    """Raise SceneError where the chain of links is longer than the parser's recursion can take."""
+    depths: dict[str, int] = {}
+    for link in parent_of:
+        chain = []
+        while link in parent_of and link not in depths:
+            chain.append(link)
+            link = parent_of[link]
+        level = depths.get(link, 0)
+        for k, above in enumerate(reversed(chain)):
+            depths[above] = level + k + 1
+    deepest = max(depths.values(), default=0)
+    if deepest > MOST_LINKS_IN_A_CHAIN:
+        raise SceneError(
+            f"{path.name}: a chain of links is too long",
+            path=path,
+            expected=f"at most {MOST_LINKS_IN_A_CHAIN} joints between the base and a link",
+            got=deepest,
+            remedy="Split the model into several files, and join them with scene.add_weld",
         )
 
 
@@ -224,8 +252,8 @@ def _note_joints(joints: dict[str, Element], report: PartReport) -> None:
                 report.note("ignored", "joint", name, tag)
 
 
-def _mimics(joints: dict[str, Element], path: Path) -> dict[str, Mimic]:
-    """Return the mimic tags of joints that move."""
+def _mimics(joints: dict[str, Element], path: Path, report: PartReport, needed: bool) -> dict[str, Mimic]:
+    """Return the mimic tags of joints that move; one of an unknown joint is refused if they are needed."""
     mimics: dict[str, Mimic] = {}
     for name, joint in joints.items():
         mimic = joint.find("mimic")
@@ -233,13 +261,18 @@ def _mimics(joints: dict[str, Element], path: Path) -> dict[str, Mimic]:
             continue
         other = mimic.get("joint", "")
         if other not in joints or other == name:
+            if not needed:
+                text = f"mimic tag of {other!r}, which the file does not have: treated as an independent joint"
+                report.note("suspicious", "joint", name, text)
+                continue
+            near = did_you_mean(other, [known for known in joints if known != name])
             raise SceneError(
                 f"{path.name}: mimic tag of joint {name!r}",
                 path=path,
                 joint=name,
                 expected="the name of another joint",
                 got=repr(other),
-                remedy=did_you_mean(other, [known for known in joints if known != name]),
+                remedy=f"{near + ' ' if near else ''}Or treat such joints as independent: mimic=False",
             )
         values = [numbers(mimic, key, path, f"joint {name!r}", 1) for key in ("multiplier", "offset")]
         factor, offset = values[0] or [1.0], values[1] or [0.0]

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
 from contactvi.errors import SceneError
 
 Element = ElementTree.Element
+# Numbers as the parsers of models read them; Python's float() takes more: 1_0, other scripts' digits, inf.
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_SPACE = " \t\r\n"
+# Elements within elements: the parsers of models recurse, and a file that is nested more deeply ends the process.
+MOST_LEVELS = 200
 
 
 def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
@@ -29,6 +35,14 @@ def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
         ) from None
     except (OSError, UnicodeDecodeError, LookupError, ValueError) as error:
         raise SceneError(f"Cannot read {path}", path=path, got=str(error)) from None
+    if (levels := depth(root)) > MOST_LEVELS:
+        raise SceneError(
+            f"{path.name} is nested too deeply",
+            path=path,
+            expected=f"at most {MOST_LEVELS} elements within each other",
+            got=levels,
+            remedy="Correct the file",
+        )
     if root_tag is not None and root.tag != root_tag:
         remedies = {
             "robot": "This is a URDF: use add_urdf",
@@ -45,6 +59,16 @@ def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
     return root
 
 
+def depth(root: Element) -> int:
+    """Return how many elements lie within each other, the root included."""
+    deepest, waiting = 0, [(root, 1)]
+    while waiting:
+        element, level = waiting.pop()
+        deepest = max(deepest, level)
+        waiting += [(child, level + 1) for child in element]
+    return deepest
+
+
 def numbers(element: Element, key: str, path: Path, where: str, count: int | None = None) -> list[float] | None:
     """Return the finite numbers of an attribute, None when it is absent.
 
@@ -54,10 +78,8 @@ def numbers(element: Element, key: str, path: Path, where: str, count: int | Non
     text = element.get(key)
     if text is None:
         return None
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        values = [math.nan]
+    words = [word for word in re.split(f"[{_SPACE}]+", text) if word]
+    values = [float(word) if _NUMBER.fullmatch(word) else math.nan for word in words]
     if not values or not all(math.isfinite(v) for v in values) or (count is not None and len(values) != count):
         raise SceneError(
             f"{path.name}: {key} of <{element.tag}> in {where}",

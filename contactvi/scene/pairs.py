@@ -7,7 +7,7 @@ By default every pair on two different bodies, except
 - pairs disabled by the part's SRDF or by disable_pair; an MJCF says itself which of its pairs are tested;
 - pairs that overlap at the neutral pose, when their relative pose there is the model's own: two bodies of which one
   hangs on a free, planar, translation or prismatic root joint of another tree are placed by the start of a run, where
-  an overlap is an error and not a property of the model.
+  an overlap is an error and not a property of the model; but what slides on the base of its own model is joined to it.
 Every removal is recorded with its reason.
 """
 
@@ -21,6 +21,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from contactvi.importing.checks import joint_kind
 from contactvi.importing.part import Part
 from contactvi.importing.report import ADJACENT, BY_FILE, BY_USER, HALFSPACES, NOT_GIVEN, OVERLAP, RemovedPair
 from contactvi.scene.assembly import Assembly
@@ -163,7 +164,7 @@ def choose_pairs(
     drop(_adjacent(assembly, parts, joints) & ~given, ADJACENT)
     drop(*_disabled_by_file(assembly, parts))
     drop(_not_given(assembly, parts) & ~given, NOT_GIVEN)
-    details = _overlaps(assembly, keep & ~forced & ~(given & ~_checked(assembly, parts)))
+    details = _overlaps(assembly, parts, keep & ~forced & ~(given & ~_checked(assembly, parts)))
     mask = np.zeros((count, count), dtype=bool)
     for pair in details:
         mask[pair] = True
@@ -183,10 +184,19 @@ def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> 
     above = parents[joints]
     base = (joints == 0) & ~_scenery(assembly, parts)
     # The start places such a body; it is not joined to the base, and a floor of the base must support it.
-    child = ~((above == 0) & assembly.placed[joints])
+    child = ~((above == 0) & assembly.placed[joints] & ~_slides(assembly)[joints])
     real = (above[:, None] == joints[None, :]) & child[:, None] & (base | (joints != 0))[None, :]
     real &= (joints != 0)[:, None]
     return np.asarray((real | real.T) & _same_part(assembly))
+
+
+def _slides(assembly: Assembly) -> np.ndarray:
+    """Return the mask (njoints,) of prismatic joints.
+
+    What slides on the base of its own model is joined to it, as a torso that is lifted out of a column; the start
+    places it beside all else.
+    """
+    return np.array([joint_kind(joint) == "prismatic" for joint in assembly.model.joints], dtype=bool)
 
 
 def _scenery(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
@@ -246,12 +256,15 @@ def _disabled_by_file(assembly: Assembly, parts: Sequence[Part]) -> tuple[np.nda
     return mask, BY_FILE, details
 
 
-def _overlaps(assembly: Assembly, candidates: np.ndarray) -> dict[tuple[int, int], str]:
+def _overlaps(assembly: Assembly, parts: Sequence[Part], candidates: np.ndarray) -> dict[tuple[int, int], str]:
     """Return the candidate pairs that overlap at the neutral pose, with their depth as text."""
     model, geometry = assembly.model, assembly.collision
     joints = np.array([g.parentJoint for g in geometry.geometryObjects], dtype=int)
     root, placed = assembly.root_of_joint[joints], assembly.placed[joints]
     own_pose = (root[:, None] == root[None, :]) | ~(placed[:, None] | placed[None, :])
+    base, on_slide = (joints == 0) & ~_scenery(assembly, parts), _slides(assembly)[root]
+    lifted = base[:, None] & on_slide[None, :]
+    own_pose |= _same_part(assembly) & (lifted | lifted.T)
     geometry.setCollisionPairs(candidates & own_pose)
     if not len(geometry.collisionPairs):
         return {}

@@ -106,6 +106,7 @@ class Scene:
         limits: bool = True,
         friction: bool = False,
         mimic: bool = True,
+        armature: float | Mapping[str, float] | None = None,
     ) -> PartHandle:
         """Add a URDF model. Meshes become convex hulls, mimic tags become constraints (see `report`).
 
@@ -121,13 +122,18 @@ class Scene:
             friction: whether its joints have the friction of the file; one by one: `set_joint(friction=True)`.
             mimic: whether joints with a mimic tag follow the other joint (joint equality constraints, which need steps
                 of one length); else they are independent.
+            armature: inertia [kg m^2 or kg] about all joints with one degree of freedom that moves no body, or
+                {name or pattern: inertia}; a joint that moves no mass needs one.
 
         Raises:
             SceneError, UnsupportedJointError, InputError
         """
         dirs = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else list(package_dirs)
         where = pose("placement", placement)
-        part = import_urdf(path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic)
+        part = import_urdf(
+            path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic,
+            armature=armature,
+        )  # fmt: skip
         return self.add_model(part, limits, friction)
 
     @classmethod

@@ -2,7 +2,7 @@
 
     [scene]                 gravity = [0, 0, -9.81]                 title, description: for the reader
     [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true,
-                            friction = false, mimic = true
+                            friction = false, mimic = true, armature = number | { joint = number }
     [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true, actuators = true,
                             restitution = 0 | "solref"
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
@@ -83,7 +83,7 @@ _PLACE = ("xyz", "rpy")
 _BODY = ("name", "mass", "free", "color", *_PLACE)
 KEYS: dict[str, tuple[str, ...]] = {
     "scene": ("title", "description", "gravity"),
-    "urdf": ("path", "base", "package_dirs", "srdf", "prefix", "limits", "friction", "mimic", *_PLACE),
+    "urdf": ("path", "base", "package_dirs", "srdf", "prefix", "limits", "friction", "mimic", "armature", *_PLACE),
     "mjcf": ("path", "prefix", "limits", "friction", "equality", "actuators", "restitution", *_PLACE),
     "sphere": ("radius", *_BODY),
     "box": ("size", *_BODY),
@@ -155,8 +155,22 @@ def _read(file: Path) -> dict[str, Any]:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SceneError(f"{file.name} is not TOML", path=file, expected="a TOML file", got=str(error)) from None
-    except OSError as error:
-        raise SceneError(f"Cannot read {file}", path=file, got=str(error)) from None
+    except RecursionError:
+        raise SceneError(
+            f"{file.name} is nested too deeply",
+            path=file,
+            expected="a scene file",
+            got="values in values",
+            remedy="Write it without lists in lists",
+        ) from None
+    except (OSError, ValueError) as error:
+        raise SceneError(
+            f"Cannot read {file}",
+            path=file,
+            expected="a file that can be read",
+            got=str(error),
+            remedy="Choose another file",
+        ) from None
 
 
 def _check_keys(data: Mapping[str, Any], file: Path) -> None:
@@ -237,6 +251,7 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
             prefix=entry.get("prefix", ""),
             folder=folder,
             mimic=entry.get("mimic", True),
+            armature=entry.get("armature"),
         )
         scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
     elif section == "mjcf":

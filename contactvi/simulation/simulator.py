@@ -5,7 +5,9 @@ Every input is checked here; the engine (contactvi._core) only gets arrays of th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -52,6 +54,9 @@ class Simulator:
 
     Parameters: the scene, dt [s] (a number), and the other options of `Options` (what is not given comes from the
     scene's file). The scene is taken as it is now; later edits do not reach a running simulator.
+
+    One call at a time: while it steps, other threads and its own callbacks get a SimulationError (callbacks may read t,
+    q and v). Threads take a `copy` each.
     """
 
     def __init__(self, scene: Scene, dt: float | None = None, **options: Unpack[SteppingOptions]) -> None:
@@ -65,6 +70,7 @@ class Simulator:
         check_map(self._scene, settings)
         check_elements(self._scene, settings)
         self._run: Run | None = None
+        self._lock, self._user = threading.Lock(), 0
 
     @cached_property
     def scene(self) -> Scene:
@@ -78,9 +84,10 @@ class Simulator:
             InputError: for a bad state and PenetrationError (pair, depth) where shapes overlap or a joint is beyond its
                 limit.
         """
-        self._run = Run(self._scene, self.options, q0, v0, t)
-        if self._run.refused is not None:
-            raise self._run.refused
+        with self._in_use():
+            self._run = Run(self._scene, self.options, q0, v0, t)
+            if self._run.refused is not None:
+                raise self._run.refused
 
     def step(self, tau: ArrayLike | None = None, target: Any = None) -> Status:
         """Make one step; return the status.
@@ -105,14 +112,15 @@ class Simulator:
         return self._advance(steps, forces, target, progress)
 
     def _advance(self, steps: int, forces: Array | None, target: Any, progress: Progress | None = None) -> Status:
-        run = self._started()
-        if not run.record.status.ok:
-            raise SimulationError(
-                f"The run has ended: {run.record.status}",
-                status=run.record.status,
-                remedy="Call reset(q0, v0) to start again",
-            )
-        return run.advance(steps, forces, run.targets(target, steps), progress)
+        with self._in_use():
+            run = self._started()
+            if not run.record.status.ok:
+                raise SimulationError(
+                    f"The run has ended: {run.record.status}",
+                    status=run.record.status,
+                    remedy="Call reset(q0, v0) to start again",
+                )
+            return run.advance(steps, forces, run.targets(target, steps), progress)
 
     @property
     def t(self) -> float:
@@ -160,7 +168,8 @@ class Simulator:
 
     def save(self) -> Snapshot:
         """Return all of the present state, with what was recorded, for `load`."""
-        return self._started().save()
+        with self._in_use():
+            return self._started().save()
 
     def load(self, snapshot: Snapshot) -> None:
         """Go back to a state of `save`, of this simulator or another one of the same scene and options.
@@ -170,15 +179,17 @@ class Simulator:
         if not isinstance(snapshot, Snapshot) or snapshot.scene is not self._scene or snapshot.options != self.options:
             got = "of another scene or other options" if isinstance(snapshot, Snapshot) else repr(snapshot)
             raise InputError("Snapshot", name="snapshot", expected="one of this scene and these options", got=got)
-        if self._run is None:
-            self._run = Run.of(snapshot)
-        else:
-            self._run.load(snapshot)
+        with self._in_use():
+            if self._run is None:
+                self._run = Run.of(snapshot)
+            else:
+                self._run.load(snapshot)
 
     def copy(self) -> Simulator:
         """Return a simulator in the same state that goes on by itself."""
         twin = Simulator.__new__(Simulator)
         twin.options, twin._scene, twin._run = self.options, self._scene, None
+        twin._lock, twin._user = threading.Lock(), 0
         if self._run is not None:
             twin._run = Run.of(self.save())
         return twin
@@ -212,7 +223,30 @@ class Simulator:
         """End the run where it is with the status INTERRUPTED."""
         return self._started().interrupt()
 
+    @contextmanager
+    def _in_use(self) -> Iterator[None]:
+        """Hold the simulator for one call; raise SimulationError while another one does."""
+        if not self._lock.acquire(blocking=False):
+            raise self._busy()
+        self._user = threading.get_ident()
+        try:
+            yield
+        finally:
+            self._user = 0
+            self._lock.release()
+
+    def _busy(self) -> SimulationError:
+        own = self._user == threading.get_ident()
+        return SimulationError(
+            "The simulator is in use",
+            expected="one call at a time",
+            got="a call from a callback of its own" if own else "a call from another thread",
+            remedy="Give each thread a copy of its own: sim.copy()",
+        )
+
     def _started(self) -> Run:
+        if self._user not in (0, threading.get_ident()):
+            raise self._busy()
         if self._run is None:
             raise SimulationError("The simulator has no state yet", remedy="Call reset(q0, v0) first")
         return self._run
