@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
+import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -15,15 +17,32 @@ from contactvi.errors import InputError
 def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], object]) -> Path:
     """Let `write` fill a temporary file in the folder of `path` and put it in place when it is complete.
 
-    A reader sees the old file or the new one, never a part. Raises InputError where the folder is missing or cannot
-    be written.
+    A reader sees the old file or the new one, never a part. A link is followed; only a regular file is replaced.
+    Temporary files that processes which are no more have left for this name are removed.
+
+    Raises:
+        InputError: no path, a device or another special file, or a folder that is missing or cannot be written.
     """
-    target = Path(path)
+    named = checked_path(path)
+    target = Path(os.path.realpath(named))
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
+        kind = target.stat().st_mode if target.exists() else stat.S_IFREG
+    except OSError:
+        kind = stat.S_IFREG  # the folder cannot be read: writing says why
+    if not stat.S_ISREG(kind):
+        raise InputError(
+            f"Cannot write {named}",
+            name="path",
+            expected="a file that can be replaced",
+            got="a folder" if stat.S_ISDIR(kind) else "a device, a pipe or another special file",
+            remedy="Choose another path",
+        )
+    try:
+        _remove_left(target)
+        handle, name = tempfile.mkstemp(prefix=f".{target.name}.{os.getpid()}-", suffix=".part", dir=target.parent)
     except OSError as error:
         raise InputError(
-            f"Cannot write {target}",
+            f"Cannot write {named}",
             name="path",
             expected="a file name in a folder that exists and can be written",
             got=error.strerror or str(error),
@@ -41,10 +60,51 @@ def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], obje
             os.unlink(name)
         if isinstance(error, OSError):
             raise InputError(
-                f"Cannot write {target}", name="path", expected="a file that can be replaced", got=error.strerror
+                f"Cannot write {named}",
+                name="path",
+                expected="a file that can be replaced",
+                got=error.strerror,
+                remedy="Make room, or choose another path",
             ) from error
         raise
-    return target
+    return named
+
+
+def checked_path(path: object) -> Path:
+    """Return a path; raise InputError for what is none."""
+    text = os.fspath(path) if isinstance(path, (str, os.PathLike)) else ""
+    if not text or not isinstance(text, str) or "\0" in text or not _encodable(text):
+        raise InputError(
+            "Path of a file", name="path", expected="a non-empty str or Path", got=repr(path), remedy="Name a file"
+        )
+    return Path(text)
+
+
+def _encodable(text: str) -> bool:
+    try:
+        os.fsencode(text)
+    except UnicodeError:
+        return False
+    return True
+
+
+def _remove_left(target: Path) -> None:
+    """Remove the parts of this file whose writers are no more."""
+    for part in target.parent.glob(f".{glob.escape(target.name)}.*.part"):
+        writer = part.name.removeprefix(f".{target.name}.").partition("-")[0]
+        if writer.isascii() and writer.isdigit() and not _runs(int(writer)):
+            with contextlib.suppress(OSError):
+                part.unlink()
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 def _umask() -> int:

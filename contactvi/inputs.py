@@ -35,6 +35,9 @@ _STEP_TOLERANCE = 1e-9  # relative; decimal input such as 0.1 / 1e-3 is off by a
 # --- numbers and choices ----------------------------------------------------------------------------------------------
 
 
+MOST = 2**31 - 1  # of the engine's whole numbers
+
+
 def real(
     name: str,
     value: Any,
@@ -78,9 +81,11 @@ def _interval(low: float, high: float, open_low: bool) -> str:
 
 
 def count(name: str, value: Any) -> int:
-    """Return a whole number >= 1."""
-    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or int(value) < 1:
-        raise InputError(f"{name} is not usable", name=name, expected="a whole number >= 1", got=short(value))
+    """Return a whole number >= 1 that the engine can hold."""
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if not whole or not 1 <= int(value) <= MOST:
+        expected = f"a whole number from 1 to {MOST}"
+        raise InputError(f"{name} is not usable", name=name, expected=expected, got=short(value))
     return int(value)
 
 
@@ -89,6 +94,20 @@ def flag(name: str, value: Any) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{name} is not usable", name=name, expected="True or False", got=short(value))
     return bool(value)
+
+
+def mapping(name: str, value: Any, meaning: str) -> Mapping[Any, Any]:
+    """Return a mapping; raise InputError for anything else. meaning: of its keys and values."""
+    if not isinstance(value, Mapping):
+        raise InputError(f"{name} is not usable", name=name, expected=f"{{{meaning}}}", got=short(value))
+    return value
+
+
+def listed(name: str, value: Any, meaning: str) -> Sequence[Any]:
+    """Return a list or tuple; raise InputError for anything else. meaning: of its entries."""
+    if not isinstance(value, (list, tuple)):
+        raise InputError(f"{name} is not usable", name=name, expected=f"a list of {meaning}", got=short(value))
+    return value
 
 
 def check_choice(name: str, value: Any, choices: Sequence[str], what: str) -> None:

@@ -105,8 +105,8 @@ def shape_part(
 
     The joint of a free body, its body and its geometry all carry the body's name.
     """
-    if not isinstance(name, str) or not name:
-        raise InputError("Name of a body", name="name", expected="a non-empty str", got=repr(name))
+    if not isinstance(name, str) or not name or name.encode("utf-8", "replace").decode() != name:
+        raise InputError("Name of a body", name="name", expected="a non-empty str in UTF-8", got=repr(name))
     rgba = None if color is None else vector(f"color of {name!r}", color, 4)
     model = pin.Model()
     model.name = name

@@ -74,6 +74,14 @@ def check_is_file(found: Path, text: str) -> None:
         inside = sorted(p.name for p in found.iterdir() if p.suffix in (".urdf", ".xml", ".toml"))
         hint = f"Files in it: {', '.join(inside[:8])}" if inside else "Name a file in it"
         raise SceneError("Not a file", path=found, expected="a file", got=f"the folder {text}", remedy=hint)
+    if found.exists() and not found.is_file():
+        raise SceneError(
+            "Not a file",
+            path=found,
+            expected="a regular file",
+            got=f"{text}, a device, a pipe or another special file",
+            remedy="Copy its contents to a file",
+        )
     if not found.is_file():
         folder = next((p for p in found.parents if p.is_dir()), Path("/"))
         names = [p.name for p in folder.iterdir()] if os.access(folder, os.R_OK) else []

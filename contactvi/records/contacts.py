@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from contactvi.aliases import alias
 from contactvi.errors import InputError, did_you_mean
+from contactvi.inputs import real
 from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
 from contactvi.records.events import label
 from contactvi.records.rows import Array, Arrays, Fields, Items, Rows, StepRows, joined
@@ -153,10 +154,22 @@ class ContactLog(StepRows, Items[Contact]):
 
     def at(self, t: float) -> list[Contact]:
         """Return the contacts that act at time t [s]: those of the step around it (the later of two), and impacts."""
-        now = (self.t <= t) & ((t < self.end) | (self.t == t))
-        if not np.any(now & (self.h > 0.0)) and len(self) and t == self.end.max():
-            now |= self.end == t  # at its end a run has the contacts of its last step
+        t = real("t", t)
+        end = self._ends()
+        now = (self.t <= t) & ((t < end) | (self.t == t))
+        if not np.any(now & (self.h > 0.0)) and len(self) and t == end.max():
+            now |= end == t  # at its end a run has the contacts of its last step
         return [self[int(k)] for k in np.flatnonzero(now)]
+
+    def _ends(self) -> Array:
+        """Return the ends of the steps [s], shape (n,): the starts of the next ones, from which t + h differs by
+        rounding."""
+        if not len(self):
+            return self.end
+        starts = np.unique(self.t)
+        slack = 4.0 * np.spacing(np.abs(self.end))
+        near = starts[np.minimum(np.searchsorted(starts, self.end - slack), len(starts) - 1)]
+        return np.asarray(np.where(np.abs(near - self.end) <= slack, near, self.end))
 
     def of(self, a: str, b: str) -> ContactLog:
         """Return the contacts of one pair of names, in whichever order (of a limit: joint, "lower limit").
@@ -304,4 +317,9 @@ def _summed(rows: ContactLog, force: Array) -> tuple[Array, Array]:
 def _shapes(body: Any) -> Iterable[str]:
     if isinstance(body, str):
         return (body,)
-    return tuple(getattr(body, "geometries", body))
+    shapes = getattr(body, "geometries", body)
+    if not isinstance(shapes, Iterable):
+        raise InputError(
+            "Argument body", name="body", expected="a name, several names, or a handle of the scene", got=repr(body)
+        )
+    return tuple(shapes)

@@ -10,6 +10,8 @@ from typing import Any, ClassVar, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi.errors import InputError, did_you_mean
+
 Array = NDArray[np.float64]
 Arrays = Mapping[str, NDArray[Any]]
 # name -> (width, dtype) of one row; width 0 is a scalar.
@@ -37,6 +39,14 @@ class Rows:
 
         Kinds, modes and other words are numbers there (contactvi.records.codes).
         """
+        if not isinstance(name, str) or name not in self._arrays:
+            raise InputError(
+                "Unknown field",
+                name="name",
+                expected=" | ".join(self._arrays),
+                got=repr(name),
+                remedy=did_you_mean(str(name), list(self._arrays)),
+            )
         return self._arrays[name]
 
     @property

@@ -18,7 +18,7 @@ from contactvi.importing import part as shapes
 from contactvi.importing.part import Part, shape_part
 from contactvi.importing.readers import MjcfFile, import_mjcf, import_pinocchio, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
-from contactvi.inputs import States, flag, pose, real, vector
+from contactvi.inputs import States, flag, mapping, pose, real, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
@@ -657,7 +657,7 @@ class Scene:
         if isinstance(base, str):
             base = self._named(base)
         q = self.neutral() if base is None else vector("base", base, model.nq)
-        for selector, value in values.items():
+        for selector, value in mapping("values", values, "joint: value").items():
             for name in self.names.select_joints(selector):
                 q[self.q_index(name)] = joint_value(model, name, value)
         return q
@@ -672,7 +672,7 @@ class Scene:
         model = self.model
         q = self.neutral() if q is None else vector("q", q, model.nq)
         v = np.zeros(model.nv) if base is None else vector("base", base, model.nv)
-        for selector, value in values.items():
+        for selector, value in mapping("values", values, "joint: velocity").items():
             for name in self.names.select_joints(selector):
                 v[self.v_index(name)] = joint_velocity(model, name, value, q)
         return v

@@ -52,7 +52,7 @@ import pinocchio as pin
 from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
 from contactvi.importing.paths import resolve_path
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
-from contactvi.inputs import flag, pose, unit_quaternion
+from contactvi.inputs import flag, listed, mapping, pose, unit_quaternion, vector
 from contactvi.options import Options
 from contactvi.scene.scene import GRAVITY, Scene
 
@@ -307,7 +307,7 @@ def _set_contact(scene: Scene, contact: Mapping[str, Any], file: Path) -> None:
     with _at(file, "contact"):
         scene.set_contact(**values)
         for key, switch in (("disable", scene.disable_pair), ("enable", scene.enable_pair)):
-            for pair in contact.get(key, []):
+            for pair in listed(key, contact.get(key, []), "pairs of names"):
                 switch(*_two(pair, key))
     for number, entry in enumerate(contact.get("body", ())):
         with _at(file, "contact.body", number):
@@ -328,10 +328,10 @@ def _two(pair: Any, key: str) -> list[str]:
 def _set_start(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
     initial = data.get("initial", {})
     with _at(file, "initial"):
-        values = dict(initial.get("q", {}))
+        values = mapping("q", initial.get("q", {}), "joint: value")
         q, v = _base(scene, initial)
         q = scene.configuration(values, q)
-        speeds: dict[str, Any] = dict(initial.get("v", {}))
+        speeds = dict(mapping("v", initial.get("v", {}), "joint: velocity"))
     for number, entry in enumerate(initial.get("body", ())):
         with _at(file, "initial.body", number):
             name = entry["name"]
@@ -341,7 +341,7 @@ def _set_start(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
             place = _body_pose(entry, q[scene.q_index(name)])
             q = scene.configuration({name: place}, q)
             zero = [0.0, 0.0, 0.0]
-            speeds[name] = (entry.get("velocity", zero), entry.get("angular_velocity", zero))
+            speeds[name] = tuple(vector(key, entry.get(key, zero), 3) for key in ("velocity", "angular_velocity"))
     with _at(file, "initial"):
         scene.q0, scene.v0 = q, scene.velocity(speeds, q, v)
         if flag("assemble", initial.get("assemble", False)):
@@ -368,7 +368,7 @@ def _body_pose(entry: Mapping[str, Any], now: np.ndarray) -> pin.SE3:
     if "rpy" in entry and "quaternion" in entry:
         raise InputError("Orientation given twice", name="rpy", expected="rpy or quaternion", got="both")
     if "xyz" in entry:
-        placement.translation = pose("xyz", list(entry["xyz"])).translation
+        placement.translation = vector("xyz", entry["xyz"], 3)
     if "rpy" in entry:
         placement.rotation = pose("rpy", ([0.0, 0.0, 0.0], entry["rpy"])).rotation
     if "quaternion" in entry:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from contactvi.errors import InputError
 from contactvi.files import write_atomic
 from contactvi.records.codes import GuardKind
 from contactvi.trajectory.trajectory import Trajectory
@@ -24,11 +25,17 @@ _MAX_PAIRS = 6  # gaps drawn
 _FEW_NODES = 200
 
 
+def _check(traj: object) -> None:
+    if not isinstance(traj, Trajectory):
+        raise InputError("Argument traj", name="traj", expected="a Trajectory", got=type(traj).__name__)
+
+
 def plot(traj: Trajectory) -> Figure:
     """Return a figure of a run: energy relative to its start, the same with losses put back, gaps of touching pairs.
 
     The figure belongs to no window (matplotlib.figure.Figure): notebooks show it, `figure.savefig` writes it.
     """
+    _check(traj)
     gap_time, gap_pairs, gap = traj.gaps
     rows = 3 if len(gap_pairs) else 2
     figure = Figure(figsize=(9.0, 2.6 * rows + 0.6), layout="constrained")
@@ -63,6 +70,7 @@ def plot_forces(traj: Trajectory) -> Figure:
     Each pair has the sum of its points, a mean over every step with persistent contact; impacts have no force. A run
     without forces has an empty figure. The figure belongs to no window (matplotlib.figure.Figure).
     """
+    _check(traj)
     figure = Figure(figsize=(9.0, 5.8), layout="constrained")
     axes = figure.subplots(2, 1, sharex=True)
     forces = [(pair, *_pair_force(traj, pair)) for pair in traj.contacts.pairs]

@@ -123,7 +123,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError, SceneError
-from contactvi.files import write_atomic
+from contactvi.files import checked_path, write_atomic
 from contactvi.options import Options
 from contactvi.playback.visuals import Visual
 from contactvi.records import codes, contacts, dense_steps
@@ -236,15 +236,19 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
     return write_atomic(path, lambda file: np.savez(file, header=np.array(text), **entries))
 
 
+_UNPACKED, _MOST_PACKED = 1e9, 100.0  # [bytes] that any file may unpack to; times its own size
+
+
 def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a run: the arguments of contactvi.Trajectory. Needs neither the engine nor the files of the scene.
 
     Raises:
         ContactviError: for a file that is missing, damaged, of another format or schema, or inconsistent.
     """
-    path = Path(path)
+    path = checked_path(path)
     if not path.is_file():
         _refuse(path, "there is no such file")
+    _check_size(path)
     try:
         file = np.load(path, allow_pickle=False)
         if isinstance(file, np.ndarray):
@@ -260,6 +264,17 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise
     except Exception as error:  # whatever a wrong header makes the scene or the options stumble over
         _refuse(path, f"{type(error).__name__}: {error}", error)
+
+
+def _check_size(path: Path) -> None:
+    """Refuse a file that unpacks to very much more than it is: `save` does not compress."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+    except (zipfile.BadZipFile, OSError, ValueError):
+        return  # np.load says what it is
+    if unpacked > max(_UNPACKED, _MOST_PACKED * path.stat().st_size):
+        _refuse(path, f"an archive that unpacks to {unpacked / 1e9:.3g} GB")
 
 
 def _read_header(path: Path, entries: Entries) -> dict[str, Any]:
@@ -290,6 +305,10 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
     read = _Reader(path, entries, sizes)
     nodes = read.nodes(_stored_nodes(options))
     t = nodes.pop("t")
+    # Energies are computed of q and p where they are finite; what is not was computed by an engine that failed.
+    for name in ("q", "p", "v", "kinetic_energy", "potential_energy"):
+        if name in nodes and not np.all(np.isfinite(nodes[name])):
+            _refuse(path, f"numbers in {name!r} that are not finite")
     names = [(str(a), str(b)) for a, b in header["pair_names"]], list(header["joint_names"])
     gap_pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]
     status = header["status"]

@@ -75,7 +75,7 @@ def notes(scene: cvi.Scene, use: str) -> dict[str, str]:
         (lambda s: s.set_servo("j1", 1.0, 1.0, effort=0.0), "effort of the servo of 'j1'", "> 0"),
         (lambda s: s.set_actuator("j1", effort=True), "effort", "none in the file"),
         (lambda s: s.set_actuator("j1", velocity=-2.0), "velocity of 'j1'", "> 0"),
-        (lambda s: s.add_urdf("x.urdf", mimic="no"), "path", ""),
+        (lambda s: s.add_urdf("x.urdf", mimic="no"), "mimic", ""),
         (lambda s: s.remove("point_7"), "name", "an element of the scene"),
         (lambda s: s.add_point("world", "j1", name=""), "name", "non-empty"),
     ],

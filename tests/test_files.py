@@ -1,0 +1,87 @@
+"""Files are written whole or not at all, and nothing but a regular file that the user named is replaced."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contactvi as cvi
+from contactvi.files import write_atomic
+
+
+@pytest.fixture(scope="module")
+def traj() -> cvi.Trajectory:
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, placement=(0, 0, 0.2))
+    return cvi.simulate(scene, duration=0.3, dt=1e-2)
+
+
+def test_a_link_is_followed(tmp_path: Path, traj: cvi.Trajectory):
+    (tmp_path / "real.npz").write_bytes(b"old")
+    (tmp_path / "link.npz").symlink_to("real.npz")
+    assert traj.save(tmp_path / "link.npz") == tmp_path / "link.npz"
+    assert (tmp_path / "link.npz").is_symlink()
+    assert len(cvi.Trajectory.load(tmp_path / "real.npz").t) == len(traj.t)
+
+
+@pytest.mark.parametrize("write", ["save", "to_html"])
+def test_special_files_are_refused(tmp_path: Path, traj: cvi.Trajectory, write: str):
+    os.mkfifo(tmp_path / "pipe")
+    for path, got in ((tmp_path / "pipe", "pipe"), (tmp_path, "folder")):
+        with pytest.raises(cvi.InputError, match=got):
+            getattr(traj, write)(path)
+    assert (tmp_path / "pipe").is_fifo()
+    for path in (None, 3.5, "", "a\0b", b"bytes"):
+        with pytest.raises(cvi.InputError, match="Path of a file"):
+            getattr(traj, write)(path)
+
+
+def test_parts_of_processes_that_are_no_more_are_removed(tmp_path: Path):
+    code = "import os; print(os.getpid())"
+    gone = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    left, mine = tmp_path / f".a.npz.{gone}-x.part", tmp_path / f".a.npz.{os.getpid()}-x.part"
+    other = tmp_path / f".b.npz.{gone}-x.part"
+    for path in (left, mine, other):
+        path.touch()
+    write_atomic(tmp_path / "a.npz", lambda file: file.write(b"whole"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([mine.name, other.name, "a.npz"])
+
+
+def test_a_file_that_unpacks_to_very_much_is_refused(tmp_path: Path, traj: cvi.Trajectory):
+    bomb = tmp_path / "bomb.npz"
+    with (
+        zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("t.npy", "w", force_zip64=True) as entry,
+    ):
+        for _ in range(1100):
+            entry.write(bytes(1_000_000))
+    with pytest.raises(cvi.SceneError, match=r"unpacks to 1.1 GB"):
+        cvi.Trajectory.load(bomb)
+
+
+@pytest.mark.parametrize("name", ["q", "p", "v", "kinetic_energy", "potential_energy"])
+def test_numbers_that_are_not_finite_are_refused(tmp_path: Path, traj: cvi.Trajectory, name: str):
+    traj.save(tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as file:
+        entries = dict(file)
+    entries[name].flat[-1] = np.nan
+    np.savez(tmp_path / "b.npz", **entries)
+    with pytest.raises(cvi.SceneError, match="finite"):
+        cvi.Trajectory.load(tmp_path / "b.npz")
+
+
+def test_contacts_are_found_at_every_node_of_persistent_contact():
+    """t + h may be one rounding short of the start of the next step."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_box("box", (0.2, 0.2, 0.1), placement=(0, 0, 0.05))
+    scene.set_contact(restitution=0.0, friction=0.4)
+    run = cvi.simulate(scene, v0=scene.velocity({"box": (1, 0, 0)}), duration=1.2, dt=1e-2)
+    assert [t for t in run.t[1:] if len(run.contacts.at(t)) < 4] == []
