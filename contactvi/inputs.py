@@ -84,7 +84,7 @@ def count(name: str, value: Any) -> int:
     """Return a whole number >= 1 that the engine can hold."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not whole or not 1 <= int(value) <= MOST:
-        expected = f"a whole number from 1 to {MOST}"
+        expected = f"a whole number <= {MOST}" if whole and int(value) > MOST else "a whole number >= 1"
         raise InputError(f"{name} is not usable", name=name, expected=expected, got=short(value))
     return int(value)
 

@@ -190,6 +190,17 @@ def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> 
     return np.asarray((real | real.T) & _same_part(assembly))
 
 
+def root_of_geometry(assembly: Assembly) -> dict[str, int]:
+    """Return what carries each geometry by name: the free, planar or translation root joint above it, 0 for the base of
+    a fixed model and all that hangs on it."""
+    model, found = assembly.model, {}
+    for geometry in assembly.collision.geometryObjects:
+        root = int(assembly.root_of_joint[geometry.parentJoint])
+        floats = root > 0 and joint_kind(model.joints[root]) in ("free", "planar", "translation")
+        found[geometry.name] = root if floats else 0
+    return found
+
+
 def _slides(assembly: Assembly) -> np.ndarray:
     """Return the mask (njoints,) of prismatic joints.
 

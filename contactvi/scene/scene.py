@@ -33,7 +33,7 @@ from contactvi.scene.joints import (
     one_number,
     servo_settings,
 )
-from contactvi.scene.pairs import ContactRules
+from contactvi.scene.pairs import ContactRules, root_of_geometry
 from contactvi.scene.parts import Handle, PartList
 from contactvi.scene.report import scene_report
 from contactvi.scene.selection import BodyHandle, Names, PartHandle, Selector
@@ -276,6 +276,23 @@ class Scene:
         """Take all pairs between a and b out of the collision pairs."""
         self._contact.disable(self._geometries(a, "a"), self._geometries(b, "b"))
         self._built = None
+
+    def disable_overlapping(self, q: ArrayLike | None = None) -> list[tuple[str, str]]:
+        """Take the pairs within one model that overlap at q (nq,), neutral when None, out of the collision pairs.
+
+        Links of many robots overlap by millimetres in their own poses. Pairs of different parts, and of what is fixed
+        to the world with a free body, stay: there the start is wrong. Returns the pairs.
+        """
+        state = self._state(q)
+        gaps = np.asarray(self.core().gaps(state)[0])
+        found = [self.pair_names[k] for k in np.flatnonzero(gaps < 0.0)]
+        part = {name: handle.name for handle in self.parts for name in handle.geometries}
+        root = root_of_geometry(self._parts.assembly)
+        inner = [(a, b) for a, b in found if part[a] == part[b] and root[a] == root[b]]
+        for a, b in inner:
+            self._contact.disable([a], [b])
+        self._built = None
+        return inner
 
     def enable_pair(self, a: Selector, b: Selector) -> None:
         """Put all pairs between a and b into the collision pairs, also those that the default choice leaves out."""

@@ -13,7 +13,8 @@ REMEDY = {
     StatusCode.NOT_FINITE: "Use a smaller dt, and look for huge forces or tiny masses",
     StatusCode.EVENT_UNRESOLVED: "Use a smaller dt",
     StatusCode.TOO_MANY_IMPACTS: "Use a smaller dt, or raise max_impacts_per_step",
-    StatusCode.PENETRATION: "Move the start apart, or take the pair out with scene.disable_pair",
+    StatusCode.PENETRATION: "Move the start apart; scene.disable_overlapping(q0) takes out the pairs within one model "
+    "that overlap there, scene.disable_pair(a, b) any pair",
     StatusCode.CONSTRAINT: "Mend the prescribed motions and lengths, or use a smaller dt",
     StatusCode.LEDGER: "Look at error.trajectory.ledger there; use a smaller dt, or another tolerance",
 }

@@ -65,3 +65,17 @@ def test_a_mass_matrix_that_is_singular_in_the_neutral_pose_is_noted():
     assert any("nearly no inertia" in note.text and note.name.startswith("neck") for note in notes)
     scene = robot("icub_description/robots/icub.urdf", base="free", armature=1e-3)
     assert not any("nearly no inertia" in note.text for note in scene.report.suspicious)
+
+
+def test_links_that_overlap_in_a_reference_pose_are_taken_out():
+    """iCub's chest reaches 14 mm into a leg in the pose of its SRDF."""
+    srdf = ROBOTS + "icub_description/srdf/icub.srdf"
+    scene = robot("icub_description/robots/icub.urdf", base="free", srdf=srdf, armature=1e-3)
+    scene.add_halfspace(offset=-2.0)
+    q = scene.named_configurations["half_sitting"][0]
+    with pytest.raises(cvi.PenetrationError, match=r"scene.disable_overlapping\(q0\)"):
+        cvi.Simulator(scene, dt=1e-3).reset(q)
+    assert scene.disable_overlapping(q) == [("root_link_0", "chest_0"), ("l_upper_leg_0", "chest_0")]
+    assert cvi.simulate(scene, q, duration=0.01, dt=1e-3).status.ok
+    q[2] -= 3.0
+    assert scene.disable_overlapping(q) == []  # a robot in the ground is no property of the robot
