@@ -137,8 +137,8 @@ def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
     """Normals (m, 3), gaps (m,) and what the residual of a dense step may have opened them by (m,), at the starts.
 
     They are those of the point at the end of the row before; NaN in the first row of a point, and, where the point is
-    coal's or a crossing of edges, in a dense step and after one: each such step takes the plane between the shapes
-    anew. Impacts have one normal.
+    coal's, in a dense step and after one: each such step takes the plane between the shapes anew. Impacts have one
+    normal.
     """
     normal, gap = np.full_like(log.array("normal"), np.nan), np.full(len(log), np.nan)
     opened_before = np.zeros(len(log))
@@ -151,8 +151,7 @@ def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
     gap[after[near]] = log.array("gap")[before[near]]
     opened_before[after[near]] = opened[before[near]]
     dense = log.array("dense") == 1
-    kind = log.array("point") >> FEATURE_BITS
-    anew = after[(dense[before] | dense[after]) & (kind[after] <= CROSSING)]
+    anew = after[(dense[before] | dense[after]) & (log.array("point")[after] == 0)]
     normal[anew], gap[anew] = np.nan, np.nan
     impact = log.h == 0.0
     normal[impact], gap[impact] = log.array("normal")[impact], log.array("gap")[impact]
@@ -176,14 +175,18 @@ def contact_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
     sizes = np.maximum(*(np.linalg.norm(log.array(name), axis=1) for name in ("start", "end")))
     place = np.where(overlap > GAP, PLACE_ITERATED, PLACE)
     rounding = CONE * of_the_step(log, sizes) + place * mass_of(traj) / np.where(persistent, log.h, 1.0)
+    # A dense step takes the plane of a crossing of nearly parallel edges anew, and fixes it to a body.
+    crossing = (log.array("dense") == 1) & (log.array("point") >> FEATURE_BITS == CROSSING)
+    turns = np.linalg.norm(sides[1][1] - sides[0][1], axis=1)
     for name, normal, gap, away in sides:
+        turned = np.where(crossing & np.isfinite(turns) & (name == "start"), turns, 0.0)
         unit = np.where(limit[:, None], [1.0, 0.0, 0.0], normal)  # the impulse of a limit is its first component
         impulse = log.array(name)
         along = np.einsum("ij,ij->i", impulse, unit)
         across = np.linalg.norm(impulse - along[:, None] * unit, axis=1)
         k = np.isfinite(along)
         yield from worst(f"impulse pulls ({name})", -along[k], rounding[k], t[k])
-        yield from worst(f"cone ({name})", (across - mu * along)[k], rounding[k], t[k])
+        yield from worst(f"cone ({name})", (across - mu * along)[k], (rounding + turned * along)[k], t[k])
         k &= persistent & np.isfinite(gap)
         least = np.maximum((overlap + away) * along, COMPLEMENTARITY)
         yield from worst(f"complementarity ({name})", np.abs(along * gap)[k], least[k], t[k])
