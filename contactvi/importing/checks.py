@@ -6,6 +6,7 @@ A model that cannot be simulated raises an error; data that merely look wrong ar
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -28,6 +29,8 @@ KINDS = {
     "JointModelSpherical": "spherical",
     "JointModelFreeFlyer": "free",
 }
+_ALIGNED = {"revolute": "R", "continuous": "RUB", "prismatic": "P", "helical": "H"}
+MANY_DOFS = {"planar": "Planar", "translation": "Translation", "spherical": "Spherical", "free": "FreeFlyer"}
 ONE_DOF = ("revolute", "continuous", "prismatic", "helical")
 PLACING = ("free", "planar", "translation", "prismatic")  # root joints whose start values place a whole tree
 MOST_DOFS = 400  # of one model: pin.Data takes 70 bytes times their cube, 4 GB for so many
@@ -50,6 +53,30 @@ def has_limits(model: pin.Model, index: int) -> bool:
         return False
     lower, upper = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
     return bool(-NO_LIMIT < lower < upper < NO_LIMIT)
+
+
+def joint_model(kind: str, axis: np.ndarray | None = None, pitch: float = 0.0) -> Any:
+    """Return the pin.JointModel of a public name, with a unit axis (3,) and a pitch [m/rad] where it has them."""
+    if kind in MANY_DOFS:
+        return getattr(pin, f"JointModel{MANY_DOFS[kind]}")()
+    assert axis is not None
+    pitches = [pitch] if kind == "helical" else []
+    for letter, unit in zip(_AXES, np.eye(3), strict=True):
+        if np.array_equal(axis, unit):
+            return getattr(pin, f"JointModel{_ALIGNED[kind]}{letter}")(*pitches)
+    if kind == "continuous":
+        return _continuous(axis)
+    return getattr(pin, f"JointModel{kind.capitalize()}Unaligned")(axis, *pitches)
+
+
+def _continuous(axis: np.ndarray) -> Any:
+    """Return an unbounded revolute joint about any axis; in pin 4.1 Python can make one only from a URDF."""
+    x, y, z = (repr(float(a)) for a in axis)
+    model = pin.buildModelFromXML(
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
+        f'<child link="b"/><axis xyz="{x} {y} {z}"/></joint></robot>'
+    )
+    return model.joints[1]
 
 
 def motion_axis(joint: pin.JointModel) -> np.ndarray:
@@ -295,6 +322,8 @@ def _describe_joint(
 
 def _describe_inertia(model: pin.Model, i: int, report: PartReport, prefix: str) -> None:
     inertia, name = model.inertias[i], prefix + model.names[i]
+    if inertia.mass <= 0.0 and not any(f.parentJoint == i and f.type == pin.FrameType.BODY for f in model.frames):
+        return  # one of several joints of a body, the last of which carries it
     if inertia.mass <= 0.0:
         report.note("suspicious", "body", name, "no mass of its own (the joints behind it carry some)")
         return

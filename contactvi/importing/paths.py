@@ -93,6 +93,12 @@ def check_is_file(found: Path, text: str) -> None:
         raise SceneError("No such file", path=found, expected="an existing file", got=text, remedy=remedy)
 
 
+def unreadable(path: Path, error: Exception) -> SceneError:
+    """Return the error for a file that is there and cannot be read."""
+    expected, remedy = "a file that can be read", "Look at its permissions, or choose another file"
+    return SceneError(f"Cannot read {path}", path=path, expected=expected, got=str(error), remedy=remedy)
+
+
 def _package_name(folder: Path) -> str | None:
     """Return the name in the package.xml of `folder`, if there is one."""
     manifest = folder / "package.xml"

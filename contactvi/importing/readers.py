@@ -79,7 +79,7 @@ def import_urdf(
             kind="urdf",
             model=model,
             collision=collision,
-            start=np.zeros(model.nq),
+            start=neutral(model),
             report=report,
             load_visual=lambda: _visual(
                 file, lambda: pin.buildGeomFromUrdfString(model, text.xml, pin.GeometryType.VISUAL), collision
@@ -124,10 +124,10 @@ def _add_armature(model: pin.Model, armature: Any, report: PartReport, prefix: s
     model.armature = values
 
 
-def open_mjcf(path: str | os.PathLike[str], prefix: str = "", folder: Path | None = None) -> MjcfFile:
+def open_mjcf(path: str | os.PathLike[str], folder: Path | None = None) -> MjcfFile:
     """Return a compiled MJCF, of which `import_mjcf` makes a part. Raises like import_urdf."""
     file = resolve_path(path, folder)
-    report = PartReport(f"{prefix}{file.stem}: MJCF {file}")
+    report = PartReport(f"{file.stem}: MJCF {file}")
     with _reported(report, file):
         mujoco = import_mujoco()
         return MjcfFile(file, Source(mujoco, compile_file(mujoco, file, report), report))
@@ -157,9 +157,7 @@ def import_mjcf(
         )
         report.prefix_names(prefix)
         report.title = f"{part.name}: MJCF {opened.path}"
-        start = part.start
         _finish(part, opened.path.name)
-        part.start = start
     return part
 
 
@@ -195,7 +193,7 @@ def import_pinocchio(
             kind="pinocchio",
             model=model,
             collision=collision,
-            start=np.zeros(model.nq),
+            start=neutral(model),
             report=report,
             load_visual=lambda: visual,
             given_pairs=given or None,
@@ -307,12 +305,11 @@ def _parse(file: Path, build: Callable[[], Any]) -> Any:
 
 
 def _finish(part: Part, source: str) -> None:
-    """Check the model, replace its meshes by hulls, set the neutral pose and fill the report."""
+    """Check the model, replace its meshes by hulls and fill the report."""
     model, report = part.model, part.report
     check_size(model, source)
     check_joints(model, report, source)
     check_numbers(model, source)
-    part.start = neutral(model)
     describe_model(model, report, part.start, part.prefix, part.mimics)
     for geometry in part.collision.geometryObjects:
         frame = geometry.parentFrame

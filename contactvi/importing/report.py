@@ -95,7 +95,7 @@ class PartReport:
 
     def prefix_names(self, prefix: str) -> None:
         """Put a prefix before the names in the findings so far, for which readers use the names of the file."""
-        topics = ("joint", "body", "geom", "visual", "equality")
+        topics = ("joint", "body", "geom", "visual", "equality", "actuator", "tendon", "keyframe")
         self.notes = [replace(n, name=prefix + n.name) if n.topic in topics else n for n in self.notes]
 
     def without(self, use: Use, names: Container[str], start: str) -> PartReport:

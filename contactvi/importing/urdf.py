@@ -272,7 +272,7 @@ def _mimics(joints: dict[str, Element], path: Path, report: PartReport, needed: 
                 joint=name,
                 expected="the name of another joint",
                 got=repr(other),
-                remedy=f"{near + ' ' if near else ''}Or treat such joints as independent: mimic=False",
+                remedy=f"{near + ', or t' if near else 'T'}reat such joints as independent: mimic=False",
             )
         values = [numbers(mimic, key, path, f"joint {name!r}", 1) for key in ("multiplier", "offset")]
         factor, offset = values[0] or [1.0], values[1] or [0.0]

@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from contactvi.errors import SceneError
+from contactvi.importing.paths import unreadable
 
 Element = ElementTree.Element
 # Numbers as the parsers of models read them; Python's float() takes more: 1_0, other scripts' digits, inf.
@@ -34,7 +35,7 @@ def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
             remedy="Correct that line",
         ) from None
     except (OSError, UnicodeDecodeError, LookupError, ValueError) as error:
-        raise SceneError(f"Cannot read {path}", path=path, got=str(error)) from None
+        raise unreadable(path, error) from None
     if (levels := depth(root)) > MOST_LEVELS:
         raise SceneError(
             f"{path.name} is nested too deeply",

@@ -31,7 +31,7 @@ import pinocchio as pin
 from contactvi.elements.elements import element_from_data
 from contactvi.elements.signals import Signal
 from contactvi.errors import SceneError
-from contactvi.importing.checks import ONE_DOF, joint_kind, motion_axis
+from contactvi.importing.checks import MANY_DOFS, ONE_DOF, joint_kind, joint_model, motion_axis
 from contactvi.importing.hulls import PRIMITIVES, faces_of, hull_from_faces, shape_sizes
 from contactvi.importing.part import Part
 from contactvi.importing.readers import copy_geometry
@@ -46,8 +46,6 @@ from contactvi.scene.selection import PartHandle
 FORMAT = "contactvi-scene"
 VERSION = 1
 _SHAPES = {shape.__name__.lower(): shape for shape in PRIMITIVES}
-_ALIGNED = {"revolute": "R", "continuous": "RUB", "prismatic": "P", "helical": "H"}
-_OTHER = {"planar": "Planar", "translation": "Translation", "spherical": "Spherical", "free": "FreeFlyer"}
 
 
 @dataclass
@@ -244,27 +242,8 @@ def _joint_to_dict(model: pin.Model, i: int) -> dict[str, Any]:
 
 def _joint_model(data: Mapping[str, Any]) -> Any:
     kind = data["type"]
-    if kind in _OTHER:
-        return getattr(pin, f"JointModel{_OTHER[kind]}")()
-    axis = np.array(data["axis"], dtype=float)
-    pitch = [float(data["pitch"])] if kind == "helical" else []
-    for letter, unit in zip("XYZ", np.eye(3), strict=True):
-        if np.array_equal(axis, unit):
-            return getattr(pin, f"JointModel{_ALIGNED[kind]}{letter}")(*pitch)
-    if kind == "continuous":
-        return _continuous(axis)
-    names = {"revolute": "Revolute", "prismatic": "Prismatic", "helical": "Helical"}
-    return getattr(pin, f"JointModel{names[kind]}Unaligned")(axis, *pitch)
-
-
-def _continuous(axis: np.ndarray) -> Any:
-    """Return an unbounded revolute joint about any axis; in pin 4.1 Python can make one only from a URDF."""
-    x, y, z = (repr(float(a)) for a in axis)
-    model = pin.buildModelFromXML(
-        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
-        f'<child link="b"/><axis xyz="{x} {y} {z}"/></joint></robot>'
-    )
-    return model.joints[1]
+    pitch = float(data["pitch"]) if kind == "helical" else 0.0
+    return joint_model(kind, None if kind in MANY_DOFS else np.array(data["axis"], dtype=float), pitch)
 
 
 def _model(data: Mapping[str, Any]) -> pin.Model:

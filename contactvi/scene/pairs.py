@@ -14,7 +14,7 @@ Every removal is recorded with its reason.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import coal
@@ -36,16 +36,20 @@ class Rule:
     """One number per pair of geometries: a default, values of geometries, values of pairs.
 
     The value of a pair is, in this order: the one set for the pair; else the smaller one of those set for its two sides
-    (the only one if only one side has one); else the default. Among values set for one thing the last one counts.
+    (the only one if only one side has one); else, in the same order, what the models' files say; else the default.
+    Among values set for one thing the last one counts.
 
     Attributes:
         single: Values of geometries by name.
         pair: Values of pairs of names, the smaller name first.
+        file_single, file_pair: Those of the models' files.
     """
 
     default: float
     single: dict[str, float] = field(default_factory=dict)
     pair: dict[tuple[str, str], float] = field(default_factory=dict)
+    file_single: dict[str, float] = field(default_factory=dict)
+    file_pair: dict[tuple[str, str], float] = field(default_factory=dict)
 
     def set_single(self, names: Iterable[str], value: float) -> None:
         """Set the value of each geometry."""
@@ -60,13 +64,23 @@ class Rule:
                 if a != b:
                     self.pair[_key(a, b)] = value
 
+    def set_from_file(self, names: Sequence[str], value: float) -> None:
+        """Set the value that a model's file gives a geometry (one name) or a pair (two)."""
+        if len(names) == 1:
+            self.file_single[names[0]] = value
+        else:
+            self.file_pair[_key(*names)] = value
+
     def value(self, a: str, b: str) -> float:
         """Return the value of a pair by the combine rule."""
-        own = self.pair.get(_key(a, b))
-        if own is not None:
-            return own
-        sides = [self.single[name] for name in (a, b) if name in self.single]
-        return min(sides, default=self.default)
+        for single, pair in ((self.single, self.pair), (self.file_single, self.file_pair)):
+            own = pair.get(_key(a, b))
+            if own is not None:
+                return own
+            sides = [single[name] for name in (a, b) if name in single]
+            if sides:
+                return min(sides)
+        return self.default
 
     def set(self, first: Sequence[str] | None, second: Sequence[str] | None, value: float) -> None:
         """Set the default, the value of geometries (`first`), or that between `first` and `second`."""
@@ -92,15 +106,12 @@ class ContactRules:
     enabled: list[tuple[str, str]] = field(default_factory=list)
 
     def add_part(self, part: Part) -> None:
-        """Take over friction and restitution of a model's file; what the user sets later counts."""
+        """Take over friction and restitution of a model's file; what is set for geometries and pairs counts more."""
         for names, (friction, restitution) in part.data.contact.items():
-            for rule, value in ((self.friction, friction), (self.restitution, restitution)):
-                if value is None:
-                    continue
-                if len(names) == 1:
-                    rule.set_single([part.prefix + names[0]], value)
-                else:
-                    rule.set_pair([part.prefix + names[0]], [part.prefix + names[1]], value)
+            scene_names = [part.prefix + name for name in names]
+            self.friction.set_from_file(scene_names, friction)
+            if restitution is not None:
+                self.restitution.set_from_file(scene_names, restitution)
 
     def disable(self, first: Sequence[str], second: Sequence[str]) -> None:
         """Switch off all pairs of one of `first` and one of `second`."""
@@ -190,15 +201,14 @@ def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> 
     return np.asarray((real | real.T) & _same_part(assembly))
 
 
-def root_of_geometry(assembly: Assembly) -> dict[str, int]:
-    """Return what carries each geometry by name: the free, planar or translation root joint above it, 0 for the base of
-    a fixed model and all that hangs on it."""
-    model, found = assembly.model, {}
-    for geometry in assembly.collision.geometryObjects:
+def within_models(assembly: Assembly) -> Callable[[str, str], bool]:
+    """Return whether two geometries, by name, are of one model and hang on one floating root, or on its fixed base."""
+    model, carriers = assembly.model, {}
+    for geometry, part in zip(assembly.collision.geometryObjects, assembly.part_of_geometry, strict=True):
         root = int(assembly.root_of_joint[geometry.parentJoint])
         floats = root > 0 and joint_kind(model.joints[root]) in ("free", "planar", "translation")
-        found[geometry.name] = root if floats else 0
-    return found
+        carriers[geometry.name] = int(part), root if floats else 0
+    return lambda a, b: carriers[a] == carriers[b]
 
 
 def _slides(assembly: Assembly) -> np.ndarray:

@@ -33,7 +33,7 @@ from contactvi.scene.joints import (
     one_number,
     servo_settings,
 )
-from contactvi.scene.pairs import ContactRules, root_of_geometry
+from contactvi.scene.pairs import ContactRules, within_models
 from contactvi.scene.parts import Handle, PartList
 from contactvi.scene.report import scene_report
 from contactvi.scene.selection import BodyHandle, Names, PartHandle, Selector
@@ -139,7 +139,7 @@ class Scene:
     @classmethod
     def from_mjcf(cls, path: str | os.PathLike[str], **options: Any) -> Scene:
         """Return a scene with an MJCF and with its gravity; options as in add_mjcf."""
-        opened = open_mjcf(path, str(options.get("prefix", "")))
+        opened = open_mjcf(path)
         scene = cls(opened.gravity)
         scene.add_mjcf(opened, **options)
         return scene
@@ -171,7 +171,7 @@ class Scene:
                 `set_contact`.
         """
         where = pose("placement", placement)
-        opened = path if isinstance(path, MjcfFile) else open_mjcf(path, prefix)
+        opened = path if isinstance(path, MjcfFile) else open_mjcf(path)
         part = import_mjcf(
             opened, placement=where, gravity=self.gravity, prefix=prefix, equality=equality, actuators=actuators,
             restitution=restitution,
@@ -256,8 +256,8 @@ class Scene:
         Restitution is Poisson's, the ratio of the impulses of expansion and compression, which without friction is that
         of the speeds; friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
         default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
-        contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else the
-        default.
+        contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
+        an MJCF says, else the default.
         """
         if a is None and b is not None:
             a, b = b, None
@@ -283,16 +283,13 @@ class Scene:
         Links of many robots overlap by millimetres in their own poses. Pairs of different parts, and of what is fixed
         to the world with a free body, stay: there the start is wrong. Returns the pairs.
         """
-        state = self._state(q)
-        gaps = np.asarray(self.core().gaps(state)[0])
-        found = [self.pair_names[k] for k in np.flatnonzero(gaps < 0.0)]
-        part = {name: handle.name for handle in self.parts for name in handle.geometries}
-        root = root_of_geometry(self._parts.assembly)
-        inner = [(a, b) for a, b in found if part[a] == part[b] and root[a] == root[b]]
-        for a, b in inner:
+        gaps = np.asarray(self.core().gaps(self._state(q))[0])
+        inner = within_models(self._parts.assembly)
+        found = [(a, b) for (a, b), gap in zip(self.pair_names, gaps, strict=True) if gap < 0.0 and inner(a, b)]
+        for a, b in found:
             self._contact.disable([a], [b])
         self._built = None
-        return inner
+        return found
 
     def enable_pair(self, a: Selector, b: Selector) -> None:
         """Put all pairs between a and b into the collision pairs, also those that the default choice leaves out."""

@@ -50,7 +50,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
-from contactvi.importing.paths import resolve_path
+from contactvi.importing.paths import resolve_path, unreadable
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.inputs import flag, listed, mapping, pose, unit_quaternion, vector
 from contactvi.options import Options
@@ -164,13 +164,7 @@ def _read(file: Path) -> dict[str, Any]:
             remedy="Write it without lists in lists",
         ) from None
     except (OSError, ValueError) as error:
-        raise SceneError(
-            f"Cannot read {file}",
-            path=file,
-            expected="a file that can be read",
-            got=str(error),
-            remedy="Choose another file",
-        ) from None
+        raise unreadable(file, error) from None
 
 
 def _check_keys(data: Mapping[str, Any], file: Path) -> None:
@@ -256,7 +250,7 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
         scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
     elif section == "mjcf":
         options = {key: entry[key] for key in ("prefix", "equality", "actuators", "restitution") if key in entry}
-        opened = open_mjcf(entry["path"], options.get("prefix", ""), folder)
+        opened = open_mjcf(entry["path"], folder)
         part = import_mjcf(opened, placement=placement, gravity=scene.gravity, **options)
         scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
     elif section == "halfspace":

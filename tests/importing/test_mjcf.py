@@ -200,6 +200,24 @@ def test_what_may_touch_nothing_in_the_file_touches_what_is_not_in_it(tmp_path: 
     assert (again.pair_names, list(again.pair_friction)) == (scene.pair_names, list(scene.pair_friction))
 
 
+def test_what_the_user_sets_counts_more_than_the_file(tmp_path: Path):
+    scene, _ = both(tmp_path, text(RULES, PAIRS))
+    at = [tuple(sorted(pair)) for pair in scene.pair_names].index(("a1", "floor"))
+    assert (scene.pair_friction[at], scene.pair_restitution[at]) == (1.0, 0.0)
+    scene.set_contact(friction=0.05, restitution=0.6)  # a default is for what says nothing
+    assert (scene.pair_friction[at], scene.pair_restitution[at]) == (1.0, 0.0)
+    scene.set_contact("floor", friction=0.2, restitution=0.3)
+    assert (scene.pair_friction[at], scene.pair_restitution[at]) == (0.2, 0.3)
+    scene.set_contact("a1", "floor", friction=0.4)
+    assert (scene.pair_friction[at], scene.pair_restitution[at]) == (0.4, 0.3)
+
+
+def test_several_joints_of_a_body_are_no_bodies_without_mass(tmp_path: Path):
+    scene, _ = both(tmp_path, text())
+    assert not list(scene.report.all_notes("suspicious", "body"))
+    assert [body.name for body in scene.report.parts[0].bodies] == ["arm", "fixed", "hand", "drone", "flap", "marker"]
+
+
 def test_parts_that_overlap_in_the_pose_of_the_file_do_not_touch(tmp_path: Path):
     world = RULES.replace('name="c1" size=".1"', 'name="c1" size="1.2"')
     scene, m = both(tmp_path, text(world, "<default><geom margin='0'/></default>"))
@@ -211,8 +229,8 @@ def test_parts_that_overlap_in_the_pose_of_the_file_do_not_touch(tmp_path: Path)
 
 
 def pairs_by_name(m: mujoco.MjModel) -> list[tuple[str, ...]]:
-    name = lambda k: mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_GEOM, k)  # noqa: E731
-    return [tuple(map(name, pair)) for pair in oracle.tested_pairs(m)]
+    names = [mujoco.mj_id2name(m, mujoco.mjtObj.mjOBJ_GEOM, k) for k in range(m.ngeom)]
+    return [tuple(names[k] for k in pair) for pair in oracle.tested_pairs(m)]
 
 
 @pytest.mark.parametrize(

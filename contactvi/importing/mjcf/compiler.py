@@ -13,10 +13,9 @@ import pinocchio as pin
 
 from contactvi.errors import SceneError
 from contactvi.importing.report import PartReport
-from contactvi.importing.xml import Element, read_xml
+from contactvi.importing.xml import read_xml
 
 REMEDY = "pip install 'contactvi[mjcf]'"
-_MOST_INCLUDES = 1000
 _HANDLER = threading.Lock()
 
 
@@ -46,8 +45,7 @@ def compile_file(mujoco: Any, file: Path, report: PartReport) -> Any:
         SceneError: no MJCF, or one that MuJoCo refuses, with its reason and the line.
     """
     # MuJoCo's own reader also takes URDF and binary models, and has no limit for the depth of a file.
-    for _ in _files(file):
-        pass
+    _check_files(file)
     try:
         with _warnings_go_to(mujoco, report):
             return mujoco.MjModel.from_xml_path(str(file))
@@ -74,31 +72,26 @@ def _warnings_go_to(mujoco: Any, report: PartReport) -> Iterator[None]:
             mujoco.set_mju_user_warning(before)
 
 
-def _files(file: Path) -> Iterator[Path]:
-    """Yield the file and what it includes, each read as XML."""
+def _check_files(file: Path) -> None:
+    """Raise SceneError where the file, or one that it includes, is no MJCF that a parser can take."""
     waiting, seen = [(file, read_xml(file, "mujoco", "an MJCF"))], {file}
     while waiting:
         path, root = waiting.pop()
-        yield path
-        for name in _included(root):
-            inner = (path.parent / name).resolve()
-            if not inner.is_file():
-                inner = (file.parent / name).resolve()  # MuJoCo looks beside the main file
-            if not inner.is_file():
+        for name in (element.get("file", "") for element in root.iter("include")):
+            # MuJoCo looks beside the main file.
+            candidates = ((folder / name).resolve() for folder in (path.parent, file.parent))
+            inner = next((found for found in candidates if found.is_file()), None)
+            if inner is None:
                 raise SceneError(
                     f"{path.name}: no such include file",
                     path=path,
                     expected="an existing file",
-                    got=name,
+                    got=repr(name),
                     remedy=f"Put it into {path.parent}, or correct the name",
                 )
-            if inner not in seen and len(seen) < _MOST_INCLUDES:
+            if inner not in seen:
                 seen.add(inner)
                 waiting.append((inner, read_xml(inner, None, "an MJCF")))
-
-
-def _included(root: Element) -> list[str]:
-    return [element.get("file", "") for element in root.iter("include")]
 
 
 class Source:

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from contactvi.importing.checks import MANY_DOFS, joint_model
 from contactvi.importing.mjcf.compiler import Source, pose
 
-_AXES = "XYZ"
+_KINDS = {"free": "free", "ball": "spherical", "slide": "prismatic", "hinge": "revolute"}
 
 
 @dataclass
@@ -97,16 +98,8 @@ def _is(source: Source, j: int, kind: str) -> bool:
 
 
 def _joint_model(source: Source, j: int) -> pin.JointModel:
-    if _is(source, j, "FREE"):
-        return pin.JointModelFreeFlyer()
-    if _is(source, j, "BALL"):
-        return pin.JointModelSpherical()
-    letter, general = ("R", "Revolute") if _is(source, j, "HINGE") else ("P", "Prismatic")
-    axis = np.array(source.m.jnt_axis[j])
-    for k, name in enumerate(_AXES):
-        if axis[k] == 1.0:
-            return getattr(pin, f"JointModel{letter}{name}")()
-    return getattr(pin, f"JointModel{general}Unaligned")(axis / np.linalg.norm(axis))
+    kind = _KINDS[source.word("Joint", source.m.jnt_type[j])]
+    return joint_model(kind, None if kind in MANY_DOFS else np.array(source.m.jnt_axis[j]))
 
 
 def _set_joint(source: Source, tree: Tree, j: int) -> None:
