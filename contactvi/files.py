@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import glob
 import os
+import socket
 import stat
 import tempfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO
@@ -39,7 +41,9 @@ def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], obje
         )
     try:
         _remove_left(target)
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.{os.getpid()}-", suffix=".part", dir=target.parent)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{target.name}.{_writer(os.getpid())}-", suffix=".part", dir=target.parent
+        )
     except OSError as error:
         raise InputError(
             f"Cannot write {named}",
@@ -88,11 +92,17 @@ def _encodable(text: str) -> bool:
     return True
 
 
+def _writer(process: int | str) -> str:
+    """Return what a process of this machine is called in the names of parts; other machines may share the folder."""
+    return f"{zlib.crc32(socket.gethostname().encode()):08x}-{process}"
+
+
 def _remove_left(target: Path) -> None:
-    """Remove the parts of this file whose writers are no more."""
-    for part in target.parent.glob(f".{glob.escape(target.name)}.*.part"):
-        writer = part.name.removeprefix(f".{target.name}.").partition("-")[0]
-        if writer.isascii() and writer.isdigit() and not _runs(int(writer)):
+    """Remove the parts of this file whose writers, on this machine, are no more."""
+    begin = f".{target.name}.{_writer('')}"
+    for part in target.parent.glob(f"{glob.escape(begin)}*.part"):
+        process = part.name.removeprefix(begin).partition("-")[0]
+        if process.isascii() and process.isdigit() and not _runs(int(process)):
             with contextlib.suppress(OSError):
                 part.unlink()
 

@@ -96,6 +96,11 @@ def flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
+def is_text(value: Any) -> bool:
+    """Return whether a value is a str that is not empty and can be written in UTF-8 (without lone surrogates)."""
+    return isinstance(value, str) and value != "" and value.encode("utf-8", "replace").decode("utf-8") == value
+
+
 def mapping(name: str, value: Any, meaning: str) -> Mapping[Any, Any]:
     """Return a mapping; raise InputError for anything else. meaning: of its keys and values."""
     if not isinstance(value, Mapping):

@@ -166,7 +166,7 @@ class Options:
             _set(self, "duration", positive("duration", self.duration, "the simulated time in seconds, > 0"))
         if self.sample_dt is not None:
             _set(self, "sample_dt", positive("sample_dt", self.sample_dt, "the time between samples in seconds, > 0"))
-            _check_samples(self)
+            _check_samples(self.duration, self.sample_dt)
         _set(self, "dense", kept_dense(self.dense, self.order, self.sample_dt))
         _check_nodes(self)
         if self.auto:
@@ -260,20 +260,22 @@ class Options:
         return cls(**settings)
 
 
-def _check_samples(options: Options) -> None:
+MOST_SAMPLES = 1e8  # states of a run that are kept: of a body they take 20 GB
+
+
+def _check_samples(duration: float | None, sample_dt: float) -> None:
     """Raise InputError where more states are to be kept than fit in memory."""
-    if options.duration is None or options.sample_dt is None or options.duration / options.sample_dt <= MOST_SAMPLES:
+    if duration is None or duration / sample_dt <= MOST_SAMPLES:
         return
     raise InputError(
         "sample_dt is too short",
         name="sample_dt",
         expected=f"at most {MOST_SAMPLES:g} samples in the duration",
-        got=options.sample_dt,
-        remedy=f"Use sample_dt={options.duration / MOST_SAMPLES:.1g} or more",
+        got=sample_dt,
+        remedy=f"Use sample_dt={duration / MOST_SAMPLES:.1g} or more",
     )
 
 
-MOST_SAMPLES = 1e8  # states of a run that are kept: of a body they take 20 GB
 _NAMES = tuple(entry.name for entry in fields(Options))
 
 

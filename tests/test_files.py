@@ -46,12 +46,15 @@ def test_special_files_are_refused(tmp_path: Path, traj: cvi.Trajectory, write: 
 def test_parts_of_processes_that_are_no_more_are_removed(tmp_path: Path):
     code = "import os; print(os.getpid())"
     gone = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
-    left, mine = tmp_path / f".a.npz.{gone}-x.part", tmp_path / f".a.npz.{os.getpid()}-x.part"
-    other = tmp_path / f".b.npz.{gone}-x.part"
-    for path in (left, mine, other):
-        path.touch()
+    written: list[str] = []
+    write_atomic(tmp_path / "a.npz", lambda file: written.extend(path.name for path in tmp_path.iterdir()))
+    (mine,) = written
+    left, other = mine.replace(str(os.getpid()), str(gone)), mine.replace("a.npz", "b.npz")
+    elsewhere = f".a.npz.00000000-{gone}-x.part"  # of another machine that shares the folder
+    for name in (left, mine, other, elsewhere):
+        (tmp_path / name).touch()
     write_atomic(tmp_path / "a.npz", lambda file: file.write(b"whole"))
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([mine.name, other.name, "a.npz"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([mine, other, elsewhere, "a.npz"])
 
 
 def test_a_file_that_unpacks_to_very_much_is_refused(tmp_path: Path, traj: cvi.Trajectory):

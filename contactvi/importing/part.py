@@ -16,7 +16,7 @@ from contactvi.errors import InputError
 from contactvi.importing.hulls import describe
 from contactvi.importing.mjcf.actuators import Actuator
 from contactvi.importing.report import BodyRow, GeometryRow, PartReport
-from contactvi.inputs import real, unit_vector, vector
+from contactvi.inputs import is_text, real, unit_vector, vector
 
 COLORS = (
     (0.90, 0.40, 0.20, 1.0),
@@ -105,7 +105,7 @@ def shape_part(
 
     The joint of a free body, its body and its geometry all carry the body's name.
     """
-    if not isinstance(name, str) or not name or name.encode("utf-8", "replace").decode() != name:
+    if not is_text(name):
         raise InputError("Name of a body", name="name", expected="a non-empty str in UTF-8", got=repr(name))
     rgba = None if color is None else vector(f"color of {name!r}", color, 4)
     model = pin.Model()

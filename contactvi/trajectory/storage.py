@@ -305,9 +305,10 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
     read = _Reader(path, entries, sizes)
     nodes = read.nodes(_stored_nodes(options))
     t = nodes.pop("t")
-    # Energies are computed of q and p where they are finite; what is not was computed by an engine that failed.
+    # The engine's states are finite; energies of huge numbers may be infinite.
     for name in ("q", "p", "v", "kinetic_energy", "potential_energy"):
-        if name in nodes and not np.all(np.isfinite(nodes[name])):
+        values = nodes.get(name, np.zeros(0))
+        if np.any(np.isnan(values)) or (len(name) == 1 and np.any(np.isinf(values))):
             _refuse(path, f"numbers in {name!r} that are not finite")
     names = [(str(a), str(b)) for a, b in header["pair_names"]], list(header["joint_names"])
     gap_pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]

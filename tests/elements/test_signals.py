@@ -89,7 +89,9 @@ def test_a_table_ends_where_it_ends():
 
 
 def test_missing_derivatives_follow_from_differences():
-    exact = lambda t: (math.sin(3 * t), 3 * math.cos(3 * t), -9 * math.sin(3 * t))  # noqa: E731
+    def exact(t: float) -> tuple[float, float, float]:
+        return math.sin(3 * t), 3 * math.cos(3 * t), -9 * math.sin(3 * t)
+
     for given in (1, 2, 3):
         signal = Signal(lambda t, n=given: exact(t)[0] if n == 1 else exact(t)[:n], "x")
         value, rate, acceleration = signal(0.7)
