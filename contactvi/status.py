@@ -42,6 +42,11 @@ class Status:
         """True when the run went to its end."""
         return self.code == StatusCode.SUCCESS
 
+    @classmethod
+    def interrupted(cls, time: float) -> Status:
+        """Return the status of a run that Ctrl-C has ended at `time` [s]."""
+        return cls(StatusCode.INTERRUPTED, "stopped by the user", time)
+
     def __str__(self) -> str:
         return f"{self.code.name} at t = {self.time:.9g} s: {self.message}"
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from contactvi.inputs import States
 from contactvi.options import DEFAULT_DT, IMPACT_MAPS, ImpactMap, Options, merged
 from contactvi.simulation.simulation import Simulator, simulate
+from contactvi.status import StatusCode
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -123,6 +124,8 @@ class Plan:
             max_iterations=self.options.max_iterations, max_impacts_per_step=self.options.max_impacts_per_step,
             progress=self.tick,
         )  # fmt: skip
+        if traj.status.code == StatusCode.INTERRUPTED:
+            raise KeyboardInterrupt
         self.tick()
         found = reduce_run(traj, self.node_dt)
         return replace(found, seconds=found.seconds * count * self.node_dt / (steps * dt))

@@ -1,7 +1,7 @@
 """The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `check`.
 
 Exit codes: 0 done; 1 a case of verify failed; 2 wrong input, reported as expected, got, remedy; 3 the
-run ended early, with its files written.
+run ended early, with its files written; 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from contactvi.errors import ContactviError, InputError, SceneError, SimulationError, did_you_mean
+from contactvi.interrupts import held_back
+from contactvi.status import StatusCode
 from contactvi.tables import name_table, print_table
 from contactvi.version import version
 
@@ -38,6 +40,8 @@ class _Commands(typer.core.TyperGroup):
         try:
             return super().invoke(ctx)
         except ContactviError as error:
+            if isinstance(error, SimulationError) and error.status and error.status.code == StatusCode.INTERRUPTED:
+                raise KeyboardInterrupt from error
             print_error(error)
             raise typer.Exit(WRONG_INPUT) from error
 
@@ -127,16 +131,17 @@ def run(
     settings = settings_of(scene, chosen)
     folder = output if output is not None else Path(scene_file.stem)
     _make_folder(folder)  # before the run: a long one must not fail when its files are written
-    try:
-        with RunProgress(settings.span, _err) as bar, warnings.catch_warnings():
-            for reported in (cvi.AccuracyWarning, cvi.DenseStepWarning):  # by the summary
-                warnings.simplefilter("ignore", reported)
-            traj = cvi.simulate(scene, progress=bar, **chosen)
-    except SimulationError as error:
-        traj = error.trajectory
-    started = time.perf_counter()
-    written = _write(traj, folder, scene_file.stem, fps if html else None, plot)
-    _print_summary(traj, written, time.perf_counter() - started)
+    with held_back():  # what was computed is written
+        try:
+            with RunProgress(settings.span, _err) as bar, warnings.catch_warnings():
+                for reported in (cvi.AccuracyWarning, cvi.DenseStepWarning):  # by the summary
+                    warnings.simplefilter("ignore", reported)
+                traj = cvi.simulate(scene, progress=bar, **chosen)
+        except SimulationError as error:
+            traj = error.trajectory
+        started = time.perf_counter()
+        written = _write(traj, folder, scene_file.stem, fps if html else None, plot)
+        _print_summary(traj, written, time.perf_counter() - started)
     if not traj.status.ok:
         raise typer.Exit(ENDED_EARLY)
 

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import AccuracyWarning, PenetrationError
+from contactvi.interrupts import CtrlC
 from contactvi.options import Options
 from contactvi.simulation import engine
 from contactvi.simulation.compatibility import check_elements, check_map
@@ -69,6 +70,7 @@ def run(
     v0: ArrayLike | None,
     progress: Callable[[float, int], object] | None,
     throw: bool,
+    ctrl_c: CtrlC,
 ) -> Trajectory:
     """Run a scene with steps chosen for options.tol; the arguments as those of `simulate`.
 
@@ -77,7 +79,7 @@ def run(
     """
     check_map(compiled, options)
     check_elements(compiled, options)
-    search = _Search(compiled, options if options.dense else replace(options, dense=True), q0, v0, progress)
+    search = _Search(compiled, options if options.dense else replace(options, dense=True), q0, v0, ctrl_c.watch(progress))
     try:
         found, estimate = search.search()
     except KeyboardInterrupt:
@@ -166,7 +168,7 @@ class _Search:
         """Return the last run as it is, with the status INTERRUPTED; raise KeyboardInterrupt before there is one."""
         if self._engine is None:
             raise KeyboardInterrupt
-        self.last.status = Status(StatusCode.INTERRUPTED, "stopped by the user", float(self.last.t[-1][-1]))
+        self.last.status = Status.interrupted(float(self.last.t[-1][-1]))
         return _Found(math.nan, self.last, self._engine)
 
     def _run(self, level: float, coarser: _Found | None = None, slack: float = 1.0) -> _Found:

@@ -114,7 +114,7 @@ def _take(record: Record, result: EngineResult) -> Status:
     if error is not None and not isinstance(error, KeyboardInterrupt):
         raise error
     if error is not None and status.code != StatusCode.INTERRUPTED:  # pressed while a function of the user ran
-        status = record.status = Status(StatusCode.INTERRUPTED, "stopped by the user", status.time)
+        status = record.status = Status.interrupted(status.time)
     return status
 
 

@@ -44,7 +44,7 @@ class Record:
         self.phases: list[Columns] = []
         self.dense_steps: list[Columns] = []
         self.adaptive_steps: Columns | None = None
-        self._reached = t
+        self.reached = t
         self.stats = Stats()
         self.forced = compiled.forced
         self.forces = GrowingForces(t, compiled.constraint_rows)
@@ -72,7 +72,7 @@ class Record:
             if columns is not None:
                 part.append(columns)
         self._collect_phases(result["phases"])
-        self._reached = result["time"]
+        self.reached = result["time"]
         if self.options.auto:
             self.adaptive_steps = result["adaptive_steps"]
         # The engine counts from its reset, except for the seconds, which are those of this call.
@@ -86,7 +86,7 @@ class Record:
                 self._add_free_phase(self.start)
             self.phases.append(phases)
         elif self.phases and self.phases[-1]["persistent"][-1]:
-            self._add_free_phase(self._reached)
+            self._add_free_phase(self.reached)
 
     def _add_free_phase(self, t: float) -> None:
         free = {"t": t, "dt": self.options.fixed_dt, "persistent": 0.0}

@@ -128,6 +128,18 @@ class Run:
                 status = self.record.status = Status(status.code, text, status.time)
         return status
 
+    def step(self, forces: Array | None, targets: Array | None, progress: Progress | None = None) -> Status:
+        """Make one step; as `advance`. To hold Ctrl-C back would take longer than the step.
+
+        A Ctrl-C that comes between a step and its record ends the run with the state after the step.
+        """
+        try:
+            return self.advance(1, forces, targets, progress)
+        except KeyboardInterrupt:
+            if self.record.reached != self.t:
+                self.interrupt()
+            raise
+
     def _make_steps(self, steps: int, forces: Array | None, targets: Array | None, progress: Progress | None) -> Status:
         record = self.record
         self._before = self._present() if steps == 1 else None
@@ -236,5 +248,5 @@ class Run:
 
     def interrupt(self) -> Status:
         """End the run where it is with the status INTERRUPTED."""
-        self.record.status = Status(StatusCode.INTERRUPTED, "stopped by the user", self.t)
+        self.record.status = Status.interrupted(self.t)
         return self.record.status

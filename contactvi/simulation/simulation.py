@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import ConstraintError, DenseStepWarning, InputError, PenetrationError, SimulationError
+from contactvi.interrupts import CtrlC, held_back
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation import adaptive
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.messages import remedy
 from contactvi.simulation.run import PROGRESS_PERIOD, Run
 from contactvi.simulation.simulator import Simulator, settings_of
-from contactvi.status import StatusCode
+from contactvi.status import Status, StatusCode
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
@@ -102,27 +103,31 @@ def simulate(
         _check_auto(compiled, "control" if control is not None else "target" if target is not None else None)
     steps = 0 if settings.auto else settings.steps
     inputs = control if control is None or callable(control) else compiled.states.forces(control, steps)
-    if progress is True:
-        from contactvi.progress import RunProgress
+    with held_back() as ctrl_c:
+        if progress is True:
+            from contactvi.progress import RunProgress
 
-        with RunProgress(span) as bar:
-            traj = _run(compiled, settings, q0, v0, inputs, target, bar, throw)
-    else:
-        traj = _run(compiled, settings, q0, v0, inputs, target, progress or None, throw)
-    if throw and not traj.status.ok:
-        broken = traj.status.code == StatusCode.LEDGER
-        fact = "exceeds a tolerance of its ledger" if broken else "ended before its time"
-        raise SimulationError(
-            f"The run {fact} with the status {traj.status.code.name}: {traj.status.message}",
-            expected=f"t = {span if settings.auto else steps * settings.fixed_dt:.9g} s",
-            got=f"t = {traj.status.time:.9g} s",
-            remedy=remedy(traj.status.code, settings.contact_mode),
-            status=traj.status,
-            trajectory=traj,
-        )
-    if settings.contact_mode == "auto" and len(traj.dense_steps):
-        _warn_of_dense_steps(traj)
-    return traj
+            with RunProgress(span) as bar:
+                traj = _run(compiled, settings, q0, v0, inputs, target, bar, throw, ctrl_c)
+        else:
+            traj = _run(compiled, settings, q0, v0, inputs, target, progress or None, throw, ctrl_c)
+        dense = settings.contact_mode == "auto" and len(traj.dense_steps) > 0
+        if ctrl_c.pressed and traj.status.ok:  # between the end of the run and now
+            traj.status = Status.interrupted(traj.status.time)
+        if throw and not traj.status.ok:
+            broken = traj.status.code == StatusCode.LEDGER
+            fact = "exceeds a tolerance of its ledger" if broken else "ended before its time"
+            raise SimulationError(
+                f"The run {fact} with the status {traj.status.code.name}: {traj.status.message}",
+                expected=f"t = {span if settings.auto else steps * settings.fixed_dt:.9g} s",
+                got=f"t = {traj.status.time:.9g} s",
+                remedy=remedy(traj.status.code, settings.contact_mode),
+                status=traj.status,
+                trajectory=traj,
+            )
+        if dense:
+            _warn_of_dense_steps(traj)
+        return traj
 
 
 def _warn_of_dense_steps(traj: Trajectory) -> None:
@@ -161,9 +166,10 @@ def _run(
     target: Any,
     progress: Progress | None,
     throw: bool,
+    ctrl_c: CtrlC,
 ) -> Trajectory:
     if options.auto:
-        return adaptive.run(compiled, options, q0, v0, progress, throw)
+        return adaptive.run(compiled, options, q0, v0, progress, throw, ctrl_c)
     check_map(compiled, options)
     check_elements(compiled, options)
     run = Run(compiled, options, q0, v0)
@@ -173,9 +179,9 @@ def _run(
         return run.trajectory()
     try:
         if callable(control):
-            _follow(run, compiled, control, target, progress)
+            _follow(run, compiled, control, target, ctrl_c.watch(progress), ctrl_c)
         else:
-            run.advance(options.steps, control, run.targets(target, options.steps), progress)
+            run.advance(options.steps, control, run.targets(target, options.steps), ctrl_c.watch(progress))
     except KeyboardInterrupt:
         run.interrupt()
     if throw and run.unreachable is not None:
@@ -197,7 +203,9 @@ def _unreachable(found: ConstraintError, traj: Trajectory) -> ConstraintError:
     )
 
 
-def _follow(run: Run, compiled: CompiledScene, control: Control, target: Any, progress: Progress | None) -> None:
+def _follow(
+    run: Run, compiled: CompiledScene, control: Control, target: Any, progress: Progress, ctrl_c: CtrlC
+) -> None:
     last, steps = time.perf_counter(), run.options.steps
     targets = run.targets(target, steps)
     for k in range(steps):
@@ -205,7 +213,8 @@ def _follow(run: Run, compiled: CompiledScene, control: Control, target: Any, pr
         tau = compiled.states.controlled(control(t, run.q, run.v), t)
         if not run.advance(1, tau[None], None if targets is None else targets[k : k + 1]).ok:
             return
-        if progress is not None and time.perf_counter() - last > PROGRESS_PERIOD:
+        ctrl_c.check()
+        if time.perf_counter() - last > PROGRESS_PERIOD:
             last = time.perf_counter()
             progress(run.t, run.record.impacts)
 

@@ -6,8 +6,7 @@ Every input is checked here; the engine (contactvi._core) only gets arrays of th
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import InputError, SimulationError
+from contactvi.interrupts import held_back
 from contactvi.options import Options, SteppingOptions, merged
 from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
@@ -84,7 +84,8 @@ class Simulator:
             InputError: for a bad state and PenetrationError (pair, depth) where shapes overlap or a joint is beyond its
                 limit.
         """
-        with self._in_use():
+        with self._unused():
+            self._user = threading.get_ident()
             self._run = Run(self._scene, self.options, q0, v0, t)
             if self._run.refused is not None:
                 raise self._run.refused
@@ -112,7 +113,8 @@ class Simulator:
         return self._advance(steps, forces, target, progress)
 
     def _advance(self, steps: int, forces: Array | None, target: Any, progress: Progress | None = None) -> Status:
-        with self._in_use():
+        with self._unused():
+            self._user = threading.get_ident()
             run = self._started()
             if not run.record.status.ok:
                 raise SimulationError(
@@ -120,7 +122,12 @@ class Simulator:
                     status=run.record.status,
                     remedy="Call reset(q0, v0) to start again",
                 )
-            return run.advance(steps, forces, run.targets(target, steps), progress)
+            targets = run.targets(target, steps)
+            if steps == 1:
+                return run.step(forces, targets, progress)
+            with held_back() as ctrl_c:
+                status = run.advance(steps, forces, targets, ctrl_c.watch(progress))
+                return run.interrupt() if ctrl_c.pressed else status
 
     @property
     def t(self) -> float:
@@ -168,7 +175,8 @@ class Simulator:
 
     def save(self) -> Snapshot:
         """Return all of the present state, with what was recorded, for `load`."""
-        with self._in_use():
+        with self._unused():
+            self._user = threading.get_ident()
             return self._started().save()
 
     def load(self, snapshot: Snapshot) -> None:
@@ -179,7 +187,8 @@ class Simulator:
         if not isinstance(snapshot, Snapshot) or snapshot.scene is not self._scene or snapshot.options != self.options:
             got = "of another scene or other options" if isinstance(snapshot, Snapshot) else repr(snapshot)
             raise InputError("Snapshot", name="snapshot", expected="one of this scene and these options", got=got)
-        with self._in_use():
+        with self._unused():
+            self._user = threading.get_ident()
             if self._run is None:
                 self._run = Run.of(snapshot)
             else:
@@ -223,17 +232,15 @@ class Simulator:
         """End the run where it is with the status INTERRUPTED."""
         return self._started().interrupt()
 
-    @contextmanager
-    def _in_use(self) -> Iterator[None]:
-        """Hold the simulator for one call; raise SimulationError while another one does."""
-        if not self._lock.acquire(blocking=False):
+    def _unused(self) -> threading.Lock:
+        """Return the lock of the simulator, for one call; raise SimulationError while another one has it.
+
+        Of two calls that begin in the same instant one waits. The lock is taken by the `with` of the caller, so that
+        no Ctrl-C comes between.
+        """
+        if self._lock.locked():
             raise self._busy()
-        self._user = threading.get_ident()
-        try:
-            yield
-        finally:
-            self._user = 0
-            self._lock.release()
+        return self._lock
 
     def _busy(self) -> SimulationError:
         own = self._user == threading.get_ident()
@@ -245,7 +252,7 @@ class Simulator:
         )
 
     def _started(self) -> Run:
-        if self._user not in (0, threading.get_ident()):
+        if self._lock.locked() and self._user != threading.get_ident():
             raise self._busy()
         if self._run is None:
             raise SimulationError("The simulator has no state yet", remedy="Call reset(q0, v0) first")

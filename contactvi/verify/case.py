@@ -15,6 +15,7 @@ from contactvi.records.contacts import ContactChange
 from contactvi.reproduce.check import Check, same
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulation import simulate
+from contactvi.status import StatusCode
 from contactvi.trajectory.compiled import compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
@@ -71,6 +72,8 @@ class Runs:
         """
         traj = simulate(scene, q, v, duration, dt, throw=False, progress=self._in_time, **options)
         self.count += 1
+        if traj.status.code == StatusCode.INTERRUPTED:
+            raise KeyboardInterrupt
         if not traj.status.ok:
             self._messages.append(str(traj.status))
         gap, impulse, product = kept(traj)
