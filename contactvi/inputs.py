@@ -36,6 +36,7 @@ _STEP_TOLERANCE = 1e-9  # relative; decimal input such as 0.1 / 1e-3 is off by a
 
 
 MOST = 2**31 - 1  # of the engine's whole numbers
+LARGEST = 1e50  # of numbers that enter a product: energies have up to five factors, and doubles end at 1e308
 
 
 def real(
@@ -49,8 +50,9 @@ def real(
 ) -> float:
     """Return a real number (no truth value, no str) as a finite float in [low, high], or (low, high] with `open_low`.
 
-    An array without dimensions, as array libraries return numbers, counts as its number. `expected` says in words
-    what the value should be, where the interval alone does not.
+    Numbers beyond 1e50 are refused, because products of them overflow. An array without dimensions, as array libraries
+    return numbers, counts as its number. `expected` says in words what the value should be, where the interval alone
+    does not.
     """
     number = math.nan
     if isinstance(value, np.ndarray) and value.ndim == 0:
@@ -61,8 +63,10 @@ def real(
         except OverflowError:
             number = math.inf
     inside = low < number <= high if open_low else low <= number <= high
-    if not math.isfinite(number) or not inside:
+    if not abs(number) <= LARGEST or not inside:
         wanted = expected or _interval(low, high, open_low)
+        if inside and math.isfinite(number):
+            wanted = f"a number of at most {LARGEST:g}"
         raise InputError(f"{name} is not usable", name=name, expected=wanted, got=short(value))
     return number
 
@@ -133,7 +137,7 @@ def short(value: Any) -> str:
 
 
 def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: str | None = None) -> Array:
-    """Return `value` as a C-contiguous float array of this shape with finite numbers, or raise InputError."""
+    """Return `value` as a C-contiguous float array of this shape with numbers up to 1e50, or raise InputError."""
     try:
         result = np.array(value, dtype=float, order="C")
     except (TypeError, ValueError, OverflowError) as error:
@@ -159,6 +163,15 @@ def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: s
             name=name,
             expected="finite numbers",
             got=f"{result[tuple(bad[0])]} at index {at}" + (f" and {len(bad) - 1} more" if len(bad) > 1 else ""),
+        )
+    if result.size and np.abs(result).max() > LARGEST:
+        largest = float(np.abs(result).max())
+        raise InputError(
+            f"{name} is too large",
+            name=name,
+            expected=f"numbers of at most {LARGEST:g}",
+            got=f"{largest:g}",
+            remedy="Products of such numbers overflow; use other units",
         )
     return result
 

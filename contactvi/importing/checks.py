@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from contactvi.errors import SceneError, UnsupportedJointError
 from contactvi.importing.report import BodyRow, JointRow, PartReport, number
+from contactvi.inputs import LARGEST
 
 _AXES = ("X", "Y", "Z")
 REVOLUTE = {*(f"JointModelR{a}" for a in _AXES), "JointModelRevoluteUnaligned"}
@@ -151,8 +152,11 @@ def check_numbers(model: pin.Model, source: str) -> None:
     for i in range(model.njoints):
         inertia, name = model.inertias[i], model.names[i]
         values = [inertia.mass, *inertia.lever, *inertia.inertia.ravel(), *model.jointPlacements[i].homogeneous.ravel()]
-        if not np.all(np.isfinite(values)):
-            raise SceneError(f"{source}: numbers of joint {name!r}", joint=name, expected="finite", got="nan or inf")
+        if not np.all(np.abs(values) <= LARGEST):
+            worst = "nan or inf" if not np.all(np.isfinite(values)) else f"{np.max(np.abs(values)):g}"
+            wanted = f"finite, at most {LARGEST:g}"
+            what = f"{source}: numbers of joint {name!r}"
+            raise SceneError(what, joint=name, expected=wanted, got=worst, remedy="Correct the file")
         if inertia.mass < 0.0:
             raise SceneError(
                 f"{source}: mass moved by joint {name!r}", joint=name, expected=">= 0 kg", got=f"{inertia.mass:g} kg"

@@ -71,7 +71,7 @@ def import_urdf(
             model = _parse(file, lambda: pin.buildModelFromXML(text.xml, pin.JointModelFreeFlyer(), ROOT_JOINT))
         else:
             model = _parse(file, lambda: pin.buildModelFromXML(text.xml))
-        collision = _parse(file, lambda: pin.buildGeomFromUrdfString(model, text.xml, pin.GeometryType.COLLISION))
+        collision = _parse(file, lambda: _geometry(model, text.xml, pin.GeometryType.COLLISION))
         _add_armature(model, armature, report, prefix)
         found = Srdf([], {}) if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report)
         part = Part(
@@ -81,9 +81,7 @@ def import_urdf(
             collision=collision,
             start=neutral(model),
             report=report,
-            load_visual=lambda: _visual(
-                file, lambda: pin.buildGeomFromUrdfString(model, text.xml, pin.GeometryType.VISUAL), collision
-            ),
+            load_visual=lambda: _visual(file, lambda: _geometry(model, text.xml, pin.GeometryType.VISUAL), collision),
             prefix=prefix,
             placement=pin.SE3.Identity() if base == "free" else placement,
             disabled=found.pairs,
@@ -95,6 +93,13 @@ def import_urdf(
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
     _configurations(part, found.states)
     return part
+
+
+def _geometry(model: pin.Model, xml: str, kind: pin.GeometryType) -> pin.GeometryModel:
+    """Return the shapes of a URDF, in a model that is freed: one that Pinocchio makes itself never is."""
+    result = pin.GeometryModel()
+    pin.buildGeomFromUrdfString(model, xml, kind, result)
+    return result
 
 
 def _add_armature(model: pin.Model, armature: Any, report: PartReport, prefix: str) -> None:

@@ -12,6 +12,7 @@ import html
 import importlib.resources
 import json
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Protocol
@@ -98,9 +99,7 @@ def make_html(run: Run, *, fps: float = 60.0, title: str = "", play: bool = True
         "@MESHCAT@": _meshcat_script(),
     }
     text = importlib.resources.files("contactvi.playback").joinpath("page.html").read_text(encoding="utf-8")
-    for name, value in parts.items():  # the meshcat script comes last, so that no name is replaced inside it
-        text = text.replace(name, value, 1)
-    return text
+    return re.sub("|".join(parts), lambda found: parts[found[0]], text)  # in one pass: what is put in is not looked at
 
 
 def _commands(run: Run, frames: Frames, view: dict[str, Any], forces: Forces | None) -> Iterator[dict[str, Any]]:

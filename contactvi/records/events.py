@@ -68,7 +68,8 @@ class Event:
         method: impact map, "ctec", "dtec" or "mhc".
         iterations: evaluations of the map's scalar equation; 0 for CTEC, which is explicit.
         fallback: None, or the reason why the impulse is CTEC's because the map had no answer.
-        jump: what is left of the map's own scalar equation [J], losses by restitution taken off; 0 for CTEC.
+        jump: what is left of the map's own scalar equation [J], losses by restitution taken off; 0 for CTEC,
+            and for a fallback where the rest of the step was not solved.
         before, after: lengths [s] of the partial step that ends at the impact (since the last event or node) and of the
             rest of the step after it.
         q: configuration at the impact, shape (nq,). Bodies that are in another island at that time (docs/theory.md)
@@ -78,7 +79,8 @@ class Event:
         points: how many points of the pair took part.
         friction: Coulomb coefficient used.
         loss: what the law of the impact takes from the kinetic energy, by restitution and friction [J]; at one point
-            without friction (1 - e^2) gamma_minus^2 / (2 G_c).
+            without friction (1 - e^2) gamma_minus^2 / (2 G_c). Events of one instant share what contacts that act
+            together lose, one after the other: a share may be negative, their sum is >= 0.
         energy_change: H(p_plus) - H(p_minus) [J]; -loss with CTEC, at one point without friction (gamma_plus^2 -
             gamma_minus^2) / (2 G_c).
     """

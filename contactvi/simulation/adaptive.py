@@ -79,7 +79,8 @@ def run(
     """
     check_map(compiled, options)
     check_elements(compiled, options)
-    search = _Search(compiled, options if options.dense else replace(options, dense=True), q0, v0, ctrl_c.watch(progress))
+    kept = options if options.dense else replace(options, dense=True)
+    search = _Search(compiled, kept, q0, v0, ctrl_c.watch(progress))
     try:
         found, estimate = search.search()
     except KeyboardInterrupt:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from contactvi.elements.elements import UserForce, UserPotential
 from contactvi.errors import ConstraintError, SceneError, UserFunctionError
+from contactvi.importing.checks import dof_joint
 from contactvi.inputs import States
 from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
@@ -19,6 +20,10 @@ from contactvi.scene.scene import Scene
 
 if TYPE_CHECKING:
     from contactvi import _core
+
+# Of a velocity of size 1 that becomes a momentum and a velocity again. Of good robots 1e-14 is lost, and half where a
+# motion has no inertia; in between, this share of every velocity of a run is rounding.
+MOST_LOST = 1e-3
 
 
 class CompiledScene:
@@ -115,7 +120,14 @@ class CompiledScene:
         return None
 
     def check_start(self, q: NDArray[np.float64], v: NDArray[np.float64], t: float) -> None:
-        """Raise ConstraintError where (q, v) at t [s] is not on the constraints, DerivativeError for wrong ones."""
+        """Look whether a run may start at (q, v) at t [s].
+
+        Raises:
+            SceneError: the mass matrix at q is singular to rounding: velocities there have no meaning.
+            ConstraintError: (q, v) is not on the constraints.
+            DerivativeError: the derivatives of the user's functions are wrong.
+        """
+        self._check_mass(q)
         rows = self.built.elements.constraints
         if rows:
             loops.check_configuration(self.core, rows, q, t)
@@ -123,6 +135,23 @@ class CompiledScene:
         if not self._derivatives_checked:
             self._derivatives_checked = True
             self._check_derivatives(q, v, t)
+
+    def _check_mass(self, q: NDArray[np.float64]) -> None:
+        """Raise SceneError where a velocity does not come back from its momentum, M(q)^-1 (M(q) w) != w."""
+        w = np.sin(1.0 + np.arange(self.built.model.nv))
+        if not len(w):
+            return
+        off = np.abs(np.asarray(self.core.velocity(q[None], np.asarray(self.core.momentum(q[None], w[None]))))[0] - w)
+        if off.max() <= MOST_LOST:
+            return
+        name = dof_joint(self.built.model, int(np.argmax(np.where(np.isfinite(off), off, np.inf))))
+        raise SceneError(
+            "The mass matrix is singular at the start: a motion there has no inertia, and its velocity no meaning",
+            joint=name,
+            expected=f"velocities that come back from their momenta to {MOST_LOST:g}",
+            got=f"{off.max():.2g} off, most at joint {name!r}",
+            remedy=f"Start from another pose, or give inertia: set_joint({name!r}, armature=1e-4)",
+        )
 
     def _check_derivatives(self, q: NDArray[np.float64], v: NDArray[np.float64], t: float) -> None:
         """Check the user's derivatives at (q, v) and beside it: much vanishes at a start such as neutral."""

@@ -23,7 +23,7 @@ enum class Fallback : int {
   kNone = 0,
   kPlastic = 1,        // gamma+ = 0: the energy equation is singular, and lambda is CTEC's
   kNoConvergence = 2,  // no root near CTEC's
-  kInadmissible = 3,   // a root with lambda < 0 or gamma+ <= 0
+  kInadmissible = 3,   // a root with lambda < 0, gamma+ <= 0 or, with e < 1, gamma+ > -gamma-
   kGrazing = 4,        // too slow for the equation to fix lambda: its root lies far from CTEC's
   kPersistent = 5,     // in persistent contact the rest of the step is not the smooth one that the scalar belongs to
 };
@@ -49,6 +49,7 @@ struct ImpactResult {
   bool ok = false;
   double impulse = 0;  // lambda
   double jump = 0;     // of the map's own scalar, beyond the loss: what is left of its equation [J]; 0 for CTEC
+                       // and for a fallback where the scalar could not be evaluated
   int iterations = 0;  // evaluations of the scalar
   Fallback fallback = Fallback::kNone;
 };

@@ -24,7 +24,8 @@ ImpactResult ScalarMap::correct(const ImpactProblem& problem, const ImpactResult
     result.impulse = start.impulse;
     result.fallback = reason;
     const VecX p_start = problem.p_minus + start.impulse * problem.W;
-    result.jump = scalar(problem, p_start) - problem.target;
+    const double left = scalar(problem, p_start) - problem.target;
+    result.jump = std::isfinite(left) ? left : 0.0;
     p = p_start;
     return result;
   };
@@ -58,7 +59,9 @@ ImpactResult ScalarMap::correct(const ImpactProblem& problem, const ImpactResult
   }
   if (!(best <= kAccept * normal_energy || best <= 16 * exact)) return fall_back(Fallback::kNoConvergence);
   const double gamma_plus = problem.gamma_minus + best_lambda * problem.G_c;
-  if (best_lambda < 0.0 || gamma_plus <= 0.0) return fall_back(Fallback::kInadmissible);
+  // With e < 1 a root that separates faster than the approach is an error of the step, not one of the impact.
+  const bool gains = problem.restitution < 1.0 && gamma_plus > -problem.gamma_minus;
+  if (best_lambda < 0.0 || gamma_plus <= 0.0 || gains) return fall_back(Fallback::kInadmissible);
   result.impulse = best_lambda;
   result.jump = best;
   p = problem.p_minus + best_lambda * problem.W;

@@ -11,6 +11,9 @@ namespace contactvi {
 namespace {
 constexpr double kSeparated = 1e-13;  // of the event's speeds: a slower closing speed is rounding
 constexpr int kMostHalvings = 4000;   // of the free steps within one interval
+// Of the numbers of a state: the energy of a larger one may overflow. What scenes and starts are made of is below 1e50
+// (contactvi/inputs.py), and a motion that gets here from there has no meaning.
+constexpr double kLargest = 1e100;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether some force dissipates energy.
@@ -19,6 +22,12 @@ bool dissipates(const Tree& tree) {
   bool any = tree.has_damping || !e.friction_dofs.empty() || !e.forces.empty() || e.servo_kd.size() > 0;
   for (const PathSpring& spring : e.path_springs) any |= spring.damping > 0.0;
   return any;
+}
+
+// Whether all numbers of a state are finite and small enough for its energy. NaN is not <= anything.
+bool in_range(const VecX& q, const VecX& p) {
+  const auto inside = [](const VecX& x) { return (x.array().abs() <= kLargest).all(); };
+  return inside(q) && inside(p);
 }
 }  // namespace
 
@@ -95,11 +104,15 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
   integrator_.forget();
   guards_.counters = GuardCounters();
   guards_.restart();
-  if (!q0.allFinite() || !v0.allFinite()) {
-    end(StatusCode::kNotFinite, t, "the start state is not finite");
+  if (!in_range(q0, v0)) {
+    end(StatusCode::kNotFinite, t, "the start state is not finite, or its energy overflows");
     return state_.status;
   }
   integrator_.dynamics(q0, v0, state_.p, p1_);
+  if (!in_range(q0, state_.p)) {
+    end(StatusCode::kNotFinite, t, "the momentum of the start state overflows");
+    return state_.status;
+  }
   law_->start_run(free_state(), state_.reference);
   guards_.place(q0);
   finder_.forget_touching();
@@ -199,7 +212,7 @@ bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool l
   if (!solved) {
     if (user_function_failed(time)) return false;
     if (!last_try) return false;
-    const bool finite = state_.q.allFinite() && state_.p.allFinite();
+    const bool finite = in_range(state_.q, state_.p);
     return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, time,
                std::string("the discrete Euler-Lagrange equation was not solved: ") + integrator_.why());
   }
@@ -250,8 +263,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     else if (!going)
       return false;
   }
-  if (!state_.q.allFinite() || !state_.p.allFinite())
-    return end(StatusCode::kNotFinite, start + length, "the state is not finite");
+  if (!in_range(state_.q, state_.p))
+    return end(StatusCode::kNotFinite, start + length, "the state is not finite, or its energy overflows");
   return true;
 }
 

@@ -250,6 +250,16 @@ def test_page_is_self_contained_and_finite(name, request):
     check(commands(page))
 
 
+def test_names_of_the_template_are_names_like_others():
+    scene = cvi.Scene()
+    scene.add_sphere("@COMMANDS@ @MESHCAT@", 0.1)
+    traj = cvi.simulate(scene, duration=0.1, dt=1e-2)
+    page = make_html(traj, title="@RUN@ @MESHCAT@")
+    assert "<title>@RUN@ @MESHCAT@</title>" in page
+    assert run_data(page)["duration"] == pytest.approx(0.1)
+    assert any("__COMMANDS___MESHCAT_" in str(command.get("path")) for command in commands(page))
+
+
 def test_run_that_never_started_has_a_page():
     scene = ball_scene()
     q0 = scene.configuration({"ball": (0.0, 0.0, 0.05)})

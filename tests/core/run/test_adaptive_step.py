@@ -145,7 +145,7 @@ def test_several_bounces_in_one_step(method, order, restitution):
     ball = BouncingBall(HEIGHT, restitution)
     scene = ball_scene(restitution)
     result = map_runs.run(scene, scene.neutral(), np.zeros(6), 8.0, 2.0, method, order=order, max_impacts_per_step=500)
-    assert result.code == SUCCESS or (method == "dtec" and result.code == TOO_MANY)
+    assert result.code == SUCCESS or (method == "dtec" and result.code in (TOO_MANY, ZENO))
     assert len(result.t) == 5 or result.code != SUCCESS
     gaps = np.array([scene.core().gaps(q)[0][0] for q in result.q])
     assert gaps.min() >= -1e-12
