@@ -33,7 +33,7 @@ def random_tree(rng: np.random.Generator) -> cvi.Scene | None:
 
 @pytest.mark.parametrize("impact", ["mhc", "dtec"])
 def test_no_impact_separates_faster_than_it_closes(impact):
-    """At long steps of order 2 the maps' own scalars may ask for it, here 3 and 12 times; with e < 1 that is no answer."""
+    """At long steps of order 2 the maps' own scalars may ask for it; with e < 1 that is no answer."""
     events = fallbacks = 0
     for seed in range(80):
         rng = np.random.default_rng(seed)
