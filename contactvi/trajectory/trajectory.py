@@ -381,6 +381,7 @@ class Trajectory:
                 name="t",
                 expected=f"a time in [{self.t[0]:.9g}, {self.t[-1]:.9g}] s",
                 got=np.array2string(wanted, threshold=4),
+                remedy="Ask for times within the run, or run it for longer",
             )
         return np.asarray(np.clip(wanted, self.t[0], self.t[-1]))
 
