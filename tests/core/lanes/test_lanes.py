@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 
 from batteries.models import CASES, case
+from contactvi.errors import EngineError
 from helpers import contact_models, map_runs
 from helpers.engine import core_scene, simulator
 from helpers.gauss_laws import EVERY_ORDER, extra_of
-
-from contactvi.errors import EngineError
 
 CORE = Path(__file__).resolve().parents[3] / "core"
 
@@ -73,7 +72,7 @@ def test_unknown_name_is_refused_and_changes_nothing(sets):
 
 
 @pytest.mark.parametrize("name", ["base", "", "sse9"])
-def test_environment_chooses_at_import(sets, name, tmp_path):
+def test_environment_chooses_the_first(sets, name, tmp_path):
     code = "from contactvi import _core; print(_core.instruction_set())"
     done = subprocess.run(
         [sys.executable, "-c", code],
