@@ -89,7 +89,7 @@ def _interval(low: float, high: float, open_low: bool) -> str:
 def _number_remedy(value: Any, number: float, low: float, high: float, open_low: bool) -> str:
     """Return how to make a real number in an interval of what was given; `number` is nan where it is none."""
     if isinstance(value, str):
-        return "Write the number without quotes, in SI units"
+        return "Write the number without quotes" if value[:1].isdigit() else "Give a number in SI units, without quotes"
     if not isinstance(value, numbers.Real) or isinstance(value, bool):
         return "Give one number, such as 0.5" if low < 0.5 < high else "Give one number"
     if not math.isfinite(number):

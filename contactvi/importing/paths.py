@@ -133,9 +133,7 @@ def _similar(missing: Path) -> str:
     same = [p.name for p in files if p.suffix.lower() == missing.suffix.lower()]
     if same:
         return f"Name one of the files in {folder}: {', '.join(same[:8])}" + (", ..." if len(same) > 8 else "")
-    return (
-        f"Correct the path: the folder {folder} has no file {f'in {missing.suffix}' if missing.suffix else 'like it'}"
-    )
+    return f"Correct the path: the folder {folder} has no {missing.suffix + ' ' if missing.suffix else ''}file like it"
 
 
 def unreadable(path: Path, error: Exception) -> SceneError:

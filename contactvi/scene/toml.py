@@ -179,13 +179,15 @@ def _refuse_model(file: Path, text: str) -> None:
     if not text.lstrip("\ufeff \t\r\n").startswith("<") and file.suffix.lower() not in (".urdf", ".mjcf", ".xml"):
         return
     section, got = ("mjcf", "an MJCF") if "<mujoco" in text or file.suffix.lower() == ".mjcf" else ("urdf", "a URDF")
+    names = (f"{file.stem}.toml", f"{file.stem}_scene.toml")
+    name = next((name for name in names if not (file.parent / name).is_file()), "a scene file")
     lines = [f"[[{section}]]", f'path = "{file.name}"', "", "[run]", "dt = 1e-3", "duration = 1.0"]
     raise SceneError(
         f"{file.name} is a model, not a scene",
         path=file,
         expected="a scene file (.toml)",
         got=got,
-        remedy=f"Write these lines to {file.stem}.toml beside it, and load that:\n\n" + "\n".join(lines),
+        remedy=f"Write these lines to {name} beside it, and load that:\n\n" + "\n".join(lines),
     )
 
 

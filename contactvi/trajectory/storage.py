@@ -260,8 +260,10 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     header = _read_header(path, entries)
     try:
         return _build(path, entries, _unpack(header, entries))
-    except ContactviError:
-        raise
+    except ContactviError as error:
+        if isinstance(error, SceneError) and error.path is not None:
+            raise
+        _refuse(path, str(error).rstrip("."), error)
     except Exception as error:  # whatever a wrong header makes the scene or the options stumble over
         _refuse(path, f"{type(error).__name__}: {error}", error)
 

@@ -87,7 +87,8 @@ def test_environment_chooses_the_first(sets, name, tmp_path):
     )
     if name == "sse9":
         assert done.returncode != 0
-        assert name in done.stderr
+        assert "EngineError: The environment variable CONTACTVI_INSTRUCTION_SET" in done.stderr
+        assert f"expected one of {', '.join(sets)}, got '{name}'. Unset CONTACTVI_INSTRUCTION_SET" in done.stderr
     else:
         assert done.stdout.strip() == (name or sets[-1]), done.stderr
 
