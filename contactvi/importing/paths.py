@@ -223,5 +223,7 @@ def resolve_resource(url: str, start: Path, package_dirs: Sequence[object] = ())
         path=url,
         expected="an existing file",
         got=f"nothing at {where}" if tried else nowhere,
-        remedy="Pass package_dirs=[folder that contains the package]",
+        remedy="Pass package_dirs=[folder that contains the package]"
+        if scheme in ("package", "model") and separator
+        else "Put the file there, or correct the reference in the model",
     )

@@ -271,7 +271,7 @@ class Trajectory:
         if self.forces is None:
             raise InputError(
                 "The work of forces was not recorded", name="work", expected="a run of the engine", got="none",
-                remedy="Run the scene",
+                remedy="Run the scene with simulate or a Simulator",
             )  # fmt: skip
         return self.forces
 
