@@ -5,6 +5,7 @@ from .errors import ConstraintError as ConstraintError
 from .errors import ContactviError as ContactviError
 from .errors import DenseStepWarning as DenseStepWarning
 from .errors import DerivativeError as DerivativeError
+from .errors import EngineError as EngineError
 from .errors import InputError as InputError
 from .errors import PenetrationError as PenetrationError
 from .errors import SceneError as SceneError

@@ -10,9 +10,6 @@ import numpy
 from numpy.typing import NDArray
 
 
-class CoreError(RuntimeError):
-    pass
-
 class StatusCode(enum.IntEnum):
     """How a run ended."""
 

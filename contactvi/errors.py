@@ -1,6 +1,6 @@
 """The exceptions of contactvi: one root, few children, the data kept as fields.
 
-Every message gives what was expected, what was got and how to remedy it.
+Every error gives what was expected, what was got and how to remedy it: all three are needed to make one.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ class ContactviError(Exception):
     Args:
         what: the fact, one sentence without a full stop.
         expected, got, remedy: short texts, kept as fields and joined into the message ``what: expected ..., got ....
-            Remedy.``
+            Remedy.`` The remedy says what to do next.
     """
 
     def __init__(
         self,
         what: str,
         *,
-        expected: object | None = None,
-        got: object | None = None,
-        remedy: str | None = None,
+        expected: object,
+        got: object,
+        remedy: str,
     ) -> None:
         self.what = what
         self.expected = expected
@@ -34,26 +34,28 @@ class ContactviError(Exception):
         super().__init__(self._message())
 
     def _message(self) -> str:
-        parts = []
-        if self.expected is not None:
-            parts.append(f"expected {self.expected}")
-        if self.got is not None:
-            parts.append(f"got {self.got}")
-        text = self.what.rstrip(".")
-        if parts:
-            text += ": " + ", ".join(parts)
-        text += "."
-        if self.remedy:
-            text += " " + self.remedy + ("" if self.remedy.endswith((".", "?", "!")) else ".")
-        return text
+        end = (
+            "" if self.remedy.endswith((".", "?", "!")) or "\n" in self.remedy else "."
+        )  # lines of a file stay as they are
+        return f"{self.what.rstrip('.')}: expected {self.expected}, got {self.got}. {self.remedy}{end}"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (type(self), self.args, self.__dict__)
+
+
+def _restored(kind: type[ContactviError], args: tuple[Any, ...], fields: dict[str, Any]) -> ContactviError:
+    """Return a copy of an error, for pickle and copy: what it was made with is not kept as such."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(fields)
+    return error
 
 
 class InputError(ContactviError, ValueError):
     """A bad argument: wrong shape, wrong range, not finite, unknown option. `name` is the argument."""
 
-    def __init__(self, what: str, *, name: str | None = None, **kwargs: Any) -> None:
+    def __init__(self, what: str, *, expected: object, got: object, remedy: str, name: str | None = None) -> None:
         self.name = name
-        super().__init__(what, **kwargs)
+        super().__init__(what, expected=expected, got=got, remedy=remedy)
 
 
 class SceneError(ContactviError):
@@ -66,35 +68,55 @@ class SceneError(ContactviError):
         self,
         what: str,
         *,
+        expected: object,
+        got: object,
+        remedy: str,
         path: object | None = None,
         joint: str | None = None,
         body: str | None = None,
-        **kwargs: Any,
     ) -> None:
         self.path = None if path is None else str(path)
         self.joint = joint
         self.body = body
         self.report: Any = None
-        super().__init__(what, **kwargs)
+        super().__init__(what, expected=expected, got=got, remedy=remedy)
 
 
 class UnsupportedJointError(SceneError):
     """A joint type that the engine refuses; `joint` is its name, `joint_type` its Pinocchio type."""
 
-    def __init__(self, what: str, *, joint_type: str | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        what: str,
+        *,
+        expected: object,
+        got: object,
+        remedy: str,
+        joint_type: str | None = None,
+        path: object | None = None,
+        joint: str | None = None,
+        body: str | None = None,
+    ) -> None:
         self.joint_type = joint_type
-        super().__init__(what, **kwargs)
+        super().__init__(what, expected=expected, got=got, remedy=remedy, path=path, joint=joint, body=body)
 
 
 class PenetrationError(ContactviError):
     """A start in penetration: `pair` (names), `depth` [m] > 0."""
 
     def __init__(
-        self, what: str, *, pair: tuple[str, str] | None = None, depth: float | None = None, **kwargs: Any
+        self,
+        what: str,
+        *,
+        expected: object,
+        got: object,
+        remedy: str,
+        pair: tuple[str, str] | None = None,
+        depth: float | None = None,
     ) -> None:
         self.pair = pair
         self.depth = depth
-        super().__init__(what, **kwargs)
+        super().__init__(what, expected=expected, got=got, remedy=remedy)
 
 
 class ConstraintError(ContactviError):
@@ -108,15 +130,17 @@ class ConstraintError(ContactviError):
         self,
         what: str,
         *,
+        expected: object,
+        got: object,
+        remedy: str,
         residuals: Mapping[str, float] | None = None,
         status: Any = None,
         trajectory: Any = None,
-        **kwargs: Any,
     ) -> None:
         self.residuals = dict(residuals or {})
         self.status = status
         self.trajectory = trajectory
-        super().__init__(what, **kwargs)
+        super().__init__(what, expected=expected, got=got, remedy=remedy)
 
     @property
     def constraints(self) -> tuple[str, ...]:
@@ -135,15 +159,17 @@ class UserFunctionError(InputError):
         self,
         what: str,
         *,
+        expected: object,
+        got: object,
+        remedy: str,
         function: str | None = None,
         time: float | None = None,
         entry: str | None = None,
-        **kwargs: Any,
     ) -> None:
         self.function = function
         self.time = time
         self.entry = entry
-        super().__init__(what, name=function, **kwargs)
+        super().__init__(what, expected=expected, got=got, remedy=remedy, name=function)
 
 
 class DerivativeError(InputError):
@@ -157,27 +183,45 @@ class DerivativeError(InputError):
         self,
         what: str,
         *,
+        expected: object,
+        got: object,
+        remedy: str,
         function: str | None = None,
         row: int | None = None,
         column: int | None = None,
         dof: tuple[str, ...] = (),
         error: float | None = None,
-        **kwargs: Any,
     ) -> None:
         self.function = function
         self.row, self.column = row, column
         self.dof = dof
         self.error = error
-        super().__init__(what, name=function, **kwargs)
+        super().__init__(what, expected=expected, got=got, remedy=remedy, name=function)
 
 
 class SimulationError(ContactviError):
     """A run that ended before its time. `status` tells why, `trajectory` is the part that was computed."""
 
-    def __init__(self, what: str, *, status: Any = None, trajectory: Any = None, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        what: str,
+        *,
+        expected: object,
+        got: object,
+        remedy: str,
+        status: Any = None,
+        trajectory: Any = None,
+    ) -> None:
         self.status = status
         self.trajectory = trajectory
-        super().__init__(what, **kwargs)
+        super().__init__(what, expected=expected, got=got, remedy=remedy)
+
+
+class EngineError(ContactviError, RuntimeError):
+    """What the engine itself refuses, or a fault inside of it. It is made by the compiled module."""
+
+    def __init__(self, what: str, expected: str, got: str, remedy: str) -> None:
+        super().__init__(what, expected=expected, got=got, remedy=remedy)
 
 
 class AccuracyWarning(UserWarning):
@@ -188,13 +232,13 @@ class DenseStepWarning(UserWarning):
     """A run with contact_mode="auto" took dense steps: impacts in them have no times (`Trajectory.dense_steps`)."""
 
 
-def nearest(word: str, choices: Iterable[str]) -> str | None:
-    """Return the choice most like `word`, or None when nothing is near."""
+def nearest(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str | None:
+    """Return the choice most like `word`, or None when nothing is near; `cutoff` is difflib's, from 0 to 1."""
     names = [str(choice) for choice in choices]
-    found = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
+    found = difflib.get_close_matches(word, names, n=1, cutoff=cutoff)
     if not found:
         lower = {name.lower(): name for name in names}
-        found = [lower[key] for key in difflib.get_close_matches(word.lower(), list(lower), n=1, cutoff=0.5)]
+        found = [lower[key] for key in difflib.get_close_matches(word.lower(), list(lower), n=1, cutoff=cutoff)]
     return found[0] if found else None
 
 
@@ -205,6 +249,6 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str:
     if near is not None:
         return f"Did you mean {near!r}?"
     if not names:
-        return "There is none."
+        return "There is none to choose from: add one first"
     shown = ", ".join(repr(name) for name in names[:12])
-    return f"Known: {shown}" + (", ..." if len(names) > 12 else "")
+    return f"Use one of {shown}" + (", ..." if len(names) > 12 else "")

@@ -67,7 +67,13 @@ def real(
         wanted = expected or _interval(low, high, open_low)
         if inside and math.isfinite(number):
             wanted = f"a number of at most {LARGEST:g}"
-        raise InputError(f"{name} is not usable", name=name, expected=wanted, got=short(value))
+        raise InputError(
+            f"{name} is not usable",
+            name=name,
+            expected=wanted,
+            got=short(value),
+            remedy=_number_remedy(value, number, low, high, open_low),
+        )
     return number
 
 
@@ -84,20 +90,56 @@ def _interval(low: float, high: float, open_low: bool) -> str:
     return f"a number in {'(' if open_low else '['}{low:g}, {high:g}]"
 
 
+def _number_remedy(value: Any, number: float, low: float, high: float, open_low: bool) -> str:
+    """Return how to make a real number in an interval of what was given; `number` is nan where it is none."""
+    if isinstance(value, str):
+        return "Write the number without quotes" if value[:1].isdigit() else "Give a number in SI units, without quotes"
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        return "Give one number, such as 0.5" if low < 0.5 < high else "Give one number"
+    if not math.isfinite(number):
+        return "Give a finite number"
+    if abs(number) > LARGEST:
+        return "Products of such numbers overflow; use other units"
+    if number > high:
+        return f"Use {high:g} or less"
+    return f"Use a number above {low:g}" if open_low else f"Use {low:g} or more"
+
+
 def count(name: str, value: Any) -> int:
     """Return a whole number >= 1 that the engine can hold."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     if not whole or not 1 <= int(value) <= MOST:
         expected = f"a whole number <= {MOST}" if whole and int(value) > MOST else "a whole number >= 1"
-        raise InputError(f"{name} is not usable", name=name, expected=expected, got=short(value))
+        raise InputError(
+            f"{name} is not usable", name=name, expected=expected, got=short(value), remedy=_count_remedy(value)
+        )
     return int(value)
+
+
+def _count_remedy(value: Any) -> str:
+    """Return how to make a whole number >= 1 of what was given."""
+    if isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value):
+        near = min(max(round(float(value)), 1), MOST)
+        return f"Use {near}, without a decimal point"
+    return "Give a whole number such as 100, without quotes"
 
 
 def flag(name: str, value: Any) -> bool:
     """Return True or False, NumPy's truth values included."""
     if not isinstance(value, (bool, np.bool_)):
-        raise InputError(f"{name} is not usable", name=name, expected="True or False", got=short(value))
+        raise InputError(
+            f"{name} is not usable", name=name, expected="True or False", got=short(value), remedy=_flag_remedy(value)
+        )
     return bool(value)
+
+
+def _flag_remedy(value: Any) -> str:
+    """Return which truth value may be meant."""
+    if isinstance(value, str):
+        return "Write it without quotes"
+    if isinstance(value, numbers.Real) and value in (0, 1):
+        return f"Write {bool(value)}"
+    return "Write True or False; in a scene file true or false"
 
 
 def is_text(value: Any) -> bool:
@@ -108,14 +150,26 @@ def is_text(value: Any) -> bool:
 def mapping(name: str, value: Any, meaning: str) -> Mapping[Any, Any]:
     """Return a mapping; raise InputError for anything else. meaning: of its keys and values."""
     if not isinstance(value, Mapping):
-        raise InputError(f"{name} is not usable", name=name, expected=f"{{{meaning}}}", got=short(value))
+        raise InputError(
+            f"{name} is not usable",
+            name=name,
+            expected=f"{{{meaning}}}",
+            got=short(value),
+            remedy="Give a dict; in a scene file a table: { name = value }",
+        )
     return value
 
 
 def listed(name: str, value: Any, meaning: str) -> Sequence[Any]:
     """Return a list or tuple; raise InputError for anything else. meaning: of its entries."""
     if not isinstance(value, (list, tuple)):
-        raise InputError(f"{name} is not usable", name=name, expected=f"a list of {meaning}", got=short(value))
+        raise InputError(
+            f"{name} is not usable",
+            name=name,
+            expected=f"a list of {meaning}",
+            got=short(value),
+            remedy="Put it into square brackets, a single one too",
+        )
     return value
 
 
@@ -146,8 +200,11 @@ def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: s
             name=name,
             expected=f"{meaning}, shape {shape}",
             got=short(value),
+            remedy="Give plain numbers in a list or a NumPy array, in rows of one length",
         ) from error
     if result.shape != shape:
+        if remedy is None:
+            remedy = f"Give {shape[0]} numbers in one list" if len(shape) == 1 else f"Give an array of shape {shape}"
         raise InputError(
             f"{name} has the wrong shape",
             name=name,
@@ -163,6 +220,7 @@ def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: s
             name=name,
             expected="finite numbers",
             got=f"{result[tuple(bad[0])]} at index {at}" + (f" and {len(bad) - 1} more" if len(bad) > 1 else ""),
+            remedy=f"Replace the {result[tuple(bad[0])]} at index {at} by a number",
         )
     if result.size and np.abs(result).max() > LARGEST:
         largest = float(np.abs(result).max())
@@ -186,7 +244,13 @@ def unit_vector(name: str, value: Any) -> Array:
     array = vector(name, value, 3)
     length = float(np.linalg.norm(array))
     if length < 1e-12:
-        raise InputError(f"Direction {name}", name=name, expected="a nonzero vector", got=str(array))
+        raise InputError(
+            f"Direction {name}",
+            name=name,
+            expected="a nonzero vector",
+            got=str(array),
+            remedy="Give a direction such as (0, 0, 1); its length does not matter",
+        )
     return array / length
 
 
@@ -234,6 +298,7 @@ def pose(name: str, value: Any) -> pin.SE3:
         name=name,
         expected="None, xyz, (xyz, rpy), xyz + quaternion xyzw, a 4x4 matrix or pin.SE3",
         got=repr(value),
+        remedy="Give a position (x, y, z), or ((x, y, z), (roll, pitch, yaw)) with a turn",
     )
 
 
@@ -243,7 +308,13 @@ def _check_pose(name: str, placement: pin.SE3) -> None:
     rotation = matrix[:3, :3]
     good = np.all(np.isfinite(matrix)) and np.allclose(rotation @ rotation.T, np.eye(3), atol=UNIT_TOLERANCE)
     if not good or np.linalg.det(rotation) < 0.0:
-        raise InputError(f"Placement {name}", name=name, expected="a finite rigid placement", got=str(matrix.tolist()))
+        raise InputError(
+            f"Placement {name}",
+            name=name,
+            expected="a finite rigid placement",
+            got=str(matrix.tolist()),
+            remedy="Make the 3x3 part a rotation (orthogonal, determinant 1), for example pin.rpy.rpyToMatrix(r, p, y)",
+        )
 
 
 # --- states and forces ------------------------------------------------------------------------------------------------
@@ -306,11 +377,13 @@ class States:
         """Return v as an array of shape (nv,); None is rest."""
         if v is None:
             return np.zeros(self.nv)
-        return array(name, v, (self.nv,), "one velocity (a free body takes 6 numbers: linear, angular, body frame)")
+        meaning = "one velocity (a free body takes 6 numbers: linear, angular, body frame)"
+        return array(name, v, (self.nv,), meaning, "Set joints by name with scene.velocity({...}), or leave it out")
 
     def force(self, tau: Any, name: str = "tau") -> Array:
         """Return one generalized force as an array of shape (nv,)."""
-        return array(name, tau, (self.nv,), "one generalized force")
+        remedy = f"Start from np.zeros({self.nv}), and set the entries of the joints that are driven"
+        return array(name, tau, (self.nv,), "one generalized force", remedy)
 
     def controlled(self, tau: Any, t: float) -> Array:
         """Return what a control function returned at t [s] as one generalized force, shape (nv,).
@@ -326,6 +399,7 @@ class States:
                 time=t,
                 expected=error.expected,
                 got=error.got,
+                remedy=f"Correct what the control returns. {error.remedy}",
             ) from None
 
     def forces(self, tau: Any, steps: int, name: str = "control") -> Array:
@@ -358,6 +432,7 @@ def tolerances(ledger: Any) -> dict[str, float] | None:
             name="ledger",
             expected='names and bounds, for example {"own_jump": 1e-10}',
             got=repr(ledger),
+            remedy="Write the bounds as a dict; in a scene file under [run.ledger]",
         )
     for name, bound in ledger.items():
         if name not in LEDGER_TOLERANCES:
@@ -369,7 +444,13 @@ def tolerances(ledger: Any) -> dict[str, float] | None:
                 remedy=did_you_mean(str(name), LEDGER_TOLERANCES),
             )
         if not isinstance(bound, numbers.Real) or isinstance(bound, bool) or not float(bound) >= 0:
-            raise InputError(f"Tolerance {name!r}", name="ledger", expected="a number >= 0", got=repr(bound))
+            raise InputError(
+                f"Tolerance {name!r}",
+                name="ledger",
+                expected="a number >= 0",
+                got=repr(bound),
+                remedy="Give the largest deviation that you accept, for example 1e-10",
+            )
     return {str(name): float(bound) for name, bound in ledger.items()}
 
 
@@ -395,7 +476,9 @@ def kept_dense(dense: Any, order: int, sample_dt: float | None) -> bool:
     if dense is None:
         return order >= 4 or sample_dt is not None
     if not isinstance(dense, bool):
-        raise InputError("dense is not usable", name="dense", expected="True or False", got=repr(dense))
+        raise InputError(
+            "dense is not usable", name="dense", expected="True or False", got=repr(dense), remedy=_flag_remedy(dense)
+        )
     if sample_dt is not None and not dense:
         raise InputError(
             "Samples are taken from the polynomials of the steps",
@@ -435,7 +518,13 @@ def check_whole(duration: float, dt: float) -> None:
     """Raise InputError where the duration is not a whole number of steps [s]."""
     ratio = duration / dt
     if not math.isfinite(ratio):
-        raise InputError("duration / dt overflows", name="dt", expected="a finite number of steps", got=f"dt={dt!r}")
+        raise InputError(
+            "duration / dt overflows",
+            name="dt",
+            expected="a finite number of steps",
+            got=f"dt={dt!r}",
+            remedy="Use a larger dt",
+        )
     steps = round(ratio)
     if steps >= 1 and abs(ratio - steps) <= _STEP_TOLERANCE * max(1.0, ratio):
         return

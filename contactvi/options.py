@@ -150,7 +150,13 @@ class Options:
             positive("tol", tol, f"a number between 0 and 1, for example {'1e-6' if self.auto else '1e-12'}"),
         )
         if self.tol >= 1.0:
-            raise InputError("tol is too large", name="tol", expected="a number below 1", got=self.tol)
+            raise InputError(
+                "tol is too large",
+                name="tol",
+                expected="a number below 1",
+                got=self.tol,
+                remedy="Use tol=1e-6 with dt='auto', or leave tol out",
+            )
         _set(self, "dt_contact", contact_step(self.dt_contact, self.dt))
         _set(self, "record_contacts", flag("record_contacts", self.record_contacts))
         for name in ("record_every", "max_impacts_per_step", "max_iterations", "contact_points"):

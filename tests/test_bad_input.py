@@ -191,6 +191,28 @@ class TestPaths:
         with pytest.raises(SceneError, match=r"Did you mean '.*robot\.urdf'"):
             Scene().add_urdf(folder / "robto.urdf")
 
+    def test_only_similar_names_of_models_and_scenes_are_suggested(self, folder: Path):
+        for name in ("pyproject.toml", "robot.py", "ball.toml"):
+            (folder / name).touch()
+        (folder / "models").mkdir()
+        for wrong, right in {
+            "nothere.toml": "Name one of the files in .*: ball.toml",
+            "pyprojekt.toml": "Name one of the files in .*: ball.toml",
+            "robot.urdf": "has no .urdf file like it",
+            "bal.toml": r"Did you mean '.*ball\.toml'",
+            "ball.tml": r"Did you mean '.*ball\.toml'",
+            "model/ball.toml": "Did you mean '.*models'",
+            "elsewhere/ball.toml": "Correct 'elsewhere'",
+        }.items():
+            with pytest.raises(SceneError, match=right):
+                contactvi.load_scene(folder / wrong)
+
+    @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs a device")
+    def test_a_device_is_no_file(self):
+        with pytest.raises(SceneError, match="a regular file, got /dev/zero, a device") as caught:
+            contactvi.load_scene("/dev/zero")
+        assert "Did you mean" not in caught.value.remedy
+
     def test_folder_lists_its_models(self, folder: Path):
         (folder / "robot.urdf").touch()
         with pytest.raises(SceneError, match=r"robot\.urdf"):

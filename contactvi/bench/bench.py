@@ -140,9 +140,21 @@ def bench(
         PenetrationError: for a start in penetration.
     """
     if not budget > 0 or not np.isfinite(budget):
-        raise InputError("budget is not usable", name="budget", expected="seconds, > 0", got=repr(budget))
+        raise InputError(
+            "budget is not usable",
+            name="budget",
+            expected="seconds, > 0",
+            got=repr(budget),
+            remedy="Give --budget 60, or budget=60.0: about a minute of measuring",
+        )
     if not orders or any(order not in ORDERS for order in orders):
-        raise InputError("orders are not usable", name="orders", expected="even numbers from 2 to 16", got=str(orders))
+        raise InputError(
+            "orders are not usable",
+            name="orders",
+            expected="even numbers from 2 to 16",
+            got=str(orders),
+            remedy="Give --orders 2,4,8, or orders=[2, 4, 8]",
+        )
     plan = Plan(scene, base_options(scene, options), budget, sorted(set(orders)), progress)
     reference, twin = _references(plan)
     runs: dict[Setting, Run] = {}

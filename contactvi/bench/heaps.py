@@ -286,10 +286,20 @@ def make(family: str, seed: int, *, restitution: float = 0.0, friction: float = 
     """
     if family not in FAMILIES:
         raise InputError(
-            "Unknown family of heaps", name="family", got=repr(family), remedy=did_you_mean(family, FAMILIES)
+            "Unknown family of heaps",
+            name="family",
+            got=repr(family),
+            remedy=did_you_mean(family, FAMILIES),
+            expected=" | ".join(FAMILIES),
         )
     if count is not None and count < 1:
-        raise InputError("A heap needs bodies", name="count", expected="a number >= 1", got=count)
+        raise InputError(
+            "A heap needs bodies",
+            name="count",
+            expected="a number >= 1",
+            got=count,
+            remedy="Give count=1 or more, or leave it out",
+        )
     heap = Heap(family, seed, real("restitution", restitution, 0.0, 1.0), real("friction", friction, 0.0))
     rng = np.random.default_rng([sum(map(ord, family)), seed])
     FAMILIES[family](rng, heap, **({} if count is None else {"count": count}))

@@ -128,11 +128,23 @@ class MujocoPeer:
     def _contact_settings(self, dt: float) -> dict[str, Any]:
         built = self._built
         if built.elements.any or built.arrays.polynomials or np.any(built.arrays.joint_friction):
-            raise InputError("A MuJoCo model is made of joints, shapes and servos only", name="scene")
+            raise InputError(
+                "A MuJoCo model is made of joints, shapes and servos only",
+                name="scene",
+                expected="a scene without other elements",
+                got="springs, forces, constraints or joint friction",
+                remedy="Take springs, forces, constraints and joint friction out of the scene",
+            )
         values = []
         for name, numbers in (("friction", built.friction), ("restitution", built.restitution)):
             if len(numbers) and np.ptp(numbers) > 0.0:
-                raise InputError("The pairs differ", name=name, expected=_UNIFORM, got=sorted(set(numbers.tolist())))
+                raise InputError(
+                    "The pairs differ",
+                    name=name,
+                    expected=_UNIFORM,
+                    got=sorted(set(numbers.tolist())),
+                    remedy=f"Set one for all: scene.set_contact({name}=...)",
+                )
             values.append(float(numbers[0]) if len(numbers) else 0.0)
         friction, restitution = values
         return {
@@ -173,12 +185,24 @@ class MujocoPeer:
             body.add_freejoint(name=name)
             return
         if joint.nv != 1:
-            raise InputError("A MuJoCo model has no such joint", name=name, got=joint.shortname())
+            raise InputError(
+                "A MuJoCo model has no such joint",
+                name=name,
+                got=joint.shortname(),
+                expected="a free joint, or one with one degree of freedom",
+                remedy="Replace it by revolute and prismatic joints",
+            )
         data = joint.createData()
         joint.calc(data, pin.neutral(model), np.zeros(model.nv))
         linear, angular = np.split(np.asarray(data.S).ravel(), 2)
         if np.any(linear) and np.any(angular):
-            raise InputError("A MuJoCo model has no screws", name=name, got=joint.shortname())
+            raise InputError(
+                "A MuJoCo model has no screws",
+                name=name,
+                got=joint.shortname(),
+                expected="a joint that turns or slides",
+                remedy="Replace it by a revolute and a prismatic joint with an equality",
+            )
         turns, v = bool(np.any(angular)), joint.idx_v
         settings: dict[str, Any] = {"damping": [model.damping[v], 0.0, 0.0], "armature": model.armature[v]}
         if arrays.limits[i]:
@@ -216,7 +240,13 @@ class MujocoPeer:
             convex = self.mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
             spec.add_mesh(name=item.name, uservert=points.ravel().tolist(), inertia=convex)
             return {"type": kinds.mjGEOM_MESH, "meshname": item.name}
-        raise InputError("A MuJoCo model has no such shape", name=item.name, got=type(shape).__name__)
+        raise InputError(
+            "A MuJoCo model has no such shape",
+            name=item.name,
+            got=type(shape).__name__,
+            expected="a halfspace, box, sphere, capsule, cylinder or convex hull",
+            remedy="Replace it by one of these shapes",
+        )
 
     def _choose_pairs(self, spec: Any) -> None:
         """Let MuJoCo test what contactvi tests.

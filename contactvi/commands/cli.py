@@ -287,9 +287,7 @@ def print_error(error: ContactviError) -> None:
     """Print an error as what happened, expected, got, remedy."""
     _err.print(f"[bold red]Error:[/] {escape(error.what)}")
     for name in ("expected", "got", "remedy"):
-        value = getattr(error, name)
-        if value is not None:
-            _err.print(f"  [bold]{name + ':':<10}[/]{escape(str(value))}")
+        _err.print(f"  [bold]{name + ':':<10}[/]{escape(str(getattr(error, name)))}")
 
 
 def _read_model(model: str, package_dirs: list[str], base: str) -> Scene:

@@ -31,7 +31,13 @@ class Element:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
-            raise InputError("Name of an element", name="name", expected="a non-empty str", got=repr(self.name))
+            raise InputError(
+                "Name of an element",
+                name="name",
+                expected="a non-empty str",
+                got=repr(self.name),
+                remedy="Give name='...', or leave it out: it is then made from the kind and a number",
+            )
         self._check()
 
     def _check(self) -> None:
@@ -172,7 +178,11 @@ class EqualityConstraint(Constraint):
     def _check(self) -> None:
         if self.joint == self.other:
             raise InputError(
-                f"Constraint {self.name!r}", name="other", expected="two different joints", got=f"{self.joint!r} twice"
+                f"Constraint {self.name!r}",
+                name="other",
+                expected="two different joints",
+                got=f"{self.joint!r} twice",
+                remedy="Name another joint, or leave other out: the joint then keeps a constant value",
             )
         self._put(coefficients=coefficients_of(f"coefficients of {self.name!r}", self.coefficients))
 
@@ -223,11 +233,21 @@ class PathSpring(Element):
             if isinstance(error, InputError):
                 raise
             raise InputError(
-                f"The {what}", name="points", expected='[("body", (x, y, z)), ...]', got=repr(self.points)
+                f"The {what}",
+                name="points",
+                expected='[("body", (x, y, z)), ...]',
+                got=repr(self.points),
+                remedy="Write each point as (name of the body, (x, y, z)), in the axes of the body",
             ) from None
         if len(points) < 2 or len({body for body, _ in points}) < 2:
             got = f"{len(points)} points on {len({body for body, _ in points})} body"
-            raise InputError(f"The {what}", name="points", expected="at least two, not all on one body", got=got)
+            raise InputError(
+                f"The {what}",
+                name="points",
+                expected="at least two, not all on one body",
+                got=got,
+                remedy="Add a point on another body, or on 'world'",
+            )
         self._put(points=tuple(points), stiffness=real(f"stiffness of {self.name!r}", self.stiffness, 0.0))
         self._put(damping=real(f"damping of {self.name!r}", self.damping, 0.0))
         if self.rest_length is not None:
@@ -253,14 +273,26 @@ class Wrench(Element):
 
     def _check(self) -> None:
         if self.force is None and self.torque is None:
-            raise InputError(f"Wrench {self.name!r}", name="force", expected="a force, a torque or both", got="none")
+            raise InputError(
+                f"Wrench {self.name!r}",
+                name="force",
+                expected="a force, a torque or both",
+                got="none",
+                remedy="Give force=(x, y, z) or torque=(x, y, z), or a function of t that returns it",
+            )
         for part in ("force", "torque"):
             value = getattr(self, part)
             if value is not None and not callable(value):
                 self._put(**{part: vector(f"{part} of {self.name!r}", value, 3)})
         self._put(point=_point(self, "point", self.point))
         if not isinstance(self.axes, str) or self.axes not in AXES:
-            raise InputError("Axes of a wrench", name="axes", expected="'world' or 'body'", got=repr(self.axes))
+            raise InputError(
+                "Axes of a wrench",
+                name="axes",
+                expected="'world' or 'body'",
+                got=repr(self.axes),
+                remedy="Use axes='world' for a fixed direction, axes='body' for one that turns with the body",
+            )
 
     @property
     def constant(self) -> bool:
@@ -328,13 +360,25 @@ def coefficients_of(name: str, value: Any) -> np.ndarray:
     listed = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim == 1)
     count = len(value) if listed and not isinstance(value, str) else 0
     if count == 0:
-        raise InputError(f"Value of {name}", name=name, expected="a list of numbers", got=repr(value))
+        raise InputError(
+            f"Value of {name}",
+            name=name,
+            expected="a list of numbers",
+            got=repr(value),
+            remedy="Write the coefficients in a list, lowest power first: [0.0, 1.0]",
+        )
     return vector(name, value, count)
 
 
 def _check_ends(element: Element, a: str, b: str) -> None:
     if a == b:
-        raise InputError(f"Constraint {element.name!r}", name="b", expected="two different bodies", got=f"{a!r} twice")
+        raise InputError(
+            f"Constraint {element.name!r}",
+            name="b",
+            expected="two different bodies",
+            got=f"{a!r} twice",
+            remedy="Name another body as b, or 'world'",
+        )
 
 
 def _point(element: Element, argument: str, value: Any) -> np.ndarray:
@@ -345,7 +389,11 @@ def _functions(element: Element, needed: Mapping[str, Any], optional: Mapping[st
     for argument, value in (*needed.items(), *((k, v) for k, v in optional.items() if v is not None)):
         if not callable(value):
             raise InputError(
-                f"Argument {argument} of {element.name!r}", name=argument, expected="a function", got=repr(value)
+                f"Argument {argument} of {element.name!r}",
+                name=argument,
+                expected="a function",
+                got=repr(value),
+                remedy="Give the function itself, without calling it",
             )
 
 

@@ -169,6 +169,7 @@ class Signal:
                 time=t,
                 expected="value, (value, rate) or (value, rate, acceleration)",
                 got=f"{count} numbers",
+                remedy=f"Return one to three numbers from {self.name}; those left out are found by differences",
             )
         return tuple(self._number(value, t, part) for value, part in zip(parts, _PARTS, strict=False))
 
@@ -185,6 +186,7 @@ class Signal:
                 entry=part,
                 expected="a finite number",
                 got=repr(value) if number is None else f"{number}",
+                remedy=f"Correct what {self.name} returns as {part} at that time",
             )
         return number
 
@@ -203,20 +205,50 @@ def _plain(source: Any) -> Any:
 def _table(source: Any, name: str) -> tuple[Array, Array]:
     expected = "a number, (times, values) of one length, or a function of t"
     if not isinstance(source, (tuple, list)) or len(source) != 2:
-        raise InputError(f"Signal {name}", name=name, expected=expected, got=short(source))
+        raise InputError(
+            f"Signal {name}",
+            name=name,
+            expected=expected,
+            got=short(source),
+            remedy="Give a number for a constant, or lists of numbers ([0.0, 1.0], [0.0, 0.5]) for a table",
+        )
     try:
         times, values = (np.array(part, dtype=float) for part in source)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(f"Signal {name}", name=name, expected=expected, got=short(source)) from None
+        raise InputError(
+            f"Signal {name}",
+            name=name,
+            expected=expected,
+            got=short(source),
+            remedy="Give a number for a constant, or lists of numbers ([0.0, 1.0], [0.0, 0.5]) for a table",
+        ) from None
     if times.ndim != 1 or times.shape != values.shape or len(times) < 2:
         got = f"shapes {times.shape} and {values.shape}"
-        raise InputError(f"Table of {name}", name=name, expected="two arrays of one length >= 2", got=got)
+        raise InputError(
+            f"Table of {name}",
+            name=name,
+            expected="two arrays of one length >= 2",
+            got=got,
+            remedy="Give one value for each time, and at least two times; a constant is a plain number",
+        )
     if not (np.isfinite(times).all() and np.isfinite(values).all()):
-        raise InputError(f"Table of {name}", name=name, expected="finite numbers", got="nan or inf")
+        raise InputError(
+            f"Table of {name}",
+            name=name,
+            expected="finite numbers",
+            got="nan or inf",
+            remedy="Leave out the times at which the value is not known",
+        )
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if len(late):
         got = f"{times[late[0]]:.9g} before {times[late[0] + 1]:.9g}"
-        raise InputError(f"Times of {name}", name=name, expected="times that increase", got=got)
+        raise InputError(
+            f"Times of {name}",
+            name=name,
+            expected="times that increase",
+            got=got,
+            remedy="Sort the table by time, and keep one value for each time",
+        )
     return times, values
 
 

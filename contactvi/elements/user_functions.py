@@ -62,6 +62,9 @@ def checked(
             time=t,
             expected=f"{meaning}, shape {shape}",
             got=got,
+            remedy=f"Return np.array(...) of shape {shape} from the function"
+            if shape
+            else "Return one number from the function",
         )
     if not np.isfinite(array).all():
         bad = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
@@ -73,6 +76,7 @@ def checked(
             entry=entry,
             expected="finite numbers",
             got=f"{array[bad]} {entry}".strip(),
+            remedy="Look in the function for a division by zero, or for a root or logarithm of a negative number",
         )
     return array
 
@@ -114,6 +118,7 @@ def checked_force_derivatives(function: Function, name: str, dofs: Sequence[str]
                 time=t,
                 expected="the pair (df_dq, df_dv)",
                 got=got,
+                remedy="Return both matrices: return df_dq, df_dv",
             )
         first, second = (
             checked(matrix, f"{part} of {name}", t, shape, "derivatives in the tangent space", dofs)

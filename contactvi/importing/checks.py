@@ -120,7 +120,11 @@ def check_joints(model: pin.Model, report: PartReport, source: str) -> None:
     for name in names:
         if names.count(name) > 1:
             raise SceneError(
-                f"{source}: two joints are called {name!r}", joint=name, expected="distinct names", got=name
+                f"{source}: two joints are called {name!r}",
+                joint=name,
+                expected="distinct names",
+                got=name,
+                remedy="Rename one of them; models that are added twice take a prefix: prefix='left_'",
             )
     branch = [0]  # joints from the world to the last one that was visited
     for i in range(1, model.njoints):
@@ -144,6 +148,7 @@ def check_joints(model: pin.Model, report: PartReport, source: str) -> None:
                     joint=names[i],
                     expected="a unit vector",
                     got=f"length {length:g}",
+                    remedy="Divide the axis by its length",
                 )
 
 
@@ -156,23 +161,35 @@ def check_numbers(model: pin.Model, source: str) -> None:
             worst = "nan or inf" if not np.all(np.isfinite(values)) else f"{np.max(np.abs(values)):g}"
             wanted = f"finite, at most {LARGEST:g}"
             what = f"{source}: numbers of joint {name!r}"
-            raise SceneError(what, joint=name, expected=wanted, got=worst, remedy="Correct the file")
+            raise SceneError(what, joint=name, expected=wanted, got=worst, remedy="Correct them in the model")
         if inertia.mass < 0.0:
             raise SceneError(
-                f"{source}: mass moved by joint {name!r}", joint=name, expected=">= 0 kg", got=f"{inertia.mass:g} kg"
+                f"{source}: mass moved by joint {name!r}",
+                joint=name,
+                expected=">= 0 kg",
+                got=f"{inertia.mass:g} kg",
+                remedy="Correct the sign of its mass in the model",
             )
     for what, values in (("damping", model.damping), ("armature", model.armature)):
         bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
         if len(bad):
             name = dof_joint(model, int(bad[0]))
             raise SceneError(
-                f"{source}: {what} of joint {name!r}", joint=name, expected="finite, >= 0", got=values[bad[0]]
+                f"{source}: {what} of joint {name!r}",
+                joint=name,
+                expected="finite, >= 0",
+                got=values[bad[0]],
+                remedy=f"Correct it in the model: model.{what}, or the {what} of the joint in the file",
             )
         _check_isotropy(model, what, np.asarray(values), source)
     for frame in model.frames:
         if not frame.inertia.mass >= 0.0:
             raise SceneError(
-                f"{source}: mass of frame {frame.name!r}", body=frame.name, expected=">= 0 kg", got=frame.inertia.mass
+                f"{source}: mass of frame {frame.name!r}",
+                body=frame.name,
+                expected=">= 0 kg",
+                got=frame.inertia.mass,
+                remedy="Correct the sign of its mass in the model",
             )
 
 
@@ -191,7 +208,15 @@ def _check_isotropy(model: pin.Model, what: str, values: np.ndarray, source: str
             wanted, bad = "none", bool(np.any(own))
         if bad:
             title = f"{source}: {what} of the {kind} joint {model.names[i]!r}"
-            raise SceneError(title, joint=model.names[i], expected=wanted, got=str(own))
+            raise SceneError(
+                title,
+                joint=model.names[i],
+                expected=wanted,
+                got=str(own),
+                remedy="Remove it from the file"
+                if wanted == "none"
+                else f"Give all directions of this joint one {what}",
+            )
 
 
 def body_masses(model: pin.Model) -> list[tuple[str, int, float]]:

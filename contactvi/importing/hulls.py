@@ -47,11 +47,23 @@ def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
             hull = coal.Convex.convexHull(vertices, True, "Qt")
         except RuntimeError as error:
             if "neighbors" not in str(error):
-                raise SceneError(f"Mesh of geometry {name!r}", body=name, got=str(error).splitlines()[-1]) from error
+                raise SceneError(
+                    f"Mesh of geometry {name!r}",
+                    body=name,
+                    got=str(error).splitlines()[-1],
+                    expected="points with a convex hull",
+                    remedy="Repair the mesh, or replace it by a box, a sphere or a capsule",
+                ) from error
             continue
         if max(len(hull.neighbors(i)) for i in range(hull.num_points)) <= MOST_NEIGHBOURS:
             return _finished(hull), grid
-    raise SceneError(f"Hull of geometry {name!r}", body=name, expected="few neighbours per vertex", got="too many")
+    raise SceneError(
+        f"Hull of geometry {name!r}",
+        body=name,
+        expected="few neighbours per vertex",
+        got="too many",
+        remedy="Simplify the mesh, or replace it by a cylinder, a sphere or a box",
+    )
 
 
 def _outer_points(points: np.ndarray, name: str) -> np.ndarray:
@@ -119,18 +131,34 @@ def prepare_geometry(geometry: pin.GeometryObject, report: PartReport) -> str:
         return _hull_mesh(geometry, report)
     if isinstance(shape, coal.Halfspace):
         if not np.all(np.isfinite([*shape.n, shape.d])) or abs(np.linalg.norm(shape.n) - 1.0) > 1e-9:
-            raise SceneError(f"Halfspace {geometry.name!r}", body=geometry.name, expected="a unit normal", got=shape.n)
+            raise SceneError(
+                f"Halfspace {geometry.name!r}",
+                body=geometry.name,
+                expected="a unit normal",
+                got=shape.n,
+                remedy="Divide the normal and the offset by the length of the normal",
+            )
         return ""
     if isinstance(shape, coal.Convex):
         if not np.all(np.isfinite(shape.points())) or shape.num_points < 4:
-            raise SceneError(f"Hull {geometry.name!r}", body=geometry.name, expected="finite vertices", got="none")
+            raise SceneError(
+                f"Hull {geometry.name!r}",
+                body=geometry.name,
+                expected="finite vertices",
+                got="none",
+                remedy="Make the hull of at least 4 points that are finite and not in one plane",
+            )
         _finished(shape)
         return f"{shape.num_points} vertices"
     if isinstance(shape, PRIMITIVES):
         sizes = np.array(list(shape_sizes(shape).values()), dtype=float)
         if not np.all(np.isfinite(sizes)) or np.any(sizes <= 0.0):
             raise SceneError(
-                f"Shape of geometry {geometry.name!r}", body=geometry.name, expected="sizes > 0", got=describe(shape)
+                f"Shape of geometry {geometry.name!r}",
+                body=geometry.name,
+                expected="sizes > 0",
+                got=describe(shape),
+                remedy="Correct the sizes of the shape; for a plane take a halfspace, for a point no shape",
             )
         return ""
     remedies = {"Plane": "A plane has two sides: use coal.Halfspace, a solid with one"}

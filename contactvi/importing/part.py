@@ -106,7 +106,13 @@ def shape_part(
     The joint of a free body, its body and its geometry all carry the body's name.
     """
     if not is_text(name):
-        raise InputError("Name of a body", name="name", expected="a non-empty str in UTF-8", got=repr(name))
+        raise InputError(
+            "Name of a body",
+            name="name",
+            expected="a non-empty str in UTF-8",
+            got=repr(name),
+            remedy="Give it a name such as 'ball'",
+        )
     rgba = None if color is None else vector(f"color of {name!r}", color, 4)
     model = pin.Model()
     model.name = name

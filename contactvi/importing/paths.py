@@ -18,6 +18,9 @@ from xml.etree import ElementTree
 from contactvi.errors import InputError, SceneError, nearest
 
 ROBOT_DATA = "example-robot-data"
+_ENDINGS = (".urdf", ".xml", ".mjcf", ".toml")
+_NO_MODELS = ("pyproject.toml", "package.xml")  # endings of models and scenes, other contents
+_SIMILAR = 0.6  # difflib's measure from which a name is taken for a misspelt one
 
 
 @functools.lru_cache(maxsize=1)
@@ -31,11 +34,21 @@ def example_robot_data_share() -> Path:
     try:
         distribution = importlib.metadata.distribution(ROBOT_DATA)
     except importlib.metadata.PackageNotFoundError:
-        raise SceneError("The robot models of example-robot-data are not installed", remedy=remedy) from None
+        raise SceneError(
+            "The robot models of example-robot-data are not installed",
+            remedy=remedy,
+            expected="the distribution example-robot-data",
+            got="none",
+        ) from None
     for file in distribution.files or ():
         if str(file).endswith(f"share/{ROBOT_DATA}/package.xml"):
             return Path(str(distribution.locate_file(file))).resolve().parents[1]
-    raise SceneError("example-robot-data is installed without its robot models", remedy=remedy)
+    raise SceneError(
+        "example-robot-data is installed without its robot models",
+        remedy=remedy,
+        expected="share/example-robot-data in the distribution",
+        got="none",
+    )
 
 
 def resolve_path(path: str | os.PathLike[str], base: Path | None = None, package_dirs: Sequence[object] = ()) -> Path:
@@ -50,10 +63,22 @@ def resolve_path(path: str | os.PathLike[str], base: Path | None = None, package
         SceneError: no such file, or a folder.
     """
     if not isinstance(path, (str, os.PathLike)) or not str(path):
-        raise InputError("Path of a file", name="path", expected="a non-empty str or Path", got=repr(path))
+        raise InputError(
+            "Path of a file",
+            name="path",
+            expected="a non-empty str or Path",
+            got=repr(path),
+            remedy="Give the path of a URDF, MJCF or scene file, such as 'models/robot.urdf'",
+        )
     text = os.fspath(path)
     if "\0" in str(text):
-        raise InputError("Path of a file", name="path", expected="a path without zero bytes", got=repr(path))
+        raise InputError(
+            "Path of a file",
+            name="path",
+            expected="a path without zero bytes",
+            got=repr(path),
+            remedy="Remove the zero byte from the path",
+        )
     scheme, _, rest = text.partition("://")
     if scheme == ROBOT_DATA and rest:
         found = example_robot_data_share() / ROBOT_DATA / rest
@@ -83,14 +108,32 @@ def check_is_file(found: Path, text: str) -> None:
             remedy="Copy its contents to a file",
         )
     if not found.is_file():
-        folder = next((p for p in found.parents if p.is_dir()), Path("/"))
-        names = [p.name for p in folder.iterdir()] if os.access(folder, os.R_OK) else []
-        missing = found.relative_to(folder).parts[0]
-        near = nearest(missing, names)
-        remedy = (
-            f"Did you mean {str(folder / near)!r}?" if near else f"The folder {folder} has nothing of a similar name"
+        raise SceneError("No such file", path=found, expected="an existing file", got=text, remedy=_similar(found))
+
+
+def _similar(missing: Path) -> str:
+    """Return which file or folder may be meant by one that is not there."""
+    folder = next((p for p in missing.parents if p.is_dir()), Path("/"))
+    entries = sorted(folder.iterdir()) if os.access(folder, os.R_OK) else []
+    if folder != missing.parent:
+        part = missing.relative_to(folder).parts[0]
+        near = nearest(part, [p.name for p in entries if p.is_dir()], _SIMILAR)
+        return (
+            f"Did you mean {str(folder / near)!r}?" if near else f"Correct {part!r}: it is not in the folder {folder}"
         )
-        raise SceneError("No such file", path=found, expected="an existing file", got=text, remedy=remedy)
+    suffixes = {missing.suffix.lower(), *_ENDINGS}
+    files = [p for p in entries if p.suffix.lower() in suffixes and p.name not in _NO_MODELS and p.is_file()]
+    stems: dict[str, Path] = {}
+    for file in files:  # where two files differ in their endings only, the ending of the missing one counts
+        if file.stem not in stems or file.suffix == missing.suffix:
+            stems[file.stem] = file
+    near = nearest(missing.stem, stems, _SIMILAR)
+    if near is not None:
+        return f"Did you mean {str(stems[near])!r}?"
+    same = [p.name for p in files if p.suffix.lower() == missing.suffix.lower()]
+    if same:
+        return f"Name one of the files in {folder}: {', '.join(same[:8])}" + (", ..." if len(same) > 8 else "")
+    return f"Correct the path: the folder {folder} has no {missing.suffix + ' ' if missing.suffix else ''}file like it"
 
 
 def unreadable(path: Path, error: Exception) -> SceneError:
@@ -180,5 +223,7 @@ def resolve_resource(url: str, start: Path, package_dirs: Sequence[object] = ())
         path=url,
         expected="an existing file",
         got=f"nothing at {where}" if tried else nowhere,
-        remedy="Pass package_dirs=[folder that contains the package]",
+        remedy="Pass package_dirs=[folder that contains the package]"
+        if scheme in ("package", "model") and separator
+        else "Put the file there, or correct the reference in the model",
     )

@@ -59,7 +59,13 @@ def import_urdf(
         SceneError: the model cannot be used; its attribute `report` is the PartReport up to there.
     """
     if base not in ("fixed", "free"):
-        raise InputError("Argument base", name="base", expected="'fixed' or 'free'", got=repr(base))
+        raise InputError(
+            "Argument base",
+            name="base",
+            expected="'fixed' or 'free'",
+            got=repr(base),
+            remedy="Use base='free' for a robot that can move away, base='fixed' for one that is bolted down",
+        )
     mimic = flag("mimic", mimic)
     file = resolve_path(path, folder, package_dirs)
     report = PartReport(f"{prefix}{file.stem}: URDF {file}, base {base}")
@@ -179,7 +185,13 @@ def import_pinocchio(
         ("visual_model", visual_model, pin.GeometryModel),
     ):
         if not isinstance(value, kind) and not (value is None and what != "model"):
-            raise InputError(f"Argument {what}", name=what, expected=f"pin.{kind.__name__}", got=type(value).__name__)
+            raise InputError(
+                f"Argument {what}",
+                name=what,
+                expected=f"pin.{kind.__name__}",
+                got=type(value).__name__,
+                remedy="Give an object of Pinocchio; add_urdf and add_mjcf read files",
+            )
     model = model.copy()
     title = name or model.name or "model"
     collision = copy_geometry(collision_model)
@@ -303,9 +315,19 @@ def _parse(file: Path, build: Callable[[], Any]) -> Any:
         reason = next((line for line in reversed(lines) if not line.startswith("Hint")), type(error).__name__)
         resource = next((line.rpartition("resource ")[2] for line in lines if "Could not load resource" in line), None)
         if resource is not None:
-            raise SceneError(f"Cannot read the mesh {resource}", path=resource, got=reason) from error
+            raise SceneError(
+                f"Cannot read the mesh {resource}",
+                path=resource,
+                got=reason,
+                expected="a mesh file in a format that it reads: STL, OBJ, DAE or PLY",
+                remedy="Export it again as STL or OBJ from a viewer of meshes, or replace it by a box or a sphere",
+            ) from error
         raise SceneError(
-            f"Pinocchio cannot read {file.name}", path=file, expected="a model it understands", got=reason
+            f"Pinocchio cannot read {file.name}",
+            path=file,
+            expected="a model it understands",
+            got=reason,
+            remedy="Correct what it names in the file; contactvi check prints what was understood until there",
         ) from error
 
 
@@ -361,10 +383,15 @@ def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, sour
                 body=name,
                 expected=f"a parent joint below {model.njoints}",
                 got=geometry.parentJoint,
+                remedy="Set geometry.parentJoint to a joint of this model, or build both from the same file",
             )
         if names.count(name) > 1:
             raise SceneError(
-                f"{source}: two geometries are called {name!r}", body=name, expected="distinct names", got=name
+                f"{source}: two geometries are called {name!r}",
+                body=name,
+                expected="distinct names",
+                got=name,
+                remedy="Rename one of them: geometry.name",
             )
         frame = geometry.parentFrame
         if frame >= model.nframes or model.frames[frame].parentJoint != geometry.parentJoint:

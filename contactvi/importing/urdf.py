@@ -90,7 +90,13 @@ def _check_expanded(root: Element, path: Path) -> None:
 def _check_tree(links: dict[str, Element], joints: dict[str, Element], path: Path) -> None:
     """Check that the links form one tree; the error of Pinocchio would be 'not a valid URDF model' only."""
     if not links:
-        raise SceneError(f"{path.name} has no link", path=path, expected="at least one <link>", got="none")
+        raise SceneError(
+            f"{path.name} has no link",
+            path=path,
+            expected="at least one <link>",
+            got="none",
+            remedy='Add the body: <link name="base"/>',
+        )
     parent_of: dict[str, str] = {}
     for name, joint in joints.items():
         ends = {}
@@ -171,7 +177,12 @@ def _check_joint(name: str, joint: Element, path: Path) -> None:
         values = numbers(axis, "xyz", path, where, 3)
         if values is not None and not any(values):
             raise SceneError(
-                f"{path.name}: axis of {where}", path=path, joint=name, expected="a nonzero vector", got="0 0 0"
+                f"{path.name}: axis of {where}",
+                path=path,
+                joint=name,
+                expected="a nonzero vector",
+                got="0 0 0",
+                remedy='Give the direction, for example <axis xyz="0 0 1"/>',
             )
     if kind in ("revolute", "prismatic") and joint.find("limit") is None:
         raise SceneError(
@@ -196,7 +207,12 @@ def _check_link(name: str, link: Element, path: Path, package_dirs: Sequence[obj
         if mass is None or inertia is None:
             missing = "mass" if mass is None else "inertia"  # urdfdom would drop the other one too.
             raise SceneError(
-                f"{path.name}: inertial of {where}", path=path, body=name, expected=f"<{missing}>", got="none"
+                f"{path.name}: inertial of {where}",
+                path=path,
+                body=name,
+                expected=f"<{missing}>",
+                got="none",
+                remedy=f"Add <{missing}> to the <inertial>, or remove the <inertial> of a link without mass",
             )
         numbers(mass, "value", path, where, 1)
         for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
@@ -237,7 +253,14 @@ def _check_shape(holder: Element, link: str, path: Path, package_dirs: Sequence[
     if shape.tag == "mesh":
         scale = numbers(shape, "scale", path, where, 3)
         if scale is not None and not all(scale):
-            raise SceneError(f"{path.name}: mesh scale in {where}", path=path, body=link, expected="nonzero", got=scale)
+            raise SceneError(
+                f"{path.name}: mesh scale in {where}",
+                path=path,
+                body=link,
+                expected="nonzero",
+                got=scale,
+                remedy='Give three factors that are not 0, for example scale="0.001 0.001 0.001" for a mesh in mm',
+            )
         shape.set("filename", str(resolve_resource(shape.get("filename", ""), path.parent, package_dirs)))
 
 

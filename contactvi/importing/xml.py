@@ -32,7 +32,7 @@ def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
             path=path,
             expected="well-formed XML",
             got=str(error),
-            remedy="Correct that line",
+            remedy="This is a scene file: use load_scene" if path.suffix == ".toml" else "Correct the file there",
         ) from None
     except (OSError, UnicodeDecodeError, LookupError, ValueError) as error:
         raise unreadable(path, error) from None
@@ -42,7 +42,7 @@ def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
             path=path,
             expected=f"at most {MOST_LEVELS} elements within each other",
             got=levels,
-            remedy="Correct the file",
+            remedy="Close the elements where they end, or split the model into several files",
         )
     if root_tag is not None and root.tag != root_tag:
         remedies = {
@@ -55,7 +55,7 @@ def read_xml(path: Path, root_tag: str | None, kind: str) -> Element:
             path=path,
             expected=f"the root element <{root_tag}>",
             got=f"<{root.tag}>",
-            remedy=remedies.get(root.tag),
+            remedy=remedies.get(root.tag, f"Name a file whose root element is <{root_tag}>"),
         )
     return root
 
@@ -87,7 +87,7 @@ def numbers(element: Element, key: str, path: Path, where: str, count: int | Non
             path=path,
             expected=f"{count if count is not None else 'some'} finite number(s)",
             got=repr(text),
-            remedy="Correct the file",
+            remedy="Write plain decimals, such as 0.5 or 1e-3, with spaces between them",
         )
     return values
 
@@ -101,7 +101,7 @@ def check_positive(element: Element, key: str, path: Path, where: str, count: in
             path=path,
             expected=f"{count} number(s) > 0",
             got=repr(element.get(key)),
-            remedy="Correct the file",
+            remedy=f'Write {key}="{" ".join(["0.5"] * count)}" with your own numbers, in metres',
         )
 
 
@@ -115,13 +115,20 @@ def named(elements: list[Element], path: Path, kind: str) -> dict[str, Element]:
     for element in elements:
         name = element.get("name", "")
         if not name:
-            raise SceneError(f"{path.name}: a {kind} without a name", path=path, expected="a name", got="none")
+            raise SceneError(
+                f"{path.name}: a {kind} without a name",
+                path=path,
+                expected="a name",
+                got="none",
+                remedy=f'Add name="..." to the {kind}',
+            )
         if name in found:
             raise SceneError(
                 f"{path.name}: two of the {kind} names are {name!r}",
                 path=path,
                 expected="distinct names",
                 got=repr(name),
+                remedy="Rename one of them, also where it is referred to",
             )
         found[name] = element
     return found

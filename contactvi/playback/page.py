@@ -86,7 +86,13 @@ def write_html(
 def make_html(run: Run, *, fps: float = 60.0, title: str = "", play: bool = True, forces: bool = True) -> str:
     """Return the text of the page; arguments as in `write_html`."""
     if not isinstance(fps, (int, float)) or not 0 < fps < 1e6:
-        raise InputError("fps is not usable", name="fps", expected="frames per second of simulated time", got=repr(fps))
+        raise InputError(
+            "fps is not usable",
+            name="fps",
+            expected="frames per second of simulated time",
+            got=repr(fps),
+            remedy="Use fps=60",
+        )
     frames = frames_of(run, float(fps))
     view = fit(run.visuals, frames)
     shown = forces_of(run, run.t[0] + frames.times) if forces else None

@@ -16,6 +16,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.elements.elements import PathSpring
+from contactvi.errors import SceneError
 
 if TYPE_CHECKING:
     from contactvi.scene.scene import Scene
@@ -31,6 +32,7 @@ _SIZES: dict[str, tuple[str, ...]] = {
     "Cylinder": ("radius", "halfLength"),
     "Cone": ("radius", "halfLength"),
 }
+_DAMAGED = "The file is damaged: run the scene again"
 # How many sizes a shape has.
 _COUNTS = {
     "sphere": 1, "box": 3, "capsule": 2, "cylinder": 2, "cone": 2, "ellipsoid": 3, "halfspace": 4, "mesh": 0,
@@ -83,16 +85,28 @@ class Visual:
 
     @classmethod
     def from_dict(cls, fields: dict[str, Any]) -> Visual:
-        """Return the visual that `to_dict` described; ValueError where the fields do not fit together."""
+        """Return the visual that `to_dict` described; SceneError where the fields do not fit together."""
         vertices = np.asarray(fields["vertices"], dtype=np.float32).reshape(-1, 3)
         faces = np.asarray(fields["faces"], dtype=np.uint32).reshape(-1, 3)
         if len(faces) and int(faces.max()) >= len(vertices):
-            raise ValueError(f"mesh {fields['name']!r} refers to vertices it does not have")
+            raise SceneError(
+                f"Mesh {fields['name']!r} of a stored picture",
+                body=str(fields["name"]),
+                expected=f"faces of its {len(vertices)} vertices",
+                got=f"vertex {int(faces.max())}",
+                remedy=_DAMAGED,
+            )
         shape, sizes = str(fields["shape"]), tuple(float(size) for size in fields["sizes"])
         placement = np.array(fields["placement"], dtype=float).reshape(4, 4)
         count = max(2, len(vertices)) if shape == "line" else _COUNTS.get(shape)
         if count != len(sizes) or not (_finite(sizes) and _finite(placement) and _finite(vertices)):
-            raise ValueError(f"shape {shape!r} with {len(sizes)} sizes, or numbers that are not finite")
+            raise SceneError(
+                f"Shape {fields['name']!r} of a stored picture",
+                body=str(fields["name"]),
+                expected=f"a known shape with {count} finite sizes",
+                got=f"{shape!r} with {len(sizes)} sizes, or nan",
+                remedy=_DAMAGED,
+            )
         return cls(
             name=str(fields["name"]),
             joint=int(fields["joint"]),

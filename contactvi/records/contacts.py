@@ -320,6 +320,10 @@ def _shapes(body: Any) -> Iterable[str]:
     shapes = getattr(body, "geometries", body)
     if not isinstance(shapes, Iterable):
         raise InputError(
-            "Argument body", name="body", expected="a name, several names, or a handle of the scene", got=repr(body)
+            "Argument body",
+            name="body",
+            expected="a name, several names, or a handle of the scene",
+            got=repr(body),
+            remedy="Give the name of a body or shape, or what scene.add_... returned",
         )
     return tuple(shapes)

@@ -94,7 +94,9 @@ class Items(Sequence[Item]):
             return [self._item(i) for i in range(*item.indices(len(self)))]
         i = item + len(self) if item < 0 else item
         if not 0 <= i < len(self):
-            raise IndexError(f"{self._word} {item} of {len(self)}")
+            # Not one of our errors: iteration and reversed need an IndexError of a sequence.
+            known = f"expected an index from {-len(self)} to {len(self) - 1}" if len(self) else "there is none"
+            raise IndexError(f"{self._word} {item} of {len(self)}: {known}. Look at len(...) first.")
         return self._item(i)
 
     def __iter__(self) -> Iterator[Item]:

@@ -78,7 +78,12 @@ def scalar_jumps(traj: Trajectory) -> Array:
     q, minus, plus = (events.array(name) for name in ("q", "p_minus", "p_plus"))
     before, after, step = (events.array(name) for name in ("before", "after", "step"))
     if len(np.unique(step)) != len(step):
-        raise ContactviError("Two impacts in one step of problem B", remedy="This is a bug: please report it")
+        raise ContactviError(
+            "Two impacts in one step of problem B",
+            remedy="This is a bug: please report it",
+            expected="at most one impact in a step",
+            got="two",
+        )
     kinetic = core.energy(q, minus)[:, 0]
     energy = core.energy(q, plus).sum(axis=1) - core.energy(q, minus).sum(axis=1)
     discrete = core.discrete_energy(q, plus, after) - core.discrete_energy(q, minus, -before)
@@ -121,7 +126,9 @@ def _collide(make: Callable[[], tuple[Any, Array]], name: ImpactMap) -> Trajecto
     scene, v0 = make()
     traj = simulate(scene, scene.neutral(), v0, duration=2.0, dt=0.02, impact=name, tol=1e-13)
     if not len(traj.events):
-        raise ContactviError("The bodies did not collide", remedy="This is a bug: please report it")
+        raise ContactviError(
+            "The bodies did not collide", remedy="This is a bug: please report it", expected="an impact", got="none"
+        )
     return traj
 
 
@@ -219,6 +226,7 @@ def _flow_b(name: ImpactMap, h: float, impacts: int) -> Callable[[Array], Array]
                 "A neighbouring step is not like the first",
                 expected=f"{impacts} impacts",
                 got=f"{simulator.impacts}, {status}",
+                remedy="This is a bug: please report it",
             )
         return np.concatenate([ABSOLUTE @ simulator.q, np.linalg.solve(ABSOLUTE.T, simulator.p)])
 

@@ -111,12 +111,22 @@ def scene_from_dict(data: Mapping[str, Any]) -> SceneData:
     """
     if not isinstance(data, Mapping) or data.get("format") != FORMAT or data.get("version") != VERSION:
         got = f"{data.get('format')} {data.get('version')}" if isinstance(data, Mapping) else type(data).__name__
-        raise SceneError("Description of a scene", expected=f"{FORMAT} {VERSION}", got=got)
+        raise SceneError(
+            "Description of a scene",
+            expected=f"{FORMAT} {VERSION}",
+            got=got,
+            remedy="Give what Scene.to_dict of this version returned, or read a scene file with load_scene",
+        )
     try:
         return _read(data)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RuntimeError) as error:
         got = f"{type(error).__name__}: {error}"
-        raise SceneError("Damaged description of a scene", expected="the data of Scene.to_dict", got=got) from error
+        raise SceneError(
+            "Damaged description of a scene",
+            expected="the data of Scene.to_dict",
+            got=got,
+            remedy="Write it again with Scene.to_dict",
+        ) from error
 
 
 def _read(data: Mapping[str, Any]) -> SceneData:

@@ -57,7 +57,13 @@ def check_derivatives(
     """
     time, tolerance = real("t", t), real("tolerance", tolerance, 0.0)
     if scene is not None and not isinstance(scene, Scene):
-        raise InputError("Argument scene", name="scene", expected="a Scene or None", got=short(scene))
+        raise InputError(
+            "Argument scene",
+            name="scene",
+            expected="a Scene or None",
+            got=short(scene),
+            remedy="Give scene=scene for a function of its q, or leave scene out for a plain vector",
+        )
     if isinstance(item, Scene):
         model = item.model
         dofs, move = dof_names(model), mover(model)
@@ -165,6 +171,7 @@ def _element(item: Any) -> kinds.Element:
         name="item",
         expected="a Scene, an object with value and gradient, a pair (force, derivatives), or a motion",
         got=repr(item),
+        remedy="Give what was handed to add_potential, add_force or prescribe, with its derivatives",
     )
 
 

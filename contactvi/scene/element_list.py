@@ -29,7 +29,13 @@ class ElementList:
         if name is None:
             return next(f"{kind}_{k}" for k in range(1, len(taken) + 2) if f"{kind}_{k}" not in taken)
         if not isinstance(name, str) or not name:
-            raise InputError("Name of an element", name="name", expected="a non-empty str", got=short(name))
+            raise InputError(
+                "Name of an element",
+                name="name",
+                expected="a non-empty str",
+                got=short(name),
+                remedy="Give name='...', or leave it out: it is then made from the kind and a number",
+            )
         if name in taken:
             raise InputError(
                 f"There is an element called {name!r} already",

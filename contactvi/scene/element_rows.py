@@ -227,6 +227,7 @@ def _positive_length(length: Signal) -> Callable[[float], tuple[float, float, fl
                 entry="value",
                 expected="a length > 0 m",
                 got=f"{value[0]:.9g} m",
+                remedy=f"Let {length.name} stay above 0, or join the points by add_point",
             )
         return value
 

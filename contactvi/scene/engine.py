@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
-from contactvi.errors import SceneError
+from contactvi.errors import EngineError, SceneError
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 
@@ -57,8 +57,15 @@ def make_engine_scene(
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
         _set_actuation(scene, arrays)
-    except RuntimeError as error:  # CoreError is one; Pinocchio and coal raise others.
-        raise SceneError("The engine refuses the scene", got=str(error).strip().splitlines()[-1]) from error
+    except EngineError:
+        raise
+    except RuntimeError as error:  # of Pinocchio or coal
+        raise SceneError(
+            "The engine refuses the scene",
+            got=str(error).strip().splitlines()[-1],
+            expected="joints, shapes and numbers that it can take",
+            remedy="Look at scene.report for what was read of the models; simplify what it names",
+        ) from error
     return scene
 
 

@@ -144,7 +144,13 @@ def joint_velocity(model: pin.Model, name: str, value: Any, q: np.ndarray) -> np
     linear, angular = (value, np.zeros(3)) if np.shape(value) == (3,) else (None, None)
     if linear is None:
         if np.shape(value) != (2, 3):
-            raise InputError(f"Shape of {what}", name="velocity", expected="(linear, angular)", got=repr(value))
+            raise InputError(
+                f"Shape of {what}",
+                name="velocity",
+                expected="(linear, angular)",
+                got=repr(value),
+                remedy="Give ((vx, vy, vz), (wx, wy, wz)) in world axes, or (vx, vy, vz) alone",
+            )
         linear, angular = value
     rotation = pin.XYZQUATToSE3(q[joint.idx_q : joint.idx_q + 7]).rotation
     return np.concatenate([rotation.T @ vector(what, linear, 3), rotation.T @ vector(what, angular, 3)])
@@ -233,7 +239,13 @@ def one_number(model: pin.Model, name: str, what: str) -> int:
 
 
 def _refuse_kind(what: str, name: str, argument: str, expected: str, kind: str) -> None:
-    raise InputError(f"{what} on joint {name!r}", name=argument, expected=expected, got=f"a {kind} joint")
+    raise InputError(
+        f"{what} on joint {name!r}",
+        name=argument,
+        expected=expected,
+        got=f"a {kind} joint",
+        remedy="Name a joint of these kinds; scene.report lists the joints with theirs",
+    )
 
 
 def _positive(name: str, value: Any) -> float:
@@ -297,5 +309,8 @@ def _limits(model: pin.Model, index: int, name: str, limits: Any) -> bool | tupl
             name="limits",
             expected="lower < upper on a revolute, prismatic or helical joint",
             got=f"({lower:g}, {upper:g}) on a {joint_kind(model.joints[index])} joint",
+            remedy="Give the smaller number first: limits=(lower, upper)"
+            if one_dof
+            else "Take limits out: this joint has none",
         )
     return lower, upper

@@ -487,7 +487,11 @@ class Scene:
             if isinstance(error, InputError):
                 raise
             raise InputError(
-                "Argument points", name="points", expected='[("body", (x, y, z)), ...]', got=repr(points)
+                "Argument points",
+                name="points",
+                expected='[("body", (x, y, z)), ...]',
+                got=repr(points),
+                remedy="Write each point as (name of the body, (x, y, z)), in the axes of the body",
             ) from None
         return self._add_element(
             kinds.PathSpring(self._name("tape_spring", name), along, stiffness, rest_length, damping, tension_only)

@@ -87,6 +87,7 @@ class Names:
                 name=argument,
                 expected="a body with a shape",
                 got="none",
+                remedy="Name a body with a shape, or add a shape to its model",
             )
         return found
 
@@ -164,7 +165,13 @@ class Names:
         """Return the name of the one selected joint; raise InputError for none and for several."""
         found = self.select_joints(selector)
         if len(found) != 1:
-            raise InputError(f"Joint {str(selector)!r}", name="joint", expected="one joint", got=f"{len(found)}")
+            raise InputError(
+                f"Joint {str(selector)!r}",
+                name="joint",
+                expected="one joint",
+                got=f"{len(found)}",
+                remedy="Name one of them: " + ", ".join(repr(joint) for joint in found[:6]),
+            )
         return found[0]
 
 

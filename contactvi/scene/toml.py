@@ -152,9 +152,16 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
 
 def _read(file: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+        _refuse_model(file, text)
+        return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{file.name} is not TOML", path=file, expected="a TOML file", got=str(error)) from None
+        remedy = "Correct it there; strings stand in quotes, lists in square brackets"
+        if isinstance(error, UnicodeDecodeError):
+            remedy = "Name a scene file (.toml); contactvi play shows a stored run (.npz)"
+        raise SceneError(
+            f"{file.name} is not TOML", path=file, expected="a TOML file", got=str(error), remedy=remedy
+        ) from None
     except RecursionError:
         raise SceneError(
             f"{file.name} is nested too deeply",
@@ -165,6 +172,23 @@ def _read(file: Path) -> dict[str, Any]:
         ) from None
     except (OSError, ValueError) as error:
         raise unreadable(file, error) from None
+
+
+def _refuse_model(file: Path, text: str) -> None:
+    """Raise SceneError for a robot model in the place of a scene file; the remedy is the scene file that loads it."""
+    if not text.lstrip("\ufeff \t\r\n").startswith("<") and file.suffix.lower() not in (".urdf", ".mjcf", ".xml"):
+        return
+    section, got = ("mjcf", "an MJCF") if "<mujoco" in text or file.suffix.lower() == ".mjcf" else ("urdf", "a URDF")
+    names = (f"{file.stem}.toml", f"{file.stem}_scene.toml")
+    name = next((name for name in names if not (file.parent / name).is_file()), "a scene file")
+    lines = [f"[[{section}]]", f'path = "{file.name}"', "", "[run]", "dt = 1e-3", "duration = 1.0"]
+    raise SceneError(
+        f"{file.name} is a model, not a scene",
+        path=file,
+        expected="a scene file (.toml)",
+        got=got,
+        remedy=f"Write these lines to {name} beside it, and load that:\n\n" + "\n".join(lines),
+    )
 
 
 def _check_keys(data: Mapping[str, Any], file: Path) -> None:
@@ -187,7 +211,13 @@ def _tables(value: Any, section: str, listed: bool, file: Path) -> Iterable[Mapp
     good = isinstance(value, list) and all(isinstance(v, dict) for v in value) if listed else isinstance(value, dict)
     if not good:
         wanted, other = (f"[[{section}]]", f"[{section}]") if listed else (f"[{section}]", f"[[{section}]]")
-        raise SceneError(f"{file.name}: section {section}", path=file, expected=wanted, got=f"{other} or a value")
+        raise SceneError(
+            f"{file.name}: section {section}",
+            path=file,
+            expected=wanted,
+            got=f"{other} or a value",
+            remedy=f"Write {wanted} on a line of its own, and its keys below",
+        )
     return value if listed else [value]
 
 
@@ -210,6 +240,7 @@ def _check_table(table: Mapping[str, Any], section: str, known: Iterable[str], f
                 path=file,
                 expected=" and ".join(NEEDED[section]),
                 got=", ".join(table) or "nothing",
+                remedy=f"Add {key} = ... to the entry",
             )
 
 
@@ -282,13 +313,25 @@ def _add_element(scene: Scene, section: str, entry: Mapping[str, Any]) -> None:
 
 def _frame(key: str, value: Any) -> Any:
     if not isinstance(value, Mapping) or not set(value) <= {"xyz", "rpy"}:
-        raise InputError(f"Value of {key}", name=key, expected="{ xyz = [...], rpy = [...] }", got=repr(value))
+        raise InputError(
+            f"Value of {key}",
+            name=key,
+            expected="{ xyz = [...], rpy = [...] }",
+            got=repr(value),
+            remedy=f"Write {key} = {{ xyz = [0, 0, 0], rpy = [0, 0, 0] }}",
+        )
     return pose(key, (value.get("xyz", [0.0, 0.0, 0.0]), value.get("rpy", [0.0, 0.0, 0.0])))
 
 
 def _strings(value: Any, name: str) -> list[str]:
     if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-        raise InputError(f"Value of {name}", name=name, expected="a list of strings", got=repr(value))
+        raise InputError(
+            f"Value of {name}",
+            name=name,
+            expected="a list of strings",
+            got=repr(value),
+            remedy=f'Write {name} = ["..."]',
+        )
     return value
 
 
@@ -315,7 +358,13 @@ def _set_contact(scene: Scene, contact: Mapping[str, Any], file: Path) -> None:
 
 def _two(pair: Any, key: str) -> list[str]:
     if not isinstance(pair, list) or len(pair) != 2:
-        raise InputError(f"Entry of {key}", name=key, expected='["a", "b"]', got=repr(pair))
+        raise InputError(
+            f"Entry of {key}",
+            name=key,
+            expected='["a", "b"]',
+            got=repr(pair),
+            remedy=f'Write {key} = [["a", "b"]] with two names in each pair',
+        )
     return _strings(pair, key)
 
 
@@ -352,7 +401,15 @@ def _base(scene: Scene, initial: Mapping[str, Any]) -> tuple[np.ndarray, np.ndar
         return scene.spring_rest() if at_rest else scene.neutral(), np.zeros(scene.nv)
     if at_rest or not isinstance(named, str):
         got = "configuration and springs_at_rest" if at_rest else repr(named)
-        raise InputError("Start of the run", name="configuration", expected="the name of one", got=got)
+        raise InputError(
+            "Start of the run",
+            name="configuration",
+            expected="the name of one",
+            got=got,
+            remedy="Remove springs_at_rest: the configuration says where the joints are"
+            if at_rest
+            else 'Write configuration = "home", with a name of the models\' files',
+        )
     return scene.configuration({}, named), scene.named_configurations[named][1]
 
 
@@ -360,7 +417,13 @@ def _body_pose(entry: Mapping[str, Any], now: np.ndarray) -> pin.SE3:
     """Return the pose an [[initial.body]] entry gives; what it leaves out stays as it is."""
     placement = pin.XYZQUATToSE3(now)
     if "rpy" in entry and "quaternion" in entry:
-        raise InputError("Orientation given twice", name="rpy", expected="rpy or quaternion", got="both")
+        raise InputError(
+            "Orientation given twice",
+            name="rpy",
+            expected="rpy or quaternion",
+            got="both",
+            remedy="Remove one of the two",
+        )
     if "xyz" in entry:
         placement.translation = vector("xyz", entry["xyz"], 3)
     if "rpy" in entry:

@@ -345,7 +345,7 @@ def _step(run: Record, q: Array, p: Array, h: float) -> tuple[Array, Array]:
                 found = run.compiled.core.step(q1, p1, h / parts, None, options.stage_tol, options.order)
                 q1, p1 = found[0], found[1]
             return q1, p1
-        except RuntimeError:  # CoreError is one
+        except RuntimeError:  # EngineError is one
             continue
     return np.full_like(q, np.nan), np.full_like(p, np.nan)
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from contactvi import _core, inputs
 from contactvi.errors import ContactviError, PenetrationError, SimulationError
 from contactvi.options import Options
-from contactvi.simulation.messages import REMEDY
+from contactvi.simulation.messages import remedy
 from contactvi.simulation.recorder import Array, Record
 from contactvi.simulation.results import EngineResult, EngineStatus
 from contactvi.status import Status, StatusCode
@@ -119,22 +119,25 @@ def _take(record: Record, result: EngineResult) -> Status:
 
 
 def call(function: Callable[[], Result]) -> Result:
-    """Call the engine; its own errors become ours."""
-    try:
-        return function()
-    except _core.CoreError as error:
-        raise ContactviError(f"The engine failed: {error}", remedy="This is a bug: please report the scene") from error
+    """Call the engine; what it raises is an EngineError, one of ours."""
+    return function()
 
 
 def _refusal(status: Status, pair: tuple[str, str] | None, depth: float) -> ContactviError:
     what = f"The start is refused: {status.message}"
     if status.code != StatusCode.PENETRATION:
-        return SimulationError(what, status=status)
+        return SimulationError(
+            what,
+            status=status,
+            expected="a start that the engine can step from",
+            got=status.message,
+            remedy=remedy(status.code, "auto"),
+        )
     return PenetrationError(
         what,
         pair=pair,
         depth=depth,
         expected="gaps >= 0 and joints within their limits",
         got=f"{-depth:.6g}",
-        remedy=REMEDY[status.code],
+        remedy=remedy(status.code, "auto"),
     )

@@ -16,13 +16,14 @@ REMEDY = {
     StatusCode.PENETRATION: "Move the start apart; scene.disable_overlapping(q0) takes out the pairs within one model "
     "that overlap there, scene.disable_pair(a, b) any pair",
     StatusCode.CONSTRAINT: "Mend the prescribed motions and lengths, or use a smaller dt",
+    StatusCode.INTERRUPTED: "Run it again; error.trajectory holds what was computed until then",
     StatusCode.LEDGER: "Look at error.trajectory.ledger there; use a smaller dt, or another tolerance",
 }
 
 
-def remedy(code: StatusCode, contact_mode: str) -> str | None:
-    """Return what to do about a run with this contact mode that ended so, None where nothing is known."""
-    text = REMEDY.get(code)
+def remedy(code: StatusCode, contact_mode: str) -> str:
+    """Return what to do about a run with this contact mode that ended so."""
+    text = REMEDY.get(code, "This is a bug: please report it with the scene")
     if contact_mode == "events" and code in (StatusCode.EVENT_UNRESOLVED, StatusCode.TOO_MANY_IMPACTS):
         return f"{text}. Where events accumulate contact_mode='auto' goes on with dense steps"
     return text

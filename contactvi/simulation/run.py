@@ -201,7 +201,12 @@ class Run:
             times, states, momenta = record.nodes(max(0, len(record.t) - 2))
             earlier = np.flatnonzero(times < self.t)
             if not len(earlier):
-                raise SimulationError("No step was made yet", remedy="Call step() first")
+                raise SimulationError(
+                    "No step was made yet",
+                    remedy="Call step() first",
+                    expected="a state before the present one",
+                    got="none",
+                )
             t, q, p = float(times[earlier[-1]]), states[earlier[-1]], momenta[earlier[-1]]
         return t, q, np.asarray(self._compiled.core.velocity(q[None], p[None]))[0]
 

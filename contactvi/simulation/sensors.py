@@ -123,7 +123,11 @@ class ContactSensor:
         shapes = {g.name for g in built.collision.geometryObjects if g.parentFrame in frames}
         if not shapes:
             raise InputError(
-                f"Body {name!r} has no shape", name="body", expected="a body with collision geometry", got="none"
+                f"Body {name!r} has no shape",
+                name="body",
+                expected="a body with collision geometry",
+                got="none",
+                remedy="Name the body that carries the shape, or add a shape to its model",
             )
         self._signs = np.array([(b in shapes) * 1.0 - (a in shapes) * 1.0 for a, b in built.pairs] or [0.0])
 
@@ -151,7 +155,13 @@ class ContactSensor:
 def _checked(simulator: Any) -> Simulator:
     if not isinstance(simulator, Simulator):
         got = type(simulator).__name__
-        raise InputError("What a sensor reads", name="simulator", expected="a contactvi.Simulator", got=got)
+        raise InputError(
+            "What a sensor reads",
+            name="simulator",
+            expected="a contactvi.Simulator",
+            got=got,
+            remedy="Make one: contactvi.Simulator(scene, dt=1e-3, record_contacts=True)",
+        )
     return simulator
 
 

@@ -108,7 +108,13 @@ class Simulator:
     ) -> Status:
         """Make `steps` steps, tau of shape (steps, nv) or None; return the status. Ends early as `simulate` does."""
         if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 0:
-            raise InputError("Number of steps", name="steps", expected="a whole number >= 0", got=repr(steps))
+            raise InputError(
+                "Number of steps",
+                name="steps",
+                expected="a whole number >= 0",
+                got=repr(steps),
+                remedy="Give a number of steps such as 1000; round(duration / dt) where it is a time",
+            )
         forces = None if tau is None else self._scene.states.forces(tau, steps, "tau")
         return self._advance(steps, forces, target, progress)
 
@@ -121,6 +127,8 @@ class Simulator:
                     f"The run has ended: {run.record.status}",
                     status=run.record.status,
                     remedy="Call reset(q0, v0) to start again",
+                    expected="a run that goes on",
+                    got=run.record.status.code.name,
                 )
             targets = run.targets(target, steps)
             if steps == 1:
@@ -186,7 +194,13 @@ class Simulator:
         """
         if not isinstance(snapshot, Snapshot) or snapshot.scene is not self._scene or snapshot.options != self.options:
             got = "of another scene or other options" if isinstance(snapshot, Snapshot) else repr(snapshot)
-            raise InputError("Snapshot", name="snapshot", expected="one of this scene and these options", got=got)
+            raise InputError(
+                "Snapshot",
+                name="snapshot",
+                expected="one of this scene and these options",
+                got=got,
+                remedy="Load it into the simulator that saved it, or into a sim.copy() of that one",
+            )
         with self._unused():
             self._user = threading.get_ident()
             if self._run is None:
@@ -255,5 +269,10 @@ class Simulator:
         if self._lock.locked() and self._user != threading.get_ident():
             raise self._busy()
         if self._run is None:
-            raise SimulationError("The simulator has no state yet", remedy="Call reset(q0, v0) first")
+            raise SimulationError(
+                "The simulator has no state yet",
+                remedy="Call reset(q0, v0) first",
+                expected="a state to step from",
+                got="none",
+            )
         return self._run

@@ -96,7 +96,7 @@ class Targets:
             raise UserFunctionError(
                 f"target returned the wrong shape{at(t)}", function="target", time=t,
                 expected=f"shape ({count},) or ({2 * count},), one number per servo joint",
-                got=f"shape {np.shape(value)}",
+                got=f"shape {np.shape(value)}", remedy=f"Return the {count} positions, then, if known, the velocities"
             )  # fmt: skip
         return _with_rates(checked(value, "target", t, (size,), "positions of servo joints", self.joints), count)
 
@@ -114,9 +114,16 @@ class Targets:
                 expected=f"({count},), ({2 * count},), ({steps}, {count}) or ({steps}, {2 * count}) for the {count} "
                 "servo joints, a function of t or a mapping",
                 got=type(target).__name__ if values.ndim == 3 else f"shape {values.shape}",
+                remedy=f"Give the positions in the order {', '.join(self.joints[:6])}, or {{joint: value}}",
             )
         if not np.isfinite(values).all():
-            raise InputError("target is not finite", name="target", expected="finite numbers", got="nan or inf")
+            raise InputError(
+                "target is not finite",
+                name="target",
+                expected="finite numbers",
+                got="nan or inf",
+                remedy="Fill the gaps of the target, for example with the position before",
+            )
         return np.broadcast_to(_with_rates(values, count), (steps, 2 * count))
 
     def _full(self, values: Array) -> Array:

@@ -94,6 +94,7 @@ def closed_contacts(
                 name="pairs",
                 expected="a gap that some joint changes",
                 got="none",
+                remedy="Leave this pair out of pairs=[...]",
             )
         speed = float((rows @ v).min())
         found.append(ClosedContact(names[number], float(values[k]), float(gaps[number]), speed, rows))
@@ -154,5 +155,11 @@ def _restitution(e: Any, own: Array) -> Array:
         return np.full(len(own), real("e", e, 0.0, 1.0))
     values = [real("e", value, 0.0, 1.0) for value in e]
     if len(values) != len(own):
-        raise InputError("e", name="e", expected=f"one number, or one for each of {len(own)} contacts", got=len(values))
+        raise InputError(
+            "e",
+            name="e",
+            expected=f"one number, or one for each of {len(own)} contacts",
+            got=len(values),
+            remedy="Give one number for all: e=0.5",
+        )
     return np.array(values)

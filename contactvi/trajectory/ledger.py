@@ -388,7 +388,7 @@ class Ledger:
         some = np.flatnonzero(h != 0.0)
         try:
             values[some] = self._core.discrete_energy(q[some], p[some], h[some], self._order)
-        except RuntimeError:  # a CoreError: the run had to cut such a step in two, so it cannot be made again
+        except RuntimeError:  # an EngineError: the run had to cut such a step in two, so it cannot be made again
             for i in some:
                 one = slice(i, i + 1)
                 with contextlib.suppress(RuntimeError):

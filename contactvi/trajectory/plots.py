@@ -27,7 +27,13 @@ _FEW_NODES = 200
 
 def _check(traj: object) -> None:
     if not isinstance(traj, Trajectory):
-        raise InputError("Argument traj", name="traj", expected="a Trajectory", got=type(traj).__name__)
+        raise InputError(
+            "Argument traj",
+            name="traj",
+            expected="a Trajectory",
+            got=type(traj).__name__,
+            remedy="Give what simulate or Trajectory.load returned",
+        )
 
 
 def plot(traj: Trajectory) -> Figure:

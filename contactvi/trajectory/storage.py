@@ -247,7 +247,7 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     path = checked_path(path)
     if not path.is_file():
-        _refuse(path, "there is no such file")
+        _refuse(path, "there is no such file", remedy="Correct the path, or write the file first: traj.save(path)")
     _check_size(path)
     try:
         file = np.load(path, allow_pickle=False)
@@ -260,8 +260,10 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     header = _read_header(path, entries)
     try:
         return _build(path, entries, _unpack(header, entries))
-    except ContactviError:
-        raise
+    except ContactviError as error:
+        if isinstance(error, SceneError) and error.path is not None:
+            raise
+        _refuse(path, str(error).rstrip("."), error)
     except Exception as error:  # whatever a wrong header makes the scene or the options stumble over
         _refuse(path, f"{type(error).__name__}: {error}", error)
 
@@ -350,14 +352,19 @@ def _name(group: str, name: str) -> str:
     return f"{group}/{_STORED.get(name, name)}"
 
 
-def _refuse(path: Path, got: str, cause: BaseException | None = None) -> NoReturn:
+def _refuse(
+    path: Path,
+    got: str,
+    cause: BaseException | None = None,
+    remedy: str = "Choose a file of Trajectory.save; a damaged one has to be computed again",
+) -> NoReturn:
     """Raise SceneError: the file is none that Trajectory.save has written; `got` tells why."""
     raise SceneError(
         f"Cannot read the run {path}",
         path=path,
         expected="an npz file written by Trajectory.save",
         got=got,
-        remedy="Check the path; a damaged file has to be computed again",
+        remedy=remedy,
     ) from cause
 
 

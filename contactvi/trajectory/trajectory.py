@@ -271,7 +271,7 @@ class Trajectory:
         if self.forces is None:
             raise InputError(
                 "The work of forces was not recorded", name="work", expected="a run of the engine", got="none",
-                remedy="Run the scene",
+                remedy="Run the scene with simulate or a Simulator",
             )  # fmt: skip
         return self.forces
 
@@ -381,6 +381,7 @@ class Trajectory:
                 name="t",
                 expected=f"a time in [{self.t[0]:.9g}, {self.t[-1]:.9g}] s",
                 got=np.array2string(wanted, threshold=4),
+                remedy="Ask for times within the run, or run it for longer",
             )
         return np.asarray(np.clip(wanted, self.t[0], self.t[-1]))
 

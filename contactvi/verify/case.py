@@ -85,7 +85,10 @@ class Runs:
         """Stop a run that hangs: the engine calls this about ten times a second."""
         if time.perf_counter() > self._end:
             raise SimulationError(
-                "The case takes too long", expected="an end of its runs", got=f"t = {t:.6g} s after {impacts} impacts"
+                "The case takes too long",
+                expected="an end of its runs",
+                got=f"t = {t:.6g} s after {impacts} impacts",
+                remedy="Run this case alone on an idle machine; if it takes as long, report it as a bug",
             )
 
     def laws(self) -> list[Check]:

@@ -30,7 +30,7 @@ struct Status {
   bool ok() const { return code == StatusCode::kSuccess; }
 };
 
-// Wrong input that reached the engine, or an internal fault; the Python API turns it into errors of its own.
+// A fault of the engine or of the Python API, a bug to the user; what the user can mend is a Refusal (refusal.hpp).
 class Error : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

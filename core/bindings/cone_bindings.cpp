@@ -10,6 +10,7 @@
 #include <tuple>
 #include <vector>
 
+#include "base/error.hpp"
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
 #include "cone/block_interior_point.hpp"
@@ -31,7 +32,7 @@ std::vector<ConeContact> contacts_of(const IndexVector& rows, const VecX& mu, co
                                      const std::optional<Directions>& frozen) {
   const Eigen::Index n = rows.size();
   if (mu.size() != n || lower.size() != n || (frozen && frozen->rows() != n))
-    throw nb::value_error("expected rows, mu, lower (n,) and frozen (n, 2) or None for n contacts");
+    throw Error("expected rows, mu, lower (n,) and frozen (n, 2) or None for n contacts");
   std::vector<ConeContact> contacts(n);
   int row = 0;
   for (Eigen::Index i = 0; i < n; ++i) {
@@ -48,7 +49,7 @@ std::vector<ConeContact> contacts_of(const IndexVector& rows, const VecX& mu, co
 }
 
 VecX start_of(const std::optional<VecX>& start, Eigen::Index rows) {
-  if (start && start->size() != rows) throw nb::value_error("expected start (m,) for b (m,)");
+  if (start && start->size() != rows) throw Error("expected start (m,) for b (m,)");
   return start ? *start : VecX(VecX::Zero(rows));
 }
 
@@ -112,11 +113,11 @@ class BlockContacts {
                 const VecX& offset) {
     const Eigen::Index m = rows.size();
     if (blocks.rows() != m || mu.size() != m || lower.size() != m || box.size() != m)
-      throw nb::value_error("expected blocks (m, 2) and rows, mu, lower, box (m,) for m contacts");
+      throw Error("expected blocks (m, 2) and rows, mu, lower, box (m,) for m contacts");
     problem_.start.push_back(0);
     Eigen::Index read = 0;
     for (const int n : sizes) {
-      if (n < 0 || read + n * n > masses.size()) throw nb::value_error("expected masses of sizes[i]^2 numbers each");
+      if (n < 0 || read + n * n > masses.size()) throw Error("expected masses of sizes[i]^2 numbers each");
       problem_.start.push_back(problem_.start.back() + n);
       problem_.M.push_back(Eigen::Map<const MatX>(masses.data() + read, n, n));
       read += n * n;
@@ -127,7 +128,7 @@ class BlockContacts {
       c.a = blocks(i, 0);
       c.b = blocks(i, 1);
       for (const int block : {c.a, c.b})
-        if (block >= sizes.size() || block < (block == c.a ? 0 : -1)) throw nb::value_error("no such block");
+        if (block >= sizes.size() || block < (block == c.a ? 0 : -1)) throw Error("no such block");
       c.row = row;
       c.rows = rows[i];
       c.column = column;
@@ -139,7 +140,7 @@ class BlockContacts {
       problem_.contacts.push_back(c);
     }
     if (W.size() != column || offset.size() != row || v_free.size() != problem_.start.back())
-      throw nb::value_error("expected W of rows x (size a + size b) numbers per contact, offset (rows,), v_free (nv,)");
+      throw Error("expected W of rows x (size a + size b) numbers per contact, offset (rows,), v_free (nv,)");
     problem_.W.assign(W.data(), W.data() + W.size());
     problem_.v_free = v_free;
     problem_.offset = offset;
@@ -147,7 +148,7 @@ class BlockContacts {
   }
   void set_free(const VecX& v_free, const VecX& offset) {
     if (v_free.size() != problem_.v_free.size() || offset.size() != problem_.offset.size())
-      throw nb::value_error("expected v_free (nv,) and offset (rows,)");
+      throw Error("expected v_free (nv,) and offset (rows,)");
     problem_.v_free = v_free;
     problem_.offset = offset;
   }
@@ -164,7 +165,7 @@ class BlockContacts {
   }
   // The convex problem of frozen slip speeds, cold.
   std::tuple<VecX, double, int> solve_convex(const VecX& slip, double tolerance) {
-    if (slip.size() != static_cast<Eigen::Index>(problem_.contacts.size())) throw nb::value_error("expected slip (m,)");
+    if (slip.size() != static_cast<Eigen::Index>(problem_.contacts.size())) throw Error("expected slip (m,)");
     BlockSystem system;
     VecX lambda = VecX::Zero(problem_.rows());
     if (!system.prepare(problem_) || !system.start(problem_)) return {lambda, 0.0, 0};
@@ -183,12 +184,12 @@ class BlockContacts {
   VecX solve_weighted(const Rows& K, VecX x, bool symmetric) {
     const Eigen::Index m = static_cast<Eigen::Index>(problem_.contacts.size());
     if (K.rows() != 3 * m || K.cols() != 3 || x.size() != problem_.v_free.size())
-      throw nb::value_error("expected K (3 m, 3) and x (nv,)");
+      throw Error("expected K (3 m, 3) and x (nv,)");
     std::vector<Mat3> weights(m);
     for (Eigen::Index i = 0; i < m; ++i) weights[i] = K.middleRows(3 * i, 3);
     BlockFactor factor;
     factor.analyse(problem_);
-    if (!factor.factor(problem_, weights, symmetric) || !factor.solve(x)) throw nb::value_error("singular");
+    if (!factor.factor(problem_, weights, symmetric) || !factor.solve(x)) throw Error("singular");
     return x;
   }
   // Seconds of one prepare and solve, of the fastest of several.

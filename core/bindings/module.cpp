@@ -1,20 +1,32 @@
 // The Python module contactvi._core.
-#include <cstdlib>
-#include <string>
+#include <exception>
 
-#include "base/error.hpp"
+#include "base/refusal.hpp"
 #include "bindings/expose.hpp"
 #include "geometry/guard.hpp"
-#include "model/flat_model.hpp"
+
+namespace {
+
+// Errors of the engine become contactvi.errors.EngineError(fact, expected, got, remedy), those of the user and faults.
+void translate(const std::exception_ptr& thrown, void*) {
+  namespace nb = nanobind;
+  nb::tuple texts;
+  try {
+    std::rethrow_exception(thrown);
+  } catch (const contactvi::Refusal& error) {
+    texts = nb::make_tuple(error.what(), error.expected.c_str(), error.got.c_str(), error.remedy.c_str());
+  } catch (const contactvi::Error& error) {
+    texts = nb::make_tuple("The engine failed", "no fault inside of the engine", error.what(),
+                           "This is a bug: please report it with the scene");
+  }
+  PyErr_SetObject(nb::module_::import_("contactvi.errors").attr("EngineError").ptr(), texts.ptr());
+}
+
+}  // namespace
 
 NB_MODULE(_core, m) {
   m.doc() = "Engine of contactvi. It checks sizes only: users go through the Python API.";
-  nanobind::exception<contactvi::Error>(m, "CoreError", PyExc_RuntimeError);
-  const char* wanted = std::getenv("CONTACTVI_INSTRUCTION_SET");
-  if (wanted != nullptr && *wanted != 0 && !contactvi::set_instruction_set(wanted))
-    throw nanobind::import_error(
-        (std::string("CONTACTVI_INSTRUCTION_SET: this processor has no ") + wanted + "; one of base, avx2, avx512")
-            .c_str());
+  nanobind::register_exception_translator(translate);
   contactvi::settle_box_support();
   contactvi::expose_enums(m);
   contactvi::expose_scene(m);

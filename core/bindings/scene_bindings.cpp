@@ -12,6 +12,7 @@
 #include "geometry/guard.hpp"
 #include "geometry/prepare.hpp"
 #include "model/coordinates.hpp"
+#include "model/flat_model.hpp"
 #include "step/energy.hpp"
 #include "step/integrator.hpp"
 
@@ -222,6 +223,7 @@ void expose_scene(nb::module_& m) {
           [](Scene* self, nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
              const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
              std::optional<VecX> pair_friction) {
+            instruction_set();  // a wrong name in the environment is refused before anything is computed
             new (self) Scene(make_scene(model, geometry, pair_restitution, stiffness, rest, damping, limits,
                                         limit_restitution, pair_friction));
           },

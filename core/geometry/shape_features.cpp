@@ -9,7 +9,7 @@
 #include <numeric>
 
 #include "base/disjoint_sets.hpp"
-#include "base/error.hpp"
+#include "base/refusal.hpp"
 #include "geometry/planar_hull.hpp"
 
 namespace contactvi {
@@ -322,7 +322,10 @@ ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeomet
   if (o.vertices.size() == 2) o.vertex_edges = {{0}, {0}};
   join_plates(o);
   // This is the largest number that a feature number (candidates.hpp) can hold.
-  if (std::max(o.ring.size(), o.edges.size()) > (1u << 19)) throw Error("a convex shape has too many edges");
+  if (std::max(o.ring.size(), o.edges.size()) > (1u << 19))
+    throw Refusal("A convex shape has too many edges", "at most 524288",
+                  std::to_string(std::max(o.ring.size(), o.edges.size())),
+                  "Simplify the mesh, or replace it by a box, a ball or a capsule");
   return o;
 }
 

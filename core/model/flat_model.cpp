@@ -3,6 +3,9 @@
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
+#include <string>
+
+#include "base/refusal.hpp"
 
 namespace contactvi {
 
@@ -212,8 +215,15 @@ const InstructionSet* find(const char* name) {
 const InstructionSet*& chosen() {
   static const InstructionSet* set = [] {
     const char* wanted = std::getenv("CONTACTVI_INSTRUCTION_SET");
-    const InstructionSet* best = wanted == nullptr ? nullptr : find(wanted);
-    if (best != nullptr) return best;  // the module refuses an unknown name when it is imported
+    if (wanted != nullptr && *wanted != 0) {
+      if (const InstructionSet* set = find(wanted)) return set;
+      std::string own;
+      for (const char* name : instruction_sets()) own += (own.empty() ? "" : ", ") + std::string(name);
+      throw Refusal("The environment variable CONTACTVI_INSTRUCTION_SET names nothing that this processor runs",
+                    "one of " + own, "'" + std::string(wanted) + "'",
+                    "Unset CONTACTVI_INSTRUCTION_SET, which takes the best one, or set it to one of these");
+    }
+    const InstructionSet* best = nullptr;
     for (const InstructionSet& each : known_sets())
       if (each.present) best = &each;
     return best;

@@ -21,7 +21,7 @@ struct FlatModel {
 // Names of the builds of the kernel that this processor can run, best last: "base", "avx2", "avx512".
 std::vector<const char*> instruction_sets();
 // The build that engines made from now on use: at first the best one, or that of the environment variable
-// CONTACTVI_INSTRUCTION_SET. The digits do not depend on it.
+// CONTACTVI_INSTRUCTION_SET, where a wrong name is a Refusal. The digits do not depend on it.
 const char* instruction_set();
 bool set_instruction_set(const char* name);  // false: unknown, or not of this processor
 const LaneKernel& lane_kernel(int stages);

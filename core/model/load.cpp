@@ -10,7 +10,7 @@
 
 #include <cmath>
 
-#include "base/error.hpp"
+#include "base/refusal.hpp"
 #include "model/archive.hpp"
 #include "model/scene.hpp"
 
@@ -114,7 +114,8 @@ class Builder {
     const int at = static_cast<int>(tree_.joints.size());
     if (name == "JointModelFreeFlyer" || name == "JointModelPlanar") {
       if (!model_.armature.segment(iv, source.nv()).isZero(0) || parameters_.stiffness[i] != 0)
-        throw Error("joint " + model_.names[i] + ": armature and springs are not supported on " + name);
+        throw Refusal("Joint '" + model_.names[i] + "' has an armature or a spring", "neither of them on this type",
+                      name, "Take them off with scene.set_joint, or build the joint from revolute and prismatic ones");
       tree_.split.push_back({name == "JointModelPlanar", iq, iv});
     }
     if (name == "JointModelFreeFlyer") {
@@ -149,7 +150,9 @@ class Builder {
                name == "JointModelHelicalUnaligned") {
       type = JointType::kHelical;
     } else {
-      throw Error("joint " + model_.names[i] + " has the unsupported type " + name);
+      throw Refusal("Joint '" + model_.names[i] + "' has a type that the engine does not step",
+                    "revolute, continuous, prismatic, helical, planar, translation, spherical or free-flyer", name,
+                    "Replace it by a chain of revolute and prismatic joints");
     }
     // Axis and pitch are read from the motion subspace, which all types have in the same form.
     pinocchio::JointData data = source.createData();
@@ -165,7 +168,9 @@ class Builder {
 
   void add_limits(int i) {
     const int iq = model_.joints[i].idx_q(), joint = tree_.body_of_source[i];
-    if (model_.joints[i].nq() != 1) throw Error("joint " + model_.names[i] + ": only 1-dof joints can have limits");
+    if (model_.joints[i].nq() != 1)
+      throw Refusal("Joint '" + model_.names[i] + "' has limits", "limits on joints with one number in q only",
+                    model_.joints[i].shortname(), "Take them off: scene.set_joint(name, limits=False)");
     const double lower = model_.lowerPositionLimit[iq], upper = model_.upperPositionLimit[iq];
     const double e = parameters_.limit_restitution[i];
     if (std::isfinite(lower)) tree_.limits.push_back({joint, i, false, lower, e});
@@ -224,7 +229,9 @@ Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree
     case coal::GEOM_HALFSPACE:
       break;
     default:
-      throw Error("geometry " + object.name + ": this kind of shape is not supported");
+      throw Refusal("Geometry '" + object.name + "' has a shape that the engine does not know",
+                    "a box, ball, capsule, cylinder, ellipsoid, convex hull or halfspace", "another one",
+                    "Replace it by these shapes, or by convex hulls of its parts");
   }
   Geometry g;
   const int source = static_cast<int>(object.parentJoint);
@@ -295,7 +302,12 @@ Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, 
               false,
               false};
     Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
-    if (a.unbounded && b.unbounded) throw Error("two halfspaces cannot be a collision pair");
+    if (a.unbounded && b.unbounded) {
+      const auto& objects = geometry.geometryObjects;
+      throw Refusal("Two halfspaces cannot touch each other", "at most one halfspace in a pair",
+                    "'" + objects[pair.a].name + "' and '" + objects[pair.b].name + "'",
+                    "Take the pair out: scene.disable_pair(a, b)");
+    }
     if (!needs_no_rounding(a.sharp->getNodeType()) && !needs_no_rounding(b.sharp->getNodeType())) {
       ensure_rounded(a);
       ensure_rounded(b);

@@ -8,7 +8,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "base/error.hpp"
+#include "base/refusal.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
@@ -52,7 +52,9 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& r
   const std::unique_ptr<coal::ConvexBase> dual_base(
       coal::ConvexBase::convexHull(dual, static_cast<unsigned>(dual->size()), true, "Qt"));
   const Hull* dual_hull = dynamic_cast<const Hull*>(dual_base.get());
-  if (dual_hull == nullptr) throw Error("a convex hull could not be rounded");
+  if (dual_hull == nullptr)
+    throw Refusal("A convex hull cannot be rounded", "a hull with a volume", "a flat or very thin one",
+                  "Make the mesh thicker, or replace it by a box");
   Points vertices = std::make_shared<std::vector<coal::Vec3s>>();
   for (unsigned i = 0; i < dual_hull->num_polygons; ++i) {
     const coal::Triangle& face = (*dual_hull->polygons)[i];

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
+from contactvi.errors import SceneError
 from contactvi.playback import animation, lines, shapes, visuals
 from contactvi.playback.page import make_html
 from helpers.line_scenes import hung_ball
@@ -114,5 +115,5 @@ def test_a_stored_run_keeps_lines_that_functions_drive(ball, tmp_path):
 @pytest.mark.parametrize("sizes", [[0.0], [0.0, 1.0, 1.0], []])
 def test_a_damaged_line_is_refused(ball, sizes):
     data = lines_of(ball)["string"].to_dict() | {"sizes": sizes}
-    with pytest.raises(ValueError, match="line"):
+    with pytest.raises(SceneError, match="line"):
         visuals.Visual.from_dict(data)

@@ -274,3 +274,25 @@ class TestModels:
 def test_no_such_scene_file(name: str):
     with pytest.raises((SceneError, InputError)):
         load_scene(MODELS / name if name else name)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "section"),
+    [
+        ("r.urdf", "<robot name='r'><link name='a'/></robot>", "urdf"),
+        ("r.xml", "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "mjcf"),
+        ("r.toml", "\n<robot name='r'><link name='a'/></robot>", "urdf"),
+    ],
+)
+def test_a_model_in_the_place_of_a_scene_gets_the_scene_that_loads_it(tmp_path: Path, name, text, section):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SceneError, match=rf"{name} is a model, not a scene: expected a scene file") as caught:
+        load_scene(tmp_path / name)
+    said, lines = caught.value.remedy.split("\n\n", 1)
+    file = tmp_path / said.split()[4]
+    assert not file.exists()
+    assert f"[[{section}]]" in lines
+    file.write_text(lines)
+    scene = load_scene(file)
+    assert len(scene.report.parts) == 1
+    assert scene.settings == {"dt": 1e-3, "duration": 1.0}

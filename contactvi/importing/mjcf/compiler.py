@@ -56,7 +56,7 @@ def compile_file(mujoco: Any, file: Path, report: PartReport) -> Any:
             path=file,
             expected="a model that MuJoCo loads",
             got=reason,
-            remedy="Correct the file; a part of a model is loaded through the file that includes it",
+            remedy="Correct it where the message says; a part of a model is loaded through the file that includes it",
         ) from None
 
 

@@ -102,7 +102,7 @@ def starts(result: SimpleNamespace) -> list[tuple]:
 
 def assert_lawful(result: SimpleNamespace, label: str, rng: np.random.Generator) -> None:
     """Numbers, gaps, impacts, energy."""
-    from contactvi._core import CoreError
+    from contactvi.errors import EngineError
 
     core, log = result.scene.core(), result.log
     assert result.code in (SUCCESS, ZENO, TOO_MANY), (label, result.message)
@@ -131,7 +131,7 @@ def assert_lawful(result: SimpleNamespace, label: str, rng: np.random.Generator)
                 if part * (end - t) > 1e-9:
                     try:
                         inside = core.step(q, p, part * (end - t), None, 1e-13, order=result.order)[0]
-                    except CoreError:  # the run has start values from the step before, this has none
+                    except EngineError:  # the run has start values from the step before, this has none
                         continue
                     gap = np.min(core.gaps(inside)[0])
                     assert gap >= -1e-9, (label, t, part, gap)
