@@ -151,15 +151,13 @@ def lost(scene: cvi.Scene) -> list[str]:
     found: Counter[str] = Counter()
     for note in scene.report.all_notes("ignored"):
         reason = re.split(r"[:(]", note.text)[0].strip()
-        if note.topic == "option":
-            found[f"option {note.name}"] += 1
-        elif note.topic == "element":
+        if note.topic in ("option", "element"):
             found[note.name] += 1
         elif note.topic == "sensor":
             found["sensors"] += int(note.name)
         else:
             found[f"{note.topic}: {reason}"] += 1
-    return [name if count == 1 and name[:1] in "<o" else f"{count} {name}" for name, count in found.items()]
+    return [f"{name} ({count})" if count > 1 else name for name, count in found.items()]
 
 
 def counts(scene: cvi.Scene) -> dict[str, int]:
