@@ -1,19 +1,19 @@
 """What the import makes of the model files of other packages, beside MuJoCo's and Pinocchio's own numbers.
 
-    python benchmarks/import_tables.py [--only mjcf|urdf] [--match TEXT] [--limit 120] [--json]
+    python benchmarks/import_tables.py [--only mjcf|urdf] [--match TEXT] [--limit 200] [--full] [--json]
 
-Needs mujoco, gymnasium and dm_control (`pip install "contactvi[test]"`). The comparisons are those of the tests, so that
-it runs from the source tree. Times are those of the engine.
+Needs mujoco, gymnasium and dm_control (`pip install "contactvi[test]"`). The comparisons are those of the tests: it runs
+from the source tree. Times are those of the engine.
 
 - mjcf: every XML of gymnasium and dm_control. Of those that load the largest differences to MuJoCo's model at random
   states: of the mass, the mass matrix, bias forces with gravity, places of geoms, ranges of joints (all relative, or in
   m and rad), and of how many pairs of geoms that MuJoCo tests; a run of 1 s at dt = 1e-3 s from the file's start, free
   bodies raised where they overlap with something.
 - urdf: every URDF of example-robot-data, with the SRDF of its package. Of those that load the largest differences to
-  Pinocchio's model: of the mass, the engine's mass matrix, bias forces with gravity, the engine's gravity, joint limits;
-  how many pairs of links overlap in the first pose of the SRDF (scene.disable_overlapping takes them out), and how many
-  joints are beyond their limits there (which are switched off); a run of 0.2 s at dt = 1e-3 s from this pose without
-  motors, robots with a free base dropped from 5 cm above a floor.
+  Pinocchio's model: of the mass, the engine's mass matrix, bias forces with gravity, the engine's gravity, limits of
+  joints; how many pairs of links overlap in the first pose of the SRDF (scene.disable_overlapping takes them out), and
+  how many joints are beyond their limits there (which are switched off); a run of 0.2 s at dt = 1e-3 s from this pose
+  without motors, robots with a free base dropped from 5 cm above a floor.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ import numpy as np
 import contactvi as cvi
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from helpers import mjcf_files, mujoco_oracle, robot_files  # noqa: E402
+from helpers import mjcf_files, mujoco_oracle, robot_files
 
 Row = dict[str, Any]
 MJCF_SPAN, URDF_SPAN, STEP = 1.0, 0.2, 1e-3  # [s]
@@ -80,7 +80,7 @@ def mjcf_row(path: Path, limit: float) -> Row:
     m = mujoco.MjModel.from_xml_path(str(path))
     row |= {"dofs": scene.nv, "lost": lost(scene), "counts": counts(scene)}
     if m.nbody > 1:
-        row |= vars(mujoco_oracle.differences(scene, m))
+        row |= with_largest(vars(mujoco_oracle.differences(scene, m)))
     row["pairs"], row["other_pairs"] = mjcf_files.pairs(scene, m)
     return row | run(scene, mjcf_files.lifted(scene), MJCF_SPAN, limit)
 
@@ -95,7 +95,7 @@ def urdf_row(path: Path, limit: float) -> Row:
     except cvi.ContactviError as error:
         return row | {"refused": refusal(error)}
     row |= {"dofs": scene.nv, "lost": lost(scene), "counts": counts(scene), "pairs": len(scene.pair_names)}
-    row |= vars(robot_files.differences(scene, path, options))
+    row |= with_largest(vars(robot_files.differences(scene, path, options)))
     poses = scene.named_configurations
     row["poses"] = list(poses)
     q = next(iter(poses.values()))[0] if poses else scene.neutral()
@@ -110,6 +110,10 @@ def urdf_row(path: Path, limit: float) -> Row:
     except cvi.ContactviError as error:
         return row | {"status": refusal(error)}
     return row | run(scene, q, URDF_SPAN, limit)
+
+
+def with_largest(differences: dict[str, float]) -> Row:
+    return {**differences, "largest": max(differences.values())}
 
 
 def above_a_floor(scene: cvi.Scene, q: np.ndarray) -> np.ndarray:
@@ -166,34 +170,42 @@ def counts(scene: cvi.Scene) -> dict[str, int]:
 
 
 # --- the tables -------------------------------------------------------------------------------------------------------
-def mjcf_table(rows: list[Row]) -> list[str]:
-    head = ("file", "dofs", "mass", "M(q)", "bias", "places", "ranges", "pairs: MuJoCo's, other", "1 s", "engine s",
-            "not represented")  # fmt: skip
-    keys = ("mass", "matrix", "bias", "places", "ranges")
-    cells = [
-        [
-            f"`{row['file']}`", str(row["dofs"]), *(number(row.get(key)) for key in keys),
-            f"{row['pairs']}, {row['other_pairs']}", row["status"], number(row.get("seconds")), missing(row),
-        ]
-        for row in rows if "refused" not in row
-    ]  # fmt: skip
-    return [*markdown(head, cells), "", *refused(rows), "", summary(rows, keys)]
+MJCF_KEYS = {"mass": "mass", "matrix": "M(q)", "bias": "bias", "places": "places", "ranges": "ranges"}
+URDF_KEYS = {"mass": "mass", "matrix": "M(q)", "bias": "bias", "gravity": "gravity", "limits": "limits"}
 
 
-def urdf_table(rows: list[Row]) -> list[str]:
-    head = ("file", "base", "dofs", "poses", "overlaps, beyond limits", "mass", "M(q)", "bias", "gravity", "limits",
-            "0.2 s", "engine s", "not represented")  # fmt: skip
-    keys = ("mass", "matrix", "bias", "gravity", "limits")
+def mjcf_table(rows: list[Row], full: bool) -> list[str]:
+    keys = MJCF_KEYS if full else {"largest": "difference"}
+    head = ("file", "dofs", *keys.values(), "pairs", "1 s", "not represented")
+    cells = []
+    for row in rows:
+        if "refused" not in row:
+            other = f" ({row['other_pairs']} differ)" if row["other_pairs"] else ""
+            cells.append([
+                f"`{row['file']}`", str(row["dofs"]), *(number(row.get(key)) for key in keys), f"{row['pairs']}{other}",
+                ending(row), missing(row),
+            ])  # fmt: skip
+    return [*markdown(head, cells), "", *refused(rows), "", summary(rows, list(MJCF_KEYS))]
+
+
+def urdf_table(rows: list[Row], full: bool) -> list[str]:
+    keys = URDF_KEYS if full else {"largest": "difference"}
+    head = ("file", "base", "dofs", "poses", "overlaps, beyond", *keys.values(), "pairs", "0.2 s", "not represented")
     cells = []
     for row in rows:
         if "refused" not in row:
             given = "".join(f", {name}={value}" for name, value in row["given"].items())
             cells.append([
                 f"`{row['file']}`{given}", row["base"], str(row["dofs"]), ", ".join(row["poses"]) or "-",
-                f"{row['overlaps']}, {len(row['beyond'])}", *(number(row.get(key)) for key in keys), row["status"],
-                number(row.get("seconds")), missing(row),
+                f"{row['overlaps']}, {len(row['beyond'])}", *(number(row.get(key)) for key in keys), str(row["pairs"]),
+                ending(row), missing(row),
             ])  # fmt: skip
-    return [*markdown(head, cells), "", *refused(rows), "", summary(rows, keys)]
+    return [*markdown(head, cells), "", *refused(rows), "", summary(rows, list(URDF_KEYS))]
+
+
+def ending(row: Row) -> str:
+    """The engine's time of a run that came to its end, else how it ended."""
+    return f"{row['seconds']:.2g} s" if row["status"] == "SUCCESS" else row["status"]
 
 
 def markdown(head: tuple[str, ...], rows: list[list[str]]) -> list[str]:
@@ -214,13 +226,13 @@ def number(value: float | None) -> str:
     return "-" if value is None or math.isnan(value) else f"{value:.1e}" if value else "0"
 
 
-def summary(rows: list[Row], keys: tuple[str, ...]) -> str:
+def summary(rows: list[Row], keys: list[str]) -> str:
     """One line: how many load, run, and the largest differences."""
     loaded = [row for row in rows if "refused" not in row]
     moving = [row for row in loaded if row["dofs"]]
     worst = ", ".join(f"{key} {number(max((row.get(key, 0.0) for row in loaded), default=0.0))}" for key in keys)
-    other = sum(row.get("other_pairs", 0) for row in loaded)
-    pairs = f", {other} other pairs" if "other_pairs" in "".join(map(str, loaded[:1])) else ""
+    other = [row["other_pairs"] for row in loaded if "other_pairs" in row]
+    pairs = f", {sum(other)} pairs that differ" if other else ""
     ended = sum(row["status"] == "SUCCESS" for row in moving)
     return (
         f"{len(loaded)} of {len(rows)} files load, {ended} of the {len(moving)} with something that moves run to the "
@@ -232,28 +244,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=("mjcf", "urdf"), help="one of the two tables; by default both")
     parser.add_argument("--match", default="", help="files whose path holds this text")
-    parser.add_argument("--limit", type=float, default=120.0, help="wall time of one run [s]")
+    parser.add_argument("--limit", type=float, default=200.0, help="wall time of one run [s]")
+    parser.add_argument("--full", action="store_true", help="every difference instead of the largest one")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
     args = parser.parse_args()
     kinds = {"mjcf": (mjcf_files.files, mjcf_row, mjcf_table), "urdf": (robot_files.files, urdf_row, urdf_table)}
-    found: dict[str, list[Row]] = {}
+    found: dict[str, list[Row]] = {kind: [] for kind in kinds if args.only in (None, kind)}
     before = Path.cwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)  # MuJoCo writes its warnings to a file in the working folder
-        for kind, (files, measure, _) in kinds.items():
-            if args.only in (None, kind):
-                found[kind] = []
-                for path in files():
-                    if args.match in str(path):
-                        found[kind].append(measure(path, args.limit))
-                        row = found[kind][-1]
-                        print(row["file"], row.get("refused", row.get("status")), file=sys.stderr, flush=True)
+        for kind, rows in found.items():
+            files, measure, _ = kinds[kind]
+            for path in [path for path in files() if args.match in str(path)]:
+                rows.append(measure(path, args.limit))
+                print(path.name, rows[-1].get("refused", rows[-1].get("status")), file=sys.stderr, flush=True)
         os.chdir(before)
     if args.json:
         print(json.dumps(found, indent=1))
         return
     for kind, rows in found.items():
-        print("\n".join([*kinds[kind][2](rows), ""]))
+        print("\n".join([*kinds[kind][2](rows, args.full), ""]))
 
 
 if __name__ == "__main__":

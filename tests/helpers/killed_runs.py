@@ -8,20 +8,24 @@ A trial returns its findings, sentences that say what is wrong; an empty list is
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
+import os
 import random
 import resource
+import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import contactvi as cvi  # noqa: E402
-from helpers import commands, run_scenes  # noqa: E402
+import contactvi as cvi
+from helpers import commands, run_scenes
 
 DURATIONS = (4.0, 6.0)  # [s] of the old run and of the new one, which tell them apart
 SIGNATURES = {".png": (b"\x89PNG", b"IEND\xaeB`\x82"), ".html": (b"<!", b"</html>")}
@@ -109,6 +113,26 @@ def kept_after_full(folder: Path, limit: int) -> list[str]:
     found = [f"{name}: {text}" for name, text in json.loads(out.splitlines()[-1]).items() if text]
     found += [f"{name} is no longer the old file" for name, data in old.items() if (folder / name).read_bytes() != data]
     return found + [f"{name} is left" for name in parts(folder)]
+
+
+@contextlib.contextmanager
+def small_disk(folder: Path) -> Iterator[bool]:
+    """Mount a disk with about 30 kB to spare on a folder; False where that is not allowed."""
+    mount, mounted = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)], False
+    if os.geteuid() == 0 and shutil.which("mount") is not None:
+        mounted = subprocess.run(mount, capture_output=True).returncode == 0
+    try:
+        if mounted:
+            (folder / "filler").write_bytes(bytes(30_000))
+        yield mounted
+    finally:
+        if mounted:
+            subprocess.run(["umount", str(folder)], check=True)
+
+
+def save_one(folder: Path) -> None:
+    """Save the shorter run undisturbed."""
+    _ball(DURATIONS[0]).save(folder / "trajectory.npz")
 
 
 def _ball(duration: float) -> cvi.Trajectory:

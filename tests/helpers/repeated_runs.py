@@ -1,6 +1,6 @@
 """A dozen runs of every kind and their digests: of one process in any order, of threads, of other processes.
 
-    python tests/helpers/repeated_runs.py         # prints {name: digests} as JSON, in a process of its own
+As a script it prints {name: digests} as JSON.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 import random
 import subprocess
 import sys
+import tempfile
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -21,10 +22,10 @@ import numpy as np
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import contactvi as cvi  # noqa: E402
-from contactvi.bench import heaps  # noqa: E402
-from helpers import forced_systems, run_scenes  # noqa: E402
-from helpers.digests import of_trajectory  # noqa: E402
+import contactvi as cvi
+from contactvi.bench import heaps
+from helpers import forced_systems, run_scenes
+from helpers.digests import of_trajectory
 
 Digests = dict[str, dict[str, Any]]
 ROOT = Path(__file__).resolve().parents[2]
@@ -99,8 +100,6 @@ def _controlled() -> cvi.Trajectory:
 
 
 def _mjcf() -> cvi.Trajectory:
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "ant.xml"
         path.write_text(ANT)

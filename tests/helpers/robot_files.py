@@ -1,4 +1,4 @@
-"""The URDF models of example-robot-data: what each needs to load, its poses, and how it compares with Pinocchio's own."""
+"""The URDF models of example-robot-data: what each needs to load, and how it compares with Pinocchio's own."""
 
 from __future__ import annotations
 
