@@ -2,8 +2,8 @@
 
     python benchmarks/import_tables.py [--only mjcf|urdf] [--match TEXT] [--limit 200] [--full] [--json]
 
-Needs mujoco, gymnasium and dm_control (`pip install "contactvi[test]"`). The comparisons are those of the tests: it runs
-from the source tree. Times are those of the engine.
+Needs mujoco, gymnasium and dm_control (`pip install "contactvi[test]"`), and runs from the source tree: the comparisons
+are those of the tests. Times are those of the engine.
 
 - mjcf: every XML of gymnasium and dm_control. Of those that load the largest differences to MuJoCo's model at random
   states: of the mass, the mass matrix, bias forces with gravity, places of geoms, ranges of joints (all relative, or in
@@ -185,7 +185,7 @@ def mjcf_table(rows: list[Row], full: bool) -> list[str]:
                 f"`{row['file']}`", str(row["dofs"]), *(number(row.get(key)) for key in keys), f"{row['pairs']}{other}",
                 ending(row), missing(row),
             ])  # fmt: skip
-    return [*markdown(head, cells), "", *refused(rows), "", summary(rows, list(MJCF_KEYS))]
+    return [*markdown(head, cells), *refused(rows), "", summary(rows, list(MJCF_KEYS))]
 
 
 def urdf_table(rows: list[Row], full: bool) -> list[str]:
@@ -200,7 +200,7 @@ def urdf_table(rows: list[Row], full: bool) -> list[str]:
                 f"{row['overlaps']}, {len(row['beyond'])}", *(number(row.get(key)) for key in keys), str(row["pairs"]),
                 ending(row), missing(row),
             ])  # fmt: skip
-    return [*markdown(head, cells), "", *refused(rows), "", summary(rows, list(URDF_KEYS))]
+    return [*markdown(head, cells), *refused(rows), "", summary(rows, list(URDF_KEYS))]
 
 
 def ending(row: Row) -> str:
@@ -214,7 +214,8 @@ def markdown(head: tuple[str, ...], rows: list[list[str]]) -> list[str]:
 
 
 def refused(rows: list[Row]) -> list[str]:
-    return markdown(("refused", "reason"), [[f"`{row['file']}`", row["refused"]] for row in rows if "refused" in row])
+    cells = [[f"`{row['file']}`", row["refused"]] for row in rows if "refused" in row]
+    return ["", *markdown(("refused", "reason"), cells)] if cells else []
 
 
 def missing(row: Row) -> str:
@@ -262,7 +263,7 @@ def main() -> None:
     if args.json:
         print(json.dumps(found, indent=1))
         return
-    for kind, rows in found.items():
+    for kind, rows in ((kind, rows) for kind, rows in found.items() if rows):
         print("\n".join([*kinds[kind][2](rows, args.full), ""]))
 
 
