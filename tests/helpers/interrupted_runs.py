@@ -144,9 +144,9 @@ def struck(sender: Sender, delay: float, call: Callable[[], Any]) -> tuple[Any, 
     """Call, with Ctrl-C after a delay: the result, the KeyboardInterrupt that the call raised, and the wall time [s]
     from the start of the call to the signal; None for a signal that came after the call."""
     result, error, ended, waited = None, None, None, False
-    sender.send(delay)
     began = time.perf_counter()
     try:
+        sender.send(delay)
         try:
             result = call()
         except KeyboardInterrupt as caught:
@@ -178,7 +178,7 @@ def of_runs(kind: str, count: int, seed: int) -> list[Trial]:
                     f"all is lost: KeyboardInterrupt after {moment:.2g} of {seconds:.2g} s in {place}"
                 )
         elif traj is None:
-            trial.outcome = "at the return"
+            trial.outcome = "before or after the call"
         elif traj.status.code == cvi.StatusCode.INTERRUPTED:
             trial.outcome = "INTERRUPTED"
             trial.findings += partial(traj, reference, "auto" in kind)
