@@ -141,7 +141,7 @@ class Sender:
 
 
 def struck(sender: Sender, delay: float, call: Callable[[], Any]) -> tuple[Any, BaseException | None, float | None]:
-    """Call, with Ctrl-C after a delay: the result, the KeyboardInterrupt that the call raised, and the wall time [s]
+    """Call, with Ctrl-C after a delay: the result, what the call raised, and the wall time [s]
     from the start of the call to the signal; None for a signal that came after the call."""
     result, error, ended, waited = None, None, None, False
     began = time.perf_counter()
@@ -149,7 +149,7 @@ def struck(sender: Sender, delay: float, call: Callable[[], Any]) -> tuple[Any, 
         sender.send(delay)
         try:
             result = call()
-        except KeyboardInterrupt as caught:
+        except (KeyboardInterrupt, Exception) as caught:
             error = caught
         ended = time.perf_counter()
         sender.wait()
@@ -170,7 +170,10 @@ def of_runs(kind: str, count: int, seed: int) -> list[Trial]:
     for share in shares(count, seed):
         traj, error, moment = struck(sender, share * seconds, lambda: call(steps))
         trial = Trial(kind, share, "")
-        if error is not None:
+        if error is not None and not isinstance(error, KeyboardInterrupt):
+            trial.outcome = type(error).__name__
+            trial.findings.append(f"{trial.outcome} in {_place(error)}: {str(error)[:200]}")
+        elif error is not None:
             place = _place(error)
             trial.outcome = "KeyboardInterrupt"
             if place and moment is not None and moment > STARTING:
