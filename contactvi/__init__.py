@@ -12,6 +12,7 @@ matplotlib.
 """
 
 import lazy_loader
+import numpy as _numpy  # noqa: F401  (before coal, which crashes where Ctrl-C stops its own import of NumPy)
 
 # The names stand in __init__.pyi, which type checkers and editors read too.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
