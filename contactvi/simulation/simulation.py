@@ -112,7 +112,7 @@ def simulate(
         else:
             traj = _run(compiled, settings, q0, v0, inputs, target, progress or None, throw, ctrl_c)
         dense = settings.contact_mode == "auto" and len(traj.dense_steps) > 0
-        if ctrl_c.pressed and traj.status.ok:  # between the end of the run and now
+        if ctrl_c.settle() and traj.status.ok:  # between the end of the run and now
             traj.status = Status.interrupted(traj.status.time)
         if throw and not traj.status.ok:
             broken = traj.status.code == StatusCode.LEDGER

@@ -135,7 +135,7 @@ class Simulator:
                 return run.step(forces, targets, progress)
             with held_back() as ctrl_c:
                 status = run.advance(steps, forces, targets, ctrl_c.watch(progress))
-                return run.interrupt() if ctrl_c.pressed else status
+                return run.interrupt() if ctrl_c.settle() else status
 
     @property
     def t(self) -> float:

@@ -324,7 +324,7 @@ class Ledger:
     def own_jump(self) -> Array:
         """Of the scalar that the map of the event conserves, against the reference of that map [J], shape (n,)."""
         explicit = (self.events.array("method") == METHODS.index("ctec")) | (
-            self.events.array("fallback") == Fallback.PERSISTENT
+            self.events.array("fallback") == int(Fallback.PERSISTENT)
         )
         return np.where(explicit, self.energy_jump, self.events.array("jump"))
 

@@ -133,8 +133,11 @@ class Sender:
         """Return when the signal was sent and has arrived; KeyboardInterrupt where it comes only now."""
         assert self.process.stdout is not None
         self.process.stdout.readline()
-        while not self.fired:
+        deadline = time.monotonic() + 2.0
+        while not self.fired and time.monotonic() < deadline:
             time.sleep(1e-3)
+        if not self.fired:  # it came in the last lines of a call, where nothing is left to be ended
+            self.fired.append(float("inf"))
 
     def close(self) -> None:
         self.process.kill()
