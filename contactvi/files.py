@@ -74,12 +74,12 @@ def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], obje
     return named
 
 
-def checked_path(path: object) -> Path:
-    """Return a path; raise InputError for what is none."""
+def checked_path(path: object, name: str = "path") -> Path:
+    """Return a path; raise InputError for what is none. name: of the argument."""
     text = os.fspath(path) if isinstance(path, (str, os.PathLike)) else ""
     if not text or not isinstance(text, str) or "\0" in text or not _encodable(text):
         raise InputError(
-            "Path of a file", name="path", expected="a non-empty str or Path", got=repr(path), remedy="Name a file"
+            "Path of a file", name=name, expected="a non-empty str or Path", got=repr(path), remedy="Name a file"
         )
     return Path(text)
 

@@ -96,6 +96,13 @@ def flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
+def callback(name: str, value: Any) -> Any:
+    """Return a function or None; raise InputError for anything else."""
+    if value is not None and not callable(value):
+        raise InputError(f"{name} is not usable", name=name, expected="a function or None", got=short(value))
+    return value
+
+
 def is_text(value: Any) -> bool:
     """Return whether a value is a str that is not empty and can be written in UTF-8 (without lone surrogates)."""
     return isinstance(value, str) and value != "" and value.encode("utf-8", "replace").decode("utf-8") == value
@@ -337,7 +344,7 @@ def _unit_part(model: pin.Model, index: int) -> slice:
 
 def tolerances(ledger: Any) -> dict[str, float] | None:
     """Return the checked tolerances of the ledger, None for none."""
-    if not ledger and (ledger is None or isinstance(ledger, Mapping)):
+    if ledger is None or (isinstance(ledger, Mapping) and not ledger):
         return None
     if not isinstance(ledger, Mapping):
         raise InputError(

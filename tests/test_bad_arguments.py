@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import contactvi as cvi
@@ -32,6 +33,21 @@ SCENE: dict[str, tuple[Callable[[cvi.Scene], object], str]] = {
     "iterations": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, max_iterations=10**30), "max_iterations"),
     "options": (lambda s: cvi.Options.from_dict(3), "settings"),
     "path": (lambda s: cvi.load_scene("a\0b"), "path"),
+    "no scene": (lambda s: cvi.simulate(3, duration=0.1, dt=1e-3), "scene"),
+    "nothing to step": (lambda s: cvi.Simulator(None, 1e-3), "scene"),
+    "nothing to step, no dt": (lambda s: cvi.Simulator("scene.toml"), "scene"),
+    "no scene of impacts": (lambda s: cvi.simultaneous_outcomes(3), "scene"),
+    "progress": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, progress=3), "progress"),
+    "progress of arrays": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, progress=np.eye(2)), "progress"),
+    "ledger": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, ledger=np.zeros(2)), "ledger"),
+    "folders": (lambda s: s.copy().add_urdf("a.urdf", package_dirs=3), "package_dirs"),
+    "folder": (lambda s: s.copy().add_urdf("a.urdf", package_dirs=[3]), "package_dirs"),
+    "pairs": (lambda s: cvi.simultaneous_outcomes(s, pairs=3), "pairs"),
+    "pair": (lambda s: cvi.simultaneous_outcomes(s, pairs=[3]), "pairs"),
+    "pair of lists": (lambda s: cvi.simultaneous_outcomes(s, pairs=[([], [])]), "pairs"),
+    "restitution": (lambda s: cvi.simultaneous_outcomes(s, pairs=[("ball", "ground")], e=[[1], [2, 3]]), "e"),
+    "speed": (lambda s: cvi.simulate(s, v0=np.full(6, 1.7e308), duration=0.1, dt=1e-3), "v0"),
+    "energy": (lambda s: cvi.simulate(s, v0=np.full(6, 1e160), duration=0.1, dt=1e-3, throw=False), "v0"),
     "run": (lambda s: cvi.Trajectory.load(3), "path"),
 }
 RUN: dict[str, tuple[Callable[[cvi.Trajectory], object], str]] = {
@@ -79,6 +95,13 @@ def test_of_a_scene_file(tmp_path: Path, text: str, says: str):
     file.write_text(text if text.startswith("x") else body + text)
     with pytest.raises(cvi.ContactviError, match=says):
         cvi.load_scene(file)
+
+
+def test_masses_that_cannot_be_divided_by_are_refused_at_the_start():
+    made = cvi.Scene()
+    made.add_sphere("ball", 0.1, mass=1e-310)
+    with pytest.raises(cvi.SceneError, match="not finite at rest"):
+        cvi.simulate(made, duration=0.1, dt=1e-3)
 
 
 def test_special_files_are_no_scenes():

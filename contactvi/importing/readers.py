@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
+from contactvi.files import checked_path
 from contactvi.importing.checks import (
     ONE_DOF,
     check_joints,
@@ -36,7 +37,7 @@ from contactvi.importing.paths import resolve_path
 from contactvi.importing.report import GeometryRow, PartReport
 from contactvi.importing.urdf import read_urdf
 from contactvi.importing.xml import numbers, read_xml
-from contactvi.inputs import flag, real
+from contactvi.inputs import flag, listed, real
 
 ROOT_JOINT = "root_joint"  # Pinocchio's name for the free-flyer of a free base
 
@@ -61,6 +62,8 @@ def import_urdf(
     if base not in ("fixed", "free"):
         raise InputError("Argument base", name="base", expected="'fixed' or 'free'", got=repr(base))
     mimic = flag("mimic", mimic)
+    for entry in listed("package_dirs", package_dirs, "folders"):
+        checked_path(entry, "package_dirs")
     file = resolve_path(path, folder, package_dirs)
     report = PartReport(f"{prefix}{file.stem}: URDF {file}, base {base}")
     with _reported(report, file):

@@ -290,8 +290,10 @@ def _track(name: str, kind: str, times: Array, values: Array, interpolation: int
 
 
 def _floats(values: Array) -> Any:
-    """Return numbers as meshcat packs a Float32Array."""
-    return umsgpack.Ext(mg.threejs_type(np.dtype(np.float32))[1], np.ascontiguousarray(values, np.float32).tobytes())
+    """Return numbers as meshcat packs a Float32Array; those beyond its range become the largest ones in it."""
+    most = float(np.finfo(np.float32).max)
+    single = np.ascontiguousarray(np.clip(values, -most, most), np.float32)
+    return umsgpack.Ext(mg.threejs_type(np.dtype(np.float32))[1], single.tobytes())
 
 
 def _matrix(poses: Poses) -> Array:

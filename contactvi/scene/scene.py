@@ -128,7 +128,7 @@ class Scene:
         Raises:
             SceneError, UnsupportedJointError, InputError
         """
-        dirs = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else list(package_dirs)
+        dirs = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         where = pose("placement", placement)
         part = import_urdf(
             path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import ConstraintError, DenseStepWarning, InputError, PenetrationError, SimulationError
+from contactvi.inputs import callback
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation import adaptive
 from contactvi.simulation.compatibility import check_elements, check_map
@@ -102,13 +103,14 @@ def simulate(
         _check_auto(compiled, "control" if control is not None else "target" if target is not None else None)
     steps = 0 if settings.auto else settings.steps
     inputs = control if control is None or callable(control) else compiled.states.forces(control, steps)
+    called = None if isinstance(progress, bool) else callback("progress", progress)
     if progress is True:
         from contactvi.progress import RunProgress
 
         with RunProgress(span) as bar:
             traj = _run(compiled, settings, q0, v0, inputs, target, bar, throw)
     else:
-        traj = _run(compiled, settings, q0, v0, inputs, target, progress or None, throw)
+        traj = _run(compiled, settings, q0, v0, inputs, target, called, throw)
     if throw and not traj.status.ok:
         broken = traj.status.code == StatusCode.LEDGER
         fact = "exceeds a tolerance of its ledger" if broken else "ended before its time"

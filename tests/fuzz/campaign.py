@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from fuzz.draws import Case
 
 COLUMNS = ("ran", "accepted", "refused", "foreign", "warned", "not finite", "crash", "hang")
 FINDINGS = COLUMNS[3:]
+SECONDS = 20.0  # of processor time that a case may take
 CHUNK = 500  # cases of one process
 WALL = 180.0  # [s] without a new case, after which a process is taken to wait for something that never comes
 
@@ -86,13 +88,26 @@ def head() -> str:
     return f"{'family':<12}{'cases':>9}" + "".join(f"{name:>11}" for name in COLUMNS) + f"{'accepted':>10}"
 
 
-def chunk(family: str, seed: int, count: int) -> Tally:
-    """Make `count` cases drawn from a seed, in one process and its successors; return what came of them."""
+def many(family: str, cases: int, seed: int = 0, jobs: int = 1) -> Tally:
+    """Make many cases, in `jobs` processes at a time; return what came of them."""
+    tally = Tally(family)
+    sizes = [min(CHUNK, cases - begin) for begin in range(0, cases, CHUNK)]
+    with ThreadPoolExecutor(jobs) as pool:
+        for part in pool.map(lambda k: chunk(family, 1_000_000 * seed + k, sizes[k]), range(len(sizes))):
+            tally.merge(part)
+    return tally
+
+
+def chunk(family: str, seed: int, count: int, seconds: float = SECONDS) -> Tally:
+    """Make `count` cases drawn from a seed, in one process and its successors; return what came of them.
+
+    seconds: of processor time after which a case hangs.
+    """
     tally = Tally(family)
     with tempfile.TemporaryDirectory(prefix="fuzz-", ignore_cleanup_errors=True) as place:
         folder, skip = Path(place), 0
         while True:
-            code = _run(family, seed, count, skip, folder)
+            code = _run(family, seed, count, skip, folder, seconds)
             left = folder / "case.json"
             for line in _lines(folder / "outcomes.jsonl"):
                 tally.add(line["outcome"], line["where"], line.get("details", ""), line.get("case"))
@@ -101,7 +116,9 @@ def chunk(family: str, seed: int, count: int) -> Tally:
                 return tally
             log = (folder / "log").read_text(errors="replace")[-3000:]
             if not left.is_file():
-                raise RuntimeError(f"the process of {family}, seed {seed} ended with {code} before its first case:\n{log}")
+                raise RuntimeError(
+                    f"the process of {family}, seed {seed} ended with {code} before its first case:\n{log}"
+                )
             last = json.loads(left.read_text())
             left.unlink()
             hung = code in (-signal.SIGPROF, None)
@@ -110,7 +127,7 @@ def chunk(family: str, seed: int, count: int) -> Tally:
             skip = last["number"]
 
 
-def _run(family: str, seed: int, count: int, skip: int, folder: Path) -> int | None:
+def _run(family: str, seed: int, count: int, skip: int, folder: Path, seconds: float) -> int | None:
     """Run a worker; return its exit code, None where it had to be ended because it waited."""
     import contactvi
 
@@ -118,7 +135,8 @@ def _run(family: str, seed: int, count: int, skip: int, folder: Path) -> int | N
     tests = str(Path(__file__).resolve().parents[1])
     paths = os.pathsep.join(filter(None, [package, tests, os.environ.get("PYTHONPATH")]))
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    command = [sys.executable, "-m", "fuzz.worker", family, str(seed), str(count), str(skip), str(folder)]
+    numbers = map(str, (seed, count, skip, seconds))
+    command = [sys.executable, "-m", "fuzz.worker", family, *numbers, str(folder)]
     environment = {**os.environ, **threads, "PYTHONPATH": paths, "MPLBACKEND": "agg", "TMPDIR": str(folder)}
     with open(folder / "log", "wb") as log:
         process = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=subprocess.STDOUT)
@@ -150,4 +168,6 @@ def _lines(file: Path) -> list[dict[str, Any]]:
     """Return the whole lines of a file; the last one may have been cut off."""
     if not file.is_file():
         return []
-    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines(keepends=True) if line.endswith("\n")]
+    return [
+        json.loads(line) for line in file.read_text(encoding="utf-8").splitlines(keepends=True) if line.endswith("\n")
+    ]

@@ -14,8 +14,20 @@ Point = tuple[float, float, float]
 TETRAHEDRON = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
 BOX = [(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)]
-BOX_FACES = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4),
-             (1, 5, 7), (1, 7, 3)]  # fmt: skip
+BOX_FACES = [
+    (0, 1, 3),
+    (0, 3, 2),
+    (4, 6, 7),
+    (4, 7, 5),
+    (0, 4, 5),
+    (0, 5, 1),
+    (2, 3, 7),
+    (2, 7, 6),
+    (0, 2, 6),
+    (0, 6, 4),
+    (1, 5, 7),
+    (1, 7, 3),
+]
 URDF = """<robot name="r"><link name="a"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry>
 <mesh filename="{file}" scale="{scale}"/></geometry></collision></link></robot>"""
@@ -77,7 +89,9 @@ def _damage(d: Draws, points: list[list[float]], faces: list[tuple[int, ...]]) -
     elif kind == 3 and len(faces) > 1:
         del faces[d.whole(0, len(faces) - 1)]
     elif kind == 4:
-        faces.append(tuple(d.pick((0, 1, len(points) - 1, -1, len(points), 10**6, 2**31)) for _ in range(d.whole(0, 5))))
+        faces.append(
+            tuple(d.pick((0, 1, len(points) - 1, -1, len(points), 10**6, 2**31)) for _ in range(d.whole(0, 5)))
+        )
     else:
         points += [list(point) for point in points]
 

@@ -10,20 +10,125 @@ from fuzz.draws import Case, Draws, damage_bytes, damage_xml, run_settings, xml_
 from fuzz.urdf_cases import CUBE, Element, sub, use
 
 TAGS = (
-    *("mujoco", "compiler", "option", "flag", "default", "asset", "mesh", "hfield", "worldbody", "body", "joint", "geom"),
-    *("freejoint", "inertial", "site", "equality", "connect", "weld", "distance", "tendon", "fixed", "spatial", "actuator"),
-    *("motor", "position", "velocity", "general", "intvelocity", "keyframe", "key", "contact", "exclude", "pair", "include"),
-    *("replicate", "frame", "attach", "composite", "flexcomp", "sensor", "size", "visual", "statistic", "custom", "plugin"),
+    *(
+        "mujoco",
+        "compiler",
+        "option",
+        "flag",
+        "default",
+        "asset",
+        "mesh",
+        "hfield",
+        "worldbody",
+        "body",
+        "joint",
+        "geom",
+    ),
+    *(
+        "freejoint",
+        "inertial",
+        "site",
+        "equality",
+        "connect",
+        "weld",
+        "distance",
+        "tendon",
+        "fixed",
+        "spatial",
+        "actuator",
+    ),
+    *(
+        "motor",
+        "position",
+        "velocity",
+        "general",
+        "intvelocity",
+        "keyframe",
+        "key",
+        "contact",
+        "exclude",
+        "pair",
+        "include",
+    ),
+    *(
+        "replicate",
+        "frame",
+        "attach",
+        "composite",
+        "flexcomp",
+        "sensor",
+        "size",
+        "visual",
+        "statistic",
+        "custom",
+        "plugin",
+    ),
     *("light", "camera", "material", "texture", "skin", "polycoef", "damper", "cylinder", "muscle", "adhesion", "x"),
 )
 KEYS = (
     *("name", "class", "childclass", "type", "size", "pos", "quat", "euler", "axisangle", "fromto", "mass", "density"),
-    *("friction", "solref", "solimp", "margin", "gap", "condim", "priority", "contype", "conaffinity", "range", "limited"),
-    *("stiffness", "damping", "armature", "frictionloss", "springref", "ref", "axis", "mesh", "file", "scale", "vertex"),
+    *(
+        "friction",
+        "solref",
+        "solimp",
+        "margin",
+        "gap",
+        "condim",
+        "priority",
+        "contype",
+        "conaffinity",
+        "range",
+        "limited",
+    ),
+    *(
+        "stiffness",
+        "damping",
+        "armature",
+        "frictionloss",
+        "springref",
+        "ref",
+        "axis",
+        "mesh",
+        "file",
+        "scale",
+        "vertex",
+    ),
     *("joint", "joint1", "joint2", "body1", "body2", "anchor", "polycoef", "relpose", "active", "kp", "kv", "gear"),
-    *("ctrlrange", "forcerange", "gravity", "timestep", "integrator", "cone", "angle", "coordinate", "eulerseq", "qpos"),
-    *("qvel", "ctrl", "time", "gravcomp", "mocap", "diaginertia", "fullinertia", "balanceinertia", "boundmass", "count"),
-    *("autolimits", "inertiafromgeom", "settotalmass", "springlength", "springdamper", "user", "group", "fluidshape", "x"),
+    *(
+        "ctrlrange",
+        "forcerange",
+        "gravity",
+        "timestep",
+        "integrator",
+        "cone",
+        "angle",
+        "coordinate",
+        "eulerseq",
+        "qpos",
+    ),
+    *(
+        "qvel",
+        "ctrl",
+        "time",
+        "gravcomp",
+        "mocap",
+        "diaginertia",
+        "fullinertia",
+        "balanceinertia",
+        "boundmass",
+        "count",
+    ),
+    *(
+        "autolimits",
+        "inertiafromgeom",
+        "settotalmass",
+        "springlength",
+        "springdamper",
+        "user",
+        "group",
+        "fluidshape",
+        "x",
+    ),
 )
 GEOMS = ("sphere", "box", "capsule", "cylinder", "ellipsoid", "mesh")
 
@@ -52,7 +157,17 @@ def model(d: Draws) -> Element:
     if d.chance(50):
         option = sub(root, "option", timestep=0.002, gravity=(0, 0, d.pick((-9.81, 0, 1))), density=d.pick((0, 0, 1.2)))
         if d.chance(30):
-            flags = ("contact", "limit", "gravity", "spring", "damper", "frictionloss", "equality", "actuation", "warmstart")
+            flags = (
+                "contact",
+                "limit",
+                "gravity",
+                "spring",
+                "damper",
+                "frictionloss",
+                "equality",
+                "actuation",
+                "warmstart",
+            )
             sub(option, "flag", **{d.pick(flags): d.pick(("enable", "disable"))})
     if d.chance(30):
         default = sub(root, "default")
@@ -133,7 +248,13 @@ def _rest(d: Draws, root: Element, bodies: int, joints: dict[str, str]) -> None:
         elif kind == "weld":
             sub(equality, kind, body1=first, **({"body2": last} if bodies > 1 else {}))
         elif names:
-            sub(equality, "joint", joint1=names[0], polycoef=(0, 1, 0, 0, 0), **({"joint2": n} if (n := names[-1]) != names[0] else {}))
+            sub(
+                equality,
+                "joint",
+                joint1=names[0],
+                polycoef=(0, 1, 0, 0, 0),
+                **({"joint2": n} if (n := names[-1]) != names[0] else {}),
+            )
     if d.chance(25):
         tendon = sub(root, "tendon")
         spatial = sub(tendon, "spatial", name="rope", stiffness=d.number(0, 100), damping=d.number(0, 1))

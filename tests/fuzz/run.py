@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -38,7 +37,7 @@ def main() -> int:
     broken = 0
     print(campaign.head(), flush=True)
     for family in chosen.families or families.NAMES:
-        tally = many(family, chosen.cases, chosen.seed, chosen.jobs)
+        tally = campaign.many(family, chosen.cases, chosen.seed, chosen.jobs)
         print(tally.row(), flush=True)
         for number, finding in enumerate(tally.findings.values(), 1):
             broken += 1
@@ -48,16 +47,6 @@ def main() -> int:
                 entry = {"family": family, "case": finding.case, "details": finding.details}
                 (chosen.output / f"{family}-{number}.json").write_text(json.dumps(entry, indent=1))
     return 1 if broken else 0
-
-
-def many(family: str, cases: int, seed: int, jobs: int) -> campaign.Tally:
-    """Return the tally of many cases."""
-    tally = campaign.Tally(family)
-    sizes = [min(campaign.CHUNK, cases - begin) for begin in range(0, cases, campaign.CHUNK)]
-    with ThreadPoolExecutor(jobs) as pool:
-        for part in pool.map(lambda k: campaign.chunk(family, 1_000_000 * seed + k, sizes[k]), range(len(sizes))):
-            tally.merge(part)
-    return tally
 
 
 def replay(file: Path) -> int:

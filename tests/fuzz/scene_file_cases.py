@@ -25,8 +25,8 @@ ARM = """<robot name="arm"><link name="base"/>
 <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
 <limit lower="-2" upper="2" effort="10" velocity="5"/></joint>
 <joint name="elbow" type="revolute"><origin xyz="0 0 -.5"/><parent link="upper"/><child link="lower"/>
-<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="10" velocity="5"/><dynamics damping="0.1" friction="0.2"/></joint>
-</robot>"""
+<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="10" velocity="5"/>
+<dynamics damping="0.1" friction="0.2"/></joint></robot>"""
 BOX_ON_A_SLIDE = """<mujoco model="cart"><worldbody><body name="cart" pos="0 3 1"><joint name="slide" type="slide"/>
 <geom type="box" size=".1 .1 .1"/></body></worldbody>
 <keyframe><key name="home" qpos="0.2" qvel="0.1"/></keyframe></mujoco>"""
@@ -49,8 +49,17 @@ def scene(d: Draws) -> dict[str, Any]:
     """Return the tables of a valid scene."""
     data: dict[str, Any] = {"scene": {"title": "t", "description": "d", "gravity": [0.0, 0.0, -9.81]}}
     data["urdf"] = [{"path": "arm.urdf", "xyz": [0.0, 0.0, 2.0], "rpy": [0.0, 0.0, 0.1], "limits": d.chance(80)}]
-    data["urdf"][0] |= _some(d, {"base": "fixed", "package_dirs": ["."], "srdf": "arm.srdf", "friction": True,
-                                 "mimic": True, "armature": d.pick((0.01, {"elbow": 0.1}))})  # fmt: skip
+    data["urdf"][0] |= _some(
+        d,
+        {
+            "base": "fixed",
+            "package_dirs": ["."],
+            "srdf": "arm.srdf",
+            "friction": True,
+            "mimic": True,
+            "armature": d.pick((0.01, {"elbow": 0.1})),
+        },
+    )
     if d.chance(15):
         data["mjcf"] = [{"path": "cart.xml", **_some(d, {"prefix": "m_", "restitution": "solref", "equality": False})}]
     data["sphere"] = [{"name": "ball", "radius": 0.1, "mass": 1.0, "xyz": [3.0, 0.0, 0.1], **_some(d, {"free": True})}]
@@ -63,26 +72,78 @@ def scene(d: Draws) -> dict[str, Any]:
             data.pop(name, None)
     bodies = [data[name][0]["name"] for name in ("sphere", "box", "capsule") if name in data]
     ends = [*bodies, "upper", "lower", "world"]
-    data["contact"] = {"restitution": d.number(0, 1), "friction": d.number(0, 1), **_some(d, {
-        "disable": [["upper", "lower"]], "enable": [["upper", "lower"]],
-        "body": [{"name": d.pick(ends[:-1]), "restitution": 0.2, "friction": 0.3}],
-        "pair": [{"a": "upper", "b": "lower", "restitution": 0.9, "friction": 0.1}]})}  # fmt: skip
-    data["joint"] = [{"name": d.pick(("elbow", "shoulder", "*e*")), **_some(d, {
-        "stiffness": 10.0, "rest": 0.1, "damping": 0.2, "limits": d.pick((True, False, [-1.0, 1.0])),
-        "restitution": 0.3, "friction": d.pick((True, 0.1)), "spring": [1.0, 0.0, 2.0], "armature": 0.01,
-        "gear_ratio": 10.0, "rotor_inertia": 1e-4})}]  # fmt: skip
+    data["contact"] = {
+        "restitution": d.number(0, 1),
+        "friction": d.number(0, 1),
+        **_some(
+            d,
+            {
+                "disable": [["upper", "lower"]],
+                "enable": [["upper", "lower"]],
+                "body": [{"name": d.pick(ends[:-1]), "restitution": 0.2, "friction": 0.3}],
+                "pair": [{"a": "upper", "b": "lower", "restitution": 0.9, "friction": 0.1}],
+            },
+        ),
+    }
+    data["joint"] = [
+        {
+            "name": d.pick(("elbow", "shoulder", "*e*")),
+            **_some(
+                d,
+                {
+                    "stiffness": 10.0,
+                    "rest": 0.1,
+                    "damping": 0.2,
+                    "limits": d.pick((True, False, [-1.0, 1.0])),
+                    "restitution": 0.3,
+                    "friction": d.pick((True, 0.1)),
+                    "spring": [1.0, 0.0, 2.0],
+                    "armature": 0.01,
+                    "gear_ratio": 10.0,
+                    "rotor_inertia": 1e-4,
+                },
+            ),
+        }
+    ]
     _elements(d, data, ends)
-    data["initial"] = _some(d, {"q": {"elbow": 0.3}, "v": {"shoulder": 0.4}, "springs_at_rest": False,
-                                "assemble": d.chance(30)})  # fmt: skip
+    data["initial"] = _some(
+        d, {"q": {"elbow": 0.3}, "v": {"shoulder": 0.4}, "springs_at_rest": False, "assemble": d.chance(30)}
+    )
     if bodies and d.chance(40):
-        data["initial"]["body"] = [{"name": bodies[0], "velocity": [1.0, 0.0, 0.0], "angular_velocity": [0.0, 1.0, 0.0],
-                                    **_some(d, {"xyz": [3.0, -3.0, 1.0], "quaternion": [0.0, 0.0, 0.0, 1.0]})}]  # fmt: skip
-    data["run"] = {"dt": d.pick((1e-3, 1e-2, "auto")), "duration": 0.02, **_some(d, {
-        "order": d.pick((2, 4, 16)), "tol": 1e-8, "impact": d.pick(("ctec", "dtec", "mhc")), "mhc_reference": "global",
-        "sample_dt": 1e-3, "record_every": 2, "dense": True, "dt_contact": 1e-3, "zeno": d.pick(("hold", "end")),
-        "support": "stiff", "contact_points": 3, "record_contacts": True, "max_iterations": 20,
-        "contact_mode": d.pick(("auto", "steps", "events")), "max_impacts_per_step": 100,
-        "ledger": {"own_jump": 1e-3}}, 15)}  # fmt: skip
+        data["initial"]["body"] = [
+            {
+                "name": bodies[0],
+                "velocity": [1.0, 0.0, 0.0],
+                "angular_velocity": [0.0, 1.0, 0.0],
+                **_some(d, {"xyz": [3.0, -3.0, 1.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}),
+            }
+        ]
+    data["run"] = {
+        "dt": d.pick((1e-3, 1e-2, "auto")),
+        "duration": 0.02,
+        **_some(
+            d,
+            {
+                "order": d.pick((2, 4, 16)),
+                "tol": 1e-8,
+                "impact": d.pick(("ctec", "dtec", "mhc")),
+                "mhc_reference": "global",
+                "sample_dt": 1e-3,
+                "record_every": 2,
+                "dense": True,
+                "dt_contact": 1e-3,
+                "zeno": d.pick(("hold", "end")),
+                "support": "stiff",
+                "contact_points": 3,
+                "record_contacts": True,
+                "max_iterations": 20,
+                "contact_mode": d.pick(("auto", "steps", "events")),
+                "max_impacts_per_step": 100,
+                "ledger": {"own_jump": 1e-3},
+            },
+            15,
+        ),
+    }
     return data
 
 
@@ -99,11 +160,14 @@ def _elements(d: Draws, data: dict[str, Any], ends: list[str]) -> None:
         "prescribe": {"joint": "elbow", "motion": motion},
         "spring": {"a": a, "b": b, "point_a": [0.0, 0.0, 0.2], **spring},
         "tape_spring": {"points": [[a, [0.0, 0.0, 0.1]], [b, [0.1, 0.0, 0.0]], ["world", [0.0, 0.0, 3.0]]], **spring},
-        "wrench": {"body": d.pick(ends[:-1]), "force": [1.0, 0.0, 0.0], **_some(d, {"torque": [0.0, 1.0, 0.0], "axes": "body",
-                                                                               "point": [0.0, 0.0, 0.1]})},
+        "wrench": {
+            "body": d.pick(ends[:-1]),
+            "force": [1.0, 0.0, 0.0],
+            **_some(d, {"torque": [0.0, 1.0, 0.0], "axes": "body", "point": [0.0, 0.0, 0.1]}),
+        },
         "servo": {"joint": "shoulder", "kp": 10.0, "kd": 1.0, **_some(d, {"effort": 5.0, "target": motion})},
         "actuator": {"joint": "elbow", **_some(d, {"effort": True, "velocity": 3.0})},
-    }  # fmt: skip
+    }
     for _ in range(d.pick((0, 1, 1, 2))):
         name = d.pick(list(elements))
         data.setdefault(name, []).append(elements[name])

@@ -21,7 +21,20 @@ from fuzz.scene_file_cases import ARM
 RUNS = ("bounce", "rest", "arm", "dense", "auto", "samples", "dtec")
 KINDS = ("f4", "i8", "c16", "U8", "O", "bool", "f2", ">f8", "u1", "M8[s]", "V8")
 TRICKS = ("twice", "folder", "compressed", "lies", "pickle", "fortran", "bomb", "encrypted", "comment", "empty", "npy")
-HEADER_KEYS = ("format", "schema", "options", "status", "scene", "visuals", "$array", "name", "joint", "code", "dt", "x")
+HEADER_KEYS = (
+    "format",
+    "schema",
+    "options",
+    "status",
+    "scene",
+    "visuals",
+    "$array",
+    "name",
+    "joint",
+    "code",
+    "dt",
+    "x",
+)
 
 
 def draw(d: Draws) -> Case:
@@ -31,7 +44,10 @@ def draw(d: Draws) -> Case:
         kind = d.pick(("number", "number", "number", "header", "header", "drop", "kind", "shape", "swap", "rows"))
         change: Case = {"do": kind, "entry": d.whole(0, 10**6)}
         if kind == "number":
-            change |= {"at": d.whole(0, 10**6), "value": d.pick(("near", "near", *EXTREME, "nan", "inf", "-inf", 3.0, 2.0**62))}
+            change |= {
+                "at": d.whole(0, 10**6),
+                "value": d.pick(("near", "near", *EXTREME, "nan", "inf", "-inf", 3.0, 2.0**62)),
+            }
         elif kind == "header":
             change["path"] = [d.whole(0, 99) for _ in range(400)] if d.chance(0) else d.whole(0, 2**31)
             change["words"] = HEADER_KEYS
@@ -110,18 +126,34 @@ def attempt(case: Case) -> bool:
 def look(traj: cvi.Trajectory) -> None:
     """Read everything of a run; what it has not is refused, what it has is finite."""
     law.check_run(traj)
-    repr(traj), traj.stepping, len(traj)  # noqa: B018
+    repr(traj), traj.stepping, len(traj)
     readers = (
-        lambda: traj.modified_energy, lambda: traj.impact_loss, lambda: traj.friction_loss, lambda: traj.work,
-        lambda: traj.gaps, lambda: traj.frames, lambda: traj.visuals, lambda: traj.constraints,
-        lambda: [traj.reactions(row.name) for row in traj.constraints], lambda: traj.at(0.5 * (traj.t[0] + traj.t[-1])),
-        lambda: traj.resample([traj.t[0], traj.t[-1]]), lambda: list(traj.events), lambda: list(traj.contacts),
-        lambda: list(traj.contact_changes), lambda: traj.contacts.at(float(traj.t[-1])), lambda: traj.dense_steps.worst(),
-        lambda: [traj.contacts.force_of(*pair) for pair in traj.contacts.pairs()], lambda: str(traj.scene.report),
-        lambda: traj.ledger.energy(), lambda: traj.ledger.energy_balance(), lambda: traj.ledger.own_jump(),
-        lambda: traj.ledger.impulse_balance, lambda: traj.ledger.gap, lambda: traj.to_html("page.html", fps=5.0),
+        lambda: traj.modified_energy,
+        lambda: traj.impact_loss,
+        lambda: traj.friction_loss,
+        lambda: traj.work,
+        lambda: traj.gaps,
+        lambda: traj.frames,
+        lambda: traj.visuals,
+        lambda: traj.constraints,
+        lambda: [traj.reactions(row.name) for row in traj.constraints],
+        lambda: traj.at(0.5 * (traj.t[0] + traj.t[-1])),
+        lambda: traj.resample([traj.t[0], traj.t[-1]]),
+        lambda: list(traj.events),
+        lambda: list(traj.contacts),
+        lambda: list(traj.contact_changes),
+        lambda: traj.contacts.at(float(traj.t[-1])),
+        lambda: traj.dense_steps.worst(),
+        lambda: [traj.contacts.force_of(*pair) for pair in traj.contacts.pairs],
+        lambda: str(traj.scene.report),
+        lambda: traj.ledger.energy,
+        lambda: traj.ledger.energy_balance,
+        lambda: traj.ledger.own_jump,
+        lambda: traj.ledger.impulse_balance,
+        lambda: traj.ledger.gap,
+        lambda: traj.to_html("page.html", fps=5.0),
         lambda: traj.save("again.npz"),
-    )  # fmt: skip
+    )
     for read in readers:
         with contextlib.suppress(cvi.ContactviError):
             read()
@@ -143,16 +175,28 @@ def _change(entries: dict[str, np.ndarray], change: Case) -> None:
     elif kind == "swap":
         entries[name] = entries[names[change["other"] % len(names)]]
     elif kind == "kind":
-        with contextlib.suppress(ValueError, TypeError):
+        with contextlib.suppress(ValueError, TypeError), np.errstate(all="ignore"):
             entries[name] = entries[name].astype(change["kind"])
     elif kind == "shape":
         values = entries[name]
-        entries[name] = (values[None], values.reshape(-1), values.T, values[..., None], values[:0] if values.ndim else values,
-                         np.zeros(()))[change["how"]]  # fmt: skip
+        entries[name] = (
+            values[None],
+            values.reshape(-1),
+            values.T,
+            values[..., None],
+            values[:0] if values.ndim else values,
+            np.zeros(()),
+        )[change["how"]]
     elif kind == "rows" and entries[name].ndim:
         values = entries[name]
-        entries[name] = (values[:-1], values[::-1], np.concatenate([values, values]), values[:1], values[1:],
-                         np.concatenate([values, values[:1]]))[change["how"]]  # fmt: skip
+        entries[name] = (
+            values[:-1],
+            values[::-1],
+            np.concatenate([values, values]),
+            values[:1],
+            values[1:],
+            np.concatenate([values, values[:1]]),
+        )[change["how"]]
     elif kind == "number" and entries[name].size and entries[name].dtype.kind in "fi":
         value = change["value"]
         flat = entries[name].reshape(-1)
@@ -167,7 +211,9 @@ def _archive(entries: dict[str, np.ndarray], trick: str | None) -> bytes:
     if trick == "npy":
         np.save(made, next(iter(entries.values()), np.zeros(1)), allow_pickle=True)
         return made.getvalue()
-    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED if trick in ("compressed", "bomb") else zipfile.ZIP_STORED) as file:
+    with zipfile.ZipFile(
+        made, "w", zipfile.ZIP_DEFLATED if trick in ("compressed", "bomb") else zipfile.ZIP_STORED
+    ) as file:
         for name, values in entries.items():
             array = io.BytesIO()
             np.save(array, np.asfortranarray(values) if trick == "fortran" else values, allow_pickle=True)

@@ -110,7 +110,9 @@ def _shape(d: Draws, holder: Element) -> None:
     elif kind == "cylinder":
         sub(geometry, "cylinder", radius=d.number(0.05, 0.5), length=d.number(0.05, 0.5))
     else:
-        sub(geometry, "mesh", filename=d.pick(("cube.obj", "package://./cube.obj", "./cube.obj")), scale=(0.1, 0.1, 0.1))
+        sub(
+            geometry, "mesh", filename=d.pick(("cube.obj", "package://./cube.obj", "./cube.obj")), scale=(0.1, 0.1, 0.1)
+        )
 
 
 def srdf_text(d: Draws) -> str:
@@ -122,7 +124,9 @@ def srdf_text(d: Draws) -> str:
     for k in range(d.whole(0, 3)):
         sub(state, "joint", name=f"joint_{k}", value=d.number(-1, 1))
     if d.chance(60):
-        damage_xml(d, root, ("robot", "group_state", "disable_collisions", "joint"), ("name", "value", "link1", "reason"))
+        damage_xml(
+            d, root, ("robot", "group_state", "disable_collisions", "joint"), ("name", "value", "link1", "reason")
+        )
     return xml_text(root)
 
 

@@ -1,8 +1,8 @@
 """A process that makes the cases of one family, so that a crash or a hang is a finding and not the end of the tests.
 
-    python -m fuzz.worker FAMILY SEED COUNT SKIP FOLDER
+    python -m fuzz.worker FAMILY SEED COUNT SKIP SECONDS FOLDER
 
-It draws COUNT cases from SEED and makes those after the first SKIP. Before each it writes to FOLDER/case.json which one
+It draws COUNT cases from SEED and makes those after the first SKIP, each within SECONDS of processor time. Before each it writes to FOLDER/case.json which one
 it is about to make; afterwards it adds a line to FOLDER/outcomes.jsonl.
 """
 
@@ -24,10 +24,9 @@ from fuzz.draws import Case, cases
 
 MEMORY = 4 * 2**30  # [bytes] of addresses: more is a finding, and must not be felt by the machine
 FILE_SIZE = 2**30  # [bytes]
-SECONDS = 20.0  # of processor time that a case may take
 
 
-def make(family: str, start: int, count: int, skip: int, folder: Path) -> None:
+def make(family: str, start: int, count: int, skip: int, seconds: float, folder: Path) -> None:
     """Draw the cases and make them."""
     module = families.load(family)
     done = 0
@@ -49,7 +48,7 @@ def make(family: str, start: int, count: int, skip: int, folder: Path) -> None:
                 return
             text = json.dumps(case)
             (folder / "case.json").write_text(json.dumps({"family": family, "number": done, "case": case}))
-            signal.setitimer(signal.ITIMER_PROF, SECONDS)  # what remains undone at its end is ended by the system
+            signal.setitimer(signal.ITIMER_PROF, seconds)  # what remains undone at its end is ended by the system
             outcome, where, details = in_empty_folder(module, json.loads(text))
             signal.setitimer(signal.ITIMER_PROF, 0.0)
             found = outcome not in (law.ACCEPTED, law.RAN, law.REFUSED)
@@ -84,4 +83,5 @@ def limit() -> None:
 if __name__ == "__main__":
     faulthandler.enable()  # to the log, where in Python a process crashed
     limit()
-    make(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]), Path(sys.argv[5]).resolve())
+    family, *numbers, seconds, folder = sys.argv[1:]
+    make(family, *map(int, numbers), float(seconds), Path(folder).resolve())
