@@ -123,7 +123,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError, SceneError
-from contactvi.files import checked_path, write_atomic
+from contactvi.files import as_a_path, checked_path, write_atomic
 from contactvi.options import Options
 from contactvi.playback.visuals import Visual
 from contactvi.records import codes, contacts, dense_steps
@@ -246,9 +246,10 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
         ContactviError: for a file that is missing, damaged, of another format or schema, or inconsistent.
     """
     path = checked_path(path)
-    if not path.is_file():
-        _refuse(path, "there is no such file")
-    _check_size(path)
+    with as_a_path(path):
+        if not path.is_file():
+            _refuse(path, "there is no such file")
+        _check_size(path)
     try:
         file = np.load(path, allow_pickle=False)
         if isinstance(file, np.ndarray):

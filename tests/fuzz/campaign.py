@@ -114,7 +114,7 @@ def chunk(family: str, seed: int, count: int, seconds: float = SECONDS) -> Tally
             (folder / "outcomes.jsonl").unlink(missing_ok=True)
             if code == 0:
                 return tally
-            log = (folder / "log").read_text(errors="replace")[-3000:]
+            log = (folder / "log").read_text(errors="replace")[-20_000:]
             if not left.is_file():
                 raise RuntimeError(
                     f"the process of {family}, seed {seed} ended with {code} before its first case:\n{log}"

@@ -209,6 +209,8 @@ def attempt(case: Case) -> bool:
     if scene.v0 is not None:
         law.check_numbers("v0", scene.v0)
     str(scene.report)
+    if law.nothing_moves(scene):
+        return False
     duration = few_steps(scene)
     if duration is None:
         return law.run_briefly(scene, case["run"])

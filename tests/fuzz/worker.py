@@ -2,8 +2,8 @@
 
     python -m fuzz.worker FAMILY SEED COUNT SKIP SECONDS FOLDER
 
-It draws COUNT cases from SEED and makes those after the first SKIP, each within SECONDS of processor time. Before each it writes to FOLDER/case.json which one
-it is about to make; afterwards it adds a line to FOLDER/outcomes.jsonl.
+It draws COUNT cases from SEED and makes those after the first SKIP, each within SECONDS of processor time. Before each
+it writes to FOLDER/case.json which one it is about to make; afterwards it adds a line to FOLDER/outcomes.jsonl.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import SceneError
+from contactvi.files import as_a_path
 from contactvi.importing.report import PartReport
 from contactvi.importing.xml import read_xml
 
@@ -93,7 +94,8 @@ def _check_files(file: Path) -> None:
         for name in (element.get("file", "") for element in root.iter("include")):
             # MuJoCo looks beside the main file.
             candidates = ((folder / name).resolve() for folder in (path.parent, file.parent))
-            inner = next((found for found in candidates if found.is_file()), None)
+            with as_a_path(name):
+                inner = next((found for found in candidates if found.is_file()), None)
             if inner is None:
                 raise SceneError(
                     f"{path.name}: no such include file",
