@@ -108,6 +108,13 @@ def is_text(value: Any) -> bool:
     return isinstance(value, str) and value != "" and value.encode("utf-8", "replace").decode("utf-8") == value
 
 
+def words(name: str, value: Any) -> str:
+    """Return a str, perhaps empty, that can be written in UTF-8; raise InputError for anything else."""
+    if not isinstance(value, str) or not (value == "" or is_text(value)):
+        raise InputError(f"{name} is not usable", name=name, expected="a str in UTF-8", got=short(value))
+    return str(value)
+
+
 def mapping(name: str, value: Any, meaning: str) -> Mapping[Any, Any]:
     """Return a mapping; raise InputError for anything else. meaning: of its keys and values."""
     if not isinstance(value, Mapping):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -42,6 +43,8 @@ SCENE: dict[str, tuple[Callable[[cvi.Scene], object], str]] = {
     "ledger": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, ledger=np.zeros(2)), "ledger"),
     "folders": (lambda s: s.copy().add_urdf("a.urdf", package_dirs=3), "package_dirs"),
     "folder": (lambda s: s.copy().add_urdf("a.urdf", package_dirs=[3]), "package_dirs"),
+    "prefix": (lambda s: s.copy().add_urdf("a.urdf", prefix=slice(1)), "prefix"),
+    "free": (lambda s: s.copy().add_sphere("a", 0.1, free=np.eye(2)), "free"),
     "pairs": (lambda s: cvi.simultaneous_outcomes(s, pairs=3), "pairs"),
     "pair": (lambda s: cvi.simultaneous_outcomes(s, pairs=[3]), "pairs"),
     "pair of lists": (lambda s: cvi.simultaneous_outcomes(s, pairs=[([], [])]), "pairs"),
@@ -54,6 +57,9 @@ RUN: dict[str, tuple[Callable[[cvi.Trajectory], object], str]] = {
     "on": (lambda t: t.contacts.on(3), "body"),
     "at": (lambda t: t.contacts.at("x"), "t"),
     "array": (lambda t: t.contacts.array("nothing"), "name"),
+    "view": (lambda t: cvi.view(t.scene, open_browser=False), "run"),
+    "title": (lambda t: t.to_html("a.html", title=3), "title"),
+    "arrows": (lambda t: t.to_html("a.html", forces=np.eye(2)), "forces"),
     "plot": (lambda t: cvi.plot(3), "traj"),
     "plot_forces": (lambda t: cvi.plot_forces(3), "traj"),
 }
@@ -101,6 +107,15 @@ def test_masses_that_cannot_be_divided_by_are_refused_at_the_start():
     made = cvi.Scene()
     made.add_sphere("ball", 0.1, mass=1e-310)
     with pytest.raises(cvi.SceneError, match="not finite at rest"):
+        cvi.simulate(made, duration=0.1, dt=1e-3)
+
+
+def test_far_points_have_a_distance_without_a_warning():
+    made = cvi.Scene()
+    made.add_sphere("ball", 0.1)
+    made.add_distance("ball", "world", point_a=(1e300, 0, 0))
+    with warnings.catch_warnings(), pytest.raises(cvi.ContactviError):
+        warnings.simplefilter("error")
         cvi.simulate(made, duration=0.1, dt=1e-3)
 
 

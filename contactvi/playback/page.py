@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
+from contactvi.inputs import flag, words
 from contactvi.playback.animation import Frames, Marker, Poses, frames_of, shown_impacts
 from contactvi.playback.animation import Run as AnimatedRun
 from contactvi.playback.force_arrows import Arrow, Forces, forces_of
@@ -84,8 +85,11 @@ def write_html(
 
 def make_html(run: Run, *, fps: float = 60.0, title: str = "", play: bool = True, forces: bool = True) -> str:
     """Return the text of the page; arguments as in `write_html`."""
-    if not isinstance(fps, (int, float)) or not 0 < fps < 1e6:
+    if not isinstance(fps, (int, float)) or isinstance(fps, bool) or not 0 < fps < 1e6:
         raise InputError("fps is not usable", name="fps", expected="frames per second of simulated time", got=repr(fps))
+    if not hasattr(run, "visuals"):
+        raise InputError("Argument run", name="run", expected="a Trajectory", got=type(run).__name__)
+    title, play, forces = words("title", title), flag("play", play), flag("forces", forces)
     frames = frames_of(run, float(fps))
     view = fit(run.visuals, frames)
     shown = forces_of(run, run.t[0] + frames.times) if forces else None
