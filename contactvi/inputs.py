@@ -36,6 +36,7 @@ _STEP_TOLERANCE = 1e-9  # relative; decimal input such as 0.1 / 1e-3 is off by a
 
 
 MOST = 2**31 - 1  # of the engine's whole numbers
+MOST_STEPS = 2**53  # above, doubles do not tell one number of steps from the next
 
 
 def real(
@@ -149,6 +150,8 @@ def short(value: Any) -> str:
 def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: str | None = None) -> Array:
     """Return `value` as a C-contiguous float array of this shape with finite numbers, or raise InputError."""
     try:
+        if np.iscomplexobj(value):
+            raise TypeError("complex numbers")
         result = np.array(value, dtype=float, order="C")
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
@@ -438,6 +441,11 @@ def check_whole(duration: float, dt: float) -> None:
     if not math.isfinite(ratio):
         raise InputError("duration / dt overflows", name="dt", expected="a finite number of steps", got=f"dt={dt!r}")
     steps = round(ratio)
+    if steps > MOST_STEPS:
+        raise InputError(
+            "duration has too many steps", name="duration", expected=f"at most {MOST_STEPS:g} of them",
+            got=f"{duration!r} / {dt!r} = {ratio:.12g}", remedy="Use a larger dt, or a shorter duration",
+        )  # fmt: skip
     if steps >= 1 and abs(ratio - steps) <= _STEP_TOLERANCE * max(1.0, ratio):
         return
     near = max(1, steps)

@@ -90,7 +90,9 @@ class Visual:
             raise ValueError(f"mesh {fields['name']!r} refers to vertices it does not have")
         shape, sizes = str(fields["shape"]), tuple(float(size) for size in fields["sizes"])
         placement = np.array(fields["placement"], dtype=float).reshape(4, 4)
-        count = max(2, len(vertices)) if shape == "line" else _COUNTS.get(shape)
+        count = len(vertices) if shape == "line" else _COUNTS.get(shape)
+        if shape == "line" and len(vertices) < 2:
+            raise ValueError(f"line {fields['name']!r} of fewer than two vertices")
         if count != len(sizes) or not (_finite(sizes) and _finite(placement) and _finite(vertices)):
             raise ValueError(f"shape {shape!r} with {len(sizes)} sizes, or numbers that are not finite")
         return cls(

@@ -318,8 +318,9 @@ def _shapes(body: Any) -> Iterable[str]:
     if isinstance(body, str):
         return (body,)
     shapes = getattr(body, "geometries", body)
-    if not isinstance(shapes, Iterable):
+    shapes = tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
+    if not all(isinstance(shape, str) for shape in shapes):
         raise InputError(
             "Argument body", name="body", expected="a name, several names, or a handle of the scene", got=repr(body)
         )
-    return tuple(shapes)
+    return shapes

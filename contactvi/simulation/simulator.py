@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import InputError, SimulationError
-from contactvi.inputs import callback
+from contactvi.inputs import MOST_STEPS, callback, short
 from contactvi.options import Options, SteppingOptions, merged
 from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
@@ -107,8 +107,8 @@ class Simulator:
         self, steps: int, tau: ArrayLike | None = None, progress: Progress | None = None, target: Any = None
     ) -> Status:
         """Make `steps` steps, tau of shape (steps, nv) or None; return the status. Ends early as `simulate` does."""
-        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 0:
-            raise InputError("Number of steps", name="steps", expected="a whole number >= 0", got=repr(steps))
+        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or not 0 <= steps <= MOST_STEPS:
+            raise InputError("Number of steps", name="steps", expected="a whole number >= 0", got=short(steps))
         forces = None if tau is None else self._scene.states.forces(tau, steps, "tau")
         return self._advance(steps, forces, target, callback("progress", progress))
 

@@ -138,7 +138,8 @@ class ContactLedger:
         guessed = new[first] & (h[first] > 0.0) & (h[second] > 0.0) & (log.array("mode")[second] == ContactMode.SLIP)
         first, second = first[guessed], second[guessed]
         before[first] += (slip[first] - slip[second]) * (h[first] / h[second])[:, None]
-        work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
+        with np.errstate(over="ignore", invalid="ignore"):  # work of huge numbers may be infinite
+            work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
         counts = (h > 0.0) & (log.array("kind") == GuardKind.CONTACT) & (log.array("dense") == 0)
         return np.where(counts, work.sum(axis=1) / 3.0, 0.0)
 
