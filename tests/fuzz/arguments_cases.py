@@ -304,7 +304,7 @@ OF_A_RUN = (
 
 def draw(d: Draws) -> Case:
     """Return a case: lines of Python."""
-    wrong = d.pick((0, 5, 5, 12, 30))
+    wrong = d.pick((0, 0, 3, 8, 25))
     lines = [_line(d, d.pick(SCENE), wrong) for _ in range(d.whole(0, 4))]
     if d.chance(60):
         lines.append(_line(d, d.pick(RUN), wrong))

@@ -12,7 +12,7 @@ import pytest
 
 from fuzz import campaign, families
 
-CASES, MANY = 150, 3000
+CASES, MANY = 120, 3000
 # Below, a family would test little but its first checks.
 LEAST_ACCEPTED = 0.1
 
