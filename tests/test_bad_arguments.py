@@ -5,8 +5,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import contactvi as cvi
@@ -61,6 +63,7 @@ SCENE: dict[str, tuple[Callable[[cvi.Scene], object], str]] = {
 RUN: dict[str, tuple[Callable[[cvi.Trajectory], object], str]] = {
     "on arrays": (lambda t: t.contacts.on(np.eye(2)), "body"),
     "on": (lambda t: t.contacts.on(3), "body"),
+    "at a huge number": (lambda t: t.at(10**400), "t"),
     "at": (lambda t: t.contacts.at("x"), "t"),
     "array": (lambda t: t.contacts.array("nothing"), "name"),
     "view": (lambda t: cvi.view(t.scene, open_browser=False), "run"),
@@ -114,6 +117,34 @@ def test_energies_that_overflow_at_rest_are_refused_at_the_start():
     made.add_sphere("ball", 0.1, mass=1e300, placement=(0, 0, 1e20))
     with pytest.raises(cvi.SceneError, match="not finite at rest"):
         cvi.simulate(made, duration=0.1, dt=1e-3)
+
+
+@pytest.mark.parametrize("value", [10**400, [10**400], [[1], [2, 3]], np.ones(1, dtype=complex), 1j, "a"])
+def test_of_what_functions_return(value: object):
+    """Of targets, motions and controls: ours, without a warning of NumPy's."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 1.0), pin.SE3.Identity())
+    hinge = cvi.Scene.from_pinocchio(model)
+    hinge.set_servo("hinge", 1.0, 1.0)
+    moved = cvi.Scene.from_pinocchio(model)
+    moved.prescribe("hinge", lambda t: value)
+    pushed = cvi.Scene.from_pinocchio(model)
+    pushed.add_force(lambda t, q, v: value, check=False)
+    run: dict[str, Any] = {"duration": 1e-3, "dt": 1e-3}
+    calls = (
+        lambda: cvi.simulate(hinge, target=value, **run),
+        lambda: cvi.simulate(hinge, target=lambda t: value, **run),
+        lambda: cvi.simulate(hinge, target={"hinge": lambda t: value}, **run),
+        lambda: cvi.simulate(hinge, control=lambda t, q, v: value, **run),
+        lambda: cvi.simulate(moved, **run),
+        lambda: cvi.simulate(pushed, **run),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for call in calls:
+            with pytest.raises(cvi.InputError):
+                call()
 
 
 def test_far_points_have_a_distance_without_a_warning():

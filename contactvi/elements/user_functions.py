@@ -51,8 +51,10 @@ def checked(
         UserFunctionError: not numbers, another shape, nan or inf.
     """
     try:
+        if np.iscomplexobj(value):
+            raise TypeError("complex numbers")
         array = np.array(value, dtype=float, order="C")
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = None
     if array is None or array.shape != shape:
         got = type(value).__name__ if array is None else f"shape {array.shape}"

@@ -91,20 +91,26 @@ class Targets:
     def _asked(self, target: Any, t: float) -> Array:
         value = called(target, "target", t, t)
         count = len(self.joints)
-        size = np.shape(value)[0] if np.ndim(value) == 1 else 0
+        try:
+            shape = np.shape(value)
+        except ValueError:  # lists of several lengths
+            shape = ()
+        size = shape[0] if len(shape) == 1 else 0
         if size not in (count, 2 * count):
             raise UserFunctionError(
                 f"target returned the wrong shape{at(t)}", function="target", time=t,
                 expected=f"shape ({count},) or ({2 * count},), one number per servo joint",
-                got=f"shape {np.shape(value)}",
+                got=f"shape {shape}",
             )  # fmt: skip
         return _with_rates(checked(value, "target", t, (size,), "positions of servo joints", self.joints), count)
 
     def _array(self, target: Any, steps: int) -> Array:
         count = len(self.joints)
         try:
+            if np.iscomplexobj(target):
+                raise TypeError("complex numbers")
             values = np.array(target, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             values = np.zeros((0, 0, 0))
         good = values.ndim in (1, 2) and values.shape[-1] in (count, 2 * count)
         if not good or (values.ndim == 2 and len(values) != steps):

@@ -179,7 +179,8 @@ class ContactLedger:
             sign = tree.signs[log.array("index")[inside]]
             np.add.at(pushed, node[inside], sign[:, None] * log.impulse[inside])
             rest = np.diff(momentum, axis=0, prepend=momentum[:1]) - tree.mass * weight - pushed
-            result = np.maximum(result, np.linalg.norm(rest, axis=1))
+            with np.errstate(over="ignore"):  # of huge numbers it may be infinite
+                result = np.maximum(result, np.linalg.norm(rest, axis=1))
         across = inside & (log.t < self._t[np.clip(node - 1, 0, None)] - slack)
         result[node[across]] = np.nan
         return result

@@ -335,7 +335,7 @@ def _line(d: Draws, template: str, wrong: int) -> str:
             )
         if word == "LONG":
             return d.pick(
-                ("0.0", "-1", "nan", "inf", "1e300", "10**400", "'a'", "None", "[1]", "True", "1e-300", "0.0105", "'1'")
+                ("0.0", "-1", "nan", "inf", "10**400", "'a'", "None", "[1]", "True", "1e-300", "0.0105", "'1'")
             )
         if word in ("DT", "SAMPLE"):
             return d.pick(
