@@ -188,16 +188,16 @@ def vector(name: str, value: Any, size: int) -> Array:
 def unit_vector(name: str, value: Any) -> Array:
     """Return the direction of a nonzero 3-vector, shape (3,)."""
     array = vector(name, value, 3)
-    length = float(np.linalg.norm(array))
-    if length < 1e-12:
-        raise InputError(f"Direction {name}", name=name, expected="a nonzero vector", got=str(array))
+    length = math.hypot(*array)  # which squares nothing: a huge vector has a direction too
+    if not 1e-12 <= length < math.inf:
+        raise InputError(f"Direction {name}", name=name, expected="a nonzero vector of finite length", got=str(array))
     return array / length
 
 
 def unit_quaternion(name: str, value: Any) -> Array:
     """Return a quaternion (x, y, z, w), which must have unit length to 1e-6, normalised."""
     array = vector(name, value, 4)
-    length = float(np.linalg.norm(array))
+    length = math.hypot(*array)
     if abs(length - 1.0) > UNIT_TOLERANCE:
         raise InputError(
             f"Quaternion {name}",
@@ -276,7 +276,7 @@ class States:
         result = array(name, q, (self.nq,), "one configuration", remedy)
         for part, joint in self._units:
             values = result[part]
-            norm = math.sqrt(float(values @ values))
+            norm = math.hypot(*values)
             if abs(norm - 1.0) > UNIT_TOLERANCE:
                 what = "quaternion (x, y, z, w)" if part.stop - part.start == 4 else "pair (cos, sin)"
                 raise InputError(

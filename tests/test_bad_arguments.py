@@ -147,6 +147,14 @@ def test_of_what_functions_return(value: object):
                 call()
 
 
+def test_a_huge_normal_is_a_direction():
+    made = cvi.Scene()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made.add_halfspace(normal=(0, 0, 1e300))
+    assert made.collision_model.geometryObjects[0].geometry.n.tolist() == [0.0, 0.0, 1.0]
+
+
 def test_far_points_have_a_distance_without_a_warning():
     made = cvi.Scene()
     made.add_sphere("ball", 0.1)
