@@ -9,7 +9,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -40,10 +40,8 @@ class CtrlC:
 
     def settle(self) -> bool:
         """Return whether Ctrl-C was pressed, after a last check."""
-        try:
+        with suppress(KeyboardInterrupt):
             self.check()
-        except KeyboardInterrupt:
-            pass
         return self.pressed
 
     def watch(self, progress: Callable[[float, int], object] | None) -> Callable[[float, int], None]:

@@ -201,7 +201,8 @@ class Ledger:
         persistent contacts, dense steps and impacts took.
         """
         known = self.undriven_energy + self.loss
-        return np.asarray(known - known[0])
+        with np.errstate(invalid="ignore"):  # of a stored run with infinite energies
+            return np.asarray(known - known[0])
 
     @cached_property
     def constraint_residual(self) -> Array:

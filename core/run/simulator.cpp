@@ -235,6 +235,7 @@ bool Simulator::end_failed_search(Search outcome, double time) {
 
 // The interval of one control step: steps as long as they can be, with the events in them.
 bool Simulator::advance_interval(double start, double length, const VecX& tau, Recording& recording) {
+  if (scene_->tree.nv == 0) return true;  // nothing moves
   Interval interval{start, length, 0.0, length, tau};
   const long halved = state_.control.halved;
   long parts = 0;
