@@ -1,13 +1,21 @@
 """Where the program `contactvi` starts: Ctrl-C ends it with the exit code 130, also while its modules are loaded."""
 
+import signal
 import sys
 
 
 def main() -> None:
     """Run the command line."""
+    pressed: list[bool] = []
+    former = signal.getsignal(signal.SIGINT)
+    if former is signal.default_int_handler:  # a module whose import is cut short may fail with another error, or crash
+        signal.signal(signal.SIGINT, lambda number, frame: pressed.append(True))
     try:
         from contactvi.commands.cli import app
 
+        signal.signal(signal.SIGINT, former)
+        if pressed:
+            raise KeyboardInterrupt
         app()
     except KeyboardInterrupt:
         sys.stderr.write("Aborted.\n")

@@ -350,7 +350,7 @@ def _of_process(
     if kind == "import contactvi":
         if code == 1 and last != ["KeyboardInterrupt"]:
             trial.findings.append(f"it ends with {last}")
-    elif "Traceback" in errors:
+    elif "Traceback" in errors and "entry.py" in errors:  # before its first line the program has no say
         where = [line.strip() for line in errors.splitlines() if line.strip().startswith("File")]
         trial.findings.append(f"a traceback, exit code {code}: {where[-1] if where else ''} {last}")
     return _with_file(trial, code, output)
