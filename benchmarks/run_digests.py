@@ -30,9 +30,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+from helpers.digests import digest, of_trajectory  # noqa: E402
+
 LIMIT = 60  # [s] of one random scene
 GROUPS = ("models", "examples", "verify", "battery", "forces")
 CONTACT_SEEDS = range(9000, 9018)  # of each of the eight families of the contact battery: 144 scenes
@@ -41,33 +42,6 @@ FORCE_SEEDS = range(9000, 9010)  # of each family of the battery with forces
 
 class TookTooLong(BaseException):
     """Raised by the alarm; no Exception, so that nothing on the way takes it for an error of its own."""
-
-
-def digest(arrays: list[Any]) -> str:
-    """Return the SHA-256 of arrays: types, shapes and bytes."""
-    found = hashlib.sha256()
-    for values in arrays:
-        array = np.ascontiguousarray(values)
-        found.update(f"{array.dtype.str}{array.shape}".encode())
-        found.update(array.tobytes())
-    return found.hexdigest()[:24]
-
-
-def of_trajectory(traj: Any) -> dict[str, Any]:
-    """Return the digests of one trajectory."""
-    forces = [] if traj.forces is None else [traj.forces.values, traj.forces.reactions]
-    return {
-        "status": traj.status.code.name,
-        "nodes": len(traj.t),
-        "time": digest([traj.t]),
-        "q": digest([traj.q]),
-        "p": digest([traj.p]),
-        "v": digest([traj.v]),
-        "events": digest(list(traj.events.arrays.values())),
-        "contacts": digest(list(traj.contacts.arrays.values())),
-        "changes": digest(list(traj.contact_changes.arrays.values())),
-        "forces": digest(forces),
-    }
 
 
 @contextlib.contextmanager
@@ -187,7 +161,6 @@ def limited(cvi: Any, scene: Any, drawn: Any) -> Any:
 
 def measure_group(group: str) -> None:
     """Print the digests of one group, a line of JSON each."""
-    sys.path.insert(0, str(ROOT / "tests"))
     output = sys.stdout
     for name, found in globals()[group]():
         print(json.dumps([name, found]), file=output, flush=True)

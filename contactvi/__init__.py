@@ -11,7 +11,15 @@ Every public name is loaded on first use, so that `import contactvi` stays quick
 matplotlib.
 """
 
+from typing import Any
+
 import lazy_loader
 
 # The names stand in __init__.pyi, which type checkers and editors read too.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    import numpy  # noqa: F401  (before coal, whose module crashes where Ctrl-C stops the import of NumPy it makes itself)
+
+    return _load(name)

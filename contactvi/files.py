@@ -9,11 +9,11 @@ import socket
 import stat
 import tempfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
 
-from contactvi.errors import InputError
+from contactvi.errors import ContactviError, InputError, SceneError
 
 
 def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], object]) -> Path:
@@ -74,14 +74,33 @@ def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], obje
     return named
 
 
-def checked_path(path: object) -> Path:
-    """Return a path; raise InputError for what is none."""
+def checked_path(path: object, name: str = "path") -> Path:
+    """Return a path; raise InputError for what is none. name: of the argument."""
     text = os.fspath(path) if isinstance(path, (str, os.PathLike)) else ""
     if not text or not isinstance(text, str) or "\0" in text or not _encodable(text):
         raise InputError(
-            "Path of a file", name="path", expected="a non-empty str or Path", got=repr(path), remedy="Name a file"
+            "Path of a file", name=name, expected="a non-empty str or Path", got=repr(path), remedy="Name a file"
         )
     return Path(text)
+
+
+@contextlib.contextmanager
+def as_a_path(name: object) -> Iterator[None]:
+    """Turn what the system says of a path that no file can have into a SceneError: too long, a loop, no such home."""
+    try:
+        yield
+    except ContactviError:
+        raise
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        shown = repr(str(name))
+        raise SceneError(
+            f"No file can be read at {shown if len(shown) <= 80 else shown[:77] + '...'}",
+            path=name,
+            expected="the path of a file",
+            got=reason[:200],
+            remedy="Give the path of a file that exists",
+        ) from error
 
 
 def _encodable(text: str) -> bool:

@@ -37,6 +37,7 @@ _STEP_TOLERANCE = 1e-9  # relative; decimal input such as 0.1 / 1e-3 is off by a
 
 MOST = 2**31 - 1  # of the engine's whole numbers
 LARGEST = 1e50  # of numbers that enter a product: energies have up to five factors, and doubles end at 1e308
+MOST_STEPS = 2**53  # above, doubles do not tell one number of steps from the next
 
 
 def real(
@@ -142,9 +143,31 @@ def _flag_remedy(value: Any) -> str:
     return "Write True or False; in a scene file true or false"
 
 
+def callback(name: str, value: Any) -> Any:
+    """Return a function or None; raise InputError for anything else."""
+    if value is not None and not callable(value):
+        raise InputError(
+            f"{name} is not usable",
+            name=name,
+            expected="a function or None",
+            got=short(value),
+            remedy="Give the function itself, without calling it",
+        )
+    return value
+
+
 def is_text(value: Any) -> bool:
     """Return whether a value is a str that is not empty and can be written in UTF-8 (without lone surrogates)."""
     return isinstance(value, str) and value != "" and value.encode("utf-8", "replace").decode("utf-8") == value
+
+
+def words(name: str, value: Any) -> str:
+    """Return a str, perhaps empty, that can be written in UTF-8; raise InputError for anything else."""
+    if not isinstance(value, str) or not (value == "" or is_text(value)):
+        raise InputError(
+            f"{name} is not usable", name=name, expected="a str in UTF-8", got=short(value), remedy="Write it in quotes"
+        )
+    return str(value)
 
 
 def mapping(name: str, value: Any, meaning: str) -> Mapping[Any, Any]:
@@ -190,18 +213,25 @@ def short(value: Any) -> str:
 # --- arrays and placements --------------------------------------------------------------------------------------------
 
 
+def real_numbers(value: Any) -> Array | None:
+    """Return a C-contiguous float array of what is given; None where it is not one of real numbers."""
+    try:
+        return None if np.iscomplexobj(value) else np.array(value, dtype=float, order="C")
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
 def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: str | None = None) -> Array:
     """Return `value` as a C-contiguous float array of this shape with numbers up to 1e50, or raise InputError."""
-    try:
-        result = np.array(value, dtype=float, order="C")
-    except (TypeError, ValueError, OverflowError) as error:
+    result = real_numbers(value)
+    if result is None:
         raise InputError(
             f"{name} is not an array of numbers",
             name=name,
             expected=f"{meaning}, shape {shape}",
             got=short(value),
             remedy="Give plain numbers in a list or a NumPy array, in rows of one length",
-        ) from error
+        )
     if result.shape != shape:
         if remedy is None:
             remedy = f"Give {shape[0]} numbers in one list" if len(shape) == 1 else f"Give an array of shape {shape}"
@@ -242,12 +272,12 @@ def vector(name: str, value: Any, size: int) -> Array:
 def unit_vector(name: str, value: Any) -> Array:
     """Return the direction of a nonzero 3-vector, shape (3,)."""
     array = vector(name, value, 3)
-    length = float(np.linalg.norm(array))
-    if length < 1e-12:
+    length = math.hypot(*array)  # which squares nothing: a huge vector has a direction too
+    if not 1e-12 <= length < math.inf:
         raise InputError(
             f"Direction {name}",
             name=name,
-            expected="a nonzero vector",
+            expected="a nonzero vector of finite length",
             got=str(array),
             remedy="Give a direction such as (0, 0, 1); its length does not matter",
         )
@@ -257,7 +287,7 @@ def unit_vector(name: str, value: Any) -> Array:
 def unit_quaternion(name: str, value: Any) -> Array:
     """Return a quaternion (x, y, z, w), which must have unit length to 1e-6, normalised."""
     array = vector(name, value, 4)
-    length = float(np.linalg.norm(array))
+    length = math.hypot(*array)
     if abs(length - 1.0) > UNIT_TOLERANCE:
         raise InputError(
             f"Quaternion {name}",
@@ -343,7 +373,7 @@ class States:
         result = array(name, q, (self.nq,), "one configuration", remedy)
         for part, joint in self._units:
             values = result[part]
-            norm = math.sqrt(float(values @ values))
+            norm = math.hypot(*values)
             if abs(norm - 1.0) > UNIT_TOLERANCE:
                 what = "quaternion (x, y, z, w)" if part.stop - part.start == 4 else "pair (cos, sin)"
                 raise InputError(
@@ -424,7 +454,7 @@ def _unit_part(model: pin.Model, index: int) -> slice:
 
 def tolerances(ledger: Any) -> dict[str, float] | None:
     """Return the checked tolerances of the ledger, None for none."""
-    if not ledger and (ledger is None or isinstance(ledger, Mapping)):
+    if ledger is None or (isinstance(ledger, Mapping) and not ledger):
         return None
     if not isinstance(ledger, Mapping):
         raise InputError(
@@ -526,6 +556,11 @@ def check_whole(duration: float, dt: float) -> None:
             remedy="Use a larger dt",
         )
     steps = round(ratio)
+    if steps > MOST_STEPS:
+        raise InputError(
+            "duration has too many steps", name="duration", expected=f"at most {MOST_STEPS:g} of them",
+            got=f"{duration!r} / {dt!r} = {ratio:.12g}", remedy="Use a larger dt, or a shorter duration",
+        )  # fmt: skip
     if steps >= 1 and abs(ratio - steps) <= _STEP_TOLERANCE * max(1.0, ratio):
         return
     near = max(1, steps)

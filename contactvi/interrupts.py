@@ -1,7 +1,7 @@
 """Ctrl-C that ends a run between two steps, so that nothing that was computed is lost.
 
 Python raises KeyboardInterrupt between any two instructions of the main thread: also between the return of the engine
-and the record of what it did. While Ctrl-C is held back it only sets a flag, which the run asks for.
+and the record of what it did. While Ctrl-C is held back it is kept, and handled where the run can end.
 """
 
 from __future__ import annotations
@@ -9,24 +9,40 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
+from typing import Any
 
 
 class CtrlC:
-    """Whether Ctrl-C was pressed while it was held back; pressed twice it is raised at once.
+    """Ctrl-C while it is held back: the signal handler is called where the run can end, by `check`.
 
     Attributes:
-        pressed: whether it was.
+        pressed: whether the handler has raised KeyboardInterrupt.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, handler: Callable[[int, FrameType | None], Any] | None = None) -> None:
         self.pressed = False
+        self._handler = handler
+        self._waiting: tuple[int, FrameType | None] | None = None
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt if Ctrl-C was pressed."""
+        """Call the signal handler if Ctrl-C was pressed; raise KeyboardInterrupt if it does so, now or before."""
+        waiting, self._waiting = self._waiting, None
+        if self._handler is not None and waiting is not None:
+            try:
+                self._handler(*waiting)
+            except KeyboardInterrupt:
+                self.pressed = True
+                raise
         if self.pressed:
             raise KeyboardInterrupt
+
+    def settle(self) -> bool:
+        """Return whether Ctrl-C was pressed, after a last check."""
+        with suppress(KeyboardInterrupt):
+            self.check()
+        return self.pressed
 
     def watch(self, progress: Callable[[float, int], object] | None) -> Callable[[float, int], None]:
         """Return a progress callback of a run that calls `progress` and ends the run after Ctrl-C."""
@@ -38,18 +54,19 @@ class CtrlC:
 
         return call
 
-    def _press(self, number: int, frame: FrameType | None) -> None:
-        if self.pressed:
-            signal.default_int_handler(number, frame)
-        self.pressed = True
+    def receive(self, number: int, frame: FrameType | None) -> None:
+        """Keep a signal until the next check; a second one is handled at once."""
+        if self._waiting is not None and self._handler is not None:
+            self._handler(number, frame)
+        self._waiting = (number, frame)
 
 
 @contextmanager
 def held_back() -> Iterator[CtrlC]:
-    """Hold Ctrl-C back; whoever asks for it has to look at `pressed` in the end.
+    """Hold Ctrl-C back; whoever asks for it has to `settle` in the end.
 
-    Within another `held_back` it is that one's. Signal handlers that are not Python's own stay as they are, and
-    threads other than the main one get no signals.
+    Within another `held_back` it is that one's. Threads other than the main one get no signals, and a process that
+    ignores them, or dies of them, goes on to do so.
     """
     if threading.current_thread() is not threading.main_thread():
         yield CtrlC()
@@ -58,11 +75,11 @@ def held_back() -> Iterator[CtrlC]:
     outer = getattr(former, "__self__", None)
     if isinstance(outer, CtrlC):
         yield outer
-    elif former is not signal.default_int_handler:
+    elif former is None or isinstance(former, (int, signal.Handlers)):
         yield CtrlC()
     else:
-        ctrl_c = CtrlC()
-        signal.signal(signal.SIGINT, ctrl_c._press)
+        ctrl_c = CtrlC(former)
+        signal.signal(signal.SIGINT, ctrl_c.receive)
         try:
             yield ctrl_c
         finally:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pinocchio as pin
 import pytest
 
 import contactvi as cvi
@@ -32,12 +36,39 @@ SCENE: dict[str, tuple[Callable[[cvi.Scene], object], str]] = {
     "iterations": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, max_iterations=10**30), "max_iterations"),
     "options": (lambda s: cvi.Options.from_dict(3), "settings"),
     "path": (lambda s: cvi.load_scene("a\0b"), "path"),
+    "no scene": (lambda s: cvi.simulate(3, duration=0.1, dt=1e-3), "scene"),
+    "nothing to step": (lambda s: cvi.Simulator(None, 1e-3), "scene"),
+    "nothing to step, no dt": (lambda s: cvi.Simulator("scene.toml"), "scene"),
+    "no scene of impacts": (lambda s: cvi.simultaneous_outcomes(3), "scene"),
+    "progress": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, progress=3), "progress"),
+    "progress of arrays": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, progress=np.eye(2)), "progress"),
+    "ledger": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, ledger=np.zeros(2)), "ledger"),
+    "folders": (lambda s: s.copy().add_urdf("a.urdf", package_dirs=3), "package_dirs"),
+    "folder": (lambda s: s.copy().add_urdf("a.urdf", package_dirs=[3]), "package_dirs"),
+    "prefix": (lambda s: s.copy().add_urdf("a.urdf", prefix=slice(1)), "prefix"),
+    "free": (lambda s: s.copy().add_sphere("a", 0.1, free=np.eye(2)), "free"),
+    "thin": (lambda s: s.copy().add_capsule("a", 1e-300, 0.3), "size"),
+    "large": (lambda s: s.copy().add_box("a", (1e200, 1, 1)), "size"),
+    "complex": (lambda s: cvi.simulate(s, v0=np.ones(6, dtype=complex), duration=0.1, dt=1e-3), "v0"),
+    "steps": (lambda s: cvi.simulate(s, duration=1e300, dt=1e-3), "duration"),
+    "steps of a simulator": (lambda s: cvi.Simulator(s, 1e-3).run(10**30), "steps"),
+    "pairs": (lambda s: cvi.simultaneous_outcomes(s, pairs=3), "pairs"),
+    "pair": (lambda s: cvi.simultaneous_outcomes(s, pairs=[3]), "pairs"),
+    "pair of lists": (lambda s: cvi.simultaneous_outcomes(s, pairs=[([], [])]), "pairs"),
+    "restitution": (lambda s: cvi.simultaneous_outcomes(s, pairs=[("ball", "ground")], e=[[1], [2, 3]]), "e"),
+    "speed": (lambda s: cvi.simulate(s, v0=np.full(6, 1.7e308), duration=0.1, dt=1e-3), "v0"),
+    "energy": (lambda s: cvi.simulate(s, v0=np.full(6, 1e160), duration=0.1, dt=1e-3, throw=False), "v0"),
     "run": (lambda s: cvi.Trajectory.load(3), "path"),
 }
 RUN: dict[str, tuple[Callable[[cvi.Trajectory], object], str]] = {
+    "on arrays": (lambda t: t.contacts.on(np.eye(2)), "body"),
     "on": (lambda t: t.contacts.on(3), "body"),
+    "at a huge number": (lambda t: t.at(10**400), "t"),
     "at": (lambda t: t.contacts.at("x"), "t"),
     "array": (lambda t: t.contacts.array("nothing"), "name"),
+    "view": (lambda t: cvi.view(t.scene, open_browser=False), "run"),
+    "title": (lambda t: t.to_html("a.html", title=3), "title"),
+    "arrows": (lambda t: t.to_html("a.html", forces=np.eye(2)), "forces"),
     "plot": (lambda t: cvi.plot(3), "traj"),
     "plot_forces": (lambda t: cvi.plot_forces(3), "traj"),
 }
@@ -79,6 +110,59 @@ def test_of_a_scene_file(tmp_path: Path, text: str, says: str):
     file.write_text(text if text.startswith("x") else body + text)
     with pytest.raises(cvi.ContactviError, match=says):
         cvi.load_scene(file)
+
+
+def test_energies_that_overflow_at_rest_are_refused_at_the_start():
+    made = cvi.Scene()
+    made.add_sphere("ball", 0.1, mass=1e300, placement=(0, 0, 1e20))
+    with pytest.raises(cvi.SceneError, match="not finite at rest"):
+        cvi.simulate(made, duration=0.1, dt=1e-3)
+
+
+@pytest.mark.parametrize("value", [10**400, [10**400], [[1], [2, 3]], np.ones(1, dtype=complex), 1j, "a"])
+def test_of_what_functions_return(value: object):
+    """Of targets, motions and controls: ours, without a warning of NumPy's."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 1.0), pin.SE3.Identity())
+    hinge = cvi.Scene.from_pinocchio(model)
+    hinge.set_servo("hinge", 1.0, 1.0)
+    moved = cvi.Scene.from_pinocchio(model)
+    moved.prescribe("hinge", lambda t: value)
+    pushed = cvi.Scene.from_pinocchio(model)
+    pushed.add_force(lambda t, q, v: value, check=False)
+    run: dict[str, Any] = {"duration": 1e-3, "dt": 1e-3}
+    calls = (
+        lambda: cvi.simulate(hinge, target=value, **run),
+        lambda: cvi.simulate(hinge, target=lambda t: value, **run),
+        lambda: cvi.simulate(hinge, target={"hinge": lambda t: value}, **run),
+        lambda: cvi.simulate(hinge, control=lambda t, q, v: value, **run),
+        lambda: cvi.simulate(moved, **run),
+        lambda: cvi.simulate(pushed, **run),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for call in calls:
+            with pytest.raises(cvi.InputError):
+                call()
+
+
+def test_a_huge_normal_is_a_direction():
+    made = cvi.Scene()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made.add_halfspace(normal=(0, 0, 1e300))
+    assert made.collision_model.geometryObjects[0].geometry.n.tolist() == [0.0, 0.0, 1.0]
+
+
+def test_far_points_have_a_distance_without_a_warning():
+    made = cvi.Scene()
+    made.add_sphere("ball", 0.1)
+    made.add_distance("ball", "world", point_a=(1e300, 0, 0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(cvi.ContactviError):
+            cvi.simulate(made, duration=0.1, dt=1e-3)
 
 
 def test_special_files_are_no_scenes():

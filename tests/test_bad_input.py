@@ -114,6 +114,7 @@ MJCFS = {
     "nothing": ("<mujoco/>", "nothing in it"),
     "no world": ("<mujoco><asset/></mujoco>", "nothing in it"),
     "two bodies of a name": (mujoco(body(), body()), "repeated name 'a'"),
+    "far place": (mujoco(body('<body><geom size="1"/><geom size="1" pos="0 0 1e200"/></body>')), "not finite"),
     "nan place": (mujoco(body(where='pos="nan 0 0"')), "finite"),
     "words for numbers": (mujoco(body(where='pos="a 0 0"')), "bad format in attribute 'pos'"),
     "too few numbers": (mujoco(body(where='pos="1 0"')), "pos"),

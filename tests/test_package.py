@@ -70,6 +70,19 @@ answer = [module for module in ("meshcat", "matplotlib") if module in sys.module
     assert run_python(code, tmp_path) == []
 
 
+def test_numpy_is_loaded_before_coal(tmp_path):
+    """The module of coal crashes where Ctrl-C stops the import of NumPy that it makes itself."""
+    code = """
+import sys
+import contactvi
+before = 'numpy' in sys.modules
+contactvi.Scene
+names = list(sys.modules)
+answer = [before, names.index('numpy') < names.index('coal')]
+"""
+    assert run_python(code, tmp_path) == [False, True]
+
+
 def test_version_is_that_of_the_metadata(distribution):
     assert contactvi.__version__ == distribution.version
     declared = re.search(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)

@@ -131,7 +131,7 @@ def run(
     settings = settings_of(scene, chosen)
     folder = output if output is not None else Path(scene_file.stem)
     _make_folder(folder)  # before the run: a long one must not fail when its files are written
-    with held_back():  # what was computed is written
+    with held_back() as ctrl_c:  # what was computed is written
         try:
             with RunProgress(settings.span, _err) as bar, warnings.catch_warnings():
                 for reported in (cvi.AccuracyWarning, cvi.DenseStepWarning):  # by the summary
@@ -142,6 +142,8 @@ def run(
         started = time.perf_counter()
         written = _write(traj, folder, scene_file.stem, fps if html else None, plot)
         _print_summary(traj, written, time.perf_counter() - started)
+    if traj.status.ok:
+        ctrl_c.check()
     if not traj.status.ok:
         raise typer.Exit(ENDED_EARLY)
 

@@ -175,8 +175,8 @@ class Signal:
 
     def _number(self, value: Any, t: float, part: str) -> float:
         try:
-            number = float(value)
-        except (TypeError, ValueError):
+            number = None if np.iscomplexobj(value) else float(value)
+        except (TypeError, ValueError, OverflowError):
             number = None
         if number is None or not np.isfinite(number):
             raise UserFunctionError(

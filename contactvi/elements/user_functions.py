@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import UserFunctionError
+from contactvi.inputs import real_numbers
 
 Array = NDArray[np.float64]
 Function = Callable[..., Any]
@@ -50,10 +51,7 @@ def checked(
     Raises:
         UserFunctionError: not numbers, another shape, nan or inf.
     """
-    try:
-        array = np.array(value, dtype=float, order="C")
-    except (TypeError, ValueError):
-        array = None
+    array = real_numbers(value)
     if array is None or array.shape != shape:
         got = type(value).__name__ if array is None else f"shape {array.shape}"
         raise UserFunctionError(

@@ -113,6 +113,8 @@ def shape_part(
             got=repr(name),
             remedy="Give it a name such as 'ball'",
         )
+    if inertia is not None:
+        _check_inertia(name, inertia)
     rgba = None if color is None else vector(f"color of {name!r}", color, 4)
     model = pin.Model()
     model.name = name
@@ -144,6 +146,16 @@ def shape_part(
         report.bodies.append(BodyRow(name, name, model.inertias[joint].mass))
     report.geometries.append(GeometryRow(name, name, describe(shape)))
     return part
+
+
+def _check_inertia(name: str, inertia: pin.Inertia) -> None:
+    """Raise InputError where the moments of inertia overflow, or vanish to rounding (of a rod as thin as 1e-160 m)."""
+    moments = np.diag(inertia.inertia)
+    if not np.all(np.isfinite(moments)) or float(moments.min()) < np.finfo(float).tiny:
+        raise InputError(
+            f"The moments of inertia of {name!r} are not usable", name="size", expected="finite numbers > 0",
+            got=f"{moments} kg m^2", remedy="Mind the units: m and kg",
+        )  # fmt: skip
 
 
 def _color(name: str, free: bool) -> Sequence[float]:

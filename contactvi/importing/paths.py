@@ -16,6 +16,7 @@ from urllib.parse import unquote
 from xml.etree import ElementTree
 
 from contactvi.errors import InputError, SceneError, nearest
+from contactvi.files import as_a_path
 
 ROBOT_DATA = "example-robot-data"
 _ENDINGS = (".urdf", ".xml", ".mjcf", ".toml")
@@ -62,6 +63,11 @@ def resolve_path(path: str | os.PathLike[str], base: Path | None = None, package
         InputError: not a path.
         SceneError: no such file, or a folder.
     """
+    with as_a_path(path):
+        return _path(path, base, package_dirs)
+
+
+def _path(path: str | os.PathLike[str], base: Path | None, package_dirs: Sequence[object]) -> Path:
     if not isinstance(path, (str, os.PathLike)) or not str(path):
         raise InputError(
             "Path of a file",
@@ -191,6 +197,11 @@ def resolve_resource(url: str, start: Path, package_dirs: Sequence[object] = ())
     Raises:
         SceneError: no such file; the message lists the folders that were tried.
     """
+    with as_a_path(url):
+        return _resource(url, start, package_dirs)
+
+
+def _resource(url: str, start: Path, package_dirs: Sequence[object]) -> Path:
     scheme, separator, rest = url.partition("://")
     tried: list[Path] = []
     if not separator:

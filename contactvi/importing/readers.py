@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
+from contactvi.files import checked_path
 from contactvi.importing.checks import (
     ONE_DOF,
     check_joints,
@@ -36,7 +37,7 @@ from contactvi.importing.paths import resolve_path
 from contactvi.importing.report import GeometryRow, PartReport
 from contactvi.importing.urdf import read_urdf
 from contactvi.importing.xml import numbers, read_xml
-from contactvi.inputs import flag, real
+from contactvi.inputs import flag, listed, real, words
 
 ROOT_JOINT = "root_joint"  # Pinocchio's name for the free-flyer of a free base
 
@@ -66,35 +67,37 @@ def import_urdf(
             got=repr(base),
             remedy="Use base='free' for a robot that can move away, base='fixed' for one that is bolted down",
         )
-    mimic = flag("mimic", mimic)
+    mimic, prefix = flag("mimic", mimic), words("prefix", prefix)
+    for entry in listed("package_dirs", package_dirs, "folders"):
+        checked_path(entry, "package_dirs")
     file = resolve_path(path, folder, package_dirs)
     report = PartReport(f"{prefix}{file.stem}: URDF {file}, base {base}")
     with _reported(report, file):
-        text = read_urdf(file, package_dirs, report, mimic)
+        urdf = read_urdf(file, package_dirs, report, mimic)
         report.prefix_names(prefix)
-        report.title = f"{prefix}{text.name}: URDF {file}, base {base}"
+        report.title = f"{prefix}{urdf.name}: URDF {file}, base {base}"
         if base == "free":
-            model = _parse(file, lambda: pin.buildModelFromXML(text.xml, pin.JointModelFreeFlyer(), ROOT_JOINT))
+            model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml, pin.JointModelFreeFlyer(), ROOT_JOINT))
         else:
-            model = _parse(file, lambda: pin.buildModelFromXML(text.xml))
-        collision = _parse(file, lambda: _geometry(model, text.xml, pin.GeometryType.COLLISION))
+            model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml))
+        collision = _parse(file, lambda: _geometry(model, urdf.xml, pin.GeometryType.COLLISION))
         _add_armature(model, armature, report, prefix)
         found = Srdf([], {}) if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report)
         part = Part(
-            name=prefix + text.name,
+            name=prefix + urdf.name,
             kind="urdf",
             model=model,
             collision=collision,
             start=neutral(model),
             report=report,
-            load_visual=lambda: _visual(file, lambda: _geometry(model, text.xml, pin.GeometryType.VISUAL), collision),
+            load_visual=lambda: _visual(file, lambda: _geometry(model, urdf.xml, pin.GeometryType.VISUAL), collision),
             prefix=prefix,
             placement=pin.SE3.Identity() if base == "free" else placement,
             disabled=found.pairs,
-            mimics=text.mimics,
+            mimics=urdf.mimics,
         )
         _finish(part, file.name)
-        part.data.elements += mimic_constraints(part, text.mimics, mimic)
+        part.data.elements += mimic_constraints(part, urdf.mimics, mimic)
     if base == "free":
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
     _configurations(part, found.states)
@@ -160,6 +163,7 @@ def import_mjcf(
     """
     if not (restitution is None or restitution == SOLREF):
         restitution = real("restitution", restitution, 0.0, 1.0)
+    prefix = words("prefix", prefix)
     report = opened.source.report
     with _reported(report, opened.path):
         part = part_of(

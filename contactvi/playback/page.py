@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
+from contactvi.inputs import flag, words
 from contactvi.playback.animation import Frames, Marker, Poses, frames_of, shown_impacts
 from contactvi.playback.animation import Run as AnimatedRun
 from contactvi.playback.force_arrows import Arrow, Forces, forces_of
@@ -85,7 +86,7 @@ def write_html(
 
 def make_html(run: Run, *, fps: float = 60.0, title: str = "", play: bool = True, forces: bool = True) -> str:
     """Return the text of the page; arguments as in `write_html`."""
-    if not isinstance(fps, (int, float)) or not 0 < fps < 1e6:
+    if not isinstance(fps, (int, float)) or isinstance(fps, bool) or not 0 < fps < 1e6:
         raise InputError(
             "fps is not usable",
             name="fps",
@@ -93,6 +94,12 @@ def make_html(run: Run, *, fps: float = 60.0, title: str = "", play: bool = True
             got=repr(fps),
             remedy="Use fps=60",
         )
+    if not hasattr(run, "visuals"):
+        raise InputError(
+            "Argument run", name="run", expected="a Trajectory", got=type(run).__name__,
+            remedy="Give what simulate returns",
+        )  # fmt: skip
+    title, play, forces = words("title", title), flag("play", play), flag("forces", forces)
     frames = frames_of(run, float(fps))
     view = fit(run.visuals, frames)
     shown = forces_of(run, run.t[0] + frames.times) if forces else None
@@ -295,8 +302,10 @@ def _track(name: str, kind: str, times: Array, values: Array, interpolation: int
 
 
 def _floats(values: Array) -> Any:
-    """Return numbers as meshcat packs a Float32Array."""
-    return umsgpack.Ext(mg.threejs_type(np.dtype(np.float32))[1], np.ascontiguousarray(values, np.float32).tobytes())
+    """Return numbers as meshcat packs a Float32Array; those beyond its range become the largest ones in it."""
+    most = float(np.finfo(np.float32).max)
+    single = np.ascontiguousarray(np.clip(values, -most, most), np.float32)
+    return umsgpack.Ext(mg.threejs_type(np.dtype(np.float32))[1], single.tobytes())
 
 
 def _matrix(poses: Poses) -> Array:

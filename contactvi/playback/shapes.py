@@ -141,11 +141,14 @@ def fit(visuals: list[Visual], frames: Frames) -> dict[str, Any]:
     }
 
 
+_FARTHEST = 1e15  # [m] from the origin; what is farther away is no picture, and its squares might overflow
+
+
 class _Spot:
     """Where a shape is in the course of a run: points (F, k, 3) and a margin around them [m]."""
 
     def __init__(self, points: Array, margin: float, thin: bool = False) -> None:
-        self.points, self.margin, self.thin = points, margin, thin
+        self.points, self.margin, self.thin = np.clip(points, -_FARTHEST, _FARTHEST), min(margin, _FARTHEST), thin
 
     @classmethod
     def of(cls, visual: Visual, frames: Frames) -> _Spot:

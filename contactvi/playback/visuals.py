@@ -98,7 +98,15 @@ class Visual:
             )
         shape, sizes = str(fields["shape"]), tuple(float(size) for size in fields["sizes"])
         placement = np.array(fields["placement"], dtype=float).reshape(4, 4)
-        count = max(2, len(vertices)) if shape == "line" else _COUNTS.get(shape)
+        count = len(vertices) if shape == "line" else _COUNTS.get(shape)
+        if shape == "line" and len(vertices) < 2:
+            raise SceneError(
+                f"Line {fields['name']!r} of a stored picture",
+                body=str(fields["name"]),
+                expected="two vertices or more",
+                got=len(vertices),
+                remedy=_DAMAGED,
+            )
         if count != len(sizes) or not (_finite(sizes) and _finite(placement) and _finite(vertices)):
             raise SceneError(
                 f"Shape {fields['name']!r} of a stored picture",

@@ -318,7 +318,8 @@ def _shapes(body: Any) -> Iterable[str]:
     if isinstance(body, str):
         return (body,)
     shapes = getattr(body, "geometries", body)
-    if not isinstance(shapes, Iterable):
+    shapes = tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
+    if not all(isinstance(shape, str) for shape in shapes):
         raise InputError(
             "Argument body",
             name="body",
@@ -326,4 +327,4 @@ def _shapes(body: Any) -> Iterable[str]:
             got=repr(body),
             remedy="Give the name of a body or shape, or what scene.add_... returned",
         )
-    return tuple(shapes)
+    return shapes

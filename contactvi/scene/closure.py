@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.errors import ConstraintError
+from contactvi.errors import ConstraintError, SceneError
 from contactvi.scene.element_rows import ConstraintRow
 from contactvi.scene.engine import EngineScene
 
@@ -103,10 +103,18 @@ def consistent_velocity(core: EngineScene, rows: Sequence[ConstraintRow], q: Arr
     nv = len(v)
     mass = np.asarray(core.momentum(np.repeat(q[None], nv, axis=0), np.eye(nv)))
     J, rate = np.asarray(core.constraint_jacobian(q, t)), np.asarray(core.constraint_rate(q, t))
-    lower = np.linalg.cholesky(0.5 * (mass + mass.T))
-    scaled = np.linalg.solve(lower, J.T).T
-    for _ in range(2):  # The second projection removes the rounding of the first.
-        v = v - np.linalg.solve(lower.T, np.linalg.lstsq(scaled, J @ v + rate, rcond=_RANK)[0])
+    try:
+        lower = np.linalg.cholesky(0.5 * (mass + mass.T))
+        scaled = np.linalg.solve(lower, J.T).T
+        for _ in range(2):  # The second projection removes the rounding of the first.
+            v = v - np.linalg.solve(lower.T, np.linalg.lstsq(scaled, J @ v + rate, rcond=_RANK)[0])
+    except np.linalg.LinAlgError as error:
+        raise SceneError(
+            "No velocity can be computed here",
+            expected="masses and constraints of finite numbers, and a mass behind every motion",
+            got=str(error),
+            remedy="Look for masses near zero, and for points and positions that are very far",
+        ) from error
     bad = _broken_rates(core, rows, q, v, t)
     if bad:
         raise ConstraintError(

@@ -5,6 +5,7 @@ A frame is (joint, R, p): joint index in the model (0: world), R (3, 3) and p (3
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ from contactvi.elements import elements as kinds
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import at, checked_wrench
 from contactvi.errors import InputError, UserFunctionError
+from contactvi.inputs import real
 
 Frame = tuple[int, np.ndarray, np.ndarray]
 _LEAST_LENGTH = 1e-9  # [m] distance below which there is no direction
@@ -151,7 +153,8 @@ class _Placed:
 
     def length(self, points: Sequence[tuple[str, Any]]) -> float:
         places = [self.world(body).act(np.asarray(xyz)) for body, xyz in points]
-        return float(sum(np.linalg.norm(b - a) for a, b in zip(places[:-1], places[1:], strict=True)))
+        length = sum(math.dist(a, b) for a, b in zip(places[:-1], places[1:], strict=True))  # which squares nothing
+        return real("the distance of points in the neutral configuration", length, 0.0)
 
     def joint(self, name: str | None) -> Frame:
         return 0 if name is None else int(self.model.getJointId(name)), np.eye(3), np.zeros(3)

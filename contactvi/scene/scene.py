@@ -128,7 +128,7 @@ class Scene:
         Raises:
             SceneError, UnsupportedJointError, InputError
         """
-        dirs = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else list(package_dirs)
+        dirs = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs
         where = pose("placement", placement)
         part = import_urdf(
             path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic,
@@ -777,8 +777,8 @@ class Scene:
         self, name: str, body: tuple[coal.CollisionGeometry, pin.Inertia], free: bool, placement: Any, color: Any
     ) -> BodyHandle:
         shape, inertia = body
-        where = pose("placement", placement)
-        return self._add(shape_part(name, shape, inertia if free else None, where, color), BodyHandle)
+        where, moves = pose("placement", placement), flag("free", free)
+        return self._add(shape_part(name, shape, inertia if moves else None, where, color), BodyHandle)
 
     def _name(self, kind: str, name: str | None) -> str:
         return self._elements.new_name(kind, name)

@@ -72,12 +72,13 @@ class Record:
             if columns is not None:
                 part.append(columns)
         self._collect_phases(result["phases"])
-        self.reached = result["time"]
         if self.options.auto:
             self.adaptive_steps = result["adaptive_steps"]
         # The engine counts from its reset, except for the seconds, which are those of this call.
         self.stats = Stats.of(result["stats"], self.stats.seconds)
-        return self.end(result)
+        status = self.end(result)
+        self.reached = result["time"]
+        return status
 
     def _collect_phases(self, phases: Columns | None) -> None:
         """Take over of which kind steps are: a call without any phase is free, and ends that of the call before."""

@@ -112,6 +112,7 @@ class Run:
         """Return the references of servos for the next steps, (steps, 2 nv); None without servos."""
         if target is None and not self._targets.joints:
             return None
+        self._targets.check_count(steps)
         times: Array = self.t + self.options.fixed_dt * np.arange(steps, dtype=np.float64)
         return self._targets.rows(target, times)
 

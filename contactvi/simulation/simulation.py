@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import ConstraintError, DenseStepWarning, InputError, PenetrationError, SimulationError
+from contactvi.inputs import callback
 from contactvi.interrupts import CtrlC, held_back
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation import adaptive
@@ -103,6 +104,7 @@ def simulate(
         _check_auto(compiled, "control" if control is not None else "target" if target is not None else None)
     steps = 0 if settings.auto else settings.steps
     inputs = control if control is None or callable(control) else compiled.states.forces(control, steps)
+    called = None if isinstance(progress, bool) else callback("progress", progress)
     with held_back() as ctrl_c:
         if progress is True:
             from contactvi.progress import RunProgress
@@ -110,9 +112,9 @@ def simulate(
             with RunProgress(span) as bar:
                 traj = _run(compiled, settings, q0, v0, inputs, target, bar, throw, ctrl_c)
         else:
-            traj = _run(compiled, settings, q0, v0, inputs, target, progress or None, throw, ctrl_c)
+            traj = _run(compiled, settings, q0, v0, inputs, target, called, throw, ctrl_c)
         dense = settings.contact_mode == "auto" and len(traj.dense_steps) > 0
-        if ctrl_c.pressed and traj.status.ok:  # between the end of the run and now
+        if ctrl_c.settle() and traj.status.ok:  # between the end of the run and now
             traj.status = Status.interrupted(traj.status.time)
         if throw and not traj.status.ok:
             broken = traj.status.code == StatusCode.LEDGER

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import InputError, SimulationError
+from contactvi.inputs import MOST_STEPS, callback, short
 from contactvi.interrupts import held_back
 from contactvi.options import Options, SteppingOptions, merged
 from contactvi.records.contacts import Contact, ContactLog
@@ -22,7 +23,7 @@ from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.engine import Progress
 from contactvi.simulation.run import Run, Snapshot
 from contactvi.status import Status
-from contactvi.trajectory.compiled import compile_scene
+from contactvi.trajectory.compiled import checked_scene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
         forced: whether it has inputs. These decide about a dt that is given nowhere (options.merged), and so do some
             elements of scenes.
     """
-    fixed = forced or scene.built().needs_fixed_step is not None
+    fixed = forced or checked_scene(scene).built().needs_fixed_step is not None
     return Options.from_dict(merged(scene.settings, chosen, fixed))
 
 
@@ -60,7 +61,7 @@ class Simulator:
     """
 
     def __init__(self, scene: Scene, dt: float | None = None, **options: Unpack[SteppingOptions]) -> None:
-        if dt is None and scene.settings.get("dt") is None:
+        if dt is None and checked_scene(scene).settings.get("dt") is None:
             settings = Options.from_dict({**scene.settings, **options})  # raises: there is no time step
         else:
             settings = settings_of(scene, dict(options, dt=dt))
@@ -107,16 +108,16 @@ class Simulator:
         self, steps: int, tau: ArrayLike | None = None, progress: Progress | None = None, target: Any = None
     ) -> Status:
         """Make `steps` steps, tau of shape (steps, nv) or None; return the status. Ends early as `simulate` does."""
-        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 0:
+        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or not 0 <= steps <= MOST_STEPS:
             raise InputError(
                 "Number of steps",
                 name="steps",
                 expected="a whole number >= 0",
-                got=repr(steps),
+                got=short(steps),
                 remedy="Give a number of steps such as 1000; round(duration / dt) where it is a time",
             )
         forces = None if tau is None else self._scene.states.forces(tau, steps, "tau")
-        return self._advance(steps, forces, target, progress)
+        return self._advance(steps, forces, target, callback("progress", progress))
 
     def _advance(self, steps: int, forces: Array | None, target: Any, progress: Progress | None = None) -> Status:
         with self._unused():
@@ -135,7 +136,7 @@ class Simulator:
                 return run.step(forces, targets, progress)
             with held_back() as ctrl_c:
                 status = run.advance(steps, forces, targets, ctrl_c.watch(progress))
-                return run.interrupt() if ctrl_c.pressed else status
+                return run.interrupt() if ctrl_c.settle() else status
 
     @property
     def t(self) -> float:

@@ -22,9 +22,13 @@ from numpy.typing import NDArray
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import at, called, checked
 from contactvi.errors import InputError, UserFunctionError
+from contactvi.inputs import real_numbers
 from contactvi.trajectory.compiled import CompiledScene
 
 Array = NDArray[np.float64]
+
+
+MOST_TARGETS = 10**8  # positions of a run: they are made before it, with their rates in 1.6 GB
 
 
 class Targets:
@@ -42,6 +46,16 @@ class Targets:
 
     def __deepcopy__(self, memo: Any) -> Targets:
         return self  # nothing in it ever changes
+
+    def check_count(self, steps: int) -> None:
+        """Raise InputError where the targets of so many steps take too much memory."""
+        count = len(self.joints)
+        if steps * count > MOST_TARGETS:
+            raise InputError(
+                "The targets of all steps take too much memory", name="target",
+                expected=f"at most {MOST_TARGETS:g} positions", got=f"{count} joints for {steps} steps",
+                remedy="Run in pieces: Simulator.run(steps, target=...)",
+            )  # fmt: skip
 
     def rows(self, target: Any, times: Array) -> Array | None:
         """Return the references of steps that start at times (steps,) [s], shape (steps, 2 nv); None without servos.
@@ -91,21 +105,23 @@ class Targets:
     def _asked(self, target: Any, t: float) -> Array:
         value = called(target, "target", t, t)
         count = len(self.joints)
-        size = np.shape(value)[0] if np.ndim(value) == 1 else 0
+        try:
+            shape = np.shape(value)
+        except ValueError:  # lists of several lengths
+            shape = ()
+        size = shape[0] if len(shape) == 1 else 0
         if size not in (count, 2 * count):
             raise UserFunctionError(
                 f"target returned the wrong shape{at(t)}", function="target", time=t,
                 expected=f"shape ({count},) or ({2 * count},), one number per servo joint",
-                got=f"shape {np.shape(value)}", remedy=f"Return the {count} positions, then, if known, the velocities"
+                got=f"shape {shape}", remedy=f"Return the {count} positions, then, if known, the velocities"
             )  # fmt: skip
         return _with_rates(checked(value, "target", t, (size,), "positions of servo joints", self.joints), count)
 
     def _array(self, target: Any, steps: int) -> Array:
         count = len(self.joints)
-        try:
-            values = np.array(target, dtype=float)
-        except (TypeError, ValueError):
-            values = np.zeros((0, 0, 0))
+        found = real_numbers(target)
+        values = np.zeros((0, 0, 0)) if found is None else found
         good = values.ndim in (1, 2) and values.shape[-1] in (count, 2 * count)
         if not good or (values.ndim == 2 and len(values) != steps):
             raise InputError(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import numbers
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, PenetrationError, did_you_mean
-from contactvi.inputs import real
+from contactvi.inputs import array, real, short
 from contactvi.records.events import label
 from contactvi.scene.engine import engine_impacts
 from contactvi.trajectory.compiled import CompiledScene
@@ -132,17 +133,22 @@ def _check_depth(gaps: Array, names: Sequence[Pair], margin: float) -> None:
 
 def _named(pairs: Any, names: Sequence[Pair]) -> list[int]:
     """Return the numbers of the named guards, in the engine's order."""
+    if isinstance(pairs, str) or not isinstance(pairs, Iterable):
+        raise InputError(
+            "pairs is not usable", name="pairs", expected='[("shape", "shape"), ...]', got=short(pairs),
+            remedy="Give a list of pairs of names",
+        )  # fmt: skip
     known = {key: k for k, (a, b) in enumerate(names) for key in ((a, b), (b, a))}
     found = []
     for pair in pairs:
-        key = tuple(pair) if not isinstance(pair, str) else (pair,)
+        key = tuple(map(str, pair)) if isinstance(pair, (list, tuple)) else (str(pair),)
         if key not in known:
             raise InputError(
                 f"There is no contact {key!r}",
                 name="pairs",
                 expected="two names of one tested pair or limit",
                 got=repr(pair),
-                remedy=did_you_mean(" | ".join(map(str, key)), [f"{a} | {b}" for a, b in names]),
+                remedy=did_you_mean(" | ".join(key), [f"{a} | {b}" for a, b in names]),
             )
         found.append(known[key])
     return sorted(set(found))
@@ -151,15 +157,7 @@ def _named(pairs: Any, names: Sequence[Pair]) -> list[int]:
 def _restitution(e: Any, own: Array) -> Array:
     if e is None:
         return own
-    if np.ndim(e) == 0:
+    if isinstance(e, numbers.Real) or (isinstance(e, np.ndarray) and e.ndim == 0):
         return np.full(len(own), real("e", e, 0.0, 1.0))
-    values = [real("e", value, 0.0, 1.0) for value in e]
-    if len(values) != len(own):
-        raise InputError(
-            "e",
-            name="e",
-            expected=f"one number, or one for each of {len(own)} contacts",
-            got=len(values),
-            remedy="Give one number for all: e=0.5",
-        )
-    return np.array(values)
+    values = array("e", e, (len(own),), f"one number, or one for each of {len(own)} contacts")
+    return np.array([real("e", value, 0.0, 1.0) for value in values])

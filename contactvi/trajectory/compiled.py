@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.elements.elements import UserForce, UserPotential
-from contactvi.errors import ConstraintError, SceneError, UserFunctionError
+from contactvi.errors import ConstraintError, InputError, SceneError, UserFunctionError
 from contactvi.importing.checks import dof_joint
-from contactvi.inputs import States
+from contactvi.inputs import States, short
 from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
 from contactvi.scene.derivative_check import GENERIC, check_element, mover
@@ -177,9 +177,19 @@ def _refuse_missing(scene: Scene) -> None:
         )
 
 
+def checked_scene(scene: Any) -> Scene:
+    """Return a scene; raise InputError for anything else."""
+    if not isinstance(scene, Scene):
+        raise InputError(
+            "Argument scene", name="scene", expected="a Scene", got=short(scene),
+            remedy="Make one with contactvi.Scene() or contactvi.load_scene(path)",
+        )  # fmt: skip
+    return scene
+
+
 def compile_scene(scene: Scene) -> CompiledScene:
     """Return the scene as its runs need it; it is kept with the scene until that is edited."""
-    kept = scene.compiled
+    kept = checked_scene(scene).compiled
     if not isinstance(kept, CompiledScene) or not kept.fits(scene):
         kept = scene.compiled = CompiledScene(scene)
     return kept

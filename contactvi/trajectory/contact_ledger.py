@@ -138,7 +138,8 @@ class ContactLedger:
         guessed = new[first] & (h[first] > 0.0) & (h[second] > 0.0) & (log.array("mode")[second] == ContactMode.SLIP)
         first, second = first[guessed], second[guessed]
         before[first] += (slip[first] - slip[second]) * (h[first] / h[second])[:, None]
-        work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
+        with np.errstate(over="ignore", invalid="ignore"):  # work of huge numbers may be infinite
+            work = log.array("start") * (2.0 * before + slip) + log.array("end") * (before + 2.0 * slip)
         counts = (h > 0.0) & (log.array("kind") == GuardKind.CONTACT) & (log.array("dense") == 0)
         return np.where(counts, work.sum(axis=1) / 3.0, 0.0)
 
@@ -178,7 +179,8 @@ class ContactLedger:
             sign = tree.signs[log.array("index")[inside]]
             np.add.at(pushed, node[inside], sign[:, None] * log.impulse[inside])
             rest = np.diff(momentum, axis=0, prepend=momentum[:1]) - tree.mass * weight - pushed
-            result = np.maximum(result, np.linalg.norm(rest, axis=1))
+            with np.errstate(over="ignore"):  # of huge numbers it may be infinite
+                result = np.maximum(result, np.linalg.norm(rest, axis=1))
         across = inside & (log.t < self._t[np.clip(node - 1, 0, None)] - slack)
         result[node[across]] = np.nan
         return result

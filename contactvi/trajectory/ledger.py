@@ -201,7 +201,8 @@ class Ledger:
         persistent contacts, dense steps and impacts took.
         """
         known = self.undriven_energy + self.loss
-        return np.asarray(known - known[0])
+        with np.errstate(invalid="ignore"):  # of a stored run with infinite energies
+            return np.asarray(known - known[0])
 
     @cached_property
     def constraint_residual(self) -> Array:
@@ -324,7 +325,7 @@ class Ledger:
     def own_jump(self) -> Array:
         """Of the scalar that the map of the event conserves, against the reference of that map [J], shape (n,)."""
         explicit = (self.events.array("method") == METHODS.index("ctec")) | (
-            self.events.array("fallback") == Fallback.PERSISTENT
+            self.events.array("fallback") == int(Fallback.PERSISTENT)
         )
         return np.where(explicit, self.energy_jump, self.events.array("jump"))
 

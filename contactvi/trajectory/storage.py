@@ -123,7 +123,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError, SceneError
-from contactvi.files import checked_path, write_atomic
+from contactvi.files import as_a_path, checked_path, write_atomic
 from contactvi.options import Options
 from contactvi.playback.visuals import Visual
 from contactvi.records import codes, contacts, dense_steps
@@ -163,7 +163,13 @@ _UNREADABLE = (
     zlib.error,
     pickle.UnpicklingError,
     NotImplementedError,
+    RuntimeError,  # an archive with a password
     MemoryError,
+)
+# Columns of events and contacts that are finite; energies and losses of huge numbers may be infinite.
+_FINITE = (
+    *("time", "t", "h", "before", "after", "q", "p_minus", "p_plus", "point", "position", "normal", "impulse", "gap"),
+    *("impulse_vector", "start", "end", "slip", "gamma_minus", "gamma_plus", "restitution", "friction", "residual"),
 )
 
 
@@ -246,9 +252,10 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
         ContactviError: for a file that is missing, damaged, of another format or schema, or inconsistent.
     """
     path = checked_path(path)
-    if not path.is_file():
-        _refuse(path, "there is no such file", remedy="Correct the path, or write the file first: traj.save(path)")
-    _check_size(path)
+    with as_a_path(path):
+        if not path.is_file():
+            _refuse(path, "there is no such file", remedy="Correct the path, or write the file first: traj.save(path)")
+        _check_size(path)
     try:
         file = np.load(path, allow_pickle=False)
         if isinstance(file, np.ndarray):
@@ -434,7 +441,10 @@ class _Reader:
             return None
         rows = [ConstraintRows(str(name), str(kind), int(count)) for name, kind, count in constraints]
         work = self.entry("force/work", (len(t), len(WORKS)))
-        return Forces(t, work, self.entry("force/reactions", (len(t), sum(row.rows for row in rows))), rows)
+        reactions = self.entry("force/reactions", (len(t), sum(row.rows for row in rows)))
+        if np.any(np.isnan(work)) or np.any(np.isnan(reactions)):
+            self._refuse("work or reactions that are no numbers")
+        return Forces(t, work, reactions, rows)
 
     def frames(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return (times (f,) [s], configurations (f, nq)) of the frames for pictures."""
@@ -449,7 +459,10 @@ class _Reader:
     ) -> tuple[NDArray[np.float64], list[tuple[str, str]], NDArray[np.float64]]:
         """Return times (M,) [s], pairs and their gaps (M, len(pairs)) [m]."""
         times = self.entry("gap/time", (None,))
-        return times, pairs, self.entry("gap/value", (len(times), len(pairs)))
+        values = self.entry("gap/value", (len(times), len(pairs)))
+        if not np.all(np.isfinite(times)) or np.any(np.isnan(values)):
+            self._refuse("gaps that are no numbers")
+        return times, pairs, values
 
     def events(self, names: Names, method: str) -> event_log.EventLog:
         """Return the events of a run with this impact map."""
@@ -458,6 +471,7 @@ class _Reader:
         for name, (width, kind) in event_log.FIELDS.items():
             size = self._sizes[width] if isinstance(width, str) else width
             arrays[name] = self.entry(f"event/{name}", (count, size) if width else (count,), kind)
+        self._check_finite(arrays, "events")
         self._check_codes(arrays, {"method": len(codes.METHODS), "fallback": len(codes.FALLBACKS)}, "events")
         self._check_guards(arrays, names, "events")
         return event_log.EventLog(arrays, *names, method)
@@ -496,10 +510,17 @@ class _Reader:
         if f"{group}/{first}" not in self._entries:
             return joined((), fields)
         count = len(self.entry(f"{group}/{first}", (None,)))
-        return {
+        rows = {
             name: self.entry(f"{group}/{name}", (count, width) if width else (count,), kind)
             for name, (width, kind) in fields.items()
         }
+        self._check_finite(rows, f"entries of {group!r}")
+        return rows
+
+    def _check_finite(self, arrays: Entries, what: str) -> None:
+        for name, values in arrays.items():
+            if np.any(np.isnan(values)) or (name in _FINITE and not np.all(np.isfinite(values))):
+                self._refuse(f"{what} with numbers in {name!r} that are not finite")
 
     def _check_codes(self, arrays: Entries, counts: Mapping[str, int], what: str) -> None:
         for name, count in counts.items():
@@ -537,7 +558,15 @@ def _pack(item: Any, arrays: list[NDArray[Any]], seen: dict[tuple[Any, ...], int
 def _unpack(item: Any, entries: Entries) -> Any:
     if isinstance(item, dict):
         if set(item) == {"$array"}:
-            return entries[f"array/{item['$array']}"]
+            values = entries[f"array/{item['$array']}"]
+            if values.dtype.kind not in "fiu":
+                raise SceneError(
+                    f"Array {item['$array']} of a stored scene",
+                    expected="real numbers",
+                    got=f"kind {values.dtype.kind!r}",
+                    remedy="Write the file again, from the run",
+                )
+            return values
         return {name: _unpack(value, entries) for name, value in item.items()}
     if isinstance(item, list):
         return [_unpack(value, entries) for value in item]

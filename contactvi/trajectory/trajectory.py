@@ -372,7 +372,7 @@ class Trajectory:
         """Return times [s] as an array (n,), checked to lie in the run."""
         try:
             wanted = np.asarray(times, dtype=float).reshape(-1)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             wanted = np.array([np.nan])
         slack = 1e-9 * max(1.0, abs(float(self.t[-1])))
         if not np.all((wanted >= self.t[0] - slack) & (wanted <= self.t[-1] + slack)):

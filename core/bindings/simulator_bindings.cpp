@@ -119,20 +119,29 @@ Dict stats(const World& sim, double seconds) {
   return d;
 }
 
+// False where a signal handler of Python raised, whose error is kept: while it is set, no function of the user can be
+// called.
+bool no_signal() {
+  if (PyErr_CheckSignals() == 0) return !UserErrors::any();
+  nb::python_error error;
+  UserErrors::keep(error);
+  return false;
+}
+
 Progress wrap(const std::optional<ProgressCallback>& callback) {
   if (!callback) {
     return [](double, long) {
       nb::gil_scoped_acquire gil;
-      return PyErr_CheckSignals() == 0;
+      return no_signal();
     };
   }
   return [&callback](double t, long impacts) {
     nb::gil_scoped_acquire gil;
-    if (PyErr_CheckSignals() != 0) return false;
+    if (!no_signal()) return false;
     try {
       (*callback)(t, impacts);
     } catch (nb::python_error& error) {
-      error.restore();  // run() hands it over
+      UserErrors::keep(error);  // run() hands it over
       return false;
     }
     return true;
@@ -181,10 +190,6 @@ Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) 
   Dict d;
   // The error that interrupted the run is handed over as data, so that the partial result is not lost with it.
   d["error"] = nb::none();
-  if (PyErr_Occurred() != nullptr) {
-    nb::python_error error;
-    d["error"] = error.value();
-  }
   if (UserErrors::any()) d["error"] = UserErrors::take();
   const std::size_t n = recording.t.size(), rows = static_cast<std::size_t>(s.tree.elements.constraint_rows);
   recording.work.resize(4 * n, 0.0);  // it is empty where nothing does work

@@ -190,6 +190,7 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
       // Where the run ends inside a step, its last node is the state there.
       if (state_.status.code != StatusCode::kNotFinite && state_.status.time > recording.t.back())
         record_node(state_.status.time, recording);
+      state_.time = std::max(state_.time, state_.status.time);
       return state_.status;
     }
     ++state_.step;
@@ -234,6 +235,7 @@ bool Simulator::end_failed_search(Search outcome, double time) {
 
 // The interval of one control step: steps as long as they can be, with the events in them.
 bool Simulator::advance_interval(double start, double length, const VecX& tau, Recording& recording) {
+  if (scene_->tree.nv == 0) return true;  // nothing moves
   Interval interval{start, length, 0.0, length, tau};
   const long halved = state_.control.halved;
   long parts = 0;
@@ -262,6 +264,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
       begin_dense_phase();
     else if (!going)
       return false;
+    // A step that was solved from other start values after a call has failed counts, but it is the last one.
+    if (user_function_failed(start + interval.done)) return false;
   }
   if (!in_range(state_.q, state_.p))
     return end(StatusCode::kNotFinite, start + length, "the state is not finite, or its energy overflows");

@@ -343,12 +343,8 @@ Status World::advance(long steps, const MatX& tau, const MatX& target, long reco
     if (end_early(options_.dt)) {
       accept(t, state_.status.time - t, recording);
       state_.time = state_.start_time + static_cast<double>(state_.step) * options_.dt;
-      if (state_.status.code != StatusCode::kNotFinite && state_.status.time > recording.t.back()) {
-        const double node = state_.time;
-        state_.time = state_.status.time;
-        record_node(recording);
-        state_.time = node;
-      }
+      state_.time = std::max(state_.time, state_.status.time);
+      if (state_.status.code != StatusCode::kNotFinite && state_.time > recording.t.back()) record_node(recording);
       return state_.status;
     }
     accept(t, options_.dt, recording);

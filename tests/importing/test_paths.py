@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from contactvi.errors import SceneError
+import contactvi
+from contactvi.errors import ContactviError, SceneError
 from contactvi.importing.paths import example_robot_data_share, resolve_path, resolve_resource
 from contactvi.scene.scene import Scene
 
@@ -115,3 +116,30 @@ def test_a_missing_picture_is_ignored_and_said(tmp_path: Path):
     scene.add_urdf(file)
     assert any("gone/m.dae" in note.text for note in scene.report.all_notes("ignored", "visual"))
     assert len(scene.visual_model.geometryObjects) == 1  # The collision shape is shown.
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["x" * 300, "a/" * 3000, "~no_such_user/a.urdf", "loop", "package://" + "x" * 300 + "/a", "file://%00", "\ud800"],
+)
+def test_paths_that_no_file_can_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: str):
+    """Too long, a loop of links, without a home, not writable in the file system: as a model, in it, beside it."""
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    Path("plain.urdf").write_text('<robot name="r"><link name="a"/></robot>')
+    named = path if path != "\ud800" else "x" * 300  # no file in UTF-8 can say it
+    urdf(Path("mesh.urdf"), named)
+    Path("include.xml").write_text(f'<mujoco><include file="{named}"/></mujoco>')
+    calls = (
+        lambda: Scene().add_urdf(path),
+        lambda: Scene().add_urdf("plain.urdf", srdf=path),
+        lambda: Scene().add_urdf("package://p/a.urdf", package_dirs=[path]),
+        lambda: Scene().add_urdf("mesh.urdf"),
+        lambda: Scene.from_mjcf(path),
+        lambda: Scene.from_mjcf("include.xml"),
+        lambda: contactvi.load_scene(path),
+        lambda: contactvi.Trajectory.load(path),
+    )
+    for call in calls:
+        with pytest.raises(ContactviError):
+            call()

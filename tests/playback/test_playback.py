@@ -6,6 +6,7 @@ import math
 import re
 import urllib.error
 import urllib.request
+import warnings
 
 import numpy as np
 import pinocchio as pin
@@ -316,3 +317,15 @@ def test_figure_draws_losses_as_steps(ball):
 def test_figure_of_a_run_without_impacts():
     traj = cvi.simulate(ball_scene(), duration=0.2, dt=1e-2)
     assert len(cvi.plot(traj).axes) == 2
+
+
+@pytest.mark.parametrize("place", [1e20, 1e160, 1.7e308])
+def test_bodies_that_are_very_far_have_a_page_without_a_warning(tmp_path, place):
+    scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, free=False, placement=(place, 0, 0))
+    scene.add_sphere("free", 0.1, placement=(0, 0, 1))
+    traj = cvi.simulate(scene, duration=0.01, dt=1e-3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        assert traj.to_html(tmp_path / "far.html").stat().st_size > 0

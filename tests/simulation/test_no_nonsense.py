@@ -10,6 +10,7 @@ import contactvi as cvi
 from contactvi.inputs import LARGEST
 
 JOINTS = (pin.JointModelRY, pin.JointModelRX, pin.JointModelPZ)
+ALLEGRO = "example-robot-data://robots/allegro_hand_description/urdf/allegro_left_hand.urdf"
 ICUB = "example-robot-data://robots/icub_description/robots/icub.urdf"
 
 
@@ -112,3 +113,24 @@ def test_shares_of_a_loss_add_up_to_a_loss():
         energy = max(abs(traj.energy[0]), 1.0)
         for time in np.unique(times):
             assert loss[times == time].sum() >= -1e-13 * energy
+
+
+@pytest.mark.parametrize("contact_mode", ["auto", "events", "steps"])
+def test_a_scene_in_which_nothing_moves_runs(contact_mode):
+    scene = cvi.Scene()
+    scene.add_box("box", (1.0, 1.0, 1.0), free=False)
+    scene.add_halfspace(offset=-2.0)
+    traj = cvi.simulate(scene, duration=2.0, dt=1.0, contact_mode=contact_mode)
+    assert len(traj.t) == 3
+    if contact_mode == "steps":
+        return  # dense steps have no constraints
+    scene.add_point("box", "world", point_b=None)
+    assert cvi.simulate(scene, duration=0.1, dt=0.1, contact_mode=contact_mode).status.ok
+
+
+def test_targets_of_too_many_steps_are_refused_before_they_are_made():
+    scene = cvi.Scene()
+    scene.add_urdf(ALLEGRO)
+    scene.set_servo("*", kp=1.0, kd=0.1)
+    with pytest.raises(cvi.InputError, match="take too much memory"):
+        cvi.simulate(scene, duration=1e9, dt=1e-3)

@@ -299,6 +299,28 @@ def test_nothing_is_unpickled(saved, tmp_path):
     assert not mark.exists()
 
 
+def test_a_password_is_said(saved):
+    data = bytearray(saved.read_bytes())
+    for start in (i for i in range(len(data)) if data.startswith(b"PK\x01\x02", i)):
+        data[start + 8] |= 1  # encrypted
+    saved.write_bytes(data)
+    with pytest.raises(cvi.SceneError, match="encrypted"):
+        cvi.Trajectory.load(saved)
+
+
+def test_lines_have_a_joint_for_each_vertex(tmp_path):
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1)
+    scene.add_spring("ball", "world", 10.0, point_b=(0, 0, 1))
+    path = cvi.simulate(scene, duration=0.01, dt=1e-3).save(tmp_path / "run.npz")
+    with np.load(path) as file:
+        lines = {k: file[k] for k in file.files if k.startswith("array/") and file[k].shape == (2, 3)}
+    assert lines
+    rewrite(path, **{name: np.zeros((0, 3), dtype=np.float32) for name in lines})
+    with pytest.raises(cvi.SceneError, match="fewer than two vertices"):
+        cvi.Trajectory.load(path)
+
+
 def test_other_schema(saved):
     rewrite(saved, header=np.array(header(saved).replace('"schema": 6', '"schema": 7')))
     with pytest.raises(cvi.SceneError, match="expected schema 6, got schema 7"):
@@ -328,8 +350,13 @@ def test_other_schema(saved):
         {"event__index": np.array([0, 0, 0, -1])},
         {"event__kind": np.array([0, 0, 0, 2])},
         {"event__q": None},
+        {"event__q": np.full((4, 7), -np.inf)},
+        {"event__impulse": np.full(4, np.nan)},
+        {"event__energy_change": np.full(4, np.nan)},
+        {"gap__time": np.full(251, np.nan)},
         {"gap__value": np.zeros((251, 2))},
         {"array__0": None},
+        {"array__0": np.ones((3, 3), dtype=complex)},
     ],
 )
 def test_inconsistent_entries(saved, changes):

@@ -12,11 +12,25 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import SceneError
+from contactvi.files import as_a_path
 from contactvi.importing.report import PartReport
 from contactvi.importing.xml import read_xml
 
 REMEDY = "pip install 'contactvi[mjcf]'"
 _HANDLER = threading.Lock()
+# The numbers of a compiled model that are read here, by what they belong to.
+_NUMBERS = {
+    "body": ("body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "body_gravcomp"),
+    "joint": ("jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "jnt_actfrcrange"),
+    "degree of freedom": ("dof_armature", "dof_damping", "dof_frictionloss", "qpos0", "qpos_spring"),
+    "geom": ("geom_pos", "geom_quat", "geom_size", "geom_friction", "geom_solref"),
+    "site": ("site_pos", "site_quat"),
+    "mesh": ("mesh_vert",),
+    "equality": ("eq_data",),
+    "tendon": ("tendon_stiffness", "tendon_damping", "tendon_lengthspring"),
+    "actuator": ("actuator_gainprm", "actuator_biasprm", "actuator_gear", "actuator_ctrlrange", "actuator_forcerange"),
+    "key": ("key_qpos", "key_qvel", "key_act", "key_ctrl"),
+}
 
 
 def import_mujoco() -> Any:
@@ -80,7 +94,8 @@ def _check_files(file: Path) -> None:
         for name in (element.get("file", "") for element in root.iter("include")):
             # MuJoCo looks beside the main file.
             candidates = ((folder / name).resolve() for folder in (path.parent, file.parent))
-            inner = next((found for found in candidates if found.is_file()), None)
+            with as_a_path(name):
+                inner = next((found for found in candidates if found.is_file()), None)
             if inner is None:
                 raise SceneError(
                     f"{path.name}: no such include file",
@@ -111,6 +126,25 @@ class Source:
         }  # fmt: skip
         self.names = {kind: self._distinct(kind, count) for kind, count in counts.items()}
         self.switched_off = int(m.opt.disableflags)
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        """Raise SceneError for numbers of the compiled model that are not finite: MuJoCo's sums may overflow."""
+        for kind, fields in _NUMBERS.items():
+            for name in fields:
+                values = np.atleast_1d(getattr(self.m, name))
+                bad = np.unique(np.argwhere(~np.isfinite(values))[:, 0])
+                if len(bad) == 0:
+                    continue
+                names = self.names.get(kind, [])
+                of = f" of {kind} {names[bad[0]]!r}" if bad[0] < len(names) else ""
+                raise SceneError(
+                    f"The compiled model has numbers that are not finite in {name}{of}",
+                    body=names[bad[0]] if of and kind == "body" else None,
+                    expected="numbers whose squares and products are finite",
+                    got=str(values[bad[0]]),
+                    remedy="Correct the sizes, places and masses behind it",
+                )
 
     def _distinct(self, kind: str, count: int) -> list[str]:
         """Return the names of one kind; what has none is called by its kind and number, a geom by its body."""

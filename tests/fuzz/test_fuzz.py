@@ -1,0 +1,43 @@
+"""Drawn cases of every way into the package: refused with an error of ours, or finite and with a documented end.
+
+The law is in fuzz/law.py. Each case is made in a process of its own that may crash or hang. More of them:
+
+    python -m pytest -m long tests/fuzz
+    python tests/fuzz/run.py --cases 100000 --jobs 2
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from fuzz import campaign, families
+
+CASES, MANY = 120, 3000
+# Below, a family would test little but its first checks.
+LEAST_ACCEPTED = 0.1
+
+
+def check(tally: campaign.Tally, count: int) -> None:
+    assert not tally.findings, "\n\n".join(str(finding) for finding in tally.findings.values())
+    assert tally.cases == count
+    assert tally.share_accepted >= LEAST_ACCEPTED
+
+
+@pytest.mark.parametrize("family", families.NAMES)
+def test_a_few(family: str):
+    check(campaign.chunk(family, 0, CASES), CASES)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("family", families.NAMES)
+def test_many(family: str):
+    check(campaign.many(family, MANY, seed=1), MANY)
+
+
+@pytest.mark.long
+def test_all_findings_are_seen():
+    tally = campaign.chunk("broken", 0, 70, seconds=0.5)
+    assert tally.cases == 70
+    assert set(tally.counts) == set(campaign.COLUMNS)
+    assert {finding.outcome for finding in tally.findings.values()} == set(campaign.FINDINGS)
+    assert all(finding.case["way"] in (finding.outcome, "memory") for finding in tally.findings.values())
