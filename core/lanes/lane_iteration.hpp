@@ -284,6 +284,6 @@ void combine(int nv, int s, int S, const double* weight, const double* in, doubl
 
 template <class V>
 constexpr LaneKernel lane_kernel() {
-  return {Lane<V>::count,  evaluate<V>, place_stages<V>, factor_stages<V>,
-          solve_stages<V>, iterate<V>,  rates<V>,        combine<V>, tangent<V>, evaluate_tangent<V>};
+  return {Lane<V>::count, evaluate<V>, place_stages<V>, factor_stages<V>, solve_stages<V>,
+          iterate<V>,     rates<V>,    combine<V>,      tangent<V>,       evaluate_tangent<V>};
 }

@@ -61,21 +61,23 @@ class States {
 
 }  // namespace
 
-LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h, const VecX& tau,
-                          double time, int stages, double tol) {
+LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h,
+                          const StepInputs& inputs, int stages, double tol) {
   const int n = tree.nv;
   Integrator integrator(tree, stages, tol, 200);
-  integrator.set_time(time);
+  integrator.set_time(inputs.time);
+  const Servo* servo = inputs.servo.any ? &inputs.servo : nullptr;
+  integrator.set_servo(servo);
   StepTangent tangent(tree, stages);
   States states(tree, kind, integrator, tangent);
   VecX v0, p0, v1(n), p1(n);
   LinearStep result;
   states.read(q0, x0, v0, p0);
-  if (!integrator.solve_closely(q0, p0, h, tau))
+  if (!integrator.solve_closely(q0, p0, h, inputs.tau))
     throw Error(std::string("the step was not solved: ") + integrator.why());
   result.q1.resize(tree.nq);
   integrator.finish(result.q1, p1);
-  tangent.take(q0, p0, h, tau, time, nullptr, integrator.velocities());
+  tangent.take(q0, p0, h, inputs.tau, inputs.time, servo, integrator.velocities());
   if (!integrator.node_velocity(result.q1, p1, v1)) throw Error("the mass matrix is not positive definite");
   result.x1 = kind == StateKind::kVelocity ? v1 : p1;
   engine_to_public(tree, result.q1, result.x1);
@@ -106,6 +108,55 @@ LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, Stat
   direction = StepDirection();
   direction.h = 1.0;
   solve(result.h);
+  return result;
+}
+
+LinearForces linearize_forces(const Tree& tree, const VecX& q, const VecX& v, const StepInputs& inputs) {
+  const int n = tree.nv;
+  VecX w = v;
+  public_to_engine(tree, q, w);
+  ForceField field(tree);
+  ForceTangent tangent(tree);
+  LinearForces result;
+  VecX f = VecX::Zero(n), size = VecX::Zero(n), dV = VecX::Zero(n), stiffness = VecX::Zero(n);
+  field.add(inputs.time, q, w, f, size);
+  add_spring_forces(tree, q, dV);
+  VecX damping = tree.damping;
+  const Servo& servo = inputs.servo;
+  for (const Joint& joint : tree.joints) {
+    if (joint.type != JointType::kSpherical) stiffness.segment(joint.iv, joint.nv).setConstant(joint.stiffness);
+    const int d = joint.iv;
+    if (!servo.any || joint.nv != 1) continue;
+    f[d] += servo.feed[d] + servo.kd[d] * servo.v_ref[d];
+    if (servo.kp[d] != 0.0) f[d] += servo.kp[d] * joint_error(joint, q, servo.q_ref[d]);
+    stiffness[d] += servo.kp[d];
+    damping[d] += servo.kd[d];
+  }
+  f -= dV + damping.cwiseProduct(w);
+  result.f = f;
+  engine_to_public(tree, q, result.f);
+  result.f_q.resize(n, n);
+  result.f_v.resize(n, n);
+  VecX dq(n), dw(n), df(n);
+  for (int k = 0; k < 2 * n; ++k) {
+    dq.setZero();
+    dw.setZero();
+    (k < n ? dq[k] : dw[k - n]) = 1.0;
+    public_to_engine(tree, q, dq);
+    public_to_engine_tangent(tree, q, dq, v, dw);
+    df = -stiffness.cwiseProduct(dq) - damping.cwiseProduct(dw);
+    for (const Joint& joint : tree.joints)
+      if (joint.type == JointType::kSpherical && joint.stiffness != 0)
+        df.segment<3>(joint.iv) -=
+            joint.stiffness * (so3_right_jacobian_inverse(spring_deflection(tree, joint, q)) * dq.segment<3>(joint.iv));
+    tangent.add(inputs.time, q, w, dq, dw, df);
+    engine_to_public_tangent(tree, q, dq, f, df);
+    if (k < n) {
+      result.f_q.col(k) = df;
+    } else {
+      result.f_v.col(k - n) = df;
+    }
+  }
   return result;
 }
 

@@ -16,9 +16,21 @@ struct LinearStep {
   VecX h;       // d(q1, x1)/dh, (2 nv,)
 };
 
-// The step of length h from (q0, x0) with the generalized force tau, (nv,) or empty, at a time [s]. Throws Error where
-// it or its derivative cannot be solved.
-LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h, const VecX& tau,
-                          double time, int stages, double tol);
+struct StepInputs {
+  double time;  // of the start [s]
+  VecX tau;     // generalized force, public coordinates, (nv,) or empty
+  Servo servo;  // any is false: none
+};
+
+// The step of length h from (q0, x0). Throws Error where it or its derivative cannot be solved.
+LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h,
+                          const StepInputs& inputs, int stages, double tol);
+
+// Forces of springs, dampers, servos and elements at a state, without gravity, in public coordinates.
+struct LinearForces {
+  VecX f;         // (nv,)
+  MatX f_q, f_v;  // (nv, nv), tangent vectors of Pinocchio
+};
+LinearForces linearize_forces(const Tree& tree, const VecX& q, const VecX& v, const StepInputs& inputs);
 
 }  // namespace contactvi

@@ -101,9 +101,7 @@ double Stages::dissipation(int i) const {
   return total;
 }
 
-void Stages::add_extra(void* self) {
-  static_cast<Stages*>(self)->add_forces();
-}
+void Stages::add_extra(void* self) { static_cast<Stages*>(self)->add_forces(); }
 
 void Stages::add_forces() {
   if (has_inputs_ && !tree_->split.empty()) add_split_inputs();

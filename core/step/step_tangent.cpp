@@ -313,8 +313,7 @@ void StepTangent::add_split_inputs() {
       if (joint.planar) {
         const double angle = s.X_[(iv + 2) * S + i], c0 = q0_[iq + 2], s0 = q0_[iq + 3];
         const double c = c0 * std::cos(angle) - s0 * std::sin(angle), n = s0 * std::cos(angle) + c0 * std::sin(angle);
-        const double turn =
-            shadow(s.X_)[(iv + 2) * S + i] + (direction_->q.size() > 0 ? direction_->q[iv + 2] : 0.0);
+        const double turn = shadow(s.X_)[(iv + 2) * S + i] + (direction_->q.size() > 0 ? direction_->q[iv + 2] : 0.0);
         const double x = dtau[0] - turn * tau[1], y = dtau[1] + turn * tau[0];
         change = Vec3(c * x - n * y, n * x + c * y, 0.0);
       } else {
