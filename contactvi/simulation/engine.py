@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar, cast
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from contactvi import _core, inputs
-from contactvi.errors import ContactviError, InputError, PenetrationError, SceneError, SimulationError
+from contactvi.errors import ContactviError, PenetrationError, SimulationError
 from contactvi.options import Options
 from contactvi.simulation.messages import remedy
 from contactvi.simulation.recorder import Array, Record
@@ -76,42 +75,12 @@ def start(
     given = compiled.v0 if v0 is None else v0
     v = compiled.start_velocity(q, begin) if given is None else states.velocity(given)
     compiled.check_start(q, v, begin)
-    _check_size(compiled, q, v)
     result = cast(EngineStatus, call(lambda: engine.reset(q, v, begin)))
     record = Record(compiled, options, begin, q, engine.p)
     if result["code"] == _core.StatusCode.SUCCESS:
         return record, None
     status = record.end(result, begin)
     return record, _refusal(status, record.names(result), result["depth"])
-
-
-def _check_size(compiled: CompiledScene, q: Array, v: Array) -> None:
-    """Raise InputError for a start (q, v) whose momentum or energy overflows, SceneError where it does so at rest."""
-    if (lost := _overflow(compiled, q, v)) is None:
-        return
-    at_rest = _overflow(compiled, q, np.zeros_like(v))
-    if at_rest is None:
-        raise InputError(
-            "v0 is too large", name="v0", expected="a start with finite momentum and energy", got=f"{lost} not finite",
-            remedy="Mind the units: m/s and rad/s",
-        )  # fmt: skip
-    raise SceneError(
-        "The scene cannot be computed with at the start",
-        expected="masses, springs and positions whose momentum and energy are finite",
-        got=f"{at_rest} not finite at rest",
-        remedy="Mind the units: m, kg, N/m; and look for masses near zero",
-    )
-
-
-def _overflow(compiled: CompiledScene, q: Array, v: Array) -> str | None:
-    """Return what of the state (q, v) is not finite, in words; None for nothing."""
-    core, state = compiled.core, q[None]
-    with np.errstate(all="ignore"):
-        p = np.asarray(core.momentum(state, v[None]))
-        kinetic, potential = np.asarray(core.energy(state, p))[0]
-        values = {"momentum": p, "velocity": core.velocity(state, p), "kinetic energy": kinetic}
-        values["potential energy"] = potential
-        return next((name for name, found in values.items() if not np.all(np.isfinite(found))), None)
 
 
 def advance(

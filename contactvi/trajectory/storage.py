@@ -519,6 +519,8 @@ class _Reader:
 
     def _check_finite(self, arrays: Entries, what: str) -> None:
         for name, values in arrays.items():
+            if name == "value":  # of a change of contact that has none it is NaN
+                continue
             if np.any(np.isnan(values)) or (name in _FINITE and not np.all(np.isfinite(values))):
                 self._refuse(f"{what} with numbers in {name!r} that are not finite")
 

@@ -168,6 +168,8 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   if (hit) {
     if (taken <= 0.0 && !state_.control.count_standstill())
       return end(StatusCode::kTooManyImpacts, at, "impacts without end at one instant", finder_.event().guard);
+    // What has opened before the event has no part in it.
+    if (taken > 0.0) contacts_.release_separated(-1, true, now, recording);
     const Event& event = finder_.event();
     const bool resolved = resolve_event(event.guard, event.stays_closed,
                                         {now, 0.0, interval.remaining, interval.tau, state_.step}, recording);
@@ -175,7 +177,7 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
     state_.contact_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();
     return resolved;
   }
-  contacts_.release_separated(changes_.releasing(), now, recording);
+  contacts_.release_separated(changes_.releasing(), false, now, recording);
   changes_.set_releasing(-1);
   if (contact_step_.empty()) resume_free_motion();
   state_.contact_seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - clock).count();

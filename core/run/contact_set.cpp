@@ -199,7 +199,7 @@ bool ContactSet::close_contacts_at_start(int most_rows) {
   return true;
 }
 
-void ContactSet::release_separated(int releasing, double time, Recording& recording) {
+void ContactSet::release_separated(int releasing, bool at_event, double time, Recording& recording) {
   std::vector<PersistentContact>& contacts = step_->contacts();
   const std::vector<ContactOutcome>& outcomes = step_->outcomes();
   const double fast = kSeparates * (1.0 + step_->end_velocity().cwiseAbs().maxCoeff());
@@ -208,7 +208,8 @@ void ContactSet::release_separated(int releasing, double time, Recording& record
     const ContactOutcome& out = outcomes[i];
     const int guard = contacts[i].point.guard;
     const double apart = guards_->is_noisy(guard) ? guards_->root_tolerance(guard) : kOpenPoint;
-    const bool leaves = i == releasing || (out.position_impulse[0] <= 0.0 && out.contact.gap > apart) || out.w_n > fast;
+    const bool leaves =
+        i == releasing || (out.position_impulse[0] <= 0.0 && out.contact.gap > apart) || (out.w_n > fast && !at_event);
     if (!leaves) continue;
     const ContactPoint point = contacts[i].point;
     record_change(time, point, Change::kRelease, 0.0, recording);

@@ -30,8 +30,8 @@ class ContactSet {
   // guard whose points have changed, -1: none.
   int find_points(double time, Recording& recording);
   // Releases the contacts that have separated in the contact step just accepted; `releasing` is the one whose force has
-  // come to zero (-1: none).
-  void release_separated(int releasing, double time, Recording& recording);
+  // come to zero (-1: none). at_event: only those that are open already, for the others take part in the event.
+  void release_separated(int releasing, bool at_event, double time, Recording& recording);
   // The set after a dense step that ends at `time`: what it has left closed and loaded. True if a contact began, ended
   // or closed fast.
   bool follow(const DenseStep& step, double time, Recording& recording);
