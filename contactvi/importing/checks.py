@@ -171,13 +171,13 @@ def check_numbers(model: pin.Model, source: str) -> None:
                 remedy="Correct the sign of its mass in the model",
             )
     for what, values in (("damping", model.damping), ("armature", model.armature)):
-        bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
+        bad = np.flatnonzero(~((values <= LARGEST) & (values >= 0.0)))
         if len(bad):
             name = dof_joint(model, int(bad[0]))
             raise SceneError(
                 f"{source}: {what} of joint {name!r}",
                 joint=name,
-                expected="finite, >= 0",
+                expected=f">= 0, at most {LARGEST:g}",
                 got=values[bad[0]],
                 remedy=f"Correct it in the model: model.{what}, or the {what} of the joint in the file",
             )
@@ -339,7 +339,8 @@ def _describe_joint(
             name,
             f"{FILE_FRICTION} of the file: not used, unless by set_joint(joint, friction=True)",
         )
-    rate = np.max(model.damping[dofs] / diagonal[dofs])
+    with np.errstate(over="ignore"):
+        rate = np.max(model.damping[dofs] / diagonal[dofs])
     if rate > FAST_DAMPING:
         text = (
             f"damping {number(damping)} is unusually large for the joint-space inertia "
