@@ -227,7 +227,7 @@ class EngineError(ContactviError, RuntimeError):
 class NotDifferentiable(ContactviError):
     """A step, an impact or a contact that has no derivative, or none that is known.
 
-    `reason` is one of "impact", "contact", "constraint", "saturation"; `pair` (names) and `time` [s] tell where, when
+    `reason`, where known, is one of "impact", "contact", "constraint", "saturation"; `pair` (names) and `time` [s] tell where, when
     known.
     """
 
@@ -238,7 +238,7 @@ class NotDifferentiable(ContactviError):
         expected: object,
         got: object,
         remedy: str,
-        reason: str,
+        reason: str | None = None,
         pair: tuple[str, str] | None = None,
         time: float | None = None,
     ) -> None:

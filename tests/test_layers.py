@@ -56,7 +56,13 @@ CPP_FOLDERS: Folders = {
 }
 # A saved run is read and shown without the compiled engine: only these modules load it when they run. The types of its
 # stub may be named anywhere, under TYPE_CHECKING.
-USERS_OF_THE_ENGINE = {"scene.engine", "scene.build", "simulation.engine", "simulation.compatibility", "derivatives.linear"}
+USERS_OF_THE_ENGINE = {
+    "scene.engine",
+    "scene.build",
+    "simulation.engine",
+    "simulation.compatibility",
+    "derivatives.linear",
+}
 
 # A header found by one of these names belongs to Python or to a parser: neither has a place in the engine.
 PYTHON_HEADERS = re.compile(r"^(nanobind/|pybind11/|boost/python|Python\.h|numpy/)")

@@ -1,7 +1,7 @@
 // Derivatives of the elements' forces (forces.hpp) along a direction of configuration and velocity. Engine coordinates.
 //
-// A force on a body is a wrench W about the world's origin; joint j feels S_j . W, S_j its axes in the world, which move
-// with its body: dS_j = V_j x S_j, V_j the body's twist along the direction. So d(S_j . W) = S_j . (dW + V_j* W).
+// A force on a body is a wrench W about the world's origin; joint j feels S_j . W, S_j its axes in the world, which
+// move with its body: dS_j = V_j x S_j, V_j the body's twist along the direction.
 #pragma once
 
 #include <vector>

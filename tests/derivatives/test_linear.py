@@ -7,7 +7,8 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from oracles import derivative_flow
+from batteries import models
+from oracles import derivative_flow, derivative_step, precise
 
 H = 0.05  # [s]
 JOINTS = {
@@ -240,3 +241,40 @@ def test_constraints_saturation_and_missing_derivatives_are_refused():
     name = scene.add_force(lambda t, q, v: -v)
     with pytest.raises(cvi.DerivativeError, match=f"'{name}' has no derivatives"):
         cvi.forward_dynamics_derivatives(scene, q, v)
+
+
+# -- an oracle that shares nothing with the engine --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [2, 4, 16])
+def test_a_damped_double_pendulum_in_sixty_digits(order):
+    """Against differences in sixty digits of an integrator of its own, written from the equations alone."""
+    x = {
+        "q0": [0.3, -0.42], "p0": [-1.7, -0.5], "tau": [0.3, -0.2], "h": 0.05, "masses": [1.0, 1.0],
+        "lengths": [1.0, 1.0], "gravity": 9.81, "damping": [0.1, 0.3], "stiffness": [2.0, 1.0], "wall": -5.0, "e": 1.0,
+    }  # fmt: skip
+    run = derivative_step.outcome(derivative_step.PENDULUM, order // 2)
+    expected = precise.complex_differences(run, x, ["q0", "p0", "tau", "h"])
+    scene = cvi.Scene.from_pinocchio(models.double_pendulum(), name="pendulum")
+    for k in range(2):
+        scene.set_joint(f"joint{k + 1}", damping=x["damping"][k], stiffness=x["stiffness"][k], rest=0.0)
+    q, p = np.array(x["q0"]), np.array(x["p0"])
+    v = np.asarray(scene.core().velocity(q[None], p[None]))[0]
+    step = cvi.step_derivatives(scene, q, v, x["tau"], x["h"], order=order, state="momentum")
+    found = np.column_stack([step.A, step.B, step.dt])
+    assert np.abs(found - expected).max() <= 1e-13 * np.abs(expected).max()
+
+
+def test_the_oscillator_in_closed_form():
+    """A mass on a spring: order 2 is the Cayley map of the linear system, (1 - h K/2)^-1 (1 + h K/2)."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
+    scene = cvi.Scene.from_pinocchio(model, name="oscillator")
+    scene.set_joint("slide", stiffness=18.0, damping=0.6)
+    K = np.array([[0.0, 1.0], [-9.0, -0.3]])
+    half = 0.5 * 0.1 * K
+    A, B = cvi.linearize(scene, [0.4], [-1.0], [0.7], 0.1)
+    inverse = np.linalg.inv(np.eye(2) - half)
+    assert pytest.approx(inverse @ (np.eye(2) + half), abs=1e-14) == A
+    assert pytest.approx(inverse @ np.array([[0.0], [0.05]]), abs=1e-14) == B

@@ -162,6 +162,7 @@ def test_closed_forms_refuse_other_times():
 
 
 # --- saltation and the discrete map ---------------------------------------------------------------------------------
+@pytest.mark.long
 def test_saltation_of_problem_b():
     """State and times against oracles.problem_b; elastic, undamped: the derivative in (q, p) is symplectic."""
     parameters = {"masses": [1.0, 1.0], "lengths": [1.0, 1.0], "gravity": 9.81, "wall": 0.0, "e": 1.0}
@@ -194,12 +195,14 @@ def discrete_of_full(stages: int, steps: int, duration: float):
     return precise.complex_differences(run, x, ["q0", "v0", *PARAMETERS])
 
 
+@pytest.mark.long
 def test_saltation_is_the_limit_at_high_order():
     """State, event time and all parameters at once: order 16 with steps of .075 s against DOP853 at 1e-13."""
     error = relative(discrete_of_full(8, 4, 0.3), saltation_of_full(0.3))
     assert error <= 2e-13  # measured 1e-14; with two steps 1e-10, the scheme's own error
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("stages", "steps"), [(1, 4), (2, 4), (3, 2)])
 def test_the_discrete_derivative_has_the_order_of_the_scheme(stages, steps):
     """Through the impact, in every column: the discrete one differs from saltation by O(h^2s)."""
@@ -378,6 +381,7 @@ def test_expm_at_an_equilibrium():
     assert relative(got.B, b) <= 1e-11
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stages", [1, 2])
 @pytest.mark.parametrize("name", ["joint_free_flyer", "joint_spherical"])
 def test_discrete_linearisation_tends_to_the_flow(name, stages):
