@@ -1,5 +1,10 @@
 # The public names and where they live. contactvi/__init__.py reads this file and loads each on first use.
 from . import errors as errors
+from .derivatives.linear import ForwardDynamics as ForwardDynamics
+from .derivatives.linear import StepDerivatives as StepDerivatives
+from .derivatives.linear import forward_dynamics_derivatives as forward_dynamics_derivatives
+from .derivatives.linear import linearize as linearize
+from .derivatives.linear import step_derivatives as step_derivatives
 from .errors import AccuracyWarning as AccuracyWarning
 from .errors import ConstraintError as ConstraintError
 from .errors import ContactviError as ContactviError
@@ -7,6 +12,7 @@ from .errors import DenseStepWarning as DenseStepWarning
 from .errors import DerivativeError as DerivativeError
 from .errors import EngineError as EngineError
 from .errors import InputError as InputError
+from .errors import NotDifferentiable as NotDifferentiable
 from .errors import PenetrationError as PenetrationError
 from .errors import SceneError as SceneError
 from .errors import SimulationError as SimulationError

@@ -224,6 +224,28 @@ class EngineError(ContactviError, RuntimeError):
         super().__init__(what, expected=expected, got=got, remedy=remedy)
 
 
+class NotDifferentiable(ContactviError):
+    """A step, an impact or a contact that has no derivative, or none that is known.
+
+    `reason`, where known, is one of "impact", "contact", "constraint", "saturation"; `pair` (names) and `time` [s] tell where, when
+    known.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        expected: object,
+        got: object,
+        remedy: str,
+        reason: str | None = None,
+        pair: tuple[str, str] | None = None,
+        time: float | None = None,
+    ) -> None:
+        self.reason, self.pair, self.time = reason, pair, time
+        super().__init__(what, expected=expected, got=got, remedy=remedy)
+
+
 class AccuracyWarning(UserWarning):
     """A run with dt="auto" did not reach the accuracy asked of it; `Trajectory.error_estimate` is what it reached."""
 

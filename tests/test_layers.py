@@ -33,10 +33,11 @@ PYTHON_FOLDERS: Folders = {
     "simulation": ("trajectory",),
     "simultaneous": ("trajectory", "_core"),
     "bench": ("simulation",),
+    "derivatives": ("simulation",),
     "reproduce": ("simulation",),
     "verify": ("reproduce", "simultaneous"),
     "commands": ("bench", "reproduce", "verify", "public"),
-    "public": ("simulation", "simultaneous"),  # contactvi/__init__.py, which names what is public
+    "public": ("simulation", "simultaneous", "derivatives"),  # contactvi/__init__.py, which names what is public
 }
 
 CPP_FOLDERS: Folders = {
@@ -55,7 +56,13 @@ CPP_FOLDERS: Folders = {
 }
 # A saved run is read and shown without the compiled engine: only these modules load it when they run. The types of its
 # stub may be named anywhere, under TYPE_CHECKING.
-USERS_OF_THE_ENGINE = {"scene.engine", "scene.build", "simulation.engine", "simulation.compatibility"}
+USERS_OF_THE_ENGINE = {
+    "scene.engine",
+    "scene.build",
+    "simulation.engine",
+    "simulation.compatibility",
+    "derivatives.linear",
+}
 
 # A header found by one of these names belongs to Python or to a parser: neither has a place in the engine.
 PYTHON_HEADERS = re.compile(r"^(nanobind/|pybind11/|boost/python|Python\.h|numpy/)")

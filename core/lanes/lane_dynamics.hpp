@@ -13,8 +13,10 @@ struct Group {  // the lanes of one group
   V* slots;
   int offset;  // of its first lane among the stages
 
-  V at(const double* array, int dof) const { return load<V>(array + dof * work->S + offset); }
-  void put(double* array, int dof, V x) const { store<V>(array + dof * work->S + offset, x); }
+  V at(const double* array, int dof) const { return Memory<V>::get(*work, array + dof * work->S + offset); }
+  void put(double* array, int dof, V x) const { Memory<V>::put(*work, array + dof * work->S + offset, x); }
+  // A number that all lanes share.
+  typename Memory<V>::Number number(const double* at) const { return Memory<V>::number(*work, at); }
   V3<V> at3(const double* array, int dof) const { return {at(array, dof), at(array, dof + 1), at(array, dof + 2)}; }
   void put3(double* array, int dof, V3<V> x) const {
     put(array, dof, x.x);
@@ -75,8 +77,8 @@ LANE_INLINE V3<V> times_transpose(const S* R, V3<V> a) {
 }
 
 // R = B exp(X)
-template <class V>
-LANE_INLINE void ball_rotation(const double* B, V3<V> X, V* R) {
+template <class V, class S>
+LANE_INLINE void ball_rotation(const S* B, V3<V> X, V* R) {
   const Rotation<V> k = rotation(X);
   const V xx = k.a * X.x * X.x, yy = k.a * X.y * X.y, zz = k.a * X.z * X.z;
   const V xy = k.a * X.x * X.y, xz = k.a * X.x * X.z, yz = k.a * X.y * X.z;
@@ -94,10 +96,10 @@ LANE_INLINE void place_joint(const Group<V>& g, const LaneJoint& j) {
   V* at = g.storage + j.at;
   switch (j.type) {
     case kLaneTurn:
-      sine_cosine(w.base[j.dof] + g.at(w.X, j.dof), at[1], at[0]);
+      sine_cosine(g.number(w.base + j.dof) + g.at(w.X, j.dof), at[1], at[0]);
       break;
     case kLaneScrew: {
-      const V angle = w.base[j.dof] + g.at(w.X, j.dof);
+      const V angle = g.number(w.base + j.dof) + g.at(w.X, j.dof);
       sine_cosine(angle, at[1], at[0]);
       at[2] = j.pitch * (angle - j.turn);  // the frame's constant turn displaces nothing
       break;
@@ -105,13 +107,16 @@ LANE_INLINE void place_joint(const Group<V>& g, const LaneJoint& j) {
     case kLaneSlide:
       at[0] = Lane<V>::all(j.cos_fixed);
       at[1] = Lane<V>::all(j.sin_fixed);
-      at[2] = w.base[j.dof] + g.at(w.X, j.dof);
+      at[2] = g.number(w.base + j.dof) + g.at(w.X, j.dof);
       break;
     case kLaneTranslate:
-      for (int d = 0; d < 3; ++d) at[d] = w.base[j.dof + d] + g.at(w.X, j.dof + d);
+      for (int d = 0; d < 3; ++d) at[d] = g.number(w.base + j.dof + d) + g.at(w.X, j.dof + d);
       break;
-    default:
-      ball_rotation(w.ball_base + 9 * j.ball, g.at3(w.X, j.dof), at);
+    default: {
+      typename Memory<V>::Number B[9];
+      for (int k = 0; k < 9; ++k) B[k] = g.number(w.ball_base + 9 * j.ball + k);
+      ball_rotation(B, g.at3(w.X, j.dof), at);
+    }
   }
 }
 
@@ -239,19 +244,20 @@ template <bool measure, class V>
 LANE_INLINE void put_force(const Group<V>& g, int dof, V gravity, V motion, V momentum) {
   const LaneWork& w = *g.work;
   V force = gravity - motion, size;
-  if (measure) size = absolute(gravity) + absolute(motion);
+  if constexpr (measure) size = absolute(gravity) + absolute(motion);
   if (w.stiffness) {
-    const V spring = w.stiffness[dof] * (w.deflection[dof] + g.at(w.X, dof)), drag = w.damping[dof] * g.at(w.v, dof);
+    const V spring = g.number(w.stiffness + dof) * (g.number(w.deflection + dof) + g.at(w.X, dof));
+    const V drag = g.number(w.damping + dof) * g.at(w.v, dof);
     force = force - spring - drag;
-    if (measure) size = size + absolute(spring) + absolute(drag);
+    if constexpr (measure) size = size + absolute(spring) + absolute(drag);
   }
   if (w.tau) {
-    force = force + w.tau[dof];
-    if (measure) size = size + absolute(Lane<V>::all(w.tau[dof]));
+    force = force + g.number(w.tau + dof);
+    if constexpr (measure) size = size + absolute(Lane<V>::all(w.tau[dof]));
   }
   g.put(w.P, dof, momentum);
   g.put(w.G, dof, force);
-  if (measure) g.put(w.magnitude, dof, size);
+  if constexpr (measure) g.put(w.magnitude, dof, size);
 }
 
 template <bool measure, class V>

@@ -22,16 +22,20 @@ LANE_INLINE int groups(const LaneWork* work) {
 // sum_j in[dof][j] hA[j][i]
 template <class V>
 LANE_INLINE V stage_sum(const LaneWork& w, const double* in, int dof, int offset) {
+  typedef Memory<V> M;
   const double* row = in + dof * w.S;
-  V sum = row[0] * load<V>(w.hA + offset);
-  for (int j = 1; j < w.s; ++j) sum = sum + row[j] * load<V>(w.hA + j * w.S + offset);
+  V sum = M::number(w, row) * M::get(w, w.hA + offset);
+  for (int j = 1; j < w.s; ++j) sum = sum + M::number(w, row + j) * M::get(w, w.hA + j * w.S + offset);
   return sum;
 }
 
-LANE_INLINE double end_sum(const LaneWork& w, const double* in, int dof) {
+// sum_j hb[j] in[dof][j]
+template <class V>
+LANE_INLINE typename Memory<V>::Number end_sum(const LaneWork& w, const double* in, int dof) {
+  typedef Memory<V> M;
   const double* row = in + dof * w.S;
-  double sum = w.hb[0] * row[0];
-  for (int j = 1; j < w.s; ++j) sum += w.hb[j] * row[j];
+  typename M::Number sum = M::number(w, w.hb) * M::number(w, row);
+  for (int j = 1; j < w.s; ++j) sum = sum + M::number(w, w.hb + j) * M::number(w, row + j);
   return sum;
 }
 
@@ -51,29 +55,31 @@ void rates(const LaneTree* tree, const LaneWork* work) {
   }
 }
 
-// X = hA X'. On balls the change of X counts as an error, in energies of the joint.
-template <class V>
+// X = hA X'. On balls, if measure, the change of X counts as an error, in energies of the joint.
+template <bool measure, class V>
 inline void displace(const Group<V>& g, int flags) {
   const LaneWork& w = *g.work;
   V moved = Lane<V>::all(0.0);
   for (int i = 0; i < g.tree->joints; ++i) {
     const LaneJoint& j = g.tree->joint[i];
     if (j.type == kLaneBall) {
-      const V3<V> old = g.at3(w.X, j.dof);
+      [[maybe_unused]] const V3<V> old = g.at3(w.X, j.dof);
       V3<V> X;
       X.x = stage_sum<V>(w, w.rate, j.dof, g.offset);
       X.y = stage_sum<V>(w, w.rate, j.dof + 1, g.offset);
       X.z = stage_sum<V>(w, w.rate, j.dof + 2, g.offset);
       g.put3(w.X, j.dof, X);
-      const V3<V> change = X - old, rate = g.at3(w.v, j.dof), p = g.at3(w.P, j.dof);
-      if (!(flags & kLaneFirst))
-        moved = moved + absolute(dot(p, rate)) * dot(change, change) / (dot(rate, rate) * (w.h * w.h) + 1e-300);
+      if constexpr (measure) {
+        const V3<V> change = X - old, rate = g.at3(w.v, j.dof), p = g.at3(w.P, j.dof);
+        if (!(flags & kLaneFirst))
+          moved = moved + absolute(dot(p, rate)) * dot(change, change) / (dot(rate, rate) * (w.h * w.h) + 1e-300);
+      }
     } else {
       for (int d = 0; d < (j.type == kLaneTranslate ? 3 : 1); ++d)
         g.put(w.X, j.dof + d, stage_sum<V>(w, w.rate, j.dof + d, g.offset));
     }
   }
-  store<V>(w.error + g.offset, moved);
+  if constexpr (measure) store<V>(w.error + g.offset, moved);
 }
 
 // Rates of the chart momentum of the balls, and exp(X) G for the balance.
@@ -92,16 +98,21 @@ inline void ball_rates(const Group<V>& g) {
   }
 }
 
-LANE_INLINE V3<double> end_sum3(const LaneWork& w, const double* in, int dof) {
-  return {end_sum(w, in, dof), end_sum(w, in, dof + 1), end_sum(w, in, dof + 2)};
+template <class V>
+LANE_INLINE V3<typename Memory<V>::Number> end_sum3(const LaneWork& w, const double* in, int dof) {
+  return {end_sum<V>(w, in, dof), end_sum<V>(w, in, dof + 1), end_sum<V>(w, in, dof + 2)};
 }
 
 // Chart momentum of a ball at the start of the step.
-LANE_INLINE V3<double> ball_start(const LaneWork& w, int dof) {
-  const V3<double> X1 = end_sum3(w, w.rate, dof), p0 = {w.p0[dof], w.p0[dof + 1], w.p0[dof + 2]};
-  const Rotation<double> back = rotation(times(-1.0, X1)), k = rotation(X1);
-  const V3<double> p1 = exp_apply(back, p0 + end_sum3(w, w.Y, dof));
-  return jacobian_transpose(k, p1) - end_sum3(w, w.px, dof);
+template <class V>
+LANE_INLINE V3<typename Memory<V>::Number> ball_start(const LaneWork& w, int dof) {
+  typedef typename Memory<V>::Number N;
+  const double* p = w.p0 + dof;
+  const V3<N> p0 = {Memory<V>::number(w, p), Memory<V>::number(w, p + 1), Memory<V>::number(w, p + 2)};
+  const V3<N> X1 = end_sum3<V>(w, w.rate, dof);
+  const Rotation<N> back = rotation(times(-1.0, X1)), k = rotation(X1);
+  const V3<N> p1 = exp_apply(back, p0 + end_sum3<V>(w, w.Y, dof));
+  return jacobian_transpose(k, p1) - end_sum3<V>(w, w.px, dof);
 }
 
 template <class V>
@@ -110,7 +121,7 @@ inline void residuals(const Group<V>& g) {
   for (int i = 0; i < g.tree->joints; ++i) {
     const LaneJoint& j = g.tree->joint[i];
     if (j.type == kLaneBall) {
-      const V3<double> start = ball_start(w, j.dof);
+      const V3<typename Memory<V>::Number> start = ball_start<V>(w, j.dof);
       V3<V> px;
       px.x = start.x + stage_sum<V>(w, w.px, j.dof, g.offset);
       px.y = start.y + stage_sum<V>(w, w.px, j.dof + 1, g.offset);
@@ -119,7 +130,7 @@ inline void residuals(const Group<V>& g) {
       g.put3(w.dv, j.dof, p - g.at3(w.P, j.dof));
     } else {
       for (int d = j.dof; d < j.dof + (j.type == kLaneTranslate ? 3 : 1); ++d)
-        g.put(w.dv, d, (w.p0[d] + stage_sum<V>(w, w.G, d, g.offset)) - g.at(w.P, d));
+        g.put(w.dv, d, (g.number(w.p0 + d) + stage_sum<V>(w, w.G, d, g.offset)) - g.at(w.P, d));
     }
   }
 }
@@ -178,12 +189,12 @@ void iterate(const LaneTree* tree, const LaneWork* work, int flags) {
   if (tree->balls > 0) {
     // X' depends on X: iterated once more, so that its error does not slow down the iterations on v.
     rates<V>(tree, work);
-    for (int k = 0; k < count; ++k) displace(group<V>(tree, work, k), kLaneFirst);
+    for (int k = 0; k < count; ++k) displace<true>(group<V>(tree, work, k), kLaneFirst);
     rates<V>(tree, work);
   }
   for (int k = 0; k < count; ++k) {
     const Group<V> g = group<V>(tree, work, k);
-    displace(g, tree->balls > 0 ? flags & ~kLaneFirst : flags);
+    displace<true>(g, tree->balls > 0 ? flags & ~kLaneFirst : flags);
     forward(g);
     if (flags & kLaneFactor) {
       backward<true>(g);
@@ -198,6 +209,37 @@ void iterate(const LaneTree* tree, const LaneWork* work, int flags) {
     const Group<V> g = group<V>(tree, work, k);
     residuals(g);
     correct(g, flags);
+  }
+}
+
+// The stage equations' residuals and their derivatives along the direction in the shadows; v and its derivative stay.
+template <class V>
+void tangent(const LaneTree* tree, const LaneWork* work) {
+  typedef Dual<V> D;
+  const int count = groups<V>(work);
+  if (tree->balls > 0) {
+    rates<D>(tree, work);
+    for (int k = 0; k < count; ++k) displace<false>(group<D>(tree, work, k), kLaneFirst);
+    rates<D>(tree, work);
+  }
+  for (int k = 0; k < count; ++k) {
+    const Group<D> g = group<D>(tree, work, k);
+    displace<false>(g, kLaneFirst);
+    forward(g);
+    backward<false>(g);
+  }
+  if (work->extra) work->extra(work->context);
+  if (tree->balls > 0)
+    for (int k = 0; k < count; ++k) ball_rates(group<D>(tree, work, k));
+  for (int k = 0; k < count; ++k) residuals(group<D>(tree, work, k));
+}
+
+template <class V>
+void evaluate_tangent(const LaneTree* tree, const LaneWork* work) {
+  for (int k = 0; k < groups<V>(work); ++k) {
+    const Group<Dual<V>> g = group<Dual<V>>(tree, work, k);
+    forward(g);
+    backward<false>(g);
   }
 }
 
@@ -242,6 +284,6 @@ void combine(int nv, int s, int S, const double* weight, const double* in, doubl
 
 template <class V>
 constexpr LaneKernel lane_kernel() {
-  return {Lane<V>::count,  evaluate<V>, place_stages<V>, factor_stages<V>,
-          solve_stages<V>, iterate<V>,  rates<V>,        combine<V>};
+  return {Lane<V>::count, evaluate<V>, place_stages<V>, factor_stages<V>, solve_stages<V>,
+          iterate<V>,     rates<V>,    combine<V>,      tangent<V>,       evaluate_tangent<V>};
 }

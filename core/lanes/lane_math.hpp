@@ -99,6 +99,8 @@ LANE_INLINE void sine_cosine(V x, V& sine, V& cosine) {
   cosine = Lane<V>::value(cos_bits ^ (((quadrant + 1) & 2) << 62));
 }
 
+#include "lane_dual.hpp"
+
 template <class V>
 struct V3 {
   V x, y, z;

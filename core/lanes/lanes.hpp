@@ -79,6 +79,9 @@ struct LaneWork {
   double* magnitude;       // sizes of the terms of G
   const double* diagonal;  // added to the mass matrix in the factor (armature, stiffness, damping)
   double *storage, *slots;
+  // From each array to that of its derivatives, for the functions that need them: storage and slots, which these
+  // functions use for pairs of numbers, excepted.
+  long shadow;
   // Per stage.
   double* error;           // r . dv
   double* kinetic;         // P . v
@@ -108,6 +111,11 @@ struct LaneKernel {
   void (*rates)(const LaneTree*, const LaneWork*);  // balls: X' from v and X
   // out[dof * S + i] (+)= sum_j weight[j * S + i] in[dof * S + j], j < s.
   void (*combine)(int nv, int s, int S, const double* weight, const double* in, double* out, bool add);
+  // The derivatives of X, P, G and of the residual (dv) along a direction: that of v, of the start, of the forces and
+  // of the step's length in the shadows. The values are computed beside them.
+  void (*tangent)(const LaneTree*, const LaneWork*);
+  // Of P and G alone, at the given X and v.
+  void (*evaluate_tangent)(const LaneTree*, const LaneWork*);
 };
 
 }  // namespace contactvi

@@ -18,7 +18,33 @@ void rotate(const SplitJoint& split, const VecCRef& q, bool to_world, VecRef w) 
   w.segment<3>(split.iv) = to_world ? Vec3(quat * linear) : Vec3(quat.conjugate() * linear);
 }
 
+// With R the body's axes and dR = R [turn]: d(R x) = R (dx + turn x x), d(R^T y) = R^T dy - turn x (R^T y).
+void add_turn(const SplitJoint& split, const VecCRef& dq, double sign, const VecCRef& x, VecRef dx) {
+  const int iv = split.iv;
+  if (split.planar) {
+    const double turn = sign * dq[iv + 2];
+    dx[iv] -= turn * x[iv + 1];
+    dx[iv + 1] += turn * x[iv];
+    return;
+  }
+  const Vec3 turn = dq.segment<3>(iv + 3), linear = x.segment<3>(iv);
+  dx.segment<3>(iv) += sign * turn.cross(linear);
+}
+
 }  // namespace
+
+void public_to_engine_tangent(const Tree& tree, const VecCRef& q, const VecCRef& dq, const VecCRef& w, VecRef dw) {
+  for (const SplitJoint& split : tree.split) add_turn(split, dq, 1.0, w, dw);
+  public_to_engine(tree, q, dw);
+}
+
+void engine_to_public_tangent(const Tree& tree, const VecCRef& q, const VecCRef& dq, const VecCRef& w, VecRef dw) {
+  if (tree.split.empty()) return;
+  VecX turned = w;
+  engine_to_public(tree, q, turned);
+  engine_to_public(tree, q, dw);
+  for (const SplitJoint& split : tree.split) add_turn(split, dq, -1.0, turned, dw);
+}
 
 void public_to_engine(const Tree& tree, const VecCRef& q, VecRef w) {
   for (const SplitJoint& split : tree.split) rotate(split, q, true, w);

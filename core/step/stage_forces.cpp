@@ -101,11 +101,12 @@ double Stages::dissipation(int i) const {
   return total;
 }
 
-void Stages::add_extra(void* self) {
-  Stages& stages = *static_cast<Stages*>(self);
-  if (stages.has_inputs_ && !stages.tree_->split.empty()) stages.add_split_inputs();
-  if (stages.has_ball_springs_) stages.add_ball_springs();
-  if (stages.field_.any()) stages.add_elements();
+void Stages::add_extra(void* self) { static_cast<Stages*>(self)->add_forces(); }
+
+void Stages::add_forces() {
+  if (has_inputs_ && !tree_->split.empty()) add_split_inputs();
+  if (has_ball_springs_) add_ball_springs();
+  if (field_.any()) add_elements();
 }
 
 void Stages::add_elements() {

@@ -34,7 +34,7 @@ constexpr double kManyTurns = 1e4;
 
 }  // namespace
 
-Stages::Stages(const Tree& tree, const FlatModel& model, int stages)
+Stages::Stages(const Tree& tree, const FlatModel& model, int stages, bool with_derivatives)
     : tree_(&tree),
       model_(&model),
       table_(&gauss_table(stages)),
@@ -53,7 +53,7 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages)
       element_dissipation_(VecX::Zero(stages)) {
   work_.s = stages;
   work_.S = (stages + kernel_->lanes - 1) / kernel_->lanes * kernel_->lanes;
-  allocate();
+  allocate(with_derivatives);
   for (const Joint& joint : tree.joints) {
     const bool ball = joint.type == JointType::kSpherical;
     has_ball_springs_ |= ball && joint.stiffness != 0;
@@ -90,8 +90,9 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages)
 }
 
 // One block for all arrays, each starting on a cache line.
-void Stages::allocate() {
+void Stages::allocate(bool with_derivatives) {
   const std::size_t S = work_.S, n = tree_->nv, size = n * S, balls = model_->lanes.balls, s = work_.s;
+  const std::size_t pair = with_derivatives ? 2 : 1;
   const std::size_t ball_size = balls > 0 ? size : 0, slots = std::max(1, model_->lanes.slots);
   const std::pair<double**, std::size_t> arrays[] = {{&X_, size},
                                                      {&v_, size},
@@ -104,8 +105,8 @@ void Stages::allocate() {
                                                      {&Y_, ball_size},
                                                      {&px_, ball_size},
                                                      {&applied_, tree_->split.empty() ? 0 : size},
-                                                     {&storage_, model_->lanes.storage * S},
-                                                     {&slots_, 36 * slots * kernel_->lanes},
+                                                     {&storage_, pair * model_->lanes.storage * S},
+                                                     {&slots_, pair * 36 * slots * kernel_->lanes},
                                                      {&per_stage_, 3 * S},
                                                      {&hA_, s * S},
                                                      {&he_, 2 * S},
@@ -119,7 +120,8 @@ void Stages::allocate() {
                                                      {&input_, n}};
   std::size_t total = 0;
   for (const auto& array : arrays) total += (array.second + 7) / 8 * 8;
-  memory_ = AlignedArray(total);
+  memory_ = AlignedArray(pair * total);
+  work_.shadow = static_cast<long>(total);
   double* at = memory_.data();
   for (const auto& array : arrays) {
     *array.first = at;

@@ -23,7 +23,8 @@ struct Servo {
 
 class Stages {
  public:
-  Stages(const Tree& tree, const FlatModel& model, int stages);
+  // with_derivatives: each array has its shadow (LaneWork), for the kernel's tangents.
+  Stages(const Tree& tree, const FlatModel& model, int stages, bool with_derivatives = false);
   Stages(const Stages&) = delete;
   Stages& operator=(const Stages&) = delete;
 
@@ -86,11 +87,13 @@ class Stages {
   void configuration(const VecCRef& q0, int i, VecRef q);
 
  private:
-  void allocate();
+  friend class StepTangent;  // it works on the arrays and their shadows
+  void allocate(bool with_derivatives);
   void set_base(const VecCRef& q0);
   void set_step(double h);
   void set_forces(const VecCRef& q0, const VecX& tau);
   static void add_extra(void* self);
+  void add_forces();
   void add_split_inputs();
   void add_ball_springs();
   void add_elements();

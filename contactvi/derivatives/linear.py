@@ -1,0 +1,236 @@
+"""The linear systems that belong to a scene at a state: of one step, and of the equations of motion.
+
+Columns and rows are Pinocchio's: tangent vectors at q (of a free body: linear and angular, body frame) and velocities.
+The derivative of a step is that of the discrete map itself, exact to rounding, not the flow's (docs/theory.md); it
+converges to the continuous one with the order of the step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from contactvi import inputs
+from contactvi.elements.elements import UserForce, UserPotential
+from contactvi.errors import DerivativeError, NotDifferentiable, SimulationError
+from contactvi.scene.scene import Scene
+from contactvi.simulation.run import Run
+from contactvi.simulation.simulator import settings_of
+from contactvi.simulation.targets import Targets
+from contactvi.trajectory.compiled import CompiledScene, compile_scene
+
+Array = NDArray[np.float64]
+
+STATES = ("velocity", "momentum")
+SAME = 1e-9  # relative: ends of a step, solved once in a run and once to rounding, differ by less
+TOUCHING = 1e-9  # [m; rad] gap up to which a contact may act: what persistent contacts keep to
+
+
+@dataclass(frozen=True, eq=False)
+class StepDerivatives:
+    """One step and its derivatives, x being the velocity or the momentum.
+
+    Attributes:
+        q: configuration at the end, shape (nq,). x: velocity [m/s, rad/s] or momentum there, shape (nv,).
+        A: d(q, x)/d(q0, x0), shape (2 nv, 2 nv). B: d(q, x)/d tau, shape (2 nv, nv).
+        dt: d(q, x)/d dt, shape (2 nv,).
+    """
+
+    q: Array
+    x: Array
+    A: Array
+    B: Array
+    dt: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ForwardDynamics:
+    """The acceleration a(q, v, tau) and its derivatives.
+
+    Attributes:
+        a: dv/dt, shape (nv,) [m/s^2, rad/s^2], Pinocchio's.
+        a_q, a_v, a_tau: derivatives with respect to q (tangent), v and tau, shapes (nv, nv).
+    """
+
+    a: Array
+    a_q: Array
+    a_v: Array
+    a_tau: Array
+
+
+def linearize(
+    scene: Scene,
+    q: ArrayLike,
+    v: ArrayLike | None = None,
+    tau: ArrayLike | None = None,
+    dt: float = 1e-3,
+    *,
+    order: int = 2,
+    target: Any = None,
+    t: float = 0.0,
+    state: str = "velocity",
+) -> tuple[Array, Array]:
+    """Return A (2 nv, 2 nv) and B (2 nv, nv) of one step: d(q1, v1) = A d(q0, v0) + B d tau.
+
+    Arguments and errors as those of `step_derivatives`.
+    """
+    step = step_derivatives(scene, q, v, tau, dt, order=order, target=target, t=t, state=state)
+    return step.A, step.B
+
+
+def step_derivatives(
+    scene: Scene,
+    q: ArrayLike,
+    v: ArrayLike | None = None,
+    tau: ArrayLike | None = None,
+    dt: float = 1e-3,
+    *,
+    order: int = 2,
+    target: Any = None,
+    t: float = 0.0,
+    state: str = "velocity",
+) -> StepDerivatives:
+    """Make one step without contact and return it with its exact derivatives.
+
+    Args:
+        q, v: state at the start, shapes (nq,), (nv,); v = None: at rest.
+        tau: generalized force over the step, shape (nv,) [N, N m]; None: zero.
+        dt: step [s]. order: 2, 4, ... 16. t: time of its start [s], for what depends on it.
+        target: where servos are to go, as in `simulate`; it stays as it is.
+        state: what stands beside q: "velocity" or "momentum" (with it A is symplectic where nothing damps).
+
+    Raises:
+        InputError, PenetrationError: as `simulate`. DerivativeError: a function of the user has no derivatives.
+        NotDifferentiable: there is an impact, a persistent contact, a constraint or an actuator at its limit in the
+            step.
+    """
+    inputs.check_choice("state", state, STATES, "a kind of state")
+    options = settings_of(scene, {"dt": dt, "duration": dt, "order": order, "contact_mode": "events", "ledger": None})
+    compiled = compile_scene(scene)
+    _check(compiled)
+    force = np.zeros(compiled.states.nv) if tau is None else compiled.states.force(tau)
+    run = Run(compiled, options, q, v, t)
+    if run.refused is not None:
+        raise run.refused
+    start, momentum = run.q, run.p
+    rows = run.targets(target, 1)
+    status = run.advance(1, force[None], rows)
+    _check_smooth(run)
+    if not status.ok:
+        raise SimulationError(
+            f"The step was not made: {status.message}", expected="one step without contact", got=status.code.name,
+            remedy="Use a smaller dt", status=status,
+        )  # fmt: skip
+    x = momentum if state == "momentum" else np.asarray(compiled.core.velocity(start[None], momentum[None]))[0]
+    from contactvi import _core
+
+    end, after, A, B, by_dt = _core.linear_step(
+        compiled.core, start, x, state == "momentum", options.fixed_dt, force, None if rows is None else rows[0], t,
+        options.order, options.stage_tol,
+    )  # fmt: skip
+    off = float(np.abs(end - run.q).max(initial=0.0))
+    if off > SAME * (1.0 + float(np.abs(end).max(initial=0.0))):
+        raise NotDifferentiable(
+            "An actuator is at its limit in the step", reason="saturation", time=t,
+            expected="inputs and servos within their limits", got=f"a step whose end is {off:.2g} off without the limits",
+            remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False)",
+        )  # fmt: skip
+    return StepDerivatives(end, after, np.asarray(A), np.asarray(B), by_dt)
+
+
+def forward_dynamics_derivatives(
+    scene: Scene,
+    q: ArrayLike,
+    v: ArrayLike | None = None,
+    tau: ArrayLike | None = None,
+    *,
+    target: Any = None,
+    t: float = 0.0,
+) -> ForwardDynamics:
+    """Return the acceleration where nothing touches and its derivatives, by Pinocchio's ABA derivatives.
+
+    Springs, dampers, servos, wrenches and functions of the user act as in a run. Arguments as those of
+    `step_derivatives`; no actuator has a limit here.
+
+    Raises:
+        InputError: for a bad state. DerivativeError: a function of the user has no derivatives.
+        NotDifferentiable: a contact or limit touches, or there are constraints.
+    """
+    compiled = compile_scene(scene)
+    _check(compiled)
+    states, core = compiled.states, compiled.core
+    at = states.configuration(q, "q")
+    w = states.velocity(v, "v")
+    force = np.zeros(states.nv) if tau is None else states.force(tau)
+    _check_apart(compiled, at)
+    rows = Targets(compiled, at).rows(target, np.array([float(t)]))
+    from contactvi import _core
+
+    own, f_q, f_v = _core.linear_forces(core, at, w, None if rows is None else rows[0], float(t))
+    model = compiled.built.model
+    data = model.createData()
+    pin.computeABADerivatives(model, data, at, w, force + own)
+    inverse = np.triu(data.Minv) + np.triu(data.Minv, 1).T
+    a_q = np.array(data.ddq_dq) + inverse @ f_q
+    a_v = np.array(data.ddq_dv) + inverse @ f_v
+    return ForwardDynamics(np.array(data.ddq), a_q, a_v, inverse)
+
+
+def _check(compiled: CompiledScene) -> None:
+    """Raise for scenes of whose steps no derivative is known."""
+    for element in compiled.scene().elements:
+        given = element.derivatives if isinstance(element, UserForce) else True
+        given = element.hessian if isinstance(element, UserPotential) else given
+        if given is None:
+            part = "derivatives" if isinstance(element, UserForce) else "hessian"
+            raise DerivativeError(
+                f"{element.name!r} has no {part}", function=element.name, expected="a function that returns them",
+                got="none", remedy=f"Give {part}=... when it is added",
+            )  # fmt: skip
+    if compiled.built.constrained:
+        raise NotDifferentiable(
+            "A scene with constraints or joint friction has impulses in every step", reason="constraint",
+            expected="forces that are smooth in the state", got="constraints or joint friction",
+            remedy="Take them out of the scene: derivatives through them are not known yet",
+        )  # fmt: skip
+
+
+def _check_smooth(run: Run) -> None:
+    """Raise NotDifferentiable where something happened in the step that its smooth equations do not know."""
+    record = run.record
+    for event in record.log():
+        raise NotDifferentiable(
+            "There is an impact in the step", reason="impact", pair=event.pair, time=event.time,
+            expected="a step without contact", got=f"{event.pair[0]} - {event.pair[1]} at t = {event.time:.9g} s",
+            remedy="Linearise a step before or after it",
+        )  # fmt: skip
+    log = record.contact_log()
+    if len(log):
+        pair, time = log[0].pair, float(log.t[0])
+        raise NotDifferentiable(
+            "There is a persistent contact in the step", reason="contact", pair=pair, time=time,
+            expected="a step without contact", got=f"{pair[0]} - {pair[1]}",
+            remedy="Start where nothing touches, or take the pair out: scene.disable_pair(...)",
+        )  # fmt: skip
+
+
+def _check_apart(compiled: CompiledScene, q: Array) -> None:
+    """Raise NotDifferentiable where a pair or a joint limit touches."""
+    gaps = np.asarray(compiled.core.gaps(q)[0])
+    found = [(float(gap), pair) for gap, pair in zip(gaps, compiled.pair_names, strict=True)]
+    model, used = compiled.built.model, compiled.built.arrays.limits
+    for k in np.flatnonzero(used):
+        at, name = model.idx_qs[k], str(model.names[k])
+        found.append((float(q[at] - model.lowerPositionLimit[at]), (name, "lower limit")))
+        found.append((float(model.upperPositionLimit[at] - q[at]), (name, "upper limit")))
+    least, pair = min(found, default=(np.inf, ("", "")))
+    if least > TOUCHING:
+        return
+    raise NotDifferentiable(
+        "Something touches", reason="contact", pair=pair, expected=f"gaps above {TOUCHING:g}",
+        got=f"{least:.3g} between {pair[0]} and {pair[1]}", remedy="Linearise where nothing touches",
+    )  # fmt: skip

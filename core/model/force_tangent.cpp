@@ -1,0 +1,198 @@
+#include "model/force_tangent.hpp"
+
+#include "base/tolerances.hpp"
+#include "model/coordinates.hpp"
+#include "model/point_jacobian.hpp"
+
+namespace contactvi {
+
+namespace {
+
+Twist sum(const Twist& a, const Twist& b) { return {a.ang + b.ang, a.lin + b.lin}; }
+Twist scaled(double k, const Twist& a) { return {k * a.ang, k * a.lin}; }
+
+// d2V/dx2 of a joint's polynomial.
+double curvature(const JointPotential& potential, double x) {
+  double value = 0.0;
+  for (std::size_t k = potential.coefficients.size(); k-- > 0;) {
+    const double n = static_cast<double>(k) + 2.0;
+    value = value * x + n * (n - 1.0) * potential.coefficients[k];
+  }
+  return value;
+}
+
+}  // namespace
+
+ForceTangent::ForceTangent(const Tree& tree)
+    : tree_(&tree),
+      at_(tree),
+      any_(tree.elements.any_force()),
+      speed_(tree.joints.size()),
+      moved_(tree.joints.size()),
+      speed_moved_(tree.joints.size()),
+      q_(tree.nq),
+      v_(tree.nv),
+      dq_(tree.nv),
+      dv_(tree.nv),
+      force_(tree.nv),
+      change_(tree.nv),
+      first_(tree.nv, tree.nv),
+      second_(tree.nv, tree.nv) {}
+
+// Twist of the body about the world's origin for a unit of the joint's d-th velocity.
+Twist ForceTangent::axis(int joint, int d) const {
+  const Mat3& R = at_.R_W[joint];
+  const Vec3& p = at_.p_W[joint];
+  switch (tree_->joints[joint].type) {
+    case JointType::kRevolute:
+    case JointType::kContinuous:
+      return {R.col(2), p.cross(R.col(2))};
+    case JointType::kPrismatic:
+      return {Vec3::Zero(), R.col(2)};
+    case JointType::kHelical:
+      return {R.col(2), p.cross(R.col(2)) + tree_->joints[joint].pitch * R.col(2)};
+    case JointType::kTranslation:
+      return {Vec3::Zero(), R.col(d)};
+    default:
+      return {R.col(d), p.cross(R.col(d))};
+  }
+}
+
+void ForceTangent::place_twists(const VecCRef& v, const VecCRef& dq, const VecCRef& dv) {
+  const Twist none = {Vec3::Zero(), Vec3::Zero()};
+  for (int i = 0; i < static_cast<int>(tree_->joints.size()); ++i) {
+    const Joint& joint = tree_->joints[i];
+    const bool root = joint.parent < 0;
+    Twist own = none, rate = none;
+    moved_[i] = root ? none : moved_[joint.parent];
+    for (int d = 0; d < joint.nv; ++d) {
+      const Twist S = axis(i, d);
+      moved_[i] = sum(moved_[i], scaled(dq[joint.iv + d], S));
+      own = sum(own, scaled(v[joint.iv + d], S));
+      rate = sum(rate, scaled(dv[joint.iv + d], S));
+    }
+    speed_[i] = root ? own : sum(speed_[joint.parent], own);
+    const Twist turned = sum(cross(moved_[i], own), rate);
+    speed_moved_[i] = root ? turned : sum(speed_moved_[joint.parent], turned);
+  }
+}
+
+ForceTangent::Point ForceTangent::point(const BodyFrame& frame) const {
+  Point at = {world_point(at_, frame.body, frame.p_B), Vec3::Zero(), Vec3::Zero(), Vec3::Zero()};
+  if (frame.body < 0) return at;
+  const Twist &V = speed_[frame.body], &D = moved_[frame.body], &dV = speed_moved_[frame.body];
+  at.moved = D.lin + D.ang.cross(at.x);
+  at.speed = V.lin + V.ang.cross(at.x);
+  at.speed_moved = dV.lin + dV.ang.cross(at.x) + V.ang.cross(at.moved);
+  return at;
+}
+
+void ForceTangent::add_wrench(int body, const Point& at, const Vec3& F, const Vec3& dF, const Vec3& T, const Vec3& dT,
+                              VecRef df) {
+  const Vec3 N = at.x.cross(F) + T, dN = at.moved.cross(F) + at.x.cross(dF) + dT;
+  for (int j = body; j >= 0; j = tree_->joints[j].parent) {
+    const Joint& joint = tree_->joints[j];
+    const Twist& V = moved_[j];
+    const Vec3 n = dN + N.cross(V.ang) + F.cross(V.lin), f = dF + F.cross(V.ang);
+    for (int d = 0; d < joint.nv; ++d) {
+      const Twist S = axis(j, d);
+      df[joint.iv + d] += S.ang.dot(n) + S.lin.dot(f);
+    }
+  }
+}
+
+void ForceTangent::add_springs(VecRef df) {
+  for (const PathSpring& spring : tree_->elements.path_springs) {
+    double length = 0.0, speed = 0.0, d_length = 0.0, d_speed = 0.0;
+    const std::size_t parts = spring.points.size() - 1;
+    for (std::size_t i = 0; i < parts; ++i) {
+      const Point a = point(spring.points[i]), b = point(spring.points[i + 1]);
+      const Vec3 d = b.x - a.x, moved = b.moved - a.moved, rate = b.speed - a.speed;
+      const double part = d.norm();
+      length += part;
+      if (part <= kLeastDivisor) continue;
+      const Vec3 n = d / part, dn = (moved - n * n.dot(moved)) / part;
+      speed += n.dot(rate);
+      d_length += n.dot(moved);
+      d_speed += dn.dot(rate) + n.dot(b.speed_moved - a.speed_moved);
+    }
+    if (spring.tension_only && length <= spring.rest_length) continue;
+    const double pull = spring.stiffness * (length - spring.rest_length) + spring.damping * speed;
+    if (spring.tension_only && pull <= 0.0) continue;
+    const double d_pull = spring.stiffness * d_length + spring.damping * d_speed;
+    const Vec3 none = Vec3::Zero();
+    for (std::size_t i = 0; i < parts; ++i) {
+      const Point a = point(spring.points[i]), b = point(spring.points[i + 1]);
+      const Vec3 d = b.x - a.x, moved = b.moved - a.moved;
+      const double part = d.norm();
+      if (part <= kLeastDivisor) continue;
+      const Vec3 n = d / part, dn = (moved - n * n.dot(moved)) / part;
+      const Vec3 F = pull * n, dF = d_pull * n + pull * dn;
+      add_wrench(spring.points[i].body, a, F, dF, none, none, df);
+      add_wrench(spring.points[i + 1].body, b, -F, -dF, none, none, df);
+    }
+  }
+}
+
+void ForceTangent::add_wrenches(double t, VecRef df) {
+  for (const AppliedWrench& wrench : tree_->elements.wrenches) {
+    const Eigen::Matrix<double, 6, 1> value = wrench.signal ? wrench.signal(t) : wrench.value;
+    Vec3 F = value.head<3>(), T = value.tail<3>(), dF = Vec3::Zero(), dT = Vec3::Zero();
+    const int body = wrench.at.body;
+    if (!wrench.world_axes) {
+      const Mat3 R = world_axes(at_, body, wrench.at.R_B);
+      F = R * F;
+      T = R * T;
+      if (body >= 0) {
+        dF = moved_[body].ang.cross(F);
+        dT = moved_[body].ang.cross(T);
+      }
+    }
+    add_wrench(body, point(wrench.at), F, dF, T, dT, df);
+  }
+}
+
+void ForceTangent::add_users(double t, const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv,
+                             VecRef df) {
+  const Elements& e = tree_->elements;
+  if (e.forces.empty() && e.potentials.empty()) return;
+  q_ = q;
+  v_ = v;
+  engine_to_public(*tree_, q, v_);
+  dq_ = dq;
+  engine_to_public(*tree_, q, dq_);
+  dv_ = dv;
+  engine_to_public_tangent(*tree_, q, dq, v, dv_);
+  for (const UserForce& user : e.forces) {
+    user.value(t, q_, v_, force_);
+    user.derivative(t, q_, v_, first_, second_);
+    change_.noalias() = first_ * dq_ + second_ * dv_;
+    public_to_engine_tangent(*tree_, q, dq, force_, change_);
+    df += change_;
+  }
+  for (const UserPotential& user : e.potentials) {
+    user.gradient(q_, force_);
+    user.hessian(q_, first_);
+    change_.noalias() = first_ * dq_;
+    public_to_engine_tangent(*tree_, q, dq, force_, change_);
+    df -= change_;
+  }
+}
+
+void ForceTangent::add(double t, const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv, VecRef df) {
+  if (!any_) return;
+  const Elements& e = tree_->elements;
+  for (const JointPotential& p : e.joint_potentials) {
+    const Joint& joint = tree_->joints[p.joint];
+    df[joint.iv] -= curvature(p, q[joint.iq] - p.rest) * dq[joint.iv];
+  }
+  if (!e.path_springs.empty() || !e.wrenches.empty()) {
+    place(*tree_, q, at_);
+    place_twists(v, dq, dv);
+    add_springs(df);
+    add_wrenches(t, df);
+  }
+  add_users(t, q, v, dq, dv, df);
+}
+
+}  // namespace contactvi

@@ -1,0 +1,36 @@
+// The derivative of one smooth step in public coordinates, all columns: A and B of the discrete-time linear system.
+#pragma once
+
+#include "step/integrator.hpp"
+#include "step/step_tangent.hpp"
+
+namespace contactvi {
+
+// What stands for the motion beside q in a state.
+enum class StateKind { kVelocity, kMomentum };
+
+struct LinearStep {
+  VecX q1, x1;  // the end: configuration, and velocity or momentum
+  MatX A;       // d(q1, x1)/d(q0, x0), (2 nv, 2 nv), tangent vectors of Pinocchio
+  MatX B;       // d(q1, x1)/d tau, (2 nv, nv)
+  VecX h;       // d(q1, x1)/dh, (2 nv,)
+};
+
+struct StepInputs {
+  double time;  // of the start [s]
+  VecX tau;     // generalized force, public coordinates, (nv,) or empty
+  Servo servo;  // any is false: none
+};
+
+// The step of length h from (q0, x0). Throws Error where it or its derivative cannot be solved.
+LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h,
+                          const StepInputs& inputs, int stages, double tol);
+
+// Forces of springs, dampers, servos and elements at a state, without gravity, in public coordinates.
+struct LinearForces {
+  VecX f;         // (nv,)
+  MatX f_q, f_v;  // (nv, nv), tangent vectors of Pinocchio
+};
+LinearForces linearize_forces(const Tree& tree, const VecX& q, const VecX& v, const StepInputs& inputs);
+
+}  // namespace contactvi

@@ -1,0 +1,367 @@
+#include "step/step_tangent.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "model/coordinates.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr int kMostIterations = 60;
+constexpr double kExact = 4e-16;      // change of dv, of its size, that is rounding
+constexpr double kAccept = 1e-12;     // change below which iterations that gain nothing any more have met rounding
+constexpr double kProgress = 0.9;     // ratio of changes that counts as progress
+constexpr int kMostStagnant = 3;      // iterations without progress after which the matrix is factored
+constexpr int kTurnIterations = 60;   // of the charts of spherical joints, whose displacements depend on themselves
+constexpr double kTurnExact = 1e-15;  // [rad] of a unit direction
+const StepDirection kNoDirection;
+}  // namespace
+
+StepTangent::StepTangent(const Tree& tree, int stages)
+    : tree_(&tree),
+      model_(tree),
+      stages_(tree, model_, stages, true),
+      factor_(tree, model_, stages),
+      node_(tree, model_, 1, true),
+      stiff_(tree, factor_),
+      field_(tree),
+      q0_(tree.nq),
+      p0_(tree.nv),
+      q_(tree.nq),
+      v_(tree.nv),
+      dq_(tree.nv),
+      dv_(tree.nv),
+      df_(tree.nv),
+      r_(static_cast<Eigen::Index>(tree.nv) * stages),
+      dtau_(VecX::Zero(tree.nv)) {}
+
+void StepTangent::take(const VecX& q0, const VecX& p0, double h, const VecX& tau, double time, const Servo* servo,
+                       const MatX& velocities) {
+  q0_ = q0;
+  p0_ = p0;
+  has_matrix_ = false;
+  for (Stages* stages : {&stages_, &factor_}) {
+    stages->set_servo(servo);
+    stages->set_time(time);
+    stages->begin(q0_, p0_, h, tau);
+    const int S = stages->padded(), s = stages->count();
+    for (int d = 0; d < tree_->nv; ++d)
+      for (int i = 0; i < S; ++i) stages->v()[d * S + i] = velocities(d, std::min(i, s - 1));
+    std::fill_n(stages->X(), tree_->nv * S, 0.0);
+  }
+  // All kinds of forces may have a derivative, also where their values vanish.
+  if (stages_.work_.tau == nullptr) {
+    std::fill_n(stages_.input_, tree_->nv, 0.0);
+    stages_.work_.tau = stages_.input_;
+  }
+  stages_.work_.stiffness = stages_.stiffness_;
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type == JointType::kSpherical || stages_.stiffness_[joint.iv] != 0.0) continue;
+    const Vec3 deflection = spring_deflection(*tree_, joint, q0_);
+    for (int d = 0; d < joint.nv; ++d) stages_.deflection_[joint.iv + d] = deflection[d];
+  }
+  // The displacements of spherical joints depend on themselves: iterated until they stay.
+  set_direction(kNoDirection);
+  stages_.work_.extra = &StepTangent::add_extra;
+  stages_.work_.context = this;
+  for (int k = 0; k < (model_.lanes.balls > 0 ? kTurnIterations : 1); ++k) {
+    const std::vector<double> before(stages_.X(), stages_.X() + tree_->nv * stages_.padded());
+    evaluate();
+    double change = 0.0;
+    for (std::size_t i = 0; i < before.size(); ++i) change = std::max(change, std::abs(stages_.X()[i] - before[i]));
+    if (change <= kTurnExact) break;
+  }
+  std::copy_n(stages_.X(), tree_->nv * stages_.padded(), factor_.X());
+  factor_.place();
+  factor_.factor();
+  if (stiff_.any()) stiff_.factor(factor_, q0_);
+}
+
+void StepTangent::momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv, VecRef dp) {
+  node_.at(q);
+  const int S = node_.padded();
+  std::fill_n(node_.memory_.data() + node_.work_.shadow, node_.work_.shadow, 0.0);
+  set_base(node_, dq);
+  for (int d = 0; d < tree_->nv; ++d)
+    for (int i = 0; i < S; ++i) {
+      node_.v_[d * S + i] = v[d];
+      node_.v_[d * S + i + node_.work_.shadow] = dv[d];
+    }
+  node_.kernel().evaluate_tangent(&model_.lanes, &node_.work_);
+  for (int d = 0; d < tree_->nv; ++d) dp[d] = node_.P_[d * S + node_.work_.shadow];
+}
+
+// The derivatives of the joints' base along a tangent vector dq.
+void StepTangent::set_base(Stages& s, const VecCRef& dq) {
+  const long shadow = s.work_.shadow;
+  int ball = 0;
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type != JointType::kSpherical) {
+      for (int d = joint.iv; d < joint.iv + joint.nv; ++d) s.base_[d + shadow] = dq[d];
+      continue;
+    }
+    double* B = s.ball_base_ + 9 * ball++;
+    const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> base(B);
+    Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> change(B + shadow);
+    change = base * skew(dq.segment<3>(joint.iv));
+  }
+}
+
+void StepTangent::set_direction(const StepDirection& direction) {
+  direction_ = &direction;
+  Stages& s = stages_;
+  const int n = tree_->nv, S = s.padded();
+  std::fill_n(s.memory_.data() + s.work_.shadow, s.work_.shadow, 0.0);
+  if (direction.p.size() > 0) std::copy_n(direction.p.data(), n, shadow(s.p0_));
+  if (direction.q.size() > 0) {
+    set_base(s, direction.q);
+    for (int d = 0; d < n; ++d)
+      if (s.stiffness_[d] != 0.0) shadow(s.deflection_)[d] = direction.q[d];
+  }
+  if (direction.h != 0.0) {
+    const GaussTable& table = s.table();
+    for (int j = 0; j < s.count(); ++j) {
+      shadow(s.hb_)[j] = direction.h * table.b[j];
+      for (int i = 0; i < S; ++i) shadow(s.hA_)[j * S + i] = direction.h * table.A[std::min(i, s.count() - 1)][j];
+    }
+  }
+  if (direction.tau.size() > 0) {
+    dtau_ = direction.tau;
+    for (int d = 0; d < n; ++d) shadow(s.input_)[d] = direction.tau[d];
+    for (const SplitJoint& joint : tree_->split)
+      for (int d = 0; d < (joint.planar ? 2 : 3); ++d) shadow(s.input_)[joint.iv + d] = 0.0;
+  } else {
+    dtau_.setZero();
+  }
+  for (int d = 0; d < n; ++d) {
+    if (direction.stiffness.size() > 0) shadow(s.stiffness_)[d] = direction.stiffness[d];
+    if (direction.damping.size() > 0) shadow(s.damping_)[d] = direction.damping[d];
+    if (direction.rest.size() > 0) shadow(s.deflection_)[d] -= direction.rest[d];
+  }
+}
+
+void StepTangent::evaluate() { stages_.kernel().tangent(&model_.lanes, &stages_.work_); }
+
+// Of the stage equations along the direction, stage by stage.
+void StepTangent::residual(VecRef r) const {
+  const int S = stages_.padded(), n = tree_->nv;
+  const double* dr = shadow(stages_.dv_);
+  for (int i = 0; i < stages_.count(); ++i)
+    for (int d = 0; d < n; ++d) r[i * n + d] = dr[d * S + i];
+}
+
+// False where the iterations do not contract.
+bool StepTangent::iterate() {
+  const int S = stages_.padded(), n = tree_->nv, size = n * S;
+  double* dv = shadow(stages_.v_);
+  double best = INFINITY;
+  int stagnant = 0;
+  for (int k = 0; k < kMostIterations; ++k) {
+    evaluate();
+    ++iterations_;
+    std::copy_n(shadow(stages_.dv_), size, factor_.dv());
+    factor_.solve();
+    if (stiff_.any()) stiff_.correct(factor_);
+    double change = 0.0, largest = 0.0;
+    for (int i = 0; i < size; ++i) {
+      dv[i] += factor_.dv()[i];
+      change = std::max(change, std::abs(factor_.dv()[i]));
+      largest = std::max(largest, std::abs(dv[i]));
+    }
+    if (!std::isfinite(change)) return false;
+    if (change <= kExact * largest) return true;
+    stagnant = change < kProgress * best ? 0 : stagnant + 1;
+    best = std::min(best, change);
+    if (stagnant >= 2 && best <= kAccept * largest) return true;
+    if (stagnant >= kMostStagnant) return false;
+  }
+  return best <= 1e-11;
+}
+
+// With the matrix of the equations, made column by column.
+bool StepTangent::solve_by_matrix() {
+  const int S = stages_.padded(), s = stages_.count(), n = tree_->nv, size = n * s;
+  const StepDirection* wanted = direction_;
+  // The displacements of spherical joints follow the velocities by a contraction of their own.
+  const auto settle = [&] {
+    for (int k = 0; k < (model_.lanes.balls > 0 ? kTurnIterations / 2 : 1); ++k) evaluate();
+    residual(r_);
+  };
+  if (!has_matrix_) {
+    MatX matrix(size, size);
+    for (int i = 0; i < s; ++i)
+      for (int d = 0; d < n; ++d) {
+        set_direction(kNoDirection);
+        for (int k = i; k < (i + 1 == s ? S : i + 1); ++k) shadow(stages_.v_)[d * S + k] = 1.0;
+        settle();
+        matrix.col(i * n + d) = r_;
+      }
+    matrix_.compute(matrix);
+    has_matrix_ = true;
+  }
+  set_direction(*wanted);
+  for (int pass = 0; pass < 3; ++pass) {  // the first solves, the others take the rounding off
+    settle();
+    const VecX change = matrix_.solve(r_);
+    if (!change.allFinite()) return false;
+    for (int i = 0; i < s; ++i)
+      for (int d = 0; d < n; ++d)
+        for (int k = i; k < (i + 1 == s ? S : i + 1); ++k) shadow(stages_.v_)[d * S + k] -= change[i * n + d];
+  }
+  settle();
+  iterations_ = 0;
+  return true;
+}
+
+bool StepTangent::solve(const StepDirection& direction, VecRef dq1, VecRef dp1) {
+  iterations_ = 0;
+  set_direction(direction);
+  if (has_matrix_ || !iterate()) {
+    set_direction(direction);
+    if (!solve_by_matrix()) return false;
+  }
+  evaluate();  // G at the last velocities
+  finish(direction, dq1, dp1);
+  return dq1.allFinite() && dp1.allFinite();
+}
+
+void StepTangent::finish(const StepDirection& direction, VecRef dq1, VecRef dp1) {
+  Stages& s = stages_;
+  const int S = s.padded();
+  const auto sum = [&](const double* in, int dof) {
+    const double *row = in + dof * S, *change = shadow(row);
+    double total = 0.0;
+    for (int j = 0; j < s.count(); ++j) total += s.hb_[j] * change[j] + shadow(s.hb_)[j] * row[j];
+    return total;
+  };
+  const auto sum3 = [&](const double* in, int dof) { return Vec3(sum(in, dof), sum(in, dof + 1), sum(in, dof + 2)); };
+  if (direction.q.size() > 0) {
+    dq1 = direction.q;
+  } else {
+    dq1.setZero();
+  }
+  if (direction.p.size() > 0) {
+    dp1 = direction.p;
+  } else {
+    dp1.setZero();
+  }
+  if (model_.lanes.balls > 0) s.rates();
+  for (const Joint& joint : tree_->joints) {
+    const int iv = joint.iv;
+    if (joint.type != JointType::kSpherical) {
+      for (int d = iv; d < iv + joint.nv; ++d) {
+        dq1[d] += sum(s.v_, d);
+        dp1[d] += sum(s.G_, d);
+      }
+      continue;
+    }
+    // q1 = q0 exp(X), p1 = exp(-X) (p0 + sum): the body of q1 has turned by exp(-X) dq0 + J_r(X) dX.
+    const Vec3 X(s.sum(s.work_.rate, iv), s.sum(s.work_.rate, iv + 1), s.sum(s.work_.rate, iv + 2));
+    const Vec3 dX = sum3(s.work_.rate, iv);
+    const So3Coefficients k = so3_coefficients(X.squaredNorm());
+    const Vec3 own = so3_apply(-X, k.cos_t, k.cub_t, dX);
+    const Vec3 total = p0_.segment<3>(iv) + Vec3(s.sum(s.Y_, iv), s.sum(s.Y_, iv + 1), s.sum(s.Y_, iv + 2));
+    const Vec3 p1 = so3_apply(-X, k.sin_t, k.cos_t, total);
+    const Vec3 change = dp1.segment<3>(iv) + sum3(s.Y_, iv);
+    dq1.segment<3>(iv) = so3_apply(-X, k.sin_t, k.cos_t, Vec3(dq1.segment<3>(iv))) + own;
+    dp1.segment<3>(iv) = so3_apply(-X, k.sin_t, k.cos_t, change) - own.cross(p1);
+  }
+}
+
+// What the body of a spherical joint turns by at a stage along the direction, body frame.
+Vec3 StepTangent::ball_turn(const Joint& joint, int i) const {
+  const int S = stages_.padded(), iv = joint.iv;
+  const double *X = stages_.X_, *dX = shadow(X);
+  const Vec3 x(X[iv * S + i], X[(iv + 1) * S + i], X[(iv + 2) * S + i]);
+  const Vec3 dx(dX[iv * S + i], dX[(iv + 1) * S + i], dX[(iv + 2) * S + i]);
+  const So3Coefficients k = so3_coefficients(x.squaredNorm());
+  Vec3 turn = so3_apply(-x, k.cos_t, k.cub_t, dx);
+  if (direction_->q.size() > 0) turn += so3_apply(-x, k.sin_t, k.cos_t, Vec3(direction_->q.segment<3>(joint.iv)));
+  return turn;
+}
+
+void StepTangent::add_extra(void* self) {
+  StepTangent& t = *static_cast<StepTangent*>(self);
+  t.stages_.add_forces();
+  if (!t.tree_->split.empty()) t.add_split_inputs();
+  if (t.stages_.has_ball_springs_) t.add_ball_springs();
+  if (t.field_.any()) t.add_elements();
+  const VecX& direct = t.direction_->momentum_force;
+  if (direct.size() == 0) return;
+  const int S = t.stages_.padded(), s = t.stages_.count(), n = t.tree_->nv;
+  for (int i = 0; i < S; ++i)
+    for (int d = 0; d < n; ++d) {
+      const int k = std::min(i, s - 1);
+      t.shadow(t.stages_.P_)[d * S + i] += direct[k * n + d];
+      t.shadow(t.stages_.G_)[d * S + i] += direct[(s + k) * n + d];
+    }
+}
+
+// The force R tau on a split joint, R the axes of its body.
+void StepTangent::add_split_inputs() {
+  Stages& s = stages_;
+  const bool inputs = s.has_inputs_;
+  if (!inputs && direction_->tau.size() == 0) return;
+  const int S = s.padded();
+  for (int i = 0; i < S; ++i)
+    for (const SplitJoint& joint : tree_->split) {
+      const int iv = joint.iv, iq = joint.iq, stage = std::min(i, s.count() - 1);
+      const Vec3 tau = inputs ? Vec3(s.tau_[iv], s.tau_[iv + 1], joint.planar ? 0.0 : s.tau_[iv + 2]) : Vec3::Zero();
+      const Vec3 dtau(dtau_[iv], dtau_[iv + 1], joint.planar ? 0.0 : dtau_[iv + 2]);
+      Vec3 change;
+      if (joint.planar) {
+        const double angle = s.X_[(iv + 2) * S + i], c0 = q0_[iq + 2], s0 = q0_[iq + 3];
+        const double c = c0 * std::cos(angle) - s0 * std::sin(angle), n = s0 * std::cos(angle) + c0 * std::sin(angle);
+        const double turn = shadow(s.X_)[(iv + 2) * S + i] + (direction_->q.size() > 0 ? direction_->q[iv + 2] : 0.0);
+        const double x = dtau[0] - turn * tau[1], y = dtau[1] + turn * tau[0];
+        change = Vec3(c * x - n * y, n * x + c * y, 0.0);
+      } else {
+        const Quat quat(q0_[iq + 6], q0_[iq + 3], q0_[iq + 4], q0_[iq + 5]);
+        const Vec3 X(s.X_[(iv + 3) * S + i], s.X_[(iv + 4) * S + i], s.X_[(iv + 5) * S + i]);
+        const Joint& ball = tree_->joints[tree_->dof_joint[iv + 3]];
+        change = quat * (so3_exp(X) * Vec3(dtau + ball_turn(ball, stage).cross(tau)));
+      }
+      for (int d = 0; d < (joint.planar ? 2 : 3); ++d) shadow(s.G_)[(iv + d) * S + i] += change[d];
+    }
+}
+
+void StepTangent::add_ball_springs() {
+  Stages& s = stages_;
+  const int S = s.padded();
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type != JointType::kSpherical || joint.stiffness == 0) continue;
+    const int iv = joint.iv;
+    q_ = q0_;
+    for (int i = 0; i < S; ++i) {
+      const Vec3 X(s.X_[iv * S + i], s.X_[(iv + 1) * S + i], s.X_[(iv + 2) * S + i]);
+      const Quat start(q0_[joint.iq + 3], q0_[joint.iq], q0_[joint.iq + 1], q0_[joint.iq + 2]);
+      q_.segment<4>(joint.iq) = (start * so3_exp(X)).coeffs();
+      const Vec3 deflection = spring_deflection(*tree_, joint, q_);
+      Vec3 change = joint.stiffness * (so3_right_jacobian_inverse(deflection) * ball_turn(joint, i));
+      if (direction_->stiffness.size() > 0) change += direction_->stiffness[iv] * deflection;
+      for (int d = 0; d < 3; ++d) shadow(s.G_)[(iv + d) * S + i] -= change[d];
+    }
+  }
+}
+
+void StepTangent::add_elements() {
+  Stages& s = stages_;
+  const int S = s.padded(), n = tree_->nv;
+  for (int i = 0; i < s.count(); ++i) {
+    s.configuration(q0_, i, q_);
+    for (int d = 0; d < n; ++d) {
+      v_[d] = s.v_[d * S + i];
+      dv_[d] = shadow(s.v_)[d * S + i];
+      dq_[d] = shadow(s.X_)[d * S + i] + (direction_->q.size() > 0 ? direction_->q[d] : 0.0);
+    }
+    for (const Joint& joint : tree_->joints)
+      if (joint.type == JointType::kSpherical) dq_.segment<3>(joint.iv) = ball_turn(joint, i);
+    df_.setZero();
+    field_.add(s.time(i), q_, v_, dq_, dv_, df_);
+    for (int d = 0; d < n; ++d)
+      for (int k = i; k < (i + 1 == s.count() ? S : i + 1); ++k) shadow(s.G_)[d * S + k] += df_[d];
+  }
+}
+
+}  // namespace contactvi

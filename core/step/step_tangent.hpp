@@ -1,0 +1,74 @@
+// The exact derivative of a smooth step (q0, p0, h, forces) -> (q1, p1) along directions: the tangent of the stage
+// equations at their solution.
+//
+// The kernel's `tangent` evaluates the residual r(v; start) of the stage equations on dual numbers. With dv the
+// derivative of the stage velocities, r_v dv = -r_start is solved by the iterations of the step itself, with its factor
+// of the mass matrix: dv += D^-1 dr. The factor need not be exact, for it changes no digit of the solution. Where the
+// iterations do not contract, the matrix r_v is made column by column and factored.
+//
+// Engine coordinates: tangent vectors are body-fixed on spherical joints.
+#pragma once
+
+#include <Eigen/LU>
+
+#include "model/force_tangent.hpp"
+#include "step/stages.hpp"
+#include "step/stiff_terms.hpp"
+
+namespace contactvi {
+
+// A direction in all that a step depends on; what is empty does not change.
+struct StepDirection {
+  VecX q, p;                      // of the start, (nv,)
+  double h = 0.0;                 // of the step's length [s]
+  VecX tau;                       // of the generalized force, public coordinates (nv,)
+  VecX stiffness, damping, rest;  // of the joints' springs and dampers, and the rest positions (nv,)
+  VecX momentum_force;            // (2 nv s): what P and G of the stages change by directly, P first
+};
+
+class StepTangent {
+ public:
+  StepTangent(const Tree& tree, int stages);
+
+  // Takes a solved step: its start, length and forces, and the velocities at its stages, (nv, s).
+  void take(const VecX& q0, const VecX& p0, double h, const VecX& tau, double time, const Servo* servo,
+            const MatX& velocities);
+  // The derivative of (q1, p1) along a direction, (nv,) each. False where the equations were not solved.
+  bool solve(const StepDirection& direction, VecRef dq1, VecRef dp1);
+  // dp of the momentum p = M(q) v along (dq, dv), (nv,).
+  void momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv, VecRef dp);
+  // Iterations of the last solve; 0: the matrix was factored.
+  int iterations() const { return iterations_; }
+
+ private:
+  void set_base(Stages& stages, const VecCRef& dq);
+  void set_direction(const StepDirection& direction);
+  void evaluate();
+  void residual(VecRef r) const;
+  bool iterate();
+  bool solve_by_matrix();
+  void finish(const StepDirection& direction, VecRef dq1, VecRef dp1);
+  static void add_extra(void* self);
+  void add_split_inputs();
+  void add_ball_springs();
+  void add_elements();
+  Vec3 ball_turn(const Joint& joint, int stage) const;
+
+  double* shadow(double* array) { return array + stages_.work_.shadow; }
+  const double* shadow(const double* array) const { return array + stages_.work_.shadow; }
+
+  const Tree* tree_;
+  FlatModel model_;
+  Stages stages_;  // numbers and their derivatives
+  Stages factor_;  // at the stages of the step
+  Stages node_;    // a single state, for momentum()
+  StiffTerms stiff_;
+  ForceTangent field_;
+  VecX q0_, p0_, q_, v_, dq_, dv_, df_, r_, dtau_;
+  const StepDirection* direction_ = nullptr;
+  int iterations_ = 0;
+  bool has_matrix_ = false;
+  Eigen::PartialPivLU<MatX> matrix_;
+};
+
+}  // namespace contactvi
