@@ -227,8 +227,8 @@ class EngineError(ContactviError, RuntimeError):
 class NotDifferentiable(ContactviError):
     """A step, an impact or a contact that has no derivative, or none that is known.
 
-    `reason`, where known, is one of "impact", "contact", "constraint", "saturation"; `pair` (names) and `time` [s] tell where, when
-    known.
+    Where known, `reason` is one of "impact", "contact", "constraint", "saturation", and `pair` (names) and `time` [s]
+    tell where.
     """
 
     def __init__(

@@ -136,7 +136,7 @@ def step_derivatives(
     if off > SAME * (1.0 + float(np.abs(end).max(initial=0.0))):
         raise NotDifferentiable(
             "An actuator is at its limit in the step", reason="saturation", time=t,
-            expected="inputs and servos within their limits", got=f"a step whose end is {off:.2g} off without the limits",
+            expected="inputs and servos within their limits", got=f"a step whose end is {off:.2g} off without them",
             remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False)",
         )  # fmt: skip
     return StepDerivatives(end, after, np.asarray(A), np.asarray(B), by_dt)

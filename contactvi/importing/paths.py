@@ -52,6 +52,9 @@ def example_robot_data_share() -> Path:
     )
 
 
+MOST_BYTES = 500_000_000  # of a model, scene or mesh: read and parsed it takes some ten times as much memory
+
+
 def resolve_path(path: str | os.PathLike[str], base: Path | None = None, package_dirs: Sequence[object] = ()) -> Path:
     """Return the absolute path of an existing file.
 
@@ -115,6 +118,15 @@ def check_is_file(found: Path, text: str) -> None:
         )
     if not found.is_file():
         raise SceneError("No such file", path=found, expected="an existing file", got=text, remedy=_similar(found))
+    size = found.stat().st_size
+    if size > MOST_BYTES:
+        raise SceneError(
+            "The file is too large",
+            path=found,
+            expected=f"at most {MOST_BYTES / 1e6:g} MB",
+            got=f"{size / 1e6:.4g} MB",
+            remedy="Split the model into several files, and simplify its meshes",
+        )
 
 
 def _similar(missing: Path) -> str:

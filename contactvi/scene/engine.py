@@ -66,6 +66,13 @@ def make_engine_scene(
             expected="joints, shapes and numbers that it can take",
             remedy="Look at scene.report for what was read of the models; simplify what it names",
         ) from error
+    except MemoryError:
+        raise SceneError(
+            "The scene does not fit into the memory",
+            expected=f"memory for {model.nv} degrees of freedom and {len(collision.collisionPairs)} pairs",
+            got="none left",
+            remedy="Take pairs out with scene.disable_pair(...), or simplify the meshes",
+        ) from None
     return scene
 
 

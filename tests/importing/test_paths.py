@@ -11,6 +11,7 @@ import contactvi
 from contactvi.errors import ContactviError, SceneError
 from contactvi.importing.paths import example_robot_data_share, resolve_path, resolve_resource
 from contactvi.scene.scene import Scene
+from contactvi.scene.toml import load_scene
 
 PACKAGE_XML = "<package><name>{}</name></package>"
 
@@ -142,4 +143,19 @@ def test_paths_that_no_file_can_have(tmp_path: Path, monkeypatch: pytest.MonkeyP
     )
     for call in calls:
         with pytest.raises(ContactviError):
+            call()
+
+
+def test_files_that_are_too_large_are_not_read(tmp_path):
+    """A sparse file: it takes no room, and would take minutes and gigabytes to read."""
+    for name in ("big.urdf", "big.xml", "big.toml"):
+        with (tmp_path / name).open("wb") as file:
+            file.truncate(600_000_000)
+    scene = Scene()
+    for call in (
+        lambda: scene.add_urdf(tmp_path / "big.urdf"),
+        lambda: scene.add_mjcf(tmp_path / "big.xml"),
+        lambda: load_scene(tmp_path / "big.toml"),
+    ):
+        with pytest.raises(SceneError, match="too large: expected at most 500 MB, got 600 MB"):
             call()
