@@ -3,6 +3,7 @@
 #include <string>
 
 #include "base/error.hpp"
+#include "base/refusal.hpp"
 #include "model/coordinates.hpp"
 
 namespace contactvi {
@@ -73,8 +74,10 @@ LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, Stat
   VecX v0, p0, v1(n), p1(n);
   LinearStep result;
   states.read(q0, x0, v0, p0);
-  if (!integrator.solve_closely(q0, p0, h, inputs.tau))
-    throw Error(std::string("the step was not solved: ") + integrator.why());
+  // To the tolerance first, then to rounding from there, which may be out of reach.
+  if (!integrator.solve(q0, p0, h, inputs.tau) ||
+      (!integrator.solve_closely(q0, p0, h, inputs.tau) && !integrator.solve(q0, p0, h, inputs.tau)))
+    throw Refusal("The step was not solved", "stage iterations that converge", integrator.why(), "Use a smaller dt");
   result.q1.resize(tree.nq);
   integrator.finish(result.q1, p1);
   tangent.take(q0, p0, h, inputs.tau, inputs.time, servo, integrator.velocities());
@@ -87,7 +90,9 @@ LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, Stat
   StepDirection direction;
   VecX dq(n), dx(n);
   const auto solve = [&](auto&& column) {
-    if (!tangent.solve(direction, dq, dx)) throw Error("the derivative of the step was not solved");
+    if (!tangent.solve(direction, dq, dx))
+      throw Refusal("The derivative of the step was not solved", "tangent equations with a solution", "none",
+                    "Use a smaller dt");
     states.to_public(result.q1, v1, p1, dq, dx);
     column.head(n) = dq;
     column.tail(n) = dx;
