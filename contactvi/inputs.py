@@ -5,6 +5,7 @@ First numbers and choices, then arrays and placements, states and forces of one 
 
 from __future__ import annotations
 
+import inspect
 import math
 import numbers
 from collections.abc import Mapping, Sequence
@@ -154,6 +155,24 @@ def callback(name: str, value: Any) -> Any:
             remedy="Give the function itself, without calling it",
         )
     return value
+
+
+def check_signature(name: str, function: Any, arguments: tuple[str, ...]) -> None:
+    """Raise InputError for a function of the user that cannot be called with these arguments."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # of functions that are not written in Python it is not known
+        return
+    try:
+        signature.bind(*arguments)
+    except TypeError:
+        raise InputError(
+            f"{name} cannot be called",
+            name=name,
+            expected=f"a function of ({', '.join(arguments)})",
+            got=f"one of {signature}",
+            remedy=f"Define it as def {name}({', '.join(arguments)}): ...",
+        ) from None
 
 
 def is_text(value: Any) -> bool:

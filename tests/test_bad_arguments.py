@@ -161,3 +161,13 @@ def test_far_points_have_a_distance_without_a_warning():
 def test_special_files_are_no_scenes():
     with pytest.raises(cvi.SceneError, match="a device, a pipe or another special file"):
         cvi.load_scene("/dev/zero")
+
+
+def test_a_control_of_other_arguments_is_refused():
+    made = cvi.Scene()
+    made.add_sphere("ball", 0.1)
+    with pytest.raises(cvi.InputError, match=r"expected a function of \(t, q, v\), got one of \(\)"):
+        cvi.simulate(made, duration=0.01, dt=1e-3, control=lambda: 1)
+    traj = cvi.simulate(made, duration=0.01, dt=1e-3, control=lambda *state: np.zeros(6))
+    with pytest.raises(cvi.InputError, match="have no contact in this run"):
+        traj.contacts.of(np.zeros(3), "ball")  # type: ignore[arg-type]

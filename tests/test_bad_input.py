@@ -362,3 +362,12 @@ def test_geometry_on_a_joint_that_is_not_there():
     geometry.geometryObjects[0].parentJoint = 7
     with pytest.raises(SceneError, match="parent joint below 2"):
         Scene.from_pinocchio(model, geometry)
+
+
+def test_a_loop_of_links_beside_the_tree(tmp_path):
+    joint = '<joint name="{}" type="fixed"><parent link="{}"/><child link="{}"/></joint>'
+    links = "".join(f'<link name="{name}"/>' for name in "abcd")
+    joints = joint.format("j1", "a", "b") + joint.format("j2", "c", "d") + joint.format("j3", "d", "c")
+    (tmp_path / "loop.urdf").write_text(f'<robot name="r">{links}{joints}</robot>')
+    with pytest.raises(SceneError, match="links form a loop beside the tree: expected one tree, got [cd] - [cd]"):
+        contactvi.Scene().add_urdf(tmp_path / "loop.urdf")

@@ -137,15 +137,24 @@ def _check_tree(links: dict[str, Element], joints: dict[str, Element], path: Pat
 
 
 def _check_depth(parent_of: dict[str, str], path: Path) -> None:
-    """Raise SceneError where the chain of links is longer than the parser's recursion can take."""
+    """Raise SceneError where links form a loop, or a chain that is longer than the parser's recursion can take."""
     depths: dict[str, int] = {}
     for link in parent_of:
-        chain = []
+        chain: dict[str, None] = {}
         while link in parent_of and link not in depths:
-            chain.append(link)
+            if link in chain:
+                raise SceneError(
+                    f"{path.name}: links form a loop beside the tree",
+                    path=path,
+                    body=link,
+                    expected="one tree",
+                    got=" - ".join([*list(chain)[list(chain).index(link) :], link][:8]),
+                    remedy="Cut the loop, and close it in the scene: scene.add_point or scene.add_weld",
+                )
+            chain[link] = None
             link = parent_of[link]
         level = depths.get(link, 0)
-        for k, above in enumerate(reversed(chain)):
+        for k, above in enumerate(reversed(list(chain))):
             depths[above] = level + k + 1
     deepest = max(depths.values(), default=0)
     if deepest > MOST_LINKS_IN_A_CHAIN:

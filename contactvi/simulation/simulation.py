@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import ConstraintError, DenseStepWarning, InputError, PenetrationError, SimulationError
-from contactvi.inputs import callback
+from contactvi.inputs import callback, check_signature
 from contactvi.interrupts import CtrlC, held_back
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation import adaptive
@@ -103,6 +103,8 @@ def simulate(
     if settings.auto:
         _check_auto(compiled, "control" if control is not None else "target" if target is not None else None)
     steps = 0 if settings.auto else settings.steps
+    if callable(control):
+        check_signature("control", control, ("t", "q", "v"))
     inputs = control if control is None or callable(control) else compiled.states.forces(control, steps)
     called = None if isinstance(progress, bool) else callback("progress", progress)
     with held_back() as ctrl_c:
