@@ -84,6 +84,11 @@ def test_guide_code_of_the_ledger_runs(tmp_path):
     assert modified < 1e-12
 
 
+def test_guide_code_of_linear_systems_runs(tmp_path):
+    """Six joints: the shapes of A, B, d/d dt and a_q."""
+    assert run_marked("linear", tmp_path)[0] == "(12, 12) (12, 6) (12,) (6, 6)"
+
+
 def test_guide_code_of_a_linkage_runs(tmp_path):
     """It prints the numbers that the guide gives; the works account for the energy, up to the balance."""
     printed = run_marked("linkage", tmp_path, "\nprint(traj.energy[-1] - traj.energy[0])")

@@ -223,7 +223,7 @@ def _check_apart(compiled: CompiledScene, q: Array) -> None:
     gaps = np.asarray(compiled.core.gaps(q)[0])
     found = [(float(gap), pair) for gap, pair in zip(gaps, compiled.pair_names, strict=True)]
     model, used = compiled.built.model, compiled.built.arrays.limits
-    for k in np.flatnonzero(used):
+    for k in map(int, np.flatnonzero(used)):
         at, name = model.idx_qs[k], str(model.names[k])
         found.append((float(q[at] - model.lowerPositionLimit[at]), (name, "lower limit")))
         found.append((float(model.upperPositionLimit[at] - q[at]), (name, "upper limit")))

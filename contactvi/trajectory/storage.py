@@ -173,6 +173,14 @@ _FINITE = (
 )
 
 
+_LARGEST = 1e100  # of a state: a run in which it gets larger ends
+
+
+def _of_a_run(values: NDArray[Any]) -> bool:
+    """Return whether numbers are finite and not larger than those of any run, so that products of them are finite."""
+    return bool(np.all(np.abs(values) <= _LARGEST))
+
+
 class Run(Protocol):
     """What is stored of a run: contactvi.Trajectory has it (besides the entries per node of the table above)."""
 
@@ -317,8 +325,8 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
     # The engine's states are finite; energies of huge numbers may be infinite.
     for name in ("q", "p", "v", "kinetic_energy", "potential_energy"):
         values = nodes.get(name, np.zeros(0))
-        if np.any(np.isnan(values)) or (len(name) == 1 and np.any(np.isinf(values))):
-            _refuse(path, f"numbers in {name!r} that are not finite")
+        if np.any(np.isnan(values)) or (len(name) == 1 and not _of_a_run(values)):
+            _refuse(path, f"numbers in {name!r} that are not finite, or larger than those of any run")
     names = [(str(a), str(b)) for a, b in header["pair_names"]], list(header["joint_names"])
     gap_pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]
     status = header["status"]
@@ -408,7 +416,7 @@ class _Reader:
         nodes = {"t": t}
         for name, width in names.items():
             nodes[name] = self.entry(name, (len(t),) if width is None else (len(t), self._sizes[width]))
-        if not np.all(np.isfinite(nodes["q"])):
+        if not _of_a_run(nodes["q"]):
             self._refuse("configurations that are not finite")
         return nodes
 
@@ -421,7 +429,7 @@ class _Reader:
         arrays = {}
         for name, axes in dense.FIELDS.items():
             arrays[name] = self.entry(_name("segment", name), (count, *(sizes[axis] for axis in axes)))
-            if not np.all(np.isfinite(arrays[name])):
+            if not _of_a_run(arrays[name]):
                 self._refuse("segments that are not finite")
         rounding = 8.0 * np.finfo(float).eps * np.abs(arrays["t"][1:])
         if count == 0 or np.any(np.diff(arrays["t"]) < -rounding) or np.any(arrays["h"] <= 0):
@@ -450,7 +458,7 @@ class _Reader:
         """Return (times (f,) [s], configurations (f, nq)) of the frames for pictures."""
         times = self.entry("frame/time", (None,))
         values = self.entry("frame/q", (len(times), self._sizes["q"]))
-        if not np.all(np.isfinite(times)) or not np.all(np.isfinite(values)):
+        if not np.all(np.isfinite(times)) or not _of_a_run(values):
             self._refuse("frames that are not finite")
         return times, values
 
@@ -521,7 +529,7 @@ class _Reader:
         for name, values in arrays.items():
             if name == "value":  # of a change of contact that has none it is NaN
                 continue
-            if np.any(np.isnan(values)) or (name in _FINITE and not np.all(np.isfinite(values))):
+            if np.any(np.isnan(values)) or (name in _FINITE and not _of_a_run(values)):
                 self._refuse(f"{what} with numbers in {name!r} that are not finite")
 
     def _check_codes(self, arrays: Entries, counts: Mapping[str, int], what: str) -> None:

@@ -227,6 +227,19 @@ def test_contact_is_refused():
         cvi.forward_dynamics_derivatives(scene, q)
 
 
+def test_a_limit_that_touches_is_refused():
+    model = pin.Model()
+    joint = model.addJoint(
+        0, pin.JointModelRX(), pin.SE3.Identity(), "hinge", np.ones(1), np.ones(1), np.zeros(1), np.ones(1)
+    )
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    scene = cvi.Scene.from_pinocchio(model, name="hinge")
+    assert cvi.forward_dynamics_derivatives(scene, [0.5]).a_q.shape == (1, 1)
+    with pytest.raises(cvi.NotDifferentiable, match="Something touches") as caught:
+        cvi.forward_dynamics_derivatives(scene, [0.0])
+    assert caught.value.pair == ("hinge", "lower limit")
+
+
 def test_constraints_saturation_and_missing_derivatives_are_refused():
     scene, rng = chain(JOINTS["revolute"], 2)
     q, v, _ = state_of(scene, rng)
