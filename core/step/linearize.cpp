@@ -1,8 +1,5 @@
 #include "step/linearize.hpp"
 
-#include <string>
-
-#include "base/error.hpp"
 #include "base/refusal.hpp"
 #include "model/coordinates.hpp"
 

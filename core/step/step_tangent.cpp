@@ -50,16 +50,10 @@ void StepTangent::take(const VecX& q0, const VecX& p0, double h, const VecX& tau
       for (int i = 0; i < S; ++i) stages->v()[d * S + i] = velocities(d, std::min(i, s - 1));
     std::fill_n(stages->X(), tree_->nv * S, 0.0);
   }
-  // All kinds of forces may have a derivative, also where their values vanish.
+  // The input has a derivative also where there is none.
   if (stages_.work_.tau == nullptr) {
     std::fill_n(stages_.input_, tree_->nv, 0.0);
     stages_.work_.tau = stages_.input_;
-  }
-  stages_.work_.stiffness = stages_.stiffness_;
-  for (const Joint& joint : tree_->joints) {
-    if (joint.type == JointType::kSpherical || stages_.stiffness_[joint.iv] != 0.0) continue;
-    const Vec3 deflection = spring_deflection(*tree_, joint, q0_);
-    for (int d = 0; d < joint.nv; ++d) stages_.deflection_[joint.iv + d] = deflection[d];
   }
   // The displacements of spherical joints depend on themselves: iterated until they stay.
   set_direction(kNoDirection);
@@ -133,11 +127,6 @@ void StepTangent::set_direction(const StepDirection& direction) {
       for (int d = 0; d < (joint.planar ? 2 : 3); ++d) shadow(s.input_)[joint.iv + d] = 0.0;
   } else {
     dtau_.setZero();
-  }
-  for (int d = 0; d < n; ++d) {
-    if (direction.stiffness.size() > 0) shadow(s.stiffness_)[d] = direction.stiffness[d];
-    if (direction.damping.size() > 0) shadow(s.damping_)[d] = direction.damping[d];
-    if (direction.rest.size() > 0) shadow(s.deflection_)[d] -= direction.rest[d];
   }
 }
 
@@ -287,15 +276,6 @@ void StepTangent::add_extra(void* self) {
   if (!t.tree_->split.empty()) t.add_split_inputs();
   if (t.stages_.has_ball_springs_) t.add_ball_springs();
   if (t.field_.any()) t.add_elements();
-  const VecX& direct = t.direction_->momentum_force;
-  if (direct.size() == 0) return;
-  const int S = t.stages_.padded(), s = t.stages_.count(), n = t.tree_->nv;
-  for (int i = 0; i < S; ++i)
-    for (int d = 0; d < n; ++d) {
-      const int k = std::min(i, s - 1);
-      t.shadow(t.stages_.P_)[d * S + i] += direct[k * n + d];
-      t.shadow(t.stages_.G_)[d * S + i] += direct[(s + k) * n + d];
-    }
 }
 
 // The force R tau on a split joint, R the axes of its body.
@@ -338,8 +318,7 @@ void StepTangent::add_ball_springs() {
       const Quat start(q0_[joint.iq + 3], q0_[joint.iq], q0_[joint.iq + 1], q0_[joint.iq + 2]);
       q_.segment<4>(joint.iq) = (start * so3_exp(X)).coeffs();
       const Vec3 deflection = spring_deflection(*tree_, joint, q_);
-      Vec3 change = joint.stiffness * (so3_right_jacobian_inverse(deflection) * ball_turn(joint, i));
-      if (direction_->stiffness.size() > 0) change += direction_->stiffness[iv] * deflection;
+      const Vec3 change = joint.stiffness * (so3_right_jacobian_inverse(deflection) * ball_turn(joint, i));
       for (int d = 0; d < 3; ++d) shadow(s.G_)[(iv + d) * S + i] -= change[d];
     }
   }

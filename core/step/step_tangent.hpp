@@ -19,11 +19,9 @@ namespace contactvi {
 
 // A direction in all that a step depends on; what is empty does not change.
 struct StepDirection {
-  VecX q, p;                      // of the start, (nv,)
-  double h = 0.0;                 // of the step's length [s]
-  VecX tau;                       // of the generalized force, public coordinates (nv,)
-  VecX stiffness, damping, rest;  // of the joints' springs and dampers, and the rest positions (nv,)
-  VecX momentum_force;            // (2 nv s): what P and G of the stages change by directly, P first
+  VecX q, p;       // of the start, (nv,)
+  double h = 0.0;  // of the step's length [s]
+  VecX tau;        // of the generalized force, public coordinates (nv,)
 };
 
 class StepTangent {

@@ -165,7 +165,7 @@ def form(scene: cvi.Scene, p: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("joints", ["revolute", "spherical", "free"])
 def test_forward_dynamics(joints):
-    """Against differences of the acceleration, which comes from the momentum balance of a run."""
+    """The acceleration is that of a run's first instants; its derivatives are those of its differences."""
     scene, rng = with_elements(joints)
     q, v, tau = state_of(scene, rng)
     found = cvi.forward_dynamics_derivatives(scene, q, v, tau)
@@ -173,6 +173,11 @@ def test_forward_dynamics(joints):
     def acceleration(at, speed, force):
         return cvi.forward_dynamics_derivatives(scene, at, speed, force).a
 
+    # v(h) - v(0) over h at h, h/2, h/4, extrapolated to h = 0: O(h^3) and the rounding of v over h are left.
+    h = 1e-3
+    rates = [(cvi.step_derivatives(scene, q, v, tau, s, order=16).x - v) / s for s in (h, h / 2.0, h / 4.0)]
+    first, second = 2.0 * rates[1] - rates[0], 2.0 * rates[2] - rates[1]
+    assert found.a == pytest.approx((4.0 * second - first) / 3.0, abs=1e-5 * max(1.0, np.abs(found.a).max()))
     for columns, moved in (
         (found.a_q, lambda d: acceleration(pin.integrate(scene.model, q, d), v, tau)),
         (found.a_v, lambda d: acceleration(q, v + d, tau)),
