@@ -7,7 +7,26 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+
+class _Texts(TypedDict):
+    """What every error is made with."""
+
+    expected: object
+    got: object
+    remedy: str
+
+
+class _Place(_Texts, total=False):
+    """And where a file or a model is wrong."""
+
+    path: object | None
+    joint: str | None
+    body: str | None
 
 
 class ContactviError(Exception):
@@ -53,9 +72,9 @@ def _restored(kind: type[ContactviError], args: tuple[Any, ...], fields: dict[st
 class InputError(ContactviError, ValueError):
     """A bad argument: wrong shape, wrong range, not finite, unknown option. `name` is the argument."""
 
-    def __init__(self, what: str, *, expected: object, got: object, remedy: str, name: str | None = None) -> None:
+    def __init__(self, what: str, *, name: str | None = None, **texts: Unpack[_Texts]) -> None:
         self.name = name
-        super().__init__(what, expected=expected, got=got, remedy=remedy)
+        super().__init__(what, **texts)
 
 
 class SceneError(ContactviError):
@@ -68,18 +87,16 @@ class SceneError(ContactviError):
         self,
         what: str,
         *,
-        expected: object,
-        got: object,
-        remedy: str,
         path: object | None = None,
         joint: str | None = None,
         body: str | None = None,
+        **texts: Unpack[_Texts],
     ) -> None:
         self.path = None if path is None else str(path)
         self.joint = joint
         self.body = body
         self.report: Any = None
-        super().__init__(what, expected=expected, got=got, remedy=remedy)
+        super().__init__(what, **texts)
 
 
 class UnsupportedJointError(SceneError):
@@ -89,16 +106,11 @@ class UnsupportedJointError(SceneError):
         self,
         what: str,
         *,
-        expected: object,
-        got: object,
-        remedy: str,
         joint_type: str | None = None,
-        path: object | None = None,
-        joint: str | None = None,
-        body: str | None = None,
+        **place: Unpack[_Place],
     ) -> None:
         self.joint_type = joint_type
-        super().__init__(what, expected=expected, got=got, remedy=remedy, path=path, joint=joint, body=body)
+        super().__init__(what, **place)
 
 
 class PenetrationError(ContactviError):
@@ -108,15 +120,13 @@ class PenetrationError(ContactviError):
         self,
         what: str,
         *,
-        expected: object,
-        got: object,
-        remedy: str,
         pair: tuple[str, str] | None = None,
         depth: float | None = None,
+        **texts: Unpack[_Texts],
     ) -> None:
         self.pair = pair
         self.depth = depth
-        super().__init__(what, expected=expected, got=got, remedy=remedy)
+        super().__init__(what, **texts)
 
 
 class ConstraintError(ContactviError):
@@ -130,17 +140,15 @@ class ConstraintError(ContactviError):
         self,
         what: str,
         *,
-        expected: object,
-        got: object,
-        remedy: str,
         residuals: Mapping[str, float] | None = None,
         status: Any = None,
         trajectory: Any = None,
+        **texts: Unpack[_Texts],
     ) -> None:
         self.residuals = dict(residuals or {})
         self.status = status
         self.trajectory = trajectory
-        super().__init__(what, expected=expected, got=got, remedy=remedy)
+        super().__init__(what, **texts)
 
     @property
     def constraints(self) -> tuple[str, ...]:
@@ -159,17 +167,15 @@ class UserFunctionError(InputError):
         self,
         what: str,
         *,
-        expected: object,
-        got: object,
-        remedy: str,
         function: str | None = None,
         time: float | None = None,
         entry: str | None = None,
+        **texts: Unpack[_Texts],
     ) -> None:
         self.function = function
         self.time = time
         self.entry = entry
-        super().__init__(what, expected=expected, got=got, remedy=remedy, name=function)
+        super().__init__(what, name=function, **texts)
 
 
 class DerivativeError(InputError):
@@ -183,20 +189,18 @@ class DerivativeError(InputError):
         self,
         what: str,
         *,
-        expected: object,
-        got: object,
-        remedy: str,
         function: str | None = None,
         row: int | None = None,
         column: int | None = None,
         dof: tuple[str, ...] = (),
         error: float | None = None,
+        **texts: Unpack[_Texts],
     ) -> None:
         self.function = function
         self.row, self.column = row, column
         self.dof = dof
         self.error = error
-        super().__init__(what, expected=expected, got=got, remedy=remedy, name=function)
+        super().__init__(what, name=function, **texts)
 
 
 class SimulationError(ContactviError):
@@ -206,15 +210,13 @@ class SimulationError(ContactviError):
         self,
         what: str,
         *,
-        expected: object,
-        got: object,
-        remedy: str,
         status: Any = None,
         trajectory: Any = None,
+        **texts: Unpack[_Texts],
     ) -> None:
         self.status = status
         self.trajectory = trajectory
-        super().__init__(what, expected=expected, got=got, remedy=remedy)
+        super().__init__(what, **texts)
 
 
 class EngineError(ContactviError, RuntimeError):
@@ -235,15 +237,13 @@ class NotDifferentiable(ContactviError):
         self,
         what: str,
         *,
-        expected: object,
-        got: object,
-        remedy: str,
         reason: str | None = None,
         pair: tuple[str, str] | None = None,
         time: float | None = None,
+        **texts: Unpack[_Texts],
     ) -> None:
         self.reason, self.pair, self.time = reason, pair, time
-        super().__init__(what, expected=expected, got=got, remedy=remedy)
+        super().__init__(what, **texts)
 
 
 class AccuracyWarning(UserWarning):
