@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import cast
 
 from numpy.typing import ArrayLike
 
@@ -17,7 +17,6 @@ from contactvi.status import Status, StatusCode
 from contactvi.trajectory.compiled import CompiledScene
 
 Progress = Callable[[float, int], object]
-Result = TypeVar("Result")
 
 _FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects before the first impact
 
@@ -75,7 +74,7 @@ def start(
     given = compiled.v0 if v0 is None else v0
     v = compiled.start_velocity(q, begin) if given is None else states.velocity(given)
     compiled.check_start(q, v, begin)
-    result = cast(EngineStatus, call(lambda: engine.reset(q, v, begin)))
+    result = cast(EngineStatus, engine.reset(q, v, begin))
     record = Record(compiled, options, begin, q, engine.p)
     if result["code"] == _core.StatusCode.SUCCESS:
         return record, None
@@ -96,7 +95,7 @@ def advance(
     Errors of the progress callback and of functions of the user are raised.
     """
     every = record.options.record_every
-    result = call(lambda: engine.advance(steps, forces, every, progress, targets))
+    result = engine.advance(steps, forces, every, progress, targets)
     return _take(record, cast(EngineResult, result))
 
 
@@ -104,7 +103,7 @@ def advance_auto(
     engine: _core.Simulator, record: Record, duration: float, level: float, progress: Progress | None
 ) -> Status:
     """Run for a duration [s] with steps chosen for a level [m, rad] and record them; errors as those of `advance`."""
-    return _take(record, cast(EngineResult, call(lambda: engine.run_auto(duration, level, progress))))
+    return _take(record, cast(EngineResult, engine.run_auto(duration, level, progress)))
 
 
 def _take(record: Record, result: EngineResult) -> Status:
@@ -116,11 +115,6 @@ def _take(record: Record, result: EngineResult) -> Status:
     if error is not None and status.code != StatusCode.INTERRUPTED:  # pressed while a function of the user ran
         status = record.status = Status.interrupted(status.time)
     return status
-
-
-def call(function: Callable[[], Result]) -> Result:
-    """Call the engine; what it raises is an EngineError, one of ours."""
-    return function()
 
 
 def _refusal(status: Status, pair: tuple[str, str] | None, depth: float) -> ContactviError:

@@ -244,7 +244,7 @@ class Run:
 
     def load(self, snapshot: Snapshot) -> None:
         """Go back to the state of a snapshot of this scene and these options; what follows is equal to the bit."""
-        engine.call(lambda: self._engine.load(snapshot.engine))
+        self._engine.load(snapshot.engine)
         self.record, self.unreachable = snapshot.record.copy(), None
         self._watch, self._stall, self._seen, self._targets, self._before = copy.deepcopy(snapshot.rest)
 
