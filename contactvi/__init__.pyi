@@ -1,5 +1,8 @@
 # The public names and where they live. contactvi/__init__.py reads this file and loads each on first use.
 from . import errors as errors
+from .derivatives.gradient import gradient as gradient
+from .derivatives.gradient_check import GradientCheck as GradientCheck
+from .derivatives.gradient_check import check_gradient as check_gradient
 from .derivatives.linear import ForwardDynamics as ForwardDynamics
 from .derivatives.linear import StepDerivatives as StepDerivatives
 from .derivatives.linear import forward_dynamics_derivatives as forward_dynamics_derivatives
@@ -42,5 +45,8 @@ from .status import StatusCode as StatusCode
 from .trajectory.plots import plot as plot
 from .trajectory.plots import plot_forces as plot_forces
 from .trajectory.polynomials import State as State
+from .trajectory.sensitivity import EventSensitivity as EventSensitivity
+from .trajectory.sensitivity import Sensitivity as Sensitivity
+from .trajectory.sensitivity import SensitivityReport as SensitivityReport
 from .trajectory.trajectory import Trajectory as Trajectory
 from .version import __version__ as __version__

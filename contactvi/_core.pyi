@@ -314,10 +314,49 @@ def linear_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(N
     One smooth step and its derivatives: (q1, x1, A (2 nv, 2 nv), B (2 nv, nv), d(q1, x1)/dh (2 nv,)), x being the velocity or the momentum; target: references of the servos (2 nv,).
     """
 
+def adjoint_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], momentum: bool, h: float, lq: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lx: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], tau: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, t: float = 0.0, order: int = 2, tol: float = 1e-12) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float, dict[str, object]]:
+    """
+    From a gradient (lq, lx) (nv,) in the end (q1, x1) of a smooth step, dual to tangent vectors, to those in q, x and tau (nv,), h, and the parameters by name; inertia (njoints, 10): mass, first moment, rotational inertia about the joint's frame (xx xy xz yy yz zz).
+    """
+
+def derivative_costs(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], h: float, order: int = 2, calls: int = 1, repeats: int = 1) -> dict[str, float]:
+    """
+    Seconds and iterations of one direction of a step's derivative and of its transpose, and seconds to prepare each, fastest of several blocks; for benchmarks.
+    """
+
 def linear_forces(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, t: float = 0.0) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
     """
     Forces of springs, dampers, servos and elements and their derivatives: (f (nv,), f_q, f_v (nv, nv)).
     """
+
+def gap_hessian(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], guard: int, feature: int = 0) -> tuple[float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+    """
+    (gap, W (nv,), dW (nv, nv)) of a guard, or of the contact point of a pair with that feature, in engine coordinates: column k of dW is the derivative of W = d(gap)/dq along the k-th tangent vector.
+    """
+
+def contact_row_changes(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], guard: int, t1: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], feature: int = 0) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], list[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+    """
+    (rows n, t1, t2 of the relative velocity as columns (nv, 3), their derivatives as three matrices like dW of gap_hessian, those of the normal, of a's and of b's point (9, nv)), engine coordinates.
+    """
+
+class RecordedRun:
+    """The pieces and impacts of a run, for its derivatives."""
+
+    def __init__(self, scene: Scene, settings: dict[str, Any], segments: dict[str, Any], events: dict[str, Any] | None, tau: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None, q_end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], p_end: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], contact_steps: Sequence[KeptContactSteps]) -> None: ...
+
+    @property
+    def guards(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """Kind and index of all guards, as in events, (nguards, 2)."""
+
+    def tangent(self, directions: dict[str, Any], times: Sequence[float], take_branch: bool) -> dict[str, Any]:
+        """
+        d(q, v) at times along directions, columns of q, v, tau (nv, count), e and mu (guards, count); or the reason why there is none.
+        """
+
+    def adjoint(self, times: Sequence[float], lq: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], lv: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], events: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], steps: int, take_branch: bool) -> dict[str, Any]:
+        """
+        From gradients in (q, v) at times (nodes, nv) and in the times of events to those in the start, the inputs of all steps and the parameters; or the reason why there is none.
+        """
 
 def instruction_sets() -> list[str]:
     """Builds of the stage kernel that this processor runs, best last."""
@@ -427,6 +466,13 @@ class SimulatorOptions:
     def record_contacts(self, arg: bool, /) -> None: ...
 
     @property
+    def gradient(self) -> bool:
+        """Whether contact steps are kept for derivatives; with dense."""
+
+    @gradient.setter
+    def gradient(self, arg: bool, /) -> None: ...
+
+    @property
     def islands(self) -> bool:
         """Whether islands are advanced one by one where that is possible."""
 
@@ -438,6 +484,9 @@ class SimulatorOptions:
 
     @contact_steps.setter
     def contact_steps(self, arg: ContactSteps, /) -> None: ...
+
+class KeptContactSteps:
+    """The contact steps of a call, as their derivatives need them."""
 
 class Snapshot:
     """All that the rest of a run depends on."""

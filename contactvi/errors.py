@@ -229,8 +229,14 @@ class EngineError(ContactviError, RuntimeError):
 class NotDifferentiable(ContactviError):
     """A step, an impact or a contact that has no derivative, or none that is known.
 
-    Where known, `reason` is one of "impact", "contact", "constraint", "saturation", and `pair` (names) and `time` [s]
-    tell where.
+    Where known, `pair` (names) and `time` [s] tell where, and `reason` is one of
+
+    - of a step: "impact", "contact", "constraint", "saturation" of an actuator, "step" whose equations were not solved;
+    - of an impact: "grazing", "simultaneous" with others, "witness" (several nearest points), "friction" at its limit,
+      "restitution" that was lowered, "map" (an implicit map without an answer), "start" (at the first instant), "time"
+      (a force that changes with it);
+    - of a persistent contact: "release", "stick", "redundant" points that share a load, "node" (an event at the end of
+      a step), "inside" of a step, "dense" steps, "parameter" of the scene.
     """
 
     def __init__(

@@ -60,10 +60,7 @@ def real(
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, numbers.Real) and not isinstance(value, bool):
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
+        number = _float(value)
     inside = low < number <= high if open_low else low <= number <= high
     if not abs(number) <= LARGEST or not inside:
         wanted = expected or _interval(low, high, open_low)
@@ -77,6 +74,14 @@ def real(
             remedy=_number_remedy(value, number, low, high, open_low),
         )
     return number
+
+
+def _float(value: Any) -> float:
+    """Return a real number as a float; what is too large for one is infinite."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 def positive(name: str, value: Any, expected: str) -> float:
@@ -120,9 +125,9 @@ def count(name: str, value: Any) -> int:
 
 def _count_remedy(value: Any) -> str:
     """Return how to make a whole number >= 1 of what was given."""
-    if isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value):
-        near = min(max(round(float(value)), 1), MOST)
-        return f"Use {near}, without a decimal point"
+    number = _float(value) if isinstance(value, numbers.Real) and not isinstance(value, bool) else math.nan
+    if math.isfinite(number):
+        return f"Use {min(max(round(number), 1), MOST)}, without a decimal point"
     return "Give a whole number such as 100, without quotes"
 
 
@@ -220,13 +225,33 @@ def check_choice(name: str, value: Any, choices: Sequence[str], what: str) -> No
     if isinstance(value, str) and value in choices:
         return
     expected = " | ".join(repr(choice) for choice in choices)
-    raise InputError(what, name=name, expected=expected, got=repr(value), remedy=did_you_mean(str(value), choices))
+    raise InputError(what, name=name, expected=expected, got=short(value), remedy=did_you_mean(_word(value), choices))
 
 
 def short(value: Any) -> str:
     """Return repr(value), its end cut off where it is long."""
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no whole number of more than 4300 digits, inside of lists neither
+        text = f"<{type(value).__name__} too long to write>"
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _word(value: Any) -> str:
+    """Return the word that was given, or what stands in its place."""
+    return value if isinstance(value, str) else short(value)
+
+
+def entries(value: Any) -> tuple[Any, ...] | None:
+    """Return the entries of a collection; None where the value is none.
+
+    That a value has __iter__ does not say so: an array without dimensions has it too.
+    """
+    try:
+        iterator = iter(value)
+    except TypeError:
+        return None
+    return tuple(iterator)
 
 
 # --- arrays and placements --------------------------------------------------------------------------------------------
@@ -238,6 +263,12 @@ def real_numbers(value: Any) -> Array | None:
         return None if np.iscomplexobj(value) else np.array(value, dtype=float, order="C")
     except (TypeError, ValueError, OverflowError):
         return None
+
+
+def shape_of(value: Any) -> tuple[int, ...]:
+    """Return the shape of an array of real numbers; () for what is none, such as rows of different lengths."""
+    result = real_numbers(value)
+    return () if result is None else result.shape
 
 
 def array(name: str, value: Any, shape: tuple[int, ...], meaning: str, remedy: str | None = None) -> Array:
@@ -331,7 +362,7 @@ def pose(name: str, value: Any) -> pin.SE3:
     if isinstance(value, Sequence) and len(value) == 2 and not isinstance(value, str):
         xyz, rpy = vector(f"{name} xyz", value[0], 3), vector(f"{name} rpy", value[1], 3)
         return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
-    shape = np.shape(value) if not isinstance(value, (str, dict)) else ()
+    shape = shape_of(value)
     if shape == (3,):
         return pin.SE3(np.eye(3), vector(name, value, 3))
     if shape == (7,):
@@ -346,17 +377,24 @@ def pose(name: str, value: Any) -> pin.SE3:
         f"Placement {name}",
         name=name,
         expected="None, xyz, (xyz, rpy), xyz + quaternion xyzw, a 4x4 matrix or pin.SE3",
-        got=repr(value),
+        got=short(value),
         remedy="Give a position (x, y, z), or ((x, y, z), (roll, pitch, yaw)) with a turn",
     )
+
+
+def is_rigid(matrix: Array) -> bool:
+    """Return whether a homogeneous matrix (4, 4) has finite numbers and a rotation (to 1e-6)."""
+    turn = matrix[:3, :3]
+    if not np.all(np.isfinite(matrix)) or np.any(np.abs(turn) > 1.0 + UNIT_TOLERANCE):  # products may overflow
+        return False
+    near = np.allclose(turn @ turn.T, np.eye(3), atol=UNIT_TOLERANCE) and np.linalg.det(turn) > 0.0
+    return bool(near and matrix[3].tolist() == [0.0, 0.0, 0.0, 1.0])
 
 
 def _check_pose(name: str, placement: pin.SE3) -> None:
     """Raise an InputError unless the numbers are finite and the rotation is one (to 1e-6)."""
     matrix = placement.homogeneous
-    rotation = matrix[:3, :3]
-    good = np.all(np.isfinite(matrix)) and np.allclose(rotation @ rotation.T, np.eye(3), atol=UNIT_TOLERANCE)
-    if not good or np.linalg.det(rotation) < 0.0:
+    if not is_rigid(matrix):
         raise InputError(
             f"Placement {name}",
             name=name,
@@ -480,27 +518,33 @@ def tolerances(ledger: Any) -> dict[str, float] | None:
             "The tolerances of the ledger are not usable",
             name="ledger",
             expected='names and bounds, for example {"own_jump": 1e-10}',
-            got=repr(ledger),
+            got=short(ledger),
             remedy="Write the bounds as a dict; in a scene file under [run.ledger]",
         )
     for name, bound in ledger.items():
         if name not in LEDGER_TOLERANCES:
             raise InputError(
-                f"The ledger has no tolerance {name!r}",
+                f"The ledger has no tolerance {short(name)}",
                 name="ledger",
                 expected=" | ".join(LEDGER_TOLERANCES),
-                got=repr(name),
-                remedy=did_you_mean(str(name), LEDGER_TOLERANCES),
+                got=short(name),
+                remedy=did_you_mean(_word(name), LEDGER_TOLERANCES),
             )
-        if not isinstance(bound, numbers.Real) or isinstance(bound, bool) or not float(bound) >= 0:
+        if not isinstance(bound, numbers.Real) or isinstance(bound, bool) or not _is_bound(bound):
             raise InputError(
                 f"Tolerance {name!r}",
                 name="ledger",
-                expected="a number >= 0",
-                got=repr(bound),
+                expected="a number >= 0 that fits in a float",
+                got=short(bound),
                 remedy="Give the largest deviation that you accept, for example 1e-10",
             )
     return {str(name): float(bound) for name, bound in ledger.items()}
+
+
+def _is_bound(value: Any) -> bool:
+    """Return whether a real number is >= 0 and a float can hold it."""
+    number = _float(value)
+    return number >= 0.0 and (math.isfinite(number) or bool(value == math.inf))
 
 
 def integrator_order(order: Any, auto: bool) -> int:
@@ -515,7 +559,7 @@ def integrator_order(order: Any, auto: bool) -> int:
         "The order of the integrator is not usable",
         name="order",
         expected="an even number from 2 to 16",
-        got=repr(order),
+        got=short(order),
         remedy=f"Use order={near}",
     )
 
@@ -526,7 +570,7 @@ def kept_dense(dense: Any, order: int, sample_dt: float | None) -> bool:
         return order >= 4 or sample_dt is not None
     if not isinstance(dense, bool):
         raise InputError(
-            "dense is not usable", name="dense", expected="True or False", got=repr(dense), remedy=_flag_remedy(dense)
+            "dense is not usable", name="dense", expected="True or False", got=short(dense), remedy=_flag_remedy(dense)
         )
     if sample_dt is not None and not dense:
         raise InputError(
@@ -560,7 +604,25 @@ def contact_step(dt_contact: Any, dt: float | str) -> float | str | None:
             got=f"{value:g} s",
             remedy="Leave dt_contact out, or use a larger dt",
         )
+    if isinstance(dt, float):
+        check_contact_steps(value, dt, "dt")
     return value
+
+
+def check_contact_steps(dt_contact: float, span: float, what: str) -> None:
+    """Raise InputError where a step in contact [s] is lost in the rounding of the time within a span [s] of this name.
+
+    Such a step does not bring the time forward, so a run would not end.
+    """
+    if span / MOST_STEPS <= dt_contact:
+        return
+    raise InputError(
+        "The step in contact is too short",
+        name="dt_contact",
+        expected=f"at most {MOST_STEPS:g} of them in {what} = {span:g} s",
+        got=f"{dt_contact:g} s",
+        remedy="Use a larger dt_contact, for example dt_contact=1e-3, or leave it out",
+    )
 
 
 def check_whole(duration: float, dt: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, TypedDict, get_args
@@ -11,6 +12,7 @@ from contactvi.inputs import (
     AUTO,
     CONTACT_DT,
     check_choice,
+    check_contact_steps,
     check_whole,
     contact_step,
     count,
@@ -28,11 +30,13 @@ MhcReference = Literal["local", "global"]
 Zeno = Literal["hold", "end"]
 Support = Literal["sequence", "stiff"]
 ContactSteps = Literal["auto", "events", "steps"]
+Kept = Literal["states", "gradient"]
 IMPACT_MAPS: tuple[ImpactMap, ...] = get_args(ImpactMap)
 MHC_REFERENCES: tuple[MhcReference, ...] = get_args(MhcReference)
 ZENO: tuple[Zeno, ...] = get_args(Zeno)
 SUPPORTS: tuple[Support, ...] = get_args(Support)
 CONTACT_MODES: tuple[ContactSteps, ...] = get_args(ContactSteps)
+KEPT: tuple[Kept, ...] = get_args(Kept)
 DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
 _FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # they need steps of one length
@@ -54,6 +58,7 @@ class FurtherOptions(TypedDict, total=False):
     contact_points: int | None
     record_contacts: bool | None
     contact_mode: ContactSteps | None
+    record: Kept | None
 
 
 class SteppingOptions(FurtherOptions, total=False):
@@ -116,6 +121,9 @@ class Options:
             events accumulate the run is slow or ends with a status. "steps": dense steps alone, which makes the run a
             time-stepping simulation to compare with. With dt="auto", "dtec", zeno="end" and in scenes with constraints
             no dense step is taken, and "steps" is refused.
+        record: "states", or "gradient": also what the derivatives of the run need (Trajectory.sensitivity), the
+            polynomials of the steps and the inputs. Steps of one length only; what has no derivative is refused before
+            the run where it is known then.
 
     Raises:
         InputError: for a value that is not of the type or in the range given above.
@@ -139,6 +147,7 @@ class Options:
     contact_points: int = 4
     record_contacts: bool = True
     contact_mode: ContactSteps = "auto"
+    record: Kept = "states"
 
     def __post_init__(self) -> None:
         if not self.auto:
@@ -166,13 +175,18 @@ class Options:
         check_choice("zeno", self.zeno, ZENO, "Unknown answer to accumulating impacts")
         check_choice("support", self.support, SUPPORTS, "Unknown reading of a support")
         check_choice("contact_mode", self.contact_mode, CONTACT_MODES, "Unknown kind of steps in contact")
+        check_choice("record", self.record, KEPT, "Unknown kind of record")
         _set(self, "order", integrator_order(self.order, self.auto))
         _set(self, "ledger", tolerances(self.ledger))
         if self.duration is not None:
             _set(self, "duration", positive("duration", self.duration, "the simulated time in seconds, > 0"))
+            if isinstance(self.dt_contact, float):
+                check_contact_steps(self.dt_contact, self.duration, "duration")
         if self.sample_dt is not None:
             _set(self, "sample_dt", positive("sample_dt", self.sample_dt, "the time between samples in seconds, > 0"))
             _check_samples(self.duration, self.sample_dt)
+        if self.record == "gradient":
+            _check_gradient(self)
         _set(self, "dense", kept_dense(self.dense, self.order, self.sample_dt))
         _check_nodes(self)
         if self.auto:
@@ -312,7 +326,7 @@ def merged(file: Mapping[str, Any], chosen: Mapping[str, Any], forced: bool = Fa
     """
     check_names(chosen)
     given = {name: value for name, value in chosen.items() if value is not None}
-    if file and given.get("dt") is not None and (given["dt"] == AUTO) != (_with_dt(file)["dt"] == AUTO):
+    if file and given.get("dt") is not None and _is(given["dt"], AUTO) != _is(_with_dt(file)["dt"], AUTO):
         file = {name: value for name, value in file.items() if name not in _OF_THE_KIND}
     return _with_dt({**file, **given}, forced)
 
@@ -320,14 +334,41 @@ def merged(file: Mapping[str, Any], chosen: Mapping[str, Any], forced: bool = Fa
 def _with_dt(settings: Mapping[str, Any], forced: bool = False) -> dict[str, Any]:
     if settings.get("dt") is not None:
         return dict(settings)
-    order, watched = settings.get("order"), settings.get("ledger") or ()
-    fixed = forced or order == 2 or settings.get("impact") == "dtec" or settings.get("record_every", 1) != 1
+    watched = settings.get("ledger")
+    fixed = forced or _is(settings.get("order"), 2) or _is(settings.get("impact"), "dtec")
+    fixed = fixed or not _is(settings.get("record_every", 1), 1) or _is(settings.get("record"), "gradient")
     fixed = fixed or (isinstance(watched, Mapping) and any(name in watched for name in _FIXED_ONLY))
     return {**settings, "dt": DEFAULT_DT if fixed else AUTO}
 
 
+def _is(value: Any, wanted: int | str) -> bool:
+    """Return whether a setting that is not checked yet has this value; arrays, which compare by entries, have none."""
+    return isinstance(value, (str, numbers.Real)) and bool(value == wanted)
+
+
 def _set(options: Options, name: str, value: Any) -> None:
     object.__setattr__(options, name, value)
+
+
+def _check_gradient(options: Options) -> None:
+    """Raise InputError where a run cannot keep what its derivatives need; keep the polynomials."""
+    if options.auto:
+        raise InputError(
+            "The steps of dt='auto' depend on the state, so the run has no derivative", name="record",
+            expected="'states' with dt='auto'", got="'gradient'", remedy="Give dt=..., for example dt=1e-3",
+        )  # fmt: skip
+    if options.dense is False:
+        raise InputError(
+            "Derivatives need the polynomials of the steps", name="dense",
+            expected="True with record='gradient'", got="False", remedy="Leave dense out",
+        )  # fmt: skip
+    if options.sample_dt is not None:
+        raise InputError(
+            "Derivatives are those of the states at the ends of steps", name="sample_dt",
+            expected="none with record='gradient'", got=options.sample_dt,
+            remedy="Leave sample_dt out; Sensitivity.at gives derivatives at other times",
+        )  # fmt: skip
+    _set(options, "dense", True)
 
 
 def _check_nodes(options: Options) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,30 @@ SCENE: dict[str, tuple[Callable[[cvi.Scene], object], str]] = {
     "speed": (lambda s: cvi.simulate(s, v0=np.full(6, 1.7e308), duration=0.1, dt=1e-3), "v0"),
     "energy": (lambda s: cvi.simulate(s, v0=np.full(6, 1e160), duration=0.1, dt=1e-3, throw=False), "v0"),
     "run": (lambda s: cvi.Trajectory.load(3), "path"),
+    "throw": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, throw=np.eye(2)), "throw"),
+    "throw of auto": (lambda s: cvi.simulate(s, duration=0.1, dt="auto", throw=np.eye(2)), "throw"),
+    "points": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, contact_points=10**400), "contact_points"),
+    "share of points": (lambda s: cvi.Options(1e-3, contact_points=Fraction(10**400, 3)), "contact_points"),
+    "step in contact": (lambda s: cvi.simulate(s, duration=0.1, dt=1e-3, dt_contact=1e-20), "dt_contact"),
+    "step in contact of a long run": (lambda s: cvi.Options(1e-3, 1e4, dt_contact=1e-13), "dt_contact"),
+    "step in contact of a simulator": (lambda s: cvi.Simulator(s, 1e-3, dt_contact=1e-300), "dt_contact"),
+    "step in contact of auto": (lambda s: cvi.Options("auto", 0.1, dt_contact=1e-20), "dt_contact"),
+    "bound": (lambda s: cvi.Options(1e-3, ledger={"energy": 10**400}), "ledger"),
+    "bound below": (lambda s: cvi.Options(1e-3, ledger={"energy": -(10**400)}), "ledger"),
+    "order, no dt": (lambda s: cvi.simulate(s, duration=0.1, order=np.eye(2)), "order"),
+    "impact, no dt": (lambda s: cvi.simulate(s, duration=0.1, impact=np.eye(2)), "impact"),
+    "record, no dt": (lambda s: cvi.simulate(s, duration=0.1, record=np.eye(2)), "record"),
+    "record_every, no dt": (lambda s: cvi.simulate(s, duration=0.1, record_every=np.eye(2)), "record_every"),
+    "ledger, no dt": (lambda s: cvi.simulate(s, duration=0.1, ledger=np.eye(2)), "ledger"),
+    "base": (lambda s: s.copy().add_urdf("a.urdf", base=np.eye(2)), "base"),
+    "pairs of no dimension": (lambda s: cvi.simultaneous_outcomes(s, pairs=np.array(1.5)), "pairs"),
+    "rows of two lengths": (lambda s: s.velocity({"ball": (np.array(1.5), np.eye(2))}), "velocity"),
+    "damping of two lengths": (lambda s: s.copy().set_joint("ball", damping=[[1], [2, 3]]), "damping of 'ball'"),
+    "place of several lengths": (lambda s: s.copy().add_sphere("a", 0.1, placement=[[1], [2, 3], [4]]), "placement"),
+    "place of words": (lambda s: s.copy().add_sphere("a", 0.1, placement=["a"] * 7), "placement"),
+    "more digits than Python writes": (lambda s: cvi.Options(10**5000), "dt"),
+    "order of many digits": (lambda s: cvi.Options(1e-3, order=10**5000), "order"),
+    "body of many digits": (lambda s: s.copy().add_spring("ball", 10**5000, 1.0), "b"),
 }
 RUN: dict[str, tuple[Callable[[cvi.Trajectory], object], str]] = {
     "on arrays": (lambda t: t.contacts.on(np.eye(2)), "body"),
@@ -66,6 +91,9 @@ RUN: dict[str, tuple[Callable[[cvi.Trajectory], object], str]] = {
     "at a huge number": (lambda t: t.at(10**400), "t"),
     "at": (lambda t: t.contacts.at("x"), "t"),
     "array": (lambda t: t.contacts.array("nothing"), "name"),
+    "on an array of no dimension": (lambda t: t.contacts.on(np.array(1.5)), "body"),
+    "impulse on an array of no dimension": (lambda t: t.contacts.impulse_on(np.array(1.5)), "body"),
+    "browser": (lambda t: cvi.view(t, open_browser=np.eye(2)), "open_browser"),
     "view": (lambda t: cvi.view(t.scene, open_browser=False), "run"),
     "title": (lambda t: t.to_html("a.html", title=3), "title"),
     "arrows": (lambda t: t.to_html("a.html", forces=np.eye(2)), "forces"),

@@ -82,6 +82,10 @@ URDFS = {
     "infinite inertia": (robot(link("a"), link("b", inertia="inf"), joint()), "finite"),
     "negative mass": (robot(link("a"), link("b", mass="-1"), joint()), ">= 0 kg"),
     "zero mass": (robot(link("a"), link("b", mass="0", inertia="0"), joint()), "moves no mass"),
+    "mass of nearly zero": (
+        robot(link("a"), link("b", mass="5e-324", inertia="5e-324"), joint(kind="floating")),
+        "joint 'j' moves no mass",
+    ),
     "no inertial": (robot(link("a"), '<link name="b"/>', joint()), "moves no mass"),
     "negative damping": (robot(link("a"), link("b"), joint(inside=LIMIT + '<dynamics damping="-1"/>')), "damping"),
     "negative radius": (shape('<sphere radius="-1"/>'), "> 0"),
@@ -120,6 +124,15 @@ MJCFS = {
     "too few numbers": (mujoco(body(where='pos="1 0"')), "pos"),
     "negative size": (mujoco(body('<joint/><geom type="sphere" size="-1"/>')), "size"),
     "zero axis": (mujoco(body('<joint axis="0 0 0"/><geom type="sphere" size="1"/>')), "axis"),
+    "rotation of a body": (mujoco(body(where='quat="1 0 0 1e155"')), "rotation of body 'a' is lost"),
+    "rotation of a site": (
+        mujoco(body('<joint/><geom size="1"/><site name="s" quat="1 0 0 1e155"/>')),
+        "rotation of site 's' is lost",
+    ),
+    "rotation of a weld": (
+        mujoco(body(), tail='<equality><weld name="w" body1="a" relpose="0 0 0 1 0 0 1e155"/></equality>'),
+        "rotation of equality 'w' is lost",
+    ),
     "no mass": (mujoco(body("<joint/>")), "mass and inertia of moving bodies"),
     "joint type": (mujoco(body('<joint type="wobble"/><geom type="sphere" size="1"/>')), "invalid keyword: 'wobble'"),
     "shape": (mujoco(body('<joint/><geom type="wobble" size="1"/>')), "invalid keyword: 'wobble'"),
@@ -362,6 +375,40 @@ def test_geometry_on_a_joint_that_is_not_there():
     geometry.geometryObjects[0].parentJoint = 7
     with pytest.raises(SceneError, match="parent joint below 2"):
         Scene.from_pinocchio(model, geometry)
+
+
+@pytest.mark.parametrize("matrix", [2.0 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)])
+def test_place_of_a_geometry_that_is_no_rotation(matrix: np.ndarray):
+    model, geometry = one_body(coal.Sphere(1.0))
+    place = pin.SE3.Identity()
+    place.rotation = matrix
+    pictures = geometry.copy()
+    pictures.geometryObjects[0].placement = place
+    with pytest.raises(SceneError, match="placement of geometry 'shape': expected finite numbers and a rotation"):
+        Scene.from_pinocchio(model, geometry, pictures)
+
+
+def test_a_free_body_of_nearly_no_mass(tmp_path):
+    (tmp_path / "speck.urdf").write_text(robot(link("a", mass="5e-324")))
+    with pytest.raises(SceneError, match="moves no mass") as caught:
+        Scene().add_urdf(tmp_path / "speck.urdf", base="free")
+    assert caught.value.joint == "root_joint"
+
+
+@pytest.mark.parametrize("size", [1e-200, 1e-10, 1e100, 1e153])
+def test_a_quaternion_of_any_length_is_a_rotation(tmp_path, size: float):
+    """A body on a hinge, a free one and a site, each a right angle about z from what carries it."""
+    turn = f'quat="{size} 0 0 {size}"'
+    hinged = f'<body name="a" {turn}><joint/><geom size="1"/><site name="s" {turn}/></body>'
+    free = f'<body name="b" pos="9 0 0" {turn}><freejoint/><geom size="1"/></body>'
+    (tmp_path / "turned.xml").write_text(mujoco(hinged, free))
+    scene = Scene()
+    scene.add_mjcf(tmp_path / "turned.xml")
+    model, data = scene.model, scene.model.createData()
+    pin.framesForwardKinematics(model, data, scene.neutral())
+    for name, angle in (("a", np.pi / 2), ("b", np.pi / 2), ("s", np.pi)):
+        rotation = data.oMf[model.getFrameId(name)].rotation
+        np.testing.assert_allclose(rotation, pin.rpy.rpyToMatrix(0.0, 0.0, angle), atol=1e-15)
 
 
 def test_a_loop_of_links_beside_the_tree(tmp_path):

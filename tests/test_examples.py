@@ -89,6 +89,17 @@ def test_guide_code_of_linear_systems_runs(tmp_path):
     assert run_marked("linear", tmp_path)[0] == "(12, 12) (12, 6) (12,) (6, 6)"
 
 
+def test_guide_code_of_gradients_runs(tmp_path):
+    """One impact at a known time; adjoint and tangent agree; a box that falls flat is refused."""
+    printed = run_marked("gradients", tmp_path)
+    assert printed[0] == "(101, 4, 5) (101, 4, 1) (1, 5)"
+    assert printed[2].startswith("t = 0.656671045 s  lower_0 | wall")
+    backward, forward = ([float(x) for x in part.strip("[ ").split()] for part in printed[3].split("]")[:2])
+    assert backward == pytest.approx(forward, rel=1e-7)
+    assert printed[4].startswith("(100, 2)")
+    assert printed[5].startswith("witness ('ground', 'box') 0.10096")
+
+
 def test_guide_code_of_a_linkage_runs(tmp_path):
     """It prints the numbers that the guide gives; the works account for the energy, up to the balance."""
     printed = run_marked("linkage", tmp_path, "\nprint(traj.energy[-1] - traj.energy[0])")

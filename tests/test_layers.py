@@ -52,7 +52,8 @@ CPP_FOLDERS: Folders = {
     "contact": ("step", "geometry", "cone"),
     "impact": ("event", "contact", "record"),
     "run": ("impact",),
-    "bindings": ("run",),
+    "sensitivity": ("impact",),
+    "bindings": ("run", "sensitivity"),
 }
 # A saved run is read and shown without the compiled engine: only these modules load it when they run. The types of its
 # stub may be named anywhere, under TYPE_CHECKING.
@@ -62,6 +63,7 @@ USERS_OF_THE_ENGINE = {
     "simulation.engine",
     "simulation.compatibility",
     "derivatives.linear",
+    "trajectory.sensitivity",
 }
 
 # A header found by one of these names belongs to Python or to a parser: neither has a place in the engine.

@@ -1,7 +1,7 @@
-"""The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `check`.
+"""The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `check`, `check-gradient`.
 
-Exit codes: 0 done; 1 a case of verify failed; 2 wrong input, reported as expected, got, remedy; 3 the
-run ended early, with its files written; 130 stopped by Ctrl-C.
+Exit codes: 0 done; 1 a case of verify failed, or a derivative; 2 wrong input, reported as expected, got, remedy; 3 the
+run ended early, with its files written where it has some; 4 the run has no derivative; 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from contactvi.errors import ContactviError, InputError, SceneError, SimulationError, did_you_mean
+from contactvi.errors import ContactviError, InputError, NotDifferentiable, SceneError, SimulationError, did_you_mean
 from contactvi.interrupts import held_back
 from contactvi.status import StatusCode
 from contactvi.tables import name_table, print_table
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from contactvi.scene.scene import Scene
     from contactvi.trajectory.trajectory import Trajectory
 
-FAILED, WRONG_INPUT, ENDED_EARLY = 1, 2, 3
+FAILED, WRONG_INPUT, ENDED_EARLY, NO_DERIVATIVE = 1, 2, 3, 4
 _MODEL_ENDINGS = (".urdf", ".xml", ".mjcf", ".toml")
 _out = Console(highlight=False, soft_wrap=True)
 _err = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -43,7 +43,7 @@ class _Commands(typer.core.TyperGroup):
             if isinstance(error, SimulationError) and error.status and error.status.code == StatusCode.INTERRUPTED:
                 raise KeyboardInterrupt from error
             print_error(error)
-            raise typer.Exit(WRONG_INPUT) from error
+            raise typer.Exit(NO_DERIVATIVE if isinstance(error, NotDifferentiable) else WRONG_INPUT) from error
 
 
 app = typer.Typer(
@@ -283,6 +283,50 @@ def check(
             _out.print(str(ImportReport([error.report])), markup=False)
         raise
     _out.print(str(scene.report), markup=False)
+
+
+@app.command()
+def check_gradient(
+    scene_file: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.", show_default=False)],
+    wrt: Annotated[
+        str, typer.Option(metavar="NAME,...", help="With respect to what; restitution:a|b is that of one pair.")
+    ] = "q0,v0,control,restitution,friction",
+    columns: Annotated[int, typer.Option(help="Compare at most so many columns, some of each name.")] = 12,
+    seed: Annotated[int, typer.Option(help="Which columns, where there are more.")] = 0,
+    on_kink: Annotated[
+        str, typer.Option(help="Where several contacts are hit at one instant: raise, or taken (the order of the run).")
+    ] = "raise",
+    dt: Annotated[float | None, typer.Option(help="Time step in seconds.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Simulated time in seconds, a whole number of steps.")] = None,
+    impact: Annotated[str | None, typer.Option(help="Impact map: ctec, dtec or mhc.")] = None,
+    mhc_reference: Annotated[str | None, typer.Option(help="The value that mhc conserves: local or global.")] = None,
+    order: Annotated[int | None, typer.Option(help="Order of the integrator: 2, 4, ... 16.")] = None,
+    tol: Annotated[float | None, typer.Option(help="What a step is solved to, relative.")] = None,
+) -> None:
+    """Compare the exact derivatives of a run with differences of it; exit code 1 where they disagree, 4 without."""
+    import contactvi as cvi
+    from contactvi.commands.gradient import lines, table
+    from contactvi.progress import JobProgress
+
+    scene = cvi.load_scene(scene_file)
+    chosen: dict[str, Any] = {
+        "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order, "tol": tol,
+        "dt": dt, "wrt": [name.strip() for name in wrt.split(",")],
+    }  # fmt: skip
+    try:
+        with JobProgress(_err) as bar:
+            found = cvi.check_gradient(scene, columns=columns, seed=seed, on_kink=on_kink, progress=bar, **chosen)
+    except SimulationError as error:
+        if error.status is not None and error.status.code != StatusCode.INTERRUPTED:
+            print_error(error)
+            raise typer.Exit(ENDED_EARLY) from error
+        raise
+    for line in lines(found):
+        _out.print(line, markup=False)
+    print_table(_out, table(found))
+    _out.print(f"\n{found}", markup=False)
+    if not found.ok:
+        raise typer.Exit(FAILED)
 
 
 def print_error(error: ContactviError) -> None:

@@ -15,8 +15,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi import inputs
-from contactvi.elements.elements import UserForce, UserPotential
-from contactvi.errors import DerivativeError, NotDifferentiable, SimulationError
+from contactvi.errors import NotDifferentiable, SimulationError
 from contactvi.scene.scene import Scene
 from contactvi.simulation.run import Run
 from contactvi.simulation.simulator import settings_of
@@ -182,20 +181,12 @@ def forward_dynamics_derivatives(
 
 def _check(compiled: CompiledScene) -> None:
     """Raise for scenes of whose steps no derivative is known."""
-    for element in compiled.scene().elements:
-        given = element.derivatives if isinstance(element, UserForce) else True
-        given = element.hessian if isinstance(element, UserPotential) else given
-        if given is None:
-            part = "derivatives" if isinstance(element, UserForce) else "hessian"
-            raise DerivativeError(
-                f"{element.name!r} has no {part}", function=element.name, expected="a function that returns them",
-                got="none", remedy=f"Give {part}=... when it is added",
-            )  # fmt: skip
+    compiled.check_differentiable()
     if compiled.built.constrained:
         raise NotDifferentiable(
-            "A scene with constraints or joint friction has impulses in every step", reason="constraint",
-            expected="forces that are smooth in the state", got="constraints or joint friction",
-            remedy="Take them out of the scene: derivatives through them are not known yet",
+            "A scene with joint friction has impulses in every step", reason="constraint",
+            expected="forces that are smooth in the state", got="joint friction",
+            remedy="Set friction=False: derivatives of single steps through it are not known yet",
         )  # fmt: skip
 
 

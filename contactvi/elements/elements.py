@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from contactvi.elements.signals import Signal
 from contactvi.errors import InputError
-from contactvi.inputs import flag, pose, real, vector
+from contactvi.inputs import flag, pose, real, short, vector
 
 WORLD = "world"
 AXES = ("world", "body")
@@ -236,7 +236,7 @@ class PathSpring(Element):
                 f"The {what}",
                 name="points",
                 expected='[("body", (x, y, z)), ...]',
-                got=repr(self.points),
+                got=short(self.points),
                 remedy="Write each point as (name of the body, (x, y, z)), in the axes of the body",
             ) from None
         if len(points) < 2 or len({body for body, _ in points}) < 2:
@@ -290,7 +290,7 @@ class Wrench(Element):
                 "Axes of a wrench",
                 name="axes",
                 expected="'world' or 'body'",
-                got=repr(self.axes),
+                got=short(self.axes),
                 remedy="Use axes='world' for a fixed direction, axes='body' for one that turns with the body",
             )
 
@@ -364,7 +364,7 @@ def coefficients_of(name: str, value: Any) -> np.ndarray:
             f"Value of {name}",
             name=name,
             expected="a list of numbers",
-            got=repr(value),
+            got=short(value),
             remedy="Write the coefficients in a list, lowest power first: [0.0, 1.0]",
         )
     return vector(name, value, count)
@@ -392,7 +392,7 @@ def _functions(element: Element, needed: Mapping[str, Any], optional: Mapping[st
                 f"Argument {argument} of {element.name!r}",
                 name=argument,
                 expected="a function",
-                got=repr(value),
+                got=short(value),
                 remedy="Give the function itself, without calling it",
             )
 

@@ -15,6 +15,7 @@ Units: the value's (rad or m), over s and s^2.
 
 from __future__ import annotations
 
+import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from contactvi.elements.user_functions import at, called
 from contactvi.errors import InputError, UserFunctionError
-from contactvi.inputs import real, short
+from contactvi.inputs import LARGEST, real, short
 
 Array = NDArray[np.float64]
 _RATE_STEP, _ACCELERATION_STEP = 1e-4, 1e-3  # [s] distances of the points of differences
@@ -68,7 +69,7 @@ class Signal:
             self._call = lambda t: (number, 0.0, 0.0)
         else:
             self.times, self.values = _table(source, name)
-            self._pieces = _pieces(self.times, self.values)
+            self._pieces = _pieces(self.times, self.values, name)
             self._call = self._tabled
 
     @property
@@ -239,7 +240,7 @@ def _table(source: Any, name: str) -> tuple[Array, Array]:
             got="nan or inf",
             remedy="Leave out the times at which the value is not known",
         )
-    late = np.flatnonzero(np.diff(times) <= 0.0)
+    late = np.flatnonzero(times[1:] <= times[:-1])
     if len(late):
         got = f"{times[late[0]]:.9g} before {times[late[0] + 1]:.9g}"
         raise InputError(
@@ -252,9 +253,30 @@ def _table(source: Any, name: str) -> tuple[Array, Array]:
     return times, values
 
 
-def _pieces(times: Array, values: Array) -> tuple[list[float], list[tuple[float, ...]]]:
-    """Return the breaks of the cubic spline and the coefficients of its pieces, highest power first."""
-    from scipy.interpolate import CubicSpline
+def _pieces(times: Array, values: Array, name: str) -> tuple[list[float], list[tuple[float, ...]]]:
+    """Return the breaks of the cubic spline and the coefficients of its pieces, highest power first.
 
-    spline = CubicSpline(times, values, bc_type="not-a-knot")
+    Raises:
+        InputError: there is no such spline in doubles, or its value, rate or acceleration is too large.
+    """
+    from scipy.interpolate import CubicSpline
+    from scipy.linalg import LinAlgWarning
+
+    # SciPy warns where its linear system has lost its digits, and raises ValueError for coefficients that overflow.
+    with warnings.catch_warnings(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        warnings.simplefilter("error", LinAlgWarning)
+        try:
+            spline = CubicSpline(times, values, bc_type="not-a-knot")
+            largest = max(float(np.abs(spline(times, order)).max()) for order in range(len(_PARTS)))
+        except (ValueError, np.linalg.LinAlgError, LinAlgWarning):
+            largest = np.inf
+        closest = np.diff(times).min()
+    if not (largest <= LARGEST and np.isfinite(spline.c).all()):
+        raise InputError(
+            f"Table of {name}",
+            name=name,
+            expected=f"a spline whose value, rate and acceleration are at most {LARGEST:g}",
+            got=f"values up to {np.abs(values).max():.3g} at times as close as {closest:.3g} s",
+            remedy="Give values of another unit, or leave out times next to others",
+        )
     return spline.x.tolist(), [tuple(piece) for piece in spline.c.T.tolist()]

@@ -291,10 +291,10 @@ def _least_inertia(model: pin.Model, q: np.ndarray) -> tuple[np.ndarray, float, 
     mass = upper + np.triu(upper, 1).T
     diagonal = np.diag(mass).copy()
     worst = int(np.argmin(diagonal))
-    if diagonal[worst] <= 0.0:
+    if diagonal[worst] < np.finfo(float).tiny:  # below it doubles have lost digits, and M^-1 overflows
         return diagonal, 0.0, worst
     scale = 1.0 / np.sqrt(diagonal)
-    values, vectors = np.linalg.eigh(mass * np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(mass * scale[:, None] * scale)  # the product of two scales alone may overflow
     return diagonal, float(values[0]), int(np.argmax(np.abs(vectors[:, 0])))
 
 

@@ -37,7 +37,7 @@ from contactvi.importing.paths import resolve_path
 from contactvi.importing.report import GeometryRow, PartReport
 from contactvi.importing.urdf import read_urdf
 from contactvi.importing.xml import numbers, read_xml
-from contactvi.inputs import flag, listed, real, words
+from contactvi.inputs import flag, is_rigid, listed, real, short, words
 
 ROOT_JOINT = "root_joint"  # Pinocchio's name for the free-flyer of a free base
 
@@ -59,12 +59,12 @@ def import_urdf(
     Raises:
         SceneError: the model cannot be used; its attribute `report` is the PartReport up to there.
     """
-    if base not in ("fixed", "free"):
+    if not isinstance(base, str) or base not in ("fixed", "free"):
         raise InputError(
             "Argument base",
             name="base",
             expected="'fixed' or 'free'",
-            got=repr(base),
+            got=short(base),
             remedy="Use base='free' for a robot that can move away, base='fixed' for one that is bolted down",
         )
     mimic, prefix = flag("mimic", mimic), words("prefix", prefix)
@@ -209,6 +209,8 @@ def import_pinocchio(
                 report.note("ignored", "joint", model.names[i], text)
         _name_bodies(model)
         _check_geometry_parents(model, collision, title)
+        for geometry in (*collision.geometryObjects, *visual.geometryObjects):
+            _check_geometry_place(geometry, title)
         part = Part(
             name=title,
             kind="pinocchio",
@@ -402,6 +404,18 @@ def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, sour
             body, joint = pin.FrameType.BODY, geometry.parentJoint
             frames = [k for k, f in enumerate(model.frames) if f.type == body and f.parentJoint == joint]
             geometry.parentFrame = frames[0] if frames and joint else 0
+
+
+def _check_geometry_place(geometry: pin.GeometryObject, source: str) -> None:
+    matrix = np.array(geometry.placement.homogeneous)
+    if not is_rigid(matrix):
+        raise SceneError(
+            f"{source}: placement of geometry {geometry.name!r}",
+            body=geometry.name,
+            expected="finite numbers and a rotation",
+            got=str(matrix.tolist()),
+            remedy="Set geometry.placement to a pin.SE3 whose rotation is orthogonal with determinant 1",
+        )
 
 
 def _visual(file: Path, build: Callable[[], pin.GeometryModel], collision: pin.GeometryModel) -> pin.GeometryModel:

@@ -234,7 +234,7 @@ def _material(visual: Visual, index: int) -> Any:
         return mg.MeshPhongMaterial(color=_PALETTE[(visual.joint or index) % len(_PALETTE)], shininess=40)
     red, green, blue, opacity = visual.color
     # Dark tones are lifted: on black no shading is visible.
-    levels = [round(255 * min(1.0, 0.1 + 0.9 * level)) for level in (red, green, blue)]
+    levels = [round(255 * min(1.0, 0.1 + 0.9 * max(0.0, level))) for level in (red, green, blue)]
     color = (levels[0] << 16) + (levels[1] << 8) + levels[2]
     return mg.MeshPhongMaterial(color=color, opacity=opacity, transparent=opacity < 1.0, shininess=40)
 

@@ -8,6 +8,7 @@ import threading
 import webbrowser
 from typing import Any
 
+from contactvi.inputs import flag
 from contactvi.playback.page import Run, make_html
 
 
@@ -22,6 +23,7 @@ def view(run: Run, *, open_browser: bool = True, **options: Any) -> View:
     The page is served while this process lives; a script that would end right away calls `.wait()` on the result. For
     a file that needs no process, use `Trajectory.to_html`. In a notebook the result shows itself.
     """
+    open_browser = flag("open_browser", open_browser)
     shown = View(make_html(run, **options))
     print(f"Playback at {shown.url}")
     if open_browser:

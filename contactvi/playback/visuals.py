@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi.elements.elements import PathSpring
 from contactvi.errors import SceneError
+from contactvi.inputs import is_rigid
 
 if TYPE_CHECKING:
     from contactvi.scene.scene import Scene
@@ -115,13 +116,30 @@ class Visual:
                 got=f"{shape!r} with {len(sizes)} sizes, or nan",
                 remedy=_DAMAGED,
             )
+        if not is_rigid(placement):
+            raise SceneError(
+                f"Placement of shape {fields['name']!r} of a stored picture",
+                body=str(fields["name"]),
+                expected="a rotation and a position",
+                got=str(placement.tolist()),
+                remedy=_DAMAGED,
+            )
+        color = None if fields["color"] is None else tuple(float(part) for part in fields["color"])
+        if color is not None and not (len(color) == 4 and _finite(color)):
+            raise SceneError(
+                f"Colour of shape {fields['name']!r} of a stored picture",
+                body=str(fields["name"]),
+                expected="red, green, blue and opacity, finite",
+                got=str(color),
+                remedy=_DAMAGED,
+            )
         return cls(
             name=str(fields["name"]),
             joint=int(fields["joint"]),
             placement=placement,
             shape=shape,
             sizes=sizes,
-            color=None if fields["color"] is None else tuple(fields["color"]),
+            color=None if color is None else (color[0], color[1], color[2], color[3]),
             vertices=vertices,
             faces=faces,
         )

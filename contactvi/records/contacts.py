@@ -8,7 +8,7 @@ by a number >= 0 [N s; N m s for a revolute joint], the first component of its i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from contactvi.aliases import alias
 from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import real
+from contactvi.inputs import entries, real, short
 from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
 from contactvi.records.events import label
 from contactvi.records.rows import Array, Arrays, Fields, Items, Rows, StepRows, joined
@@ -315,17 +315,16 @@ def _summed(rows: ContactLog, force: Array) -> tuple[Array, Array]:
     return middle, total
 
 
-def _shapes(body: Any) -> Iterable[str]:
+def _shapes(body: Any) -> tuple[str, ...]:
     if isinstance(body, str):
         return (body,)
-    shapes = getattr(body, "geometries", body)
-    shapes = tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
-    if not all(isinstance(shape, str) for shape in shapes):
+    shapes = entries(getattr(body, "geometries", body))
+    if shapes is None or not all(isinstance(shape, str) for shape in shapes):
         raise InputError(
             "Argument body",
             name="body",
             expected="a name, several names, or a handle of the scene",
-            got=repr(body),
+            got=short(body),
             remedy="Give the name of a body or shape, or what scene.add_... returned",
         )
     return shapes

@@ -18,7 +18,7 @@ from contactvi.elements.signals import Signal
 from contactvi.errors import InputError
 from contactvi.importing.checks import NO_LIMIT, ONE_DOF, has_limits, joint_kind
 from contactvi.importing.part import Part
-from contactvi.inputs import pose, real, unit_quaternion, vector
+from contactvi.inputs import pose, real, shape_of, short, unit_quaternion, vector
 
 SPRUNG = (*ONE_DOF, "spherical", "translation")
 _PARTS = {"free": (3, 3), "planar": (2, 1)}  # linear and angular degrees of freedom
@@ -141,14 +141,14 @@ def joint_velocity(model: pin.Model, name: str, value: Any, q: np.ndarray) -> np
         return np.array([real(what, value)])
     if joint_kind(joint) != "free":
         return vector(what, value, joint.nv)
-    linear, angular = (value, np.zeros(3)) if np.shape(value) == (3,) else (None, None)
+    linear, angular = (value, np.zeros(3)) if shape_of(value) == (3,) else (None, None)
     if linear is None:
-        if np.shape(value) != (2, 3):
+        if shape_of(value) != (2, 3):
             raise InputError(
                 f"Shape of {what}",
                 name="velocity",
                 expected="(linear, angular)",
-                got=repr(value),
+                got=short(value),
                 remedy="Give ((vx, vy, vz), (wx, wy, wz)) in world axes, or (vx, vy, vz) alone",
             )
         linear, angular = value
@@ -284,7 +284,7 @@ def file_limit(model: pin.Model, dof: int, key: str) -> float:
 
 def _damping(name: str, kind: str, nv: int, damping: Any) -> np.ndarray:
     """Return the damping of each dof from one number, or (linear, angular) for free and planar joints."""
-    if kind in _PARTS and np.shape(damping) == (2,):
+    if kind in _PARTS and shape_of(damping) == (2,):
         linear, angular = (real(f"damping of {name!r}", d, 0.0) for d in damping)
         return np.repeat([linear, angular], _PARTS[kind])
     return np.full(nv, real(f"damping of {name!r}", damping, 0.0))

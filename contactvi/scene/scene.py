@@ -18,7 +18,7 @@ from contactvi.importing import part as shapes
 from contactvi.importing.part import Part, shape_part
 from contactvi.importing.readers import MjcfFile, import_mjcf, import_pinocchio, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
-from contactvi.inputs import States, flag, mapping, pose, real, vector
+from contactvi.inputs import States, flag, mapping, pose, real, short, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
@@ -490,7 +490,7 @@ class Scene:
                 "Argument points",
                 name="points",
                 expected='[("body", (x, y, z)), ...]',
-                got=repr(points),
+                got=short(points),
                 remedy="Write each point as (name of the body, (x, y, z)), in the axes of the body",
             ) from None
         return self._add_element(

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from contactvi.errors import InputError, did_you_mean
 from contactvi.importing.mjcf.actuators import Actuator
+from contactvi.inputs import short
 
 _PATTERN = ("*", "?", "[")
 
@@ -78,12 +79,12 @@ class Names:
                 f"Unknown {argument}",
                 name=argument,
                 expected="a handle, or the name of a part, body, geometry or joint",
-                got=repr(selector if isinstance(selector, str) else getattr(selector, "name", selector)),
-                remedy=did_you_mean(str(selector), dict.fromkeys(known)),
+                got=short(selector if isinstance(selector, str) else getattr(selector, "name", selector)),
+                remedy=did_you_mean(_called(selector), dict.fromkeys(known)),
             )
         if not found:
             raise InputError(
-                f"{str(selector)!r} has no collision geometry",
+                f"{_called(selector)!r} has no collision geometry",
                 name=argument,
                 expected="a body with a shape",
                 got="none",
@@ -123,17 +124,17 @@ class Names:
             return "world"
         if isinstance(selector, str) and selector in self.bodies:
             return selector
-        part = selector if isinstance(selector, PartHandle) else self.parts.get(str(selector))
+        part = selector if isinstance(selector, PartHandle) else self.parts.get(_called(selector))
         bodies = () if part is None else tuple(name for name in part.bodies if name in self.bodies)
         if len(bodies) == 1:
             return bodies[0]
         known = ["world", *self.bodies]
         raise InputError(
-            f"Unknown {argument}" if not bodies else f"{str(selector)!r} has {len(bodies)} bodies",
+            f"Unknown {argument}" if not bodies else f"{_called(selector)!r} has {len(bodies)} bodies",
             name=argument,
             expected="'world', the name of a body, or the handle of a part with one body",
-            got=repr(str(selector)),
-            remedy=did_you_mean(str(selector), bodies or known),
+            got=repr(_called(selector)),
+            remedy=did_you_mean(_called(selector), bodies or known),
         )
 
     def select_joints(self, selector: Selector, argument: str = "joint") -> list[str]:
@@ -156,8 +157,8 @@ class Names:
                 f"Unknown {argument}",
                 name=argument,
                 expected="the name of a joint, a pattern, or a part with joints",
-                got=repr(str(selector)),
-                remedy=did_you_mean(str(selector), [*self.joints, *self.parts]),
+                got=repr(_called(selector)),
+                remedy=did_you_mean(_called(selector), [*self.joints, *self.parts]),
             )
         return found
 
@@ -166,13 +167,21 @@ class Names:
         found = self.select_joints(selector)
         if len(found) != 1:
             raise InputError(
-                f"Joint {str(selector)!r}",
+                f"Joint {_called(selector)!r}",
                 name="joint",
                 expected="one joint",
                 got=f"{len(found)}",
                 remedy="Name one of them: " + ", ".join(repr(joint) for joint in found[:6]),
             )
         return found[0]
+
+
+def _called(selector: Selector) -> str:
+    """Return what a selector is called."""
+    try:
+        return str(selector)
+    except ValueError:  # of a whole number of more than 4300 digits
+        return short(selector)
 
 
 def is_pattern(text: str) -> bool:

@@ -49,6 +49,7 @@ def make(
     settings.stiff_support = options.support == "stiff"
     settings.contact_points = options.contact_points
     settings.record_contacts = options.record_contacts
+    settings.gradient = options.record == "gradient"
     settings.contact_steps = _core.ContactSteps["EVENTS" if options.auto else options.contact_mode.upper()]
     return _core.Simulator(compiled.core, settings)
 

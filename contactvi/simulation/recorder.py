@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from contactvi.options import Options
 from contactvi.records import contacts, dense_steps
 from contactvi.records import events as event_log
+from contactvi.records.inputs import GrowingInputs
 from contactvi.records.rows import joined
 from contactvi.records.work import GrowingForces
 from contactvi.simulation.messages import describe
@@ -48,6 +49,7 @@ class Record:
         self.stats = Stats()
         self.forced = compiled.forced
         self.forces = GrowingForces(t, compiled.constraint_rows)
+        self.inputs = GrowingInputs() if options.record == "gradient" else None
         self.status = Status(StatusCode.SUCCESS, "the run has started", t)
 
     def collect(self, result: EngineResult) -> Status:
@@ -71,6 +73,10 @@ class Record:
         ):
             if columns is not None:
                 part.append(columns)
+        if self.inputs is not None:
+            self.inputs.saturated = result["stats"]["saturated"]
+            if result["kept_steps"] is not None:
+                self.inputs.add_contact_steps(result["kept_steps"])
         self._collect_phases(result["phases"])
         if self.options.auto:
             self.adaptive_steps = result["adaptive_steps"]
@@ -167,6 +173,7 @@ class Record:
             if isinstance(value, list):
                 setattr(twin, name, list(value))
         twin.forces = self.forces.copy()
+        twin.inputs = None if self.inputs is None else self.inputs.copy()
         return twin
 
     def cut(self, time: float) -> None:
@@ -211,7 +218,7 @@ class Record:
             self.compiled, self.options, t, q, p, self.log(), self.status, self.stats,
             forced=self.forced, segments=segments, adaptive_steps=self.adaptive_steps, error_estimate=error_estimate,
             contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(), forces=forces,
-            dense_steps=self.dense_log(),
+            dense_steps=self.dense_log(), inputs=None if self.inputs is None else self.inputs.joined(),
         )  # fmt: skip
 
 

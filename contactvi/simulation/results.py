@@ -69,6 +69,7 @@ class EngineResult(EngineStatus):
         work: since the start [J], (N, 4), columns as in contactvi.records.work.WORKS.
         reactions: mean forces of the constraints since the node before, (N, rows).
         dense: one row per dense step, columns as in contactvi.records.dense_steps.
+        kept_steps: those with persistent contacts, with record="gradient".
         error: what a callback or a function of the user raised.
     """
 
@@ -84,5 +85,6 @@ class EngineResult(EngineStatus):
     dense: Columns | None
     segments: Columns | None
     adaptive_steps: Columns | None
+    kept_steps: _core.KeptContactSteps | None
     stats: EngineCounts
     error: BaseException | None

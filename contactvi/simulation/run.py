@@ -65,8 +65,15 @@ class Run:
         v0: ArrayLike | None = None,
         t: float = 0.0,
     ) -> None:
-        """Start at (q0, v0), by default that of the scene, at t [s]. Raises InputError for a bad state."""
+        """Start at (q0, v0), by default that of the scene, at t [s].
+
+        Raises:
+            InputError: for a bad state. DerivativeError, NotDifferentiable: with record="gradient", for a scene without
+                derivatives.
+        """
         self._compiled, self.options = compiled, options
+        if options.record == "gradient":
+            compiled.check_differentiable()
         self._engine = engine.make(compiled, options)
         self.record, self.refused = engine.start(self._engine, compiled, options, q0, v0, t)
         self.unreachable: ConstraintError | None = None
@@ -147,6 +154,8 @@ class Run:
         if forces is not None and np.any(forces):
             check_unforced(self.options)
             record.forced = True
+        if record.inputs is not None:
+            record.inputs.add(steps, forces, targets)
         if self._watch is None and self._stall is None:
             return engine.advance(self._engine, record, steps, forces, progress, targets)
         last = time.perf_counter()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import ConstraintError, DenseStepWarning, InputError, PenetrationError, SimulationError
-from contactvi.inputs import callback, check_signature
+from contactvi.inputs import callback, check_signature, flag
 from contactvi.interrupts import CtrlC, held_back
 from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
 from contactvi.simulation import adaptive
@@ -97,6 +97,7 @@ def simulate(
         **options, "duration": duration, "dt": dt, "impact": impact, "order": order, "tol": tol,
         "sample_dt": sample_dt, "ledger": ledger,
     }  # fmt: skip
+    throw = flag("throw", throw)
     settings = settings_of(scene, chosen, forced=control is not None or target is not None)
     span = settings.span
     compiled = compile_scene(scene)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numbers
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, PenetrationError, did_you_mean
-from contactvi.inputs import array, real, short
+from contactvi.inputs import array, entries, real, short
 from contactvi.records.events import label
 from contactvi.scene.engine import engine_impacts
 from contactvi.trajectory.compiled import CompiledScene
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
+
+_IMMOBILE = 1e-12  # of the inverse inertia without constraints: below it they block the point, as in the engine
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +35,7 @@ class ClosedContact:
         gap: [m; rad].
         gamma_minus: normal speed before, of the point that closes most; negative where it closes [m/s; rad/s].
         W: d(gap)/dq of its points, shape (points, nv), Pinocchio's coordinates.
+        mobile: of each point, whether the constraints let its gap change, shape (points,).
     """
 
     pair: Pair
@@ -40,6 +43,7 @@ class ClosedContact:
     gap: float
     gamma_minus: float
     W: Array
+    mobile: NDArray[np.bool_]
 
     def __str__(self) -> str:
         return f"{self.pair[0]} | {self.pair[1]}"
@@ -66,7 +70,7 @@ def closed_contacts(
         limit: number of impacts after which a sequence is endless.
 
     Raises:
-        InputError: for unknown names, a bad e, and where there is no contact.
+        InputError: for unknown names, a bad e, where there is no contact, and for one whose gap cannot change.
         PenetrationError: for one that is deeper.
     """
     gaps, names, restitution = _guards(compiled, q)
@@ -97,9 +101,34 @@ def closed_contacts(
                 got="none",
                 remedy="Leave this pair out of pairs=[...]",
             )
+        mobile = _mobile(compiled, q, rows, engine.directions(k))
+        if not mobile.any():
+            raise InputError(
+                f"The constraints do not let {' and '.join(names[number])} move against each other",
+                name="pairs",
+                expected="a gap that changes in a motion which the constraints allow",
+                got="none",
+                remedy="Name the other contacts with pairs=[...], or remove a constraint",
+            )
         speed = float((rows @ v).min())
-        found.append(ClosedContact(names[number], float(values[k]), float(gaps[number]), speed, rows))
+        found.append(ClosedContact(names[number], float(values[k]), float(gaps[number]), speed, rows, mobile))
     return tuple(found), engine
+
+
+def _mobile(compiled: CompiledScene, q: Array, rows: Array, directions: Array) -> NDArray[np.bool_]:
+    """Return of each point whether an impulse can change its gap's speed: its inverse inertia is not rounding.
+
+    Args:
+        rows: d(gap)/dq, shape (points, nv), Pinocchio's coordinates.
+        directions: what an impulse of each point adds to the momentum, constraints included, engine coordinates.
+    """
+    core = compiled.core
+
+    def inverse_inertia(momenta: Array) -> Array:
+        return np.array([float(p @ np.asarray(core.velocity(q[None], p[None]))[0]) for p in momenta])
+
+    held = np.array([core.momentum_to_public(q, p) for p in directions])
+    return np.asarray(inverse_inertia(held) > _IMMOBILE * inverse_inertia(rows))
 
 
 def _guards(compiled: CompiledScene, q: Array) -> tuple[Array, list[Pair], Array]:
@@ -133,21 +162,22 @@ def _check_depth(gaps: Array, names: Sequence[Pair], margin: float) -> None:
 
 def _named(pairs: Any, names: Sequence[Pair]) -> list[int]:
     """Return the numbers of the named guards, in the engine's order."""
-    if isinstance(pairs, str) or not isinstance(pairs, Iterable):
+    given = None if isinstance(pairs, str) else entries(pairs)
+    if given is None:
         raise InputError(
             "pairs is not usable", name="pairs", expected='[("shape", "shape"), ...]', got=short(pairs),
             remedy="Give a list of pairs of names",
         )  # fmt: skip
     known = {key: k for k, (a, b) in enumerate(names) for key in ((a, b), (b, a))}
     found = []
-    for pair in pairs:
+    for pair in given:
         key = tuple(map(str, pair)) if isinstance(pair, (list, tuple)) else (str(pair),)
         if key not in known:
             raise InputError(
                 f"There is no contact {key!r}",
                 name="pairs",
                 expected="two names of one tested pair or limit",
-                got=repr(pair),
+                got=short(pair),
                 remedy=did_you_mean(" | ".join(key), [f"{a} | {b}" for a, b in names]),
             )
         found.append(known[key])

@@ -53,13 +53,14 @@ class Impacts:
     scaled back by a power of two, which is exact, so that the engine's absolute threshold for speeds plays no part.
     """
 
-    def __init__(self, engine: ImpactsAt, contacts: int, lower: Array, p: Array) -> None:
-        """Take the contacts 0 .. contacts - 1 of the engine, a Cholesky factor L of the mass matrix, and the momentum.
+    def __init__(self, engine: ImpactsAt, mobile: Sequence[NDArray[np.bool_]], lower: Array, p: Array) -> None:
+        """Take the engine's contacts, a Cholesky factor L of the mass matrix, and the momentum.
 
-        `lower` (nv, nv) and `p` (nv,) are in engine coordinates.
+        `mobile` says of each point of each contact whether its gap can change: only those have rows. `lower` (nv, nv)
+        and `p` (nv,) are in engine coordinates.
         """
         self._engine, self._lower = engine, lower
-        self.rows = [self.metric(engine.directions(k).T).T for k in range(contacts)]
+        self.rows = [self.metric(engine.directions(k)[moves].T).T for k, moves in enumerate(mobile)]
         self._lengths = [np.linalg.norm(a, axis=1) for a in self.rows]
         size = float(np.linalg.norm(np.linalg.solve(lower, p)))
         self._unit = 2.0 ** -round(np.log2(size)) if size > 0.0 else 1.0
@@ -68,7 +69,7 @@ class Impacts:
         # Speeds are taken over |a|: one unit for contacts [m/s] and for limits of revolute joints [rad/s].
         self._grid = _MERGE * max(float(np.linalg.norm(x)), np.finfo(float).tiny / _MERGE)
         self._floor = _NOISE * float(np.linalg.norm(x))
-        self._scale = max(float(np.abs(self._speeds(i, x)).max()) for i in range(contacts))
+        self._scale = max(float(np.abs(self._speeds(i, x)).max()) for i in range(len(self.rows)))
         self._size = float(np.linalg.norm(x))
 
     def metric(self, p: Array) -> Array:

@@ -166,7 +166,8 @@ def simultaneous_outcomes(
         max_states: velocities that are followed before `complete` becomes False.
 
     Raises:
-        InputError: for a bad argument, and where no contact is closed.
+        InputError: for a bad argument, where no contact is closed, and for one that cannot open or close, because the
+            joints or the constraints do not let it.
         PenetrationError: where a contact that takes part by itself is deeper than `tolerance`.
     """
     compiled = compile_scene(scene)
@@ -181,7 +182,7 @@ def simultaneous_outcomes(
     mass = np.column_stack([core.dynamics(q0, unit)[0] for unit in np.eye(states.nv)])
     lower: Array = np.linalg.cholesky(0.5 * (mass + mass.T)).astype(float, copy=False)
     p = core.momentum_to_engine(q0, np.asarray(core.momentum(q0[None], v0[None]))[0])
-    impacts = Impacts(engine, len(contacts), lower, p)
+    impacts = Impacts(engine, [contact.mobile for contact in contacts], lower, p)
     ends, complete = impacts.every_order(limit)
     chosen = impacts.chosen()
     found = (chosen, *(end for end in ends if impacts.apart(end, chosen)))

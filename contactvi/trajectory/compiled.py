@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.elements.elements import UserForce, UserPotential
-from contactvi.errors import ConstraintError, InputError, SceneError, UserFunctionError
+from contactvi.errors import (
+    ConstraintError,
+    DerivativeError,
+    InputError,
+    NotDifferentiable,
+    SceneError,
+    UserFunctionError,
+)
 from contactvi.importing.checks import dof_joint
 from contactvi.inputs import States, short
 from contactvi.records.work import ConstraintRows
@@ -135,6 +142,29 @@ class CompiledScene:
         if not self._derivatives_checked:
             self._derivatives_checked = True
             self._check_derivatives(q, v, t)
+
+    def check_differentiable(self) -> None:
+        """Raise for what is known before a run to have no derivative.
+
+        Raises:
+            DerivativeError: a function of the user came without derivatives.
+            NotDifferentiable: there are constraints, whose forces act in every step.
+        """
+        for element in self._scene.elements:
+            given = element.derivatives if isinstance(element, UserForce) else True
+            given = element.hessian if isinstance(element, UserPotential) else given
+            if given is None:
+                part = "derivatives" if isinstance(element, UserForce) else "hessian"
+                raise DerivativeError(
+                    f"{element.name!r} has no {part}", function=element.name, expected="a function that returns them",
+                    got="none", remedy=f"Give {part}=... when it is added",
+                )  # fmt: skip
+        if self.constraint_rows:
+            raise NotDifferentiable(
+                "A scene with constraints has their forces in every step", reason="constraint",
+                expected="no constraints", got=", ".join(row.name for row in self.constraint_rows),
+                remedy="Take them out of the scene: derivatives through them are not known yet",
+            )  # fmt: skip
 
     def _check_mass(self, q: NDArray[np.float64]) -> None:
         """Raise SceneError where a velocity does not come back from its momentum, M(q)^-1 (M(q) w) != w."""

@@ -174,6 +174,9 @@ _FINITE = (
 
 
 _LARGEST = 1e100  # of a state: a run in which it gets larger ends
+# [N] of a contact, the impulse over a step by its length. Impulses end with the states, and the shortest steps of a run
+# are of the size of rounding, far above 1e-50 s; sums of the squares of such forces are finite.
+_LARGEST_FORCE = 1e150
 
 
 def _of_a_run(values: NDArray[Any]) -> bool:
@@ -322,14 +325,17 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
     read = _Reader(path, entries, sizes)
     nodes = read.nodes(_stored_nodes(options))
     t = nodes.pop("t")
-    # The engine's states are finite; energies of huge numbers may be infinite.
+    # The engine's states are finite; so are energies, save in a run that ended because a number was too large.
+    status = header["status"]
+    ended = Status(StatusCode(status["code"]), str(status["message"]), float(status["time"]))
     for name in ("q", "p", "v", "kinetic_energy", "potential_energy"):
         values = nodes.get(name, np.zeros(0))
         if np.any(np.isnan(values)) or (len(name) == 1 and not _of_a_run(values)):
             _refuse(path, f"numbers in {name!r} that are not finite, or larger than those of any run")
+        if ended.code == StatusCode.SUCCESS and not np.all(np.isfinite(values)):
+            _refuse(path, f"numbers in {name!r} that are not finite, of a run that reached its end")
     names = [(str(a), str(b)) for a, b in header["pair_names"]], list(header["joint_names"])
     gap_pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]
-    status = header["status"]
     visuals = [Visual.from_dict(fields) for fields in header["visuals"]]
     if not all(0 <= visual.joint < scene.model.njoints for visual in visuals):
         _refuse(path, "pictures on joints that do not exist")
@@ -340,7 +346,7 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
         "q": nodes.pop("q"),
         "p": nodes.pop("p"),
         "events": read.events(names, header["method"]),
-        "status": Status(StatusCode(status["code"]), str(status["message"]), float(status["time"])),
+        "status": ended,
         "stats": Stats.from_dict(header["stats"]),
         "forced": bool(header["forced"]),
         "segments": read.segments(options.order),
@@ -487,6 +493,9 @@ class _Reader:
     def contacts(self, names: Names) -> ContactLog:
         """Return the contacts of a run."""
         rows = self._rows("contact", "t", contacts.FIELDS)
+        h, largest = rows["h"], np.abs(rows["start"] + rows["end"]).max(axis=1, initial=0.0)
+        if np.any((h > 0.0) & (largest > _LARGEST_FORCE * h)):  # of a step that is too short for its impulse
+            self._refuse("contacts with forces larger than those of any run")
         self._check_codes(rows, {"mode": len(codes.MODES)}, "contacts")
         self._check_guards(rows, names, "contacts")
         return ContactLog(rows, *names)

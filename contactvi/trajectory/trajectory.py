@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +18,10 @@ from contactvi.records.codes import STEP_KINDS, GuardKind, StepKind
 from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, empty_contacts
 from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 from contactvi.records.events import EventLog
+from contactvi.records.inputs import RunInputs
 from contactvi.records.work import ConstraintRows, Forces, Work
 from contactvi.status import Stats, Status
-from contactvi.trajectory.compiled import CompiledScene
+from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.contact_ledger import ContactLedger
 from contactvi.trajectory.ledger import Ledger, LedgerInputs
 from contactvi.trajectory.polynomials import Segments, State, frame_times
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from contactvi import _core
     from contactvi.playback.visuals import Visual
     from contactvi.scene.scene import Scene
+    from contactvi.trajectory.sensitivity import Sensitivity
 
 Array = NDArray[np.float64]
 _MAX_GAP_SAMPLES = 2000
@@ -50,6 +52,7 @@ class Trajectory:
             friction, servos, wrenches, dampers or forces given in Python.
         forces: work and reactions as arrays (contactvi.records.work.Forces), see `work` and `reactions`; None without.
         segments: the polynomials of its steps (contactvi.trajectory.polynomials), None without; `at` evaluates them.
+        inputs: what acted in each step (contactvi.records.inputs.RunInputs), with record="gradient"; else None.
         contacts: every persistent contact of every step, and every impact, with its forces (a `ContactLog`); empty
             without, and with record_contacts=False.
         contact_changes: when contacts began, stuck, slipped, ended (a `ChangeLog`).
@@ -90,6 +93,7 @@ class Trajectory:
         visuals: list[Visual] | None = None,
         forces: Forces | None = None,
         dense_steps: DenseSteps | None = None,
+        inputs: RunInputs | None = None,
     ) -> None:
         self._scene = scene
         # A run keeps the engine's scene that it was made with, because the Python scene may be edited afterwards.
@@ -115,6 +119,7 @@ class Trajectory:
         self._frames = frames
         self._visuals = visuals
         self.forces = forces
+        self.inputs = inputs
         self._ledger: Ledger | None = None
 
     arcs = alias("adaptive_steps")
@@ -334,6 +339,30 @@ class Trajectory:
         q[last], v[last] = self.q[-1], core.velocity(self.q[-1:], self.p[-1:])[0]
         p = np.asarray(core.momentum(q, v))
         return State(np.array(t, dtype=float), q, v, p) if np.ndim(t) else State(float(times[0]), q[0], v[0], p[0])
+
+    def sensitivity(self, wrt: Sequence[str] | str = ("q0", "v0"), *, on_kink: str = "raise") -> Sensitivity:
+        """Return the exact derivatives of the run with respect to its start, inputs and parameters.
+
+        Arguments and errors as those of contactvi.trajectory.sensitivity.Sensitivity. The run has to be one with
+        record="gradient".
+        """
+        from contactvi.trajectory.sensitivity import Sensitivity
+
+        return Sensitivity(self, self._compiled(), wrt, on_kink=on_kink)
+
+    def gradient(
+        self, cost: Any, wrt: Sequence[str] | str = ("q0", "v0"), *, on_kink: str = "raise"
+    ) -> tuple[float | None, dict[str, Array]]:
+        """Return a cost of the run and its exact gradient, whatever the number of inputs at the price of a few runs.
+
+        Arguments, result and errors as those of contactvi.gradient.
+        """
+        from contactvi.trajectory.gradient import gradient
+
+        return gradient(self, self._compiled(), cost, wrt, on_kink=on_kink)
+
+    def _compiled(self) -> CompiledScene:
+        return self._scene if isinstance(self._scene, CompiledScene) else compile_scene(self._scene)
 
     def resample(self, times: ArrayLike) -> Array:
         """Return configurations at these times [s] for pictures, shape (len(times), nq); `at` is the exact one.

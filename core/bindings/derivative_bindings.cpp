@@ -2,14 +2,27 @@
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
+#include <algorithm>
+#include <chrono>
+#include <cstdint>
+#include <limits>
 #include <tuple>
+#include <vector>
 
 #include "base/error.hpp"
+#include "base/refusal.hpp"
+#include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
+#include "bindings/parameter_results.hpp"
 #include "bindings/user_calls.hpp"
+#include "geometry/contact_tangent.hpp"
+#include "geometry/guard.hpp"
 #include "model/scene.hpp"
 #include "step/linearize.hpp"
+#include "step/step_gradient.hpp"
+#include "step/step_tangent.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -18,10 +31,12 @@ namespace contactvi {
 
 namespace {
 
-using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-
 void need_state(const Tree& tree, const VecX& q, const VecX& x) {
   if (q.size() != tree.nq || x.size() != tree.nv) throw Error("expected shapes (nq,) and (nv,)");
+}
+
+void need_order(int order) {
+  if (order < 2 || order > 2 * kMaxStages || order % 2 != 0) throw Error("order must be 2, 4, ... 16");
 }
 
 // The inputs of a step; target: references of the servos, (2 nv,).
@@ -46,11 +61,67 @@ std::tuple<VecX, VecX, Rows, Rows, VecX> linear_step(const Scene& s, const VecX&
                                                      const std::optional<VecX>& target, double t, int order,
                                                      double tol) {
   need_state(s.tree, q, x);
-  if (order < 2 || order > 2 * kMaxStages || order % 2 != 0) throw Error("order must be 2, 4, ... 16");
+  need_order(order);
   const StateKind kind = momentum ? StateKind::kMomentum : StateKind::kVelocity;
   const LinearStep step = linearize_step(s.tree, q, x, kind, h, inputs_of(s.tree, t, tau, target), order / 2, tol);
   UserErrors::raise();
   return {step.q1, step.x1, Rows(step.A), Rows(step.B), step.h};
+}
+
+std::tuple<VecX, VecX, VecX, double, Parameters> adjoint_step(const Scene& s, const VecX& q, const VecX& x,
+                                                              bool momentum, double h, const VecX& lq, const VecX& lx,
+                                                              const std::optional<VecX>& tau,
+                                                              const std::optional<VecX>& target, double t, int order,
+                                                              double tol) {
+  need_state(s.tree, q, x);
+  need_order(order);
+  if (lq.size() != s.tree.nv || lx.size() != s.tree.nv) throw Error("lq, lx: expected shape (nv,)");
+  const StateKind kind = momentum ? StateKind::kMomentum : StateKind::kVelocity;
+  const StepGradient found =
+      pull_back_step(s.tree, q, x, kind, h, inputs_of(s.tree, t, tau, target), order / 2, tol, lq, lx);
+  UserErrors::raise();
+  return {found.q, found.x, found.tau, found.h, parameters_of(s.tree, found.parameters)};
+}
+
+using Numbers = nb::typed<nb::dict, nb::str, double>;
+
+// Seconds and iterations of one direction of the tangent and of one transposed derivative of the same step.
+Numbers derivative_costs(const Scene& s, const VecX& q, const VecX& v, double h, int order, int calls, int repeats) {
+  need_state(s.tree, q, v);
+  need_order(order);
+  const int n = s.tree.nv;
+  const StepInputs inputs{0.0, VecX(), Servo()};
+  PublicStep step(s.tree, q, v, StateKind::kVelocity, h, inputs, order / 2, 1e-12);
+  StepTangent tangent(s.tree, order / 2);
+  StepAdjoint adjoint(s.tree, order / 2);
+  step.give(tangent);
+  step.give(adjoint);
+  StepDirection direction;
+  direction.q = direction.p = VecX::LinSpaced(n, 0.5, 1.0);
+  VecX a(n), b(n), tau(n);
+  double by_h = 0.0;
+  Numbers d;
+  double fastest[4];
+  std::fill_n(fastest, 4, std::numeric_limits<double>::infinity());
+  for (int r = 0; r < repeats; ++r) {
+    const auto time = [&](int which, auto&& call) {
+      const auto start = std::chrono::steady_clock::now();
+      for (int k = 0; k < calls; ++k) call();
+      const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - start;
+      fastest[which] = std::min(fastest[which], taken.count() / calls);
+    };
+    time(0, [&] { tangent.solve(direction, a, b); });
+    time(1, [&] { adjoint.solve(direction.q, direction.p, a, b, by_h, tau); });
+    time(2, [&] { step.give(tangent); });
+    time(3, [&] { step.give(adjoint); });
+  }
+  d["tangent"] = fastest[0];
+  d["adjoint"] = fastest[1];
+  d["take_tangent"] = fastest[2];
+  d["take_adjoint"] = fastest[3];
+  d["tangent_iterations"] = static_cast<double>(tangent.iterations());
+  d["adjoint_iterations"] = static_cast<double>(adjoint.iterations());
+  return d;
 }
 
 std::tuple<VecX, Rows, Rows> linear_forces(const Scene& s, const VecX& q, const VecX& v,
@@ -61,6 +132,61 @@ std::tuple<VecX, Rows, Rows> linear_forces(const Scene& s, const VecX& q, const 
   return {forces.f, Rows(forces.f_q), Rows(forces.f_v)};
 }
 
+// The contact of a guard at q, or that of a contact point of the pair with a known feature, ready to be differentiated.
+struct Touch {
+  Touch(const Scene& scene, const VecX& q, int guard, std::int64_t feature) : guards(scene), tangent(scene) {
+    if (q.size() != scene.tree.nq) throw Error("expected shape (nq,)");
+    if (guard < 0 || guard >= guards.count()) throw Error("there is no such guard");
+    guards.place(q);
+    guards.evaluate_witness(guard, contact);
+    ContactPoint point{};
+    if (feature != 0) {
+      if (!scene.is_pair(guard)) throw Error("a joint limit has no features");
+      point = guards.manifolds().point(guard, guards.placements(), contact, feature);
+      guards.manifolds().evaluate(point, guards.placements(), contact);
+    }
+    if (!tangent.take(q, guard, contact, feature != 0 ? &point : nullptr))
+      throw Refusal("The gap has no second derivative there", "one nearest point", tangent.why(),
+                    "Take a configuration where the bodies meet in a single point of each");
+    guards.placements();  // of all bodies, for the rows
+  }
+
+  Guards guards;
+  ContactTangent tangent;
+  Contact contact{};
+};
+
+std::tuple<double, VecX, Rows> gap_hessian(const Scene& s, const VecX& q, int guard, std::int64_t feature) {
+  Touch touch(s, q, guard, feature);
+  const int nv = s.tree.nv;
+  VecX W(nv);
+  touch.guards.gradient(guard, touch.tangent.contact(), W);
+  MatX dW(nv, 1);
+  Rows columns(nv, nv);
+  const Vec3 t1 = any_tangent(touch.tangent.contact().normal);
+  for (int k = 0; k < nv; ++k) {
+    touch.tangent.change(VecX::Unit(nv, k), t1, dW);
+    columns.col(k) = dW;
+  }
+  return {touch.tangent.contact().gap, W, columns};
+}
+
+std::tuple<Rows, std::vector<Rows>, Rows> contact_row_changes(const Scene& s, const VecX& q, int guard, const Vec3& t1,
+                                                              std::int64_t feature) {
+  Touch touch(s, q, guard, feature);
+  const int nv = s.tree.nv;
+  MatX W = MatX::Zero(nv, 3), dW(nv, 3);
+  touch.guards.rows(guard, touch.tangent.contact(), t1, W);
+  std::vector<Rows> changes(3, Rows(nv, nv));
+  Rows places(9, nv);
+  for (int k = 0; k < nv; ++k) {
+    touch.tangent.change(VecX::Unit(nv, k), t1, dW);
+    for (int i = 0; i < 3; ++i) changes[i].col(k) = dW.col(i);
+    places.col(k) << touch.tangent.normal_change(), touch.tangent.point_a_change(), touch.tangent.point_b_change();
+  }
+  return {Rows(W), changes, places};
+}
+
 }  // namespace
 
 void expose_derivatives(nb::module_& m) {
@@ -68,8 +194,24 @@ void expose_derivatives(nb::module_& m) {
         "target"_a = nb::none(), "t"_a = 0.0, "order"_a = 2, "tol"_a = 1e-12,
         "One smooth step and its derivatives: (q1, x1, A (2 nv, 2 nv), B (2 nv, nv), d(q1, x1)/dh (2 nv,)), x being "
         "the velocity or the momentum; target: references of the servos (2 nv,).");
+  m.def(
+      "adjoint_step", &adjoint_step, "scene"_a, "q"_a, "x"_a, "momentum"_a, "h"_a, "lq"_a, "lx"_a, "tau"_a = nb::none(),
+      "target"_a = nb::none(), "t"_a = 0.0, "order"_a = 2, "tol"_a = 1e-12,
+      "From a gradient (lq, lx) (nv,) in the end (q1, x1) of a smooth step, dual to tangent vectors, to those in q, x "
+      "and tau (nv,), h, and the parameters by name; inertia (njoints, 10): mass, first moment, rotational inertia "
+      "about the joint's frame (xx xy xz yy yz zz).");
+  m.def("derivative_costs", &derivative_costs, "scene"_a, "q"_a, "v"_a, "h"_a, "order"_a = 2, "calls"_a = 1,
+        "repeats"_a = 1,
+        "Seconds and iterations of one direction of a step's derivative and of its transpose, and seconds to prepare "
+        "each, fastest of several blocks; for benchmarks.");
   m.def("linear_forces", &linear_forces, "scene"_a, "q"_a, "v"_a, "target"_a = nb::none(), "t"_a = 0.0,
         "Forces of springs, dampers, servos and elements and their derivatives: (f (nv,), f_q, f_v (nv, nv)).");
+  m.def("gap_hessian", &gap_hessian, "scene"_a, "q"_a, "guard"_a, "feature"_a = 0,
+        "(gap, W (nv,), dW (nv, nv)) of a guard, or of the contact point of a pair with that feature, in engine "
+        "coordinates: column k of dW is the derivative of W = d(gap)/dq along the k-th tangent vector.");
+  m.def("contact_row_changes", &contact_row_changes, "scene"_a, "q"_a, "guard"_a, "t1"_a, "feature"_a = 0,
+        "(rows n, t1, t2 of the relative velocity as columns (nv, 3), their derivatives as three matrices like dW of "
+        "gap_hessian, those of the normal, of a's and of b's point (9, nv)), engine coordinates.");
 }
 
 }  // namespace contactvi

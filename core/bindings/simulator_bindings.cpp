@@ -9,6 +9,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"
+#include "bindings/kept_contact_steps.hpp"
 #include "bindings/user_calls.hpp"
 #include "model/coordinates.hpp"
 #include "run/world.hpp"
@@ -213,6 +214,8 @@ Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) 
   d["changes"] = contact_changes(s, recording.changes);
   d["phases"] = step_phases(recording);
   d["dense"] = dense_steps(s, recording);
+  std::vector<ContactStepRecord> kept = sim.take_contact_steps();
+  d["kept_steps"] = kept.empty() ? nb::object(nb::none()) : nb::cast(KeptContactSteps{std::move(kept)});
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);
   return d;
@@ -302,6 +305,7 @@ void expose_options(nb::module_& m) {
               "Whether persistent contacts take part in an impact as rigid supports.")
       .def_rw("contact_points", &SimulatorOptions::contact_points, "Largest number of points of a pair.")
       .def_rw("record_contacts", &SimulatorOptions::record_contacts)
+      .def_rw("gradient", &SimulatorOptions::gradient, "Whether contact steps are kept for derivatives; with dense.")
       .def_rw("islands", &SimulatorOptions::islands, "Whether islands are advanced one by one where that is possible.")
       .def_rw("contact_steps", &SimulatorOptions::contact_steps);
 }
@@ -310,6 +314,7 @@ void expose_options(nb::module_& m) {
 
 void expose_simulator(nb::module_& m) {
   expose_options(m);
+  nb::class_<KeptContactSteps>(m, "KeptContactSteps", "The contact steps of a call, as their derivatives need them.");
   nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.");
   nb::class_<World>(m, "Simulator", nb::type_slots(simulator_slots))
       .def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())

@@ -26,6 +26,11 @@ void ContactStep::constraint_node(const VecCRef& q, double t, Node& node) {
   for (int k = 0; k < friction_rows_; ++k) node.W(friction_joints_[k].dof, bilateral_ + k) = 1.0;
 }
 
+// Whether the slip of a joint with friction in a step of length h is a displacement, not a speed.
+bool ContactStep::counts_by_place(const FrictionJoint& joint, double h) const {
+  return joint.iq >= 0 && h >= kShort * nominal_h_;
+}
+
 // The velocities y_ of the rows of constraints and joint friction over the step, and their derivatives S_. The error of
 // a constraint at the start is corrected over a nominal step.
 void ContactStep::set_constraint_velocities(double h) {
@@ -42,8 +47,7 @@ void ContactStep::set_constraint_velocities(double h) {
   }
   for (int k = 0; k < friction_rows_; ++k) {
     const FrictionJoint& joint = friction_joints_[k];
-    const bool place = joint.iq >= 0 && h >= kShort * nominal_h_;
-    y_[bilateral_ + k] = place ? (q1_[joint.iq] - joint.reference) / h : v_[joint.dof];
+    y_[bilateral_ + k] = counts_by_place(joint, h) ? (q1_[joint.iq] - joint.reference) / h : v_[joint.dof];
   }
 }
 

@@ -17,7 +17,7 @@ constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking 
 // other.
 constexpr double kAcceptFirst = 1e-7, kAccept = 1e-9;
 constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // relative disagreement of dependent rows: at first, when settled
-constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // see shortest_displacement_step
+constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // of a nominal step; see counts_by_rate
 constexpr double kStalled = 1e3;     // of the convergence limit: iterations that stall below it end
 constexpr int kIdle = 4;             // iterations without gain that count as a stall
 constexpr double kBest = 1e-4;       // smallest contraction rate that is assumed
@@ -25,11 +25,13 @@ constexpr double kSameTime = 1e-13;  // of 1 s + t: times that differ less are e
 constexpr double kSettled = 1e-3;    // relative change of v from which on the contact matrix is kept
 }  // namespace
 
-ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol)
+ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& manifolds)
     : scene_(&scene),
       guards_(&guards),
       manifolds_(&manifolds),
       integrator_(scene.tree),
+      bilateral_(scene.tree.elements.constraint_rows),
+      friction_rows_(static_cast<int>(scene.tree.elements.friction_dofs.size())),
       v_(scene.tree.nv),
       p_start_(scene.tree.nv),
       p_minus_(scene.tree.nv),
@@ -38,13 +40,11 @@ ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& ma
       v1_(scene.tree.nv),
       dv_(scene.tree.nv),
       rates_(scene.tree.nv, 1),
-      bilateral_(scene.tree.elements.constraint_rows),
-      friction_rows_(static_cast<int>(scene.tree.elements.friction_dofs.size())),
       guess_(scene.tree.nv),
-      v_start_(scene.tree.nv),
       q_side_(scene.tree.nq),
       v_side_(scene.tree.nv),
-      acceleration_(scene.tree.nv) {
+      acceleration_(scene.tree.nv),
+      v_start_(scene.tree.nv) {
   const Tree& tree = scene.tree;
   for (int dof : tree.elements.friction_dofs) {
     const Joint& joint = tree.joints[tree.dof_joint[dof]];
@@ -159,10 +159,13 @@ void ContactStep::end_node(const VecX& q1, double t1) {
   }
 }
 
-// Part of a nominal step below which the step uses the rate of a gap instead of a difference of gaps.
-double ContactStep::shortest_displacement_step(const PersistentContact& persistent) const {
-  if (guards_->is_noisy(persistent.point.guard)) return kShortNoisy;
-  return persistent.point.kind == PointKind::kRim ? kShortRim : kShort;  // the rate of a rim's gap changes as it rolls
+// Whether the gap of a contact counts in a step of length h by its rate: the difference of two gaps over so short a
+// time is rounding.
+bool ContactStep::counts_by_rate(const PersistentContact& persistent, double h) const {
+  const bool noisy = guards_->is_noisy(persistent.point.guard);
+  // The rate of a rim's gap changes as it rolls.
+  const double shortest = noisy ? kShortNoisy : persistent.point.kind == PointKind::kRim ? kShortRim : kShort;
+  return h < shortest * nominal_h_;
 }
 
 // y_ = (phi(q1)/h; s), the velocities of the rows over the step at the velocity v_, and their derivative S_^T with
@@ -177,8 +180,7 @@ void ContactStep::set_row_velocities(double h) {
     const int r = row_[i];
     // The error of the gap at the start is corrected over a nominal step: a shorter one leaves its part of it.
     const double remaining = h < nominal_h_ ? (1.0 - h / nominal_h_) * node0_.at[i].gap : 0.0;
-    if (h < shortest_displacement_step(persistent) * nominal_h_) {
-      // The difference of two gaps over so short a time is rounding: their rate takes its place.
+    if (counts_by_rate(persistent, h)) {
       S_.col(r) = 0.5 * (node0_.W.col(r) + node1_.W.col(r));
       y_[r] = S_.col(r).dot(v_) + node0_.at[i].gap / nominal_h_;
     } else {

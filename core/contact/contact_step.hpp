@@ -21,7 +21,7 @@
 
 #include "base/reduction.hpp"
 #include "cone/solver.hpp"
-#include "contact/persistent_contact.hpp"
+#include "contact/contact_step_record.hpp"
 #include "geometry/guard.hpp"
 #include "step/impulse_step.hpp"
 #include "step/stepper.hpp"
@@ -34,8 +34,8 @@ struct ContactStepCounters {
 
 class ContactStep final : public Stepper {
  public:
-  // The step has an integrator of its own, with one stage. tol: of its stage equations, relative.
-  ContactStep(const Scene& scene, Guards& guards, const Manifolds& manifolds, double tol);
+  // The step has an integrator of its own, with one stage, whose equations are solved to rounding.
+  ContactStep(const Scene& scene, Guards& guards, const Manifolds& manifolds);
   ContactStep(const ContactStep&) = delete;
   ContactStep& operator=(const ContactStep&) = delete;
 
@@ -90,6 +90,8 @@ class ContactStep final : public Stepper {
   // Whether the contact point of a rim runs so far around the rim in the step that its gap at the start does not
   // predict the one at the end.
   bool rim_turns_far() const;
+  // The step just solved, before commit(); what ended it is the caller's.
+  ContactStepRecord record() const;
   // Accepts the step: stick and slip, anchors, forces and tangents become those of its end.
   void commit();
 
@@ -136,7 +138,7 @@ class ContactStep final : public Stepper {
   };
   // The result of a step for it; fields as in ContactOutcome.
   struct FrictionJointOutcome {
-    bool slipped = false, slips = false, turned = false;
+    bool slipped = false, slips = false, turned = false, keeps = false, freed = false;
     double reversed = 0;
   };
 
@@ -182,12 +184,14 @@ class ContactStep final : public Stepper {
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
   void set_initial_impulses(double h);
   void set_row_velocities(double h);
-  double shortest_displacement_step(const PersistentContact& persistent) const;
+  bool counts_by_rate(const PersistentContact& persistent, double h) const;
+  bool counts_by_place(const FrictionJoint& joint, double h) const;
   void find_paradox(const VecX& v);
   bool solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize);
   bool velocity_impulses();
   bool solve_end(VecX& lambda);
   bool unfreeze_turned(const MatX& G, double still);
+  void note_kept_directions(bool first);
   void set_outcomes();
   bool accelerations(const VecCRef& q, const VecCRef& v, const VecX& tau);
   bool force_problem(VecX& value);

@@ -41,6 +41,7 @@ bool ContactStep::velocity_impulses() {
     out.active = lambda_[r] > 0.0 || node1_.at[i].gap <= noise;
     out.slipped = false;
     out.reversed = 0.0;
+    out.keeps = out.freed = false;
     out.turned = false;
     if (out.active) active_.push_back(static_cast<int>(i));
     if (contacts_[i].mu == 0.0) continue;
@@ -49,6 +50,7 @@ bool ContactStep::velocity_impulses() {
     const bool on_cone = lambda_.segment<2>(r + 1).norm() >= limit * (1.0 - 1e-9);
     out.slipped = on_cone && s.norm() > kSlipping * speed;
     if (!out.slipped) continue;
+    out.slip = s;
     cones_[friction_rows_ + i].d = s.normalized();
     const Vec3 t1 = node1_.t1[i], t2 = node1_.at[i].normal.cross(t1);
     out.turned = contacts_[i].slip.dot(s[0] * t1 + s[1] * t2) < 0.0;
@@ -136,10 +138,27 @@ bool ContactStep::solve_end(VecX& lambda) {
       x_.setZero();
       continue;
     }
-    if (!unfreeze_turned(G, kSlipping * speed)) break;
+    const bool turned = unfreeze_turned(G, kSlipping * speed);
+    note_kept_directions(attempt == 0);
+    if (!turned) break;
   }
   for (int a = 0; a < rows; ++a) lambda[sub_rows_[a]] = x_[a];
   return true;
+}
+
+// Which of the contacts and joints that slipped keep their direction of friction. first: after the first attempt, in
+// which all of them did.
+void ContactStep::note_kept_directions(bool first) {
+  for (int k = 0; k < friction_rows_; ++k) {
+    FrictionJointOutcome& out = friction_outcomes_[k];
+    out.keeps = end_cones_[k].frozen;
+    if (first) out.freed = out.slipped && !out.keeps;
+  }
+  for (std::size_t a = 0; a < active_.size(); ++a) {
+    ContactOutcome& out = outcomes_[active_[a]];
+    out.keeps = end_cones_[friction_rows_ + a].frozen;
+    if (first) out.freed = out.slipped && !out.keeps;
+  }
 }
 
 void ContactStep::set_outcomes() {
@@ -173,6 +192,39 @@ void ContactStep::set_outcomes() {
     out.velocity_impulse_W =
         out.velocity_impulse[0] * c1.normal + out.velocity_impulse[1] * out.t1 + out.velocity_impulse[2] * out.t2;
   }
+}
+
+ContactStepRecord ContactStep::record() const {
+  ContactStepRecord r;
+  r.t = integrator_.time();
+  r.h = h_;
+  r.nominal = nominal_h_;
+  r.q0 = node0_.q;
+  r.p_start = p_start_;
+  r.q1 = q1_;
+  r.p_minus = p_minus_;
+  r.p1 = p1_;
+  r.v = v_;
+  r.v1 = v1_;
+  r.lambda = lambda_;
+  r.lambda_end = lambda_end_;
+  r.W0 = node0_.W;
+  r.W1 = node1_.W;
+  r.constrained = bilateral_ > 0;
+  const double still = kSlipping * (1.0 + v1_.cwiseAbs().maxCoeff());
+  for (int k = 0; k < friction_rows_; ++k) {
+    const FrictionJoint& joint = friction_joints_[k];
+    const FrictionJointOutcome& out = friction_outcomes_[k];
+    r.joints.push_back({joint.dof, joint.iq, joint.limit, counts_by_place(joint, h_), joint.anchored, out.slipped,
+                        out.slips, out.keeps, out.freed, std::abs(v1_[joint.dof]) <= still && joint.iq >= 0});
+  }
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    r.contacts.push_back({contacts_[i], node0_.at[i], node1_.at[i], node0_.t1[i], node1_.t1[i], outcomes_[i], row_[i],
+                          counts_by_rate(contacts_[i], h_)});
+  r.share = 0.0;
+  r.ending = ContactStepEnd::kLength;
+  r.ended = -1;
+  return r;
 }
 
 ContactStep::Memory ContactStep::memory() const {

@@ -32,7 +32,11 @@ struct ContactOutcome {
   bool turned = false;                          // the slip of the step is opposite to that at its start
   double reversed = 0;  // w_t . d at the end of a contact that slipped along d if its friction had gone on; else 0
   bool active = false;  // took part in the velocity impulse
-  double paradox = 0;   // A = W_n M^-1 (W_n - mu W_t^T d)^T of a slipping contact: <= 0 is Painleve's paradox
+  // Whether its velocity impulse keeps the direction of the slip of the step; whether it would have reversed the slip
+  // beside others that all keep theirs.
+  bool keeps = false, freed = false;
+  Eigen::Vector2d slip = Eigen::Vector2d::Zero();  // over the step, along t1 and t2 at its end [m/s], where it slipped
+  double paradox = 0;  // A = W_n M^-1 (W_n - mu W_t^T d)^T of a slipping contact: <= 0 is Painleve's paradox
 };
 
 }  // namespace contactvi

@@ -91,6 +91,7 @@ PoissonResult PoissonImpact::solve(const std::vector<BlockMember>& members, cons
     if (!largest_where(kShareWidth, kBisections, loses, share)) return result;
     result.restitution = share;
   }
+  result.first = first_;
   result.iterations = iterations_;
   result.ok = result.lambda.allFinite();
   return result;

@@ -56,6 +56,7 @@ struct BlockMember {
 struct PoissonResult {
   bool ok = false;
   VecX lambda;  // impulses of all rows, member after member
+  VecX first;   // those of the compression alone
   VecX gamma_minus, gamma_plus;
   double loss = 0;         // T- - T+ [J]
   double restitution = 1;  // factor on e that was used

@@ -31,6 +31,17 @@ void add_turn(const SplitJoint& split, const VecCRef& dq, double sign, const Vec
   dx.segment<3>(iv) += sign * turn.cross(linear);
 }
 
+// The transpose of add_turn in dq.
+void add_turn_adjoint(const SplitJoint& split, double sign, const VecCRef& x, const VecCRef& lx, VecRef lq) {
+  const int iv = split.iv;
+  if (split.planar) {
+    lq[iv + 2] += sign * (x[iv] * lx[iv + 1] - x[iv + 1] * lx[iv]);
+    return;
+  }
+  const Vec3 linear = x.segment<3>(iv), bar = lx.segment<3>(iv);
+  lq.segment<3>(iv + 3) += sign * linear.cross(bar);
+}
+
 }  // namespace
 
 void public_to_engine_tangent(const Tree& tree, const VecCRef& q, const VecCRef& dq, const VecCRef& w, VecRef dw) {
@@ -44,6 +55,20 @@ void engine_to_public_tangent(const Tree& tree, const VecCRef& q, const VecCRef&
   engine_to_public(tree, q, turned);
   engine_to_public(tree, q, dw);
   for (const SplitJoint& split : tree.split) add_turn(split, dq, -1.0, turned, dw);
+}
+
+// The rotations are orthogonal: the transpose of one direction is the other.
+void public_to_engine_adjoint(const Tree& tree, const VecCRef& q, const VecCRef& w, VecRef lw, VecRef lq) {
+  engine_to_public(tree, q, lw);
+  for (const SplitJoint& split : tree.split) add_turn_adjoint(split, 1.0, w, lw, lq);
+}
+
+void engine_to_public_adjoint(const Tree& tree, const VecCRef& q, const VecCRef& w, VecRef lw, VecRef lq) {
+  if (tree.split.empty()) return;
+  VecX turned = w;
+  engine_to_public(tree, q, turned);
+  for (const SplitJoint& split : tree.split) add_turn_adjoint(split, -1.0, turned, lw, lq);
+  public_to_engine(tree, q, lw);
 }
 
 void public_to_engine(const Tree& tree, const VecCRef& q, VecRef w) {

@@ -17,4 +17,9 @@ void engine_to_public(const Tree& tree, const VecCRef& q, VecRef w);
 void public_to_engine_tangent(const Tree& tree, const VecCRef& q, const VecCRef& dq, const VecCRef& w, VecRef dw);
 void engine_to_public_tangent(const Tree& tree, const VecCRef& q, const VecCRef& dq, const VecCRef& w, VecRef dw);
 
+// The transposes of these: lw is a gradient in the result on entry and that in w on return, to which the gradient in q
+// is added in lq (engine coordinates).
+void public_to_engine_adjoint(const Tree& tree, const VecCRef& q, const VecCRef& w, VecRef lw, VecRef lq);
+void engine_to_public_adjoint(const Tree& tree, const VecCRef& q, const VecCRef& w, VecRef lw, VecRef lq);
+
 }  // namespace contactvi

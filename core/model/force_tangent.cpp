@@ -8,9 +8,6 @@ namespace contactvi {
 
 namespace {
 
-Twist sum(const Twist& a, const Twist& b) { return {a.ang + b.ang, a.lin + b.lin}; }
-Twist scaled(double k, const Twist& a) { return {k * a.ang, k * a.lin}; }
-
 // d2V/dx2 of a joint's polynomial.
 double curvature(const JointPotential& potential, double x) {
   double value = 0.0;
@@ -25,11 +22,8 @@ double curvature(const JointPotential& potential, double x) {
 
 ForceTangent::ForceTangent(const Tree& tree)
     : tree_(&tree),
-      at_(tree),
       any_(tree.elements.any_force()),
-      speed_(tree.joints.size()),
-      moved_(tree.joints.size()),
-      speed_moved_(tree.joints.size()),
+      bodies_(tree),
       q_(tree.nq),
       v_(tree.nv),
       dq_(tree.nv),
@@ -39,48 +33,10 @@ ForceTangent::ForceTangent(const Tree& tree)
       first_(tree.nv, tree.nv),
       second_(tree.nv, tree.nv) {}
 
-// Twist of the body about the world's origin for a unit of the joint's d-th velocity.
-Twist ForceTangent::axis(int joint, int d) const {
-  const Mat3& R = at_.R_W[joint];
-  const Vec3& p = at_.p_W[joint];
-  switch (tree_->joints[joint].type) {
-    case JointType::kRevolute:
-    case JointType::kContinuous:
-      return {R.col(2), p.cross(R.col(2))};
-    case JointType::kPrismatic:
-      return {Vec3::Zero(), R.col(2)};
-    case JointType::kHelical:
-      return {R.col(2), p.cross(R.col(2)) + tree_->joints[joint].pitch * R.col(2)};
-    case JointType::kTranslation:
-      return {Vec3::Zero(), R.col(d)};
-    default:
-      return {R.col(d), p.cross(R.col(d))};
-  }
-}
-
-void ForceTangent::place_twists(const VecCRef& v, const VecCRef& dq, const VecCRef& dv) {
-  const Twist none = {Vec3::Zero(), Vec3::Zero()};
-  for (int i = 0; i < static_cast<int>(tree_->joints.size()); ++i) {
-    const Joint& joint = tree_->joints[i];
-    const bool root = joint.parent < 0;
-    Twist own = none, rate = none;
-    moved_[i] = root ? none : moved_[joint.parent];
-    for (int d = 0; d < joint.nv; ++d) {
-      const Twist S = axis(i, d);
-      moved_[i] = sum(moved_[i], scaled(dq[joint.iv + d], S));
-      own = sum(own, scaled(v[joint.iv + d], S));
-      rate = sum(rate, scaled(dv[joint.iv + d], S));
-    }
-    speed_[i] = root ? own : sum(speed_[joint.parent], own);
-    const Twist turned = sum(cross(moved_[i], own), rate);
-    speed_moved_[i] = root ? turned : sum(speed_moved_[joint.parent], turned);
-  }
-}
-
 ForceTangent::Point ForceTangent::point(const BodyFrame& frame) const {
-  Point at = {world_point(at_, frame.body, frame.p_B), Vec3::Zero(), Vec3::Zero(), Vec3::Zero()};
+  Point at = {world_point(bodies_.placements(), frame.body, frame.p_B), Vec3::Zero(), Vec3::Zero(), Vec3::Zero()};
   if (frame.body < 0) return at;
-  const Twist &V = speed_[frame.body], &D = moved_[frame.body], &dV = speed_moved_[frame.body];
+  const Twist &V = bodies_.speed(frame.body), &D = bodies_[frame.body], &dV = bodies_.speed_moved(frame.body);
   at.moved = D.lin + D.ang.cross(at.x);
   at.speed = V.lin + V.ang.cross(at.x);
   at.speed_moved = dV.lin + dV.ang.cross(at.x) + V.ang.cross(at.moved);
@@ -89,16 +45,7 @@ ForceTangent::Point ForceTangent::point(const BodyFrame& frame) const {
 
 void ForceTangent::add_wrench(int body, const Point& at, const Vec3& F, const Vec3& dF, const Vec3& T, const Vec3& dT,
                               VecRef df) {
-  const Vec3 N = at.x.cross(F) + T, dN = at.moved.cross(F) + at.x.cross(dF) + dT;
-  for (int j = body; j >= 0; j = tree_->joints[j].parent) {
-    const Joint& joint = tree_->joints[j];
-    const Twist& V = moved_[j];
-    const Vec3 n = dN + N.cross(V.ang) + F.cross(V.lin), f = dF + F.cross(V.ang);
-    for (int d = 0; d < joint.nv; ++d) {
-      const Twist S = axis(j, d);
-      df[joint.iv + d] += S.ang.dot(n) + S.lin.dot(f);
-    }
-  }
+  bodies_.add_wrench(body, at.x, at.moved, F, dF, T, dT, df);
 }
 
 void ForceTangent::add_springs(VecRef df) {
@@ -140,12 +87,12 @@ void ForceTangent::add_wrenches(double t, VecRef df) {
     Vec3 F = value.head<3>(), T = value.tail<3>(), dF = Vec3::Zero(), dT = Vec3::Zero();
     const int body = wrench.at.body;
     if (!wrench.world_axes) {
-      const Mat3 R = world_axes(at_, body, wrench.at.R_B);
+      const Mat3 R = world_axes(bodies_.placements(), body, wrench.at.R_B);
       F = R * F;
       T = R * T;
       if (body >= 0) {
-        dF = moved_[body].ang.cross(F);
-        dT = moved_[body].ang.cross(T);
+        dF = bodies_[body].ang.cross(F);
+        dT = bodies_[body].ang.cross(T);
       }
     }
     add_wrench(body, point(wrench.at), F, dF, T, dT, df);
@@ -187,8 +134,8 @@ void ForceTangent::add(double t, const VecCRef& q, const VecCRef& v, const VecCR
     df[joint.iv] -= curvature(p, q[joint.iq] - p.rest) * dq[joint.iv];
   }
   if (!e.path_springs.empty() || !e.wrenches.empty()) {
-    place(*tree_, q, at_);
-    place_twists(v, dq, dv);
+    bodies_.place(q);
+    bodies_.move(v, dq, dv);
     add_springs(df);
     add_wrenches(t, df);
   }

@@ -73,7 +73,7 @@ bool ContactChangeFinder::remaining_slip(const VecX& tau, double alpha, double& 
 }
 
 bool ContactChangeFinder::find_stick(const VecX& tau, double& alpha) {
-  sticking_ = -1;
+  sticking_ = stuck_ = -1;
   if (sticks_located_ >= kLocatedSticks) return true;
   const double small = kSmallSlip * (1.0 + step_->end_velocity().cwiseAbs().maxCoeff());
   ending_slips_.clear();
@@ -93,6 +93,7 @@ bool ContactChangeFinder::find_stick(const VecX& tau, double& alpha) {
             [&](double x, double& f) { return remaining_slip(tau, x, f); }, root))
       return false;
     alpha = root;
+    stuck_ = i;
     located = true;
   }
   if (located) ++sticks_located_;

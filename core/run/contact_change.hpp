@@ -25,6 +25,8 @@ class ContactChangeFinder {
   // The first slip that comes to rest in the contact step just solved, which ends at alpha: alpha becomes the fraction
   // of the step at which it does. False if a partial step was not solved.
   bool find_stick(const VecX& tau, double& alpha);
+  // The slip that it has located, -1: none.
+  int stuck() const { return stuck_; }
 
  private:
   bool release_force(const VecX& tau, double alpha, double& value);
@@ -33,6 +35,7 @@ class ContactChangeFinder {
   const RunState* run_;
   ContactStep* step_;
   const StepPath* path_;
+  int stuck_ = -1;
   int releasing_ = -1, sticking_ = -1;  // contacts that the root searches look at; slips are numbered as the step does
   int sticks_located_ = 0;
   std::vector<int> ending_slips_;  // slips that end in the step

@@ -133,7 +133,8 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
     resume_free_motion();
     return true;
   }
-  const double whole = interval.remaining / std::max(1.0, std::ceil(interval.remaining / nominal - 1e-9));
+  const double parts = std::max(1.0, std::ceil(interval.remaining / nominal - 1e-9));
+  const double whole = interval.remaining / parts;
   const double h = std::min(whole, state_.control.contact.longest);
   record_phase(at, nominal, StepKind::kPersistent, recording);
   state_.dense.events.contact_parts += 1.0;
@@ -157,6 +158,7 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   if (taken > 0.0 && gains_energy()) return retry_contact_step(h, at);
   if (taken > 0.0) {
     state_.work.add(contact_step_);
+    if (options_.gradient) keep_contact_step(h == whole ? 1.0 / parts : 0.0, hit, alpha < 1.0);
     accept_contact_step(at, taken, options_.dense, recording);
     interval.done += taken;
     interval.remaining =
@@ -203,6 +205,23 @@ bool Simulator::update_contact_points(const Interval& interval, Recording& recor
   }
   contacts_.close_contacts(-1, now.time, interval.tau, recording);
   return true;
+}
+
+// Keeps the contact step just solved. share: its length of what was left of the control step; 0: it does not depend on
+// that. hit: it ends at an impact; cut: it ends before its length.
+void Simulator::keep_contact_step(double share, bool hit, bool cut) {
+  ContactStepRecord record = contact_step_.record();
+  record.share = share;
+  if (hit) {
+    record.ending = ContactStepEnd::kImpact;
+  } else if (cut && changes_.releasing() >= 0) {
+    record.ending = ContactStepEnd::kRelease;
+    record.ended = changes_.releasing();
+  } else if (cut && changes_.stuck() >= 0) {
+    record.ending = ContactStepEnd::kStick;
+    record.ended = changes_.stuck();
+  }
+  kept_steps_.push_back(std::move(record));
 }
 
 // The end of the contact step (or partial step) of length h just solved becomes the state.

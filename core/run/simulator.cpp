@@ -41,7 +41,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       integrator_(scene.tree, options.stages, options.tol, options.max_iterations),
       guards_(scene, options.contact_points),
       finder_(scene, integrator_, guards_),
-      contact_step_(scene, guards_, guards_.manifolds(), options.tol),
+      contact_step_(scene, guards_, guards_.manifolds()),
       dense_step_(scene, guards_),
       sequence_(
           scene, integrator_, guards_,

@@ -25,7 +25,8 @@ struct SimulatorOptions {
   bool stiff_support = false;  // persistent contacts are rigid supports in an impact instead of partners
   int contact_points = 4;      // of a pair, at most
   bool record_contacts = true;
-  bool islands = true;  // islands are advanced one by one where that is possible (run/world.hpp)
+  bool gradient = false;  // contact steps are kept for derivatives
+  bool islands = true;    // islands are advanced one by one where that is possible (run/world.hpp)
   ContactSteps contact_steps = ContactSteps::kAuto;
 };
 
@@ -57,6 +58,9 @@ class Simulator {
   const StepCounters& step_counters() const { return integrator_.counters; }
   const GuardCounters& guard_counters() const { return guards_.counters; }
   const ContactStepCounters& contact_counters() const { return contact_step_.counters; }
+
+  // The contact steps kept since the last call of this, without those of islands.
+  std::vector<ContactStepRecord> take_contact_steps() { return std::exchange(kept_steps_, {}); }
 
   // For bodies that are one island of a larger scene (run/world.hpp).
   // The engine's memory as it is before any run, with which every island starts.
@@ -139,6 +143,7 @@ class Simulator {
   bool gains_energy();
   double potential(const VecX& q);
   bool update_contact_points(const Interval& interval, Recording& recording);
+  void keep_contact_step(double share, bool hit, bool cut);
   void accept_contact_step(double time, double h, bool dense, Recording& recording);
   void record_contact_forces(double time, double h, Recording& recording);
   double current_dt() const { return contact_step_.contacts().empty() ? options_.dt : contact_dt(); }
@@ -179,7 +184,8 @@ class Simulator {
   Truncation truncation_;
   VecX q1_, p1_, v_;
   bool follows_motion_ = false;
-  MatX rates_;                          // chart rates at the stages of the step just solved
+  MatX rates_;  // chart rates at the stages of the step just solved
+  std::vector<ContactStepRecord> kept_steps_;
   const Progress* progress_ = nullptr;  // of the present call of advance or run_auto
   std::chrono::steady_clock::time_point last_report_;
 };

@@ -217,6 +217,16 @@ double modified_hamiltonian(StepEquations& equations, const VecCRef& q, const Ve
   return H.kinetic + H.potential - h * h / 24.0 * (G_a - dG_v + bracket);
 }
 
+void energy_gradient(StepEquations& equations, const VecCRef& q, const VecCRef& v, VecRef gradient) {
+  const Tree& tree = equations.tree();
+  VecX P(tree.nv), G(tree.nv);
+  equations.dynamics(q, v, P, G);
+  gradient.setZero();
+  add_spring_forces(tree, q, gradient);
+  equations.field().add_gradient(q, gradient);
+  gradient -= G;
+}
+
 void forward_dynamics(StepEquations& equations, const VecCRef& q, const VecCRef& v, const VecX& tau, VecRef a) {
   const Tree& tree = equations.tree();
   Placements at(tree);

@@ -22,6 +22,9 @@ double largest_turn(const Tree& tree, const VecCRef& v, double h);
 // varies O(h^2).
 double modified_hamiltonian(StepEquations& equations, const VecCRef& q, const VecCRef& p, double h);
 
+// dH/dq at a constant momentum, shape (nv,), tangent vectors body-fixed on spherical joints; v: the velocity at (q, p).
+void energy_gradient(StepEquations& equations, const VecCRef& q, const VecCRef& v, VecRef gradient);
+
 // a = M^-1 (forces) at (q, v): gravity, springs, damping and the inputs tau (public coordinates, or empty), without
 // contact. The node of `equations` must be placed at q.
 void forward_dynamics(StepEquations& equations, const VecCRef& q, const VecCRef& v, const VecX& tau, VecRef a);

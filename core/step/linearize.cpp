@@ -2,85 +2,19 @@
 
 #include "base/refusal.hpp"
 #include "model/coordinates.hpp"
+#include "step/public_tangent.hpp"
 
 namespace contactvi {
-
-namespace {
-
-// States of one scene in public coordinates, with their derivatives in the engine's.
-class States {
- public:
-  States(const Tree& tree, StateKind kind, StepEquations& equations, StepTangent& tangent)
-      : tree_(tree), kind_(kind), equations_(equations), tangent_(tangent) {}
-
-  // Engine momentum and velocity of a public state.
-  void read(const VecX& q, const VecX& x, VecX& v, VecX& p) {
-    VecX other = x;
-    public_to_engine(tree_, q, other);
-    v.resize(tree_.nv);
-    p.resize(tree_.nv);
-    VecX G(tree_.nv);
-    if (kind_ == StateKind::kVelocity) {
-      v = other;
-      equations_.dynamics(q, v, p, G);
-      return;
-    }
-    p = other;
-    if (!equations_.node_velocity(q, p, v)) throw Error("the mass matrix is not positive definite");
-  }
-  // (dq, dp) of the engine for a public direction (dq, dx) at (q, x).
-  void to_engine(const VecX& q, const VecX& x, const VecX& v, VecX& dq, VecX& dx) {
-    public_to_engine(tree_, q, dq);
-    public_to_engine_tangent(tree_, q, dq, x, dx);
-    if (kind_ == StateKind::kMomentum) return;
-    VecX dp(tree_.nv);
-    tangent_.momentum(q, v, dq, dx, dp);
-    dx = dp;
-  }
-  // The reverse, at the engine's (q, v, p).
-  void to_public(const VecX& q, const VecX& v, const VecX& p, VecX& dq, VecX& dp) {
-    if (kind_ == StateKind::kVelocity) {
-      VecX moved(tree_.nv);
-      tangent_.momentum(q, v, dq, VecX::Zero(tree_.nv), moved);
-      dp -= moved;
-      equations_.place_node(q);
-      equations_.solve_mass(dp);
-    }
-    engine_to_public_tangent(tree_, q, dq, kind_ == StateKind::kVelocity ? v : p, dp);
-    engine_to_public(tree_, q, dq);
-  }
-
- private:
-  const Tree& tree_;
-  StateKind kind_;
-  StepEquations& equations_;
-  StepTangent& tangent_;
-};
-
-}  // namespace
 
 LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h,
                           const StepInputs& inputs, int stages, double tol) {
   const int n = tree.nv;
-  Integrator integrator(tree, stages, tol, 200);
-  integrator.set_time(inputs.time);
-  const Servo* servo = inputs.servo.any ? &inputs.servo : nullptr;
-  integrator.set_servo(servo);
+  PublicStep step(tree, q0, x0, kind, h, inputs, stages, tol);
   StepTangent tangent(tree, stages);
-  States states(tree, kind, integrator, tangent);
-  VecX v0, p0, v1(n), p1(n);
+  step.give(tangent);
   LinearStep result;
-  states.read(q0, x0, v0, p0);
-  // To the tolerance first, then to rounding from there, which may be out of reach.
-  if (!integrator.solve(q0, p0, h, inputs.tau) ||
-      (!integrator.solve_closely(q0, p0, h, inputs.tau) && !integrator.solve(q0, p0, h, inputs.tau)))
-    throw Refusal("The step was not solved", "stage iterations that converge", integrator.why(), "Use a smaller dt");
-  result.q1.resize(tree.nq);
-  integrator.finish(result.q1, p1);
-  tangent.take(q0, p0, h, inputs.tau, inputs.time, servo, integrator.velocities());
-  if (!integrator.node_velocity(result.q1, p1, v1)) throw Error("the mass matrix is not positive definite");
-  result.x1 = kind == StateKind::kVelocity ? v1 : p1;
-  engine_to_public(tree, result.q1, result.x1);
+  result.q1 = step.q1;
+  result.x1 = step.x1;
   result.A.resize(2 * n, 2 * n);
   result.B.resize(2 * n, n);
   result.h.resize(2 * n);
@@ -90,7 +24,7 @@ LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, Stat
     if (!tangent.solve(direction, dq, dx))
       throw Refusal("The derivative of the step was not solved", "tangent equations with a solution", "none",
                     "Use a smaller dt");
-    states.to_public(result.q1, v1, p1, dq, dx);
+    to_public_direction(tree, tangent, step.equations(), step.end(), dq, dx);
     column.head(n) = dq;
     column.tail(n) = dx;
   };
@@ -98,7 +32,7 @@ LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, Stat
     direction.q = VecX::Zero(n);
     direction.p = VecX::Zero(n);
     (k < n ? direction.q[k] : direction.p[k - n]) = 1.0;
-    states.to_engine(q0, x0, v0, direction.q, direction.p);
+    to_engine_direction(tree, tangent, step.start(), direction.q, direction.p);
     solve(result.A.col(k));
   }
   direction = StepDirection();

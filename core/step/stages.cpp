@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <utility>
+#include <vector>
 
 #include "model/coordinates.hpp"
 
@@ -31,6 +32,11 @@ double spring_share(int s) { return s == 1 ? 1.0 : s == 2 ? 0.5 : 0.25; }
 
 // [rad] angle beyond which whole revolutions are taken off: the kernel's sine is accurate up to 1e6.
 constexpr double kManyTurns = 1e4;
+
+// Of the charts of spherical joints, whose displacements depend on themselves: enough for a contraction of 0.5, and
+// a change [rad] that is rounding.
+constexpr int kTurnIterations = 60;
+constexpr double kTurnExact = 1e-15;
 
 }  // namespace
 
@@ -218,6 +224,25 @@ void Stages::at(const VecCRef& q0) {
   work_.stiffness = nullptr;
   work_.tau = nullptr;
   work_.extra = nullptr;
+}
+
+void Stages::settle() {
+  const int size = tree_->nv * work_.S;
+  std::vector<double> before;
+  for (int k = 0; k < kTurnIterations; ++k) {
+    before.assign(X_, X_ + size);
+    rates();
+    kernel_->combine(tree_->nv, work_.s, work_.S, hA_, work_.rate, X_, false);
+    if (model_->lanes.balls == 0) return;
+    double change = 0.0;
+    for (int i = 0; i < size; ++i) change = std::max(change, std::abs(X_[i] - before[i]));
+    if (change <= kTurnExact) return;
+  }
+}
+
+void Stages::evaluate_with_forces() {
+  evaluate();
+  if (work_.extra) work_.extra(work_.context);
 }
 
 double Stages::sum(const double* array, int dof) const {

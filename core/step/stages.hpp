@@ -55,6 +55,10 @@ class Stages {
   void factor() { kernel_->factor(&model_->lanes, &work_); }
   void solve() { kernel_->solve(&model_->lanes, &work_); }
   void rates() { kernel_->rates(&model_->lanes, &work_); }
+  // X of the velocities; on spherical joints it depends on itself and is iterated until it stays.
+  void settle();
+  // evaluate(), with all forces in G.
+  void evaluate_with_forces();
 
   // Arrays over dofs and stages, [dof * padded() + stage].
   double* X() { return X_; }
@@ -68,6 +72,12 @@ class Stages {
   const double* residual() const { return magnitude_; }  // that dv was solved from, after an iteration
   const double* v() const { return v_; }
   const double* X() const { return X_; }
+  // Of the step's linear forces -stiffness (deflection + X) - damping v per dof; null: none.
+  const double* stiffness() const { return work_.stiffness; }
+  const double* damping() const { return work_.damping; }
+  const double* deflection() const { return work_.deflection; }
+  const double* hb() const { return hb_; }  // h b_j
+  double length() const { return work_.h; }
   // Per stage: r . dv, P . v, and the energy of the impulses h f of the single forces f [J].
   double error(int i) const { return per_stage_[i]; }
   double kinetic(int i) const { return per_stage_[work_.S + i]; }
@@ -87,7 +97,8 @@ class Stages {
   void configuration(const VecCRef& q0, int i, VecRef q);
 
  private:
-  friend class StepTangent;  // it works on the arrays and their shadows
+  friend class StepTangent;  // these work on the arrays and their shadows
+  friend class StepAdjoint;
   void allocate(bool with_derivatives);
   void set_base(const VecCRef& q0);
   void set_step(double h);

@@ -4,30 +4,23 @@
 #include <cmath>
 
 #include "model/coordinates.hpp"
+#include "step/rounding_stop.hpp"
 
 namespace contactvi {
 
 namespace {
-constexpr int kMostIterations = 60;
-constexpr double kExact = 4e-16;      // change of dv, of its size, that is rounding
-constexpr double kAccept = 1e-12;     // change below which iterations that gain nothing any more have met rounding
-constexpr double kProgress = 0.9;     // ratio of changes that counts as progress
-constexpr int kMostStagnant = 3;      // iterations without progress after which the matrix is factored
-constexpr int kTurnIterations = 60;   // of the charts of spherical joints, whose displacements depend on themselves
-constexpr double kTurnExact = 1e-15;  // [rad] of a unit direction
+// Of the charts of spherical joints along a direction, whose displacements depend on themselves.
+constexpr int kTurnIterations = 30;
 const StepDirection kNoDirection;
 }  // namespace
 
 StepTangent::StepTangent(const Tree& tree, int stages)
     : tree_(&tree),
-      model_(tree),
-      stages_(tree, model_, stages, true),
-      factor_(tree, model_, stages),
-      node_(tree, model_, 1, true),
-      stiff_(tree, factor_),
+      step_(tree, stages),
+      stages_(tree, step_.model(), stages, true),
+      node_(tree, step_.model(), 1, true),
       field_(tree),
-      q0_(tree.nq),
-      p0_(tree.nv),
+      parameters_(tree),
       q_(tree.nq),
       v_(tree.nv),
       dq_(tree.nv),
@@ -38,38 +31,16 @@ StepTangent::StepTangent(const Tree& tree, int stages)
 
 void StepTangent::take(const VecX& q0, const VecX& p0, double h, const VecX& tau, double time, const Servo* servo,
                        const MatX& velocities) {
-  q0_ = q0;
-  p0_ = p0;
   has_matrix_ = false;
-  for (Stages* stages : {&stages_, &factor_}) {
-    stages->set_servo(servo);
-    stages->set_time(time);
-    stages->begin(q0_, p0_, h, tau);
-    const int S = stages->padded(), s = stages->count();
-    for (int d = 0; d < tree_->nv; ++d)
-      for (int i = 0; i < S; ++i) stages->v()[d * S + i] = velocities(d, std::min(i, s - 1));
-    std::fill_n(stages->X(), tree_->nv * S, 0.0);
-  }
+  step_.take(q0, p0, h, tau, time, servo, velocities);
+  step_.copy_to(stages_);
   // The input has a derivative also where there is none.
   if (stages_.work_.tau == nullptr) {
     std::fill_n(stages_.input_, tree_->nv, 0.0);
     stages_.work_.tau = stages_.input_;
   }
-  // The displacements of spherical joints depend on themselves: iterated until they stay.
-  set_direction(kNoDirection);
   stages_.work_.extra = &StepTangent::add_extra;
   stages_.work_.context = this;
-  for (int k = 0; k < (model_.lanes.balls > 0 ? kTurnIterations : 1); ++k) {
-    const std::vector<double> before(stages_.X(), stages_.X() + tree_->nv * stages_.padded());
-    evaluate();
-    double change = 0.0;
-    for (std::size_t i = 0; i < before.size(); ++i) change = std::max(change, std::abs(stages_.X()[i] - before[i]));
-    if (change <= kTurnExact) break;
-  }
-  std::copy_n(stages_.X(), tree_->nv * stages_.padded(), factor_.X());
-  factor_.place();
-  factor_.factor();
-  if (stiff_.any()) stiff_.factor(factor_, q0_);
 }
 
 void StepTangent::momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv, VecRef dp) {
@@ -82,8 +53,36 @@ void StepTangent::momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq
       node_.v_[d * S + i] = v[d];
       node_.v_[d * S + i + node_.work_.shadow] = dv[d];
     }
-  node_.kernel().evaluate_tangent(&model_.lanes, &node_.work_);
+  node_.kernel().evaluate_tangent(&step_.model().lanes, &node_.work_);
   for (int d = 0; d < tree_->nv; ++d) dp[d] = node_.P_[d * S + node_.work_.shadow];
+}
+
+void StepTangent::velocity_change(int stage, VecRef dv) const {
+  const int S = stages_.padded();
+  for (int d = 0; d < tree_->nv; ++d) dv[d] = shadow(stages_.v_)[d * S + stage];
+}
+
+// dE = v . dP - dL/dq . dq, for E = P . v - L.
+double StepTangent::energy_change() const {
+  const Stages& s = stages_;
+  const int S = s.padded();
+  const VecX& q = direction_->q;
+  double total = 0.0;
+  for (int i = 0; i < s.count(); ++i) {
+    double change = 0.0;
+    for (const Joint& joint : tree_->joints) {
+      Vec3 turn = Vec3::Zero();
+      if (joint.type == JointType::kSpherical) turn = ball_turn(joint, i);
+      for (int k = 0; k < joint.nv; ++k) {
+        const int d = joint.iv + k;
+        double moved = turn[k];
+        if (joint.type != JointType::kSpherical) moved = shadow(s.X_)[d * S + i] + (q.size() > 0 ? q[d] : 0.0);
+        change += s.v_[d * S + i] * shadow(s.P_)[d * S + i] - s.G_[d * S + i] * moved;
+      }
+    }
+    total += s.table().b[i] * change;
+  }
+  return total;
 }
 
 // The derivatives of the joints' base along a tangent vector dq.
@@ -107,6 +106,7 @@ void StepTangent::set_direction(const StepDirection& direction) {
   Stages& s = stages_;
   const int n = tree_->nv, S = s.padded();
   std::fill_n(s.memory_.data() + s.work_.shadow, s.work_.shadow, 0.0);
+  if (direction.parameters != nullptr) set_parameters();
   if (direction.p.size() > 0) std::copy_n(direction.p.data(), n, shadow(s.p0_));
   if (direction.q.size() > 0) {
     set_base(s, direction.q);
@@ -130,7 +130,7 @@ void StepTangent::set_direction(const StepDirection& direction) {
   }
 }
 
-void StepTangent::evaluate() { stages_.kernel().tangent(&model_.lanes, &stages_.work_); }
+void StepTangent::evaluate() { stages_.kernel().tangent(&step_.model().lanes, &stages_.work_); }
 
 // Of the stage equations along the direction, stage by stage.
 void StepTangent::residual(VecRef r) const {
@@ -144,28 +144,22 @@ void StepTangent::residual(VecRef r) const {
 bool StepTangent::iterate() {
   const int S = stages_.padded(), n = tree_->nv, size = n * S;
   double* dv = shadow(stages_.v_);
-  double best = INFINITY;
-  int stagnant = 0;
-  for (int k = 0; k < kMostIterations; ++k) {
+  RoundingStop stop;
+  for (;;) {
     evaluate();
     ++iterations_;
-    std::copy_n(shadow(stages_.dv_), size, factor_.dv());
-    factor_.solve();
-    if (stiff_.any()) stiff_.correct(factor_);
+    double* correction = step_.stages().dv();
+    std::copy_n(shadow(stages_.dv_), size, correction);
+    step_.solve();
     double change = 0.0, largest = 0.0;
     for (int i = 0; i < size; ++i) {
-      dv[i] += factor_.dv()[i];
-      change = std::max(change, std::abs(factor_.dv()[i]));
+      dv[i] += correction[i];
+      change = std::max(change, std::abs(correction[i]));
       largest = std::max(largest, std::abs(dv[i]));
     }
-    if (!std::isfinite(change)) return false;
-    if (change <= kExact * largest) return true;
-    stagnant = change < kProgress * best ? 0 : stagnant + 1;
-    best = std::min(best, change);
-    if (stagnant >= 2 && best <= kAccept * largest) return true;
-    if (stagnant >= kMostStagnant) return false;
+    const RoundingStop::Verdict verdict = stop.judge(change, largest);
+    if (verdict != RoundingStop::Verdict::kGoOn) return verdict == RoundingStop::Verdict::kSolved;
   }
-  return best <= 1e-11;
 }
 
 // With the matrix of the equations, made column by column.
@@ -174,7 +168,7 @@ bool StepTangent::solve_by_matrix() {
   const StepDirection* wanted = direction_;
   // The displacements of spherical joints follow the velocities by a contraction of their own.
   const auto settle = [&] {
-    for (int k = 0; k < (model_.lanes.balls > 0 ? kTurnIterations / 2 : 1); ++k) evaluate();
+    for (int k = 0; k < (step_.model().lanes.balls > 0 ? kTurnIterations : 1); ++k) evaluate();
     residual(r_);
   };
   if (!has_matrix_) {
@@ -235,7 +229,7 @@ void StepTangent::finish(const StepDirection& direction, VecRef dq1, VecRef dp1)
   } else {
     dp1.setZero();
   }
-  if (model_.lanes.balls > 0) s.rates();
+  if (step_.model().lanes.balls > 0) s.rates();
   for (const Joint& joint : tree_->joints) {
     const int iv = joint.iv;
     if (joint.type != JointType::kSpherical) {
@@ -250,7 +244,7 @@ void StepTangent::finish(const StepDirection& direction, VecRef dq1, VecRef dp1)
     const Vec3 dX = sum3(s.work_.rate, iv);
     const So3Coefficients k = so3_coefficients(X.squaredNorm());
     const Vec3 own = so3_apply(-X, k.cos_t, k.cub_t, dX);
-    const Vec3 total = p0_.segment<3>(iv) + Vec3(s.sum(s.Y_, iv), s.sum(s.Y_, iv + 1), s.sum(s.Y_, iv + 2));
+    const Vec3 total = step_.p0().segment<3>(iv) + Vec3(s.sum(s.Y_, iv), s.sum(s.Y_, iv + 1), s.sum(s.Y_, iv + 2));
     const Vec3 p1 = so3_apply(-X, k.sin_t, k.cos_t, total);
     const Vec3 change = dp1.segment<3>(iv) + sum3(s.Y_, iv);
     dq1.segment<3>(iv) = so3_apply(-X, k.sin_t, k.cos_t, Vec3(dq1.segment<3>(iv))) + own;
@@ -276,6 +270,7 @@ void StepTangent::add_extra(void* self) {
   if (!t.tree_->split.empty()) t.add_split_inputs();
   if (t.stages_.has_ball_springs_) t.add_ball_springs();
   if (t.field_.any()) t.add_elements();
+  if (t.direction_->parameters != nullptr) t.add_parameters();
 }
 
 // The force R tau on a split joint, R the axes of its body.
@@ -283,6 +278,7 @@ void StepTangent::add_split_inputs() {
   Stages& s = stages_;
   const bool inputs = s.has_inputs_;
   if (!inputs && direction_->tau.size() == 0) return;
+  const VecX& q0 = step_.q0();
   const int S = s.padded();
   for (int i = 0; i < S; ++i)
     for (const SplitJoint& joint : tree_->split) {
@@ -291,13 +287,13 @@ void StepTangent::add_split_inputs() {
       const Vec3 dtau(dtau_[iv], dtau_[iv + 1], joint.planar ? 0.0 : dtau_[iv + 2]);
       Vec3 change;
       if (joint.planar) {
-        const double angle = s.X_[(iv + 2) * S + i], c0 = q0_[iq + 2], s0 = q0_[iq + 3];
+        const double angle = s.X_[(iv + 2) * S + i], c0 = q0[iq + 2], s0 = q0[iq + 3];
         const double c = c0 * std::cos(angle) - s0 * std::sin(angle), n = s0 * std::cos(angle) + c0 * std::sin(angle);
         const double turn = shadow(s.X_)[(iv + 2) * S + i] + (direction_->q.size() > 0 ? direction_->q[iv + 2] : 0.0);
         const double x = dtau[0] - turn * tau[1], y = dtau[1] + turn * tau[0];
         change = Vec3(c * x - n * y, n * x + c * y, 0.0);
       } else {
-        const Quat quat(q0_[iq + 6], q0_[iq + 3], q0_[iq + 4], q0_[iq + 5]);
+        const Quat quat(q0[iq + 6], q0[iq + 3], q0[iq + 4], q0[iq + 5]);
         const Vec3 X(s.X_[(iv + 3) * S + i], s.X_[(iv + 4) * S + i], s.X_[(iv + 5) * S + i]);
         const Joint& ball = tree_->joints[tree_->dof_joint[iv + 3]];
         change = quat * (so3_exp(X) * Vec3(dtau + ball_turn(ball, stage).cross(tau)));
@@ -312,10 +308,11 @@ void StepTangent::add_ball_springs() {
   for (const Joint& joint : tree_->joints) {
     if (joint.type != JointType::kSpherical || joint.stiffness == 0) continue;
     const int iv = joint.iv;
-    q_ = q0_;
+    const VecX& q0 = step_.q0();
+    q_ = q0;
     for (int i = 0; i < S; ++i) {
       const Vec3 X(s.X_[iv * S + i], s.X_[(iv + 1) * S + i], s.X_[(iv + 2) * S + i]);
-      const Quat start(q0_[joint.iq + 3], q0_[joint.iq], q0_[joint.iq + 1], q0_[joint.iq + 2]);
+      const Quat start(q0[joint.iq + 3], q0[joint.iq], q0[joint.iq + 1], q0[joint.iq + 2]);
       q_.segment<4>(joint.iq) = (start * so3_exp(X)).coeffs();
       const Vec3 deflection = spring_deflection(*tree_, joint, q_);
       const Vec3 change = joint.stiffness * (so3_right_jacobian_inverse(deflection) * ball_turn(joint, i));
@@ -324,11 +321,37 @@ void StepTangent::add_ball_springs() {
   }
 }
 
+void StepTangent::add_momentum(const VecCRef& q, const VecCRef& v, const StepParameters& parameters, VecRef dp) {
+  VecX dG = VecX::Zero(tree_->nv);
+  parameters_.add_state(q, v, parameters, dp, dG);
+}
+
+void StepTangent::set_parameters() {
+  const int S = stages_.padded(), n = tree_->nv;
+  parameter_P_.setZero(n, stages_.count());
+  parameter_G_.setZero(n, stages_.count());
+  for (int i = 0; i < stages_.count(); ++i) {
+    stages_.configuration(step_.q0(), i, q_);
+    for (int d = 0; d < n; ++d) v_[d] = stages_.v_[d * S + i];
+    parameters_.add_state(q_, v_, *direction_->parameters, parameter_P_.col(i), parameter_G_.col(i));
+    parameters_.add_forces(stages_, step_.q0(), i, *direction_->parameters, parameter_G_.col(i));
+  }
+}
+
+void StepTangent::add_parameters() {
+  const int S = stages_.padded(), s = stages_.count();
+  for (int d = 0; d < tree_->nv; ++d)
+    for (int i = 0; i < S; ++i) {
+      shadow(stages_.P_)[d * S + i] += parameter_P_(d, std::min(i, s - 1));
+      shadow(stages_.G_)[d * S + i] += parameter_G_(d, std::min(i, s - 1));
+    }
+}
+
 void StepTangent::add_elements() {
   Stages& s = stages_;
   const int S = s.padded(), n = tree_->nv;
   for (int i = 0; i < s.count(); ++i) {
-    s.configuration(q0_, i, q_);
+    s.configuration(step_.q0(), i, q_);
     for (int d = 0; d < n; ++d) {
       v_[d] = s.v_[d * S + i];
       dv_[d] = shadow(s.v_)[d * S + i];

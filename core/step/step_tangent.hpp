@@ -12,8 +12,8 @@
 #include <Eigen/LU>
 
 #include "model/force_tangent.hpp"
-#include "step/stages.hpp"
-#include "step/stiff_terms.hpp"
+#include "step/solved_step.hpp"
+#include "step/step_parameters.hpp"
 
 namespace contactvi {
 
@@ -22,6 +22,7 @@ struct StepDirection {
   VecX q, p;       // of the start, (nv,)
   double h = 0.0;  // of the step's length [s]
   VecX tau;        // of the generalized force, public coordinates (nv,)
+  const StepParameters* parameters = nullptr;
 };
 
 class StepTangent {
@@ -33,8 +34,15 @@ class StepTangent {
             const MatX& velocities);
   // The derivative of (q1, p1) along a direction, (nv,) each. False where the equations were not solved.
   bool solve(const StepDirection& direction, VecRef dq1, VecRef dp1);
+  // Of the last direction: the change of the velocity at a stage, (nv,).
+  void velocity_change(int stage, VecRef dv) const;
+  // Of the last direction: the change of the step's discrete energy sum b_i E(q_i, v_i), of gravity, springs and
+  // inertia alone [J].
+  double energy_change() const;
   // dp of the momentum p = M(q) v along (dq, dv), (nv,).
   void momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq, const VecCRef& dv, VecRef dp);
+  // Adds to dp what the momentum p = M(q) v changes by with the inertias.
+  void add_momentum(const VecCRef& q, const VecCRef& v, const StepParameters& parameters, VecRef dp);
   // Iterations of the last solve; 0: the matrix was factored.
   int iterations() const { return iterations_; }
 
@@ -50,19 +58,21 @@ class StepTangent {
   void add_split_inputs();
   void add_ball_springs();
   void add_elements();
+  void set_parameters();
+  void add_parameters();
   Vec3 ball_turn(const Joint& joint, int stage) const;
 
   double* shadow(double* array) { return array + stages_.work_.shadow; }
   const double* shadow(const double* array) const { return array + stages_.work_.shadow; }
 
   const Tree* tree_;
-  FlatModel model_;
+  SolvedStep step_;
   Stages stages_;  // numbers and their derivatives
-  Stages factor_;  // at the stages of the step
   Stages node_;    // a single state, for momentum()
-  StiffTerms stiff_;
   ForceTangent field_;
-  VecX q0_, p0_, q_, v_, dq_, dv_, df_, r_, dtau_;
+  ParameterTangent parameters_;
+  MatX parameter_P_, parameter_G_;  // derivatives along the parameters at the stages, (nv, s)
+  VecX q_, v_, dq_, dv_, df_, r_, dtau_;
   const StepDirection* direction_ = nullptr;
   int iterations_ = 0;
   bool has_matrix_ = false;

@@ -63,6 +63,23 @@ void StiffTerms::correct(Stages& stages) {
   }
 }
 
+// The transpose has C^T for C: x - Z C^T (1 + C J^T Z)^-T J^T x.
+void StiffTerms::correct_solution(Stages& stages, bool transposed) {
+  if (!active_) return;
+  const int S = stages.padded(), s = stages.count(), n = tree_->nv;
+  for (int i = 0; i < s; ++i) {
+    const Terms& terms = at_[i];
+    for (int d = 0; d < n; ++d) x_[d] = stages.dv()[d * S + i];
+    const VecX y = terms.J.transpose() * x_;
+    VecX z = transposed ? VecX(terms.lu.transpose().solve(y)) : VecX(terms.C * y);
+    z = transposed ? VecX(terms.C.transpose() * z) : VecX(terms.lu.solve(z));
+    const VecX change = terms.Z * z;
+    if (!change.allFinite()) continue;  // the iteration that made it fails
+    for (int d = 0; d < n; ++d)
+      for (int k = i; k < (i + 1 == s ? S : i + 1); ++k) stages.dv()[d * S + k] -= change[d];
+  }
+}
+
 void StiffTerms::correct(Eigen::Ref<MatX> X) const {
   if (!active_) return;
   const Terms& terms = at_.front();

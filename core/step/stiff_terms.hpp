@@ -21,6 +21,8 @@ class StiffTerms {
   void factor(Stages& stages, const VecCRef& q0);
   // After an iteration of the kernel: changes its correction, in dv and v, to that of the whole matrix.
   void correct(Stages& stages);
+  // Changes dv = D^-1 r of the stages to the step's inverse matrix, or its transpose, times r; nothing else changes.
+  void correct_solution(Stages& stages, bool transposed);
   // Changes X = D^-1 Y, of a single stage, to the step's inverse matrix times Y.
   void correct(Eigen::Ref<MatX> X) const;
 

@@ -36,6 +36,29 @@ def test_what_is_no_signal_is_refused(source, got):
     assert got in str(caught.value.got)
 
 
+@pytest.mark.parametrize(
+    ("times", "values"),
+    [
+        ([0.0, 1.0, 2.0], [0.0, 1.7e308, 0.3]),
+        ([0.0, 1.0, 2.0, 3.0], [0.0, 1e60, 0.3, 0.0]),
+        ([0.0, 1.0], [-1e308, 1e308]),
+        ([-1.7e308, 1.7e308], [0.0, 1.0]),
+        ([0.0, 5e-324], [0.0, 1.0]),
+        ([0.0, 5e-324, 1.0], [0.0, 1.0, 2.0]),
+        ([0.0, 1e-20, 2e-20], [0.0, 1.0, 0.0]),
+        ([0.0, 1e-40, 1.0, 2.0], [0.0, 1.0, 0.0, 1.0]),
+        ([-1.7e308, 0.0, 1.7e308, 1.75e308], [0.0, 1.0, 0.0, 1.0]),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_tables_whose_spline_overflows_are_refused(times, values):
+    with pytest.raises(cvi.InputError, match="a spline whose value, rate and acceleration are at most") as caught:
+        Signal((times, values), "motion of 'j'")
+    assert caught.value.name == "motion of 'j'"
+    assert f"{np.abs(values).max():.3g}" in caught.value.got
+    assert caught.value.remedy
+
+
 def failing(t: float) -> float:
     raise KeyError("no such key")
 

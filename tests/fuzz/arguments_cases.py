@@ -149,6 +149,7 @@ VALUES: dict[str, tuple[str, ...]] = {
     "V": ("None", "np.zeros(s.nv)", "np.ones(s.nv)"),
     "TAU": ("None", "np.ones(s.nv)"),
     "DT": ("1e-3", "0.01", "'auto'"),
+    "CDT": ("None", "1e-3", "1e-4"),  # steps in contact: 1e-8 would ask for a million of them in 0.01 s
     "LONG": LONG,
     "ORDER": ("None", "2", "4", "16"),
     "TOL": ("None", "1e-8"),
@@ -241,7 +242,7 @@ RUN = (
     "traj = cvi.simulate(s, duration=LONG, dt=1e-3, control=CONTROL, target=TARGET, throw=False)",
     "traj = cvi.simulate(s, duration=LONG, dt=1e-3, sample_dt=SAMPLE, dense=FLAG, record_contacts=FLAG, throw=False)",
     "traj = cvi.simulate(s, duration=LONG, dt=1e-3, ledger=LEDGER, max_iterations=COUNT, throw=False)",
-    "traj = cvi.simulate(s, duration=LONG, dt=1e-3, dt_contact=TOL, zeno=MAP, max_impacts_per_step=COUNT, throw=False)",
+    "traj = cvi.simulate(s, duration=LONG, dt=1e-3, dt_contact=CDT, zeno=MAP, max_impacts_per_step=COUNT, throw=False)",
     "traj = cvi.simulate(ITEM, duration=0.01, dt=1e-3, throw=False)",
     "traj = cvi.simulate(s, duration=0.01, dt=1e-3, progress=CONTROL)",
     "cvi.Options(DT, LONG, MAP)",
@@ -336,6 +337,10 @@ def _line(d: Draws, template: str, wrong: int) -> str:
         if word == "LONG":
             return d.pick(
                 ("0.0", "-1", "nan", "inf", "10**400", "'a'", "None", "[1]", "True", "1e-300", "0.0105", "'1'")
+            )
+        if word == "CDT":
+            return d.pick(
+                ("0.0", "-1", "nan", "inf", "1e-300", "1e-20", "10**400", "'a'", "[1]", "True", "'auto'", "1.0")
             )
         if word in ("DT", "SAMPLE"):
             return d.pick(

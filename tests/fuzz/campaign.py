@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -153,8 +154,14 @@ def _run(family: str, seed: int, count: int, skip: int, folder: Path, seconds: f
 
 
 def _age(folder: Path) -> float:
-    """Return the seconds since a worker has last begun a case."""
-    newest = max(file.stat().st_mtime for file in (folder / "case.json", folder / "log") if file.exists())
+    """Return the seconds since a worker has last begun or ended a case, or was started.
+
+    After its last case there is no case.json, and its log may be as old as the process.
+    """
+    newest = 0.0
+    for name in ("case.json", "outcomes.jsonl", "log"):
+        with contextlib.suppress(FileNotFoundError):  # the worker removes the case while this is read
+            newest = max(newest, (folder / name).stat().st_mtime)
     return time.time() - newest
 
 

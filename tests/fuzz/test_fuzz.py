@@ -8,6 +8,9 @@ The law is in fuzz/law.py. Each case is made in a process of its own that may cr
 
 from __future__ import annotations
 
+import os
+import time
+
 import pytest
 
 from fuzz import campaign, families
@@ -41,3 +44,13 @@ def test_all_findings_are_seen():
     assert set(tally.counts) == set(campaign.COLUMNS)
     assert {finding.outcome for finding in tally.findings.values()} == set(campaign.FINDINGS)
     assert all(finding.case["way"] in (finding.outcome, "memory") for finding in tally.findings.values())
+
+
+def test_a_worker_that_has_made_its_last_case_is_not_waiting(tmp_path):
+    """Its case.json is gone then, and its log is as old as the process."""
+    long_ago = time.time() - 10.0 * campaign.WALL
+    (tmp_path / "log").touch()
+    os.utime(tmp_path / "log", (long_ago, long_ago))
+    assert campaign._age(tmp_path) > campaign.WALL
+    (tmp_path / "outcomes.jsonl").touch()
+    assert campaign._age(tmp_path) < campaign.WALL

@@ -25,6 +25,11 @@ def by_name(cases):
     return pytest.mark.parametrize("case", cases, ids=lambda c: c.name)
 
 
+def long(case):
+    """A case that takes too long for every run; a smaller one stands beside it."""
+    return pytest.param(case, marks=pytest.mark.long)
+
+
 # --- SO(3) ---------------------------------------------------------------------------------------------------
 def exact_right_jacobian(phi):
     """sum (-hat)^k / (k+1)! in rational numbers, terms below 1e-30 dropped."""
@@ -131,7 +136,7 @@ def test_step_is_symplectic(case):
     assert defect <= 1e-10
 
 
-@by_name([case("joint_planar"), case("arm_spherical"), case("tree")])
+@by_name([case("joint_planar"), case("arm_spherical"), long(case("tree"))])
 def test_step_has_order_two_with_springs_damping_and_input(case):
     model, duration = case.model(), 0.2
     rng = np.random.default_rng(3)
@@ -145,7 +150,7 @@ def test_step_has_order_two_with_springs_damping_and_input(case):
     assert np.abs(laws.orders(errors) - 2.0).max() <= 0.05
 
 
-@by_name([case("free_body"), case("pair")])
+@by_name([case("free_body"), long(case("pair"))])
 def test_step_keeps_the_momentum_maps(case):
     model = case.model()
     model.gravity = pin.Motion.Zero()
@@ -158,7 +163,7 @@ def test_step_keeps_the_momentum_maps(case):
         assert np.abs(momentum_maps.spatial_momentum(model, q1, p1) - start).max() <= 1e-12
 
 
-@by_name([case("joint_helical_unaligned"), case("free_body"), case("arm_spherical"), case("tree")])
+@by_name([case("joint_helical_unaligned"), case("free_body"), case("arm_spherical"), long(case("tree"))])
 def test_modified_energy_varies_with_h_to_the_fourth(case):
     model = case.model()
     spring = springs_of(model, np.random.default_rng(4))

@@ -170,6 +170,7 @@ def test_a_wrench_has_the_power_of_its_point_and_spin():
 
 
 # --- motion ------------------------------------------------------------------------------------------------------
+@pytest.mark.long
 def test_energy_balance_and_constraints_with_everything_at_once():
     """Loops, prescribed motions, springs, dampers and inputs; a row given twice shares its multiplier."""
     model = forest()

@@ -285,6 +285,34 @@ def test_bad_input_is_named():
     assert deep.value.depth == pytest.approx(0.01, abs=1e-12)
 
 
+def test_what_constraints_hold_has_no_impact():
+    """A welded ball, and one whose point of contact is fixed: no impulse changes their gap."""
+    for element in ("add_weld", "add_point"):
+        made = cvi.Scene()
+        made.add_halfspace()
+        made.add_sphere("ball", radius=0.1, placement=(0.0, 0.0, 0.1))
+        getattr(made, element)("ball", "world", **({} if element == "add_weld" else {"point_a": (0.0, 0.0, -0.1)}))
+        with pytest.raises(cvi.InputError, match="The constraints do not let ground and ball move") as caught:
+            cvi.simultaneous_outcomes(made, v=-np.ones(6))
+        assert caught.value.name == "pairs"
+
+
+def test_a_fixed_point_of_a_face_has_no_part():
+    """A box hinged about an edge lies on the ground: the two points of the edge cannot move, the two others can."""
+    made = cvi.Scene()
+    made.add_halfspace()
+    made.add_box("box", (0.1, 0.1, 0.1), mass=2.0, placement=(0.0, 0.0, 0.05))
+    made.set_contact(restitution=0.5)
+    for y in (-0.05, 0.05):
+        made.add_point("box", "world", point_a=(-0.05, y, -0.05), point_b=(-0.05, y, 0.0))
+    rate = 2.0  # [rad/s] about the edge, into the ground: the middle is at (0.05, 0, 0.05) from the edge
+    found = cvi.simultaneous_outcomes(made, v=rate * np.array([0.05, 0.0, -0.05, 0.0, 1.0, 0.0]), tolerance=1e-9)
+    (contact,) = found.contacts
+    assert contact.mobile.sum() == 2
+    assert contact.W[contact.mobile, 4] == pytest.approx([-0.05, -0.05], rel=1e-12)
+    assert np.abs(found.chosen.v_plus + 0.5 * rate * np.array([0.05, 0.0, -0.05, 0.0, 1.0, 0.0])).max() <= 1e-12
+
+
 def test_at_rest_nothing_happens():
     found = row([1, 1], (0.0, 0.0))
     assert found.unique

@@ -278,7 +278,7 @@ def test_joint_limits_are_in_the_ledger():
     ("ledger", "text"),
     [
         ({"energy_jmp": 1e-9}, "Did you mean 'energy_jump'"),
-        ({"own_jump": -1.0}, "a number >= 0, got -1.0"),
+        ({"own_jump": -1.0}, "a number >= 0 that fits in a float, got -1.0"),
         ({"own_jump": float("nan")}, "nan"),
         ({"own_jump": "small"}, "'small'"),
         ({"own_jump": True}, "True"),

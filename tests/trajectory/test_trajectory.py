@@ -353,6 +353,8 @@ def test_other_schema(saved):
         {"event__q": np.full((4, 7), -np.inf)},
         {"event__impulse": np.full(4, np.nan)},
         {"event__energy_change": np.full(4, np.nan)},
+        {"kinetic_energy": np.full(251, np.inf)},
+        {"potential_energy": np.full(251, np.inf)},
         {"gap__time": np.full(251, np.nan)},
         {"gap__value": np.zeros((251, 2))},
         {"array__0": None},
@@ -374,6 +376,9 @@ def test_inconsistent_entries(saved, changes):
         ('"type": "free"', '"type": "rope"'),
         ('"shape": "sphere"', '"shape": 5'),
         ('"steps": ', '"leaps": '),
+        ('"placement": [[1.0,', '"placement": [[0.0,'),
+        ('"placement": [[1.0,', '"placement": [[-1.0,'),
+        ('"placement": [[1.0,', '"placement": [[1e300,'),
     ],
 )
 def test_wrong_header(saved, old, new):
@@ -382,6 +387,39 @@ def test_wrong_header(saved, old, new):
     rewrite(saved, header=np.array(text.replace(old, new)))
     with pytest.raises(cvi.ContactviError):
         cvi.Trajectory.load(saved).to_html(saved.with_suffix(".html"))
+
+
+@pytest.mark.parametrize("color", ["[]", "[0.1, 0.2, 0.3]", "[0.1, 0.2, 0.3, NaN]", '["a", "b", "c", "d"]', "5"])
+def test_colours_are_four_numbers(saved, color):
+    text, count = re.subn(r'"color": (\[[^]]*\]|null)', f'"color": {color}', header(saved))
+    assert count
+    rewrite(saved, header=np.array(text))
+    with pytest.raises(cvi.SceneError, match="Cannot read the run"):
+        cvi.Trajectory.load(saved)
+
+
+@pytest.mark.parametrize("h", [5e-324, 1e-160])
+def test_contacts_of_steps_too_short_for_their_impulse(tmp_path, h):
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, placement=(0, 0, 0.1))
+    traj = cvi.simulate(scene, duration=0.02, dt=1e-3, contact_mode="steps")
+    path = traj.save(tmp_path / "run.npz")
+    lengths = np.array(traj.contacts.h)
+    assert np.any(traj.contacts.impulse)
+    rewrite(path, contact__h=np.where(lengths > 0.0, h, lengths))
+    with pytest.raises(cvi.SceneError, match="forces larger than those of any run"):
+        cvi.Trajectory.load(path)
+
+
+def test_a_run_that_ended_may_have_an_infinite_energy(tmp_path):
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1)
+    traj = cvi.simulate(scene, duration=0.01, dt=1e-3)
+    path = traj.save(tmp_path / "run.npz")
+    text = header(path).replace('"code": 0', '"code": 3')
+    rewrite(path, potential_energy=np.full(len(traj.t), np.inf), header=np.array(text))
+    assert cvi.Trajectory.load(path).potential_energy[0] == np.inf
 
 
 # -- writing ----------------------------------------------------------------------------------------------------------

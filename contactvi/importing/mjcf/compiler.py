@@ -6,7 +6,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pinocchio as pin
@@ -127,6 +127,7 @@ class Source:
         self.names = {kind: self._distinct(kind, count) for kind, count in counts.items()}
         self.switched_off = int(m.opt.disableflags)
         self._check_numbers()
+        self._check_rotations()
 
     def _check_numbers(self) -> None:
         """Raise SceneError for numbers of the compiled model that are not finite: MuJoCo's sums may overflow."""
@@ -145,6 +146,28 @@ class Source:
                     got=str(values[bad[0]]),
                     remedy="Correct the sizes, places and masses behind it",
                 )
+
+    def _check_rotations(self) -> None:
+        """Raise SceneError for quaternions of length zero: MuJoCo makes them of those whose squares overflow."""
+        for kind, name in (("body", "body_quat"), ("body", "body_iquat"), ("geom", "geom_quat"), ("site", "site_quat")):
+            lost = np.flatnonzero(~np.any(getattr(self.m, name), axis=1))
+            if len(lost):
+                self._refuse_rotation(kind, int(lost[0]))
+        welds = np.asarray(self.m.eq_type) == self.number("Eq", "WELD")
+        by_bodies = np.asarray(self.m.eq_objtype) == self.number("Obj", "BODY")
+        lost = np.flatnonzero(welds & by_bodies & ~np.any(self.m.eq_data[:, 6:10], axis=1))
+        if len(lost):
+            self._refuse_rotation("equality", int(lost[0]))
+
+    def _refuse_rotation(self, kind: str, index: int) -> NoReturn:
+        name = self.names[kind][index]
+        raise SceneError(
+            f"The rotation of {kind} {name!r} is lost in the compiled model",
+            body=name if kind == "body" else None,
+            expected="a quaternion whose squares are finite",
+            got="one of length 0, which MuJoCo makes of numbers above 1e154",
+            remedy="Give a quaternion of length 1 in the file",
+        )
 
     def _distinct(self, kind: str, count: int) -> list[str]:
         """Return the names of one kind; what has none is called by its kind and number, a geom by its body."""
@@ -190,9 +213,16 @@ _PREFIXES = {
 }  # fmt: skip
 
 
+def unit(wxyz: Any) -> np.ndarray:
+    """Return a quaternion of any length above zero at length 1, shape (4,)."""
+    numbers = np.asarray(wxyz, dtype=float)
+    numbers = numbers / np.abs(numbers).max()  # the square of a length may overflow, or vanish
+    return np.asarray(numbers / np.linalg.norm(numbers))
+
+
 def rotation(wxyz: Any) -> np.ndarray:
-    """Return the rotation matrix (3, 3) of a quaternion w, x, y, z of any length."""
-    w, x, y, z = np.asarray(wxyz, dtype=float) / np.linalg.norm(wxyz)
+    """Return the rotation matrix (3, 3) of a quaternion w, x, y, z of any length above zero."""
+    w, x, y, z = unit(wxyz)
     return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
 
 

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from contactvi.importing.mjcf.compiler import Source, rotation
+from contactvi.importing.mjcf.compiler import Source, rotation, unit
 
 
 def configuration_of(source: Source, qpos: np.ndarray) -> np.ndarray:
     """Return q, shape (nq,), of a qpos, shape (nq,)."""
     q = np.array(qpos, dtype=float)
     for first in _quaternions(source):
-        w, x, y, z = q[first : first + 4] / np.linalg.norm(q[first : first + 4])
+        w, x, y, z = unit(q[first : first + 4])
         q[first : first + 4] = x, y, z, w
     return q
 

@@ -1,0 +1,75 @@
+"""The inputs of a run, kept where its derivatives are wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RunInputs:
+    """What acted in the steps of a run, one row per step.
+
+    Attributes:
+        control: generalized forces, Pinocchio's coordinates, shape (steps, nv) [N, N m]; None where none were given.
+        target: references of the servos, positions by dof and then velocities, shape (steps, 2 nv); None without.
+        saturated: actuators at their limits, summed over steps.
+        contact_steps: those with persistent contacts, one contactvi._core.KeptContactSteps per call of the engine.
+    """
+
+    control: Array | None
+    target: Array | None
+    saturated: int = 0
+    contact_steps: tuple[Any, ...] = ()
+
+
+class GrowingInputs:
+    """The inputs of the calls of a run so far.
+
+    Attributes:
+        saturated: as in `RunInputs`.
+    """
+
+    def __init__(self) -> None:
+        self.saturated = 0
+        self._blocks: list[tuple[int, Array | None, Array | None]] = []
+        self._contact_steps: list[Any] = []
+
+    def add(self, steps: int, control: Array | None, target: Array | None) -> None:
+        """Take over the inputs of a call of so many steps."""
+        self._blocks.append((steps, control, target))
+
+    def add_contact_steps(self, steps: Any) -> None:
+        """Take over the steps with persistent contacts of a call."""
+        self._contact_steps.append(steps)
+
+    def copy(self) -> GrowingInputs:
+        """Return a copy, which grows on its own."""
+        twin = GrowingInputs()
+        twin._blocks, twin.saturated = list(self._blocks), self.saturated
+        twin._contact_steps = list(self._contact_steps)
+        return twin
+
+    def joined(self) -> RunInputs:
+        """Return the inputs of all calls; of calls without, zeros beside others."""
+        counts = [steps for steps, _, _ in self._blocks]
+        control, target = (
+            _joined(counts, parts) for parts in ([b[1] for b in self._blocks], [b[2] for b in self._blocks])
+        )
+        return RunInputs(control, target, self.saturated, tuple(self._contact_steps))
+
+
+def _joined(counts: Sequence[int], parts: Sequence[Array | None]) -> Array | None:
+    width = next((part.shape[1] for part in parts if part is not None), None)
+    if width is None:
+        return None
+    return np.concatenate(
+        [np.zeros((steps, width)) if part is None else np.asarray(part, dtype=float)[:steps]
+         for steps, part in zip(counts, parts, strict=True)]
+    )  # fmt: skip

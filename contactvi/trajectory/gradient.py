@@ -1,0 +1,117 @@
+"""The gradient of a cost of a run with respect to its start, all its inputs and its parameters.
+
+It goes backward through the run once (core/sensitivity/run_adjoint.hpp), so that its price does not depend on how many
+numbers the gradient has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi.errors import InputError, did_you_mean
+from contactvi.inputs import array, check_choice
+from contactvi.trajectory import parameters
+from contactvi.trajectory.compiled import CompiledScene
+from contactvi.trajectory.sensitivity import (
+    ON_KINK,
+    Laws,
+    Recorded,
+    check_parameter,
+    not_differentiable,
+    recorded_run,
+    wanted,
+)
+
+Array = NDArray[np.float64]
+Cost = Callable[[Array, Array, Array], tuple[float, Array, Array]] | tuple[Any, Any]
+
+OF_THE_RUN = ("q0", "v0", "control", "target", "target_velocity")
+OF_PAIRS = ("restitution", "friction")
+
+
+def gradient(
+    traj: Recorded, compiled: CompiledScene, cost: Cost, wrt: Sequence[str] | str, *, on_kink: str = "raise"
+) -> tuple[float | None, dict[str, Array]]:
+    """Return (J, gradients by name); arguments as those of contactvi.gradient, and the scene of the run."""
+    check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+    names = wanted(wrt)
+    run = recorded_run(traj, compiled)
+    picks = [_Pick(traj, compiled, Laws(traj, run, compiled), name) for name in names]
+    value, lq, lv = _gradients(traj, compiled, cost)
+    steps = round((float(traj.t[-1]) - float(traj.t[0])) / traj.options.fixed_dt + 0.499)
+    found = run.adjoint(list(map(float, traj.t)), lq, lv, np.zeros(0), max(steps, 1), on_kink == "taken")
+    if "fact" in found:
+        raise not_differentiable(traj, found)
+    return value, {pick.name: pick.of(found) for pick in picks}
+
+
+def _gradients(traj: Recorded, compiled: CompiledScene, cost: Cost) -> tuple[float | None, Array, Array]:
+    """Return the cost and its gradients in q (tangent) and v at the nodes, shapes (N, nv)."""
+    nodes, nv = len(traj.t), compiled.states.nv
+    value: float | None = None
+    if callable(cost):
+        v = np.asarray(compiled.core.velocity(traj.q, traj.p))
+        given = cost(traj.t, traj.q, v)
+        if not isinstance(given, tuple) or len(given) != 3:
+            raise _bad_cost("(J, dJ/dq, dJ/dv) from the function", given)
+        value, rest = float(given[0]), given[1:]
+    else:
+        if not isinstance(cost, tuple) or len(cost) != 2:
+            raise _bad_cost("a function of (t, q, v), or the pair (dJ/dq, dJ/dv)", cost)
+        rest = cost
+    return value, _at_nodes("dJ/dq", rest[0], nodes, nv), _at_nodes("dJ/dv", rest[1], nodes, nv)
+
+
+def _bad_cost(expected: str, got: object) -> InputError:
+    return InputError(
+        "This is no cost of a run", name="cost", expected=expected, got=type(got).__name__,
+        remedy="Gradients are arrays of shape (nodes, nv), or (nv,) for the last node",
+    )  # fmt: skip
+
+
+def _at_nodes(name: str, part: Any, nodes: int, nv: int) -> Array:
+    if np.ndim(part) == 1:
+        rows = np.zeros((nodes, nv))
+        rows[-1] = array(name, part, (nv,), "the gradient at the last node")
+        return rows
+    return array(name, part, (nodes, nv), "gradients at the nodes, tangent vectors of Pinocchio")
+
+
+class _Pick:
+    """One name of what a gradient is with respect to."""
+
+    def __init__(self, traj: Recorded, compiled: CompiledScene, laws: Laws, name: str) -> None:
+        self.name = str(name)
+        model = compiled.built.model
+        kind, _, pair = self.name.partition(":")
+        self._entry = {"q0": "q", "v0": "v", "control": "tau", "target": "q_ref", "target_velocity": "v_ref"}.get(
+            self.name
+        )
+        self._rows: Array | None = None
+        self._directions: list[parameters.Direction] = []
+        self._servos = [model.idx_vs[model.getJointId(joint)] for joint in compiled.built.servo_joints]
+        if kind in OF_PAIRS:
+            self._entry = "e" if kind == "restitution" else "mu"
+            self._rows = laws.column(self._entry, pair)
+        elif parameters.is_parameter(self.name):
+            check_parameter(traj, self.name)
+            self._directions = parameters.directions_of(model, self.name)
+        elif self._entry is None:
+            known = (*OF_THE_RUN, *OF_PAIRS, *parameters.NAMES)
+            raise InputError(
+                "Nothing of the run has this name", name="wrt", expected=f"one of {', '.join(known)}", got=name,
+                remedy=did_you_mean(kind, known),
+            )  # fmt: skip
+
+    def of(self, found: dict[str, Any]) -> Array:
+        """Return its part of what the engine found."""
+        if self._entry is None:
+            return np.array([parameters.along(found["parameters"], direction) for direction in self._directions])
+        values = np.asarray(found[self._entry])
+        if self._rows is not None:
+            return np.asarray(self._rows.T @ values)
+        return values[:, self._servos] if self._entry in ("q_ref", "v_ref") else values

@@ -1,0 +1,14 @@
+// The contact steps of one call of the engine, handed from its simulator to the derivatives of the run through Python.
+#pragma once
+
+#include <vector>
+
+#include "contact/contact_step_record.hpp"
+
+namespace contactvi {
+
+struct KeptContactSteps {
+  std::vector<ContactStepRecord> steps;
+};
+
+}  // namespace contactvi

@@ -1,0 +1,251 @@
+#include "geometry/contact_surface.hpp"
+
+#include <coal/shape/geometric_shapes.h>
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+
+#include "geometry/contact.hpp"
+
+namespace contactvi {
+
+namespace {
+
+// [m] A point that is this near to the border of a feature may belong to the next one: nearest points are found up to
+// kBorder beyond a border, and the factor keeps what was found clear of it.
+constexpr double kMeeting = 2.0 * kBorder;
+// [rad] A normal that is this near to the border of the normals of a feature may belong to the next one, and one that
+// is no farther from the normals of a flat feature belongs to it. Normals are differences of points, with a rounding of
+// 1e-15 m, over the distance of two cores, which are 1e-3 m apart and more: 1e-12 rad, and another factor of 1000.
+constexpr double kSameNormal = 1e-9;
+// [m] The same near an ellipsoid, where coal iterates: with an error of the distance of 1e-10 m the place is wrong by
+// the root of that times a radius of curvature.
+constexpr double kNearby = 1e-5;
+
+double distance_from_line(const ShapeFeatures::Edge& e, const Vec3& x) {
+  const Vec3 d = x - e.start;
+  return (d - d.dot(e.direction) * e.direction).norm();
+}
+
+}  // namespace
+
+ContactSurface ContactSurface::point(const char* name, const Vec3& x, double sweep) {
+  ContactSurface s;
+  s.kind_ = Kind::kPoint;
+  s.name_ = name;
+  s.x_ = x;
+  s.sweep_ = sweep;
+  return s;
+}
+
+ContactSurface ContactSurface::line(const char* name, const Vec3& x, const Vec3& u, double sweep) {
+  ContactSurface s = point(name, x, sweep);
+  s.kind_ = Kind::kLine;
+  s.axis_ = u;
+  return s;
+}
+
+ContactSurface ContactSurface::plane(const char* name, const Vec3& x, const Vec3& n, double sweep) {
+  ContactSurface s = point(name, x, sweep);
+  s.kind_ = Kind::kPlane;
+  s.axis_ = n;
+  return s;
+}
+
+ContactSurface ContactSurface::rim(const Vec3& center, const Vec3& axis, double radius, const Vec3& outward,
+                                   double sweep) {
+  ContactSurface s = point("rim", center, sweep);
+  s.kind_ = Kind::kRim;
+  s.center_ = center;
+  s.axis_ = axis;
+  s.radius_ = radius;
+  s.move(Vec3::Zero(), outward);
+  return s;
+}
+
+ContactSurface ContactSurface::ellipsoid(const Pose& pose, const Vec3& half, const Vec3& outward, double sweep) {
+  ContactSurface s = point("ellipsoid", pose.p, sweep);
+  s.kind_ = Kind::kEllipsoid;
+  s.center_ = pose.p;
+  s.axes_ = pose.R;
+  s.half_ = half;
+  s.move(Vec3::Zero(), outward);
+  return s;
+}
+
+Bend ContactSurface::bend(const Vec3& n) const {
+  Bend b{};
+  b.e[0] = any_tangent(n);
+  switch (kind_) {
+    case Kind::kPoint:
+      break;
+    case Kind::kLine:
+      b.e[0] = (axis_ - axis_.dot(n) * n).normalized();
+      b.flat[0] = true;
+      break;
+    case Kind::kPlane:
+      b.flat[0] = b.flat[1] = true;
+      break;
+    case Kind::kRim: {
+      const Vec3 along = axis_.cross(n);
+      const double sine = along.norm();
+      b.e[0] = along / sine;
+      b.radius[0] = radius_ / sine;
+      break;
+    }
+    case Kind::kEllipsoid: {
+      const Vec3 k = axes_.transpose() * n, square = half_.cwiseAbs2(), w = square.cwiseProduct(k);
+      const double s = half_.cwiseProduct(k).norm();
+      const Vec3 t[2] = {b.e[0], n.cross(b.e[0])};
+      Eigen::Matrix2d R;
+      for (int i = 0; i < 2; ++i)
+        for (int j = 0; j < 2; ++j) {
+          const Vec3 ti = axes_.transpose() * t[i], tj = axes_.transpose() * t[j];
+          R(i, j) = (ti.dot(square.cwiseProduct(tj)) - ti.dot(w) * w.dot(tj) / (s * s)) / s;
+        }
+      const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> eigen(R);
+      b.e[0] = eigen.eigenvectors()(0, 0) * t[0] + eigen.eigenvectors()(1, 0) * t[1];
+      b.radius[0] = eigen.eigenvalues()[0];
+      b.radius[1] = eigen.eigenvalues()[1];
+      break;
+    }
+  }
+  b.e[1] = n.cross(b.e[0]);
+  return b;
+}
+
+double ContactSurface::missing_turn(const Vec3& outward, const Vec3& e) const {
+  return kind_ == Kind::kPlane ? axis_.dot(e) : -axis_.dot(outward) / axis_.dot(e);
+}
+
+void ContactSurface::move(const Vec3& s, const Vec3& outward) {
+  switch (kind_) {
+    case Kind::kPoint:
+      break;
+    case Kind::kLine:
+      x_ += axis_.dot(s) * axis_;
+      break;
+    case Kind::kPlane:
+      x_ += s - axis_.dot(s) * axis_;
+      break;
+    case Kind::kRim: {
+      const Vec3 across = outward - axis_.dot(outward) * axis_;
+      x_ = center_ + radius_ * across.normalized();
+      break;
+    }
+    case Kind::kEllipsoid: {
+      const Vec3 k = half_.cwiseProduct(axes_.transpose() * outward);
+      x_ = center_ + axes_ * half_.cwiseProduct(k) / k.norm();
+      break;
+    }
+  }
+}
+
+const char* ContactSurface::find_on_polytope(const ShapeFeatures& o, const Pose& pose, const Vec3& x, const Vec3& m,
+                                             bool nearby, ContactSurface& found) {
+  const double near = nearby ? kNearby : kMeeting;
+  const bool polytope = !o.faces.empty();
+  int vertex = 0;
+  for (int i = 1; i < static_cast<int>(o.vertices.size()); ++i)
+    if ((o.vertices[i] - x).squaredNorm() < (o.vertices[vertex] - x).squaredNorm()) vertex = i;
+  if ((o.vertices[vertex] - x).norm() <= near) {
+    const char* name = polytope ? "vertex" : o.vertices.size() == 2 ? "end of a capsule" : "ball";
+    found = point(name, pose.point(o.vertices[vertex]), o.radius);
+    found.number_ = vertex;
+    double most = -1.0;  // sine of the angle by which the normal is outside of those of the vertex
+    for (int i : o.vertex_edges[vertex]) {
+      const ShapeFeatures::Edge& e = o.edges[i];
+      most = std::max(most, e.v0 == vertex ? e.direction.dot(m) : -e.direction.dot(m));
+    }
+    if (nearby || most < -kSameNormal) return nullptr;
+    return polytope ? "a vertex and an edge" : "the end and the side of a capsule";
+  }
+  const int first_edge = static_cast<int>(o.vertices.size()),
+            first_face = first_edge + static_cast<int>(o.edges.size());
+  int edge = -1;
+  double least = near;
+  for (int i = 0; i < static_cast<int>(o.edges.size()); ++i) {
+    const double along = (x - o.edges[i].start).dot(o.edges[i].direction);
+    if (along < 0.0 || along > o.edges[i].length) continue;
+    const double away = distance_from_line(o.edges[i], x);
+    if (away > least) continue;
+    least = away;
+    edge = i;
+  }
+  if (edge >= 0) {
+    const ShapeFeatures::Edge& e = o.edges[edge];
+    const Vec3 on = e.start + (x - e.start).dot(e.direction) * e.direction;
+    found = line(polytope ? "edge" : "side of a capsule", pose.point(on), pose.R * e.direction, o.radius);
+    found.number_ = first_edge + edge;
+    if (nearby) return nullptr;
+    if (std::abs(e.direction.dot(m)) > kSameNormal)
+      return polytope ? "a vertex and an edge" : "the end and the side of a capsule";
+    // Seen from outside with the edge upward, the left face lies on its left.
+    double most = -1.0;
+    if (e.left >= 0) most = std::max(most, o.faces[e.left].normal.cross(e.direction).dot(m));
+    if (e.right >= 0) most = std::max(most, e.direction.cross(o.faces[e.right].normal).dot(m));
+    return most < -kSameNormal ? nullptr : "an edge and a face";
+  }
+  int face = -1;
+  double facing = 0.0;
+  for (int f = 0; f < static_cast<int>(o.faces.size()); ++f) {
+    if (o.faces[f].normal.dot(m) <= facing) continue;
+    facing = o.faces[f].normal.dot(m);
+    face = f;
+  }
+  if (face < 0) return "a face and its border";
+  const ShapeFeatures::Face& f = o.faces[face];
+  const double above = f.normal.dot(x) - f.offset;
+  found = plane("face", pose.point(x - above * f.normal), pose.R * f.normal, o.radius);
+  found.number_ = first_face + face;
+  if (nearby) return nullptr;
+  return f.normal.cross(m).norm() <= kSameNormal && outside_of(o, f, x) < -kMeeting ? nullptr : "a face and its border";
+}
+
+const char* ContactSurface::find_on_cylinder(const ShapeFeatures& o, const Pose& pose, const Vec3& x, const Vec3& m,
+                                             bool nearby, ContactSurface& found) {
+  const double near = nearby ? kNearby : kMeeting;
+  const ShapeFeatures::Edge& axis = o.edges[0];
+  const int end = m.dot(o.rims[0].axis) >= 0.0 ? 0 : 1;
+  const ShapeFeatures::Rim& rim = o.rims[end];
+  const double depth = (rim.center - x).dot(rim.axis), across = distance_from_line(axis, x);
+  const double along = m.dot(rim.axis), sine = rim.axis.cross(m).norm();
+  if (nearby ? depth > near : along <= kSameNormal) {
+    const Vec3 on = axis.start + (x - axis.start).dot(axis.direction) * axis.direction;
+    found = line("side of a cylinder", pose.point(on), pose.R * axis.direction, axis.radius + o.radius);
+    found.number_ = 0;
+    return nearby || (depth > near && axis.length - depth > near) ? nullptr : "the side of a cylinder and a rim";
+  }
+  if (nearby ? across < rim.radius - near : sine <= kSameNormal) {
+    const Vec3 on = x + depth * rim.axis;
+    found = plane("end of a cylinder", pose.point(on), pose.R * rim.axis, o.radius);
+    found.number_ = 1 + end;
+    return nearby || across < rim.radius - near ? nullptr : "the end of a cylinder and its rim";
+  }
+  found = ContactSurface::rim(pose.point(rim.center), pose.R * rim.axis, rim.radius, pose.R * m, o.radius);
+  found.number_ = 3 + end;
+  return nearby || (std::abs(depth) <= near && std::abs(across - rim.radius) <= near)
+             ? nullptr
+             : "the rim of a cylinder and its end or side";
+}
+
+const char* ContactSurface::find(const Geometry& geometry, bool rounded, const Pose& pose, const Vec3& x,
+                                 const Vec3& outward, bool nearby, ContactSurface& found) {
+  const ShapeFeatures& features = shape_features_of(geometry, rounded);
+  const coal::CollisionGeometry& shape = rounded && geometry.rounded ? *geometry.rounded : *geometry.sharp;
+  if (shape.getNodeType() == coal::GEOM_ELLIPSOID) {
+    const Vec3 half = static_cast<const coal::Ellipsoid&>(shape).radii;
+    found = ellipsoid({pose.R * geometry.R_BG, pose.point(geometry.p_BG)}, half, outward, features.radius);
+    return nullptr;
+  }
+  if (features.is_unbounded()) {
+    found = plane("halfspace", x, pose.R * features.faces[0].normal, features.radius);
+    return nullptr;
+  }
+  const Vec3 x_B = pose.into(x), m = pose.R.transpose() * outward;
+  return features.rims.empty() ? find_on_polytope(features, pose, x_B, m, nearby, found)
+                               : find_on_cylinder(features, pose, x_B, m, nearby, found);
+}
+
+}  // namespace contactvi

@@ -1,0 +1,75 @@
+// How a contact changes with the configuration: the normal, the nearest points, and so the rows of the relative
+// velocity at the contact (contact.hpp). The change of the row n is the second derivative of the gap.
+//
+// With the unit normal n from a to b, the nearest points c_A, c_B of the two cores (contact_surface.hpp) and their
+// distance g, c_B - c_A = g n. Along a motion of the bodies each point moves with its body and slides on its core by s:
+//
+//   tangential part of (v_B(c_B) + s_B - v_A(c_A) - s_A) = g dn,   dn.n = 0
+//   s_A = R_A (dn - omega_A x n),   s_B = -R_B (dn - omega_B x n)
+//
+// where an infinite radius of curvature in R stands for: no turn of the normal in that direction, and a free slide.
+// That is one linear system for dn, s_A and s_B, whatever features meet. It is singular where the nearest points are
+// not unique.
+#pragma once
+
+#include <Eigen/LU>
+#include <string>
+
+#include "geometry/contact_surface.hpp"
+#include "geometry/manifold.hpp"
+#include "model/body_twists.hpp"
+
+namespace contactvi {
+
+class ContactTangent {
+ public:
+  explicit ContactTangent(const Scene& scene);
+
+  // Takes the contact of a guard at q. point: the contact point whose gap it is; null: the nearest points of the pair,
+  // or a joint limit. False where the nearest points are not unique, or lie where features meet; why() says it.
+  bool take(const VecCRef& q, int guard, const Contact& contact, const ContactPoint* point);
+  const char* why() const { return why_.c_str(); }
+  // The contact that was taken. Where coal's nearest points are iterated, they are here those of their features.
+  const Contact& contact() const { return contact_; }
+
+  // The derivative along dq, shape (nv,), of the rows n, t1, t2 (or n alone) as columns of dW, (nv, 1 or 3); zero for a
+  // joint limit. Tangent vectors are body-fixed on spherical joints, as dq and the rows are. t1 turns with n by the
+  // shortest turn; t2 = n x t1.
+  void change(const VecCRef& dq, const Vec3& t1, Eigen::Ref<MatX> dW);
+  // Derivatives of the normal and of the points of a and b along the last dq, world frame.
+  const Vec3& normal_change() const { return dn_; }
+  const Vec3& point_a_change() const { return dx_[0]; }
+  const Vec3& point_b_change() const { return dx_[1]; }
+
+ private:
+  using Vec6 = Eigen::Matrix<double, 6, 1>;
+
+  bool take_point(const ContactPoint& point);
+  bool take_witness(int guard);
+  // Finds both features and the nearest points on them. nearby: those of the contact are known to some digits only.
+  bool approach(const Pair& pair, const Pose (&pose)[2], bool nearby);
+  bool find(const Pair& pair, const Pose (&pose)[2], bool nearby, ContactSurface (&found)[2]);
+  bool polish();
+  bool set_system();
+  bool refuse(const std::string& why);
+  std::string names() const;
+  int body(int side) const { return side == 0 ? contact_.body_a : contact_.body_b; }
+  Vec3 outward(int side) const { return side == 0 ? contact_.normal : Vec3(-contact_.normal); }
+
+  const Scene* scene_;
+  BodyTwists twists_;
+  std::string why_;
+  Contact contact_{};
+  bool is_limit_ = false;
+  ContactSurface surface_[2];  // of a and of b
+  double scale_ = 1.0;         // a length of the pair [m]
+  // The system in (dn along the two tangents, s_A / scale, s_B / scale).
+  Vec3 tangent_[2];
+  Bend bend_[2];
+  double points_weight_ = 1.0;  // of the rows of the points' motion
+  double weight_[2][2];         // of the rows of the principal directions of a and of b
+  Eigen::FullPivLU<Eigen::Matrix<double, 6, 6>> system_;
+  Vec3 dn_{}, dx_[2];
+};
+
+}  // namespace contactvi

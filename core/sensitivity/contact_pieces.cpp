@@ -1,0 +1,139 @@
+#include "sensitivity/contact_pieces.hpp"
+
+#include <cmath>
+
+namespace contactvi {
+
+ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run)
+    : run_(&run),
+      tangent_(scene),
+      release_(scene, run.contact_points),
+      joint_anchors_(static_cast<Eigen::Index>(scene.tree.elements.friction_dofs.size()), 0) {}
+
+void ContactPieces::start(Eigen::Index count) {
+  anchors_.clear();
+  joint_anchors_.setZero(joint_anchors_.rows(), count);
+  size_q_.setZero(count);
+  size_p_.setZero(count);
+}
+
+void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
+  if (piece.contact == nullptr)
+    throw NoDerivative({"dense", -1, piece.t}, "There are dense steps in the run", "steps whose events are located",
+                       "a dense step", "Use contact_mode='events', or fewer contacts");
+  step_ = piece.contact;
+  inputs_ = &inputs;
+  const int guard = step_->contacts.empty() ? -1 : step_->contacts[0].before.point.guard;
+  if (run_->map != ImpactMap::kCtec)
+    throw NoDerivative({"map", guard, piece.t}, "An implicit impact map acts in a run with persistent contacts",
+                       "impact='ctec' where contacts persist", "another map", "Use impact='ctec'");
+  for (const ContactStepRecord::Contact& c : step_->contacts)
+    if (c.before.anchored && anchor_of(c.before.point) == nullptr)
+      throw NoDerivative({"start", c.before.point.guard, piece.t}, "The run starts with a contact that sticks already",
+                         "a run from a start of its own", "one that goes on from another", "Start with simulate()");
+  tangent_.take(*step_, inputs.tau(), inputs.servo());
+}
+
+void ContactPieces::solve_length(VecRef fq, VecRef fp) {
+  direction_ = ContactStepDirection();
+  direction_.h = 1.0;
+  tangent_.solve(direction_, fq, fp);
+}
+
+const ContactPieces::Anchor* ContactPieces::anchor_of(const ContactPoint& point) const {
+  for (const Anchor& a : anchors_)
+    if (a.guard == point.guard && a.kind == point.kind && a.feature == point.feature) return &a;
+  return nullptr;
+}
+
+void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
+  const bool ends_itself = step_->ending != ContactStepEnd::kLength;
+  const auto contacts = static_cast<Eigen::Index>(step_->contacts.size());
+  if (!d.parameters.empty())
+    throw NoDerivative({"parameter", -1, step_->t},
+                       "The derivative of a step with persistent contacts by the scene's parameters is not known",
+                       "q0, v0, control, restitution or friction", "a parameter of the scene",
+                       "End the run before the contact persists");
+  slip_.setZero(d.count);
+  size_q_ = size_q_.cwiseMax(columns.q.cwiseAbs().colwise().maxCoeff().transpose());
+  size_p_ = size_p_.cwiseMax(columns.p.cwiseAbs().colwise().maxCoeff().transpose());
+  for (Eigen::Index k = 0; k < d.count; ++k) {
+    direction_.q = columns.q.col(k);
+    direction_.p = columns.p.col(k);
+    direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    direction_.h = -columns.time[k] * (ends_itself ? 1.0 : step_->share);
+    direction_.joints = joint_anchors_.col(k);
+    direction_.size_q = size_q_[k];
+    direction_.size_p = size_p_[k];
+    direction_.mu = friction_change(d, k);
+    direction_.anchors.setZero(3, contacts);
+    for (Eigen::Index i = 0; i < contacts; ++i) {
+      const PersistentContact& before = step_->contacts[i].before;
+      if (before.anchored) direction_.anchors.col(i) = anchor_of(before.point)->change.col(k);
+    }
+    tangent_.solve(direction_, columns.q.col(k), columns.p.col(k));
+    slip_[k] = tangent_.slip_change();
+    if (!ends_itself) columns.time[k] += direction_.h;
+  }
+  if (ends_itself && step_->ending != ContactStepEnd::kImpact) end(d, columns);
+}
+
+// The changes of the coefficients of friction of the contacts of a step; empty where none changes.
+VecX ContactPieces::friction_change(const RunDirections& d, Eigen::Index column) const {
+  VecX dmu;
+  if (d.mu.size() == 0) return dmu;
+  dmu.resize(static_cast<Eigen::Index>(step_->contacts.size()));
+  for (std::size_t i = 0; i < step_->contacts.size(); ++i) {
+    const PersistentContact& before = step_->contacts[i].before;
+    dmu[i] = before.mu > 0.0 ? d.mu(before.point.guard, column) : 0.0;
+  }
+  return dmu;
+}
+
+// The end of a piece where a contact changes without an impact: a slip comes to rest, or a force to zero.
+void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
+  const bool releases = step_->ending == ContactStepEnd::kRelease;
+  VecX fq(columns.q.rows()), fp(columns.q.rows()), later(d.count);
+  solve_length(fq, fp);
+  double rate = tangent_.slip_change();
+  if (releases) {
+    release_.take(*step_, inputs_->tau(), inputs_->servo());
+    rate = release_.change(fq, fp, VecX(), VecX());
+  }
+  if (!(std::abs(rate) > 0.0))
+    throw NoDerivative({releases ? "release" : "stick", -1, step_->t + step_->h}, "The end of a contact is grazing",
+                       "a slip or a force that falls to zero", "one that stays", "Start elsewhere");
+  for (Eigen::Index k = 0; k < d.count; ++k) {
+    const VecX tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    const double change =
+        releases ? release_.change(columns.q.col(k), columns.p.col(k), tau, friction_change(d, k)) : slip_[k];
+    later[k] = -change / rate;
+  }
+  columns.move_on(later, fq, fp);
+}
+
+void ContactPieces::keep_anchors(const RunColumns& columns) {
+  const Eigen::Index count = columns.q.cols();
+  std::vector<Anchor> now;
+  for (std::size_t i = 0; i < step_->contacts.size(); ++i) {
+    const PersistentContact& before = step_->contacts[i].before;
+    const ContactOutcome& out = step_->contacts[i].outcome;
+    if (!before.point.material || out.slips) continue;
+    Anchor anchor{before.point.guard, before.point.kind, before.point.feature, MatX()};
+    if (before.anchored && !out.slipped) {
+      anchor.change = anchor_of(before.point)->change;
+    } else {
+      anchor.change.resize(3, count);
+      for (Eigen::Index k = 0; k < count; ++k)
+        anchor.change.col(k) = tangent_.place_change(static_cast<int>(i), columns.q.col(k));
+    }
+    now.push_back(std::move(anchor));
+  }
+  anchors_ = std::move(now);
+  for (std::size_t j = 0; j < step_->joints.size(); ++j) {
+    const ContactStepRecord::Joint& joint = step_->joints[j];
+    if (joint.sticks && !joint.anchored) joint_anchors_.row(static_cast<Eigen::Index>(j)) = columns.q.row(joint.dof);
+  }
+}
+
+}  // namespace contactvi

@@ -1,0 +1,51 @@
+// The pieces of a run with persistent contacts: its columns through them, with the places at which contacts stick,
+// which are part of the state there.
+#pragma once
+
+#include "sensitivity/contact_step_tangent.hpp"
+#include "sensitivity/piece_inputs.hpp"
+#include "sensitivity/release_force.hpp"
+#include "sensitivity/run_directions.hpp"
+
+namespace contactvi {
+
+class ContactPieces {
+ public:
+  ContactPieces(const Scene& scene, const RecordedRun& run);
+
+  // The start of a run along so many directions: nothing sticks.
+  void start(Eigen::Index count);
+  // Takes a piece with persistent contacts. Throws NoDerivative.
+  void take(const Piece& piece, const PieceInputs& inputs);
+  // Of the piece that was taken: the derivative of its end by its length, (nv,) each.
+  void solve_length(VecRef fq, VecRef fp);
+  // Moves the columns to its end, or, where it ends with an impact, to the time of that.
+  void move(const RunDirections& directions, RunColumns& columns);
+  // After all that happens at its end: what sticks from there on, as ContactStep::commit() has it.
+  void keep_anchors(const RunColumns& columns);
+
+ private:
+  struct Anchor {
+    int guard;
+    PointKind kind;
+    std::int64_t feature;
+    MatX change;  // of the place, in the frame of the plane, (3, count)
+  };
+
+  const Anchor* anchor_of(const ContactPoint& point) const;
+  void end(const RunDirections& directions, RunColumns& columns);
+  VecX friction_change(const RunDirections& directions, Eigen::Index column) const;
+
+  const RecordedRun* run_;
+  ContactStepTangent tangent_;
+  ReleaseForce release_;
+  const ContactStepRecord* step_ = nullptr;
+  const PieceInputs* inputs_ = nullptr;
+  ContactStepDirection direction_;
+  std::vector<Anchor> anchors_;
+  MatX joint_anchors_;    // of the joints with friction, (joints, count)
+  VecX size_q_, size_p_;  // largest changes of q and p on the way, per column
+  VecX slip_;             // change of the slip whose end ends the piece, per column [m/s]
+};
+
+}  // namespace contactvi

@@ -1,0 +1,465 @@
+#include "sensitivity/contact_step_tangent.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace contactvi {
+
+namespace {
+constexpr double kShared = 1e-7;  // of the effect of all impulses: what is shared has less
+constexpr double kOnCone = 1e-9;  // of the impulses and speeds: nearer to a change rounding decides what happens
+constexpr double kLaw = 1e-7;     // of the impulses and speeds: to which the step satisfies its laws
+}  // namespace
+
+ContactStepTangent::ContactStepTangent(const Scene& scene)
+    : scene_(&scene),
+      masses_(scene.tree, 1, 1e-12, 1),
+      step_(scene.tree, 1),
+      twists0_(scene.tree),
+      twists1_(scene.tree),
+      dv_(scene.tree.nv),
+      dp_start_(scene.tree.nv),
+      dp_minus_(scene.tree.nv),
+      work_(scene.tree.nv),
+      none_(VecX::Zero(scene.tree.nv)) {}
+
+void ContactStepTangent::refuse(const char* reason, int guard, const std::string& fact, const char* expected,
+                                const std::string& got, const char* remedy) const {
+  throw NoDerivative({reason, guard, record_->t}, fact, expected, got, remedy);
+}
+
+void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, const Servo* servo) {
+  record_ = &step;
+  margin_ = 1.0;
+  slip_change_ = 0.0;
+  rows_ = static_cast<int>(step.lambda.size());
+  if (step.constrained)
+    refuse("constraint", -1, "A step with bilateral constraints has no derivative that is known", "contacts alone",
+           "constraints", "Model the mechanism as a tree");
+  twists0_.place(step.q0);
+  twists1_.place(step.q1);
+  take_contacts();
+  step_.take(step.q0, step.p_start, step.h, tau, step.t, servo, step.v);
+  take_position_problem();
+  masses_.place_node(step.q1);
+  MinvW_ = step.W1;
+  masses_.solve_masses(MinvW_);
+  G_.noalias() = step.W1.transpose() * MinvW_;
+  w_minus_.noalias() = MinvW_.transpose() * step.p_minus;
+  velocity_.lambda = step.lambda_end;
+  velocity_.w.noalias() = step.W1.transpose() * step.v1;
+  velocity_.joints.clear();
+  velocity_.contacts.clear();
+  for (std::size_t k = 0; k < step.joints.size(); ++k) {
+    const ContactStepRecord::Joint& joint = step.joints[k];
+    velocity_.joints.push_back(joint.keeps || joint.slips ? Mode::kKept : Mode::kStick);
+  }
+  for (const ContactStepRecord::Contact& c : step.contacts) {
+    const ContactOutcome& out = c.outcome;
+    velocity_.contacts.push_back(!out.active || !(step.lambda_end[c.row] > 0.0) ? Mode::kOpen
+                                 : c.before.mu == 0.0                           ? Mode::kStick
+                                 : out.keeps                                    ? Mode::kKept
+                                 : out.slips                                    ? Mode::kSlip
+                                                                                : Mode::kStick);
+  }
+  check_laws();
+  set_laws(velocity_, G_);
+  check_shared(velocity_, MinvW_);
+  if (step.ending == ContactStepEnd::kStick) take_released_friction();
+}
+
+// The geometry of the contacts at both ends, and what they do in the step.
+void ContactStepTangent::take_contacts() {
+  const ContactStepRecord& s = *record_;
+  const std::size_t n = s.contacts.size();
+  while (start_.size() < n) {
+    start_.emplace_back(*scene_);
+    end_.emplace_back(*scene_);
+  }
+  position_.lambda = s.lambda;
+  position_.w.setZero(rows_);
+  dn0_.assign(n, Vec3::Zero());
+  dt1_.assign(n, Vec3::Zero());
+  position_.contacts.clear();
+  position_.joints.clear();
+  for (std::size_t k = 0; k < s.joints.size(); ++k) {
+    const double bound = 0.5 * s.h * s.joints[k].limit;
+    const bool at_bound = std::abs(s.lambda[k]) >= bound * (1.0 - kOnCone);
+    if (bound > 0.0 && !s.joints[k].slipped) margin_ = std::min(margin_, 1.0 - std::abs(s.lambda[k]) / bound);
+    position_.joints.push_back(at_bound ? Mode::kKept : Mode::kStick);
+  }
+  const double speed = s.v.cwiseAbs().maxCoeff();
+  double largest = 0.0;
+  for (const ContactStepRecord::Contact& c : s.contacts) largest = std::max(largest, s.lambda[c.row]);
+  for (std::size_t i = 0; i < n; ++i) {
+    const ContactStepRecord::Contact& c = s.contacts[i];
+    const int guard = c.before.point.guard;
+    if (!start_[i].take(s.q0, guard, c.start, &c.before.point) || !end_[i].take(s.q1, guard, c.end, &c.before.point)) {
+      const std::string why = *start_[i].why() != 0 ? start_[i].why() : end_[i].why();
+      refuse("witness", guard, "The gap of a persistent contact has no second derivative", "one pair of nearest points",
+             why, "Start elsewhere, or round the edges of the shapes");
+    }
+    const double normal = s.lambda[c.row];
+    if (!(normal > 0.0)) {
+      position_.contacts.push_back(Mode::kOpen);
+      continue;
+    }
+    if (c.before.mu == 0.0) {
+      position_.contacts.push_back(Mode::kStick);
+      continue;
+    }
+    const double limit = c.before.mu * normal, friction = s.lambda.segment<2>(c.row + 1).norm();
+    position_.contacts.push_back(c.outcome.slipped ? Mode::kSlip : Mode::kStick);
+    position_.w.segment<2>(c.row + 1) = c.outcome.slip;
+    margin_ =
+        std::min(margin_, c.outcome.slipped ? c.outcome.slip.norm() / (speed + 1e-300) : (limit - friction) / largest);
+  }
+  if (margin_ < kOnCone)
+    refuse("friction", -1, "A persistent contact changes between sticking and slipping",
+           "friction inside of its limit, or slip", "the limit of friction without slip", "Start elsewhere");
+}
+
+// The step must satisfy the laws that are differentiated, with the modes that were found.
+void ContactStepTangent::check_laws() {
+  const ContactStepRecord& s = *record_;
+  const double speed = 1.0 + s.v1.cwiseAbs().maxCoeff();
+  const double impulse = std::max(s.lambda.lpNorm<Eigen::Infinity>(), s.lambda_end.lpNorm<Eigen::Infinity>());
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const ContactStepRecord::Contact& c = s.contacts[i];
+    const double mu = c.before.mu;
+    double off_impulse = 0.0, off_speed = 0.0;
+    const Mode end = velocity_.contacts[i];
+    if (end != Mode::kOpen) off_speed = std::abs(velocity_.w[c.row]);
+    if (mu > 0.0 && position_.contacts[i] == Mode::kSlip)
+      off_impulse = (s.lambda.segment<2>(c.row + 1) + mu * s.lambda[c.row] * c.outcome.slip.normalized()).norm();
+    if (mu > 0.0 && (end == Mode::kKept || end == Mode::kSlip)) {
+      const Eigen::Vector2d along = slip_of(velocity_, i).normalized();
+      const Eigen::Vector2d off = s.lambda_end.segment<2>(c.row + 1) + mu * s.lambda_end[c.row] * along;
+      off_impulse = std::max(off_impulse, off.norm());
+    } else if (mu > 0.0 && end == Mode::kStick) {
+      off_speed = std::max(off_speed, velocity_.w.segment<2>(c.row + 1).norm());
+      const double inside = mu * s.lambda_end[c.row] - s.lambda_end.segment<2>(c.row + 1).norm();
+      margin_ = std::min(margin_, std::abs(inside) / impulse);
+    }
+    if (off_impulse > kLaw * impulse || off_speed > kLaw * speed)
+      refuse("contact", c.before.point.guard, "The impulses of a persistent contact do not satisfy one law of friction",
+             "a contact that is open, sticks or slips", "something in between", "Use a smaller dt");
+  }
+}
+
+// The effect of each position impulse, and the equations for their changes.
+void ContactStepTangent::take_position_problem() {
+  const ContactStepRecord& s = *record_;
+  const int n = scene_->tree.nv;
+  for (MatX* X : {&Q_, &P_, &V_}) X->resize(n, rows_);
+  Y_.resize(rows_, rows_);
+  dW0_.resize(n, rows_);
+  dW1_.resize(n, rows_);
+  set_start_rows(none_);
+  StepDirection unit;
+  const ContactStepDirection nothing;
+  VecX dq(n), dp(n), dy;
+  for (int r = 0; r < rows_; ++r) {
+    unit.p = s.W0.col(r);
+    if (!step_.solve(unit, dq, dp))
+      refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+             "Use a smaller dt");
+    step_.velocity_change(0, dv_);
+    Q_.col(r) = dq;
+    P_.col(r) = dp;
+    V_.col(r) = dv_;
+    set_end_rows(dq);
+    row_changes(none_, dq, dv_, nothing, dy);
+    Y_.col(r) = dy;
+  }
+  set_laws(position_, Y_);
+  check_shared(position_, P_);
+  check_shared(position_, V_);
+}
+
+// d(s / |s|) / ds.
+Eigen::Matrix2d ContactStepTangent::turn(const Eigen::Vector2d& s) const {
+  const Eigen::Vector2d d = s.normalized();
+  return (Eigen::Matrix2d::Identity() - d * d.transpose()) / s.norm();
+}
+
+// Velocity along the direction of x on the body of the contact's point, less that of x on the body of its plane.
+Vec3 ContactStepTangent::relative(const BodyTwists& twists, int contact, const Vec3& x) const {
+  const ContactPoint& p = record_->contacts[contact].before.point;
+  return twists.velocity(p.point_body, x) - twists.velocity(p.plane_body, x);
+}
+
+// The centre of the contact's point, world.
+Vec3 ContactStepTangent::place(const BodyTwists& twists, int contact) const {
+  const ContactPoint& p = record_->contacts[contact].before.point;
+  return pose_of(p.point_body, twists.placements()).point(p.center_B);
+}
+
+Vec3 ContactStepTangent::place_change(int contact, const VecX& dq1) {
+  const ContactPoint& p = record_->contacts[contact].before.point;
+  twists1_.move(dq1);
+  return pose_of(p.plane_body, twists1_.placements()).R.transpose() *
+         relative(twists1_, contact, place(twists1_, contact));
+}
+
+void ContactStepTangent::set_start_rows(const VecX& dq0) {
+  const ContactStepRecord& s = *record_;
+  dW0_.setZero();
+  twists0_.move(dq0);
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const ContactStepRecord::Contact& c = s.contacts[i];
+    const int r = c.row;
+    start_[i].change(dq0, c.t1_start, dW0_.middleCols(r, c.before.rows()));
+    dn0_[i] = start_[i].normal_change();
+    dt1_[i] = -dn0_[i].dot(c.t1_start) * c.start.normal;
+    if (c.before.mu == 0.0 || c.before.point.kind != PointKind::kVertex) continue;
+    const Vec3 t2 = c.start.normal.cross(c.t1_start);
+    const double about = t2.dot(twists0_.turn(c.before.point.plane_body).cross(c.t1_start));
+    dW0_.col(r + 1) += about * s.W0.col(r + 2);
+    dW0_.col(r + 2) -= about * s.W0.col(r + 1);
+  }
+}
+
+// After set_start_rows.
+void ContactStepTangent::set_end_rows(const VecX& dq1) {
+  const ContactStepRecord& s = *record_;
+  dW1_.setZero();
+  twists1_.move(dq1);
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const ContactStepRecord::Contact& c = s.contacts[i];
+    const int r = c.row;
+    end_[i].change(dq1, c.t1_end, dW1_.middleCols(r, c.before.rows()));
+    if (c.before.mu == 0.0) continue;
+    const Vec3 &n0 = c.start.normal, &n1 = c.end.normal, &t = c.t1_start, &dn0 = dn0_[i],
+               &dn1 = end_[i].normal_change();
+    Vec3 dt1;
+    if (c.before.point.kind == PointKind::kVertex) {
+      dt1 = twists1_.turn(c.before.point.plane_body).cross(c.t1_end);
+    } else {
+      // t1 = t - (t.n1) / (1 + n0.n1) (n0 + n1), the shortest turn.
+      const double length = 1.0 + n0.dot(n1), share = t.dot(n1) / length;
+      const double dshare = (dt1_[i].dot(n1) + t.dot(dn1) - share * (dn0.dot(n1) + n0.dot(dn1))) / length;
+      dt1 = dt1_[i] - dshare * (n0 + n1) - share * (dn0 + dn1);
+    }
+    const double about = n1.cross(c.t1_end).dot(dt1);
+    dW1_.col(r + 1) += about * s.W1.col(r + 2);
+    dW1_.col(r + 2) -= about * s.W1.col(r + 1);
+  }
+}
+
+// The changes of the velocities of the rows over the step, as ContactStep::set_row_velocities has them; after
+// set_end_rows, along dq1.
+void ContactStepTangent::row_changes(const VecX& dq0, const VecX& dq1, const VecX& dv, const ContactStepDirection& d,
+                                     VecX& dy) {
+  const ContactStepRecord& s = *record_;
+  dy.setZero(rows_);
+  const bool shorter = s.h < s.nominal;
+  const double part = shorter ? 1.0 - s.h / s.nominal : 0.0;
+  for (std::size_t k = 0; k < s.joints.size(); ++k) {
+    const ContactStepRecord::Joint& joint = s.joints[k];
+    if (joint.by_place) {
+      const double reference = !joint.anchored ? dq0[joint.dof] : d.joints.size() > 0 ? d.joints[k] : 0.0;
+      dy[k] = (dq1[joint.dof] - reference) / s.h;
+    } else {
+      dy[k] = dv[joint.dof];
+    }
+  }
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const ContactStepRecord::Contact& c = s.contacts[i];
+    const ContactPoint& point = c.before.point;
+    const int r = c.row;
+    const double dgap0 = s.W0.col(r).dot(dq0);
+    if (c.by_rate) {
+      dy[r] = 0.5 * ((dW0_.col(r) + dW1_.col(r)).dot(s.v) + (s.W0.col(r) + s.W1.col(r)).dot(dv)) + dgap0 / s.nominal;
+    } else {
+      const double value = (c.end.gap - part * c.start.gap) / s.h;
+      dy[r] =
+          (s.W1.col(r).dot(dq1) - part * dgap0 + (shorter ? d.h / s.nominal * c.start.gap : 0.0) - value * d.h) / s.h;
+    }
+    if (c.before.mu == 0.0) continue;
+    if (!point.material) {
+      for (int k = r + 1; k < r + 3; ++k)
+        dy[k] = 0.5 * ((dW0_.col(k) + dW1_.col(k)).dot(s.v) + (s.W0.col(k) + s.W1.col(k)).dot(dv));
+      continue;
+    }
+    const Vec3 moved = relative(twists1_, static_cast<int>(i), place(twists1_, static_cast<int>(i)));
+    const Vec3 t2 = c.end.normal.cross(c.t1_end);
+    const double sign = point.on_b ? 1.0 : -1.0;
+    Vec3 reference = Vec3::Zero();  // world at the end
+    const Mat3& R1 = pose_of(point.plane_body, twists1_.placements()).R;
+    if (!c.before.anchored) {
+      const Mat3& R0 = pose_of(point.plane_body, twists0_.placements()).R;
+      reference = R1 * (R0.transpose() * relative(twists0_, static_cast<int>(i), place(twists0_, static_cast<int>(i))));
+    } else if (d.anchors.size() > 0) {
+      reference = R1 * d.anchors.col(i);
+    }
+    const Vec3 change = sign * (moved - reference);
+    dy.segment<2>(r + 1) = (Eigen::Vector2d(change.dot(c.t1_end), change.dot(t2)) - d.h * c.outcome.slip) / s.h;
+  }
+}
+
+// Along which the friction of a contact acts.
+Eigen::Vector2d ContactStepTangent::slip_of(const Problem& problem, std::size_t i) const {
+  const ContactStepRecord::Contact& c = record_->contacts[i];
+  return problem.contacts[i] == Mode::kKept ? c.outcome.slip : Eigen::Vector2d(problem.w.segment<2>(c.row + 1));
+}
+
+// The equations for the changes of the impulses. rows: the effect of the impulses on the rows.
+void ContactStepTangent::set_laws(Problem& problem, const MatX& rows) {
+  const ContactStepRecord& s = *record_;
+  MatX A = rows;
+  for (std::size_t k = 0; k < s.joints.size(); ++k)
+    if (problem.joints[k] == Mode::kKept) A.row(k) = MatX::Identity(rows_, rows_).row(k);
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const ContactStepRecord::Contact& c = s.contacts[i];
+    const int r = c.row, count = c.before.rows();
+    const Mode mode = problem.contacts[i];
+    if (mode == Mode::kOpen) A.middleRows(r, count) = MatX::Identity(rows_, rows_).middleRows(r, count);
+    if (mode != Mode::kKept && mode != Mode::kSlip) continue;
+    const Eigen::Vector2d slip = slip_of(problem, i);
+    if (mode == Mode::kSlip) {
+      A.middleRows(r + 1, 2) = c.before.mu * problem.lambda[r] * turn(slip) * rows.middleRows(r + 1, 2);
+    } else {
+      A.middleRows(r + 1, 2).setZero();
+    }
+    A.block<2, 2>(r + 1, r + 1) += Eigen::Matrix2d::Identity();
+    A.block<2, 1>(r + 1, r) += c.before.mu * slip.normalized();
+  }
+  problem.system.compute(A);
+}
+
+// What the laws leave open must have no effect.
+void ContactStepTangent::check_shared(const Problem& problem, const MatX& effect) const {
+  const MatX& free = problem.system.free();
+  if (free.cols() == 0 || !((effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())) return;
+  const ContactStepRecord& s = *record_;
+  refuse("redundant", s.contacts.empty() ? -1 : s.contacts[0].before.point.guard,
+         "The motion depends on how contact points share their load", "a motion that the laws of contact determine",
+         "points that turn while they slip", "Use fewer points (contact_points=3), or let bodies slip without turning");
+}
+
+// What the laws demand along a direction: base is the change of the rows with the impulses as they are, dy that of the
+// slip over the step.
+VecX ContactStepTangent::law_change(const Problem& problem, const ContactStepDirection& d, const VecX& base,
+                                    const VecX& dy) const {
+  const ContactStepRecord& s = *record_;
+  VecX c = base;
+  for (std::size_t k = 0; k < s.joints.size(); ++k)
+    if (problem.joints[k] == Mode::kKept) c[k] = -problem.lambda[k] * d.h / s.h;
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const ContactStepRecord::Contact& contact = s.contacts[i];
+    const int r = contact.row;
+    const Mode mode = problem.contacts[i];
+    if (mode == Mode::kOpen) c.segment(r, contact.before.rows()).setZero();
+    if (mode != Mode::kKept && mode != Mode::kSlip) continue;
+    const Eigen::Vector2d slip = slip_of(problem, i);
+    const VecX& change = mode == Mode::kKept ? dy : base;
+    const double dmu = d.mu.size() > 0 ? d.mu[i] : 0.0;
+    c.segment<2>(r + 1) =
+        problem.lambda[r] * (dmu * slip.normalized() + contact.before.mu * turn(slip) * change.segment<2>(r + 1));
+  }
+  return c;
+}
+
+void ContactStepTangent::solve_laws(const Problem& problem, const VecX& c, const VecX& size, VecX& dlambda) const {
+  if (problem.system.solve(c, size, dlambda)) return;
+  refuse("redundant", -1, "Contact points that share their load contradict each other along a direction",
+         "a direction that keeps the points of a face closed together", "one that opens some of them",
+         "Start with the bodies apart, or in touch at one point");
+}
+
+// The velocity impulse if the friction of all contacts that slipped had gone on.
+void ContactStepTangent::take_released_friction() {
+  const ContactStepRecord& s = *record_;
+  frozen_.joints = velocity_.joints;
+  frozen_.contacts = velocity_.contacts;
+  const auto count = static_cast<int>(s.contacts.size());
+  const int guard = s.ended < count ? s.contacts[s.ended].before.point.guard : -1;
+  const bool known = s.ended < count ? s.contacts[s.ended].outcome.freed : s.joints[s.ended - count].freed;
+  bool plain = known;
+  for (std::size_t k = 0; k < s.joints.size(); ++k)
+    if (s.joints[k].slipped) frozen_.joints[k] = Mode::kKept;
+  for (int i = 0; i < count; ++i) {
+    if (frozen_.contacts[i] == Mode::kOpen) continue;
+    if (s.contacts[i].outcome.slipped) frozen_.contacts[i] = Mode::kKept;
+    plain &= frozen_.contacts[i] != Mode::kSlip;
+  }
+  if (!plain)
+    refuse("stick", guard, "A slip ends in a way whose time has no derivative that is known",
+           "one slip that comes to rest", "several at once, or one that turns", "Start elsewhere");
+  set_laws(frozen_, G_);
+  check_shared(frozen_, MinvW_);
+  VecX right = w_minus_;
+  for (std::size_t k = 0; k < s.joints.size(); ++k)
+    if (frozen_.joints[k] == Mode::kKept) right[k] = std::copysign(0.5 * s.h * s.joints[k].limit, -s.lambda[k]);
+  for (int i = 0; i < count; ++i) {
+    const ContactStepRecord::Contact& c = s.contacts[i];
+    if (frozen_.contacts[i] == Mode::kOpen) right.segment(c.row, c.before.rows()).setZero();
+    if (frozen_.contacts[i] == Mode::kKept) right.segment<2>(c.row + 1).setZero();
+  }
+  const VecX size = MinvW_.cwiseAbs().transpose() * s.p_minus.cwiseAbs();
+  if (!frozen_.system.solve(right, size, frozen_.lambda))
+    refuse("stick", guard, "A slip ends in a way whose time has no derivative that is known",
+           "one slip that comes to rest", "contacts that contradict each other", "Start elsewhere");
+  v_frozen_ = s.p_minus + s.W1 * frozen_.lambda;
+  masses_.solve_mass(v_frozen_);
+  frozen_.w.noalias() = s.W1.transpose() * v_frozen_;
+}
+
+// Of the velocity impulse and of the speeds of the rows at the end. v: the velocity there; dy: of the rows over the
+// step.
+void ContactStepTangent::end_change(const Problem& problem, const VecX& v, const ContactStepDirection& d,
+                                    const VecX& dy, const VecX& dq1, const VecX& dp_minus, const VecX& size,
+                                    VecX& dlambda, VecX& dw) {
+  step_.momentum(record_->q1, v, dq1, none_, work_);
+  const VecX base = dW1_.transpose() * v + MinvW_.transpose() * (dp_minus + dW1_ * problem.lambda - work_);
+  solve_laws(problem, law_change(problem, d, base, dy), size, dlambda);
+  dw = base + G_ * dlambda;
+}
+
+void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef dp1) {
+  const ContactStepRecord& s = *record_;
+  const VecX dq0 = d.q.size() > 0 ? d.q : none_;
+  set_start_rows(dq0);
+  StepDirection direction;
+  direction.q = dq0;
+  direction.p = dW0_ * s.lambda;
+  if (d.p.size() > 0) direction.p += d.p;
+  direction.h = d.h;
+  direction.tau = d.tau;
+  VecX q(scene_->tree.nv);
+  if (!step_.solve(direction, q, dp_minus_))
+    refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+           "Use a smaller dt");
+  step_.velocity_change(0, dv_);
+  set_end_rows(q);
+  row_changes(dq0, q, dv_, d, base_);
+  // The impulses of the contacts take away what is larger before.
+  const double size_q = std::max({d.size_q, dq0.cwiseAbs().maxCoeff(), q.cwiseAbs().maxCoeff()});
+  double size_p = std::max({d.size_p, direction.p.cwiseAbs().maxCoeff(), dp_minus_.cwiseAbs().maxCoeff()});
+  const auto sizes = [&]() -> VecX {
+    return (size_q / s.h * s.W1.cwiseAbs() + size_p * MinvW_.cwiseAbs()).colwise().sum();
+  };
+  solve_laws(position_, law_change(position_, d, base_, base_), sizes(), dlambda_);
+  size_p = std::max(size_p, (P_.cwiseAbs() * dlambda_.cwiseAbs()).maxCoeff());
+  q.noalias() += Q_ * dlambda_;
+  dp_minus_.noalias() += P_ * dlambda_;
+  dy_ = base_ + Y_ * dlambda_;
+  set_end_rows(q);
+  end_change(velocity_, s.v1, d, dy_, q, dp_minus_, sizes(), dlambda_end_, dw_);
+  dp1 = dp_minus_ + dW1_ * s.lambda_end + s.W1 * dlambda_end_;
+  dq1 = q;
+  if (s.ending != ContactStepEnd::kStick) return;
+  end_change(frozen_, v_frozen_, d, dy_, q, dp_minus_, sizes(), dlambda_end_, dw_);
+  const auto count = static_cast<int>(s.contacts.size());
+  if (s.ended >= count) {
+    slip_change_ = dw_[s.ended - count];
+    return;
+  }
+  const ContactStepRecord::Contact& contact = s.contacts[s.ended];
+  const int r = contact.row;
+  slip_change_ = contact.outcome.slip.normalized().dot(dw_.segment<2>(r + 1)) +
+                 (turn(contact.outcome.slip) * dy_.segment<2>(r + 1)).dot(frozen_.w.segment<2>(r + 1));
+}
+
+}  // namespace contactvi

@@ -1,0 +1,100 @@
+// The derivative of one step with persistent contacts, with the contacts that were loaded, stuck and slipped in it.
+//
+// The position impulse Lambda acts before the smooth step, whose derivative is T (StepTangent):
+//   dp_start = dp0 + dW0 Lambda + W0 dLambda,   (dq1, dp-) = T(dq0, dp_start, dh)
+// and dLambda follows from the rows of the contacts: the gap of a loaded one and the slip of one that sticks stay zero,
+// friction keeps to Coulomb's law d(Lambda_t + mu Lambda_n s / |s|) = 0, an open contact has no impulse. The velocity
+// impulse follows in the same way from w = W1^T M^-1 p1 at the end. Where several points share a load, the impulses are
+// those of least norm, and the derivative exists if the motion does not depend on how the load is shared.
+//
+// Friction and slip are compared in the frames of tangents (n, t1, t2) at both ends. Only how these frames turn against
+// each other matters: t1 at the start turns with its normal by the shortest turn, or with the plane that it is fixed
+// to, and t1 at the end follows from it as in the step.
+#pragma once
+
+#include "contact/contact_step_record.hpp"
+#include "geometry/contact_tangent.hpp"
+#include "sensitivity/recorded_run.hpp"
+#include "sensitivity/shared_load.hpp"
+#include "step/integrator.hpp"
+#include "step/step_tangent.hpp"
+
+namespace contactvi {
+
+// A direction in all that a contact step depends on; what is empty does not change.
+struct ContactStepDirection {
+  VecX q, p;  // of the start, (nv,)
+  double h = 0.0;
+  VecX tau;                           // public coordinates, (nv,)
+  VecX mu;                            // of the contacts
+  MatX anchors;                       // of the contacts that have one, in the frames of their planes, (3, contacts)
+  VecX joints;                        // anchors of the joints with friction
+  double size_q = 0.0, size_p = 0.0;  // largest change of q and p on the way: rounding is relative to it
+};
+
+class ContactStepTangent {
+ public:
+  explicit ContactStepTangent(const Scene& scene);
+
+  // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
+  void take(const ContactStepRecord& step, const VecX& tau, const Servo* servo);
+  // The derivative of (q1, p1), (nv,) each.
+  void solve(const ContactStepDirection& direction, VecRef dq1, VecRef dp1);
+  // Of the last direction: that of the slip whose end ended the step, if its friction had gone on [m/s].
+  double slip_change() const { return slip_change_; }
+  // The change of the place of a contact's material point in the frame of its plane, where q1 changes by dq1.
+  Vec3 place_change(int contact, const VecX& dq1);
+  // Distance from the nearest change of what is loaded, sticks or slips, relative to the impulses or the speeds.
+  double margin() const { return margin_; }
+
+ private:
+  enum class Mode { kOpen, kStick, kKept, kSlip };  // kKept: slips along a given direction
+  // Of the position impulse or of the velocity impulse: what the joints and contacts do, the impulses, the speeds of
+  // the rows, and the equations for the changes of the impulses.
+  struct Problem {
+    std::vector<Mode> joints, contacts;
+    VecX lambda, w;
+    SharedLoad system;
+  };
+
+  [[noreturn]] void refuse(const char* reason, int guard, const std::string& fact, const char* expected,
+                           const std::string& got, const char* remedy) const;
+  void take_contacts();
+  void take_position_problem();
+  void set_laws(Problem& problem, const MatX& rows);
+  void check_shared(const Problem& problem, const MatX& effect) const;
+  VecX law_change(const Problem& problem, const ContactStepDirection& d, const VecX& base, const VecX& dy) const;
+  void solve_laws(const Problem& problem, const VecX& c, const VecX& size, VecX& dlambda) const;
+  Eigen::Vector2d slip_of(const Problem& problem, std::size_t contact) const;
+  void take_released_friction();
+  void check_laws();
+  void set_start_rows(const VecX& dq0);
+  void set_end_rows(const VecX& dq1);
+  void row_changes(const VecX& dq0, const VecX& dq1, const VecX& dv, const ContactStepDirection& d, VecX& dy);
+  void end_change(const Problem& problem, const VecX& v, const ContactStepDirection& d, const VecX& dy, const VecX& dq1,
+                  const VecX& dp_minus, const VecX& size, VecX& dlambda, VecX& dw);
+  Vec3 relative(const BodyTwists& twists, int contact, const Vec3& x) const;
+  Vec3 place(const BodyTwists& twists, int contact) const;
+  Eigen::Matrix2d turn(const Eigen::Vector2d& s) const;
+
+  const Scene* scene_;
+  Integrator masses_;
+  StepTangent step_;
+  const ContactStepRecord* record_ = nullptr;
+  BodyTwists twists0_, twists1_;
+  std::vector<ContactTangent> start_, end_;
+  double margin_ = 1.0, slip_change_ = 0.0;
+  int rows_ = 0;
+  // Per unit of each position impulse: q1, p-, the stage's velocity, the rows.
+  MatX Q_, P_, V_, Y_;
+  MatX MinvW_, G_;
+  VecX w_minus_;
+  Problem position_, velocity_, frozen_;  // frozen_: the velocity impulse if the friction of the slips had gone on
+  VecX v_frozen_;                         // the velocity after that
+  // Along the present direction.
+  MatX dW0_, dW1_;
+  std::vector<Vec3> dn0_, dt1_;
+  VecX dv_, dp_start_, dp_minus_, dy_, base_, dlambda_, dlambda_end_, dw_, work_, none_;
+};
+
+}  // namespace contactvi

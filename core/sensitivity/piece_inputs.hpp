@@ -1,0 +1,45 @@
+// What acts in the pieces of a recorded run, and what of them has no derivative.
+#pragma once
+
+#include "sensitivity/recorded_run.hpp"
+#include "step/integrator.hpp"
+
+namespace contactvi {
+
+class PieceInputs {
+ public:
+  PieceInputs(const Tree& tree, const RecordedRun& run);
+  // Sets the inputs of the control step that a piece belongs to.
+  void set(const Piece& piece);
+  const VecX& tau() const { return tau_; }  // public coordinates, (nv,) or empty
+  const Servo* servo() const { return servo_.any ? &servo_ : nullptr; }
+
+ private:
+  const RecordedRun* run_;
+  Servo servo_;
+  VecX tau_;
+};
+
+// Whether a guard has a persistent contact in the piece.
+bool persists(const Piece& piece, int guard);
+// The number of the impact whose guard determines the time of the event at the end of a piece; guards that persist only
+// take part in its impacts. Throws NoDerivative where several guards were hit at one instant, unless take_branch.
+int event_impact(const RecordedRun& run, const Piece& piece, bool take_branch);
+// How far a closing speed is from zero, relative to the size of its terms. Throws NoDerivative where it is too small
+// for the time of the impact to have a derivative.
+double check_closing(const RecordedImpact& impact, double speed, double size);
+// Throws NoDerivative for an impact of an implicit map that did not act, or whose energy the motion does not conserve.
+void check_map(const Tree& tree, const RecordedRun& run, const RecordedImpact& impact);
+// Throws NoDerivative where a force that depends on time acts in a piece whose start or end moves.
+void check_forces_in_time(const Tree& tree, const RecordedRun& run, StepEquations& equations, const Piece& piece);
+// Throws NoDerivative for a piece of a kind whose transposed derivative is not known.
+void check_adjoint(const Piece& piece);
+
+// Whether a time is the end of a step.
+bool is_node(const RecordedRun& run, double time);
+// Whether a piece starts where an implicit map takes its reference anew: it does not follow an event of its step.
+bool starts_anew(const RecordedRun& run, std::size_t piece);
+
+constexpr double kSameTime = 1e-9;  // of the step: times that differ by less are one
+
+}  // namespace contactvi

@@ -1,0 +1,75 @@
+// A run as its derivative needs it: the smooth pieces and the impacts between them, in the order of time. Engine
+// coordinates.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "base/refusal.hpp"
+#include "contact/contact_step_record.hpp"
+#include "impact/impact_law.hpp"
+#include "model/scene.hpp"
+
+namespace contactvi {
+
+// Where a piece ends: at a time that is given (the end of a step), a given time after its start, or at an event.
+enum class PieceEnd { kTime, kLength, kEvent };
+
+// A solved step, or the part of one up to an event.
+struct Piece {
+  double t, h;      // start and length [s]
+  VecX q, p;        // start: (nq,), (nv,)
+  MatX velocities;  // at the stages, (nv, s)
+  long step;        // index of the control step that it belongs to
+  PieceEnd end;
+  int first_impact, impacts;                   // those at its end
+  bool persistent;                             // a step with persistent contacts
+  const ContactStepRecord* contact = nullptr;  // of such a step; null for dense steps
+};
+
+struct RecordedImpact {
+  int guard;
+  double time, restitution, friction;
+  double after;  // the rest of the step [s]
+  int points;
+  ImpactMap map;
+  Fallback fallback;
+  double impulse;
+  VecX q, p_minus, p_plus;
+};
+
+struct RecordedRun {
+  double t0, dt;  // [s]
+  int stages;
+  double tol;  // of the stage equations
+  ImpactMap map;
+  MhcReference mhc_reference;
+  int contact_points;
+  std::vector<Piece> pieces;
+  std::vector<RecordedImpact> impacts;
+  MatX tau;     // (steps, nv), public coordinates, or empty
+  MatX target;  // (steps, 2 nv) of the servos, or empty
+  VecX q_end, p_end;
+};
+
+// Engine velocities at the stages of a step of length h [s] from the rates of its chart, both (nv, s).
+MatX stage_velocities(const Tree& tree, const MatX& rates, double h);
+
+// Where a run has no derivative: a word for the reason (contactvi.errors.NotDifferentiable), the guard (-1: of none)
+// and the time [s].
+struct Obstacle {
+  const char* reason;
+  int guard;
+  double time;
+};
+
+// Why a run has no derivative, or none that is known.
+class NoDerivative : public Refusal {
+ public:
+  NoDerivative(const Obstacle& at, const std::string& fact, std::string expected_text, std::string got_text,
+               std::string remedy_text)
+      : Refusal(fact, std::move(expected_text), std::move(got_text), std::move(remedy_text)), where(at) {}
+  const Obstacle where;
+};
+
+}  // namespace contactvi

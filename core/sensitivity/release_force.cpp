@@ -1,0 +1,136 @@
+#include "sensitivity/release_force.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "step/energy.hpp"
+
+namespace contactvi {
+
+namespace {
+// Of the configuration [m; rad] and of the speeds: with it the differences of fourth order are wrong by 1e-12, and so
+// is their rounding.
+constexpr double kStep = 1e-3;
+constexpr double kStill = 1e-11;  // of the speeds: a joint that sticks
+constexpr double kZero =
+    1e-5;  // of the terms of the forces: that of the contact that is released, as the run located it
+constexpr double kUnique = 1e-9;  // of a force: what the laws leave open
+}  // namespace
+
+ReleaseForce::ReleaseForce(const Scene& scene, int contact_points)
+    : scene_(&scene),
+      masses_(scene.tree, 1, 1e-12, 1),
+      guards_(scene, contact_points),
+      tangent_(scene),
+      v_(scene.tree.nv),
+      a_(scene.tree.nv) {}
+
+void ReleaseForce::refuse(const std::string& got) const {
+  throw NoDerivative({"release", record_->contacts[record_->ended].before.point.guard, record_->t + record_->h},
+                     "The time of the release of a contact has no derivative that is known",
+                     "a force that falls to zero beside contacts that stay loaded", got, "Start elsewhere");
+}
+
+void ReleaseForce::take(const ContactStepRecord& step, const VecX& tau, const Servo* servo) {
+  record_ = &step;
+  tau_ = &tau;
+  masses_.set_time(step.t + step.h);
+  masses_.set_servo(servo);
+  mu_.resize(static_cast<Eigen::Index>(step.contacts.size()));
+  for (std::size_t i = 0; i < step.contacts.size(); ++i) mu_[i] = step.contacts[i].before.mu;
+  const double released = force(step.q1, step.p1, tau, mu_);
+  const double largest = size_;
+  if (!(std::abs(released) <= kZero * largest)) refuse("a force of " + std::to_string(released) + " N");
+  for (std::size_t i = 0; i < step.contacts.size(); ++i)
+    if (static_cast<int>(i) != step.ended && !(forces_[step.contacts[i].row] > kZero * largest))
+      refuse("another contact without load");
+}
+
+// The normal force of the contact that is released.
+double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu) {
+  const ContactStepRecord& s = *record_;
+  const auto rows = static_cast<int>(s.lambda.size());
+  if (!masses_.node_velocity(q, p, v_)) throw Error("the mass matrix is not positive definite");
+  forward_dynamics(masses_, q, v_, tau, a_);
+  guards_.place(q);
+  W_.setZero(scene_->tree.nv, rows);
+  dW_.setZero(scene_->tree.nv, rows);
+  for (std::size_t k = 0; k < s.joints.size(); ++k) W_(s.joints[k].dof, k) = 1.0;
+  std::vector<Vec3> t1(s.contacts.size(), Vec3::Zero());
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const ContactPoint& point = s.contacts[i].before.point;
+    const int count = s.contacts[i].before.rows();
+    Contact contact;
+    if (point.kind == PointKind::kWitness || point.kind == PointKind::kLimit) {
+      guards_.evaluate_witness(point.guard, contact);
+    } else {
+      guards_.manifolds().evaluate(point, guards_.placements(), contact);
+    }
+    if (count > 1) t1[i] = carried_tangent(s.contacts[i].t1_end, s.contacts[i].end.normal, contact.normal);
+    guards_.rows(point.guard, contact, t1[i], W_.middleCols(s.contacts[i].row, count));
+    if (!tangent_.take(q, point.guard, contact, &point)) refuse(tangent_.why());
+    tangent_.change(v_, t1[i], dW_.middleCols(s.contacts[i].row, count));
+  }
+  MatX MinvW = W_;
+  masses_.solve_masses(MinvW);
+  VecX c = W_.transpose() * a_ + dW_.transpose() * v_;
+  MatX A = W_.transpose() * MinvW;
+  size_ = 0.0;
+  for (const ContactStepRecord::Contact& contact : s.contacts) {
+    const int r = contact.row;
+    const double terms = W_.col(r).cwiseAbs().dot(a_.cwiseAbs()) + dW_.col(r).cwiseAbs().dot(v_.cwiseAbs());
+    size_ = std::max(size_, terms / A(r, r));
+  }
+  const double still = kStill * (1.0 + s.v1.cwiseAbs().maxCoeff());
+  for (std::size_t k = 0; k < s.joints.size(); ++k) {
+    const double speed = s.v1[s.joints[k].dof];
+    if (std::abs(speed) <= still) continue;
+    A.row(k).setZero();
+    A(k, k) = 1.0;
+    c[k] = std::copysign(s.joints[k].limit, speed);
+  }
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const int r = s.contacts[i].row;
+    if (s.contacts[i].before.rows() == 1 || !s.contacts[i].outcome.slips) continue;
+    const Eigen::Vector2d w = W_.middleCols(r + 1, 2).transpose() * v_;
+    A.middleRows(r + 1, 2).setZero();
+    A.block<2, 2>(r + 1, r + 1).setIdentity();
+    A.block<2, 1>(r + 1, r) = mu[i] * w.normalized();
+    c.segment<2>(r + 1).setZero();
+  }
+  system_.compute(A);
+  const int row = s.contacts[s.ended].row;
+  const VecX size = c.cwiseAbs() + A.cwiseAbs().rowwise().sum();
+  if (!system_.solve(c, size, forces_)) refuse("contacts that contradict each other");
+  if (system_.free().cols() > 0 && system_.free().row(row).norm() > kUnique) refuse("points that share their load");
+  return forces_[row];
+}
+
+double ReleaseForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu) {
+  const ContactStepRecord& s = *record_;
+  const int n = scene_->tree.nv;
+  if (!masses_.node_velocity(s.q1, s.p1, v_)) throw Error("the mass matrix is not positive definite");
+  VecX dv = dp;
+  masses_.solve_mass(dv);
+  const double speed = 1.0 + v_.cwiseAbs().maxCoeff(),
+               input = 1.0 + (tau_->size() > 0 ? tau_->cwiseAbs().maxCoeff() : 0.0);
+  double size = std::max(dq.cwiseAbs().maxCoeff(), dv.cwiseAbs().maxCoeff() / speed);
+  if (dtau.size() > 0) size = std::max(size, dtau.cwiseAbs().maxCoeff() / input);
+  if (dmu.size() > 0) size = std::max(size, dmu.cwiseAbs().maxCoeff());
+  if (size == 0.0) return 0.0;
+  const double step = kStep / size;
+  VecX q(scene_->tree.nq);
+  double total = 0.0;
+  for (const auto& [count, weight] :
+       {std::pair(-2.0, 1.0), std::pair(-1.0, -8.0), std::pair(1.0, 8.0), std::pair(2.0, -1.0)}) {
+    const double by = count * step;
+    integrate(scene_->tree, s.q1, dq, by, q);
+    VecX tau = *tau_;
+    if (dtau.size() > 0) tau = (tau.size() > 0 ? tau : VecX(VecX::Zero(n))) + by * dtau;
+    const VecX mu = dmu.size() > 0 ? VecX(mu_ + by * dmu) : mu_;
+    total += weight * force(q, s.p1 + by * dp, tau, mu);
+  }
+  return total / (12.0 * step);
+}
+
+}  // namespace contactvi

@@ -1,0 +1,45 @@
+// The continuous normal force of a contact that is released at the end of a contact step, as a function of the state
+// there; its zero is the time of the release.
+//
+// With the contacts that were loaded, and stuck or slipped: G f + W^T a + dW^T v = 0 in the rows of the normals and of
+// what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts and dW the change of the rows
+// along v (ContactTangent). Its derivative would need the third derivative of the gap: it is taken by fourth-order
+// differences, which are right to 1e-10.
+#pragma once
+
+#include "geometry/contact_tangent.hpp"
+#include "geometry/guard.hpp"
+#include "sensitivity/recorded_run.hpp"
+#include "sensitivity/shared_load.hpp"
+#include "step/integrator.hpp"
+
+namespace contactvi {
+
+class ReleaseForce {
+ public:
+  ReleaseForce(const Scene& scene, int contact_points);
+
+  // Takes a step that ends with a release; it and its inputs are to stay alive. Throws NoDerivative.
+  void take(const ContactStepRecord& step, const VecX& tau, const Servo* servo);
+  // The derivative of the force [N] along a change of (q1, p1), of the inputs and of the coefficients of friction of
+  // the contacts, which may be empty.
+  double change(const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu);
+
+ private:
+  double force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu);
+  void refuse(const std::string& got) const;
+
+  const Scene* scene_;
+  Integrator masses_;
+  Guards guards_;
+  ContactTangent tangent_;
+  const ContactStepRecord* record_ = nullptr;
+  const VecX* tau_ = nullptr;
+  VecX mu_, forces_;  // forces_: those of the last evaluation
+  MatX W_, dW_;
+  VecX v_, a_;
+  SharedLoad system_;
+  double size_ = 0.0;  // of the terms of the forces at the last evaluation [N]
+};
+
+}  // namespace contactvi

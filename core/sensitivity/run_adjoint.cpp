@@ -1,0 +1,234 @@
+#include "sensitivity/run_adjoint.hpp"
+
+#include <cmath>
+
+#include "model/coordinates.hpp"
+#include "step/energy.hpp"
+
+namespace contactvi {
+
+RunAdjoint::RunAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
+    : scene_(&scene),
+      run_(&run),
+      take_branch_(take_branch),
+      integrator_(scene.tree, run.stages, run.tol, 200),
+      tangent_(scene.tree, run.stages),
+      adjoint_(scene.tree, run.stages),
+      inputs_(scene.tree, run),
+      impact_(scene, run),
+      lq0_(scene.tree.nv),
+      lp0_(scene.tree.nv),
+      ltau_(scene.tree.nv) {
+  if (run.pieces.empty()) throw Error("a run without steps has no derivative");
+}
+
+// Adds the gradient in the state at a node.
+void RunAdjoint::add_node(const RunCost& cost, std::size_t node, const VecX& q, const VecX& p, RunGradient& result) {
+  const Eigen::Index row = static_cast<Eigen::Index>(node);
+  VecX lq = cost.q.row(row).transpose(), lv = cost.v.row(row).transpose();
+  if (lq.isZero(0) && lv.isZero(0)) return;
+  VecX v(scene_->tree.nv);
+  if (!integrator_.node_velocity(q, p, v)) throw Error("the mass matrix is not positive definite");
+  VecX w = v;
+  engine_to_public(scene_->tree, q, w);
+  to_engine_gradient(scene_->tree, adjoint_, integrator_, {StateKind::kVelocity, q, w, v, p}, lq, lv,
+                     result.parameters);
+  lq_ += lq;
+  lp_ += lv;
+}
+
+// The transpose of the step that adjoint_ has taken.
+void RunAdjoint::step_back(long step, RunGradient& result) {
+  const bool servos = inputs_.servo() != nullptr;
+  if (servos) {
+    result.parameters.q_ref.setZero();
+    result.parameters.v_ref.setZero();
+  }
+  if (!adjoint_.solve(lq_, lp_, lq0_, lp0_, lh_, ltau_))
+    throw NoDerivative({"step", -1, run_->t0 + static_cast<double>(step) * run_->dt},
+                       "The derivative of a step was not solved", "adjoint equations with a solution", "none",
+                       "Use a smaller dt");
+  adjoint_.add_parameters(result.parameters);
+  lq_ = lq0_;
+  lp_ = lp0_;
+  result.tau.row(step) += ltau_.transpose();
+  if (!servos) return;
+  result.q_ref.row(step) += result.parameters.q_ref.transpose();
+  result.v_ref.row(step) += result.parameters.v_ref.transpose();
+}
+
+// The rest of no length of a step whose event lies at its end.
+void RunAdjoint::leave_node(const VecX& q, const VecX& p, double time) {
+  VecX v(scene_->tree.nv);
+  if (!integrator_.node_velocity(q, p, v)) throw Error("the mass matrix is not positive definite");
+  tangent_.take(q, p, 0.0, inputs_.tau(), time, inputs_.servo(), v.replicate(1, run_->stages));
+  StepDirection direction;
+  direction.h = 1.0;
+  VecX fq(scene_->tree.nv), fp(scene_->tree.nv);
+  if (!tangent_.solve(direction, fq, fp)) throw Error("the derivative of a step was not solved");
+  ltime_ = -(lq_.dot(fq) + lp_.dot(fp));
+}
+
+// The columns of the impact that was taken.
+void RunAdjoint::set_impact_matrix() {
+  const int n = scene_->tree.nv;
+  ImpactDirection direction;
+  direction.q = direction.p = VecX::Zero(n);
+  VecX column(n + 1);
+  const auto apply = [&] {
+    double loss = 0.0;
+    impact_.apply(direction, column.head(n), loss);
+    column[n] = loss;
+    return column;
+  };
+  const auto number = [&](double& entry) {
+    entry = 1.0;
+    const VecX found = apply();
+    entry = 0.0;
+    return found;
+  };
+  matrix_.q.resize(n + 1, n);
+  matrix_.p.resize(n + 1, n);
+  for (int k = 0; k < n; ++k) {
+    matrix_.q.col(k) = number(direction.q[k]);
+    matrix_.p.col(k) = number(direction.p[k]);
+  }
+  matrix_.e = number(direction.e);
+  matrix_.mu = number(direction.mu);
+  matrix_.reference = number(direction.reference);
+  matrix_.rest = number(direction.rest);
+}
+
+void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) {
+  check_map(scene_->tree, *run_, impact);
+  impact_.take(impact, inputs_.tau(), inputs_.servo());
+  set_impact_matrix();
+  const int n = scene_->tree.nv;
+  VecX l(n + 1);
+  l << lp_, -lreference_;
+  impact_.add_parameters(lp_, adjoint_, result.parameters);
+  lq_ += matrix_.q.transpose() * l;
+  lp_ = matrix_.p.transpose() * l;
+  if (impact.restitution > 0.0) result.e[impact.guard] += matrix_.e.dot(l);
+  result.mu[impact.guard] += matrix_.mu.dot(l);
+  ltime_ -= matrix_.rest.dot(l);
+  lreference_ += matrix_.reference.dot(l);
+}
+
+// The impacts at the end of a piece, and its time.
+void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradient& result) {
+  check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+  const RecordedImpact& hit = run_->impacts[event_impact(*run_, piece, take_branch_)];
+  for (int i = piece.impacts; i-- > 0;) pass_impact(run_->impacts[piece.first_impact + i], result);
+  impact_.take(hit, inputs_.tau(), inputs_.servo());
+  if (run_->map == ImpactMap::kDtec) {
+    lenergy_ = lreference_;
+    lreference_ = 0.0;
+  }
+  tangent_.take(piece.q, piece.p, piece.h, inputs_.tau(), piece.t, inputs_.servo(), piece.velocities);
+  StepDirection direction;
+  direction.h = 1.0;
+  VecX fq(scene_->tree.nv), fp(scene_->tree.nv);
+  if (!tangent_.solve(direction, fq, fp)) throw Error("the derivative of a step was not solved");
+  double by_time = lq_.dot(fq) + lp_.dot(fp) + ltime_ + time_gradient;
+  if (lenergy_ != 0.0) by_time += lenergy_ * tangent_.energy_change();
+  const VecX& W = impact_.gradient();
+  const double rate = W.dot(fq);
+  check_closing(hit, rate, W.cwiseAbs().dot(fq.cwiseAbs()));
+  lq_ -= W * (by_time / rate);
+  ltime_ = 0.0;
+}
+
+// dE = v . dp + dH/dq . dq, with the gradient lreference_ in E.
+void RunAdjoint::add_energy_gradient(const VecX& q, const VecX& p) {
+  VecX v(scene_->tree.nv), force(scene_->tree.nv);
+  if (!integrator_.node_velocity(q, p, v)) throw Error("the mass matrix is not positive definite");
+  energy_gradient(integrator_, q, v, force);
+  lq_ += lreference_ * force;
+  lp_ += lreference_ * v;
+  lreference_ = 0.0;
+}
+
+void RunAdjoint::pass_piece(const Piece& piece, RunGradient& result) {
+  adjoint_.take(piece.q, piece.p, piece.h, inputs_.tau(), piece.t, inputs_.servo(), piece.velocities);
+  step_back(piece.step, result);
+  if (lenergy_ != 0.0) {
+    // The energy of the piece that DTEC starts from.
+    const int n = scene_->tree.nv;
+    StepDirection direction;
+    VecX dq(n), dp(n);
+    const auto energy = [&] {
+      if (!tangent_.solve(direction, dq, dp)) throw Error("the derivative of a step was not solved");
+      return lenergy_ * tangent_.energy_change();
+    };
+    direction.h = 1.0;
+    lh_ += energy();
+    direction.h = 0.0;
+    direction.q = direction.p = VecX::Zero(n);
+    for (int k = 0; k < n; ++k) {
+      direction.q[k] = 1.0;
+      lq_[k] += energy();
+      direction.q[k] = 0.0;
+      direction.p[k] = 1.0;
+      lp_[k] += energy();
+      direction.p[k] = 0.0;
+    }
+    lenergy_ = 0.0;
+  }
+  if (piece.end != PieceEnd::kLength) ltime_ = -lh_;
+}
+
+RunGradient RunAdjoint::solve(const RunCost& cost, long steps) {
+  const int n = scene_->tree.nv;
+  const VecX none = VecX::Zero(n);
+  RunGradient result{none,
+                     none,
+                     MatX::Zero(steps, n),
+                     MatX::Zero(steps, n),
+                     MatX::Zero(steps, n),
+                     VecX::Zero(scene_->guard_count()),
+                     VecX::Zero(scene_->guard_count()),
+                     StepParameters(scene_->tree)};
+  lq_ = lp_ = none;
+  ltime_ = lreference_ = lenergy_ = 0.0;
+  const std::vector<Piece>& pieces = run_->pieces;
+  const double same = kSameTime * run_->dt;
+  std::size_t node = cost.times.size();
+  Eigen::Index event = 0;
+  for (const Piece& piece : pieces) event += piece.end == PieceEnd::kEvent;
+  for (std::size_t i = pieces.size(); i-- > 0;) {
+    const Piece& piece = pieces[i];
+    const bool last = i + 1 == pieces.size();
+    const double end = piece.t + piece.h;
+    const VecX &q1 = last ? run_->q_end : pieces[i + 1].q, &p1 = last ? run_->p_end : pieces[i + 1].p;
+    for (; node > 0 && cost.times[node - 1] >= end - same; --node) add_node(cost, node - 1, q1, p1, result);
+    check_adjoint(piece);
+    inputs_.set(piece);
+    if (piece.end == PieceEnd::kTime) ltime_ = 0.0;
+    if (piece.end == PieceEnd::kEvent) {
+      if (last ? is_node(*run_, end) : pieces[i + 1].step > piece.step) leave_node(q1, p1, end);
+      --event;
+      pass_event(piece, cost.events.size() > event ? cost.events[event] : 0.0, result);
+    }
+    if (i > 0 && pieces[i - 1].end != PieceEnd::kTime) {
+      check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+    }
+    pass_piece(piece, result);
+    const bool by_step = run_->map == ImpactMap::kMhc && run_->mhc_reference == MhcReference::kStep;
+    if (by_step && lreference_ != 0.0 && starts_anew(*run_, i)) add_energy_gradient(piece.q, piece.p);
+  }
+  const Piece& first = pieces[0];
+  if (lreference_ != 0.0) add_energy_gradient(first.q, first.p);
+  for (; node > 0; --node) add_node(cost, node - 1, first.q, first.p, result);
+  VecX v(n);
+  if (!integrator_.node_velocity(first.q, first.p, v)) throw Error("the mass matrix is not positive definite");
+  VecX w = v;
+  engine_to_public(scene_->tree, first.q, w);
+  to_public_gradient(scene_->tree, adjoint_, {StateKind::kVelocity, first.q, w, v, first.p}, lq_, lp_,
+                     result.parameters);
+  result.q = lq_;
+  result.v = lp_;
+  return result;
+}
+
+}  // namespace contactvi

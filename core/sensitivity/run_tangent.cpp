@@ -1,0 +1,291 @@
+#include "sensitivity/run_tangent.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "model/coordinates.hpp"
+#include "step/energy.hpp"
+
+namespace contactvi {
+
+RunTangent::RunTangent(const Scene& scene, const RecordedRun& run, bool take_branch)
+    : scene_(&scene),
+      run_(&run),
+      take_branch_(take_branch),
+      integrator_(scene.tree, run.stages, run.tol, 200),
+      tangent_(scene.tree, run.stages),
+      inputs_(scene.tree, run),
+      impact_(scene, run),
+      dq_(scene.tree.nv),
+      dp_(scene.tree.nv),
+      fq_(scene.tree.nv),
+      fp_(scene.tree.nv),
+      contact_(scene, run) {
+  if (run.pieces.empty()) throw Error("a run without steps has no derivative");
+}
+
+void RunTangent::start(const RunDirections& d) {
+  const int n = scene_->tree.nv;
+  const Piece& first = run_->pieces[0];
+  columns_.q.setZero(n, d.count);
+  columns_.p.setZero(n, d.count);
+  VecX v(n), w(n), dq(n), dv(n);
+  if (!integrator_.node_velocity(first.q, first.p, v)) throw Error("the mass matrix is not positive definite");
+  w = v;
+  engine_to_public(scene_->tree, first.q, w);
+  for (Eigen::Index k = 0; k < d.count; ++k) {
+    dq.setZero();
+    dv.setZero();
+    if (d.q.size() > 0) dq = d.q.col(k);
+    if (d.v.size() > 0) dv = d.v.col(k);
+    to_engine_direction(scene_->tree, tangent_, {StateKind::kVelocity, first.q, w, v, first.p}, dq, dv);
+    if (d.parameter(k) != nullptr) tangent_.add_momentum(first.q, v, *d.parameter(k), dv);
+    columns_.q.col(k) = dq;
+    columns_.p.col(k) = dv;
+  }
+  columns_.time.setZero(d.count);
+  contact_.start(d.count);
+  reference_.setZero(d.count);
+  piece_energy_.setZero(d.count);
+  reference_step_ = -1;
+  if (run_->map != ImpactMap::kMhc || run_->mhc_reference != MhcReference::kRun) return;
+  VecX force(n);
+  energy_gradient(integrator_, first.q, v, force);
+  reference_ = columns_.p.transpose() * v + columns_.q.transpose() * force;
+}
+
+// A step with its inputs.
+void RunTangent::take_piece(const Piece& piece) {
+  inputs_.set(piece);
+  if (piece.persistent) {
+    contact_.take(piece, inputs_);
+    return;
+  }
+  tangent_.take(piece.q, piece.p, piece.h, inputs_.tau(), piece.t, inputs_.servo(), piece.velocities);
+}
+
+// The derivative of the end of the piece that was taken by its length.
+void RunTangent::solve_length(const Piece& piece) {
+  if (piece.persistent) {
+    contact_.solve_length(fq_, fp_);
+    return;
+  }
+  direction_ = StepDirection();
+  direction_.h = 1.0;
+  if (!tangent_.solve(direction_, fq_, fp_)) throw Error("the derivative of a step was not solved");
+}
+
+// Contacts begin with impacts, or are there at the start of the run.
+void RunTangent::check_beginnings(const Piece& piece, const Piece& next) const {
+  if (next.contact == nullptr) return;
+  for (const ContactStepRecord::Contact& c : next.contact->contacts) {
+    const int guard = c.before.point.guard;
+    bool known = persists(piece, guard);
+    for (int i = 0; i < piece.impacts; ++i) known |= run_->impacts[piece.first_impact + i].guard == guard;
+    if (known) continue;
+    throw NoDerivative({"grazing", guard, next.t}, "A persistent contact begins without an impact", "a closing speed",
+                       "a gap that closes at no speed", "Start elsewhere");
+  }
+}
+
+// An event at a node, beside a contact step: what would follow is a contact step of no length.
+void RunTangent::check_node(const Piece& piece, const Piece* next) const {
+  if (!piece.persistent && (next == nullptr || !next->persistent)) return;
+  throw NoDerivative({"node", -1, piece.t + piece.h}, "An event beside a persistent contact is at the end of a step",
+                     "events inside of steps", "one at the end", "Use another dt");
+}
+
+// The part of a step up to a time inside of it.
+void RunTangent::take_part(const Piece& piece, double length) {
+  if (piece.persistent)
+    throw NoDerivative({"inside", -1, piece.t}, "The state inside of a step with persistent contacts is interpolated",
+                       "times of nodes", "a time between them", "Ask at the nodes of the run");
+  integrator_.set_time(piece.t);
+  integrator_.set_servo(inputs_.servo());
+  integrator_.forget();
+  if (!integrator_.solve_closely(piece.q, piece.p, length, inputs_.tau()) &&
+      !integrator_.solve(piece.q, piece.p, length, inputs_.tau()))
+    throw Error("a part of a recorded step was not solved");
+  tangent_.take(piece.q, piece.p, length, inputs_.tau(), piece.t, inputs_.servo(), integrator_.velocities());
+}
+
+// Moves the columns to the end of the piece that was taken, at the time that it ends at or, where it has a given
+// length, so long after its start. Fills the derivative by its length.
+void RunTangent::move(const Piece& piece, const RunDirections& d) {
+  if (piece.persistent) {
+    if (piece.contact->ending != ContactStepEnd::kLength) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+    contact_.move(d, columns_);
+    return;
+  }
+  const bool at_event = piece.end == PieceEnd::kEvent;
+  const bool energies = at_event && run_->map == ImpactMap::kDtec;
+  for (Eigen::Index k = 0; k < d.count; ++k) {
+    direction_.q = columns_.q.col(k);
+    direction_.p = columns_.p.col(k);
+    direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    direction_.parameters = d.parameter(k);
+    direction_.h = piece.end == PieceEnd::kLength ? 0.0 : -columns_.time[k];
+    if (!tangent_.solve(direction_, dq_, dp_))
+      throw NoDerivative({"step", -1, piece.t}, "The derivative of a step was not solved",
+                         "tangent equations with a solution", "none", "Use a smaller dt");
+    if (energies) piece_energy_[k] = tangent_.energy_change();
+    columns_.q.col(k) = dq_;
+    columns_.p.col(k) = dp_;
+    if (piece.end == PieceEnd::kTime) columns_.time[k] = 0.0;
+  }
+}
+
+// The reference of an implicit map before the impacts of an event.
+void RunTangent::set_reference(const Piece& piece) {
+  if (run_->map == ImpactMap::kDtec) {
+    reference_ = piece_energy_;
+    return;
+  }
+  if (run_->map != ImpactMap::kMhc || run_->mhc_reference == MhcReference::kRun || reference_step_ == piece.step)
+    return;
+  reference_step_ = piece.step;
+  VecX v(scene_->tree.nv), force(scene_->tree.nv);
+  if (!integrator_.node_velocity(step_q_, step_p_, v)) throw Error("the mass matrix is not positive definite");
+  energy_gradient(integrator_, step_q_, v, force);
+  reference_ = step_columns_.p.transpose() * v + step_columns_.q.transpose() * force;
+}
+
+void RunTangent::apply_impact(const RecordedImpact& impact, const RunDirections& d) {
+  check_map(scene_->tree, *run_, impact);
+  ImpactDirection direction;
+  double loss = 0.0;
+  for (Eigen::Index k = 0; k < d.count; ++k) {
+    direction.q = columns_.q.col(k);
+    direction.p = columns_.p.col(k);
+    direction.parameters = d.parameter(k);
+    direction.e = d.e.size() > 0 && impact.restitution > 0.0 ? d.e(impact.guard, k) : 0.0;
+    direction.mu = d.mu.size() > 0 ? d.mu(impact.guard, k) : 0.0;
+    direction.reference = reference_[k];
+    direction.rest = -columns_.time[k];
+    impact_.apply(direction, dp_, loss);
+    columns_.p.col(k) = dp_;
+    reference_[k] -= loss;
+  }
+}
+
+void RunTangent::take_event(const Piece& piece, const RunDirections& d, RunDerivative& result) {
+  check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+  const int hit = event_impact(*run_, piece, take_branch_), first = piece.first_impact;
+  const RecordedImpact& impact = run_->impacts[hit];
+  impact_.take(impact, inputs_.tau(), inputs_.servo());
+  // The derivative by the length of the piece, and how the event moves.
+  solve_length(piece);
+  const double energy_rate = run_->map == ImpactMap::kDtec ? tangent_.energy_change() : 0.0;
+  const VecX& W = impact_.gradient();
+  const double rate = W.dot(fq_);
+  check_closing(impact, rate, W.cwiseAbs().dot(fq_.cwiseAbs()));
+  const Eigen::Index row = static_cast<Eigen::Index>(result.events.size());
+  result.event_times.conservativeResize(row + 1, d.count);
+  const VecX later = columns_.q.transpose() * W / -rate;
+  columns_.move_on(later, fq_, fp_);
+  piece_energy_ += energy_rate * later;
+  result.event_times.row(row) = later.transpose();
+  set_reference(piece);
+  EventReport report{hit, impact.time, impact_.approach(), 1.0, 1};
+  for (int i = 0; i < piece.impacts; ++i) {
+    const RecordedImpact& now = run_->impacts[first + i];
+    if (i > 0 || hit != first) impact_.take(now, inputs_.tau(), inputs_.servo());
+    report.margin = std::min(report.margin, impact_.margin());
+    report.approach = std::min(report.approach, impact_.approach());
+    if (now.guard != impact.guard && !persists(piece, now.guard)) report.guards = 2;
+    apply_impact(now, d);
+  }
+  result.events.push_back(report);
+}
+
+// The rest of a step after an event at its end: of no length, but its start moves.
+void RunTangent::reach_node(const VecX& q, const VecX& p, double time, const RunDirections& d) {
+  VecX v(scene_->tree.nv);
+  if (!integrator_.node_velocity(q, p, v)) throw Error("the mass matrix is not positive definite");
+  Piece rest;
+  rest.t = time;
+  rest.end = PieceEnd::kTime;
+  tangent_.take(q, p, 0.0, inputs_.tau(), time, inputs_.servo(), v.replicate(1, run_->stages));
+  move(rest, d);
+}
+
+void RunTangent::record(double time, const VecX& q, const VecX& p, const RunDirections& d, RunDerivative& result) {
+  const int n = scene_->tree.nv;
+  VecX v(n);
+  if (!integrator_.node_velocity(q, p, v)) throw Error("the mass matrix is not positive definite");
+  VecX w = v;
+  engine_to_public(scene_->tree, q, w);
+  MatX D(2 * n, columns_.q.cols());
+  for (Eigen::Index k = 0; k < columns_.q.cols(); ++k) {
+    dq_ = columns_.q.col(k);
+    dp_ = columns_.p.col(k);
+    if (d.parameter(k) != nullptr) {
+      VecX heavier = VecX::Zero(n);
+      tangent_.add_momentum(q, v, *d.parameter(k), heavier);
+      dp_ -= heavier;
+    }
+    to_public_direction(scene_->tree, tangent_, integrator_, {StateKind::kVelocity, q, w, v, p}, dq_, dp_);
+    D.col(k) << dq_, dp_;
+  }
+  result.times.push_back(time);
+  result.nodes.push_back(std::move(D));
+}
+
+RunDerivative RunTangent::solve(const RunDirections& directions, const std::vector<double>& times) {
+  RunDerivative result;
+  start(directions);
+  const double same = kSameTime * run_->dt;
+  const double size = std::max(columns_.q.cwiseAbs().maxCoeff(), columns_.p.cwiseAbs().maxCoeff());
+  auto wanted = times.begin();
+  const std::vector<Piece>& pieces = run_->pieces;
+  while (wanted != times.end() && *wanted <= pieces[0].t + same) {
+    record(*wanted, pieces[0].q, pieces[0].p, directions, result);
+    ++wanted;
+  }
+  for (std::size_t i = 0; i < pieces.size() && wanted != times.end(); ++i) {
+    const Piece& piece = pieces[i];
+    if (starts_anew(*run_, i)) {
+      step_q_ = piece.q;
+      step_p_ = piece.p;
+      step_columns_ = columns_;
+      if (run_->mhc_reference == MhcReference::kStep) reference_step_ = -1;
+    }
+    if (!columns_.time.isZero(0)) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+    take_piece(piece);
+    const double end = piece.t + piece.h;
+    // Times inside of the piece: from the same start by a part of the step.
+    while (wanted != times.end() && *wanted < end - same) {
+      const RunColumns before = columns_;
+      Piece part = piece;
+      part.end = PieceEnd::kTime;
+      take_part(piece, *wanted - piece.t);
+      VecX q1(scene_->tree.nq), p1(scene_->tree.nv);
+      integrator_.finish(q1, p1);
+      move(part, directions);
+      record(*wanted, q1, p1, directions, result);
+      columns_ = before;
+      ++wanted;
+      take_piece(piece);
+    }
+    if (wanted == times.end()) break;
+    move(piece, directions);
+    if (piece.impacts > 0) take_event(piece, directions, result);
+    if (piece.persistent) contact_.keep_anchors(columns_);
+    const bool last = i + 1 == pieces.size();
+    if (piece.end == PieceEnd::kEvent && (last ? is_node(*run_, end) : pieces[i + 1].step > piece.step)) {
+      check_node(piece, last ? nullptr : &pieces[i + 1]);
+      reach_node(last ? run_->q_end : pieces[i + 1].q, last ? run_->p_end : pieces[i + 1].p, end, directions);
+    }
+    if (!last) check_beginnings(piece, pieces[i + 1]);
+    if (size > 0.0)
+      result.growth =
+          std::max({result.growth, columns_.q.cwiseAbs().maxCoeff() / size, columns_.p.cwiseAbs().maxCoeff() / size});
+    while (wanted != times.end() && (last || *wanted <= end + same)) {
+      record(*wanted, last ? run_->q_end : pieces[i + 1].q, last ? run_->p_end : pieces[i + 1].p, directions, result);
+      ++wanted;
+    }
+  }
+  return result;
+}
+
+}  // namespace contactvi

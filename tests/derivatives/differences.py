@@ -1,0 +1,37 @@
+"""Differences of whole runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+import contactvi as cvi
+
+FOURTH = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))
+
+
+def run_differences(
+    scene: cvi.Scene, q: np.ndarray, v: np.ndarray, step: float = 2e-4, **options
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Fourth-order central differences of (q, v) at the end and of the times of the events in (q0, v0).
+
+    Returns them with their own error, relative, which is what a step of half the length changes.
+    """
+    first = _differences(scene, q, v, step, options)
+    second = _differences(scene, q, v, 0.5 * step, options)
+    own = np.abs(first[0] - second[0]).max() / np.abs(second[0]).max()
+    return *second, float(own)
+
+
+def _differences(scene, q, v, step, options) -> tuple[np.ndarray, np.ndarray]:
+    nv, base = scene.nv, cvi.simulate(scene, q, v, **options)
+    ends, times = np.zeros((2 * nv, 2 * nv)), np.zeros((len(base.events), 2 * nv))
+    for k in range(2 * nv):
+        for count, weight in FOURTH:
+            d = count * step * np.eye(2 * nv)[k]
+            traj = cvi.simulate(scene, pin.integrate(scene.model, q, d[:nv]), v + d[nv:], **options)
+            assert [event.pair for event in traj.events] == [event.pair for event in base.events]
+            end = np.concatenate([pin.difference(scene.model, base.q[-1], traj.q[-1]), traj.v[-1]])
+            ends[:, k] += weight / step * end
+            times[:, k] += weight / step * np.array([event.time for event in traj.events])
+    return ends, times

@@ -1,0 +1,157 @@
+"""Gradients of costs of runs: the adjoint against the tangent, and parameters against differences of changed scenes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import contactvi as cvi
+from derivatives.test_sensitivity import SHAPES, at_wall, falling
+
+MODELS = Path(__file__).resolve().parents[2] / "models"
+
+
+def dots(traj: cvi.Trajectory, wrt: list[str], seed: int = 0) -> float:
+    """The largest difference of the adjoint from the tangent, relative: of a random linear cost of all nodes."""
+    rng = np.random.default_rng(seed)
+    nodes, nv = len(traj.t), traj.scene.nv
+    lq, lv = rng.standard_normal((2, nodes, nv))
+    S = traj.sensitivity(wrt)
+    value, found = cvi.gradient(traj, (lq, lv), wrt)
+    assert value is None
+    worst = 0.0
+    for name in wrt:
+        expected = np.einsum("ni,nik->k", np.hstack([lq, lv]), S.of(name))
+        got = found[name].sum(axis=0) if name == "control" else found[name]
+        size = float(np.abs(expected).max())  # zero where a friction that sticks does not depend on its coefficient
+        worst = max(worst, float(np.abs(got - expected).max()) / (size if size > 0.0 else 1.0))
+    return worst
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.1, 0.8])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_adjoint_and_tangent_of_falling_bodies(shape, mu):
+    scene, q, v = falling(shape, mu=mu)
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=0.4, dt=0.01, order=4)
+    assert len(traj.events) > 0
+    assert dots(traj, ["q0", "v0", "control", "restitution", *(["friction"] if mu else [])]) <= 1e-11
+
+
+@pytest.mark.parametrize("order", [2, 4, 16])
+@pytest.mark.parametrize("reference", ["local", "global"])
+@pytest.mark.parametrize("impact", ["ctec", "dtec", "mhc"])
+def test_adjoint_and_tangent_of_impact_maps(impact, reference, order):
+    if (impact == "mhc" and order == 2) or (impact != "mhc" and reference == "global"):
+        pytest.skip("there is none")
+    scene, q, v = at_wall(0.7)
+    traj = cvi.simulate(
+        scene, q, v, record="gradient", duration=3.0, dt=0.01, order=order, impact=impact, mhc_reference=reference
+    )
+    assert len(traj.events) > 1
+    assert dots(traj, ["q0", "v0", "restitution"]) <= 1e-11
+
+
+def test_a_cost_is_a_function_of_the_nodes():
+    scene, q, v = at_wall(0.7)
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=0.9, dt=0.01, order=4)
+
+    def cost(t, q, v):
+        return float((q**2).sum() + v[-1] @ v[-1]), 2.0 * q, np.vstack([np.zeros((len(t) - 1, 2)), 2.0 * v[-1]])
+
+    value, found = cvi.gradient(traj, cost)
+    assert value == cost(traj.t, traj.q, traj.v)[0]
+
+    def run(d: np.ndarray) -> float:
+        traj = cvi.simulate(scene, q + d[:2], v + d[2:], dense=True, duration=0.9, dt=0.01, order=4)
+        return cost(traj.t, traj.q, traj.v)[0]
+
+    step = 1e-4
+    for k, exact in enumerate(np.concatenate([found["q0"], found["v0"]])):
+        d = step * np.eye(4)[k]
+        numbers = (8.0 * (run(d) - run(-d)) - run(2.0 * d) + run(-2.0 * d)) / (12.0 * step)
+        assert abs(exact - numbers) <= 1e-8 * abs(numbers)
+
+
+def test_parameters_through_impacts():
+    """A turning box on a hinge with a spring, damping and a servo hits the ground with friction."""
+
+    def scene_of(x: np.ndarray) -> cvi.Scene:
+        mass, stiffness, damping, kp, kd, gravity, armature, inertia = x
+        model = pin.Model()
+        slide = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slide")
+        turn = model.addJoint(slide, pin.JointModelRY(), pin.SE3.Identity(), "turn")
+        model.appendBodyToJoint(slide, pin.Inertia(0.7, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+        own = pin.Inertia(mass, np.array([0.1, 0.0, 0.05]), np.diag([0.02, 0.03 + inertia, 0.025]))
+        model.appendBodyToJoint(turn, own, pin.SE3.Identity())
+        model.addFrame(pin.Frame("arm", turn, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+        model.gravity.linear = np.array([0.0, 0.0, gravity])
+        geometry = pin.GeometryModel()
+        import coal
+
+        place = pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0]))
+        geometry.addGeometryObject(pin.GeometryObject("tip", turn, place, coal.Sphere(0.05)))
+        scene = cvi.Scene.from_pinocchio(model, geometry, name="arm")
+        scene.add_halfspace()
+        scene.set_contact(restitution=0.6, friction=0.3)
+        scene.set_joint("turn", stiffness=stiffness, rest=0.2, damping=damping, armature=armature)
+        scene.set_servo("slide", kp=kp, kd=kd)
+        return scene
+
+    x = np.array([1.2, 3.0, 0.05, 4.0, 0.2, -9.81, 0.01, 0.0])
+    q, v = np.array([0.4, -0.2]), np.array([0.0, 1.0])
+    options = {"duration": 0.5, "dt": 0.005, "order": 4, "target": [0.3]}
+    traj = cvi.simulate(scene_of(x), q, v, record="gradient", **options)
+    assert len(traj.events) > 0
+    names = [
+        "mass:turn",
+        "stiffness:turn",
+        "damping:turn",
+        "kp:slide",
+        "kd:slide",
+        "gravity",
+        "armature:turn",
+        "inertia:turn",
+    ]
+    weights = np.array([0.7, -1.3, 0.4, 0.9])
+    _, found = cvi.gradient(traj, (weights[:2], weights[2:]), [*names, "rest:turn", "target"])
+    S = traj.sensitivity([*names, "rest:turn"])
+    for name in S.names:
+        assert np.allclose(weights @ S.of(name)[-1], found[name], rtol=1e-11, atol=1e-11), name
+    exact = [found[name][0] for name in names[:5]] + [
+        found["gravity"][2],
+        found["armature:turn"][0],
+        found["inertia:turn"][7],
+    ]
+
+    def end(x: np.ndarray, target: float = 0.3) -> float:
+        traj = cvi.simulate(scene_of(x), q, v, **{**options, "target": [target]})
+        return float(weights @ np.concatenate([traj.q[-1], traj.v[-1]]))
+
+    for k in range(len(x)):
+        step = 1e-4 * max(abs(x[k]), 0.1)
+        d = step * np.eye(len(x))[k]
+        numbers = (8.0 * (end(x + d) - end(x - d)) - end(x + 2 * d) + end(x - 2 * d)) / (12.0 * step)
+        assert abs(exact[k] - numbers) <= 1e-7 * max(abs(numbers), 1e-2), names[k]
+    step = 1e-4
+    numbers = (8.0 * (end(x, 0.3 + step) - end(x, 0.3 - step)) - end(x, 0.3 + 2 * step) + end(x, 0.3 - 2 * step)) / (
+        12 * step
+    )
+    assert abs(found["target"].sum() - numbers) <= 1e-7 * abs(numbers)
+
+
+def test_names_and_costs_that_do_not_fit_are_told():
+    scene, q, v = at_wall(0.7)
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=0.9, dt=0.01)
+    flat = np.ones(2), np.ones(2)
+    for wrt, word in (("mas:joint_1", "mass"), ("mass:joint", "joint_1"), ("q0:joint_1", "q0")):
+        with pytest.raises(cvi.InputError, match=word):
+            cvi.gradient(traj, flat, wrt)
+    for cost in (3.0, (np.ones(3), np.ones(2)), lambda t, q, v: 1.0):
+        with pytest.raises(cvi.InputError):
+            cvi.gradient(traj, cost)
+    other = cvi.simulate(scene, q, v, record="gradient", duration=0.9, dt=0.01, order=4, impact="mhc")
+    with pytest.raises(cvi.NotDifferentiable):
+        cvi.gradient(other, flat, "mass:joint_1")

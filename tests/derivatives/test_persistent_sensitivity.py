@@ -1,0 +1,224 @@
+"""The derivatives of runs with persistent contacts against fourth-order differences of the runs themselves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import contactvi as cvi
+from derivatives.differences import FOURTH
+
+MODELS = Path(__file__).resolve().parents[2] / "models"
+LEFT = (-6.0, 0.0, -9.81)  # a wall on the left is a ground, too
+
+Start = tuple[cvi.Scene, np.ndarray, np.ndarray]
+
+
+def body(shape: str, height: float, v: list[float], mu: float, e: float = 0.0, turn: float = 1.0, tilt=0.0) -> Start:
+    """A body over the ground, turned."""
+    scene = cvi.Scene()
+    if shape == "box":
+        scene.add_box("body", [0.2, 0.3, 0.25])
+    elif shape == "cylinder":
+        scene.add_cylinder("body", 0.1, 0.3)
+    else:
+        scene.add_sphere("body", 0.1)
+    scene.add_halfspace([np.sin(tilt), 0.0, np.cos(tilt)])
+    scene.set_contact(restitution=e, friction=mu)
+    rng = np.random.default_rng(5)
+    q = pin.integrate(scene.model, pin.neutral(scene.model), np.r_[0, 0, 0, turn * rng.uniform(-1, 1, 3)])
+    q[2] = height
+    return scene, q, np.array(v, dtype=float)
+
+
+def arm(mu: float, joint_friction: float = 0.0) -> Start:
+    """A double pendulum whose tip drops on a wall and stays there."""
+    scene = cvi.Scene(gravity=LEFT)
+    scene.add_urdf(MODELS / "double_pendulum.urdf", limits=False)
+    scene.add_halfspace([1.0, 0.0, 0.0], -0.03125, name="wall")
+    scene.set_contact(restitution=0.0, friction=mu)
+    if joint_friction:
+        scene.set_joint("*", friction=joint_friction)
+    return scene, np.array([0.3, 0.2]), np.array([0.1, -0.2])
+
+
+def ball_on_ball(mu: float) -> Start:
+    """A ball that drops on a fixed one, rolls or slides down and leaves it."""
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1)
+    scene.add_sphere("big", 0.5, free=False)
+    scene.set_contact(restitution=0.0, friction=mu)
+    q = pin.neutral(scene.model)
+    q[:3] = [0.3, 0.05, 0.615]
+    return scene, q, np.array([0.3, 0.0, -0.3, 0.2, 0.1, 0.3])
+
+
+def room(restitution: float, mu: float, tilt: float) -> Start:
+    """A ball that drops on the ground, slides to a wall and bounces off."""
+    scene = cvi.Scene()
+    scene.add_sphere("body", 0.1)
+    scene.add_halfspace(name="ground")
+    scene.add_halfspace([-np.cos(tilt), 0.0, np.sin(tilt)], -1.0, name="wall")
+    scene.set_contact(restitution=restitution, friction=mu)
+    scene.set_contact("body", "wall", restitution=0.5, friction=mu)
+    q = pin.neutral(scene.model)
+    q[:3] = [0.7, 0.0, 0.102]
+    return scene, q, np.array([1.0, 0.3, -0.1, 0.0, 0.0, 0.0])
+
+
+def at_limit() -> Start:
+    """A double pendulum whose first joint comes to a limit and stays there."""
+    scene = cvi.Scene(gravity=LEFT)
+    scene.add_urdf(MODELS / "double_pendulum.urdf", limits=False)
+    scene.set_joint("joint_1", limits=(0.05, 3.0))
+    scene.set_contact(restitution=0.0)
+    return scene, np.array([0.3, 0.2]), np.array([0.1, -0.2])
+
+
+MOVING, SLOW = [1.0, 0.3, -0.1, 0.5, 0.2, 0.3], [0.3, 0.1, -0.1, 0.0, 0.0, 0.0]
+ORDER_2, ORDER_6 = {"dt": 0.01, "order": 2}, {"dt": 0.01, "order": 6}
+# name -> start, duration, options, what happens to the contact
+RUNS = {
+    "a ball slides": (lambda: body("ball", 0.105, MOVING, 0.0), 0.2, ORDER_2, ["begin"]),
+    "a ball slips, and turns": (lambda: body("ball", 0.105, MOVING, 0.1), 0.2, ORDER_2, ["begin"]),
+    "a ball slips, steps of contact are shorter": (lambda: body("ball", 0.105, MOVING, 0.1), 0.2, ORDER_6, ["begin"]),
+    "a ball rolls at once": (lambda: body("ball", 0.105, MOVING, 0.8), 0.2, ORDER_2, ["begin"]),
+    "a ball slips and rolls": (lambda: body("ball", 0.105, SLOW, 0.1), 0.4, ORDER_2, ["begin", "stick"]),
+    "a ball bounces to rest": (
+        lambda: body("ball", 0.105, MOVING, 0.1, e=0.3), 0.3, ORDER_2, ["bouncing ended", "begin", "stick"]
+    ),
+    "a ball slides down a plane": (lambda: body("ball", 0.12, MOVING, 0.0, tilt=0.3), 0.2, ORDER_2, ["begin"]),
+    "a corner slides": (lambda: body("box", 0.25, MOVING, 0.0), 0.15, ORDER_2, ["begin"]),
+    "a corner slips, and turns": (lambda: body("box", 0.25, MOVING, 0.1), 0.15, ORDER_2, ["begin"]),
+    "a corner sticks": (lambda: body("box", 0.25, MOVING, 0.8), 0.15, ORDER_2, ["begin"]),
+    "a rim rolls": (lambda: body("cylinder", 0.25, MOVING, 0.8), 0.2, ORDER_2, ["begin"]),
+    "a rim slips": (lambda: body("cylinder", 0.25, MOVING, 0.1), 0.15, ORDER_2, ["begin"]),
+    "a joint stays at its limit": (at_limit, 0.7, ORDER_2, ["begin"]),
+    "a wall is hit": (lambda: room(0.0, 0.1, 0.0), 0.4, ORDER_2, ["begin", "release", "begin"]),
+    "a wall is hit, and the ground by that": (
+        lambda: room(0.3, 0.0, -0.2), 0.4, ORDER_2, ["bouncing ended", "begin", "release", "bouncing ended", "begin"]
+    ),
+    "an arm slides": (lambda: arm(0.0), 0.7, ORDER_2, ["begin"]),
+    "an arm slips": (lambda: arm(0.1), 0.7, ORDER_6, ["begin"]),
+    "an arm comes to rest": (lambda: arm(1.5), 0.7, ORDER_2, ["begin", "stick"]),
+    "an arm with joint friction": (lambda: arm(0.2, 1.0), 0.7, ORDER_2, ["begin"]),
+    "a ball leaves a ball": (lambda: ball_on_ball(0.0), 0.6, ORDER_2, ["begin", "release"]),
+    "a ball slips, and leaves a ball": (lambda: ball_on_ball(0.1), 0.6, ORDER_6, ["begin", "release"]),
+    "a ball rolls, slips, leaves a ball": (lambda: ball_on_ball(1.0), 0.6, ORDER_2, ["begin", "slip", "release"]),
+}  # fmt: skip
+
+
+def compare(S: cvi.Sensitivity, end, columns: list[int], steps: tuple[float, float]) -> None:
+    """Compare columns with the differences of end(change) for two steps; the second tells how good they are."""
+    numbers = np.zeros((2, S.matrix.shape[1], len(columns)))
+    for size, total in zip(steps, numbers, strict=True):
+        for j, k in enumerate(columns):
+            for count, weight in FOURTH:
+                total[:, j] += weight / size * end(count * size * np.eye(S.matrix.shape[2])[k])
+    scale, own = np.abs(numbers[1]).max(), np.abs(numbers[1] - numbers[0]).max()
+    assert own <= 1e-5 * scale
+    assert np.abs(S.matrix[-1][:, columns] - numbers[1]).max() <= 1e-7 * scale + own
+
+
+def check(start: Start, columns: list[int], steps: tuple[float, float], **options) -> cvi.Trajectory:
+    """Compare the derivatives in (q0, v0)."""
+    (scene, q, v), nv = start, start[0].nv
+    traj = cvi.simulate(scene, q, v, record="gradient", **options)
+
+    def end(change: np.ndarray) -> np.ndarray:
+        run = cvi.simulate(scene, pin.integrate(scene.model, q, change[:nv]), v + change[nv:], **options)
+        assert [c.change for c in run.contact_changes] == [c.change for c in traj.contact_changes]
+        return np.concatenate([pin.difference(scene.model, traj.q[-1], run.q[-1]), run.v[-1]])
+
+    compare(traj.sensitivity(), end, columns, steps)
+    return traj
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_bodies_that_drop_and_stay(name):
+    make, duration, options, changes = RUNS[name]
+    start = make()
+    steps = (5e-5, 2.5e-5) if "bounces" in name or "arm" in name else (1e-4, 5e-5)
+    traj = check(start, list(range(2 * start[0].nv)), steps, duration=duration, **options)
+    assert [c.change for c in traj.contact_changes] == changes
+
+
+@pytest.mark.parametrize(
+    ("mu", "v", "changes"),
+    [(0.0, [1, 0.3], []), (0.2, [1, 0.3], []), (0.5, [0.8, 0.3], ["stick"]), (0.5, [0, 0], [])],
+    ids=["slides", "slips", "comes to rest", "rests"],
+)
+def test_a_face_that_lies_on_the_ground(mu, v, changes):
+    """Four points share the load. The start may move along the ground, and its speed too; it rests but for that."""
+    start = body("box", 0.125, [*v, 0, 0, 0, 0], mu, turn=0.0)
+    columns = [0, 1, 5, *([6, 7] if any(v) else [])]
+    traj = check(start, columns, (2e-4, 1e-4), duration=0.25, dt=0.01)
+    assert [c.change for c in traj.contact_changes] == ["begin"] * 4 + changes * 4
+
+
+def test_a_gap_at_the_start_is_closed_within_a_step():
+    """Along a direction that opens a contact at the start the step corrects its gap, as it corrects rounding."""
+    scene, q, v = body("ball", 0.1, [1, 0.3, 0, 0, 0, 0], 0.0, turn=0.0)
+    S = cvi.simulate(scene, q, v, record="gradient", duration=0.1, dt=0.01).sensitivity()
+    up = S.of("q0")[:, 2, 2], S.of("v0")[:, 8, 2]
+    assert up[0] == pytest.approx(np.r_[1.0, np.zeros(10)], abs=1e-13)
+    assert up[1] == pytest.approx(np.r_[1.0, np.zeros(10)], abs=1e-13)
+
+
+@pytest.mark.parametrize("name", ["a ball slips and rolls", "an arm slips", "a ball slips, and leaves a ball"])
+def test_inputs_and_friction_are_parameters(name):
+    make, duration, options, _ = RUNS[name]
+    scene, q, v = make()
+    nv, mu = scene.nv, 0.1  # that of all three
+    options = options | {"duration": duration}
+    base = cvi.simulate(scene, q, v, record="gradient", **options)
+    S = base.sensitivity(["control", "friction"])
+    steps = round(duration / options["dt"])
+
+    def end(change: np.ndarray) -> np.ndarray:
+        scene.set_contact(restitution=0.0, friction=mu + change[nv])
+        traj = cvi.simulate(scene, q, v, control=np.tile(change[:nv], (steps, 1)), **options)
+        return np.concatenate([pin.difference(scene.model, base.q[-1], traj.q[-1]), traj.v[-1]])
+
+    compare(S, end, list(range(nv + 1)), (1e-4, 5e-5))
+
+
+def refused(start: Start, **options) -> cvi.NotDifferentiable:
+    with pytest.raises(cvi.NotDifferentiable) as found:
+        cvi.simulate(*start, record="gradient", **options).sensitivity()
+    return found.value
+
+
+def test_what_has_no_derivative_says_why():
+    turning = body("box", 0.125, [1, 0, 0, 0, 0, 1], 0.3, turn=0.0)
+    assert refused(turning, duration=0.1, dt=0.01).reason == "redundant"
+    dense = refused(body("box", 0.125, [1, 0, 0, 0, 0, 0], 0.3, turn=0.0), duration=0.1, dt=0.01, contact_mode="steps")
+    assert dense.reason == "dense"
+    assert refused(body("cylinder", 0.25, MOVING, 0.1), duration=0.2, dt=0.01).reason == "witness"
+    mapped = refused(body("ball", 0.105, MOVING, 0.0), duration=0.1, dt=0.01, impact="mhc", order=4)
+    assert mapped.reason == "map"
+    S = cvi.simulate(*body("ball", 0.105, MOVING, 0.1), record="gradient", duration=0.2, dt=0.01).sensitivity()
+    with pytest.raises(cvi.NotDifferentiable) as found:
+        S.at(0.155)
+    assert found.value.reason == "inside"
+
+
+def test_a_run_in_parts_has_the_same_derivatives():
+    scene, q, v = body("ball", 0.105, SLOW, 0.1)
+    whole = cvi.simulate(scene, q, v, record="gradient", duration=0.2, dt=0.01)
+    sim = cvi.Simulator(scene, dt=0.01, record="gradient")
+    sim.reset(q, v)
+    for _ in range(20):
+        sim.step()
+    assert np.array_equal(sim.trajectory().sensitivity().matrix, whole.sensitivity().matrix)
+
+
+def test_what_is_kept_changes_no_digit():
+    scene, q, v = ball_on_ball(0.1)
+    plain = cvi.simulate(scene, q, v, duration=0.4, dt=0.01, order=4)
+    kept = cvi.simulate(scene, q, v, duration=0.4, dt=0.01, order=4, record="gradient")
+    assert np.array_equal(plain.q, kept.q)
+    assert np.array_equal(plain.p, kept.p)
