@@ -47,7 +47,7 @@ class Comparison:
         size: largest entry of the exact derivative. block: that of all columns of its name.
         difference: largest disagreement.
         own: error of the differences by their own measure: the change between neighbouring sizes.
-        unseen: what the tolerance of the steps may add to it in proportion, so that no change of the size shows it.
+        unseen: what the tolerances of steps and of the times of impacts may add, so that no change of the size shows it.
         step: with which they were made.
     """
 
@@ -219,7 +219,7 @@ def _check_column(runs: PerturbedRuns, exact: Sensitivity, column: int, toleranc
     block = exact.columns[runs.kind(column)]
     state = ladder.compare("state", exact.matrix[-1][:, column], exact.matrix[-1][:, block], runs.largest)
     hit = exact.event_times
-    times = ladder.compare("impact times", hit[:, column], hit[:, block], runs.span) if len(hit) else None
+    times = ladder.compare("impact times", hit[:, column], hit[:, block], runs.span, runs.located) if len(hit) else None
     parts = [part for part in (state, times) if part is not None]
     worst = max(parts, key=lambda part: (BOTH, EXACT, NEITHER).index(part.believe(tolerance)))
     believe = worst.believe(tolerance)
@@ -265,15 +265,16 @@ class _Ladder:
         self.usable = alike or whole
         self.likeness = "same impacts" if alike else "same impacts, in other steps"
 
-    def compare(self, what: str, exact: Array, block: Array, largest: float) -> Comparison:
+    def compare(self, what: str, exact: Array, block: Array, largest: float, located: float = 0.0) -> Comparison:
         """Compare the exact column of the "state" or of the "impact times" with the best differences.
 
         Every step is solved to SOLVED of numbers of size `largest`; this grows on the way as changes of the start do.
+        located: to what an impact is located, which differences of its time show as noise [s].
         """
         which = 0 if what == "state" else 1
         best = min(self.usable, key=lambda k: self._change(k, which))
         step = self._scale * SIZES[best]
-        unseen = SOLVED * self._runs.steps * max(1.0, self._runs.growth) * largest / step
+        unseen = (SOLVED * self._runs.steps * max(1.0, self._runs.growth) * largest + located) / step
         numbers = self._found[best][which]
         off = np.abs(exact - (numbers[self._runs.first] if which else numbers)).max(initial=0.0)
         size, widest = (float(np.abs(part).max(initial=0.0)) for part in (exact, block))

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SOLVED = 1e-15  # tolerance of the steps of the perturbed runs, near rounding
+LOCATED = 1e-13  # gap at which the engine takes an impact for located [m; rad]
 _HIGHEST = {"restitution": 1.0, "friction": np.inf}
 
 
@@ -66,6 +67,7 @@ class PerturbedRuns:
         self.middle = middle
         times = [event.time for event in exact.report.events]  # the first one of those at one instant
         self.first = np.searchsorted(traj.events.array("time"), times) if times else np.zeros(0, dtype=np.intp)
+        self.located = _located(traj)
         self.largest = 1.0 + float(np.abs(traj.q[-1]).max(initial=0.0)) + float(np.abs(traj.v[-1]).max(initial=0.0))
 
     def kind(self, column: int) -> str:
@@ -169,6 +171,14 @@ class PerturbedRuns:
         times = np.array(log.array("time")) if len(log) else np.zeros(0)
         steps = tuple(map(int, log.array("step"))) if len(log) else ()
         return RunEnd(np.concatenate([moved, run.v]), times, sequence, steps)
+
+
+def _located(traj: Trajectory) -> float:
+    """Return the largest error of the time of an impact [s]: that of its gap over its closing speed."""
+    if not len(traj.events):
+        return 0.0
+    gap, speed = (np.abs(traj.events.array(name)) for name in ("gap", "gamma_minus"))
+    return float((np.maximum(gap, LOCATED) / speed)[speed > 0.0].max(initial=0.0))
 
 
 def _tangent(model: pin.Model, a: Array, b: Array) -> Array:

@@ -8,8 +8,8 @@ namespace contactvi {
 
 namespace {
 constexpr double kImmobile =
-    1e-12;                        // of the inverse inertia without constraints: below it constraints block the contact
-constexpr double kDriven = 1e-9;  // of the speeds: constraints that close a blocked contact faster are an error
+    1e-12;                        // of the inverse inertia without constraints: below it constraints hold the point
+constexpr double kDriven = 1e-9;  // of the speeds: constraints that close a held point faster are an error
 }  // namespace
 
 // Adds the points of a guard that are closed at q_, with its persistent ones. False if there are none.
@@ -118,6 +118,7 @@ bool ImpactSequence::add_unused_point(const VecX& p) {
 // Places the bodies, the mass matrix and the constraints at q and time t [s]; no contact is closed yet.
 bool ImpactSequence::place(const VecX& q, const VecX& p, double t) {
   count_ = 0;
+  held_.clear();
   any_persistent_ = false;
   q_ = q;
   guards_->place(q);
@@ -148,26 +149,56 @@ bool ImpactSequence::collect(const VecX& q, const VecX& p, double t, const std::
     for (const PersistentContact& h : persistent) is_persistent |= h.point.guard == g;
     Contact contact;
     if (g != first && !is_persistent && !(guards_->evaluate_witness(g, contact) <= tolerance)) continue;
-    if (!add_guard(g, persistent, tolerance) || !projection_.any() || is_mobile(closed_[count_ - 1])) continue;
-    const double gamma = closed_[--count_].gamma_n(p);
-    if (gamma < -kDriven * (1.0 + v_.cwiseAbs().maxCoeff()))
+    if (!add_guard(g, persistent, tolerance) || !projection_.any()) continue;
+    if (!drop_held_points(closed_[count_ - 1], p))
       return fail(StatusCode::kConstraint, "what the constraints drive or hold runs into what cannot give way", g);
+    if (closed_[count_ - 1].count > 0) continue;
+    --count_;
+    held_.push_back(g);
   }
   return true;
 }
 
-// Whether an impulse can change a normal speed of the contact; otherwise the constraints determine them all.
-bool ImpactSequence::is_mobile(const ClosedGuard& c) {
-  VecX free(scene_->tree.nv);
-  for (int r = 0; r < c.rows; r += c.rows_per_point()) {
-    // The row without constraints is the projected one plus the part that the projection has taken off.
-    free = c.W.col(r) + projection_.gradients() * c.mu_fixed.col(r);
-    VecX answer = free;
-    integrator_->solve_mass(answer);
-    const double before = free.dot(answer);
-    if (c.W.col(r).dot(c.MinvW.col(r)) > kImmobile * before) return true;
+// Takes the points off whose normal speed no impulse can change, since the constraints determine it. False if they
+// close one of them.
+bool ImpactSequence::drop_held_points(ClosedGuard& c, const VecX& p) {
+  const int m = c.rows_per_point();
+  const double closing = -kDriven * (1.0 + v_.cwiseAbs().maxCoeff());
+  int kept = 0, held_chosen = 0;
+  for (int i = 0; i < c.count; ++i) {
+    if (!is_mobile(c, i)) {
+      if (c.gamma_n(i, p) < closing) return false;
+      if (i < c.chosen) ++held_chosen;
+      continue;
+    }
+    if (kept < i) {
+      c.points[kept] = c.points[i];
+      c.contacts[kept] = c.contacts[i];
+      c.t1[kept] = c.t1[i];
+      c.W.middleCols(m * kept, m) = c.W.middleCols(m * i, m);
+      c.MinvW.middleCols(m * kept, m) = c.MinvW.middleCols(m * i, m);
+      c.mu_fixed.middleCols(m * kept, m) = c.mu_fixed.middleCols(m * i, m);
+      c.offset.segment(m * kept, m) = c.offset.segment(m * i, m);
+    }
+    ++kept;
   }
-  return false;
+  c.points.resize(kept);
+  c.contacts.resize(kept);
+  c.t1.resize(kept);
+  c.count = kept;
+  c.chosen -= held_chosen;
+  c.rows = m * kept;
+  return true;
+}
+
+// Whether an impulse at a point of the contact can change its normal speed; otherwise the constraints determine it.
+bool ImpactSequence::is_mobile(const ClosedGuard& c, int point) {
+  const int r = point * c.rows_per_point();
+  // The row without constraints is the projected one plus the part that the projection has taken off.
+  const VecX free = c.W.col(r) + projection_.gradients() * c.mu_fixed.col(r);
+  VecX answer = free;
+  integrator_->solve_mass(answer);
+  return c.W.col(r).dot(c.MinvW.col(r)) > kImmobile * free.dot(answer);
 }
 
 }  // namespace contactvi

@@ -6,6 +6,9 @@
 // persistent contact takes part with its own e, or, as an option, as a support of infinite stiffness.
 #pragma once
 
+#include <algorithm>
+#include <vector>
+
 #include "base/error.hpp"
 #include "contact/persistent_contact.hpp"
 #include "event/finder.hpp"
@@ -43,6 +46,8 @@ class ImpactSequence {
   // this [m] where that is more, belong to the contact. False if the mass matrix is not positive.
   bool collect_given(const VecX& q, const VecX& p, const std::vector<int>& guards, double margin);
   int count() const { return count_; }
+  // Whether constraints hold all points of a guard that were closed at the last collection.
+  bool holds(int guard) const { return std::find(held_.begin(), held_.end(), guard) != held_.end(); }
   ClosedGuard& closed(int i) { return closed_[i]; }
   // Largest normal speed of a closed contact at p.
   double largest_speed(const VecX& p) const;
@@ -68,7 +73,8 @@ class ImpactSequence {
   bool place(const VecX& q, const VecX& p, double t);
   bool add_guard(int guard, const std::vector<PersistentContact>& persistent, double margin);
   void add_rows(ClosedGuard& closed);
-  bool is_mobile(const ClosedGuard& closed);
+  bool drop_held_points(ClosedGuard& closed, const VecX& p);
+  bool is_mobile(const ClosedGuard& closed, int point);
   bool add_unused_point(const VecX& p);
   bool find_fastest(const VecX& p, const std::vector<char>& plastic, double scale, bool elastic, ClosedGuard*& worst);
   bool impact_at_point(ClosedGuard& closed, double e, const Instant& at, VecX& p, Recording& recording);
@@ -95,6 +101,7 @@ class ImpactSequence {
   const ImpactLaw* law_;
   std::vector<ClosedGuard> closed_;
   int count_ = 0;
+  std::vector<int> held_;  // guards with closed points, all of which constraints hold
   bool any_persistent_ = false;
   ImpactReference* reference_ = nullptr;  // of the run under way
   int impacts_ = 0;

@@ -168,8 +168,13 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   }
   const double now = interval.start + interval.done;
   if (hit) {
-    if (taken <= 0.0 && !state_.control.count_standstill())
-      return end(StatusCode::kTooManyImpacts, at, "impacts without end at one instant", finder_.event().guard);
+    if (taken <= 0.0 && !state_.control.count_standstill()) {
+      const int guard = finder_.event().guard;
+      if (sequence_.holds(guard))
+        return end(StatusCode::kConstraint, at, "constraints hold a point of a pair that closes at another: disable it",
+                   guard);
+      return end(StatusCode::kTooManyImpacts, at, "impacts without end at one instant", guard);
+    }
     // What has opened before the event has no part in it.
     if (taken > 0.0) contacts_.release_separated(-1, true, now, recording);
     const Event& event = finder_.event();

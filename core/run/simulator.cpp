@@ -342,7 +342,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   control.expect_flight(law_->implicit() ? 0.0 : zeno_.shortest_flight(state_.flights), options_.dt);
   // An implicit map has chosen its impulse for the rest of the step, which therefore is solved as a whole.
   if (law_->implicit() && !zeno_.impacted().empty())
-    control.free.longest = std::max(control.free.longest, interval.remaining);
+    control.free.allow(interval.remaining);
   return true;
 }
 

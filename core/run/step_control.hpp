@@ -1,23 +1,29 @@
 // How long the next step may be: halving after a step that was not solved, growing after several that were.
 //
-// Once for free steps and for contact steps. A value: part of the state of a run.
+// Once for free steps and for contact steps. A value: part of the state of a run. All lengths are the nominal one by
+// powers of two, so that they do not move with the times of events: derivatives of runs take them for fixed.
 #pragma once
 
 namespace contactvi {
 
 // The longest step of one kind to try, shorter than the nominal one after a step that was not solved.
 struct StepLength {
-  double longest = 0;     // [s]
-  int solved_in_row = 0;  // steps of that length solved one after the other
+  double nominal = 0, longest = 0;  // [s]
+  int solved_in_row = 0;            // steps of that length solved one after the other
 
-  void start(double nominal) { *this = {nominal, 0}; }
-  void halve(double h) { *this = {0.5 * h, 0}; }
+  void start(double length) { *this = {length, length, 0}; }
+  // After a step of length h was not solved: half of it, where h is one of the lengths.
+  void halve(double h);
   // After a step of the longest length was solved.
   void grow();
-  void limit(double h) {
-    if (h < longest) longest = h;
-  }
+  // No longer than h.
+  void limit(double h);
+  // At least h.
+  void allow(double h);
 };
+
+// The largest nominal length by a power of two that is at most h [s].
+double step_length_within(double h, double nominal);
 
 struct StepControl {
   // Part of a nominal step to which steps are halved.

@@ -53,17 +53,23 @@ class Case:
 
 @dataclass
 class Draw:
-    """The random numbers of one case, by its name."""
+    """The random numbers of one case, by its name: `rng` for its scene and start, others for its options.
+
+    Whoever makes a scene takes a new Draw, so that it is the same one each time.
+    """
 
     name: str
     rng: Rng = field(init=False)
 
     def __post_init__(self) -> None:
-        self.rng = np.random.default_rng(zlib.crc32(self.name.encode()))
+        self.rng = self._new(0)
+
+    def _new(self, what: int) -> Rng:
+        return np.random.default_rng([zlib.crc32(self.name.encode()), what])
 
     def options(self, duration: float, order: int, **more: Any) -> dict[str, Any]:
         """Return options with a random step of 10 or 20 ms."""
-        dt = float(self.rng.choice([0.01, 0.02]))
+        dt = float(self._new(1).choice([0.01, 0.02]))
         return {"duration": duration, "dt": dt, "order": order, "tol": 1e-14, **more}
 
 
@@ -75,8 +81,8 @@ def smooth(seeds: int) -> Iterator[Case]:
     for joints, order, seed in itertools.product(FAMILIES, ORDERS, range(seeds)):
         draw = Draw(f"{joints} {order} {seed}")
 
-        def make(joints: str = joints, draw: Draw = draw) -> Start:
-            number = int(draw.rng.integers(1000))
+        def make(joints: str = joints, name: str = draw.name) -> Start:
+            number = int(Draw(name).rng.integers(1000))
             scene, rng = tree(number) if joints == "mixed tree" else chain(FAMILIES[joints], number)
             return scene, *state_of(scene, rng)[:2]
 
@@ -176,8 +182,8 @@ def elements(seeds: int) -> Iterator[Case]:
     for kind, order, base, seed in itertools.product(ELEMENTS, ORDERS, bases, range(seeds)):
         draw = Draw(f"{kind} {order} {base} {seed}")
 
-        def make(kind: str = kind, base: str = base, draw: Draw = draw) -> Start:
-            scene, rng = chain(bases[base], int(draw.rng.integers(1000)))
+        def make(kind: str = kind, base: str = base, name: str = draw.name) -> Start:
+            scene, rng = chain(bases[base], int(Draw(name).rng.integers(1000)))
             ELEMENTS[kind](scene, rng)
             return scene, *state_of(scene, rng)[:2]
 
@@ -223,8 +229,8 @@ def drops(seeds: int) -> Iterator[Case]:
     for kind, (impact, e, mu), order, seed in itertools.product(kinds, laws(), ORDERS, range(seeds)):
         draw = Draw(f"{kind} {impact} e {e} mu {mu} order {order} seed {seed}")
 
-        def make(draw: Draw = draw, kind: str = kind, e: float = e, mu: float = mu) -> Start:
-            return falling(draw, kind, e, mu)
+        def make(name: str = draw.name, kind: str = kind, e: float = e, mu: float = mu) -> Start:
+            return falling(Draw(name), kind, e, mu)
 
         options = draw.options(0.12, order, impact=impact)
         yield Case(f"{kind} on the ground, {impact}", draw.name, make, options, parameters(e, mu))
@@ -255,8 +261,8 @@ def collisions(seeds: int) -> Iterator[Case]:
             draw = Draw(f"{pair} {impact} {e} {mu} {seed}")
             order = int(draw.rng.choice(ORDERS[1:] if impact == "mhc" else ORDERS))
 
-            def make(draw: Draw = draw, pair: tuple[str, str] = pair, e: float = e, mu: float = mu) -> Start:
-                return meeting(draw, pair, e, mu)
+            def make(name: str = draw.name, pair: tuple[str, str] = pair, e: float = e, mu: float = mu) -> Start:
+                return meeting(Draw(name), pair, e, mu)
 
             options = draw.options(0.1, order, impact=impact)
             yield Case(f"{pair[0]} against {pair[1]}", f"{draw.name} order {order}", make, options, parameters(e, mu))
@@ -280,8 +286,8 @@ def limits(seeds: int) -> Iterator[Case]:
     ):
         draw = Draw(f"{name} {impact} {e} {order} {seed}")
 
-        def make(draw: Draw = draw, kinds: list[Any] = kinds, e: float = e) -> Start:
-            return stopped(draw, kinds, e)
+        def make(name: str = draw.name, kinds: list[Any] = kinds, e: float = e) -> Start:
+            return stopped(Draw(name), kinds, e)
 
         wrt = ("q0", "v0", "restitution") + (("control",) if impact == "ctec" else ())
         yield Case(f"joint limits, {impact}", draw.name, make, draw.options(0.2, order, impact=impact), wrt)
@@ -324,8 +330,8 @@ def sequences(seeds: int) -> Iterator[Case]:
             draw = Draw(f"{what} {kind} {order} {seed}")
             options = draw.options(0.16, order)
 
-            def start(make: Callable[[Draw, str], Start] = make, draw: Draw = draw, kind: str = kind) -> Start:
-                return make(draw, kind)
+            def start(make: Callable[[Draw, str], Start] = make, name: str = draw.name, kind: str = kind) -> Start:
+                return make(Draw(name), kind)
 
             yield Case(f"several impacts: {what}", draw.name, start, options, ("q0", "v0", "restitution"))
 
