@@ -214,8 +214,9 @@ Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) 
   d["changes"] = contact_changes(s, recording.changes);
   d["phases"] = step_phases(recording);
   d["dense"] = dense_steps(s, recording);
-  std::vector<ContactStepRecord> kept = sim.take_contact_steps();
-  d["kept_steps"] = kept.empty() ? nb::object(nb::none()) : nb::cast(KeptContactSteps{std::move(kept)});
+  KeptContactSteps kept{sim.take_contact_steps(), sim.take_impact_blocks()};
+  const bool none = kept.steps.empty() && kept.blocks.empty();
+  d["kept_steps"] = none ? nb::object(nb::none()) : nb::cast(std::move(kept));
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);
   return d;

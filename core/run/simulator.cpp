@@ -43,9 +43,9 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       finder_(scene, integrator_, guards_),
       contact_step_(scene, guards_, guards_.manifolds()),
       dense_step_(scene, guards_),
-      sequence_(
-          scene, integrator_, guards_,
-          {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step, options.record_contacts}),
+      sequence_(scene, integrator_, guards_,
+                {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step,
+                 options.record_contacts, options.gradient}),
       path_(scene.tree, options.stages),
       contact_path_(scene.tree, 1),
       actuation_(scene.tree, state_.actuators, integrator_, contact_step_, dense_step_),
@@ -341,8 +341,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   }
   control.expect_flight(law_->implicit() ? 0.0 : zeno_.shortest_flight(state_.flights), options_.dt);
   // An implicit map has chosen its impulse for the rest of the step, which therefore is solved as a whole.
-  if (law_->implicit() && !zeno_.impacted().empty())
-    control.free.allow(interval.remaining);
+  if (law_->implicit() && !zeno_.impacted().empty()) control.free.allow(interval.remaining);
   return true;
 }
 

@@ -1,6 +1,5 @@
 #include "sensitivity/piece_inputs.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 namespace contactvi {
@@ -46,29 +45,6 @@ void PieceInputs::set(const Piece& piece) {
   const Eigen::Index n = servo_.q_ref.size();
   servo_.q_ref = run_->target.row(piece.step).head(n).transpose();
   servo_.v_ref = run_->target.row(piece.step).tail(n).transpose();
-}
-
-bool persists(const Piece& piece, int guard) {
-  if (piece.contact == nullptr) return false;
-  const auto& contacts = piece.contact->contacts;
-  return std::any_of(contacts.begin(), contacts.end(),
-                     [&](const ContactStepRecord::Contact& c) { return c.before.point.guard == guard; });
-}
-
-int event_impact(const RecordedRun& run, const Piece& piece, bool take_branch) {
-  const auto first = run.impacts.begin() + piece.first_impact, last = first + piece.impacts;
-  const auto hit = std::find_if(first, last, [&](const RecordedImpact& r) { return !persists(piece, r.guard); });
-  const int guard = (hit == last ? first : hit)->guard;
-  const bool single =
-      std::all_of(first, last, [&](const RecordedImpact& r) { return r.guard == guard || persists(piece, r.guard); });
-  if (hit == last)
-    throw NoDerivative({"witness", guard, first->time}, "A further point of a pair in persistent contact is hit",
-                       "one point of a pair in contact", "several", "End the run before");
-  if (!single && !take_branch)
-    throw NoDerivative({"simultaneous", guard, first->time}, "Several contacts are hit at one instant",
-                       "one contact at a time", std::to_string(piece.impacts) + " impacts",
-                       "Start elsewhere; on_kink='taken' gives the derivative of the order that was taken");
-  return static_cast<int>(hit - run.impacts.begin());
 }
 
 double check_closing(const RecordedImpact& impact, double speed, double size) {

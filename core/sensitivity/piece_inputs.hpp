@@ -20,11 +20,6 @@ class PieceInputs {
   VecX tau_;
 };
 
-// Whether a guard has a persistent contact in the piece.
-bool persists(const Piece& piece, int guard);
-// The number of the impact whose guard determines the time of the event at the end of a piece; guards that persist only
-// take part in its impacts. Throws NoDerivative where several guards were hit at one instant, unless take_branch.
-int event_impact(const RecordedRun& run, const Piece& piece, bool take_branch);
 // How far a closing speed is from zero, relative to the size of its terms. Throws NoDerivative where it is too small
 // for the time of the impact to have a derivative.
 double check_closing(const RecordedImpact& impact, double speed, double size);

@@ -74,6 +74,7 @@ void RunAdjoint::set_impact_matrix() {
   const int n = scene_->tree.nv;
   ImpactDirection direction;
   direction.q = direction.p = VecX::Zero(n);
+  direction.e = direction.mu = VecX::Zero(impact_.points());
   VecX column(n + 1);
   const auto apply = [&] {
     double loss = 0.0;
@@ -93,15 +94,15 @@ void RunAdjoint::set_impact_matrix() {
     matrix_.q.col(k) = number(direction.q[k]);
     matrix_.p.col(k) = number(direction.p[k]);
   }
-  matrix_.e = number(direction.e);
-  matrix_.mu = number(direction.mu);
+  matrix_.e = number(direction.e[0]);
+  matrix_.mu = number(direction.mu[0]);
   matrix_.reference = number(direction.reference);
   matrix_.rest = number(direction.rest);
 }
 
 void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) {
   check_map(scene_->tree, *run_, impact);
-  impact_.take(impact, inputs_.tau(), inputs_.servo());
+  impact_.take(impact, impact.p_plus, inputs_.tau(), inputs_.servo());
   set_impact_matrix();
   const int n = scene_->tree.nv;
   VecX l(n + 1);
@@ -118,9 +119,9 @@ void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) 
 // The impacts at the end of a piece, and its time.
 void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradient& result) {
   check_forces_in_time(scene_->tree, *run_, integrator_, piece);
-  const RecordedImpact& hit = run_->impacts[event_impact(*run_, piece, take_branch_)];
+  const RecordedImpact& hit = run_->impacts[event_hit(*run_, piece, take_branch_).impact];
   for (int i = piece.impacts; i-- > 0;) pass_impact(run_->impacts[piece.first_impact + i], result);
-  impact_.take(hit, inputs_.tau(), inputs_.servo());
+  impact_.take(hit, hit.p_plus, inputs_.tau(), inputs_.servo());
   if (run_->map == ImpactMap::kDtec) {
     lenergy_ = lreference_;
     lreference_ = 0.0;
@@ -132,7 +133,7 @@ void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradien
   if (!tangent_.solve(direction, fq, fp)) throw Error("the derivative of a step was not solved");
   double by_time = lq_.dot(fq) + lp_.dot(fp) + ltime_ + time_gradient;
   if (lenergy_ != 0.0) by_time += lenergy_ * tangent_.energy_change();
-  const VecX& W = impact_.gradient();
+  const VecX W = impact_.gradient(0);
   const double rate = W.dot(fq);
   check_closing(hit, rate, W.cwiseAbs().dot(fq.cwiseAbs()));
   lq_ -= W * (by_time / rate);

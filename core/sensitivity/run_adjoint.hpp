@@ -5,6 +5,7 @@
 // the energy by which DTEC takes its reference: events are rare beside steps.
 #pragma once
 
+#include "sensitivity/event_hit.hpp"
 #include "sensitivity/impact_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
 #include "step/public_tangent.hpp"
