@@ -49,11 +49,6 @@ const ContactPieces::Anchor* ContactPieces::anchor_of(const ContactPoint& point)
 void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
   const bool ends_itself = step_->ending != ContactStepEnd::kLength;
   const auto contacts = static_cast<Eigen::Index>(step_->contacts.size());
-  if (!d.parameters.empty())
-    throw NoDerivative({"parameter", -1, step_->t},
-                       "The derivative of a step with persistent contacts by the scene's parameters is not known",
-                       "q0, v0, control, restitution or friction", "a parameter of the scene",
-                       "End the run before the contact persists");
   slip_.setZero(d.count);
   size_q_ = size_q_.cwiseMax(columns.q.cwiseAbs().colwise().maxCoeff().transpose());
   size_p_ = size_p_.cwiseMax(columns.p.cwiseAbs().colwise().maxCoeff().transpose());
@@ -66,6 +61,7 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     direction_.size_q = size_q_[k];
     direction_.size_p = size_p_[k];
     direction_.mu = friction_change(d, k);
+    direction_.parameters = d.parameter(k);
     direction_.anchors.setZero(3, contacts);
     for (Eigen::Index i = 0; i < contacts; ++i) {
       const PersistentContact& before = step_->contacts[i].before;
@@ -96,6 +92,11 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
   VecX fq(columns.q.rows()), fp(columns.q.rows()), later(d.count);
   solve_length(fq, fp);
   double rate = tangent_.slip_change();
+  if (releases && !d.parameters.empty())
+    throw NoDerivative({"parameter", -1, step_->t + step_->h},
+                       "The time of the release of a contact has no derivative by the scene's parameters that is known",
+                       "q0, v0, control, restitution or friction", "a parameter of the scene",
+                       "End the run before the contact is released");
   if (releases) {
     release_.take(*step_, inputs_->tau(), inputs_->servo());
     rate = release_.change(fq, fp, VecX(), VecX());

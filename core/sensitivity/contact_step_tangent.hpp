@@ -29,6 +29,7 @@ struct ContactStepDirection {
   VecX mu;                            // of the contacts
   MatX anchors;                       // of the contacts that have one, in the frames of their planes, (3, contacts)
   VecX joints;                        // anchors of the joints with friction
+  const StepParameters* parameters = nullptr;
   double size_q = 0.0, size_p = 0.0;  // largest change of q and p on the way: rounding is relative to it
 };
 

@@ -50,7 +50,9 @@ void PoissonTangent::set_phase(Phase& phase, const VecX& least) {
     const ImpactPoint& point = points_[i];
     const int r = point.row;
     const double normal = phase.lambda[r];
-    if (phase.lambda.segment(r, point.rows).isZero(0) && least[i] == 0.0) {
+    // What is so far below the other impulses is rounding, of contacts that do not take part.
+    const bool unloaded = phase.lambda.segment(r, point.rows).cwiseAbs().maxCoeff() <= kOnCone * impulse_;
+    if (unloaded && least[i] <= kOnCone * impulse_) {
       phase.modes.push_back(std::abs(phase.gamma[r]) <= kOnCone * speed_ ? Mode::kBorder : Mode::kOpen);
       phase.at_least.push_back(0);
       A.middleRows(r, point.rows) = MatX::Identity(rows, rows).middleRows(r, point.rows);

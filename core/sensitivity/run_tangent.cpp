@@ -165,7 +165,10 @@ void RunTangent::apply_impact(const RecordedImpact& impact, const RunDirections&
   check_map(scene_->tree, *run_, impact);
   ImpactDirection direction;
   direction.e = direction.mu = VecX::Zero(impact_.points());
-  size_p_ = size_p_.cwiseMax(columns_.p.cwiseAbs().colwise().maxCoeff().transpose());
+  // A change of q turns the momenta.
+  const double momentum = impact.p_minus.cwiseAbs().maxCoeff();
+  size_p_ = size_p_.cwiseMax(columns_.p.cwiseAbs().colwise().maxCoeff().transpose())
+                .cwiseMax(momentum * columns_.q.cwiseAbs().colwise().maxCoeff().transpose());
   double loss = 0.0;
   for (Eigen::Index k = 0; k < d.count; ++k) {
     direction.q = columns_.q.col(k);
