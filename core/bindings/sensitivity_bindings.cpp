@@ -147,6 +147,7 @@ class Recorded {
     d["e"] = found->e;
     d["mu"] = found->mu;
     d["parameters"] = parameters_of(scene_.tree, found->parameters);
+    if (found->released >= 0) d["released"] = obstacle(release_by_parameters(found->released, found->released_at));
     return d;
   }
 

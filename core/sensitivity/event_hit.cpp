@@ -74,4 +74,30 @@ EventHit event_hit(const RecordedRun& run, const Piece& piece, bool take_branch)
                      "a point that is known", "one that is not", "End the run before");
 }
 
+NoDerivative hit_apart(const RecordedImpact& impact, const EventHit& hit) {
+  return {{"witness", impact.guard, impact.time},
+          "An impact has several new points at once",
+          "one point that hits first, or points that all directions bring down together",
+          std::to_string(hit.points.size()) + " points",
+          "Start a little tilted, so that one hits first"};
+}
+
+void check_beginnings(const RecordedRun& run, const Piece& piece, const Piece& next) {
+  if (next.contact == nullptr) return;
+  for (const ContactStepRecord::Contact& c : next.contact->contacts) {
+    const int guard = c.before.point.guard;
+    bool known = persists(piece, guard);
+    for (int i = 0; i < piece.impacts; ++i) known |= run.impacts[piece.first_impact + i].guard == guard;
+    if (known) continue;
+    throw NoDerivative({"grazing", guard, next.t}, "A persistent contact begins without an impact", "a closing speed",
+                       "a gap that closes at no speed", "Start elsewhere");
+  }
+}
+
+void check_node(const Piece& piece, const Piece* next) {
+  if (!piece.persistent && (next == nullptr || !next->persistent)) return;
+  throw NoDerivative({"node", -1, piece.t + piece.h}, "An event beside a persistent contact is at the end of a step",
+                     "events inside of steps", "one at the end", "Use another dt");
+}
+
 }  // namespace contactvi

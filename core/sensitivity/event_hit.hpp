@@ -19,4 +19,16 @@ bool persists(const Piece& piece, const ContactPoint& point);
 // NoDerivative where they had impacts one after the other, unless take_branch.
 EventHit event_hit(const RecordedRun& run, const Piece& piece, bool take_branch);
 
+// The reason for points that are hit one after the other along some direction.
+NoDerivative hit_apart(const RecordedImpact& impact, const EventHit& hit);
+// Of the terms of the gaps' changes: points that are hit together along a direction have the same time to this.
+constexpr double kTogether = 1e-8;
+
+// Throws NoDerivative for a persistent contact that begins at the end of a piece without an impact: contacts begin with
+// impacts, or are there at the start of the run.
+void check_beginnings(const RecordedRun& run, const Piece& piece, const Piece& next);
+// Throws NoDerivative for an event at a node, beside a contact step (next: null at the end of the run): what would
+// follow is a contact step of no length.
+void check_node(const Piece& piece, const Piece* next);
+
 }  // namespace contactvi

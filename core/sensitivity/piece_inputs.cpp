@@ -78,13 +78,6 @@ void check_forces_in_time(const Tree& tree, const RecordedRun& run, StepEquation
                      "Give the force as control, which is constant over each step");
 }
 
-void check_adjoint(const Piece& piece) {
-  if (!piece.persistent) return;
-  throw NoDerivative({"contact", -1, piece.t}, "There is a persistent contact in the run", "impacts alone",
-                     "a step with persistent contacts",
-                     "The gradient by the adjoint does not know them yet: use Trajectory.sensitivity");
-}
-
 bool is_node(const RecordedRun& run, double time) {
   const double steps = (time - run.t0) / run.dt;
   return std::abs(steps - std::round(steps)) <= kSameTime;

@@ -8,11 +8,6 @@
 
 namespace contactvi {
 
-namespace {
-// Of the terms of the gaps' changes: points that are hit together along a direction have the same time to this.
-constexpr double kTogether = 1e-8;
-}  // namespace
-
 RunTangent::RunTangent(const Scene& scene, const RecordedRun& run, bool take_branch)
     : scene_(&scene),
       run_(&run),
@@ -79,26 +74,6 @@ void RunTangent::solve_length(const Piece& piece) {
   direction_ = StepDirection();
   direction_.h = 1.0;
   if (!tangent_.solve(direction_, fq_, fp_)) throw Error("the derivative of a step was not solved");
-}
-
-// Contacts begin with impacts, or are there at the start of the run.
-void RunTangent::check_beginnings(const Piece& piece, const Piece& next) const {
-  if (next.contact == nullptr) return;
-  for (const ContactStepRecord::Contact& c : next.contact->contacts) {
-    const int guard = c.before.point.guard;
-    bool known = persists(piece, guard);
-    for (int i = 0; i < piece.impacts; ++i) known |= run_->impacts[piece.first_impact + i].guard == guard;
-    if (known) continue;
-    throw NoDerivative({"grazing", guard, next.t}, "A persistent contact begins without an impact", "a closing speed",
-                       "a gap that closes at no speed", "Start elsewhere");
-  }
-}
-
-// An event at a node, beside a contact step: what would follow is a contact step of no length.
-void RunTangent::check_node(const Piece& piece, const Piece* next) const {
-  if (!piece.persistent && (next == nullptr || !next->persistent)) return;
-  throw NoDerivative({"node", -1, piece.t + piece.h}, "An event beside a persistent contact is at the end of a step",
-                     "events inside of steps", "one at the end", "Use another dt");
 }
 
 // The part of a step up to a time inside of it.
@@ -203,9 +178,7 @@ VecX RunTangent::time_change(const EventHit& hit, double& approach) const {
       continue;
     }
     if (((now - later).cwiseAbs().array() <= kTogether * (size + terms).array()).all()) continue;
-    throw NoDerivative({"witness", impact.guard, impact.time}, "An impact has several new points at once",
-                       "one point that hits first, or points that all directions bring down together",
-                       std::to_string(hit.points.size()) + " points", "Start a little tilted, so that one hits first");
+    throw hit_apart(impact, hit);
   }
   return later;
 }
@@ -318,7 +291,7 @@ RunDerivative RunTangent::solve(const RunDirections& directions, const std::vect
       check_node(piece, last ? nullptr : &pieces[i + 1]);
       reach_node(last ? run_->q_end : pieces[i + 1].q, last ? run_->p_end : pieces[i + 1].p, end, directions);
     }
-    if (!last) check_beginnings(piece, pieces[i + 1]);
+    if (!last) check_beginnings(*run_, piece, pieces[i + 1]);
     if (size > 0.0)
       result.growth =
           std::max({result.growth, columns_.q.cwiseAbs().maxCoeff() / size, columns_.p.cwiseAbs().maxCoeff() / size});

@@ -48,8 +48,6 @@ class RunTangent {
   void take_part(const Piece& piece, double length);
   void move(const Piece& piece, const RunDirections& directions);
   void solve_length(const Piece& piece);
-  void check_beginnings(const Piece& piece, const Piece& next) const;
-  void check_node(const Piece& piece, const Piece* next) const;
   void take_event(const Piece& piece, const RunDirections& directions, RunDerivative& result);
   void set_reference(const Piece& piece);
   void take_impact(const RecordedImpact& impact);
