@@ -47,8 +47,9 @@ class PerturbedRuns:
     def __init__(self, scene: Scene, traj: Trajectory, exact: Sensitivity) -> None:
         self._scene, self._exact = scene, exact
         self._compiled = compile_scene(scene)
+        # With polynomials all trees are advanced together, as in the run: an event of one cuts the steps of the others.
         self._settings = replace(
-            traj.options, record="states", dense=False, sample_dt=None, tol=min(SOLVED, traj.options.stage_tol)
+            traj.options, record="states", dense=True, sample_dt=None, tol=min(SOLVED, traj.options.stage_tol)
         )
         self._q, self._v, self._t = np.array(traj.q[0]), np.array(traj.v[0]), float(traj.t[0])
         assert traj.inputs is not None

@@ -7,7 +7,7 @@ numbers the gradient has.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from contactvi.trajectory.sensitivity import (
     wanted,
 )
 
+if TYPE_CHECKING:
+    from contactvi import _core
+
 Array = NDArray[np.float64]
 Cost = Callable[[Array, Array, Array], tuple[float, Array, Array]] | tuple[Any, Any]
 
@@ -42,6 +45,7 @@ def gradient(
     run = recorded_run(traj, compiled)
     picks = [_Pick(traj, compiled, Laws(traj, run, compiled), name) for name in names]
     value, lq, lv = _gradients(traj, compiled, cost)
+    _check_direction(traj, run, compiled, names, on_kink == "taken")
     steps = round((float(traj.t[-1]) - float(traj.t[0])) / traj.options.fixed_dt + 0.499)
     found = run.adjoint(list(map(float, traj.t)), lq, lv, np.zeros(0), max(steps, 1), on_kink == "taken")
     if "fact" in found:
@@ -49,6 +53,27 @@ def gradient(
     if "released" in found and any(parameters.is_parameter(name) for name in names):
         raise not_differentiable(traj, found["released"])
     return value, {pick.name: pick.of(found) for pick in picks}
+
+
+def _check_direction(
+    traj: Recorded, run: _core.RecordedRun, compiled: CompiledScene, names: Sequence[str], taken: bool
+) -> None:
+    """Raise NotDifferentiable for a run that has a derivative along some directions and not along others.
+
+    Where points are hit together or share a load, that is so along directions that keep them together. What holds along
+    a random one of those asked for holds along all, with probability one.
+    """
+    assert traj.segments is not None
+    several = len(traj.events) and int(traj.events.array("points").max()) > 1
+    if not several and not np.any(traj.segments.arrays["persistent"]):
+        return
+    rng = np.random.default_rng(0)
+    entries = {"q0": "q", "v0": "v", "control": "tau", "target": "tau", "target_velocity": "tau"}
+    asked = {entries[name] for name in names if name in entries} or {"tau"}
+    direction = {entry: rng.standard_normal((compiled.states.nv, 1)) for entry in sorted(asked)}
+    found = run.tangent({"count": 1, **direction}, [float(traj.t[-1])], taken)
+    if "fact" in found:
+        raise not_differentiable(traj, found)
 
 
 def _gradients(traj: Recorded, compiled: CompiledScene, cost: Cost) -> tuple[float | None, Array, Array]:

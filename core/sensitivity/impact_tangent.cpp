@@ -208,7 +208,7 @@ void ImpactTangent::apply_law(const ImpactDirection& d, VecX& dlambda) const {
   const double size = std::max(d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0);
   const PoissonDirection direction{dgamma_, dG_, d.e, d.mu, size * Z_.cwiseAbs().colwise().sum().transpose()};
   const PoissonTangent::Outcome outcome = law_.solve(direction, dlambda);
-  if (outcome == PoissonTangent::Outcome::kSolved) return;
+  if (outcome == PoissonTangent::Outcome::kSolved || !d.checked) return;
   if (outcome == PoissonTangent::Outcome::kKink)
     refuse("simultaneous", impact_->guard, "A contact neither closes nor separates in an impact of others",
            "contacts that take part in an impact, or separate", "one on the border between both", "Start elsewhere");
@@ -239,6 +239,7 @@ void ImpactTangent::add_parameters(const VecX& lp, StepAdjoint& adjoint, StepPar
   if (implicit_) return;
   const VecX l = W_.transpose() * lp;
   ImpactDirection none;
+  none.checked = false;
   none.e = none.mu = VecX::Zero(points());
   VecX of_gamma(rows_), dlambda(rows_);
   MatX of_G(rows_, rows_);

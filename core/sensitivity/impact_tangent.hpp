@@ -25,6 +25,7 @@ struct ImpactDirection {
   double reference = 0;  // of the implicit maps: their scalar before the impact [J]
   double rest = 0;       // length of the rest of the step [s]
   const StepParameters* parameters = nullptr;
+  bool checked = true;  // whether points that share an impulse may not contradict each other along it
 };
 
 class ImpactTangent {

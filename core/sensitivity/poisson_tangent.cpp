@@ -93,8 +93,8 @@ bool PoissonTangent::determines(const MatX& effect) const {
 
 PoissonTangent::Outcome PoissonTangent::solve(const PoissonDirection& d, VecX& dlambda) const {
   const auto count = static_cast<Eigen::Index>(points_.size());
-  const Outcome first = solve(compression_, d.gamma + d.G * compression_.lambda, VecX::Zero(count), d, dlambda);
-  if (first != Outcome::kSolved || !expansion_.any) return first;
+  const Outcome found = solve(compression_, d.gamma + d.G * compression_.lambda, VecX::Zero(count), d, dlambda);
+  if (!expansion_.any) return found;
   VecX dleast(count), second;
   for (Eigen::Index i = 0; i < count; ++i) {
     const ImpactPoint& point = points_[i];
@@ -103,7 +103,7 @@ PoissonTangent::Outcome PoissonTangent::solve(const PoissonDirection& d, VecX& d
   const VecX start = d.gamma + d.G * (compression_.lambda + expansion_.lambda) + G_ * dlambda;
   const Outcome last = solve(expansion_, start, dleast, d, second);
   dlambda += second;
-  return last;
+  return found == Outcome::kSolved ? last : found;
 }
 
 // dgamma0: the change of the speeds with the impulses of this problem as they are.

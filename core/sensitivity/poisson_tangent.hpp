@@ -38,8 +38,9 @@ class PoissonTangent {
   // Whether all motions, of which `effect` (n, rows) are those by the impulses, are determined however points share a
   // load.
   bool determines(const MatX& effect) const;
-  // False where a point that neither closes nor separates, without an impulse, does so along the direction: there the
-  // impact has a kink. `contradiction`: where points that share a load contradict each other.
+  // kKink: a point that neither closes nor separates, without an impulse, does so along the direction.
+  // kContradiction: points that share a load contradict each other along it. dlambda is linear in the direction all the
+  // same.
   enum class Outcome { kSolved, kKink, kContradiction };
   Outcome solve(const PoissonDirection& direction, VecX& dlambda) const;
 

@@ -1,7 +1,7 @@
 // The continuous normal force of a contact that is released at the end of a contact step, as a function of the state
 // there; its zero is the time of the release.
 //
-// With the contacts that were loaded, and stuck or slipped: G f + W^T a + dW^T v = 0 in the rows of the normals and of
+// With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v = 0 in the rows of the normals and of
 // what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts and dW the change of the rows
 // along v (ContactTangent). Its derivative would need the third derivative of the gap: it is taken by fourth-order
 // differences, which are right to 1e-10.
@@ -26,6 +26,7 @@ class ReleaseForce {
   double change(const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu);
 
  private:
+  double settle_loads();
   double force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu);
   void refuse(const std::string& got) const;
 
@@ -35,8 +36,10 @@ class ReleaseForce {
   ContactTangent tangent_;
   const ContactStepRecord* record_ = nullptr;
   const VecX* tau_ = nullptr;
-  VecX mu_, forces_;  // forces_: those of the last evaluation
-  MatX W_, dW_;
+  std::vector<char> loaded_;  // which contacts carry load
+  VecX mu_;
+  VecX forces_, accelerations_;  // of the rows, at the last evaluation
+  MatX W_, dW_, A_;
   VecX v_, a_;
   SharedLoad system_;
   double size_ = 0.0;  // of the terms of the forces at the last evaluation [N]

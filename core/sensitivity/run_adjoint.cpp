@@ -76,6 +76,7 @@ void RunAdjoint::set_impact_matrix() {
   ImpactDirection direction;
   direction.q = direction.p = VecX::Zero(n);
   direction.e = direction.mu = VecX::Zero(impact_.points());
+  direction.checked = false;
   VecX column(n + 1);
   const auto apply = [&] {
     double loss = 0.0;
@@ -124,32 +125,6 @@ void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) 
   lreference_ += matrix_.reference.dot(l);
 }
 
-// The gradient of the gap whose zero is the time of the event, of the impact that was taken. Several points have one
-// time along all directions that keep what persists closed: the differences are then sums of their gradients.
-VecX RunAdjoint::hit_gradient(const Piece& piece, const EventHit& hit, const VecX& fq, double& rate) const {
-  const RecordedImpact& impact = run_->impacts[hit.impact];
-  const auto row = [&](std::size_t i) {
-    VecX W = impact_.gradient(hit.points.empty() ? 0 : impact_.find(*hit.points[i]));
-    rate = W.dot(fq);
-    check_closing(impact, rate, W.cwiseAbs().dot(fq.cwiseAbs()));
-    return W;
-  };
-  if (hit.points.size() > 1) {
-    const std::size_t count = piece.contact != nullptr ? piece.contact->contacts.size() : 0;
-    MatX closed(fq.size(), count);
-    for (std::size_t i = 0; i < count; ++i) closed.col(i) = piece.contact->W1.col(piece.contact->contacts[i].row);
-    const Eigen::CompleteOrthogonalDecomposition<MatX> sums(closed);
-    const VecX first = row(0) / rate;
-    for (std::size_t i = 1; i < hit.points.size(); ++i) {
-      const VecX difference = row(i) / rate - first;
-      const VecX left = closed.cols() > 0 ? VecX(difference - closed * sums.solve(difference)) : difference;
-      if (!(left.norm() <= kTogether * (first.norm() + difference.norm())))
-        throw hit_apart(run_->impacts[hit.impact], hit);
-    }
-  }
-  return row(0);
-}
-
 // The impacts at the end of a piece, and its time.
 void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradient& result) {
   check_forces_in_time(scene_->tree, *run_, integrator_, piece);
@@ -175,8 +150,10 @@ void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradien
   }
   double by_time = lq_.dot(fq) + lp_.dot(fp) + ltime_ + time_gradient;
   if (lenergy_ != 0.0) by_time += lenergy_ * tangent_.energy_change();
-  double rate = 0.0;
-  const VecX W = hit_gradient(piece, hit, fq, rate);
+  // Where several points are hit they have one time along the directions that there are: any of them tells it.
+  const VecX W = impact_.gradient(hit.points.empty() ? 0 : impact_.find(*hit.points[0]));
+  const double rate = W.dot(fq);
+  check_closing(impact, rate, W.cwiseAbs().dot(fq.cwiseAbs()));
   lq_ -= W * (by_time / rate);
   ltime_ = 0.0;
 }

@@ -25,7 +25,8 @@ class RunAdjoint {
  public:
   RunAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch);
 
-  // steps: of the run. Throws NoDerivative.
+  // steps: of the run. Throws NoDerivative; but what depends on the direction, points that are hit together or share a
+  // load along some directions and not along others, is not seen here: RunTangent along a random direction sees it.
   RunGradient solve(const RunCost& cost, long steps);
 
  private:
@@ -44,7 +45,6 @@ class RunAdjoint {
   void pass_piece(const Piece& piece, RunGradient& result);
   void add_energy_gradient(const VecX& q, const VecX& p);
   void set_impact_matrix();
-  VecX hit_gradient(const Piece& piece, const EventHit& hit, const VecX& fq, double& rate) const;
   void step_back(long step, RunGradient& result);
 
   const Scene* scene_;

@@ -45,6 +45,7 @@ void RunTangent::start(const RunDirections& d) {
   }
   columns_.time.setZero(d.count);
   contact_.start(d.count);
+  size_q_.setZero(d.count);
   size_p_.setZero(d.count);
   reference_.setZero(d.count);
   piece_energy_.setZero(d.count);
@@ -142,8 +143,7 @@ void RunTangent::apply_impact(const RecordedImpact& impact, const RunDirections&
   direction.e = direction.mu = VecX::Zero(impact_.points());
   // A change of q turns the momenta.
   const double momentum = impact.p_minus.cwiseAbs().maxCoeff();
-  size_p_ = size_p_.cwiseMax(columns_.p.cwiseAbs().colwise().maxCoeff().transpose())
-                .cwiseMax(momentum * columns_.q.cwiseAbs().colwise().maxCoeff().transpose());
+  size_p_ = size_p_.cwiseMax(columns_.p.cwiseAbs().colwise().maxCoeff().transpose()).cwiseMax(momentum * size_q_);
   double loss = 0.0;
   for (Eigen::Index k = 0; k < d.count; ++k) {
     direction.q = columns_.q.col(k);
@@ -171,7 +171,7 @@ VecX RunTangent::time_change(const EventHit& hit, double& approach) const {
     const double rate = W.dot(fq_);
     approach = std::min(approach, check_closing(impact, rate, W.cwiseAbs().dot(fq_.cwiseAbs())));
     const VecX now = columns_.q.transpose() * W / -rate;
-    const VecX terms = columns_.q.cwiseAbs().transpose() * W.cwiseAbs() / std::abs(rate);
+    const VecX terms = size_q_ * (W.cwiseAbs().sum() / std::abs(rate));
     if (i == 0) {
       later = now;
       size = terms;
@@ -267,6 +267,7 @@ RunDerivative RunTangent::solve(const RunDirections& directions, const std::vect
     }
     if (!columns_.time.isZero(0)) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     take_piece(piece);
+    size_q_ = size_q_.cwiseMax(columns_.q.cwiseAbs().colwise().maxCoeff().transpose());
     const double end = piece.t + piece.h;
     // Times inside of the piece: from the same start by a part of the step.
     while (wanted != times.end() && *wanted < end - same) {

@@ -69,7 +69,7 @@ class RunTangent {
   VecX step_q_, step_p_;
   long reference_step_ = -1;
   VecX dq_, dp_, fq_, fp_;
-  VecX size_p_;  // per column: largest change of p so far
+  VecX size_q_, size_p_;  // per column: largest changes of q and p so far
   ContactPieces contact_;
 };
 
