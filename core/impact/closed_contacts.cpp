@@ -7,9 +7,8 @@
 namespace contactvi {
 
 namespace {
-constexpr double kImmobile =
-    1e-12;                        // of the inverse inertia without constraints: below it constraints hold the point
-constexpr double kDriven = 1e-9;  // of the speeds: constraints that close a held point faster are an error
+constexpr double kImmobile = 1e-12;  // of the inverse inertia without constraints: below it constraints hold the point
+constexpr double kDriven = 1e-9;     // of the speeds: constraints that close a held point faster are an error
 }  // namespace
 
 // Adds the points of a guard that are closed at q_, with its persistent ones. False if there are none.
@@ -144,7 +143,7 @@ bool ImpactSequence::collect(const VecX& q, const VecX& p, double t, const std::
   std::sort(guards.begin(), guards.end());
   guards.erase(std::unique(guards.begin(), guards.end()), guards.end());
   for (int g : guards) {
-    const double tolerance = guards_->touch_tolerance(g);
+    const double tolerance = Guards::kTouching;
     bool is_persistent = false;
     for (const PersistentContact& h : persistent) is_persistent |= h.point.guard == g;
     Contact contact;

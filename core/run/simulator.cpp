@@ -120,7 +120,7 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
   guards_.list_meeting(meeting);
   for (int g : meeting) {
     Contact contact;
-    const double gap = guards_.evaluate(g, contact), tolerance = guards_.touch_tolerance(g);
+    const double gap = guards_.evaluate(g, contact), tolerance = Guards::kTouching;
     if (gap <= tolerance) finder_.set_touching(g, true);
     if (!(gap >= -tolerance)) {
       end(StatusCode::kPenetration, t, "the start state is in penetration", g);
@@ -341,8 +341,7 @@ bool Simulator::take_event(Interval& interval, double h, bool shorter, Recording
   }
   control.expect_flight(law_->implicit() ? 0.0 : zeno_.shortest_flight(state_.flights), options_.dt);
   // An implicit map has chosen its impulse for the rest of the step, which therefore is solved as a whole.
-  if (law_->implicit() && !zeno_.impacted().empty())
-    control.free.allow(interval.remaining);
+  if (law_->implicit() && !zeno_.impacted().empty()) control.free.allow(interval.remaining);
   return true;
 }
 

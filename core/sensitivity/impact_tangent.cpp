@@ -62,7 +62,7 @@ void ImpactTangent::take_rows(const RecordedImpact& impact) {
   if (impact.points > 1)
     refuse("An impact has several points at once", "witness", "one point that hits first",
            std::to_string(impact.points) + " points", "Start a little tilted, so that one point hits first");
-  if (!sequence_.collect_given(impact.q, impact.p_minus, {impact.guard}, guards_.touch_tolerance(impact.guard)))
+  if (!sequence_.collect_given(impact.q, impact.p_minus, {impact.guard}, Guards::kTouching))
     throw Error("a recorded impact has no contact");
   ClosedGuard& closed = sequence_.closed(0);
   const ContactPoint& point = closed.points[0];
