@@ -11,8 +11,8 @@ namespace contactvi {
 
 class CoreProjection {
  public:
-  // outward: a direction from the core towards the points that will be asked for, in the shape's frame. Of a polytope it
-  // says where to look first.
+  // outward: a direction from the core towards the points that will be asked for, in the shape's frame. Of a polytope
+  // it says where to look first.
   CoreProjection(const ShapeFeatures& shape, const Vec3& outward);
 
   // The nearest point y to x in the shape's frame, and dy/dx, which is symmetric with eigenvalues from 0 to 1. False

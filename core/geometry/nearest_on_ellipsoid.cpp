@@ -9,8 +9,8 @@ namespace contactvi {
 
 namespace {
 
-// [rad] Newton's method doubles the digits with each step: where a step below this one is not followed by a smaller one,
-// what is left is rounding.
+// [rad] Newton's method doubles the digits with each step: where a step below this one is not followed by a smaller
+// one, what is left is rounding.
 constexpr double kNearlyThere = 1e-9;
 constexpr double kRounding = 1e-15;  // of a place in the frame of the other body
 constexpr int kNewton = 50, kHalvings = 30;

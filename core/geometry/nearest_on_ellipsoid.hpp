@@ -9,8 +9,8 @@
 //
 // R is positive and P lies between 0 and 1, so that the matrix is regular wherever the cores are apart (g > 0), also
 // where the other point changes its feature, and dn makes the distance of x(n) from the other core smaller (of two
-// ellipsoids: makes g larger, which is a lower bound on their distance). Steps are halved until it does. Two convex cores that are apart have only one solution: an ellipsoid is
-// strictly convex, there is no flat on flat.
+// ellipsoids: makes g larger, which is a lower bound on their distance). Steps are halved until it does. Two convex
+// cores that are apart have only one solution: an ellipsoid is strictly convex, there is no flat on flat.
 #pragma once
 
 #include "geometry/candidates.hpp"
