@@ -23,7 +23,7 @@ from rich.console import Console
 from contactvi.derivatives.gradient_check import Comparison
 from contactvi.progress import JobProgress
 from contactvi.tables import print_table, text_table
-from helpers.derivative_battery import BAR, KNOWN, SYMPLECTIC, Row, measure, sample, symplectic_errors
+from helpers.derivative_battery import BAR, SYMPLECTIC, Row, measure, sample, symplectic_errors
 from helpers.derivative_cases import all_cases
 
 COLUMNS = (
@@ -58,13 +58,9 @@ def main() -> int:
         for reason, count in row.refused.items():
             print(f"refused {count} x {row.family}: {reason}")
     faults = [text for row in rows for text in row.faults]
-    known = [text for row in rows for text in row.known]
-    print(f"\n{len(cases)} cases in {time.monotonic() - began:.0f} s, bar {BAR:g}; {len(faults)} new disagreements")
+    print(f"\n{len(cases)} cases in {time.monotonic() - began:.0f} s, bar {BAR:g}; {len(faults)} disagreements")
     for fault in faults:
         print(f"  {fault}")
-    print(f"{len(known)} known disagreements, of:")
-    for name, reason in KNOWN.items():
-        print(f"  {name}: {reason}")
     errors = symplectic_errors(1 if args.quick else 5)
     worst = max(errors, key=lambda joints: errors[joints])
     print(f"A^T J A - J: at most {errors[worst]:.1e} ({worst}), bar {SYMPLECTIC:g}")

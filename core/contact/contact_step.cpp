@@ -8,21 +8,20 @@ namespace contactvi {
 namespace {
 constexpr int kMaxIterations = 40;
 constexpr double kRounding = 1e-14;  // of the velocities: converged
-// [m] of gaps, of those of cylinders and of constraints; divided by the step it is a velocity
+// [m] of gaps, of those to cylinders and ellipsoids, and of constraints; divided by the step it is a velocity
 constexpr double kGapRounding = 2e-16, kLargerRounding = 1e-15;
-constexpr double kGapNoise = 1e-11;       // [m] of gaps to which distances carry noise
 constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking points disagree
 // Residual of a cone problem that counts as solved: while the iterations go on, and when they have settled. Redundant
 // rows agree only as far as the iterations have come; better impulses would press the points of a body against each
 // other.
 constexpr double kAcceptFirst = 1e-7, kAccept = 1e-9;
 constexpr double kAgreeFirst = 1e-4, kAgree = 1e-7;  // relative disagreement of dependent rows: at first, when settled
-constexpr double kShortNoisy = 1e-2, kShortRim = 1e-9, kShort = 1e-5;  // of a nominal step; see counts_by_rate
-constexpr double kStalled = 1e3;     // of the convergence limit: iterations that stall below it end
-constexpr int kIdle = 4;             // iterations without gain that count as a stall
-constexpr double kBest = 1e-4;       // smallest contraction rate that is assumed
-constexpr double kSameTime = 1e-13;  // of 1 s + t: times that differ less are equal
-constexpr double kSettled = 1e-3;    // relative change of v from which on the contact matrix is kept
+constexpr double kShortRim = 1e-9, kShort = 1e-5;    // of a nominal step; see counts_by_rate
+constexpr double kStalled = 1e3;                     // of the convergence limit: iterations that stall below it end
+constexpr int kIdle = 4;                             // iterations without gain that count as a stall
+constexpr double kBest = 1e-4;                       // smallest contraction rate that is assumed
+constexpr double kSameTime = 1e-13;                  // of 1 s + t: times that differ less are equal
+constexpr double kSettled = 1e-3;                    // relative change of v from which on the contact matrix is kept
 }  // namespace
 
 ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& manifolds)
@@ -68,7 +67,7 @@ void ContactStep::set_rows() {
   reference_positions_.resize(n);
   paradox_.resize(n);
   rows_ = bilateral_ + friction_rows_;
-  noisy_ = has_cylinders_ = false;
+  iterated_ = false;
   for (std::size_t i = 0; i < n; ++i) {
     row_[i] = rows_;
     rows_ += contacts_[i].rows();
@@ -77,8 +76,7 @@ void ContactStep::set_rows() {
     cones_[friction_rows_ + i].rows = contacts_[i].rows();
     cones_[friction_rows_ + i].mu = contacts_[i].mu;
     const int guard = contacts_[i].point.guard;
-    noisy_ |= guards_->is_noisy(guard);
-    has_cylinders_ |= scene_->is_pair(guard) && scene_->pairs[guard].refined;
+    iterated_ |= scene_->is_pair(guard) && scene_->pairs[guard].refined;
   }
   const int nv = scene_->tree.nv;
   for (Node* node : {&node0_, &node1_}) {
@@ -162,9 +160,8 @@ void ContactStep::end_node(const VecX& q1, double t1) {
 // Whether the gap of a contact counts in a step of length h by its rate: the difference of two gaps over so short a
 // time is rounding.
 bool ContactStep::counts_by_rate(const PersistentContact& persistent, double h) const {
-  const bool noisy = guards_->is_noisy(persistent.point.guard);
   // The rate of a rim's gap changes as it rolls.
-  const double shortest = noisy ? kShortNoisy : persistent.point.kind == PointKind::kRim ? kShortRim : kShort;
+  const double shortest = persistent.point.kind == PointKind::kRim ? kShortRim : kShort;
   return h < shortest * nominal_h_;
 }
 
@@ -231,8 +228,8 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
   int idle = 0;
   double last = INFINITY;
   bool settled = false;
-  const double rounding = bilateral_ > 0 || has_cylinders_ ? kLargerRounding : kGapRounding;
-  const double noise = (noisy_ ? kGapNoise : rounding) / h;  // of the rows, as a velocity
+  // Of the rows, as a velocity.
+  const double noise = (bilateral_ > 0 || iterated_ ? kLargerRounding : kGapRounding) / h;
   for (int k = 0; k < kMaxIterations; ++k) {
     ++counters.contact_iterations;
     p_start_ = p0;

@@ -215,8 +215,7 @@ class ContactStep final : public Stepper {
   int violated_constraint_ = -1;
   VecX fixed_force_;  // of the rows of constraints and joint friction in the last step
   int rows_ = 0;
-  bool noisy_ = false;          // whether the gap of some contact has the noise of an iterated distance
-  bool has_cylinders_ = false;  // whether some contact is one of a cylinder with a shape that is no halfspace
+  bool iterated_ = false;  // whether the gap of some contact is the end of Newton's method, which rounds more
   Node node0_, node1_;
   std::vector<double> paradox_;  // A of each contact (ContactOutcome), 1 where it does not apply
   std::vector<Vec3>

@@ -143,9 +143,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
     Contact witness;
     const double gap = guards_->evaluate_witness(near.guard, witness);
     const bool pair = scene_->is_pair(near.guard);
-    const double noise = guards_->is_noisy(near.guard) ? 2.0 * guards_->root_tolerance(near.guard)
-                         : pair                        ? kGapPromised
-                                                       : kLimitPromised;
+    const double noise = pair ? kGapPromised : kLimitPromised;
     gap_ = std::min(gap_, gap);
     const double excess = gap - near.allowed;
     if (excess < excess_) {

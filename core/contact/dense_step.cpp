@@ -111,11 +111,6 @@ void DenseStep::bound_velocities() {
 
 // --- position impulse ---
 
-// To which the gap of a loaded contact is zero [m].
-double DenseStep::solved_gap(const DenseContact& c) const {
-  return guards_->is_noisy(c.point.guard) ? guards_->root_tolerance(c.point.guard) : kGapSolved;
-}
-
 // The gaps of the active contacts at the end of the step with the velocity v_; returns how far the law of the gaps is
 // from being met: a loaded contact is open, or any contact overlaps [m].
 double DenseStep::place_end() {
@@ -131,7 +126,7 @@ double DenseStep::place_end() {
     // What the normal impulse above its bound moves the contact by in the step: a gap that is open counts up to that.
     const double lift = std::max(0.0, n - least) * mobility_[k] * h_;
     const double off = std::max(-gap, std::min(gap, lift));
-    if (off > solved_gap(c)) error = std::max(error, off);
+    if (off > kGapSolved) error = std::max(error, off);
   }
   return error;
 }
@@ -194,7 +189,7 @@ double DenseStep::widest_loaded_gap() const {
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const DenseContact& c = contacts()[active_[i]];
     const double gap = c.at1.gap - c.allowed;
-    if (gap > solved_gap(c)) widest = std::max(widest, std::min(gap, lambda_[rows_.block(i).row] * mobility_[i] * h_));
+    if (gap > kGapSolved) widest = std::max(widest, std::min(gap, lambda_[rows_.block(i).row] * mobility_[i] * h_));
   }
   return widest;
 }
@@ -247,7 +242,7 @@ bool DenseStep::position_problem() {
     const BlockContact& block = rows_.block(i);
     // The solver's rounding at points that stay open.
     const double lift = lambda_[block.row] * mobility_[i] * h_;
-    if (c.at1.gap - c.allowed > solved_gap(c) && lift <= kGapSolved) lambda_.segment(block.row, block.rows).setZero();
+    if (c.at1.gap - c.allowed > kGapSolved && lift <= kGapSolved) lambda_.segment(block.row, block.rows).setZero();
     c.position.setZero();
     c.position.head(block.rows) = lambda_.segment(block.row, block.rows);
   }
@@ -294,10 +289,9 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   active_.clear();
   for (int i = 0; i < static_cast<int>(all.size()); ++i) {
     DenseContact& c = all[i];
-    const double noise = guards_->is_noisy(c.point.guard) ? guards_->root_tolerance(c.point.guard) : kTouching;
     // A point whose gap is larger than what its impulse moves it by is open: that impulse is an error of the solver.
     const double lift = c.position[0] * mobility_[i] * h_;
-    c.closed = c.at1.gap <= std::max(noise, lift);
+    c.closed = c.at1.gap <= std::max(kTouching, lift);
     c.t1_1 = scene_->is_pair(c.point.guard) ? carried_tangent(c.t1_0, c.at0.normal, c.at1.normal) : Vec3(Vec3::Zero());
     if (c.closed) active_.push_back(i);
   }
@@ -366,8 +360,7 @@ double DenseStep::contacts_error(const Energy& before, const Energy& free, const
   bool impact = false;
   const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
   for (const DenseContact& c : contacts()) {
-    const double noise = std::max(DenseCandidates::kGapPromised, solved_gap(c));
-    lifts += c.position.norm() * (kGapSolved + std::clamp(-c.at0.gap, 0.0, noise));
+    lifts += c.position.norm() * (kGapSolved + std::clamp(-c.at0.gap, 0.0, DenseCandidates::kGapPromised));
     impact |= c.position[0] > 0.0 && c.closing < -fast;
   }
   const double smooth = kCurvature * std::max(before.kinetic, free.kinetic);

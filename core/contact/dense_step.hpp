@@ -90,7 +90,6 @@ class DenseStep {
   bool position_problem();
   void set_slips();
   bool gap_iterations();
-  double solved_gap(const DenseContact& c) const;
   double widest_loaded_gap() const;
   double place_end();
   double offset(const DenseContact& c, std::size_t i) const;

@@ -36,9 +36,7 @@ bool ContactStep::velocity_impulses() {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     ContactOutcome& out = outcomes_[i];
     const int r = row_[i];
-    const double noise =
-        guards_->is_noisy(contacts_[i].point.guard) ? guards_->root_tolerance(contacts_[i].point.guard) : kClosed;
-    out.active = lambda_[r] > 0.0 || node1_.at[i].gap <= noise;
+    out.active = lambda_[r] > 0.0 || node1_.at[i].gap <= kClosed;
     out.slipped = false;
     out.reversed = 0.0;
     out.keeps = out.freed = false;

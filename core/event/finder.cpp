@@ -204,7 +204,7 @@ bool EventFinder::collect(int g) {
 
 Search EventFinder::start(Suspect& s) {
   const Point a = gaps_.at(s.guard, 0.0);
-  const double tolerance = guards_->touch_tolerance(s.guard);
+  const double tolerance = Guards::kTouching;
   if (!std::isfinite(a.gap)) return fail(Search::kUnresolved, s.guard, a.gap);
   if (memory_.touching[s.guard] && a.gap > tolerance) memory_.touching[s.guard] = 0;
   if (!memory_.touching[s.guard] && a.gap <= 0.0) {
@@ -274,7 +274,7 @@ bool EventFinder::someone_is_earlier(const Suspect& first, bool coarse) {
   for (Suspect& s : suspects_) {
     if (&s == &first) continue;
     const double gap = guards_->evaluate(s.guard, contact_);
-    if (gap >= -(coarse ? guards_->depth_tolerance(s.guard) : guards_->touch_tolerance(s.guard))) continue;
+    if (gap >= -(coarse ? guards_->depth_tolerance(s.guard) : Guards::kTouching)) continue;
     earlier = true;
     const Point before = s.crosses ? s.lo : s.from;
     s.lo_sure = before.tau < alpha && before.gap > gaps_.doubt(s.guard, before.tau);
@@ -312,7 +312,7 @@ void EventFinder::settle() {
   left_out_.swap(memory_.exempt);
   memory_.exempt.clear();
   for (const Suspect& s : suspects_) {
-    if (s.end_gap > guards_->touch_tolerance(s.guard)) memory_.touching[s.guard] = 0;
+    if (s.end_gap > Guards::kTouching) memory_.touching[s.guard] = 0;
     if (!memory_.touching[s.guard]) guards_->mark(s.guard, s.end_gap);
   }
   guards_->commit();

@@ -60,10 +60,9 @@ GapPath::Point GapPath::at(int guard, double tau) {
 }
 
 double GapPath::doubt(int guard, double tau) const {
-  // The error has zeros of order two or more at both ends, so a straight line from there bounds it. Distances to curved
-  // shapes have noise of their own.
+  // The error has zeros of order two or more at both ends, so a straight line from there bounds it.
   const double weight = std::min(1.0, 8.0 * std::min(tau, 1.0 - tau));
-  return weight * guards_->doubt(guard) + (guards_->is_noisy(guard) ? guards_->root_tolerance(guard) : 0.0);
+  return weight * guards_->doubt(guard);
 }
 
 double GapPath::smooth_width(int guard) const {
@@ -75,8 +74,7 @@ double GapPath::smooth_width(int guard) const {
 // to the other is the rotation of the bodies, which changes its rate by less than the motion times the angle.
 bool GapPath::plainly_clear(int guard, const Point& start, const Point& end) const {
   const double turn = guards_->turn(guard);
-  const double unsure = 2.0 * guards_->doubt(guard) + turn * guards_->motion(guard) +
-                        (guards_->is_noisy(guard) ? guards_->root_tolerance(guard) : 0.0);
+  const double unsure = 2.0 * guards_->doubt(guard) + turn * guards_->motion(guard);
   return turn <= kTurn && lowest(start, end) > unsure;
 }
 
@@ -111,10 +109,9 @@ GapPath::Course GapPath::search(int guard, const Point& a, const Point& b, doubl
 }
 
 double GapPath::root(int guard, Point lo, Point hi, double offset) {
-  const double target = guards_->is_noisy(guard) ? 0.1 * guards_->root_tolerance(guard) : kRootTarget;
   const double drop = lo.gap - hi.gap, width = hi.tau - lo.tau;
   const double start = drop > 0.0 ? lo.tau + width * std::clamp((lo.gap + offset) / drop, 0.0, 1.0) : hi.tau;
-  return root_by_rate(lo.tau, hi.tau, start, target, kMaxIterations, [&](double tau) {
+  return root_by_rate(lo.tau, hi.tau, start, kRootTarget, kMaxIterations, [&](double tau) {
     const Point p = at(guard, tau);
     return ValueAndRate{p.gap + offset, p.rate};
   });

@@ -46,7 +46,7 @@ Search EventFinder::accept(int guard, const Point& at, bool stays_closed) {
 // Follows a touching guard from its start a: to where it has separated, or to where it closes without having done so.
 Search EventFinder::separate_touching(Suspect& s, Point a) {
   const int g = s.guard;
-  const double tolerance = guards_->touch_tolerance(g);
+  const double tolerance = Guards::kTouching;
   double width = gaps_.smooth_width(g);
   bool closes = false;
   for (int k = 0; k < kMaxCuts; ++k) {
@@ -104,7 +104,7 @@ Search EventFinder::close(Suspect& s, const Point& a, const Point& below) {
 // the two is approximated linearly, through the probes so far.
 Search EventFinder::exact_dip(Suspect& s, const Point& a, const Point& b) {
   const int g = s.guard;
-  const double width = b.tau - a.tau, bend = (b.rate - a.rate) / width, tolerance = guards_->root_tolerance(g);
+  const double width = b.tau - a.tau, bend = (b.rate - a.rate) / width, tolerance = Guards::kRoot;
   const Point left = gaps_.at(g, std::max(s.from.tau, a.tau - width));
   const Point right = gaps_.at(g, std::min(1.0, b.tau + width));
   double x = gaps_.minimum(g, left, right, 0.0), slope = 0.0, last_slope = 0.0, last_x = x, last_offset = 0.0;
@@ -206,7 +206,7 @@ Search EventFinder::find_open(Suspect& s) {
 // Iterates to the root on the exact path. lo_seen: the gap at s.lo is positive on the exact path.
 Search EventFinder::polish(Suspect& s, bool lo_seen, bool& exists) {
   const int g = s.guard;
-  const double tolerance = guards_->root_tolerance(g);
+  const double tolerance = Guards::kRoot;
   double lo = s.lo.tau, hi = s.hi.tau, x = s.root > lo && s.root <= hi ? s.root : 0.5 * (lo + hi);
   Point p{}, before{0.0, std::numeric_limits<double>::infinity(), 0.0};
   for (int k = 0; k < kMaxProbes; ++k) {

@@ -1,7 +1,5 @@
 #include "geometry/contact_surface.hpp"
 
-#include <coal/shape/geometric_shapes.h>
-
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
@@ -19,8 +17,8 @@ constexpr double kMeeting = 2.0 * kBorder;
 // is no farther from the normals of a flat feature belongs to it. Normals are differences of points, with a rounding of
 // 1e-15 m, over the distance of two cores, which are 1e-3 m apart and more: 1e-12 rad, and another factor of 1000.
 constexpr double kSameNormal = 1e-9;
-// [m] The same near an ellipsoid, where coal iterates: with an error of the distance of 1e-10 m the place is wrong by
-// the root of that times a radius of curvature.
+// [m] The same for points of coal, which iterates: with an error of the distance of 1e-10 m the place is wrong by the
+// root of that times a radius of curvature.
 constexpr double kNearby = 1e-5;
 
 double distance_from_line(const ShapeFeatures::Edge& e, const Vec3& x) {
@@ -64,12 +62,10 @@ ContactSurface ContactSurface::rim(const Vec3& center, const Vec3& axis, double 
   return s;
 }
 
-ContactSurface ContactSurface::ellipsoid(const Pose& pose, const Vec3& half, const Vec3& outward, double sweep) {
-  ContactSurface s = point("ellipsoid", pose.p, sweep);
+ContactSurface ContactSurface::ellipsoid(const Ellipsoid& ellipsoid, const Vec3& outward, double sweep) {
+  ContactSurface s = point("ellipsoid", ellipsoid.center, sweep);
   s.kind_ = Kind::kEllipsoid;
-  s.center_ = pose.p;
-  s.axes_ = pose.R;
-  s.half_ = half;
+  s.ellipsoid_ = ellipsoid;
   s.move(Vec3::Zero(), outward);
   return s;
 }
@@ -95,15 +91,11 @@ Bend ContactSurface::bend(const Vec3& n) const {
       break;
     }
     case Kind::kEllipsoid: {
-      const Vec3 k = axes_.transpose() * n, square = half_.cwiseAbs2(), w = square.cwiseProduct(k);
-      const double s = half_.cwiseProduct(k).norm();
       const Vec3 t[2] = {b.e[0], n.cross(b.e[0])};
+      const Mat3 bend = ellipsoid_.bend(n);
       Eigen::Matrix2d R;
       for (int i = 0; i < 2; ++i)
-        for (int j = 0; j < 2; ++j) {
-          const Vec3 ti = axes_.transpose() * t[i], tj = axes_.transpose() * t[j];
-          R(i, j) = (ti.dot(square.cwiseProduct(tj)) - ti.dot(w) * w.dot(tj) / (s * s)) / s;
-        }
+        for (int j = 0; j < 2; ++j) R(i, j) = t[i].dot(bend * t[j]);
       const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> eigen(R);
       b.e[0] = eigen.eigenvectors()(0, 0) * t[0] + eigen.eigenvectors()(1, 0) * t[1];
       b.radius[0] = eigen.eigenvalues()[0];
@@ -134,11 +126,9 @@ void ContactSurface::move(const Vec3& s, const Vec3& outward) {
       x_ = center_ + radius_ * across.normalized();
       break;
     }
-    case Kind::kEllipsoid: {
-      const Vec3 k = half_.cwiseProduct(axes_.transpose() * outward);
-      x_ = center_ + axes_ * half_.cwiseProduct(k) / k.norm();
+    case Kind::kEllipsoid:
+      x_ = ellipsoid_.point(outward);
       break;
-    }
   }
 }
 
@@ -194,6 +184,14 @@ const char* ContactSurface::find_on_polytope(const ShapeFeatures& o, const Pose&
     facing = o.faces[f].normal.dot(m);
     face = f;
   }
+  // Triangles of one plane have one normal: that one which has the point.
+  double outside = INFINITY;
+  for (int f = 0; f < static_cast<int>(o.faces.size()) && !nearby; ++f) {
+    if (o.faces[f].normal.dot(m) <= 0.0 || o.faces[f].normal.cross(m).norm() > kSameNormal) continue;
+    if (outside_of(o, o.faces[f], x) >= outside) continue;
+    outside = outside_of(o, o.faces[f], x);
+    face = f;
+  }
   if (face < 0) return "a face and its border";
   const ShapeFeatures::Face& f = o.faces[face];
   const double above = f.normal.dot(x) - f.offset;
@@ -230,13 +228,10 @@ const char* ContactSurface::find_on_cylinder(const ShapeFeatures& o, const Pose&
              : "the rim of a cylinder and its end or side";
 }
 
-const char* ContactSurface::find(const Geometry& geometry, bool rounded, const Pose& pose, const Vec3& x,
-                                 const Vec3& outward, bool nearby, ContactSurface& found) {
-  const ShapeFeatures& features = shape_features_of(geometry, rounded);
-  const coal::CollisionGeometry& shape = rounded && geometry.rounded ? *geometry.rounded : *geometry.sharp;
-  if (shape.getNodeType() == coal::GEOM_ELLIPSOID) {
-    const Vec3 half = static_cast<const coal::Ellipsoid&>(shape).radii;
-    found = ellipsoid({pose.R * geometry.R_BG, pose.point(geometry.p_BG)}, half, outward, features.radius);
+const char* ContactSurface::find(const ShapeFeatures& features, const Pose& pose, const Vec3& x, const Vec3& outward,
+                                 bool nearby, ContactSurface& found) {
+  if (features.ellipsoid) {
+    found = ellipsoid(features.ellipsoid->in(pose.R, pose.p), outward, features.radius);
     return nullptr;
   }
   if (features.is_unbounded()) {

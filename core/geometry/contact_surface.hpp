@@ -8,7 +8,7 @@
 //   edge       infinite along the edge, 0 across: the normal keeps orthogonal to the edge, and the point slides freely
 //   face       infinite, infinite
 //   rim        radius of the rim / sine of the angle from its axis to n along the rim, 0 in the plane of n and the axis
-//   ellipsoid  D^2 / s - (D^2 k)(D^2 k)^T / s^3, D half axes, k = n in the ellipsoid's frame, s = |D k|
+//   ellipsoid  see ellipsoid.hpp
 //
 // Sweeping by a sphere of radius r adds r dn. The side of a cylinder is its axis swept by its radius, a ball is a
 // vertex swept by its radius.
@@ -34,12 +34,12 @@ class ContactSurface {
   // n: unit, outward.
   static ContactSurface plane(const char* name, const Vec3& x, const Vec3& n, double sweep);
   static ContactSurface rim(const Vec3& center, const Vec3& axis, double radius, const Vec3& outward, double sweep);
-  static ContactSurface ellipsoid(const Pose& pose, const Vec3& half, const Vec3& outward, double sweep);
+  static ContactSurface ellipsoid(const Ellipsoid& ellipsoid, const Vec3& outward, double sweep);
 
-  // Of a geometry's shape, at the point x of its core with the normal `outward`, both in the world. Returns null, or
+  // Of a shape, at the point x of its core with the normal `outward`, both in the world. Returns null, or
   // between which features the point lies: there is no single one. nearby: x and the normal are known to some digits
   // only, and the likeliest feature is taken.
-  static const char* find(const Geometry& geometry, bool rounded, const Pose& pose, const Vec3& x, const Vec3& outward,
+  static const char* find(const ShapeFeatures& features, const Pose& pose, const Vec3& x, const Vec3& outward,
                           bool nearby, ContactSurface& found);
 
   const char* name() const { return name_; }
@@ -68,8 +68,8 @@ class ContactSurface {
   const char* name_ = "";
   int number_ = 0;
   double sweep_ = 0.0, radius_ = 0.0;
-  Vec3 x_{}, axis_{}, center_{}, half_{};  // axis_: direction of the line, normal of the plane, axis of the rim
-  Mat3 axes_{};                            // of the ellipsoid
+  Vec3 x_{}, axis_{}, center_{};  // axis_: direction of the line, normal of the plane, axis of the rim
+  Ellipsoid ellipsoid_{};
 };
 
 }  // namespace contactvi

@@ -77,11 +77,12 @@ bool ContactTangent::take_witness(int guard) {
 }
 
 bool ContactTangent::find(const Pair& pair, const Pose (&pose)[2], bool nearby, ContactSurface (&found)[2]) {
+  const ShapeFeatures* shape[2] = {&shape_features_of(scene_->geometries[pair.a], pair.rounded),
+                                   &shape_features_of(scene_->geometries[pair.b], pair.rounded)};
   for (int side = 0; side < 2; ++side) {
-    const Geometry& g = scene_->geometries[side == 0 ? pair.a : pair.b];
-    const Vec3 x =
-        (side == 0 ? contact_.point_a : contact_.point_b) - shape_features_of(g, pair.rounded).radius * outward(side);
-    const char* why = ContactSurface::find(g, pair.rounded, pose[side], x, outward(side), nearby, found[side]);
+    const ShapeFeatures& o = shape[1 - side]->ellipsoid ? features_for_ellipsoid(*shape[side]) : *shape[side];
+    const Vec3 x = (side == 0 ? contact_.point_a : contact_.point_b) - o.radius * outward(side);
+    const char* why = ContactSurface::find(o, pose[side], x, outward(side), nearby, found[side]);
     if (why == nullptr) continue;
     return refuse("the nearest point of the " + std::string(side == 0 ? "first" : "second") + " shape lies between " +
                   why);

@@ -9,8 +9,8 @@
 namespace contactvi {
 
 namespace {
-// [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching (5e-9) and the
-// noise of coal's distances (2e-8).
+// [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching and the noise of
+// coal's distances (2e-8).
 constexpr double kMeeting = 1e-7;
 }  // namespace
 
@@ -200,13 +200,9 @@ void Guards::rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<
   contact_rows(scene_->tree, placements_, contact, t1, W);
 }
 
-double Guards::touch_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-11; }
-
 double Guards::depth_tolerance(int guard) const {
   return guard < pairs_ ? std::max(kFeatureRounding, 1.2 * manifolds_.noise(guard)) : kFeatureRounding;
 }
-
-double Guards::root_tolerance(int guard) const { return is_noisy(guard) ? 5e-9 : 1e-12; }
 
 Guards::Reach Guards::make_reach() const {
   return {std::vector<double>(scene_->geometries.size()), std::vector<double>(scene_->tree.limits.size()),

@@ -68,14 +68,14 @@ class Guards {
   void list_joints(int guard, std::vector<int>& joints) const;
   // Rows n, t1, t2 (or n alone) of the relative velocity at the contact as columns, (nv, 1 or 3).
   void rows(int guard, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W);
-  // How far from zero a gap may be and still count as touching.
-  double touch_tolerance(int guard) const;
+  // How far from zero a gap may be and still count as touching [m; rad].
+  static constexpr double kTouching = 1e-11;
   // [m] by which the features of a face that is flat to rounding differ.
   static constexpr double kFeatureRounding = 1e-10;
   // How deep a gap may be at the start of a step: features of a face differ by rounding, coal's distances by theirs.
   double depth_tolerance(int guard) const;
-  // To what a root is located: 1e-12, or the noise of the distance itself where curved shapes are iterated.
-  double root_tolerance(int guard) const;
+  // To what a root is located [m; rad].
+  static constexpr double kRoot = 1e-12;
 
   // Bounds on the motion over a step of length h whose velocities stay within bound, shape (nv,), from q; in all
   // three entries of a spherical joint the bound of the whole vector.
@@ -85,7 +85,6 @@ class Guards {
   // As bound_motion, for velocities that are known to within `doubt` only: doubt(guard) is the possible error of a gap.
   void bound_doubt(const VecCRef& q, const VecX& doubt, double h);
   double doubt(int guard) const;
-  bool is_noisy(int guard) const { return guard < pairs_ && scene_->pairs[guard].noisy; }
   // True if the odometers say that the gap stays open in the step and is larger than the step's motion at its end. A
   // guard whose gap is not is a suspect, so that suspects do not depend on when guards were last evaluated.
   bool skip(int guard) const;

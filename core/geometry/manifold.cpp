@@ -238,7 +238,7 @@ double Manifolds::noise(int pair) const {
   const ShapeFeatures &a = features(pair, p.a), &b = features(pair, p.b);
   // Over a halfspace the lowest corner gives the distance, wherever it lies on its face.
   const bool over_halfspace = a.is_unbounded() || b.is_unbounded();
-  return (p.noisy ? 2e-8 : 5e-10) + (over_halfspace ? 0.0 : a.roughness + b.roughness);
+  return 5e-10 + (over_halfspace ? 0.0 : a.roughness + b.roughness);
 }
 
 PairView Manifolds::view(int pair, const Placements& at) const {

@@ -4,6 +4,8 @@
 #include <array>
 #include <cmath>
 
+#include "geometry/nearest_on_ellipsoid.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -390,12 +392,11 @@ class Refinement {
 
 }  // namespace
 
-bool is_refinable(const ShapeFeatures& o) { return !o.is_unbounded() && (is_cylinder(o) || !o.vertices.empty()); }
-
 bool refine_nearest(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatures& b, const Pose& pose_b,
                     Contact& contact) {
-  return is_refinable(a) && is_refinable(b) && contact.normal.allFinite() &&
-         Refinement(a, pose_a, b, pose_b, contact).run();
+  if (a.is_unbounded() || b.is_unbounded() || !contact.normal.allFinite()) return false;
+  if (a.ellipsoid || b.ellipsoid) return refine_on_ellipsoid(a, pose_a, b, pose_b, contact);
+  return Refinement(a, pose_a, b, pose_b, contact).run();
 }
 
 }  // namespace contactvi

@@ -5,7 +5,7 @@
 // The nearest points of two features are known in closed form or by Newton's method. Every answer is checked by a
 // bound that does not depend on how it was found: two convex shapes are at least as far from each other as along any
 // unit vector n (Boyd, Vandenberghe, "Convex Optimization", 2004, section 8.2.1), and at most as far as two of their
-// points.
+// points. Pairs with an ellipsoid have equations of their own (nearest_on_ellipsoid.hpp).
 #pragma once
 
 #include "geometry/candidates.hpp"
@@ -14,11 +14,8 @@
 namespace contactvi {
 
 // Gap, normal and points of `contact`, whose normal points from a to b, from those of coal. False where no pair of
-// features gives a distance that is the bound to rounding: the contact stays as it is.
+// features gives a distance that is the bound to rounding, and over a halfspace: the contact stays as it is.
 bool refine_nearest(const ShapeFeatures& a, const Pose& pose_a, const ShapeFeatures& b, const Pose& pose_b,
                     Contact& contact);
-
-// Whether the features of the shape are enough for this: not those of an ellipsoid or of a halfspace.
-bool is_refinable(const ShapeFeatures& shape);
 
 }  // namespace contactvi

@@ -252,7 +252,26 @@ std::vector<int> first_at_same_place(const Points& points, double near) {
   return same;
 }
 
-void add_hull(ShapeFeatures& o, const Geometry& g, const coal::ConvexBase& shape) {
+// Each triangle as a face.
+std::vector<Polygon> single_triangles(const Points& points, const std::vector<coal::Triangle>& triangles, double size,
+                                      const std::vector<int>& same) {
+  Vec3 center = Vec3::Zero();
+  for (const Vec3& p : points) center += p / static_cast<double>(points.size());
+  std::vector<Polygon> faces;
+  for (const coal::Triangle& t : triangles) {
+    const int a = same[t[0]], b = same[t[1]], c = same[t[2]];
+    const Vec3 normal = (points[b] - points[a]).cross(points[c] - points[a]);
+    if (!(normal.norm() > kSame * kSame * size * size)) continue;
+    if (normal.dot(points[a] - center) >= 0.0) {
+      faces.push_back({normal.normalized(), normal.normalized().dot(points[a]), {a, b, c}});
+    } else {
+      faces.push_back({-normal.normalized(), -normal.normalized().dot(points[a]), {a, c, b}});
+    }
+  }
+  return faces;
+}
+
+void add_hull(ShapeFeatures& o, const Geometry& g, const coal::ConvexBase& shape, bool meets_ellipsoid) {
   const auto* hull = dynamic_cast<const coal::Convex<coal::Triangle>*>(&shape);
   if (hull == nullptr || !hull->polygons) throw Error("a convex shape has no triangles");
   Points points;
@@ -265,6 +284,11 @@ void add_hull(ShapeFeatures& o, const Geometry& g, const coal::ConvexBase& shape
   const double size = (high - low).norm();
   const std::vector<int> same = first_at_same_place(points, kSame * size);
   add_polygons(o, points, merge_triangles(points, *hull->polygons, size, same, o.roughness));
+  if (!meets_ellipsoid) return;
+  auto triangles = std::make_shared<ShapeFeatures>();
+  triangles->radius = o.radius;
+  add_polygons(*triangles, points, single_triangles(points, *hull->polygons, size, same));
+  o.triangles = std::move(triangles);
 }
 
 void add_axis(ShapeFeatures& o, const Geometry& g, double half, double radius) {
@@ -281,7 +305,7 @@ void add_cylinder(ShapeFeatures& o, const Geometry& g, const coal::Cylinder& sha
   }
 }
 
-ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeometry& shape) {
+ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeometry& shape, bool meets_ellipsoid) {
   ShapeFeatures o;
   o.body = g.body;
   o.radius = static_cast<const coal::ShapeBase&>(shape).getSweptSphereRadius();
@@ -306,7 +330,7 @@ ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeomet
       add_cylinder(o, g, static_cast<const coal::Cylinder&>(shape));
       break;
     case coal::GEOM_CONVEX:
-      add_hull(o, g, static_cast<const coal::ConvexBase&>(shape));
+      add_hull(o, g, static_cast<const coal::ConvexBase&>(shape), meets_ellipsoid);
       break;
     case coal::GEOM_HALFSPACE: {
       const Vec3 normal = g.R_BG * g.halfspace_normal;
@@ -314,6 +338,9 @@ ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeomet
       o.faces.push_back({normal, g.halfspace_offset + normal.dot(g.p_BG), 0, 0, Vec3::Zero(), infinite, 0});
       break;
     }
+    case coal::GEOM_ELLIPSOID:
+      o.ellipsoid = Ellipsoid{g.p_BG, g.R_BG, static_cast<const coal::Ellipsoid&>(shape).radii};
+      break;
     default:
       break;
   }
@@ -332,13 +359,18 @@ ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeomet
 }  // namespace
 
 void add_shape_features(Scene& scene) {
+  std::vector<bool> meets_ellipsoid(scene.geometries.size(), false);
+  for (const Pair& pair : scene.pairs)
+    for (const auto& [one, other] : {std::pair(pair.a, pair.b), std::pair(pair.b, pair.a)})
+      if (scene.geometries[one].sharp->getNodeType() == coal::GEOM_ELLIPSOID) meets_ellipsoid[other] = true;
   for (const Pair& pair : scene.pairs)
     for (int i : {pair.a, pair.b}) {
       Geometry& g = scene.geometries[i];
       const bool rounded = pair.rounded && g.rounded;
       std::shared_ptr<const ShapeFeatures>& features = rounded ? g.rounded_features : g.sharp_features;
       if (!features)
-        features = std::make_shared<const ShapeFeatures>(make_shape_features(g, rounded ? *g.rounded : *g.sharp));
+        features = std::make_shared<const ShapeFeatures>(
+            make_shape_features(g, rounded ? *g.rounded : *g.sharp, meets_ellipsoid[i]));
     }
 }
 

@@ -7,15 +7,18 @@
 //   convex     N         all       all           -     -
 //   cylinder   -         its axis  2 discs       2     - (the axis by the cylinder's radius)
 //   halfspace  -         -         1, unbounded  -     -
-//   ellipsoid  -         -         -             -     -
+//   ellipsoid  -         -         -             -     - (the ellipsoid itself)
 //
 // and all of them by coal's own swept sphere. Coplanar triangles of a hull are one face, also where they are so only in
-// single precision; points inside of a face or an edge are dropped.
+// single precision; points inside of a face or an edge are dropped. An ellipsoid meets the triangles as they are.
 #pragma once
 
 #include <cmath>
+#include <memory>
+#include <optional>
 #include <vector>
 
+#include "geometry/ellipsoid.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
@@ -49,6 +52,9 @@ struct ShapeFeatures {
   std::vector<Edge> edges;
   std::vector<Face> faces;
   std::vector<Rim> rims;
+  std::optional<Ellipsoid> ellipsoid;
+  // Of a hull in a pair with an ellipsoid, its own triangles as faces, which miss one plane by up to the roughness.
+  std::shared_ptr<const ShapeFeatures> triangles;
   std::vector<int> ring;       // vertices of the polygons
   std::vector<int> ring_edge;  // the edge from ring[i] to the next corner
   std::vector<int> ring_face;
@@ -66,6 +72,11 @@ void add_shape_features(Scene& scene);
 // Of the shape that distances of a pair refer to: rounded or sharp.
 inline const ShapeFeatures& shape_features_of(const Geometry& geometry, bool rounded) {
   return rounded && geometry.rounded ? *geometry.rounded_features : *geometry.sharp_features;
+}
+
+// Those that an ellipsoid meets. It rolls from one triangle to the next, and its gap may not jump there.
+inline const ShapeFeatures& features_for_ellipsoid(const ShapeFeatures& shape) {
+  return shape.triangles ? *shape.triangles : shape;
 }
 
 // How far x lies outside of the prism over a face [m], negative inside; 0 over a halfspace.

@@ -162,7 +162,7 @@ bool ImpactSequence::collect(const VecX& q, const VecX& p, double t, const std::
   std::sort(guards.begin(), guards.end());
   guards.erase(std::unique(guards.begin(), guards.end()), guards.end());
   for (int g : guards) {
-    const double tolerance = guards_->touch_tolerance(g);
+    const double tolerance = Guards::kTouching;
     bool is_persistent = false;
     for (const PersistentContact& h : persistent) is_persistent |= h.point.guard == g;
     Contact contact;

@@ -208,13 +208,15 @@ bool needs_no_rounding(coal::NODE_TYPE type) {
 
 // Where GJK iterates towards a curved surface. Measured noise of the distance near contact (gjk_tolerance 1e-10): 1e-15
 // between polytopes, spheres and capsules, up to 2e-8 with an ellipsoid or a cylinder; smaller tolerances make it
-// worse. Cylinders have features, from which the distance follows to rounding (geometry/nearest_features.hpp).
+// worse. Such distances are found to rounding from coal's (geometry/nearest_features.hpp, nearest_on_ellipsoid.hpp).
 void set_iteration(coal::NODE_TYPE a, coal::NODE_TYPE b, Pair& pair) {
   const bool closed_form = a == coal::GEOM_HALFSPACE || b == coal::GEOM_HALFSPACE ||
                            (a == coal::GEOM_SPHERE && b == coal::GEOM_CYLINDER) ||
                            (a == coal::GEOM_CYLINDER && b == coal::GEOM_SPHERE);
-  pair.noisy = !closed_form && (a == coal::GEOM_ELLIPSOID || b == coal::GEOM_ELLIPSOID);
-  pair.refined = !closed_form && !pair.noisy && (a == coal::GEOM_CYLINDER || b == coal::GEOM_CYLINDER);
+  const auto is_curved = [](coal::NODE_TYPE type) {
+    return type == coal::GEOM_CYLINDER || type == coal::GEOM_ELLIPSOID;
+  };
+  pair.refined = !closed_form && (is_curved(a) || is_curved(b));
 }
 
 Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree) {
@@ -298,7 +300,6 @@ Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, 
               static_cast<int>(geometry.collisionPairs[k].second),
               parameters.pair_restitution[k],
               parameters.pair_friction[k],
-              false,
               false,
               false};
     Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];

@@ -44,8 +44,7 @@ struct Pair {
   double restitution;
   double friction;  // Coulomb's coefficient
   bool rounded;     // both shapes are taken rounded: near contact GJK and EPA give wrong normals on sharp ones
-  bool refined;     // the distance is that of the nearest features where GJK iterates towards a cylinder
-  bool noisy;       // GJK iterates towards an ellipsoid: the distance carries noise of up to 1e-9 m, seldom more
+  bool refined;     // GJK iterates towards a cylinder or an ellipsoid: the distance is found to rounding from there
 };
 
 struct Scene {

@@ -207,9 +207,8 @@ void ContactSet::release_separated(int releasing, bool at_event, double time, Re
   for (int i = static_cast<int>(contacts.size()) - 1; i >= 0; --i) {
     const ContactOutcome& out = outcomes[i];
     const int guard = contacts[i].point.guard;
-    const double apart = guards_->is_noisy(guard) ? guards_->root_tolerance(guard) : kOpenPoint;
-    const bool leaves =
-        i == releasing || (out.position_impulse[0] <= 0.0 && out.contact.gap > apart) || (out.w_n > fast && !at_event);
+    const bool leaves = i == releasing || (out.position_impulse[0] <= 0.0 && out.contact.gap > kOpenPoint) ||
+                        (out.w_n > fast && !at_event);
     if (!leaves) continue;
     const ContactPoint point = contacts[i].point;
     record_change(time, point, Change::kRelease, 0.0, recording);
@@ -278,7 +277,7 @@ void ContactSet::forget_separated(int guard) {
 bool ContactSet::points_changed(int guard) {
   guards_->place(run_->q);
   Contact witness;
-  const double gap = guards_->evaluate_witness(guard, witness), touch = guards_->touch_tolerance(guard);
+  const double gap = guards_->evaluate_witness(guard, witness), touch = Guards::kTouching;
   if (gap > std::max(touch, kOpenPair)) {
     lost_guards_.push_back(guard);  // its points slid over an edge in the last step
     return false;

@@ -120,7 +120,7 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
   guards_.list_meeting(meeting);
   for (int g : meeting) {
     Contact contact;
-    const double gap = guards_.evaluate(g, contact), tolerance = guards_.touch_tolerance(g);
+    const double gap = guards_.evaluate(g, contact), tolerance = Guards::kTouching;
     if (gap <= tolerance) finder_.set_touching(g, true);
     if (!(gap >= -tolerance)) {
       end(StatusCode::kPenetration, t, "the start state is in penetration", g);

@@ -72,7 +72,7 @@ void ImpactTangent::collect(const RecordedImpact& impact) {
   if (impact.points > 1)
     refuse("witness", impact.guard, "An impact has several points at once", "one point that hits first",
            std::to_string(impact.points) + " points", "Start a little tilted, so that one point hits first");
-  if (!sequence_.collect_given(impact.q, impact.p_minus, {impact.guard}, guards_.touch_tolerance(impact.guard)))
+  if (!sequence_.collect_given(impact.q, impact.p_minus, {impact.guard}, Guards::kTouching))
     throw Error("a recorded impact has no contact");
 }
 

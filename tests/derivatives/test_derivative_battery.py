@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import contactvi as cvi
-from helpers.derivative_battery import BAR, KNOWN, SYMPLECTIC, examine, known, measure, sample, symplectic_error
+from helpers.derivative_battery import BAR, SYMPLECTIC, examine, measure, sample, symplectic_error
 from helpers.derivative_cases import FAMILIES, ORDERS, all_cases, drops
 
 EVERY = 3  # of the families in the short run one
@@ -21,7 +21,7 @@ def test_steps_of_momenta_are_symplectic(joints, order):
 
 
 def test_a_case_of_every_third_family():
-    cases = sample([case for case in all_cases() if known(case) is None], 1)[::EVERY]
+    cases = sample(all_cases(), 1)[::EVERY]
     rows = measure(replace(case, columns=1) for case in cases)
     assert not [fault for row in rows for fault in row.faults]
     compared = sum(sum(row.columns.values()) for row in rows)
@@ -42,7 +42,7 @@ def test_contact_steps_that_were_cut_after_bouncing():
 
 @pytest.mark.long
 def test_all_cases(capsys):
-    rows = measure(case for case in all_cases() if known(case) is None)
+    rows = measure(all_cases())
     with capsys.disabled():
         print(f"\n{sum(row.cases for row in rows)} cases, {sum(row.impacts for row in rows)} impacts")
     assert not [fault for row in rows for fault in row.faults]
@@ -52,11 +52,3 @@ def test_all_cases(capsys):
         assert sum(row.refused.values()) <= 0.5 * row.cases, (row.family, row.refused)
     compared = sum(sum(row.columns.values()) for row in rows)
     assert sum(row.columns["both"] for row in rows) >= DECIDED * compared
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", KNOWN)
-@pytest.mark.xfail(strict=True, reason="KNOWN: takes itself off the list when it is mended")
-def test_known_disagreements(name):
-    rows = measure(case for case in all_cases() if known(case) == name)
-    assert not [fault for row in rows for fault in row.known], KNOWN[name]

@@ -14,12 +14,6 @@ from contactvi.derivatives.gradient_check import Comparison, GradientCheck
 from helpers.chains import chain, form, state_of
 from helpers.derivative_cases import FAMILIES, ORDERS, Case, tree
 
-# Disagreements that are known, by what is in the family and the name of a case. In both the run is not what the
-# derivative takes it for: the exact shapes, and impacts at a gap of zero.
-KNOWN = {
-    "against ellipsoid": "runs take the normals to which coal iterates, which jump with the state",
-    "three in a row hull 16 0": "impacts of two hulls are located to 5e-9 m",
-}
 BAR = 1e-7  # relative to the largest entry of a column, where the differences' own error allows
 SYMPLECTIC = 1e-11  # relative to the form and to A twice
 
@@ -31,7 +25,7 @@ class Row:
     Attributes:
         cases, impacts: run, and on their way. refused: reason -> count.
         state, times: the comparison with the largest disagreement, of (q, v) and of the times of impacts.
-        columns: what to believe -> count. faults: in words; known: those of cases that have some.
+        columns: what to believe -> count. faults: in words.
     """
 
     family: str
@@ -42,7 +36,6 @@ class Row:
     times: Comparison | None = None
     columns: Counter[str] = field(default_factory=Counter)
     faults: list[str] = field(default_factory=list)
-    known: list[str] = field(default_factory=list)
 
     def add(self, case: Case, check: GradientCheck) -> None:
         """Take over what was found of a case."""
@@ -54,15 +47,10 @@ class Row:
             if column.believe == "neither":
                 part = column.worse
                 assert part is not None
-                (self.faults if known(case) is None else self.known).append(
+                self.faults.append(
                     f"{case.family}: {case.label}, {column.name}, {part.what}: {part.relative_difference:.1e} beside "
                     f"{part.relative_own:.1e}, growth {check.sensitivity.report.growth:.2g}"
                 )
-
-
-def known(case: Case) -> str | None:
-    """Return which KNOWN disagreement a case has, if any."""
-    return next((text for text in KNOWN if text in case.family or text == case.label), None)
 
 
 def _worse(a: Comparison | None, b: Comparison | None) -> Comparison | None:
