@@ -31,6 +31,8 @@ class StatusCode(enum.IntEnum):
 
     CONSTRAINT = 9
 
+    TOO_MANY_STEPS = 10
+
 class ImpactMap(enum.IntEnum):
     """What an impact conserves besides the momentum."""
 

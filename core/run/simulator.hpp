@@ -129,6 +129,8 @@ class Simulator {
 
   // adaptive_step.cpp and snapshot.cpp.
   bool run_adaptive_steps(double end, double level, Recording& recording);
+  double most_steps() const;
+  bool end_with_too_many_steps(double time, double h);
   void redo_from(const Snapshot& start, const Recording::Mark& mark, Recording& recording);
   Snapshot snapshot();
   void restore_state(const Snapshot& snapshot);

@@ -204,7 +204,7 @@ def test_progress_and_interruption():
         seen.append(t)
         raise KeyboardInterrupt
 
-    traj = cvi.simulate(swinging(), duration=1e6, progress=stop, throw=False)
+    traj = cvi.simulate(swinging(), duration=1e5, progress=stop, throw=False)
     assert traj.status.code == cvi.StatusCode.INTERRUPTED
     assert np.isnan(traj.error_estimate)
 
@@ -212,7 +212,7 @@ def test_progress_and_interruption():
         raise ZeroDivisionError("mine")
 
     with pytest.raises(ZeroDivisionError, match="mine"):
-        cvi.simulate(swinging(), duration=1e6, progress=broken)
+        cvi.simulate(swinging(), duration=1e5, progress=broken)
 
 
 def falling_ball(restitution: float, height: float) -> tuple[cvi.Scene, np.ndarray]:
