@@ -490,6 +490,12 @@ class SimulatorOptions:
 class KeptContactSteps:
     """The contact steps of a call, as their derivatives need them."""
 
+    def __init__(self, scene: Scene, numbers: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+        """From their numbers in a file."""
+
+    def numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
+        """Return their numbers, for files."""
+
 class Snapshot:
     """All that the rest of a run depends on."""
 

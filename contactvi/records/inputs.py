@@ -21,12 +21,26 @@ class RunInputs:
         target: references of the servos, positions by dof and then velocities, shape (steps, 2 nv); None without.
         saturated: actuators at their limits, summed over steps.
         contact_steps: those with persistent contacts, one contactvi._core.KeptContactSteps per call of the engine.
+        stored_steps: the same of a run from a file, as numbers, shape (i,); None where `contact_steps` holds them.
     """
 
     control: Array | None
     target: Array | None
     saturated: int = 0
     contact_steps: tuple[Any, ...] = ()
+    stored_steps: Array | None = None
+
+    def stored(self) -> dict[str, NDArray[Any]]:
+        """Return what a file keeps of them, by name."""
+        steps = [kept.numbers() for kept in self.contact_steps]
+        if self.stored_steps is not None:
+            steps.append(self.stored_steps)
+        found: dict[str, NDArray[Any]] = {"saturated": np.array(self.saturated, dtype=np.int64)}
+        found["contact_steps"] = np.concatenate(steps) if steps else np.zeros(0)
+        for name, values in (("control", self.control), ("target", self.target)):
+            if values is not None:
+                found[name] = np.asarray(values, dtype=float)
+        return found
 
 
 class GrowingInputs:

@@ -210,7 +210,7 @@ def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
     if inputs is None or segments is None:
         raise InputError(
             "The run has not kept what its derivatives need", name="record", expected="a run with record='gradient'",
-            got="one without, or one from a file, which has no inputs", remedy="simulate(..., record='gradient')",
+            got="one without", remedy="simulate(..., record='gradient')",
         )  # fmt: skip
     compiled.check_differentiable()
     if inputs.saturated:
@@ -228,8 +228,17 @@ def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
     events = traj.events.arrays if len(traj.events) else None
     return _core.RecordedRun(
         compiled.core, settings, dict(segments.arrays), None if events is None else dict(events), inputs.control,
-        inputs.target, np.array(traj.q[-1]), np.array(traj.p[-1]), list(inputs.contact_steps),
+        inputs.target, np.array(traj.q[-1]), np.array(traj.p[-1]), _contact_steps(inputs, compiled),
     )  # fmt: skip
+
+
+def _contact_steps(inputs: RunInputs, compiled: CompiledScene) -> list[_core.KeptContactSteps]:
+    """Return the steps with persistent contacts; ContactviError for numbers that are not those of the scene."""
+    from contactvi import _core
+
+    if inputs.stored_steps is None:
+        return list(inputs.contact_steps)
+    return [_core.KeptContactSteps(compiled.core, inputs.stored_steps)]
 
 
 def not_differentiable(traj: Recorded, found: dict[str, Any]) -> NotDifferentiable:

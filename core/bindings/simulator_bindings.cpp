@@ -13,6 +13,7 @@
 #include "bindings/user_calls.hpp"
 #include "model/coordinates.hpp"
 #include "run/world.hpp"
+#include "sensitivity/contact_step_numbers.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -314,7 +315,17 @@ void expose_options(nb::module_& m) {
 
 void expose_simulator(nb::module_& m) {
   expose_options(m);
-  nb::class_<KeptContactSteps>(m, "KeptContactSteps", "The contact steps of a call, as their derivatives need them.");
+  nb::class_<KeptContactSteps>(m, "KeptContactSteps", "The contact steps of a call, as their derivatives need them.")
+      .def(
+          "__init__",
+          [](KeptContactSteps* steps, const Scene& scene, const VecX& numbers) {
+            new (steps)
+                KeptContactSteps{contact_steps_of(scene, numbers.data(), static_cast<std::size_t>(numbers.size()))};
+          },
+          "scene"_a, "numbers"_a, "From their numbers in a file.")
+      .def(
+          "numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.steps)); },
+          "Return their numbers, for files.");
   nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.");
   nb::class_<World>(m, "Simulator", nb::type_slots(simulator_slots))
       .def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())

@@ -233,6 +233,12 @@ bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool l
   return true;
 }
 
+// Whether the state after the step just solved can be taken; if not, the run ends with the state before it.
+bool Simulator::stays_in_range(double time) {
+  return in_range(q1_, p1_) ||
+         end(StatusCode::kNotFinite, time, "the state after a step is not finite, or its energy overflows");
+}
+
 bool Simulator::end_failed_search(Search outcome, double time) {
   if (outcome == Search::kNewtonFailed)
     return end(StatusCode::kNewtonFailed, time,
@@ -298,6 +304,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     control.halve_free(h);
     return true;
   }
+  if (!stays_in_range(at)) return false;
   const WorkAccount::FreeWork work = state_.work.of(integrator_);
   Search found = Search::kNone;
   if (guards_.count() > 0 || follows_motion_) {

@@ -118,6 +118,7 @@ class Simulator {
   void record_phase(double time, double dt, StepKind kind, Recording& recording) const;
   void record_segment(double t, double h, const VecX& p1, Recording& recording);
   bool report_progress(double time);
+  bool stays_in_range(double time);
   bool end_failed_search(Search outcome, double time);
   bool run_impacts(const Instant& now, Recording& recording);
   bool user_function_failed(double time);

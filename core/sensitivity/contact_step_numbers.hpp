@@ -1,0 +1,20 @@
+// Contact steps as numbers, in which files keep them.
+//
+// Whole numbers and truth values are numbers too; a 64-bit one is two. Matrices have their sizes in front. What a step
+// leaves unset, such as the anchor of a contact without one, is zero.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "contact/contact_step_record.hpp"
+#include "model/scene.hpp"
+
+namespace contactvi {
+
+std::vector<double> numbers_of(const std::vector<ContactStepRecord>& steps);
+
+// Raises a Refusal for numbers that are not those of contact steps of this scene.
+std::vector<ContactStepRecord> contact_steps_of(const Scene& scene, const double* numbers, std::size_t count);
+
+}  // namespace contactvi
