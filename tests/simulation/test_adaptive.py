@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from contactvi import inputs
+from contactvi.states import States
 from helpers.run_scenes import FIRST_IMPACT, ball_file, ball_scene, slider_scene
 
 EPS = np.finfo(float).eps
@@ -62,7 +62,7 @@ def error(traj: cvi.Trajectory, exact: cvi.Trajectory) -> float:
     """Largest error of q over the nodes, tangent difference."""
     model = traj.scene.model
 
-    return float(inputs.States(model).distance(traj.q, exact.at(traj.t).q).max())
+    return float(States(model).distance(traj.q, exact.at(traj.t).q).max())
 
 
 @pytest.fixture(scope="module")
