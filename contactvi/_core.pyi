@@ -490,11 +490,14 @@ class SimulatorOptions:
 class KeptContactSteps:
     """The contact steps of a call, as their derivatives need them."""
 
-    def __init__(self, scene: Scene, numbers: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+    def __init__(self, scene: Scene, steps: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], blocks: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
         """From their numbers in a file."""
 
-    def numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
-        """Return their numbers, for files."""
+    def step_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
+        """Return the contact steps as numbers, for files."""
+
+    def block_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
+        """Return the impacts of several points as numbers, for files."""
 
 class Snapshot:
     """All that the rest of a run depends on."""

@@ -48,8 +48,7 @@ class Comparison:
         size: largest entry of the exact derivative. block: that of all columns of its name.
         difference: largest disagreement.
         own: error of the differences by their own measure: the change between neighbouring sizes.
-        unseen: what the tolerances of steps and of the times of impacts may add, so that no change of the size shows
-            it.
+        unseen: what the tolerances of steps and of times of impacts may add, so that no change of the size shows it.
         step: with which they were made.
     """
 

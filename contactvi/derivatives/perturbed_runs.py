@@ -177,8 +177,9 @@ def _located(traj: Trajectory) -> float:
     """Return the largest error of the time of an impact [s]: that of its gap over its closing speed."""
     if not len(traj.events):
         return 0.0
-    gap, speed = (np.abs(traj.events.array(name)) for name in ("gap", "gamma_minus"))
-    return float((np.maximum(gap, LOCATED) / speed)[speed > 0.0].max(initial=0.0))
+    closing = traj.events.array("gamma_minus") < 0.0
+    gap, speed = (np.abs(traj.events.array(name)[closing]) for name in ("gap", "gamma_minus"))
+    return float((np.maximum(gap, LOCATED) / speed).max(initial=0.0))
 
 
 def _tangent(model: pin.Model, a: Array, b: Array) -> Array:

@@ -118,10 +118,11 @@ class EntryReader:
             return None
         nv = self._sizes["v"]
         control, target = self._per_step("input/control", nv), self._per_step("input/target", 2 * nv)
-        steps = self.entry("input/contact_steps", (None,))
-        if not np.all(np.isfinite(steps)):
-            self._refuse("contact steps that are not finite")
-        return RunInputs(control, target, int(self.entry("input/saturated", (), int)), stored_steps=steps)
+        steps, blocks = (self.entry(f"input/{name}", (None,)) for name in ("contact_steps", "impact_blocks"))
+        if not np.all(np.isfinite(steps)) or not np.all(np.isfinite(blocks)):
+            self._refuse("contact steps or impacts of several points that are not finite")
+        saturated = int(self.entry("input/saturated", (), int))
+        return RunInputs(control, target, saturated, stored_steps=steps, stored_blocks=blocks)
 
     def _per_step(self, name: str, width: int) -> NDArray[np.float64] | None:
         if name not in self._entries:

@@ -46,6 +46,8 @@ def gradient(
     found = run.adjoint(list(map(float, traj.t)), lq, lv, np.zeros(0), max(steps, 1), on_kink == "taken")
     if "fact" in found:
         raise not_differentiable(traj, found)
+    if "released" in found and any(parameters.is_parameter(name) for name in names):
+        raise not_differentiable(traj, found["released"])
     return value, {pick.name: pick.of(found) for pick in picks}
 
 

@@ -236,9 +236,10 @@ def _contact_steps(inputs: RunInputs, compiled: CompiledScene) -> list[_core.Kep
     """Return the steps with persistent contacts; ContactviError for numbers that are not those of the scene."""
     from contactvi import _core
 
-    if inputs.stored_steps is None:
+    steps, blocks = inputs.stored_steps, inputs.stored_blocks
+    if steps is None or blocks is None:
         return list(inputs.contact_steps)
-    return [_core.KeptContactSteps(compiled.core, inputs.stored_steps)]
+    return [_core.KeptContactSteps(compiled.core, steps, blocks)]
 
 
 def not_differentiable(traj: Recorded, found: dict[str, Any]) -> NotDifferentiable:

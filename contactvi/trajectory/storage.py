@@ -94,6 +94,7 @@ input/saturated       () int64       actuators at their limits, summed over step
 input/control         (k, nv)        generalized forces of the steps, if there were some [N, N m]
 input/target          (k, 2 nv)      references of the servos, positions and then velocities, if there were some
 input/contact_steps   (i,)           steps with persistent contacts (core/sensitivity/contact_step_numbers.hpp)
+input/impact_blocks   (j,)           impacts of several points, in the same file
 array/0, array/1 ...  any            arrays (meshes) that the header refers to
 ===================== ============== ===========================================================================
 

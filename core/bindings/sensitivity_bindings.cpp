@@ -7,6 +7,7 @@
 #include <cmath>
 #include <map>
 #include <optional>
+#include <tuple>
 
 #include "base/error.hpp"
 #include "bindings/arrays.hpp"
@@ -63,6 +64,7 @@ class Recorded {
     if (events) add_impacts(*events);
     add_pieces(segments);
     add_contact_steps(contact_steps);
+    add_blocks(contact_steps);
   }
 
   Dict tangent(const Dict& directions, const std::vector<double>& times, bool take_branch) {
@@ -145,6 +147,7 @@ class Recorded {
     d["e"] = found->e;
     d["mu"] = found->mu;
     d["parameters"] = parameters_of(scene_.tree, found->parameters);
+    if (found->released >= 0) d["released"] = obstacle(release_by_parameters(found->released, found->released_at));
     return d;
   }
 
@@ -251,6 +254,19 @@ class Recorded {
       piece.contact = found->second;
       const bool at_end = piece.contact->ending != ContactStepEnd::kLength || piece.impacts > 0;
       piece.end = at_end ? PieceEnd::kEvent : PieceEnd::kLength;
+    }
+  }
+
+  // The impacts of several points, by the first one of their records.
+  void add_blocks(const std::vector<const KeptContactSteps*>& kept) {
+    std::map<std::tuple<double, int, double>, const ImpactBlockRecord*> at;
+    for (const KeptContactSteps* call : kept)
+      for (const ImpactBlockRecord& block : call->blocks) at[{block.time, block.guard, block.impulse}] = &block;
+    for (std::size_t i = 0; i < run_.impacts.size(); ++i) {
+      RecordedImpact& impact = run_.impacts[i];
+      const auto found = at.find({impact.time, impact.guard, impact.impulse});
+      if (found == at.end() || i + found->second->impacts > run_.impacts.size()) continue;
+      impact.block = found->second;
     }
   }
 

@@ -59,6 +59,11 @@ struct ContactPoint {
   Vec3 origin_B;
 };
 
+// Whether these are one point, perhaps at two instants.
+inline bool same_point(const ContactPoint& a, const ContactPoint& b) {
+  return a.guard == b.guard && a.kind == b.kind && a.feature == b.feature;
+}
+
 class Manifolds {
  public:
   Manifolds(const Scene& scene, int max_points);

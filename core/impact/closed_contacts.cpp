@@ -7,13 +7,12 @@
 namespace contactvi {
 
 namespace {
-constexpr double kImmobile =
-    1e-12;                        // of the inverse inertia without constraints: below it constraints hold the point
-constexpr double kDriven = 1e-9;  // of the speeds: constraints that close a held point faster are an error
+constexpr double kImmobile = 1e-12;  // of the inverse inertia without constraints: below it constraints hold the point
+constexpr double kDriven = 1e-9;     // of the speeds: constraints that close a held point faster are an error
 }  // namespace
 
-// Adds the points of a guard that are closed at q_, with its persistent ones. False if there are none.
-bool ImpactSequence::add_guard(int guard, const std::vector<PersistentContact>& persistent, double margin) {
+// Makes closed_[count_] a contact of a guard without points.
+void ImpactSequence::begin_guard(int guard) {
   if (count_ == static_cast<int>(closed_.size())) closed_.emplace_back();
   ClosedGuard& c = closed_[count_];
   c.guard = guard;
@@ -22,6 +21,15 @@ bool ImpactSequence::add_guard(int guard, const std::vector<PersistentContact>& 
   c.impacted = c.persistent = false;
   c.points.clear();
   c.unused.clear();
+  c.count = c.chosen = c.rows = 0;
+  c.contacts.clear();
+  c.t1.clear();
+}
+
+// Adds the points of a guard that are closed at q_, with its persistent ones. False if there are none.
+bool ImpactSequence::add_guard(int guard, const std::vector<PersistentContact>& persistent, double margin) {
+  begin_guard(guard);
+  ClosedGuard& c = closed_[count_];
   Contact& witness = c.witness;
   const double gap = guards_->evaluate_witness(guard, witness);
   if (scene_->is_pair(guard)) {
@@ -49,9 +57,6 @@ bool ImpactSequence::add_guard(int guard, const std::vector<PersistentContact>& 
       if (is(c.unused[k], h.point)) c.unused.erase(c.unused.begin() + static_cast<std::ptrdiff_t>(k));
   }
   if (c.points.empty()) return false;
-  c.count = c.rows = 0;
-  c.contacts.clear();
-  c.t1.clear();
   for (int i = 0; i < static_cast<int>(c.points.size()); ++i) add_rows(c);
   any_persistent_ |= c.persistent;
   ++count_;
@@ -132,6 +137,19 @@ bool ImpactSequence::collect_given(const VecX& q, const VecX& p, const std::vect
   if (!place(q, p, 0.0)) return false;
   for (int g : guards)
     if (!add_guard(g, {}, margin)) return fail(StatusCode::kNotFinite, "this contact has no points", g);
+  return true;
+}
+
+bool ImpactSequence::collect_block(const VecX& q, const VecX& p, const ImpactBlockRecord& block) {
+  if (!place(q, p, block.time)) return false;
+  for (const ImpactBlockRecord::Member& member : block.members) {
+    begin_guard(member.guard);
+    ClosedGuard& c = closed_[count_++];
+    c.e = member.e;
+    guards_->evaluate_witness(member.guard, c.witness);
+    c.points = member.points;
+    for (std::size_t i = 0; i < c.points.size(); ++i) add_rows(c);
+  }
   return true;
 }
 

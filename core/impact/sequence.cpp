@@ -198,6 +198,7 @@ bool ImpactSequence::impact_of_contact(ClosedGuard& closed, double e, const Inst
   const PoissonResult block = poisson_.solve(members, p);
   if (!block.ok) return fail_unsolved("an impact with friction was not solved", closed.guard);
   reference_->value -= block.loss;
+  const std::size_t first = recording.impacts.size();
   VecX p_minus = p;
   for (std::size_t k = 1; k < members.size(); ++k) {
     // The reactions of the supports are recorded first.
@@ -230,6 +231,7 @@ bool ImpactSequence::impact_of_contact(ClosedGuard& closed, double e, const Inst
   for (int i = 0; i < closed.count; ++i) normal += lambda[m * i];
   for (int i = 0; i < closed.count && normal > 0.0; ++i) lambda[m * i] *= result.impulse / normal;
   record(closed, lambda, p_minus, p, result, e * block.restitution, loss, gamma, closed.gamma_n(p), at, recording);
+  if (options_.keep_blocks) keep_block(members, first, recording);
   return true;
 }
 
@@ -250,6 +252,7 @@ bool ImpactSequence::plastic_impact(const std::vector<char>& plastic, bool all, 
   const PoissonResult block = poisson_.solve(members, p);
   if (!block.ok) return fail_unsolved("a plastic impact was not solved", members[0].closed->guard);
   reference_->value -= block.loss;
+  const std::size_t first = recording.impacts.size();
   int row = 0;
   bool acted = false;
   for (const BlockMember& member : members) {
@@ -275,8 +278,28 @@ bool ImpactSequence::plastic_impact(const std::vector<char>& plastic, bool all, 
     record(c, lambda, p_minus, p, result, 0.0, loss, least, after, at, recording);
   }
   if (!p.allFinite()) return fail(StatusCode::kNotFinite, "an impact has no finite impulse", members[0].closed->guard);
+  if (acted && options_.keep_blocks) keep_block(members, first, recording);
   any = acted;  // a closing speed below the accuracy of the problem is zero
   return true;
+}
+
+// Keeps an impact whose records are those from `first` on, if several points took part.
+void ImpactSequence::keep_block(const std::vector<BlockMember>& members, std::size_t first,
+                                const Recording& recording) {
+  ImpactBlockRecord block;
+  std::size_t points = 0;
+  for (const BlockMember& member : members) {
+    const ClosedGuard& c = *member.closed;
+    block.members.push_back({c.guard, member.e, {c.points.begin(), c.points.begin() + c.count}});
+    points += block.members.back().points.size();
+  }
+  if (points < 2) return;
+  const ImpactRecord& record = recording.impacts[first];
+  block.impacts = static_cast<int>(recording.impacts.size() - first);
+  block.time = record.time;
+  block.impulse = record.impulse;
+  block.guard = record.guard;
+  blocks_.push_back(std::move(block));
 }
 
 void ImpactSequence::record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,

@@ -7,11 +7,13 @@
 #pragma once
 
 #include <algorithm>
+#include <utility>
 #include <vector>
 
 #include "base/error.hpp"
 #include "contact/persistent_contact.hpp"
 #include "event/finder.hpp"
+#include "impact/impact_block_record.hpp"
 #include "impact/impact_law.hpp"
 #include "impact/poisson.hpp"
 #include "record/recording.hpp"
@@ -25,6 +27,7 @@ struct ImpactOptions {
   bool stiff_support = false;
   long max_impacts_per_step = 0;
   bool record_contacts = true;
+  bool keep_blocks = false;  // impacts of several points are kept for derivatives
 };
 
 // The instant of an event: its time, the lengths of the partial step that ends there and of the rest of the step [s].
@@ -45,6 +48,8 @@ class ImpactSequence {
   // Takes these guards as closed at q, whatever their gaps are. margin: a pair's points within its least gap, or within
   // this [m] where that is more, belong to the contact. False if the mass matrix is not positive.
   bool collect_given(const VecX& q, const VecX& p, const std::vector<int>& guards, double margin);
+  // Takes these points as closed at q, contact after contact. False if the mass matrix is not positive.
+  bool collect_block(const VecX& q, const VecX& p, const ImpactBlockRecord& block);
   int count() const { return count_; }
   // Whether constraints hold all points of a guard that were closed at the last collection.
   bool holds(int guard) const { return std::find(held_.begin(), held_.end(), guard) != held_.end(); }
@@ -63,6 +68,8 @@ class ImpactSequence {
   // motion in them, both summed up over the last run.
   const VecX& constraint_impulses() const { return constraint_impulses_; }
   double driven_work() const { return driven_work_; }
+  // The impacts of several points since the last call, with keep_blocks.
+  std::vector<ImpactBlockRecord> take_blocks() { return std::exchange(blocks_, {}); }
   StatusCode code() const { return code_; }
   const char* message() const { return message_; }
   int guard() const { return guard_; }
@@ -71,6 +78,7 @@ class ImpactSequence {
   static constexpr double kSolved = 1e-11;  // of all speeds of the closed points: a smaller closing speed is zero
 
   bool place(const VecX& q, const VecX& p, double t);
+  void begin_guard(int guard);
   bool add_guard(int guard, const std::vector<PersistentContact>& persistent, double margin);
   void add_rows(ClosedGuard& closed);
   bool drop_held_points(ClosedGuard& closed, const VecX& p);
@@ -86,6 +94,7 @@ class ImpactSequence {
   bool leaves_friction_cone(const ClosedGuard& closed, const VecX& lambda, double normal) const;
   ImpactResult apply_map(const ImpactProblem& problem, VecX& p) const;
   void carry_over(const ImpactResult& result);
+  void keep_block(const std::vector<BlockMember>& members, std::size_t first, const Recording& recording);
   void record(const ClosedGuard& closed, const VecX& lambda, const VecX& p_minus, const VecX& p_plus,
               const ImpactResult& result, double e, double loss, double gamma_minus, double gamma_plus,
               const Instant& at, Recording& recording);
@@ -113,6 +122,7 @@ class ImpactSequence {
   Projection projection_;
   VecX q_, v_;
   PoissonImpact poisson_;
+  std::vector<ImpactBlockRecord> blocks_;
   StatusCode code_ = StatusCode::kSuccess;
   const char* message_ = "";
   int guard_ = -1;

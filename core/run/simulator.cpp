@@ -43,9 +43,9 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       finder_(scene, integrator_, guards_),
       contact_step_(scene, guards_, guards_.manifolds()),
       dense_step_(scene, guards_),
-      sequence_(
-          scene, integrator_, guards_,
-          {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step, options.record_contacts}),
+      sequence_(scene, integrator_, guards_,
+                {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step,
+                 options.record_contacts, options.gradient}),
       path_(scene.tree, options.stages),
       contact_path_(scene.tree, 1),
       actuation_(scene.tree, state_.actuators, integrator_, contact_step_, dense_step_),

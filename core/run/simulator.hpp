@@ -25,7 +25,7 @@ struct SimulatorOptions {
   bool stiff_support = false;  // persistent contacts are rigid supports in an impact instead of partners
   int contact_points = 4;      // of a pair, at most
   bool record_contacts = true;
-  bool gradient = false;  // contact steps are kept for derivatives
+  bool gradient = false;  // contact steps and impacts of several points are kept for derivatives
   bool islands = true;    // islands are advanced one by one where that is possible (run/world.hpp)
   ContactSteps contact_steps = ContactSteps::kAuto;
 };
@@ -61,6 +61,7 @@ class Simulator {
 
   // The contact steps kept since the last call of this, without those of islands.
   std::vector<ContactStepRecord> take_contact_steps() { return std::exchange(kept_steps_, {}); }
+  std::vector<ImpactBlockRecord> take_impact_blocks() { return sequence_.take_blocks(); }
 
   // For bodies that are one island of a larger scene (run/world.hpp).
   // The engine's memory as it is before any run, with which every island starts.

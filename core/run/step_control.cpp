@@ -5,11 +5,11 @@
 namespace contactvi {
 
 namespace {
-constexpr int kEasySteps = 4;           // short steps solved one after the other before a longer one is tried
-constexpr double kFlights = 20.0;       // a free step after a short flight covers so many flights,
-constexpr double kGrowth = 8.0;         // and grows by this factor while there is no event
-constexpr double kLessThanFailed = 0.75;  // of a step that was not solved: upper limit of the next one
-constexpr double kPastRounding = 1e-4;  // of a nominal step: length of the step past an event by rounding
+constexpr int kEasySteps = 4;              // short steps solved one after the other before a longer one is tried
+constexpr double kFlights = 20.0;          // a free step after a short flight covers so many flights,
+constexpr double kGrowth = 8.0;            // and grows by this factor while there is no event
+constexpr double kLessThanFailed = 0.75;   // of a step that was not solved: upper limit of the next one
+constexpr double kPastRounding = 0x1p-13;  // of a nominal step: length of the step past an event by rounding
 }  // namespace
 
 double step_length_within(double h, double nominal) {

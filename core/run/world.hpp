@@ -33,8 +33,9 @@ class World {
   const RunState& state() const { return divided_ ? state_ : std::as_const(whole_).state(); }
   const Scene& scene() const { return *scene_; }
   const SimulatorOptions& options() const { return options_; }
-  // As that of Simulator: complete where all trees are advanced together, as they are with dense polynomials.
+  // As those of Simulator: complete where all trees are advanced together, as they are with dense polynomials.
   std::vector<ContactStepRecord> take_contact_steps() { return whole_.take_contact_steps(); }
+  std::vector<ImpactBlockRecord> take_impact_blocks() { return whole_.take_impact_blocks(); }
   // Summed over the engines.
   EngineCounters counters() const;
   // Islands now; 0 where all trees are advanced together.

@@ -17,20 +17,31 @@ void ContactPieces::start(Eigen::Index count) {
   size_p_.setZero(count);
 }
 
-void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
+void check_contact_piece(const RecordedRun& run, const Piece& piece) {
   if (piece.contact == nullptr)
     throw NoDerivative({"dense", -1, piece.t}, "There are dense steps in the run", "steps whose events are located",
                        "a dense step", "Use contact_mode='events', or fewer contacts");
-  step_ = piece.contact;
-  inputs_ = &inputs;
-  const int guard = step_->contacts.empty() ? -1 : step_->contacts[0].before.point.guard;
-  if (run_->map != ImpactMap::kCtec)
+  const auto& contacts = piece.contact->contacts;
+  const int guard = contacts.empty() ? -1 : contacts[0].before.point.guard;
+  if (run.map != ImpactMap::kCtec)
     throw NoDerivative({"map", guard, piece.t}, "An implicit impact map acts in a run with persistent contacts",
                        "impact='ctec' where contacts persist", "another map", "Use impact='ctec'");
+}
+
+NoDerivative sticks_at_start(const ContactPoint& point, double time) {
+  return {{"start", point.guard, time},
+          "The run starts with a contact that sticks already",
+          "a run from a start of its own",
+          "one that goes on from another",
+          "Start with simulate()"};
+}
+
+void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
+  check_contact_piece(*run_, piece);
+  step_ = piece.contact;
+  inputs_ = &inputs;
   for (const ContactStepRecord::Contact& c : step_->contacts)
-    if (c.before.anchored && anchor_of(c.before.point) == nullptr)
-      throw NoDerivative({"start", c.before.point.guard, piece.t}, "The run starts with a contact that sticks already",
-                         "a run from a start of its own", "one that goes on from another", "Start with simulate()");
+    if (c.before.anchored && anchor_of(c.before.point) == nullptr) throw sticks_at_start(c.before.point, piece.t);
   tangent_.take(*step_, inputs.tau(), inputs.servo());
 }
 
@@ -42,18 +53,13 @@ void ContactPieces::solve_length(VecRef fq, VecRef fp) {
 
 const ContactPieces::Anchor* ContactPieces::anchor_of(const ContactPoint& point) const {
   for (const Anchor& a : anchors_)
-    if (a.guard == point.guard && a.kind == point.kind && a.feature == point.feature) return &a;
+    if (same_point(a.point, point)) return &a;
   return nullptr;
 }
 
 void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
   const bool ends_itself = step_->ending != ContactStepEnd::kLength;
   const auto contacts = static_cast<Eigen::Index>(step_->contacts.size());
-  if (!d.parameters.empty())
-    throw NoDerivative({"parameter", -1, step_->t},
-                       "The derivative of a step with persistent contacts by the scene's parameters is not known",
-                       "q0, v0, control, restitution or friction", "a parameter of the scene",
-                       "End the run before the contact persists");
   slip_.setZero(d.count);
   size_q_ = size_q_.cwiseMax(columns.q.cwiseAbs().colwise().maxCoeff().transpose());
   size_p_ = size_p_.cwiseMax(columns.p.cwiseAbs().colwise().maxCoeff().transpose());
@@ -66,6 +72,7 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     direction_.size_q = size_q_[k];
     direction_.size_p = size_p_[k];
     direction_.mu = friction_change(d, k);
+    direction_.parameters = d.parameter(k);
     direction_.anchors.setZero(3, contacts);
     for (Eigen::Index i = 0; i < contacts; ++i) {
       const PersistentContact& before = step_->contacts[i].before;
@@ -90,19 +97,34 @@ VecX ContactPieces::friction_change(const RunDirections& d, Eigen::Index column)
   return dmu;
 }
 
+NoDerivative release_by_parameters(int guard, double time) {
+  return {{"parameter", guard, time},
+          "The time of the release of a contact has no derivative by the scene's parameters that is known",
+          "q0, v0, control, restitution or friction",
+          "a parameter of the scene",
+          "End the run before the contact is released"};
+}
+
+void check_contact_end(const ContactStepRecord& step, double rate) {
+  if (std::abs(rate) > 0.0) return;
+  throw NoDerivative({step.ending == ContactStepEnd::kRelease ? "release" : "stick", -1, step.t + step.h},
+                     "The end of a contact is grazing", "a slip or a force that falls to zero", "one that stays",
+                     "Start elsewhere");
+}
+
 // The end of a piece where a contact changes without an impact: a slip comes to rest, or a force to zero.
 void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
   const bool releases = step_->ending == ContactStepEnd::kRelease;
   VecX fq(columns.q.rows()), fp(columns.q.rows()), later(d.count);
   solve_length(fq, fp);
   double rate = tangent_.slip_change();
+  if (releases && !d.parameters.empty())
+    throw release_by_parameters(step_->contacts[step_->ended].before.point.guard, step_->t + step_->h);
   if (releases) {
     release_.take(*step_, inputs_->tau(), inputs_->servo());
     rate = release_.change(fq, fp, VecX(), VecX());
   }
-  if (!(std::abs(rate) > 0.0))
-    throw NoDerivative({releases ? "release" : "stick", -1, step_->t + step_->h}, "The end of a contact is grazing",
-                       "a slip or a force that falls to zero", "one that stays", "Start elsewhere");
+  check_contact_end(*step_, rate);
   for (Eigen::Index k = 0; k < d.count; ++k) {
     const VecX tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
     const double change =
@@ -119,7 +141,7 @@ void ContactPieces::keep_anchors(const RunColumns& columns) {
     const PersistentContact& before = step_->contacts[i].before;
     const ContactOutcome& out = step_->contacts[i].outcome;
     if (!before.point.material || out.slips) continue;
-    Anchor anchor{before.point.guard, before.point.kind, before.point.feature, MatX()};
+    Anchor anchor{before.point, MatX()};
     if (before.anchored && !out.slipped) {
       anchor.change = anchor_of(before.point)->change;
     } else {

@@ -9,6 +9,16 @@
 
 namespace contactvi {
 
+// Throws NoDerivative for a piece with persistent contacts that has no derivative: a dense step, or one beside an
+// implicit impact map.
+void check_contact_piece(const RecordedRun& run, const Piece& piece);
+// Throws NoDerivative where what ends a step, a slip or a force, does not change with time.
+void check_contact_end(const ContactStepRecord& step, double rate);
+// The reason why the parameters of the scene have no derivative where a contact is released.
+NoDerivative release_by_parameters(int guard, double time);
+// The reason for a contact that sticks without having come to stick in the run.
+NoDerivative sticks_at_start(const ContactPoint& point, double time);
+
 class ContactPieces {
  public:
   ContactPieces(const Scene& scene, const RecordedRun& run);
@@ -26,9 +36,7 @@ class ContactPieces {
 
  private:
   struct Anchor {
-    int guard;
-    PointKind kind;
-    std::int64_t feature;
+    ContactPoint point;
     MatX change;  // of the place, in the frame of the plane, (3, count)
   };
 

@@ -12,8 +12,9 @@ constexpr double kWord = 4294967296.0;  // 2^32
 constexpr double kLeastWhole = -2147483648.0, kMostWhole = 2147483647.0;
 
 [[noreturn]] void refuse(const char* got) {
-  throw Refusal("The recorded contact steps of the run do not belong to its scene", "those that the run has stored",
-                got, "Choose a file of Trajectory.save; a damaged one has to be computed again");
+  throw Refusal("The recorded contact steps and impacts of the run do not belong to its scene",
+                "those that the run has stored", got,
+                "Choose a file of Trajectory.save; a damaged one has to be computed again");
 }
 
 class Writer {
@@ -173,6 +174,41 @@ void step_fields(Archive& a, Step& s) {
   for (auto& contact : s.contacts) kept_fields(a, contact);
 }
 
+template <class Archive, class Block>
+void block_fields(Archive& a, Block& b) {
+  a.whole(b.impacts);
+  a.whole(b.guard);
+  a.number(b.time);
+  a.number(b.impulse);
+  a.list_size(b.members);
+  for (auto& member : b.members) {
+    a.whole(member.guard);
+    a.number(member.e);
+    a.list_size(member.points);
+    for (auto& point : member.points) point_fields(a, point);
+  }
+}
+
+bool within(int k, std::size_t count) { return k >= 0 && static_cast<std::size_t>(k) < count; }
+bool is_body(const Scene& scene, int k) { return k == -1 || within(k, scene.tree.joints.size()); }
+
+// Whether it is a point of one of the scene's guards.
+bool belongs(const Scene& scene, const ContactPoint& p) {
+  if (!within(p.guard, scene.guard_count()) || p.kind > PointKind::kEdge) return false;
+  if ((p.kind == PointKind::kLimit) == scene.is_pair(p.guard)) return false;
+  return p.kind == PointKind::kLimit || (is_body(scene, p.point_body) && is_body(scene, p.plane_body));
+}
+
+bool belongs(const Scene& scene, const ImpactBlockRecord& block) {
+  if (block.impacts < 1 || !within(block.guard, scene.guard_count())) return false;
+  for (const ImpactBlockRecord::Member& member : block.members) {
+    if (!within(member.guard, scene.guard_count()) || !(member.e >= 0.0 && member.e <= 1.0)) return false;
+    for (const ContactPoint& point : member.points)
+      if (point.guard != member.guard || !belongs(scene, point)) return false;
+  }
+  return true;
+}
+
 // Whether all numbers of places are those of places in the scene and in the step.
 class Check {
  public:
@@ -188,9 +224,6 @@ class Check {
   }
 
  private:
-  static bool within(int k, std::size_t count) { return k >= 0 && static_cast<std::size_t>(k) < count; }
-  bool is_body(int k) const { return k == -1 || within(k, scene_.tree.joints.size()); }
-
   bool joints_fit(Eigen::Index rows) const {
     if (static_cast<Eigen::Index>(s_.joints.size()) > rows) return false;
     for (const ContactStepRecord::Joint& joint : s_.joints)
@@ -198,15 +231,13 @@ class Check {
     return true;
   }
   bool contacts_fit(Eigen::Index rows) const {
-    const std::size_t guards = scene_.guard_count(), pairs = scene_.pairs.size();
     for (const ContactStepRecord::Contact& c : s_.contacts) {
       const ContactPoint& p = c.before.point;
-      const bool limit = static_cast<std::size_t>(p.guard) >= pairs;
-      if (!within(p.guard, guards) || (limit && c.before.mu > 0.0) || p.kind > PointKind::kEdge ||
-          (p.kind == PointKind::kLimit) != limit)
-        return false;
-      for (int body : {p.point_body, p.plane_body, c.start.body_a, c.start.body_b, c.end.body_a, c.end.body_b})
-        if (!limit && !is_body(body)) return false;
+      if (!belongs(scene_, p)) return false;
+      const bool limit = p.kind == PointKind::kLimit;
+      if (limit && c.before.mu > 0.0) return false;
+      for (int body : {c.start.body_a, c.start.body_b, c.end.body_a, c.end.body_b})
+        if (!limit && !is_body(scene_, body)) return false;
       if (c.row < 0 || c.row + c.before.rows() > rows || c.before.mu < 0.0) return false;
     }
     return true;
@@ -244,6 +275,22 @@ std::vector<ContactStepRecord> contact_steps_of(const Scene& scene, const double
     if (!Check(scene, steps.back()).fits()) refuse("numbers of another scene");
   }
   return steps;
+}
+
+std::vector<double> numbers_of(const std::vector<ImpactBlockRecord>& blocks) {
+  Writer writer;
+  for (const ImpactBlockRecord& block : blocks) block_fields(writer, block);
+  return std::move(writer.numbers);
+}
+
+std::vector<ImpactBlockRecord> impact_blocks_of(const Scene& scene, const double* numbers, std::size_t count) {
+  Reader reader(numbers, count);
+  std::vector<ImpactBlockRecord> blocks;
+  while (!reader.done()) {
+    block_fields(reader, blocks.emplace_back());
+    if (!belongs(scene, blocks.back())) refuse("numbers of another scene");
+  }
+  return blocks;
 }
 
 }  // namespace contactvi

@@ -412,6 +412,7 @@ void ContactStepTangent::end_change(const Problem& problem, const VecX& v, const
                                     const VecX& dy, const VecX& dq1, const VecX& dp_minus, const VecX& size,
                                     VecX& dlambda, VecX& dw) {
   step_.momentum(record_->q1, v, dq1, none_, work_);
+  if (d.parameters != nullptr) step_.add_momentum(record_->q1, v, *d.parameters, work_);
   const VecX base = dW1_.transpose() * v + MinvW_.transpose() * (dp_minus + dW1_ * problem.lambda - work_);
   solve_laws(problem, law_change(problem, d, base, dy), size, dlambda);
   dw = base + G_ * dlambda;
@@ -427,6 +428,7 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
   if (d.p.size() > 0) direction.p += d.p;
   direction.h = d.h;
   direction.tau = d.tau;
+  direction.parameters = d.parameters;
   VecX q(scene_->tree.nv);
   if (!step_.solve(direction, q, dp_minus_))
     refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",

@@ -25,10 +25,11 @@ namespace contactvi {
 struct ContactStepDirection {
   VecX q, p;  // of the start, (nv,)
   double h = 0.0;
-  VecX tau;                           // public coordinates, (nv,)
-  VecX mu;                            // of the contacts
-  MatX anchors;                       // of the contacts that have one, in the frames of their planes, (3, contacts)
-  VecX joints;                        // anchors of the joints with friction
+  VecX tau;      // public coordinates, (nv,)
+  VecX mu;       // of the contacts
+  MatX anchors;  // of the contacts that have one, in the frames of their planes, (3, contacts)
+  VecX joints;   // anchors of the joints with friction
+  const StepParameters* parameters = nullptr;
   double size_q = 0.0, size_p = 0.0;  // largest change of q and p on the way: rounding is relative to it
 };
 
@@ -48,6 +49,7 @@ class ContactStepTangent {
   double margin() const { return margin_; }
 
  private:
+  friend class ContactStepAdjoint;                  // its transpose, from the same parts
   enum class Mode { kOpen, kStick, kKept, kSlip };  // kKept: slips along a given direction
   // Of the position impulse or of the velocity impulse: what the joints and contacts do, the impulses, the speeds of
   // the rows, and the equations for the changes of the impulses.

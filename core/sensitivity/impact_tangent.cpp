@@ -7,7 +7,7 @@
 namespace contactvi {
 
 namespace {
-// Of the impulse: nearer to a change between sticking and slipping than this, rounding decides the active set.
+// Of the impulses and speeds: nearer to a change between sticking and slipping rounding decides.
 constexpr double kOnCone = 1e-9;
 // Of the momenta: to which a recorded impact is the one that is differentiated.
 constexpr double kSameImpulse = 1e-7;
@@ -27,7 +27,6 @@ ImpactTangent::ImpactTangent(const Scene& scene, const RecordedRun& run)
       integrator_(scene.tree, run.stages, run.tol, 200),
       guards_(scene, run.contact_points),
       sequence_(scene, integrator_, guards_, options_of(run)),
-      contact_(scene),
       rest_(scene.tree, run.stages),
       u_(scene.tree.nv),
       work_(scene.tree.nv),
@@ -38,85 +37,116 @@ ImpactTangent::ImpactTangent(const Scene& scene, const RecordedRun& run)
       dq1_(scene.tree.nv),
       dp1_(scene.tree.nv) {}
 
-void ImpactTangent::take(const RecordedImpact& impact, const VecX& tau, const Servo* servo) {
+void ImpactTangent::refuse(const char* reason, int guard, const char* fact, const char* expected,
+                           const std::string& got, const char* remedy) const {
+  throw NoDerivative({reason, guard, impact_->time}, fact, expected, got, remedy);
+}
+
+void ImpactTangent::take(const RecordedImpact& impact, const VecX& p_plus, const VecX& tau, const Servo* servo) {
   impact_ = &impact;
   implicit_ = impact.map != ImpactMap::kCtec && impact.fallback == Fallback::kNone;
   take_rows(impact);
   margin_ = 1.0;
-  if (rows_ > 1) take_friction(impact);
-  // Impulses of several contacts at one instant, or with rigid supports, are not those of one contact.
-  const VecX off = impact.p_minus + W_ * lambda_ - impact.p_plus;
+  if (rows_ > 1) take_poisson(impact);
+  // What several contacts did one after the other, or with rigid supports, is not what these did.
+  const VecX off = impact.p_minus + W_ * lambda_ - p_plus;
   if (off.cwiseAbs().maxCoeff() > kSameImpulse * (impact.p_minus.cwiseAbs().maxCoeff() + off.cwiseAbs().maxCoeff()))
-    throw NoDerivative({"simultaneous", impact.guard, impact.time}, "Several contacts share one impact",
-                       "one contact at a time", "impulses of several contacts that depend on each other",
-                       "Start elsewhere; give the persistent contacts some restitution");
+    refuse("simultaneous", impact.guard, "Several contacts share one impact", "impulses that follow from their law",
+           "other impulses", "Start elsewhere; give the persistent contacts some restitution");
   if (implicit_) take_rest(impact, tau, servo);
 }
 
-// The rows of the contact at the impact, as the run had them.
-void ImpactTangent::take_rows(const RecordedImpact& impact) {
-  const auto refuse = [&](const char* fact, const char* reason, const char* expected, const std::string& got,
-                          const char* remedy) {
-    throw NoDerivative({reason, impact.guard, impact.time}, fact, expected, got, remedy);
-  };
+int ImpactTangent::find(const ContactPoint& point) const {
+  for (int i = 0; i < points(); ++i)
+    if (same_point(contact_of(i), point)) return i;
+  return -1;
+}
+
+// Closes the contacts of the impact, as they were.
+void ImpactTangent::collect(const RecordedImpact& impact) {
+  if (impact.block != nullptr) {
+    if (!sequence_.collect_block(impact.q, impact.p_minus, *impact.block))
+      throw Error("the mass matrix is not positive definite");
+    return;
+  }
   if (impact.points > 1)
-    refuse("An impact has several points at once", "witness", "one point that hits first",
+    refuse("witness", impact.guard, "An impact has several points at once", "one point that hits first",
            std::to_string(impact.points) + " points", "Start a little tilted, so that one point hits first");
   if (!sequence_.collect_given(impact.q, impact.p_minus, {impact.guard}, guards_.touch_tolerance(impact.guard)))
     throw Error("a recorded impact has no contact");
-  ClosedGuard& closed = sequence_.closed(0);
-  const ContactPoint& point = closed.points[0];
-  const bool own = point.kind != PointKind::kWitness && point.kind != PointKind::kLimit;
-  if (!contact_.take(impact.q, impact.guard, closed.contacts[0], own ? &point : nullptr))
-    refuse("The gap has no second derivative at an impact", "witness", "one pair of nearest points", contact_.why(),
-           "Start elsewhere, or round the edges of the shapes");
-  rows_ = closed.rows;
-  t1_ = closed.t1[0];
-  W_ = closed.W.leftCols(rows_);
-  Z_ = closed.MinvW.leftCols(rows_);
-  W_normal_ = W_.col(0);
+}
+
+// The rows of the points of the impact, as the run had them.
+void ImpactTangent::take_rows(const RecordedImpact& impact) {
+  collect(impact);
+  points_.clear();
+  contact_points_.clear();
+  t1_.clear();
+  rows_ = 0;
+  // Without a block one point had the impact: the first one of the contact.
+  for (int k = 0; k < sequence_.count(); ++k) {
+    const ClosedGuard& closed = sequence_.closed(k);
+    const int count = impact.block != nullptr ? closed.count : 1;
+    for (int i = 0; i < count; ++i) {
+      const ContactPoint& point = closed.points[i];
+      const bool own = point.kind != PointKind::kWitness && point.kind != PointKind::kLimit;
+      const std::size_t number = points_.size();
+      if (contacts_.size() <= number) contacts_.emplace_back(*scene_);
+      if (!contacts_[number].take(impact.q, closed.guard, closed.contacts[i], own ? &point : nullptr))
+        refuse("witness", closed.guard, "The gap has no second derivative at an impact", "one pair of nearest points",
+               contacts_[number].why(), "Start elsewhere, or round the edges of the shapes");
+      const double e = impact.block != nullptr ? closed.e : impact.restitution;
+      points_.push_back({rows_, closed.rows_per_point(), e, closed.mu});
+      contact_points_.push_back(point);
+      contact_points_.back().guard = closed.guard;
+      t1_.push_back(closed.t1[i]);
+      rows_ += closed.rows_per_point();
+    }
+  }
+  W_.resize(scene_->tree.nv, rows_);
+  Z_.resize(scene_->tree.nv, rows_);
+  int at = 0;
+  for (int k = 0; k < sequence_.count(); ++k) {
+    const ClosedGuard& closed = sequence_.closed(k);
+    const int rows = impact.block != nullptr ? closed.rows : closed.rows_per_point();
+    W_.middleCols(at, rows) = closed.W.leftCols(rows);
+    Z_.middleCols(at, rows) = closed.MinvW.leftCols(rows);
+    at += rows;
+  }
   if (!integrator_.node_velocity(impact.q, impact.p_minus, u_)) throw Error("the mass matrix is not positive definite");
   G_.noalias() = W_.transpose() * Z_;
   gamma_.noalias() = W_.transpose() * u_;
   lambda_ = VecX::Constant(1, impact.impulse);
-  approach_ = check_closing(impact, gamma_[0], W_normal_.cwiseAbs().dot(u_.cwiseAbs()));
-}
-
-ImpactTangent::Mode ImpactTangent::mode_of(const VecX& lambda, const VecX& gamma, double lower, double mu) {
-  const double normal = lambda[0], size = std::max(std::abs(normal), std::abs(first_[0]));
-  if (lambda.isZero(0) && lower == 0.0) return Mode::kOpen;
-  const double friction = lambda.tail<2>().norm(), limit = mu * normal;
-  const double speed = gamma.tail<2>().norm() / (gamma_.cwiseAbs().maxCoeff() + 1e-300);
-  const bool slips = friction >= limit * (1.0 - kOnCone);
-  // How far the friction is from its limit where it sticks, and the slip from zero where it slips.
-  margin_ = std::min(margin_, slips ? speed : (limit - friction) / (size + 1e-300));
-  return slips ? Mode::kSlip : Mode::kStick;
+  approach_ = 1.0;
+  if (points() == 1) approach_ = check_closing(impact, gamma_[0], W_.col(0).cwiseAbs().dot(u_.cwiseAbs()));
 }
 
 // Poisson's two cone problems again, with the active sets of their solutions.
-void ImpactTangent::take_friction(const RecordedImpact& impact) {
+void ImpactTangent::take_poisson(const RecordedImpact& impact) {
   if (implicit_)
-    throw NoDerivative({"map", impact.guard, impact.time}, "An implicit impact map was corrected beside friction",
-                       "impact='ctec' where there is friction", run_->map == ImpactMap::kMhc ? "'mhc'" : "'dtec'",
-                       "Use impact='ctec'");
-  std::vector<BlockMember> members{{&sequence_.closed(0), impact.restitution}};
-  const PoissonResult block = poisson_.solve(members, impact.p_minus);
-  if (!block.ok) throw Error("a recorded impact with friction was not solved");
-  if (block.restitution < 1.0)
-    throw NoDerivative({"restitution", impact.guard, impact.time},
-                       "The restitution of an impact with friction was lowered, because it would have gained energy",
-                       "an impact that loses energy", std::to_string(block.restitution) + " of the restitution",
-                       "Use a smaller restitution");
-  first_ = block.first;
-  second_ = block.lambda - block.first;
-  lambda_ = block.lambda;
-  const double mu = impact.friction;
-  const VecX compressed = gamma_ + G_ * first_;
-  compression_ = mode_of(first_, compressed, 0.0, mu);
-  expansion_ = mode_of(second_, block.gamma_plus, impact.restitution * first_[0], mu);
+    refuse("map", impact.guard, "An implicit impact map was corrected beside friction",
+           "impact='ctec' where there is friction", run_->map == ImpactMap::kMhc ? "'mhc'" : "'dtec'",
+           "Use impact='ctec'");
+  std::vector<BlockMember> members;
+  for (int k = 0; k < (impact.block != nullptr ? sequence_.count() : 1); ++k)
+    members.push_back({&sequence_.closed(k), impact.block != nullptr ? sequence_.closed(k).e : impact.restitution});
+  const PoissonResult solved = poisson_.solve(members, impact.p_minus);
+  if (!solved.ok) throw Error("a recorded impact with friction was not solved");
+  if (solved.restitution < 1.0)
+    refuse("restitution", impact.guard,
+           "The restitution of an impact with friction was lowered, because it would have gained energy",
+           "an impact that loses energy", std::to_string(solved.restitution) + " of the restitution",
+           "Use a smaller restitution");
+  lambda_ = solved.lambda;
+  law_.take(points_, gamma_, G_, solved.first, solved.lambda);
+  margin_ = law_.margin();
   if (margin_ < kOnCone)
-    throw NoDerivative({"friction", impact.guard, impact.time}, "An impact changes between sticking and slipping",
-                       "friction inside of its cone, or slip", "the limit of friction without slip", "Start elsewhere");
+    refuse("friction", impact.guard, "An impact changes between sticking and slipping",
+           "friction inside of its cone, or slip", "the limit of friction without slip", "Start elsewhere");
+  if (!law_.determines(Z_))
+    refuse("redundant", impact.guard, "An impact depends on how contact points share its impulse",
+           "impulses that the laws of contact determine", "points whose friction can be shared in several ways",
+           "Use fewer points (contact_points=3), or less friction");
 }
 
 // The rest of the step, over which an implicit map has its equation.
@@ -134,8 +164,8 @@ void ImpactTangent::take_rest(const RecordedImpact& impact, const VecX& tau, con
   rest_.take(impact.q, impact.p_plus, impact.after, tau, impact.time, servo, integrator_.velocities());
   if (!integrator_.node_velocity(q1_, p1_, v1_)) throw Error("the mass matrix is not positive definite");
   if (impact.map == ImpactMap::kMhc) energy_gradient(integrator_, q1_, v1_, force1_);
-  const VecX none = VecX::Zero(scene_->tree.nv);
-  scalar_slope_ = rest_change(none, W_normal_, 0.0);
+  const VecX none = VecX::Zero(scene_->tree.nv), along = W_.col(0);
+  scalar_slope_ = rest_change(none, along, 0.0);
   // The node of the impact again, for what follows.
   integrator_.place_node(impact.q);
 }
@@ -155,7 +185,7 @@ double ImpactTangent::rest_change(const VecX& dq, const VecX& dp, double dh) {
 void ImpactTangent::add_row_changes(const ImpactDirection& d) {
   const int n = scene_->tree.nv;
   dW_.resize(n, rows_);
-  contact_.change(d.q, t1_, dW_);
+  for (int i = 0; i < points(); ++i) contacts_[i].change(d.q, t1_[i], dW_.middleCols(points_[i].row, points_[i].rows));
   const VecX none = VecX::Zero(n);
   rest_.momentum(impact_->q, u_, d.q, none, work_);
   if (d.parameters != nullptr) rest_.add_momentum(impact_->q, u_, *d.parameters, work_);
@@ -168,54 +198,23 @@ void ImpactTangent::add_row_changes(const ImpactDirection& d) {
   }
 }
 
-// dLambda of one of the two problems: gamma = gamma_0 + G Lambda, dgamma0 = d(gamma_0) + dG Lambda.
-VecX ImpactTangent::phase(Mode mode, const VecX& lambda, const VecX& gamma, const VecX& dgamma0, double dlower,
-                          double lower, double mu, double dmu) const {
-  VecX result = VecX::Zero(3);
-  if (mode == Mode::kOpen) return result;
-  Mat3 A = Mat3::Zero();
-  Vec3 right = Vec3::Zero();
-  const bool at_lower = lower > 0.0 && lambda[0] <= lower * (1.0 + kOnCone);
-  if (at_lower) {
-    A(0, 0) = 1.0;
-    right[0] = dlower;
-  } else {
-    A.row(0) = G_.row(0);
-    right[0] = -dgamma0[0];
-  }
-  if (mode == Mode::kStick) {
-    A.bottomRows<2>() = G_.bottomRows<2>();
-    right.tail<2>() = -dgamma0.tail<2>();
-  } else {
-    // Lambda_t + mu Lambda_n s / |s| = 0, s the slip.
-    const Eigen::Vector2d s = gamma.tail<2>();
-    const double length = s.norm();
-    const Eigen::Vector2d direction = s / length;
-    const Eigen::Matrix2d turn =
-        mu * lambda[0] / length * (Eigen::Matrix2d::Identity() - direction * direction.transpose());
-    A.bottomRows<2>() = turn * G_.bottomRows<2>();
-    A.bottomRightCorner<2, 2>() += Eigen::Matrix2d::Identity();
-    A.bottomLeftCorner<2, 1>() += mu * direction;
-    right.tail<2>() = -dmu * lambda[0] * direction - turn * dgamma0.tail<2>();
-  }
-  return A.partialPivLu().solve(right);
-}
-
-void ImpactTangent::apply_friction(const ImpactDirection& d, VecRef dlambda) const {
-  const double mu = impact_->friction, e = impact_->restitution;
-  const VecX compressed = gamma_ + G_ * first_, after = gamma_ + G_ * lambda_;
-  const VecX dfirst = phase(compression_, first_, compressed, dgamma_ + dG_ * first_, 0.0, 0.0, mu, d.mu);
-  const VecX start = dgamma_ + dG_ * lambda_ + G_ * dfirst;
-  dlambda = dfirst + phase(expansion_, second_, after, start, d.e * first_[0] + e * dfirst[0], e * first_[0], mu, d.mu);
-}
-
 // dLambda of the explicit laws from dgamma and dG.
-void ImpactTangent::apply_law(const ImpactDirection& d, VecRef dlambda) const {
-  if (rows_ > 1) {
-    apply_friction(d, dlambda);
+void ImpactTangent::apply_law(const ImpactDirection& d, VecX& dlambda) const {
+  if (rows_ == 1) {
+    const double restitution = d.e[0] * gamma_[0] + (1.0 + impact_->restitution) * dgamma_[0];
+    dlambda = VecX::Constant(1, -(restitution + lambda_[0] * dG_(0, 0)) / G_(0, 0));
     return;
   }
-  dlambda[0] = -(d.e * gamma_[0] + (1.0 + impact_->restitution) * dgamma_[0] + lambda_[0] * dG_(0, 0)) / G_(0, 0);
+  const double size = std::max(d.size_p, d.p.size() > 0 ? d.p.cwiseAbs().maxCoeff() : 0.0);
+  const PoissonDirection direction{dgamma_, dG_, d.e, d.mu, size * Z_.cwiseAbs().colwise().sum().transpose()};
+  const PoissonTangent::Outcome outcome = law_.solve(direction, dlambda);
+  if (outcome == PoissonTangent::Outcome::kSolved) return;
+  if (outcome == PoissonTangent::Outcome::kKink)
+    refuse("simultaneous", impact_->guard, "A contact neither closes nor separates in an impact of others",
+           "contacts that take part in an impact, or separate", "one on the border between both", "Start elsewhere");
+  refuse("redundant", impact_->guard, "Contact points that share their load contradict each other along a direction",
+         "a direction that keeps the points of a face closed together", "one that opens some of them",
+         "Start with the bodies apart, or in touch at one point");
 }
 
 void ImpactTangent::apply(const ImpactDirection& d, VecRef dp, double& loss) {
@@ -224,7 +223,7 @@ void ImpactTangent::apply(const ImpactDirection& d, VecRef dp, double& loss) {
   const double e = impact_->restitution, gamma = gamma_[0], G = G_(0, 0);
   loss = 0.0;
   if (rows_ == 1)
-    loss = -d.e * e * gamma * gamma / G +
+    loss = -d.e[0] * e * gamma * gamma / G +
            0.5 * (1.0 - e * e) * (2.0 * gamma * dgamma_[0] - gamma * gamma * dG_(0, 0) / G) / G;
   if (implicit_) {
     const VecX start = d.p + lambda_[0] * dW_.col(0);
@@ -239,7 +238,8 @@ void ImpactTangent::apply(const ImpactDirection& d, VecRef dp, double& loss) {
 void ImpactTangent::add_parameters(const VecX& lp, StepAdjoint& adjoint, StepParameters& sums) {
   if (implicit_) return;
   const VecX l = W_.transpose() * lp;
-  const ImpactDirection none;
+  ImpactDirection none;
+  none.e = none.mu = VecX::Zero(points());
   VecX of_gamma(rows_), dlambda(rows_);
   MatX of_G(rows_, rows_);
   dgamma_ = VecX::Zero(rows_);

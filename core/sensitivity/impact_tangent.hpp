@@ -5,12 +5,13 @@
 //   dgamma = dW^T u + Z^T (dp- - d(M u)|u),   dG = dW^T Z + Z^T dW - Z^T d(M Z)|Z,   dp+ = dp- + dW Lambda + W dLambda,
 // d(M x)|x the change of M x with q at a constant x. dW comes from the curvature of the gap (ContactTangent). dLambda
 // follows from the law of the impact: CTEC's is explicit, the implicit maps' is one scalar equation, and Poisson's two
-// cone problems are differentiated with the active set of their solution.
+// cone problems, of friction and of several points, have PoissonTangent.
 #pragma once
 
 #include "geometry/contact_tangent.hpp"
 #include "impact/sequence.hpp"
 #include "sensitivity/piece_inputs.hpp"
+#include "sensitivity/poisson_tangent.hpp"
 #include "step/step_adjoint.hpp"
 #include "step/step_tangent.hpp"
 
@@ -19,7 +20,8 @@ namespace contactvi {
 // A direction in all that an impact depends on.
 struct ImpactDirection {
   VecX q, p;             // at the impact, before it: (nv,)
-  double e = 0, mu = 0;  // restitution and friction
+  VecX e, mu;            // restitution and friction of the points of the impact
+  double size_p = 0;     // largest change of p on the way: rounding is relative to it
   double reference = 0;  // of the implicit maps: their scalar before the impact [J]
   double rest = 0;       // length of the rest of the step [s]
   const StepParameters* parameters = nullptr;
@@ -29,31 +31,35 @@ class ImpactTangent {
  public:
   ImpactTangent(const Scene& scene, const RecordedRun& run);
 
-  // Takes an impact; tau, servo: of the control step. Throws NoDerivative.
-  void take(const RecordedImpact& impact, const VecX& tau, const Servo* servo);
-  // W of the normal row of the contact that was taken, (nv,).
-  const VecX& gradient() const { return W_normal_; }
+  // Takes an impact, p_plus after all of its records; tau, servo: of the control step. Throws NoDerivative.
+  void take(const RecordedImpact& impact, const VecX& p_plus, const VecX& tau, const Servo* servo);
+  int points() const { return static_cast<int>(points_.size()); }
+  int guard(int point) const { return contact_of(point).guard; }
+  double restitution(int point) const { return points_[point].e; }
+  // Which of its points this is; -1: none.
+  int find(const ContactPoint& point) const;
+  // W of the normal row of a point, (nv,).
+  VecX gradient(int point) const { return W_.col(points_[point].row); }
   // dp+ (nv,), and the derivative of the energy that the impact takes [J].
   void apply(const ImpactDirection& direction, VecRef dp, double& loss);
   // Adds the gradients in the inertias of the impact, but not of an implicit map's, from the gradient in p+.
   void add_parameters(const VecX& lp, StepAdjoint& adjoint, StepParameters& sums);
-  // |gamma-| over the sum of the sizes of its terms: how far the impact is from grazing, 0 to 1.
+  // |gamma-| over the sum of the sizes of its terms: how far an impact of one point is from grazing, 0 to 1; 1 of
+  // several points.
   double approach() const { return approach_; }
   // Distance from the next change of the active set of friction, relative to the impulse; 1 without friction.
   double margin() const { return margin_; }
 
  private:
-  enum class Mode { kOpen, kSlip, kStick };
-
+  const ContactPoint& contact_of(int point) const { return contact_points_[point]; }
+  [[noreturn]] void refuse(const char* reason, int guard, const char* fact, const char* expected,
+                           const std::string& got, const char* remedy) const;
+  void collect(const RecordedImpact& impact);
   void take_rows(const RecordedImpact& impact);
-  void take_friction(const RecordedImpact& impact);
+  void take_poisson(const RecordedImpact& impact);
   void take_rest(const RecordedImpact& impact, const VecX& tau, const Servo* servo);
-  Mode mode_of(const VecX& lambda, const VecX& gamma, double lower, double mu);
   void add_row_changes(const ImpactDirection& direction);
-  void apply_law(const ImpactDirection& direction, VecRef dlambda) const;
-  void apply_friction(const ImpactDirection& direction, VecRef dlambda) const;
-  VecX phase(Mode mode, const VecX& lambda, const VecX& gamma, const VecX& dgamma0, double dlower, double lower,
-             double mu, double dmu) const;
+  void apply_law(const ImpactDirection& direction, VecX& dlambda) const;
   double rest_change(const VecX& dq, const VecX& dp, double dh);
 
   const Scene* scene_;
@@ -62,17 +68,19 @@ class ImpactTangent {
   Guards guards_;
   ImpactSequence sequence_;
   PoissonImpact poisson_;
-  ContactTangent contact_;
+  PoissonTangent law_;
+  std::vector<ContactTangent> contacts_;
   StepTangent rest_;
   const RecordedImpact* impact_ = nullptr;
   double approach_ = 0, margin_ = 1;
   bool implicit_ = false;
+  std::vector<ImpactPoint> points_;
+  std::vector<ContactPoint> contact_points_;
+  std::vector<Vec3> t1_;
   int rows_ = 1;
-  Vec3 t1_;
-  VecX u_, W_normal_, lambda_, gamma_, first_, second_;
+  VecX u_, lambda_, gamma_;
   MatX W_, Z_, G_, dW_, dG_;
   VecX dgamma_, work_;
-  Mode compression_ = Mode::kOpen, expansion_ = Mode::kOpen;
   // Of the rest of the step: its end, and dH/dq there; the derivative of the map's scalar along W.
   VecX q1_, p1_, v1_, force1_, dq1_, dp1_;
   double scalar_slope_ = 0;

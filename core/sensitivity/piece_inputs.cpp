@@ -1,6 +1,5 @@
 #include "sensitivity/piece_inputs.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 namespace contactvi {
@@ -48,29 +47,6 @@ void PieceInputs::set(const Piece& piece) {
   servo_.v_ref = run_->target.row(piece.step).tail(n).transpose();
 }
 
-bool persists(const Piece& piece, int guard) {
-  if (piece.contact == nullptr) return false;
-  const auto& contacts = piece.contact->contacts;
-  return std::any_of(contacts.begin(), contacts.end(),
-                     [&](const ContactStepRecord::Contact& c) { return c.before.point.guard == guard; });
-}
-
-int event_impact(const RecordedRun& run, const Piece& piece, bool take_branch) {
-  const auto first = run.impacts.begin() + piece.first_impact, last = first + piece.impacts;
-  const auto hit = std::find_if(first, last, [&](const RecordedImpact& r) { return !persists(piece, r.guard); });
-  const int guard = (hit == last ? first : hit)->guard;
-  const bool single =
-      std::all_of(first, last, [&](const RecordedImpact& r) { return r.guard == guard || persists(piece, r.guard); });
-  if (hit == last)
-    throw NoDerivative({"witness", guard, first->time}, "A further point of a pair in persistent contact is hit",
-                       "one point of a pair in contact", "several", "End the run before");
-  if (!single && !take_branch)
-    throw NoDerivative({"simultaneous", guard, first->time}, "Several contacts are hit at one instant",
-                       "one contact at a time", std::to_string(piece.impacts) + " impacts",
-                       "Start elsewhere; on_kink='taken' gives the derivative of the order that was taken");
-  return static_cast<int>(hit - run.impacts.begin());
-}
-
 double check_closing(const RecordedImpact& impact, double speed, double size) {
   const double approach = size > 0.0 ? std::abs(speed) / size : 0.0;
   if (approach > kGrazing) return approach;
@@ -100,13 +76,6 @@ void check_forces_in_time(const Tree& tree, const RecordedRun& run, StepEquation
   throw NoDerivative({"time", -1, piece.t}, "A force that depends on time acts beside an impact, whose time moves",
                      "forces of q and v alone where there are impacts", "a force that changes with time",
                      "Give the force as control, which is constant over each step");
-}
-
-void check_adjoint(const Piece& piece) {
-  if (!piece.persistent) return;
-  throw NoDerivative({"contact", -1, piece.t}, "There is a persistent contact in the run", "impacts alone",
-                     "a step with persistent contacts",
-                     "The gradient by the adjoint does not know them yet: use Trajectory.sensitivity");
 }
 
 bool is_node(const RecordedRun& run, double time) {

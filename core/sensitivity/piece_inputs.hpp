@@ -20,11 +20,6 @@ class PieceInputs {
   VecX tau_;
 };
 
-// Whether a guard has a persistent contact in the piece.
-bool persists(const Piece& piece, int guard);
-// The number of the impact whose guard determines the time of the event at the end of a piece; guards that persist only
-// take part in its impacts. Throws NoDerivative where several guards were hit at one instant, unless take_branch.
-int event_impact(const RecordedRun& run, const Piece& piece, bool take_branch);
 // How far a closing speed is from zero, relative to the size of its terms. Throws NoDerivative where it is too small
 // for the time of the impact to have a derivative.
 double check_closing(const RecordedImpact& impact, double speed, double size);
@@ -32,9 +27,6 @@ double check_closing(const RecordedImpact& impact, double speed, double size);
 void check_map(const Tree& tree, const RecordedRun& run, const RecordedImpact& impact);
 // Throws NoDerivative where a force that depends on time acts in a piece whose start or end moves.
 void check_forces_in_time(const Tree& tree, const RecordedRun& run, StepEquations& equations, const Piece& piece);
-// Throws NoDerivative for a piece of a kind whose transposed derivative is not known.
-void check_adjoint(const Piece& piece);
-
 // Whether a time is the end of a step.
 bool is_node(const RecordedRun& run, double time);
 // Whether a piece starts where an implicit map takes its reference anew: it does not follow an event of its step.

@@ -7,6 +7,7 @@
 
 #include "base/refusal.hpp"
 #include "contact/contact_step_record.hpp"
+#include "impact/impact_block_record.hpp"
 #include "impact/impact_law.hpp"
 #include "model/scene.hpp"
 
@@ -36,6 +37,11 @@ struct RecordedImpact {
   Fallback fallback;
   double impulse;
   VecX q, p_minus, p_plus;
+  // Where several points had it together: with the records that follow it in the block, of which the last p_plus is
+  // that of all.
+  const ImpactBlockRecord* block = nullptr;
+
+  int records() const { return block == nullptr ? 1 : block->impacts; }
 };
 
 struct RecordedRun {

@@ -16,6 +16,7 @@ RunAdjoint::RunAdjoint(const Scene& scene, const RecordedRun& run, bool take_bra
       adjoint_(scene.tree, run.stages),
       inputs_(scene.tree, run),
       impact_(scene, run),
+      contact_(scene, run),
       lq0_(scene.tree.nv),
       lp0_(scene.tree.nv),
       ltau_(scene.tree.nv) {
@@ -74,6 +75,7 @@ void RunAdjoint::set_impact_matrix() {
   const int n = scene_->tree.nv;
   ImpactDirection direction;
   direction.q = direction.p = VecX::Zero(n);
+  direction.e = direction.mu = VecX::Zero(impact_.points());
   VecX column(n + 1);
   const auto apply = [&] {
     double loss = 0.0;
@@ -93,15 +95,20 @@ void RunAdjoint::set_impact_matrix() {
     matrix_.q.col(k) = number(direction.q[k]);
     matrix_.p.col(k) = number(direction.p[k]);
   }
-  matrix_.e = number(direction.e);
-  matrix_.mu = number(direction.mu);
+  matrix_.e.resize(n + 1, impact_.points());
+  matrix_.mu.resize(n + 1, impact_.points());
+  for (int i = 0; i < impact_.points(); ++i) {
+    matrix_.e.col(i) = number(direction.e[i]);
+    matrix_.mu.col(i) = number(direction.mu[i]);
+  }
   matrix_.reference = number(direction.reference);
   matrix_.rest = number(direction.rest);
 }
 
 void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) {
   check_map(scene_->tree, *run_, impact);
-  impact_.take(impact, inputs_.tau(), inputs_.servo());
+  const RecordedImpact& last = *(&impact + impact.records() - 1);
+  impact_.take(impact, last.p_plus, inputs_.tau(), inputs_.servo());
   set_impact_matrix();
   const int n = scene_->tree.nv;
   VecX l(n + 1);
@@ -109,32 +116,67 @@ void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) 
   impact_.add_parameters(lp_, adjoint_, result.parameters);
   lq_ += matrix_.q.transpose() * l;
   lp_ = matrix_.p.transpose() * l;
-  if (impact.restitution > 0.0) result.e[impact.guard] += matrix_.e.dot(l);
-  result.mu[impact.guard] += matrix_.mu.dot(l);
+  for (int i = 0; i < impact_.points(); ++i) {
+    if (impact_.restitution(i) > 0.0) result.e[impact_.guard(i)] += matrix_.e.col(i).dot(l);
+    result.mu[impact_.guard(i)] += matrix_.mu.col(i).dot(l);
+  }
   ltime_ -= matrix_.rest.dot(l);
   lreference_ += matrix_.reference.dot(l);
+}
+
+// The gradient of the gap whose zero is the time of the event, of the impact that was taken. Several points have one
+// time along all directions that keep what persists closed: the differences are then sums of their gradients.
+VecX RunAdjoint::hit_gradient(const Piece& piece, const EventHit& hit, const VecX& fq, double& rate) const {
+  const RecordedImpact& impact = run_->impacts[hit.impact];
+  const auto row = [&](std::size_t i) {
+    VecX W = impact_.gradient(hit.points.empty() ? 0 : impact_.find(*hit.points[i]));
+    rate = W.dot(fq);
+    check_closing(impact, rate, W.cwiseAbs().dot(fq.cwiseAbs()));
+    return W;
+  };
+  if (hit.points.size() > 1) {
+    const std::size_t count = piece.contact != nullptr ? piece.contact->contacts.size() : 0;
+    MatX closed(fq.size(), count);
+    for (std::size_t i = 0; i < count; ++i) closed.col(i) = piece.contact->W1.col(piece.contact->contacts[i].row);
+    const Eigen::CompleteOrthogonalDecomposition<MatX> sums(closed);
+    const VecX first = row(0) / rate;
+    for (std::size_t i = 1; i < hit.points.size(); ++i) {
+      const VecX difference = row(i) / rate - first;
+      const VecX left = closed.cols() > 0 ? VecX(difference - closed * sums.solve(difference)) : difference;
+      if (!(left.norm() <= kTogether * (first.norm() + difference.norm())))
+        throw hit_apart(run_->impacts[hit.impact], hit);
+    }
+  }
+  return row(0);
 }
 
 // The impacts at the end of a piece, and its time.
 void RunAdjoint::pass_event(const Piece& piece, double time_gradient, RunGradient& result) {
   check_forces_in_time(scene_->tree, *run_, integrator_, piece);
-  const RecordedImpact& hit = run_->impacts[event_impact(*run_, piece, take_branch_)];
-  for (int i = piece.impacts; i-- > 0;) pass_impact(run_->impacts[piece.first_impact + i], result);
-  impact_.take(hit, inputs_.tau(), inputs_.servo());
+  const EventHit hit = event_hit(*run_, piece, take_branch_);
+  std::vector<int> firsts;
+  for (int i = 0; i < piece.impacts; i += run_->impacts[piece.first_impact + i].records())
+    firsts.push_back(piece.first_impact + i);
+  for (std::size_t i = firsts.size(); i-- > 0;) pass_impact(run_->impacts[firsts[i]], result);
+  const RecordedImpact &impact = run_->impacts[hit.impact], &last = *(&impact + impact.records() - 1);
+  impact_.take(impact, last.p_plus, inputs_.tau(), inputs_.servo());
   if (run_->map == ImpactMap::kDtec) {
     lenergy_ = lreference_;
     lreference_ = 0.0;
   }
-  tangent_.take(piece.q, piece.p, piece.h, inputs_.tau(), piece.t, inputs_.servo(), piece.velocities);
-  StepDirection direction;
-  direction.h = 1.0;
   VecX fq(scene_->tree.nv), fp(scene_->tree.nv);
-  if (!tangent_.solve(direction, fq, fp)) throw Error("the derivative of a step was not solved");
+  if (piece.persistent) {
+    contact_.solve_length(fq, fp);
+  } else {
+    tangent_.take(piece.q, piece.p, piece.h, inputs_.tau(), piece.t, inputs_.servo(), piece.velocities);
+    StepDirection direction;
+    direction.h = 1.0;
+    if (!tangent_.solve(direction, fq, fp)) throw Error("the derivative of a step was not solved");
+  }
   double by_time = lq_.dot(fq) + lp_.dot(fp) + ltime_ + time_gradient;
   if (lenergy_ != 0.0) by_time += lenergy_ * tangent_.energy_change();
-  const VecX& W = impact_.gradient();
-  const double rate = W.dot(fq);
-  check_closing(hit, rate, W.cwiseAbs().dot(fq.cwiseAbs()));
+  double rate = 0.0;
+  const VecX W = hit_gradient(piece, hit, fq, rate);
   lq_ -= W * (by_time / rate);
   ltime_ = 0.0;
 }
@@ -191,32 +233,49 @@ RunGradient RunAdjoint::solve(const RunCost& cost, long steps) {
                      StepParameters(scene_->tree)};
   lq_ = lp_ = none;
   ltime_ = lreference_ = lenergy_ = 0.0;
+  contact_.start();
   const std::vector<Piece>& pieces = run_->pieces;
   const double same = kSameTime * run_->dt;
   std::size_t node = cost.times.size();
   Eigen::Index event = 0;
-  for (const Piece& piece : pieces) event += piece.end == PieceEnd::kEvent;
+  for (const Piece& piece : pieces) event += piece.impacts > 0;
   for (std::size_t i = pieces.size(); i-- > 0;) {
     const Piece& piece = pieces[i];
     const bool last = i + 1 == pieces.size();
     const double end = piece.t + piece.h;
     const VecX &q1 = last ? run_->q_end : pieces[i + 1].q, &p1 = last ? run_->p_end : pieces[i + 1].p;
     for (; node > 0 && cost.times[node - 1] >= end - same; --node) add_node(cost, node - 1, q1, p1, result);
-    check_adjoint(piece);
     inputs_.set(piece);
+    if (!last) check_beginnings(*run_, piece, pieces[i + 1]);
     if (piece.end == PieceEnd::kTime) ltime_ = 0.0;
-    if (piece.end == PieceEnd::kEvent) {
-      if (last ? is_node(*run_, end) : pieces[i + 1].step > piece.step) leave_node(q1, p1, end);
+    const bool at_node =
+        piece.end == PieceEnd::kEvent && (last ? is_node(*run_, end) : pieces[i + 1].step > piece.step);
+    if (at_node) {
+      check_node(piece, last ? nullptr : &pieces[i + 1]);
+      leave_node(q1, p1, end);
+    }
+    if (piece.persistent) {
+      contact_.take(piece, inputs_);
+      contact_.leave_anchors(lq_);
+    }
+    if (piece.impacts > 0) {
       --event;
       pass_event(piece, cost.events.size() > event ? cost.events[event] : 0.0, result);
     }
     if (i > 0 && pieces[i - 1].end != PieceEnd::kTime) {
       check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     }
-    pass_piece(piece, result);
+    if (piece.persistent) {
+      if (piece.contact->ending != ContactStepEnd::kLength)
+        check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+      contact_.pass(lq_, lp_, ltime_, result);
+    } else {
+      pass_piece(piece, result);
+    }
     const bool by_step = run_->map == ImpactMap::kMhc && run_->mhc_reference == MhcReference::kStep;
     if (by_step && lreference_ != 0.0 && starts_anew(*run_, i)) add_energy_gradient(piece.q, piece.p);
   }
+  contact_.finish();
   const Piece& first = pieces[0];
   if (lreference_ != 0.0) add_energy_gradient(first.q, first.p);
   for (; node > 0; --node) add_node(cost, node - 1, first.q, first.p, result);

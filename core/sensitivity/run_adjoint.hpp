@@ -1,12 +1,15 @@
 // The gradient of a function of a recorded run: from its gradients in the states at the nodes to those in the start,
 // the inputs of all steps and the parameters, by the transposes of the maps of RunTangent in the reverse order.
 //
-// A smooth piece costs one transposed step (StepAdjoint). The linear maps of impacts are made as matrices, and so is
+// A smooth piece costs one transposed step (StepAdjoint), and one with persistent contacts, too. The linear maps of impacts are made as matrices, and so is
 // the energy by which DTEC takes its reference: events are rare beside steps.
 #pragma once
 
+#include "sensitivity/contact_piece_adjoint.hpp"
+#include "sensitivity/event_hit.hpp"
 #include "sensitivity/impact_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
+#include "sensitivity/run_gradient.hpp"
 #include "step/public_tangent.hpp"
 
 namespace contactvi {
@@ -15,15 +18,7 @@ namespace contactvi {
 struct RunCost {
   std::vector<double> times;  // of the nodes, ascending [s]
   MatX q, v;                  // (nodes, nv)
-  VecX events;                // in the times of the events, one per piece that ends at one; or empty
-};
-
-struct RunGradient {
-  VecX q, v;          // in the start, (nv,)
-  MatX tau;           // in the inputs, (steps, nv)
-  MatX q_ref, v_ref;  // in the references of the servos, (steps, nv)
-  VecX e, mu;         // in restitution and friction, (guards,)
-  StepParameters parameters;
+  VecX events;                // in the times of the events with impacts, one per piece that ends at one; or empty
 };
 
 class RunAdjoint {
@@ -36,8 +31,9 @@ class RunAdjoint {
  private:
   // The linear map of an impact: its rows are those of the momentum after it, and of the energy that it takes.
   struct ImpactMatrix {
-    MatX q, p;                    // (nv + 1, nv)
-    VecX e, mu, reference, rest;  // (nv + 1,)
+    MatX q, p;             // (nv + 1, nv)
+    MatX e, mu;            // (nv + 1, points)
+    VecX reference, rest;  // (nv + 1,)
   };
 
   void add_node(const RunCost& cost, std::size_t node, const VecX& q, const VecX& p, RunGradient& result);
@@ -48,6 +44,7 @@ class RunAdjoint {
   void pass_piece(const Piece& piece, RunGradient& result);
   void add_energy_gradient(const VecX& q, const VecX& p);
   void set_impact_matrix();
+  VecX hit_gradient(const Piece& piece, const EventHit& hit, const VecX& fq, double& rate) const;
   void step_back(long step, RunGradient& result);
 
   const Scene* scene_;
@@ -59,6 +56,7 @@ class RunAdjoint {
   PieceInputs inputs_;
   ImpactTangent impact_;
   ImpactMatrix matrix_;
+  ContactPieceAdjoint contact_;
   // Gradients in the state, in the time where the next piece starts, in the reference of an implicit map, and of DTEC
   // in the energy of the piece.
   VecX lq_, lp_;

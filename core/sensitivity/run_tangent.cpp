@@ -45,6 +45,7 @@ void RunTangent::start(const RunDirections& d) {
   }
   columns_.time.setZero(d.count);
   contact_.start(d.count);
+  size_p_.setZero(d.count);
   reference_.setZero(d.count);
   piece_energy_.setZero(d.count);
   reference_step_ = -1;
@@ -73,26 +74,6 @@ void RunTangent::solve_length(const Piece& piece) {
   direction_ = StepDirection();
   direction_.h = 1.0;
   if (!tangent_.solve(direction_, fq_, fp_)) throw Error("the derivative of a step was not solved");
-}
-
-// Contacts begin with impacts, or are there at the start of the run.
-void RunTangent::check_beginnings(const Piece& piece, const Piece& next) const {
-  if (next.contact == nullptr) return;
-  for (const ContactStepRecord::Contact& c : next.contact->contacts) {
-    const int guard = c.before.point.guard;
-    bool known = persists(piece, guard);
-    for (int i = 0; i < piece.impacts; ++i) known |= run_->impacts[piece.first_impact + i].guard == guard;
-    if (known) continue;
-    throw NoDerivative({"grazing", guard, next.t}, "A persistent contact begins without an impact", "a closing speed",
-                       "a gap that closes at no speed", "Start elsewhere");
-  }
-}
-
-// An event at a node, beside a contact step: what would follow is a contact step of no length.
-void RunTangent::check_node(const Piece& piece, const Piece* next) const {
-  if (!piece.persistent && (next == nullptr || !next->persistent)) return;
-  throw NoDerivative({"node", -1, piece.t + piece.h}, "An event beside a persistent contact is at the end of a step",
-                     "events inside of steps", "one at the end", "Use another dt");
 }
 
 // The part of a step up to a time inside of it.
@@ -150,16 +131,29 @@ void RunTangent::set_reference(const Piece& piece) {
   reference_ = step_columns_.p.transpose() * v + step_columns_.q.transpose() * force;
 }
 
+void RunTangent::take_impact(const RecordedImpact& impact) {
+  const RecordedImpact& last = *(&impact + impact.records() - 1);
+  impact_.take(impact, last.p_plus, inputs_.tau(), inputs_.servo());
+}
+
 void RunTangent::apply_impact(const RecordedImpact& impact, const RunDirections& d) {
   check_map(scene_->tree, *run_, impact);
   ImpactDirection direction;
+  direction.e = direction.mu = VecX::Zero(impact_.points());
+  // A change of q turns the momenta.
+  const double momentum = impact.p_minus.cwiseAbs().maxCoeff();
+  size_p_ = size_p_.cwiseMax(columns_.p.cwiseAbs().colwise().maxCoeff().transpose())
+                .cwiseMax(momentum * columns_.q.cwiseAbs().colwise().maxCoeff().transpose());
   double loss = 0.0;
   for (Eigen::Index k = 0; k < d.count; ++k) {
     direction.q = columns_.q.col(k);
     direction.p = columns_.p.col(k);
     direction.parameters = d.parameter(k);
-    direction.e = d.e.size() > 0 && impact.restitution > 0.0 ? d.e(impact.guard, k) : 0.0;
-    direction.mu = d.mu.size() > 0 ? d.mu(impact.guard, k) : 0.0;
+    for (int i = 0; i < impact_.points(); ++i) {
+      if (d.e.size() > 0 && impact_.restitution(i) > 0.0) direction.e[i] = d.e(impact_.guard(i), k);
+      if (d.mu.size() > 0) direction.mu[i] = d.mu(impact_.guard(i), k);
+    }
+    direction.size_p = size_p_[k];
     direction.reference = reference_[k];
     direction.rest = -columns_.time[k];
     impact_.apply(direction, dp_, loss);
@@ -168,31 +162,52 @@ void RunTangent::apply_impact(const RecordedImpact& impact, const RunDirections&
   }
 }
 
+// dT of the hit that was taken, of all columns; approach: how far it is from grazing.
+VecX RunTangent::time_change(const EventHit& hit, double& approach) const {
+  const RecordedImpact& impact = run_->impacts[hit.impact];
+  VecX later, size;
+  for (std::size_t i = 0; i < std::max<std::size_t>(1, hit.points.size()); ++i) {
+    const VecX W = impact_.gradient(hit.points.empty() ? 0 : impact_.find(*hit.points[i]));
+    const double rate = W.dot(fq_);
+    approach = std::min(approach, check_closing(impact, rate, W.cwiseAbs().dot(fq_.cwiseAbs())));
+    const VecX now = columns_.q.transpose() * W / -rate;
+    const VecX terms = columns_.q.cwiseAbs().transpose() * W.cwiseAbs() / std::abs(rate);
+    if (i == 0) {
+      later = now;
+      size = terms;
+      continue;
+    }
+    if (((now - later).cwiseAbs().array() <= kTogether * (size + terms).array()).all()) continue;
+    throw hit_apart(impact, hit);
+  }
+  return later;
+}
+
 void RunTangent::take_event(const Piece& piece, const RunDirections& d, RunDerivative& result) {
   check_forces_in_time(scene_->tree, *run_, integrator_, piece);
-  const int hit = event_impact(*run_, piece, take_branch_), first = piece.first_impact;
-  const RecordedImpact& impact = run_->impacts[hit];
-  impact_.take(impact, inputs_.tau(), inputs_.servo());
+  const EventHit hit = event_hit(*run_, piece, take_branch_);
+  const int first = piece.first_impact;
+  const RecordedImpact& impact = run_->impacts[hit.impact];
+  take_impact(impact);
   // The derivative by the length of the piece, and how the event moves.
   solve_length(piece);
   const double energy_rate = run_->map == ImpactMap::kDtec ? tangent_.energy_change() : 0.0;
-  const VecX& W = impact_.gradient();
-  const double rate = W.dot(fq_);
-  check_closing(impact, rate, W.cwiseAbs().dot(fq_.cwiseAbs()));
   const Eigen::Index row = static_cast<Eigen::Index>(result.events.size());
   result.event_times.conservativeResize(row + 1, d.count);
-  const VecX later = columns_.q.transpose() * W / -rate;
+  double approach = 1.0;
+  const VecX later = time_change(hit, approach);
   columns_.move_on(later, fq_, fp_);
   piece_energy_ += energy_rate * later;
   result.event_times.row(row) = later.transpose();
   set_reference(piece);
-  EventReport report{hit, impact.time, impact_.approach(), 1.0, 1};
-  for (int i = 0; i < piece.impacts; ++i) {
-    const RecordedImpact& now = run_->impacts[first + i];
-    if (i > 0 || hit != first) impact_.take(now, inputs_.tau(), inputs_.servo());
+  EventReport report{hit.impact, impact.time, impact_.points() > 1 ? approach : impact_.approach(), 1.0, 1};
+  const int guard = hit.points.empty() ? impact.guard : hit.points[0]->guard;
+  for (int i = first; i < first + piece.impacts; i += run_->impacts[i].records()) {
+    const RecordedImpact& now = run_->impacts[i];
+    if (i != hit.impact || i > first) take_impact(now);
     report.margin = std::min(report.margin, impact_.margin());
     report.approach = std::min(report.approach, impact_.approach());
-    if (now.guard != impact.guard && !persists(piece, now.guard)) report.guards = 2;
+    if (now.guard != guard && !persists(piece, now.guard)) report.guards = 2;
     apply_impact(now, d);
   }
   result.events.push_back(report);
@@ -276,7 +291,7 @@ RunDerivative RunTangent::solve(const RunDirections& directions, const std::vect
       check_node(piece, last ? nullptr : &pieces[i + 1]);
       reach_node(last ? run_->q_end : pieces[i + 1].q, last ? run_->p_end : pieces[i + 1].p, end, directions);
     }
-    if (!last) check_beginnings(piece, pieces[i + 1]);
+    if (!last) check_beginnings(*run_, piece, pieces[i + 1]);
     if (size > 0.0)
       result.growth =
           std::max({result.growth, columns_.q.cwiseAbs().maxCoeff() / size, columns_.p.cwiseAbs().maxCoeff() / size});

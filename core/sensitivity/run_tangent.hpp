@@ -10,6 +10,7 @@
 #pragma once
 
 #include "sensitivity/contact_pieces.hpp"
+#include "sensitivity/event_hit.hpp"
 #include "sensitivity/impact_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
 #include "step/public_tangent.hpp"
@@ -47,10 +48,10 @@ class RunTangent {
   void take_part(const Piece& piece, double length);
   void move(const Piece& piece, const RunDirections& directions);
   void solve_length(const Piece& piece);
-  void check_beginnings(const Piece& piece, const Piece& next) const;
-  void check_node(const Piece& piece, const Piece* next) const;
   void take_event(const Piece& piece, const RunDirections& directions, RunDerivative& result);
   void set_reference(const Piece& piece);
+  void take_impact(const RecordedImpact& impact);
+  VecX time_change(const EventHit& hit, double& approach) const;
   void apply_impact(const RecordedImpact& impact, const RunDirections& directions);
   void reach_node(const VecX& q, const VecX& p, double time, const RunDirections& directions);
   void record(double time, const VecX& q, const VecX& p, const RunDirections& directions, RunDerivative& result);
@@ -68,6 +69,7 @@ class RunTangent {
   VecX step_q_, step_p_;
   long reference_step_ = -1;
   VecX dq_, dp_, fq_, fp_;
+  VecX size_p_;  // per column: largest change of p so far
   ContactPieces contact_;
 };
 

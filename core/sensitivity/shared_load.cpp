@@ -28,4 +28,9 @@ bool SharedLoad::solve(const VecX& c, const VecX& size, VecX& x) const {
   return rank_ == A_.rows() || (A_ * x - right).norm() <= kContradiction * scale_.cwiseProduct(size).norm();
 }
 
+VecX SharedLoad::solve_transposed(const VecX& lx) const {
+  const VecX along = (svd_.matrixV().leftCols(rank_).transpose() * lx).cwiseQuotient(svd_.singularValues().head(rank_));
+  return -scale_.cwiseProduct(svd_.matrixU().leftCols(rank_) * along);
+}
+
 }  // namespace contactvi

@@ -13,6 +13,8 @@ class SharedLoad {
   void compute(const MatX& A);
   // x with A x + c = 0; false where the equations contradict each other. size: of the terms of c.
   bool solve(const VecX& c, const VecX& size, VecX& x) const;
+  // The transpose of c -> x: the gradient in c from that in x.
+  VecX solve_transposed(const VecX& lx) const;
   // What A does not determine, (n, free), orthonormal.
   const MatX& free() const { return free_; }
 

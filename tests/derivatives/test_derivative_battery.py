@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from helpers.derivative_battery import BAR, KNOWN, SYMPLECTIC, known, measure, sample, symplectic_error
-from helpers.derivative_cases import FAMILIES, ORDERS, all_cases
+import contactvi as cvi
+from helpers.derivative_battery import BAR, KNOWN, SYMPLECTIC, examine, known, measure, sample, symplectic_error
+from helpers.derivative_cases import FAMILIES, ORDERS, all_cases, drops
 
 EVERY = 3  # of the families in the short run one
 DECIDED = 0.95  # of the columns: differences are worth something
@@ -26,6 +27,17 @@ def test_a_case_of_every_third_family():
     compared = sum(sum(row.columns.values()) for row in rows)
     assert sum(row.columns["both"] for row in rows) >= DECIDED * compared
     assert compared > len(cases)
+
+
+def test_contact_steps_that_were_cut_after_bouncing():
+    """Their lengths do not move with the time at which the bouncing ended."""
+    name = "cylinder ctec e 0.3 mu 0.2 order 2 seed 29"
+    case = next(case for case in drops(30) if case.label == name)
+    check = examine(replace(case, columns=3))
+    assert isinstance(check, cvi.GradientCheck)
+    assert check.ok
+    scene, q, v = case.make()
+    assert cvi.simulate(scene, q, v, **case.options).stats.halved > 0
 
 
 @pytest.mark.long

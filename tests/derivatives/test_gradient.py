@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import contactvi as cvi
 from derivatives.test_sensitivity import SHAPES, at_wall, falling
+from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 
@@ -76,55 +76,20 @@ def test_a_cost_is_a_function_of_the_nodes():
 
 
 def test_parameters_through_impacts():
-    """A turning box on a hinge with a spring, damping and a servo hits the ground with friction."""
-
-    def scene_of(x: np.ndarray) -> cvi.Scene:
-        mass, stiffness, damping, kp, kd, gravity, armature, inertia = x
-        model = pin.Model()
-        slide = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slide")
-        turn = model.addJoint(slide, pin.JointModelRY(), pin.SE3.Identity(), "turn")
-        model.appendBodyToJoint(slide, pin.Inertia(0.7, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-        own = pin.Inertia(mass, np.array([0.1, 0.0, 0.05]), np.diag([0.02, 0.03 + inertia, 0.025]))
-        model.appendBodyToJoint(turn, own, pin.SE3.Identity())
-        model.addFrame(pin.Frame("arm", turn, 0, pin.SE3.Identity(), pin.FrameType.BODY))
-        model.gravity.linear = np.array([0.0, 0.0, gravity])
-        geometry = pin.GeometryModel()
-        import coal
-
-        place = pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0]))
-        geometry.addGeometryObject(pin.GeometryObject("tip", turn, place, coal.Sphere(0.05)))
-        scene = cvi.Scene.from_pinocchio(model, geometry, name="arm")
-        scene.add_halfspace()
-        scene.set_contact(restitution=0.6, friction=0.3)
-        scene.set_joint("turn", stiffness=stiffness, rest=0.2, damping=damping, armature=armature)
-        scene.set_servo("slide", kp=kp, kd=kd)
-        return scene
-
-    x = np.array([1.2, 3.0, 0.05, 4.0, 0.2, -9.81, 0.01, 0.0])
+    """A turning arm on a slide with a spring, damping and a servo hits the ground with friction."""
+    scene_of = sprung_arm(restitution=0.6)
+    x = np.array(SPRUNG_ARM)
     q, v = np.array([0.4, -0.2]), np.array([0.0, 1.0])
     options = {"duration": 0.5, "dt": 0.005, "order": 4, "target": [0.3]}
     traj = cvi.simulate(scene_of(x), q, v, record="gradient", **options)
     assert len(traj.events) > 0
-    names = [
-        "mass:turn",
-        "stiffness:turn",
-        "damping:turn",
-        "kp:slide",
-        "kd:slide",
-        "gravity",
-        "armature:turn",
-        "inertia:turn",
-    ]
+    names = list(NAMES)
     weights = np.array([0.7, -1.3, 0.4, 0.9])
     _, found = cvi.gradient(traj, (weights[:2], weights[2:]), [*names, "rest:turn", "target"])
     S = traj.sensitivity([*names, "rest:turn"])
     for name in S.names:
         assert np.allclose(weights @ S.of(name)[-1], found[name], rtol=1e-11, atol=1e-11), name
-    exact = [found[name][0] for name in names[:5]] + [
-        found["gravity"][2],
-        found["armature:turn"][0],
-        found["inertia:turn"][7],
-    ]
+    exact = [found[name][column] for name, column in zip(NAMES, COLUMNS, strict=True)]
 
     def end(x: np.ndarray, target: float = 0.3) -> float:
         traj = cvi.simulate(scene_of(x), q, v, **{**options, "target": [target]})

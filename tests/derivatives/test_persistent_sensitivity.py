@@ -10,6 +10,7 @@ import pytest
 
 import contactvi as cvi
 from derivatives.differences import FOURTH
+from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 LEFT = (-6.0, 0.0, -9.81)  # a wall on the left is a ground, too
@@ -69,6 +70,20 @@ def room(restitution: float, mu: float, tilt: float) -> Start:
     return scene, q, np.array([1.0, 0.3, -0.1, 0.0, 0.0, 0.0])
 
 
+def trough(mu: float, restitution: float, third: float) -> Start:
+    """A ball in a trough of two planes, which it touches both, rolls along it against a wall."""
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1)
+    scene.add_halfspace([0.0, 0.8, 0.6], name="left")
+    scene.add_halfspace([0.0, -0.8, 0.7], name="right")
+    scene.add_halfspace([-1.0, 0.1, third], -0.8, name="wall")
+    scene.set_contact(restitution=0.0, friction=mu)
+    scene.set_contact("ball", "wall", restitution=restitution, friction=mu)
+    q = pin.neutral(scene.model)
+    q[:3] = [0.5, 0.003, 0.17]
+    return scene, q, np.array([1.0, 0.0, -0.1, 0.2, 0.1, 0.3])
+
+
 def at_limit() -> Start:
     """A double pendulum whose first joint comes to a limit and stays there."""
     scene = cvi.Scene(gravity=LEFT)
@@ -96,6 +111,21 @@ RUNS = {
     "a corner sticks": (lambda: body("box", 0.25, MOVING, 0.8), 0.15, ORDER_2, ["begin"]),
     "a rim rolls": (lambda: body("cylinder", 0.25, MOVING, 0.8), 0.2, ORDER_2, ["begin"]),
     "a rim slips": (lambda: body("cylinder", 0.25, MOVING, 0.1), 0.15, ORDER_2, ["begin"]),
+    "a box falls on a corner, an edge and its face": (
+        lambda: body("box", 0.25, MOVING, 0.0), 0.4, ORDER_2, ["begin", "begin", "begin", "begin"]
+    ),
+    "a box slips on a corner and an edge": (lambda: body("box", 0.25, MOVING, 0.1), 0.22, ORDER_2, ["begin", "begin"]),
+    "a box sticks on a corner and an edge": (lambda: body("box", 0.25, MOVING, 0.5), 0.2, ORDER_2, ["begin", "slip"]),
+    "a rim slips, and the other one is hit": (
+        lambda: body("cylinder", 0.25, MOVING, 0.1), 0.2, ORDER_2, ["begin", "begin"]
+    ),
+    "a ball slides in a trough against a wall": (lambda: trough(0.0, 0.0, -0.4), 0.3, ORDER_2, ["begin"] * 2),
+    "a ball slips in a trough against a wall, and stays": (
+        lambda: trough(0.1, 0.0, -0.4), 0.3, ORDER_2, ["begin"] * 3
+    ),
+    "a ball slips in a trough, and leaves a wall": (
+        lambda: trough(0.1, 0.5, 0.0), 0.3, ORDER_2, ["begin", "begin", "release", "release", "begin", "begin"]
+    ),
     "a joint stays at its limit": (at_limit, 0.7, ORDER_2, ["begin"]),
     "a wall is hit": (lambda: room(0.0, 0.1, 0.0), 0.4, ORDER_2, ["begin", "release", "begin"]),
     "a wall is hit, and the ground by that": (
@@ -141,7 +171,8 @@ def check(start: Start, columns: list[int], steps: tuple[float, float], **option
 def test_bodies_that_drop_and_stay(name):
     make, duration, options, changes = RUNS[name]
     start = make()
-    steps = (5e-5, 2.5e-5) if "bounces" in name or "arm" in name else (1e-4, 5e-5)
+    size = 1.0 if "trough" in name else 2.5 if "bounces" in name or "arm" in name else 5.0
+    steps = (2e-5 * size, 1e-5 * size)
     traj = check(start, list(range(2 * start[0].nv)), steps, duration=duration, **options)
     assert [c.change for c in traj.contact_changes] == changes
 
@@ -186,6 +217,37 @@ def test_inputs_and_friction_are_parameters(name):
     compare(S, end, list(range(nv + 1)), (1e-4, 5e-5))
 
 
+@pytest.mark.parametrize("support", ["sequence", "stiff"])
+def test_what_holds_a_ball_takes_part_in_its_impacts(support):
+    """The planes of a trough act together with the wall that is hit: as rigid supports, or after it."""
+    traj = check(trough(0.1, 0.5, -0.4), [0, 4, 6, 9], (2e-5, 1e-5), duration=0.3, dt=0.01, support=support)
+    instant = [event.time for event in traj.events if "wall" in event.pair]
+    assert len([event for event in traj.events if event.time == instant[0]]) > 1
+
+
+@pytest.mark.parametrize(("mu", "duration"), [(0.0, 0.5), (0.3, 0.3)])
+def test_parameters_of_the_scene(mu, duration):
+    """An arm on a slide drops on the ground, where its tip stays."""
+    scene_of = sprung_arm(restitution=0.0, friction=mu)
+    x = np.array(SPRUNG_ARM)
+    q, v = np.array([0.4, -0.2]), np.array([0.0, 1.0])
+    options = {"duration": duration, "dt": 0.005, "order": 4, "target": [0.3]}
+    traj = cvi.simulate(scene_of(x), q, v, record="gradient", **options)
+    assert [c.change for c in traj.contact_changes] == ["begin"]
+    S = traj.sensitivity(NAMES)
+    exact = np.column_stack([S.of(name)[-1][:, k] for name, k in zip(NAMES, COLUMNS, strict=True)])
+
+    def end(x: np.ndarray) -> np.ndarray:
+        run = cvi.simulate(scene_of(x), q, v, **options)
+        return np.concatenate([run.q[-1], run.v[-1]])
+
+    for k in range(len(x)):
+        step = 1e-4 * max(abs(x[k]), 0.1)
+        numbers = sum(weight / step * end(x + count * step * np.eye(len(x))[k]) for count, weight in FOURTH)
+        scale = max(np.abs(numbers).max(), 1e-2)
+        assert np.abs(exact[:, k] - numbers).max() <= 1e-7 * scale, NAMES[k]
+
+
 def refused(start: Start, **options) -> cvi.NotDifferentiable:
     with pytest.raises(cvi.NotDifferentiable) as found:
         cvi.simulate(*start, record="gradient", **options).sensitivity()
@@ -197,7 +259,9 @@ def test_what_has_no_derivative_says_why():
     assert refused(turning, duration=0.1, dt=0.01).reason == "redundant"
     dense = refused(body("box", 0.125, [1, 0, 0, 0, 0, 0], 0.3, turn=0.0), duration=0.1, dt=0.01, contact_mode="steps")
     assert dense.reason == "dense"
-    assert refused(body("cylinder", 0.25, MOVING, 0.1), duration=0.2, dt=0.01).reason == "witness"
+    assert refused(body("box", 0.25, MOVING, 0.5), duration=0.4, dt=0.01).reason == "redundant"
+    flat = body("box", 0.15, [0.3, 0, 0, 0, 0, 0], 0.0, turn=0.0)
+    assert refused(flat, duration=0.2, dt=0.01).reason == "witness"
     mapped = refused(body("ball", 0.105, MOVING, 0.0), duration=0.1, dt=0.01, impact="mhc", order=4)
     assert mapped.reason == "map"
     S = cvi.simulate(*body("ball", 0.105, MOVING, 0.1), record="gradient", duration=0.2, dt=0.01).sensitivity()

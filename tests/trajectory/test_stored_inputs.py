@@ -64,9 +64,19 @@ def rubbing() -> cvi.Trajectory:
     return cvi.simulate(scene, [0.0, 0.0], [1.0, 0.5], duration=0.3, dt=1e-2, record="gradient")
 
 
+def landing() -> cvi.Trajectory:
+    """A box that lands flat: an impact of several points at once, plastic."""
+    scene = cvi.Scene()
+    scene.add_halfspace(name="ground")
+    scene.add_box("box", (0.3, 0.2, 0.1), placement=(0, 0, 0.1))
+    scene.set_contact(restitution=0.0, friction=0.0)
+    return cvi.simulate(scene, v0=[0.3, 0, 0, 0, 0, 0], duration=0.2, dt=1e-2, contact_points=3, record="gradient")
+
+
 RUNS: dict[str, tuple[Callable[[], cvi.Trajectory], tuple[str, ...]]] = {
     "bouncing": (bouncing, ("q0", "v0", "control", "restitution", "friction", "gravity", "mass:ball")),
     "sliding": (sliding, ("q0", "v0", "control", "friction")),
+    "landing": (landing, ("v0", "control")),
     "box": (box, ("v0", "friction")),
     "arm": (arm, ("q0", "v0", "control", "kp:hinge")),
     "rubbing": (rubbing, ("q0", "v0", "control")),

@@ -1,0 +1,145 @@
+#include "sensitivity/contact_piece_adjoint.hpp"
+
+#include "sensitivity/contact_pieces.hpp"
+
+namespace contactvi {
+
+ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run)
+    : scene_(&scene), run_(&run), adjoint_(scene), release_(scene, run.contact_points) {}
+
+void ContactPieceAdjoint::start() {
+  anchors_.clear();
+  joint_anchors_.setZero(static_cast<Eigen::Index>(scene_->tree.elements.friction_dofs.size()));
+}
+
+void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
+  check_contact_piece(*run_, piece);
+  step_ = piece.contact;
+  inputs_ = &inputs;
+  number_ = piece.step;
+  adjoint_.take(*step_, inputs.tau(), inputs.servo());
+}
+
+void ContactPieceAdjoint::solve_length(VecRef fq, VecRef fp) {
+  ContactStepDirection direction;
+  direction.h = 1.0;
+  adjoint_.tangent().solve(direction, fq, fp);
+}
+
+// The gradient in the place of a point, which is taken off the list.
+Vec3 ContactPieceAdjoint::take_anchor(const ContactPoint& point) {
+  for (std::size_t k = 0; k < anchors_.size(); ++k) {
+    if (!same_point(anchors_[k].point, point)) continue;
+    const Vec3 found = anchors_[k].gradient;
+    anchors_.erase(anchors_.begin() + static_cast<std::ptrdiff_t>(k));
+    return found;
+  }
+  return Vec3::Zero();
+}
+
+void ContactPieceAdjoint::leave_anchors(VecX& lq) {
+  std::vector<Anchor> before;
+  for (std::size_t i = 0; i < step_->contacts.size(); ++i) {
+    const PersistentContact& contact = step_->contacts[i].before;
+    const ContactOutcome& out = step_->contacts[i].outcome;
+    if (!contact.point.material || out.slips) continue;
+    const Vec3 gradient = take_anchor(contact.point);
+    if (contact.anchored && !out.slipped) {
+      before.push_back({contact.point, step_->t, gradient});
+    } else if (!gradient.isZero(0)) {
+      lq += adjoint_.place_gradient(static_cast<int>(i), gradient);
+    }
+  }
+  finish();
+  anchors_ = std::move(before);
+  for (std::size_t j = 0; j < step_->joints.size(); ++j) {
+    const ContactStepRecord::Joint& joint = step_->joints[j];
+    if (!joint.sticks || joint.anchored) continue;
+    lq[joint.dof] += joint_anchors_[static_cast<Eigen::Index>(j)];
+    joint_anchors_[static_cast<Eigen::Index>(j)] = 0.0;
+  }
+}
+
+void ContactPieceAdjoint::finish() const {
+  for (const Anchor& anchor : anchors_) throw sticks_at_start(anchor.point, anchor.time);
+}
+
+void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
+  const ContactStepRecord& s = *step_;
+  const bool ends_itself = s.ending != ContactStepEnd::kLength;
+  double lslip = 0.0;
+  if (ends_itself && s.ending != ContactStepEnd::kImpact) lslip = pass_end(lq, lp, ltime, result);
+  const bool servos = inputs_->servo() != nullptr;
+  if (servos) {
+    result.parameters.q_ref.setZero();
+    result.parameters.v_ref.setZero();
+  }
+  if (!adjoint_.solve(lq, lp, lslip, gradient_, result.parameters))
+    throw NoDerivative({"step", -1, s.t}, "The derivative of a step was not solved",
+                       "adjoint equations with a solution", "none", "Use a smaller dt");
+  lq = gradient_.q;
+  lp = gradient_.p;
+  ltime = ends_itself ? -gradient_.h : ltime * (1.0 - s.share) - s.share * gradient_.h;
+  result.tau.row(number_) += gradient_.tau.transpose();
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const PersistentContact& before = s.contacts[i].before;
+    if (before.mu > 0.0) result.mu[before.point.guard] += gradient_.mu[static_cast<Eigen::Index>(i)];
+    if (!before.anchored) continue;
+    const Vec3 gradient = take_anchor(before.point) + gradient_.anchors.col(static_cast<Eigen::Index>(i));
+    anchors_.push_back({before.point, s.t, gradient});
+  }
+  for (std::size_t j = 0; j < s.joints.size(); ++j)
+    if (s.joints[j].anchored)
+      joint_anchors_[static_cast<Eigen::Index>(j)] += gradient_.joints[static_cast<Eigen::Index>(j)];
+  if (!servos) return;
+  result.q_ref.row(number_) += result.parameters.q_ref.transpose();
+  result.v_ref.row(number_) += result.parameters.v_ref.transpose();
+}
+
+// A slip that comes to rest, or a force that comes to zero: the gradient in that slip.
+double ContactPieceAdjoint::pass_end(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
+  const ContactStepRecord& s = *step_;
+  VecX fq(lq.size()), fp(lq.size());
+  solve_length(fq, fp);
+  const bool releases = s.ending == ContactStepEnd::kRelease;
+  double rate = adjoint_.tangent().slip_change();
+  if (releases) {
+    release_.take(s, inputs_->tau(), inputs_->servo());
+    rate = release_.change(fq, fp, VecX(), VecX());
+  }
+  check_contact_end(s, rate);
+  const double gradient = -(lq.dot(fq) + lp.dot(fp) + ltime) / rate;
+  ltime = 0.0;
+  if (!releases) return gradient;
+  pass_release(gradient, lq, lp, result);
+  return 0.0;
+}
+
+void ContactPieceAdjoint::pass_release(double lforce, VecX& lq, VecX& lp, RunGradient& result) {
+  const ContactStepRecord& s = *step_;
+  const Eigen::Index n = lq.size(), contacts = static_cast<Eigen::Index>(s.contacts.size());
+  const VecX none = VecX::Zero(n), empty;
+  const auto along = [&](const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu) {
+    return lforce * release_.change(dq, dp, dtau, dmu);
+  };
+  for (Eigen::Index k = 0; k < n; ++k) {
+    const VecX unit = VecX::Unit(n, k);
+    lq[k] += along(unit, none, empty, empty);
+    lp[k] += along(none, unit, empty, empty);
+    const double ltau = along(none, none, unit, empty);
+    result.tau(number_, k) += ltau;
+    if (const Servo* servo = inputs_->servo(); servo != nullptr) {
+      result.q_ref(number_, k) += servo->kp[k] * ltau;
+      result.v_ref(number_, k) += servo->kd[k] * ltau;
+    }
+  }
+  for (Eigen::Index i = 0; i < contacts; ++i) {
+    const PersistentContact& before = s.contacts[i].before;
+    if (before.mu > 0.0) result.mu[before.point.guard] += along(none, none, empty, VecX::Unit(contacts, i));
+  }
+  if (result.released >= 0) return;
+  result.released = s.contacts[s.ended].before.point.guard;
+  result.released_at = s.t + s.h;
+}
+
+}  // namespace contactvi

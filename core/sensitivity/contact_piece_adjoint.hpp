@@ -1,0 +1,54 @@
+// The pieces of a run with persistent contacts, backward: the gradient through them, with those in the places at which
+// contacts stick. The transpose of ContactPieces.
+#pragma once
+
+#include "sensitivity/contact_step_adjoint.hpp"
+#include "sensitivity/piece_inputs.hpp"
+#include "sensitivity/release_force.hpp"
+#include "sensitivity/run_gradient.hpp"
+
+namespace contactvi {
+
+class ContactPieceAdjoint {
+ public:
+  ContactPieceAdjoint(const Scene& scene, const RecordedRun& run);
+
+  // The end of a run: nothing depends on where contacts stick.
+  void start();
+  // Takes a piece with persistent contacts. Throws NoDerivative.
+  void take(const Piece& piece, const PieceInputs& inputs);
+  // Of the piece that was taken: the derivative of its end by its length, (nv,) each.
+  void solve_length(VecRef fq, VecRef fp);
+  // From the gradients in the places at which contacts stick after the piece to that in its end, before all else that
+  // happens there.
+  void leave_anchors(VecX& lq);
+  // From the gradients in the state at the end of the piece and in the time at which the next one starts to those at
+  // its start.
+  void pass(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
+  // Throws NoDerivative unless what is left says that no contact stuck at the start of the run.
+  void finish() const;
+
+ private:
+  struct Anchor {
+    ContactPoint point;
+    double time;  // of a piece that starts with it
+    Vec3 gradient;
+  };
+
+  Vec3 take_anchor(const ContactPoint& point);
+  double pass_end(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
+  void pass_release(double lforce, VecX& lq, VecX& lp, RunGradient& result);
+
+  const Scene* scene_;
+  const RecordedRun* run_;
+  ContactStepAdjoint adjoint_;
+  ReleaseForce release_;
+  const ContactStepRecord* step_ = nullptr;
+  const PieceInputs* inputs_ = nullptr;
+  long number_ = 0;  // of the control step
+  ContactStepGradient gradient_;
+  std::vector<Anchor> anchors_;
+  VecX joint_anchors_;
+};
+
+}  // namespace contactvi

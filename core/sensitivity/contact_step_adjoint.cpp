@@ -1,0 +1,206 @@
+#include "sensitivity/contact_step_adjoint.hpp"
+
+#include <cmath>
+
+#include "base/numerics.hpp"
+
+namespace contactvi {
+
+ContactStepAdjoint::ContactStepAdjoint(const Scene& scene)
+    : scene_(&scene),
+      tangent_(scene),
+      adjoint_(scene.tree, 1),
+      W0_of_q0_(static_cast<std::size_t>(scene.tree.nv)),
+      W1_of_q0_(W0_of_q0_),
+      W1_of_q1_(W0_of_q0_),
+      work_(scene.tree.nv) {}
+
+void ContactStepAdjoint::take(const ContactStepRecord& step, const VecX& tau, const Servo* servo) {
+  tangent_.take(step, tau, servo);
+  adjoint_.take(step.q0, step.p_start, step.h, tau, step.t, servo, step.v);
+  set_matrices();
+}
+
+void ContactStepAdjoint::set_matrices() {
+  ContactStepTangent& t = tangent_;
+  const ContactStepRecord& s = *t.record_;
+  const int n = scene_->tree.nv, contacts = static_cast<int>(s.contacts.size()),
+            joints = static_cast<int>(s.joints.size());
+  const VecX& none = t.none_;
+  const ContactStepDirection nothing;
+  VecX unit = none, dy;
+  for (MatX* Y : {&y_of_q0_, &y_of_q1_, &y_of_v_}) Y->resize(t.rows_, n);
+  for (int k = 0; k < n; ++k) {
+    unit[k] = 1.0;
+    t.set_start_rows(unit);
+    t.set_end_rows(none);
+    W0_of_q0_[k] = t.dW0_;
+    W1_of_q0_[k] = t.dW1_;
+    t.row_changes(unit, none, none, nothing, dy);
+    y_of_q0_.col(k) = dy;
+    t.set_start_rows(none);
+    t.set_end_rows(unit);
+    W1_of_q1_[k] = t.dW1_;
+    t.row_changes(none, unit, none, nothing, dy);
+    y_of_q1_.col(k) = dy;
+    t.set_end_rows(none);
+    t.row_changes(none, none, unit, nothing, dy);
+    y_of_v_.col(k) = dy;
+    unit[k] = 0.0;
+  }
+  t.set_start_rows(none);
+  t.set_end_rows(none);
+  ContactStepDirection direction;
+  direction.h = 1.0;
+  t.row_changes(none, none, none, direction, y_of_h_);
+  direction.h = 0.0;
+  direction.anchors.setZero(3, contacts);
+  y_of_anchors_.resize(t.rows_, 3 * contacts);
+  for (int k = 0; k < 3 * contacts; ++k) {
+    direction.anchors(k % 3, k / 3) = 1.0;
+    t.row_changes(none, none, none, direction, dy);
+    y_of_anchors_.col(k) = dy;
+    direction.anchors(k % 3, k / 3) = 0.0;
+  }
+  direction.joints.setZero(joints);
+  y_of_joints_.resize(t.rows_, joints);
+  for (int k = 0; k < joints; ++k) {
+    direction.joints[k] = 1.0;
+    t.row_changes(none, none, none, direction, dy);
+    y_of_joints_.col(k) = dy;
+    direction.joints[k] = 0.0;
+  }
+}
+
+// The transpose of law_change(). ldy: in the slip over the step.
+void ContactStepAdjoint::law_gradient(const Problem& problem, const VecX& lc, VecX& lbase, VecX& ldy) {
+  using Mode = ContactStepTangent::Mode;
+  const ContactStepRecord& s = *tangent_.record_;
+  for (std::size_t k = 0; k < s.joints.size(); ++k) {
+    if (problem.joints[k] == Mode::kKept) {
+      lh_ -= lc[k] * problem.lambda[k] / s.h;
+    } else {
+      lbase[k] += lc[k];
+    }
+  }
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const ContactStepRecord::Contact& contact = s.contacts[i];
+    const int r = contact.row, count = contact.before.rows();
+    const Mode mode = problem.contacts[i];
+    if (mode == Mode::kOpen) continue;
+    if (mode == Mode::kStick) {
+      lbase.segment(r, count) += lc.segment(r, count);
+      continue;
+    }
+    lbase[r] += lc[r];
+    const Eigen::Vector2d slip = tangent_.slip_of(problem, i), l = lc.segment<2>(r + 1);
+    lmu_[i] += problem.lambda[r] * slip.normalized().dot(l);
+    VecX& changed = mode == Mode::kKept ? ldy : lbase;
+    changed.segment<2>(r + 1) += problem.lambda[r] * contact.before.mu * tangent_.turn(slip).transpose() * l;
+  }
+}
+
+// The transpose of end_change(): llambda, lw in the changes of the impulses and of the speeds of the rows.
+void ContactStepAdjoint::end_gradient(const Problem& problem, const VecX& v, VecX llambda, const VecX& lw,
+                                      StepParameters& sums) {
+  const ContactStepRecord& s = *tangent_.record_;
+  VecX lbase = lw;
+  llambda.noalias() += tangent_.G_.transpose() * lw;
+  law_gradient(problem, problem.system.solve_transposed(llambda), lbase, ldy_);
+  const VecX m = tangent_.MinvW_ * lbase;
+  lp_minus_ += m;
+  lW1_ += m * problem.lambda.transpose() + v * lbase.transpose();
+  VecX lq(scene_->tree.nv);
+  adjoint_.momentum(s.q1, v, -m, lq, work_);
+  lq1_ += lq;
+  adjoint_.add_momentum_parameters(s.q1, v, -m, sums);
+}
+
+// The velocity of the only stage is the rate of the chart: q1 = q0 exp(h v), so that it follows from both ends and h.
+void ContactStepAdjoint::fold_velocity(const VecX& lv) {
+  const ContactStepRecord& s = *tangent_.record_;
+  lh_ -= s.v.dot(lv) / s.h;
+  for (const Joint& joint : scene_->tree.joints) {
+    const int iv = joint.iv;
+    if (joint.type != JointType::kSpherical) {
+      lq1_.segment(iv, joint.nv) += lv.segment(iv, joint.nv) / s.h;
+      lq0_.segment(iv, joint.nv) -= lv.segment(iv, joint.nv) / s.h;
+      continue;
+    }
+    const Vec3 X = s.h * s.v.segment<3>(iv);
+    const So3Coefficients k = so3_coefficients(X.squaredNorm());
+    Mat3 J, back;
+    for (int c = 0; c < 3; ++c) {
+      J.col(c) = so3_apply(-X, k.cos_t, k.cub_t, Vec3::Unit(c));
+      back.col(c) = so3_apply(-X, k.sin_t, k.cos_t, Vec3::Unit(c));
+    }
+    const Vec3 l = J.transpose().inverse() * lv.segment<3>(iv) / s.h;
+    lq1_.segment<3>(iv) += l;
+    lq0_.segment<3>(iv) -= back.transpose() * l;
+  }
+}
+
+bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, ContactStepGradient& g,
+                               StepParameters& sums) {
+  const ContactStepTangent& t = tangent_;
+  const ContactStepRecord& s = *t.record_;
+  const int n = scene_->tree.nv, contacts = static_cast<int>(s.contacts.size());
+  const VecX none = VecX::Zero(t.rows_);
+  lq1_ = lq;
+  lp_minus_ = lp;
+  lq0_ = VecX::Zero(n);
+  ldy_ = none;
+  lW1_ = lp * s.lambda_end.transpose();
+  lh_ = 0.0;
+  lmu_ = VecX::Zero(contacts);
+  if (s.ending == ContactStepEnd::kStick && lslip != 0.0) {
+    VecX lw = none;
+    if (s.ended >= contacts) {
+      lw[s.ended - contacts] = lslip;
+    } else {
+      const ContactStepRecord::Contact& contact = s.contacts[s.ended];
+      const int r = contact.row;
+      lw.segment<2>(r + 1) = lslip * contact.outcome.slip.normalized();
+      ldy_.segment<2>(r + 1) = lslip * t.turn(contact.outcome.slip).transpose() * t.frozen_.w.segment<2>(r + 1);
+    }
+    end_gradient(t.frozen_, t.v_frozen_, none, lw, sums);
+  }
+  end_gradient(t.velocity_, s.v1, s.W1.transpose() * lp, none, sums);
+  for (int k = 0; k < n; ++k) {
+    lq1_[k] += W1_of_q1_[k].cwiseProduct(lW1_).sum();
+    lq0_[k] += W1_of_q0_[k].cwiseProduct(lW1_).sum();
+  }
+  // The position impulse.
+  const VecX llambda = t.Y_.transpose() * ldy_ + t.P_.transpose() * lp_minus_ + t.Q_.transpose() * lq1_;
+  VecX lbase = ldy_;
+  law_gradient(t.position_, t.position_.system.solve_transposed(llambda), lbase, lbase);
+  lq0_.noalias() += y_of_q0_.transpose() * lbase;
+  lq1_.noalias() += y_of_q1_.transpose() * lbase;
+  lh_ += y_of_h_.dot(lbase);
+  g.anchors = (y_of_anchors_.transpose() * lbase).reshaped(3, contacts);
+  g.joints = y_of_joints_.transpose() * lbase;
+  fold_velocity(y_of_v_.transpose() * lbase);
+  // The smooth step.
+  g.q.resize(n);
+  g.p.resize(n);
+  g.tau.resize(n);
+  if (!adjoint_.solve(lq1_, lp_minus_, g.q, g.p, g.h, g.tau)) return false;
+  adjoint_.add_parameters(sums);
+  const MatX lW0 = g.p * s.lambda.transpose();
+  for (int k = 0; k < n; ++k) g.q[k] += lq0_[k] + W0_of_q0_[k].cwiseProduct(lW0).sum();
+  g.h += lh_;
+  g.mu = lmu_;
+  return true;
+}
+
+VecX ContactStepAdjoint::place_gradient(int contact, const Vec3& lplace) {
+  VecX unit = tangent_.none_, found(unit.size());
+  for (Eigen::Index k = 0; k < unit.size(); ++k) {
+    unit[k] = 1.0;
+    found[k] = lplace.dot(tangent_.place_change(contact, unit));
+    unit[k] = 0.0;
+  }
+  return found;
+}
+
+}  // namespace contactvi

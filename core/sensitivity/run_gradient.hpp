@@ -1,0 +1,21 @@
+// The gradient of a function of a recorded run.
+#pragma once
+
+#include "base/numerics.hpp"
+#include "step/step_parameters.hpp"
+
+namespace contactvi {
+
+struct RunGradient {
+  VecX q, v;          // in the start, (nv,)
+  MatX tau;           // in the inputs, (steps, nv)
+  MatX q_ref, v_ref;  // in the references of the servos, (steps, nv)
+  VecX e, mu;         // in restitution and friction, (guards,)
+  StepParameters parameters;
+  // The latest time at which a contact is released, and its guard; -1: none is. The times of releases have no
+  // derivative in the parameters that is known, and `parameters` is without it.
+  double released_at = 0.0;
+  int released = -1;
+};
+
+}  // namespace contactvi
