@@ -31,6 +31,8 @@ class StatusCode(enum.IntEnum):
 
     CONSTRAINT = 9
 
+    TOO_MANY_STEPS = 10
+
 class ImpactMap(enum.IntEnum):
     """What an impact conserves besides the momentum."""
 
@@ -487,6 +489,15 @@ class SimulatorOptions:
 
 class KeptContactSteps:
     """The contact steps of a call, as their derivatives need them."""
+
+    def __init__(self, scene: Scene, steps: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], blocks: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+        """From their numbers in a file."""
+
+    def step_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
+        """Return the contact steps as numbers, for files."""
+
+    def block_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
+        """Return the impacts of several points as numbers, for files."""
 
 class Snapshot:
     """All that the rest of a run depends on."""

@@ -1,6 +1,7 @@
 """Checks of arguments: each returns the clean value or raises an InputError that names the argument.
 
-First numbers and choices, then arrays and placements, states and forces of one model, and settings of a run.
+First numbers and choices, then arrays and placements. States of one model are in contactvi.states, settings of a run in
+contactvi.run_settings.
 """
 
 from __future__ import annotations
@@ -15,23 +16,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.errors import InputError, UserFunctionError, did_you_mean
+from contactvi.errors import InputError, did_you_mean
 
 Array = NDArray[np.float64]
 UNIT_TOLERANCE = 1e-6  # of a norm; a quaternion with seven digits passes, one that is not normalised does not
-
-AUTO = "auto"
-ORDERS = tuple(range(2, 17, 2))
-AUTO_ORDER = 16
-CONTACT_DT = 1e-3  # [s] default of the longest step in contact, where free steps are longer and of an order above 2
-LEDGER_TOLERANCES = (
-    *("energy", "modified_energy", "discrete_energy", "linear_momentum", "angular_momentum"),
-    *("energy_jump", "modified_energy_jump", "discrete_energy_jump", "own_jump"),
-    *("linear_momentum_jump", "angular_momentum_jump", "impulse", "complementarity", "gap"),
-    *("energy_rise", "impulse_balance", "energy_balance"),
-    *("dense_residual", "dense_gap", "dense_energy_rise"),
-)
-_STEP_TOLERANCE = 1e-9  # relative; decimal input such as 0.1 / 1e-3 is off by a few eps * steps
 
 # --- numbers and choices ----------------------------------------------------------------------------------------------
 
@@ -60,7 +48,7 @@ def real(
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, numbers.Real) and not isinstance(value, bool):
-        number = _float(value)
+        number = as_float(value)
     inside = low < number <= high if open_low else low <= number <= high
     if not abs(number) <= LARGEST or not inside:
         wanted = expected or _interval(low, high, open_low)
@@ -76,7 +64,7 @@ def real(
     return number
 
 
-def _float(value: Any) -> float:
+def as_float(value: Any) -> float:
     """Return a real number as a float; what is too large for one is infinite."""
     try:
         return float(value)
@@ -125,7 +113,7 @@ def count(name: str, value: Any) -> int:
 
 def _count_remedy(value: Any) -> str:
     """Return how to make a whole number >= 1 of what was given."""
-    number = _float(value) if isinstance(value, numbers.Real) and not isinstance(value, bool) else math.nan
+    number = as_float(value) if isinstance(value, numbers.Real) and not isinstance(value, bool) else math.nan
     if math.isfinite(number):
         return f"Use {min(max(round(number), 1), MOST)}, without a decimal point"
     return "Give a whole number such as 100, without quotes"
@@ -402,253 +390,3 @@ def _check_pose(name: str, placement: pin.SE3) -> None:
             got=str(matrix.tolist()),
             remedy="Make the 3x3 part a rotation (orthogonal, determinant 1), for example pin.rpy.rpyToMatrix(r, p, y)",
         )
-
-
-# --- states and forces ------------------------------------------------------------------------------------------------
-
-
-class States:
-    """Checks of the states and forces of one model."""
-
-    def __init__(self, model: pin.Model) -> None:
-        self.nq, self.nv = int(model.nq), int(model.nv)
-        self._units: list[tuple[slice, str]] = []  # entries of q that are a rotation, name of the joint
-        for index in range(1, model.njoints):
-            part = _unit_part(model, index)
-            if part.stop > part.start:
-                self._units.append((part, str(model.names[index])))
-
-    def configuration(self, q: Any, name: str = "q0") -> Array:
-        """Return q as an array of shape (nq,), unit complex numbers and quaternions normalised.
-
-        Raises:
-            InputError: for a wrong shape, numbers that are not finite, and a norm further than 1e-6 from one.
-        """
-        remedy = (
-            "Start from scene.neutral() and set joints with scene.configuration({...}); a free body takes 7 numbers"
-        )
-        result = array(name, q, (self.nq,), "one configuration", remedy)
-        for part, joint in self._units:
-            values = result[part]
-            norm = math.hypot(*values)
-            if abs(norm - 1.0) > UNIT_TOLERANCE:
-                what = "quaternion (x, y, z, w)" if part.stop - part.start == 4 else "pair (cos, sin)"
-                raise InputError(
-                    f"{name} has a {what} of joint {joint!r} that is not a rotation",
-                    name=name,
-                    expected="norm 1",
-                    got=f"{np.array2string(values, precision=6)} with norm {norm:.6g}",
-                    remedy=f"Normalise {name}[{part.start}:{part.stop}], or start from scene.neutral()",
-                )
-            values /= norm
-        return result
-
-    def distance(self, a: Array, b: Array) -> Array:
-        """Return the norm of the tangent difference of configurations (N, nq) or (1, nq), shape (N,) [m, rad].
-
-        Angles follow from the chords of unit quaternions and (cos, sin), which lose no digits where they are small.
-        Free and planar bodies as R^3 x SO(3) and R^2 x SO(2).
-        """
-        apart = b - a
-        square = np.einsum("ij,ij->i", apart, apart)
-        for part, _ in self._units:
-            near = np.einsum("ij,ij->i", apart[:, part], apart[:, part])
-            if part.stop - part.start == 4:  # q and -q are one rotation, and the chord belongs to half its angle.
-                angle = 4.0 * np.arcsin(np.minimum(1.0, 0.5 * np.sqrt(np.minimum(near, 4.0 - near))))
-            else:
-                angle = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * np.sqrt(near)))
-            square += angle**2 - near
-        return np.asarray(np.sqrt(np.maximum(square, 0.0)))
-
-    def velocity(self, v: Any, name: str = "v0") -> Array:
-        """Return v as an array of shape (nv,); None is rest."""
-        if v is None:
-            return np.zeros(self.nv)
-        meaning = "one velocity (a free body takes 6 numbers: linear, angular, body frame)"
-        return array(name, v, (self.nv,), meaning, "Set joints by name with scene.velocity({...}), or leave it out")
-
-    def force(self, tau: Any, name: str = "tau") -> Array:
-        """Return one generalized force as an array of shape (nv,)."""
-        remedy = f"Start from np.zeros({self.nv}), and set the entries of the joints that are driven"
-        return array(name, tau, (self.nv,), "one generalized force", remedy)
-
-    def controlled(self, tau: Any, t: float) -> Array:
-        """Return what a control function returned at t [s] as one generalized force, shape (nv,).
-
-        Raises UserFunctionError with the time.
-        """
-        try:
-            return self.force(tau)
-        except InputError as error:
-            raise UserFunctionError(
-                f"The control returned what cannot be used at t = {t:.9g} s, {error.what}",
-                function="control",
-                time=t,
-                expected=error.expected,
-                got=error.got,
-                remedy=f"Correct what the control returns. {error.remedy}",
-            ) from None
-
-    def forces(self, tau: Any, steps: int, name: str = "control") -> Array:
-        """Return the generalized forces of all steps as an array of shape (steps, nv)."""
-        return array(name, tau, (steps, self.nv), "one generalized force per step")
-
-
-def _unit_part(model: pin.Model, index: int) -> slice:
-    """Return the entries of q that are the unit quaternion or (cos, sin) of a joint; empty for other joints."""
-    joint = model.joints[index]
-    start, offset = joint.idx_q, 0
-    count = {(7, 6): 4, (4, 3): 4, (2, 1): 2}.get((joint.nq, joint.nv), 0)
-    if joint.nq == 7:
-        offset = 3
-    if joint.shortname() == "JointModelPlanar":
-        offset, count = 2, 2
-    return slice(start + offset, start + offset + count)
-
-
-# --- settings of a run ------------------------------------------------------------------------------------------------
-
-
-def tolerances(ledger: Any) -> dict[str, float] | None:
-    """Return the checked tolerances of the ledger, None for none."""
-    if ledger is None or (isinstance(ledger, Mapping) and not ledger):
-        return None
-    if not isinstance(ledger, Mapping):
-        raise InputError(
-            "The tolerances of the ledger are not usable",
-            name="ledger",
-            expected='names and bounds, for example {"own_jump": 1e-10}',
-            got=short(ledger),
-            remedy="Write the bounds as a dict; in a scene file under [run.ledger]",
-        )
-    for name, bound in ledger.items():
-        if name not in LEDGER_TOLERANCES:
-            raise InputError(
-                f"The ledger has no tolerance {short(name)}",
-                name="ledger",
-                expected=" | ".join(LEDGER_TOLERANCES),
-                got=short(name),
-                remedy=did_you_mean(_word(name), LEDGER_TOLERANCES),
-            )
-        if not isinstance(bound, numbers.Real) or isinstance(bound, bool) or not _is_bound(bound):
-            raise InputError(
-                f"Tolerance {name!r}",
-                name="ledger",
-                expected="a number >= 0 that fits in a float",
-                got=short(bound),
-                remedy="Give the largest deviation that you accept, for example 1e-10",
-            )
-    return {str(name): float(bound) for name, bound in ledger.items()}
-
-
-def _is_bound(value: Any) -> bool:
-    """Return whether a real number is >= 0 and a float can hold it."""
-    number = _float(value)
-    return number >= 0.0 and (math.isfinite(number) or bool(value == math.inf))
-
-
-def integrator_order(order: Any, auto: bool) -> int:
-    """Return the order, by default 2 for steps of one length and AUTO_ORDER for "auto"."""
-    if order is None:
-        return AUTO_ORDER if auto else 2
-    whole = isinstance(order, numbers.Integral) and not isinstance(order, bool)
-    if whole and order in ORDERS:
-        return int(order)
-    near = 2 if not whole else min(max(int(order) + int(order) % 2, 2), 16)
-    raise InputError(
-        "The order of the integrator is not usable",
-        name="order",
-        expected="an even number from 2 to 16",
-        got=short(order),
-        remedy=f"Use order={near}",
-    )
-
-
-def kept_dense(dense: Any, order: int, sample_dt: float | None) -> bool:
-    """Return whether polynomials are kept, by default from order 4 on and for samples."""
-    if dense is None:
-        return order >= 4 or sample_dt is not None
-    if not isinstance(dense, bool):
-        raise InputError(
-            "dense is not usable", name="dense", expected="True or False", got=short(dense), remedy=_flag_remedy(dense)
-        )
-    if sample_dt is not None and not dense:
-        raise InputError(
-            "Samples are taken from the polynomials of the steps",
-            name="dense",
-            expected="True with sample_dt",
-            got="False",
-            remedy="Leave dense out, or sample_dt",
-        )
-    return dense
-
-
-def contact_step(dt_contact: Any, dt: float | str) -> float | str | None:
-    """Return the checked step in contact; dt: the free step [s] or "auto"."""
-    if dt_contact is None or (isinstance(dt_contact, str) and dt_contact == AUTO and dt == AUTO):
-        return dt_contact if dt_contact is None else AUTO
-    if isinstance(dt_contact, str) and dt_contact == AUTO:
-        raise InputError(
-            "The step in contact cannot be found by a run with steps of one length",
-            name="dt_contact",
-            expected="a time in seconds, or dt='auto' too",
-            got="'auto'",
-            remedy="Give dt_contact=..., for example dt_contact=1e-3, or leave it out",
-        )
-    value = positive("dt_contact", dt_contact, "the step in contact in seconds, > 0, for example 1e-3")
-    if isinstance(dt, float) and value > dt * (1.0 + _STEP_TOLERANCE):
-        raise InputError(
-            "The step in contact is longer than the step",
-            name="dt_contact",
-            expected=f"at most dt = {dt:g} s",
-            got=f"{value:g} s",
-            remedy="Leave dt_contact out, or use a larger dt",
-        )
-    if isinstance(dt, float):
-        check_contact_steps(value, dt, "dt")
-    return value
-
-
-def check_contact_steps(dt_contact: float, span: float, what: str) -> None:
-    """Raise InputError where a step in contact [s] is lost in the rounding of the time within a span [s] of this name.
-
-    Such a step does not bring the time forward, so a run would not end.
-    """
-    if span / MOST_STEPS <= dt_contact:
-        return
-    raise InputError(
-        "The step in contact is too short",
-        name="dt_contact",
-        expected=f"at most {MOST_STEPS:g} of them in {what} = {span:g} s",
-        got=f"{dt_contact:g} s",
-        remedy="Use a larger dt_contact, for example dt_contact=1e-3, or leave it out",
-    )
-
-
-def check_whole(duration: float, dt: float) -> None:
-    """Raise InputError where the duration is not a whole number of steps [s]."""
-    ratio = duration / dt
-    if not math.isfinite(ratio):
-        raise InputError(
-            "duration / dt overflows",
-            name="dt",
-            expected="a finite number of steps",
-            got=f"dt={dt!r}",
-            remedy="Use a larger dt",
-        )
-    steps = round(ratio)
-    if steps > MOST_STEPS:
-        raise InputError(
-            "duration has too many steps", name="duration", expected=f"at most {MOST_STEPS:g} of them",
-            got=f"{duration!r} / {dt!r} = {ratio:.12g}", remedy="Use a larger dt, or a shorter duration",
-        )  # fmt: skip
-    if steps >= 1 and abs(ratio - steps) <= _STEP_TOLERANCE * max(1.0, ratio):
-        return
-    near = max(1, steps)
-    raise InputError(
-        "duration is not a whole number of steps",
-        name="duration",
-        expected="duration / dt a whole number (to 1e-9)",
-        got=f"{duration!r} / {dt!r} = {ratio:.12g}",
-        remedy=f"Use duration={near * dt:.12g}, or dt={duration / near:.12g}",
-    )

@@ -8,19 +8,15 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal, TypedDict, get_args
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import (
+from contactvi.inputs import check_choice, count, flag, mapping, positive
+from contactvi.run_settings import (
     AUTO,
     CONTACT_DT,
-    check_choice,
     check_contact_steps,
     check_whole,
     contact_step,
-    count,
-    flag,
     integrator_order,
     kept_dense,
-    mapping,
-    positive,
     tolerances,
 )
 

@@ -27,6 +27,7 @@ class StatusCode(IntEnum):
     INTERRUPTED = 7
     LEDGER = 8
     CONSTRAINT = 9
+    TOO_MANY_STEPS = 10
 
 
 @dataclass(frozen=True)

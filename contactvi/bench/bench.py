@@ -34,8 +34,8 @@ from contactvi.bench.runs import (
     still,
 )
 from contactvi.errors import InputError, PenetrationError
-from contactvi.inputs import ORDERS
 from contactvi.options import IMPACT_MAPS, ImpactMap
+from contactvi.run_settings import ORDERS
 
 if TYPE_CHECKING:
     from contactvi.scene.scene import Scene

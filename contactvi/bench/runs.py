@@ -12,9 +12,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.inputs import States
 from contactvi.options import DEFAULT_DT, IMPACT_MAPS, ImpactMap, Options, merged
 from contactvi.simulation.simulation import Simulator, simulate
+from contactvi.states import States
 from contactvi.status import StatusCode
 from contactvi.trajectory.trajectory import Trajectory
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi.errors import InputError
+from contactvi.inputs import short
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -44,4 +46,9 @@ def gradient(
     Raises:
         InputError, NotDifferentiable: as Sensitivity.
     """
+    if not isinstance(traj, Trajectory):
+        raise InputError(
+            "There is no gradient of this", name="traj", expected="a Trajectory", got=short(traj),
+            remedy="Give the run that contactvi.simulate(..., record='gradient') has returned",
+        )  # fmt: skip
     return traj.gradient(cost, wrt, on_kink=on_kink)

@@ -7,6 +7,7 @@ error. A disagreement beyond both the tolerance and that error is a fault of the
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi.derivatives.perturbed_runs import SOLVED, PerturbedRuns, RunEnd
 from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import callback, count, real
+from contactvi.inputs import callback, check_choice, count, real, short
 from contactvi.options import FurtherOptions, ImpactMap
 from contactvi.simulation.simulation import Control, simulate
-from contactvi.trajectory.sensitivity import PLAIN, Sensitivity, wanted
+from contactvi.trajectory.sensitivity import ON_KINK, PLAIN, Sensitivity, wanted
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -176,6 +177,8 @@ def check_gradient(
             and where the run has other impacts when its steps are solved to rounding.
     """
     tolerance, most = real("tolerance", tolerance, 0.0), None if columns is None else count("columns", columns)
+    check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+    seed = _checked_seed(seed)
     called = callback("progress", progress)
     chosen: dict[str, Any] = {
         **options, "record": "gradient", "duration": duration, "dt": dt, "impact": impact, "order": order, "tol": tol,
@@ -197,6 +200,14 @@ def check_gradient(
             called(k / len(sample), runs.name(column))
         found.append(_check_column(runs, exact, column, tolerance))
     return GradientCheck(tuple(found), exact.matrix.shape[2], exact, tolerance)
+
+
+def _checked_seed(seed: int) -> int:
+    if isinstance(seed, numbers.Integral) and not isinstance(seed, bool) and seed >= 0:
+        return int(seed)
+    raise InputError(
+        "seed is not usable", name="seed", expected="a whole number >= 0", got=short(seed), remedy="For example seed=0"
+    )  # fmt: skip
 
 
 def _sample(exact: Sensitivity, most: int | None, seed: int) -> list[int]:

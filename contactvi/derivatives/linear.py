@@ -107,7 +107,8 @@ def step_derivatives(
         NotDifferentiable: there is an impact, a persistent contact, a constraint or an actuator at its limit in the
             step.
     """
-    inputs.check_choice("state", state, STATES, "a kind of state")
+    inputs.check_choice("state", state, STATES, "Unknown kind of state")
+    t, dt = inputs.real("t", t), inputs.positive("dt", dt, "the step in seconds, > 0, for example 1e-3")
     options = settings_of(scene, {"dt": dt, "duration": dt, "order": order, "contact_mode": "events", "ledger": None})
     compiled = compile_scene(scene)
     _check(compiled)
@@ -159,17 +160,17 @@ def forward_dynamics_derivatives(
         InputError: for a bad state. DerivativeError: a function of the user has no derivatives.
         NotDifferentiable: a contact or limit touches, or there are constraints.
     """
-    compiled = compile_scene(scene)
+    compiled, time = compile_scene(scene), inputs.real("t", t)
     _check(compiled)
     states, core = compiled.states, compiled.core
     at = states.configuration(q, "q")
     w = states.velocity(v, "v")
     force = np.zeros(states.nv) if tau is None else states.force(tau)
     _check_apart(compiled, at)
-    rows = Targets(compiled, at).rows(target, np.array([float(t)]))
+    rows = Targets(compiled, at).rows(target, np.array([time]))
     from contactvi import _core
 
-    own, f_q, f_v = _core.linear_forces(core, at, w, None if rows is None else rows[0], float(t))
+    own, f_q, f_v = _core.linear_forces(core, at, w, None if rows is None else rows[0], time)
     model = compiled.built.model
     data = model.createData()
     pin.computeABADerivatives(model, data, at, w, force + own)

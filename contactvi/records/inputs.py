@@ -21,12 +21,28 @@ class RunInputs:
         target: references of the servos, positions by dof and then velocities, shape (steps, 2 nv); None without.
         saturated: actuators at their limits, summed over steps.
         contact_steps: those with persistent contacts, one contactvi._core.KeptContactSteps per call of the engine.
+        stored_steps, stored_blocks: the same of a run from a file, as numbers, shapes (i,) and (j,): the steps, and the
+            impacts of several points; None where `contact_steps` holds them.
     """
 
     control: Array | None
     target: Array | None
     saturated: int = 0
     contact_steps: tuple[Any, ...] = ()
+    stored_steps: Array | None = None
+    stored_blocks: Array | None = None
+
+    def stored(self) -> dict[str, NDArray[Any]]:
+        """Return what a file keeps of them, by name."""
+        steps = [kept.step_numbers() for kept in self.contact_steps]
+        blocks = [kept.block_numbers() for kept in self.contact_steps]
+        found: dict[str, NDArray[Any]] = {"saturated": np.array(self.saturated, dtype=np.int64)}
+        found["contact_steps"] = np.concatenate(steps or [_or_none(self.stored_steps)])
+        found["impact_blocks"] = np.concatenate(blocks or [_or_none(self.stored_blocks)])
+        for name, values in (("control", self.control), ("target", self.target)):
+            if values is not None:
+                found[name] = np.asarray(values, dtype=float)
+        return found
 
 
 class GrowingInputs:
@@ -73,3 +89,7 @@ def _joined(counts: Sequence[int], parts: Sequence[Array | None]) -> Array | Non
         [np.zeros((steps, width)) if part is None else np.asarray(part, dtype=float)[:steps]
          for steps, part in zip(counts, parts, strict=True)]
     )  # fmt: skip
+
+
+def _or_none(numbers: Array | None) -> Array:
+    return np.zeros(0) if numbers is None else numbers

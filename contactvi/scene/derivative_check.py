@@ -18,9 +18,10 @@ from contactvi.elements import elements as kinds
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q, entry_name
 from contactvi.errors import DerivativeError, InputError
-from contactvi.inputs import States, real, short, vector
+from contactvi.inputs import real, short, vector
 from contactvi.scene.element_rows import dof_names
 from contactvi.scene.scene import Scene
+from contactvi.states import States
 
 Array = NDArray[np.float64]
 Move = Callable[[Array, Array], Array]

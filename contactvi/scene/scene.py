@@ -18,7 +18,7 @@ from contactvi.importing import part as shapes
 from contactvi.importing.part import Part, shape_part
 from contactvi.importing.readers import MjcfFile, import_mjcf, import_pinocchio, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
-from contactvi.inputs import States, flag, mapping, pose, real, short, vector
+from contactvi.inputs import flag, mapping, pose, real, short, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
@@ -37,6 +37,7 @@ from contactvi.scene.pairs import ContactRules, within_models
 from contactvi.scene.parts import Handle, PartList
 from contactvi.scene.report import scene_report
 from contactvi.scene.selection import BodyHandle, Names, PartHandle, Selector
+from contactvi.states import States
 
 GRAVITY = (0.0, 0.0, -9.81)
 

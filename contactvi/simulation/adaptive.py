@@ -152,10 +152,10 @@ class _Search:
         level = _clip(_START * math.sqrt(tol))
         companion, estimate = self._run(level * math.sqrt(_COMPANION), slack=_COMPANION), math.nan
         for _ in range(_RUNS):
-            if _interrupted(companion) or not len(companion.segments["t"]):  # it ended where it started
+            if _final(companion) or not len(companion.segments["t"]):  # it ended where it started
                 return companion, math.nan
             found = self._run(level, companion)
-            if _interrupted(found) or not len(found.segments["t"]):
+            if _final(found) or not len(found.segments["t"]):
                 return found, math.nan
             estimate = self._estimate(companion, found, estimate)
             share = _AIM * tol / estimate if estimate > 0.0 else 0.0
@@ -360,6 +360,11 @@ def _check_ledger(record: Record) -> None:
 
 def _interrupted(found: _Found) -> bool:
     return found.record.status.code == StatusCode.INTERRUPTED
+
+
+def _final(found: _Found) -> bool:
+    """Return whether no finer run is to be made: the user has stopped this one, or finer ones would end earlier."""
+    return _interrupted(found) or found.record.status.code == StatusCode.TOO_MANY_STEPS
 
 
 def _clip(level: float) -> float:

@@ -16,6 +16,8 @@ REMEDY = {
     StatusCode.PENETRATION: "Move the start apart; scene.disable_overlapping(q0) takes out the pairs within one model "
     "that overlap there, scene.disable_pair(a, b) any pair",
     StatusCode.CONSTRAINT: "Mend the prescribed motions and lengths, or use a smaller dt",
+    StatusCode.TOO_MANY_STEPS: "Look for huge forces, stiff springs and tiny masses; use a larger tol, or a shorter "
+    "duration",
     StatusCode.INTERRUPTED: "Run it again; error.trajectory holds what was computed until then",
     StatusCode.LEDGER: "Look at error.trajectory.ledger there; use a smaller dt, or another tolerance",
 }

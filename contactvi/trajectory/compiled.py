@@ -19,11 +19,12 @@ from contactvi.errors import (
     UserFunctionError,
 )
 from contactvi.importing.checks import dof_joint
-from contactvi.inputs import States, short
+from contactvi.inputs import short
 from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
 from contactvi.scene.derivative_check import GENERIC, check_element, mover
 from contactvi.scene.scene import Scene
+from contactvi.states import States
 
 if TYPE_CHECKING:
     from contactvi import _core

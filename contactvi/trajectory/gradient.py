@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import array, check_choice
+from contactvi.inputs import array, check_choice, check_signature, real, real_numbers
 from contactvi.trajectory import parameters
 from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.sensitivity import (
@@ -81,11 +81,12 @@ def _gradients(traj: Recorded, compiled: CompiledScene, cost: Cost) -> tuple[flo
     nodes, nv = len(traj.t), compiled.states.nv
     value: float | None = None
     if callable(cost):
+        check_signature("cost", cost, ("t", "q", "v"))
         v = np.asarray(compiled.core.velocity(traj.q, traj.p))
         given = cost(traj.t, traj.q, v)
         if not isinstance(given, tuple) or len(given) != 3:
             raise _bad_cost("(J, dJ/dq, dJ/dv) from the function", given)
-        value, rest = float(given[0]), given[1:]
+        value, rest = real("J", given[0]), given[1:]
     else:
         if not isinstance(cost, tuple) or len(cost) != 2:
             raise _bad_cost("a function of (t, q, v), or the pair (dJ/dq, dJ/dv)", cost)
@@ -101,7 +102,8 @@ def _bad_cost(expected: str, got: object) -> InputError:
 
 
 def _at_nodes(name: str, part: Any, nodes: int, nv: int) -> Array:
-    if np.ndim(part) == 1:
+    numbers = real_numbers(part)
+    if numbers is not None and numbers.ndim == 1:
         rows = np.zeros((nodes, nv))
         rows[-1] = array(name, part, (nv,), "the gradient at the last node")
         return rows

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import InputError, NotDifferentiable, did_you_mean
-from contactvi.inputs import array, check_choice, short
+from contactvi.inputs import array, check_choice, real_numbers, short
 from contactvi.options import Options
 from contactvi.records.events import EventLog
 from contactvi.records.inputs import RunInputs
@@ -140,11 +140,7 @@ class Sensitivity:
 
     def of(self, name: str) -> Array:
         """Return the derivatives with respect to one of `names` at the nodes, shape (N, 2 nv, width)."""
-        if name not in self.columns:
-            raise InputError(
-                "The derivative was not asked for", name="name", expected=f"one of {', '.join(self.names)}", got=name,
-                remedy=did_you_mean(name, self.names),
-            )  # fmt: skip
+        check_choice("name", name, self.names, "The derivative was not asked for")
         return self.matrix[:, :, self.columns[name]]
 
     def at(self, t: ArrayLike) -> Array:
@@ -152,17 +148,19 @@ class Sensitivity:
 
         For an array of n times a first axis n is added. Between nodes they belong to the state `Trajectory.at` gives.
         """
-        times = array("t", np.atleast_1d(np.asarray(t)), (np.size(t),), "times within the run")
+        given = real_numbers(t)
+        many = given is not None and given.ndim > 0
+        times = array("t", t if many else [t], (len(given) if given is not None and many else 1,), "times in the run")
         if times.size and not (self.t[0] <= times.min() and times.max() <= self.t[-1]):
             raise InputError(
                 "The run has no state there", name="t", expected=f"times from {self.t[0]:g} to {self.t[-1]:g} s",
                 got=f"{times.min():g} to {times.max():g} s", remedy="Ask within the run",
             )  # fmt: skip
         order = np.argsort(times, kind="stable")
-        found = np.array(self._solve(times[order])["nodes"])
+        found = np.array(self._solve(times[order])["nodes"]).reshape(len(times), *self.matrix.shape[1:])
         result = np.empty_like(found)
         result[order] = found
-        return result if np.ndim(t) else result[0]
+        return result if many else result[0]
 
     def _solve(self, times: Array) -> dict[str, Any]:
         found = self._run.tangent(self._directions, list(map(float, times)), self._taken)
@@ -201,10 +199,18 @@ def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
     from contactvi import _core
 
     inputs, segments = traj.inputs, traj.segments
+    if inputs is not None and segments is None:
+        still = compiled.states.nv == 0
+        raise InputError(
+            "The run has nothing to take derivatives of", name="scene" if still else "duration",
+            expected="a scene in which something moves" if still else "a run that has made a step",
+            got="one without joints" if still else f"{len(traj.t)} node, {traj.options.steps} steps asked for",
+            remedy="Add a body that moves" if still else "Look at its status, why it has ended where it started",
+        )  # fmt: skip
     if inputs is None or segments is None:
         raise InputError(
             "The run has not kept what its derivatives need", name="record", expected="a run with record='gradient'",
-            got="one without, or one from a file, which has no inputs", remedy="simulate(..., record='gradient')",
+            got="one without", remedy="simulate(..., record='gradient')",
         )  # fmt: skip
     compiled.check_differentiable()
     if inputs.saturated:
@@ -222,8 +228,18 @@ def recorded_run(traj: Recorded, compiled: CompiledScene) -> _core.RecordedRun:
     events = traj.events.arrays if len(traj.events) else None
     return _core.RecordedRun(
         compiled.core, settings, dict(segments.arrays), None if events is None else dict(events), inputs.control,
-        inputs.target, np.array(traj.q[-1]), np.array(traj.p[-1]), list(inputs.contact_steps),
+        inputs.target, np.array(traj.q[-1]), np.array(traj.p[-1]), _contact_steps(inputs, compiled),
     )  # fmt: skip
+
+
+def _contact_steps(inputs: RunInputs, compiled: CompiledScene) -> list[_core.KeptContactSteps]:
+    """Return the steps with persistent contacts; ContactviError for numbers that are not those of the scene."""
+    from contactvi import _core
+
+    steps, blocks = inputs.stored_steps, inputs.stored_blocks
+    if steps is None or blocks is None:
+        return list(inputs.contact_steps)
+    return [_core.KeptContactSteps(compiled.core, steps, blocks)]
 
 
 def not_differentiable(traj: Recorded, found: dict[str, Any]) -> NotDifferentiable:

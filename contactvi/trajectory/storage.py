@@ -90,6 +90,11 @@ frame/time            (f,)           times of frames for pictures between nodes 
 frame/q               (f, nq)        configurations there
 force/work            (N, 4)         work since the start [J]: input, damping, joint friction, prescribed motions
 force/reactions       (N, r)         mean forces of header["constraints"] since the node before [N; N m]
+input/saturated       () int64       actuators at their limits, summed over steps; with record="gradient" only
+input/control         (k, nv)        generalized forces of the steps, if there were some [N, N m]
+input/target          (k, 2 nv)      references of the servos, positions and then velocities, if there were some
+input/contact_steps   (i,)           steps with persistent contacts (core/sensitivity/contact_step_numbers.hpp)
+input/impact_blocks   (j,)           impacts of several points, in the same file
 array/0, array/1 ...  any            arrays (meshes) that the header refers to
 ===================== ============== ===========================================================================
 
@@ -115,9 +120,8 @@ import os
 import pickle
 import zipfile
 import zlib
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,24 +130,19 @@ from contactvi.errors import ContactviError, SceneError
 from contactvi.files import as_a_path, checked_path, write_atomic
 from contactvi.options import Options
 from contactvi.playback.visuals import Visual
-from contactvi.records import codes, contacts, dense_steps
-from contactvi.records import events as event_log
 from contactvi.records.contacts import ChangeLog, ContactLog
 from contactvi.records.dense_steps import DenseSteps
-from contactvi.records.rows import Fields, joined
-from contactvi.records.work import WORKS, ConstraintRows, Forces
+from contactvi.records.events import EventLog
+from contactvi.records.inputs import RunInputs
+from contactvi.records.work import Forces
 from contactvi.scene.scene import Scene
 from contactvi.status import Stats, Status, StatusCode
-from contactvi.trajectory import polynomials as dense
+from contactvi.trajectory.entry_reader import PHASES, Entries, EntryReader, of_a_run, refuse, stored_name
+from contactvi.trajectory.polynomials import Segments
 from contactvi.version import version
-
-Entries = dict[str, NDArray[Any]]
 
 FORMAT = "contactvi-trajectory"
 SCHEMA = 6
-_STORED = {"persistent": "held"}  # names in the file, where they are not those in memory
-_PHASES = ("t", "dt", "persistent")
-
 _NODES: dict[str, str | None] = {
     "t": None,
     "q": "q",
@@ -166,33 +165,17 @@ _UNREADABLE = (
     RuntimeError,  # an archive with a password
     MemoryError,
 )
-# Columns of events and contacts that are finite; energies and losses of huge numbers may be infinite.
-_FINITE = (
-    *("time", "t", "h", "before", "after", "q", "p_minus", "p_plus", "point", "position", "normal", "impulse", "gap"),
-    *("impulse_vector", "start", "end", "slip", "gamma_minus", "gamma_plus", "restitution", "friction", "residual"),
-)
-
-
-_LARGEST = 1e100  # of a state: a run in which it gets larger ends
-# [N] of a contact, the impulse over a step by its length. Impulses end with the states, and the shortest steps of a run
-# are of the size of rounding, far above 1e-50 s; sums of the squares of such forces are finite.
-_LARGEST_FORCE = 1e150
-
-
-def _of_a_run(values: NDArray[Any]) -> bool:
-    """Return whether numbers are finite and not larger than those of any run, so that products of them are finite."""
-    return bool(np.all(np.abs(values) <= _LARGEST))
 
 
 class Run(Protocol):
     """What is stored of a run: contactvi.Trajectory has it (besides the entries per node of the table above)."""
 
     options: Options
-    events: event_log.EventLog
+    events: EventLog
     status: Status
     stats: Stats
     forced: bool
-    segments: dense.Segments | None
+    segments: Segments | None
     adaptive_steps: dict[str, NDArray[np.float64]] | None
     phases: dict[str, NDArray[np.float64]] | None
     contacts: ContactLog
@@ -200,6 +183,7 @@ class Run(Protocol):
     dense_steps: DenseSteps
     error_estimate: float
     forces: Forces | None
+    inputs: RunInputs | None
 
     @property
     def scene(self) -> Scene: ...
@@ -239,16 +223,18 @@ def save(traj: Run, path: str | os.PathLike[str]) -> Path:
     entries: dict[str, Any] = {name: getattr(traj, name) for name in _stored_nodes(traj.options)}
     entries |= {"gap/time": gap_time, "gap/value": gap_value, "frame/time": traj.frames[0], "frame/q": traj.frames[1]}
     if traj.segments is not None:
-        entries |= {_name("segment", name): values for name, values in traj.segments.arrays.items()}
+        entries |= {stored_name("segment", name): values for name, values in traj.segments.arrays.items()}
     entries |= {f"arc/{name}": values for name, values in (traj.adaptive_steps or {}).items()}
     entries |= {f"event/{name}": values for name, values in traj.events.arrays.items()}
     if traj.phases is not None:
-        entries |= {_name("phase", name): traj.phases[name] for name in _PHASES}
+        entries |= {stored_name("phase", name): traj.phases[name] for name in PHASES}
     logs = ("contact", traj.contacts), ("change", traj.contact_changes), ("dense", traj.dense_steps)
     for group, log in logs:
         entries |= {f"{group}/{name}": values for name, values in log.arrays.items() if len(log)}
     if traj.forces is not None:
         entries |= {"force/work": traj.forces.values, "force/reactions": traj.forces.reactions}
+    if traj.inputs is not None:
+        entries |= {f"input/{name}": values for name, values in traj.inputs.stored().items()}
     entries |= {f"array/{k}": values for k, values in enumerate(arrays)}
     return write_atomic(path, lambda file: np.savez(file, header=np.array(text), **entries))
 
@@ -265,25 +251,25 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
     path = checked_path(path)
     with as_a_path(path):
         if not path.is_file():
-            _refuse(path, "there is no such file", remedy="Correct the path, or write the file first: traj.save(path)")
+            refuse(path, "there is no such file", remedy="Correct the path, or write the file first: traj.save(path)")
         _check_size(path)
     try:
         file = np.load(path, allow_pickle=False)
         if isinstance(file, np.ndarray):
-            _refuse(path, "one array, not an npz")
+            refuse(path, "one array, not an npz")
         with file:
             entries = {name: file[name] for name in file.files}
     except _UNREADABLE as error:
-        _refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
+        refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
     header = _read_header(path, entries)
     try:
         return _build(path, entries, _unpack(header, entries))
     except ContactviError as error:
         if isinstance(error, SceneError) and error.path is not None:
             raise
-        _refuse(path, str(error).rstrip("."), error)
+        refuse(path, str(error).rstrip("."), error)
     except Exception as error:  # whatever a wrong header makes the scene or the options stumble over
-        _refuse(path, f"{type(error).__name__}: {error}", error)
+        refuse(path, f"{type(error).__name__}: {error}", error)
 
 
 def _check_size(path: Path) -> None:
@@ -294,19 +280,19 @@ def _check_size(path: Path) -> None:
     except (zipfile.BadZipFile, OSError, ValueError):
         return  # np.load says what it is
     if unpacked > max(_UNPACKED, _MOST_PACKED * path.stat().st_size):
-        _refuse(path, f"an archive that unpacks to {unpacked / 1e9:.3g} GB")
+        refuse(path, f"an archive that unpacks to {unpacked / 1e9:.3g} GB")
 
 
 def _read_header(path: Path, entries: Entries) -> dict[str, Any]:
     text = entries.get("header")
     if text is None or text.ndim != 0 or text.dtype.kind != "U":
-        _refuse(path, "an npz without the entry 'header'")
+        refuse(path, "an npz without the entry 'header'")
     try:
         header = json.loads(str(text))
     except (ValueError, RecursionError) as error:
-        _refuse(path, "a header that is not JSON", error)
+        refuse(path, "a header that is not JSON", error)
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        _refuse(path, "an npz of another format")
+        refuse(path, "an npz of another format")
     if header.get("schema") != SCHEMA:
         raise SceneError(
             f"{path} has another schema",
@@ -322,7 +308,7 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
     scene = Scene.from_dict(header["scene"])
     sizes = {"q": int(scene.model.nq), "v": int(scene.model.nv)}
     options = Options.from_dict(header["options"])
-    read = _Reader(path, entries, sizes)
+    read = EntryReader(path, entries, sizes)
     nodes = read.nodes(_stored_nodes(options))
     t = nodes.pop("t")
     # The engine's states are finite; so are energies, save in a run that ended because a number was too large.
@@ -330,15 +316,16 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
     ended = Status(StatusCode(status["code"]), str(status["message"]), float(status["time"]))
     for name in ("q", "p", "v", "kinetic_energy", "potential_energy"):
         values = nodes.get(name, np.zeros(0))
-        if np.any(np.isnan(values)) or (len(name) == 1 and not _of_a_run(values)):
-            _refuse(path, f"numbers in {name!r} that are not finite, or larger than those of any run")
+        large = len(name) == 1 and not (np.all(np.isfinite(values)) if name == "v" else of_a_run(values))
+        if large or np.any(np.isnan(values)):
+            refuse(path, f"numbers in {name!r} that are not finite, or larger than those of any run")
         if ended.code == StatusCode.SUCCESS and not np.all(np.isfinite(values)):
-            _refuse(path, f"numbers in {name!r} that are not finite, of a run that reached its end")
+            refuse(path, f"numbers in {name!r} that are not finite, of a run that reached its end")
     names = [(str(a), str(b)) for a, b in header["pair_names"]], list(header["joint_names"])
     gap_pairs = [(str(a), str(b)) for a, b in header["gap_pairs"]]
     visuals = [Visual.from_dict(fields) for fields in header["visuals"]]
     if not all(0 <= visual.joint < scene.model.njoints for visual in visuals):
-        _refuse(path, "pictures on joints that do not exist")
+        refuse(path, "pictures on joints that do not exist")
     return {
         "scene": scene,
         "options": options,
@@ -361,199 +348,13 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
         "changes": read.changes(names),
         "phases": read.phases(),
         "dense_steps": read.dense_steps(),
+        "inputs": read.inputs(),
     }
 
 
 def _stored_nodes(options: Options) -> dict[str, str | None]:
     """Return the entries per node; the discrete energy costs a step per node and is kept where it is conserved."""
     return _NODES | {"discrete_energy": None} if options.impact == "dtec" else _NODES
-
-
-def _name(group: str, name: str) -> str:
-    return f"{group}/{_STORED.get(name, name)}"
-
-
-def _refuse(
-    path: Path,
-    got: str,
-    cause: BaseException | None = None,
-    remedy: str = "Choose a file of Trajectory.save; a damaged one has to be computed again",
-) -> NoReturn:
-    """Raise SceneError: the file is none that Trajectory.save has written; `got` tells why."""
-    raise SceneError(
-        f"Cannot read the run {path}",
-        path=path,
-        expected="an npz file written by Trajectory.save",
-        got=got,
-        remedy=remedy,
-    ) from cause
-
-
-Names = tuple[list[tuple[str, str]], list[str]]
-
-
-class _Reader:
-    """Reads the entries of a file and checks their shapes, types and values.
-
-    Attributes:
-        sizes: of the configuration "q" and the velocity "v".
-    """
-
-    def __init__(self, path: Path, entries: Entries, sizes: Mapping[str, int]) -> None:
-        self._path, self._entries, self._sizes = path, entries, sizes
-
-    def entry(self, name: str, shape: tuple[int | None, ...], kind: type = float) -> NDArray[Any]:
-        """Return an entry of this shape (None: any) and type."""
-        values = self._entries.get(name)
-        if values is None:
-            self._refuse(f"a file without the entry {name!r}")
-        fits = values.ndim == len(shape) and all(
-            want is None or have == want for have, want in zip(values.shape, shape, strict=True)
-        )
-        if not fits or values.dtype != np.dtype(kind):
-            self._refuse(f"{name!r} of shape {values.shape} and type {values.dtype}, not {shape} {np.dtype(kind)}")
-        return values
-
-    def nodes(self, names: Mapping[str, str | None]) -> Entries:
-        """Return the entries per node: t, and `names` with "q", "v" or None as width."""
-        t = self.entry("t", (None,))
-        if len(t) == 0 or not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0):
-            self._refuse("times that do not increase")
-        nodes = {"t": t}
-        for name, width in names.items():
-            nodes[name] = self.entry(name, (len(t),) if width is None else (len(t), self._sizes[width]))
-        if not _of_a_run(nodes["q"]):
-            self._refuse("configurations that are not finite")
-        return nodes
-
-    def segments(self, order: int) -> dense.Segments | None:
-        """Return the polynomials of the steps, None where they were not kept."""
-        if "segment/t" not in self._entries:
-            return None
-        count = len(self.entry("segment/t", (None,)))
-        sizes = {**self._sizes, "sv": order // 2 * self._sizes["v"]}
-        arrays = {}
-        for name, axes in dense.FIELDS.items():
-            arrays[name] = self.entry(_name("segment", name), (count, *(sizes[axis] for axis in axes)))
-            if not _of_a_run(arrays[name]):
-                self._refuse("segments that are not finite")
-        rounding = 8.0 * np.finfo(float).eps * np.abs(arrays["t"][1:])
-        if count == 0 or np.any(np.diff(arrays["t"]) < -rounding) or np.any(arrays["h"] <= 0):
-            self._refuse("segments that do not follow each other")
-        return dense.Segments(arrays, order)
-
-    def group(self, group: str, names: tuple[str, ...]) -> Entries | None:
-        """Return the entries group/name, arrays of one length, None where the first of them is missing."""
-        if f"{group}/{names[0]}" not in self._entries:
-            return None
-        count = len(self.entry(f"{group}/{names[0]}", (None,)))
-        return {name: self.entry(_name(group, name), (count,)) for name in names}
-
-    def forces(self, t: NDArray[np.float64], constraints: list[Any]) -> Forces | None:
-        """Return work and reactions at nodes t (N,) [s]; constraints: (name, kind, rows) of the columns."""
-        if "force/work" not in self._entries:
-            return None
-        rows = [ConstraintRows(str(name), str(kind), int(count)) for name, kind, count in constraints]
-        work = self.entry("force/work", (len(t), len(WORKS)))
-        reactions = self.entry("force/reactions", (len(t), sum(row.rows for row in rows)))
-        if np.any(np.isnan(work)) or np.any(np.isnan(reactions)):
-            self._refuse("work or reactions that are no numbers")
-        return Forces(t, work, reactions, rows)
-
-    def frames(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return (times (f,) [s], configurations (f, nq)) of the frames for pictures."""
-        times = self.entry("frame/time", (None,))
-        values = self.entry("frame/q", (len(times), self._sizes["q"]))
-        if not np.all(np.isfinite(times)) or not _of_a_run(values):
-            self._refuse("frames that are not finite")
-        return times, values
-
-    def gaps(
-        self, pairs: list[tuple[str, str]]
-    ) -> tuple[NDArray[np.float64], list[tuple[str, str]], NDArray[np.float64]]:
-        """Return times (M,) [s], pairs and their gaps (M, len(pairs)) [m]."""
-        times = self.entry("gap/time", (None,))
-        values = self.entry("gap/value", (len(times), len(pairs)))
-        if not np.all(np.isfinite(times)) or np.any(np.isnan(values)):
-            self._refuse("gaps that are no numbers")
-        return times, pairs, values
-
-    def events(self, names: Names, method: str) -> event_log.EventLog:
-        """Return the events of a run with this impact map."""
-        count = len(self.entry("event/time", (None,)))
-        arrays = {}
-        for name, (width, kind) in event_log.FIELDS.items():
-            size = self._sizes[width] if isinstance(width, str) else width
-            arrays[name] = self.entry(f"event/{name}", (count, size) if width else (count,), kind)
-        self._check_finite(arrays, "events")
-        self._check_codes(arrays, {"method": len(codes.METHODS), "fallback": len(codes.FALLBACKS)}, "events")
-        self._check_guards(arrays, names, "events")
-        return event_log.EventLog(arrays, *names, method)
-
-    def contacts(self, names: Names) -> ContactLog:
-        """Return the contacts of a run."""
-        rows = self._rows("contact", "t", contacts.FIELDS)
-        h, largest = rows["h"], np.abs(rows["start"] + rows["end"]).max(axis=1, initial=0.0)
-        if np.any((h > 0.0) & (largest > _LARGEST_FORCE * h)):  # of a step that is too short for its impulse
-            self._refuse("contacts with forces larger than those of any run")
-        self._check_codes(rows, {"mode": len(codes.MODES)}, "contacts")
-        self._check_guards(rows, names, "contacts")
-        return ContactLog(rows, *names)
-
-    def changes(self, names: Names) -> ChangeLog:
-        """Return the changes of contacts in a run."""
-        rows = self._rows("change", "time", contacts.CHANGE_FIELDS)
-        self._check_codes(rows, {"change": len(codes.CHANGES)}, "contacts")
-        self._check_guards(rows, names, "contacts")
-        return ChangeLog(rows, *names)
-
-    def phases(self) -> Entries | None:
-        """Return where the kind and the length of the steps change, None in a run of free steps alone."""
-        phases = self.group("phase", _PHASES)
-        if phases is not None and not np.all(np.isin(phases["persistent"], list(codes.StepKind))):
-            self._refuse("steps of an unknown kind")
-        return phases
-
-    def dense_steps(self) -> DenseSteps:
-        """Return the dense steps of a run."""
-        rows = self._rows("dense", "t", dense_steps.FIELDS)
-        same = np.argsort(rows["island"], kind="stable")  # in the order of time
-        follow = np.diff(rows["t"][same]) > 0.0
-        if np.any(np.diff(rows["t"]) < 0.0) or not np.all(follow[np.diff(rows["island"][same]) == 0]):
-            self._refuse("dense steps that do not follow each other")
-        return DenseSteps(rows)
-
-    def _rows(self, group: str, first: str, fields: Fields) -> Entries:
-        if f"{group}/{first}" not in self._entries:
-            return joined((), fields)
-        count = len(self.entry(f"{group}/{first}", (None,)))
-        rows = {
-            name: self.entry(f"{group}/{name}", (count, width) if width else (count,), kind)
-            for name, (width, kind) in fields.items()
-        }
-        self._check_finite(rows, f"entries of {group!r}")
-        return rows
-
-    def _check_finite(self, arrays: Entries, what: str) -> None:
-        for name, values in arrays.items():
-            if name == "value":  # of a change of contact that has none it is NaN
-                continue
-            if np.any(np.isnan(values)) or (name in _FINITE and not _of_a_run(values)):
-                self._refuse(f"{what} with numbers in {name!r} that are not finite")
-
-    def _check_codes(self, arrays: Entries, counts: Mapping[str, int], what: str) -> None:
-        for name, count in counts.items():
-            if not np.all((arrays[name] >= 0) & (arrays[name] < count)):
-                self._refuse(f"{what} of an unknown {name}")
-
-    def _check_guards(self, arrays: Entries, names: Names, what: str) -> None:
-        kind, index = arrays["kind"], arrays["index"]
-        bound = np.where(kind == codes.GuardKind.CONTACT, len(names[0]), 2 * len(names[1]))
-        if not np.all(np.isin(kind, list(codes.GuardKind)) & (index >= 0) & (index < bound)):
-            self._refuse(f"{what} that name unknown pairs")
-
-    def _refuse(self, got: str) -> NoReturn:
-        _refuse(self._path, got)
 
 
 def _pack(item: Any, arrays: list[NDArray[Any]], seen: dict[tuple[Any, ...], int]) -> Any:

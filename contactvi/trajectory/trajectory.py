@@ -48,7 +48,7 @@ class Trajectory:
         events: the impacts, a sequence of `Event` (an `EventLog`).
         status: how the run ended.
         stats: what it cost.
-        forced: whether the run had inputs (control) other than zero, which are not kept, or constraints, joint
+        forced: whether the run had inputs (control) other than zero, or constraints, joint
             friction, servos, wrenches, dampers or forces given in Python.
         forces: work and reactions as arrays (contactvi.records.work.Forces), see `work` and `reactions`; None without.
         segments: the polynomials of its steps (contactvi.trajectory.polynomials), None without; `at` evaluates them.

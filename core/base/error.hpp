@@ -17,7 +17,8 @@ enum class StatusCode : int {
   kPenetration = 6,  // the start state has a negative gap
   kInterrupted = 7,
   // 8 is LEDGER of the Python API, which alone keeps the energy balance.
-  kConstraint = 9,  // the constraints cannot be met
+  kConstraint = 9,     // the constraints cannot be met
+  kTooManySteps = 10,  // steps of the length that an accuracy needs are too many to be kept
 };
 
 struct Status {

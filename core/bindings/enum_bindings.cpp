@@ -27,7 +27,8 @@ void expose_run_enums(nb::module_& m) {
       .value("TOO_MANY_IMPACTS", StatusCode::kTooManyImpacts)
       .value("PENETRATION", StatusCode::kPenetration)
       .value("INTERRUPTED", StatusCode::kInterrupted)
-      .value("CONSTRAINT", StatusCode::kConstraint);
+      .value("CONSTRAINT", StatusCode::kConstraint)
+      .value("TOO_MANY_STEPS", StatusCode::kTooManySteps);
   nb::enum_<ImpactMap>(m, "ImpactMap", nb::is_arithmetic(), "What an impact conserves besides the momentum.")
       .value("CTEC", ImpactMap::kCtec)
       .value("DTEC", ImpactMap::kDtec)

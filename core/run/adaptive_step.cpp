@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <sstream>
 
 #include "run/simulator.hpp"
 
@@ -21,6 +22,9 @@ constexpr int kProbes = 16;
 constexpr double kEasyIterations = 9.0, kManyIterations = 20.0;
 constexpr double kBelowFailure = 0.75;   // of a step that did not converge: the longest one from then on
 constexpr double kShortestStep = 1e-12;  // of the duration
+// Numbers that the nodes and polynomials of a run may have, 4 GB of them. The accuracy is measured with a second run
+// and with copies of both, about four times as much. Longer runs would end where the memory of the machine does.
+constexpr double kMostNumbers = 536870912.0;
 }  // namespace
 
 // Goes back to the start of the steps that are redone; what they have cost stays in the counts.
@@ -38,6 +42,18 @@ void Simulator::redo_from(const Snapshot& start, const Recording::Mark& mark, Re
   recording.cut(mark);
 }
 
+// Steps that a run may keep.
+double Simulator::most_steps() const {
+  const double nq = scene_->tree.nq, nv = scene_->tree.nv, node = 1.0 + nq + nv;
+  return kMostNumbers / (node + (options_.dense ? 3.0 + nq + (2.0 + options_.stages) * nv : 0.0));
+}
+
+bool Simulator::end_with_too_many_steps(double time, double h) {
+  std::ostringstream message;
+  message << "the accuracy needs steps of " << h << " s here, more of them than are kept (" << most_steps() << ")";
+  return end(StatusCode::kTooManySteps, time, message.str());
+}
+
 // Steps of one length: to the end of the step with the next impact, or to the end of the run.
 bool Simulator::run_adaptive_steps(double end, double level, Recording& recording) {
   const Snapshot start = snapshot();
@@ -48,6 +64,8 @@ bool Simulator::run_adaptive_steps(double end, double level, Recording& recordin
   double largest = 0.0, most_iterations = 0.0;
   for (;;) {
     const double count = std::clamp(std::ceil(duration / state_.adaptive_dt - 1e-9), 1.0, 1e15), h = duration / count;
+    // Only an impact may change the length again.
+    if (guards_.count() == 0 && count > most_steps()) return end_with_too_many_steps(start.run.time, h);
     bool rejected = false;
     largest = most_iterations = 0.0;
     state_.control.free.longest = h;
@@ -83,6 +101,7 @@ bool Simulator::run_adaptive_steps(double end, double level, Recording& recordin
       state_.time = k + 1 == static_cast<long>(count) ? end : step_start + h;
       record_node(state_.time, recording);
       if (!report_progress(state_.time)) return false;
+      if (static_cast<double>(recording.t.size()) > most_steps()) return end_with_too_many_steps(state_.time, h);
       if (state_.impacts > start.run.impacts) break;
     }
     if (!rejected) {

@@ -157,6 +157,8 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
   const double taken = alpha * h;
   if (taken > 0.0 && gains_energy()) return retry_contact_step(h, at);
   if (taken > 0.0) {
+    contact_step_.finish(q1_, p1_);
+    if (!stays_in_range(at)) return false;
     state_.work.add(contact_step_);
     if (options_.gradient) keep_contact_step(h == whole ? 1.0 / parts : 0.0, hit, alpha < 1.0);
     accept_contact_step(at, taken, options_.dense, recording);
@@ -241,7 +243,6 @@ void Simulator::accept_contact_step(double time, double h, bool dense, Recording
       rates_.col(j) = v_;
     }
   }
-  contact_step_.finish(q1_, p1_);
   if (dense) {
     record_segment(time, h, p1_, recording);
     recording.segments.persistent.back() = 1.0;

@@ -165,6 +165,8 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
     if (h < kShortestDense * options_.dt)
       return end(StatusCode::kNewtonFailed, at, std::string("a dense step was not solved: ") + dense_step_.why());
   }
+  dense_step_.finish(q1_, p1_);
+  if (!stays_in_range(at)) return false;
   state_.dense.longest = 2.0 * h < options_.dt ? 2.0 * h : 0.0;
   record_phase(at, options_.dt, StepKind::kDense, recording);
   accept_dense_step(at, h, recording);
@@ -183,7 +185,6 @@ void Simulator::accept_dense_step(double time, double h, Recording& recording) {
   recording.dense.push_back({time, h, report.residual, report.gap, report.energy_rise, report.energy_loss,
                              report.energy_error, report.contacts, report.repaired, state_.step, 0});
   dense_step_.commit();
-  dense_step_.finish(q1_, p1_);
   if (options_.dense) {
     rates_.colwise() = dense_step_.stage_velocity();
     record_segment(time, h, p1_, recording);

@@ -113,6 +113,10 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
     end(StatusCode::kNotFinite, t, "the momentum of the start state overflows");
     return state_.status;
   }
+  if (!std::isfinite(state_.p.dot(v0)) || !std::isfinite(potential(q0))) {
+    if (!user_function_failed(t)) end(StatusCode::kNotFinite, t, "the energy of the start state is not finite");
+    return state_.status;
+  }
   law_->start_run(free_state(), state_.reference);
   guards_.place(q0);
   finder_.forget_touching();
@@ -217,11 +221,22 @@ bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool l
     return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, time,
                std::string("the discrete Euler-Lagrange equation was not solved: ") + integrator_.why());
   }
-  if (truncation_.bound > 0.0) truncation_.largest = std::max(truncation_.largest, integrator_.truncation());
+  if (truncation_.bound > 0.0) {
+    // Where it is lost in what the solution of the stage equations resolves, shorter steps leave out no less.
+    const double seen = integrator_.truncation();
+    const bool resolved = seen > integrator_.resolution();
+    truncation_.largest = std::max(truncation_.largest, resolved ? seen : std::min(seen, truncation_.bound));
+  }
   integrator_.finish(q1_, p1_);
   if (guards_.count() > 0 || follows_motion_ || options_.dense) rates_ = integrator_.rates();
   integrator_.accept();
   return true;
+}
+
+// Whether the state after the step just solved can be taken; if not, the run ends with the state before it.
+bool Simulator::stays_in_range(double time) {
+  return in_range(q1_, p1_) ||
+         end(StatusCode::kNotFinite, time, "the state after a step is not finite, or its energy overflows");
 }
 
 bool Simulator::end_failed_search(Search outcome, double time) {
@@ -289,6 +304,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     control.halve_free(h);
     return true;
   }
+  if (!stays_in_range(at)) return false;
   const WorkAccount::FreeWork work = state_.work.of(integrator_);
   Search found = Search::kNone;
   if (guards_.count() > 0 || follows_motion_) {

@@ -119,6 +119,7 @@ class Simulator {
   void record_phase(double time, double dt, StepKind kind, Recording& recording) const;
   void record_segment(double t, double h, const VecX& p1, Recording& recording);
   bool report_progress(double time);
+  bool stays_in_range(double time);
   bool end_failed_search(Search outcome, double time);
   bool run_impacts(const Instant& now, Recording& recording);
   bool user_function_failed(double time);
@@ -130,6 +131,8 @@ class Simulator {
 
   // adaptive_step.cpp and snapshot.cpp.
   bool run_adaptive_steps(double end, double level, Recording& recording);
+  double most_steps() const;
+  bool end_with_too_many_steps(double time, double h);
   void redo_from(const Snapshot& start, const Recording::Mark& mark, Recording& recording);
   Snapshot snapshot();
   void restore_state(const Snapshot& snapshot);

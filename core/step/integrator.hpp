@@ -23,6 +23,8 @@ class Integrator final : public Stepper, public StepEquations {
   // Solves the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
   // when the iterations do not converge from any start values; why() gives the reason.
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
+  // Displacement that the solution of the stage equations resolves in the step just solved [m; rad].
+  double resolution() const { return tol_ * stage_motion(); }
   // Solves it to rounding: impact maps form differences of such steps.
   bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   // Solves the part alpha of a step whose path is known, to rounding.

@@ -117,6 +117,17 @@ double StepEquations::truncation() const {
   return std::abs(h_) * std::sqrt(sum);
 }
 
+double StepEquations::stage_motion() const {
+  const int s = stages_.count(), S = stages_.padded();
+  double largest = 0.0;
+  for (int j = 0; j < s; ++j) {
+    double sum = 0.0;
+    for (int d = 0; d < tree_->nv; ++d) sum += stages_.v()[d * S + j] * stages_.v()[d * S + j];
+    largest = std::max(largest, sum);
+  }
+  return std::abs(h_) * std::sqrt(largest);
+}
+
 // Gauss quadrature over the step of value(i), given at the stages.
 template <class Value>
 double StepEquations::quadrature(Value value) const {

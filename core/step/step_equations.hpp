@@ -40,6 +40,8 @@ class StepEquations {
   // Size of the highest mode of the stage velocities: what the polynomial of the path hardly resolves any more [m;
   // rad].
   double truncation() const;
+  // Size of the displacements of the stages [m; rad].
+  double stage_motion() const;
 
   // Of the step just solved [J]: work of inputs (wrenches and servos among them); what damping took; their difference
   // and its mean over the step; sum b_i E(q_i, v_i).

@@ -171,11 +171,12 @@ def test_names_of_nothing_are_refused(wrt):
     assert found.value.name == "wrt"
 
 
-def test_a_run_from_a_file_has_no_inputs(tmp_path):
+def test_a_run_that_was_not_made_for_derivatives_has_none(tmp_path):
     scene, q, v = at_wall(0.7)
-    traj = cvi.simulate(scene, q, v, record="gradient", duration=0.1, dt=0.01)
-    with pytest.raises(cvi.InputError, match="from a file"):
-        cvi.Trajectory.load(traj.save(tmp_path / "run.npz")).sensitivity()
+    traj = cvi.simulate(scene, q, v, duration=0.1, dt=0.01)
+    for run in (traj, cvi.Trajectory.load(traj.save(tmp_path / "run.npz"))):
+        with pytest.raises(cvi.InputError, match="record='gradient'"):
+            run.sensitivity()
 
 
 def test_steps_by_hand_have_derivatives_too():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -306,30 +307,30 @@ OF_A_RUN = (
 def draw(d: Draws) -> Case:
     """Return a case: lines of Python."""
     wrong = d.pick((0, 0, 3, 8, 25))
-    lines = [_line(d, d.pick(SCENE), wrong) for _ in range(d.whole(0, 4))]
+    lines = [line(d, d.pick(SCENE), wrong) for _ in range(d.whole(0, 4))]
     if d.chance(60):
-        lines.append(_line(d, d.pick(RUN), wrong))
+        lines.append(line(d, d.pick(RUN), wrong))
     if d.chance(35):
         lines += [
-            _line(d, d.pick(STEPPED[:3]), wrong),
-            "sim.reset()" if d.chance(60) else _line(d, "sim.reset(Q, V)", wrong),
+            line(d, d.pick(STEPPED[:3]), wrong),
+            "sim.reset()" if d.chance(60) else line(d, "sim.reset(Q, V)", wrong),
         ]
-        lines += [_line(d, d.pick(STEPPED), wrong) for _ in range(d.whole(1, 3))]
+        lines += [line(d, d.pick(STEPPED), wrong) for _ in range(d.whole(1, 3))]
     plots = d.chance(8)
     chosen = [call for call in OF_A_RUN if plots or not re.search("plot|html|view", call)]
-    lines += [_line(d, d.pick(chosen), wrong) for _ in range(d.whole(0, 3))]
+    lines += [line(d, d.pick(chosen), wrong) for _ in range(d.whole(0, 3))]
     return {"lines": lines}
 
 
-def _line(d: Draws, template: str, wrong: int) -> str:
+def line(d: Draws, template: str, wrong: int, values: Mapping[str, Sequence[str]] = VALUES) -> str:
     """Return a call with values for the words in it, some of them wrong."""
 
     def value(match: re.Match[str]) -> str:
         word = match.group()
-        if word not in VALUES:
+        if word not in values:
             return word
         if not d.chance(wrong):
-            return d.pick(VALUES[word])
+            return d.pick(values[word])
         if word == "FILE" and d.chance(70):
             return d.pick(
                 ("'arm.urdf'", "'none.urdf'", "'.'", "'/dev/null'", "'a\\0'", "''", "None", "3", "'~'", "'x/y/z'")

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from fuzz.draws import Case, Draws
 
-NAMES = ("urdf", "mjcf", "scene_file", "stored_run", "mesh", "arguments")
+NAMES = ("urdf", "mjcf", "scene_file", "stored_run", "mesh", "arguments", "derivatives")
 
 
 class Family(Protocol):

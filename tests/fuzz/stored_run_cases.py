@@ -18,7 +18,7 @@ from fuzz import law
 from fuzz.draws import EXTREME, Case, Draws, damage_bytes, damage_data
 from fuzz.scene_file_cases import ARM
 
-RUNS = ("bounce", "rest", "arm", "dense", "auto", "samples", "dtec")
+RUNS = ("bounce", "rest", "arm", "dense", "auto", "samples", "dtec", "gradient", "gradient")
 KINDS = ("f4", "i8", "c16", "U8", "O", "bool", "f2", ">f8", "u1", "M8[s]", "V8")
 TRICKS = ("twice", "folder", "compressed", "lies", "pickle", "fortran", "bomb", "encrypted", "comment", "empty", "npy")
 HEADER_KEYS = (
@@ -92,6 +92,11 @@ def stored(name: str) -> dict[str, np.ndarray]:
         scene.add_urdf("arm.urdf", placement=(0, 0, 2), friction=True)
         scene.add_spring("upper", "lower", 10.0, damping=0.1)
         scene.prescribe("shoulder", ([0.0, 0.5, 1.0], [0.0, 0.1, 0.4]))
+    elif name == "gradient":  # it bounces, a contact becomes persistent, and it slips
+        scene.set_contact(restitution=0.0, friction=0.3)
+        scene.add_sphere("ball", 0.1, placement=(0, 0, 0.105))
+        scene.v0 = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+        options |= {"record": "gradient", "control": np.full((50, 6), 0.1)}
     else:
         height = {"rest": 0.1, "dense": 0.12}.get(name, 0.11)
         scene.add_box("box", (0.2, 0.2, 0.2), placement=(0, 0, height))
@@ -151,6 +156,8 @@ def look(traj: cvi.Trajectory) -> None:
         lambda: traj.ledger.own_jump,
         lambda: traj.ledger.impulse_balance,
         lambda: traj.ledger.gap,
+        lambda: traj.sensitivity(("v0", "friction"), on_kink="taken"),
+        lambda: traj.gradient((np.zeros(traj.scene.nv), np.ones(traj.scene.nv)), ("q0", "control"), on_kink="taken"),
         lambda: traj.to_html("page.html", fps=5.0),
         lambda: traj.save("again.npz"),
     )

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
-from contactvi.inputs import CONTACT_DT
 from contactvi.playback import force_arrows
 from contactvi.playback.page import make_html
 from contactvi.records import events
+from contactvi.run_settings import CONTACT_DT
 from contactvi.simulation.tolerances import LedgerWatch
 from contactvi.trajectory import polynomials as dense
 from helpers.contact_runs import CORNERS, GRAVITY, MASS, MU, SPAN, SPEED, STEP, STOP, box_scene, sliding_box

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from contactvi import inputs
+from contactvi.states import States
 from helpers.run_scenes import FIRST_IMPACT, ball_file, ball_scene, slider_scene
 
 EPS = np.finfo(float).eps
@@ -62,7 +62,7 @@ def error(traj: cvi.Trajectory, exact: cvi.Trajectory) -> float:
     """Largest error of q over the nodes, tangent difference."""
     model = traj.scene.model
 
-    return float(inputs.States(model).distance(traj.q, exact.at(traj.t).q).max())
+    return float(States(model).distance(traj.q, exact.at(traj.t).q).max())
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +204,7 @@ def test_progress_and_interruption():
         seen.append(t)
         raise KeyboardInterrupt
 
-    traj = cvi.simulate(swinging(), duration=1e6, progress=stop, throw=False)
+    traj = cvi.simulate(swinging(), duration=1e5, progress=stop, throw=False)
     assert traj.status.code == cvi.StatusCode.INTERRUPTED
     assert np.isnan(traj.error_estimate)
 
@@ -212,7 +212,7 @@ def test_progress_and_interruption():
         raise ZeroDivisionError("mine")
 
     with pytest.raises(ZeroDivisionError, match="mine"):
-        cvi.simulate(swinging(), duration=1e6, progress=broken)
+        cvi.simulate(swinging(), duration=1e5, progress=broken)
 
 
 def falling_ball(restitution: float, height: float) -> tuple[cvi.Scene, np.ndarray]:

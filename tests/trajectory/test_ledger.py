@@ -10,8 +10,8 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from contactvi.inputs import LEDGER_TOLERANCES
 from contactvi.records.codes import METHODS
+from contactvi.run_settings import LEDGER_TOLERANCES
 from helpers import laws
 from helpers.run_scenes import slider_scene
 from oracles import dtec_mhc

@@ -1,0 +1,296 @@
+#include "sensitivity/contact_step_numbers.hpp"
+
+#include <cmath>
+#include <type_traits>
+
+#include "base/refusal.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kWord = 4294967296.0;  // 2^32
+constexpr double kLeastWhole = -2147483648.0, kMostWhole = 2147483647.0;
+
+[[noreturn]] void refuse(const char* got) {
+  throw Refusal("The recorded contact steps and impacts of the run do not belong to its scene",
+                "those that the run has stored", got,
+                "Choose a file of Trajectory.save; a damaged one has to be computed again");
+}
+
+class Writer {
+ public:
+  std::vector<double> numbers;
+
+  void number(const double& x) { numbers.push_back(std::isfinite(x) ? x : 0.0); }
+  template <class T>
+  void whole(const T& x) {
+    numbers.push_back(static_cast<double>(x));
+  }
+  void long_whole(const std::int64_t& x) {
+    const auto bits = static_cast<std::uint64_t>(x);
+    numbers.push_back(static_cast<double>(bits >> 32));
+    numbers.push_back(static_cast<double>(bits & 0xffffffffu));
+  }
+  template <class Matrix>
+  void fixed(const Matrix& x) {
+    for (Eigen::Index k = 0; k < x.size(); ++k) number(x.data()[k]);
+  }
+  template <class Matrix>
+  void sized(const Matrix& x) {
+    whole(x.rows());
+    whole(x.cols());
+    fixed(x);
+  }
+  template <class T>
+  void list_size(const std::vector<T>& list) {
+    whole(list.size());
+  }
+};
+
+class Reader {
+ public:
+  Reader(const double* numbers, std::size_t count) : at_(numbers), end_(numbers + count) {}
+  bool done() const { return at_ == end_; }
+
+  void number(double& x) {
+    if (at_ == end_) refuse("fewer numbers");
+    x = *at_++;
+    if (!std::isfinite(x)) refuse("numbers that are not finite");
+  }
+  template <class T>
+  void whole(T& x) {
+    double value;
+    number(value);
+    if (value != std::floor(value) || !(value >= kLeastWhole && value <= kMostWhole))
+      refuse("a number that is not whole");
+    if constexpr (std::is_same_v<T, bool>) {
+      x = value != 0.0;
+    } else {
+      x = static_cast<T>(static_cast<int>(value));
+    }
+  }
+  void long_whole(std::int64_t& x) {
+    std::uint64_t bits = 0;
+    for (int k = 0; k < 2; ++k) {
+      double word;
+      number(word);
+      if (word != std::floor(word) || !(word >= 0.0 && word < kWord)) refuse("a number that is not whole");
+      bits = bits << 32 | static_cast<std::uint64_t>(word);
+    }
+    x = static_cast<std::int64_t>(bits);
+  }
+  template <class Matrix>
+  void fixed(Matrix& x) {
+    for (Eigen::Index k = 0; k < x.size(); ++k) number(x.data()[k]);
+  }
+  template <class Matrix>
+  void sized(Matrix& x) {
+    int rows, columns;
+    whole(rows);
+    whole(columns);
+    if (rows < 0 || columns < 0 || static_cast<double>(rows) * columns > static_cast<double>(end_ - at_))
+      refuse("a matrix with fewer numbers");
+    x.resize(rows, columns);
+    fixed(x);
+  }
+  template <class T>
+  void list_size(std::vector<T>& list) {
+    int size;
+    whole(size);
+    if (size < 0 || size > end_ - at_) refuse("a list with fewer entries");
+    list.resize(size);
+  }
+
+ private:
+  const double *at_, *end_;
+};
+
+// All fields of a step, for writing and for reading.
+template <class Archive, class Point>
+void point_fields(Archive& a, Point& p) {
+  a.whole(p.guard);
+  a.whole(p.kind);
+  a.long_whole(p.feature);
+  a.whole(p.material);
+  a.whole(p.on_b);
+  a.whole(p.point_body);
+  a.whole(p.plane_body);
+  for (auto* x : {&p.radius, &p.offset, &p.rim_radius}) a.number(*x);
+  for (auto* x : {&p.center_B, &p.normal_B, &p.axis_B, &p.far_B, &p.origin_B}) a.fixed(*x);
+}
+
+template <class Archive, class Place>
+void contact_fields(Archive& a, Place& c) {
+  a.number(c.gap);
+  for (auto* x : {&c.normal, &c.point_a, &c.point_b}) a.fixed(*x);
+  a.whole(c.body_a);
+  a.whole(c.body_b);
+}
+
+template <class Archive, class Outcome>
+void outcome_fields(Archive& a, Outcome& o) {
+  contact_fields(a, o.contact);
+  for (auto* x : {&o.t1, &o.t2, &o.position_impulse_W, &o.velocity_impulse_W, &o.position_impulse, &o.velocity_impulse,
+                  &o.slip_W})
+    a.fixed(*x);
+  a.fixed(o.slip);
+  for (auto* x : {&o.w_n, &o.reversed, &o.paradox}) a.number(*x);
+  for (auto* x : {&o.slipped, &o.slips, &o.turned, &o.active, &o.keeps, &o.freed}) a.whole(*x);
+}
+
+template <class Archive, class Kept>
+void kept_fields(Archive& a, Kept& c) {
+  point_fields(a, c.before.point);
+  a.number(c.before.mu);
+  for (auto* x : {&c.before.sticks, &c.before.anchored, &c.before.is_new, &c.by_rate}) a.whole(*x);
+  for (auto* x : {&c.before.slip, &c.before.anchor, &c.before.tangent, &c.before.force, &c.t1_start, &c.t1_end})
+    a.fixed(*x);
+  contact_fields(a, c.start);
+  contact_fields(a, c.end);
+  outcome_fields(a, c.outcome);
+  a.whole(c.row);
+}
+
+template <class Archive, class Joint>
+void joint_fields(Archive& a, Joint& j) {
+  a.whole(j.dof);
+  a.whole(j.iq);
+  a.number(j.limit);
+  for (auto* x : {&j.by_place, &j.anchored, &j.slipped, &j.slips, &j.keeps, &j.freed, &j.sticks}) a.whole(*x);
+}
+
+template <class Archive, class Step>
+void step_fields(Archive& a, Step& s) {
+  for (auto* x : {&s.t, &s.h, &s.nominal, &s.share}) a.number(*x);
+  for (auto* x : {&s.q0, &s.p_start, &s.q1, &s.p_minus, &s.p1, &s.v, &s.v1, &s.lambda, &s.lambda_end}) a.sized(*x);
+  a.sized(s.W0);
+  a.sized(s.W1);
+  a.whole(s.constrained);
+  a.whole(s.ending);
+  a.whole(s.ended);
+  a.list_size(s.joints);
+  for (auto& joint : s.joints) joint_fields(a, joint);
+  a.list_size(s.contacts);
+  for (auto& contact : s.contacts) kept_fields(a, contact);
+}
+
+template <class Archive, class Block>
+void block_fields(Archive& a, Block& b) {
+  a.whole(b.impacts);
+  a.whole(b.guard);
+  a.number(b.time);
+  a.number(b.impulse);
+  a.list_size(b.members);
+  for (auto& member : b.members) {
+    a.whole(member.guard);
+    a.number(member.e);
+    a.list_size(member.points);
+    for (auto& point : member.points) point_fields(a, point);
+  }
+}
+
+bool within(int k, std::size_t count) { return k >= 0 && static_cast<std::size_t>(k) < count; }
+bool is_body(const Scene& scene, int k) { return k == -1 || within(k, scene.tree.joints.size()); }
+
+// Whether it is a point of one of the scene's guards.
+bool belongs(const Scene& scene, const ContactPoint& p) {
+  if (!within(p.guard, scene.guard_count()) || p.kind > PointKind::kEdge) return false;
+  if ((p.kind == PointKind::kLimit) == scene.is_pair(p.guard)) return false;
+  return p.kind == PointKind::kLimit || (is_body(scene, p.point_body) && is_body(scene, p.plane_body));
+}
+
+bool belongs(const Scene& scene, const ImpactBlockRecord& block) {
+  if (block.impacts < 1 || !within(block.guard, scene.guard_count())) return false;
+  for (const ImpactBlockRecord::Member& member : block.members) {
+    if (!within(member.guard, scene.guard_count()) || !(member.e >= 0.0 && member.e <= 1.0)) return false;
+    for (const ContactPoint& point : member.points)
+      if (point.guard != member.guard || !belongs(scene, point)) return false;
+  }
+  return true;
+}
+
+// Whether all numbers of places are those of places in the scene and in the step.
+class Check {
+ public:
+  Check(const Scene& scene, const ContactStepRecord& step) : scene_(scene), s_(step) {}
+
+  bool fits() const {
+    const int nq = scene_.tree.nq, nv = scene_.tree.nv;
+    const Eigen::Index rows = s_.lambda.size();
+    bool good = s_.h > 0.0 && s_.nominal > 0.0 && s_.q0.size() == nq && s_.q1.size() == nq;
+    for (const VecX* x : {&s_.p_start, &s_.p_minus, &s_.p1, &s_.v, &s_.v1}) good &= x->size() == nv;
+    for (const MatX* W : {&s_.W0, &s_.W1}) good &= W->rows() == nv && W->cols() == rows;
+    return good && s_.lambda_end.size() == rows && joints_fit(rows) && contacts_fit(rows) && end_fits();
+  }
+
+ private:
+  bool joints_fit(Eigen::Index rows) const {
+    if (static_cast<Eigen::Index>(s_.joints.size()) > rows) return false;
+    for (const ContactStepRecord::Joint& joint : s_.joints)
+      if (!within(joint.dof, scene_.tree.nv) || !(joint.iq == -1 || within(joint.iq, scene_.tree.nq))) return false;
+    return true;
+  }
+  bool contacts_fit(Eigen::Index rows) const {
+    for (const ContactStepRecord::Contact& c : s_.contacts) {
+      const ContactPoint& p = c.before.point;
+      if (!belongs(scene_, p)) return false;
+      const bool limit = p.kind == PointKind::kLimit;
+      if (limit && c.before.mu > 0.0) return false;
+      for (int body : {c.start.body_a, c.start.body_b, c.end.body_a, c.end.body_b})
+        if (!limit && !is_body(scene_, body)) return false;
+      if (c.row < 0 || c.row + c.before.rows() > rows || c.before.mu < 0.0) return false;
+    }
+    return true;
+  }
+  bool end_fits() const {
+    const std::size_t contacts = s_.contacts.size();
+    switch (s_.ending) {
+      case ContactStepEnd::kLength:
+      case ContactStepEnd::kImpact:
+        return true;
+      case ContactStepEnd::kRelease:
+        return within(s_.ended, contacts);
+      case ContactStepEnd::kStick:
+        return within(s_.ended, contacts + s_.joints.size());
+    }
+    return false;
+  }
+
+  const Scene& scene_;
+  const ContactStepRecord& s_;
+};
+}  // namespace
+
+std::vector<double> numbers_of(const std::vector<ContactStepRecord>& steps) {
+  Writer writer;
+  for (const ContactStepRecord& step : steps) step_fields(writer, step);
+  return std::move(writer.numbers);
+}
+
+std::vector<ContactStepRecord> contact_steps_of(const Scene& scene, const double* numbers, std::size_t count) {
+  Reader reader(numbers, count);
+  std::vector<ContactStepRecord> steps;
+  while (!reader.done()) {
+    step_fields(reader, steps.emplace_back());
+    if (!Check(scene, steps.back()).fits()) refuse("numbers of another scene");
+  }
+  return steps;
+}
+
+std::vector<double> numbers_of(const std::vector<ImpactBlockRecord>& blocks) {
+  Writer writer;
+  for (const ImpactBlockRecord& block : blocks) block_fields(writer, block);
+  return std::move(writer.numbers);
+}
+
+std::vector<ImpactBlockRecord> impact_blocks_of(const Scene& scene, const double* numbers, std::size_t count) {
+  Reader reader(numbers, count);
+  std::vector<ImpactBlockRecord> blocks;
+  while (!reader.done()) {
+    block_fields(reader, blocks.emplace_back());
+    if (!belongs(scene, blocks.back())) refuse("numbers of another scene");
+  }
+  return blocks;
+}
+
+}  // namespace contactvi

@@ -1,0 +1,23 @@
+// Contact steps and impacts of several points as numbers, in which files keep them.
+//
+// Whole numbers and truth values are numbers too; a 64-bit one is two. Matrices have their sizes in front. What a step
+// leaves unset, such as the anchor of a contact without one, is zero.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "contact/contact_step_record.hpp"
+#include "impact/impact_block_record.hpp"
+#include "model/scene.hpp"
+
+namespace contactvi {
+
+std::vector<double> numbers_of(const std::vector<ContactStepRecord>& steps);
+std::vector<double> numbers_of(const std::vector<ImpactBlockRecord>& blocks);
+
+// Both raise a Refusal for numbers that are not those of such records of this scene.
+std::vector<ContactStepRecord> contact_steps_of(const Scene& scene, const double* numbers, std::size_t count);
+std::vector<ImpactBlockRecord> impact_blocks_of(const Scene& scene, const double* numbers, std::size_t count);
+
+}  // namespace contactvi
