@@ -147,7 +147,12 @@ class Recorded {
     d["e"] = found->e;
     d["mu"] = found->mu;
     d["parameters"] = parameters_of(scene_.tree, found->parameters);
-    if (found->released >= 0) d["released"] = obstacle(release_by_parameters(found->released, found->released_at));
+    if (found->released < 0) return d;
+    try {
+      refuse_parameters_of_release(found->released, found->released_at);
+    } catch (const NoDerivative& reason) {
+      d["released"] = obstacle(reason);
+    }
     return d;
   }
 

@@ -61,7 +61,7 @@ void ContactPieceAdjoint::leave_anchors(VecX& lq) {
 }
 
 void ContactPieceAdjoint::finish() const {
-  for (const Anchor& anchor : anchors_) throw sticks_at_start(anchor.point, anchor.time);
+  for (const Anchor& anchor : anchors_) refuse_sticking_start(anchor.point, anchor.time);
 }
 
 void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {

@@ -28,12 +28,9 @@ void check_contact_piece(const RecordedRun& run, const Piece& piece) {
                        "impact='ctec' where contacts persist", "another map", "Use impact='ctec'");
 }
 
-NoDerivative sticks_at_start(const ContactPoint& point, double time) {
-  return {{"start", point.guard, time},
-          "The run starts with a contact that sticks already",
-          "a run from a start of its own",
-          "one that goes on from another",
-          "Start with simulate()"};
+void refuse_sticking_start(const ContactPoint& point, double time) {
+  throw NoDerivative({"start", point.guard, time}, "The run starts with a contact that sticks already",
+                     "a run from a start of its own", "one that goes on from another", "Start with simulate()");
 }
 
 void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
@@ -41,7 +38,7 @@ void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
   step_ = piece.contact;
   inputs_ = &inputs;
   for (const ContactStepRecord::Contact& c : step_->contacts)
-    if (c.before.anchored && anchor_of(c.before.point) == nullptr) throw sticks_at_start(c.before.point, piece.t);
+    if (c.before.anchored && anchor_of(c.before.point) == nullptr) refuse_sticking_start(c.before.point, piece.t);
   tangent_.take(*step_, inputs.tau(), inputs.servo());
 }
 
@@ -97,12 +94,11 @@ VecX ContactPieces::friction_change(const RunDirections& d, Eigen::Index column)
   return dmu;
 }
 
-NoDerivative release_by_parameters(int guard, double time) {
-  return {{"parameter", guard, time},
-          "The time of the release of a contact has no derivative by the scene's parameters that is known",
-          "q0, v0, control, restitution or friction",
-          "a parameter of the scene",
-          "End the run before the contact is released"};
+void refuse_parameters_of_release(int guard, double time) {
+  throw NoDerivative({"parameter", guard, time},
+                     "The time of the release of a contact has no derivative by the scene's parameters that is known",
+                     "q0, v0, control, restitution or friction", "a parameter of the scene",
+                     "End the run before the contact is released");
 }
 
 void check_contact_end(const ContactStepRecord& step, double rate) {
@@ -119,7 +115,7 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
   solve_length(fq, fp);
   double rate = tangent_.slip_change();
   if (releases && !d.parameters.empty())
-    throw release_by_parameters(step_->contacts[step_->ended].before.point.guard, step_->t + step_->h);
+    refuse_parameters_of_release(step_->contacts[step_->ended].before.point.guard, step_->t + step_->h);
   if (releases) {
     release_.take(*step_, inputs_->tau(), inputs_->servo());
     rate = release_.change(fq, fp, VecX(), VecX());

@@ -74,12 +74,10 @@ EventHit event_hit(const RecordedRun& run, const Piece& piece, bool take_branch)
                      "a point that is known", "one that is not", "End the run before");
 }
 
-NoDerivative hit_apart(const RecordedImpact& impact, const EventHit& hit) {
-  return {{"witness", impact.guard, impact.time},
-          "An impact has several new points at once",
-          "one point that hits first, or points that all directions bring down together",
-          std::to_string(hit.points.size()) + " points",
-          "Start a little tilted, so that one hits first"};
+void refuse_apart(const RecordedImpact& impact, const EventHit& hit) {
+  throw NoDerivative({"witness", impact.guard, impact.time}, "An impact has several new points at once",
+                     "one point that hits first, or points that all directions bring down together",
+                     std::to_string(hit.points.size()) + " points", "Start a little tilted, so that one hits first");
 }
 
 void check_beginnings(const RecordedRun& run, const Piece& piece, const Piece& next) {

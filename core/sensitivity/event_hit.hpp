@@ -19,8 +19,8 @@ bool persists(const Piece& piece, const ContactPoint& point);
 // NoDerivative where they had impacts one after the other, unless take_branch.
 EventHit event_hit(const RecordedRun& run, const Piece& piece, bool take_branch);
 
-// The reason for points that are hit one after the other along some direction.
-NoDerivative hit_apart(const RecordedImpact& impact, const EventHit& hit);
+// Throws NoDerivative for points that are hit one after the other along some direction.
+[[noreturn]] void refuse_apart(const RecordedImpact& impact, const EventHit& hit);
 // Of the terms of the gaps' changes: points that are hit together along a direction have the same time to this.
 constexpr double kTogether = 1e-8;
 

@@ -178,7 +178,7 @@ VecX RunTangent::time_change(const EventHit& hit, double& approach) const {
       continue;
     }
     if (((now - later).cwiseAbs().array() <= kTogether * (size + terms).array()).all()) continue;
-    throw hit_apart(impact, hit);
+    refuse_apart(impact, hit);
   }
   return later;
 }

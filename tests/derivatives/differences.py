@@ -1,4 +1,4 @@
-"""Differences of whole runs."""
+"""Differences of whole runs, and the adjoint beside the tangent."""
 
 from __future__ import annotations
 
@@ -35,3 +35,20 @@ def _differences(scene, q, v, step, options) -> tuple[np.ndarray, np.ndarray]:
             ends[:, k] += weight / step * end
             times[:, k] += weight / step * np.array([event.time for event in traj.events])
     return ends, times
+
+
+def transpose_error(traj: cvi.Trajectory, wrt: list[str], seed: int = 0) -> float:
+    """Return the largest difference of the adjoint from the tangent, relative: of a random linear cost of all nodes."""
+    rng = np.random.default_rng(seed)
+    nodes, nv = len(traj.t), traj.scene.nv
+    lq, lv = rng.standard_normal((2, nodes, nv))
+    S = traj.sensitivity(wrt)
+    value, found = cvi.gradient(traj, (lq, lv), wrt)
+    assert value is None
+    worst = 0.0
+    for name in wrt:
+        expected = np.einsum("ni,nik->k", np.hstack([lq, lv]), S.of(name))
+        got = found[name].sum(axis=0) if name == "control" else found[name]
+        size = float(np.abs(expected).max())  # zero where a friction that sticks does not depend on its coefficient
+        worst = max(worst, float(np.abs(got - expected).max()) / (size if size > 0.0 else 1.0))
+    return worst

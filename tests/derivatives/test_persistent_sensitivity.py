@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from derivatives.differences import FOURTH
+from derivatives.differences import FOURTH, transpose_error
 from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
@@ -177,6 +177,18 @@ def test_bodies_that_drop_and_stay(name):
     assert [c.change for c in traj.contact_changes] == changes
 
 
+@pytest.mark.parametrize("name", RUNS)
+def test_the_gradient_of_a_cost_is_the_transpose(name):
+    """Of all nodes, backward; with the places where contacts and joints stick, and the times at which contacts end."""
+    make, duration, options, _ = RUNS[name]
+    scene, q, v = make()
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=duration, **options)
+    wrt = ["q0", "v0", "control"]
+    wrt += ["friction"] if scene.pair_friction.max() > 0.0 else []
+    wrt += ["restitution"] if scene.pair_restitution.max() > 0.0 else []
+    assert transpose_error(traj, wrt) <= 1e-11
+
+
 @pytest.mark.parametrize(
     ("mu", "v", "changes"),
     [(0.0, [1, 0.3], []), (0.2, [1, 0.3], []), (0.5, [0.8, 0.3], ["stick"]), (0.5, [0, 0], [])],
@@ -246,6 +258,7 @@ def test_parameters_of_the_scene(mu, duration):
         numbers = sum(weight / step * end(x + count * step * np.eye(len(x))[k]) for count, weight in FOURTH)
         scale = max(np.abs(numbers).max(), 1e-2)
         assert np.abs(exact[:, k] - numbers).max() <= 1e-7 * scale, NAMES[k]
+    assert transpose_error(traj, [*NAMES, "friction"] if mu > 0.0 else list(NAMES)) <= 1e-11
 
 
 def refused(start: Start, **options) -> cvi.NotDifferentiable:
@@ -255,6 +268,17 @@ def refused(start: Start, **options) -> cvi.NotDifferentiable:
 
 
 def test_what_has_no_derivative_says_why():
+    scene, q, v = ball_on_ball(0.0)
+    leaves = cvi.simulate(scene, q, v, record="gradient", duration=0.6, dt=0.01)
+    for ask in (leaves.sensitivity, lambda wrt: cvi.gradient(leaves, (np.ones(6), np.ones(6)), wrt)):
+        with pytest.raises(cvi.NotDifferentiable) as found:
+            ask(["gravity"])
+        assert found.value.reason == "parameter"
+    tilts = body("box", 0.125, [1, 0.3, 0, 0, 0, 0], 0.0, turn=0.0)
+    lies = cvi.simulate(*tilts, record="gradient", duration=0.1, dt=0.01)
+    with pytest.raises(cvi.NotDifferentiable) as found:  # one of the four points opens along most directions
+        cvi.gradient(lies, (np.ones(6), np.ones(6)), ["q0"])
+    assert found.value.reason == "redundant"
     turning = body("box", 0.125, [1, 0, 0, 0, 0, 1], 0.3, turn=0.0)
     assert refused(turning, duration=0.1, dt=0.01).reason == "redundant"
     dense = refused(body("box", 0.125, [1, 0, 0, 0, 0, 0], 0.3, turn=0.0), duration=0.1, dt=0.01, contact_mode="steps")
