@@ -58,12 +58,19 @@ StepInputs inputs_of(const Tree& tree, double t, const std::optional<VecX>& tau,
 
 std::tuple<VecX, VecX, Rows, Rows, VecX> linear_step(const Scene& s, const VecX& q, const VecX& x, bool momentum,
                                                      double h, const std::optional<VecX>& tau,
-                                                     const std::optional<VecX>& target, double t, int order,
-                                                     double tol) {
+                                                     const std::optional<VecX>& target, double t, int order, double tol,
+                                                     bool by_columns) {
   need_state(s.tree, q, x);
   need_order(order);
   const StateKind kind = momentum ? StateKind::kMomentum : StateKind::kVelocity;
-  const LinearStep step = linearize_step(s.tree, q, x, kind, h, inputs_of(s.tree, t, tau, target), order / 2, tol);
+  const StepInputs inputs = inputs_of(s.tree, t, tau, target);
+  LinearStep step;
+  if (by_columns) {
+    PublicStep solved(s.tree, q, x, kind, h, inputs, order / 2, tol);
+    step = linearize_by_columns(s.tree, solved, order / 2);
+  } else {
+    step = linearize_step(s.tree, q, x, kind, h, inputs, order / 2, tol);
+  }
   UserErrors::raise();
   return {step.q1, step.x1, Rows(step.A), Rows(step.B), step.h};
 }
@@ -192,8 +199,10 @@ std::tuple<Rows, std::vector<Rows>, Rows> contact_row_changes(const Scene& s, co
 void expose_derivatives(nb::module_& m) {
   m.def("linear_step", &linear_step, "scene"_a, "q"_a, "x"_a, "momentum"_a, "h"_a, "tau"_a = nb::none(),
         "target"_a = nb::none(), "t"_a = 0.0, "order"_a = 2, "tol"_a = 1e-12,
+        "by_columns"_a = false,
         "One smooth step and its derivatives: (q1, x1, A (2 nv, 2 nv), B (2 nv, nv), d(q1, x1)/dh (2 nv,)), x being "
-        "the velocity or the momentum; target: references of the servos (2 nv,).");
+        "the velocity or the momentum; target: references of the servos (2 nv,). by_columns: by the slow way, which "
+        "solves one tangent equation per column.");
   m.def(
       "adjoint_step", &adjoint_step, "scene"_a, "q"_a, "x"_a, "momentum"_a, "h"_a, "lq"_a, "lx"_a, "tau"_a = nb::none(),
       "target"_a = nb::none(), "t"_a = 0.0, "order"_a = 2, "tol"_a = 1e-12,

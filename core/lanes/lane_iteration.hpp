@@ -283,7 +283,20 @@ void combine(int nv, int s, int S, const double* weight, const double* in, doubl
 }
 
 template <class V>
+void subtract_product(int rows, int width, const double* A, int stride, const double* X, double* Y, bool anew) {
+  for (int at = 0; at < width; at += Lane<V>::count) {
+    V x[8];
+    for (int k = 0; k < rows; ++k) x[k] = load<V>(X + k * width + at);
+    for (int i = 0; i < rows; ++i) {
+      V sum = anew ? Lane<V>::all(0.0) : load<V>(Y + i * width + at);
+      for (int k = 0; k < rows; ++k) sum = sum - A[i * stride + k] * x[k];
+      store<V>(Y + i * width + at, sum);
+    }
+  }
+}
+
+template <class V>
 constexpr LaneKernel lane_kernel() {
-  return {Lane<V>::count, evaluate<V>, place_stages<V>, factor_stages<V>, solve_stages<V>,
-          iterate<V>,     rates<V>,    combine<V>,      tangent<V>,       evaluate_tangent<V>};
+  return {Lane<V>::count, evaluate<V>, place_stages<V>, factor_stages<V>,    solve_stages<V>,    iterate<V>,
+          rates<V>,       combine<V>,  tangent<V>,      evaluate_tangent<V>, subtract_product<V>};
 }

@@ -3,13 +3,63 @@
 #include "base/refusal.hpp"
 #include "model/coordinates.hpp"
 #include "step/public_tangent.hpp"
+#include "step/step_map.hpp"
 
 namespace contactvi {
 
+namespace {
+
+// The columns of the engine's derivative by q0, x0, tau and h become public ones.
+void to_public(const Tree& tree, const PublicStep& step, const MatX& matrix, LinearStep& result) {
+  const int n = tree.nv;
+  result.A = matrix.leftCols(2 * n);
+  result.B = matrix.middleCols(2 * n, n);
+  result.h = matrix.col(3 * n);
+  if (tree.split.empty()) return;
+  VecX dq(n), dx(n);
+  for (int k = 0; k < 2 * n; ++k) {
+    dq.setZero();
+    dx.setZero();
+    (k < n ? dq[k] : dx[k - n]) = 1.0;
+    public_to_engine(tree, step.q0, dq);
+    public_to_engine_tangent(tree, step.q0, dq, step.x0, dx);
+    auto column = result.A.col(k);
+    column.setZero();
+    for (int d = 0; d < n; ++d) {
+      if (dq[d] != 0.0) column += dq[d] * matrix.col(d);
+      if (dx[d] != 0.0) column += dx[d] * matrix.col(n + d);
+    }
+  }
+  const VecX& x1 = step.kind() == StateKind::kVelocity ? step.v1 : step.p1;
+  const auto turn = [&](auto&& column) {
+    dq = column.head(n);
+    dx = column.tail(n);
+    engine_to_public_tangent(tree, step.q1, dq, x1, dx);
+    engine_to_public(tree, step.q1, dq);
+    column.head(n) = dq;
+    column.tail(n) = dx;
+  };
+  for (int k = 0; k < 2 * n; ++k) turn(result.A.col(k));
+  for (int k = 0; k < n; ++k) turn(result.B.col(k));
+  turn(result.h);
+}
+
+}  // namespace
+
 LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h,
                           const StepInputs& inputs, int stages, double tol) {
-  const int n = tree.nv;
   PublicStep step(tree, q0, x0, kind, h, inputs, stages, tol);
+  StepMap map(tree, stages, kind == StateKind::kVelocity);
+  if (!map.take(step.solution())) return linearize_by_columns(tree, step, stages);
+  LinearStep result;
+  result.q1 = step.q1;
+  result.x1 = step.x1;
+  to_public(tree, step, map.matrix(), result);
+  return result;
+}
+
+LinearStep linearize_by_columns(const Tree& tree, PublicStep& step, int stages) {
+  const int n = tree.nv;
   StepTangent tangent(tree, stages);
   step.give(tangent);
   LinearStep result;

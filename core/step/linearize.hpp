@@ -15,6 +15,8 @@ struct LinearStep {
 // The step of length h from (q0, x0). Throws Error where it or its derivative cannot be solved.
 LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h,
                           const StepInputs& inputs, int stages, double tol);
+// The same of a solved step by one tangent equation per column (step_tangent.hpp): slow, and the reference of tests.
+LinearStep linearize_by_columns(const Tree& tree, PublicStep& step, int stages);
 
 // Forces of springs, dampers, servos and elements at a state, without gravity, in public coordinates.
 struct LinearForces {

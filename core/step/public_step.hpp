@@ -3,6 +3,7 @@
 #pragma once
 
 #include "step/integrator.hpp"
+#include "step/stage_matrices.hpp"
 
 namespace contactvi {
 
@@ -38,6 +39,12 @@ class PublicStep {
   template <class Derivative>
   void give(Derivative& derivative) {
     derivative.take(q0, p0, h_, inputs_.tau, inputs_.time, integrator_.servo(), integrator_.velocities());
+  }
+  // Valid until the equations solve another step.
+  StepSolution solution() {
+    const bool velocity = kind_ == StateKind::kVelocity;
+    return {q0, p0, h_, inputs_.tau, inputs_.time, integrator_.servo(), integrator_.velocities(), velocity ? &v0 : nullptr,
+            velocity ? &v1 : nullptr};
   }
   StateView start() const { return {kind_, q0, x0, v0, p0}; }
   StateView end() const { return {kind_, q1, x1, v1, p1}; }
