@@ -1,9 +1,11 @@
 #include "step/linearize.hpp"
 
+#include <cmath>
+#include <limits>
+
 #include "base/refusal.hpp"
 #include "model/coordinates.hpp"
 #include "step/public_tangent.hpp"
-#include "step/step_map.hpp"
 
 namespace contactvi {
 
@@ -46,25 +48,43 @@ void to_public(const Tree& tree, const PublicStep& step, const MatX& matrix, Lin
 
 }  // namespace
 
-LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h,
-                          const StepInputs& inputs, int stages, double tol) {
-  PublicStep step(tree, q0, x0, kind, h, inputs, stages, tol);
-  StepMap map(tree, stages, kind == StateKind::kVelocity);
-  if (!map.take(step.solution())) return linearize_by_columns(tree, step, stages);
-  LinearStep result;
-  result.q1 = step.q1;
-  result.x1 = step.x1;
-  to_public(tree, step, map.matrix(), result);
-  return result;
+StepLinearizer::StepLinearizer(const Tree& tree, int stages, double tol)
+    : tree_(&tree), stages_(stages), integrator_(tree, stages, tol, kStepIterations) {}
+
+void StepLinearizer::make_step(const VecX& q0, const VecX& x0, StateKind kind, double h, const StepInputs& inputs) {
+  step_.emplace(*tree_, q0, x0, kind, h, inputs, integrator_);
+  result_.q1 = step_->q1;
+  result_.x1 = step_->x1;
 }
 
-LinearStep linearize_by_columns(const Tree& tree, PublicStep& step, int stages) {
+const LinearStep& StepLinearizer::solve(const VecX& q0, const VecX& x0, StateKind kind, double h,
+                                        const StepInputs& inputs) {
+  make_step(q0, x0, kind, h, inputs);
+  const bool velocity = kind == StateKind::kVelocity;
+  std::unique_ptr<StepMap>& map = maps_[velocity ? 0 : 1];
+  if (!map) map = std::make_unique<StepMap>(*tree_, stages_, velocity);
+  if (map->take(step_->solution())) {
+    to_public(*tree_, *step_, map->matrix(), result_);
+  } else {
+    solve_columns();
+  }
+  return result_;
+}
+
+const LinearStep& StepLinearizer::solve_by_columns(const VecX& q0, const VecX& x0, StateKind kind, double h,
+                                                   const StepInputs& inputs) {
+  make_step(q0, x0, kind, h, inputs);
+  solve_columns();
+  return result_;
+}
+
+void StepLinearizer::solve_columns() {
+  const Tree& tree = *tree_;
   const int n = tree.nv;
-  StepTangent tangent(tree, stages);
+  PublicStep& step = *step_;
+  LinearStep& result = result_;
+  StepTangent tangent(tree, stages_);
   step.give(tangent);
-  LinearStep result;
-  result.q1 = step.q1;
-  result.x1 = step.x1;
   result.A.resize(2 * n, 2 * n);
   result.B.resize(2 * n, n);
   result.h.resize(2 * n);
@@ -94,7 +114,16 @@ LinearStep linearize_by_columns(const Tree& tree, PublicStep& step, int stages) 
   direction = StepDirection();
   direction.h = 1.0;
   solve(result.h);
-  return result;
+}
+
+double StepLinearizer::lost_velocity() {
+  const int n = tree_->nv;
+  VecX w(n), p(n), G(n), again(n);
+  for (int d = 0; d < n; ++d) w[d] = std::sin(1.0 + d);
+  integrator_.dynamics(step_->q0, w, p, G);
+  integrator_.node_velocity(step_->q0, p, again);
+  const double lost = n > 0 ? (again - w).cwiseAbs().maxCoeff() : 0.0;
+  return std::isfinite(lost) ? lost : std::numeric_limits<double>::infinity();
 }
 
 LinearForces linearize_forces(const Tree& tree, const VecX& q, const VecX& v, const StepInputs& inputs) {
