@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +44,7 @@ class CompiledScene:
         pair_names: of the tested pairs, engine order.
         joint_names: of all joints, that of the world included.
         damping: of the joints, shape (nv,).
+        step_options: the options of the step that was linearised last, with what they were made from.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -56,6 +58,8 @@ class CompiledScene:
         self.joint_names = [str(name) for name in built.model.names]
         self.damping: NDArray[np.float64] = np.array(built.model.damping, dtype=float)
         self._derivatives_checked = False
+        self.step_options: tuple[Any, Any] | None = None
+        self._linearizers: dict[tuple[int, float], list[_core.Linearizer]] = {}
 
     def scene(self) -> Scene:
         """Return a new copy of the scene as it was, for the caller to keep and edit; what is built is shared."""
@@ -142,6 +146,26 @@ class CompiledScene:
         if not self._derivatives_checked:
             self._derivatives_checked = True
             self._check_derivatives(q, v, t)
+
+    @property
+    def starts_unchecked(self) -> bool:
+        """Whether check_start has yet to look at the derivatives of the user's functions."""
+        return bool(self._scene.elements) and not self._derivatives_checked
+
+    @contextlib.contextmanager
+    def linearizer(self, order: int, tol: float) -> Iterator[_core.Linearizer]:
+        """Lend an engine that linearises steps; it is kept with the scene, as making one takes longer than its use.
+
+        One user at a time has it: functions of the user may let another thread run.
+        """
+        from contactvi import _core
+
+        spare = self._linearizers.setdefault((order, tol), [])
+        engine = spare.pop() if spare else _core.Linearizer(self.core, order, tol)
+        try:
+            yield engine
+        finally:
+            spare.append(engine)
 
     def check_differentiable(self) -> None:
         """Raise for what is known before a run to have no derivative.

@@ -99,6 +99,8 @@ class Linearizer {
     }
   }
 
+  const Scene& scene() const { return *scene_; }
+
  private:
   // Far below what the check of a start refuses (MOST_LOST in trajectory/compiled.py), which is made where it is more.
   static constexpr double kMostLost = 1e-5;
@@ -106,6 +108,17 @@ class Linearizer {
   StepLinearizer linearizer_;
   ClearStep clear_;
 };
+
+// The scene is kept alive, which the garbage collector has to see.
+int traverse_linearizer(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  if (!nb::inst_ready(self)) return 0;
+  nb::object scene = nb::find(nb::inst_ptr<Linearizer>(self)->scene());
+  Py_VISIT(scene.ptr());
+  return 0;
+}
+
+PyType_Slot linearizer_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_linearizer)}, {0, nullptr}};
 
 std::tuple<VecX, VecX, VecX, double, Parameters> adjoint_step(const Scene& s, const VecX& q, const VecX& x,
                                                               bool momentum, double h, const VecX& lq, const VecX& lx,
@@ -236,7 +249,7 @@ void expose_derivatives(nb::module_& m) {
         "One smooth step and its derivatives: (q1, x1, A (2 nv, 2 nv), B (2 nv, nv), d(q1, x1)/dh (2 nv,)), x being "
         "the velocity or the momentum; target: references of the servos (2 nv,). by_columns: by the slow way, which "
         "solves one tangent equation per column.");
-  nb::class_<Linearizer>(m, "Linearizer")
+  nb::class_<Linearizer>(m, "Linearizer", nb::type_slots(linearizer_slots))
       .def(nb::init<const Scene&, int, double>(), "scene"_a, "order"_a, "tol"_a, nb::keep_alive<1, 2>())
       .def("step", &Linearizer::step, "q"_a, "x"_a, "momentum"_a, "h"_a, "tau"_a.none(), "target"_a.none(), "t"_a,
            "As linear_step(); None where the step is not solved, or not beyond doubt without contacts, actuators at "

@@ -8,12 +8,19 @@
 
 namespace contactvi {
 
+namespace {
+// Columns from which on a step's matrix costs less than to solve for one after the other (benchmarks/derivatives.py).
+constexpr Eigen::Index kManyColumns = 4;
+}  // namespace
+
 RunTangent::RunTangent(const Scene& scene, const RecordedRun& run, bool take_branch)
     : scene_(&scene),
       run_(&run),
       take_branch_(take_branch),
       integrator_(scene.tree, run.stages, run.tol, 200),
       tangent_(scene.tree, run.stages),
+      map_(scene.tree, run.stages, false),
+      node_map_(scene.tree),
       inputs_(scene.tree, run),
       impact_(scene, run),
       dq_(scene.tree.nv),
@@ -61,7 +68,23 @@ void RunTangent::take_piece(const Piece& piece) {
     contact_.take(piece, inputs_);
     return;
   }
-  tangent_.take(piece.q, piece.p, piece.h, inputs_.tau(), piece.t, inputs_.servo(), piece.velocities);
+  take_step(piece.q, piece.p, piece.h, piece.t, piece.velocities);
+}
+
+// A step with the inputs of the piece, of which the arrays live on.
+void RunTangent::take_step(const VecX& q, const VecX& p, double h, double time, const MatX& velocities) {
+  step_.emplace(StepSolution{q, p, h, inputs_.tau(), time, inputs_.servo(), velocities});
+  tangent_has_step_ = false;
+}
+
+// The tangent of the step that was taken.
+StepTangent& RunTangent::tangent() {
+  if (!tangent_has_step_) {
+    const StepSolution& s = *step_;
+    tangent_.take(s.q0, s.p0, s.h, s.tau, s.time, s.servo, s.velocities);
+  }
+  tangent_has_step_ = true;
+  return tangent_;
 }
 
 // The derivative of the end of the piece that was taken by its length.
@@ -72,7 +95,7 @@ void RunTangent::solve_length(const Piece& piece) {
   }
   direction_ = StepDirection();
   direction_.h = 1.0;
-  if (!tangent_.solve(direction_, fq_, fp_)) throw Error("the derivative of a step was not solved");
+  if (!tangent().solve(direction_, fq_, fp_)) throw Error("the derivative of a step was not solved");
 }
 
 // Contacts begin with impacts, or are there at the start of the run.
@@ -106,7 +129,7 @@ void RunTangent::take_part(const Piece& piece, double length) {
   if (!integrator_.solve_closely(piece.q, piece.p, length, inputs_.tau()) &&
       !integrator_.solve(piece.q, piece.p, length, inputs_.tau()))
     throw Error("a part of a recorded step was not solved");
-  tangent_.take(piece.q, piece.p, length, inputs_.tau(), piece.t, inputs_.servo(), integrator_.velocities());
+  take_step(piece.q, piece.p, length, piece.t, integrator_.velocities());
 }
 
 // Moves the columns to the end of the piece that was taken, at the time that it ends at or, where it has a given
@@ -119,13 +142,14 @@ void RunTangent::move(const Piece& piece, const RunDirections& d) {
   }
   const bool at_event = piece.end == PieceEnd::kEvent;
   const bool energies = at_event && run_->map == ImpactMap::kDtec;
+  if (!energies && move_by_map(piece, d)) return;
   for (Eigen::Index k = 0; k < d.count; ++k) {
     direction_.q = columns_.q.col(k);
     direction_.p = columns_.p.col(k);
     direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
     direction_.parameters = d.parameter(k);
     direction_.h = piece.end == PieceEnd::kLength ? 0.0 : -columns_.time[k];
-    if (!tangent_.solve(direction_, dq_, dp_))
+    if (!tangent().solve(direction_, dq_, dp_))
       throw NoDerivative({"step", -1, piece.t}, "The derivative of a step was not solved",
                          "tangent equations with a solution", "none", "Use a smaller dt");
     if (energies) piece_energy_[k] = tangent_.energy_change();
@@ -133,6 +157,20 @@ void RunTangent::move(const Piece& piece, const RunDirections& d) {
     columns_.p.col(k) = dp_;
     if (piece.end == PieceEnd::kTime) columns_.time[k] = 0.0;
   }
+}
+
+// All columns by the matrix of the step. False where some of them need a solution of their own.
+bool RunTangent::move_by_map(const Piece& piece, const RunDirections& d) {
+  if (d.count < kManyColumns) return false;
+  for (Eigen::Index k = 0; k < d.count; ++k)
+    if (d.parameter(k) != nullptr) return false;
+  if (!map_.take(*step_)) return false;
+  const bool moves = piece.end != PieceEnd::kLength;
+  map_.apply(columns_.q, columns_.p, d.tau, moves ? VecX(-columns_.time) : VecX(VecX::Zero(d.count)), q1_, p1_);
+  columns_.q.swap(q1_);
+  columns_.p.swap(p1_);
+  if (piece.end == PieceEnd::kTime) columns_.time.setZero();
+  return true;
 }
 
 // The reference of an implicit map before the impacts of an event.
@@ -205,7 +243,8 @@ void RunTangent::reach_node(const VecX& q, const VecX& p, double time, const Run
   Piece rest;
   rest.t = time;
   rest.end = PieceEnd::kTime;
-  tangent_.take(q, p, 0.0, inputs_.tau(), time, inputs_.servo(), v.replicate(1, run_->stages));
+  rest_velocities_ = v.replicate(1, run_->stages);
+  take_step(q, p, 0.0, time, rest_velocities_);
   move(rest, d);
 }
 
@@ -213,18 +252,21 @@ void RunTangent::record(double time, const VecX& q, const VecX& p, const RunDire
   const int n = scene_->tree.nv;
   VecX v(n);
   if (!integrator_.node_velocity(q, p, v)) throw Error("the mass matrix is not positive definite");
-  VecX w = v;
-  engine_to_public(scene_->tree, q, w);
   MatX D(2 * n, columns_.q.cols());
+  p1_ = columns_.p;
+  for (Eigen::Index k = 0; k < columns_.q.cols(); ++k) {
+    if (d.parameter(k) == nullptr) continue;
+    VecX heavier = VecX::Zero(n);
+    tangent_.add_momentum(q, v, *d.parameter(k), heavier);
+    p1_.col(k) -= heavier;
+  }
+  if (!node_map_.take(q, v)) throw Error("the mass matrix is not positive definite");
+  node_map_.to_velocities(columns_.q, p1_);
   for (Eigen::Index k = 0; k < columns_.q.cols(); ++k) {
     dq_ = columns_.q.col(k);
-    dp_ = columns_.p.col(k);
-    if (d.parameter(k) != nullptr) {
-      VecX heavier = VecX::Zero(n);
-      tangent_.add_momentum(q, v, *d.parameter(k), heavier);
-      dp_ -= heavier;
-    }
-    to_public_direction(scene_->tree, tangent_, integrator_, {StateKind::kVelocity, q, w, v, p}, dq_, dp_);
+    dp_ = p1_.col(k);
+    engine_to_public_tangent(scene_->tree, q, dq_, v, dp_);
+    engine_to_public(scene_->tree, q, dq_);
     D.col(k) << dq_, dp_;
   }
   result.times.push_back(time);

@@ -102,6 +102,15 @@ void LocalTangent::evaluate(const VecCRef& q0, const VecCRef& p0, double h, cons
                             const MatX& X, const MatX& v) {
   stages_.set_servo(servo);
   stages_.begin(q0, p0, h, tau);
+  evaluate_jobs(X, v);
+}
+
+void LocalTangent::evaluate_at(const VecX& q, const VecX& v) {
+  stages_.at(q);
+  evaluate_jobs(MatX::Zero(tree_->nv, 1), v);
+}
+
+void LocalTangent::evaluate_jobs(const MatX& X, const MatX& v) {
   for (std::size_t first = 0; first < jobs_.size(); first += kLanes) {
     const Job* jobs = jobs_.data() + first;
     const int count = static_cast<int>(std::min<std::size_t>(kLanes, jobs_.size() - first));

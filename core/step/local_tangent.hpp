@@ -42,6 +42,9 @@ class LocalTangent {
   void evaluate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const Servo* servo, const MatX& X,
                 const MatX& v);
 
+  // With a single point: of the state (q, v), without forces.
+  void evaluate_at(const VecX& q, const VecX& v);
+
   PairMatrix M, B, C, K;
   MatX P, G;  // (nv, points)
 
@@ -54,6 +57,7 @@ class LocalTangent {
     bool velocity;
     int level;
   };
+  void evaluate_jobs(const MatX& X, const MatX& v);
   void set_lanes(const Job* jobs, int count, const MatX& X, const MatX& v);
   void read_lane(const Job& job, int lane);
   void complete();

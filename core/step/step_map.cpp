@@ -11,7 +11,6 @@ namespace {
 // Backward errors of a solution that is refined once, and of one that is no solution. That of elimination without
 // exchanges between blocks is some 1e-15 where the matrix is mostly the mass matrix.
 constexpr double kRefine = 1e-14, kAccept = 1e-12;
-constexpr int kLanes = kMaxStages;
 
 int largest_component(const DofPattern& pattern) {
   std::size_t largest = 0;
@@ -20,7 +19,6 @@ int largest_component(const DofPattern& pattern) {
 }
 
 int columns_of(int dofs) { return 3 * dofs + 1; }
-int padded(int count) { return (count + kLanes - 1) / kLanes * kLanes; }
 
 }  // namespace
 
@@ -47,7 +45,7 @@ StepMap::StepMap(const Tree& tree, int stages, bool in_velocities)
       total_(0),
       turn_(0),
       matrix_(2 * tree.nv, columns_of(tree.nv)) {
-  const std::size_t dofs = largest_component(pattern_), numbers = dofs * padded(columns_of(static_cast<int>(dofs)));
+  const std::size_t dofs = largest_component(pattern_), numbers = dofs * padded_width(columns_of(static_cast<int>(dofs)));
   right_ = solution_ = residual_ = AlignedArray(numbers * stages);
   total_ = turn_ = AlignedArray(numbers);
   matrix_.setZero();
@@ -260,7 +258,7 @@ void StepMap::make_right_sides(int component, const StepSolution& step) {
   const std::vector<int>& dofs = pattern_.components()[component];
   const std::size_t size = dofs.size();
   count_ = columns_of(static_cast<int>(size));
-  width_ = padded(count_);
+  width_ = padded_width(count_);
   std::fill_n(right_.data(), size * blocks_.size() * width_, 0.0);
   std::fill_n(total_.data(), size * width_, 0.0);
   each_pair(component, [&](int row, int column, DofPattern::Pair pair) { add_pair(row, column, pair); });

@@ -9,6 +9,8 @@
 
 namespace contactvi {
 
+int padded_width(int columns) { return (columns + kMaxStages - 1) / kMaxStages * kMaxStages; }
+
 TreeBlocks::TreeBlocks(const DofPattern& pattern, int size)
     : pattern_(&pattern),
       size_(size),

@@ -15,6 +15,9 @@
 
 namespace contactvi {
 
+// The width of a panel for so many columns.
+int padded_width(int columns);
+
 class TreeBlocks {
  public:
   TreeBlocks(const DofPattern& pattern, int size);
