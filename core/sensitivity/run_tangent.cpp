@@ -260,13 +260,19 @@ void RunTangent::record(double time, const VecX& q, const VecX& p, const RunDire
     tangent_.add_momentum(q, v, *d.parameter(k), heavier);
     p1_.col(k) -= heavier;
   }
-  if (!node_map_.take(q, v)) throw Error("the mass matrix is not positive definite");
-  node_map_.to_velocities(columns_.q, p1_);
+  const bool together = node_map_.take(q, v);
+  if (together) node_map_.to_velocities(columns_.q, p1_);
+  VecX w = v;
+  engine_to_public(scene_->tree, q, w);
   for (Eigen::Index k = 0; k < columns_.q.cols(); ++k) {
     dq_ = columns_.q.col(k);
     dp_ = p1_.col(k);
-    engine_to_public_tangent(scene_->tree, q, dq_, v, dp_);
-    engine_to_public(scene_->tree, q, dq_);
+    if (together) {
+      engine_to_public_tangent(scene_->tree, q, dq_, v, dp_);
+      engine_to_public(scene_->tree, q, dq_);
+    } else {
+      to_public_direction(scene_->tree, tangent_, integrator_, {StateKind::kVelocity, q, w, v, p}, dq_, dp_);
+    }
     D.col(k) << dq_, dp_;
   }
   result.times.push_back(time);

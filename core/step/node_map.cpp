@@ -11,7 +11,7 @@ bool NodeMap::take(const VecX& q, const VecX& v) {
   local_.evaluate_at(q, v);
   std::copy(local_.M.low.begin(), local_.M.low.end(), mass_.low(0));
   std::copy(local_.M.up.begin(), local_.M.up.end(), mass_.up(0));
-  return mass_.factor();
+  return mass_.factor() && mass_.cancellation() <= kMostCancellation;
 }
 
 void NodeMap::to_velocities(const MatX& dq, MatX& dp) {

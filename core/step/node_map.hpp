@@ -11,7 +11,7 @@ class NodeMap {
  public:
   explicit NodeMap(const Tree& tree);
 
-  // False where the mass matrix is singular.
+  // False where elimination in the mass matrix loses too many digits.
   bool take(const VecX& q, const VecX& v);
   // dp, (nv, count), becomes dv; dq: of the same shape.
   void to_velocities(const MatX& dq, MatX& dp);

@@ -161,9 +161,14 @@ void StepMap::assemble() {
       set_output(row, pair);
     });
   for (const Ball& ball : balls_) add_balance(ball);
-  if (!in_velocities_) return;
+}
+
+// The mass matrix at the end; without velocities that of a stage, as it tells soon what elimination would lose.
+bool StepMap::factor_mass() {
+  const int point = in_velocities_ ? stages_.end() : 0;
   for (int c = 0; c < components(); ++c)
-    each_pair(c, [&](int, int, DofPattern::Pair pair) { *mass_.at(pair) = stages_.M.at(pair)[stages_.end()]; });
+    each_pair(c, [&](int, int, DofPattern::Pair pair) { *mass_.at(pair) = stages_.M.at(pair)[point]; });
+  return mass_.factor() && mass_.cancellation() <= kMostCancellation;
 }
 
 // Adds a change of the start momentum.
@@ -366,8 +371,9 @@ bool StepMap::take(const StepSolution& step) {
   stages_.take(step);
   set_weights(step.h);
   set_balls(step);
+  if (!factor_mass()) return false;
   assemble();
-  if (!blocks_.factor() || (in_velocities_ && !mass_.factor())) return false;
+  if (!blocks_.factor() || blocks_.cancellation() > kMostCancellation) return false;
   for (int c = 0; c < components(); ++c) {
     make_right_sides(c, step);
     if (!solve(c)) return false;

@@ -21,7 +21,8 @@ class StepMap {
   StepMap(const StepMap&) = delete;
   StepMap& operator=(const StepMap&) = delete;
 
-  // Makes the derivative of a solved step. False where the equations have no solution that is good to rounding.
+  // Makes the derivative of a solved step. False where elimination gives no solution that is good to rounding: of long
+  // chains, for example.
   bool take(const StepSolution& step);
   // Rows q1 and x1, columns q0, x0, tau and h, (2 nv, 3 nv + 1).
   const MatX& matrix() const { return matrix_; }
@@ -45,6 +46,7 @@ class StepMap {
   void set_output(int row, DofPattern::Pair pair);
   void add_balance(const Ball& ball);
   void assemble();
+  bool factor_mass();
   void add_start(int row, int column, double change);
   void add_stages(int row, int column, const double* momentum, const double* force, const double* of_total);
   void add_pair(int row, int column, DofPattern::Pair pair);

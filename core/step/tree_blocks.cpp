@@ -67,10 +67,13 @@ bool TreeBlocks::factor() {
   std::copy_n(low_.data(), low_.size(), right_.data());
   double* const left = left_.data();
   double* const right = right_.data();
+  cancellation_ = 1.0;
   alignas(64) double turned[kMaxStages * kMaxStages];
   for (int d = pattern.dofs() - 1; d >= 0; --d) {
     double* negative = negative_.data() + d * area_;
-    if (!invert(right + pattern.diagonal(d) * area_, negative)) return false;
+    const double* block = right + pattern.diagonal(d) * area_;
+    if (!invert(block, negative)) return false;
+    cancellation_ = std::max(cancellation_, largest(low(pattern.diagonal(d))) / largest(block));
     for (int g = 0; g < pattern.level(d); ++g) {
       double* block = right + pattern.entry(d, g) * area_;
       if (size_ == 1) {
@@ -113,44 +116,46 @@ void TreeBlocks::solve(int component, double* X, int width) {
       subtract(right_.data() + pattern.entry(d, g) * area_, rows(pattern.on_path(d, g)), rows(d), width);
 }
 
+double TreeBlocks::largest(const double* block) const {
+  double found = 0.0;
+  for (int i = 0; i < area_; ++i) found = std::max(found, std::abs(block[i]));
+  return found;
+}
+
 double TreeBlocks::backward_error(int component, const double* X, double* B, int width) {
   const DofPattern& pattern = *pattern_;
   const std::vector<int>& dofs = pattern.components()[component];
-  const std::size_t rows = static_cast<std::size_t>(size_) * width;
-  sizes_.assign(dofs.size() * width, 0.0);
-  const auto largest = [&](const double* numbers, double* of_column) {
-    for (int i = 0; i < size_; ++i)
-      for (int c = 0; c < width; ++c) of_column[c] = std::max(of_column[c], std::abs(numbers[i * width + c]));
+  const std::size_t rows = static_cast<std::size_t>(size_) * width, numbers = dofs.size() * width;
+  // Per dof and column: the largest numbers of X, and the sizes of the terms of a residual.
+  of_X_.assign(numbers, 0.0);
+  of_terms_.assign(numbers, 0.0);
+  const auto take_largest = [&](const double* panel, std::vector<double>& found) {
+    for (std::size_t d = 0; d < dofs.size(); ++d)
+      for (int i = 0; i < size_; ++i)
+        for (int c = 0; c < width; ++c)
+          found[d * width + c] = std::max(found[d * width + c], std::abs(panel[d * rows + i * width + c]));
   };
-  std::vector<double>& of_column = column_;
+  take_largest(X, of_X_);
+  take_largest(B, of_terms_);
+  const auto take = [&](const double* block, int row, int column) {
+    const std::size_t r = pattern.place(row), k = pattern.place(column);
+    subtract(block, X + k * rows, B + r * rows, width);
+    const double factor = largest(block);
+    for (int c = 0; c < width; ++c) of_terms_[r * width + c] += factor * of_X_[k * width + c];
+  };
   for (const int d : dofs) {
-    const double* block = low(pattern.diagonal(d));
-    double norm = 0.0;
-    for (int i = 0; i < area_; ++i) norm = std::max(norm, std::abs(block[i]));
-    of_column.assign(width, 0.0);
-    largest(X + pattern.place(d) * rows, of_column.data());
-    double* size = sizes_.data() + pattern.place(d) * width;
-    largest(B + pattern.place(d) * rows, size);
-    for (int c = 0; c < width; ++c) size[c] += norm * of_column[c];
-  }
-  for (const int d : dofs) {
-    const double* x = X + pattern.place(d) * rows;
-    double* b = B + pattern.place(d) * rows;
-    subtract(low(pattern.diagonal(d)), x, b, width);
     for (int g = 0; g < pattern.level(d); ++g) {
-      const std::size_t other = pattern.place(pattern.on_path(d, g)) * rows;
-      subtract(low(pattern.entry(d, g)), X + other, b, width);
-      subtract(up(pattern.entry(d, g)), x, B + other, width);
+      take(low(pattern.entry(d, g)), d, pattern.on_path(d, g));
+      take(up(pattern.entry(d, g)), pattern.on_path(d, g), d);
     }
+    take(low(pattern.diagonal(d)), d, d);
   }
+  of_X_.assign(numbers, 0.0);
+  take_largest(B, of_X_);
   double worst = 0.0;
-  for (std::size_t d = 0; d < dofs.size(); ++d) {
-    of_column.assign(width, 0.0);
-    largest(B + d * rows, of_column.data());
-    for (int c = 0; c < width; ++c) {
-      const double error = of_column[c] == 0.0 ? 0.0 : of_column[c] / sizes_[d * width + c];
-      if (!(error <= worst)) worst = error;
-    }
+  for (std::size_t i = 0; i < numbers; ++i) {
+    const double error = of_X_[i] == 0.0 ? 0.0 : of_X_[i] / of_terms_[i];
+    if (!(error <= worst)) worst = error;  // NaN counts as the worst
   }
   return worst;
 }

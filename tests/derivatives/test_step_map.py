@@ -94,6 +94,21 @@ def test_stiff_servos(order):
     assert_equal(*both_ways(scene, q, v, tau, order, target=target), scene)
 
 
+@pytest.mark.parametrize("order", [2, 16])
+@pytest.mark.parametrize("links", [3, 6, 10, 20])
+def test_long_chains(links, order):
+    """Elimination loses digits along a chain, and is left to the columns in time."""
+    model, parent = pin.Model(), 0
+    length, rod = 1.0 / links, np.array([0.0, 0.0, -1.0 / links])
+    for k in range(links):
+        parent = model.addJoint(parent, pin.JointModelRY(), pin.SE3(np.eye(3), rod if k else 0.0 * rod), f"j{k}")
+        inertia = pin.Inertia(1.0 / links, 0.5 * rod, length**2 / (12 * links) * np.eye(3))
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+    scene, rng = cvi.Scene.from_pinocchio(model, name="rods"), np.random.default_rng(5)
+    q, v = 0.3 * rng.normal(size=links), 0.3 * rng.normal(size=links)
+    assert_equal(*both_ways(scene, q, v, np.zeros(links), order, h=1e-3), scene)
+
+
 @pytest.mark.parametrize("order", [2, 4, 16])
 def test_instruction_sets_give_equal_bits(order):
     scene, rng = branched(pin.JointModelFreeFlyer())
