@@ -143,13 +143,11 @@ def _clear_step(
     speed = np.zeros(states.nv) if given is None else states.velocity(given)
     if np.any(force):
         check_unforced(options)
-    rows = None
-    if built.servo_joints:
-        rows = Targets(compiled, at).rows(target, np.array([t]))[0]
+    rows = Targets(compiled, at).rows(target, np.array([t])) if built.servo_joints else None
     core = compiled.core
     x = np.asarray(core.momentum(at[None], speed[None]))[0] if momentum else speed
     with compiled.linearizer(options.order, options.stage_tol) as linearizer:
-        return linearizer.step(at, x, momentum, options.fixed_dt, force, rows, t)
+        return linearizer.step(at, x, momentum, options.fixed_dt, force, None if rows is None else rows[0], t)
 
 
 def _checked_step(

@@ -67,8 +67,8 @@ LinearArrays linear_step(const Scene& s, const VecX& q, const VecX& x, bool mome
   const StateKind kind = momentum ? StateKind::kMomentum : StateKind::kVelocity;
   const StepInputs inputs = inputs_of(s.tree, t, tau, target);
   StepLinearizer linearizer(s.tree, order / 2, tol);
-  const LinearStep& step = by_columns ? linearizer.solve_by_columns(q, x, kind, h, inputs)
-                                      : linearizer.solve(q, x, kind, h, inputs);
+  const LinearStep& step =
+      by_columns ? linearizer.solve_by_columns(q, x, kind, h, inputs) : linearizer.solve(q, x, kind, h, inputs);
   UserErrors::raise();
   return {step.q1, step.x1, Rows(step.A), Rows(step.B), step.h};
 }
@@ -77,9 +77,7 @@ LinearArrays linear_step(const Scene& s, const VecX& q, const VecX& x, bool mome
 class Linearizer {
  public:
   Linearizer(const Scene& scene, int order, double tol)
-      : scene_(&scene),
-        linearizer_(scene.tree, (need_order(order), order / 2), tol),
-        clear_(scene, order / 2) {}
+      : scene_(&scene), linearizer_(scene.tree, (need_order(order), order / 2), tol), clear_(scene, order / 2) {}
 
   std::optional<LinearArrays> step(const VecX& q, const VecX& x, bool momentum, double h,
                                    const std::optional<VecX>& tau, const std::optional<VecX>& target, double t) {
@@ -244,8 +242,7 @@ std::tuple<Rows, std::vector<Rows>, Rows> contact_row_changes(const Scene& s, co
 
 void expose_derivatives(nb::module_& m) {
   m.def("linear_step", &linear_step, "scene"_a, "q"_a, "x"_a, "momentum"_a, "h"_a, "tau"_a = nb::none(),
-        "target"_a = nb::none(), "t"_a = 0.0, "order"_a = 2, "tol"_a = 1e-12,
-        "by_columns"_a = false,
+        "target"_a = nb::none(), "t"_a = 0.0, "order"_a = 2, "tol"_a = 1e-12, "by_columns"_a = false,
         "One smooth step and its derivatives: (q1, x1, A (2 nv, 2 nv), B (2 nv, nv), d(q1, x1)/dh (2 nv,)), x being "
         "the velocity or the momentum; target: references of the servos (2 nv,). by_columns: by the slow way, which "
         "solves one tangent equation per column.");

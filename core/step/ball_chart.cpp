@@ -70,6 +70,8 @@ BallChart::BallChart(const Vec3& X, const Vec3& v, const Vec3& P, const Vec3& G)
 
 Mat3 so3_right_jacobian(const Vec3& X) { return jacobian(coefficients(X.squaredNorm()), X); }
 
-Mat3 so3_right_jacobian_change(const Vec3& X, const Vec3& y) { return change(coefficients(X.squaredNorm()), -1.0, X, y); }
+Mat3 so3_right_jacobian_change(const Vec3& X, const Vec3& y) {
+  return change(coefficients(X.squaredNorm()), -1.0, X, y);
+}
 
 }  // namespace contactvi

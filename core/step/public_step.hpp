@@ -47,8 +47,15 @@ class PublicStep {
   // Valid until the equations solve another step.
   StepSolution solution() {
     const bool velocity = kind_ == StateKind::kVelocity;
-    return {q0, p0, h_, inputs_.tau, inputs_.time, integrator_->servo(), integrator_->velocities(),
-            velocity ? &v0 : nullptr, velocity ? &v1 : nullptr};
+    return {q0,
+            p0,
+            h_,
+            inputs_.tau,
+            inputs_.time,
+            integrator_->servo(),
+            integrator_->velocities(),
+            velocity ? &v0 : nullptr,
+            velocity ? &v1 : nullptr};
   }
   StateView start() const { return {kind_, q0, x0, v0, p0}; }
   StateView end() const { return {kind_, q1, x1, v1, p1}; }

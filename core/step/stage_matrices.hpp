@@ -63,9 +63,9 @@ class StageMatrices {
   Stages values_;
   LocalTangent local_;
   ForceTangent field_;
-  std::vector<int> balls_;                 // joints
+  std::vector<int> balls_;  // joints
   std::vector<std::vector<int>> related_;
-  std::vector<BallChart> charts_;          // [ball * stages + stage]
+  std::vector<BallChart> charts_;  // [ball * stages + stage]
   MatX X_points_, v_points_;
   VecX q_, v_, dq_, dv_, df_;
 };

@@ -11,14 +11,13 @@ namespace {
 // Backward errors of a solution that is refined once, and of one that is no solution. That of elimination without
 // exchanges between blocks is some 1e-15 where the matrix is mostly the mass matrix.
 constexpr double kRefine = 1e-14, kAccept = 1e-12;
+constexpr int kSamples = 8;  // sums of columns of which it is measured: a panel of the least width
 
 int largest_component(const DofPattern& pattern) {
   std::size_t largest = 0;
   for (const std::vector<int>& dofs : pattern.components()) largest = std::max(largest, dofs.size());
   return static_cast<int>(largest);
 }
-
-int columns_of(int dofs) { return 3 * dofs + 1; }
 
 }  // namespace
 
@@ -42,11 +41,14 @@ StepMap::StepMap(const Tree& tree, int stages, bool in_velocities)
       right_(0),
       solution_(0),
       residual_(0),
+      sample_(0),
       total_(0),
       turn_(0),
       matrix_(2 * tree.nv, columns_of(tree.nv)) {
-  const std::size_t dofs = largest_component(pattern_), numbers = dofs * padded_width(columns_of(static_cast<int>(dofs)));
+  const std::size_t dofs = largest_component(pattern_),
+                    numbers = dofs * padded_width(columns_of(static_cast<int>(dofs)));
   right_ = solution_ = residual_ = AlignedArray(numbers * stages);
+  sample_ = AlignedArray(dofs * stages * kSamples);
   total_ = turn_ = AlignedArray(numbers);
   matrix_.setZero();
   for (const Joint& joint : tree.joints) {
@@ -67,7 +69,10 @@ bool StepMap::is_in(int component, int dof) const {
 void StepMap::set_weights(double h) {
   const GaussTable& table = stages_.table();
   const int s = blocks_.size(), stride = blocks_.stride();
-  for (int j = 0; j < s; ++j) hb_[j] = h * table.b[j];
+  for (int j = 0; j < s; ++j) {
+    hb_[j] = h * table.b[j];
+    minus_hb_[j] = -hb_[j];
+  }
   for (int i = 0; i < s; ++i)
     for (int j = 0; j < s; ++j) {
       hA_[i * stride + j] = h * table.A[i][j];
@@ -112,7 +117,7 @@ void StepMap::set_block(int row, DofPattern::Pair pair) {
   if (s == 1) {
     block[0] -= product_[0] * hA_[0];
   } else {
-    kernel_->subtract_product(s, stride, product_.data(), stride, hA_.data(), block, false);
+    kernel_->subtract_product(s, s, stride, product_.data(), stride, hA_.data(), block, false);
   }
 }
 
@@ -121,22 +126,9 @@ void StepMap::set_output(int row, DofPattern::Pair pair) {
   const bool ball = ball_of_[row] >= 0;
   const double *C = (ball ? stages_.C_Y : stages_.C).at(pair), *K = (ball ? stages_.K_Y : stages_.K).at(pair);
   double* const out = output_.at(pair);
-  for (int j = 0; j < s; ++j) out[j] = hb_[j] * C[j];
+  for (int j = 0; j < s; ++j) out[j] = -hb_[j] * C[j];
   for (int k = 0; k < s; ++k)
-    for (int j = 0; j < s; ++j) out[j] += hb_[k] * K[k] * hA_[k * stride + j];
-}
-
-// Calls visit(row, column, pair) for each pair of dofs of a component.
-template <class Visit>
-void StepMap::each_pair(int component, Visit visit) const {
-  for (const int d : pattern_.components()[component]) {
-    for (int g = 0; g < pattern_.level(d); ++g) {
-      const int a = pattern_.on_path(d, g), entry = pattern_.entry(d, g);
-      visit(d, a, DofPattern::Pair{true, entry});
-      visit(a, d, DofPattern::Pair{false, entry});
-    }
-    visit(d, d, DofPattern::Pair{true, pattern_.diagonal(d)});
-  }
+    for (int j = 0; j < s; ++j) out[j] -= hb_[k] * K[k] * hA_[k * stride + j];
 }
 
 // The share of d(J_r(X_1) (p_0 + sum h b_j Y_j)) in the rows of a spherical joint.
@@ -148,7 +140,7 @@ void StepMap::add_balance(const Ball& ball) {
       const int own = column - ball.iv;
       for (int j = 0; j < s; ++j) {
         double sum = own >= 0 && own < 3 ? ball.Z1(r, own) * hb_[j] : 0.0;
-        for (int k = 0; k < 3; ++k) sum += ball.J1(r, k) * output_.at(pattern_.pair(ball.iv + k, column))[j];
+        for (int k = 0; k < 3; ++k) sum -= ball.J1(r, k) * output_.at(pattern_.pair(ball.iv + k, column))[j];
         for (int i = 0; i < s; ++i) block[i * stride + j] -= sum;
       }
     }
@@ -171,152 +163,50 @@ bool StepMap::factor_mass() {
   return mass_.factor() && mass_.cancellation() <= kMostCancellation;
 }
 
-// Adds a change of the start momentum.
-void StepMap::add_start(int row, int column, double change) {
-  total_row(row)[column] += change;
-  if (ball_of_[row] >= 0) return;  // close_right_sides()
-  for (int i = 0; i < blocks_.size(); ++i) right_row(row, i)[column] += change;
-}
-
-// Adds changes of the momenta and the forces at the stages; of_total: those of the forces in the sum at the end.
-void StepMap::add_stages(int row, int column, const double* momentum, const double* force, const double* of_total) {
-  const int s = blocks_.size(), stride = blocks_.stride();
-  const double* weight = ball_of_[row] < 0 ? hA_.data() : balance_weight_.data();
-  double sum = 0.0;
-  for (int k = 0; k < s; ++k) sum += hb_[k] * of_total[k];
-  total_row(row)[column] += sum;
-  for (int i = 0; i < s; ++i) {
-    double change = -momentum[i];
-    for (int k = 0; k < s; ++k) change += weight[i * stride + k] * force[k];
-    right_row(row, i)[column] += change;
-  }
-}
-
-// The columns of q0, x0 and h of what one dof does to another.
-void StepMap::add_pair(int row, int column, DofPattern::Pair pair) {
-  const int s = blocks_.size(), place = pattern_.place(column);
-  const bool ball = ball_of_[row] >= 0, balls = !balls_.empty();
-  const double *B = stages_.B.at(pair), *K = stages_.K.at(pair);
-  const double* K_total = ball ? stages_.K_Y.at(pair) : K;
-  const double *B_q = balls ? stages_.B_q.at(pair) : B, *K_q = balls ? stages_.K_q.at(pair) : K;
-  add_stages(row, place, B_q, K_q, ball ? stages_.K_Yq.at(pair) : K_q);
-  double momentum[kMaxStages], force[kMaxStages], total[kMaxStages];
-  for (int i = 0; i < s; ++i) {
-    momentum[i] = B[i] * xi_(column, i);
-    force[i] = K[i] * xi_(column, i);
-    total[i] = K_total[i] * xi_(column, i);
-  }
-  add_stages(row, count_ - 1, momentum, force, total);
-  if (!in_velocities_) return;
-  add_start(row, place, stages_.B.at(pair)[stages_.start()]);
-  add_start(row, count_ / 3 + place, stages_.M.at(pair)[stages_.start()]);
-}
-
-// The columns of tau, of dofs that are not split: a force of the joint's axes, which turn on spherical ones.
-void StepMap::add_inputs(int dof) {
-  const int s = blocks_.size(), column = 2 * (count_ / 3) + pattern_.place(dof);
-  const double none[kMaxStages] = {}, one[kMaxStages] = {1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0};
-  if (ball_of_[dof] < 0) {
-    add_stages(dof, column, none, one, one);
-    return;
-  }
-  const int iv = balls_[ball_of_[dof]].iv;
-  for (int r = 0; r < 3; ++r) {
-    double force[kMaxStages], total[kMaxStages];
-    for (int i = 0; i < s; ++i) {
-      const BallChart& chart = stages_.chart(ball_of_[dof], i);
-      force[i] = chart.J(dof - iv, r);
-      total[i] = chart.R(r, dof - iv);
+// The backward error of some sums of columns: they all come from one factor, which loses digits or does not.
+double StepMap::sampled_error(int component) {
+  const int rows = static_cast<int>(pattern_.components()[component].size()) * blocks_.size(), group = count_ / 3;
+  const auto sample = [&](const AlignedArray& panel, AlignedArray& found) {
+    for (int r = 0; r < rows; ++r) {
+      const double* row = panel.data() + static_cast<std::size_t>(r) * width_;
+      double* out = found.data() + static_cast<std::size_t>(r) * kSamples;
+      for (int kind = 0; kind < 3; ++kind) {
+        double even = 0.0, odd = 0.0;
+        for (int c = 0; c < group; ++c) (c % 2 == 0 ? even : odd) += row[kind * group + c];
+        out[2 * kind] = even;
+        out[2 * kind + 1] = odd;
+      }
+      out[6] = row[count_ - 1];
+      out[7] = 0.0;
     }
-    add_stages(iv + r, column, none, force, total);
-  }
-}
-
-// Those of split joints, R tau.
-void StepMap::add_split_inputs(const SplitJoint& joint, const VecX& q0) {
-  const int s = blocks_.size(), size = joint.planar ? 2 : 3;
-  const double none[kMaxStages] = {};
-  Mat3 axes[kMaxStages];
-  for (int i = 0; i < s; ++i) axes[i] = split_axes(joint, q0, stages_.X.col(i));
-  for (int c = 0; c < size; ++c)
-    for (int r = 0; r < size; ++r) {
-      double force[kMaxStages];
-      for (int i = 0; i < s; ++i) force[i] = axes[i](r, c);
-      add_stages(joint.iv + r, 2 * (count_ / 3) + pattern_.place(joint.iv + c), none, force, force);
-    }
-}
-
-// The column of h has the forces themselves: h is a factor of their sums.
-void StepMap::add_length(int row) {
-  const GaussTable& table = stages_.table();
-  const int s = blocks_.size();
-  const bool ball = ball_of_[row] >= 0;
-  for (int k = 0; k < s; ++k) {
-    const double force = stages_.G_x(row, k);
-    total_row(row)[count_ - 1] += table.b[k] * (ball ? stages_.Y(row, k) : force);
-    for (int i = 0; i < s; ++i)
-      right_row(row, i)[count_ - 1] += (table.A[i][k] - (ball ? table.b[k] : 0.0)) * force;
-  }
-}
-
-void StepMap::make_right_sides(int component, const StepSolution& step) {
-  const std::vector<int>& dofs = pattern_.components()[component];
-  const std::size_t size = dofs.size();
-  count_ = columns_of(static_cast<int>(size));
-  width_ = padded_width(count_);
-  std::fill_n(right_.data(), size * blocks_.size() * width_, 0.0);
-  std::fill_n(total_.data(), size * width_, 0.0);
-  each_pair(component, [&](int row, int column, DofPattern::Pair pair) { add_pair(row, column, pair); });
-  for (const int d : dofs) {
-    if (!in_velocities_) add_start(d, count_ / 3 + pattern_.place(d), 1.0);
-    if (!is_split_[d]) add_inputs(d);
-    add_length(d);
-  }
-  for (const SplitJoint& joint : tree_->split)
-    if (is_in(component, joint.iv)) add_split_inputs(joint, step.q0);
-  for (const Ball& ball : balls_) {
-    if (!is_in(component, ball.iv)) continue;
-    for (int c = 0; c < width_; ++c) {
-      Vec3 start = ball.J1 * Vec3(total_row(ball.iv)[c], total_row(ball.iv + 1)[c], total_row(ball.iv + 2)[c]);
-      if (c == count_ - 1) start += ball.Z1 * xi1_.segment<3>(ball.iv);
-      for (int r = 0; r < 3; ++r)
-        for (int i = 0; i < blocks_.size(); ++i) right_row(ball.iv + r, i)[c] += start[r];
-    }
-  }
+  };
+  sample(solution_, sample_);
+  sample(right_, residual_);
+  return blocks_.backward_error(component, sample_.data(), residual_.data(), kSamples);
 }
 
 bool StepMap::solve(int component) {
   const std::size_t numbers = pattern_.components()[component].size() * blocks_.size() * width_;
   std::copy_n(right_.data(), numbers, solution_.data());
-  std::copy_n(right_.data(), numbers, residual_.data());
   blocks_.solve(component, solution_.data(), width_);
-  double error = blocks_.backward_error(component, solution_.data(), residual_.data(), width_);
-  if (error > kRefine) {
-    blocks_.solve(component, residual_.data(), width_);
-    for (std::size_t i = 0; i < numbers; ++i) solution_[i] += residual_[i];
-    std::copy_n(right_.data(), numbers, residual_.data());
-    error = blocks_.backward_error(component, solution_.data(), residual_.data(), width_);
-  }
-  return error <= kAccept;
+  if (sampled_error(component) <= kRefine) return true;
+  std::copy_n(right_.data(), numbers, residual_.data());
+  blocks_.backward_error(component, solution_.data(), residual_.data(), width_);
+  blocks_.solve(component, residual_.data(), width_);
+  for (std::size_t i = 0; i < numbers; ++i) solution_[i] += residual_[i];
+  return sampled_error(component) <= kAccept;
 }
 
 // Fills turn_ with dq1 and total_ with dp1.
 void StepMap::make_ends(int component) {
   const std::vector<int>& dofs = pattern_.components()[component];
-  const int s = blocks_.size(), size = static_cast<int>(dofs.size());
+  const int s = blocks_.size();
   each_pair(component, [&](int row, int column, DofPattern::Pair pair) {
-    const double* out = output_.at(pair);
-    double* total = total_row(row);
-    for (int j = 0; j < s; ++j) {
-      const double* du = solution_row(column, j);
-      for (int c = 0; c < width_; ++c) total[c] += out[j] * du[c];
-    }
+    kernel_->subtract_product(1, s, width_, output_.at(pair), s, solution_row(column, 0), total_row(row), false);
   });
-  std::fill_n(turn_.data(), static_cast<std::size_t>(size) * width_, 0.0);
   for (const int d : dofs) {
     double* const turn = turn_row(d);
-    for (int j = 0; j < s; ++j)
-      for (int c = 0; c < width_; ++c) turn[c] += hb_[j] * solution_row(d, j)[c];
+    kernel_->subtract_product(1, s, width_, minus_hb_, s, solution_row(d, 0), turn, true);
     turn[count_ - 1] += xi1_[d];
     if (ball_of_[d] < 0) turn[pattern_.place(d)] += 1.0;
   }
@@ -344,10 +234,8 @@ void StepMap::make_ends(int component) {
 // v1 = M^-1 p1: dv1 = M^-1 (dp1 - B dq1).
 void StepMap::to_velocities(int component) {
   each_pair(component, [&](int row, int column, DofPattern::Pair pair) {
-    const double B = stages_.B.at(pair)[stages_.end()];
-    double* p = total_row(row);
-    const double* q = turn_row(column);
-    for (int c = 0; c < width_; ++c) p[c] -= B * q[c];
+    const double* B = stages_.B.at(pair) + stages_.end();
+    kernel_->subtract_product(1, 1, width_, B, 1, turn_row(column), total_row(row), false);
   });
   mass_.solve(component, total_.data(), width_);
 }

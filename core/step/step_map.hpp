@@ -36,8 +36,11 @@ class StepMap {
     Mat3 J1, Z1, R1;                  // J_r(X_1), d(J_r(X_1) y)/dX_1, exp(X_1)
     Vec3 p1;
   };
+  // The columns of a component of so many dofs.
+  static int columns_of(int dofs) { return 3 * dofs + 1; }
   int components() const { return static_cast<int>(pattern_.components().size()); }
   bool is_in(int component, int dof) const;
+  // Calls visit(row, column, pair) for each pair of dofs of a component.
   template <class Visit>
   void each_pair(int component, Visit visit) const;
   void set_weights(double h);
@@ -54,6 +57,7 @@ class StepMap {
   void add_split_inputs(const SplitJoint& joint, const VecX& q0);
   void add_length(int row);
   void make_right_sides(int component, const StepSolution& step);
+  double sampled_error(int component);
   bool solve(int component);
   void make_ends(int component);
   void to_velocities(int component);
@@ -73,20 +77,32 @@ class StepMap {
   DofPattern pattern_;
   StageMatrices stages_;
   TreeBlocks blocks_, mass_;
-  PairMatrix output_;  // of du in sum_j h b_j dG_j, and of dY_j on spherical joints; points: stages
+  PairMatrix output_;  // of du in -sum_j h b_j dG_j, and of dY_j on spherical joints; points: stages
   std::vector<Ball> balls_;
   std::vector<int> ball_of_;    // per dof; -1: none
   std::vector<bool> is_split_;  // per dof: whether its input turns with a body
   // h a_ij and h (a_ij - b_j), [i * stride + j]; a product of one with a matrix at the stages; h b_j.
   AlignedArray hA_, balance_weight_, product_;
-  double hb_[kMaxStages];
+  double hb_[kMaxStages], minus_hb_[kMaxStages];
   MatX xi_;  // change of the displacements with h, (nv, s), and at the end
   VecX xi1_;
   // Of a component: its number of columns and this padded; right sides, solution and residuals; the sum of the start
   // momentum and the forces, which becomes x1; q1.
   int count_ = 0, width_ = 0;
-  AlignedArray right_, solution_, residual_, total_, turn_;
+  AlignedArray right_, solution_, residual_, sample_, total_, turn_;
   MatX matrix_;
 };
+
+template <class Visit>
+void StepMap::each_pair(int component, Visit visit) const {
+  for (const int d : pattern_.components()[component]) {
+    for (int g = 0; g < pattern_.level(d); ++g) {
+      const int a = pattern_.on_path(d, g), entry = pattern_.entry(d, g);
+      visit(d, a, DofPattern::Pair{true, entry});
+      visit(a, d, DofPattern::Pair{false, entry});
+    }
+    visit(d, d, DofPattern::Pair{true, pattern_.diagonal(d)});
+  }
+}
 
 }  // namespace contactvi

@@ -25,7 +25,7 @@ TreeBlocks::TreeBlocks(const DofPattern& pattern, int size)
 
 // Y -= block X, or Y = -block X.
 void TreeBlocks::subtract(const double* block, const double* X, double* Y, int width, bool anew) const {
-  kernel_->subtract_product(size_, width, block, stride_, X, Y, anew);
+  kernel_->subtract_product(size_, size_, width, block, stride_, X, Y, anew);
 }
 
 // By Gauss and Jordan, with exchanged rows.
@@ -88,8 +88,8 @@ bool TreeBlocks::factor() {
       const int row = pattern.on_path(d, g);
       for (int k = 0; k < pattern.level(d); ++k) {
         const double* block = right + pattern.entry(d, k) * area_;
-        double* target = k <= g ? right + pattern.entry(row, k) * area_
-                                : left + pattern.entry(pattern.on_path(d, k), g) * area_;
+        double* target =
+            k <= g ? right + pattern.entry(row, k) * area_ : left + pattern.entry(pattern.on_path(d, k), g) * area_;
         if (size_ == 1) {
           target[0] -= up[0] * block[0];
         } else {
