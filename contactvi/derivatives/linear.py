@@ -7,8 +7,10 @@ converges to the continuous one with the order of the step.
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,6 +25,9 @@ from contactvi.simulation.run import Run
 from contactvi.simulation.simulator import settings_of
 from contactvi.simulation.targets import Targets
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
+
+if TYPE_CHECKING:
+    from contactvi import _core
 
 Array = NDArray[np.float64]
 Numbers = tuple[Array, Array, Array, Array, Array]  # q, x, A, B, dt of StepDerivatives
@@ -146,8 +151,24 @@ def _clear_step(
     rows = Targets(compiled, at).rows(target, np.array([t])) if built.servo_joints else None
     core = compiled.core
     x = np.asarray(core.momentum(at[None], speed[None]))[0] if momentum else speed
-    with compiled.linearizer(options.order, options.stage_tol) as linearizer:
+    with _linearizer(compiled, options) as linearizer:
         return linearizer.step(at, x, momentum, options.fixed_dt, force, None if rows is None else rows[0], t)
+
+
+@contextlib.contextmanager
+def _linearizer(compiled: CompiledScene, options: Options) -> Iterator[_core.Linearizer]:
+    """Lend an engine that linearises steps; it is kept with the scene, as making one takes longer than its use.
+
+    One user at a time has it: functions of the user may let another thread run.
+    """
+    from contactvi import _core
+
+    spare = compiled.linearizers.setdefault((options.order, options.stage_tol), [])
+    engine = spare.pop() if spare else _core.Linearizer(compiled.core, options.order, options.stage_tol)
+    try:
+        yield engine
+    finally:
+        spare.append(engine)
 
 
 def _checked_step(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +44,7 @@ class CompiledScene:
         joint_names: of all joints, that of the world included.
         damping: of the joints, shape (nv,).
         step_options: the options of the step that was linearised last, with what they were made from.
+        linearizers: engines that linearise steps, by order and tolerance, which nobody uses now.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -59,7 +59,7 @@ class CompiledScene:
         self.damping: NDArray[np.float64] = np.array(built.model.damping, dtype=float)
         self._derivatives_checked = False
         self.step_options: tuple[Any, Any] | None = None
-        self._linearizers: dict[tuple[int, float], list[_core.Linearizer]] = {}
+        self.linearizers: dict[tuple[int, float], list[_core.Linearizer]] = {}
 
     def scene(self) -> Scene:
         """Return a new copy of the scene as it was, for the caller to keep and edit; what is built is shared."""
@@ -151,21 +151,6 @@ class CompiledScene:
     def starts_unchecked(self) -> bool:
         """Whether check_start has yet to look at the derivatives of the user's functions."""
         return bool(self._scene.elements) and not self._derivatives_checked
-
-    @contextlib.contextmanager
-    def linearizer(self, order: int, tol: float) -> Iterator[_core.Linearizer]:
-        """Lend an engine that linearises steps; it is kept with the scene, as making one takes longer than its use.
-
-        One user at a time has it: functions of the user may let another thread run.
-        """
-        from contactvi import _core
-
-        spare = self._linearizers.setdefault((order, tol), [])
-        engine = spare.pop() if spare else _core.Linearizer(self.core, order, tol)
-        try:
-            yield engine
-        finally:
-            spare.append(engine)
 
     def check_differentiable(self) -> None:
         """Raise for what is known before a run to have no derivative.

@@ -4,8 +4,8 @@ namespace contactvi {
 
 namespace {
 
-// a = (1 - cos theta)/theta^2 and b = (theta - sin theta)/theta^3 with their derivatives by t = theta^2, as power series
-// that are good to theta = 4: the last term is below 1e-20 of the first there.
+// a = (1 - cos theta)/theta^2 and b = (theta - sin theta)/theta^3 with their derivatives by t = theta^2, as power
+// series that are good to theta = 4: the last term is below 1e-20 of the first there.
 struct Coefficients {
   double a[3], b[3];
 };

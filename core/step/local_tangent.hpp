@@ -2,9 +2,9 @@
 //
 //   dP = M dv + B dx,  dG = C dv + K dx
 //
-// with displacements dx that turn the bodies of spherical joints (body frame). The kernel's dual numbers give one column
-// after the other, in each lane that of another state or dof. Dofs of the same level, on different branches, act on no
-// common dof that they carry, so their columns come out of one evaluation; what a dof does to those that carry it
+// with displacements dx that turn the bodies of spherical joints (body frame). The kernel's dual numbers give one
+// column after the other, in each lane that of another state or dof. Dofs of the same level, on different branches, act
+// on no common dof that they carry, so their columns come out of one evaluation; what a dof does to those that carry it
 // follows from the symmetry of second derivatives: M and K are symmetric, and B is the transpose of C.
 #pragma once
 

@@ -1,5 +1,5 @@
-// The derivative of a smooth step (q0, p0 or v0, tau, h) -> (q1, p1 or v1), all columns at once: the tangent of the stage
-// equations (lanes/lane_iteration.hpp) as a matrix, factored along the tree.
+// The derivative of a smooth step (q0, p0 or v0, tau, h) -> (q1, p1 or v1), all columns at once: the tangent of the
+// stage equations (lanes/lane_iteration.hpp) as a matrix, factored along the tree.
 //
 // Unknown are the changes du of the chart rates at the stages. With w_ij = h a_ij, and h (a_ij - b_j) on spherical
 // joints, which keep their momentum balance beside it, the equations of a stage are

@@ -34,8 +34,8 @@ class TreeBlocks {
   double* at(DofPattern::Pair pair) { return pair.low ? low(pair.entry) : up(pair.entry); }
   // False where a diagonal block is singular.
   bool factor();
-  // Of the last factor: how much larger a diagonal block was than what the dofs below have left of it. So many times the
-  // rounding of its numbers is lost: a long chain hardly resists to what its own links can do.
+  // Of the last factor: how much larger a diagonal block was than what the elimination of the dofs below has left of
+  // it. So many times the rounding of its numbers counts in the result.
   double cancellation() const { return cancellation_; }
   // X <- matrix^-1 X.
   void solve(int component, double* X, int width);
