@@ -33,6 +33,7 @@ DofPattern::DofPattern(const Tree& tree) : level_(tree.nv), first_(tree.nv), pla
   for (int d = 0; d < tree.nv; ++d) {
     const int parent = coupled ? d - 1 : tree.dof_parent[d];
     level_[d] = parent < 0 ? 0 : level_[parent] + 1;
+    depth_ = std::max(depth_, level_[d] + 1);
     first_[d] = entries();
     for (int g = 0; g < level_[d]; ++g) path_.push_back(path_[first_[parent] + g]);
     path_.push_back(d);

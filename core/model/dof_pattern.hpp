@@ -24,6 +24,8 @@ class DofPattern {
   int on_path(int d, int level) const { return path_[first_[d] + level]; }
   int entry(int d, int level) const { return first_[d] + level; }
   int diagonal(int d) const { return first_[d] + level_[d]; }
+  // Dofs on the longest path.
+  int depth() const { return depth_; }
   // Where the pair of a row and a column is found: low: the row's dof is that of the entry.
   struct Pair {
     bool low;
@@ -39,6 +41,7 @@ class DofPattern {
   int place(int d) const { return place_[d]; }
 
  private:
+  int depth_ = 0;
   std::vector<int> level_, first_, path_, place_;
   std::vector<std::vector<int>> components_;
 };

@@ -8,11 +8,6 @@
 
 namespace contactvi {
 
-namespace {
-// Columns from which on a step's matrix costs less than to solve for one after the other (benchmarks/derivatives.py).
-constexpr Eigen::Index kManyColumns = 4;
-}  // namespace
-
 RunTangent::RunTangent(const Scene& scene, const RecordedRun& run, bool take_branch)
     : scene_(&scene),
       run_(&run),
@@ -161,7 +156,7 @@ void RunTangent::move(const Piece& piece, const RunDirections& d) {
 
 // All columns by the matrix of the step. False where some of them need a solution of their own.
 bool RunTangent::move_by_map(const Piece& piece, const RunDirections& d) {
-  if (d.count < kManyColumns) return false;
+  if (!map_.pays_for(static_cast<int>(d.count))) return false;
   for (Eigen::Index k = 0; k < d.count; ++k)
     if (d.parameter(k) != nullptr) return false;
   if (!map_.take(*step_)) return false;

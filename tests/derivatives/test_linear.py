@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -296,3 +299,24 @@ def test_steps_of_other_lengths_orders_and_states_do_not_mix():
             assert found.dt.tobytes() == expected.dt.tobytes()
     with pytest.raises(cvi.InputError, match="dt"):
         cvi.linearize(scene, q, v, dt=-1.0)
+
+
+def test_a_scene_that_its_own_functions_hold_is_collected():
+    """The engine that linearises is kept with the scene, which the functions of the user may hold in turn."""
+
+    def make() -> weakref.ref:
+        scene, rng = chain(JOINTS["revolute"], 2)
+        damping = -0.1 * np.eye(scene.nv)
+
+        def force(t, q, v, scene=scene):
+            return damping @ v
+
+        scene.add_force(force, lambda t, q, v: (0.0 * damping, damping))
+        q, v, tau = state_of(scene, rng)
+        for _ in range(2):
+            cvi.linearize(scene, q, v, tau)
+        return weakref.ref(force)
+
+    force = make()
+    gc.collect()
+    assert force() is None
