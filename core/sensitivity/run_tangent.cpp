@@ -137,34 +137,36 @@ void RunTangent::move(const Piece& piece, const RunDirections& d) {
   }
   const bool at_event = piece.end == PieceEnd::kEvent;
   const bool energies = at_event && run_->map == ImpactMap::kDtec;
-  if (!energies && move_by_map(piece, d)) return;
+  const bool by_map = !energies && apply_map(piece, d);
   for (Eigen::Index k = 0; k < d.count; ++k) {
-    direction_.q = columns_.q.col(k);
-    direction_.p = columns_.p.col(k);
-    direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
-    direction_.parameters = d.parameter(k);
-    direction_.h = piece.end == PieceEnd::kLength ? 0.0 : -columns_.time[k];
-    if (!tangent().solve(direction_, dq_, dp_))
-      throw NoDerivative({"step", -1, piece.t}, "The derivative of a step was not solved",
-                         "tangent equations with a solution", "none", "Use a smaller dt");
-    if (energies) piece_energy_[k] = tangent_.energy_change();
-    columns_.q.col(k) = dq_;
-    columns_.p.col(k) = dp_;
+    if (by_map && d.parameter(k) == nullptr) {
+      columns_.q.col(k) = q1_.col(k);
+      columns_.p.col(k) = p1_.col(k);
+    } else {
+      direction_.q = columns_.q.col(k);
+      direction_.p = columns_.p.col(k);
+      direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+      direction_.parameters = d.parameter(k);
+      direction_.h = piece.end == PieceEnd::kLength ? 0.0 : -columns_.time[k];
+      if (!tangent().solve(direction_, dq_, dp_))
+        throw NoDerivative({"step", -1, piece.t}, "The derivative of a step was not solved",
+                           "tangent equations with a solution", "none", "Use a smaller dt");
+      if (energies) piece_energy_[k] = tangent_.energy_change();
+      columns_.q.col(k) = dq_;
+      columns_.p.col(k) = dp_;
+    }
     if (piece.end == PieceEnd::kTime) columns_.time[k] = 0.0;
   }
 }
 
-// All columns by the matrix of the step. False where some of them need a solution of their own.
-bool RunTangent::move_by_map(const Piece& piece, const RunDirections& d) {
-  if (!map_.pays_for(static_cast<int>(d.count))) return false;
-  for (Eigen::Index k = 0; k < d.count; ++k)
-    if (d.parameter(k) != nullptr) return false;
-  if (!map_.take(*step_)) return false;
+// Fills q1_ and p1_ with the columns at the end of the step, of those without parameters, by the step's matrix. False
+// where that does not pay or has no solution.
+bool RunTangent::apply_map(const Piece& piece, const RunDirections& d) {
+  int columns = 0;
+  for (Eigen::Index k = 0; k < d.count; ++k) columns += d.parameter(k) == nullptr;
+  if (!map_.pays_for(columns) || !map_.take(*step_)) return false;
   const bool moves = piece.end != PieceEnd::kLength;
   map_.apply(columns_.q, columns_.p, d.tau, moves ? VecX(-columns_.time) : VecX(VecX::Zero(d.count)), q1_, p1_);
-  columns_.q.swap(q1_);
-  columns_.p.swap(p1_);
-  if (piece.end == PieceEnd::kTime) columns_.time.setZero();
   return true;
 }
 

@@ -50,7 +50,7 @@ class RunTangent {
   void take_piece(const Piece& piece);
   void take_step(const VecX& q, const VecX& p, double h, double time, const MatX& velocities);
   StepTangent& tangent();
-  bool move_by_map(const Piece& piece, const RunDirections& directions);
+  bool apply_map(const Piece& piece, const RunDirections& directions);
   void take_part(const Piece& piece, double length);
   void move(const Piece& piece, const RunDirections& directions);
   void solve_length(const Piece& piece);
