@@ -235,10 +235,14 @@ def linear_rows(cases: list[Case], rounds: int) -> list[Row]:
     for case in cases:
         scene, q, v, dt, order = case.scene, case.q, case.v, case.options["dt"], case.options["order"]
         core, none = scene.core(), np.zeros(scene.nv)
+        linearizer = _core.Linearizer(core, order, 1e-12)
         functions: dict[str, Callable[[], object]] = {
             "cvi.linearize": lambda s=scene, q=q, v=v, dt=dt, o=order: cvi.linearize(s, q, v, dt=dt, order=o),
-            "_core.linear_step": lambda c=core, q=q, v=v, dt=dt, o=order, n=none: _core.linear_step(
-                c, q, v, False, dt, n, None, 0.0, o, 1e-12
+            "_core.Linearizer.step": lambda s=linearizer.step, q=q, v=v, dt=dt, n=none: s(
+                q, v, False, dt, n, None, 0.0
+            ),
+            "one tangent equation per column": lambda c=core, q=q, v=v, dt=dt, o=order, n=none: _core.linear_step(
+                c, q, v, False, dt, n, None, 0.0, o, 1e-12, by_columns=True
             ),
             "pin.computeABADerivatives": aba_derivatives(scene, q, v),
         }
@@ -248,7 +252,7 @@ def linear_rows(cases: list[Case], rounds: int) -> list[Row]:
         A, flow = cvi.linearize(scene, q, v, dt=dt, order=order)[0], flow_of_step(scene, q, v, dt)
         numbers = step_differences(scene, q, v, dt, order)
         for name, took in seconds.items():
-            ours = name in ("cvi.linearize", "_core.linear_step")
+            ours = name in ("cvi.linearize", "_core.Linearizer.step")
             rows.append({
                 "settings": case.name, "what": name, "us": 1e6 * took, "steps": took / step,
                 "goal": f"<= {LINEAR_GOAL[order]:g}" if ours else "",

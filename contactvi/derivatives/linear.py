@@ -7,8 +7,10 @@ converges to the continuous one with the order of the step.
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -16,13 +18,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi import inputs
 from contactvi.errors import NotDifferentiable, SimulationError
+from contactvi.options import Options
 from contactvi.scene.scene import Scene
+from contactvi.simulation.compatibility import check_unforced
 from contactvi.simulation.run import Run
 from contactvi.simulation.simulator import settings_of
 from contactvi.simulation.targets import Targets
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 
+if TYPE_CHECKING:
+    from contactvi import _core
+
 Array = NDArray[np.float64]
+Numbers = tuple[Array, Array, Array, Array, Array]  # q, x, A, B, dt of StepDerivatives
 
 STATES = ("velocity", "momentum")
 SAME = 1e-9  # relative: ends of a step, solved once in a run and once to rounding, differ by less
@@ -109,14 +117,70 @@ def step_derivatives(
     """
     inputs.check_choice("state", state, STATES, "Unknown kind of state")
     t, dt = inputs.real("t", t), inputs.positive("dt", dt, "the step in seconds, > 0, for example 1e-3")
-    options = settings_of(scene, {"dt": dt, "duration": dt, "order": order, "contact_mode": "events", "ledger": None})
     compiled = compile_scene(scene)
+    options = _step_options(compiled, scene, dt, order)
     _check(compiled)
     force = np.zeros(compiled.states.nv) if tau is None else compiled.states.force(tau)
+    found = _clear_step(compiled, options, q, v, force, target, t, state == "momentum")
+    if found is None:
+        found = _checked_step(compiled, options, q, v, force, target, t, state == "momentum")
+    return StepDerivatives(*found)
+
+
+def _step_options(compiled: CompiledScene, scene: Scene, dt: float, order: int) -> Options:
+    """Return the options of one step; those of the last step are kept with the scene."""
+    key = (type(dt), dt, type(order), order) if isinstance(dt, float) and isinstance(order, int) else None
+    if key is None or compiled.step_options is None or compiled.step_options[0] != key:
+        chosen = {"dt": dt, "duration": dt, "order": order, "contact_mode": "events", "ledger": None}
+        compiled.step_options = (key, settings_of(scene, chosen))
+    return compiled.step_options[1]
+
+
+def _clear_step(
+    compiled: CompiledScene, options: Options, q: ArrayLike, v: ArrayLike | None, force: Array, target: Any, t: float,
+    momentum: bool,
+) -> Numbers | None:  # fmt: skip
+    """Linearise a step that is beyond doubt without contact; None: a run has to tell, with its checks of the start."""
+    states, built = compiled.states, compiled.built
+    if compiled.starts_unchecked or type(t) is not float or (target is not None and not built.servo_joints):
+        return None
+    at = states.configuration(q)
+    given = compiled.v0 if v is None else v
+    speed = np.zeros(states.nv) if given is None else states.velocity(given)
+    if np.any(force):
+        check_unforced(options)
+    rows = Targets(compiled, at).rows(target, np.array([t])) if built.servo_joints else None
+    core = compiled.core
+    x = np.asarray(core.momentum(at[None], speed[None]))[0] if momentum else speed
+    with _linearizer(compiled, options) as linearizer:
+        return linearizer.step(at, x, momentum, options.fixed_dt, force, None if rows is None else rows[0], t)
+
+
+@contextlib.contextmanager
+def _linearizer(compiled: CompiledScene, options: Options) -> Iterator[_core.Linearizer]:
+    """Lend an engine that linearises steps; it is kept with the scene, as making one takes longer than its use.
+
+    One user at a time has it: functions of the user may let another thread run.
+    """
+    from contactvi import _core
+
+    spare = compiled.linearizers.setdefault((options.order, options.stage_tol), [])
+    engine = spare.pop() if spare else _core.Linearizer(compiled.core, options.order, options.stage_tol)
+    try:
+        yield engine
+    finally:
+        spare.append(engine)
+
+
+def _checked_step(
+    compiled: CompiledScene, options: Options, q: ArrayLike, v: ArrayLike | None, force: Array, target: Any, t: float,
+    momentum: bool,
+) -> Numbers:  # fmt: skip
+    """Linearise a step after a run has made it, which tells what happens in it."""
     run = Run(compiled, options, q, v, t)
     if run.refused is not None:
         raise run.refused
-    start, momentum = run.q, run.p
+    start, p = run.q, run.p
     rows = run.targets(target, 1)
     status = run.advance(1, force[None], rows)
     _check_smooth(run)
@@ -125,13 +189,14 @@ def step_derivatives(
             f"The step was not made: {status.message}", expected="one step without contact", got=status.code.name,
             remedy="Use a smaller dt", status=status,
         )  # fmt: skip
-    x = momentum if state == "momentum" else np.asarray(compiled.core.velocity(start[None], momentum[None]))[0]
+    x = p if momentum else np.asarray(compiled.core.velocity(start[None], p[None]))[0]
     from contactvi import _core
 
-    end, after, A, B, by_dt = _core.linear_step(
-        compiled.core, start, x, state == "momentum", options.fixed_dt, force, None if rows is None else rows[0], t,
+    found = _core.linear_step(
+        compiled.core, start, x, momentum, options.fixed_dt, force, None if rows is None else rows[0], t,
         options.order, options.stage_tol,
     )  # fmt: skip
+    end = found[0]
     off = float(np.abs(end - run.q).max(initial=0.0))
     if off > SAME * (1.0 + float(np.abs(end).max(initial=0.0))):
         raise NotDifferentiable(
@@ -139,7 +204,7 @@ def step_derivatives(
             expected="inputs and servos within their limits", got=f"a step whose end is {off:.2g} off without them",
             remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False)",
         )  # fmt: skip
-    return StepDerivatives(end, after, np.asarray(A), np.asarray(B), by_dt)
+    return found
 
 
 def forward_dynamics_derivatives(

@@ -70,7 +70,7 @@ class Built:
         }
         return next((what for what, is_there in reasons.items() if is_there), None)
 
-    @property
+    @cached_property
     def servo_joints(self) -> list[str]:
         """The joints with a servo, in the order of v."""
         some = np.any(self.arrays.servo[:2] != 0.0, axis=0)

@@ -582,7 +582,7 @@ class Scene:
     @property
     def servo_joints(self) -> list[str]:
         """The joints with a servo, in the order of v."""
-        return self.built().servo_joints
+        return list(self.built().servo_joints)
 
     @property
     def model(self) -> pin.Model:

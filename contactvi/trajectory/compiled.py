@@ -44,6 +44,8 @@ class CompiledScene:
         pair_names: of the tested pairs, engine order.
         joint_names: of all joints, that of the world included.
         damping: of the joints, shape (nv,).
+        step_options: the options of the step that was linearised last, with what they were made from.
+        linearizers: engines that linearise steps, by order and tolerance, which nobody uses now.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -57,6 +59,8 @@ class CompiledScene:
         self.joint_names = [str(name) for name in built.model.names]
         self.damping: NDArray[np.float64] = np.array(built.model.damping, dtype=float)
         self._derivatives_checked = False
+        self.step_options: tuple[Any, Any] | None = None
+        self.linearizers: dict[tuple[int, float], list[_core.Linearizer]] = {}
 
     def scene(self) -> Scene:
         """Return a new copy of the scene as it was, for the caller to keep and edit; what is built is shared."""
@@ -143,6 +147,11 @@ class CompiledScene:
         if not self._derivatives_checked:
             self._derivatives_checked = True
             self._check_derivatives(q, v, t)
+
+    @property
+    def starts_unchecked(self) -> bool:
+        """Whether check_start has yet to look at the derivatives of the user's functions."""
+        return bool(self._scene.elements) and not self._derivatives_checked
 
     def check_differentiable(self) -> None:
         """Raise for what is known before a run to have no derivative.

@@ -17,6 +17,7 @@
 #include "bindings/expose.hpp"
 #include "bindings/parameter_results.hpp"
 #include "bindings/user_calls.hpp"
+#include "event/clear_step.hpp"
 #include "geometry/contact_tangent.hpp"
 #include "geometry/guard.hpp"
 #include "model/scene.hpp"
@@ -56,17 +57,66 @@ StepInputs inputs_of(const Tree& tree, double t, const std::optional<VecX>& tau,
   return inputs;
 }
 
-std::tuple<VecX, VecX, Rows, Rows, VecX> linear_step(const Scene& s, const VecX& q, const VecX& x, bool momentum,
-                                                     double h, const std::optional<VecX>& tau,
-                                                     const std::optional<VecX>& target, double t, int order,
-                                                     double tol) {
+using LinearArrays = std::tuple<VecX, VecX, Rows, Rows, VecX>;
+
+LinearArrays linear_step(const Scene& s, const VecX& q, const VecX& x, bool momentum, double h,
+                         const std::optional<VecX>& tau, const std::optional<VecX>& target, double t, int order,
+                         double tol, bool by_columns) {
   need_state(s.tree, q, x);
   need_order(order);
   const StateKind kind = momentum ? StateKind::kMomentum : StateKind::kVelocity;
-  const LinearStep step = linearize_step(s.tree, q, x, kind, h, inputs_of(s.tree, t, tau, target), order / 2, tol);
+  const StepInputs inputs = inputs_of(s.tree, t, tau, target);
+  StepLinearizer linearizer(s.tree, order / 2, tol);
+  const LinearStep& step =
+      by_columns ? linearizer.solve_by_columns(q, x, kind, h, inputs) : linearizer.solve(q, x, kind, h, inputs);
   UserErrors::raise();
   return {step.q1, step.x1, Rows(step.A), Rows(step.B), step.h};
 }
+
+// Linearises steps of a scene that are beyond doubt without contact, from starts that have a velocity.
+class Linearizer {
+ public:
+  Linearizer(const Scene& scene, int order, double tol)
+      : scene_(&scene), linearizer_(scene.tree, (need_order(order), order / 2), tol), clear_(scene, order / 2) {}
+
+  std::optional<LinearArrays> step(const VecX& q, const VecX& x, bool momentum, double h,
+                                   const std::optional<VecX>& tau, const std::optional<VecX>& target, double t) {
+    need_state(scene_->tree, q, x);
+    const StateKind kind = momentum ? StateKind::kMomentum : StateKind::kVelocity;
+    const StepInputs inputs = inputs_of(scene_->tree, t, tau, target);
+    try {
+      const LinearStep& step = linearizer_.solve(q, x, kind, h, inputs);
+      UserErrors::raise();
+      if (!(linearizer_.lost_velocity() <= kMostLost) ||
+          !clear_.check(linearizer_.step(), linearizer_.integrator(), inputs, h))
+        return std::nullopt;
+      return LinearArrays{step.q1, step.x1, Rows(step.A), Rows(step.B), step.h};
+    } catch (const Refusal&) {
+      UserErrors::raise();
+      return std::nullopt;
+    }
+  }
+
+  const Scene& scene() const { return *scene_; }
+
+ private:
+  // Far below what the check of a start refuses (MOST_LOST in trajectory/compiled.py), which is made where it is more.
+  static constexpr double kMostLost = 1e-5;
+  const Scene* scene_;
+  StepLinearizer linearizer_;
+  ClearStep clear_;
+};
+
+// The scene is kept alive, which the garbage collector has to see.
+int traverse_linearizer(PyObject* self, visitproc visit, void* arg) {
+  Py_VISIT(Py_TYPE(self));
+  if (!nb::inst_ready(self)) return 0;
+  nb::object scene = nb::find(nb::inst_ptr<Linearizer>(self)->scene());
+  Py_VISIT(scene.ptr());
+  return 0;
+}
+
+PyType_Slot linearizer_slots[] = {{Py_tp_traverse, reinterpret_cast<void*>(&traverse_linearizer)}, {0, nullptr}};
 
 std::tuple<VecX, VecX, VecX, double, Parameters> adjoint_step(const Scene& s, const VecX& q, const VecX& x,
                                                               bool momentum, double h, const VecX& lq, const VecX& lx,
@@ -91,7 +141,8 @@ Numbers derivative_costs(const Scene& s, const VecX& q, const VecX& v, double h,
   need_order(order);
   const int n = s.tree.nv;
   const StepInputs inputs{0.0, VecX(), Servo()};
-  PublicStep step(s.tree, q, v, StateKind::kVelocity, h, inputs, order / 2, 1e-12);
+  Integrator integrator(s.tree, order / 2, 1e-12, kStepIterations);
+  PublicStep step(s.tree, q, v, StateKind::kVelocity, h, inputs, integrator);
   StepTangent tangent(s.tree, order / 2);
   StepAdjoint adjoint(s.tree, order / 2);
   step.give(tangent);
@@ -191,9 +242,15 @@ std::tuple<Rows, std::vector<Rows>, Rows> contact_row_changes(const Scene& s, co
 
 void expose_derivatives(nb::module_& m) {
   m.def("linear_step", &linear_step, "scene"_a, "q"_a, "x"_a, "momentum"_a, "h"_a, "tau"_a = nb::none(),
-        "target"_a = nb::none(), "t"_a = 0.0, "order"_a = 2, "tol"_a = 1e-12,
+        "target"_a = nb::none(), "t"_a = 0.0, "order"_a = 2, "tol"_a = 1e-12, "by_columns"_a = false,
         "One smooth step and its derivatives: (q1, x1, A (2 nv, 2 nv), B (2 nv, nv), d(q1, x1)/dh (2 nv,)), x being "
-        "the velocity or the momentum; target: references of the servos (2 nv,).");
+        "the velocity or the momentum; target: references of the servos (2 nv,). by_columns: by the slow way, which "
+        "solves one tangent equation per column.");
+  nb::class_<Linearizer>(m, "Linearizer", nb::type_slots(linearizer_slots))
+      .def(nb::init<const Scene&, int, double>(), "scene"_a, "order"_a, "tol"_a, nb::keep_alive<1, 2>())
+      .def("step", &Linearizer::step, "q"_a, "x"_a, "momentum"_a, "h"_a, "tau"_a.none(), "target"_a.none(), "t"_a,
+           "As linear_step(); None where the step is not solved, or not beyond doubt without contacts, actuators at "
+           "their limits and motions without inertia.");
   m.def(
       "adjoint_step", &adjoint_step, "scene"_a, "q"_a, "x"_a, "momentum"_a, "h"_a, "lq"_a, "lx"_a, "tau"_a = nb::none(),
       "target"_a = nb::none(), "t"_a = 0.0, "order"_a = 2, "tol"_a = 1e-12,

@@ -282,8 +282,36 @@ void combine(int nv, int s, int S, const double* weight, const double* in, doubl
     }
 }
 
+// fixed: the number of inner ones where it is known, else 0.
+template <class V, int fixed>
+LANE_INLINE void subtract_inner(int rows, int given, int width, const double* A, int stride, const double* X, double* Y,
+                                bool anew) {
+  const int inner = fixed > 0 ? fixed : given;
+  for (int at = 0; at < width; at += Lane<V>::count) {
+    V x[8];
+    for (int k = 0; k < inner; ++k) x[k] = load<V>(X + k * width + at);
+    for (int i = 0; i < rows; ++i) {
+      V sum = anew ? Lane<V>::all(0.0) : load<V>(Y + i * width + at);
+      for (int k = 0; k < inner; ++k) sum = sum - A[i * stride + k] * x[k];
+      store<V>(Y + i * width + at, sum);
+    }
+  }
+}
+
+template <class V>
+void subtract_product(int rows, int inner, int width, const double* A, int stride, const double* X, double* Y,
+                      bool anew) {
+  if (inner == 1 && rows == 1) {
+    subtract_inner<V, 1>(1, 1, width, A, stride, X, Y, anew);
+  } else if (inner == 8) {
+    subtract_inner<V, 8>(rows, 8, width, A, stride, X, Y, anew);
+  } else {
+    subtract_inner<V, 0>(rows, inner, width, A, stride, X, Y, anew);
+  }
+}
+
 template <class V>
 constexpr LaneKernel lane_kernel() {
-  return {Lane<V>::count, evaluate<V>, place_stages<V>, factor_stages<V>, solve_stages<V>,
-          iterate<V>,     rates<V>,    combine<V>,      tangent<V>,       evaluate_tangent<V>};
+  return {Lane<V>::count, evaluate<V>, place_stages<V>, factor_stages<V>,    solve_stages<V>,    iterate<V>,
+          rates<V>,       combine<V>,  tangent<V>,      evaluate_tangent<V>, subtract_product<V>};
 }

@@ -116,6 +116,10 @@ struct LaneKernel {
   void (*tangent)(const LaneTree*, const LaneWork*);
   // Of P and G alone, at the given X and v.
   void (*evaluate_tangent)(const LaneTree*, const LaneWork*);
+  // Y (rows, width) -= A X, or Y = -A X, with A (rows, inner) in rows of stride numbers and X (inner, width), which may
+  // be Y. At most 8 inner ones; a width that is a multiple of 8; X and Y aligned to 64 bytes.
+  void (*subtract_product)(int rows, int inner, int width, const double* A, int stride, const double* X, double* Y,
+                           bool anew);
 };
 
 }  // namespace contactvi

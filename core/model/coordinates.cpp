@@ -1,5 +1,7 @@
 #include "model/coordinates.hpp"
 
+#include <cmath>
+
 namespace contactvi {
 
 namespace {
@@ -43,6 +45,20 @@ void add_turn_adjoint(const SplitJoint& split, double sign, const VecCRef& x, co
 }
 
 }  // namespace
+
+Mat3 split_axes(const SplitJoint& split, const VecCRef& q0, const VecCRef& X) {
+  const int iq = split.iq, iv = split.iv;
+  if (!split.planar) {
+    const Quat quat(q0[iq + 6], q0[iq + 3], q0[iq + 4], q0[iq + 5]);
+    return (quat * so3_exp(Vec3(X.segment<3>(iv + 3)))).toRotationMatrix();
+  }
+  const double c = std::cos(X[iv + 2]), s = std::sin(X[iv + 2]), c0 = q0[iq + 2], s0 = q0[iq + 3];
+  Mat3 R = Mat3::Identity();
+  R(0, 0) = R(1, 1) = c0 * c - s0 * s;
+  R(1, 0) = s0 * c + c0 * s;
+  R(0, 1) = -R(1, 0);
+  return R;
+}
 
 void public_to_engine_tangent(const Tree& tree, const VecCRef& q, const VecCRef& dq, const VecCRef& w, VecRef dw) {
   for (const SplitJoint& split : tree.split) add_turn(split, dq, 1.0, w, dw);

@@ -12,8 +12,11 @@ namespace contactvi {
 void public_to_engine(const Tree& tree, const VecCRef& q, VecRef w);
 void engine_to_public(const Tree& tree, const VecCRef& q, VecRef w);
 
-// Their derivatives along dq, a tangent vector at q in engine coordinates: dw is the derivative of w on entry and that
-// of the result on return. w: before the conversion.
+// Axes of the body of a split joint in the world, displaced by X (nv,) from q0; of a planar joint in the plane.
+Mat3 split_axes(const SplitJoint& split, const VecCRef& q0, const VecCRef& X);
+
+// Derivatives of the two conversions along dq, a tangent vector at q in engine coordinates: dw is the derivative of w
+// on entry and that of the result on return. w: before the conversion.
 void public_to_engine_tangent(const Tree& tree, const VecCRef& q, const VecCRef& dq, const VecCRef& w, VecRef dw);
 void engine_to_public_tangent(const Tree& tree, const VecCRef& q, const VecCRef& dq, const VecCRef& w, VecRef dw);
 

@@ -1,8 +1,8 @@
 // The gradient of a function of a recorded run: from its gradients in the states at the nodes to those in the start,
 // the inputs of all steps and the parameters, by the transposes of the maps of RunTangent in the reverse order.
 //
-// A smooth piece costs one transposed step (StepAdjoint), one with persistent contacts too. The linear maps of impacts are made as matrices, and so is
-// the energy by which DTEC takes its reference: events are rare beside steps.
+// A smooth piece costs one transposed step (StepAdjoint), one with persistent contacts too. The linear maps of impacts
+// are made as matrices, and so is the energy by which DTEC takes its reference: events are rare beside steps.
 #pragma once
 
 #include "sensitivity/contact_piece_adjoint.hpp"

@@ -14,6 +14,8 @@ RunTangent::RunTangent(const Scene& scene, const RecordedRun& run, bool take_bra
       take_branch_(take_branch),
       integrator_(scene.tree, run.stages, run.tol, 200),
       tangent_(scene.tree, run.stages),
+      map_(scene.tree, run.stages, false),
+      node_map_(scene.tree),
       inputs_(scene.tree, run),
       impact_(scene, run),
       dq_(scene.tree.nv),
@@ -63,7 +65,23 @@ void RunTangent::take_piece(const Piece& piece) {
     contact_.take(piece, inputs_);
     return;
   }
-  tangent_.take(piece.q, piece.p, piece.h, inputs_.tau(), piece.t, inputs_.servo(), piece.velocities);
+  take_step(piece.q, piece.p, piece.h, piece.t, piece.velocities);
+}
+
+// A step with the inputs of the piece, of which the arrays live on.
+void RunTangent::take_step(const VecX& q, const VecX& p, double h, double time, const MatX& velocities) {
+  step_.emplace(StepSolution{q, p, h, inputs_.tau(), time, inputs_.servo(), velocities});
+  tangent_has_step_ = false;
+}
+
+// The tangent of the step that was taken.
+StepTangent& RunTangent::tangent() {
+  if (!tangent_has_step_) {
+    const StepSolution& s = *step_;
+    tangent_.take(s.q0, s.p0, s.h, s.tau, s.time, s.servo, s.velocities);
+  }
+  tangent_has_step_ = true;
+  return tangent_;
 }
 
 // The derivative of the end of the piece that was taken by its length.
@@ -74,7 +92,7 @@ void RunTangent::solve_length(const Piece& piece) {
   }
   direction_ = StepDirection();
   direction_.h = 1.0;
-  if (!tangent_.solve(direction_, fq_, fp_)) throw Error("the derivative of a step was not solved");
+  if (!tangent().solve(direction_, fq_, fp_)) throw Error("the derivative of a step was not solved");
 }
 
 // The part of a step up to a time inside of it.
@@ -88,7 +106,7 @@ void RunTangent::take_part(const Piece& piece, double length) {
   if (!integrator_.solve_closely(piece.q, piece.p, length, inputs_.tau()) &&
       !integrator_.solve(piece.q, piece.p, length, inputs_.tau()))
     throw Error("a part of a recorded step was not solved");
-  tangent_.take(piece.q, piece.p, length, inputs_.tau(), piece.t, inputs_.servo(), integrator_.velocities());
+  take_step(piece.q, piece.p, length, piece.t, integrator_.velocities());
 }
 
 // Moves the columns to the end of the piece that was taken, at the time that it ends at or, where it has a given
@@ -101,20 +119,37 @@ void RunTangent::move(const Piece& piece, const RunDirections& d) {
   }
   const bool at_event = piece.end == PieceEnd::kEvent;
   const bool energies = at_event && run_->map == ImpactMap::kDtec;
+  const bool by_map = !energies && apply_map(piece, d);
   for (Eigen::Index k = 0; k < d.count; ++k) {
-    direction_.q = columns_.q.col(k);
-    direction_.p = columns_.p.col(k);
-    direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
-    direction_.parameters = d.parameter(k);
-    direction_.h = piece.end == PieceEnd::kLength ? 0.0 : -columns_.time[k];
-    if (!tangent_.solve(direction_, dq_, dp_))
-      throw NoDerivative({"step", -1, piece.t}, "The derivative of a step was not solved",
-                         "tangent equations with a solution", "none", "Use a smaller dt");
-    if (energies) piece_energy_[k] = tangent_.energy_change();
-    columns_.q.col(k) = dq_;
-    columns_.p.col(k) = dp_;
+    if (by_map && d.parameter(k) == nullptr) {
+      columns_.q.col(k) = q1_.col(k);
+      columns_.p.col(k) = p1_.col(k);
+    } else {
+      direction_.q = columns_.q.col(k);
+      direction_.p = columns_.p.col(k);
+      direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+      direction_.parameters = d.parameter(k);
+      direction_.h = piece.end == PieceEnd::kLength ? 0.0 : -columns_.time[k];
+      if (!tangent().solve(direction_, dq_, dp_))
+        throw NoDerivative({"step", -1, piece.t}, "The derivative of a step was not solved",
+                           "tangent equations with a solution", "none", "Use a smaller dt");
+      if (energies) piece_energy_[k] = tangent_.energy_change();
+      columns_.q.col(k) = dq_;
+      columns_.p.col(k) = dp_;
+    }
     if (piece.end == PieceEnd::kTime) columns_.time[k] = 0.0;
   }
+}
+
+// Fills q1_ and p1_ with the columns at the end of the step, of those without parameters, by the step's matrix. False
+// where that does not pay or has no solution.
+bool RunTangent::apply_map(const Piece& piece, const RunDirections& d) {
+  int columns = 0;
+  for (Eigen::Index k = 0; k < d.count; ++k) columns += d.parameter(k) == nullptr;
+  if (!map_.pays_for(columns) || !map_.take(*step_)) return false;
+  const bool moves = piece.end != PieceEnd::kLength;
+  map_.apply(columns_.q, columns_.p, d.tau, moves ? VecX(-columns_.time) : VecX(VecX::Zero(d.count)), q1_, p1_);
+  return true;
 }
 
 // The reference of an implicit map before the impacts of an event.
@@ -220,7 +255,8 @@ void RunTangent::reach_node(const VecX& q, const VecX& p, double time, const Run
   Piece rest;
   rest.t = time;
   rest.end = PieceEnd::kTime;
-  tangent_.take(q, p, 0.0, inputs_.tau(), time, inputs_.servo(), v.replicate(1, run_->stages));
+  rest_velocities_ = v.replicate(1, run_->stages);
+  take_step(q, p, 0.0, time, rest_velocities_);
   move(rest, d);
 }
 
@@ -228,18 +264,27 @@ void RunTangent::record(double time, const VecX& q, const VecX& p, const RunDire
   const int n = scene_->tree.nv;
   VecX v(n);
   if (!integrator_.node_velocity(q, p, v)) throw Error("the mass matrix is not positive definite");
+  MatX D(2 * n, columns_.q.cols());
+  p1_ = columns_.p;
+  for (Eigen::Index k = 0; k < columns_.q.cols(); ++k) {
+    if (d.parameter(k) == nullptr) continue;
+    VecX heavier = VecX::Zero(n);
+    tangent_.add_momentum(q, v, *d.parameter(k), heavier);
+    p1_.col(k) -= heavier;
+  }
+  const bool together = node_map_.take(q, v);
+  if (together) node_map_.to_velocities(columns_.q, p1_);
   VecX w = v;
   engine_to_public(scene_->tree, q, w);
-  MatX D(2 * n, columns_.q.cols());
   for (Eigen::Index k = 0; k < columns_.q.cols(); ++k) {
     dq_ = columns_.q.col(k);
-    dp_ = columns_.p.col(k);
-    if (d.parameter(k) != nullptr) {
-      VecX heavier = VecX::Zero(n);
-      tangent_.add_momentum(q, v, *d.parameter(k), heavier);
-      dp_ -= heavier;
+    dp_ = p1_.col(k);
+    if (together) {
+      engine_to_public_tangent(scene_->tree, q, dq_, v, dp_);
+      engine_to_public(scene_->tree, q, dq_);
+    } else {
+      to_public_direction(scene_->tree, tangent_, integrator_, {StateKind::kVelocity, q, w, v, p}, dq_, dp_);
     }
-    to_public_direction(scene_->tree, tangent_, integrator_, {StateKind::kVelocity, q, w, v, p}, dq_, dp_);
     D.col(k) << dq_, dp_;
   }
   result.times.push_back(time);

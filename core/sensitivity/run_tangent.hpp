@@ -9,11 +9,15 @@
 // than these (halved ones) count as having fixed lengths.
 #pragma once
 
+#include <optional>
+
 #include "sensitivity/contact_pieces.hpp"
 #include "sensitivity/event_hit.hpp"
 #include "sensitivity/impact_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
+#include "step/node_map.hpp"
 #include "step/public_tangent.hpp"
+#include "step/step_map.hpp"
 
 namespace contactvi {
 
@@ -45,6 +49,9 @@ class RunTangent {
  private:
   void start(const RunDirections& directions);
   void take_piece(const Piece& piece);
+  void take_step(const VecX& q, const VecX& p, double h, double time, const MatX& velocities);
+  StepTangent& tangent();
+  bool apply_map(const Piece& piece, const RunDirections& directions);
   void take_part(const Piece& piece, double length);
   void move(const Piece& piece, const RunDirections& directions);
   void solve_length(const Piece& piece);
@@ -60,7 +67,12 @@ class RunTangent {
   const RecordedRun* run_;
   bool take_branch_;
   Integrator integrator_;
-  StepTangent tangent_;
+  StepTangent tangent_;  // of single directions
+  bool tangent_has_step_ = false;
+  StepMap map_;  // of many
+  NodeMap node_map_;
+  std::optional<StepSolution> step_;  // that was taken
+  MatX rest_velocities_, q1_, p1_;
   PieceInputs inputs_;
   ImpactTangent impact_;
   StepDirection direction_;

@@ -222,6 +222,12 @@ void Integrator::forget() {
   start_.forget();
 }
 
+void Integrator::start_anew() {
+  forget();
+  solved_ = newton_ = false;
+  std::fill_n(stages_.P(), tree_->nv * stages_.padded(), 0.0);  // the first iteration measures with them
+}
+
 Integrator::Memory Integrator::memory() {
   solved_ = false;  // the stages are not remembered
   const double* P = stages_.P();

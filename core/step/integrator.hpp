@@ -39,6 +39,8 @@ class Integrator final : public Stepper, public StepEquations {
   void accept();
   // The next step starts elsewhere.
   void forget() override;
+  // Nothing that was solved before counts any more: not even how well its iterations contracted.
+  void start_anew();
   // What the next step starts from besides the state: with it a run goes on later with the same digits.
   struct Memory {
     StartValues start;

@@ -1,20 +1,90 @@
 #include "step/linearize.hpp"
 
+#include <cmath>
+#include <limits>
+
 #include "base/refusal.hpp"
 #include "model/coordinates.hpp"
 #include "step/public_tangent.hpp"
 
 namespace contactvi {
 
-LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h,
-                          const StepInputs& inputs, int stages, double tol) {
+namespace {
+
+// The columns of the engine's derivative by q0, x0, tau and h become public ones.
+void to_public(const Tree& tree, const PublicStep& step, const MatX& matrix, LinearStep& result) {
   const int n = tree.nv;
-  PublicStep step(tree, q0, x0, kind, h, inputs, stages, tol);
-  StepTangent tangent(tree, stages);
+  result.A = matrix.leftCols(2 * n);
+  result.B = matrix.middleCols(2 * n, n);
+  result.h = matrix.col(3 * n);
+  if (tree.split.empty()) return;
+  VecX dq(n), dx(n);
+  for (int k = 0; k < 2 * n; ++k) {
+    dq.setZero();
+    dx.setZero();
+    (k < n ? dq[k] : dx[k - n]) = 1.0;
+    public_to_engine(tree, step.q0, dq);
+    public_to_engine_tangent(tree, step.q0, dq, step.x0, dx);
+    auto column = result.A.col(k);
+    column.setZero();
+    for (int d = 0; d < n; ++d) {
+      if (dq[d] != 0.0) column += dq[d] * matrix.col(d);
+      if (dx[d] != 0.0) column += dx[d] * matrix.col(n + d);
+    }
+  }
+  const VecX& x1 = step.kind() == StateKind::kVelocity ? step.v1 : step.p1;
+  const auto turn = [&](auto&& column) {
+    dq = column.head(n);
+    dx = column.tail(n);
+    engine_to_public_tangent(tree, step.q1, dq, x1, dx);
+    engine_to_public(tree, step.q1, dq);
+    column.head(n) = dq;
+    column.tail(n) = dx;
+  };
+  for (int k = 0; k < 2 * n; ++k) turn(result.A.col(k));
+  for (int k = 0; k < n; ++k) turn(result.B.col(k));
+  turn(result.h);
+}
+
+}  // namespace
+
+StepLinearizer::StepLinearizer(const Tree& tree, int stages, double tol)
+    : tree_(&tree), stages_(stages), integrator_(tree, stages, tol, kStepIterations) {}
+
+void StepLinearizer::make_step(const VecX& q0, const VecX& x0, StateKind kind, double h, const StepInputs& inputs) {
+  step_.emplace(*tree_, q0, x0, kind, h, inputs, integrator_);
+  result_.q1 = step_->q1;
+  result_.x1 = step_->x1;
+}
+
+const LinearStep& StepLinearizer::solve(const VecX& q0, const VecX& x0, StateKind kind, double h,
+                                        const StepInputs& inputs) {
+  make_step(q0, x0, kind, h, inputs);
+  const bool velocity = kind == StateKind::kVelocity;
+  std::unique_ptr<StepMap>& map = maps_[velocity ? 0 : 1];
+  if (!map) map = std::make_unique<StepMap>(*tree_, stages_, velocity);
+  if (map->take(step_->solution())) {
+    to_public(*tree_, *step_, map->matrix(), result_);
+  } else {
+    solve_columns();
+  }
+  return result_;
+}
+
+const LinearStep& StepLinearizer::solve_by_columns(const VecX& q0, const VecX& x0, StateKind kind, double h,
+                                                   const StepInputs& inputs) {
+  make_step(q0, x0, kind, h, inputs);
+  solve_columns();
+  return result_;
+}
+
+void StepLinearizer::solve_columns() {
+  const Tree& tree = *tree_;
+  const int n = tree.nv;
+  PublicStep& step = *step_;
+  LinearStep& result = result_;
+  StepTangent tangent(tree, stages_);
   step.give(tangent);
-  LinearStep result;
-  result.q1 = step.q1;
-  result.x1 = step.x1;
   result.A.resize(2 * n, 2 * n);
   result.B.resize(2 * n, n);
   result.h.resize(2 * n);
@@ -44,7 +114,16 @@ LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, Stat
   direction = StepDirection();
   direction.h = 1.0;
   solve(result.h);
-  return result;
+}
+
+double StepLinearizer::lost_velocity() {
+  const int n = tree_->nv;
+  VecX w(n), p(n), G(n), again(n);
+  for (int d = 0; d < n; ++d) w[d] = std::sin(1.0 + d);
+  integrator_.dynamics(step_->q0, w, p, G);
+  integrator_.node_velocity(step_->q0, p, again);
+  const double lost = n > 0 ? (again - w).cwiseAbs().maxCoeff() : 0.0;
+  return std::isfinite(lost) ? lost : std::numeric_limits<double>::infinity();
 }
 
 LinearForces linearize_forces(const Tree& tree, const VecX& q, const VecX& v, const StepInputs& inputs) {

@@ -1,7 +1,11 @@
 // The derivative of one smooth step in public coordinates, all columns: A and B of the discrete-time linear system.
 #pragma once
 
+#include <memory>
+#include <optional>
+
 #include "step/public_step.hpp"
+#include "step/step_map.hpp"
 
 namespace contactvi {
 
@@ -12,9 +16,34 @@ struct LinearStep {
   VecX h;       // d(q1, x1)/dh, (2 nv,)
 };
 
-// The step of length h from (q0, x0). Throws Error where it or its derivative cannot be solved.
-LinearStep linearize_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h,
-                          const StepInputs& inputs, int stages, double tol);
+// Linearises one step after the other of a tree.
+class StepLinearizer {
+ public:
+  StepLinearizer(const Tree& tree, int stages, double tol);
+
+  // A step of length h from (q0, x0), which stays solved until the next call. Throws Refusal where it cannot be solved.
+  // What was solved before changes no digit.
+  const LinearStep& solve(const VecX& q0, const VecX& x0, StateKind kind, double h, const StepInputs& inputs);
+  // The same by one tangent equation per column (step_tangent.hpp): slow, and the reference of tests.
+  const LinearStep& solve_by_columns(const VecX& q0, const VecX& x0, StateKind kind, double h,
+                                     const StepInputs& inputs);
+  // Of the last call.
+  const PublicStep& step() const { return *step_; }
+  Integrator& integrator() { return integrator_; }
+  // How much of a velocity of size 1 the mass matrix at the start loses: M^-1 (M w) - w, the largest number.
+  double lost_velocity();
+
+ private:
+  void make_step(const VecX& q0, const VecX& x0, StateKind kind, double h, const StepInputs& inputs);
+  void solve_columns();
+
+  const Tree* tree_;
+  int stages_;
+  Integrator integrator_;
+  std::unique_ptr<StepMap> maps_[2];  // in velocities, in momenta
+  std::optional<PublicStep> step_;
+  LinearStep result_;
+};
 
 // Forces of springs, dampers, servos and elements at a state, without gravity, in public coordinates.
 struct LinearForces {

@@ -44,6 +44,8 @@ class Stages {
   const ForceField& field() const { return field_; }
   // Factors by which damping [s] and stiffness [s^2] enter the matrix of stage i.
   std::pair<double, double> shares(int i) const;
+  // Whether there are forces that evaluate() does not know in the step that began.
+  bool has_extra_forces() const { return work_.extra != nullptr; }
   // Replaces the start momentum of the step that began.
   void start_from(const VecCRef& p0);
   // Sets a configuration without a step, for functions of a single state.
@@ -99,6 +101,7 @@ class Stages {
  private:
   friend class StepTangent;  // these work on the arrays and their shadows
   friend class StepAdjoint;
+  friend class LocalTangent;
   void allocate(bool with_derivatives);
   void set_base(const VecCRef& q0);
   void set_step(double h);

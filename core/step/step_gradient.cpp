@@ -8,7 +8,8 @@ namespace contactvi {
 StepGradient pull_back_step(const Tree& tree, const VecX& q0, const VecX& x0, StateKind kind, double h,
                             const StepInputs& inputs, int stages, double tol, const VecX& lq, const VecX& lx) {
   const int n = tree.nv;
-  PublicStep step(tree, q0, x0, kind, h, inputs, stages, tol);
+  Integrator integrator(tree, stages, tol, kStepIterations);
+  PublicStep step(tree, q0, x0, kind, h, inputs, integrator);
   StepAdjoint adjoint(tree, stages);
   step.give(adjoint);
   StepGradient result{VecX(n), VecX(n), VecX(n), 0.0, StepParameters(tree)};

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -232,3 +235,88 @@ def test_the_oscillator_in_closed_form():
     inverse = np.linalg.inv(np.eye(2) - half)
     assert pytest.approx(inverse @ (np.eye(2) + half), abs=1e-14) == A
     assert pytest.approx(inverse @ np.array([[0.0], [0.05]]), abs=1e-14) == B
+
+
+# -- steps that need no run -------------------------------------------------------------------------------------------
+
+
+def no_run(*_args, **_options):
+    raise RuntimeError("a run was made")
+
+
+def test_a_step_that_is_far_from_all_contact_makes_no_run(monkeypatch):
+    scene, q = ball(0.5)
+    v, tau = np.array([0.3, 0.0, -1.0, 0.1, 0.2, 0.0]), np.array([0.0, 0.1, 0.2, 0.0, 0.0, 0.3])
+    compare_with_a_run(scene, q, v, tau, monkeypatch)
+
+
+def test_a_step_within_the_limits_of_actuators_makes_no_run(monkeypatch):
+    scene, rng = chain(JOINTS["revolute"], 2)
+    scene.set_actuator("*", effort=100.0, velocity=10.0)
+    scene.set_servo("*", kp=40.0, kd=3.0)
+    compare_with_a_run(scene, *state_of(scene, rng), monkeypatch, target=np.array([0.3, -0.2, 0.4]))
+
+
+def compare_with_a_run(scene, q, v, tau, monkeypatch, **inputs) -> None:
+    cvi.linearize(scene, q, v, tau, **inputs)
+    monkeypatch.setattr("contactvi.derivatives.linear.Run", no_run)
+    found = cvi.step_derivatives(scene, q, v, tau, **inputs)
+    monkeypatch.undo()
+    monkeypatch.setattr("contactvi.derivatives.linear._clear_step", lambda *_: None)
+    checked = cvi.step_derivatives(scene, q, v, tau, **inputs)
+    for name in ("q", "x", "A", "B", "dt"):
+        assert getattr(found, name) == pytest.approx(getattr(checked, name), rel=1e-12, abs=1e-14)
+
+
+@pytest.mark.parametrize("order", [2, 8])
+def test_what_may_touch_is_left_to_a_run(order, monkeypatch):
+    """A ball that comes nearer to the ground than it moves in the step, without touching it."""
+    scene, q = ball(1.5e-3)
+    v = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    near = cvi.step_derivatives(scene, q, v, order=order)
+    far = cvi.step_derivatives(*ball(1.0), v, order=order)
+    assert pytest.approx(far.A, abs=1e-14) == near.A
+    monkeypatch.setattr("contactvi.derivatives.linear.Run", no_run)
+    with pytest.raises(RuntimeError, match="a run was made"):
+        cvi.linearize(scene, q, v, order=order)
+
+
+def test_steps_of_other_lengths_orders_and_states_do_not_mix():
+    """What is kept from one step to the next changes no digit."""
+    scene, rng = chain(JOINTS["free"], 5)
+    q, v, tau = state_of(scene, rng)
+    asked = [
+        {"dt": dt, "order": order, "state": state}
+        for dt in (1e-3, 2e-2)
+        for order in (2, 8)
+        for state in ("velocity", "momentum")
+    ]
+    fresh = [cvi.step_derivatives(chain(JOINTS["free"], 5)[0], q, v, tau, **each) for each in asked]
+    for _ in range(2):
+        for each, expected in zip(asked, fresh, strict=True):
+            found = cvi.step_derivatives(scene, q, v, tau, **each)
+            assert found.A.tobytes() == expected.A.tobytes()
+            assert found.dt.tobytes() == expected.dt.tobytes()
+    with pytest.raises(cvi.InputError, match="dt"):
+        cvi.linearize(scene, q, v, dt=-1.0)
+
+
+def test_a_scene_that_its_own_functions_hold_is_collected():
+    """The engine that linearises is kept with the scene, which the functions of the user may hold in turn."""
+
+    def make() -> weakref.ref:
+        scene, rng = chain(JOINTS["revolute"], 2)
+        damping = -0.1 * np.eye(scene.nv)
+
+        def force(t, q, v, scene=scene):
+            return damping @ v
+
+        scene.add_force(force, lambda t, q, v: (0.0 * damping, damping))
+        q, v, tau = state_of(scene, rng)
+        for _ in range(2):
+            cvi.linearize(scene, q, v, tau)
+        return weakref.ref(force)
+
+    force = make()
+    gc.collect()
+    assert force() is None

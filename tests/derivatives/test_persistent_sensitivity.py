@@ -184,8 +184,8 @@ def test_the_gradient_of_a_cost_is_the_transpose(name):
     scene, q, v = make()
     traj = cvi.simulate(scene, q, v, record="gradient", duration=duration, **options)
     wrt = ["q0", "v0", "control"]
-    wrt += ["friction"] if scene.pair_friction.max() > 0.0 else []
-    wrt += ["restitution"] if scene.pair_restitution.max() > 0.0 else []
+    wrt += ["friction"] if scene.pair_friction.max(initial=0.0) > 0.0 else []
+    wrt += ["restitution"] if scene.pair_restitution.max(initial=0.0) > 0.0 else []
     assert transpose_error(traj, wrt) <= 1e-11
 
 
