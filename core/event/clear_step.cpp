@@ -71,7 +71,7 @@ bool ClearStep::guards_are_open(const PublicStep& step, Integrator& integrator, 
 // The gap at the end is larger than all that the bodies have moved.
 bool ClearStep::is_open(int guard) {
   const double gap = guards_.evaluate(guard, contact_);
-  return gap > guards_.motion(guard) + guards_.touch_tolerance(guard);
+  return gap > guards_.motion(guard) + Guards::kTouching;
 }
 
 }  // namespace contactvi
