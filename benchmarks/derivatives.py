@@ -20,9 +20,8 @@ Scenes:
 - Allegro hand of example-robot-data, 16 joints without damping and limits, 1 s without contact, 32 columns (q0, v0).
 - MuJoCo has the same hand, made from the scene (`contactvi/bench/mujoco_peer.py`): mjd_transitionFD, which gives the
   derivative of one of its steps by differences.
-- The same hand closes around a ball (friction 0.8, e = 0, tests/helpers/grasp_scene.py): 30 impacts, persistent contacts
-  that begin, are released, stick and slip. What changes the number of contacts on the way is no derivative: differences
-  with steps that do are left out.
+- The same hand closes around a ball (friction 0.8, e = 0, tests/helpers/grasp_scene.py): 30 impacts, and persistent
+  contacts that begin, are released, stick and slip. Differences whose runs have other impacts are left out.
 - Double pendulum at a wall (restitution 0.7), and a turning box that falls on the ground with friction and bounces.
 """
 

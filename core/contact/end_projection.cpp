@@ -38,6 +38,7 @@ bool ContactStep::velocity_impulses() {
     const int r = row_[i];
     out.active = lambda_[r] > 0.0 || node1_.at[i].gap <= kClosed;
     out.slipped = false;
+    out.slip.setZero();
     out.reversed = 0.0;
     out.keeps = out.freed = false;
     out.turned = false;

@@ -35,7 +35,7 @@ struct ContactOutcome {
   // Whether its velocity impulse keeps the direction of the slip of the step; whether it would have reversed the slip
   // beside others that all keep theirs.
   bool keeps = false, freed = false;
-  Eigen::Vector2d slip = Eigen::Vector2d::Zero();  // over the step, along t1 and t2 at its end [m/s], where it slipped
+  Eigen::Vector2d slip = Eigen::Vector2d::Zero();  // over the step, along t1 and t2 at its end [m/s]; 0 if not slipped
   double paradox = 0;  // A = W_n M^-1 (W_n - mu W_t^T d)^T of a slipping contact: <= 0 is Painleve's paradox
 };
 

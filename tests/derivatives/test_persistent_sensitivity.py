@@ -109,6 +109,9 @@ RUNS = {
     "a corner slides": (lambda: body("box", 0.25, MOVING, 0.0), 0.15, ORDER_2, ["begin"]),
     "a corner slips, and turns": (lambda: body("box", 0.25, MOVING, 0.1), 0.15, ORDER_2, ["begin"]),
     "a corner sticks": (lambda: body("box", 0.25, MOVING, 0.8), 0.15, ORDER_2, ["begin"]),
+    "a corner slips, and comes to rest": (
+        lambda: body("box", 0.25, [1, 0.2, -0.1, 0.5, 0.2, 0.3], 0.3), 0.15, ORDER_2, ["begin", "slip", "stick"]
+    ),
     "a rim rolls": (lambda: body("cylinder", 0.25, MOVING, 0.8), 0.2, ORDER_2, ["begin"]),
     "a rim slips": (lambda: body("cylinder", 0.25, MOVING, 0.1), 0.15, ORDER_2, ["begin"]),
     "a box falls on a corner, an edge and its face": (
