@@ -344,6 +344,8 @@ def _of_process(
     if time.monotonic() - sent > patience:
         trial.findings.append(f"it went on for {time.monotonic() - sent:.1f} s")
     last = errors.strip().splitlines()[-1:]
+    if code == 1 and last == ["KeyboardInterrupt"] and "entry.py" not in errors:
+        return trial  # in Python's own start, before the program's first line
     if code not in (*codes, KILLED):
         failed = [" ".join(line.split()) for line in out.splitlines() if "FAILED" in line or "failed" in line]
         trial.findings.append(f"exit code {code}: {failed[:1] or last}")
