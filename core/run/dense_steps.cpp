@@ -30,6 +30,7 @@ constexpr int kContactHalvings = 30;  // of steps with persistent contacts that 
 // Rows of the persistent contacts (24 points with friction): with more of them the dense step, of the same order
 // without impacts, is far cheaper, since the matrix of the contact step is full.
 constexpr int kMostPersistent = 72;
+constexpr double kRestIsRounding = 1e-9;       // of what is left of a step: a shorter rest is no step of its own
 constexpr double kShortestPromise = 1.0 / 64;  // of a step: no shorter one is tried for the sake of gaps and energy
 constexpr double kSlow = 1e-11;                // of the speeds: a slower slip is rounding
 constexpr double kShortestDense = 1e-6;        // of a step: dense steps are halved down to this length
@@ -148,7 +149,10 @@ void Simulator::end_dense_phase() {
 bool Simulator::advance_dense(Interval& interval, Recording& recording) {
   const double at = interval.start + interval.done;
   dense_step_.set_time(at);
-  double h = state_.dense.longest > 0.0 ? std::min(interval.remaining, state_.dense.longest) : interval.remaining;
+  // A rest that is rounding is taken along: gaps of rounding, closed in its time, would be speeds of metres per second.
+  const double longest = state_.dense.longest;
+  const bool shorter = longest > 0.0 && longest < interval.remaining * (1.0 - kRestIsRounding);
+  double h = shorter ? longest : interval.remaining;
   for (;;) {
     bool solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
     while (solved && actuation_.saturate_servos(dense_step_.integrator()))
