@@ -46,9 +46,9 @@ class Comparison:
     Attributes:
         what: "state", (q, v) at the end of the run, or "impact times".
         size: largest entry of the exact derivative. block: that of all columns of its name.
-        difference: largest disagreement.
+        difference: largest disagreement; of the time of an impact, beyond what it is located to.
         own: error of the differences by their own measure: the change between neighbouring sizes.
-        unseen: what the tolerances of steps and of times of impacts may add, so that no change of the size shows it.
+        unseen: what the tolerance of the steps may add to it in proportion, so that no change of the size shows it.
         step: with which they were made.
     """
 
@@ -276,18 +276,19 @@ class _Ladder:
         self.usable = alike or whole
         self.likeness = "same impacts" if alike else "same impacts, in other steps"
 
-    def compare(self, what: str, exact: Array, block: Array, largest: float, located: float = 0.0) -> Comparison:
+    def compare(self, what: str, exact: Array, block: Array, largest: float, located: Any = 0.0) -> Comparison:
         """Compare the exact column of the "state" or of the "impact times" with the best differences.
 
         Every step is solved to SOLVED of numbers of size `largest`; this grows on the way as changes of the start do.
-        located: to what an impact is located, which differences of its time show as noise [s].
+        located: to what each impact is located, which differences of its time show as noise [s], shape (impacts,).
         """
         which = 0 if what == "state" else 1
         best = min(self.usable, key=lambda k: self._change(k, which))
         step = self._scale * SIZES[best]
-        unseen = (SOLVED * self._runs.steps * max(1.0, self._runs.growth) * largest + located) / step
+        unseen = SOLVED * self._runs.steps * max(1.0, self._runs.growth) * largest / step
         numbers = self._found[best][which]
-        off = np.abs(exact - (numbers[self._runs.first] if which else numbers)).max(initial=0.0)
+        apart = np.abs(exact - (numbers[self._runs.first] if which else numbers))
+        off = np.asarray(np.maximum(apart - located / step, 0.0)).max(initial=0.0)
         size, widest = (float(np.abs(part).max(initial=0.0)) for part in (exact, block))
         return Comparison(what, size, widest, float(off), self._change(best, which), unseen, step)
 

