@@ -288,7 +288,7 @@ class _Ladder:
         unseen = SOLVED * self._runs.steps * max(1.0, self._runs.growth) * largest / step
         numbers = self._found[best][which]
         apart = np.abs(exact - (numbers[self._runs.first] if which else numbers))
-        off = np.asarray(np.maximum(apart - located / step, 0.0)).max(initial=0.0)
+        off = np.maximum(apart - located / step, 0.0).max(initial=0.0)
         size, widest = (float(np.abs(part).max(initial=0.0)) for part in (exact, block))
         return Comparison(what, size, widest, float(off), self._change(best, which), unseen, step)
 

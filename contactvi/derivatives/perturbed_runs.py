@@ -179,7 +179,9 @@ def _located(traj: Trajectory) -> Array:
     if not len(traj.events):
         return np.zeros(0)
     gap, speed = np.abs(traj.events.array("gap")), -traj.events.array("gamma_minus")
-    return np.divide(np.maximum(gap, LOCATED), speed, out=np.zeros(len(gap)), where=speed > 0.0)
+    errors: Array = np.zeros(len(gap))
+    np.divide(np.maximum(gap, LOCATED), speed, out=errors, where=speed > 0.0)
+    return errors
 
 
 def _tangent(model: pin.Model, a: Array, b: Array) -> Array:
