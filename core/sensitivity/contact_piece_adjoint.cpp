@@ -69,18 +69,14 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& r
   const bool ends_itself = s.ending != ContactStepEnd::kLength;
   double lslip = 0.0;
   if (ends_itself && s.ending != ContactStepEnd::kImpact) lslip = pass_end(lq, lp, ltime, result);
-  const bool servos = inputs_->servo() != nullptr;
-  if (servos) {
-    result.parameters.q_ref.setZero();
-    result.parameters.v_ref.setZero();
-  }
+  result.begin_step();
   if (!adjoint_.solve(lq, lp, lslip, gradient_, result.parameters))
     throw NoDerivative({"step", -1, s.t}, "The derivative of a step was not solved",
                        "adjoint equations with a solution", "none", "Use a smaller dt");
   lq = gradient_.q;
   lp = gradient_.p;
   ltime = ends_itself ? -gradient_.h : ltime * (1.0 - s.share) - s.share * gradient_.h;
-  result.tau.row(number_) += gradient_.tau.transpose();
+  result.end_step(number_, gradient_.tau);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const PersistentContact& before = s.contacts[i].before;
     if (before.mu > 0.0) result.mu[before.point.guard] += gradient_.mu[static_cast<Eigen::Index>(i)];
@@ -91,9 +87,6 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& r
   for (std::size_t j = 0; j < s.joints.size(); ++j)
     if (s.joints[j].anchored)
       joint_anchors_[static_cast<Eigen::Index>(j)] += gradient_.joints[static_cast<Eigen::Index>(j)];
-  if (!servos) return;
-  result.q_ref.row(number_) += result.parameters.q_ref.transpose();
-  result.v_ref.row(number_) += result.parameters.v_ref.transpose();
 }
 
 // A slip that comes to rest, or a force that comes to zero: the gradient in that slip.

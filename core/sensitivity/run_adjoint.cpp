@@ -40,11 +40,7 @@ void RunAdjoint::add_node(const RunCost& cost, std::size_t node, const VecX& q, 
 
 // The transpose of the step that adjoint_ has taken.
 void RunAdjoint::step_back(long step, RunGradient& result) {
-  const bool servos = inputs_.servo() != nullptr;
-  if (servos) {
-    result.parameters.q_ref.setZero();
-    result.parameters.v_ref.setZero();
-  }
+  result.begin_step();
   if (!adjoint_.solve(lq_, lp_, lq0_, lp0_, lh_, ltau_))
     throw NoDerivative({"step", -1, run_->t0 + static_cast<double>(step) * run_->dt},
                        "The derivative of a step was not solved", "adjoint equations with a solution", "none",
@@ -52,10 +48,7 @@ void RunAdjoint::step_back(long step, RunGradient& result) {
   adjoint_.add_parameters(result.parameters);
   lq_ = lq0_;
   lp_ = lp0_;
-  result.tau.row(step) += ltau_.transpose();
-  if (!servos) return;
-  result.q_ref.row(step) += result.parameters.q_ref.transpose();
-  result.v_ref.row(step) += result.parameters.v_ref.transpose();
+  result.end_step(step, ltau_);
 }
 
 // The rest of no length of a step whose event lies at its end.

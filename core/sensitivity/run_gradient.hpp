@@ -16,6 +16,18 @@ struct RunGradient {
   // derivative in the parameters that is known, and `parameters` is without it.
   double released_at = 0.0;
   int released = -1;
+
+  // What `parameters` has of the references of servos is that of one step: cleared before it, and entered in its row
+  // after it, with the gradient in its inputs.
+  void begin_step() {
+    parameters.q_ref.setZero();
+    parameters.v_ref.setZero();
+  }
+  void end_step(long step, const VecX& ltau) {
+    tau.row(step) += ltau.transpose();
+    q_ref.row(step) += parameters.q_ref.transpose();
+    v_ref.row(step) += parameters.v_ref.transpose();
+  }
 };
 
 }  // namespace contactvi
