@@ -32,11 +32,6 @@ HEAPS = 10  # seeds of stack and balls as drawn in the long run; then balls go o
 BOUNCING = {"restitution": 1.0, "friction": 0.0, "duration": 100.0}
 KNOWN: list[tuple[str, int, dict[str, Any], str]] = [
     ("room", 6, {}, "an impact 1e-7 m off, a wall and a cylinder overlap by 7e-10 m"),
-    ("pile", 20, {}, "a corner pushes over the ground, gap x impulse 1.3e-11"),
-    ("stack", 3, {}, "an impact of a cylinder 2e-10 m in the ground"),
-    ("stack", 6, {}, "an impact 2e-8 m off"),
-    # of the normal run
-    ("room", 8464, run_of("mhc", "local", 0.5, 0.2, 2, 0.02), "an impact 5e-10 m off"),
 ]
 
 FAMILIES = tuple(contact_scenes.FAMILIES)

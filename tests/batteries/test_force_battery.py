@@ -32,10 +32,8 @@ FAMILIES = tuple(force_scenes.FAMILIES)
 KNOWN: list[tuple[str, int, str]] = [
     ("closed_arm", 4, "two frictions of one axis in a loop: NEWTON_FAILED"),
     ("group", 54, "DTEC, e = 1, a force that damps: bounces without end, 80 ms a step"),
-    ("joined", 8, "a tilt of rounding: an impact at a gap of 1.1e-10 m"),
     ("joined", 198, "wedged between a point and a sticking point: forces of 1e6 N, NEWTON_FAILED"),
     ("kinds", 183, "DTEC jams with friction: NOT_FINITE"),
-    ("strings", 22, "an impact of an edge right after that of a corner at a gap of -5.6e-10 m"),
 ]
 
 
