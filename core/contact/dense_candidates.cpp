@@ -19,9 +19,10 @@ Vec3 DenseContact::velocity_W() const {
   return velocity[0] * at1.normal + velocity[1] * t1_1 + velocity[2] * at1.normal.cross(t1_1);
 }
 
-void DenseCandidates::begin(const VecCRef& q0, double h) {
+void DenseCandidates::begin(const VecCRef& q0, double h, double nominal_h) {
   q0_ = q0;
   h_ = h;
+  share_ = h < nominal_h ? h / nominal_h : 1.0;
   near_.clear();
   contacts_.clear();
 }
@@ -43,9 +44,10 @@ void DenseCandidates::collect(const VecX& bound, const std::vector<DenseImpulse>
   }
 }
 
-// An overlap at the start goes no faster than a body falls in the step: pushed out at once it would become a speed.
+// An overlap at the start goes no faster than a body falls in the step: pushed out at once it would become a speed. One
+// of rounding goes in a nominal step, and in a part of that by its share.
 double DenseCandidates::allowed(double gap0) const {
-  return std::min(0.0, gap0 + 0.5 * scene_->tree.gravity.norm() * h_ * h_ + kGapPromised);
+  return std::min(0.0, gap0 + 0.5 * scene_->tree.gravity.norm() * h_ * h_ + kGapPromised * share_);
 }
 
 bool DenseCandidates::is_near(int guard, Near& near) {

@@ -40,8 +40,8 @@ class DenseCandidates {
 
   DenseCandidates(const Scene& scene, Guards& guards) : scene_(&scene), guards_(&guards) {}
 
-  // For a step of length h from q0.
-  void begin(const VecCRef& q0, double h);
+  // For a step of length h from q0; nominal_h: that of a whole step.
+  void begin(const VecCRef& q0, double h, double nominal_h);
   // Adds the points of the pairs that may close with velocities within bound, shape (nv,), as far as they are not known
   // yet. impulses: of the last step.
   void collect(const VecX& bound, const std::vector<DenseImpulse>& impulses);
@@ -86,7 +86,7 @@ class DenseCandidates {
   std::vector<DenseContact> contacts_;
   std::vector<ContactPoint> points_, laws_;
   VecX q0_;
-  double h_ = 0.0, gap_ = 0.0, gap_noise_ = 0.0;
+  double h_ = 0.0, share_ = 1.0, gap_ = 0.0, gap_noise_ = 0.0;
   double excess_ = 0.0;  // of the gap that is furthest below what is allowed
 };
 

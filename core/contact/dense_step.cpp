@@ -254,7 +254,7 @@ bool DenseStep::position_problem() {
 // velocity impulse.
 bool DenseStep::position_impulses() {
   joint_friction_ = h_ * memory_.joint_friction;
-  candidates_.begin(q0_, h_);
+  candidates_.begin(q0_, h_, nominal_h_);
   candidates_.collect(bound_, memory_.impulses);
   for (int k = 0; k < kAdditions; ++k) {
     if (!position_problem()) return false;

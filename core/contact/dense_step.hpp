@@ -43,6 +43,8 @@ class DenseStep {
   // False for scenes with constraints, whose rows the dense step does not have.
   bool available() const { return scene_->tree.elements.constraint_rows == 0; }
   void set_time(double t) { integrator_.set_time(t); }
+  // Length of a whole step, in which overlaps of rounding are closed [s]; a longer one counts as whole.
+  void set_nominal(double h) { nominal_h_ = h; }
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
   // Forgets the last step, from which the next one starts.
   void restart();
@@ -115,7 +117,7 @@ class DenseStep {
   VecX lambda_, lambda_end_, joint_friction_;  // impulses of the present problem, of the end, of joint friction
   DenseReport report_;
   Kept kept_ = Kept::kGaps;
-  double h_ = 0.0, joint_friction_loss_ = 0.0;
+  double h_ = 0.0, nominal_h_ = 0.0, joint_friction_loss_ = 0.0;
   const char* why_ = "";
 };
 

@@ -46,7 +46,6 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
   tau_ = &tau;
   path_ = &path;
   h_ = h;
-  left_out_.clear();
   if (!bound_step()) return fail(Search::kNewtonFailed, -1, 0);
   guards_->bound_motion(q0, bound_, h);
   if (!collect()) return Search::kUnresolved;
@@ -175,7 +174,10 @@ bool EventFinder::collect() {
 bool EventFinder::collect(int g) {
   const auto exempted = std::find(memory_.exempt.begin(), memory_.exempt.end(), g);
   if (exempted != memory_.exempt.end()) {
-    if (guards_->evaluate(g, contact_) >= -guards_->depth_tolerance(g)) return true;
+    if (guards_->evaluate(g, contact_) >= -guards_->depth_tolerance(g)) {
+      active_.push_back(g);  // it has no event of its own, but an event of another guard may close it
+      return true;
+    }
     memory_.exempt.erase(exempted);  // it does not separate
   }
   if (!memory_.touching[g] && guards_->skip(g)) {
@@ -268,8 +270,9 @@ void EventFinder::cross(Suspect& s, const Point& lo, const Point& hi, double off
 
 // Whether another guard is below zero at the event, where the guards are placed: then it crosses earlier, or the search
 // missed its dip.
-bool EventFinder::someone_is_earlier(const Suspect& first, bool coarse) {
+bool EventFinder::someone_is_earlier(Suspect& first, bool coarse) {
   const double alpha = event_.alpha;
+  first.root = alpha;  // the exact one: by that of the path it might come before them again
   bool earlier = false;
   for (Suspect& s : suspects_) {
     if (&s == &first) continue;
@@ -281,7 +284,7 @@ bool EventFinder::someone_is_earlier(const Suspect& first, bool coarse) {
     s.lo = s.lo_sure ? before : Point{0.5 * alpha, 0.0, 0.0};
     s.hi = {alpha, gap, 0.0};
     s.hi_sure = s.crosses = true;
-    s.root = alpha;
+    s.root = std::nextafter(alpha, 0.0);
   }
   return earlier;
 }
@@ -299,7 +302,7 @@ bool EventFinder::closes_before_cut() {
   const auto any = [&](const std::vector<int>& guards) {
     return std::any_of(guards.begin(), guards.end(), [&](int guard) { return closes(guard); });
   };
-  return exempted_closes() || any(left_out_) || any(active_);
+  return exempted_closes() || any(active_);
 }
 
 void EventFinder::cut() {
@@ -309,7 +312,6 @@ void EventFinder::cut() {
 
 // The step has no event: what it has shown about the guards is kept for the next one.
 void EventFinder::settle() {
-  left_out_.swap(memory_.exempt);
   memory_.exempt.clear();
   for (const Suspect& s : suspects_) {
     if (s.end_gap > Guards::kTouching) memory_.touching[s.guard] = 0;

@@ -37,6 +37,10 @@ class EventFinder {
   void cut();
   // Leaves a guard out until the next step has been taken: a contact that has just separated.
   void exempt(int guard) { memory_.exempt.push_back(guard); }
+  // A guard that has had an impact is searched again.
+  void end_exemption(int guard) {
+    memory_.exempt.erase(std::remove(memory_.exempt.begin(), memory_.exempt.end(), guard), memory_.exempt.end());
+  }
   const std::vector<int>& exempted() const { return memory_.exempt; }
   // Where the guards are placed, inside of the step of the last search, which a change of the contacts has cut: whether
   // a guard is below zero there, which the path of the whole step did not show. One that is left out is so no more.
@@ -98,7 +102,7 @@ class EventFinder {
   Search locate(Suspect& s, bool& exists);
   Search find_open(Suspect& s);
   Search polish(Suspect& s, bool lo_seen, bool& exists);
-  bool someone_is_earlier(const Suspect& first, bool coarse);
+  bool someone_is_earlier(Suspect& first, bool coarse);
   bool exact_at(int guard, double tau, Point& point);  // false: no convergence
   bool closes(int guard);
   bool exempted_closes();
@@ -113,7 +117,6 @@ class EventFinder {
   GapPath gaps_;
   Event event_;
   std::vector<int> active_, pass_;
-  std::vector<int> left_out_;  // exempt guards of the last search, if it found no event
   std::vector<Suspect> suspects_;
   VecX v0_, v1_, bound_, doubt_, W_;
   Memory memory_;

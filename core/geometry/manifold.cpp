@@ -15,6 +15,13 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kOnFace = 1e-6;
 // Of the noise of coal's distance: a distance that is deeper than the persistent points by more is another feature.
 constexpr double kBelow = 1.1;
+// [m] By which the distance of a pair may be less than that of its features although no other feature is nearer. Held by
+// the gaps of tests/batteries/test_contact_battery.py.
+constexpr double kWitnessNoise = 6e-11;
+// Of the noise: such a distance counts from here on.
+constexpr double kDeeper = 0.5;
+// Features that touch because others do keep the gap that they have: it would jump to and fro.
+static_assert((kBelow - kDeeper) * kWitnessNoise > kNextGapSlack);
 
 // The face of o whose normal is closest to n, of those that contain the surface point x (world) of its core if there
 // are any; -1 if no face has a normal along n.
@@ -238,7 +245,7 @@ double Manifolds::noise(int pair) const {
   const ShapeFeatures &a = features(pair, p.a), &b = features(pair, p.b);
   // Over a halfspace the lowest corner gives the distance, wherever it lies on its face.
   const bool over_halfspace = a.is_unbounded() || b.is_unbounded();
-  return 5e-10 + (over_halfspace ? 0.0 : a.roughness + b.roughness);
+  return kWitnessNoise + (over_halfspace ? 0.0 : a.roughness + b.roughness);
 }
 
 PairView Manifolds::view(int pair, const Placements& at) const {
@@ -321,7 +328,7 @@ double Manifolds::include_witness(int pair, const Placements& at, const ContactP
     least = std::min(least, c.gap);
   }
   const double deeper = witness.gap - least;
-  if (!(deeper < -0.5 * noise) || deeper + kBelow * noise >= value) return value;
+  if (!(deeper < -kDeeper * noise) || deeper + kBelow * noise >= value) return value;
   contact = witness;
   return deeper + kBelow * noise;
 }

@@ -169,8 +169,10 @@ ImpactResult ImpactSequence::correct_impulse(const ClosedGuard& closed, const Po
   ImpactProblem problem{*integrator_, q_, base,        W,        MinvW,  gamma,
                         G_c,          e,  options_.dt, at.after, at.tau, reference_->value};
   result = law_->correct(problem, ctec, p);
-  if (!leaves_friction_cone(closed, block.lambda, result.impulse)) return result;
-  // The correction acts along the normals. Where friction would then be outside of its cone, CTEC's impulse is kept.
+  const bool closes = closed.gamma_n(p) < -kSolved * speeds_;
+  if (!closes && !leaves_friction_cone(closed, block.lambda, result.impulse)) return result;
+  // The correction scales the normal impulses. Where friction would then be outside of its cone, or one of the points
+  // close, CTEC's impulse is kept.
   problem.restitution = 0.0;
   result = law_->correct(problem, ctec, p);
   result.fallback = Fallback::kInadmissible;

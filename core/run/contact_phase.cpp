@@ -133,7 +133,7 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
     resume_free_motion();
     return true;
   }
-  const double parts = std::max(1.0, std::ceil(interval.remaining / nominal - 1e-9));
+  const double parts = interval.parts(nominal);
   const double whole = interval.remaining / parts;
   const double h = std::min(whole, state_.control.contact.longest);
   record_phase(at, nominal, StepKind::kPersistent, recording);

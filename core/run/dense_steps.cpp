@@ -145,34 +145,36 @@ void Simulator::end_dense_phase() {
   if (contact_step_.empty()) resume_free_motion();
 }
 
-// One dense step, to the end of the interval where it can be solved and keeps its promises.
+// One dense step, of the length of steps with persistent contacts where it can be solved and keeps its promises.
 bool Simulator::advance_dense(Interval& interval, Recording& recording) {
-  const double at = interval.start + interval.done;
+  const double at = interval.start + interval.done, nominal = contact_dt();
   dense_step_.set_time(at);
+  dense_step_.set_nominal(nominal);
+  const double whole = interval.remaining / interval.parts(nominal);
   // A rest that is rounding is taken along: gaps of rounding, closed in its time, would be speeds of metres per second.
   const double longest = state_.dense.longest;
-  const bool shorter = longest > 0.0 && longest < interval.remaining * (1.0 - kRestIsRounding);
-  double h = shorter ? longest : interval.remaining;
+  const bool shorter = longest > 0.0 && longest < whole * (1.0 - kRestIsRounding);
+  double h = shorter ? longest : whole;
   for (;;) {
     bool solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
     while (solved && actuation_.saturate_servos(dense_step_.integrator()))
       solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
     // Where gaps or energy are not what the step promises a shorter one is nearer to them; the shortest is taken as it
     // is, or with what gaps are left where the energy would rise.
-    const bool shortest = h <= kShortestPromise * options_.dt;
+    const bool shortest = h <= kShortestPromise * nominal;
     if (solved && shortest && dense_step_.report().energy_rise > 0.0)
       solved = dense_step_.solve(state_.q, state_.p, h, interval.tau, DenseStep::Kept::kEnergy);
     if (solved && (shortest || dense_step_.keeps_promises())) break;
     if (user_function_failed(at)) return false;
     h *= 0.5;
     ++state_.control.halved;
-    if (h < kShortestDense * options_.dt)
+    if (h < kShortestDense * nominal)
       return end(StatusCode::kNewtonFailed, at, std::string("a dense step was not solved: ") + dense_step_.why());
   }
   dense_step_.finish(q1_, p1_);
   if (!stays_in_range(at)) return false;
-  state_.dense.longest = 2.0 * h < options_.dt ? 2.0 * h : 0.0;
-  record_phase(at, options_.dt, StepKind::kDense, recording);
+  state_.dense.longest = 2.0 * h < nominal ? 2.0 * h : 0.0;
+  record_phase(at, nominal, StepKind::kDense, recording);
   accept_dense_step(at, h, recording);
   interval.done += h;
   interval.remaining = h >= interval.remaining * (1.0 - 1e-12) ? 0.0 : interval.length - interval.done;

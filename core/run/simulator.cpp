@@ -406,6 +406,7 @@ bool Simulator::resolve_event(int first, bool stays_closed, const Instant& at, R
     state_.status.accumulation_time = zeno_.ends();
     return false;
   }
+  for (int guard : zeno_.impacted()) finder_.end_exemption(guard);
   const bool any_hit = !zeno_.impacted().empty();
   if (!any_hit && (stays_closed || touched) && !allows_persistent_contact()) {
     end(StatusCode::kZeno, time, "a contact stays closed", first);

@@ -1,7 +1,9 @@
 // The event loop: smooth steps, events, impacts, and the status a run ends with.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <functional>
 #include <memory>
 
@@ -101,6 +103,8 @@ class Simulator {
   struct Interval {
     double start, length, done, remaining;
     const VecX& tau;
+    // Of how many steps of at most this length [s] the rest consists; one that is longer by rounding is no further one.
+    double parts(double nominal) const { return std::max(1.0, std::ceil(remaining / nominal - 1e-9)); }
   };
   // Of run_auto: the bound on the truncation (0 in advance), the largest one in the interval [m; rad], and the longest
   // step that converges [s].

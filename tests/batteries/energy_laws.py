@@ -63,8 +63,9 @@ def allowed_rises(traj: cvi.Trajectory, dt: float) -> Array:
     angles = dt**2 * (turning**2 + GRAVITY / radius) + running**2
     moving, resting = modification(traj, dt)
     forces = np.abs(np.diff(resting))
-    if traj.events.method == "dtec":  # it compares steps of different lengths, whose force errors differ
-        forces += np.abs(resting[1:]) + np.abs(resting[:-1])
+    if traj.events.method == "dtec":  # every impact compares parts of different lengths, whose force errors differ
+        impacts = np.bincount(traj.events.array("step"), minlength=len(forces))[: len(forces)]
+        forces += np.maximum(1, impacts) * (np.abs(resting[1:]) + np.abs(resting[:-1]))
     weight = GRAVITY * sum(inertia.mass for inertia in traj.scene.model.inertias)
     rounding = 1e-12 * kinetic.max() + 1e-14 * np.abs(traj.energy).max() + GAP * weight  # gaps within their tolerance
     return 0.25 * angles * kinetic + moving[1:] + moving[:-1] + forces + rounding

@@ -99,6 +99,15 @@ def test_many_resting_points_are_stepped_densely():
         np.testing.assert_allclose(force, np.tile([0.0, 0.0, 9.81], (20, 1)), atol=1e-6)
 
 
+@pytest.mark.parametrize(("options", "longest"), [({}, 1e-3), ({"dt_contact": 3e-3}, 3e-3)])
+def test_dense_steps_have_the_length_of_steps_with_persistent_contacts(options, longest):
+    traj = cvi.simulate(tower(), duration=0.1, dt=0.01, order=4, contact_mode="steps", **options)
+    lengths = traj.dense_steps.h
+    parts = np.ceil(0.01 / longest)
+    np.testing.assert_allclose(lengths[lengths > 0.3 * longest], 0.01 / parts, rtol=1e-9)
+    assert lengths.sum() == pytest.approx(0.1, rel=1e-12)
+
+
 def test_a_bouncing_ball_never_takes_a_dense_step():
     """Its impacts accumulate at one contact: bouncing ends with a plastic impact and the contact persists."""
     scene = ball_scene(restitution=0.7)
