@@ -100,8 +100,8 @@ class Options:
         dense: keep the polynomial of every step, which Trajectory.at evaluates; by default from order 4 on, and with
             sample_dt.
         dt_contact: step with persistent contacts, and dense step [s], at most dt: of order 2 whatever the order. By
-            default dt at order 2 and min(dt, 1e-3) above. With dt="auto" the run finds it ("auto", the default), and a number
-            is the longest one allowed. Trajectory.phases tells which step was taken where.
+            default dt at order 2 and min(dt, 1e-3) above. With dt="auto" the run finds it ("auto", the default), and a
+            number is the longest one allowed. Trajectory.phases tells which step was taken where.
         zeno: where impacts accumulate: "hold" makes one of them plastic, which begins a persistent contact, "end" ends
             the run with the status ZENO. Runs with "dtec", which has no answer there, end in both cases.
         support: an impact on a body with persistent contacts: "sequence" of single impacts, each contact with its own
