@@ -75,7 +75,7 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& r
                        "adjoint equations with a solution", "none", "Use a smaller dt");
   lq = gradient_.q;
   lp = gradient_.p;
-  ltime = ends_itself ? -gradient_.h : ltime * (1.0 - s.share) - s.share * gradient_.h;
+  ltime = gradient_.t + (ends_itself ? -gradient_.h : ltime * (1.0 - s.share) - s.share * gradient_.h);
   result.end_step(number_, gradient_.tau);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const PersistentContact& before = s.contacts[i].before;

@@ -64,6 +64,7 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     direction_.q = columns.q.col(k);
     direction_.p = columns.p.col(k);
     direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    direction_.t = columns.time[k];
     direction_.h = -columns.time[k] * (ends_itself ? 1.0 : step_->share);
     direction_.joints = joint_anchors_.col(k);
     direction_.size_q = size_q_[k];

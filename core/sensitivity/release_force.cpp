@@ -22,6 +22,7 @@ ReleaseForce::ReleaseForce(const Scene& scene, int contact_points)
       masses_(scene.tree, 1, 1e-12, 1),
       guards_(scene, contact_points),
       tangent_(scene),
+      constraints_(scene.tree),
       v_(scene.tree.nv),
       a_(scene.tree.nv) {}
 
@@ -36,6 +37,7 @@ void ReleaseForce::take(const ContactStepRecord& step, const VecX& tau, const Se
   tau_ = &tau;
   masses_.set_time(step.t + step.h);
   masses_.set_servo(servo);
+  if (scene_->tree.elements.driven()) refuse("a prescribed motion, whose third derivative counts");
   mu_.resize(static_cast<Eigen::Index>(step.contacts.size()));
   for (std::size_t i = 0; i < step.contacts.size(); ++i) mu_[i] = step.contacts[i].before.mu;
   loaded_.assign(step.contacts.size(), 1);
@@ -67,13 +69,18 @@ double ReleaseForce::settle_loads() {
 // The normal force of the contact that is released.
 double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu) {
   const ContactStepRecord& s = *record_;
-  const auto rows = static_cast<int>(s.lambda.size());
+  const int rows = static_cast<int>(s.lambda.size()), equations = constraints_.rows();
   if (!masses_.node_velocity(q, p, v_)) throw Error("the mass matrix is not positive definite");
   forward_dynamics(masses_, q, v_, tau, a_);
   guards_.place(q);
   W_.setZero(scene_->tree.nv, rows);
   dW_.setZero(scene_->tree.nv, rows);
-  for (std::size_t k = 0; k < s.joints.size(); ++k) W_(s.joints[k].dof, k) = 1.0;
+  if (equations > 0) {
+    constraints_.take(q, s.t + s.h);
+    W_.leftCols(equations) = constraints_.gradients();
+    constraints_.change(v_, dW_.leftCols(equations));
+  }
+  for (std::size_t k = 0; k < s.joints.size(); ++k) W_(s.joints[k].dof, equations + static_cast<int>(k)) = 1.0;
   std::vector<Vec3> t1(s.contacts.size(), Vec3::Zero());
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactPoint& point = s.contacts[i].before.point;
@@ -105,9 +112,10 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
   for (std::size_t k = 0; k < s.joints.size(); ++k) {
     const double speed = s.v1[s.joints[k].dof];
     if (std::abs(speed) <= still) continue;
-    A.row(k).setZero();
-    A(k, k) = 1.0;
-    c[k] = std::copysign(s.joints[k].limit, speed);
+    const int r = equations + static_cast<int>(k);
+    A.row(r).setZero();
+    A(r, r) = 1.0;
+    c[r] = std::copysign(s.joints[k].limit, speed);
   }
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const int r = s.contacts[i].row, count = s.contacts[i].before.rows();
@@ -124,7 +132,7 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
     A.block<2, 1>(r + 1, r) = mu[i] * w.normalized();
     c.segment<2>(r + 1).setZero();
   }
-  system_.compute(A);
+  system_.compute(A, equations);
   const int row = s.contacts[s.ended].row;
   const VecX size = c.cwiseAbs() + A.cwiseAbs().rowwise().sum();
   if (!system_.solve(c, size, forces_)) refuse("contacts that contradict each other");

@@ -1,14 +1,15 @@
 // The continuous normal force of a contact that is released at the end of a contact step, as a function of the state
 // there; its zero is the time of the release.
 //
-// With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v = 0 in the rows of the normals and of
-// what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts and dW the change of the rows
+// With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v = 0 in the rows of constraints, of the
+// normals and of what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts and dW the change of the rows
 // along v (ContactTangent). Its derivative would need the third derivative of the gap: it is taken by fourth-order
 // differences, which are right to 1e-10.
 #pragma once
 
 #include "geometry/contact_tangent.hpp"
 #include "geometry/guard.hpp"
+#include "model/constraint_tangent.hpp"
 #include "sensitivity/recorded_run.hpp"
 #include "sensitivity/shared_load.hpp"
 #include "step/integrator.hpp"
@@ -34,6 +35,7 @@ class ReleaseForce {
   Integrator masses_;
   Guards guards_;
   ContactTangent tangent_;
+  ConstraintTangent constraints_;
   const ContactStepRecord* record_ = nullptr;
   const VecX* tau_ = nullptr;
   std::vector<char> loaded_;  // which contacts carry load

@@ -34,7 +34,7 @@ class RunAdjoint {
   struct ImpactMatrix {
     MatX q, p;             // (nv + 1, nv)
     MatX e, mu;            // (nv + 1, points)
-    VecX reference, rest;  // (nv + 1,)
+    VecX reference, rest, time;  // (nv + 1,)
   };
 
   void add_node(const RunCost& cost, std::size_t node, const VecX& q, const VecX& p, RunGradient& result);
