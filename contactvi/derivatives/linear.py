@@ -121,7 +121,7 @@ def step_derivatives(
         InputError, PenetrationError: as `simulate`. DerivativeError: a function of the user has no derivatives.
         ConstraintError: the start does not satisfy the constraints.
         NotDifferentiable: there is an impact, a persistent contact or an actuator at its limit in the step, or a joint
-            at the limit of its friction without motion.
+            at the limit of its friction without motion; a step with constraints or joint friction is made in parts.
     """
     inputs.check_choice("state", state, STATES, "Unknown kind of state")
     t, dt = inputs.real("t", t), inputs.positive("dt", dt, "the step in seconds, > 0, for example 1e-3")
@@ -142,6 +142,7 @@ def _step_options(compiled: CompiledScene, scene: Scene, dt: float, order: int) 
     key = (type(dt), dt, type(order), order) if isinstance(dt, float) and isinstance(order, int) else None
     if key is None or compiled.step_options is None or compiled.step_options[0] != key:
         chosen = {"dt": dt, "duration": dt, "order": order, "contact_mode": "events", "ledger": None}
+        chosen["dense"] = compiled.built.constrained  # to see in how many parts the step is made
         compiled.step_options = (key, settings_of(scene, chosen))
     return compiled.step_options[1]
 
@@ -198,6 +199,13 @@ def _checked_step(
         raise SimulationError(
             f"The step was not made: {status.message}", expected="one step without contact", got=status.code.name,
             remedy="Use a smaller dt", status=status,
+        )  # fmt: skip
+    segments = run.record.segments_joined()
+    parts = 1 if segments is None else len(segments)
+    if compiled.built.constrained and parts > 1:
+        raise NotDifferentiable(
+            "A run makes the step in parts, for a change of joint friction or a large step", reason="step", time=t,
+            expected="a step that is made as a whole", got=f"{parts} parts", remedy="Use a smaller dt",
         )  # fmt: skip
     x = p if momentum else np.asarray(compiled.core.velocity(start[None], p[None]))[0]
     from contactvi import _core
