@@ -229,7 +229,7 @@ def _sample(exact: Sensitivity, most: int | None, seed: int) -> list[int]:
 
 
 def _ends(starts: ConstrainedStarts | None, exact: Sensitivity, traj: Trajectory, on_kink: str) -> tuple[Array, Array]:
-    """Return the exact derivatives of the end of the run, (2 nv, columns), and of the impacts' times, (impacts, columns).
+    """Return the exact derivatives of the run's end (2 nv, columns) and of the impacts' times (impacts, columns).
 
     Those by the start are along changes that constraints allow.
     """

@@ -208,8 +208,6 @@ def _checked_step(
             expected="a step that is made as a whole", got=f"{parts} parts", remedy="Use a smaller dt",
         )  # fmt: skip
     x = p if momentum else np.asarray(compiled.core.velocity(start[None], p[None]))[0]
-    from contactvi import _core
-
     found = _linear_step(compiled, options, start, x, momentum, force, None if rows is None else rows[0], t)
     end = found[0]
     off = float(np.abs(end - run.q).max(initial=0.0))

@@ -196,4 +196,3 @@ def _located(traj: Trajectory) -> Array:
     errors: Array = np.zeros(len(gap))
     np.divide(np.maximum(gap, LOCATED), speed, out=errors, where=speed > 0.0)
     return errors
-

@@ -77,8 +77,9 @@ LinearArrays linear_step(const Scene& s, const VecX& q, const VecX& x, bool mome
   return {step.q1, step.x1, Rows(step.A), Rows(step.B), step.h};
 }
 
-std::variant<LinearArrays, Dict> linear_contact_step(const Scene& s, const VecX& q, const VecX& x, bool momentum, double h,
-                                 const std::optional<VecX>& tau, const std::optional<VecX>& target, double t) {
+std::variant<LinearArrays, Dict> linear_contact_step(const Scene& s, const VecX& q, const VecX& x, bool momentum,
+                                                     double h, const std::optional<VecX>& tau,
+                                                     const std::optional<VecX>& target, double t) {
   need_state(s.tree, q, x);
   const StateKind kind = momentum ? StateKind::kMomentum : StateKind::kVelocity;
   try {
@@ -264,9 +265,10 @@ void expose_derivatives(nb::module_& m) {
         "One smooth step and its derivatives: (q1, x1, A (2 nv, 2 nv), B (2 nv, nv), d(q1, x1)/dh (2 nv,)), x being "
         "the velocity or the momentum; target: references of the servos (2 nv,). by_columns: by the slow way, which "
         "solves one tangent equation per column.");
-  m.def("linear_contact_step", &linear_contact_step, "scene"_a, "q"_a, "x"_a, "momentum"_a, "h"_a,
-        "tau"_a = nb::none(), "target"_a = nb::none(), "t"_a = 0.0,
-        "As linear_step(), of a step of order 2 with impulses of constraints and joint friction, without contacts; or the "
+  m.def("linear_contact_step", &linear_contact_step, "scene"_a, "q"_a, "x"_a, "momentum"_a, "h"_a, "tau"_a = nb::none(),
+        "target"_a = nb::none(), "t"_a = 0.0,
+        "As linear_step(), of a step of order 2 with impulses of constraints and joint friction, without contacts; or "
+        "the "
         "reason why there is none.");
   nb::class_<Linearizer>(m, "Linearizer", nb::type_slots(linearizer_slots))
       .def(nb::init<const Scene&, int, double>(), "scene"_a, "order"_a, "tol"_a, nb::keep_alive<1, 2>())

@@ -25,12 +25,12 @@ namespace contactvi {
 
 // A direction in all that a contact step depends on; what is empty does not change.
 struct ContactStepDirection {
-  VecX q, p;  // of the start, (nv,)
+  VecX q, p;                // of the start, (nv,)
   double t = 0.0, h = 0.0;  // time of the start, of which constraints may be functions, and length
-  VecX tau;      // public coordinates, (nv,)
-  VecX mu;       // of the contacts
-  MatX anchors;  // of the contacts that have one, in the frames of their planes, (3, contacts)
-  VecX joints;   // anchors of the joints with friction
+  VecX tau;                 // public coordinates, (nv,)
+  VecX mu;                  // of the contacts
+  MatX anchors;             // of the contacts that have one, in the frames of their planes, (3, contacts)
+  VecX joints;              // anchors of the joints with friction
   const StepParameters* parameters = nullptr;
   double size_q = 0.0, size_p = 0.0;  // largest change of q and p on the way: rounding is relative to it
 };

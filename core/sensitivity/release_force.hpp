@@ -2,9 +2,9 @@
 // there; its zero is the time of the release.
 //
 // With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v = 0 in the rows of constraints, of the
-// normals and of what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts and dW the change of the rows
-// along v (ContactTangent). Its derivative would need the third derivative of the gap: it is taken by fourth-order
-// differences, which are right to 1e-10.
+// normals and of what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts and dW the change of
+// the rows along v (ContactTangent, ConstraintTangent). Its derivative would need the third derivatives of gaps and
+// constraints: it is taken by fourth-order differences, which are right to 1e-10.
 #pragma once
 
 #include "geometry/contact_tangent.hpp"

@@ -32,8 +32,8 @@ class RunAdjoint {
  private:
   // The linear map of an impact: its rows are those of the momentum after it, and of the energy that it takes.
   struct ImpactMatrix {
-    MatX q, p;             // (nv + 1, nv)
-    MatX e, mu;            // (nv + 1, points)
+    MatX q, p;                   // (nv + 1, nv)
+    MatX e, mu;                  // (nv + 1, points)
     VecX reference, rest, time;  // (nv + 1,)
   };
 

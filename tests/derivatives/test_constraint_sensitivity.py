@@ -1,4 +1,4 @@
-"""The derivatives of runs with loops, driven joints and other constraints against differences of the runs themselves."""
+"""The derivatives of runs with loops, driven joints and other constraints against differences of the runs."""
 
 from __future__ import annotations
 
@@ -116,7 +116,10 @@ def test_inputs_of_a_linkage():
         assert np.abs(exact[:, k] - numbers).max() <= BAR * np.abs(exact).max()
 
 
-@pytest.mark.parametrize(("e", "mu", "duration"), [(0.6, 0.0, 0.25), (0.6, 0.3, 0.25), (0.0, 0.0, 0.3), (0.0, 0.3, 0.19)])
+DROPS = [(0.6, 0.0, 0.25), (0.6, 0.3, 0.25), (0.0, 0.0, 0.3), (0.0, 0.3, 0.19)]  # e, mu, duration
+
+
+@pytest.mark.parametrize(("e", "mu", "duration"), DROPS)
 def test_parameters_of_the_scene(e, mu, duration):
     """A linked arm drops on the ground: impact and persistent contact depend on inertias through the constraint too."""
     scene_of = sprung_arm(restitution=e, friction=mu, linked=True)

@@ -1,4 +1,4 @@
-"""Scenes with loops, driven joints and lengths, and their starts near the constraints: what derivatives are tested on."""
+"""Scenes with loops, driven joints and lengths, and their starts: what derivatives are tested on."""
 
 from __future__ import annotations
 
@@ -94,7 +94,8 @@ def parallelogram() -> Start:
     rod = pin.Inertia(1.0, np.array([0.2, 0, 0]), np.diag([1e-4, 0.0133, 0.0133]))
     bar = pin.Inertia(1.5, np.array([0.4, 0, 0]), np.diag([1e-4, 0.08, 0.08]))
     first = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "c1")
-    parts = {first: rod, model.addJoint(first, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.4, 0, 0])), "bar"): bar}
+    second = model.addJoint(first, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.4, 0, 0])), "bar")
+    parts = {first: rod, second: bar}
     for k, name in ((1, "c2"), (2, "c3")):
         place = pin.SE3(np.eye(3), np.array([0.4 * k, 0, 0]))
         parts[model.addJoint(0, pin.JointModelRY(), place, name)] = rod

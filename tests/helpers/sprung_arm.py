@@ -19,9 +19,7 @@ NAMES = (
 COLUMNS = (0, 0, 0, 0, 0, 2, 0, 7)
 
 
-def sprung_arm(
-    restitution: float, friction: float = 0.3, linked: bool = False
-) -> Callable[[np.ndarray], cvi.Scene]:
+def sprung_arm(restitution: float, friction: float = 0.3, linked: bool = False) -> Callable[[np.ndarray], cvi.Scene]:
     """Return the scene of given parameters: an arm on a hinge on a slide, whose round tip may touch the ground.
 
     linked: a rod joins it with a pendulum, the third joint.

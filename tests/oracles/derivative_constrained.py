@@ -39,9 +39,7 @@ def outcome(motion: Motion, constraint: Callable) -> Callable[[dict], list]:
         n = len(x["q0"])
         start = np.linalg.solve(np.array(mass_matrix(motion, floats["q0"], floats), float), floats["p0"].astype(float))
         rows = len(constraint(floats["q0"], floats["t"], floats))
-        rough = precise.newton(
-            lambda z: _equations(motion, constraint, floats, z)[0], [*start, *np.zeros(2 * rows)]
-        )
+        rough = precise.newton(lambda z: _equations(motion, constraint, floats, z)[0], [*start, *np.zeros(2 * rows)])
         z = precise.refine(lambda z: _equations(motion, constraint, x, z)[0], *rough, type(x["q0"][0]))
         _, q1, p1 = _equations(motion, constraint, x, z)
         assert len(q1) == n
