@@ -7,7 +7,7 @@ namespace contactvi {
 ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run)
     : run_(&run),
       tangent_(scene),
-      release_(scene, run.contact_points),
+      release_(scene, run),
       joint_anchors_(static_cast<Eigen::Index>(scene.tree.elements.friction_dofs.size()), 0) {}
 
 void ContactPieces::start(Eigen::Index count) {
@@ -119,7 +119,7 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
     refuse_parameters_of_release(step_->contacts[step_->ended].before.point.guard, step_->t + step_->h);
   if (releases) {
     release_.take(*step_, inputs_->tau(), inputs_->servo());
-    rate = release_.change(fq, fp, VecX(), VecX());
+    rate = release_.rate(fq, fp);
   }
   check_contact_end(*step_, rate);
   for (Eigen::Index k = 0; k < d.count; ++k) {

@@ -15,12 +15,24 @@ constexpr double kStill = 1e-11;  // of the speeds: a joint that sticks
 constexpr double kZero =
     1e-5;  // of the terms of the forces: that of the contact that is released, as the run located it
 constexpr double kUnique = 1e-9;  // of a force: what the laws leave open
+// Of the rate of the force: to which it has to be known from differences of the acceleration of a prescribed motion,
+// which are made over half a nominal step and over a quarter of one.
+constexpr double kSameRate = 1e-7;
+
+// The third derivative at t of a prescribed motion, from its accelerations at five times up to t [s].
+double jerk(const Signal& motion, double t, double step) {
+  double total = 25.0 * motion(t)[2];
+  total += -48.0 * motion(t - step)[2] + 36.0 * motion(t - 2.0 * step)[2];
+  total += -16.0 * motion(t - 3.0 * step)[2] + 3.0 * motion(t - 4.0 * step)[2];
+  return total / (12.0 * step);
+}
 }  // namespace
 
-ReleaseForce::ReleaseForce(const Scene& scene, int contact_points)
+ReleaseForce::ReleaseForce(const Scene& scene, const RecordedRun& run)
     : scene_(&scene),
+      t0_(run.t0),
       masses_(scene.tree, 1, 1e-12, 1),
-      guards_(scene, contact_points),
+      guards_(scene, run.contact_points),
       tangent_(scene),
       constraints_(scene.tree),
       v_(scene.tree.nv),
@@ -37,7 +49,6 @@ void ReleaseForce::take(const ContactStepRecord& step, const VecX& tau, const Se
   tau_ = &tau;
   masses_.set_time(step.t + step.h);
   masses_.set_servo(servo);
-  if (scene_->tree.elements.driven()) refuse("a prescribed motion, whose third derivative counts");
   mu_.resize(static_cast<Eigen::Index>(step.contacts.size()));
   for (std::size_t i = 0; i < step.contacts.size(); ++i) mu_[i] = step.contacts[i].before.mu;
   loaded_.assign(step.contacts.size(), 1);
@@ -99,6 +110,7 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
   MatX MinvW = W_;
   masses_.solve_masses(MinvW);
   VecX c = W_.transpose() * a_ + dW_.transpose() * v_;
+  c.head(equations) += constraints_.accelerations();
   A_.noalias() = W_.transpose() * MinvW;
   accelerations_ = c;
   MatX A = A_;
@@ -166,6 +178,29 @@ double ReleaseForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, co
     total += weight * force(q, s.p1 + by * dp, tau, mu);
   }
   return total / (12.0 * step);
+}
+
+double ReleaseForce::rate(const VecX& fq, const VecX& fp) {
+  const double rest = change(fq, fp, VecX(), VecX());
+  return scene_->tree.elements.driven() ? rest + prescribed_rate(rest) : rest;
+}
+
+// The accelerations of prescribed motions are terms of the equations of the forces: their rates have that of the force.
+double ReleaseForce::prescribed_rate(double rest) {
+  const ContactStepRecord& s = *record_;
+  const double t = s.t + s.h, step = std::min(0.125 * s.nominal, 0.25 * (t - t0_));
+  force(s.q1, s.p1, *tau_, mu_);
+  VecX c = VecX::Zero(s.lambda.size()), none = c, rates;
+  double found[2];
+  for (int k = 0; k < 2; ++k) {
+    for (const Constraint& constraint : scene_->tree.elements.constraints)
+      if (constraint.signal) c[constraint.row] = -jerk(constraint.signal, t, k == 0 ? step : 0.5 * step);
+    system_.solve(c, none, rates);
+    found[k] = rates[s.contacts[s.ended].row];
+  }
+  if (!(std::abs(found[1] - found[0]) <= kSameRate * std::abs(rest + found[1])))
+    refuse("a prescribed motion whose acceleration is not smooth, or not known well enough");
+  return found[1];
 }
 
 }  // namespace contactvi

@@ -18,20 +18,24 @@ namespace contactvi {
 
 class ReleaseForce {
  public:
-  ReleaseForce(const Scene& scene, int contact_points);
+  ReleaseForce(const Scene& scene, const RecordedRun& run);
 
   // Takes a step that ends with a release; it and its inputs are to stay alive. Throws NoDerivative.
   void take(const ContactStepRecord& step, const VecX& tau, const Servo* servo);
   // The derivative of the force [N] along a change of (q1, p1), of the inputs and of the coefficients of friction of
   // the contacts, which may be empty.
   double change(const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu);
+  // Its derivative by time, along the motion with the rates fq, fp of (q1, p1): prescribed motions go on.
+  double rate(const VecX& fq, const VecX& fp);
 
  private:
   double settle_loads();
+  double prescribed_rate(double rest);
   double force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu);
   void refuse(const std::string& got) const;
 
   const Scene* scene_;
+  double t0_;  // of the run [s]
   Integrator masses_;
   Guards guards_;
   ContactTangent tangent_;

@@ -12,6 +12,7 @@ from helpers import constrained_scenes as scenes
 from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
 
 BAR = 1e-7
+KNOTS = np.linspace(0.0, 1.0, 11)
 
 SMOOTH = {
     "a four-bar linkage": scenes.linkage,
@@ -43,6 +44,13 @@ TOUCHING = {
     "a ball with a pendulum slips and rolls": (lambda: scenes.ball_with_pendulum(0.2, 0.3), 0.3, ["begin", "stick"], 1),
     "a ball with a box slides off another": (lambda: scenes.pair_on_ball(0.05), 0.35, ["begin", "release"], 1),
     "a ball with a box rolls off another": (lambda: scenes.pair_on_ball(0.8), 0.35, ["begin", "slip", "release"], 1),
+    "a towed ball leaves another": (lambda: scenes.towed_ball(scenes.winch), 0.35, ["begin", "release"], 1),
+    "a ball towed along a spline": (
+        lambda: scenes.towed_ball((KNOTS, [scenes.winch(t)[0] for t in KNOTS])),
+        0.35,
+        ["begin", "release"],
+        1,
+    ),
     "joined balls drop one after the other": (lambda: scenes.joined_balls(0.1), 0.3, ["begin", "begin"], 6),
 }
 
@@ -186,16 +194,17 @@ def test_check_gradient_brings_starts_back(name):
 # -- what has no derivative -------------------------------------------------------------------------------------------
 
 
-def test_the_release_beside_a_prescribed_motion_is_refused():
-    scene, q, v = scenes.pair_on_ball(0.0)
-    scene.add_box("driven", (0.1, 0.1, 0.1))
-    scene.add_distance("bob", "driven", length=lambda t: (1.0 + 0.1 * t, 0.1, 0.0))
-    for other in ("ball", "bob", "big"):
-        scene.disable_pair("driven", other)
-    q = np.concatenate([q, [0.3, 1.25, 0.615, 0.0, 0.0, 0.0, 1.0]])
-    traj, _, _ = recorded((scene, q, np.concatenate([v, np.zeros(6)])), 0.5)
-    assert "release" in [c.change for c in traj.contact_changes]
-    for ask in (traj.sensitivity, lambda: cvi.gradient(traj, (np.ones(scene.nv), np.ones(scene.nv)))):
+def test_a_release_beside_a_motion_that_is_not_smooth_is_refused():
+    """A spline has jumps in its third derivative at its knots, on which the time of the release depends."""
+    times = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    traj, _, _ = recorded(scenes.towed_ball((times, [scenes.winch(t)[0] for t in times])), 0.4)
+    release = next(c.time for c in traj.contact_changes if c.change == "release")
+    times[2:4] = release - 0.002, 0.33
+    traj, _, _ = recorded(scenes.towed_ball((times, [scenes.winch(t)[0] for t in times])), 0.4)
+    moved = next(c.time for c in traj.contact_changes if c.change == "release")
+    assert 0.0 < moved - times[2] < 0.005
+    nv = traj.scene.nv
+    for ask in (traj.sensitivity, lambda: cvi.gradient(traj, (np.ones(nv), np.ones(nv)))):
         with pytest.raises(cvi.NotDifferentiable, match="prescribed motion") as found:
             ask()
         assert found.value.reason == "release"

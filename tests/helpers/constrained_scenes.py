@@ -186,6 +186,25 @@ def pair_on_ball(friction: float) -> Start:
     return scene, q, np.array([0.3, 0.0, -0.3, 0.2, 0.1, 0.3, 0.3, 0.0, -0.3, 0.1, 0.3, 0.2])
 
 
+def towed_ball(motion: object, friction: float = 0.1) -> Start:
+    """A ball that slides off a fixed one, on a rod of driven length to a free box."""
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1)
+    scene.add_box("box", (0.1, 0.1, 0.1), mass=0.2)
+    scene.add_sphere("big", 0.5, free=False)
+    scene.add_distance("ball", "box", (0.0, -0.1, 0.0), (0.0, 0.02, 0.03), length=motion)
+    for other in ("ball", "big"):
+        scene.disable_pair("box", other)
+    scene.set_contact(restitution=0.0, friction=friction)
+    q = pin.neutral(scene.model)
+    q[:3], q[7:10] = [0.3, 0.05, 0.615], [0.3, -0.4, 0.615]
+    return scene, q, np.array([0.3, 0.0, -0.3, 0.2, 0.1, 0.3, 0.3, 0.0, -0.3, 0.0, 0.1, 0.0])
+
+
+def winch(t: float) -> tuple[float, float, float]:
+    return 0.35 + 0.05 * math.sin(9 * t), 0.45 * math.cos(9 * t), -4.05 * math.sin(9 * t)
+
+
 def driven_arm_at_wall(restitution: float, friction: float) -> Start:
     """An arm of three joints, whose first one is driven, swings its tip on a wall."""
     model = pin.Model()
