@@ -37,11 +37,31 @@ def linkage(redundant: bool = False, joint_friction: float = 0.0) -> Start:
     return scene, four_bar_start(scene), speeds(scene, 2.0)
 
 
-def driven_joint() -> Start:
+def driven_joint(joint_friction: float = 0.0) -> Start:
     scene = arm_scene(3)
+    if joint_friction:
+        scene.set_joint("j1", friction=joint_friction)
     scene.prescribe("j1", crank)
     scene.set_joint("j2", damping=0.3)
     return scene, np.array([0.0, 0.3, 0.4]), speeds(scene)
+
+
+def mixed_joints() -> Start:
+    """A continuous joint that is driven, a ball joint and a screw, whose end hangs on a rod."""
+    model = pin.Model()
+    parent, place = 0, pin.SE3.Identity()
+    helical = pin.JointModelHelicalUnaligned(np.array([0.0, 0.0, 1.0]), 0.05)
+    for k, joint in enumerate((pin.JointModelRUBY(), pin.JointModelSpherical(), helical)):
+        parent = model.addJoint(parent, joint, place, f"j{k + 1}")
+        own = pin.Inertia(1.0, np.array([0.2, 0.02, 0.0]), np.diag([1e-3, 0.0133, 0.0133]))
+        model.appendBodyToJoint(parent, own, pin.SE3.Identity())
+        place = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0]))
+    model.addFrame(pin.Frame("end", parent, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
+    scene = cvi.Scene.from_pinocchio(model, name="chain")
+    scene.prescribe("j1", lambda t: (3.0 + 4.0 * t + t * t, 4.0 + 2.0 * t, 2.0))
+    scene.add_distance("world", "end", (0.5, 0.1, 0.2), (0.4, 0.0, 0.1), length=0.9)
+    return scene, scene.assemble(), speeds(scene)
 
 
 def followers() -> Start:
