@@ -316,6 +316,11 @@ def linear_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(N
     One smooth step and its derivatives: (q1, x1, A (2 nv, 2 nv), B (2 nv, nv), d(q1, x1)/dh (2 nv,)), x being the velocity or the momentum; target: references of the servos (2 nv,). by_columns: by the slow way, which solves one tangent equation per column.
     """
 
+def linear_contact_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], momentum: bool, h: float, tau: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, t: float = 0.0) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]] | dict[str, Any]:
+    """
+    As linear_step(), of a step of order 2 with impulses of constraints and joint friction, without contacts; or the reason why there is none.
+    """
+
 class Linearizer:
     def __init__(self, scene: Scene, order: int, tol: float) -> None: ...
 

@@ -1,5 +1,8 @@
 """The exact derivatives of a run compared with fourth-order differences of the same run, column by column.
 
+In a scene with constraints changes of the start are brought back to the constraints, and the exact derivatives are
+those along such changes.
+
 Differences are made with steps of many sizes. Those whose runs have other impacts than the run itself cross a kink and
 are no derivatives; of the others the one is taken whose neighbours in size change it least, and that change is its own
 error. A disagreement beyond both the tolerance and that error is a fault of the exact derivative.
@@ -15,12 +18,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi.derivatives.constrained_starts import ConstrainedStarts
 from contactvi.derivatives.perturbed_runs import SOLVED, PerturbedRuns, RunEnd
 from contactvi.errors import InputError, did_you_mean
 from contactvi.inputs import callback, check_choice, count, real, short
 from contactvi.options import FurtherOptions, ImpactMap
 from contactvi.simulation.simulation import Control, simulate
 from contactvi.trajectory.sensitivity import ON_KINK, PLAIN, Sensitivity, wanted
+from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -162,7 +167,8 @@ def check_gradient(
     """Run a scene, take the derivatives of its end and of the times of its impacts, and compare them with differences.
 
     Inputs and references of servos are held as the run had them: what a control function or the start of a servo would
-    do in perturbed runs is no part of the derivative.
+    do in perturbed runs is no part of the derivative. In a scene with constraints a column of "q0" or "v0" is that of
+    the start which is changed along it and brought back to the constraints.
 
     Args:
         scene, q0, v0, duration, dt, impact, order, tol, control, target, options: as those of `simulate`.
@@ -193,12 +199,13 @@ def check_gradient(
     traj = simulate(scene, q0, v0, **chosen)
     exact = traj.sensitivity(wrt, on_kink=on_kink)
     runs = PerturbedRuns(scene, traj, exact)
+    ends = _ends(runs.starts, exact, traj, on_kink)
     sample = _sample(exact, most, seed)
     found = []
     for k, column in enumerate(sample):
         if called is not None:
             called(k / len(sample), runs.name(column))
-        found.append(_check_column(runs, exact, column, tolerance))
+        found.append(_check_column(runs, exact, ends, column, tolerance))
     return GradientCheck(tuple(found), exact.matrix.shape[2], exact, tolerance)
 
 
@@ -221,15 +228,33 @@ def _sample(exact: Sensitivity, most: int | None, seed: int) -> list[int]:
     return sorted([*first, *rest[: max(0, most - len(first))]])
 
 
-def _check_column(runs: PerturbedRuns, exact: Sensitivity, column: int, tolerance: float) -> ColumnCheck:
-    name = runs.name(column)
-    fine = tolerance * float(np.abs(exact.matrix[-1][:, column]).max(initial=0.0))
+def _ends(starts: ConstrainedStarts | None, exact: Sensitivity, traj: Trajectory, on_kink: str) -> tuple[Array, Array]:
+    """Return the exact derivatives of the run's end (2 nv, columns) and of the impacts' times (impacts, columns).
+
+    Those by the start are along changes that constraints allow.
+    """
+    end, times = np.array(exact.matrix[-1]), np.array(exact.event_times)
+    if starts is None or not {"q0", "v0"} & set(exact.columns):
+        return end, times
+    whole, changes = traj.sensitivity(["q0", "v0"], on_kink=on_kink), starts.changes()
+    nv = len(changes) // 2
+    for name, rows in (("q0", slice(0, nv)), ("v0", slice(nv, 2 * nv))):
+        if name in exact.columns:
+            end[:, exact.columns[name]] = whole.matrix[-1] @ changes[:, rows]
+            times[:, exact.columns[name]] = whole.event_times @ changes[:, rows]
+    return end, times
+
+
+def _check_column(
+    runs: PerturbedRuns, exact: Sensitivity, ends: tuple[Array, Array], column: int, tolerance: float
+) -> ColumnCheck:
+    name, (end, hit) = runs.name(column), ends
+    fine = tolerance * float(np.abs(end[:, column]).max(initial=0.0))
     ladder = _Ladder(runs, column, fine)
     if not ladder.usable:
         return ColumnCheck(name, None, None, EXACT, ladder.obstacle)
     block = exact.columns[runs.kind(column)]
-    state = ladder.compare("state", exact.matrix[-1][:, column], exact.matrix[-1][:, block], runs.largest)
-    hit = exact.event_times
+    state = ladder.compare("state", end[:, column], end[:, block], runs.largest)
     times = ladder.compare("impact times", hit[:, column], hit[:, block], runs.span, runs.located) if len(hit) else None
     parts = [part for part in (state, times) if part is not None]
     worst = max(parts, key=lambda part: (BOTH, EXACT, NEITHER).index(part.believe(tolerance)))

@@ -103,6 +103,13 @@ def step_derivatives(
 ) -> StepDerivatives:
     """Make one step without contact and return it with its exact derivatives.
 
+    With constraints A is the derivative of the step as it is computed, which ends on them. Changes of (q, v) that
+    satisfy them to first order lead to such changes, and only these are derivatives of starts that a run accepts. Along
+    others a column tells where the step brings them: back onto the constraints at its end, by an impulse in their
+    gradients; where constraints depend on each other, to least squares.
+
+    Joint friction acts as at the start of a run, where no joint sticks yet.
+
     Args:
         q, v: state at the start, shapes (nq,), (nv,); v = None: at rest.
         tau: generalized force over the step, shape (nv,) [N, N m]; None: zero.
@@ -112,16 +119,19 @@ def step_derivatives(
 
     Raises:
         InputError, PenetrationError: as `simulate`. DerivativeError: a function of the user has no derivatives.
-        NotDifferentiable: there is an impact, a persistent contact, a constraint or an actuator at its limit in the
-            step.
+        ConstraintError: the start does not satisfy the constraints.
+        NotDifferentiable: there is an impact, a persistent contact or an actuator at its limit in the step, or a joint
+            at the limit of its friction without motion; a step with constraints or joint friction is made in parts.
     """
     inputs.check_choice("state", state, STATES, "Unknown kind of state")
     t, dt = inputs.real("t", t), inputs.positive("dt", dt, "the step in seconds, > 0, for example 1e-3")
     compiled = compile_scene(scene)
     options = _step_options(compiled, scene, dt, order)
-    _check(compiled)
+    compiled.check_differentiable()
     force = np.zeros(compiled.states.nv) if tau is None else compiled.states.force(tau)
-    found = _clear_step(compiled, options, q, v, force, target, t, state == "momentum")
+    found = None
+    if not compiled.built.constrained:
+        found = _clear_step(compiled, options, q, v, force, target, t, state == "momentum")
     if found is None:
         found = _checked_step(compiled, options, q, v, force, target, t, state == "momentum")
     return StepDerivatives(*found)
@@ -132,6 +142,7 @@ def _step_options(compiled: CompiledScene, scene: Scene, dt: float, order: int) 
     key = (type(dt), dt, type(order), order) if isinstance(dt, float) and isinstance(order, int) else None
     if key is None or compiled.step_options is None or compiled.step_options[0] != key:
         chosen = {"dt": dt, "duration": dt, "order": order, "contact_mode": "events", "ledger": None}
+        chosen["dense"] = compiled.built.constrained  # to see in how many parts the step is made
         compiled.step_options = (key, settings_of(scene, chosen))
     return compiled.step_options[1]
 
@@ -189,13 +200,15 @@ def _checked_step(
             f"The step was not made: {status.message}", expected="one step without contact", got=status.code.name,
             remedy="Use a smaller dt", status=status,
         )  # fmt: skip
+    segments = run.record.segments_joined()
+    parts = 1 if segments is None else len(segments)
+    if compiled.built.constrained and parts > 1:
+        raise NotDifferentiable(
+            "A run makes the step in parts, for a change of joint friction or a large step", reason="step", time=t,
+            expected="a step that is made as a whole", got=f"{parts} parts", remedy="Use a smaller dt",
+        )  # fmt: skip
     x = p if momentum else np.asarray(compiled.core.velocity(start[None], p[None]))[0]
-    from contactvi import _core
-
-    found = _core.linear_step(
-        compiled.core, start, x, momentum, options.fixed_dt, force, None if rows is None else rows[0], t,
-        options.order, options.stage_tol,
-    )  # fmt: skip
+    found = _linear_step(compiled, options, start, x, momentum, force, None if rows is None else rows[0], t)
     end = found[0]
     off = float(np.abs(end - run.q).max(initial=0.0))
     if off > SAME * (1.0 + float(np.abs(end).max(initial=0.0))):
@@ -203,6 +216,24 @@ def _checked_step(
             "An actuator is at its limit in the step", reason="saturation", time=t,
             expected="inputs and servos within their limits", got=f"a step whose end is {off:.2g} off without them",
             remedy="Ask for less, or take the limits off: scene.set_actuator('*', effort=False, velocity=False)",
+        )  # fmt: skip
+    return found
+
+
+def _linear_step(
+    compiled: CompiledScene, options: Options, q: Array, x: Array, momentum: bool, force: Array, target: Array | None,
+    t: float,
+) -> Numbers:  # fmt: skip
+    from contactvi import _core
+
+    step = (compiled.core, q, x, momentum, options.fixed_dt, force, target, t)
+    if not compiled.built.constrained:
+        return _core.linear_step(*step, options.order, options.stage_tol)
+    found = _core.linear_contact_step(*step)
+    if isinstance(found, dict):
+        raise NotDifferentiable(
+            found["fact"], reason=found["reason"], time=found["time"], expected=found["expected"], got=found["got"],
+            remedy=found["remedy"],
         )  # fmt: skip
     return found
 
@@ -223,10 +254,10 @@ def forward_dynamics_derivatives(
 
     Raises:
         InputError: for a bad state. DerivativeError: a function of the user has no derivatives.
-        NotDifferentiable: a contact or limit touches, or there are constraints.
+        NotDifferentiable: a contact or limit touches, or there are constraints or joint friction.
     """
     compiled, time = compile_scene(scene), inputs.real("t", t)
-    _check(compiled)
+    _check_unconstrained(compiled)
     states, core = compiled.states, compiled.core
     at = states.configuration(q, "q")
     w = states.velocity(v, "v")
@@ -245,14 +276,15 @@ def forward_dynamics_derivatives(
     return ForwardDynamics(np.array(data.ddq), a_q, a_v, inverse)
 
 
-def _check(compiled: CompiledScene) -> None:
-    """Raise for scenes of whose steps no derivative is known."""
+def _check_unconstrained(compiled: CompiledScene) -> None:
+    """Raise for scenes of whose accelerations no derivative is known."""
     compiled.check_differentiable()
     if compiled.built.constrained:
+        names = [row.name for row in compiled.constraint_rows]
         raise NotDifferentiable(
-            "A scene with joint friction has impulses in every step", reason="constraint",
-            expected="forces that are smooth in the state", got="joint friction",
-            remedy="Set friction=False: derivatives of single steps through it are not known yet",
+            "Accelerations under constraints or joint friction have no derivatives that are known", reason="constraint",
+            expected="forces that are smooth in the state", got=", ".join(names) or "joint friction",
+            remedy="Linearise a step: contactvi.linearize(...)",
         )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi.derivatives.constrained_starts import ConstrainedStarts, tangent
 from contactvi.errors import ContactviError, NotDifferentiable
 from contactvi.scene.element_rows import dof_names
 from contactvi.simulation.run import Run
@@ -42,7 +43,12 @@ class RunEnd:
 
 
 class PerturbedRuns:
-    """The run at hand, made again with a change along a column."""
+    """The run at hand, made again with a change along a column.
+
+    Attributes:
+        starts: those that satisfy the constraints of the scene, to which changes of the start are brought back; None
+            without constraints.
+    """
 
     def __init__(self, scene: Scene, traj: Trajectory, exact: Sensitivity) -> None:
         self._scene, self._exact = scene, exact
@@ -52,6 +58,8 @@ class PerturbedRuns:
             traj.options, record="states", dense=True, sample_dt=None, tol=min(SOLVED, traj.options.stage_tol)
         )
         self._q, self._v, self._t = np.array(traj.q[0]), np.array(traj.v[0]), float(traj.t[0])
+        bound = bool(self._compiled.constraint_rows)
+        self.starts = ConstrainedStarts(self._compiled, self._q, self._v, self._t) if bound else None
         assert traj.inputs is not None
         self._control, self._target = traj.inputs.control, traj.inputs.target
         self._dofs = dof_names(self._compiled.built.model)
@@ -107,7 +115,13 @@ class PerturbedRuns:
         unit = np.zeros(len(v))
         if kind in ("q0", "v0", "control"):
             unit[at] = by
-        if kind == "q0":
+        if kind in ("q0", "v0") and self.starts is not None:
+            none = np.zeros(len(v))
+            start = self.starts.near(*((unit, none) if kind == "q0" else (none, unit)))
+            if start is None:
+                return None
+            q, v = start
+        elif kind == "q0":
             q = np.asarray(pin.integrate(compiled.built.model, q, unit))
         elif kind == "v0":
             v = v + unit
@@ -168,7 +182,7 @@ class PerturbedRuns:
         sequence = (run.record.stats.halved, len(run.record.contact_log()), *(tuple(map(int, part)) for part in parts))
         if self._middle_q is None:
             self._middle_q = run.q
-        moved = _tangent(self._compiled.built.model, self._middle_q, run.q)
+        moved = tangent(self._compiled.built.model, self._middle_q, run.q)
         times = np.array(log.array("time")) if len(log) else np.zeros(0)
         steps = tuple(map(int, log.array("step"))) if len(log) else ()
         return RunEnd(np.concatenate([moved, run.v]), times, sequence, steps)
@@ -182,23 +196,3 @@ def _located(traj: Trajectory) -> Array:
     errors: Array = np.zeros(len(gap))
     np.divide(np.maximum(gap, LOCATED), speed, out=errors, where=speed > 0.0)
     return errors
-
-
-def _tangent(model: pin.Model, a: Array, b: Array) -> Array:
-    """Return the tangent vector from a to b, which are close.
-
-    Pinocchio's has 1e-8 of noise where q holds (cos, sin); there the angle is taken by arctan2, and the displacement
-    of a planar joint in the axes of a, whose derivative at zero is the same.
-    """
-    found = np.array(pin.difference(model, a, b))
-    for k in range(1, model.njoints):
-        i, iv, kind = model.idx_qs[k], model.idx_vs[k], model.joints[k].shortname()
-        planar = "Planar" in kind
-        if not planar and (model.nqs[k], model.nvs[k]) != (2, 1):
-            continue
-        at = i + 2 * planar
-        c0, s0, c1, s1 = *a[at : at + 2], *b[at : at + 2]
-        found[iv + 2 * planar] = np.arctan2(c0 * s1 - s0 * c1, c0 * c1 + s0 * s1)
-        if planar:
-            found[iv : iv + 2] = np.array([[c0, s0], [-s0, c0]]) @ (b[i : i + 2] - a[i : i + 2])
-    return found

@@ -14,7 +14,6 @@ from contactvi.errors import (
     ConstraintError,
     DerivativeError,
     InputError,
-    NotDifferentiable,
     SceneError,
     UserFunctionError,
 )
@@ -158,7 +157,6 @@ class CompiledScene:
 
         Raises:
             DerivativeError: a function of the user came without derivatives.
-            NotDifferentiable: there are constraints, whose forces act in every step.
         """
         for element in self._scene.elements:
             given = element.derivatives if isinstance(element, UserForce) else True
@@ -169,12 +167,6 @@ class CompiledScene:
                     f"{element.name!r} has no {part}", function=element.name, expected="a function that returns them",
                     got="none", remedy=f"Give {part}=... when it is added",
                 )  # fmt: skip
-        if self.constraint_rows:
-            raise NotDifferentiable(
-                "A scene with constraints has their forces in every step", reason="constraint",
-                expected="no constraints", got=", ".join(row.name for row in self.constraint_rows),
-                remedy="Take them out of the scene: derivatives through them are not known yet",
-            )  # fmt: skip
 
     def _check_mass(self, q: NDArray[np.float64]) -> None:
         """Raise SceneError where a velocity does not come back from its momentum, M(q)^-1 (M(q) w) != w."""

@@ -97,6 +97,10 @@ class SensitivityReport:
 class Sensitivity:
     """The derivatives of (q, v) of a run at its nodes.
 
+    In a scene with constraints the columns of the start are those of the run as it is computed, whose steps end on the
+    constraints: changes of the start that satisfy them to first order are combinations of columns. One column alone
+    tells what the first step makes of a start that is off.
+
     Args:
         traj: a run with record="gradient". compiled: its scene.
         wrt: what they are with respect to, any of

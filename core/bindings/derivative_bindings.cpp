@@ -2,6 +2,7 @@
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
@@ -9,18 +10,21 @@
 #include <cstdint>
 #include <limits>
 #include <tuple>
+#include <variant>
 #include <vector>
 
 #include "base/error.hpp"
 #include "base/refusal.hpp"
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
+#include "bindings/obstacle.hpp"
 #include "bindings/parameter_results.hpp"
 #include "bindings/user_calls.hpp"
 #include "event/clear_step.hpp"
 #include "geometry/contact_tangent.hpp"
 #include "geometry/guard.hpp"
 #include "model/scene.hpp"
+#include "sensitivity/linear_contact_step.hpp"
 #include "step/linearize.hpp"
 #include "step/step_gradient.hpp"
 #include "step/step_tangent.hpp"
@@ -71,6 +75,21 @@ LinearArrays linear_step(const Scene& s, const VecX& q, const VecX& x, bool mome
       by_columns ? linearizer.solve_by_columns(q, x, kind, h, inputs) : linearizer.solve(q, x, kind, h, inputs);
   UserErrors::raise();
   return {step.q1, step.x1, Rows(step.A), Rows(step.B), step.h};
+}
+
+std::variant<LinearArrays, Dict> linear_contact_step(const Scene& s, const VecX& q, const VecX& x, bool momentum,
+                                                     double h, const std::optional<VecX>& tau,
+                                                     const std::optional<VecX>& target, double t) {
+  need_state(s.tree, q, x);
+  const StateKind kind = momentum ? StateKind::kMomentum : StateKind::kVelocity;
+  try {
+    const LinearStep step = linearize_contact_step(s, q, x, kind, h, inputs_of(s.tree, t, tau, target));
+    UserErrors::raise();
+    return LinearArrays{step.q1, step.x1, Rows(step.A), Rows(step.B), step.h};
+  } catch (const NoDerivative& reason) {
+    UserErrors::raise();
+    return obstacle_of(s, reason);
+  }
 }
 
 // Linearises steps of a scene that are beyond doubt without contact, from starts that have a velocity.
@@ -246,6 +265,11 @@ void expose_derivatives(nb::module_& m) {
         "One smooth step and its derivatives: (q1, x1, A (2 nv, 2 nv), B (2 nv, nv), d(q1, x1)/dh (2 nv,)), x being "
         "the velocity or the momentum; target: references of the servos (2 nv,). by_columns: by the slow way, which "
         "solves one tangent equation per column.");
+  m.def("linear_contact_step", &linear_contact_step, "scene"_a, "q"_a, "x"_a, "momentum"_a, "h"_a, "tau"_a = nb::none(),
+        "target"_a = nb::none(), "t"_a = 0.0,
+        "As linear_step(), of a step of order 2 with impulses of constraints and joint friction, without contacts; or "
+        "the "
+        "reason why there is none.");
   nb::class_<Linearizer>(m, "Linearizer", nb::type_slots(linearizer_slots))
       .def(nb::init<const Scene&, int, double>(), "scene"_a, "order"_a, "tol"_a, nb::keep_alive<1, 2>())
       .def("step", &Linearizer::step, "q"_a, "x"_a, "momentum"_a, "h"_a, "tau"_a.none(), "target"_a.none(), "t"_a,

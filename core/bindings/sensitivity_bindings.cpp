@@ -14,6 +14,7 @@
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"
 #include "bindings/kept_contact_steps.hpp"
+#include "bindings/obstacle.hpp"
 #include "bindings/parameter_results.hpp"
 #include "bindings/user_calls.hpp"
 #include "model/coordinates.hpp"
@@ -94,7 +95,7 @@ class Recorded {
       found = tangent.solve(d, times);
     } catch (const NoDerivative& reason) {
       UserErrors::raise();
-      return obstacle(reason);
+      return obstacle_of(scene_, reason);
     }
     UserErrors::raise();
     Dict result;
@@ -135,7 +136,7 @@ class Recorded {
       found = adjoint.solve({times, lq, lv, events}, steps);
     } catch (const NoDerivative& reason) {
       UserErrors::raise();
-      return obstacle(reason);
+      return obstacle_of(scene_, reason);
     }
     UserErrors::raise();
     Dict d;
@@ -151,7 +152,7 @@ class Recorded {
     try {
       refuse_parameters_of_release(found->released, found->released_at);
     } catch (const NoDerivative& reason) {
-      d["released"] = obstacle(reason);
+      d["released"] = obstacle_of(scene_, reason);
     }
     return d;
   }
@@ -171,20 +172,6 @@ class Recorded {
     if (at_start_)
       throw NoDerivative({"start", run_.impacts[0].guard, run_.t0}, "The run starts with an impact",
                          "a start where nothing hits", "an impact at the first instant", "Start a little earlier");
-  }
-
-  Dict obstacle(const NoDerivative& reason) const {
-    Dict d;
-    const PublicGuard guard = public_guard(scene_, reason.where.guard);
-    d["fact"] = std::string(reason.what());
-    d["reason"] = std::string(reason.where.reason);
-    d["kind"] = static_cast<int>(guard.kind);
-    d["index"] = guard.index;
-    d["time"] = reason.where.time;
-    d["expected"] = reason.expected;
-    d["got"] = reason.got;
-    d["remedy"] = reason.remedy;
-    return d;
   }
 
   void add_impacts(const Dict& e) {
@@ -281,6 +268,20 @@ class Recorded {
 };
 
 }  // namespace
+
+Dict obstacle_of(const Scene& scene, const NoDerivative& reason) {
+  Dict d;
+  const PublicGuard guard = public_guard(scene, reason.where.guard);
+  d["fact"] = std::string(reason.what());
+  d["reason"] = std::string(reason.where.reason);
+  d["kind"] = static_cast<int>(guard.kind);
+  d["index"] = guard.index;
+  d["time"] = reason.where.time;
+  d["expected"] = reason.expected;
+  d["got"] = reason.got;
+  d["remedy"] = reason.remedy;
+  return d;
+}
 
 void expose_sensitivity(nb::module_& m) {
   nb::class_<Recorded>(m, "RecordedRun", "The pieces and impacts of a run, for its derivatives.")

@@ -110,7 +110,7 @@ class ImpactsAt {
 
   std::unique_ptr<ImpactSequence> closed(const std::vector<int>& guards, double margin) {
     auto made = std::make_unique<ImpactSequence>(scene_, integrator_, guards_, options_);
-    if (!made->collect_given(q_, VecX::Zero(scene_.tree.nv), guards, margin)) throw Error(made->message());
+    if (!made->collect_given(q_, VecX::Zero(scene_.tree.nv), 0.0, guards, margin)) throw Error(made->message());
     return made;
   }
 

@@ -8,7 +8,6 @@
 namespace contactvi {
 
 namespace {
-constexpr double kShort = 1e-5;   // of a nominal step: shorter steps use rates instead of differences of positions
 constexpr double kStill = 1e-11;  // of the speeds: slip below it is rounding
 constexpr double kJump = 2.0;  // of the sum of a motion's rates at both ends of a step: a larger deviation is a jump,
 constexpr double kJumpRounding = 1e-9;  // where it is also beyond this [rad; m], [rad/s; m/s]
@@ -28,7 +27,7 @@ void ContactStep::constraint_node(const VecCRef& q, double t, Node& node) {
 
 // Whether the slip of a joint with friction in a step of length h is a displacement, not a speed.
 bool ContactStep::counts_by_place(const FrictionJoint& joint, double h) const {
-  return joint.iq >= 0 && h >= kShort * nominal_h_;
+  return joint.iq >= 0 && h >= ContactStepRecord::kShortestDifference * nominal_h_;
 }
 
 // The velocities y_ of the rows of constraints and joint friction over the step, and their derivatives S_. The error of
@@ -37,7 +36,7 @@ void ContactStep::set_constraint_velocities(double h) {
   if (bilateral_ > 0) {
     auto S = S_.leftCols(bilateral_);
     auto y = y_.head(bilateral_);
-    if (h < kShort * nominal_h_) {
+    if (h < ContactStepRecord::kShortestDifference * nominal_h_) {
       S = 0.5 * (node0_.W.leftCols(bilateral_) + node1_.W.leftCols(bilateral_));
       y.noalias() = S.transpose() * v_;
       y += 0.5 * (node0_.rate + node1_.rate) + node0_.phi / nominal_h_;

@@ -12,6 +12,8 @@ namespace contactvi {
 enum class ContactStepEnd { kLength, kImpact, kRelease, kStick };
 
 struct ContactStepRecord {
+  // Of a nominal step: shorter steps use rates instead of differences of positions.
+  static constexpr double kShortestDifference = 1e-5;
   // A contact: before the step, at its two ends, and its impulses.
   struct Contact {
     PersistentContact before;
@@ -21,7 +23,7 @@ struct ContactStepRecord {
     int row;       // its first row
     bool by_rate;  // its gap counts by its rate, because the step is too short for a difference of gaps
   };
-  // A degree of freedom with joint friction; its row has the number of its place.
+  // A degree of freedom with joint friction. Their rows follow those of the constraints.
   struct Joint {
     int dof, iq;
     double limit;
@@ -40,9 +42,11 @@ struct ContactStepRecord {
   MatX W0, W1;  // (nv, rows)
   std::vector<Joint> joints;
   std::vector<Contact> contacts;
-  bool constrained;  // there are bilateral constraints
+  bool constrained;  // there are bilateral constraints, those of the scene
   ContactStepEnd ending;
   int ended;  // which contact is released, or which slip came to rest (as ContactStep numbers them); else -1
+
+  bool constraints_by_rate() const { return h < kShortestDifference * nominal; }
 };
 
 }  // namespace contactvi

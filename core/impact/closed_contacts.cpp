@@ -133,8 +133,9 @@ bool ImpactSequence::place(const VecX& q, const VecX& p, double t) {
   return true;
 }
 
-bool ImpactSequence::collect_given(const VecX& q, const VecX& p, const std::vector<int>& guards, double margin) {
-  if (!place(q, p, 0.0)) return false;
+bool ImpactSequence::collect_given(const VecX& q, const VecX& p, double t, const std::vector<int>& guards,
+                                   double margin) {
+  if (!place(q, p, t)) return false;
   for (int g : guards)
     if (!add_guard(g, {}, margin)) return fail(StatusCode::kNotFinite, "this contact has no points", g);
   return true;

@@ -45,9 +45,9 @@ class ImpactSequence {
   // and the persistent ones. False if the mass matrix is not positive, or if constraints run into what cannot give way.
   bool collect(const VecX& q, const VecX& p, double t, const std::vector<int>& active, int first,
                const std::vector<PersistentContact>& persistent);
-  // Takes these guards as closed at q, whatever their gaps are. margin: a pair's points within its least gap, or within
-  // this [m] where that is more, belong to the contact. False if the mass matrix is not positive.
-  bool collect_given(const VecX& q, const VecX& p, const std::vector<int>& guards, double margin);
+  // Takes these guards as closed at q and the time t [s], whatever their gaps are. margin: a pair's points within its
+  // least gap, or within this [m] where that is more, belong to the contact. False if the mass matrix is not positive.
+  bool collect_given(const VecX& q, const VecX& p, double t, const std::vector<int>& guards, double margin);
   // Takes these points as closed at q, contact after contact. False if the mass matrix is not positive.
   bool collect_block(const VecX& q, const VecX& p, const ImpactBlockRecord& block);
   int count() const { return count_; }

@@ -5,7 +5,7 @@
 namespace contactvi {
 
 ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run)
-    : scene_(&scene), run_(&run), adjoint_(scene), release_(scene, run.contact_points) {}
+    : scene_(&scene), run_(&run), adjoint_(scene), release_(scene, run) {}
 
 void ContactPieceAdjoint::start() {
   anchors_.clear();
@@ -75,7 +75,7 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& r
                        "adjoint equations with a solution", "none", "Use a smaller dt");
   lq = gradient_.q;
   lp = gradient_.p;
-  ltime = ends_itself ? -gradient_.h : ltime * (1.0 - s.share) - s.share * gradient_.h;
+  ltime = gradient_.t + (ends_itself ? -gradient_.h : ltime * (1.0 - s.share) - s.share * gradient_.h);
   result.end_step(number_, gradient_.tau);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const PersistentContact& before = s.contacts[i].before;
@@ -98,7 +98,7 @@ double ContactPieceAdjoint::pass_end(VecX& lq, VecX& lp, double& ltime, RunGradi
   double rate = adjoint_.tangent().slip_change();
   if (releases) {
     release_.take(s, inputs_->tau(), inputs_->servo());
-    rate = release_.change(fq, fp, VecX(), VecX());
+    rate = release_.rate(fq, fp);
   }
   check_contact_end(s, rate);
   const double gradient = -(lq.dot(fq) + lp.dot(fp) + ltime) / rate;

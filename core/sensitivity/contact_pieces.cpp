@@ -7,7 +7,7 @@ namespace contactvi {
 ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run)
     : run_(&run),
       tangent_(scene),
-      release_(scene, run.contact_points),
+      release_(scene, run),
       joint_anchors_(static_cast<Eigen::Index>(scene.tree.elements.friction_dofs.size()), 0) {}
 
 void ContactPieces::start(Eigen::Index count) {
@@ -64,6 +64,7 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     direction_.q = columns.q.col(k);
     direction_.p = columns.p.col(k);
     direction_.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    direction_.t = columns.time[k];
     direction_.h = -columns.time[k] * (ends_itself ? 1.0 : step_->share);
     direction_.joints = joint_anchors_.col(k);
     direction_.size_q = size_q_[k];
@@ -118,7 +119,7 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
     refuse_parameters_of_release(step_->contacts[step_->ended].before.point.guard, step_->t + step_->h);
   if (releases) {
     release_.take(*step_, inputs_->tau(), inputs_->servo());
-    rate = release_.change(fq, fp, VecX(), VecX());
+    rate = release_.rate(fq, fp);
   }
   check_contact_end(*step_, rate);
   for (Eigen::Index k = 0; k < d.count; ++k) {

@@ -54,6 +54,9 @@ void ContactStepAdjoint::set_matrices() {
   direction.h = 1.0;
   t.row_changes(none, none, none, direction, y_of_h_);
   direction.h = 0.0;
+  direction.t = 1.0;
+  t.row_changes(none, none, none, direction, y_of_t_);
+  direction.t = 0.0;
   direction.anchors.setZero(3, contacts);
   y_of_anchors_.resize(t.rows_, 3 * contacts);
   for (int k = 0; k < 3 * contacts; ++k) {
@@ -76,11 +79,13 @@ void ContactStepAdjoint::set_matrices() {
 void ContactStepAdjoint::law_gradient(const Problem& problem, const VecX& lc, VecX& lbase, VecX& ldy) {
   using Mode = ContactStepTangent::Mode;
   const ContactStepRecord& s = *tangent_.record_;
+  lbase.head(tangent_.constraints_) += lc.head(tangent_.constraints_);
   for (std::size_t k = 0; k < s.joints.size(); ++k) {
+    const int r = tangent_.joint_row(k);
     if (problem.joints[k] == Mode::kKept) {
-      lh_ -= lc[k] * problem.lambda[k] / s.h;
+      lh_ -= lc[r] * problem.lambda[r] / s.h;
     } else {
-      lbase[k] += lc[k];
+      lbase[r] += lc[r];
     }
   }
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
@@ -107,6 +112,11 @@ void ContactStepAdjoint::end_gradient(const Problem& problem, const VecX& v, Vec
   VecX lbase = lw;
   llambda.noalias() += tangent_.G_.transpose() * lw;
   law_gradient(problem, problem.system.solve_transposed(llambda), lbase, ldy_);
+  if (tangent_.constraints_ > 0) {
+    const double later = tangent_.end_constraints_.accelerations().dot(lbase.head(tangent_.constraints_));
+    lt_ += later;
+    lh_ += later;
+  }
   const VecX m = tangent_.MinvW_ * lbase;
   lp_minus_ += m;
   lW1_ += m * problem.lambda.transpose() + v * lbase.transpose();
@@ -151,12 +161,12 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
   lq0_ = VecX::Zero(n);
   ldy_ = none;
   lW1_ = lp * s.lambda_end.transpose();
-  lh_ = 0.0;
+  lh_ = lt_ = 0.0;
   lmu_ = VecX::Zero(contacts);
   if (s.ending == ContactStepEnd::kStick && lslip != 0.0) {
     VecX lw = none;
     if (s.ended >= contacts) {
-      lw[s.ended - contacts] = lslip;
+      lw[t.joint_row(s.ended - contacts)] = lslip;
     } else {
       const ContactStepRecord::Contact& contact = s.contacts[s.ended];
       const int r = contact.row;
@@ -177,6 +187,7 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
   lq0_.noalias() += y_of_q0_.transpose() * lbase;
   lq1_.noalias() += y_of_q1_.transpose() * lbase;
   lh_ += y_of_h_.dot(lbase);
+  lt_ += y_of_t_.dot(lbase);
   g.anchors = (y_of_anchors_.transpose() * lbase).reshaped(3, contacts);
   g.joints = y_of_joints_.transpose() * lbase;
   fold_velocity(y_of_v_.transpose() * lbase);
@@ -189,6 +200,7 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
   const MatX lW0 = g.p * s.lambda.transpose();
   for (int k = 0; k < n; ++k) g.q[k] += lq0_[k] + W0_of_q0_[k].cwiseProduct(lW0).sum();
   g.h += lh_;
+  g.t = lt_;
   g.mu = lmu_;
   return true;
 }

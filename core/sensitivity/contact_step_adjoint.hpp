@@ -13,7 +13,7 @@ namespace contactvi {
 // Gradients in what a contact step depends on; those of ContactStepDirection.
 struct ContactStepGradient {
   VecX q, p;
-  double h = 0.0;
+  double t = 0.0, h = 0.0;
   VecX tau, mu;
   MatX anchors;
   VecX joints;
@@ -46,13 +46,13 @@ class ContactStepAdjoint {
   StepAdjoint adjoint_;
   // The changes of the rows W0 and W1 per unit of q0, and of W1 per unit of q1, each (nv, rows).
   std::vector<MatX> W0_of_q0_, W1_of_q0_, W1_of_q1_;
-  // Of ContactStepTangent::row_changes: per unit of q0, q1, the velocity, the length, the anchors.
+  // Of ContactStepTangent::row_changes: per unit of q0, q1, the velocity, the length, the time, the anchors.
   MatX y_of_q0_, y_of_q1_, y_of_v_, y_of_anchors_, y_of_joints_;
-  VecX y_of_h_;
+  VecX y_of_h_, y_of_t_;
   // Gradients on the way: in q0, q1, p before the velocity impulse, W1, the changes of the rows.
   VecX lq0_, lq1_, lp_minus_, ldy_;
   MatX lW1_;
-  double lh_ = 0.0;
+  double lh_ = 0.0, lt_ = 0.0;
   VecX lmu_, work_;
 };
 

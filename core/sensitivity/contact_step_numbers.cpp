@@ -220,12 +220,14 @@ class Check {
     bool good = s_.h > 0.0 && s_.nominal > 0.0 && s_.q0.size() == nq && s_.q1.size() == nq;
     for (const VecX* x : {&s_.p_start, &s_.p_minus, &s_.p1, &s_.v, &s_.v1}) good &= x->size() == nv;
     for (const MatX* W : {&s_.W0, &s_.W1}) good &= W->rows() == nv && W->cols() == rows;
+    good &= s_.constrained == (constraints() > 0);
     return good && s_.lambda_end.size() == rows && joints_fit(rows) && contacts_fit(rows) && end_fits();
   }
 
  private:
+  int constraints() const { return scene_.tree.elements.constraint_rows; }
   bool joints_fit(Eigen::Index rows) const {
-    if (static_cast<Eigen::Index>(s_.joints.size()) > rows) return false;
+    if (constraints() + static_cast<Eigen::Index>(s_.joints.size()) > rows) return false;
     for (const ContactStepRecord::Joint& joint : s_.joints)
       if (!within(joint.dof, scene_.tree.nv) || !(joint.iq == -1 || within(joint.iq, scene_.tree.nq))) return false;
     return true;
@@ -238,7 +240,7 @@ class Check {
       if (limit && c.before.mu > 0.0) return false;
       for (int body : {c.start.body_a, c.start.body_b, c.end.body_a, c.end.body_b})
         if (!limit && !is_body(scene_, body)) return false;
-      if (c.row < 0 || c.row + c.before.rows() > rows || c.before.mu < 0.0) return false;
+      if (c.row < constraints() || c.row + c.before.rows() > rows || c.before.mu < 0.0) return false;
     }
     return true;
   }

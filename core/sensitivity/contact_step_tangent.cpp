@@ -17,6 +17,8 @@ ContactStepTangent::ContactStepTangent(const Scene& scene)
       step_(scene.tree, 1),
       twists0_(scene.tree),
       twists1_(scene.tree),
+      start_constraints_(scene.tree),
+      end_constraints_(scene.tree),
       dv_(scene.tree.nv),
       dp_start_(scene.tree.nv),
       dp_minus_(scene.tree.nv),
@@ -33,11 +35,13 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   margin_ = 1.0;
   slip_change_ = 0.0;
   rows_ = static_cast<int>(step.lambda.size());
-  if (step.constrained)
-    refuse("constraint", -1, "A step with bilateral constraints has no derivative that is known", "contacts alone",
-           "constraints", "Model the mechanism as a tree");
+  constraints_ = step.constrained ? start_constraints_.rows() : 0;
   twists0_.place(step.q0);
   twists1_.place(step.q1);
+  if (constraints_ > 0) {
+    start_constraints_.take(step.q0, step.t);
+    end_constraints_.take(step.q1, step.t + step.h);
+  }
   take_contacts();
   step_.take(step.q0, step.p_start, step.h, tau, step.t, servo, step.v);
   take_position_problem();
@@ -46,6 +50,7 @@ void ContactStepTangent::take(const ContactStepRecord& step, const VecX& tau, co
   masses_.solve_masses(MinvW_);
   G_.noalias() = step.W1.transpose() * MinvW_;
   w_minus_.noalias() = MinvW_.transpose() * step.p_minus;
+  if (constraints_ > 0) w_minus_.head(constraints_) += end_constraints_.rates();
   velocity_.lambda = step.lambda_end;
   velocity_.w.noalias() = step.W1.transpose() * step.v1;
   velocity_.joints.clear();
@@ -83,9 +88,9 @@ void ContactStepTangent::take_contacts() {
   position_.contacts.clear();
   position_.joints.clear();
   for (std::size_t k = 0; k < s.joints.size(); ++k) {
-    const double bound = 0.5 * s.h * s.joints[k].limit;
-    const bool at_bound = std::abs(s.lambda[k]) >= bound * (1.0 - kOnCone);
-    if (bound > 0.0 && !s.joints[k].slipped) margin_ = std::min(margin_, 1.0 - std::abs(s.lambda[k]) / bound);
+    const double bound = 0.5 * s.h * s.joints[k].limit, friction = std::abs(s.lambda[joint_row(k)]);
+    const bool at_bound = friction >= bound * (1.0 - kOnCone);
+    if (bound > 0.0 && !s.joints[k].slipped) margin_ = std::min(margin_, 1.0 - friction / bound);
     position_.joints.push_back(at_bound ? Mode::kKept : Mode::kStick);
   }
   const double speed = s.v.cwiseAbs().maxCoeff();
@@ -123,7 +128,9 @@ void ContactStepTangent::take_contacts() {
 void ContactStepTangent::check_laws() {
   const ContactStepRecord& s = *record_;
   const double speed = 1.0 + s.v1.cwiseAbs().maxCoeff();
-  const double impulse = std::max(s.lambda.lpNorm<Eigen::Infinity>(), s.lambda_end.lpNorm<Eigen::Infinity>());
+  const int others = rows_ - constraints_;
+  const double impulse =
+      std::max(s.lambda.tail(others).lpNorm<Eigen::Infinity>(), s.lambda_end.tail(others).lpNorm<Eigen::Infinity>());
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactStepRecord::Contact& c = s.contacts[i];
     const double mu = c.before.mu;
@@ -205,6 +212,7 @@ Vec3 ContactStepTangent::place_change(int contact, const VecX& dq1) {
 void ContactStepTangent::set_start_rows(const VecX& dq0) {
   const ContactStepRecord& s = *record_;
   dW0_.setZero();
+  if (constraints_ > 0) start_constraints_.change(dq0, dW0_.leftCols(constraints_));
   twists0_.move(dq0);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactStepRecord::Contact& c = s.contacts[i];
@@ -224,6 +232,7 @@ void ContactStepTangent::set_start_rows(const VecX& dq0) {
 void ContactStepTangent::set_end_rows(const VecX& dq1) {
   const ContactStepRecord& s = *record_;
   dW1_.setZero();
+  if (constraints_ > 0) end_constraints_.change(dq1, dW1_.leftCols(constraints_));
   twists1_.move(dq1);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactStepRecord::Contact& c = s.contacts[i];
@@ -255,13 +264,14 @@ void ContactStepTangent::row_changes(const VecX& dq0, const VecX& dq1, const Vec
   dy.setZero(rows_);
   const bool shorter = s.h < s.nominal;
   const double part = shorter ? 1.0 - s.h / s.nominal : 0.0;
+  if (constraints_ > 0) dy.head(constraints_) = constraint_changes(dq0, dq1, dv, d);
   for (std::size_t k = 0; k < s.joints.size(); ++k) {
     const ContactStepRecord::Joint& joint = s.joints[k];
     if (joint.by_place) {
       const double reference = !joint.anchored ? dq0[joint.dof] : d.joints.size() > 0 ? d.joints[k] : 0.0;
-      dy[k] = (dq1[joint.dof] - reference) / s.h;
+      dy[joint_row(k)] = (dq1[joint.dof] - reference) / s.h;
     } else {
-      dy[k] = dv[joint.dof];
+      dy[joint_row(k)] = dv[joint.dof];
     }
   }
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
@@ -298,6 +308,23 @@ void ContactStepTangent::row_changes(const VecX& dq0, const VecX& dq1, const Vec
   }
 }
 
+// Those of the constraints, as ContactStep::set_constraint_velocities has them.
+VecX ContactStepTangent::constraint_changes(const VecX& dq0, const VecX& dq1, const VecX& dv,
+                                            const ContactStepDirection& d) const {
+  const ContactStepRecord& s = *record_;
+  const ConstraintTangent &start = start_constraints_, &end = end_constraints_;
+  const auto of = [&](const MatX& W) { return W.leftCols(constraints_).transpose(); };
+  const VecX dphi0 = of(s.W0) * dq0 + start.rates() * d.t;
+  if (s.constraints_by_rate())
+    return 0.5 * (of(dW0_ + dW1_) * s.v + of(s.W0 + s.W1) * dv) +
+           0.5 * (start.accelerations() * d.t + end.accelerations() * (d.t + d.h)) + dphi0 / s.nominal;
+  const bool shorter = s.h < s.nominal;
+  const double part = shorter ? 1.0 - s.h / s.nominal : 0.0;
+  const VecX dphi1 = of(s.W1) * dq1 + end.rates() * (d.t + d.h);
+  const VecX value = (end.residuals() - part * start.residuals()) / s.h;
+  return (dphi1 - part * dphi0 + (shorter ? d.h / s.nominal : 0.0) * start.residuals() - value * d.h) / s.h;
+}
+
 // Along which the friction of a contact acts.
 Eigen::Vector2d ContactStepTangent::slip_of(const Problem& problem, std::size_t i) const {
   const ContactStepRecord::Contact& c = record_->contacts[i];
@@ -309,7 +336,7 @@ void ContactStepTangent::set_laws(Problem& problem, const MatX& rows) {
   const ContactStepRecord& s = *record_;
   MatX A = rows;
   for (std::size_t k = 0; k < s.joints.size(); ++k)
-    if (problem.joints[k] == Mode::kKept) A.row(k) = MatX::Identity(rows_, rows_).row(k);
+    if (problem.joints[k] == Mode::kKept) A.row(joint_row(k)) = MatX::Identity(rows_, rows_).row(joint_row(k));
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactStepRecord::Contact& c = s.contacts[i];
     const int r = c.row, count = c.before.rows();
@@ -325,7 +352,7 @@ void ContactStepTangent::set_laws(Problem& problem, const MatX& rows) {
     A.block<2, 2>(r + 1, r + 1) += Eigen::Matrix2d::Identity();
     A.block<2, 1>(r + 1, r) += c.before.mu * slip.normalized();
   }
-  problem.system.compute(A);
+  problem.system.compute(A, constraints_);
 }
 
 // What the laws leave open must have no effect.
@@ -345,7 +372,7 @@ VecX ContactStepTangent::law_change(const Problem& problem, const ContactStepDir
   const ContactStepRecord& s = *record_;
   VecX c = base;
   for (std::size_t k = 0; k < s.joints.size(); ++k)
-    if (problem.joints[k] == Mode::kKept) c[k] = -problem.lambda[k] * d.h / s.h;
+    if (problem.joints[k] == Mode::kKept) c[joint_row(k)] = -problem.lambda[joint_row(k)] * d.h / s.h;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactStepRecord::Contact& contact = s.contacts[i];
     const int r = contact.row;
@@ -391,7 +418,8 @@ void ContactStepTangent::take_released_friction() {
   check_shared(frozen_, MinvW_);
   VecX right = w_minus_;
   for (std::size_t k = 0; k < s.joints.size(); ++k)
-    if (frozen_.joints[k] == Mode::kKept) right[k] = std::copysign(0.5 * s.h * s.joints[k].limit, -s.lambda[k]);
+    if (frozen_.joints[k] == Mode::kKept)
+      right[joint_row(k)] = std::copysign(0.5 * s.h * s.joints[k].limit, -s.lambda[joint_row(k)]);
   for (int i = 0; i < count; ++i) {
     const ContactStepRecord::Contact& c = s.contacts[i];
     if (frozen_.contacts[i] == Mode::kOpen) right.segment(c.row, c.before.rows()).setZero();
@@ -413,7 +441,8 @@ void ContactStepTangent::end_change(const Problem& problem, const VecX& v, const
                                     VecX& dlambda, VecX& dw) {
   step_.momentum(record_->q1, v, dq1, none_, work_);
   if (d.parameters != nullptr) step_.add_momentum(record_->q1, v, *d.parameters, work_);
-  const VecX base = dW1_.transpose() * v + MinvW_.transpose() * (dp_minus + dW1_ * problem.lambda - work_);
+  VecX base = dW1_.transpose() * v + MinvW_.transpose() * (dp_minus + dW1_ * problem.lambda - work_);
+  if (constraints_ > 0) base.head(constraints_) += end_constraints_.accelerations() * (d.t + d.h);
   solve_laws(problem, law_change(problem, d, base, dy), size, dlambda);
   dw = base + G_ * dlambda;
 }
@@ -455,7 +484,7 @@ void ContactStepTangent::solve(const ContactStepDirection& d, VecRef dq1, VecRef
   end_change(frozen_, v_frozen_, d, dy_, q, dp_minus_, sizes(), dlambda_end_, dw_);
   const auto count = static_cast<int>(s.contacts.size());
   if (s.ended >= count) {
-    slip_change_ = dw_[s.ended - count];
+    slip_change_ = dw_[joint_row(s.ended - count)];
     return;
   }
   const ContactStepRecord::Contact& contact = s.contacts[s.ended];

@@ -3,7 +3,8 @@
 // The position impulse Lambda acts before the smooth step, whose derivative is T (StepTangent):
 //   dp_start = dp0 + dW0 Lambda + W0 dLambda,   (dq1, dp-) = T(dq0, dp_start, dh)
 // and dLambda follows from the rows of the contacts: the gap of a loaded one and the slip of one that sticks stay zero,
-// friction keeps to Coulomb's law d(Lambda_t + mu Lambda_n s / |s|) = 0, an open contact has no impulse. The velocity
+// friction keeps to Coulomb's law d(Lambda_t + mu Lambda_n s / |s|) = 0, an open contact has no impulse; constraints
+// come first among the rows, and stay satisfied also where the times of the step's ends move. The velocity
 // impulse follows in the same way from w = W1^T M^-1 p1 at the end. Where several points share a load, the impulses are
 // those of least norm, and the derivative exists if the motion does not depend on how the load is shared.
 //
@@ -14,6 +15,7 @@
 
 #include "contact/contact_step_record.hpp"
 #include "geometry/contact_tangent.hpp"
+#include "model/constraint_tangent.hpp"
 #include "sensitivity/recorded_run.hpp"
 #include "sensitivity/shared_load.hpp"
 #include "step/integrator.hpp"
@@ -23,12 +25,12 @@ namespace contactvi {
 
 // A direction in all that a contact step depends on; what is empty does not change.
 struct ContactStepDirection {
-  VecX q, p;  // of the start, (nv,)
-  double h = 0.0;
-  VecX tau;      // public coordinates, (nv,)
-  VecX mu;       // of the contacts
-  MatX anchors;  // of the contacts that have one, in the frames of their planes, (3, contacts)
-  VecX joints;   // anchors of the joints with friction
+  VecX q, p;                // of the start, (nv,)
+  double t = 0.0, h = 0.0;  // time of the start, of which constraints may be functions, and length
+  VecX tau;                 // public coordinates, (nv,)
+  VecX mu;                  // of the contacts
+  MatX anchors;             // of the contacts that have one, in the frames of their planes, (3, contacts)
+  VecX joints;              // anchors of the joints with friction
   const StepParameters* parameters = nullptr;
   double size_q = 0.0, size_p = 0.0;  // largest change of q and p on the way: rounding is relative to it
 };
@@ -73,8 +75,10 @@ class ContactStepTangent {
   void set_start_rows(const VecX& dq0);
   void set_end_rows(const VecX& dq1);
   void row_changes(const VecX& dq0, const VecX& dq1, const VecX& dv, const ContactStepDirection& d, VecX& dy);
+  VecX constraint_changes(const VecX& dq0, const VecX& dq1, const VecX& dv, const ContactStepDirection& d) const;
   void end_change(const Problem& problem, const VecX& v, const ContactStepDirection& d, const VecX& dy, const VecX& dq1,
                   const VecX& dp_minus, const VecX& size, VecX& dlambda, VecX& dw);
+  int joint_row(std::size_t k) const { return constraints_ + static_cast<int>(k); }
   Vec3 relative(const BodyTwists& twists, int contact, const Vec3& x) const;
   Vec3 place(const BodyTwists& twists, int contact) const;
   Eigen::Matrix2d turn(const Eigen::Vector2d& s) const;
@@ -85,8 +89,9 @@ class ContactStepTangent {
   const ContactStepRecord* record_ = nullptr;
   BodyTwists twists0_, twists1_;
   std::vector<ContactTangent> start_, end_;
+  ConstraintTangent start_constraints_, end_constraints_;
   double margin_ = 1.0, slip_change_ = 0.0;
-  int rows_ = 0;
+  int rows_ = 0, constraints_ = 0;  // constraints_: how many of the rows are those of constraints
   // Per unit of each position impulse: q1, p-, the stage's velocity, the rows.
   MatX Q_, P_, V_, Y_;
   MatX MinvW_, G_;

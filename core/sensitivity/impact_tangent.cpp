@@ -27,6 +27,7 @@ ImpactTangent::ImpactTangent(const Scene& scene, const RecordedRun& run)
       integrator_(scene.tree, run.stages, run.tol, 200),
       guards_(scene, run.contact_points),
       sequence_(scene, integrator_, guards_, options_of(run)),
+      projection_(scene.tree),
       rest_(scene.tree, run.stages),
       u_(scene.tree.nv),
       work_(scene.tree.nv),
@@ -72,7 +73,7 @@ void ImpactTangent::collect(const RecordedImpact& impact) {
   if (impact.points > 1)
     refuse("witness", impact.guard, "An impact has several points at once", "one point that hits first",
            std::to_string(impact.points) + " points", "Start a little tilted, so that one point hits first");
-  if (!sequence_.collect_given(impact.q, impact.p_minus, {impact.guard}, Guards::kTouching))
+  if (!sequence_.collect_given(impact.q, impact.p_minus, impact.time, {impact.guard}, Guards::kTouching))
     throw Error("a recorded impact has no contact");
 }
 
@@ -105,17 +106,26 @@ void ImpactTangent::take_rows(const RecordedImpact& impact) {
   }
   W_.resize(scene_->tree.nv, rows_);
   Z_.resize(scene_->tree.nv, rows_);
+  offset_.resize(rows_);
+  mu_fixed_.resize(scene_->tree.elements.constraint_rows, rows_);
   int at = 0;
   for (int k = 0; k < sequence_.count(); ++k) {
     const ClosedGuard& closed = sequence_.closed(k);
     const int rows = impact.block != nullptr ? closed.rows : closed.rows_per_point();
     W_.middleCols(at, rows) = closed.W.leftCols(rows);
     Z_.middleCols(at, rows) = closed.MinvW.leftCols(rows);
+    offset_.segment(at, rows) = closed.offset.head(rows);
+    mu_fixed_.middleCols(at, rows) = closed.mu_fixed.leftCols(rows);
     at += rows;
   }
   if (!integrator_.node_velocity(impact.q, impact.p_minus, u_)) throw Error("the mass matrix is not positive definite");
+  gradients_ = W_;
+  if (projection_.any()) {
+    projection_.take(integrator_, impact.q, impact.time);
+    gradients_ = projection_.take_rows(mu_fixed_, W_, Z_);
+  }
   G_.noalias() = W_.transpose() * Z_;
-  gamma_.noalias() = W_.transpose() * u_;
+  gamma_ = W_.transpose() * u_ + offset_;
   lambda_ = VecX::Constant(1, impact.impulse);
   approach_ = 1.0;
   if (points() == 1) approach_ = check_closing(impact, gamma_[0], W_.col(0).cwiseAbs().dot(u_.cwiseAbs()));
@@ -189,13 +199,17 @@ void ImpactTangent::add_row_changes(const ImpactDirection& d) {
   const VecX none = VecX::Zero(n);
   rest_.momentum(impact_->q, u_, d.q, none, work_);
   if (d.parameters != nullptr) rest_.add_momentum(impact_->q, u_, *d.parameters, work_);
-  dgamma_ = dW_.transpose() * u_ + Z_.transpose() * (d.p - work_);
-  dG_ = dW_.transpose() * Z_ + Z_.transpose() * dW_;
+  const VecX heavier = work_;
+  turned_.resize(n, rows_);
   for (int k = 0; k < rows_; ++k) {
     rest_.momentum(impact_->q, Z_.col(k), d.q, none, work_);
     if (d.parameters != nullptr) rest_.add_momentum(impact_->q, Z_.col(k), *d.parameters, work_);
-    dG_.col(k) -= Z_.transpose() * work_;
+    turned_.col(k) = work_;
   }
+  doffset_.setZero(rows_);
+  if (projection_.any()) projection_.change(d.q, d.time, turned_, dW_, doffset_);
+  dgamma_ = dW_.transpose() * u_ + Z_.transpose() * (d.p - heavier) + doffset_;
+  dG_ = dW_.transpose() * Z_ + Z_.transpose() * dW_ - Z_.transpose() * turned_;
 }
 
 // dLambda of the explicit laws from dgamma and dG.
@@ -234,7 +248,7 @@ void ImpactTangent::apply(const ImpactDirection& d, VecRef dp, double& loss) {
   dp = d.p + dW_ * lambda_ + W_ * dlambda;
 }
 
-// A change of M changes gamma by -Z^T dM u, and G by -Z^T dM Z.
+// A change of M changes gamma by -Z^T dM u, and G by -Z^T dM Z; with constraints also the rows.
 void ImpactTangent::add_parameters(const VecX& lp, StepAdjoint& adjoint, StepParameters& sums) {
   if (implicit_) return;
   const VecX l = W_.transpose() * lp;
@@ -256,7 +270,12 @@ void ImpactTangent::add_parameters(const VecX& lp, StepAdjoint& adjoint, StepPar
     for (int k = 0; k < rows_; ++k) of_G(i, k) = gradient(dG_(i, k));
   }
   adjoint.add_momentum_parameters(impact_->q, u_, -(Z_ * of_gamma), sums);
-  for (int k = 0; k < rows_; ++k) adjoint.add_momentum_parameters(impact_->q, Z_.col(k), -(Z_ * of_G.col(k)), sums);
+  MatX of_turned = -Z_ * of_G;
+  if (projection_.any()) {
+    const MatX of_W = lp * lambda_.transpose() + u_ * of_gamma.transpose() + Z_ * (of_G + of_G.transpose());
+    of_turned += projection_.mass_gradient(of_W, of_gamma);
+  }
+  for (int k = 0; k < rows_; ++k) adjoint.add_momentum_parameters(impact_->q, Z_.col(k), of_turned.col(k), sums);
 }
 
 }  // namespace contactvi

@@ -5,13 +5,15 @@
 //   dgamma = dW^T u + Z^T (dp- - d(M u)|u),   dG = dW^T Z + Z^T dW - Z^T d(M Z)|Z,   dp+ = dp- + dW Lambda + W dLambda,
 // d(M x)|x the change of M x with q at a constant x. dW comes from the curvature of the gap (ContactTangent). dLambda
 // follows from the law of the impact: CTEC's is explicit, the implicit maps' is one scalar equation, and Poisson's two
-// cone problems, of friction and of several points, have PoissonTangent.
+// cone problems, of friction and of several points, have PoissonTangent. With constraints the rows are those projected
+// on them, whose changes are ProjectionTangent's.
 #pragma once
 
 #include "geometry/contact_tangent.hpp"
 #include "impact/sequence.hpp"
 #include "sensitivity/piece_inputs.hpp"
 #include "sensitivity/poisson_tangent.hpp"
+#include "sensitivity/projection_tangent.hpp"
 #include "step/step_adjoint.hpp"
 #include "step/step_tangent.hpp"
 
@@ -24,6 +26,7 @@ struct ImpactDirection {
   double size_p = 0;     // largest change of p on the way: rounding is relative to it
   double reference = 0;  // of the implicit maps: their scalar before the impact [J]
   double rest = 0;       // length of the rest of the step [s]
+  double time = 0;       // of the impact [s]
   const StepParameters* parameters = nullptr;
   bool checked = true;  // whether points that share an impulse may not contradict each other along it
 };
@@ -39,8 +42,8 @@ class ImpactTangent {
   double restitution(int point) const { return points_[point].e; }
   // Which of its points this is; -1: none.
   int find(const ContactPoint& point) const;
-  // W of the normal row of a point, (nv,).
-  VecX gradient(int point) const { return W_.col(points_[point].row); }
+  // W of the normal row of a point, (nv,): the gradient of its gap.
+  VecX gradient(int point) const { return gradients_.col(points_[point].row); }
   // dp+ (nv,), and the derivative of the energy that the impact takes [J].
   void apply(const ImpactDirection& direction, VecRef dp, double& loss);
   // Adds the gradients in the inertias of the impact, but not of an implicit map's, from the gradient in p+.
@@ -70,6 +73,7 @@ class ImpactTangent {
   ImpactSequence sequence_;
   PoissonImpact poisson_;
   PoissonTangent law_;
+  ProjectionTangent projection_;
   std::vector<ContactTangent> contacts_;
   StepTangent rest_;
   const RecordedImpact* impact_ = nullptr;
@@ -80,8 +84,9 @@ class ImpactTangent {
   std::vector<Vec3> t1_;
   int rows_ = 1;
   VecX u_, lambda_, gamma_;
-  MatX W_, Z_, G_, dW_, dG_;
-  VecX dgamma_, work_;
+  MatX gradients_, W_, Z_, G_, dW_, dG_;  // gradients_: the rows before constraints answer
+  MatX mu_fixed_, turned_;                // impulses of constraints per unit of a row's; d(M Z)|Z
+  VecX offset_, doffset_, dgamma_, work_;
   // Of the rest of the step: its end, and dH/dq there; the derivative of the map's scalar along W.
   VecX q1_, p1_, v1_, force1_, dq1_, dp1_;
   double scalar_slope_ = 0;

@@ -88,6 +88,19 @@ bool PoissonTangent::determines(const MatX& effect) const {
     if (!phase->any || phase->system.free().cols() == 0) continue;
     if ((effect * phase->system.free()).cwiseAbs().maxCoeff() > bound) return false;
   }
+  if (!expansion_.any) return true;
+  // What the compression leaves open of its normal impulses, the expansion multiplies by e.
+  const MatX& free = compression_.system.free();
+  PoissonDirection none;
+  none.e = none.mu = VecX::Zero(static_cast<Eigen::Index>(points_.size()));
+  none.size = VecX::Zero(G_.rows());
+  VecX dleast(none.e.size()), second;
+  for (Eigen::Index k = 0; k < free.cols(); ++k) {
+    const VecX first = free.col(k);
+    for (std::size_t i = 0; i < points_.size(); ++i) dleast[i] = points_[i].e * first[points_[i].row];
+    solve(expansion_, G_ * first, dleast, none, second);
+    if ((effect * (first + second)).cwiseAbs().maxCoeff() > bound) return false;
+  }
   return true;
 }
 

@@ -15,13 +15,26 @@ constexpr double kStill = 1e-11;  // of the speeds: a joint that sticks
 constexpr double kZero =
     1e-5;  // of the terms of the forces: that of the contact that is released, as the run located it
 constexpr double kUnique = 1e-9;  // of a force: what the laws leave open
+// Of the rate of the force: to which it has to be known from differences of the acceleration of a prescribed motion,
+// which are made over half a nominal step and over a quarter of one.
+constexpr double kSameRate = 1e-7;
+
+// The third derivative at t of a prescribed motion, from its accelerations at five times up to t [s].
+double jerk(const Signal& motion, double t, double step) {
+  double total = 25.0 * motion(t)[2];
+  total += -48.0 * motion(t - step)[2] + 36.0 * motion(t - 2.0 * step)[2];
+  total += -16.0 * motion(t - 3.0 * step)[2] + 3.0 * motion(t - 4.0 * step)[2];
+  return total / (12.0 * step);
+}
 }  // namespace
 
-ReleaseForce::ReleaseForce(const Scene& scene, int contact_points)
+ReleaseForce::ReleaseForce(const Scene& scene, const RecordedRun& run)
     : scene_(&scene),
+      t0_(run.t0),
       masses_(scene.tree, 1, 1e-12, 1),
-      guards_(scene, contact_points),
+      guards_(scene, run.contact_points),
       tangent_(scene),
+      constraints_(scene.tree),
       v_(scene.tree.nv),
       a_(scene.tree.nv) {}
 
@@ -67,13 +80,18 @@ double ReleaseForce::settle_loads() {
 // The normal force of the contact that is released.
 double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu) {
   const ContactStepRecord& s = *record_;
-  const auto rows = static_cast<int>(s.lambda.size());
+  const int rows = static_cast<int>(s.lambda.size()), equations = constraints_.rows();
   if (!masses_.node_velocity(q, p, v_)) throw Error("the mass matrix is not positive definite");
   forward_dynamics(masses_, q, v_, tau, a_);
   guards_.place(q);
   W_.setZero(scene_->tree.nv, rows);
   dW_.setZero(scene_->tree.nv, rows);
-  for (std::size_t k = 0; k < s.joints.size(); ++k) W_(s.joints[k].dof, k) = 1.0;
+  if (equations > 0) {
+    constraints_.take(q, s.t + s.h);
+    W_.leftCols(equations) = constraints_.gradients();
+    constraints_.change(v_, dW_.leftCols(equations));
+  }
+  for (std::size_t k = 0; k < s.joints.size(); ++k) W_(s.joints[k].dof, equations + static_cast<int>(k)) = 1.0;
   std::vector<Vec3> t1(s.contacts.size(), Vec3::Zero());
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const ContactPoint& point = s.contacts[i].before.point;
@@ -92,6 +110,7 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
   MatX MinvW = W_;
   masses_.solve_masses(MinvW);
   VecX c = W_.transpose() * a_ + dW_.transpose() * v_;
+  c.head(equations) += constraints_.accelerations();
   A_.noalias() = W_.transpose() * MinvW;
   accelerations_ = c;
   MatX A = A_;
@@ -105,9 +124,10 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
   for (std::size_t k = 0; k < s.joints.size(); ++k) {
     const double speed = s.v1[s.joints[k].dof];
     if (std::abs(speed) <= still) continue;
-    A.row(k).setZero();
-    A(k, k) = 1.0;
-    c[k] = std::copysign(s.joints[k].limit, speed);
+    const int r = equations + static_cast<int>(k);
+    A.row(r).setZero();
+    A(r, r) = 1.0;
+    c[r] = std::copysign(s.joints[k].limit, speed);
   }
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const int r = s.contacts[i].row, count = s.contacts[i].before.rows();
@@ -124,7 +144,7 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
     A.block<2, 1>(r + 1, r) = mu[i] * w.normalized();
     c.segment<2>(r + 1).setZero();
   }
-  system_.compute(A);
+  system_.compute(A, equations);
   const int row = s.contacts[s.ended].row;
   const VecX size = c.cwiseAbs() + A.cwiseAbs().rowwise().sum();
   if (!system_.solve(c, size, forces_)) refuse("contacts that contradict each other");
@@ -158,6 +178,29 @@ double ReleaseForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, co
     total += weight * force(q, s.p1 + by * dp, tau, mu);
   }
   return total / (12.0 * step);
+}
+
+double ReleaseForce::rate(const VecX& fq, const VecX& fp) {
+  const double rest = change(fq, fp, VecX(), VecX());
+  return scene_->tree.elements.driven() ? rest + prescribed_rate(rest) : rest;
+}
+
+// The accelerations of prescribed motions are terms of the equations of the forces: their rates have that of the force.
+double ReleaseForce::prescribed_rate(double rest) {
+  const ContactStepRecord& s = *record_;
+  const double t = s.t + s.h, step = std::min(0.125 * s.nominal, 0.25 * (t - t0_));
+  force(s.q1, s.p1, *tau_, mu_);
+  VecX c = VecX::Zero(s.lambda.size()), none = c, rates;
+  double found[2];
+  for (int k = 0; k < 2; ++k) {
+    for (const Constraint& constraint : scene_->tree.elements.constraints)
+      if (constraint.signal) c[constraint.row] = -jerk(constraint.signal, t, k == 0 ? step : 0.5 * step);
+    system_.solve(c, none, rates);
+    found[k] = rates[s.contacts[s.ended].row];
+  }
+  if (!(std::abs(found[1] - found[0]) <= kSameRate * std::abs(rest + found[1])))
+    refuse("a prescribed motion whose acceleration is not smooth, or not known well enough");
+  return found[1];
 }
 
 }  // namespace contactvi

@@ -1,14 +1,15 @@
 // The continuous normal force of a contact that is released at the end of a contact step, as a function of the state
 // there; its zero is the time of the release.
 //
-// With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v = 0 in the rows of the normals and of
-// what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts and dW the change of the rows
-// along v (ContactTangent). Its derivative would need the third derivative of the gap: it is taken by fourth-order
-// differences, which are right to 1e-10.
+// With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v + d2phi/dt2 = 0 in the rows of constraints,
+// of the normals and of what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts and dW the
+// change of the rows along v (ContactTangent, ConstraintTangent). Its derivative would need the third derivatives of gaps
+// and constraints: it is taken by fourth-order differences, which are right to 1e-10.
 #pragma once
 
 #include "geometry/contact_tangent.hpp"
 #include "geometry/guard.hpp"
+#include "model/constraint_tangent.hpp"
 #include "sensitivity/recorded_run.hpp"
 #include "sensitivity/shared_load.hpp"
 #include "step/integrator.hpp"
@@ -17,23 +18,28 @@ namespace contactvi {
 
 class ReleaseForce {
  public:
-  ReleaseForce(const Scene& scene, int contact_points);
+  ReleaseForce(const Scene& scene, const RecordedRun& run);
 
   // Takes a step that ends with a release; it and its inputs are to stay alive. Throws NoDerivative.
   void take(const ContactStepRecord& step, const VecX& tau, const Servo* servo);
   // The derivative of the force [N] along a change of (q1, p1), of the inputs and of the coefficients of friction of
   // the contacts, which may be empty.
   double change(const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu);
+  // Its derivative by time, along the motion with the rates fq, fp of (q1, p1): prescribed motions go on.
+  double rate(const VecX& fq, const VecX& fp);
 
  private:
   double settle_loads();
+  double prescribed_rate(double rest);
   double force(const VecX& q, const VecX& p, const VecX& tau, const VecX& mu);
   void refuse(const std::string& got) const;
 
   const Scene* scene_;
+  double t0_;  // of the run [s]
   Integrator masses_;
   Guards guards_;
   ContactTangent tangent_;
+  ConstraintTangent constraints_;
   const ContactStepRecord* record_ = nullptr;
   const VecX* tau_ = nullptr;
   std::vector<char> loaded_;  // which contacts carry load

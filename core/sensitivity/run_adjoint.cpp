@@ -97,6 +97,7 @@ void RunAdjoint::set_impact_matrix() {
   }
   matrix_.reference = number(direction.reference);
   matrix_.rest = number(direction.rest);
+  matrix_.time = number(direction.time);
 }
 
 void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) {
@@ -114,7 +115,7 @@ void RunAdjoint::pass_impact(const RecordedImpact& impact, RunGradient& result) 
     if (impact_.restitution(i) > 0.0) result.e[impact_.guard(i)] += matrix_.e.col(i).dot(l);
     result.mu[impact_.guard(i)] += matrix_.mu.col(i).dot(l);
   }
-  ltime_ -= matrix_.rest.dot(l);
+  ltime_ += matrix_.time.dot(l) - matrix_.rest.dot(l);
   lreference_ += matrix_.reference.dot(l);
 }
 

@@ -32,9 +32,9 @@ class RunAdjoint {
  private:
   // The linear map of an impact: its rows are those of the momentum after it, and of the energy that it takes.
   struct ImpactMatrix {
-    MatX q, p;             // (nv + 1, nv)
-    MatX e, mu;            // (nv + 1, points)
-    VecX reference, rest;  // (nv + 1,)
+    MatX q, p;                   // (nv + 1, nv)
+    MatX e, mu;                  // (nv + 1, points)
+    VecX reference, rest, time;  // (nv + 1,)
   };
 
   void add_node(const RunCost& cost, std::size_t node, const VecX& q, const VecX& p, RunGradient& result);

@@ -191,6 +191,7 @@ void RunTangent::apply_impact(const RecordedImpact& impact, const RunDirections&
     direction.size_p = size_p_[k];
     direction.reference = reference_[k];
     direction.rest = -columns_.time[k];
+    direction.time = columns_.time[k];
     impact_.apply(direction, dp_, loss);
     columns_.p.col(k) = dp_;
     reference_[k] -= loss;

@@ -1,5 +1,8 @@
 #include "sensitivity/shared_load.hpp"
 
+#include <Eigen/QR>
+#include <cmath>
+
 namespace contactvi {
 
 namespace {
@@ -7,20 +10,81 @@ namespace {
 // other. Rows of the points of one face are known to 1e-14.
 constexpr double kDependent = 1e-10;
 constexpr double kContradiction = 1e-8;  // residual of dependent rows, of the terms of their right sides
+// Of constraints, as the step has them (base/reduction.cpp): the least pivot of the scaled matrix, and the share of its
+// largest diagonal below which a row is rounding.
+constexpr double kRedundant = 1e-9, kZeroRow = 1e-20;
 }  // namespace
 
-void SharedLoad::compute(const MatX& A) {
-  scale_ = A.rowwise().lpNorm<Eigen::Infinity>();
-  for (double& s : scale_) s = s > 0.0 ? 1.0 / s : 1.0;
-  A_ = scale_.asDiagonal() * A;
+void SharedLoad::compute(const MatX& A, int constraints) {
+  constraints_ = constraints;
+  if (constraints == 0) {
+    scale_ = A.rowwise().lpNorm<Eigen::Infinity>();
+    for (double& s : scale_) s = s > 0.0 ? 1.0 / s : 1.0;
+    A_ = scale_.asDiagonal() * A;
+    factor();
+    free_ = svd_.matrixV().rightCols(A.cols() - rank_);
+    return;
+  }
+  eliminate(A);
+  const Eigen::Index m = constraints_, rest = A.rows() - m, left = rest - rank_;
+  const MatX K = A.topLeftCorner(m, m);
+  free_.setZero(A.rows(), left + (redundant_ ? m : 0));
+  if (left > 0) {
+    free_.bottomLeftCorner(rest, left) = svd_.matrixV().rightCols(left);
+    free_.topLeftCorner(m, left) = -across_ * free_.bottomLeftCorner(rest, left);
+  }
+  if (redundant_) free_.topRightCorner(m, m) = MatX::Identity(m, m) - inverse_ * K;
+}
+
+void SharedLoad::factor() {
+  rank_ = 0;
+  if (A_.rows() == 0) return;
   svd_.compute(A_, Eigen::ComputeFullU | Eigen::ComputeFullV);
   const VecX& values = svd_.singularValues();
-  rank_ = 0;
   while (rank_ < values.size() && values[rank_] > kDependent * values[0]) ++rank_;
-  free_ = svd_.matrixV().rightCols(A.cols() - rank_);
+}
+
+void SharedLoad::eliminate(const MatX& A) {
+  const Eigen::Index m = constraints_, rest = A.rows() - m;
+  const double zero = kZeroRow * A.diagonal().head(m).cwiseAbs().maxCoeff();
+  VecX scale(m);
+  for (Eigen::Index k = 0; k < m; ++k) scale[k] = std::abs(A(k, k)) > zero ? 1.0 / std::sqrt(std::abs(A(k, k))) : 0.0;
+  Eigen::CompleteOrthogonalDecomposition<MatX> kernel;
+  kernel.setThreshold(kRedundant);
+  kernel.compute(scale.asDiagonal() * A.topLeftCorner(m, m) * scale.asDiagonal());
+  redundant_ = kernel.rank() < m;
+  inverse_ = scale.asDiagonal() * kernel.pseudoInverse() * scale.asDiagonal();
+  across_.noalias() = inverse_ * A.topRightCorner(m, rest);
+  behind_.noalias() = A.bottomLeftCorner(rest, m) * inverse_;
+  A_ = A.bottomRightCorner(rest, rest);
+  A_.noalias() -= A.bottomLeftCorner(rest, m) * across_;
+  // What the constraints leave of a row whose motion they determine is rounding: its impulse stays as it is.
+  scale_.resize(rest);
+  for (Eigen::Index k = 0; k < rest; ++k) {
+    const double left = A_.row(k).lpNorm<Eigen::Infinity>(), all = A.row(m + k).lpNorm<Eigen::Infinity>();
+    scale_[k] = left > kDependent * all ? 1.0 / left : 0.0;
+  }
+  A_ = scale_.asDiagonal() * A_;
+  factor();
 }
 
 bool SharedLoad::solve(const VecX& c, const VecX& size, VecX& x) const {
+  if (constraints_ == 0) return solve_rest(c, size, x);
+  const Eigen::Index m = constraints_, rest = c.size() - m;
+  VecX last;
+  const bool agree =
+      solve_rest(c.tail(rest) - behind_ * c.head(m), size.tail(rest) + behind_.cwiseAbs() * size.head(m), last);
+  x.resize(c.size());
+  x.tail(rest) = last;
+  x.head(m) = -inverse_ * c.head(m) - across_ * last;
+  return agree;
+}
+
+bool SharedLoad::solve_rest(const VecX& c, const VecX& size, VecX& x) const {
+  if (c.size() == 0) {
+    x.resize(0);
+    return true;
+  }
   const VecX right = -scale_.cwiseProduct(c);
   const VecX along =
       (svd_.matrixU().leftCols(rank_).transpose() * right).cwiseQuotient(svd_.singularValues().head(rank_));
@@ -29,6 +93,17 @@ bool SharedLoad::solve(const VecX& c, const VecX& size, VecX& x) const {
 }
 
 VecX SharedLoad::solve_transposed(const VecX& lx) const {
+  if (constraints_ == 0) return solve_rest_transposed(lx);
+  const Eigen::Index m = constraints_, rest = lx.size() - m;
+  const VecX lc = solve_rest_transposed(lx.tail(rest) - across_.transpose() * lx.head(m));
+  VecX all(lx.size());
+  all.tail(rest) = lc;
+  all.head(m) = -inverse_.transpose() * lx.head(m) - behind_.transpose() * lc;
+  return all;
+}
+
+VecX SharedLoad::solve_rest_transposed(const VecX& lx) const {
+  if (lx.size() == 0) return lx;
   const VecX along = (svd_.matrixV().leftCols(rank_).transpose() * lx).cwiseQuotient(svd_.singularValues().head(rank_));
   return -scale_.cwiseProduct(svd_.matrixU().leftCols(rank_) * along);
 }

@@ -27,6 +27,32 @@ def test_columns_that_agree(command, tmp_path):
         assert sum(line.startswith(name) for line in few.stdout.splitlines()) == 1
 
 
+ROD = """
+[[sphere]]
+name = "bob"
+radius = 0.1
+xyz = [1.0, 0.0, 0.0]
+[[distance]]
+a = "world"
+b = "bob"
+[[halfspace]]
+normal = [0.0, 0.0, 1.0]
+offset = -0.5
+[run]
+dt = 0.01
+duration = 0.5
+"""
+
+
+def test_starts_are_brought_back_to_the_constraints(command, tmp_path):
+    """A ball on a rod swings to the ground."""
+    (tmp_path / "rod.toml").write_text(ROD)
+    result = command("check-gradient", tmp_path / "rod.toml", "--wrt", "q0,v0,restitution")
+    assert result.exit_code == OK, result.stderr
+    assert "1 events, growth" in result.stdout
+    assert "12 of 13 columns compared: 12 agree to 1e-07" in result.stdout
+
+
 def test_a_fault_is_found(command, tmp_path, monkeypatch):
     """An exact derivative that is wrong by 1e-6 is named, with the exit code 1."""
     right = cvi.Trajectory.sensitivity

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 import contactvi as cvi
+from helpers.constrained_scenes import on_constraints
 
 FOURTH = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))
 
@@ -35,6 +36,31 @@ def _differences(scene, q, v, step, options) -> tuple[np.ndarray, np.ndarray]:
             ends[:, k] += weight / step * end
             times[:, k] += weight / step * np.array([event.time for event in traj.events])
     return ends, times
+
+
+def constrained_differences(
+    scene: cvi.Scene, q: np.ndarray, v: np.ndarray, step: float, **options
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fourth-order differences of the start, of (q, v) at the end and of the times of the events in a scene with
+    constraints, along all directions, which are brought back to the constraints.
+
+    The derivative of the run times the first is the second.
+    """
+    nv, t0 = scene.nv, float(options.get("t0", 0.0))
+    base = cvi.simulate(scene, q, v, **options)
+    starts, ends = np.zeros((2 * nv, 2 * nv)), np.zeros((2 * nv, 2 * nv))
+    times = np.zeros((len(base.events), 2 * nv))
+    for k in range(2 * nv):
+        for count, weight in FOURTH:
+            d = count * step * np.eye(2 * nv)[k]
+            start = on_constraints(scene, pin.integrate(scene.model, q, d[:nv]), v + d[nv:], t0)
+            traj = cvi.simulate(scene, *start, **options)
+            assert [event.pair for event in traj.events] == [event.pair for event in base.events]
+            for found, (p, w) in ((starts, start), (ends, (traj.q[-1], traj.v[-1]))):
+                first = base.q[0] if found is starts else base.q[-1]
+                found[:, k] += weight / step * np.concatenate([pin.difference(scene.model, first, p), w])
+            times[:, k] += weight / step * np.array([event.time for event in traj.events])
+    return starts, ends, times
 
 
 def transpose_error(traj: cvi.Trajectory, wrt: list[str], seed: int = 0) -> float:

@@ -193,7 +193,7 @@ def test_constraints_saturation_and_missing_derivatives_are_refused():
     scene, _ = chain(JOINTS["revolute"], 2)
     scene.set_joint("j0", friction=1.0)
     with pytest.raises(cvi.NotDifferentiable, match="joint friction"):
-        cvi.linearize(scene, q, v)
+        cvi.forward_dynamics_derivatives(scene, q, v)
     scene, _ = chain(JOINTS["revolute"], 2)
     name = scene.add_force(lambda t, q, v: -v)
     with pytest.raises(cvi.DerivativeError, match=f"'{name}' has no derivatives"):

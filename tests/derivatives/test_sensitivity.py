@@ -152,11 +152,6 @@ def test_what_is_known_to_have_no_derivative_is_refused_before_the_run():
     with pytest.raises(cvi.DerivativeError, match="wind"):
         cvi.simulate(scene, q, v, record="gradient", **options)
     assert cvi.simulate(scene, q, v, **options).status.ok
-    closed, q, v = at_wall(0.7)
-    closed.add_joint_equality("joint_2", "joint_1")
-    with pytest.raises(cvi.NotDifferentiable) as found:
-        cvi.simulate(closed, [0.2, 0.2], record="gradient", **options)
-    assert found.value.reason == "constraint"
 
 
 @pytest.mark.parametrize("wrt", [[], (), None, [3], 1.0, ["q0", "q0"], [""]])

@@ -1,0 +1,15 @@
+// The derivative of one step with impulses of constraints and joint friction, without contacts, in public coordinates,
+// all columns.
+#pragma once
+
+#include "model/scene.hpp"
+#include "step/linearize.hpp"
+
+namespace contactvi {
+
+// A step of length h from (q0, x0), before which no joint with friction sticks. Throws Refusal where it cannot be
+// solved, NoDerivative where a joint is at the limit of its friction.
+LinearStep linearize_contact_step(const Scene& scene, const VecX& q0, const VecX& x0, StateKind kind, double h,
+                                  const StepInputs& inputs);
+
+}  // namespace contactvi
