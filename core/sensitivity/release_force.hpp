@@ -1,10 +1,10 @@
 // The continuous normal force of a contact that is released at the end of a contact step, as a function of the state
 // there; its zero is the time of the release.
 //
-// With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v + d2phi/dt2 = 0 in the rows of constraints,
-// of the normals and of what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts and dW the
-// change of the rows along v (ContactTangent, ConstraintTangent). Its derivative would need the third derivatives of gaps
-// and constraints: it is taken by fourth-order differences, which are right to 1e-10.
+// With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v + d2phi/dt2 = 0 in the rows of the
+// constraints, of the normals and of what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts
+// and dW the change of the rows along v (ContactTangent, ConstraintTangent). Its derivative would need the third
+// derivatives of gaps and constraints: it is taken by fourth-order differences, which are right to 1e-10.
 #pragma once
 
 #include "geometry/contact_tangent.hpp"
