@@ -128,7 +128,7 @@ void ImpactTangent::take_rows(const RecordedImpact& impact) {
   gamma_ = W_.transpose() * u_ + offset_;
   lambda_ = VecX::Constant(1, impact.impulse);
   approach_ = 1.0;
-  if (points() == 1) approach_ = check_closing(impact, gamma_[0], W_.col(0).cwiseAbs().dot(u_.cwiseAbs()));
+  if (points() == 1) approach_ = check_closing(impact, gamma_[0], gradients_.col(0).cwiseAbs().dot(u_.cwiseAbs()));
 }
 
 // Poisson's two cone problems again, with the active sets of their solutions.

@@ -64,6 +64,7 @@ def compare(traj: cvi.Trajectory, first: tuple, second: tuple) -> None:
     own = np.abs(first[1] - second[1]).max() / size
     assert own <= BAR * 10
     assert np.abs(S.matrix[-1] @ second[0] - second[1]).max() <= max(BAR, own) * size
+    assert all(0.0 < event.approach <= 1.0 + 1e-12 for event in S.report.events)
     if not len(traj.events):
         return
     # Those of impacts that close slowly are known to the time that these are located to.
