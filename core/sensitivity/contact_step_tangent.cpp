@@ -360,9 +360,13 @@ void ContactStepTangent::check_shared(const Problem& problem, const MatX& effect
   const MatX& free = problem.system.free();
   if (free.cols() == 0 || !((effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())) return;
   const ContactStepRecord& s = *record_;
-  refuse("redundant", s.contacts.empty() ? -1 : s.contacts[0].before.point.guard,
-         "The motion depends on how contact points share their load", "a motion that the laws of contact determine",
-         "points that turn while they slip", "Use fewer points (contact_points=3), or let bodies slip without turning");
+  if (s.contacts.empty())
+    refuse("redundant", -1, "The motion depends on how constraints share their load",
+           "gradients of constraints that depend on each other, or clearly do not", "a nearly singular configuration",
+           "Start elsewhere, or use fewer constraints");
+  refuse("redundant", s.contacts[0].before.point.guard, "The motion depends on how contact points share their load",
+         "a motion that the laws of contact determine", "points that turn while they slip",
+         "Use fewer points (contact_points=3), or let bodies slip without turning");
 }
 
 // What the laws demand along a direction: base is the change of the rows with the impulses as they are, dy that of the
