@@ -1,0 +1,216 @@
+"""Second derivatives of runs along directions: against differences of gradients, closed forms and an oracle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import contactvi as cvi
+from batteries import models
+from derivatives.second_differences import CurvedCost, Start, check_second, start_of
+from derivatives.test_sensitivity import at_wall
+from helpers import derivative_cases
+from helpers.chains import JOINTS, chain, state_of
+from oracles import derivative_step, derivative_trep, precise
+
+MODELS = Path(__file__).resolve().parents[2] / "models"
+KNOWN = [name for name in derivative_cases.ELEMENTS if name not in ("user forces", "potentials")]
+
+
+def cases(family: str, order: int) -> list[derivative_cases.Case]:
+    every = [*derivative_cases.smooth(1), *derivative_cases.elements(1)]
+    return [case for case in every if case.family == f"smooth: {family}" and case.options["order"] == order]
+
+
+@pytest.mark.parametrize("order", [2, 4, 16])
+@pytest.mark.parametrize("family", [*derivative_cases.FAMILIES, *KNOWN])
+def test_smooth_runs_against_differences_of_gradients(family, order):
+    """All joints and elements; configurations with turns in exponential coordinates, where H is symmetric."""
+    for case in cases(family, order):
+        check_second(start_of(case))
+
+
+@pytest.mark.parametrize("order", [2, 16])
+def test_the_hand(order):
+    model = models.case("allegro").model()
+    scene = cvi.Scene.from_pinocchio(model)
+    q, v = state_of(scene, np.random.default_rng(3))[:2]
+    rng, dt = np.random.default_rng(4), 0.002 if order == 2 else 0.01
+    steps = 10
+    start = Start(
+        scene, q, 0.5 * v, 0.01 * rng.standard_normal((steps, scene.nv)),
+        {"duration": steps * dt, "dt": dt, "order": order, "tol": 1e-14, "contact_mode": "events"},
+    )  # fmt: skip
+    check_second(start, 1e-4)
+
+
+def test_the_midpoint_step_of_a_pendulum_in_closed_form():
+    """J (q1 - q0)/h = J v0 - (h/2) m g l sin((q0 + q1)/2), differentiated twice by hand."""
+    mass, length, h, gravity = 1.3, 0.7, 0.1, 9.81
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "turn")
+    model.appendBodyToJoint(
+        joint, pin.Inertia(mass, np.array([0.0, 0.0, -length]), 1e-3 * np.eye(3)), pin.SE3.Identity()
+    )
+    scene = cvi.Scene.from_pinocchio(model, name="pendulum")
+    J, weight = mass * length**2 + 1e-3, mass * gravity * length
+    q0, v0 = 0.4, 1.5
+    traj = cvi.simulate(scene, [q0], [v0], record="gradient", duration=h, dt=h, order=2, tol=1e-15)
+    q1, k = float(traj.q[-1, 0]), 0.5 * h * h * weight / J
+    middle = 0.5 * (q0 + q1)
+    assert abs(q1 - q0 - h * v0 + k * np.sin(middle)) <= 1e-14
+    slope, bend = 0.5 * k * np.cos(middle), -0.25 * k * np.sin(middle)
+    dq = np.array([1.0 - slope, h]) / (1.0 + slope)  # by q0 and v0
+    both = np.array([1.0, 0.0]) + dq
+    second = -bend * np.outer(both, both) / (1.0 + slope)
+    cost = (np.array([1.0]), np.array([0.0]))
+    for column, w in enumerate(({"q0": [1.0]}, {"v0": [1.0]})):
+        found = cvi.hessian_vector(traj, cost, w, ["q0", "v0"], hessp="linear")
+        assert np.allclose([found.product["q0"][0], found.product["v0"][0]], second[column], rtol=1e-12)
+        assert np.allclose([found.gradient["q0"][0], found.gradient["v0"][0]], dq, rtol=1e-13)
+
+
+def pendulum(x: dict) -> cvi.Scene:
+    scene = cvi.Scene.from_pinocchio(models.double_pendulum(), name="pendulum")
+    for k in range(2):
+        scene.set_joint(f"joint{k + 1}", damping=x["damping"][k], stiffness=x["stiffness"][k], rest=0.0)
+    return scene
+
+
+STEP = {
+    "q0": [0.3, -0.42], "p0": [-1.7, -0.5], "tau": [0.3, -0.2], "h": 0.05, "masses": [1.0, 1.0],
+    "lengths": [1.0, 1.0], "gravity": 9.81, "damping": [0.1, 0.3], "stiffness": [2.0, 1.0], "wall": -5.0, "e": 1.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("order", [2, 4, 8])
+def test_a_damped_double_pendulum_in_sixty_digits(order):
+    """Against differences in sixty digits of an integrator of its own."""
+    scene = pendulum(STEP)
+    q = np.array(STEP["q0"])
+    v = np.asarray(scene.core().velocity(q[None], np.array(STEP["p0"])[None]))[0]
+    run = derivative_step.outcome(derivative_step.PENDULUM, order // 2)
+    x = {**{name: value for name, value in STEP.items() if name != "p0"}, "v0": v.tolist()}
+    rng = np.random.default_rng(0)
+    z = rng.standard_normal(4)
+    one, two = ({name: rng.standard_normal(2).tolist() for name in ("q0", "v0", "tau")} for _ in range(2))
+    expected = z @ precise.second_differences(run, x, one, two)
+    options = {"duration": 0.05, "dt": 0.05, "order": order, "tol": 1e-15}
+    traj = cvi.simulate(scene, q, v, control=[STEP["tau"]], record="gradient", **options)
+    w = {"q0": one["q0"], "v0": one["v0"], "control": [one["tau"]]}
+    found = cvi.hessian_vector(traj, (z[:2], z[2:]), w, hessp="linear")
+    names = {"q0": "q0", "v0": "v0", "control": "tau"}
+    terms = [np.ravel(found.product[name]) * two[entry] for name, entry in names.items()]
+    assert abs(np.sum(terms) - expected) <= 1e-12 * np.abs(terms).sum()
+
+
+def test_treps_contracted_tensors():
+    """The midpoint step's d2f/dx2 contracted with z, in momenta, is trep's."""
+    scene = pendulum(STEP)
+    q, p = np.array(STEP["q0"]), np.array(STEP["p0"])
+    v = np.asarray(scene.core().velocity(q[None], p[None]))[0]
+    z = np.array([1.0, -2.0, 0.0, 0.0])
+    traj = cvi.simulate(
+        scene, q, v, control=[STEP["tau"]], record="gradient", duration=0.05, dt=0.05, order=2, tol=1e-15
+    )
+    tensors = derivative_trep.derivatives(derivative_step.PENDULUM, STEP)
+    inputs = tensors.contracted(z)[2]
+    for k in range(2):
+        found = cvi.hessian_vector(traj, (z[:2], z[2:]), {"control": np.eye(2)[k : k + 1]}, hessp="linear")
+        assert np.allclose(found.product["control"][0], inputs[k], rtol=1e-11, atol=1e-12 * np.abs(inputs).max())
+
+
+def test_references_of_servos():
+    """A reference acts as the torque kp times it."""
+    scene, rng = chain(JOINTS["revolute"], 5)
+    gains = rng.uniform(50, 200, scene.nv)
+    for k in range(scene.nv):
+        scene.set_servo(str(scene.model.names[k + 1]), kp=gains[k], kd=3.0)
+    q, v = state_of(scene, rng)[:2]
+    traj = cvi.simulate(scene, q, v, target=q + 0.1, record="gradient", duration=0.1, dt=0.02, order=4)
+    cost = CurvedCost(traj, rng)
+    du = rng.standard_normal((5, scene.nv))
+    torque = cvi.hessian_vector(traj, cost, {"control": gains * du, "q0": np.ones(scene.nv)}, hessp=cost.hessp)
+    names = ["control", "target", "target_velocity"]
+    found = cvi.hessian_vector(traj, cost, {"target": du, "q0": np.ones(scene.nv)}, names, hessp=cost.hessp)
+    assert np.array_equal(found.product["control"], torque.product["control"])
+    assert np.array_equal(found.product["target"], gains * torque.product["control"])
+    assert np.allclose(found.product["target_velocity"], 3.0 * torque.product["control"], rtol=1e-15)
+    slope = cvi.gradient(traj, cost, names)[1]
+    assert all(np.allclose(found.gradient[name], slope[name], rtol=1e-12, atol=1e-15) for name in names)
+
+
+# -- Gauss-Newton -----------------------------------------------------------------------------------------------------
+
+
+def test_gauss_newton_is_the_sensitivity_on_both_sides():
+    """Through impacts with all that has a gradient, inputs step by step included."""
+    scene, q, v = at_wall(0.7)
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=0.9, dt=0.01, order=4)
+    assert len(traj.events) > 0
+    rng = np.random.default_rng(0)
+    cost = CurvedCost(traj, rng)
+    names = ["q0", "v0", "control", "restitution", "mass:joint_1", "gravity"]
+    S = traj.sensitivity(names)
+    value = {name: rng.standard_normal(S.of(name).shape[2]) for name in names}
+    control = np.tile(value["control"], (len(traj.t) - 1, 1))
+    moved = S.matrix @ np.concatenate([value[name] for name in names])
+    hq, hv = cost.hessp(traj.t, traj.q, traj.v, moved[:, :2], moved[:, 2:])
+    found = cvi.hessian_vector(
+        traj, cost, {**value, "control": control}, hessp=cost.hessp, method="gauss-newton", on_kink="taken"
+    )
+    assert "gauss-newton" in str(found.approximate)
+    for name in names:
+        expected = np.einsum("ni,nik->k", np.hstack([hq, hv]), S.of(name))
+        got = found.product[name].sum(axis=0) if name == "control" else found.product[name]
+        assert np.allclose(got, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max()), name
+
+
+def test_what_has_no_second_derivative_is_told():
+    scene, q, v = at_wall(0.7)
+    cost = (np.ones(2), np.ones(2))
+    scene.add_force(lambda t, q, v: -0.1 * v**3, lambda t, q, v: (np.zeros((2, 2)), np.diag(-0.3 * v**2)), name="drag")
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=0.05, dt=0.01, order=4)
+    with pytest.raises(cvi.DerivativeError, match="'drag'"):
+        cvi.hessian_vector(traj, cost, {"q0": np.ones(2)}, hessp="linear")
+    found = cvi.hessian_vector(traj, cost, {"q0": np.ones(2)}, hessp="linear", method="auto")
+    assert isinstance(found.approximate, cvi.DerivativeError)
+    assert not np.any(found.product["q0"])
+    with pytest.raises(cvi.NotDifferentiable, match="mass:joint_1") as told:
+        cvi.hessian_vector(traj, cost, {"mass:joint_1": [1.0]}, hessp="linear")
+    assert told.value.reason == "second"
+
+
+def test_arguments_that_do_not_fit_are_told():
+    scene, rng = chain(JOINTS["revolute"], 5)
+    q, v = state_of(scene, rng)[:2]
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=0.1, dt=0.02)
+    nv = scene.nv
+    cost, w = (np.ones(nv), np.ones(nv)), {"q0": np.ones(nv)}
+    for bad in ({}, None, {"q": np.ones(nv)}, {"q0": np.ones(nv + 1)}, {"control": np.ones(nv)}):
+        with pytest.raises(cvi.InputError):
+            cvi.hessian_vector(traj, cost, bad, hessp="linear")
+    for hessp in (None, "zero", lambda t, q, v: 0.0, lambda t, q, v, dq, dv: dq, lambda t, q, v, dq, dv: (dq, 0.0)):
+        with pytest.raises(cvi.InputError):
+            cvi.hessian_vector(traj, cost, w, hessp=hessp)
+    with pytest.raises(cvi.InputError):
+        cvi.hessian_vector(traj, cost, w, ["friktion"], hessp="linear")
+    with pytest.raises(cvi.InputError):
+        cvi.hessian_vector(traj, cost, w, hessp="linear", method="newton")
+    with pytest.raises(cvi.InputError):
+        cvi.hessian_vector(scene, cost, w, hessp="linear")
+
+
+def test_an_error_in_the_cost_comes_through():
+    scene, rng = chain(JOINTS["revolute"], 5)
+    q, v = state_of(scene, rng)[:2]
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=0.1, dt=0.02)
+
+    def hessp(t, q, v, dq, dv):
+        raise ZeroDivisionError("mine")
+
+    with pytest.raises(ZeroDivisionError, match="mine"):
+        cvi.hessian_vector(traj, (np.ones(scene.nv), np.ones(scene.nv)), {"q0": np.ones(scene.nv)}, hessp=hessp)
