@@ -82,6 +82,13 @@ MovingPoint MovingBodies::point(int body, const Vec3& p_B) const {
   return {x, at_point(motion_[0][body], x), at_point(motion_[1][body], x)};
 }
 
+void MovingBodies::add_row(int body, const Dual3& x, const Dual3& n, DualX& W) const {
+  for (int j = body; j >= 0; j = tree_->joints[j].parent) {
+    const Joint& joint = tree_->joints[j];
+    for (int d = 0; d < joint.nv; ++d) W[joint.iv + d] += n.dot(at_point(axis(j, d), x));
+  }
+}
+
 // A joint turns all motions beyond it, its own included, and moves the point.
 void MovingBodies::add_point(int body, const MovingPoint& at, const MovingPoint& bar, DualX& lq, DualX& lv) const {
   for (int j = body; j >= 0; j = tree_->joints[j].parent) {

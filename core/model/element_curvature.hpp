@@ -36,6 +36,8 @@ class MovingBodies {
   DualMat3 axes(const BodyFrame& frame) const;
   MovingPoint point(int body, const Vec3& p_B) const;
   const DualTwist& of_u(int body) const { return motion_[1][body]; }
+  // W += n^T J(x): the velocity along n of the point x of a body.
+  void add_row(int body, const Dual3& x, const Dual3& n, DualX& W) const;
   // Adds, from the gradients in the place of a point and in its velocities, those in q and in v (nv,).
   void add_point(int body, const MovingPoint& at, const MovingPoint& bar, DualX& lq, DualX& lv) const;
   // From the gradients in the angular velocity of u, and in a turn of the body.

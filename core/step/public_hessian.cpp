@@ -5,27 +5,24 @@
 namespace contactvi {
 
 PublicHessian::PublicHessian(const Tree& tree, int stages)
-    : tree_(&tree),
-      model_(tree),
-      node_(tree, model_, 1, 2),
-      tangent_(tree, stages),
-      of_q_(tree.nv),
-      of_v_(tree.nv),
-      dof_q_(tree.nv),
-      dof_v_(tree.nv) {}
+    : tree_(&tree), model_(tree), node_(tree, model_, 1, 2), tangent_(tree, stages) {}
 
 void PublicHessian::take(const VecX& q, const VecX& v, const VecX& dq, const VecX& dp, StepEquations& equations) {
   q_ = q;
   v_ = v;
   dq_ = dq;
-  VecX moved(tree_->nv);
-  tangent_.momentum(q, v, dq, VecX::Zero(tree_->nv), moved);
-  dv_ = dp - moved;
+  dv_ = dp - momentum_change(v);
   equations.place_node(q);
   equations.solve_mass(dv_);
 }
 
-void PublicHessian::momentum(const VecX& l, const VecX& dl) {
+VecX PublicHessian::momentum_change(const VecX& x) {
+  VecX moved(tree_->nv);
+  tangent_.momentum(q_, x, dq_, VecX::Zero(tree_->nv), moved);
+  return moved;
+}
+
+MovingGradient PublicHessian::momentum(const VecX& x, const VecX& dx, const VecX& l, const VecX& dl) {
   node_.at(q_);
   const int S = node_.padded();
   const long shadow = node_.work_.shadow;
@@ -33,19 +30,22 @@ void PublicHessian::momentum(const VecX& l, const VecX& dl) {
   for (int d = 0; d < tree_->nv; ++d)
     for (int i = 0; i < S; ++i) {
       double* at = node_.v_ + d * S + i;
-      at[0] = v_[d];
+      at[0] = x[d];
       at[shadow] = l[d];
-      at[2 * shadow] = dv_[d];
+      at[2 * shadow] = dx[d];
       at[3 * shadow] = dl[d];
     }
   node_.kernel().evaluate_second(&model_.lanes, &node_.work_);
+  const VecX none = VecX::Zero(tree_->nv);
+  MovingGradient of{none, none, none, none};
   for (int d = 0; d < tree_->nv; ++d) {
     const double *P = node_.P_ + d * S, *G = node_.G_ + d * S;
-    of_v_[d] = P[shadow];
-    of_q_[d] = G[shadow];
-    dof_v_[d] = P[3 * shadow];
-    dof_q_[d] = G[3 * shadow];
+    of.v[d] = P[shadow];
+    of.q[d] = G[shadow];
+    of.dv[d] = P[3 * shadow];
+    of.dq[d] = G[3 * shadow];
   }
+  return of;
 }
 
 // What the gradient in a turn has of a linear part x that turns with the body: sign x cross its gradient; x, l public.
@@ -78,24 +78,22 @@ void PublicHessian::to_engine(MovingGradient& l, StepEquations& equations) {
   // v = M^-1 p: M dz = dl - dM z for z = M^-1 l
   equations.place_node(q_);
   equations.solve_mass(l.v);
-  VecX moved(tree_->nv);
-  tangent_.momentum(q_, l.v, dq_, VecX::Zero(tree_->nv), moved);
-  l.dv -= moved;
+  l.dv -= momentum_change(l.v);
   equations.solve_mass(l.dv);
-  momentum(l.v, l.dv);
-  l.q -= of_q_;
-  l.dq -= dof_q_;
+  const MovingGradient of = momentum(v_, dv_, l.v, l.dv);
+  l.q -= of.q;
+  l.dq -= of.dq;
 }
 
 void PublicHessian::to_public(MovingGradient& l) {
   VecX x = v_, dx = dv_;
   engine_to_public_tangent(*tree_, q_, dq_, v_, dx);
   engine_to_public(*tree_, q_, x);
-  momentum(l.v, l.dv);
-  l.q += of_q_;
-  l.dq += dof_q_;
-  l.v = of_v_;
-  l.dv = dof_v_;
+  const MovingGradient of = momentum(v_, dv_, l.v, l.dv);
+  l.q += of.q;
+  l.dq += of.dq;
+  l.v = of.v;
+  l.dv = of.dv;
   engine_to_public_tangent(*tree_, q_, dq_, l.v, l.dv);
   engine_to_public(*tree_, q_, l.v);
   // The gradient in a turn is of the engine's directions: it moves with the body as the linear part does.

@@ -30,9 +30,12 @@ class PublicHessian {
   // out += factor ad_w^T l, in public coordinates.
   static void add_bracket(const Tree& tree, const VecCRef& w, const VecCRef& l, double factor, VecRef out);
 
+  // Gradients in q and x of l . M(q) x, and their changes, for vectors with changes of their own.
+  MovingGradient momentum(const VecX& x, const VecX& dx, const VecX& l, const VecX& dl);
+  // The change of M(q) x at a constant x.
+  VecX momentum_change(const VecX& x);
+
  private:
-  // Gradients in q and v of l . M(q) v, and their changes.
-  void momentum(const VecX& l, const VecX& dl);
   void add_turns(double sign, const VecX& x, const VecX& dx, MovingGradient& l) const;
 
   const Tree* tree_;
@@ -40,7 +43,6 @@ class PublicHessian {
   Stages node_;
   StepTangent tangent_;
   VecX q_, v_, dq_, dv_;
-  VecX of_q_, of_v_, dof_q_, dof_v_;
 };
 
 }  // namespace contactvi

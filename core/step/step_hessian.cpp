@@ -39,11 +39,11 @@ void StepHessian::take(const VecX& q0, const VecX& p0, double h, const VecX& tau
 }
 
 bool StepHessian::solve(const StepDirection& direction, const VecCRef& lq, const VecCRef& lp, const VecCRef& dlq,
-                        const VecCRef& dlp, StepGradient& gradient, StepGradient& change) {
+                        const VecCRef& dlp, PartialGradient& gradient, PartialGradient& change) {
   if (!adjoint_.solve(lq, lp, gradient.q, gradient.p, gradient.h, gradient.tau)) return false;
   lq_ = lq;
   lp_ = lp;
-  StepGradient ends(tree_->nv);
+  PartialGradient ends(tree_->nv);
   take_stages(direction);
   sweep(direction, ends);
   if (!adjoint_.solve(dlq, dlp, change.q, change.p, change.h, change.tau, source_.data())) return false;
@@ -109,7 +109,7 @@ void StepHessian::set_kernel(const StepDirection& direction) {
 }
 
 // One sweep of StepAdjoint in numbers and their derivatives.
-void StepHessian::sweep(const StepDirection& direction, StepGradient& change) {
+void StepHessian::sweep(const StepDirection& direction, PartialGradient& change) {
   const int n = tree_->nv, S = second_.padded();
   const GaussTable& table = second_.table();
   const auto seed = [](const VecX& l, int d) { return Dual3(Vec3(l.segment<3>(d)).cast<DualNumber>()); };
@@ -208,7 +208,7 @@ void StepHessian::add_forces(const StepDirection& direction) {
 }
 
 // What the gradients change by at constant multipliers.
-void StepHessian::finish(StepGradient& change) {
+void StepHessian::finish(PartialGradient& change) {
   const int n = tree_->nv, S = second_.padded();
   DualNumber by_length = 0.0;  // h times the gradient in h
   for (int d = 0; d < n; ++d) {

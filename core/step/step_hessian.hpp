@@ -21,8 +21,8 @@
 namespace contactvi {
 
 // Gradients in the start, the length and the inputs of a step, or their change.
-struct StepGradient {
-  explicit StepGradient(int nv) : q(VecX::Zero(nv)), p(q), tau(q) {}
+struct PartialGradient {
+  explicit PartialGradient(int nv) : q(VecX::Zero(nv)), p(q), tau(q) {}
   VecX q, p;       // (nv,)
   double h = 0.0;  // [1/s]
   VecX tau;        // public coordinates, (nv,)
@@ -40,16 +40,16 @@ class StepHessian {
   // From the gradient l in (q1, p1) and its change dl those in the step's start, length and inputs, along the
   // direction. False where the equations were not solved.
   bool solve(const StepDirection& direction, const VecCRef& lq, const VecCRef& lp, const VecCRef& dlq,
-             const VecCRef& dlp, StepGradient& gradient, StepGradient& change);
+             const VecCRef& dlp, PartialGradient& gradient, PartialGradient& change);
 
  private:
   using Array = std::vector<DualNumber>;  // over dofs and stages, [dof * s + stage]
 
   void take_stages(const StepDirection& direction);
   void set_kernel(const StepDirection& direction);
-  void sweep(const StepDirection& direction, StepGradient& change);
+  void sweep(const StepDirection& direction, PartialGradient& change);
   void add_forces(const StepDirection& direction);
-  void finish(StepGradient& change);
+  void finish(PartialGradient& change);
   void combine(const Array& in, Array& out) const;
   DualNumber* row(Array& array, int dof) { return array.data() + static_cast<std::size_t>(dof) * s_; }
 

@@ -99,7 +99,9 @@ def check_second(start: Start, step: float = 1e-3, tolerance: float = 1e-7, seed
     w, other = start.direction(rng), start.direction(rng)
     found, second = (cvi.hessian_vector(traj, cost, d, hessp=cost.hessp) for d in (w, other))
     assert found.approximate is None
-    assert np.array_equal(flat(found.gradient), flat(cvi.gradient(traj, cost, tuple(w))[1]))
+    slope = flat(cvi.gradient(traj, cost, tuple(w))[1])
+    # Through impacts the same numbers come by other sums.
+    assert np.abs(flat(found.gradient) - slope).max() <= (1e-12 * np.abs(slope).max() if len(traj.events) else 0.0)
     expected, own = start.differences(cost, w, step)
     size = np.abs(expected).max()
     assert np.abs(flat(found.product) - expected).max() <= (tolerance + 10.0 * own) * size

@@ -143,6 +143,139 @@ def test_references_of_servos():
     assert all(np.allclose(found.gradient[name], slope[name], rtol=1e-12, atol=1e-15) for name in names)
 
 
+# -- impacts ----------------------------------------------------------------------------------------------------------
+
+
+def hits(case: derivative_cases.Case) -> bool:
+    """Whether a case has impacts without friction whose gaps have closed third derivatives."""
+    parts = case.label.split()
+    return case.options["impact"] == "ctec" and case.options["order"] in (2, 4) and (
+        parts[0] in ("sphere", "box", "hull") and "e 0.7 mu 0.0" in case.label
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("case", [*filter(hits, derivative_cases.drops(1))], ids=lambda case: case.label)
+def test_bodies_that_fall_on_the_ground(case):
+    """Balls and corners on a plane, after a flight with turns."""
+    start = start_of(case)
+    assert len(start.run().events) > 0
+    check_second(start, 2e-5)
+
+
+BETWEEN = ("('sphere', 'sphere') ctec 0.7 0.0 0", "('sphere', 'box') ctec 0.7 0.0 0", "('box', 'hull') ctec 0.7 0.0 0")
+
+
+@pytest.mark.parametrize("label", BETWEEN)
+def test_two_bodies_that_meet(label):
+    """A ball and a ball, a ball on a face and a corner on a face, which fly and turn."""
+    start = start_of(next(case for case in derivative_cases.collisions(1) if case.label.startswith(label)))
+    assert len(start.run().events) == 1
+    check_second(start, 2e-5)
+
+
+@pytest.mark.parametrize("order", [2, 4, 16])
+def test_a_tip_that_hits_a_wall(order):
+    scene, q, v = at_wall(0.7)
+    options = {"duration": 0.9, "dt": 0.01, "order": order, "tol": 1e-14}
+    start = Start(scene, q, v, np.zeros((90, 2)), options)
+    assert len(start.run().events) == 1
+    check_second(start, 1e-4)
+
+
+def test_joints_that_reach_their_limits():
+    scene, rng = chain(JOINTS["revolute"], 3)
+    q, v = state_of(scene, rng)[:2]
+    for k in range(scene.nv):
+        scene.set_joint(str(scene.model.names[k + 1]), limits=(q[k] - 0.3, q[k] + 0.3))
+    start = Start(scene, q, 2.0 * v, np.zeros((40, scene.nv)), {"duration": 0.4, "dt": 0.01, "order": 4, "tol": 1e-14})
+    assert len(start.run().events) == 2
+    check_second(start, 1e-4)
+
+
+def test_a_bounce_in_closed_form():
+    """A ball that arrives at the speed s leaves at e s; both derivatives by the chain rule."""
+    r, e, g, T, y0, v0 = 0.1, 0.7, 9.81, 0.5, 0.6, 0.4
+    scene = cvi.Scene()
+    scene.add_sphere("ball", r)
+    scene.add_halfspace()
+    scene.set_contact(restitution=e, friction=0.0)
+    q, v = np.array([0.0, 0.0, y0, 0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, v0, 0.0, 0.0, 0.0])
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=T, dt=0.01, order=2, tol=1e-15)
+    assert len(traj.events) == 1
+    # s and the rest of the time t = T - (v0 + s)/g, with their derivatives by y0 and v0; y = r + e s t - g t^2/2
+    s = np.sqrt(v0**2 + 2.0 * g * (y0 - r))
+    t, ds = T - (v0 + s) / g, np.array([g, v0]) / s
+    dds = np.array([[0.0, 0.0], [0.0, 1.0]]) / s - np.outer([g, v0], [g, v0]) / s**3
+    dt, ddt = -(np.array([0.0, 1.0]) + ds) / g, -dds / g
+    assert abs(traj.q[-1, 2] - (r + e * s * t - 0.5 * g * t * t)) <= 1e-13
+    place = e * (dds * t + np.outer(ds, dt) + np.outer(dt, ds) + s * ddt) - g * (np.outer(dt, dt) + t * ddt)
+    up = np.eye(6)[2]
+    for cost, expected in (((up, 0.0 * up), place), ((0.0 * up, up), e * dds - g * ddt)):
+        for column, w in enumerate(({"q0": up}, {"v0": up})):
+            found = cvi.hessian_vector(traj, cost, w, ["q0", "v0"], hessp="linear")
+            got = [found.product["q0"][2], found.product["v0"][2]]
+            assert np.abs(got - expected[column]).max() <= 1e-11 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_an_impact_in_sixty_digits(order):
+    """The double pendulum hits a wall inside of its only step; the oracle knows no gradient of it."""
+    x = {name: value for name, value in STEP.items() if name != "p0"} | {
+        "q0": [0.3, -0.42], "h": 0.1, "wall": 0.0, "e": 0.6, "damping": [0.0, 0.0], "stiffness": [0.0, 0.0]
+    }  # fmt: skip
+    scene = cvi.load_scene(MODELS / "double_pendulum_wall.toml")
+    scene.set_contact(restitution=0.6)
+    q, p = np.array(x["q0"]), np.array([-8.0, -3.0])
+    v = np.asarray(scene.core().velocity(q[None], p[None]))[0]
+    x["v0"] = v.tolist()
+    run = derivative_step.outcome(derivative_step.PENDULUM, order // 2)
+    rng = np.random.default_rng(0)
+    z = rng.standard_normal(4)
+    one, two = ({name: rng.standard_normal(2).tolist() for name in ("q0", "v0", "tau")} for _ in range(2))
+    expected = z @ precise.second_differences(run, x, one, two)[:4]
+    options = {"duration": 0.1, "dt": 0.1, "order": order, "tol": 1e-15}
+    traj = cvi.simulate(scene, q, v, control=[x["tau"]], record="gradient", **options)
+    assert len(traj.events) == 1
+    w = {"q0": one["q0"], "v0": one["v0"], "control": [one["tau"]]}
+    found = cvi.hessian_vector(traj, (z[:2], z[2:]), w, hessp="linear")
+    names = {"q0": "q0", "v0": "v0", "control": "tau"}
+    terms = [np.ravel(found.product[name]) * two[entry] for name, entry in names.items()]
+    assert abs(np.sum(terms) - expected) <= 1e-10 * np.abs(terms).sum()
+
+
+REFUSED = {
+    "friction": ({"friction": 0.3}, {}, "friction"), "map": ({}, {"impact": "mhc", "order": 4}, "Implicit"),
+    "persistent": ({"restitution": 0.0}, {}, "Persistent|several points|end of a step"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_impacts_without_a_second_derivative_are_told(name):
+    contact, options, word = REFUSED[name]
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1)
+    scene.add_halfspace()
+    scene.set_contact(**{"restitution": 0.7, "friction": 0.0, **contact})
+    q = np.array([0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0])
+    v = np.array([0.3, 0.0, 0.4, 0.0, 0.0, 0.0])
+    traj = cvi.simulate(scene, q, v, record="gradient", **{"duration": 0.5, "dt": 0.01, "order": 2, **options})
+    cost, w = (np.ones(6), np.ones(6)), {"v0": np.ones(6)}
+    with pytest.raises(cvi.NotDifferentiable, match=word) as told:
+        cvi.hessian_vector(traj, cost, w, hessp="linear")
+    assert told.value.reason == "second"
+    found = cvi.hessian_vector(traj, cost, w, hessp="linear", method="auto")
+    assert isinstance(found.approximate, cvi.NotDifferentiable)
+    assert np.array_equal(found.gradient["v0"], cvi.gradient(traj, cost, "v0")[1]["v0"])
+
+
+def test_gaps_without_a_third_derivative_are_told():
+    case = next(case for case in derivative_cases.drops(1) if case.label.startswith("cylinder ctec e 0.7 mu 0.0"))
+    traj = start_of(case).run()
+    with pytest.raises(cvi.NotDifferentiable, match="rim") as told:
+        cvi.hessian_vector(traj, (np.ones(6), np.ones(6)), {"v0": np.ones(6)}, hessp="linear")
+    assert told.value.reason == "second"
+
+
 # -- Gauss-Newton -----------------------------------------------------------------------------------------------------
 
 
