@@ -25,7 +25,7 @@ def hessian_vector(
 ) -> HessianVector:
     """Return the second derivative H of a cost of a run times a direction w, and the gradient.
 
-    The price is about that of two gradients, however many inputs there are.
+    The price is that of two to three gradients, however many inputs there are.
 
     On configurations with turns H is the second derivative of d -> J(q0 (+) d, v0 + dv, control + du) at d = 0, (+)
     being Pinocchio's `integrate`: it is symmetric, the matrix that a Newton step in q0 (+) d needs, and its product is
@@ -54,7 +54,8 @@ def hessian_vector(
 
     Raises:
         InputError, NotDifferentiable: as Sensitivity. NotDifferentiable with the reason "second" where there is a first
-            derivative, but no second one that is known: impacts, persistent contacts, parameters.
+            derivative, but no second one that is known: impacts but those without friction of a corner or a ball on a
+            face, a ball or a corner, or of a joint limit, with impact="ctec"; persistent contacts; parameters.
         DerivativeError: forces or potentials given in Python act, whose second derivatives are not known.
     """
     if not isinstance(traj, Trajectory):

@@ -10,7 +10,8 @@ import pytest
 
 import contactvi as cvi
 from batteries import models
-from derivatives.second_differences import CurvedCost, Start, check_second, start_of
+from contactvi import _core
+from derivatives.second_differences import CurvedCost, Start, check_second, flat, start_of
 from derivatives.test_sensitivity import at_wall
 from helpers import derivative_cases
 from helpers.chains import JOINTS, chain, state_of
@@ -141,6 +142,34 @@ def test_references_of_servos():
     assert np.allclose(found.product["target_velocity"], 3.0 * torque.product["control"], rtol=1e-15)
     slope = cvi.gradient(traj, cost, names)[1]
     assert all(np.allclose(found.gradient[name], slope[name], rtol=1e-12, atol=1e-15) for name in names)
+
+
+@pytest.mark.parametrize("order", [2, 4, 16])
+def test_instruction_sets_give_equal_bits(order):
+    names, before = _core.instruction_sets(), _core.instruction_set()
+    if len(names) == 1:
+        pytest.skip(f"this machine has {names} only")
+    found = []
+    try:
+        for name in names:
+            _core.instruction_set(name)
+            start, rng = start_of(cases("mixed tree", order)[0]), np.random.default_rng(0)
+            traj = start.run()
+            cost = CurvedCost(traj, rng)
+            product = cvi.hessian_vector(traj, cost, start.direction(rng), hessp=cost.hessp).product
+            found.append(flat(product).tobytes())
+    finally:
+        _core.instruction_set(before)
+    assert len(set(found)) == 1
+
+
+def test_a_stored_run_has_the_same_bits(tmp_path):
+    scene, q, v = at_wall(0.7)
+    traj = cvi.simulate(scene, q, v, record="gradient", duration=0.9, dt=0.01, order=4)
+    cost, w = (np.ones(2), np.ones(2)), {"q0": np.ones(2), "control": np.ones((90, 2))}
+    stored = cvi.Trajectory.load(traj.save(tmp_path / "run.npz"))
+    one, two = (cvi.hessian_vector(run, cost, w, hessp="linear").product for run in (traj, stored))
+    assert all(np.array_equal(one[name], two[name]) for name in w)
 
 
 # -- impacts ----------------------------------------------------------------------------------------------------------
