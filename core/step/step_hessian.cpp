@@ -14,15 +14,12 @@ StepHessian::StepHessian(const Tree& tree, int stages)
       at_{0.0, VecX(tree.nq), VecX(tree.nv), VecX(tree.nv), VecX(tree.nv)},
       lq_(tree.nv),
       lp_(tree.nv),
-      of_q_(tree.nv),
-      of_v_(tree.nv),
-      bar_(tree.nv),
       source_(static_cast<std::size_t>(tree.nv) * second_.padded()),
       part_G_(source_.size()),
       part_v_(source_.size()),
       part_q_(source_.size()) {
-  for (Array* array :
-       {&X_, &v_, &P_, &G_, &mu_, &momenta_, &P_bar_, &G_bar_, &turn_, &v_bar_, &q_bar_, &X_bar_, &sums_})
+  for (Array* array : {&stage_.X, &stage_.v, &stage_.P, &stage_.G, &stage_.mu, &stage_.momenta, &stage_.P_bar,
+                       &stage_.G_bar, &stage_.turn, &stage_.v_bar, &stage_.q_bar, &stage_.X_bar, &stage_.sums})
     array->resize(static_cast<std::size_t>(tree.nv) * stages);
   for (const Joint& joint : tree.joints)
     if (joint.type == JointType::kSpherical) balls_.emplace_back(joint.iv, stages);
@@ -59,19 +56,20 @@ void StepHessian::take_stages(const StepDirection& direction) {
   Stages& stages = tangent_.stages();
   const int S = stages.padded();
   const std::pair<Array*, const double*> arrays[] = {
-      {&X_, stages.X()}, {&v_, stages.v()}, {&P_, stages.P()}, {&G_, stages.G()}};
+      {&stage_.X, stages.X()}, {&stage_.v, stages.v()}, {&stage_.P, stages.P()}, {&stage_.G, stages.G()}};
   for (int d = 0; d < tree_->nv; ++d)
     for (int i = 0; i < s_; ++i) {
       for (const auto& [array, numbers] : arrays)
         row(*array, d)[i] = {numbers[d * S + i], tangent_.change_of(numbers)[d * S + i]};
-      row(mu_, d)[i] = adjoint_.mu_[d * S + i];
+      row(stage_.mu, d)[i] = adjoint_.mu_[d * S + i];
     }
   h_ = {stages.length(), direction.h};
   const VecX& p0 = tangent_.step().p0();
   for (auto& ball : balls_) {
     const int d = ball.dof();
     const Vec3 change = direction.p.size() > 0 ? Vec3(direction.p.segment<3>(d)) : Vec3(Vec3::Zero());
-    ball.take({stages.table(), s_, h_, row(X_, d), row(v_, d), row(P_, d), row(G_, d), dual(p0.segment<3>(d), change)});
+    ball.take({stages.table(), s_, h_, row(stage_.X, d), row(stage_.v, d), row(stage_.P, d), row(stage_.G, d),
+               dual(p0.segment<3>(d), change)});
   }
 }
 
@@ -103,8 +101,8 @@ void StepHessian::set_kernel(const StepDirection& direction) {
         to[3 * shadow] = along[from].d;
       }
   };
-  put(k.X_, X_, turn_);
-  put(k.v_, v_, P_bar_);
+  put(k.X_, stage_.X, stage_.turn);
+  put(k.v_, stage_.v, stage_.P_bar);
   k.set_base_change(direction.q.size() > 0 ? direction.q : VecX(VecX::Zero(tree_->nv)), 2 * shadow);
 }
 
@@ -113,20 +111,20 @@ void StepHessian::sweep(const StepDirection& direction, PartialGradient& change)
   const int n = tree_->nv, S = second_.padded();
   const GaussTable& table = second_.table();
   const auto seed = [](const VecX& l, int d) { return Dual3(Vec3(l.segment<3>(d)).cast<DualNumber>()); };
-  momenta_ = mu_;
-  for (const auto& ball : balls_) ball.chart_momenta(row(mu_, ball.dof()), row(momenta_, ball.dof()));
-  combine(momenta_, sums_);
+  stage_.momenta = stage_.mu;
+  for (const auto& ball : balls_) ball.chart_momenta(row(stage_.mu, ball.dof()), row(stage_.momenta, ball.dof()));
+  combine(stage_.momenta, stage_.sums);
   for (int d = 0; d < n; ++d)
     for (int i = 0; i < s_; ++i) {
-      row(P_bar_, d)[i] = -row(mu_, d)[i];
-      row(G_bar_, d)[i] = row(sums_, d)[i] + h_ * (table.b[i] * lp_[d]);
+      row(stage_.P_bar, d)[i] = -row(stage_.mu, d)[i];
+      row(stage_.G_bar, d)[i] = row(stage_.sums, d)[i] + h_ * (table.b[i] * lp_[d]);
     }
-  turn_ = G_bar_;
+  stage_.turn = stage_.G_bar;
   for (auto& ball : balls_) {
     const int d = ball.dof();
-    ball.forces(row(mu_, d), row(momenta_, d), row(sums_, d), seed(lq_, d), seed(lp_, d), row(P_bar_, d),
-                row(G_bar_, d));
-    ball.into_chart(row(G_bar_, d), row(turn_, d));
+    ball.forces(row(stage_.mu, d), row(stage_.momenta, d), row(stage_.sums, d), seed(lq_, d), seed(lp_, d),
+                row(stage_.P_bar, d), row(stage_.G_bar, d));
+    ball.into_chart(row(stage_.G_bar, d), row(stage_.turn, d));
   }
   set_kernel(direction);
   second_.kernel().evaluate_second(&tangent_.step().model().lanes, &second_.work_);
@@ -137,33 +135,33 @@ void StepHessian::sweep(const StepDirection& direction, PartialGradient& change)
   };
   for (int d = 0; d < n; ++d)
     for (int i = 0; i < s_; ++i) {
-      row(v_bar_, d)[i] = get(second_.P_, d, i, true);
-      row(q_bar_, d)[i] = get(second_.G_, d, i, true);
+      row(stage_.v_bar, d)[i] = get(second_.P_, d, i, true);
+      row(stage_.q_bar, d)[i] = get(second_.G_, d, i, true);
     }
   for (const auto& ball : balls_)
     for (int i = 0; i < s_; ++i) {
       Dual3 bar, force;
       for (int d = 0; d < 3; ++d) {
-        bar[d] = row(G_bar_, ball.dof() + d)[i];
+        bar[d] = row(stage_.G_bar, ball.dof() + d)[i];
         force[d] = get(second_.G_, ball.dof() + d, i, false);
       }
       const Dual3 bracket = bar.cross(force);
-      for (int d = 0; d < 3; ++d) row(q_bar_, ball.dof() + d)[i] += bracket[d];
+      for (int d = 0; d < 3; ++d) row(stage_.q_bar, ball.dof() + d)[i] += bracket[d];
     }
   add_forces(direction);
-  X_bar_ = q_bar_;
-  for (const auto& ball : balls_) ball.charts(row(q_bar_, ball.dof()), row(X_bar_, ball.dof()));
-  combine(X_bar_, sums_);
+  stage_.X_bar = stage_.q_bar;
+  for (const auto& ball : balls_) ball.charts(row(stage_.q_bar, ball.dof()), row(stage_.X_bar, ball.dof()));
+  combine(stage_.X_bar, stage_.sums);
   for (int d = 0; d < n; ++d) {
     if (adjoint_.in_ball_[d]) continue;
     for (int i = 0; i < s_; ++i) {
-      row(sums_, d)[i] += h_ * (table.b[i] * lq_[d]);
-      row(v_bar_, d)[i] += row(sums_, d)[i];
+      row(stage_.sums, d)[i] += h_ * (table.b[i] * lq_[d]);
+      row(stage_.v_bar, d)[i] += row(stage_.sums, d)[i];
     }
   }
-  for (const auto& ball : balls_) ball.velocities(row(sums_, ball.dof()), row(v_bar_, ball.dof()));
+  for (const auto& ball : balls_) ball.velocities(row(stage_.sums, ball.dof()), row(stage_.v_bar, ball.dof()));
   for (int d = 0; d < n; ++d)
-    for (int i = 0; i < S; ++i) source_[d * S + i] = row(v_bar_, d)[std::min(i, s_ - 1)].d;
+    for (int i = 0; i < S; ++i) source_[d * S + i] = row(stage_.v_bar, d)[std::min(i, s_ - 1)].d;
   finish(change);
 }
 
@@ -175,34 +173,35 @@ void StepHessian::add_forces(const StepDirection& direction) {
     part_q_.fill(0.0);
     for (int d = 0; d < n; ++d)
       for (int i = 0; i < S; ++i) {
-        const DualNumber& bar = row(G_bar_, d)[std::min(i, s_ - 1)];
+        const DualNumber& bar = row(stage_.G_bar, d)[std::min(i, s_ - 1)];
         part_G_[d * S + i] = part == 0 ? bar.x : bar.d;
       }
     adjoint_.forces_.add(part_G_.data(), part_v_.data(), part_q_.data());
     for (int d = 0; d < n; ++d)
       for (int i = 0; i < s_; ++i) {
-        DualNumber &v = row(v_bar_, d)[i], &q = row(q_bar_, d)[i];
+        DualNumber &v = row(stage_.v_bar, d)[i], &q = row(stage_.q_bar, d)[i];
         (part == 0 ? v.x : v.d) += part_v_[d * S + i];
         (part == 0 ? q.x : q.d) += part_q_[d * S + i];
       }
   }
   if (!curvature_.any()) return;
   const VecX& q0 = tangent_.step().q0();
+  VecX of_q(n), of_v(n), bar(n);
   for (int i = 0; i < s_; ++i) {
     at_.time = tangent_.stages().time(i);
     tangent_.stages().configuration(q0, i, at_.q);
     tangent_.configuration_change(i, at_.dq);
     for (int d = 0; d < n; ++d) {
-      at_.v[d] = row(v_, d)[i].x;
-      at_.dv[d] = row(v_, d)[i].d;
-      bar_[d] = row(G_bar_, d)[i].x;
+      at_.v[d] = row(stage_.v, d)[i].x;
+      at_.dv[d] = row(stage_.v, d)[i].d;
+      bar[d] = row(stage_.G_bar, d)[i].x;
     }
-    of_q_.setZero();
-    of_v_.setZero();
-    curvature_.add(at_, tangent_.step().tau(), direction.tau, bar_, of_q_, of_v_);
+    of_q.setZero();
+    of_v.setZero();
+    curvature_.add(at_, tangent_.step().tau(), direction.tau, bar, of_q, of_v);
     for (int d = 0; d < n; ++d) {
-      row(q_bar_, d)[i].d += of_q_[d];
-      row(v_bar_, d)[i].d += of_v_[d];
+      row(stage_.q_bar, d)[i].d += of_q[d];
+      row(stage_.v_bar, d)[i].d += of_v[d];
     }
   }
 }
@@ -214,29 +213,30 @@ void StepHessian::finish(PartialGradient& change) {
   for (int d = 0; d < n; ++d) {
     if (adjoint_.in_ball_[d]) continue;
     for (int i = 0; i < s_; ++i) {
-      change.q[d] += row(q_bar_, d)[i].d;
-      by_length += row(G_bar_, d)[i] * row(G_, d)[i] + row(sums_, d)[i] * row(v_, d)[i];
+      change.q[d] += row(stage_.q_bar, d)[i].d;
+      by_length += row(stage_.G_bar, d)[i] * row(stage_.G, d)[i] + row(stage_.sums, d)[i] * row(stage_.v, d)[i];
     }
   }
   for (const auto& ball : balls_) {
     const int d = ball.dof();
     Dual3 lq, lp;
-    ball.start(row(q_bar_, d), Vec3(lq_.segment<3>(d)).cast<DualNumber>(), lq, lp);
+    ball.start(row(stage_.q_bar, d), Vec3(lq_.segment<3>(d)).cast<DualNumber>(), lq, lp);
     change.q.segment<3>(d) += derivative(lq);
     change.p.segment<3>(d) += derivative(lp);
-    by_length += ball.length(row(sums_, d));
+    by_length += ball.length(row(stage_.sums, d));
   }
   change.h = (by_length / h_).d;
   for (int d = 0; d < n; ++d)
-    for (int i = 0; i < S; ++i) part_G_[d * S + i] = row(G_bar_, d)[std::min(i, s_ - 1)].d;
+    for (int i = 0; i < S; ++i) part_G_[d * S + i] = row(stage_.G_bar, d)[std::min(i, s_ - 1)].d;
   adjoint_.forces_.inputs(part_G_.data(), change.tau);
   if (tree_->split.empty()) return;
   const VecX& q0 = tangent_.step().q0();
+  VecX bar(n);
   for (int i = 0; i < s_; ++i) {
     tangent_.stages().configuration(q0, i, at_.q);
     tangent_.configuration_change(i, at_.dq);
-    for (int d = 0; d < n; ++d) bar_[d] = row(G_bar_, d)[i].x;
-    curvature_.add_inputs(at_, bar_, change.tau);
+    for (int d = 0; d < n; ++d) bar[d] = row(stage_.G_bar, d)[i].x;
+    curvature_.add_inputs(at_, bar, change.tau);
   }
 }
 

@@ -44,6 +44,10 @@ class StepHessian {
 
  private:
   using Array = std::vector<DualNumber>;  // over dofs and stages, [dof * s + stage]
+  // The stages, the multipliers, and what StepAdjoint makes of them.
+  struct Numbers {
+    Array X, v, P, G, mu, momenta, P_bar, G_bar, turn, v_bar, q_bar, X_bar, sums;
+  };
 
   void take_stages(const StepDirection& direction);
   void set_kernel(const StepDirection& direction);
@@ -62,8 +66,8 @@ class StepHessian {
   std::vector<BallAdjointOf<DualNumber>> balls_;
   MovingState at_;
   DualNumber h_;
-  VecX lq_, lp_, of_q_, of_v_, bar_;
-  Array X_, v_, P_, G_, mu_, momenta_, P_bar_, G_bar_, turn_, v_bar_, q_bar_, X_bar_, sums_;
+  VecX lq_, lp_;
+  Numbers stage_;
   AlignedArray source_, part_G_, part_v_, part_q_;  // [dof * padded + stage]
 };
 
