@@ -11,7 +11,8 @@ Errors are relative to the largest entry:
 - exact: against an independent derivative of the same discrete run or step. The adjoint is compared with the tangent,
   the tangent with fourth-order central differences, which are good to the number in brackets themselves (what half
   their step changes). Central differences are compared with the tangent; the best of four steps counts.
-  Events are located to gaps of 1e-12 m: after a slow approach that is seen in both.
+  Events are located to gaps of 1e-12 m: after a slow approach that is seen in both. A second derivative times a vector
+  is compared with fourth-order differences of gradients along it, in the same way.
 - flow: against the derivative of the motion itself (order 16 with a quarter of its step), so that of the
   integrator counts; of a run: of q at its end.
 
@@ -48,6 +49,8 @@ MODELS = Path(__file__).resolve().parents[1] / "models"
 HAND = ((16, 0.0125), (2, 1e-3))  # order, dt [s]
 LINEAR_GOAL = {2: 3.0, 16: 30.0}  # steps
 ADJOINT_GOAL = 4.0  # runs
+HESSIAN_GOAL = 15.0  # runs; and 4 gradients
+GRADIENT, HESSIAN = "gradient (q0, v0, control), terminal cost", "second derivative times vector"
 FOURTH = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))
 CENTRAL_STEPS = (1e-5, 1e-6, 1e-7, 1e-8)  # of central differences; which one is best depends on the growth
 FOURTH_STEPS = (2e-4, 2e-5, 2e-6, 4e-7, 1e-7)
@@ -100,6 +103,7 @@ class Case:
         rng = np.random.default_rng(0)
         self.terminal = tuple(rng.standard_normal((2, nv)))
         self.running = tuple(rng.standard_normal((2, nodes, nv)))
+        self.w = {"q0": rng.standard_normal(nv), "v0": rng.standard_normal(nv)}
 
     def run(self, q: Array | None = None, v: Array | None = None, **more: Any) -> cvi.Trajectory:
         return cvi.simulate(
@@ -111,6 +115,29 @@ class Case:
 
     def adjoint(self, cost: Any) -> dict[str, Array]:
         return cvi.gradient(self.traj, cost, ["q0", "v0", "control"])[1]
+
+    def second(self) -> cvi.HessianVector:
+        """Of the terminal cost, in all that the gradient is taken in; Gauss-Newton's where it is not known."""
+        names = ["q0", "v0", "control"]
+        return self.traj.hessian_vector(self.terminal, self.w, names, hessp="linear", method="auto")
+
+    def second_error(self) -> str:
+        """Of the rows of v0, which need no change of coordinates, against differences of gradients along w."""
+        found = self.second()
+        if found.approximate is not None:
+            return "Gauss-Newton"
+
+        def slope(s: float) -> Array:
+            q = pin.integrate(self.scene.model, self.q, s * self.w["q0"])
+            traj = self.run(q, self.v + s * self.w["v0"], record="gradient", tol=1e-14)
+            return cvi.gradient(traj, self.terminal, "v0")[1]["v0"]
+
+        pairs = []
+        for step in FOURTH_STEPS:
+            coarse, fine = (sum(c / size * slope(k * size) for k, c in FOURTH) for size in (step, step / 2))
+            pairs.append((relative(coarse, fine), fine))
+        own, numbers = min(pairs, key=lambda pair: np.nan_to_num(pair[0], nan=np.inf))
+        return f"{relative(found.product['v0'], numbers):.1e} ({own:.1e})"
 
     def adjoint_error(self, cost: tuple[Array, Array]) -> float:
         """Of the gradient in the start and in the sum of the inputs, against the tangent."""
@@ -166,8 +193,9 @@ def run_rows(case: Case, rounds: int, flow: Case | None) -> list[Row]:
     functions: dict[str, Callable[[], object]] = {
         "run": case.run,
         "run, record='gradient'": case.recorded,
-        "gradient (q0, v0, control), terminal cost": lambda: case.adjoint(case.terminal),
+        GRADIENT: lambda: case.adjoint(case.terminal),
         "gradient (q0, v0, control), running cost": lambda: case.adjoint(case.running),
+        HESSIAN: case.second,
         "sensitivity (q0, v0)": lambda: case.traj.sensitivity(["q0", "v0"]),
     }
     central, step = case.best_central()
@@ -177,8 +205,9 @@ def run_rows(case: Case, rounds: int, flow: Case | None) -> list[Row]:
     numbers, own = case.best_fourth()
     end = case.S.matrix[-1]
     exact = {
-        "gradient (q0, v0, control), terminal cost": brief(case.adjoint_error(case.terminal)),
+        GRADIENT: brief(case.adjoint_error(case.terminal)),
         "gradient (q0, v0, control), running cost": brief(case.adjoint_error(case.running)),
+        HESSIAN: case.second_error(),
         "sensitivity (q0, v0)": f"{relative(end, numbers):.1e} ({own:.1e})",
         differences: brief(relative(central, end)),
     }
@@ -186,13 +215,14 @@ def run_rows(case: Case, rounds: int, flow: Case | None) -> list[Row]:
         "run": relative(case.traj.q[-1], flow.traj.q[-1]), "sensitivity (q0, v0)": relative(end, flow.S.matrix[-1]),
         differences: relative(central, flow.S.matrix[-1]),
     }  # fmt: skip
+    goals = {name: ADJOINT_GOAL for name in seconds if name.startswith("gradient")} | {HESSIAN: HESSIAN_GOAL}
     rows: list[Row] = []
     for name, took in seconds.items():
         columns = f", {2 * case.scene.nv} columns" if name.startswith(("sens", "cent")) else ""
         row = {
             "settings": case.name, "what": name + columns, "ms": 1e3 * took, "runs": took / seconds["run"],
-            "goal": f"<= {ADJOINT_GOAL:g}" if name.startswith("gradient") else "",
-            "error, exact": exact.get(name, ""),
+            "goal": f"<= {goals[name]:g}" if name in goals else "",
+            "gradients": took / seconds[GRADIENT] if name in goals else "", "error, exact": exact.get(name, ""),
         }  # fmt: skip
         if flow is not None:
             row["error, flow"] = brief(drift[name]) if name in drift else ""

@@ -3,6 +3,8 @@ from . import errors as errors
 from .derivatives.gradient import gradient as gradient
 from .derivatives.gradient_check import GradientCheck as GradientCheck
 from .derivatives.gradient_check import check_gradient as check_gradient
+from .derivatives.hessian import HessianVector as HessianVector
+from .derivatives.hessian import hessian_vector as hessian_vector
 from .derivatives.linear import ForwardDynamics as ForwardDynamics
 from .derivatives.linear import StepDerivatives as StepDerivatives
 from .derivatives.linear import forward_dynamics_derivatives as forward_dynamics_derivatives

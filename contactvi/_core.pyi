@@ -365,12 +365,17 @@ class RecordedRun:
 
     def tangent(self, directions: dict[str, Any], times: Sequence[float], take_branch: bool) -> dict[str, Any]:
         """
-        d(q, v) at times along directions, columns of q, v, tau (nv, count), e and mu (guards, count); or the reason why there is none.
+        d(q, v) at times along directions, columns of q, v, tau (nv, count), e and mu (guards, count), or of one direction the inputs step by step (steps, nv); or the reason why there is none.
         """
 
     def adjoint(self, times: Sequence[float], lq: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], lv: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], events: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], steps: int, take_branch: bool) -> dict[str, Any]:
         """
         From gradients in (q, v) at times (nodes, nv) and in the times of events to those in the start, the inputs of all steps and the parameters; or the reason why there is none.
+        """
+
+    def hessian(self, times: Sequence[float], lq: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], lv: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], direction: dict[str, Any], hessian: Callable[[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]], tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]]) -> dict[str, Any]:
+        """
+        Gradients in q, v and tau from those at times, and their second derivatives along a direction (q, v: (nv,), tau: (steps, nv)); hessian(dq, dv) returns those of the cost at the nodes. Or the reason why there is none.
         """
 
 def instruction_sets() -> list[str]:

@@ -100,6 +100,14 @@ def test_guide_code_of_gradients_runs(tmp_path):
     assert printed[5].startswith("witness ('ground', 'box') 0.10096")
 
 
+def test_guide_code_of_second_derivatives_runs(tmp_path):
+    """Newton's method with conjugate gradients, through the impact."""
+    iterations, slope, events = run_marked("second", tmp_path)[0].split()
+    assert int(iterations) <= 8
+    assert float(slope) <= 1e-8
+    assert events == "1"
+
+
 def test_guide_code_of_a_linkage_runs(tmp_path):
     """It prints the numbers that the guide gives; the works account for the energy, up to the balance."""
     printed = run_marked("linkage", tmp_path, "\nprint(traj.energy[-1] - traj.energy[0])")

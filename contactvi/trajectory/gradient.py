@@ -44,15 +44,19 @@ def gradient(
     names = wanted(wrt)
     run = recorded_run(traj, compiled)
     picks = [_Pick(traj, compiled, Laws(traj, run, compiled), name) for name in names]
-    value, lq, lv = _gradients(traj, compiled, cost)
+    value, lq, lv = cost_gradients(traj, compiled, cost)
     _check_direction(traj, run, compiled, names, on_kink == "taken")
-    steps = round((float(traj.t[-1]) - float(traj.t[0])) / traj.options.fixed_dt + 0.499)
-    found = run.adjoint(list(map(float, traj.t)), lq, lv, np.zeros(0), max(steps, 1), on_kink == "taken")
+    found = run.adjoint(list(map(float, traj.t)), lq, lv, np.zeros(0), number_of_steps(traj), on_kink == "taken")
     if "fact" in found:
         raise not_differentiable(traj, found)
     if "released" in found and any(parameters.is_parameter(name) for name in names):
         raise not_differentiable(traj, found["released"])
     return value, {pick.name: pick.of(found) for pick in picks}
+
+
+def number_of_steps(traj: Recorded) -> int:
+    """Return the number of control steps, the last one perhaps cut."""
+    return max(1, round((float(traj.t[-1]) - float(traj.t[0])) / traj.options.fixed_dt + 0.499))
 
 
 def _check_direction(
@@ -76,7 +80,7 @@ def _check_direction(
         raise not_differentiable(traj, found)
 
 
-def _gradients(traj: Recorded, compiled: CompiledScene, cost: Cost) -> tuple[float | None, Array, Array]:
+def cost_gradients(traj: Recorded, compiled: CompiledScene, cost: Cost) -> tuple[float | None, Array, Array]:
     """Return the cost and its gradients in q (tangent) and v at the nodes, shapes (N, nv)."""
     nodes, nv = len(traj.t), compiled.states.nv
     value: float | None = None

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from contactvi import _core
     from contactvi.playback.visuals import Visual
     from contactvi.scene.scene import Scene
+    from contactvi.trajectory.hessian import HessianVector
     from contactvi.trajectory.sensitivity import Sensitivity
 
 Array = NDArray[np.float64]
@@ -360,6 +361,24 @@ class Trajectory:
         from contactvi.trajectory.gradient import gradient
 
         return gradient(self, self._compiled(), cost, wrt, on_kink=on_kink)
+
+    def hessian_vector(
+        self,
+        cost: Any,
+        w: Mapping[str, Any],
+        wrt: Sequence[str] | str | None = None,
+        *,
+        hessp: Any,
+        method: str = "exact",
+        on_kink: str = "raise",
+    ) -> HessianVector:
+        """Return the second derivative of a cost of the run times a direction.
+
+        Arguments, result and errors as those of contactvi.hessian_vector.
+        """
+        from contactvi.trajectory.hessian import hessian_vector
+
+        return hessian_vector(self, self._compiled(), cost, w, wrt, hessp=hessp, method=method, on_kink=on_kink)
 
     def _compiled(self) -> CompiledScene:
         return self._scene if isinstance(self._scene, CompiledScene) else compile_scene(self._scene)

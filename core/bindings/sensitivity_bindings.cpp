@@ -1,10 +1,13 @@
 // Derivatives of recorded runs, in public coordinates.
 #include <nanobind/eigen/dense.h>
+#include <nanobind/stl/function.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include <cmath>
+#include <functional>
 #include <map>
 #include <optional>
 #include <tuple>
@@ -19,6 +22,7 @@
 #include "bindings/user_calls.hpp"
 #include "model/coordinates.hpp"
 #include "sensitivity/run_adjoint.hpp"
+#include "sensitivity/run_hessian.hpp"
 #include "sensitivity/run_tangent.hpp"
 
 namespace nb = nanobind;
@@ -81,6 +85,12 @@ class Recorded {
     take("q", n, d.q);
     take("v", n, d.v);
     take("tau", n, d.tau);
+    if (directions.contains("inputs")) {
+      d.inputs = get<Rows>(directions, "inputs");
+      if (d.inputs.cols() != n || d.count != 1) throw Error("directions: wrong shape");
+      for (const Piece& piece : run_.pieces)
+        if (piece.step >= d.inputs.rows()) throw Error("steps: fewer than those of the run");
+    }
     take("e", guards, d.e);
     take("mu", guards, d.mu);
     if (directions.contains("parameters"))
@@ -117,6 +127,51 @@ class Recorded {
     result["margin"] = margin;
     result["guards"] = count;
     result["growth"] = found.growth;
+    return result;
+  }
+
+  // The gradient and the second derivative along a direction, of a cost with gradients at nodes; hessian(dq, dv)
+  // returns its second derivatives along changes of the states there.
+  Dict hessian(const std::vector<double>& times, const Rows& lq, const Rows& lv, const Dict& direction,
+               const std::function<std::pair<Rows, Rows>(const Rows&, const Rows&)>& hessian) {
+    const int n = scene_.tree.nv;
+    RunVector w{get<VecX>(direction, "q"), get<VecX>(direction, "v"), get<Rows>(direction, "tau")};
+    const long steps = w.tau.rows();
+    if (w.q.size() != n || w.v.size() != n || w.tau.cols() != n) throw Error("direction: wrong shape");
+    if (lq.rows() != static_cast<Eigen::Index>(times.size()) || lv.rows() != lq.rows() || lq.cols() != n ||
+        lv.cols() != n)
+      throw Error("gradients: expected shape (nodes, nv)");
+    for (const Piece& piece : run_.pieces)
+      if (piece.step >= steps) throw Error("steps: fewer than those of the run");
+    const auto call = [&](const MatX& dq, const MatX& dv, MatX& hq, MatX& hv) {
+      const auto found = hessian(dq, dv);
+      hq = found.first;
+      hv = found.second;
+      if (hq.rows() != dq.rows() || hv.rows() != dq.rows() || hq.cols() != n || hv.cols() != n)
+        throw Error("second derivatives of the cost: expected shape (nodes, nv)");
+    };
+    std::optional<RunCurvature> found;
+    try {
+      check_start();
+      RunHessian second(scene_, run_);
+      found = second.solve({times, lq, lv, VecX()}, call, w);
+    } catch (const NoDerivative& reason) {
+      UserErrors::raise();
+      return obstacle(reason);
+    }
+    UserErrors::raise();
+    const auto dict = [&](const RunVector& l) {
+      Dict d;
+      Rows tau = Rows::Zero(steps, n);
+      tau.topRows(l.tau.rows()) = l.tau;
+      d["q"] = l.q;
+      d["v"] = l.v;
+      d["tau"] = tau;
+      return d;
+    };
+    Dict result;
+    result["gradient"] = dict(found->gradient);
+    result["product"] = dict(found->product);
     return result;
   }
 
@@ -292,11 +347,16 @@ void expose_sensitivity(nb::module_& m) {
           "contact_steps"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 10>())
       .def_prop_ro("guards", &Recorded::guards, "Kind and index of all guards, as in events, (nguards, 2).")
       .def("tangent", &Recorded::tangent, "directions"_a, "times"_a, "take_branch"_a,
-           "d(q, v) at times along directions, columns of q, v, tau (nv, count), e and mu (guards, count); or the "
-           "reason why there is none.")
+           "d(q, v) at times along directions, columns of q, v, tau (nv, count), e and mu (guards, count), or of one "
+           "direction the inputs step by step (steps, nv); or the reason why there is none.")
       .def("adjoint", &Recorded::adjoint, "times"_a, "lq"_a, "lv"_a, "events"_a, "steps"_a, "take_branch"_a,
            "From gradients in (q, v) at times (nodes, nv) and in the times of events to those in the start, the inputs "
-           "of all steps and the parameters; or the reason why there is none.");
+           "of all steps and the parameters; or the reason why there is none.")
+      .def(
+          "hessian", &Recorded::hessian, "times"_a, "lq"_a, "lv"_a, "direction"_a, "hessian"_a,
+          "Gradients in q, v and tau from those at times, and their second derivatives along a direction (q, v: (nv,), "
+          "tau: (steps, nv)); hessian(dq, dv) returns those of the cost at the nodes. Or the reason why there is "
+          "none.");
 }
 
 }  // namespace contactvi

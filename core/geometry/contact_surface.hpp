@@ -48,6 +48,8 @@ class ContactSurface {
   // The core's point, and the radius of the sphere by which it is swept.
   const Vec3& x() const { return x_; }
   double sweep() const { return sweep_; }
+  bool is_point() const { return kind_ == Kind::kPoint; }
+  bool is_plane() const { return kind_ == Kind::kPlane; }
   bool is_ellipsoid() const { return kind_ == Kind::kEllipsoid; }
 
   Bend bend(const Vec3& outward) const;

@@ -31,6 +31,8 @@ class ContactTangent {
   const char* why() const { return why_.c_str(); }
   // The contact that was taken. Where coal's nearest points are iterated, they are here those of their features.
   const Contact& contact() const { return contact_; }
+  // The features of a (0) and of b (1) at the nearest points; none of a joint limit.
+  const ContactSurface& surface(int side) const { return surface_[side]; }
 
   // The derivative along dq, shape (nv,), of the rows n, t1, t2 (or n alone) as columns of dW, (nv, 1 or 3); zero for a
   // joint limit. Tangent vectors are body-fixed on spherical joints, as dq and the rows are. t1 turns with n by the

@@ -2,7 +2,8 @@
 // direction. Included inside an unnamed namespace after lane_math.hpp's vectors of lanes.
 //
 // In memory the derivatives of an array lie at a fixed distance from it (LaneWork::shadow), so that the same code
-// reads and writes both; plain numbers do not look there.
+// reads and writes both; plain numbers do not look there. Nested duals have a second direction, along which the numbers
+// and their derivatives have derivatives of their own: those lie at two and three times that distance.
 
 template <class V>
 struct Dual {
@@ -86,4 +87,19 @@ struct Memory<Dual<V>> {
     store<V>(at + w.shadow, x.d);
   }
   static LANE_INLINE Dual<double> number(const LaneWork& w, const double* at) { return {*at, at[w.shadow]}; }
+};
+template <class V>
+struct Memory<Dual<Dual<V>>> {
+  typedef Dual<Dual<double>> Number;
+  typedef Memory<Dual<V>> Part;
+  static LANE_INLINE Dual<Dual<V>> get(const LaneWork& w, const double* at) {
+    return {Part::get(w, at), Part::get(w, at + 2 * w.shadow)};
+  }
+  static LANE_INLINE void put(const LaneWork& w, double* at, Dual<Dual<V>> x) {
+    Part::put(w, at, x.x);
+    Part::put(w, at + 2 * w.shadow, x.d);
+  }
+  static LANE_INLINE Number number(const LaneWork& w, const double* at) {
+    return {Part::number(w, at), Part::number(w, at + 2 * w.shadow)};
+  }
 };

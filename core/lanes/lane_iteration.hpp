@@ -235,21 +235,22 @@ void tangent(const LaneTree* tree, const LaneWork* work) {
 }
 
 template <class V>
-void evaluate_tangent(const LaneTree* tree, const LaneWork* work) {
-  for (int k = 0; k < groups<V>(work); ++k) {
-    const Group<Dual<V>> g = group<Dual<V>>(tree, work, k);
-    forward(g);
-    backward<false>(g);
-  }
-}
-
-template <class V>
 void evaluate(const LaneTree* tree, const LaneWork* work) {
   for (int k = 0; k < groups<V>(work); ++k) {
     const Group<V> g = group<V>(tree, work, k);
     forward(g);
     backward<false>(g);
   }
+}
+
+template <class V>
+void evaluate_tangent(const LaneTree* tree, const LaneWork* work) {
+  evaluate<Dual<V>>(tree, work);
+}
+
+template <class V>
+void evaluate_second(const LaneTree* tree, const LaneWork* work) {
+  evaluate<Dual<Dual<V>>>(tree, work);
 }
 
 template <class V>
@@ -313,5 +314,5 @@ void subtract_product(int rows, int inner, int width, const double* A, int strid
 template <class V>
 constexpr LaneKernel lane_kernel() {
   return {Lane<V>::count, evaluate<V>, place_stages<V>, factor_stages<V>,    solve_stages<V>,    iterate<V>,
-          rates<V>,       combine<V>,  tangent<V>,      evaluate_tangent<V>, subtract_product<V>};
+          rates<V>,       combine<V>,  tangent<V>,      evaluate_tangent<V>, evaluate_second<V>, subtract_product<V>};
 }

@@ -79,8 +79,8 @@ struct LaneWork {
   double* magnitude;       // sizes of the terms of G
   const double* diagonal;  // added to the mass matrix in the factor (armature, stiffness, damping)
   double *storage, *slots;
-  // From each array to that of its derivatives, for the functions that need them: storage and slots, which these
-  // functions use for pairs of numbers, excepted.
+  // From each array to that of its derivatives, for the functions that need them; from there on to those along a second
+  // direction, twice that. Storage and slots, which these functions use for pairs and quadruples of numbers, excepted.
   long shadow;
   // Per stage.
   double* error;           // r . dv
@@ -116,6 +116,8 @@ struct LaneKernel {
   void (*tangent)(const LaneTree*, const LaneWork*);
   // Of P and G alone, at the given X and v.
   void (*evaluate_tangent)(const LaneTree*, const LaneWork*);
+  // And their derivatives along a second direction, with all shadows of X, v and base.
+  void (*evaluate_second)(const LaneTree*, const LaneWork*);
   // Y (rows, width) -= A X, or Y = -A X, with A (rows, inner) in rows of stride numbers and X (inner, width), which may
   // be Y. At most 8 inner ones; a width that is a multiple of 8; X and Y aligned to 64 bytes.
   void (*subtract_product)(int rows, int inner, int width, const double* A, int stride, const double* X, double* Y,

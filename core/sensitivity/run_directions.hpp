@@ -12,6 +12,7 @@ struct RunDirections {
   Eigen::Index count = 0;
   MatX q, v;                               // of the start: tangent vectors and velocities, (nv, count)
   MatX tau;                                // of the inputs of all steps, (nv, count)
+  MatX inputs;                             // of the inputs step by step, of a single direction, (steps, nv)
   MatX e, mu;                              // of restitution and friction, (guards, count)
   std::vector<StepParameters> parameters;  // one per column
 

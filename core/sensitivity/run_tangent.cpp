@@ -292,8 +292,12 @@ void RunTangent::record(double time, const VecX& q, const VecX& p, const RunDire
   result.nodes.push_back(std::move(D));
 }
 
-RunDerivative RunTangent::solve(const RunDirections& directions, const std::vector<double>& times) {
+RunDerivative RunTangent::solve(const RunDirections& given, const std::vector<double>& times) {
   RunDerivative result;
+  const bool by_step = given.inputs.size() > 0;
+  RunDirections here;  // with the inputs of the present step
+  if (by_step) here = given;
+  const RunDirections& directions = by_step ? here : given;
   start(directions);
   const double same = kSameTime * run_->dt;
   const double size = std::max(columns_.q.cwiseAbs().maxCoeff(), columns_.p.cwiseAbs().maxCoeff());
@@ -311,6 +315,7 @@ RunDerivative RunTangent::solve(const RunDirections& directions, const std::vect
       step_columns_ = columns_;
       if (run_->mhc_reference == MhcReference::kStep) reference_step_ = -1;
     }
+    if (by_step) here.tau = given.inputs.row(piece.step).transpose();
     if (!columns_.time.isZero(0)) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     take_piece(piece);
     size_q_ = size_q_.cwiseMax(columns_.q.cwiseAbs().colwise().maxCoeff().transpose());

@@ -9,52 +9,68 @@
 #include <Eigen/LU>
 #include <vector>
 
+#include "base/dual_number.hpp"
 #include "step/stages.hpp"
 
 namespace contactvi {
 
-class BallAdjoint {
+// What the joint has at the stages of a solved step of length h: its rows of X, v, P and of G with all its forces.
+template <class T>
+struct BallStages {
+  const GaussTable& table;
+  int padded;
+  T h;
+  const T *X, *v, *P, *G;
+  Eigen::Matrix<T, 3, 1> p0;  // its momentum at the start
+};
+
+// T: double, or DualNumber for the derivatives of all of it along a direction.
+template <class T>
+class BallAdjointOf {
  public:
-  BallAdjoint(int dof, int stages);
+  using Vec3T = Eigen::Matrix<T, 3, 1>;
+  using Mat3T = Eigen::Matrix<T, 3, 3>;
+
+  BallAdjointOf(int dof, int stages);
 
   int dof() const { return dof_; }
-  // Takes a solved step, G with all its forces.
-  void take(const Stages& stages, const VecX& p0);
+  void take(const BallStages<T>& step);
 
   // Gradients in the chart momenta of the stages.
-  void chart_momenta(const double* mu, double* px_bar) const;
+  void chart_momenta(const T* mu, T* px_bar) const;
   // Gradients in P and G; sums: h sum_i a_ij px_bar_i. Those in v and X that do not go through P and G are kept.
-  void forces(const double* mu, const double* px_bar, const double* sums, const Vec3& lq, const Vec3& lp, double* P_bar,
-              double* G_bar);
+  void forces(const T* mu, const T* px_bar, const T* sums, const Vec3T& lq, const Vec3T& lp, T* P_bar, T* G_bar);
   // The charts' displacements of body-fixed rotations.
-  void into_chart(const double* turn, double* X) const;
+  void into_chart(const T* turn, T* X) const;
   // Gradients in X, from those in the bodies' turns at the stages.
-  void charts(const double* turn_bar, double* X_bar) const;
+  void charts(const T* turn_bar, T* X_bar) const;
   // Adds to the gradients in v what does not go through P and G; sums: h sum_i a_ij X_bar_i.
-  void velocities(const double* sums, double* v_bar) const;
+  void velocities(const T* sums, T* v_bar) const;
 
   // Gradients in the start, dual to its turn and momentum, and the share of the gradient in h, times h.
-  void start(const double* turn_bar, const Vec3& lq, Vec3& lq0, Vec3& lp0) const;
-  double length(const double* sums) const;
+  void start(const T* turn_bar, const Vec3T& lq, Vec3T& lq0, Vec3T& lp0) const;
+  T length(const T* sums) const;
 
  private:
   struct Stage {
-    Mat3 J, J_inverse, turn;         // J(X) and exp(X)
-    Mat3 rate_X, Y_X, p_X;           // d(X')/dX, d(exp(X) G)/dX, d(J^-T px)/dX
-    Mat3 force_P, force_v, force_X;  // of px', the rate of the chart momentum; that in G is J^T
-    Vec3 rate, Y, px_rate;           // X', exp(X) G, px'
-    Vec3 px_rate_bar, v_bar, X_bar;  // gradients
+    Mat3T J, J_inverse, turn;         // J(X) and exp(X)
+    Mat3T rate_X, Y_X, p_X;           // d(X')/dX, d(exp(X) G)/dX, d(J^-T px)/dX
+    Mat3T force_P, force_v, force_X;  // of px', the rate of the chart momentum; that in G is J^T
+    Vec3T rate, Y, px_rate;           // X', exp(X) G, px'
+    Vec3T px_rate_bar, v_bar, X_bar;  // gradients
   };
-  Vec3 get(const double* array, int i) const;
-  void put(double* array, int i, const Vec3& x) const;
+  Vec3T get(const T* array, int i) const;
+  void put(T* array, int i, const Vec3T& x) const;
 
   int dof_, S_ = 0;
   std::vector<Stage> at_;
-  std::vector<double> hb_;
-  Mat3 end_J_, end_turn_, start_X_;  // at X_1; d(J(X_1)^T p_1)/dX_1
-  Vec3 p1_, total_bar_, X1_bar_;     // gradients in exp(X_1) p_1 and in X_1
-  MatX system_;
-  Eigen::PartialPivLU<MatX> charts_;  // of the equations of X_bar
+  std::vector<T> hb_;
+  Mat3T end_J_, end_turn_, start_X_;                         // at X_1; d(J(X_1)^T p_1)/dX_1
+  Vec3T p1_, total_bar_, X1_bar_;                            // gradients in exp(X_1) p_1 and in X_1
+  Eigen::Matrix<T, Eigen::Dynamic, Eigen::Dynamic> system_;  // the equations of X_bar
+  Eigen::PartialPivLU<MatX> charts_;                         // of their values
 };
+
+using BallAdjoint = BallAdjointOf<double>;
 
 }  // namespace contactvi

@@ -17,7 +17,7 @@ LocalTangent::LocalTangent(const Tree& tree, const FlatModel& model, const DofPa
       G(tree.nv, points),
       tree_(&tree),
       pattern_(&pattern),
-      stages_(tree, model, kLanes, true) {
+      stages_(tree, model, kLanes, 1) {
   std::vector<std::vector<int>> path(tree.nv);
   for (int d = 0; d < tree.nv; ++d) {
     if (tree.dof_parent[d] >= 0) path[d] = path[tree.dof_parent[d]];

@@ -21,8 +21,10 @@ class RoundingStop {
     if (change <= kExact * largest) return Verdict::kSolved;
     stagnant_ = change < kProgress * best_ ? 0 : stagnant_ + 1;
     best_ = std::min(best_, change);
-    if (stagnant_ >= 2 && best_ <= kRounding * largest) return Verdict::kSolved;
-    if (stagnant_ >= kPatience) return best_ <= kAccept * largest ? Verdict::kSolved : Verdict::kFailed;
+    // Where the iterations diverge, x outgrows the least change: the present one has to be small, too.
+    const bool small = change <= kAccept * largest;
+    if (stagnant_ >= 2 && small && best_ <= kRounding * largest) return Verdict::kSolved;
+    if (stagnant_ >= kPatience) return small ? Verdict::kSolved : Verdict::kFailed;
     return ++count_ < kMostIterations ? Verdict::kGoOn : Verdict::kFailed;
   }
 

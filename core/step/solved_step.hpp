@@ -26,6 +26,7 @@ class SolvedStep {
   Stages& stages() { return stages_; }  // at the solution: X, v, P, and G with all forces
   const VecX& q0() const { return q0_; }
   const VecX& p0() const { return p0_; }
+  double time() const { return time_; }     // of its start [s]
   const VecX& tau() const { return tau_; }  // public coordinates; empty: none
 
  private:

@@ -40,7 +40,7 @@ constexpr double kTurnExact = 1e-15;
 
 }  // namespace
 
-Stages::Stages(const Tree& tree, const FlatModel& model, int stages, bool with_derivatives)
+Stages::Stages(const Tree& tree, const FlatModel& model, int stages, int directions)
     : tree_(&tree),
       model_(&model),
       table_(&gauss_table(stages)),
@@ -59,7 +59,7 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages, bool with_d
       element_dissipation_(VecX::Zero(stages)) {
   work_.s = stages;
   work_.S = (stages + kernel_->lanes - 1) / kernel_->lanes * kernel_->lanes;
-  allocate(with_derivatives);
+  allocate(directions);
   for (const Joint& joint : tree.joints) {
     const bool ball = joint.type == JointType::kSpherical;
     has_ball_springs_ |= ball && joint.stiffness != 0;
@@ -96,9 +96,9 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages, bool with_d
 }
 
 // One block for all arrays, each starting on a cache line.
-void Stages::allocate(bool with_derivatives) {
+void Stages::allocate(int directions) {
   const std::size_t S = work_.S, n = tree_->nv, size = n * S, balls = model_->lanes.balls, s = work_.s;
-  const std::size_t pair = with_derivatives ? 2 : 1;
+  const std::size_t parts = std::size_t{1} << directions;  // numbers and derivatives
   const std::size_t ball_size = balls > 0 ? size : 0, slots = std::max(1, model_->lanes.slots);
   const std::pair<double**, std::size_t> arrays[] = {{&X_, size},
                                                      {&v_, size},
@@ -111,8 +111,8 @@ void Stages::allocate(bool with_derivatives) {
                                                      {&Y_, ball_size},
                                                      {&px_, ball_size},
                                                      {&applied_, tree_->split.empty() ? 0 : size},
-                                                     {&storage_, pair * model_->lanes.storage * S},
-                                                     {&slots_, pair * 36 * slots * kernel_->lanes},
+                                                     {&storage_, parts * model_->lanes.storage * S},
+                                                     {&slots_, parts * 36 * slots * kernel_->lanes},
                                                      {&per_stage_, 3 * S},
                                                      {&hA_, s * S},
                                                      {&he_, 2 * S},
@@ -126,7 +126,7 @@ void Stages::allocate(bool with_derivatives) {
                                                      {&input_, n}};
   std::size_t total = 0;
   for (const auto& array : arrays) total += (array.second + 7) / 8 * 8;
-  memory_ = AlignedArray(pair * total);
+  memory_ = AlignedArray(parts * total);
   work_.shadow = static_cast<long>(total);
   double* at = memory_.data();
   for (const auto& array : arrays) {
@@ -166,6 +166,20 @@ void Stages::set_base(const VecCRef& q0) {
         break;
       }
     }
+  }
+}
+
+void Stages::set_base_change(const VecCRef& dq, long shadow) {
+  int ball = 0;
+  for (const Joint& joint : tree_->joints) {
+    if (joint.type != JointType::kSpherical) {
+      for (int d = joint.iv; d < joint.iv + joint.nv; ++d) base_[d + shadow] = dq[d];
+      continue;
+    }
+    double* B = ball_base_ + 9 * ball++;
+    const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> base(B);
+    Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> change(B + shadow);
+    change = base * skew(dq.segment<3>(joint.iv));
   }
 }
 

@@ -23,8 +23,8 @@ struct Servo {
 
 class Stages {
  public:
-  // with_derivatives: each array has its shadow (LaneWork), for the kernel's tangents.
-  Stages(const Tree& tree, const FlatModel& model, int stages, bool with_derivatives = false);
+  // directions: along which the kernel takes derivatives; each doubles the arrays by their shadows (LaneWork).
+  Stages(const Tree& tree, const FlatModel& model, int stages, int directions = 0);
   Stages(const Stages&) = delete;
   Stages& operator=(const Stages&) = delete;
 
@@ -102,8 +102,12 @@ class Stages {
   friend class StepTangent;  // these work on the arrays and their shadows
   friend class StepAdjoint;
   friend class LocalTangent;
-  void allocate(bool with_derivatives);
+  friend class StepHessian;
+  friend class PublicHessian;
+  void allocate(int directions);
   void set_base(const VecCRef& q0);
+  // The derivatives of the base along a tangent vector dq, (nv,), so far after it in the arrays.
+  void set_base_change(const VecCRef& dq, long shadow);
   void set_step(double h);
   void set_forces(const VecCRef& q0, const VecX& tau);
   static void add_extra(void* self);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "step/rounding_stop.hpp"
 
@@ -10,8 +11,8 @@ namespace contactvi {
 StepAdjoint::StepAdjoint(const Tree& tree, int stages)
     : tree_(&tree),
       step_(tree, stages),
-      stages_(tree, step_.model(), stages, true),
-      node_(tree, step_.model(), 1, true),
+      stages_(tree, step_.model(), stages, 1),
+      node_(tree, step_.model(), 1, 1),
       forces_(tree, stages),
       parameters_(tree),
       in_ball_(tree.nv, 0),
@@ -45,7 +46,11 @@ void StepAdjoint::take(const VecX& q0, const VecX& p0, double h, const VecX& tau
     for (int j = 0; j < S; ++j) weights_[i * S + j] = h * stages_.table().A[i][std::min(j, s - 1)];
   for (int j = 0; j < S; ++j) hb_[j] = h * stages_.table().b[std::min(j, s - 1)];
   forces_.take(step_);
-  for (BallAdjoint& ball : balls_) ball.take(step_.stages(), p0);
+  const Stages& at = step_.stages();
+  for (BallAdjoint& ball : balls_) {
+    const int row = ball.dof() * S;
+    ball.take({at.table(), S, h, at.X() + row, at.v() + row, at.P() + row, at.G() + row, p0.segment<3>(ball.dof())});
+  }
 }
 
 void StepAdjoint::momentum(const VecCRef& q, const VecCRef& v, const VecCRef& lp, VecRef lq, VecRef lv) {
@@ -126,6 +131,8 @@ void StepAdjoint::sweep() {
     std::copy_n(v_bar + at, 3 * S, &v_bar_[at]);
     ball.velocities(&sums_[at], &v_bar_[at]);
   }
+  if (source_ == nullptr) return;
+  for (int at = 0; at < size; ++at) v_bar_[at] += source_[at];
 }
 
 // False where the iterations do not contract.
@@ -163,6 +170,7 @@ bool StepAdjoint::solve_by_matrix() {
     return r;
   };
   const VecX lq = lq_, lp = lp_;
+  const double* source = std::exchange(source_, nullptr);  // the matrix is without it
   if (!has_matrix_) {
     MatX matrix(size, size);
     for (int i = 0; i < s; ++i)
@@ -175,6 +183,7 @@ bool StepAdjoint::solve_by_matrix() {
     has_matrix_ = true;
   }
   set_seed(lq, lp);
+  source_ = source;
   for (int pass = 0; pass < 3; ++pass) {  // the first solves, the others take the rounding off
     const VecX change = matrix_.solve(residual());
     if (!change.allFinite()) return false;
@@ -185,8 +194,10 @@ bool StepAdjoint::solve_by_matrix() {
   return true;
 }
 
-bool StepAdjoint::solve(const VecCRef& lq, const VecCRef& lp, VecRef lq0, VecRef lp0, double& lh, VecRef ltau) {
+bool StepAdjoint::solve(const VecCRef& lq, const VecCRef& lp, VecRef lq0, VecRef lp0, double& lh, VecRef ltau,
+                        const double* source) {
   iterations_ = 0;
+  source_ = source;
   set_seed(lq, lp);
   if ((has_matrix_ || !iterate()) && !solve_by_matrix()) return false;
   sweep();  // at the last multipliers

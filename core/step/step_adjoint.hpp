@@ -30,8 +30,10 @@ class StepAdjoint {
   void take(const VecX& q0, const VecX& p0, double h, const VecX& tau, double time, const Servo* servo,
             const MatX& velocities);
   // From the gradient in (q1, p1) to those in (q0, p0), h, and the generalized force in public coordinates, (nv,)
-  // each. False where the equations were not solved.
-  bool solve(const VecCRef& lq, const VecCRef& lp, VecRef lq0, VecRef lp0, double& lh, VecRef ltau);
+  // each. source: gradients in the velocities of the stages from elsewhere, an array over dofs and stages; null: none.
+  // False where the equations were not solved.
+  bool solve(const VecCRef& lq, const VecCRef& lp, VecRef lq0, VecRef lp0, double& lh, VecRef ltau,
+             const double* source = nullptr);
   // Of the momentum p = M(q) v: the gradients in q and v from that in p, (nv,).
   void momentum(const VecCRef& q, const VecCRef& v, const VecCRef& lp, VecRef lq, VecRef lv);
   // Adds the gradients in the parameters, after solve(); and those of the momentum p = M(q) v from that in p.
@@ -41,6 +43,7 @@ class StepAdjoint {
   int iterations() const { return iterations_; }
 
  private:
+  friend class StepHessian;  // goes the same way with numbers and their derivatives
   void set_seed(const VecCRef& lq, const VecCRef& lp);
   void sweep();
   bool iterate();
@@ -61,6 +64,7 @@ class StepAdjoint {
   // sums, v_bar.
   AlignedArray weights_, hb_, mu_, px_bar_, G_bar_, X_bar_, sums_, v_bar_;
   VecX lq_, lp_;  // gradient in (q1, p1)
+  const double* source_ = nullptr;
   int iterations_ = 0;
   bool has_matrix_ = false;
   Eigen::PartialPivLU<MatX> matrix_;

@@ -17,8 +17,8 @@ const StepDirection kNoDirection;
 StepTangent::StepTangent(const Tree& tree, int stages)
     : tree_(&tree),
       step_(tree, stages),
-      stages_(tree, step_.model(), stages, true),
-      node_(tree, step_.model(), 1, true),
+      stages_(tree, step_.model(), stages, 1),
+      node_(tree, step_.model(), 1, 1),
       field_(tree),
       parameters_(tree),
       q_(tree.nq),
@@ -47,7 +47,7 @@ void StepTangent::momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq
   node_.at(q);
   const int S = node_.padded();
   std::fill_n(node_.memory_.data() + node_.work_.shadow, node_.work_.shadow, 0.0);
-  set_base(node_, dq);
+  node_.set_base_change(dq, node_.work_.shadow);
   for (int d = 0; d < tree_->nv; ++d)
     for (int i = 0; i < S; ++i) {
       node_.v_[d * S + i] = v[d];
@@ -60,6 +60,14 @@ void StepTangent::momentum(const VecCRef& q, const VecCRef& v, const VecCRef& dq
 void StepTangent::velocity_change(int stage, VecRef dv) const {
   const int S = stages_.padded();
   for (int d = 0; d < tree_->nv; ++d) dv[d] = shadow(stages_.v_)[d * S + stage];
+}
+
+void StepTangent::configuration_change(int stage, VecRef dq) const {
+  const int S = stages_.padded();
+  for (int d = 0; d < tree_->nv; ++d)
+    dq[d] = shadow(stages_.X_)[d * S + stage] + (direction_->q.size() > 0 ? direction_->q[d] : 0.0);
+  for (const Joint& joint : tree_->joints)
+    if (joint.type == JointType::kSpherical) dq.segment<3>(joint.iv) = ball_turn(joint, stage);
 }
 
 // dE = v . dP - dL/dq . dq, for E = P . v - L.
@@ -85,22 +93,6 @@ double StepTangent::energy_change() const {
   return total;
 }
 
-// The derivatives of the joints' base along a tangent vector dq.
-void StepTangent::set_base(Stages& s, const VecCRef& dq) {
-  const long shadow = s.work_.shadow;
-  int ball = 0;
-  for (const Joint& joint : tree_->joints) {
-    if (joint.type != JointType::kSpherical) {
-      for (int d = joint.iv; d < joint.iv + joint.nv; ++d) s.base_[d + shadow] = dq[d];
-      continue;
-    }
-    double* B = s.ball_base_ + 9 * ball++;
-    const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> base(B);
-    Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> change(B + shadow);
-    change = base * skew(dq.segment<3>(joint.iv));
-  }
-}
-
 void StepTangent::set_direction(const StepDirection& direction) {
   direction_ = &direction;
   Stages& s = stages_;
@@ -109,7 +101,7 @@ void StepTangent::set_direction(const StepDirection& direction) {
   if (direction.parameters != nullptr) set_parameters();
   if (direction.p.size() > 0) std::copy_n(direction.p.data(), n, shadow(s.p0_));
   if (direction.q.size() > 0) {
-    set_base(s, direction.q);
+    s.set_base_change(direction.q, s.work_.shadow);
     for (int d = 0; d < n; ++d)
       if (s.stiffness_[d] != 0.0) shadow(s.deflection_)[d] = direction.q[d];
   }
@@ -207,6 +199,28 @@ bool StepTangent::solve(const StepDirection& direction, VecRef dq1, VecRef dp1) 
   evaluate();  // G at the last velocities
   finish(direction, dq1, dp1);
   return dq1.allFinite() && dp1.allFinite();
+}
+
+void StepTangent::keep(MatX& dv, MatX& dX) const {
+  const int S = stages_.padded(), s = stages_.count();
+  dv.resize(tree_->nv, s);
+  dX.resize(tree_->nv, s);
+  for (int d = 0; d < tree_->nv; ++d)
+    for (int i = 0; i < s; ++i) {
+      dv(d, i) = shadow(stages_.v_)[d * S + i];
+      dX(d, i) = shadow(stages_.X_)[d * S + i];
+    }
+}
+
+void StepTangent::resume(const StepDirection& direction, const MatX& dv, const MatX& dX) {
+  const int S = stages_.padded(), s = stages_.count();
+  set_direction(direction);
+  for (int d = 0; d < tree_->nv; ++d)
+    for (int i = 0; i < S; ++i) {
+      shadow(stages_.v_)[d * S + i] = dv(d, std::min(i, s - 1));
+      shadow(stages_.X_)[d * S + i] = dX(d, std::min(i, s - 1));
+    }
+  evaluate();
 }
 
 void StepTangent::finish(const StepDirection& direction, VecRef dq1, VecRef dp1) {
@@ -355,10 +369,8 @@ void StepTangent::add_elements() {
     for (int d = 0; d < n; ++d) {
       v_[d] = s.v_[d * S + i];
       dv_[d] = shadow(s.v_)[d * S + i];
-      dq_[d] = shadow(s.X_)[d * S + i] + (direction_->q.size() > 0 ? direction_->q[d] : 0.0);
     }
-    for (const Joint& joint : tree_->joints)
-      if (joint.type == JointType::kSpherical) dq_.segment<3>(joint.iv) = ball_turn(joint, i);
+    configuration_change(i, dq_);
     df_.setZero();
     field_.add(s.time(i), q_, v_, dq_, dv_, df_);
     for (int d = 0; d < n; ++d)

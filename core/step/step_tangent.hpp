@@ -34,8 +34,18 @@ class StepTangent {
             const MatX& velocities);
   // The derivative of (q1, p1) along a direction, (nv,) each. False where the equations were not solved.
   bool solve(const StepDirection& direction, VecRef dq1, VecRef dp1);
+  // The solution of the last direction, by which the step has it again after others: the changes of the stages'
+  // velocities and of their displacements, (nv, s) each.
+  void keep(MatX& dv, MatX& dX) const;
+  void resume(const StepDirection& direction, const MatX& dv, const MatX& dX);
   // Of the last direction: the change of the velocity at a stage, (nv,).
   void velocity_change(int stage, VecRef dv) const;
+  // The tangent vector by which the configuration at a stage moves, (nv,).
+  void configuration_change(int stage, VecRef dq) const;
+  // The stages, and the change of an array of theirs (X, v, P or G with all forces).
+  Stages& stages() { return stages_; }
+  const double* change_of(const double* array) const { return shadow(array); }
+  const SolvedStep& step() const { return step_; }
   // Of the last direction: the change of the step's discrete energy sum b_i E(q_i, v_i), of gravity, springs and
   // inertia alone [J].
   double energy_change() const;
@@ -47,7 +57,6 @@ class StepTangent {
   int iterations() const { return iterations_; }
 
  private:
-  void set_base(Stages& stages, const VecCRef& dq);
   void set_direction(const StepDirection& direction);
   void evaluate();
   void residual(VecRef r) const;
