@@ -157,7 +157,7 @@ class Recorded {
       found = second.solve({times, lq, lv, VecX()}, call, w);
     } catch (const NoDerivative& reason) {
       UserErrors::raise();
-      return obstacle(reason);
+      return obstacle_of(scene_, reason);
     }
     UserErrors::raise();
     const auto dict = [&](const RunVector& l) {
