@@ -215,8 +215,8 @@ Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) 
   d["changes"] = contact_changes(s, recording.changes);
   d["phases"] = step_phases(recording);
   d["dense"] = dense_steps(s, recording);
-  KeptContactSteps kept{sim.take_contact_steps(), sim.take_impact_blocks()};
-  const bool none = kept.steps.empty() && kept.blocks.empty();
+  KeptContactSteps kept{sim.take_contact_steps(), sim.take_impact_blocks(), sim.take_dense_steps()};
+  const bool none = kept.steps.empty() && kept.blocks.empty() && kept.dense.empty();
   d["kept_steps"] = none ? nb::object(nb::none()) : nb::cast(std::move(kept));
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);

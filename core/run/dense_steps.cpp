@@ -152,7 +152,7 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
   // A rest that is rounding is taken along: gaps of rounding, closed in its time, would be speeds of metres per second.
   const double longest = state_.dense.longest;
   const bool shorter = longest > 0.0 && longest < interval.remaining * (1.0 - kRestIsRounding);
-  double h = shorter ? longest : interval.remaining;
+  double h = shorter ? longest : interval.remaining, share = shorter ? 0.0 : 1.0;
   for (;;) {
     bool solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
     while (solved && actuation_.saturate_servos(dense_step_.integrator()))
@@ -165,6 +165,7 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
     if (solved && (shortest || dense_step_.keeps_promises())) break;
     if (user_function_failed(at)) return false;
     h *= 0.5;
+    share *= 0.5;
     ++state_.control.halved;
     if (h < kShortestDense * options_.dt)
       return end(StatusCode::kNewtonFailed, at, std::string("a dense step was not solved: ") + dense_step_.why());
@@ -173,10 +174,20 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
   if (!stays_in_range(at)) return false;
   state_.dense.longest = 2.0 * h < options_.dt ? 2.0 * h : 0.0;
   record_phase(at, options_.dt, StepKind::kDense, recording);
+  if (options_.gradient) keep_dense_step(at, share);
   accept_dense_step(at, h, recording);
   interval.done += h;
   interval.remaining = h >= interval.remaining * (1.0 - 1e-12) ? 0.0 : interval.length - interval.done;
   return true;
+}
+
+// Keeps the dense step just solved. share: its length of what was left of the control step; 0: it does not depend on
+// that.
+void Simulator::keep_dense_step(double time, double share) {
+  DenseStepRecord record = dense_step_.record();
+  record.t = time;
+  record.share = share;
+  kept_dense_steps_.push_back(std::move(record));
 }
 
 void Simulator::accept_dense_step(double time, double h, Recording& recording) {

@@ -113,7 +113,7 @@ void RunTangent::take_part(const Piece& piece, double length) {
 // length, so long after its start. Fills the derivative by its length.
 void RunTangent::move(const Piece& piece, const RunDirections& d) {
   if (piece.persistent) {
-    if (piece.contact->ending != ContactStepEnd::kLength) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+    if (piece.ends_itself()) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     contact_.move(d, columns_);
     return;
   }
@@ -331,6 +331,7 @@ RunDerivative RunTangent::solve(const RunDirections& directions, const std::vect
     if (wanted == times.end()) break;
     move(piece, directions);
     if (piece.impacts > 0) take_event(piece, directions, result);
+    if (piece.dense != nullptr) result.dense.push_back(contact_.dense_report());
     if (piece.persistent) contact_.keep_anchors(columns_);
     const bool last = i + 1 == pieces.size();
     if (piece.end == PieceEnd::kEvent && (last ? is_node(*run_, end) : pieces[i + 1].step > piece.step)) {

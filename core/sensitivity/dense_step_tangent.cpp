@@ -1,0 +1,498 @@
+#include "sensitivity/dense_step_tangent.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/tolerances.hpp"
+#include "step/energy.hpp"
+#include "step/path.hpp"
+
+namespace contactvi {
+
+namespace {
+constexpr double kShared = 1e-7;  // of the effect of all impulses: what is shared has less
+constexpr double kOnCone = 1e-9;  // of the impulses and speeds: nearer to a change rounding decides what happens
+constexpr double kLaw = 1e-7;     // of the impulses and speeds: ten times what the solver leaves where it is at its end
+
+// Calls visit(joint) with what a turn of spherical joints does; see stage_change.
+Vec3 turn_back(const Vec3& X, const Vec3& x) {
+  const So3Coefficients k = so3_coefficients(X.squaredNorm());
+  return so3_apply(-X, k.sin_t, k.cos_t, x);
+}
+Vec3 right_jacobian(const Vec3& X, const Vec3& x) {
+  const So3Coefficients k = so3_coefficients(X.squaredNorm());
+  return so3_apply(-X, k.cos_t, k.cub_t, x);
+}
+}  // namespace
+
+DenseStepTangent::DenseStepTangent(const Scene& scene)
+    : scene_(&scene),
+      start_masses_(scene.tree, 1, 1e-12, 1),
+      masses_(scene.tree, 1, 1e-12, 1),
+      matrix_(scene.tree, 1),
+      free_(scene.tree, 1),
+      twists_(scene.tree),
+      v0_(scene.tree.nv),
+      q_stage_(scene.tree.nq),
+      none_(VecX::Zero(scene.tree.nv)),
+      dv0_(scene.tree.nv),
+      dqs_(scene.tree.nv),
+      dp_(scene.tree.nv),
+      work_(scene.tree.nv) {}
+
+void DenseStepTangent::refuse(const char* reason, int guard, const std::string& fact, const char* expected,
+                              const std::string& got, const char* remedy) const {
+  throw NoDerivative({reason, guard, record_->t}, fact, expected, got, remedy);
+}
+
+void DenseStepTangent::note(const DenseLaws& laws) {
+  margin_ = std::min(margin_, laws.margin());
+  error_ = std::max(error_, laws.error());
+}
+
+void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const Servo* servo) {
+  record_ = &step;
+  margin_ = 1.0;
+  error_ = 0.0;
+  approximate_ = "";
+  rows_ = static_cast<int>(step.lambda.size());
+  take_geometry();
+  take_matrix(tau, servo);
+  free_.take(step.q0, step.p0, step.h, tau, step.t, servo, step.places[0].v);
+  while (rounds_.size() < step.rounds.size()) rounds_.emplace_back(scene_->tree);
+  for (std::size_t k = 0; k < step.rounds.size(); ++k) take_round(k, tau, servo);
+  take_end();
+  if (step.repaired > 0) approximate("an answer that was repaired or blended");
+  if (step.keeps_energy) approximate("gaps that are left for the sake of the energy");
+  if (error_ > kLaw) approximate("impulses that do not satisfy the law of contact");
+  if (margin_ < kOnCone) approximate("a contact between two of open, sticking and slipping");
+}
+
+// The geometry of the contacts at the start, at the places with which slips are made, and at the end.
+void DenseStepTangent::take_geometry() {
+  const DenseStepRecord& s = *record_;
+  const std::size_t n = s.contacts.size();
+  const auto take = [&](std::vector<ContactTangent>& tangents, const VecX& q, const auto& contact_at) {
+    while (tangents.size() < n) tangents.emplace_back(*scene_);
+    for (std::size_t i = 0; i < n; ++i) {
+      const DenseStepRecord::Contact& c = s.contacts[i];
+      if (tangents[i].take(q, c.point.guard, contact_at(i), &c.law)) continue;
+      refuse("witness", c.point.guard, "The gap of a contact has no second derivative", "one pair of nearest points",
+             tangents[i].why(), "Start elsewhere, or round the edges of the shapes");
+    }
+  };
+  take(start_, s.q0, [&](std::size_t i) { return s.contacts[i].start; });
+  take(end_, s.places.back().q, [&](std::size_t i) { return s.contacts[i].end; });
+  if (slip_.size() < s.places.size()) slip_.resize(s.places.size());
+  std::vector<char> wanted(s.places.size(), 0);
+  for (const DenseStepRecord::Round& round : s.rounds)
+    for (char lasting : round.lasting) wanted[round.slips] |= lasting;
+  for (std::size_t k = 0; k < wanted.size(); ++k)
+    if (wanted[k] != 0) take(slip_[k], s.places[k].q, [&](std::size_t i) { return s.places[k].end[i]; });
+  for (const DenseStepRecord::Contact& c : s.contacts)
+    if (c.law.kind != c.point.kind) approximate("a point that is found anew at the start of the step");
+  dn0_.assign(n, Vec3::Zero());
+  dt1_.assign(n, Vec3::Zero());
+  dW0_.setZero(scene_->tree.nv, rows_);
+  dW1_.setZero(scene_->tree.nv, rows_);
+}
+
+// The matrix of the iterations, which is made with the velocity at the start.
+void DenseStepTangent::take_matrix(const VecX& tau, const Servo* servo) {
+  const DenseStepRecord& s = *record_;
+  const Tree& tree = scene_->tree;
+  if (!start_masses_.node_velocity(s.q0, s.p0, v0_)) throw Error("the mass matrix is not positive definite");
+  matrix_.take(s.q0, s.p0, s.h, tau, s.t, servo, v0_);
+  q_stage_ = s.q0;
+  integrate(tree, s.q0, v0_, 0.5 * s.h, q_stage_);
+  const double* damping = matrix_.stages().damping();
+  const double* stiffness = matrix_.stages().stiffness();
+  diagonal_h_.setZero(tree.nv);
+  for (const Joint& joint : tree.joints)
+    for (int d = joint.iv; d < joint.iv + joint.nv; ++d) {
+      const double own = stiffness != nullptr ? stiffness[d] : 0.0;
+      diagonal_h_[d] = (stiffness != nullptr ? 0.5 * damping[d] : 0.0) + 0.5 * s.h * std::max(joint.stiffness, own);
+    }
+  if (matrix_.stages().field().stiff_columns() > 0) approximate("springs between bodies in the matrix of the step");
+  DinvW_ = s.W0;
+  solve_matrix(DinvW_);
+}
+
+void DenseStepTangent::solve_matrix(Eigen::Ref<MatX> X) {
+  Stages& stages = matrix_.stages();
+  const int S = stages.padded(), n = scene_->tree.nv;
+  for (Eigen::Index k = 0; k < X.cols(); ++k) {
+    for (int d = 0; d < n; ++d) std::fill_n(stages.dv() + static_cast<std::size_t>(d) * S, S, X(d, k));
+    matrix_.solve();
+    for (int d = 0; d < n; ++d) X(d, k) = stages.dv()[static_cast<std::size_t>(d) * S];
+  }
+}
+
+void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* servo) {
+  const DenseStepRecord& s = *record_;
+  const DenseStepRecord::Round& r = s.rounds[k];
+  const DenseStepRecord::Place &about = s.places[r.about], &slips = s.places[r.slips], &next = s.places[k + 1];
+  Round& round = rounds_[k];
+  const int n = scene_->tree.nv;
+  const bool last = k + 1 == s.rounds.size();
+  const VecX& lambda = last ? s.lambda : next.lambda;
+  round.w.noalias() = s.W0.transpose() * r.v;
+  VecX free = s.W0.transpose() * s.places[0].v;
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    const double at_rest = (about.end[i].gap - c.allowed) / s.h - s.W0.col(c.row).dot(about.v);
+    round.w[c.row] += at_rest;
+    free[c.row] += at_rest;
+    if (r.lasting[i] == 0) continue;
+    for (int t = c.row + 1; t < c.row + 3; ++t) round.w[t] += 0.5 * (slips.W.col(t) - s.W0.col(t)).dot(slips.v);
+  }
+  VecX box = VecX::Zero(rows_);
+  for (std::size_t j = 0; j < s.joints.size(); ++j) box[static_cast<Eigen::Index>(j)] = 0.5 * s.h * s.joints[j].limit;
+  const double speed = rows_ > 0 ? std::max(free.lpNorm<Eigen::Infinity>(), (s.W0.transpose() * v0_).lpNorm<Eigen::Infinity>()) : 0.0;
+  round.law.take_law(s, r.lambda, round.w, s.W0.transpose() * DinvW_, VecX::Zero(rows_), box, speed);
+  note(round.law);
+  round.step.take(s.q0, s.p0 + s.W0 * lambda, s.h, tau, s.t, servo, next.v);
+  for (MatX* X : {&round.Q, &round.P, &round.V}) X->resize(n, rows_);
+  StepDirection unit;
+  VecX dq(n), dp(n), dv(n);
+  for (int row = 0; row < rows_; ++row) {
+    unit.p = s.W0.col(row);
+    if (!round.step.solve(unit, dq, dp))
+      refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+             "Use a smaller dt");
+    round.step.velocity_change(0, dv);
+    round.Q.col(row) = dq;
+    round.P.col(row) = dp;
+    round.V.col(row) = dv;
+  }
+  std::vector<double> gaps;
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) gaps.push_back(next.end[i].gap - s.contacts[i].allowed);
+  round.gaps.take_gaps(s, lambda, gaps, next.W.transpose() * round.Q / s.h);
+  check_round(round);
+}
+
+// What the laws leave open must have no effect.
+void DenseStepTangent::check_shared(const DenseLaws& laws, const MatX& effect) const {
+  const MatX& free = laws.free();
+  if (free.cols() == 0 || !((effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())) return;
+  refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard,
+         "The motion depends on how contact points share their load", "a motion that the laws of contact determine",
+         "points that turn while they slip", "Use fewer points (contact_points=3), or let bodies slip without turning");
+}
+
+void DenseStepTangent::check_round(const Round& round) const {
+  check_shared(round.gaps, round.P);
+  check_shared(round.gaps, round.V);
+  const MatX& free = round.law.free();
+  if (free.cols() == 0) return;
+  MatX effect(round.P.rows(), free.cols());
+  for (Eigen::Index k = 0; k < free.cols(); ++k) {
+    VecX known = free.col(k);
+    low_changes(round, known, VecX(), known);
+    effect.col(k) = round.P * round.gaps.from_known(known);
+  }
+  if (!(effect.cwiseAbs().maxCoeff() > kShared * round.P.cwiseAbs().maxCoeff())) return;
+  refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard,
+         "The motion depends on how contact points share their load", "a motion that the laws of contact determine",
+         "friction that is shared", "Use fewer points (contact_points=3), or let bodies slip without turning");
+}
+
+void DenseStepTangent::take_end() {
+  const DenseStepRecord& s = *record_;
+  masses_.place_node(s.places.back().q);
+  MinvW_ = s.W1;
+  for (const DenseStepRecord::Contact& c : s.contacts)
+    if (!c.closed) MinvW_.middleCols(c.row, c.mu > 0.0 ? 3 : 1).setZero();
+  masses_.solve_masses(MinvW_);
+  G_.noalias() = s.W1.transpose() * MinvW_;
+  VecX p_minus = s.p_minus;
+  masses_.solve_mass(p_minus);
+  const VecX none = VecX::Zero(rows_);
+  const double speed = rows_ > 0 ? (s.W1.transpose() * p_minus).lpNorm<Eigen::Infinity>() : 0.0;
+  plastic_.lambda = s.plastic;
+  plastic_.v = s.v_plastic;
+  VecX box = none, low = none;
+  for (std::size_t j = 0; j < s.joints.size(); ++j) box[static_cast<Eigen::Index>(j)] = 0.5 * s.h * s.joints[j].limit;
+  // A contact that takes no part is open: its speed is as large as can be.
+  const auto speeds = [&](const VecX& v) {
+    VecX w = s.W1.transpose() * v;
+    for (const DenseStepRecord::Contact& c : s.contacts)
+      if (!c.closed) w[c.row] = speed + 1.0;
+    return w;
+  };
+  plastic_.laws.take_law(s, s.plastic, speeds(s.v_plastic), G_, low, box, speed);
+  note(plastic_.laws);
+  check_shared(plastic_.laws, MinvW_);
+  if (s.expansion.size() == 0) return;
+  for (const DenseStepRecord::Contact& c : s.contacts)
+    if (c.expands) low[c.row] = c.restitution * (s.lambda[c.row] + s.plastic[c.row]);
+  for (std::size_t j = 0; j < s.joints.size(); ++j) {
+    const auto r = static_cast<Eigen::Index>(j);
+    box[r] = std::max(kLeastDivisor, box[r] - std::abs(s.plastic[r]));
+  }
+  expansion_.lambda = s.plastic + s.expansion;
+  expansion_.v = s.v_expansion;
+  expansion_.laws.take_law(s, s.expansion, speeds(s.v_expansion), G_, low, box, speed);
+  note(expansion_.laws);
+  check_shared(expansion_.laws, MinvW_);
+  if (s.expanded < 1.0) take_energy();
+}
+
+// An expansion that was cut keeps the energy of the start.
+void DenseStepTangent::take_energy() {
+  const DenseStepRecord& s = *record_;
+  approximate("restitution that was lowered to lose energy");
+  energy_q0_.resize(scene_->tree.nv);
+  energy_q1_.resize(scene_->tree.nv);
+  energy_gradient(start_masses_, s.q0, v0_, energy_q0_);
+  energy_gradient(start_masses_, s.places.back().q, s.v1, energy_q1_);
+  expansion_rate_ = s.v1.dot(s.W1 * s.expansion);
+}
+
+// --- along a direction ---
+
+void DenseStepTangent::set_start_rows(const VecX& dq0) {
+  const DenseStepRecord& s = *record_;
+  dW0_.setZero();
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    start_[i].change(dq0, c.t1_start, dW0_.middleCols(c.row, c.mu > 0.0 ? 3 : 1));
+    dn0_[i] = start_[i].normal_change();
+    dt1_[i] = -dn0_[i].dot(c.t1_start) * c.start.normal;
+  }
+}
+
+void DenseStepTangent::set_end_rows(const VecX& dq1) {
+  const DenseStepRecord& s = *record_;
+  dW1_.setZero();
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    if (c.closed) end_[i].change(dq1, c.t1_end, dW1_.middleCols(c.row, c.mu > 0.0 ? 3 : 1));
+  }
+}
+
+// Of the slips of lasting contacts, half the difference between both ends, at a place that changes so; after
+// set_start_rows.
+void DenseStepTangent::slip_change(int k, const VecX& dq, const VecX& dv, VecX& dslip) {
+  const DenseStepRecord& s = *record_;
+  const DenseStepRecord::Place& place = s.places[k];
+  MatX dW(scene_->tree.nv, 3);
+  dslip.setZero(rows_);
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    if (c.mu == 0.0) continue;
+    slip_[k][i].change(dq, place.t1[i], dW);
+    const Vec3 &n0 = c.start.normal, &n1 = place.end[i].normal, &t = c.t1_start, &dn0 = dn0_[i],
+               &dn1 = slip_[k][i].normal_change();
+    // t1 = t - (t.n1) / (1 + n0.n1) (n0 + n1), the shortest turn.
+    const double length = 1.0 + n0.dot(n1), share = t.dot(n1) / length;
+    const double dshare = (dt1_[i].dot(n1) + t.dot(dn1) - share * (dn0.dot(n1) + n0.dot(dn1))) / length;
+    const Vec3 dt1 = dt1_[i] - dshare * (n0 + n1) - share * (dn0 + dn1);
+    const double about = n1.cross(place.t1[i]).dot(dt1);
+    const int r = c.row;
+    dW.col(1) += about * place.W.col(r + 2);
+    dW.col(2) -= about * place.W.col(r + 1);
+    for (int j = 1; j < 3; ++j)
+      dslip[r + j] = 0.5 * ((dW.col(j) - dW0_.col(r + j)).dot(place.v) + (place.W.col(r + j) - s.W0.col(r + j)).dot(dv));
+  }
+}
+
+// Of the configuration q0 (+) h/2 v0, where the matrix is made.
+void DenseStepTangent::stage_change(const VecX& dq0, const VecX& dv0, double dh, VecX& dqs) const {
+  const double h = record_->h;
+  dqs = dq0 + 0.5 * h * dv0 + 0.5 * dh * v0_;
+  for (const Joint& joint : scene_->tree.joints) {
+    if (joint.type != JointType::kSpherical) continue;
+    const Vec3 X = 0.5 * h * v0_.segment<3>(joint.iv);
+    const Vec3 dX = 0.5 * h * dv0.segment<3>(joint.iv) + 0.5 * dh * v0_.segment<3>(joint.iv);
+    dqs.segment<3>(joint.iv) = turn_back(X, dq0.segment<3>(joint.iv)) + right_jacobian(X, dX);
+  }
+}
+
+// dD u.
+void DenseStepTangent::matrix_change(const DenseStepDirection& d, const VecX& dqs, const VecX& u, VecX& change) {
+  const double h = record_->h;
+  change.resize(scene_->tree.nv);
+  free_.momentum(q_stage_, u, dqs, none_, change);
+  change += d.h * diagonal_h_.cwiseProduct(u);
+  if (d.parameters == nullptr) return;
+  const StepParameters& p = *d.parameters;
+  free_.add_momentum(q_stage_, u, p, change);
+  change += 0.5 * h * (p.damping + p.kd).cwiseProduct(u) + 0.25 * h * h * p.kp.cwiseProduct(u);
+  for (std::size_t k = 0; k < scene_->tree.joints.size(); ++k) {
+    const Joint& joint = scene_->tree.joints[k];
+    change.segment(joint.iv, joint.nv) +=
+        0.25 * h * h * p.stiffness[static_cast<Eigen::Index>(k)] * u.segment(joint.iv, joint.nv);
+  }
+}
+
+double DenseStepTangent::allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const {
+  if (!(c.allowed < 0.0)) return 0.0;
+  return record_->W0.col(c.row).dot(dq0) + scene_->tree.gravity.norm() * record_->h * dh;
+}
+
+void DenseStepTangent::solve_laws(const DenseLaws& laws, const VecX& base, const VecX& known, const VecX& mu,
+                                  const VecX& size, VecX& dlambda) const {
+  if (laws.solve(base, known, mu, size, dlambda)) return;
+  refuse("redundant", -1, "Contact points that share their load contradict each other along a direction",
+         "a direction that keeps the points of a face closed together", "one that opens some of them",
+         "Start with the bodies apart, or in touch at one point");
+}
+
+// The sizes of the terms of the rows' changes.
+VecX DenseStepTangent::sizes(const DenseStepDirection& d) const {
+  double size_q = std::max(d.size_q, 0.0), size_p = std::max({d.size_p, dp_.cwiseAbs().maxCoeff()});
+  for (const Change& change : places_)
+    if (change.q.size() > 0) size_q = std::max(size_q, change.q.cwiseAbs().maxCoeff());
+  if (d.q.size() > 0) size_q = std::max(size_q, d.q.cwiseAbs().maxCoeff());
+  return (size_q / record_->h * record_->W1.cwiseAbs() + size_p * MinvW_.cwiseAbs() + size_p * DinvW_.cwiseAbs())
+      .colwise()
+      .sum();
+}
+
+// known: with the changes of friction in its rows; fills the bounds of the normal impulses that it asks for.
+void DenseStepTangent::low_changes(const Round& round, const VecX& lambda, const VecX& mu, VecX& known) const {
+  const DenseStepRecord& s = *record_;
+  const std::vector<DenseLaws::Contact>& gaps = round.gaps.contacts();
+  const VecX& now = &round == &rounds_[s.rounds.size() - 1] ? s.lambda : s.places[&round - &rounds_[0] + 1].lambda;
+  (void)lambda;
+  for (std::size_t i = 0; i < gaps.size(); ++i) {
+    const DenseLaws::Contact& c = gaps[i];
+    const int r = c.row;
+    known[r] = 0.0;
+    if (c.normal != DenseLaws::Normal::kBound || c.mu == 0.0) continue;
+    const Eigen::Vector2d t = now.segment<2>(r + 1);
+    const double size = t.norm(), dmu = mu.size() > 0 ? mu[static_cast<Eigen::Index>(i)] : 0.0;
+    if (size > 0.0) known[r] = t.dot(known.segment<2>(r + 1)) / (size * c.mu) - size / (c.mu * c.mu) * dmu;
+  }
+}
+
+void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, const VecX& dq0) {
+  const DenseStepRecord& s = *record_;
+  const DenseStepRecord::Round& r = s.rounds[k];
+  Round& round = rounds_[k];
+  const DenseStepRecord::Place& about = s.places[r.about];
+  const Change &about_change = places_[r.about], &from_change = places_[r.anew ? 0 : r.about];
+  const VecX none = VecX::Zero(rows_);
+  const VecX& from_lambda = r.anew ? none : about.lambda;
+  const VecX &from_v = s.places[r.anew ? 0 : r.about].v, &from_dlambda = r.anew ? none : from_change.lambda;
+  // The law.
+  VecX change;
+  matrix_change(d, dqs_, r.v - from_v, change);
+  MatX f = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
+  solve_matrix(f);
+  const VecX dv = from_change.v + f;
+  VecX base = dW0_.transpose() * r.v + s.W0.transpose() * dv, dslip;
+  bool lasting = false;
+  for (char c : r.lasting) lasting |= c != 0;
+  if (lasting) slip_change(r.slips, places_[r.slips].q, places_[r.slips].v, dslip);
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    const int n = c.row;
+    const double gap = about.end[i].gap - c.allowed;
+    base[n] += (about.W.col(n).dot(about_change.q) - allowed_change(c, dq0, d.h) - gap / s.h * d.h) / s.h -
+               dW0_.col(n).dot(about.v) - s.W0.col(n).dot(about_change.v);
+    if (r.lasting[i] != 0) base.segment<2>(n + 1) += dslip.segment<2>(n + 1);
+  }
+  VecX known = none, dlambda;
+  for (std::size_t j = 0; j < s.joints.size(); ++j) known[static_cast<Eigen::Index>(j)] = 0.5 * s.joints[j].limit * d.h;
+  solve_laws(round.law, base, known, d.mu, sizes(d), dlambda);
+  // The gap iterations.
+  Change& next = places_[k + 1];
+  const bool last = k + 1 == s.rounds.size();
+  const VecX& lambda = last ? s.lambda : s.places[k + 1].lambda;
+  known = dlambda;
+  low_changes(round, lambda, d.mu, known);
+  StepDirection direction;
+  direction.q = dq0;
+  direction.p = dW0_ * lambda;
+  if (d.p.size() > 0) direction.p += d.p;
+  direction.h = d.h;
+  direction.tau = d.tau;
+  direction.parameters = d.parameters;
+  next.q.resize(scene_->tree.nv);
+  next.v.resize(scene_->tree.nv);
+  if (!round.step.solve(direction, next.q, dp_))
+    refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+           "Use a smaller dt");
+  round.step.velocity_change(0, next.v);
+  base = s.places[k + 1].W.transpose() * next.q / s.h;
+  for (const DenseStepRecord::Contact& c : s.contacts) base[c.row] -= allowed_change(c, dq0, d.h) / s.h;
+  solve_laws(round.gaps, base, known, VecX(), sizes(d), next.lambda);
+  next.q += round.Q * next.lambda;
+  next.v += round.V * next.lambda;
+  dp_ += round.P * next.lambda;
+}
+
+// The change of the speeds of the rows at the end where the velocity impulse stays; force: of the momentum, without
+// that of the mass matrix.
+VecX DenseStepTangent::end_base(const End& end, const DenseStepDirection& d, const VecX& dq1, const VecX& dp,
+                                VecX& force) {
+  const VecX& q1 = record_->places.back().q;
+  force = dp + dW1_ * end.lambda;
+  free_.momentum(q1, end.v, dq1, none_, work_);
+  if (d.parameters != nullptr) free_.add_momentum(q1, end.v, *d.parameters, work_);
+  VecX dv = force - work_;
+  masses_.solve_mass(dv);
+  return dW1_.transpose() * end.v + record_->W1.transpose() * dv;
+}
+
+void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1) {
+  const DenseStepRecord& s = *record_;
+  const VecX dq0 = d.q.size() > 0 ? d.q : none_, dp0 = d.p.size() > 0 ? d.p : none_;
+  set_start_rows(dq0);
+  free_.momentum(s.q0, v0_, dq0, none_, work_);
+  if (d.parameters != nullptr) free_.add_momentum(s.q0, v0_, *d.parameters, work_);
+  dv0_ = dp0 - work_;
+  start_masses_.place_node(s.q0);
+  start_masses_.solve_mass(dv0_);
+  stage_change(dq0, dv0_, d.h, dqs_);
+  places_.assign(s.places.size(), Change());
+  StepDirection direction;
+  direction.q = dq0;
+  direction.p = dp0;
+  direction.h = d.h;
+  direction.tau = d.tau;
+  direction.parameters = d.parameters;
+  Change& free = places_[0];
+  free.q.resize(scene_->tree.nv);
+  free.v.resize(scene_->tree.nv);
+  free.lambda.setZero(rows_);
+  if (!free_.solve(direction, free.q, dp_))
+    refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+           "Use a smaller dt");
+  free_.velocity_change(0, free.v);
+  for (std::size_t k = 0; k < s.rounds.size(); ++k) solve_round(k, d, dq0);
+  const Change& end = places_.back();
+  dq1 = end.q;
+  set_end_rows(end.q);
+  masses_.place_node(s.places.back().q);
+  VecX force, known = VecX::Zero(rows_), dplastic, dexpansion, total = s.plastic;
+  for (std::size_t j = 0; j < s.joints.size(); ++j) known[static_cast<Eigen::Index>(j)] = 0.5 * s.joints[j].limit * d.h;
+  solve_laws(plastic_.laws, end_base(plastic_, d, end.q, dp_, force), known, d.mu, sizes(d), dplastic);
+  VecX dtotal = dplastic;
+  double dshare = 0.0;
+  if (s.expansion.size() > 0) {
+    for (std::size_t j = 0; j < s.joints.size(); ++j) {
+      const auto r = static_cast<Eigen::Index>(j);
+      known[r] -= std::copysign(1.0, s.plastic[r]) * dplastic[r];
+    }
+    for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+      const DenseStepRecord::Contact& c = s.contacts[i];
+      if (!c.expands) continue;
+      const double de = d.e.size() > 0 ? d.e[static_cast<Eigen::Index>(i)] : 0.0;
+      known[c.row] = c.restitution * (end.lambda[c.row] + dplastic[c.row]) + de * (s.lambda[c.row] + s.plastic[c.row]);
+    }
+    VecX base = end_base(expansion_, d, end.q, dp_, force) + G_ * dplastic;
+    solve_laws(expansion_.laws, base, known, d.mu, sizes(d), dexpansion);
+    dtotal += s.expanded * dexpansion;
+    total += s.expanded * s.expansion;
+  }
+  dp1 = dp_ + dW1_ * total + s.W1 * dtotal;
+  if (s.expansion.size() > 0 && s.expanded < 1.0) {
+    dshare = (energy_q0_.dot(dq0) + v0_.dot(dp0) - energy_q1_.dot(end.q) - s.v1.dot(dp1)) / expansion_rate_;
+    dp1 += dshare * (s.W1 * s.expansion);
+  }
+}
+
+}  // namespace contactvi

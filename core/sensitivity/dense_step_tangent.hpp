@@ -1,0 +1,119 @@
+// The derivative of one dense step (contact/dense_step.hpp), as it was solved, with the active sets of its problems.
+//
+// What is differentiated are these equations, in this order. D is the matrix of the step's iterations, at the start
+// with the velocity v0; gaps and rows of a place are those at the end of that motion.
+//   v_0      the smooth step from (q0, p0), q_0 = q0 (+) h v_0: the first place
+//   round    D (v_a - v_r) = W0^T (L_a - L_r), the whole law for L_a with the speeds
+//              w_n = (gap(q_p) - allowed)/h + W0_n (v_a - v_p),   w_t = W0_t v_a + (W_s - W0)_t v_s / 2
+//            about a place p, from a place r (of no impulses, or p); then the smooth step from (q0, p0 + W0^T L) with
+//            L_t = L_a,t and the L_n that close loaded gaps: the next place
+//   end      v' = M1^-1 (p1- + W1^T L'), the whole law for L' and w = W1 v'
+//   restitution: the same for L'' >= e (L + L'), of which a share is taken that just keeps the energy
+// Where several points share a load, the impulses are those of least norm.
+#pragma once
+
+#include <deque>
+
+#include "contact/dense_step_record.hpp"
+#include "geometry/contact_tangent.hpp"
+#include "sensitivity/dense_laws.hpp"
+#include "sensitivity/recorded_run.hpp"
+#include "step/integrator.hpp"
+#include "step/step_tangent.hpp"
+
+namespace contactvi {
+
+// A direction in all that a dense step depends on; what is empty does not change.
+struct DenseStepDirection {
+  VecX q, p;  // of the start, (nv,)
+  double h = 0.0;
+  VecX tau;    // public coordinates, (nv,)
+  VecX mu, e;  // of the contacts
+  const StepParameters* parameters = nullptr;
+  double size_q = 0.0, size_p = 0.0;  // largest change of q and p on the way: rounding is relative to it
+};
+
+class DenseStepTangent {
+ public:
+  explicit DenseStepTangent(const Scene& scene);
+
+  // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
+  void take(const DenseStepRecord& step, const VecX& tau, const Servo* servo);
+  // The derivative of (q1, p1), (nv,) each.
+  void solve(const DenseStepDirection& direction, VecRef dq1, VecRef dp1);
+  // Distance from the nearest change of an active set, relative to the impulses or the speeds.
+  double margin() const { return margin_; }
+  // Of the impulses and speeds: what does not satisfy the laws that are differentiated.
+  double error() const { return error_; }
+  // Why the derivative is not that of the step to rounding; empty: it is.
+  const char* approximate() const { return approximate_; }
+
+ private:
+  friend class DenseStepAdjoint;  // its transpose, from the same parts
+  struct Change {
+    VecX q, v, lambda;
+  };
+  struct Round {
+    explicit Round(const Tree& tree) : step(tree, 1) {}
+    DenseLaws law, gaps;
+    StepTangent step;  // with the impulses at its end
+    MatX Q, P, V;      // changes per unit of each impulse: of the end, of the momentum there, of the velocity
+    VecX w;
+  };
+  struct End {  // the velocity impulse, or that with restitution
+    DenseLaws laws;
+    VecX lambda, v;
+  };
+
+  [[noreturn]] void refuse(const char* reason, int guard, const std::string& fact, const char* expected,
+                           const std::string& got, const char* remedy) const;
+  void note(const DenseLaws& laws);
+  void approximate(const char* why) { approximate_ = *approximate_ == 0 ? why : approximate_; }
+  void take_geometry();
+  void take_matrix(const VecX& tau, const Servo* servo);
+  void take_round(std::size_t k, const VecX& tau, const Servo* servo);
+  void take_end();
+  void take_energy();
+  void check_shared(const DenseLaws& laws, const MatX& effect) const;
+  void check_round(const Round& round) const;
+  void solve_matrix(Eigen::Ref<MatX> X);  // X <- D^-1 X
+  void set_start_rows(const VecX& dq0);
+  void set_end_rows(const VecX& dq1);
+  void slip_change(int place, const VecX& dq, const VecX& dv, VecX& dslip);
+  void stage_change(const VecX& dq0, const VecX& dv0, double dh, VecX& dqs) const;
+  void matrix_change(const DenseStepDirection& d, const VecX& dqs, const VecX& u, VecX& change);
+  double allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const;
+  void solve_round(std::size_t k, const DenseStepDirection& d, const VecX& dq0);
+  void low_changes(const Round& round, const VecX& lambda, const VecX& mu, VecX& known) const;
+  void solve_laws(const DenseLaws& laws, const VecX& base, const VecX& known, const VecX& mu, const VecX& size,
+                  VecX& dlambda) const;
+  VecX sizes(const DenseStepDirection& d) const;
+  VecX end_base(const End& end, const DenseStepDirection& d, const VecX& dq1, const VecX& dp, VecX& force);
+  VecX end_slip(int place, std::size_t contact) const;
+
+  const Scene* scene_;
+  Integrator start_masses_, masses_;
+  SolvedStep matrix_;
+  StepTangent free_;
+  std::deque<Round> rounds_;
+  const DenseStepRecord* record_ = nullptr;
+  BodyTwists twists_;
+  std::vector<ContactTangent> start_, end_;
+  std::vector<std::vector<ContactTangent>> slip_;  // per place with which slips are made
+  double margin_ = 1.0, error_ = 0.0;
+  const char* approximate_ = "";
+  int rows_ = 0;
+  VecX v0_, q_stage_, diagonal_h_;  // at the start; of the stage where D is made; derivative of its diagonal by h
+  VecX stiffness_share_;
+  MatX DinvW_, MinvW_, G_;
+  End plastic_, expansion_;
+  VecX slope_, energy_q0_, energy_q1_, energy_v0_;  // of the energies at both ends, where an expansion is cut
+  double expansion_rate_ = 0.0;                     // energy per share [J]
+  // Along the present direction.
+  MatX dW0_, dW1_;
+  std::vector<Vec3> dn0_, dt1_;
+  std::vector<Change> places_;
+  VecX none_, dv0_, dqs_, dp_, work_;
+};
+
+}  // namespace contactvi
