@@ -33,6 +33,12 @@ void DenseRecorder::begin(const VecX& q0, const VecX& p0, double h, bool keeps_e
   for (int dof : e.friction_dofs) record_.joints.push_back({dof, e.joint_friction[dof]});
 }
 
+void DenseRecorder::take_masses(const BlockProblem& problem) {
+  record_.D.setZero(scene_->tree.nv, scene_->tree.nv);
+  for (int b = 0; b < problem.blocks(); ++b)
+    record_.D.block(problem.start[b], problem.start[b], problem.size(b), problem.size(b)) = problem.M[b];
+}
+
 // From the order of the contact problem, in which the joints come last.
 VecX DenseRecorder::ordered(const VecX& lambda) const {
   const auto joints = static_cast<Eigen::Index>(record_.joints.size());

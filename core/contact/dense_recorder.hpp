@@ -12,6 +12,8 @@ class DenseRecorder {
 
   // A step begins.
   void begin(const VecX& q0, const VecX& p0, double h, bool keeps_energy);
+  // The masses of the law.
+  void take_masses(const BlockProblem& problem);
   // The law is about to be solved with the present candidates, from the motion v whose end q they are evaluated at.
   void start_pass(const std::vector<DenseContact>& contacts, const VecX& q, const VecX& v, const VecX& lambda);
   // `lasting`: contacts of the pass whose slip is the mean of both ends.

@@ -398,6 +398,7 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   const Energy free = energy(integrator_, q1_, p1_);
   const double smooth_error = std::abs(total(free) - total(before) - integrator_.work());
   rows_.set_masses([this](MatX& X) { integrator_.solve_step_matrix(X); });
+  if (recorder_) recorder_->take_masses(rows_.problem());
   bound_velocities();
   if (!position_impulses()) return false;
   const Energy middle = energy(integrator_, q1_, p1_);

@@ -47,6 +47,7 @@ struct DenseStepRecord {
   std::vector<Joint> joints;
   std::vector<Contact> contacts;
   MatX W0, W1;                // at the start and the end, (nv, rows)
+  MatX D;                     // the masses of the law of the position impulse, (nv, nv)
   std::vector<Place> places;  // the first one is that of the step without impulses, the last one its end
   std::vector<Round> rounds;  // round k led to place k + 1
   VecX lambda;                // position impulse

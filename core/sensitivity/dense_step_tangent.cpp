@@ -14,29 +14,19 @@ constexpr double kShared = 1e-7;  // of the effect of all impulses: what is shar
 constexpr double kOnCone = 1e-9;  // of the impulses and speeds: nearer to a change rounding decides what happens
 constexpr double kLaw = 1e-7;     // of the impulses and speeds: ten times what the solver leaves where it is at its end
 
-// Calls visit(joint) with what a turn of spherical joints does; see stage_change.
-Vec3 turn_back(const Vec3& X, const Vec3& x) {
-  const So3Coefficients k = so3_coefficients(X.squaredNorm());
-  return so3_apply(-X, k.sin_t, k.cos_t, x);
-}
-Vec3 right_jacobian(const Vec3& X, const Vec3& x) {
-  const So3Coefficients k = so3_coefficients(X.squaredNorm());
-  return so3_apply(-X, k.cos_t, k.cub_t, x);
-}
 }  // namespace
 
 DenseStepTangent::DenseStepTangent(const Scene& scene)
     : scene_(&scene),
       start_masses_(scene.tree, 1, 1e-12, 1),
       masses_(scene.tree, 1, 1e-12, 1),
-      matrix_(scene.tree, 1),
+      step_masses_(scene),
       free_(scene.tree, 1),
       twists_(scene.tree),
       v0_(scene.tree.nv),
       q_stage_(scene.tree.nq),
       none_(VecX::Zero(scene.tree.nv)),
       dv0_(scene.tree.nv),
-      dqs_(scene.tree.nv),
       dp_(scene.tree.nv),
       work_(scene.tree.nv) {}
 
@@ -57,7 +47,7 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   approximate_ = "";
   rows_ = static_cast<int>(step.lambda.size());
   take_geometry();
-  take_matrix(tau, servo);
+  take_masses(tau, servo);
   free_.take(step.q0, step.p0, step.h, tau, step.t, servo, step.places[0].v);
   while (rounds_.size() < step.rounds.size()) rounds_.emplace_back(scene_->tree);
   for (std::size_t k = 0; k < step.rounds.size(); ++k) take_round(k, tau, servo);
@@ -97,35 +87,14 @@ void DenseStepTangent::take_geometry() {
   dW1_.setZero(scene_->tree.nv, rows_);
 }
 
-// The matrix of the iterations, which is made with the velocity at the start.
-void DenseStepTangent::take_matrix(const VecX& tau, const Servo* servo) {
+void DenseStepTangent::take_masses(const VecX& tau, const Servo* servo) {
   const DenseStepRecord& s = *record_;
-  const Tree& tree = scene_->tree;
   if (!start_masses_.node_velocity(s.q0, s.p0, v0_)) throw Error("the mass matrix is not positive definite");
-  matrix_.take(s.q0, s.p0, s.h, tau, s.t, servo, v0_);
   q_stage_ = s.q0;
-  integrate(tree, s.q0, v0_, 0.5 * s.h, q_stage_);
-  const double* damping = matrix_.stages().damping();
-  const double* stiffness = matrix_.stages().stiffness();
-  diagonal_h_.setZero(tree.nv);
-  for (const Joint& joint : tree.joints)
-    for (int d = joint.iv; d < joint.iv + joint.nv; ++d) {
-      const double own = stiffness != nullptr ? stiffness[d] : 0.0;
-      diagonal_h_[d] = (stiffness != nullptr ? 0.5 * damping[d] : 0.0) + 0.5 * s.h * std::max(joint.stiffness, own);
-    }
-  if (matrix_.stages().field().stiff_columns() > 0) approximate("springs between bodies in the matrix of the step");
-  DinvW_ = s.W0;
-  solve_matrix(DinvW_);
-}
-
-void DenseStepTangent::solve_matrix(Eigen::Ref<MatX> X) {
-  Stages& stages = matrix_.stages();
-  const int S = stages.padded(), n = scene_->tree.nv;
-  for (Eigen::Index k = 0; k < X.cols(); ++k) {
-    for (int d = 0; d < n; ++d) std::fill_n(stages.dv() + static_cast<std::size_t>(d) * S, S, X(d, k));
-    matrix_.solve();
-    for (int d = 0; d < n; ++d) X(d, k) = stages.dv()[static_cast<std::size_t>(d) * S];
-  }
+  integrate(scene_->tree, s.q0, v0_, 0.5 * s.h, q_stage_);
+  D_.compute(s.D);
+  DinvW_ = D_.solve(s.W0);
+  if (!s.contacts.empty()) step_masses_.take(s, tau, servo, v0_);
 }
 
 void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* servo) {
@@ -134,24 +103,28 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
   const DenseStepRecord::Place &about = s.places[r.about], &slips = s.places[r.slips], &next = s.places[k + 1];
   Round& round = rounds_[k];
   const int n = scene_->tree.nv;
-  const bool last = k + 1 == s.rounds.size();
-  const VecX& lambda = last ? s.lambda : next.lambda;
-  round.w.noalias() = s.W0.transpose() * r.v;
+  round.lambda = k + 1 == s.rounds.size() ? s.lambda : next.lambda;
+  VecX w = s.W0.transpose() * r.v;
   VecX free = s.W0.transpose() * s.places[0].v;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
     const double at_rest = (about.end[i].gap - c.allowed) / s.h - s.W0.col(c.row).dot(about.v);
-    round.w[c.row] += at_rest;
+    w[c.row] += at_rest;
     free[c.row] += at_rest;
     if (r.lasting[i] == 0) continue;
-    for (int t = c.row + 1; t < c.row + 3; ++t) round.w[t] += 0.5 * (slips.W.col(t) - s.W0.col(t)).dot(slips.v);
+    for (int t = c.row + 1; t < c.row + 3; ++t) w[t] += 0.5 * (slips.W.col(t) - s.W0.col(t)).dot(slips.v);
   }
   VecX box = VecX::Zero(rows_);
   for (std::size_t j = 0; j < s.joints.size(); ++j) box[static_cast<Eigen::Index>(j)] = 0.5 * s.h * s.joints[j].limit;
   const double speed = rows_ > 0 ? std::max(free.lpNorm<Eigen::Infinity>(), (s.W0.transpose() * v0_).lpNorm<Eigen::Infinity>()) : 0.0;
-  round.law.take_law(s, r.lambda, round.w, s.W0.transpose() * DinvW_, VecX::Zero(rows_), box, speed);
+  round.law.take_law(s, r.lambda, w, s.W0.transpose() * DinvW_, VecX::Zero(rows_), box, speed);
   note(round.law);
-  round.step.take(s.q0, s.p0 + s.W0 * lambda, s.h, tau, s.t, servo, next.v);
+  if (!s.contacts.empty()) {
+    round.mass_effect = step_masses_.effect(r.v - s.places[r.anew ? 0 : r.about].v);
+  } else {
+    round.mass_effect.setZero(n, 3 * n + 1);
+  }
+  round.step.take(s.q0, s.p0 + s.W0 * round.lambda, s.h, tau, s.t, servo, next.v);
   for (MatX* X : {&round.Q, &round.P, &round.V}) X->resize(n, rows_);
   StepDirection unit;
   VecX dq(n), dp(n), dv(n);
@@ -167,8 +140,9 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
   }
   std::vector<double> gaps;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) gaps.push_back(next.end[i].gap - s.contacts[i].allowed);
-  round.gaps.take_gaps(s, lambda, gaps, next.W.transpose() * round.Q / s.h);
+  round.gaps.take_gaps(s, round.lambda, gaps, next.W.transpose() * round.Q / s.h);
   check_round(round);
+  if (getenv("DBG")) for (std::size_t i = 0; i < s.contacts.size(); ++i) fprintf(stderr, "t %g round %zu of %zu about %d anew %d guard %d kind %d %d la %.15g %.15g l %.15g %.15g gap %g allowed %g lasting %d normal %d friction %d bound %d w %g %g %g expands %d closed %d plastic %g\n", s.t, k, s.rounds.size(), r.about, (int)r.anew, s.contacts[i].point.guard, (int)s.contacts[i].law.kind,(int)s.contacts[i].point.kind, r.lambda[s.contacts[i].row], s.contacts[i].mu>0?r.lambda[s.contacts[i].row+2]:0, round.lambda[s.contacts[i].row], s.contacts[i].mu>0?round.lambda[s.contacts[i].row+2]:0, next.end[i].gap, s.contacts[i].allowed, (int)r.lasting[i], (int)round.law.contacts()[i].normal, (int)round.law.contacts()[i].friction, (int)round.gaps.contacts()[i].normal, w[s.contacts[i].row], s.contacts[i].mu>0?w[s.contacts[i].row+1]:0, s.contacts[i].mu>0?w[s.contacts[i].row+2]:0, (int)s.contacts[i].expands,(int)s.contacts[i].closed, s.plastic[s.contacts[i].row]);
 }
 
 // What the laws leave open must have no effect.
@@ -188,7 +162,7 @@ void DenseStepTangent::check_round(const Round& round) const {
   MatX effect(round.P.rows(), free.cols());
   for (Eigen::Index k = 0; k < free.cols(); ++k) {
     VecX known = free.col(k);
-    low_changes(round, known, VecX(), known);
+    low_changes(round, VecX(), known);
     effect.col(k) = round.P * round.gaps.from_known(known);
   }
   if (!(effect.cwiseAbs().maxCoeff() > kShared * round.P.cwiseAbs().maxCoeff())) return;
@@ -297,24 +271,13 @@ void DenseStepTangent::slip_change(int k, const VecX& dq, const VecX& dv, VecX& 
   }
 }
 
-// Of the configuration q0 (+) h/2 v0, where the matrix is made.
-void DenseStepTangent::stage_change(const VecX& dq0, const VecX& dv0, double dh, VecX& dqs) const {
+// dD u of a round.
+void DenseStepTangent::matrix_change(const Round& round, const DenseStepDirection& d, const VecX& dq0, const VecX& u,
+                                     VecX& change) {
   const double h = record_->h;
-  dqs = dq0 + 0.5 * h * dv0 + 0.5 * dh * v0_;
-  for (const Joint& joint : scene_->tree.joints) {
-    if (joint.type != JointType::kSpherical) continue;
-    const Vec3 X = 0.5 * h * v0_.segment<3>(joint.iv);
-    const Vec3 dX = 0.5 * h * dv0.segment<3>(joint.iv) + 0.5 * dh * v0_.segment<3>(joint.iv);
-    dqs.segment<3>(joint.iv) = turn_back(X, dq0.segment<3>(joint.iv)) + right_jacobian(X, dX);
-  }
-}
-
-// dD u.
-void DenseStepTangent::matrix_change(const DenseStepDirection& d, const VecX& dqs, const VecX& u, VecX& change) {
-  const double h = record_->h;
-  change.resize(scene_->tree.nv);
-  free_.momentum(q_stage_, u, dqs, none_, change);
-  change += d.h * diagonal_h_.cwiseProduct(u);
+  const int n = scene_->tree.nv;
+  change = round.mass_effect.leftCols(n) * dq0 + round.mass_effect.middleCols(n, n) * dv0_ +
+           round.mass_effect.middleCols(2 * n, n) * places_[0].v + round.mass_effect.col(3 * n) * d.h;
   if (d.parameters == nullptr) return;
   const StepParameters& p = *d.parameters;
   free_.add_momentum(q_stage_, u, p, change);
@@ -351,17 +314,14 @@ VecX DenseStepTangent::sizes(const DenseStepDirection& d) const {
 }
 
 // known: with the changes of friction in its rows; fills the bounds of the normal impulses that it asks for.
-void DenseStepTangent::low_changes(const Round& round, const VecX& lambda, const VecX& mu, VecX& known) const {
-  const DenseStepRecord& s = *record_;
+void DenseStepTangent::low_changes(const Round& round, const VecX& mu, VecX& known) const {
   const std::vector<DenseLaws::Contact>& gaps = round.gaps.contacts();
-  const VecX& now = &round == &rounds_[s.rounds.size() - 1] ? s.lambda : s.places[&round - &rounds_[0] + 1].lambda;
-  (void)lambda;
   for (std::size_t i = 0; i < gaps.size(); ++i) {
     const DenseLaws::Contact& c = gaps[i];
     const int r = c.row;
     known[r] = 0.0;
     if (c.normal != DenseLaws::Normal::kBound || c.mu == 0.0) continue;
-    const Eigen::Vector2d t = now.segment<2>(r + 1);
+    const Eigen::Vector2d t = round.lambda.segment<2>(r + 1);
     const double size = t.norm(), dmu = mu.size() > 0 ? mu[static_cast<Eigen::Index>(i)] : 0.0;
     if (size > 0.0) known[r] = t.dot(known.segment<2>(r + 1)) / (size * c.mu) - size / (c.mu * c.mu) * dmu;
   }
@@ -378,10 +338,9 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   const VecX &from_v = s.places[r.anew ? 0 : r.about].v, &from_dlambda = r.anew ? none : from_change.lambda;
   // The law.
   VecX change;
-  matrix_change(d, dqs_, r.v - from_v, change);
-  MatX f = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
-  solve_matrix(f);
-  const VecX dv = from_change.v + f;
+  matrix_change(round, d, dq0, r.v - from_v, change);
+  const VecX force = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
+  const VecX dv = from_change.v + D_.solve(force);
   VecX base = dW0_.transpose() * r.v + s.W0.transpose() * dv, dslip;
   bool lasting = false;
   for (char c : r.lasting) lasting |= c != 0;
@@ -399,13 +358,11 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   solve_laws(round.law, base, known, d.mu, sizes(d), dlambda);
   // The gap iterations.
   Change& next = places_[k + 1];
-  const bool last = k + 1 == s.rounds.size();
-  const VecX& lambda = last ? s.lambda : s.places[k + 1].lambda;
   known = dlambda;
-  low_changes(round, lambda, d.mu, known);
+  low_changes(round, d.mu, known);
   StepDirection direction;
   direction.q = dq0;
-  direction.p = dW0_ * lambda;
+  direction.p = dW0_ * round.lambda;
   if (d.p.size() > 0) direction.p += d.p;
   direction.h = d.h;
   direction.tau = d.tau;
@@ -446,7 +403,6 @@ void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1
   dv0_ = dp0 - work_;
   start_masses_.place_node(s.q0);
   start_masses_.solve_mass(dv0_);
-  stage_change(dq0, dv0_, d.h, dqs_);
   places_.assign(s.places.size(), Change());
   StepDirection direction;
   direction.q = dq0;

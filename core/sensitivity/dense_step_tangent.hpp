@@ -12,12 +12,14 @@
 // Where several points share a load, the impulses are those of least norm.
 #pragma once
 
+#include <Eigen/Cholesky>
 #include <deque>
 
 #include "contact/dense_step_record.hpp"
 #include "geometry/contact_tangent.hpp"
 #include "sensitivity/dense_laws.hpp"
 #include "sensitivity/recorded_run.hpp"
+#include "sensitivity/step_masses.hpp"
 #include "step/integrator.hpp"
 #include "step/step_tangent.hpp"
 
@@ -58,7 +60,8 @@ class DenseStepTangent {
     DenseLaws law, gaps;
     StepTangent step;  // with the impulses at its end
     MatX Q, P, V;      // changes per unit of each impulse: of the end, of the momentum there, of the velocity
-    VecX w;
+    VecX lambda;       // at its end
+    MatX mass_effect;  // StepMasses::effect of its change of velocity
   };
   struct End {  // the velocity impulse, or that with restitution
     DenseLaws laws;
@@ -70,21 +73,19 @@ class DenseStepTangent {
   void note(const DenseLaws& laws);
   void approximate(const char* why) { approximate_ = *approximate_ == 0 ? why : approximate_; }
   void take_geometry();
-  void take_matrix(const VecX& tau, const Servo* servo);
+  void take_masses(const VecX& tau, const Servo* servo);
   void take_round(std::size_t k, const VecX& tau, const Servo* servo);
   void take_end();
   void take_energy();
   void check_shared(const DenseLaws& laws, const MatX& effect) const;
   void check_round(const Round& round) const;
-  void solve_matrix(Eigen::Ref<MatX> X);  // X <- D^-1 X
   void set_start_rows(const VecX& dq0);
   void set_end_rows(const VecX& dq1);
   void slip_change(int place, const VecX& dq, const VecX& dv, VecX& dslip);
-  void stage_change(const VecX& dq0, const VecX& dv0, double dh, VecX& dqs) const;
-  void matrix_change(const DenseStepDirection& d, const VecX& dqs, const VecX& u, VecX& change);
+  void matrix_change(const Round& round, const DenseStepDirection& d, const VecX& dq0, const VecX& u, VecX& change);
   double allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const;
   void solve_round(std::size_t k, const DenseStepDirection& d, const VecX& dq0);
-  void low_changes(const Round& round, const VecX& lambda, const VecX& mu, VecX& known) const;
+  void low_changes(const Round& round, const VecX& mu, VecX& known) const;
   void solve_laws(const DenseLaws& laws, const VecX& base, const VecX& known, const VecX& mu, const VecX& size,
                   VecX& dlambda) const;
   VecX sizes(const DenseStepDirection& d) const;
@@ -93,7 +94,7 @@ class DenseStepTangent {
 
   const Scene* scene_;
   Integrator start_masses_, masses_;
-  SolvedStep matrix_;
+  StepMasses step_masses_;
   StepTangent free_;
   std::deque<Round> rounds_;
   const DenseStepRecord* record_ = nullptr;
@@ -103,8 +104,8 @@ class DenseStepTangent {
   double margin_ = 1.0, error_ = 0.0;
   const char* approximate_ = "";
   int rows_ = 0;
-  VecX v0_, q_stage_, diagonal_h_;  // at the start; of the stage where D is made; derivative of its diagonal by h
-  VecX stiffness_share_;
+  VecX v0_, q_stage_;  // at the start; of the stage where D is made
+  Eigen::LLT<MatX> D_;
   MatX DinvW_, MinvW_, G_;
   End plastic_, expansion_;
   VecX slope_, energy_q0_, energy_q1_, energy_v0_;  // of the energies at both ends, where an expansion is cut
@@ -113,7 +114,7 @@ class DenseStepTangent {
   MatX dW0_, dW1_;
   std::vector<Vec3> dn0_, dt1_;
   std::vector<Change> places_;
-  VecX none_, dv0_, dqs_, dp_, work_;
+  VecX none_, dv0_, dp_, work_;
 };
 
 }  // namespace contactvi
