@@ -100,7 +100,7 @@ void DenseCandidates::evaluate(const ContactPoint& point, const Contact* witness
 
 // A point joins the candidates, unless it is one of them. The guards are placed at the start of the step.
 bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, const Near& near,
-                          const std::vector<DenseImpulse>& impulses) {
+                          const std::vector<DenseImpulse>& impulses, bool joined) {
   for (const DenseContact& c : contacts_)
     if (c.point.guard == point.guard && c.point.feature == point.feature &&
         (c.law.center_B - law.center_B).squaredNorm() < kSamePoint * kSamePoint)
@@ -108,6 +108,7 @@ bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, co
   DenseContact c{};
   c.point = point;
   c.law = law;
+  c.joined = joined;
   c.mu = scene_->friction(point.guard);
   c.restitution = scene_->restitution(point.guard);
   evaluate(law, &near.witness0, c.at0);
@@ -162,7 +163,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   for (std::size_t k = 0; k < points_.size(); ++k) {
     const int guard = points_[k].guard;
     const auto near = std::find_if(near_.begin(), near_.end(), [&](const Near& n) { return n.guard == guard; });
-    added |= add(points_[k], laws_[k], *near, impulses);
+    added |= add(points_[k], laws_[k], *near, impulses, true);
   }
   return added;
 }

@@ -21,6 +21,7 @@ struct DenseContact {
   Vec3 slip_W;
   bool closed;   // takes part in the velocity impulse
   bool expands;  // restitution acts
+  bool joined;   // found where it overlaps at the end of a motion, not at the start of the step
   int rows() const { return mu > 0.0 ? 3 : 1; }
   bool loaded() const { return position[0] + velocity[0] > 0.0; }
   Vec3 position_W() const;
@@ -76,7 +77,7 @@ class DenseCandidates {
     return guards_->manifolds().frozen(point, guards_->placements(), witness, guards_->turn(point.guard));
   }
   bool add(const ContactPoint& point, const ContactPoint& law, const Near& near,
-           const std::vector<DenseImpulse>& impulses);
+           const std::vector<DenseImpulse>& impulses, bool joined = false);
   void set_start_impulses(DenseContact& c, const std::vector<DenseImpulse>& impulses) const;
 
   const Scene* scene_;

@@ -24,6 +24,7 @@ bool any(const VecX& x, int row, int count) {
 
 void DenseRecorder::begin(const VecX& q0, const VecX& p0, double h, bool keeps_energy) {
   record_ = DenseStepRecord();
+  found_.clear();
   record_.h = h;
   record_.q0 = q0;
   record_.p0 = p0;
@@ -90,6 +91,8 @@ void DenseRecorder::start_pass(const std::vector<DenseContact>& contacts, const 
     }
   }
   slips_ = record_.places.size() - 1;
+  for (std::size_t i = found_.size(); i < contacts.size(); ++i)
+    found_.push_back(contacts[i].joined ? static_cast<int>(slips_) : -1);
   anew_ = true;
   lasting_.assign(contacts.size(), 0);
 }
@@ -100,7 +103,8 @@ void DenseRecorder::set_lasting(const std::vector<int>& lasting) {
 
 void DenseRecorder::take_law(const VecX& lambda, const VecX& v) {
   const int about = static_cast<int>(record_.places.size()) - 1;
-  record_.rounds.push_back({about, anew_, static_cast<int>(slips_), lasting_, ordered(lambda), v});
+  record_.rounds.push_back({about, anew_, static_cast<int>(slips_), std::vector<char>(lasting_.size(), 1), lasting_,
+                            ordered(lambda), v});
   anew_ = false;
 }
 
@@ -146,7 +150,7 @@ void DenseRecorder::keep_loaded(const std::vector<DenseContact>& contacts) {
     if (loaded) {
       const Vec3 t1 = scene_->is_pair(c.point.guard) ? c.t1_1 : Vec3(Vec3::Zero());
       s.contacts.push_back({c.point, c.law, c.mu, c.restitution, c.allowed, c.at0, c.at1, c.t1_0, t1, c.closed,
-                            c.expands, static_cast<int>(rows.size())});
+                            c.expands, static_cast<int>(rows.size()), found_[i]});
       kept.push_back(static_cast<int>(i));
       for (int r = 0; r < c.rows(); ++r) rows.push_back(row + r);
     }
@@ -156,9 +160,11 @@ void DenseRecorder::keep_loaded(const std::vector<DenseContact>& contacts) {
   if (s.expansion.size() > 0) s.expansion = chosen(s.expansion, rows);
   for (DenseStepRecord::Round& round : s.rounds) {
     round.lambda = chosen(round.lambda, rows);
-    std::vector<char> lasting;
-    for (int i : kept) lasting.push_back(static_cast<std::size_t>(i) < round.lasting.size() ? round.lasting[i] : 0);
-    round.lasting = lasting;
+    for (std::vector<char>* flags : {&round.present, &round.lasting}) {
+      std::vector<char> found;
+      for (int i : kept) found.push_back(static_cast<std::size_t>(i) < flags->size() ? (*flags)[i] : 0);
+      *flags = found;
+    }
   }
   for (DenseStepRecord::Place& place : s.places) {
     place.lambda = chosen(place.lambda, rows);

@@ -41,7 +41,7 @@ class DenseRecorder {
   const Scene* scene_;
   Guards* guards_;
   DenseStepRecord record_;
-  std::vector<int> rows_of_;  // rows of the candidates
+  std::vector<int> rows_of_, found_;  // of the candidates: rows; Contact::found
   std::size_t slips_ = 0;     // place of the pass
   bool anew_ = true;
   std::vector<int> active_of_end_;

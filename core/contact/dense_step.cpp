@@ -244,7 +244,7 @@ bool DenseStep::position_problem() {
     // over h does: where that is more than an accepted residual, the whole law again, about this motion.
     const double open = widest_loaded_gap() / h_;
     result.residual = std::max(result.residual, open / result.scale);
-    if (open <= solver_options().accept * result.scale || k >= kLawRounds || open > kLawStalled * last) break;
+    if (open <= kLawAccepted * closeness_ * result.scale || k >= kLawRounds || open > kLawStalled * last) break;
     last = open;
     for (std::size_t i = 0; i < active_.size(); ++i) problem.offset[rows_.block(i).row] = offset(all[active_[i]], i);
     solver_.free_velocity(problem, lambda_, v_, problem.v_free);

@@ -19,6 +19,7 @@ struct DenseStepRecord {
     Vec3 t1_start, t1_end;  // tangents there, world
     bool closed, expands;   // took part in the velocity impulse, in the expansion
     int row;                // its first row
+    int found;              // the place at whose end it was found; -1: at the start of the step
   };
   // The end of a motion of the step, about which the law was linearised, or which the gap iterations have led to.
   struct Place {
@@ -33,7 +34,7 @@ struct DenseStepRecord {
     int about;                  // the place about which gaps were linearised
     bool anew;                  // velocities change from those of the step without impulses, not of that place
     int slips;                  // the place with which the slips of lasting contacts were made
-    std::vector<char> lasting;  // of the contacts
+    std::vector<char> present, lasting;  // of the contacts
     VecX lambda, v;             // of the law, before the gap iterations
   };
   struct Joint {

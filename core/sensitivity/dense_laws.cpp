@@ -3,24 +3,27 @@
 #include <algorithm>
 #include <cmath>
 
+#include "base/tolerances.hpp"
+
 namespace contactvi {
 
 namespace {
 // A diagonal below this share of the largest one is rounding: the row moves nothing.
 constexpr double kLeastMobility = 1e-12;
+constexpr double kStill = 1e-9;   // of the speeds: a slower slip is that of a contact that sticks
+constexpr double kShares = 1e-6;  // of a distribution of impulses without effect: what takes part in it
 }  // namespace
 
 void DenseLaws::take_law(const DenseStepRecord& step, const VecX& lambda, const VecX& w, const MatX& rows,
-                         const VecX& low, const VecX& box, double speed) {
+                         const VecX& low, const VecX& box, const Scale& scale) {
   lambda_ = lambda;
   contacts_.clear();
   joints_.clear();
   sign_.clear();
   margin_ = 1.0;
   error_ = 0.0;
-  const double largest = std::max(lambda.lpNorm<Eigen::Infinity>(), 1e-300);
+  const double largest = std::max(scale.impulse, kLeastDivisor), speed = std::max(scale.speed, kLeastDivisor);
   const double mobility = rows.size() > 0 ? rows.diagonal().maxCoeff() : 0.0;
-  speed = std::max(speed, 1e-300);
   const auto nearest = [&](double impulse) { margin_ = std::min(margin_, std::abs(impulse) / largest); };
   for (std::size_t k = 0; k < step.joints.size(); ++k) {
     const auto r = static_cast<Eigen::Index>(k);
@@ -57,10 +60,8 @@ void DenseLaws::take_law(const DenseStepRecord& step, const VecX& lambda, const 
       error_ = std::max(error_, lambda[r] / largest);
     }
     if (law.normal != Normal::kOpen && c.mu > 0.0) {
-      const double normal = law.normal == Normal::kBound ? lambda[r] : std::max(0.0, law.mu > 0.0 ? lambda[r] : xn);
-      if (xt.norm() <= c.mu * normal) {
+      if (xt.norm() <= c.mu * lambda[r] || wt.norm() <= kStill * speed) {
         law.friction = Friction::kStick;
-        nearest(c.mu * lambda[r] - lambda.segment<2>(r + 1).norm());
         error_ = std::max(error_, wt.norm() / speed);
       } else {
         law.friction = Friction::kSlip;
@@ -74,6 +75,12 @@ void DenseLaws::take_law(const DenseStepRecord& step, const VecX& lambda, const 
     contacts_.push_back(law);
   }
   set_system(rows);
+  // How a load that several points share is distributed is no property of the motion.
+  for (const Contact& c : contacts_) {
+    if (c.friction != Friction::kStick) continue;
+    const double shared = free().cols() > 0 ? free().middleRows(c.row, 3).cwiseAbs().maxCoeff() : 0.0;
+    if (shared <= kShares) nearest(std::max(0.0, c.mu * lambda[c.row] - lambda.segment<2>(c.row + 1).norm()));
+  }
 }
 
 void DenseLaws::take_gaps(const DenseStepRecord& step, const VecX& lambda, const std::vector<double>& gaps,
@@ -96,7 +103,7 @@ void DenseLaws::take_gaps(const DenseStepRecord& step, const VecX& lambda, const
 
 // d(s / |s|) / ds.
 Eigen::Matrix2d DenseLaws::turn(const Contact& c) const {
-  return (Eigen::Matrix2d::Identity() - c.along * c.along.transpose()) / std::max(c.speed, 1e-300);
+  return (Eigen::Matrix2d::Identity() - c.along * c.along.transpose()) / std::max(c.speed, kLeastDivisor);
 }
 
 void DenseLaws::set_system(const MatX& rows) {

@@ -26,10 +26,15 @@ class DenseLaws {
     double speed;           // of the slip [m/s]
   };
 
+  // What impulses [N s] and speeds [m/s] are compared with: the largest of the step.
+  struct Scale {
+    double impulse, speed;
+  };
+
   // The whole law at its solution: impulses, speeds of the rows, their matrix; low: bounds of the normal impulses, box:
   // of those of joints.
   void take_law(const DenseStepRecord& step, const VecX& lambda, const VecX& w, const MatX& rows, const VecX& low,
-                const VecX& box, double speed);
+                const VecX& box, const Scale& scale);
   // The law of the gaps, with friction that is given: the gaps decide which contacts are closed.
   void take_gaps(const DenseStepRecord& step, const VecX& lambda, const std::vector<double>& gaps, const MatX& rows);
 
@@ -51,7 +56,6 @@ class DenseLaws {
 
  private:
   void set_system(const MatX& rows);
-  double normal_impulse(const Contact& c) const { return lambda_[c.row]; }
   Eigen::Matrix2d turn(const Contact& c) const;
 
   std::vector<Contact> contacts_;

@@ -50,12 +50,26 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   take_masses(tau, servo);
   free_.take(step.q0, step.p0, step.h, tau, step.t, servo, step.places[0].v);
   while (rounds_.size() < step.rounds.size()) rounds_.emplace_back(scene_->tree);
+  set_scale();
   for (std::size_t k = 0; k < step.rounds.size(); ++k) take_round(k, tau, servo);
   take_end();
   if (step.repaired > 0) approximate("an answer that was repaired or blended");
   if (step.keeps_energy) approximate("gaps that are left for the sake of the energy");
   if (error_ > kLaw) approximate("impulses that do not satisfy the law of contact");
   if (margin_ < kOnCone) approximate("a contact between two of open, sticking and slipping");
+}
+
+// The largest impulse of the step, and the largest speed at its start, without impulses or to close its gaps.
+void DenseStepTangent::set_scale() {
+  const DenseStepRecord& s = *record_;
+  const DenseStepRecord::Place& free = s.places[0];
+  scale_ = {};
+  if (rows_ == 0) return;
+  scale_.impulse = std::max(s.lambda.lpNorm<Eigen::Infinity>(), s.plastic.lpNorm<Eigen::Infinity>());
+  scale_.speed = std::max((s.W0.transpose() * v0_).lpNorm<Eigen::Infinity>(),
+                          (s.W0.transpose() * free.v).lpNorm<Eigen::Infinity>());
+  for (std::size_t i = 0; i < s.contacts.size(); ++i)
+    scale_.speed = std::max(scale_.speed, std::abs(free.end[i].gap - s.contacts[i].allowed) / s.h);
 }
 
 // The geometry of the contacts at the start, at the places with which slips are made, and at the end.
@@ -79,8 +93,19 @@ void DenseStepTangent::take_geometry() {
     for (char lasting : round.lasting) wanted[round.slips] |= lasting;
   for (std::size_t k = 0; k < wanted.size(); ++k)
     if (wanted[k] != 0) take(slip_[k], s.places[k].q, [&](std::size_t i) { return s.places[k].end[i]; });
-  for (const DenseStepRecord::Contact& c : s.contacts)
-    if (c.law.kind != c.point.kind) approximate("a point that is found anew at the start of the step");
+  is_found_.assign(n, 0);
+  law_change_.assign(n, {Vec3::Zero(), Vec3::Zero(), 0.0});
+  while (found_.size() < n) found_.emplace_back(*scene_);
+  for (std::size_t i = 0; i < n; ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    is_found_[i] = c.law.kind != c.point.kind;
+    if (is_found_[i] == 0) continue;
+    const bool at_start = c.found < 0;
+    const VecX& q = at_start ? s.q0 : s.places[c.found].q;
+    if (found_[i].take(q, c.point.guard, at_start ? c.start : s.places[c.found].end[i], &c.point)) continue;
+    refuse("witness", c.point.guard, "The gap of a contact has no second derivative", "one pair of nearest points",
+           found_[i].why(), "Start elsewhere, or round the edges of the shapes");
+  }
   dn0_.assign(n, Vec3::Zero());
   dt1_.assign(n, Vec3::Zero());
   dW0_.setZero(scene_->tree.nv, rows_);
@@ -105,19 +130,19 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
   const int n = scene_->tree.nv;
   round.lambda = k + 1 == s.rounds.size() ? s.lambda : next.lambda;
   VecX w = s.W0.transpose() * r.v;
-  VecX free = s.W0.transpose() * s.places[0].v;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
-    const double at_rest = (about.end[i].gap - c.allowed) / s.h - s.W0.col(c.row).dot(about.v);
-    w[c.row] += at_rest;
-    free[c.row] += at_rest;
+    if (r.present[i] == 0) {  // it had joined later: open
+      w[c.row] = 1.0 + scale_.speed;
+      continue;
+    }
+    w[c.row] += (about.end[i].gap - c.allowed) / s.h - s.W0.col(c.row).dot(about.v);
     if (r.lasting[i] == 0) continue;
     for (int t = c.row + 1; t < c.row + 3; ++t) w[t] += 0.5 * (slips.W.col(t) - s.W0.col(t)).dot(slips.v);
   }
   VecX box = VecX::Zero(rows_);
   for (std::size_t j = 0; j < s.joints.size(); ++j) box[static_cast<Eigen::Index>(j)] = 0.5 * s.h * s.joints[j].limit;
-  const double speed = rows_ > 0 ? std::max(free.lpNorm<Eigen::Infinity>(), (s.W0.transpose() * v0_).lpNorm<Eigen::Infinity>()) : 0.0;
-  round.law.take_law(s, r.lambda, w, s.W0.transpose() * DinvW_, VecX::Zero(rows_), box, speed);
+  round.law.take_law(s, r.lambda, w, s.W0.transpose() * DinvW_, VecX::Zero(rows_), box, scale_);
   note(round.law);
   if (!s.contacts.empty()) {
     round.mass_effect = step_masses_.effect(r.v - s.places[r.anew ? 0 : r.about].v);
@@ -141,34 +166,32 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
   std::vector<double> gaps;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) gaps.push_back(next.end[i].gap - s.contacts[i].allowed);
   round.gaps.take_gaps(s, round.lambda, gaps, next.W.transpose() * round.Q / s.h);
-  check_round(round);
   if (getenv("DBG")) for (std::size_t i = 0; i < s.contacts.size(); ++i) fprintf(stderr, "t %g round %zu of %zu about %d anew %d guard %d kind %d %d la %.15g %.15g l %.15g %.15g gap %g allowed %g lasting %d normal %d friction %d bound %d w %g %g %g expands %d closed %d plastic %g\n", s.t, k, s.rounds.size(), r.about, (int)r.anew, s.contacts[i].point.guard, (int)s.contacts[i].law.kind,(int)s.contacts[i].point.kind, r.lambda[s.contacts[i].row], s.contacts[i].mu>0?r.lambda[s.contacts[i].row+2]:0, round.lambda[s.contacts[i].row], s.contacts[i].mu>0?round.lambda[s.contacts[i].row+2]:0, next.end[i].gap, s.contacts[i].allowed, (int)r.lasting[i], (int)round.law.contacts()[i].normal, (int)round.law.contacts()[i].friction, (int)round.gaps.contacts()[i].normal, w[s.contacts[i].row], s.contacts[i].mu>0?w[s.contacts[i].row+1]:0, s.contacts[i].mu>0?w[s.contacts[i].row+2]:0, (int)s.contacts[i].expands,(int)s.contacts[i].closed, s.plastic[s.contacts[i].row]);
+  check_round(round);
 }
 
-// What the laws leave open must have no effect.
-void DenseStepTangent::check_shared(const DenseLaws& laws, const MatX& effect) const {
+// What the laws leave open may have an effect: where points turn while they slip, how they share their load decides.
+// What the solver makes of it depends on its way; that of least norm stands for it.
+void DenseStepTangent::check_shared(const DenseLaws& laws, const MatX& effect) {
   const MatX& free = laws.free();
   if (free.cols() == 0 || !((effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())) return;
-  refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard,
-         "The motion depends on how contact points share their load", "a motion that the laws of contact determine",
-         "points that turn while they slip", "Use fewer points (contact_points=3), or let bodies slip without turning");
+  approximate("points whose shares of a load decide about the motion");
 }
 
-void DenseStepTangent::check_round(const Round& round) const {
+// Friction is found by the law and stays in the gap iterations, where it bounds normal impulses: how points share it may
+// then have an effect.
+void DenseStepTangent::check_round(const Round& round) {
+  check_shared(round.law, DinvW_);
   check_shared(round.gaps, round.P);
   check_shared(round.gaps, round.V);
   const MatX& free = round.law.free();
-  if (free.cols() == 0) return;
-  MatX effect(round.P.rows(), free.cols());
   for (Eigen::Index k = 0; k < free.cols(); ++k) {
     VecX known = free.col(k);
     low_changes(round, VecX(), known);
-    effect.col(k) = round.P * round.gaps.from_known(known);
+    const VecX effect = round.P * round.gaps.from_known(known);
+    if (effect.cwiseAbs().maxCoeff() > kShared * round.P.cwiseAbs().maxCoeff())
+      approximate("friction that several points share, on which the gaps depend");
   }
-  if (!(effect.cwiseAbs().maxCoeff() > kShared * round.P.cwiseAbs().maxCoeff())) return;
-  refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard,
-         "The motion depends on how contact points share their load", "a motion that the laws of contact determine",
-         "friction that is shared", "Use fewer points (contact_points=3), or let bodies slip without turning");
 }
 
 void DenseStepTangent::take_end() {
@@ -179,10 +202,7 @@ void DenseStepTangent::take_end() {
     if (!c.closed) MinvW_.middleCols(c.row, c.mu > 0.0 ? 3 : 1).setZero();
   masses_.solve_masses(MinvW_);
   G_.noalias() = s.W1.transpose() * MinvW_;
-  VecX p_minus = s.p_minus;
-  masses_.solve_mass(p_minus);
   const VecX none = VecX::Zero(rows_);
-  const double speed = rows_ > 0 ? (s.W1.transpose() * p_minus).lpNorm<Eigen::Infinity>() : 0.0;
   plastic_.lambda = s.plastic;
   plastic_.v = s.v_plastic;
   VecX box = none, low = none;
@@ -191,10 +211,10 @@ void DenseStepTangent::take_end() {
   const auto speeds = [&](const VecX& v) {
     VecX w = s.W1.transpose() * v;
     for (const DenseStepRecord::Contact& c : s.contacts)
-      if (!c.closed) w[c.row] = speed + 1.0;
+      if (!c.closed) w[c.row] = 1.0 + scale_.speed;
     return w;
   };
-  plastic_.laws.take_law(s, s.plastic, speeds(s.v_plastic), G_, low, box, speed);
+  plastic_.laws.take_law(s, s.plastic, speeds(s.v_plastic), G_, low, box, scale_);
   note(plastic_.laws);
   check_shared(plastic_.laws, MinvW_);
   if (s.expansion.size() == 0) return;
@@ -206,7 +226,7 @@ void DenseStepTangent::take_end() {
   }
   expansion_.lambda = s.plastic + s.expansion;
   expansion_.v = s.v_expansion;
-  expansion_.laws.take_law(s, s.expansion, speeds(s.v_expansion), G_, low, box, speed);
+  expansion_.laws.take_law(s, s.expansion, speeds(s.v_expansion), G_, low, box, scale_);
   note(expansion_.laws);
   check_shared(expansion_.laws, MinvW_);
   if (s.expanded < 1.0) take_energy();
@@ -228,20 +248,108 @@ void DenseStepTangent::take_energy() {
 void DenseStepTangent::set_start_rows(const VecX& dq0) {
   const DenseStepRecord& s = *record_;
   dW0_.setZero();
+  twists_.place(s.q0);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
-    start_[i].change(dq0, c.t1_start, dW0_.middleCols(c.row, c.mu > 0.0 ? 3 : 1));
+    auto dW = dW0_.middleCols(c.row, c.mu > 0.0 ? 3 : 1);
+    start_[i].change(dq0, c.t1_start, dW);
     dn0_[i] = start_[i].normal_change();
+    if (is_found_[i] != 0 && c.found < 0) {
+      twists_.move(dq0);
+      set_law_change(i, c.start, dq0);
+      twists_.move(none_);
+      dn0_[i] += extra(i, c.start, c.t1_start, dW).normal;
+    }
     dt1_[i] = -dn0_[i].dot(c.t1_start) * c.start.normal;
   }
+}
+
+// The rows at the start of the points that were found at a place, whose end moves by dq; after set_start_rows.
+void DenseStepTangent::add_found_rows(int place, const VecX& dq) {
+  const DenseStepRecord& s = *record_;
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    if (is_found_[i] == 0 || c.found != place) continue;
+    twists_.place(s.places[place].q);
+    twists_.move(dq);
+    set_law_change(i, s.places[place].end[i], dq);
+    twists_.place(s.q0);
+    twists_.move(none_);
+    auto dW = dW0_.middleCols(c.row, c.mu > 0.0 ? 3 : 1);
+    dn0_[i] += extra(i, c.start, c.t1_start, dW).normal;
+    dt1_[i] = -dn0_[i].dot(c.t1_start) * c.start.normal;
+  }
+}
+
+// The bodies are placed where the point was found, with this contact, and moved along dq.
+void DenseStepTangent::set_law_change(std::size_t i, const Contact& at, const VecX& dq) {
+  const DenseStepRecord::Contact& c = record_->contacts[i];
+  const ContactPoint &law = c.law, &point = c.point;
+  const Pose own = pose_of(law.point_body, twists_.placements()), plane = pose_of(law.plane_body, twists_.placements());
+  LawChange& change = law_change_[i];
+  change = {Vec3::Zero(), Vec3::Zero(), 0.0};
+  if (point.kind == PointKind::kRim) {
+    // The lowest point of the circle.
+    const Vec3 n = plane.R * point.normal_B, a = own.R * point.axis_B;
+    const Vec3 dn = (twists_.turn(law.plane_body) - twists_.turn(law.point_body)).cross(n);
+    const Vec3 down = n.dot(a) * a - n, ddown = dn.dot(a) * a - dn;
+    const double length = down.norm();
+    const Vec3 along = down / length;
+    change.center = own.R.transpose() * (point.rim_radius / length * (ddown - along.dot(ddown) * along));
+    return;
+  }
+  MatX dW(scene_->tree.nv, 3);
+  found_[i].change(dq, any_tangent(at.normal), dW);
+  const Vec3 slide_a = found_[i].point_a_change() - twists_.velocity(law.plane_body, at.point_a);
+  const Vec3 slide_b = found_[i].point_b_change() - twists_.velocity(law.point_body, at.point_b);
+  change.center = own.R.transpose() * slide_b;
+  change.normal =
+      plane.R.transpose() * (found_[i].normal_change() - twists_.turn(law.plane_body).cross(at.normal));
+  change.offset = change.normal.dot(plane.into(at.point_a)) + at.normal.dot(slide_a);
+}
+
+// Where the bodies are placed.
+DenseStepTangent::Extra DenseStepTangent::extra_gap(std::size_t i, const Contact& at) const {
+  const ContactPoint& law = record_->contacts[i].law;
+  const LawChange& change = law_change_[i];
+  const Pose own = pose_of(law.point_body, twists_.placements()), plane = pose_of(law.plane_body, twists_.placements());
+  const Vec3 outward = law.on_b ? at.normal : Vec3(-at.normal);
+  Extra found;
+  found.normal = plane.R * change.normal;
+  found.gap = change.normal.dot(plane.into(own.point(law.center_B))) + outward.dot(own.R * change.center) - change.offset;
+  if (!law.on_b) found.normal = -found.normal;
+  return found;
+}
+
+DenseStepTangent::Extra DenseStepTangent::extra(std::size_t i, const Contact& at, const Vec3& t1,
+                                                Eigen::Ref<MatX> dW) {
+  const ContactPoint& law = record_->contacts[i].law;
+  const Extra found = extra_gap(i, at);
+  const Vec3 &n = at.normal, &dn = found.normal;
+  const Vec3 outward = law.on_b ? n : Vec3(-n), turned = law.on_b ? dn : Vec3(-dn);
+  const Vec3 moved = pose_of(law.point_body, twists_.placements()).R * law_change_[i].center - law.radius * turned;
+  const Vec3 across = moved - found.gap * outward - at.gap * turned;
+  const Vec3 &dx_a = law.on_b ? across : moved, &dx_b = law.on_b ? moved : across;
+  const Vec3 none = Vec3::Zero(), dt1 = -dn.dot(t1) * n;
+  const Vec3 rows[3] = {n, t1, n.cross(t1)}, changes[3] = {dn, dt1, dn.cross(t1)};
+  for (int k = 0; k < static_cast<int>(dW.cols()); ++k) {
+    twists_.add_wrench(at.body_b, at.point_b, dx_b, rows[k], changes[k], none, none, dW.col(k));
+    twists_.add_wrench(at.body_a, at.point_a, dx_a, -rows[k], -changes[k], none, none, dW.col(k));
+  }
+  return found;
 }
 
 void DenseStepTangent::set_end_rows(const VecX& dq1) {
   const DenseStepRecord& s = *record_;
   dW1_.setZero();
+  twists_.place(s.places.back().q);
+  twists_.move(none_);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
-    if (c.closed) end_[i].change(dq1, c.t1_end, dW1_.middleCols(c.row, c.mu > 0.0 ? 3 : 1));
+    if (!c.closed) continue;
+    auto dW = dW1_.middleCols(c.row, c.mu > 0.0 ? 3 : 1);
+    end_[i].change(dq1, c.t1_end, dW);
+    if (is_found_[i] != 0) extra(i, c.end, c.t1_end, dW);
   }
 }
 
@@ -252,12 +360,15 @@ void DenseStepTangent::slip_change(int k, const VecX& dq, const VecX& dv, VecX& 
   const DenseStepRecord::Place& place = s.places[k];
   MatX dW(scene_->tree.nv, 3);
   dslip.setZero(rows_);
+  twists_.place(place.q);
+  twists_.move(none_);
   for (std::size_t i = 0; i < s.contacts.size(); ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
     if (c.mu == 0.0) continue;
     slip_[k][i].change(dq, place.t1[i], dW);
-    const Vec3 &n0 = c.start.normal, &n1 = place.end[i].normal, &t = c.t1_start, &dn0 = dn0_[i],
-               &dn1 = slip_[k][i].normal_change();
+    const Vec3 &n0 = c.start.normal, &n1 = place.end[i].normal, &t = c.t1_start, &dn0 = dn0_[i];
+    Vec3 dn1 = slip_[k][i].normal_change();
+    if (is_found_[i] != 0) dn1 += extra(i, place.end[i], place.t1[i], dW).normal;
     // t1 = t - (t.n1) / (1 + n0.n1) (n0 + n1), the shortest turn.
     const double length = 1.0 + n0.dot(n1), share = t.dot(n1) / length;
     const double dshare = (dt1_[i].dot(n1) + t.dot(dn1) - share * (dn0.dot(n1) + n0.dot(dn1))) / length;
@@ -332,6 +443,7 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   const DenseStepRecord::Round& r = s.rounds[k];
   Round& round = rounds_[k];
   const DenseStepRecord::Place& about = s.places[r.about];
+  add_found_rows(r.about, places_[r.about].q);
   const Change &about_change = places_[r.about], &from_change = places_[r.anew ? 0 : r.about];
   const VecX none = VecX::Zero(rows_);
   const VecX& from_lambda = r.anew ? none : about.lambda;
@@ -342,6 +454,14 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   const VecX force = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
   const VecX dv = from_change.v + D_.solve(force);
   VecX base = dW0_.transpose() * r.v + s.W0.transpose() * dv, dslip;
+  const auto extra_gaps = [&](const DenseStepRecord::Place& place) {
+    VecX gaps = none;
+    twists_.place(place.q);
+    for (std::size_t i = 0; i < s.contacts.size(); ++i)
+      if (is_found_[i] != 0) gaps[s.contacts[i].row] = extra_gap(i, place.end[i]).gap;
+    return gaps;
+  };
+  base += extra_gaps(about) / s.h;
   bool lasting = false;
   for (char c : r.lasting) lasting |= c != 0;
   if (lasting) slip_change(r.slips, places_[r.slips].q, places_[r.slips].v, dslip);
@@ -373,7 +493,7 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
     refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
            "Use a smaller dt");
   round.step.velocity_change(0, next.v);
-  base = s.places[k + 1].W.transpose() * next.q / s.h;
+  base = (s.places[k + 1].W.transpose() * next.q + extra_gaps(s.places[k + 1])) / s.h;
   for (const DenseStepRecord::Contact& c : s.contacts) base[c.row] -= allowed_change(c, dq0, d.h) / s.h;
   solve_laws(round.gaps, base, known, VecX(), sizes(d), next.lambda);
   next.q += round.Q * next.lambda;

@@ -55,6 +55,16 @@ class DenseStepTangent {
   struct Change {
     VecX q, v, lambda;
   };
+  // How the law of a point that is found anew at the start of each step changes, in the frames of its bodies.
+  struct LawChange {
+    Vec3 center, normal;
+    double offset;
+  };
+  // What it adds along a direction to the gap, the normal and the rows at some place.
+  struct Extra {
+    double gap = 0.0;
+    Vec3 normal = Vec3::Zero();
+  };
   struct Round {
     explicit Round(const Tree& tree) : step(tree, 1) {}
     DenseLaws law, gaps;
@@ -70,6 +80,7 @@ class DenseStepTangent {
 
   [[noreturn]] void refuse(const char* reason, int guard, const std::string& fact, const char* expected,
                            const std::string& got, const char* remedy) const;
+  void set_scale();
   void note(const DenseLaws& laws);
   void approximate(const char* why) { approximate_ = *approximate_ == 0 ? why : approximate_; }
   void take_geometry();
@@ -77,9 +88,13 @@ class DenseStepTangent {
   void take_round(std::size_t k, const VecX& tau, const Servo* servo);
   void take_end();
   void take_energy();
-  void check_shared(const DenseLaws& laws, const MatX& effect) const;
-  void check_round(const Round& round) const;
+  void check_shared(const DenseLaws& laws, const MatX& effect);
+  void check_round(const Round& round);
   void set_start_rows(const VecX& dq0);
+  void add_found_rows(int place, const VecX& dq);
+  void set_law_change(std::size_t contact, const Contact& at, const VecX& dq);
+  Extra extra(std::size_t contact, const Contact& at, const Vec3& t1, Eigen::Ref<MatX> dW);
+  Extra extra_gap(std::size_t contact, const Contact& at) const;
   void set_end_rows(const VecX& dq1);
   void slip_change(int place, const VecX& dq, const VecX& dv, VecX& dslip);
   void matrix_change(const Round& round, const DenseStepDirection& d, const VecX& dq0, const VecX& u, VecX& change);
@@ -99,11 +114,13 @@ class DenseStepTangent {
   std::deque<Round> rounds_;
   const DenseStepRecord* record_ = nullptr;
   BodyTwists twists_;
-  std::vector<ContactTangent> start_, end_;
+  std::vector<ContactTangent> start_, end_, found_;  // found_: of points as they were found at the start
+  std::vector<char> is_found_;  // whether the law of a point is not the point as it was found
   std::vector<std::vector<ContactTangent>> slip_;  // per place with which slips are made
   double margin_ = 1.0, error_ = 0.0;
   const char* approximate_ = "";
   int rows_ = 0;
+  DenseLaws::Scale scale_{};
   VecX v0_, q_stage_;  // at the start; of the stage where D is made
   Eigen::LLT<MatX> D_;
   MatX DinvW_, MinvW_, G_;
@@ -113,6 +130,7 @@ class DenseStepTangent {
   // Along the present direction.
   MatX dW0_, dW1_;
   std::vector<Vec3> dn0_, dt1_;
+  std::vector<LawChange> law_change_;
   std::vector<Change> places_;
   VecX none_, dv0_, dp_, work_;
 };
