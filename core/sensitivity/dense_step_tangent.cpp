@@ -46,6 +46,8 @@ void DenseStepTangent::take(const DenseStepRecord& step, const VecX& tau, const 
   error_ = 0.0;
   approximate_ = "";
   rows_ = static_cast<int>(step.lambda.size());
+  has_friction_ = !step.joints.empty();
+  for (const DenseStepRecord::Contact& c : step.contacts) has_friction_ |= c.mu > 0.0;
   take_geometry();
   take_masses(tau, servo);
   free_.take(step.q0, step.p0, step.h, tau, step.t, servo, step.places[0].v);
@@ -94,7 +96,7 @@ void DenseStepTangent::take_geometry() {
   for (std::size_t k = 0; k < wanted.size(); ++k)
     if (wanted[k] != 0) take(slip_[k], s.places[k].q, [&](std::size_t i) { return s.places[k].end[i]; });
   is_found_.assign(n, 0);
-  law_change_.assign(n, {Vec3::Zero(), Vec3::Zero(), 0.0});
+  clear_law_changes();
   while (found_.size() < n) found_.emplace_back(*scene_);
   for (std::size_t i = 0; i < n; ++i) {
     const DenseStepRecord::Contact& c = s.contacts[i];
@@ -143,7 +145,7 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
   VecX box = VecX::Zero(rows_);
   for (std::size_t j = 0; j < s.joints.size(); ++j) box[static_cast<Eigen::Index>(j)] = 0.5 * s.h * s.joints[j].limit;
   round.law.take_law(s, r.lambda, w, s.W0.transpose() * DinvW_, VecX::Zero(rows_), box, scale_);
-  note(round.law);
+  if (has_friction_) note(round.law);
   if (!s.contacts.empty()) {
     round.mass_effect = step_masses_.effect(r.v - s.places[r.anew ? 0 : r.about].v);
   } else {
@@ -166,24 +168,25 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
   std::vector<double> gaps;
   for (std::size_t i = 0; i < s.contacts.size(); ++i) gaps.push_back(next.end[i].gap - s.contacts[i].allowed);
   round.gaps.take_gaps(s, round.lambda, gaps, next.W.transpose() * round.Q / s.h);
-  if (getenv("DBG")) for (std::size_t i = 0; i < s.contacts.size(); ++i) fprintf(stderr, "t %g round %zu of %zu about %d anew %d guard %d kind %d %d la %.15g %.15g l %.15g %.15g gap %g allowed %g lasting %d normal %d friction %d bound %d w %g %g %g expands %d closed %d plastic %g\n", s.t, k, s.rounds.size(), r.about, (int)r.anew, s.contacts[i].point.guard, (int)s.contacts[i].law.kind,(int)s.contacts[i].point.kind, r.lambda[s.contacts[i].row], s.contacts[i].mu>0?r.lambda[s.contacts[i].row+2]:0, round.lambda[s.contacts[i].row], s.contacts[i].mu>0?round.lambda[s.contacts[i].row+2]:0, next.end[i].gap, s.contacts[i].allowed, (int)r.lasting[i], (int)round.law.contacts()[i].normal, (int)round.law.contacts()[i].friction, (int)round.gaps.contacts()[i].normal, w[s.contacts[i].row], s.contacts[i].mu>0?w[s.contacts[i].row+1]:0, s.contacts[i].mu>0?w[s.contacts[i].row+2]:0, (int)s.contacts[i].expands,(int)s.contacts[i].closed, s.plastic[s.contacts[i].row]);
   check_round(round);
 }
 
-// What the laws leave open may have an effect: where points turn while they slip, how they share their load decides.
-// What the solver makes of it depends on its way; that of least norm stands for it.
-void DenseStepTangent::check_shared(const DenseLaws& laws, const MatX& effect) {
+// What the laws leave open must have no effect. Where it has, the solver's way decides about the motion.
+void DenseStepTangent::check_shared(const DenseLaws& laws, const MatX& effect) const {
   const MatX& free = laws.free();
   if (free.cols() == 0 || !((effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())) return;
-  approximate("points whose shares of a load decide about the motion");
+  refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard,
+         "The motion depends on how contact points share their load", "a motion that the laws of contact determine",
+         "points that turn while they slip", "Use fewer points (contact_points=3), or let bodies slip without turning");
 }
 
 // Friction is found by the law and stays in the gap iterations, where it bounds normal impulses: how points share it may
 // then have an effect.
 void DenseStepTangent::check_round(const Round& round) {
-  check_shared(round.law, DinvW_);
   check_shared(round.gaps, round.P);
   check_shared(round.gaps, round.V);
+  if (!has_friction_) return;
+  check_shared(round.law, DinvW_);
   const MatX& free = round.law.free();
   for (Eigen::Index k = 0; k < free.cols(); ++k) {
     VecX known = free.col(k);
@@ -321,6 +324,14 @@ DenseStepTangent::Extra DenseStepTangent::extra_gap(std::size_t i, const Contact
   return found;
 }
 
+VecX DenseStepTangent::extra_gaps(const DenseStepRecord::Place& place) {
+  VecX gaps = VecX::Zero(rows_);
+  twists_.place(place.q);
+  for (std::size_t i = 0; i < is_found_.size(); ++i)
+    if (is_found_[i] != 0) gaps[record_->contacts[i].row] = extra_gap(i, place.end[i]).gap;
+  return gaps;
+}
+
 DenseStepTangent::Extra DenseStepTangent::extra(std::size_t i, const Contact& at, const Vec3& t1,
                                                 Eigen::Ref<MatX> dW) {
   const ContactPoint& law = record_->contacts[i].law;
@@ -454,13 +465,6 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   const VecX force = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
   const VecX dv = from_change.v + D_.solve(force);
   VecX base = dW0_.transpose() * r.v + s.W0.transpose() * dv, dslip;
-  const auto extra_gaps = [&](const DenseStepRecord::Place& place) {
-    VecX gaps = none;
-    twists_.place(place.q);
-    for (std::size_t i = 0; i < s.contacts.size(); ++i)
-      if (is_found_[i] != 0) gaps[s.contacts[i].row] = extra_gap(i, place.end[i]).gap;
-    return gaps;
-  };
   base += extra_gaps(about) / s.h;
   bool lasting = false;
   for (char c : r.lasting) lasting |= c != 0;
@@ -475,7 +479,9 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   }
   VecX known = none, dlambda;
   for (std::size_t j = 0; j < s.joints.size(); ++j) known[static_cast<Eigen::Index>(j)] = 0.5 * s.joints[j].limit * d.h;
-  solve_laws(round.law, base, known, d.mu, sizes(d), dlambda);
+  // Without friction the gap iterations find all impulses anew.
+  dlambda = none;
+  if (has_friction_) solve_laws(round.law, base, known, d.mu, sizes(d), dlambda);
   // The gap iterations.
   Change& next = places_[k + 1];
   known = dlambda;
@@ -517,6 +523,7 @@ VecX DenseStepTangent::end_base(const End& end, const DenseStepDirection& d, con
 void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1) {
   const DenseStepRecord& s = *record_;
   const VecX dq0 = d.q.size() > 0 ? d.q : none_, dp0 = d.p.size() > 0 ? d.p : none_;
+  clear_law_changes();
   set_start_rows(dq0);
   free_.momentum(s.q0, v0_, dq0, none_, work_);
   if (d.parameters != nullptr) free_.add_momentum(s.q0, v0_, *d.parameters, work_);

@@ -88,13 +88,15 @@ class DenseStepTangent {
   void take_round(std::size_t k, const VecX& tau, const Servo* servo);
   void take_end();
   void take_energy();
-  void check_shared(const DenseLaws& laws, const MatX& effect);
+  void check_shared(const DenseLaws& laws, const MatX& effect) const;
   void check_round(const Round& round);
   void set_start_rows(const VecX& dq0);
   void add_found_rows(int place, const VecX& dq);
   void set_law_change(std::size_t contact, const Contact& at, const VecX& dq);
   Extra extra(std::size_t contact, const Contact& at, const Vec3& t1, Eigen::Ref<MatX> dW);
   Extra extra_gap(std::size_t contact, const Contact& at) const;
+  VecX extra_gaps(const DenseStepRecord::Place& place);
+  void clear_law_changes() { law_change_.assign(record_->contacts.size(), {Vec3::Zero(), Vec3::Zero(), 0.0}); }
   void set_end_rows(const VecX& dq1);
   void slip_change(int place, const VecX& dq, const VecX& dv, VecX& dslip);
   void matrix_change(const Round& round, const DenseStepDirection& d, const VecX& dq0, const VecX& u, VecX& change);
@@ -121,6 +123,7 @@ class DenseStepTangent {
   const char* approximate_ = "";
   int rows_ = 0;
   DenseLaws::Scale scale_{};
+  bool has_friction_ = false;
   VecX v0_, q_stage_;  // at the start; of the stage where D is made
   Eigen::LLT<MatX> D_;
   MatX DinvW_, MinvW_, G_;
