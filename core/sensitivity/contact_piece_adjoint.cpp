@@ -4,8 +4,8 @@
 
 namespace contactvi {
 
-ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run)
-    : scene_(&scene), run_(&run), adjoint_(scene), dense_(scene), release_(scene, run.contact_points) {}
+ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
+    : scene_(&scene), run_(&run), adjoint_(scene), dense_(scene, take_branch), release_(scene, run.contact_points) {}
 
 void ContactPieceAdjoint::start() {
   anchors_.clear();

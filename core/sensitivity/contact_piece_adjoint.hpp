@@ -12,7 +12,7 @@ namespace contactvi {
 
 class ContactPieceAdjoint {
  public:
-  ContactPieceAdjoint(const Scene& scene, const RecordedRun& run);
+  ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch);
 
   // The end of a run: nothing depends on where contacts stick.
   void start();

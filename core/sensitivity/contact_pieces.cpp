@@ -4,10 +4,10 @@
 
 namespace contactvi {
 
-ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run)
+ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run, bool take_branch)
     : run_(&run),
       tangent_(scene),
-      dense_(scene),
+      dense_(scene, take_branch),
       release_(scene, run.contact_points),
       joint_anchors_(static_cast<Eigen::Index>(scene.tree.elements.friction_dofs.size()), 0) {}
 

@@ -29,7 +29,7 @@ void check_contact_end(const ContactStepRecord& step, double rate);
 
 class ContactPieces {
  public:
-  ContactPieces(const Scene& scene, const RecordedRun& run);
+  ContactPieces(const Scene& scene, const RecordedRun& run, bool take_branch);
 
   // The start of a run along so many directions: nothing sticks.
   void start(Eigen::Index count);

@@ -16,8 +16,9 @@ constexpr double kLaw = 1e-7;     // of the impulses and speeds: ten times what 
 
 }  // namespace
 
-DenseStepTangent::DenseStepTangent(const Scene& scene)
+DenseStepTangent::DenseStepTangent(const Scene& scene, bool take_branch)
     : scene_(&scene),
+      take_branch_(take_branch),
       start_masses_(scene.tree, 1, 1e-12, 1),
       masses_(scene.tree, 1, 1e-12, 1),
       step_masses_(scene),
@@ -172,12 +173,15 @@ void DenseStepTangent::take_round(std::size_t k, const VecX& tau, const Servo* s
 }
 
 // What the laws leave open must have no effect. Where it has, the solver's way decides about the motion.
-void DenseStepTangent::check_shared(const DenseLaws& laws, const MatX& effect) const {
+void DenseStepTangent::check_shared(const DenseLaws& laws, const MatX& effect) {
   const MatX& free = laws.free();
   if (free.cols() == 0 || !((effect * free).cwiseAbs().maxCoeff() > kShared * effect.cwiseAbs().maxCoeff())) return;
+  approximate("points whose shares of a load decide about the motion");
+  if (take_branch_) return;
   refuse("redundant", record_->contacts.empty() ? -1 : record_->contacts[0].point.guard,
          "The motion depends on how contact points share their load", "a motion that the laws of contact determine",
-         "points that turn while they slip", "Use fewer points (contact_points=3), or let bodies slip without turning");
+         "points that turn while they slip, or land together",
+         "Use fewer points (contact_points=3), or on_kink='taken' for the derivative with impulses of least norm");
 }
 
 // Friction is found by the law and stays in the gap iterations, where it bounds normal impulses: how points share it may
@@ -418,10 +422,10 @@ double DenseStepTangent::allowed_change(const DenseStepRecord::Contact& c, const
 
 void DenseStepTangent::solve_laws(const DenseLaws& laws, const VecX& base, const VecX& known, const VecX& mu,
                                   const VecX& size, VecX& dlambda) const {
-  if (laws.solve(base, known, mu, size, dlambda)) return;
+  if (laws.solve(base, known, mu, size, dlambda) || take_branch_) return;
   refuse("redundant", -1, "Contact points that share their load contradict each other along a direction",
          "a direction that keeps the points of a face closed together", "one that opens some of them",
-         "Start with the bodies apart, or in touch at one point");
+         "Start with the bodies apart, or use on_kink='taken' for the derivative with impulses of least norm");
 }
 
 // The sizes of the terms of the rows' changes.

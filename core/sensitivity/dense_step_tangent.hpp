@@ -37,7 +37,9 @@ struct DenseStepDirection {
 
 class DenseStepTangent {
  public:
-  explicit DenseStepTangent(const Scene& scene);
+  // take_branch: where the laws do not determine how points share a load, and that decides about the motion, the
+  // derivative with impulses of least norm; else that is an obstacle.
+  DenseStepTangent(const Scene& scene, bool take_branch);
 
   // Takes a step with its inputs; it is to stay alive. Throws NoDerivative.
   void take(const DenseStepRecord& step, const VecX& tau, const Servo* servo);
@@ -88,7 +90,7 @@ class DenseStepTangent {
   void take_round(std::size_t k, const VecX& tau, const Servo* servo);
   void take_end();
   void take_energy();
-  void check_shared(const DenseLaws& laws, const MatX& effect) const;
+  void check_shared(const DenseLaws& laws, const MatX& effect);
   void check_round(const Round& round);
   void set_start_rows(const VecX& dq0);
   void add_found_rows(int place, const VecX& dq);
@@ -110,6 +112,7 @@ class DenseStepTangent {
   VecX end_slip(int place, std::size_t contact) const;
 
   const Scene* scene_;
+  bool take_branch_;
   Integrator start_masses_, masses_;
   StepMasses step_masses_;
   StepTangent free_;

@@ -16,7 +16,7 @@ RunAdjoint::RunAdjoint(const Scene& scene, const RecordedRun& run, bool take_bra
       adjoint_(scene.tree, run.stages),
       inputs_(scene.tree, run),
       impact_(scene, run),
-      contact_(scene, run),
+      contact_(scene, run, take_branch),
       lq0_(scene.tree.nv),
       lp0_(scene.tree.nv),
       ltau_(scene.tree.nv) {

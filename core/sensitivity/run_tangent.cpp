@@ -22,7 +22,7 @@ RunTangent::RunTangent(const Scene& scene, const RecordedRun& run, bool take_bra
       dp_(scene.tree.nv),
       fq_(scene.tree.nv),
       fp_(scene.tree.nv),
-      contact_(scene, run) {
+      contact_(scene, run, take_branch) {
   if (run.pieces.empty()) throw Error("a run without steps has no derivative");
 }
 
