@@ -453,6 +453,30 @@ void DenseStepTangent::low_changes(const Round& round, const VecX& mu, VecX& kno
   }
 }
 
+// A sliding contact whose gap is closed by just the normal impulse that its friction asks for: to one side the gap
+// iterations close it, to the other friction holds it open. That is a kink where both are not the same.
+void DenseStepTangent::check_held_gaps(const Round& round, const DenseStepDirection& d, const VecX& dlaw,
+                                       const VecX& dlambda) {
+  VecX apart = VecX::Zero(rows_);
+  const VecX speeds = sizes(d);
+  double size = std::max(d.size_p, dp_.cwiseAbs().maxCoeff());
+  for (std::size_t i = 0; i < round.gaps.contacts().size(); ++i) {
+    const DenseLaws::Contact& c = round.gaps.contacts()[i];
+    if (c.normal != DenseLaws::Normal::kClosed || round.law.contacts()[i].friction != DenseLaws::Friction::kSlip) continue;
+    const Eigen::Vector2d t = round.lambda.segment<2>(c.row + 1);
+    const double friction = t.norm(), normal = round.lambda[c.row];
+    if (!(friction > 0.0) || normal - friction / c.mu > kOnCone * normal) continue;
+    const double dmu = d.mu.size() > 0 ? d.mu[static_cast<Eigen::Index>(i)] : 0.0;
+    const double low = t.dot(dlaw.segment<2>(c.row + 1)) / (friction * c.mu) - friction / (c.mu * c.mu) * dmu;
+    apart[c.row] = dlambda[c.row] - low;
+    // What rounding of the speeds of the gap moves.
+    const double mobility = record_->W0.col(c.row).dot(DinvW_.col(c.row));
+    size = std::max(size, speeds[c.row] / mobility * round.P.col(c.row).cwiseAbs().maxCoeff());
+  }
+  if ((round.P * apart).cwiseAbs().maxCoeff() > kShared * size)
+    approximate("a sliding contact whose gap stays closed to one side and is held open to the other");
+}
+
 void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, const VecX& dq0) {
   const DenseStepRecord& s = *record_;
   const DenseStepRecord::Round& r = s.rounds[k];
@@ -506,6 +530,7 @@ void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, c
   base = (s.places[k + 1].W.transpose() * next.q + extra_gaps(s.places[k + 1])) / s.h;
   for (const DenseStepRecord::Contact& c : s.contacts) base[c.row] -= allowed_change(c, dq0, d.h) / s.h;
   solve_laws(round.gaps, base, known, VecX(), sizes(d), next.lambda);
+  if (has_friction_ && rows_ > 0) check_held_gaps(round, d, dlambda, next.lambda);
   next.q += round.Q * next.lambda;
   next.v += round.V * next.lambda;
   dp_ += round.P * next.lambda;

@@ -104,6 +104,7 @@ class DenseStepTangent {
   void matrix_change(const Round& round, const DenseStepDirection& d, const VecX& dq0, const VecX& u, VecX& change);
   double allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const;
   void solve_round(std::size_t k, const DenseStepDirection& d, const VecX& dq0);
+  void check_held_gaps(const Round& round, const DenseStepDirection& d, const VecX& dlaw, const VecX& dlambda);
   void low_changes(const Round& round, const VecX& mu, VecX& known) const;
   void solve_laws(const DenseLaws& laws, const VecX& base, const VecX& known, const VecX& mu, const VecX& size,
                   VecX& dlambda) const;
