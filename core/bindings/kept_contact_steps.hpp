@@ -1,5 +1,5 @@
-// The contact steps, impacts of several points and dense steps of one call of the engine, handed from its simulator to the
-// derivatives of the run through Python.
+// The contact steps, impacts of several points and dense steps of one call of the engine, handed from its simulator to
+// the derivatives of the run through Python.
 #pragma once
 
 #include <vector>

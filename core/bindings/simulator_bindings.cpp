@@ -316,7 +316,8 @@ void expose_options(nb::module_& m) {
 
 void expose_simulator(nb::module_& m) {
   expose_options(m);
-  nb::class_<KeptContactSteps>(m, "KeptContactSteps", "The contact steps, dense ones too, of a call, as their derivatives need them.")
+  nb::class_<KeptContactSteps>(m, "KeptContactSteps",
+                               "The contact steps, dense ones too, of a call, as their derivatives need them.")
       .def(
           "__init__",
           [](KeptContactSteps* kept, const Scene& scene, const VecX& steps, const VecX& blocks, const VecX& dense) {

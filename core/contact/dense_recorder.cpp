@@ -103,8 +103,8 @@ void DenseRecorder::set_lasting(const std::vector<int>& lasting) {
 
 void DenseRecorder::take_law(const VecX& lambda, const VecX& v) {
   const int about = static_cast<int>(record_.places.size()) - 1;
-  record_.rounds.push_back({about, anew_, static_cast<int>(slips_), std::vector<char>(lasting_.size(), 1), lasting_,
-                            ordered(lambda), v});
+  record_.rounds.push_back(
+      {about, anew_, static_cast<int>(slips_), std::vector<char>(lasting_.size(), 1), lasting_, ordered(lambda), v});
   anew_ = false;
 }
 
@@ -198,8 +198,9 @@ void DenseRecorder::finish(const std::vector<DenseContact>& contacts, const VecX
   };
   for (DenseStepRecord::Place& place : s.places)
     fill(place.q, [&](std::size_t i) { return place.end[i]; }, [&](std::size_t i) { return place.t1[i]; }, place.W);
-  fill(s.q0, [&](std::size_t i) { return s.contacts[i].start; },
-       [&](std::size_t i) { return s.contacts[i].t1_start; }, s.W0);
+  fill(
+      s.q0, [&](std::size_t i) { return s.contacts[i].start; }, [&](std::size_t i) { return s.contacts[i].t1_start; },
+      s.W0);
   fill(q1, [&](std::size_t i) { return s.contacts[i].end; }, [&](std::size_t i) { return s.contacts[i].t1_end; }, s.W1);
 }
 

@@ -42,7 +42,7 @@ class DenseRecorder {
   Guards* guards_;
   DenseStepRecord record_;
   std::vector<int> rows_of_, found_;  // of the candidates: rows; Contact::found
-  std::size_t slips_ = 0;     // place of the pass
+  std::size_t slips_ = 0;             // place of the pass
   bool anew_ = true;
   std::vector<int> active_of_end_;
   std::vector<char> lasting_;

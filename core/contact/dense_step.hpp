@@ -124,7 +124,8 @@ class DenseStep {
   DenseReport report_;
   Kept kept_ = Kept::kGaps;
   std::unique_ptr<DenseRecorder> recorder_;
-  double closeness_, gap_solved_;  // share of what is usually left, at most 1; gaps of loaded contacts that count as zero
+  double closeness_,
+      gap_solved_;  // share of what is usually left, at most 1; gaps of loaded contacts that count as zero
   double h_ = 0.0, joint_friction_loss_ = 0.0;
   const char* why_ = "";
 };

@@ -31,11 +31,11 @@ struct DenseStepRecord {
   };
   // One solution of the whole law, and the gap iterations after it, which led to the next place.
   struct Round {
-    int about;                  // the place about which gaps were linearised
-    bool anew;                  // velocities change from those of the step without impulses, not of that place
-    int slips;                  // the place with which the slips of lasting contacts were made
+    int about;                           // the place about which gaps were linearised
+    bool anew;                           // velocities change from those of the step without impulses, not of that place
+    int slips;                           // the place with which the slips of lasting contacts were made
     std::vector<char> present, lasting;  // of the contacts
-    VecX lambda, v;             // of the law, before the gap iterations
+    VecX lambda, v;                      // of the law, before the gap iterations
   };
   struct Joint {
     int dof;

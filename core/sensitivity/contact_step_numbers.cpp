@@ -412,7 +412,6 @@ std::vector<ImpactBlockRecord> impact_blocks_of(const Scene& scene, const double
   return blocks;
 }
 
-
 std::vector<double> numbers_of(const std::vector<DenseStepRecord>& steps) {
   Writer writer;
   for (const DenseStepRecord& step : steps) dense_fields(writer, step);

@@ -129,7 +129,8 @@ void DenseLaws::set_system(const MatX& rows) {
 bool DenseLaws::solve(const VecX& base, const VecX& known, const VecX& mu, const VecX& size, VecX& dlambda) const {
   VecX c = base;
   for (std::size_t k = 0; k < joints_.size(); ++k)
-    if (joints_[k] != Friction::kStick) c[static_cast<Eigen::Index>(k)] = -sign_[k] * known[static_cast<Eigen::Index>(k)];
+    if (joints_[k] != Friction::kStick)
+      c[static_cast<Eigen::Index>(k)] = -sign_[k] * known[static_cast<Eigen::Index>(k)];
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const Contact& law = contacts_[i];
     const int r = law.row;

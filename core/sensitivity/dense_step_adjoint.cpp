@@ -205,7 +205,8 @@ bool DenseStepAdjoint::pass_round(std::size_t k, StepParameters& sums) {
   const DenseStepTangent& t = tangent_;
   const DenseStepRecord& s = *record_;
   const DenseStepRecord::Round& r = s.rounds[k];
-  const DenseStepRecord::Place &about = s.places[r.about], &from = s.places[r.anew ? 0 : r.about], &to = s.places[k + 1];
+  const DenseStepRecord::Place &about = s.places[r.about], &from = s.places[r.anew ? 0 : r.about],
+                               &to = s.places[k + 1];
   const DenseStepTangent::Round& round = t.rounds_[k];
   const bool last = k + 1 == s.rounds.size();
   const VecX none = VecX::Zero(scene_->tree.nv);

@@ -32,9 +32,9 @@ class DenseStepAdjoint {
  private:
   // How all changes per unit of the configuration where points are found: of the start, or of the end of a place.
   struct Source {
-    int place;                        // -1: the start
-    std::vector<MatX> W0, W1;         // per degree of freedom, (nv, rows)
-    std::vector<MatX> gaps, slips;    // per place, (rows, nv)
+    int place;                      // -1: the start
+    std::vector<MatX> W0, W1;       // per degree of freedom, (nv, rows)
+    std::vector<MatX> gaps, slips;  // per place, (rows, nv)
   };
   // Per place: how its slips change with its end and its velocity, (rows, nv).
   struct Slips {

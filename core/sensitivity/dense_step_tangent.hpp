@@ -35,6 +35,11 @@ struct DenseStepDirection {
   double size_q = 0.0, size_p = 0.0;  // largest change of q and p on the way: rounding is relative to it
 };
 
+// Of the effect of all impulses, or of a momentum: what has less is rounding, from what points share.
+constexpr double kShared = 1e-7;
+// Of the impulses and speeds: nearer to a change of an active set rounding decides what happens.
+constexpr double kOnCone = 1e-9;
+
 class DenseStepTangent {
  public:
   // take_branch: where the laws do not determine how points share a load, and that decides about the motion, the
@@ -121,8 +126,8 @@ class DenseStepTangent {
   const DenseStepRecord* record_ = nullptr;
   BodyTwists twists_;
   std::vector<ContactTangent> start_, end_, found_;  // found_: of points as they were found at the start
-  std::vector<char> is_found_;  // whether the law of a point is not the point as it was found
-  std::vector<std::vector<ContactTangent>> slip_;  // per place with which slips are made
+  std::vector<char> is_found_;                       // whether the law of a point is not the point as it was found
+  std::vector<std::vector<ContactTangent>> slip_;    // per place with which slips are made
   double margin_ = 1.0, error_ = 0.0;
   const char* approximate_ = "";
   int rows_ = 0;

@@ -236,8 +236,7 @@ RunGradient RunAdjoint::solve(const RunCost& cost, long steps) {
       check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     }
     if (piece.persistent) {
-      if (piece.ends_itself())
-        check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+      if (piece.ends_itself()) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
       contact_.pass(lq_, lp_, ltime_, result);
     } else {
       pass_piece(piece, result);

@@ -70,8 +70,7 @@ MatX StepMasses::effect(const VecX& u) const {
       for (int d = 0; d < size; ++d)
         found.col(of * n + first + d).segment(first, size) =
             changes_[of * largest_ + d].block(first, 0, size, size) * u.segment(first, size);
-    found.col(3 * n).segment(first, size) =
-        changes_.back().block(first, 0, size, size) * u.segment(first, size);
+    found.col(3 * n).segment(first, size) = changes_.back().block(first, 0, size, size) * u.segment(first, size);
   });
   return found;
 }

@@ -1,7 +1,7 @@
 // The masses with which a dense step solves its contact problem, and how they change with the step.
 //
 // They are the matrix of the step's iterations, tree by tree: its factor is made with the velocity at the start, and it
-// is applied where the step without impulses has come to rest. Their derivative is taken by differences of fourth order,
+// is applied where the step without impulses has its middle. Their derivative is taken by differences of fourth order,
 // over 1e-3 rad or m: what these leave out and their rounding is below 1e-12 of the masses.
 #pragma once
 

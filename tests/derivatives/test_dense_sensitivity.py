@@ -1,7 +1,7 @@
 """The derivatives of runs with dense steps against fourth-order differences of the runs themselves.
 
-Both are made with tol=1e-15, with which the contact problems of the dense steps are solved to 1e-11 and gaps to 1e-14 m:
-with the usual 1e-8 and 1e-11 m differences are good to some five digits only.
+Both are made with tol=1e-15, with which the contact problems of the dense steps are solved to 1e-11 and gaps to
+1e-14 m: with the usual 1e-8 and 1e-11 m differences are good to some five digits only.
 """
 
 from __future__ import annotations
@@ -72,7 +72,6 @@ def hand() -> Start:
     return grasp(0.0, 0.8)
 
 
-FLAT = {"turn": 0.0}
 # name -> start, duration, dt
 RUNS = {
     "a ball slides": (lambda: body("ball", 0.105, MOVING, 0.0), 0.2, 0.01),
