@@ -11,6 +11,7 @@ from .derivatives.linear import forward_dynamics_derivatives as forward_dynamics
 from .derivatives.linear import linearize as linearize
 from .derivatives.linear import step_derivatives as step_derivatives
 from .errors import AccuracyWarning as AccuracyWarning
+from .errors import ApproximateDerivativeWarning as ApproximateDerivativeWarning
 from .errors import ConstraintError as ConstraintError
 from .errors import ContactviError as ContactviError
 from .errors import DenseStepWarning as DenseStepWarning
@@ -47,6 +48,7 @@ from .status import StatusCode as StatusCode
 from .trajectory.plots import plot as plot
 from .trajectory.plots import plot_forces as plot_forces
 from .trajectory.polynomials import State as State
+from .trajectory.sensitivity import DenseStepSensitivity as DenseStepSensitivity
 from .trajectory.sensitivity import EventSensitivity as EventSensitivity
 from .trajectory.sensitivity import Sensitivity as Sensitivity
 from .trajectory.sensitivity import SensitivityReport as SensitivityReport

@@ -506,9 +506,11 @@ class SimulatorOptions:
     def contact_steps(self, arg: ContactSteps, /) -> None: ...
 
 class KeptContactSteps:
-    """The contact steps of a call, as their derivatives need them."""
+    """
+    The contact steps, dense ones too, of a call, as their derivatives need them.
+    """
 
-    def __init__(self, scene: Scene, steps: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], blocks: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
+    def __init__(self, scene: Scene, steps: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], blocks: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], dense: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
         """From their numbers in a file."""
 
     def step_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
@@ -516,6 +518,9 @@ class KeptContactSteps:
 
     def block_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
         """Return the impacts of several points as numbers, for files."""
+
+    def dense_numbers(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]:
+        """Return the dense steps as numbers, for files."""
 
 class Snapshot:
     """All that the rest of a run depends on."""

@@ -262,6 +262,10 @@ class DenseStepWarning(UserWarning):
     """A run with contact_mode="auto" took dense steps: impacts in them have no times (`Trajectory.dense_steps`)."""
 
 
+class ApproximateDerivativeWarning(UserWarning):
+    """A gradient goes through dense steps whose derivative is approximate (`Sensitivity.report` names them)."""
+
+
 def nearest(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str | None:
     """Return the choice most like `word`, or None when nothing is near; `cutoff` is difflib's, from 0 to 1."""
     names = [str(choice) for choice in choices]

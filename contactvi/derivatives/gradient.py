@@ -45,6 +45,9 @@ def gradient(
 
     Raises:
         InputError, NotDifferentiable: as Sensitivity.
+
+    Warns:
+        ApproximateDerivativeWarning: where the run has dense steps whose derivative is approximate.
     """
     if not isinstance(traj, Trajectory):
         raise InputError(

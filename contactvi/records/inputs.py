@@ -20,9 +20,10 @@ class RunInputs:
         control: generalized forces, Pinocchio's coordinates, shape (steps, nv) [N, N m]; None where none were given.
         target: references of the servos, positions by dof and then velocities, shape (steps, 2 nv); None without.
         saturated: actuators at their limits, summed over steps.
-        contact_steps: those with persistent contacts, one contactvi._core.KeptContactSteps per call of the engine.
-        stored_steps, stored_blocks: the same of a run from a file, as numbers, shapes (i,) and (j,): the steps, and the
-            impacts of several points; None where `contact_steps` holds them.
+        contact_steps: those with persistent contacts and dense ones, one contactvi._core.KeptContactSteps per call of
+            the engine.
+        stored_steps, stored_blocks, stored_dense: the same of a run from a file, as numbers, shapes (i,), (j,) and
+            (k,): the steps, the impacts of several points, and the dense steps; None where `contact_steps` holds them.
     """
 
     control: Array | None
@@ -31,14 +32,17 @@ class RunInputs:
     contact_steps: tuple[Any, ...] = ()
     stored_steps: Array | None = None
     stored_blocks: Array | None = None
+    stored_dense: Array | None = None
 
     def stored(self) -> dict[str, NDArray[Any]]:
         """Return what a file keeps of them, by name."""
         steps = [kept.step_numbers() for kept in self.contact_steps]
         blocks = [kept.block_numbers() for kept in self.contact_steps]
+        dense = [kept.dense_numbers() for kept in self.contact_steps]
         found: dict[str, NDArray[Any]] = {"saturated": np.array(self.saturated, dtype=np.int64)}
         found["contact_steps"] = np.concatenate(steps or [_or_none(self.stored_steps)])
         found["impact_blocks"] = np.concatenate(blocks or [_or_none(self.stored_blocks)])
+        found["dense_steps"] = np.concatenate(dense or [_or_none(self.stored_dense)])
         for name, values in (("control", self.control), ("target", self.target)):
             if values is not None:
                 found[name] = np.asarray(values, dtype=float)

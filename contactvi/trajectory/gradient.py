@@ -6,21 +6,24 @@ numbers the gradient has.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.errors import InputError, did_you_mean
+from contactvi.errors import ApproximateDerivativeWarning, InputError, did_you_mean
 from contactvi.inputs import array, check_choice, check_signature, real, real_numbers
 from contactvi.trajectory import parameters
 from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.sensitivity import (
     ON_KINK,
+    DenseStepSensitivity,
     Laws,
     Recorded,
     check_parameter,
+    dense_report,
     not_differentiable,
     recorded_run,
     wanted,
@@ -45,12 +48,19 @@ def gradient(
     run = recorded_run(traj, compiled)
     picks = [_Pick(traj, compiled, Laws(traj, run, compiled), name) for name in names]
     value, lq, lv = cost_gradients(traj, compiled, cost)
-    _check_direction(traj, run, compiled, names, on_kink == "taken")
+    approximate = _check_direction(traj, run, compiled, names, on_kink == "taken")
     found = run.adjoint(list(map(float, traj.t)), lq, lv, np.zeros(0), number_of_steps(traj), on_kink == "taken")
     if "fact" in found:
         raise not_differentiable(traj, found)
     if "released" in found and any(parameters.is_parameter(name) for name in names):
         raise not_differentiable(traj, found["released"])
+    if approximate:
+        warnings.warn(
+            f"The gradient is approximate: {len(approximate)} dense steps, the first at t = {approximate[0].time:.9g} s"
+            f" ({approximate[0].reason}). Trajectory.sensitivity(...).report has them all",
+            ApproximateDerivativeWarning,
+            stacklevel=4,
+        )
     return value, {pick.name: pick.of(found) for pick in picks}
 
 
@@ -61,16 +71,17 @@ def number_of_steps(traj: Recorded) -> int:
 
 def _check_direction(
     traj: Recorded, run: _core.RecordedRun, compiled: CompiledScene, names: Sequence[str], taken: bool
-) -> None:
+) -> list[DenseStepSensitivity]:
     """Raise NotDifferentiable for a run that has a derivative along some directions and not along others.
 
     Where points are hit together or share a load, that is so along directions that keep them together. What holds along
-    a random one of those asked for holds along all, with probability one.
+    a random one of those asked for holds along all, with probability one. Returns the dense steps whose derivative is
+    approximate.
     """
     assert traj.segments is not None
     several = len(traj.events) and int(traj.events.array("points").max()) > 1
     if not several and not np.any(traj.segments.arrays["persistent"]):
-        return
+        return []
     rng = np.random.default_rng(0)
     entries = {"q0": "q", "v0": "v", "control": "tau", "target": "tau", "target_velocity": "tau"}
     asked = {entries[name] for name in names if name in entries} or {"tau"}
@@ -78,6 +89,7 @@ def _check_direction(
     found = run.tangent({"count": 1, **direction}, [float(traj.t[-1])], taken)
     if "fact" in found:
         raise not_differentiable(traj, found)
+    return [step for step in dense_report(found) if step.reason]
 
 
 def cost_gradients(traj: Recorded, compiled: CompiledScene, cost: Cost) -> tuple[float | None, Array, Array]:

@@ -72,6 +72,23 @@ class EventSensitivity:
 
 
 @dataclass(frozen=True)
+class DenseStepSensitivity:
+    """A dense step on the way whose derivative is not that of the step to rounding, or is near to where it has none.
+
+    Attributes:
+        time: start of the step [s].
+        error: what its impulses leave of the laws that are differentiated, relative to its impulses and speeds.
+        margin: distance from the nearest change between open, sticking and slipping, relative to the same.
+        reason: why the derivative is approximate; "" where it is only near a kink.
+    """
+
+    time: float
+    error: float
+    margin: float
+    reason: str
+
+
+@dataclass(frozen=True)
 class SensitivityReport:
     """How far derivatives of a run can be trusted.
 
@@ -79,17 +96,28 @@ class SensitivityReport:
         events: those on the way, in the order of time.
         growth: largest derivative of a state on the way, relative to that of the start; 0 with respect to what does not
             change the start.
+        dense_steps: the dense steps on the way that are approximate or near a kink, in the order of time.
     """
 
     events: tuple[EventSensitivity, ...]
     growth: float
+    dense_steps: tuple[DenseStepSensitivity, ...] = ()
+
+    @property
+    def approximate(self) -> bool:
+        """Whether some dense step does not satisfy the laws that are differentiated, or has a kink."""
+        return any(step.reason for step in self.dense_steps)
 
     def __str__(self) -> str:
-        lines = [f"{len(self.events)} events, growth {self.growth:.3g}"]
+        lines = [f"{len(self.events)} events, growth {self.growth:.3g}{', approximate' if self.approximate else ''}"]
         lines += [
             f"t = {e.time:.9g} s  {e.pair[0]} | {e.pair[1]}  approach {e.approach:.3g}  margin {e.margin:.3g}"
             f"{'  near a kink' if e.near_kink else ''}"
             for e in self.events
+        ]
+        lines += [
+            f"t = {s.time:.9g} s  dense step  error {s.error:.3g}  margin {s.margin:.3g}  {s.reason or 'near a kink'}"
+            for s in self.dense_steps
         ]
         return "\n".join(lines)
 
@@ -111,8 +139,9 @@ class Sensitivity:
               "damping:joint", "rest:joint", "kp:joint", "kd:joint": as for contactvi.gradient;
             - "restitution", "friction": a number added to those of all pairs, and of all limits, that have some (1);
               "restitution:a|b", "friction:a|b": of the pair of these shapes, or of a joint and its limit (1).
-        on_kink: where several contacts were hit at one instant: "raise", or "taken" for the derivative of the order in
-            which the run took them.
+        on_kink: "raise", or "taken": where several contacts were hit at one instant, the derivative of the order in
+            which the run took them; where points of a dense step share a load in a way that decides about the motion,
+            that with impulses of least norm, which is not the run's (`report.approximate`).
 
     Attributes:
         names: what was asked for. columns: name -> slice of columns.
@@ -179,7 +208,13 @@ class Sensitivity:
             EventSensitivity(log[i].time, log[i].pair, approach, margin, guards > 1)
             for i, approach, margin, guards in entries
         )
-        return SensitivityReport(events, found["growth"])
+        return SensitivityReport(events, found["growth"], dense_report(found))
+
+
+def dense_report(found: dict[str, Any]) -> tuple[DenseStepSensitivity, ...]:
+    """Return the dense steps of the engine's answer that are approximate or near a kink."""
+    entries = zip(found["dense_time"], found["dense_error"], found["dense_margin"], found["dense_why"], strict=True)
+    return tuple(DenseStepSensitivity(*entry) for entry in entries if entry[3] or entry[2] < NEAR_KINK)
 
 
 def wanted(wrt: Sequence[str] | str) -> tuple[str, ...]:
@@ -240,10 +275,10 @@ def _contact_steps(inputs: RunInputs, compiled: CompiledScene) -> list[_core.Kep
     """Return the steps with persistent contacts; ContactviError for numbers that are not those of the scene."""
     from contactvi import _core
 
-    steps, blocks = inputs.stored_steps, inputs.stored_blocks
-    if steps is None or blocks is None:
+    steps, blocks, dense = inputs.stored_steps, inputs.stored_blocks, inputs.stored_dense
+    if steps is None or blocks is None or dense is None:
         return list(inputs.contact_steps)
-    return [_core.KeptContactSteps(compiled.core, steps, blocks)]
+    return [_core.KeptContactSteps(compiled.core, steps, blocks, dense)]
 
 
 def not_differentiable(traj: Recorded, found: dict[str, Any]) -> NotDifferentiable:
@@ -335,4 +370,4 @@ class Laws:
         return rows
 
 
-__all__ = ["EventSensitivity", "Sensitivity", "SensitivityReport"]
+__all__ = ["DenseStepSensitivity", "EventSensitivity", "Sensitivity", "SensitivityReport"]

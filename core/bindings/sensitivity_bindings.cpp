@@ -127,6 +127,18 @@ class Recorded {
     result["margin"] = margin;
     result["guards"] = count;
     result["growth"] = found.growth;
+    std::vector<double> time, error, near;
+    std::vector<std::string> why;
+    for (const DenseStepReport& step : found.dense) {
+      time.push_back(step.time);
+      error.push_back(step.error);
+      near.push_back(step.margin);
+      why.emplace_back(step.why);
+    }
+    result["dense_time"] = time;
+    result["dense_error"] = error;
+    result["dense_margin"] = near;
+    result["dense_why"] = why;
     return result;
   }
 
@@ -292,10 +304,19 @@ class Recorded {
   // A run that was taken back has steps that are not part of it: the last one with the time of a piece is.
   void add_contact_steps(const std::vector<const KeptContactSteps*>& kept) {
     std::map<double, const ContactStepRecord*> at;
-    for (const KeptContactSteps* block : kept)
+    std::map<double, const DenseStepRecord*> dense;
+    for (const KeptContactSteps* block : kept) {
       for (const ContactStepRecord& step : block->steps) at[step.t] = &step;
+      for (const DenseStepRecord& step : block->dense) dense[step.t] = &step;
+    }
     for (Piece& piece : run_.pieces) {
       if (!piece.persistent) continue;
+      const auto step = dense.find(piece.t);
+      if (step != dense.end() && step->second->h == piece.h) {
+        piece.dense = step->second;
+        piece.end = PieceEnd::kLength;
+        continue;
+      }
       const auto found = at.find(piece.t);
       if (found == at.end() || found->second->h != piece.h) continue;
       piece.contact = found->second;

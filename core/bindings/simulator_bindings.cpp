@@ -215,8 +215,8 @@ Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) 
   d["changes"] = contact_changes(s, recording.changes);
   d["phases"] = step_phases(recording);
   d["dense"] = dense_steps(s, recording);
-  KeptContactSteps kept{sim.take_contact_steps(), sim.take_impact_blocks()};
-  const bool none = kept.steps.empty() && kept.blocks.empty();
+  KeptContactSteps kept{sim.take_contact_steps(), sim.take_impact_blocks(), sim.take_dense_steps()};
+  const bool none = kept.steps.empty() && kept.blocks.empty() && kept.dense.empty();
   d["kept_steps"] = none ? nb::object(nb::none()) : nb::cast(std::move(kept));
   d["stats"] = stats(sim, seconds);
   add_status(s, status, d);
@@ -316,21 +316,26 @@ void expose_options(nb::module_& m) {
 
 void expose_simulator(nb::module_& m) {
   expose_options(m);
-  nb::class_<KeptContactSteps>(m, "KeptContactSteps", "The contact steps of a call, as their derivatives need them.")
+  nb::class_<KeptContactSteps>(m, "KeptContactSteps",
+                               "The contact steps, dense ones too, of a call, as their derivatives need them.")
       .def(
           "__init__",
-          [](KeptContactSteps* kept, const Scene& scene, const VecX& steps, const VecX& blocks) {
+          [](KeptContactSteps* kept, const Scene& scene, const VecX& steps, const VecX& blocks, const VecX& dense) {
             const auto size = [](const VecX& x) { return static_cast<std::size_t>(x.size()); };
             new (kept) KeptContactSteps{contact_steps_of(scene, steps.data(), size(steps)),
-                                        impact_blocks_of(scene, blocks.data(), size(blocks))};
+                                        impact_blocks_of(scene, blocks.data(), size(blocks)),
+                                        dense_steps_of(scene, dense.data(), size(dense))};
           },
-          "scene"_a, "steps"_a, "blocks"_a, "From their numbers in a file.")
+          "scene"_a, "steps"_a, "blocks"_a, "dense"_a, "From their numbers in a file.")
       .def(
           "step_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.steps)); },
           "Return the contact steps as numbers, for files.")
       .def(
           "block_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.blocks)); },
-          "Return the impacts of several points as numbers, for files.");
+          "Return the impacts of several points as numbers, for files.")
+      .def(
+          "dense_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.dense)); },
+          "Return the dense steps as numbers, for files.");
   nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.");
   nb::class_<World>(m, "Simulator", nb::type_slots(simulator_slots))
       .def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())

@@ -50,6 +50,10 @@ double DenseCandidates::allowed(double gap0) const {
   return std::min(0.0, gap0 + 0.5 * scene_->tree.gravity.norm() * h_ * h_ + kGapPromised * share_);
 }
 
+double DenseCandidates::allowed_rate() const {
+  return scene_->tree.gravity.norm() * h_ + (share_ < 1.0 ? kGapPromised * share_ / h_ : 0.0);
+}
+
 bool DenseCandidates::is_near(int guard, Near& near) {
   if (guards_->separated_at_end(guard)) return false;
   near.guard = guard;
@@ -102,7 +106,7 @@ void DenseCandidates::evaluate(const ContactPoint& point, const Contact* witness
 
 // A point joins the candidates, unless it is one of them. The guards are placed at the start of the step.
 bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, const Near& near,
-                          const std::vector<DenseImpulse>& impulses) {
+                          const std::vector<DenseImpulse>& impulses, bool joined) {
   for (const DenseContact& c : contacts_)
     if (c.point.guard == point.guard && c.point.feature == point.feature &&
         (c.law.center_B - law.center_B).squaredNorm() < kSamePoint * kSamePoint)
@@ -110,6 +114,7 @@ bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, co
   DenseContact c{};
   c.point = point;
   c.law = law;
+  c.joined = joined;
   c.mu = scene_->friction(point.guard);
   c.restitution = scene_->restitution(point.guard);
   evaluate(law, &near.witness0, c.at0);
@@ -164,7 +169,7 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   for (std::size_t k = 0; k < points_.size(); ++k) {
     const int guard = points_[k].guard;
     const auto near = std::find_if(near_.begin(), near_.end(), [&](const Near& n) { return n.guard == guard; });
-    added |= add(points_[k], laws_[k], *near, impulses);
+    added |= add(points_[k], laws_[k], *near, impulses, true);
   }
   return added;
 }

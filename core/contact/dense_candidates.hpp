@@ -21,6 +21,7 @@ struct DenseContact {
   Vec3 slip_W;
   bool closed;   // takes part in the velocity impulse
   bool expands;  // restitution acts
+  bool joined;   // found where it overlaps at the end of a motion, not at the start of the step
   int rows() const { return mu > 0.0 ? 3 : 1; }
   bool loaded() const { return position[0] + velocity[0] > 0.0; }
   Vec3 position_W() const;
@@ -55,6 +56,8 @@ class DenseCandidates {
   void evaluate(const ContactPoint& law, Contact& contact) { evaluate(law, nullptr, contact); }
   // Least gap at the last end looked at, at most 0 [m].
   double gap() const { return gap_; }
+  // How what overlaps may be left changes with the length of the step [m/s].
+  double allowed_rate() const;
   // Whether no gap there is below what is allowed by more than the error of its distance.
   bool keeps_gaps() const { return excess_ >= -gap_noise_; }
 
@@ -76,7 +79,7 @@ class DenseCandidates {
     return guards_->manifolds().frozen(point, guards_->placements(), witness, guards_->turn(point.guard));
   }
   bool add(const ContactPoint& point, const ContactPoint& law, const Near& near,
-           const std::vector<DenseImpulse>& impulses);
+           const std::vector<DenseImpulse>& impulses, bool joined = false);
   void set_start_impulses(DenseContact& c, const std::vector<DenseImpulse>& impulses) const;
 
   const Scene* scene_;

@@ -29,28 +29,37 @@ constexpr double kEnergyShare = 1e-8;      // of the kinetic energy: smaller gai
 
 // An answer that meets Coulomb's law to 1e-4 of the largest free speed is below the error of the step where impacts lie
 // inside of it; where none do the sweeps and Newton's method reach 1e-8.
-BlockOptions solver_options() {
-  BlockOptions options;
-  options.accept = 1e-4;
-  options.factors = 12;
-  return options;
-}
+constexpr double kLawAccepted = 1e-4, kLawSolved = 1e-8;
+constexpr int kLawFactors = 12;
+constexpr double kUsualTolerance = 1e-12;  // of steps, to which these belong
+// Of the solutions that are asked for at the least: beyond it rounding decides.
+constexpr double kClosest = 1e-3;
 
 double size_of(const Energy& e) { return std::abs(e.kinetic) + std::abs(e.potential); }
 double total(const Energy& e) { return e.kinetic + e.potential; }
 }  // namespace
 
-DenseStep::DenseStep(const Scene& scene, Guards& guards)
+DenseStep::DenseStep(const Scene& scene, Guards& guards, double tol)
     : scene_(&scene),
       guards_(&guards),
       integrator_(scene.tree),
       candidates_(scene, guards),
       rows_(scene),
-      end_rows_(scene) {
+      end_rows_(scene),
+      closeness_(std::clamp(tol / kUsualTolerance, kClosest, 1.0)),
+      gap_solved_(kGapSolved * closeness_) {
   const Tree& tree = scene.tree;
   for (VecX* x : {&p0_, &v0_, &v_free_, &v_, &v1_, &p1_, &p_start_, &bound_, &work_}) *x = VecX::Zero(tree.nv);
   for (VecX* x : {&q0_, &q1_}) x->setZero(tree.nq);
   restart();
+}
+
+BlockOptions DenseStep::solver_options() const {
+  BlockOptions options;
+  options.tolerance = kLawSolved * closeness_;
+  options.accept = kLawAccepted;
+  options.factors = kLawFactors;
+  return options;
 }
 
 void DenseStep::restart() {
@@ -126,7 +135,7 @@ double DenseStep::place_end() {
     // What the normal impulse above its bound moves the contact by in the step: a gap that is open counts up to that.
     const double lift = std::max(0.0, n - least) * mobility_[k] * h_;
     const double off = std::max(-gap, std::min(gap, lift));
-    if (off > kGapSolved) error = std::max(error, off);
+    if (off > gap_solved_) error = std::max(error, off);
   }
   return error;
 }
@@ -189,7 +198,7 @@ double DenseStep::widest_loaded_gap() const {
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const DenseContact& c = contacts()[active_[i]];
     const double gap = c.at1.gap - c.allowed;
-    if (gap > kGapSolved) widest = std::max(widest, std::min(gap, lambda_[rows_.block(i).row] * mobility_[i] * h_));
+    if (gap > gap_solved_) widest = std::max(widest, std::min(gap, lambda_[rows_.block(i).row] * mobility_[i] * h_));
   }
   return widest;
 }
@@ -206,6 +215,7 @@ bool DenseStep::position_problem() {
   lambda_.setZero(problem.rows());
   mobility_.assign(active_.size(), 0.0);
   place_end();
+  if (recorder_) recorder_->start_pass(all, q1_, v_, lambda_);
   for (std::size_t i = 0; i < active_.size(); ++i) {
     const DenseContact& c = all[active_[i]];
     const BlockContact& block = rows_.block(i);
@@ -214,6 +224,7 @@ bool DenseStep::position_problem() {
     mobility_[i] = rows_.mobility(i);
   }
   set_slips();
+  if (recorder_) recorder_->set_lasting(lasting_);
   lambda_.tail(joint_friction_.size()) = joint_friction_;
   problem.v_free = v_free_;
   solver_.prepare(problem);
@@ -224,14 +235,16 @@ bool DenseStep::position_problem() {
     // The energy is bounded at the end of the step, where the speeds of closed contacts are those of the law.
     result = solver_.solve(problem, INFINITY, solver_options(), lambda_, v_);
     if (!v_.allFinite()) return fail("a number is not finite");
+    if (recorder_) recorder_->take_law(lambda_, v_);
     work_ = v_ - work_;
     integrator_.add_velocity(work_);
     if (!gap_iterations()) return false;
+    if (recorder_) recorder_->take_round(all, q1_, v_, lambda_);
     // Friction that slides holds the normal impulse of a gap that opens, which breaks the law as a speed of that gap
     // over h does: where that is more than an accepted residual, the whole law again, about this motion.
     const double open = widest_loaded_gap() / h_;
     result.residual = std::max(result.residual, open / result.scale);
-    if (open <= solver_options().accept * result.scale || k >= kLawRounds || open > kLawStalled * last) break;
+    if (open <= kLawAccepted * closeness_ * result.scale || k >= kLawRounds || open > kLawStalled * last) break;
     last = open;
     for (std::size_t i = 0; i < active_.size(); ++i) problem.offset[rows_.block(i).row] = offset(all[active_[i]], i);
     solver_.free_velocity(problem, lambda_, v_, problem.v_free);
@@ -242,7 +255,7 @@ bool DenseStep::position_problem() {
     const BlockContact& block = rows_.block(i);
     // The solver's rounding at points that stay open.
     const double lift = lambda_[block.row] * mobility_[i] * h_;
-    if (c.at1.gap - c.allowed > kGapSolved && lift <= kGapSolved) lambda_.segment(block.row, block.rows).setZero();
+    if (c.at1.gap - c.allowed > gap_solved_ && lift <= gap_solved_) lambda_.segment(block.row, block.rows).setZero();
     c.position.setZero();
     c.position.head(block.rows) = lambda_.segment(block.row, block.rows);
   }
@@ -277,6 +290,7 @@ bool DenseStep::position_impulses() {
   joint_friction_loss_ = -joint_friction_work(lambda_, v_);
   integrator_.set_start_momentum(p_start_);
   integrator_.finish(q1_, p1_);
+  if (recorder_) recorder_->take_position(lambda_, p1_);
   return true;
 }
 
@@ -311,6 +325,7 @@ bool DenseStep::velocity_impulses(double bound_energy) {
   solver_.prepare(problem);
   account(solver_.solve(problem, bound_energy, solver_options(), lambda_, v1_));
   rows_.add_impulses(lambda_, p1_);
+  if (recorder_) recorder_->take_plastic(active_, lambda_, v1_);
   lambda_end_ = lambda_;
   expand(bound_energy);
   return v1_.allFinite() && p1_.allFinite() ? true : fail("a number is not finite");
@@ -341,6 +356,7 @@ void DenseStep::expand(double bound_energy) {
   account(solver_.solve(problem, INFINITY, solver_options(), lambda_, v1_));
   // Energy, cone and gaps are convex conditions: a share of the expansion keeps them as the whole and none of it do.
   const double share = kinetic_share(problem, plastic, v1_, bound_energy);
+  if (recorder_) recorder_->take_expansion(active_, lambda_, v1_, share);
   if (share < 1.0) {
     lambda_ *= share;
     v1_ = plastic + share * (v1_ - plastic);
@@ -360,7 +376,7 @@ double DenseStep::contacts_error(const Energy& before, const Energy& free, const
   bool impact = false;
   const double fast = kFastFall * scene_->tree.gravity.norm() * h_;
   for (const DenseContact& c : contacts()) {
-    lifts += c.position.norm() * (kGapSolved + std::clamp(-c.at0.gap, 0.0, DenseCandidates::kGapPromised));
+    lifts += c.position.norm() * (gap_solved_ + std::clamp(-c.at0.gap, 0.0, DenseCandidates::kGapPromised));
     impact |= c.position[0] > 0.0 && c.closing < -fast;
   }
   const double smooth = kCurvature * std::max(before.kinetic, free.kinetic);
@@ -376,11 +392,13 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
   kept_ = kept;
   report_ = DenseReport();
   if (!solve_smooth(q0, p0, h, tau)) return false;
+  if (recorder_) recorder_->begin(q0_, p0_, h, kept == Kept::kEnergy);
   const Energy before = energy(integrator_, q0, p0);
   integrator_.finish(q1_, p1_);
   const Energy free = energy(integrator_, q1_, p1_);
   const double smooth_error = std::abs(total(free) - total(before) - integrator_.work());
   rows_.set_masses([this](MatX& X) { integrator_.solve_step_matrix(X); });
+  if (recorder_) recorder_->take_masses(rows_.problem());
   bound_velocities();
   if (!position_impulses()) return false;
   const Energy middle = energy(integrator_, q1_, p1_);
@@ -393,6 +411,11 @@ bool DenseStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX
       0.5 * p1_.dot(v1_) + middle.potential - total(before) - (integrator_.work() - joint_friction_loss_);
   report_.energy_rise = std::max(0.0, change - report_.energy_error);
   report_.energy_loss = -change;
+  if (recorder_) {
+    recorder_->finish(contacts(), q1_, p1_, v1_, gap_solved_);
+    record().residual = report_.residual;
+    record().repaired = report_.repaired;
+  }
   return q1_.allFinite() && std::isfinite(change) ? true : fail("a number is not finite");
 }
 

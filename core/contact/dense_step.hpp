@@ -14,9 +14,11 @@
 // again shorter (keeps_promises). The residual of Coulomb's law is reported.
 #pragma once
 
+#include <memory>
 #include <vector>
 
 #include "cone/block_solver.hpp"
+#include "contact/dense_recorder.hpp"
 #include "contact/dense_rows.hpp"
 #include "step/energy.hpp"
 #include "step/impulse_step.hpp"
@@ -36,7 +38,8 @@ struct DenseReport {
 
 class DenseStep {
  public:
-  DenseStep(const Scene& scene, Guards& guards);
+  // tol: of the equations of steps; those of contact are solved to what belongs to 1e-12, and closer where it is less.
+  DenseStep(const Scene& scene, Guards& guards, double tol = 1e-12);
   DenseStep(const DenseStep&) = delete;
   DenseStep& operator=(const DenseStep&) = delete;
 
@@ -48,6 +51,10 @@ class DenseStep {
   void set_servo(const Servo* servo) { integrator_.set_servo(servo); }
   // Forgets the last step, from which the next one starts.
   void restart();
+  // From now on what the derivatives of the steps need is kept.
+  void keep_records() { recorder_ = std::make_unique<DenseRecorder>(*scene_, *guards_); }
+  // Of the step just solved; its time and its share of the control step are left to the caller.
+  DenseStepRecord& record() { return recorder_->record(); }
 
   // What has the last word where gaps and energy cannot both be kept. With kEnergy no point is pushed further than it
   // would be at rest, and gaps may stay below what is promised.
@@ -66,6 +73,7 @@ class DenseStep {
   const VecX& stage_velocity() const { return v_; }
   const VecX& end_velocity() const { return v1_; }
   // Whether gaps and energy are within what is promised.
+  double allowed_rate() const { return candidates_.allowed_rate(); }
   bool keeps_promises() const { return candidates_.keeps_gaps() && report_.energy_rise <= 0.0; }
   double h() const { return h_; }
   double joint_friction_loss() const { return joint_friction_loss_; }
@@ -93,6 +101,7 @@ class DenseStep {
   void set_slips();
   bool gap_iterations();
   double widest_loaded_gap() const;
+  BlockOptions solver_options() const;
   double place_end();
   double offset(const DenseContact& c, std::size_t i) const;
   bool velocity_impulses(double bound_energy);
@@ -117,6 +126,9 @@ class DenseStep {
   VecX lambda_, lambda_end_, joint_friction_;  // impulses of the present problem, of the end, of joint friction
   DenseReport report_;
   Kept kept_ = Kept::kGaps;
+  std::unique_ptr<DenseRecorder> recorder_;
+  double closeness_,
+      gap_solved_;  // share of what is usually left, at most 1; gaps of loaded contacts that count as zero
   double h_ = 0.0, nominal_h_ = 0.0, joint_friction_loss_ = 0.0;
   const char* why_ = "";
 };

@@ -150,11 +150,11 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
   const double at = interval.start + interval.done, nominal = contact_dt();
   dense_step_.set_time(at);
   dense_step_.set_nominal(nominal);
-  const double whole = interval.remaining / interval.parts(nominal);
   // A rest that is rounding is taken along: gaps of rounding, closed in its time, would be speeds of metres per second.
   const double longest = state_.dense.longest;
+  const double parts = interval.parts(nominal), whole = interval.remaining / parts;
   const bool shorter = longest > 0.0 && longest < whole * (1.0 - kRestIsRounding);
-  double h = shorter ? longest : whole;
+  double h = shorter ? longest : whole, share = shorter ? 0.0 : 1.0 / parts;
   for (;;) {
     bool solved = dense_step_.solve(state_.q, state_.p, h, interval.tau);
     while (solved && actuation_.saturate_servos(dense_step_.integrator()))
@@ -167,6 +167,7 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
     if (solved && (shortest || dense_step_.keeps_promises())) break;
     if (user_function_failed(at)) return false;
     h *= 0.5;
+    share *= 0.5;
     ++state_.control.halved;
     if (h < kShortestDense * nominal)
       return end(StatusCode::kNewtonFailed, at, std::string("a dense step was not solved: ") + dense_step_.why());
@@ -175,10 +176,21 @@ bool Simulator::advance_dense(Interval& interval, Recording& recording) {
   if (!stays_in_range(at)) return false;
   state_.dense.longest = 2.0 * h < nominal ? 2.0 * h : 0.0;
   record_phase(at, nominal, StepKind::kDense, recording);
+  if (options_.gradient) keep_dense_step(at, share);
   accept_dense_step(at, h, recording);
   interval.done += h;
   interval.remaining = h >= interval.remaining * (1.0 - 1e-12) ? 0.0 : interval.length - interval.done;
   return true;
+}
+
+// Keeps the dense step just solved. share: its length of what was left of the control step; 0: it does not depend on
+// that.
+void Simulator::keep_dense_step(double time, double share) {
+  DenseStepRecord record = dense_step_.record();
+  record.t = time;
+  record.share = share;
+  record.allowed_rate = dense_step_.allowed_rate();
+  kept_dense_steps_.push_back(std::move(record));
 }
 
 void Simulator::accept_dense_step(double time, double h, Recording& recording) {

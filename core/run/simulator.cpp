@@ -42,7 +42,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       guards_(scene, options.contact_points),
       finder_(scene, integrator_, guards_),
       contact_step_(scene, guards_, guards_.manifolds()),
-      dense_step_(scene, guards_),
+      dense_step_(scene, guards_, options.tol),
       sequence_(scene, integrator_, guards_,
                 {options.impact, options.dt, options.stiff_support, options.max_impacts_per_step,
                  options.record_contacts, options.gradient}),
@@ -58,6 +58,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       rates_(scene.tree.nv, options.stages) {
   state_.q.setZero(scene.tree.nq);
   state_.p.setZero(scene.tree.nv);
+  if (options.gradient) dense_step_.keep_records();
 }
 
 bool Simulator::end(StatusCode code, double time, std::string message, int guard) {

@@ -63,6 +63,7 @@ class Simulator {
 
   // The contact steps kept since the last call of this, without those of islands.
   std::vector<ContactStepRecord> take_contact_steps() { return std::exchange(kept_steps_, {}); }
+  std::vector<DenseStepRecord> take_dense_steps() { return std::exchange(kept_dense_steps_, {}); }
   std::vector<ImpactBlockRecord> take_impact_blocks() { return sequence_.take_blocks(); }
 
   // For bodies that are one island of a larger scene (run/world.hpp).
@@ -168,6 +169,7 @@ class Simulator {
   void begin_dense_phase();
   void end_dense_phase();
   bool advance_dense(Interval& interval, Recording& recording);
+  void keep_dense_step(double time, double share);
   void accept_dense_step(double time, double h, Recording& recording);
   void record_dense_contact(const DenseContact& c, double time, double h, Recording& recording) const;
 
@@ -194,6 +196,7 @@ class Simulator {
   bool follows_motion_ = false;
   MatX rates_;  // chart rates at the stages of the step just solved
   std::vector<ContactStepRecord> kept_steps_;
+  std::vector<DenseStepRecord> kept_dense_steps_;
   const Progress* progress_ = nullptr;  // of the present call of advance or run_auto
   std::chrono::steady_clock::time_point last_report_;
 };

@@ -4,8 +4,8 @@
 
 namespace contactvi {
 
-ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run)
-    : scene_(&scene), run_(&run), adjoint_(scene), release_(scene, run) {}
+ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
+    : scene_(&scene), run_(&run), adjoint_(scene), dense_(scene, take_branch), release_(scene, run) {}
 
 void ContactPieceAdjoint::start() {
   anchors_.clear();
@@ -15,8 +15,13 @@ void ContactPieceAdjoint::start() {
 void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
   check_contact_piece(*run_, piece);
   step_ = piece.contact;
+  dense_step_ = piece.dense;
   inputs_ = &inputs;
   number_ = piece.step;
+  if (dense_step_ != nullptr) {
+    dense_.take(*dense_step_, inputs.tau(), inputs.servo());
+    return;
+  }
   adjoint_.take(*step_, inputs.tau(), inputs.servo());
 }
 
@@ -38,6 +43,10 @@ Vec3 ContactPieceAdjoint::take_anchor(const ContactPoint& point) {
 }
 
 void ContactPieceAdjoint::leave_anchors(VecX& lq) {
+  if (dense_step_ != nullptr) {  // contacts stick without an anchor after it
+    finish();
+    return;
+  }
   std::vector<Anchor> before;
   for (std::size_t i = 0; i < step_->contacts.size(); ++i) {
     const PersistentContact& contact = step_->contacts[i].before;
@@ -65,6 +74,10 @@ void ContactPieceAdjoint::finish() const {
 }
 
 void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
+  if (dense_step_ != nullptr) {
+    pass_dense(lq, lp, ltime, result);
+    return;
+  }
   const ContactStepRecord& s = *step_;
   const bool ends_itself = s.ending != ContactStepEnd::kLength;
   double lslip = 0.0;
@@ -87,6 +100,23 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& r
   for (std::size_t j = 0; j < s.joints.size(); ++j)
     if (s.joints[j].anchored)
       joint_anchors_[static_cast<Eigen::Index>(j)] += gradient_.joints[static_cast<Eigen::Index>(j)];
+}
+
+void ContactPieceAdjoint::pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
+  const DenseStepRecord& s = *dense_step_;
+  result.begin_step();
+  if (!dense_.solve(lq, lp, dense_gradient_, result.parameters))
+    throw NoDerivative({"step", -1, s.t}, "The derivative of a step was not solved",
+                       "adjoint equations with a solution", "none", "Use a smaller dt");
+  lq = dense_gradient_.q;
+  lp = dense_gradient_.p;
+  ltime = ltime * (1.0 - s.share) - s.share * dense_gradient_.h;
+  result.end_step(number_, dense_gradient_.tau);
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    if (c.mu > 0.0) result.mu[c.point.guard] += dense_gradient_.mu[static_cast<Eigen::Index>(i)];
+    result.e[c.point.guard] += dense_gradient_.e[static_cast<Eigen::Index>(i)];
+  }
 }
 
 // A slip that comes to rest, or a force that comes to zero: the gradient in that slip.

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "sensitivity/contact_step_adjoint.hpp"
+#include "sensitivity/dense_step_adjoint.hpp"
 #include "sensitivity/piece_inputs.hpp"
 #include "sensitivity/release_force.hpp"
 #include "sensitivity/run_gradient.hpp"
@@ -11,7 +12,7 @@ namespace contactvi {
 
 class ContactPieceAdjoint {
  public:
-  ContactPieceAdjoint(const Scene& scene, const RecordedRun& run);
+  ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch);
 
   // The end of a run: nothing depends on where contacts stick.
   void start();
@@ -37,16 +38,20 @@ class ContactPieceAdjoint {
 
   Vec3 take_anchor(const ContactPoint& point);
   double pass_end(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
+  void pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradient& result);
   void pass_release(double lforce, VecX& lq, VecX& lp, RunGradient& result);
 
   const Scene* scene_;
   const RecordedRun* run_;
   ContactStepAdjoint adjoint_;
+  DenseStepAdjoint dense_;
   ReleaseForce release_;
   const ContactStepRecord* step_ = nullptr;
+  const DenseStepRecord* dense_step_ = nullptr;  // one of both
   const PieceInputs* inputs_ = nullptr;
   long number_ = 0;  // of the control step
   ContactStepGradient gradient_;
+  DenseStepGradient dense_gradient_;
   std::vector<Anchor> anchors_;
   VecX joint_anchors_;
 };

@@ -4,9 +4,10 @@
 
 namespace contactvi {
 
-ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run)
+ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run, bool take_branch)
     : run_(&run),
       tangent_(scene),
+      dense_(scene, take_branch),
       release_(scene, run),
       joint_anchors_(static_cast<Eigen::Index>(scene.tree.elements.friction_dofs.size()), 0) {}
 
@@ -18,11 +19,12 @@ void ContactPieces::start(Eigen::Index count) {
 }
 
 void check_contact_piece(const RecordedRun& run, const Piece& piece) {
-  if (piece.contact == nullptr)
-    throw NoDerivative({"dense", -1, piece.t}, "There are dense steps in the run", "steps whose events are located",
-                       "a dense step", "Use contact_mode='events', or fewer contacts");
-  const auto& contacts = piece.contact->contacts;
-  const int guard = contacts.empty() ? -1 : contacts[0].before.point.guard;
+  if (piece.contact == nullptr && piece.dense == nullptr)
+    throw NoDerivative({"dense", -1, piece.t}, "A step of the run was not kept", "all steps with contacts",
+                       "a dense step that is not known", "Compute the run again with record='gradient'");
+  int guard = -1;
+  if (piece.contact != nullptr && !piece.contact->contacts.empty())
+    guard = piece.contact->contacts[0].before.point.guard;
   if (run.map != ImpactMap::kCtec)
     throw NoDerivative({"map", guard, piece.t}, "An implicit impact map acts in a run with persistent contacts",
                        "impact='ctec' where contacts persist", "another map", "Use impact='ctec'");
@@ -36,7 +38,12 @@ void refuse_sticking_start(const ContactPoint& point, double time) {
 void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
   check_contact_piece(*run_, piece);
   step_ = piece.contact;
+  dense_step_ = piece.dense;
   inputs_ = &inputs;
+  if (dense_step_ != nullptr) {
+    dense_.take(*dense_step_, inputs.tau(), inputs.servo());
+    return;
+  }
   for (const ContactStepRecord::Contact& c : step_->contacts)
     if (c.before.anchored && anchor_of(c.before.point) == nullptr) refuse_sticking_start(c.before.point, piece.t);
   tangent_.take(*step_, inputs.tau(), inputs.servo());
@@ -55,6 +62,10 @@ const ContactPieces::Anchor* ContactPieces::anchor_of(const ContactPoint& point)
 }
 
 void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
+  if (dense_step_ != nullptr) {
+    move_dense(d, columns);
+    return;
+  }
   const bool ends_itself = step_->ending != ContactStepEnd::kLength;
   const auto contacts = static_cast<Eigen::Index>(step_->contacts.size());
   slip_.setZero(d.count);
@@ -81,6 +92,31 @@ void ContactPieces::move(const RunDirections& d, RunColumns& columns) {
     if (!ends_itself) columns.time[k] += direction_.h;
   }
   if (ends_itself && step_->ending != ContactStepEnd::kImpact) end(d, columns);
+}
+
+void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
+  const auto contacts = static_cast<Eigen::Index>(dense_step_->contacts.size());
+  size_q_ = size_q_.cwiseMax(columns.q.cwiseAbs().colwise().maxCoeff().transpose());
+  size_p_ = size_p_.cwiseMax(columns.p.cwiseAbs().colwise().maxCoeff().transpose());
+  DenseStepDirection direction;
+  for (Eigen::Index k = 0; k < d.count; ++k) {
+    direction.q = columns.q.col(k);
+    direction.p = columns.p.col(k);
+    direction.tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
+    direction.h = -columns.time[k] * dense_step_->share;
+    direction.size_q = size_q_[k];
+    direction.size_p = size_p_[k];
+    direction.mu.setZero(contacts);
+    direction.e.setZero(contacts);
+    for (Eigen::Index i = 0; i < contacts; ++i) {
+      const DenseStepRecord::Contact& c = dense_step_->contacts[i];
+      if (d.mu.size() > 0 && c.mu > 0.0) direction.mu[i] = d.mu(c.point.guard, k);
+      if (d.e.size() > 0) direction.e[i] = d.e(c.point.guard, k);
+    }
+    direction.parameters = d.parameter(k);
+    dense_.solve(direction, columns.q.col(k), columns.p.col(k));
+    columns.time[k] += direction.h;
+  }
 }
 
 // The changes of the coefficients of friction of the contacts of a step; empty where none changes.
@@ -132,6 +168,10 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
 }
 
 void ContactPieces::keep_anchors(const RunColumns& columns) {
+  if (dense_step_ != nullptr) {  // contacts stick without an anchor after it
+    anchors_.clear();
+    return;
+  }
   const Eigen::Index count = columns.q.cols();
   std::vector<Anchor> now;
   for (std::size_t i = 0; i < step_->contacts.size(); ++i) {

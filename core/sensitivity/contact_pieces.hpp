@@ -3,14 +3,22 @@
 #pragma once
 
 #include "sensitivity/contact_step_tangent.hpp"
+#include "sensitivity/dense_step_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
 #include "sensitivity/release_force.hpp"
 #include "sensitivity/run_directions.hpp"
 
 namespace contactvi {
 
-// Throws NoDerivative for a piece with persistent contacts that has no derivative: a dense step, or one beside an
-// implicit impact map.
+// A dense step on the way.
+struct DenseStepReport {
+  double time;           // its start [s]
+  double error, margin;  // DenseStepTangent
+  const char* why;       // the derivative is not exact; empty: it is
+};
+
+// Throws NoDerivative for a piece with persistent contacts that has no derivative: a dense step that was not kept, or
+// one beside an implicit impact map.
 void check_contact_piece(const RecordedRun& run, const Piece& piece);
 // Throws NoDerivative where what ends a step, a slip or a force, does not change with time.
 void check_contact_end(const ContactStepRecord& step, double rate);
@@ -21,7 +29,7 @@ void check_contact_end(const ContactStepRecord& step, double rate);
 
 class ContactPieces {
  public:
-  ContactPieces(const Scene& scene, const RecordedRun& run);
+  ContactPieces(const Scene& scene, const RecordedRun& run, bool take_branch);
 
   // The start of a run along so many directions: nothing sticks.
   void start(Eigen::Index count);
@@ -31,6 +39,10 @@ class ContactPieces {
   void solve_length(VecRef fq, VecRef fp);
   // Moves the columns to its end, or, where it ends with an impact, to the time of that.
   void move(const RunDirections& directions, RunColumns& columns);
+  // Of the piece that was taken, a dense step.
+  DenseStepReport dense_report() const {
+    return {dense_step_->t, dense_.error(), dense_.margin(), dense_.approximate()};
+  }
   // After all that happens at its end: what sticks from there on, as ContactStep::commit() has it.
   void keep_anchors(const RunColumns& columns);
 
@@ -42,12 +54,15 @@ class ContactPieces {
 
   const Anchor* anchor_of(const ContactPoint& point) const;
   void end(const RunDirections& directions, RunColumns& columns);
+  void move_dense(const RunDirections& directions, RunColumns& columns);
   VecX friction_change(const RunDirections& directions, Eigen::Index column) const;
 
   const RecordedRun* run_;
   ContactStepTangent tangent_;
+  DenseStepTangent dense_;
   ReleaseForce release_;
   const ContactStepRecord* step_ = nullptr;
+  const DenseStepRecord* dense_step_ = nullptr;  // one of both
   const PieceInputs* inputs_ = nullptr;
   ContactStepDirection direction_;
   std::vector<Anchor> anchors_;

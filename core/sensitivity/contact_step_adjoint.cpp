@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "base/numerics.hpp"
+#include "sensitivity/stage_velocity.hpp"
 
 namespace contactvi {
 
@@ -126,30 +127,6 @@ void ContactStepAdjoint::end_gradient(const Problem& problem, const VecX& v, Vec
   adjoint_.add_momentum_parameters(s.q1, v, -m, sums);
 }
 
-// The velocity of the only stage is the rate of the chart: q1 = q0 exp(h v), so that it follows from both ends and h.
-void ContactStepAdjoint::fold_velocity(const VecX& lv) {
-  const ContactStepRecord& s = *tangent_.record_;
-  lh_ -= s.v.dot(lv) / s.h;
-  for (const Joint& joint : scene_->tree.joints) {
-    const int iv = joint.iv;
-    if (joint.type != JointType::kSpherical) {
-      lq1_.segment(iv, joint.nv) += lv.segment(iv, joint.nv) / s.h;
-      lq0_.segment(iv, joint.nv) -= lv.segment(iv, joint.nv) / s.h;
-      continue;
-    }
-    const Vec3 X = s.h * s.v.segment<3>(iv);
-    const So3Coefficients k = so3_coefficients(X.squaredNorm());
-    Mat3 J, back;
-    for (int c = 0; c < 3; ++c) {
-      J.col(c) = so3_apply(-X, k.cos_t, k.cub_t, Vec3::Unit(c));
-      back.col(c) = so3_apply(-X, k.sin_t, k.cos_t, Vec3::Unit(c));
-    }
-    const Vec3 l = J.transpose().inverse() * lv.segment<3>(iv) / s.h;
-    lq1_.segment<3>(iv) += l;
-    lq0_.segment<3>(iv) -= back.transpose() * l;
-  }
-}
-
 bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, ContactStepGradient& g,
                                StepParameters& sums) {
   const ContactStepTangent& t = tangent_;
@@ -190,7 +167,7 @@ bool ContactStepAdjoint::solve(const VecX& lq, const VecX& lp, double lslip, Con
   lt_ += y_of_t_.dot(lbase);
   g.anchors = (y_of_anchors_.transpose() * lbase).reshaped(3, contacts);
   g.joints = y_of_joints_.transpose() * lbase;
-  fold_velocity(y_of_v_.transpose() * lbase);
+  fold_velocity(scene_->tree, s.h, s.v, y_of_v_.transpose() * lbase, lq0_, lq1_, lh_);
   // The smooth step.
   g.q.resize(n);
   g.p.resize(n);

@@ -39,7 +39,6 @@ class ContactStepAdjoint {
   void set_matrices();
   void end_gradient(const Problem& problem, const VecX& v, VecX llambda, const VecX& lw, StepParameters& sums);
   void law_gradient(const Problem& problem, const VecX& lc, VecX& lbase, VecX& ldy);
-  void fold_velocity(const VecX& lv);
 
   const Scene* scene_;
   ContactStepTangent tangent_;

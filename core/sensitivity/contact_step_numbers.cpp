@@ -189,6 +189,63 @@ void block_fields(Archive& a, Block& b) {
   }
 }
 
+template <class Archive, class Kept>
+void dense_contact_fields(Archive& a, Kept& c) {
+  point_fields(a, c.point);
+  point_fields(a, c.law);
+  for (auto* x : {&c.mu, &c.restitution, &c.allowed}) a.number(*x);
+  contact_fields(a, c.start);
+  contact_fields(a, c.end);
+  for (auto* x : {&c.t1_start, &c.t1_end}) a.fixed(*x);
+  for (auto* x : {&c.closed, &c.expands}) a.whole(*x);
+  for (auto* x : {&c.row, &c.found}) a.whole(*x);
+}
+
+template <class Archive, class Place>
+void place_fields(Archive& a, Place& p) {
+  for (auto* x : {&p.q, &p.v, &p.lambda}) a.sized(*x);
+  a.list_size(p.end);
+  for (auto& contact : p.end) contact_fields(a, contact);
+  a.list_size(p.t1);
+  for (auto& t1 : p.t1) a.fixed(t1);
+  a.sized(p.W);
+}
+
+template <class Archive, class Round>
+void round_fields(Archive& a, Round& r) {
+  a.whole(r.about);
+  a.whole(r.anew);
+  a.whole(r.slips);
+  for (auto* flags : {&r.present, &r.lasting}) {
+    a.list_size(*flags);
+    for (auto& flag : *flags) a.whole(flag);
+  }
+  for (auto* x : {&r.lambda, &r.v}) a.sized(*x);
+}
+
+template <class Archive, class Step>
+void dense_fields(Archive& a, Step& s) {
+  for (auto* x : {&s.t, &s.h, &s.share, &s.allowed_rate}) a.number(*x);
+  for (auto* x : {&s.q0, &s.p0}) a.sized(*x);
+  a.list_size(s.joints);
+  for (auto& joint : s.joints) {
+    a.whole(joint.dof);
+    a.number(joint.limit);
+  }
+  a.list_size(s.contacts);
+  for (auto& contact : s.contacts) dense_contact_fields(a, contact);
+  for (auto* x : {&s.W0, &s.W1, &s.D}) a.sized(*x);
+  a.list_size(s.places);
+  for (auto& place : s.places) place_fields(a, place);
+  a.list_size(s.rounds);
+  for (auto& round : s.rounds) round_fields(a, round);
+  for (auto* x : {&s.lambda, &s.p_minus, &s.p1, &s.plastic, &s.v_plastic, &s.expansion, &s.v_expansion, &s.v1})
+    a.sized(*x);
+  for (auto* x : {&s.expanded, &s.gap_solved, &s.residual}) a.number(*x);
+  a.whole(s.repaired);
+  a.whole(s.keeps_energy);
+}
+
 bool within(int k, std::size_t count) { return k >= 0 && static_cast<std::size_t>(k) < count; }
 bool is_body(const Scene& scene, int k) { return k == -1 || within(k, scene.tree.joints.size()); }
 
@@ -261,6 +318,68 @@ class Check {
   const Scene& scene_;
   const ContactStepRecord& s_;
 };
+// Whether all numbers of places are those of places in the scene and in the dense step.
+class DenseCheck {
+ public:
+  DenseCheck(const Scene& scene, const DenseStepRecord& step) : scene_(scene), s_(step) {}
+
+  bool fits() const {
+    const int nq = scene_.tree.nq, nv = scene_.tree.nv;
+    const Eigen::Index rows = s_.lambda.size();
+    bool good = s_.h > 0.0 && s_.q0.size() == nq && s_.D.rows() == nv && s_.D.cols() == nv && s_.plastic.size() == rows;
+    for (const VecX* x : {&s_.p0, &s_.p_minus, &s_.p1, &s_.v_plastic, &s_.v_expansion, &s_.v1}) good &= x->size() == nv;
+    for (const MatX* W : {&s_.W0, &s_.W1}) good &= is_rows(*W, rows);
+    good = good && (s_.expansion.size() == 0 || s_.expansion.size() == rows);
+    return good && joints_fit(rows) && contacts_fit(rows) && places_fit(rows) && rounds_fit(rows);
+  }
+
+ private:
+  bool is_rows(const MatX& W, Eigen::Index rows) const { return W.rows() == scene_.tree.nv && W.cols() == rows; }
+  bool is_place(int k) const { return within(k, s_.places.size()); }
+  bool is_contact(const Contact& c) const { return is_body(scene_, c.body_a) && is_body(scene_, c.body_b); }
+
+  bool joints_fit(Eigen::Index rows) const {
+    if (static_cast<Eigen::Index>(s_.joints.size()) > rows) return false;
+    for (const DenseStepRecord::Joint& joint : s_.joints)
+      if (!within(joint.dof, scene_.tree.nv)) return false;
+    return true;
+  }
+  bool contacts_fit(Eigen::Index rows) const {
+    for (const DenseStepRecord::Contact& c : s_.contacts) {
+      if (!belongs(scene_, c.point) || !belongs(scene_, c.law) || c.point.guard != c.law.guard) return false;
+      const bool limit = c.point.kind == PointKind::kLimit;
+      if ((limit && c.mu > 0.0) || !(c.mu >= 0.0) || !(c.found == -1 || is_place(c.found))) return false;
+      if (!limit && !(is_contact(c.start) && is_contact(c.end))) return false;
+      if (c.row < static_cast<int>(s_.joints.size()) || c.row + (c.mu > 0.0 ? 3 : 1) > rows) return false;
+    }
+    return true;
+  }
+  bool places_fit(Eigen::Index rows) const {
+    for (const DenseStepRecord::Place& p : s_.places) {
+      if (p.q.size() != scene_.tree.nq || p.v.size() != scene_.tree.nv || p.lambda.size() != rows) return false;
+      if (p.end.size() != s_.contacts.size() || p.t1.size() != s_.contacts.size() || !is_rows(p.W, rows)) return false;
+      for (std::size_t i = 0; i < p.end.size(); ++i)
+        if (s_.contacts[i].point.kind != PointKind::kLimit && !is_contact(p.end[i])) return false;
+    }
+    return true;
+  }
+  // Every round starts from an earlier place and leads to the next one.
+  bool rounds_fit(Eigen::Index rows) const {
+    if (s_.places.size() != s_.rounds.size() + 1 || s_.rounds.empty()) return false;
+    for (std::size_t k = 0; k < s_.rounds.size(); ++k) {
+      const DenseStepRecord::Round& r = s_.rounds[k];
+      if (r.about != static_cast<int>(k) || r.slips < 0 || r.slips > r.about) return false;
+      if (r.present.size() != s_.contacts.size() || r.lasting.size() != s_.contacts.size()) return false;
+      if (r.lambda.size() != rows || r.v.size() != scene_.tree.nv) return false;
+      for (std::size_t i = 0; i < r.lasting.size(); ++i)
+        if (r.lasting[i] != 0 && !(s_.contacts[i].mu > 0.0)) return false;
+    }
+    return true;
+  }
+
+  const Scene& scene_;
+  const DenseStepRecord& s_;
+};
 }  // namespace
 
 std::vector<double> numbers_of(const std::vector<ContactStepRecord>& steps) {
@@ -293,6 +412,22 @@ std::vector<ImpactBlockRecord> impact_blocks_of(const Scene& scene, const double
     if (!belongs(scene, blocks.back())) refuse("numbers of another scene");
   }
   return blocks;
+}
+
+std::vector<double> numbers_of(const std::vector<DenseStepRecord>& steps) {
+  Writer writer;
+  for (const DenseStepRecord& step : steps) dense_fields(writer, step);
+  return std::move(writer.numbers);
+}
+
+std::vector<DenseStepRecord> dense_steps_of(const Scene& scene, const double* numbers, std::size_t count) {
+  Reader reader(numbers, count);
+  std::vector<DenseStepRecord> steps;
+  while (!reader.done()) {
+    dense_fields(reader, steps.emplace_back());
+    if (!DenseCheck(scene, steps.back()).fits()) refuse("numbers of another scene");
+  }
+  return steps;
 }
 
 }  // namespace contactvi

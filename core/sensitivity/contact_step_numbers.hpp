@@ -1,4 +1,4 @@
-// Contact steps and impacts of several points as numbers, in which files keep them.
+// Contact steps, dense steps and impacts of several points as numbers, in which files keep them.
 //
 // Whole numbers and truth values are numbers too; a 64-bit one is two. Matrices have their sizes in front. What a step
 // leaves unset, such as the anchor of a contact without one, is zero.
@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "contact/contact_step_record.hpp"
+#include "contact/dense_step_record.hpp"
 #include "impact/impact_block_record.hpp"
 #include "model/scene.hpp"
 
@@ -15,9 +16,11 @@ namespace contactvi {
 
 std::vector<double> numbers_of(const std::vector<ContactStepRecord>& steps);
 std::vector<double> numbers_of(const std::vector<ImpactBlockRecord>& blocks);
+std::vector<double> numbers_of(const std::vector<DenseStepRecord>& steps);
 
-// Both raise a Refusal for numbers that are not those of such records of this scene.
+// All raise a Refusal for numbers that are not those of such records of this scene.
 std::vector<ContactStepRecord> contact_steps_of(const Scene& scene, const double* numbers, std::size_t count);
 std::vector<ImpactBlockRecord> impact_blocks_of(const Scene& scene, const double* numbers, std::size_t count);
+std::vector<DenseStepRecord> dense_steps_of(const Scene& scene, const double* numbers, std::size_t count);
 
 }  // namespace contactvi

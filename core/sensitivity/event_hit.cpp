@@ -35,6 +35,11 @@ bool is_known(const RecordedRun& run, const EventHit& hit, int guard, const Cont
 }  // namespace
 
 bool persists(const Piece& piece, int guard) {
+  if (piece.dense != nullptr) {
+    const auto& contacts = piece.dense->contacts;
+    return std::any_of(contacts.begin(), contacts.end(),
+                       [&](const DenseStepRecord::Contact& c) { return c.closed && c.point.guard == guard; });
+  }
   if (piece.contact == nullptr) return false;
   const auto& contacts = piece.contact->contacts;
   return std::any_of(contacts.begin(), contacts.end(),

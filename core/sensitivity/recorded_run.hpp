@@ -7,6 +7,7 @@
 
 #include "base/refusal.hpp"
 #include "contact/contact_step_record.hpp"
+#include "contact/dense_step_record.hpp"
 #include "impact/impact_block_record.hpp"
 #include "impact/impact_law.hpp"
 #include "model/scene.hpp"
@@ -25,7 +26,10 @@ struct Piece {
   PieceEnd end;
   int first_impact, impacts;                   // those at its end
   bool persistent;                             // a step with persistent contacts
-  const ContactStepRecord* contact = nullptr;  // of such a step; null for dense steps
+  const ContactStepRecord* contact = nullptr;  // of such a step,
+  const DenseStepRecord* dense = nullptr;      // or of a dense one
+
+  bool ends_itself() const { return contact != nullptr && contact->ending != ContactStepEnd::kLength; }
 };
 
 struct RecordedImpact {

@@ -16,7 +16,7 @@ RunAdjoint::RunAdjoint(const Scene& scene, const RecordedRun& run, bool take_bra
       adjoint_(scene.tree, run.stages),
       inputs_(scene.tree, run),
       impact_(scene, run),
-      contact_(scene, run),
+      contact_(scene, run, take_branch),
       lq0_(scene.tree.nv),
       lp0_(scene.tree.nv),
       ltau_(scene.tree.nv) {
@@ -237,8 +237,7 @@ RunGradient RunAdjoint::solve(const RunCost& cost, long steps) {
       check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     }
     if (piece.persistent) {
-      if (piece.contact->ending != ContactStepEnd::kLength)
-        check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+      if (piece.ends_itself()) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
       contact_.pass(lq_, lp_, ltime_, result);
     } else {
       pass_piece(piece, result);

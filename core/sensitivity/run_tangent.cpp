@@ -22,7 +22,7 @@ RunTangent::RunTangent(const Scene& scene, const RecordedRun& run, bool take_bra
       dp_(scene.tree.nv),
       fq_(scene.tree.nv),
       fp_(scene.tree.nv),
-      contact_(scene, run) {
+      contact_(scene, run, take_branch) {
   if (run.pieces.empty()) throw Error("a run without steps has no derivative");
 }
 
@@ -113,7 +113,7 @@ void RunTangent::take_part(const Piece& piece, double length) {
 // length, so long after its start. Fills the derivative by its length.
 void RunTangent::move(const Piece& piece, const RunDirections& d) {
   if (piece.persistent) {
-    if (piece.contact->ending != ContactStepEnd::kLength) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
+    if (piece.ends_itself()) check_forces_in_time(scene_->tree, *run_, integrator_, piece);
     contact_.move(d, columns_);
     return;
   }
@@ -337,6 +337,7 @@ RunDerivative RunTangent::solve(const RunDirections& given, const std::vector<do
     if (wanted == times.end()) break;
     move(piece, directions);
     if (piece.impacts > 0) take_event(piece, directions, result);
+    if (piece.dense != nullptr) result.dense.push_back(contact_.dense_report());
     if (piece.persistent) contact_.keep_anchors(columns_);
     const bool last = i + 1 == pieces.size();
     if (piece.end == PieceEnd::kEvent && (last ? is_node(*run_, end) : pieces[i + 1].step > piece.step)) {

@@ -33,8 +33,9 @@ struct RunDerivative {
   std::vector<double> times;  // of the nodes that were asked for [s]
   std::vector<MatX> nodes;    // d(q, v) there in public coordinates, (2 nv, count)
   std::vector<EventReport> events;
-  MatX event_times;   // dT of the events, (events, count) [s]
-  double growth = 0;  // largest size of the derivative of a state on the way, of its size at the start
+  MatX event_times;                    // dT of the events, (events, count) [s]
+  std::vector<DenseStepReport> dense;  // of all dense steps
+  double growth = 0;                   // largest size of the derivative of a state on the way, of its size at the start
 };
 
 class RunTangent {

@@ -17,6 +17,12 @@ constexpr double kRedundant = 1e-9, kZeroRow = 1e-20;
 
 void SharedLoad::compute(const MatX& A, int constraints) {
   constraints_ = constraints;
+  if (A.size() == 0) {
+    A_ = free_ = A;
+    scale_.resize(0);
+    rank_ = 0;
+    return;
+  }
   if (constraints == 0) {
     scale_ = A.rowwise().lpNorm<Eigen::Infinity>();
     for (double& s : scale_) s = s > 0.0 ? 1.0 / s : 1.0;

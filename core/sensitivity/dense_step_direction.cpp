@@ -1,0 +1,365 @@
+// DenseStepTangent: the changes along a direction.
+#include <algorithm>
+#include <cmath>
+
+#include "sensitivity/dense_step_tangent.hpp"
+
+namespace contactvi {
+
+void DenseStepTangent::set_start_rows(const VecX& dq0) {
+  const DenseStepRecord& s = *record_;
+  dW0_.setZero();
+  twists_.place(s.q0);
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    auto dW = dW0_.middleCols(c.row, c.mu > 0.0 ? 3 : 1);
+    start_[i].change(dq0, c.t1_start, dW);
+    dn0_[i] = start_[i].normal_change();
+    if (is_found_[i] != 0 && c.found < 0) {
+      twists_.move(dq0);
+      set_law_change(i, c.start, dq0);
+      twists_.move(none_);
+      dn0_[i] += extra(i, c.start, c.t1_start, dW).normal;
+    }
+    dt1_[i] = -dn0_[i].dot(c.t1_start) * c.start.normal;
+  }
+}
+
+// The rows at the start of the points that were found at a place, whose end moves by dq; after set_start_rows.
+void DenseStepTangent::add_found_rows(int place, const VecX& dq) {
+  const DenseStepRecord& s = *record_;
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    if (is_found_[i] == 0 || c.found != place) continue;
+    twists_.place(s.places[place].q);
+    twists_.move(dq);
+    set_law_change(i, s.places[place].end[i], dq);
+    twists_.place(s.q0);
+    twists_.move(none_);
+    auto dW = dW0_.middleCols(c.row, c.mu > 0.0 ? 3 : 1);
+    dn0_[i] += extra(i, c.start, c.t1_start, dW).normal;
+    dt1_[i] = -dn0_[i].dot(c.t1_start) * c.start.normal;
+  }
+}
+
+// The bodies are placed where the point was found, with this contact, and moved along dq.
+void DenseStepTangent::set_law_change(std::size_t i, const Contact& at, const VecX& dq) {
+  const DenseStepRecord::Contact& c = record_->contacts[i];
+  const ContactPoint &law = c.law, &point = c.point;
+  const Pose own = pose_of(law.point_body, twists_.placements()), plane = pose_of(law.plane_body, twists_.placements());
+  LawChange& change = law_change_[i];
+  change = {Vec3::Zero(), Vec3::Zero(), 0.0};
+  if (point.kind == PointKind::kRim) {
+    // The lowest point of the circle.
+    const Vec3 n = plane.R * point.normal_B, a = own.R * point.axis_B;
+    const Vec3 dn = (twists_.turn(law.plane_body) - twists_.turn(law.point_body)).cross(n);
+    const Vec3 down = n.dot(a) * a - n, ddown = dn.dot(a) * a - dn;
+    const double length = down.norm();
+    const Vec3 along = down / length;
+    change.center = own.R.transpose() * (point.rim_radius / length * (ddown - along.dot(ddown) * along));
+    return;
+  }
+  MatX dW(scene_->tree.nv, 3);
+  found_[i].change(dq, any_tangent(at.normal), dW);
+  const Vec3 slide_a = found_[i].point_a_change() - twists_.velocity(law.plane_body, at.point_a);
+  const Vec3 slide_b = found_[i].point_b_change() - twists_.velocity(law.point_body, at.point_b);
+  change.center = own.R.transpose() * slide_b;
+  change.normal = plane.R.transpose() * (found_[i].normal_change() - twists_.turn(law.plane_body).cross(at.normal));
+  change.offset = change.normal.dot(plane.into(at.point_a)) + at.normal.dot(slide_a);
+}
+
+// Where the bodies are placed.
+DenseStepTangent::Extra DenseStepTangent::extra_gap(std::size_t i, const Contact& at) const {
+  const ContactPoint& law = record_->contacts[i].law;
+  const LawChange& change = law_change_[i];
+  const Pose own = pose_of(law.point_body, twists_.placements()), plane = pose_of(law.plane_body, twists_.placements());
+  const Vec3 outward = law.on_b ? at.normal : Vec3(-at.normal);
+  Extra found;
+  found.normal = plane.R * change.normal;
+  found.gap =
+      change.normal.dot(plane.into(own.point(law.center_B))) + outward.dot(own.R * change.center) - change.offset;
+  if (!law.on_b) found.normal = -found.normal;
+  return found;
+}
+
+VecX DenseStepTangent::extra_gaps(const DenseStepRecord::Place& place) {
+  VecX gaps = VecX::Zero(rows_);
+  twists_.place(place.q);
+  for (std::size_t i = 0; i < is_found_.size(); ++i)
+    if (is_found_[i] != 0) gaps[record_->contacts[i].row] = extra_gap(i, place.end[i]).gap;
+  return gaps;
+}
+
+DenseStepTangent::Extra DenseStepTangent::extra(std::size_t i, const Contact& at, const Vec3& t1, Eigen::Ref<MatX> dW) {
+  const ContactPoint& law = record_->contacts[i].law;
+  const Extra found = extra_gap(i, at);
+  const Vec3 &n = at.normal, &dn = found.normal;
+  const Vec3 outward = law.on_b ? n : Vec3(-n), turned = law.on_b ? dn : Vec3(-dn);
+  const Vec3 moved = pose_of(law.point_body, twists_.placements()).R * law_change_[i].center - law.radius * turned;
+  const Vec3 across = moved - found.gap * outward - at.gap * turned;
+  const Vec3 &dx_a = law.on_b ? across : moved, &dx_b = law.on_b ? moved : across;
+  const Vec3 none = Vec3::Zero(), dt1 = -dn.dot(t1) * n;
+  const Vec3 rows[3] = {n, t1, n.cross(t1)}, changes[3] = {dn, dt1, dn.cross(t1)};
+  for (int k = 0; k < static_cast<int>(dW.cols()); ++k) {
+    twists_.add_wrench(at.body_b, at.point_b, dx_b, rows[k], changes[k], none, none, dW.col(k));
+    twists_.add_wrench(at.body_a, at.point_a, dx_a, -rows[k], -changes[k], none, none, dW.col(k));
+  }
+  return found;
+}
+
+void DenseStepTangent::set_end_rows(const VecX& dq1) {
+  const DenseStepRecord& s = *record_;
+  dW1_.setZero();
+  twists_.place(s.places.back().q);
+  twists_.move(none_);
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    if (!c.closed) continue;
+    auto dW = dW1_.middleCols(c.row, c.mu > 0.0 ? 3 : 1);
+    end_[i].change(dq1, c.t1_end, dW);
+    if (is_found_[i] != 0) extra(i, c.end, c.t1_end, dW);
+  }
+}
+
+// Of the slips of lasting contacts, half the difference between both ends, at a place that changes so; after
+// set_start_rows.
+void DenseStepTangent::slip_change(int k, const VecX& dq, const VecX& dv, VecX& dslip) {
+  const DenseStepRecord& s = *record_;
+  const DenseStepRecord::Place& place = s.places[k];
+  MatX dW(scene_->tree.nv, 3);
+  dslip.setZero(rows_);
+  twists_.place(place.q);
+  twists_.move(none_);
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    if (c.mu == 0.0) continue;
+    slip_[k][i].change(dq, place.t1[i], dW);
+    const Vec3 &n0 = c.start.normal, &n1 = place.end[i].normal, &t = c.t1_start, &dn0 = dn0_[i];
+    Vec3 dn1 = slip_[k][i].normal_change();
+    if (is_found_[i] != 0) dn1 += extra(i, place.end[i], place.t1[i], dW).normal;
+    // t1 = t - (t.n1) / (1 + n0.n1) (n0 + n1), the shortest turn.
+    const double length = 1.0 + n0.dot(n1), share = t.dot(n1) / length;
+    const double dshare = (dt1_[i].dot(n1) + t.dot(dn1) - share * (dn0.dot(n1) + n0.dot(dn1))) / length;
+    const Vec3 dt1 = dt1_[i] - dshare * (n0 + n1) - share * (dn0 + dn1);
+    const double about = n1.cross(place.t1[i]).dot(dt1);
+    const int r = c.row;
+    dW.col(1) += about * place.W.col(r + 2);
+    dW.col(2) -= about * place.W.col(r + 1);
+    for (int j = 1; j < 3; ++j)
+      dslip[r + j] =
+          0.5 * ((dW.col(j) - dW0_.col(r + j)).dot(place.v) + (place.W.col(r + j) - s.W0.col(r + j)).dot(dv));
+  }
+}
+
+// dD u of a round.
+void DenseStepTangent::matrix_change(const Round& round, const DenseStepDirection& d, const VecX& dq0, const VecX& u,
+                                     VecX& change) {
+  const double h = record_->h;
+  const int n = scene_->tree.nv;
+  change = round.mass_effect.leftCols(n) * dq0 + round.mass_effect.middleCols(n, n) * dv0_ +
+           round.mass_effect.middleCols(2 * n, n) * places_[0].v + round.mass_effect.col(3 * n) * d.h;
+  if (d.parameters == nullptr) return;
+  const StepParameters& p = *d.parameters;
+  free_.add_momentum(q_stage_, u, p, change);
+  change += 0.5 * h * (p.damping + p.kd).cwiseProduct(u) + 0.25 * h * h * p.kp.cwiseProduct(u);
+  for (std::size_t k = 0; k < scene_->tree.joints.size(); ++k) {
+    const Joint& joint = scene_->tree.joints[k];
+    change.segment(joint.iv, joint.nv) +=
+        0.25 * h * h * p.stiffness[static_cast<Eigen::Index>(k)] * u.segment(joint.iv, joint.nv);
+  }
+}
+
+double DenseStepTangent::allowed_change(const DenseStepRecord::Contact& c, const VecX& dq0, double dh) const {
+  if (!(c.allowed < 0.0)) return 0.0;
+  return record_->W0.col(c.row).dot(dq0) + record_->allowed_rate * dh;
+}
+
+void DenseStepTangent::solve_laws(const DenseLaws& laws, const VecX& base, const VecX& known, const VecX& mu,
+                                  const VecX& size, VecX& dlambda) const {
+  if (laws.solve(base, known, mu, size, dlambda) || take_branch_) return;
+  refuse("redundant", -1, "Contact points that share their load contradict each other along a direction",
+         "a direction that keeps the points of a face closed together", "one that opens some of them",
+         "Start with the bodies apart, or use on_kink='taken' for the derivative with impulses of least norm");
+}
+
+// The sizes of the terms of the rows' changes.
+VecX DenseStepTangent::sizes(const DenseStepDirection& d) const {
+  double size_q = std::max(d.size_q, 0.0), size_p = std::max({d.size_p, dp_.cwiseAbs().maxCoeff()});
+  for (const Change& change : places_)
+    if (change.q.size() > 0) size_q = std::max(size_q, change.q.cwiseAbs().maxCoeff());
+  if (d.q.size() > 0) size_q = std::max(size_q, d.q.cwiseAbs().maxCoeff());
+  return (size_q / record_->h * record_->W1.cwiseAbs() + size_p * MinvW_.cwiseAbs() + size_p * DinvW_.cwiseAbs())
+      .colwise()
+      .sum();
+}
+
+// known: with the changes of friction in its rows; fills the bounds of the normal impulses that it asks for.
+void DenseStepTangent::low_changes(const Round& round, const VecX& mu, VecX& known) const {
+  const std::vector<DenseLaws::Contact>& gaps = round.gaps.contacts();
+  for (std::size_t i = 0; i < gaps.size(); ++i) {
+    const DenseLaws::Contact& c = gaps[i];
+    const int r = c.row;
+    known[r] = 0.0;
+    if (c.normal != DenseLaws::Normal::kBound || c.mu == 0.0) continue;
+    const Eigen::Vector2d t = round.lambda.segment<2>(r + 1);
+    const double size = t.norm(), dmu = mu.size() > 0 ? mu[static_cast<Eigen::Index>(i)] : 0.0;
+    if (size > 0.0) known[r] = t.dot(known.segment<2>(r + 1)) / (size * c.mu) - size / (c.mu * c.mu) * dmu;
+  }
+}
+
+// A sliding contact whose gap is closed by just the normal impulse that its friction asks for: to one side the gap
+// iterations close it, to the other friction holds it open. That is a kink where both are not the same.
+void DenseStepTangent::check_held_gaps(const Round& round, const DenseStepDirection& d, const VecX& dlaw,
+                                       const VecX& dlambda) {
+  VecX apart = VecX::Zero(rows_);
+  const VecX speeds = sizes(d);
+  double size = std::max(d.size_p, dp_.cwiseAbs().maxCoeff());
+  for (std::size_t i = 0; i < round.gaps.contacts().size(); ++i) {
+    const DenseLaws::Contact& c = round.gaps.contacts()[i];
+    if (c.normal != DenseLaws::Normal::kClosed || round.law.contacts()[i].friction != DenseLaws::Friction::kSlip)
+      continue;
+    const Eigen::Vector2d t = round.lambda.segment<2>(c.row + 1);
+    const double friction = t.norm(), normal = round.lambda[c.row];
+    if (!(friction > 0.0) || normal - friction / c.mu > kOnCone * normal) continue;
+    const double dmu = d.mu.size() > 0 ? d.mu[static_cast<Eigen::Index>(i)] : 0.0;
+    const double low = t.dot(dlaw.segment<2>(c.row + 1)) / (friction * c.mu) - friction / (c.mu * c.mu) * dmu;
+    apart[c.row] = dlambda[c.row] - low;
+    // What rounding of the speeds of the gap moves.
+    const double mobility = record_->W0.col(c.row).dot(DinvW_.col(c.row));
+    size = std::max(size, speeds[c.row] / mobility * round.P.col(c.row).cwiseAbs().maxCoeff());
+  }
+  if ((round.P * apart).cwiseAbs().maxCoeff() > kShared * size)
+    approximate("a sliding contact whose gap stays closed to one side and is held open to the other");
+}
+
+void DenseStepTangent::solve_round(std::size_t k, const DenseStepDirection& d, const VecX& dq0) {
+  const DenseStepRecord& s = *record_;
+  const DenseStepRecord::Round& r = s.rounds[k];
+  Round& round = rounds_[k];
+  const DenseStepRecord::Place& about = s.places[r.about];
+  add_found_rows(r.about, places_[r.about].q);
+  const Change &about_change = places_[r.about], &from_change = places_[r.anew ? 0 : r.about];
+  const VecX none = VecX::Zero(rows_);
+  const VecX& from_lambda = r.anew ? none : about.lambda;
+  const VecX &from_v = s.places[r.anew ? 0 : r.about].v, &from_dlambda = r.anew ? none : from_change.lambda;
+  // The law.
+  VecX change;
+  matrix_change(round, d, dq0, r.v - from_v, change);
+  const VecX force = dW0_ * (r.lambda - from_lambda) - s.W0 * from_dlambda - change;
+  const VecX dv = from_change.v + D_.solve(force);
+  VecX base = dW0_.transpose() * r.v + s.W0.transpose() * dv, dslip;
+  base += extra_gaps(about) / s.h;
+  bool lasting = false;
+  for (char c : r.lasting) lasting |= c != 0;
+  if (lasting) slip_change(r.slips, places_[r.slips].q, places_[r.slips].v, dslip);
+  for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+    const DenseStepRecord::Contact& c = s.contacts[i];
+    const int n = c.row;
+    const double gap = about.end[i].gap - c.allowed;
+    base[n] += (about.W.col(n).dot(about_change.q) - allowed_change(c, dq0, d.h) - gap / s.h * d.h) / s.h -
+               dW0_.col(n).dot(about.v) - s.W0.col(n).dot(about_change.v);
+    if (r.lasting[i] != 0) base.segment<2>(n + 1) += dslip.segment<2>(n + 1);
+  }
+  VecX known = none, dlambda;
+  for (std::size_t j = 0; j < s.joints.size(); ++j) known[static_cast<Eigen::Index>(j)] = 0.5 * s.joints[j].limit * d.h;
+  // Without friction the gap iterations find all impulses anew.
+  dlambda = none;
+  if (has_friction_) solve_laws(round.law, base, known, d.mu, sizes(d), dlambda);
+  // The gap iterations.
+  Change& next = places_[k + 1];
+  known = dlambda;
+  low_changes(round, d.mu, known);
+  StepDirection direction;
+  direction.q = dq0;
+  direction.p = dW0_ * round.lambda;
+  if (d.p.size() > 0) direction.p += d.p;
+  direction.h = d.h;
+  direction.tau = d.tau;
+  direction.parameters = d.parameters;
+  next.q.resize(scene_->tree.nv);
+  next.v.resize(scene_->tree.nv);
+  if (!round.step.solve(direction, next.q, dp_))
+    refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+           "Use a smaller dt");
+  round.step.velocity_change(0, next.v);
+  base = (s.places[k + 1].W.transpose() * next.q + extra_gaps(s.places[k + 1])) / s.h;
+  for (const DenseStepRecord::Contact& c : s.contacts) base[c.row] -= allowed_change(c, dq0, d.h) / s.h;
+  solve_laws(round.gaps, base, known, VecX(), sizes(d), next.lambda);
+  if (has_friction_ && rows_ > 0) check_held_gaps(round, d, dlambda, next.lambda);
+  next.q += round.Q * next.lambda;
+  next.v += round.V * next.lambda;
+  dp_ += round.P * next.lambda;
+}
+
+// The change of the speeds of the rows at the end where the velocity impulse stays; force: of the momentum, without
+// that of the mass matrix.
+VecX DenseStepTangent::end_base(const End& end, const DenseStepDirection& d, const VecX& dq1, const VecX& dp,
+                                VecX& force) {
+  const VecX& q1 = record_->places.back().q;
+  force = dp + dW1_ * end.lambda;
+  free_.momentum(q1, end.v, dq1, none_, work_);
+  if (d.parameters != nullptr) free_.add_momentum(q1, end.v, *d.parameters, work_);
+  VecX dv = force - work_;
+  masses_.solve_mass(dv);
+  return dW1_.transpose() * end.v + record_->W1.transpose() * dv;
+}
+
+void DenseStepTangent::solve(const DenseStepDirection& d, VecRef dq1, VecRef dp1) {
+  const DenseStepRecord& s = *record_;
+  const VecX dq0 = d.q.size() > 0 ? d.q : none_, dp0 = d.p.size() > 0 ? d.p : none_;
+  clear_law_changes();
+  set_start_rows(dq0);
+  free_.momentum(s.q0, v0_, dq0, none_, work_);
+  if (d.parameters != nullptr) free_.add_momentum(s.q0, v0_, *d.parameters, work_);
+  dv0_ = dp0 - work_;
+  start_masses_.place_node(s.q0);
+  start_masses_.solve_mass(dv0_);
+  places_.assign(s.places.size(), Change());
+  StepDirection direction;
+  direction.q = dq0;
+  direction.p = dp0;
+  direction.h = d.h;
+  direction.tau = d.tau;
+  direction.parameters = d.parameters;
+  Change& free = places_[0];
+  free.q.resize(scene_->tree.nv);
+  free.v.resize(scene_->tree.nv);
+  free.lambda.setZero(rows_);
+  if (!free_.solve(direction, free.q, dp_))
+    refuse("step", -1, "The derivative of a step was not solved", "tangent equations with a solution", "none",
+           "Use a smaller dt");
+  free_.velocity_change(0, free.v);
+  for (std::size_t k = 0; k < s.rounds.size(); ++k) solve_round(k, d, dq0);
+  const Change& end = places_.back();
+  dq1 = end.q;
+  set_end_rows(end.q);
+  masses_.place_node(s.places.back().q);
+  VecX force, known = VecX::Zero(rows_), dplastic, dexpansion, total = s.plastic;
+  for (std::size_t j = 0; j < s.joints.size(); ++j) known[static_cast<Eigen::Index>(j)] = 0.5 * s.joints[j].limit * d.h;
+  solve_laws(plastic_.laws, end_base(plastic_, d, end.q, dp_, force), known, d.mu, sizes(d), dplastic);
+  VecX dtotal = dplastic;
+  double dshare = 0.0;
+  if (s.expansion.size() > 0) {
+    for (std::size_t j = 0; j < s.joints.size(); ++j) {
+      const auto r = static_cast<Eigen::Index>(j);
+      known[r] -= std::copysign(1.0, s.plastic[r]) * dplastic[r];
+    }
+    for (std::size_t i = 0; i < s.contacts.size(); ++i) {
+      const DenseStepRecord::Contact& c = s.contacts[i];
+      if (!c.expands) continue;
+      const double de = d.e.size() > 0 ? d.e[static_cast<Eigen::Index>(i)] : 0.0;
+      known[c.row] = c.restitution * (end.lambda[c.row] + dplastic[c.row]) + de * (s.lambda[c.row] + s.plastic[c.row]);
+    }
+    VecX base = end_base(expansion_, d, end.q, dp_, force) + G_ * dplastic;
+    solve_laws(expansion_.laws, base, known, d.mu, sizes(d), dexpansion);
+    dtotal += s.expanded * dexpansion;
+    total += s.expanded * s.expansion;
+  }
+  dp1 = dp_ + dW1_ * total + s.W1 * dtotal;
+  if (s.expansion.size() > 0 && s.expanded < 1.0) {
+    dshare = (energy_q0_.dot(dq0) + v0_.dot(dp0) - energy_q1_.dot(end.q) - s.v1.dot(dp1)) / expansion_rate_;
+    dp1 += dshare * (s.W1 * s.expansion);
+  }
+}
+
+}  // namespace contactvi
