@@ -42,8 +42,8 @@ struct DenseStepRecord {
     double limit;  // of its friction [N; N m]
   };
 
-  double t, h;   // start and length [s]
-  double share;  // h of what was left of the control step; 0: the length does not depend on it
+  double t, h;          // start and length [s]
+  double share;         // h of what was left of the control step; 0: the length does not depend on it
   double allowed_rate;  // of what overlaps may be left, in the length [m/s]
   VecX q0, p0;
   std::vector<Joint> joints;

@@ -15,8 +15,8 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 constexpr double kOnFace = 1e-6;
 // Of the noise of coal's distance: a distance that is deeper than the persistent points by more is another feature.
 constexpr double kBelow = 1.1;
-// [m] By which the distance of a pair may be less than that of its features although no other feature is nearer. Held by
-// the gaps of tests/batteries/test_contact_battery.py.
+// [m] By which the distance of a pair may be less than that of its features although no other feature is nearer. Held
+// by the gaps of tests/batteries/test_contact_battery.py.
 constexpr double kWitnessNoise = 6e-11;
 // Of the noise: such a distance counts from here on.
 constexpr double kDeeper = 0.5;
