@@ -5,7 +5,7 @@
 namespace contactvi {
 
 ContactPieceAdjoint::ContactPieceAdjoint(const Scene& scene, const RecordedRun& run, bool take_branch)
-    : scene_(&scene), run_(&run), adjoint_(scene), dense_(scene, take_branch), release_(scene, run) {}
+    : scene_(&scene), run_(&run), adjoint_(scene), take_branch_(take_branch), release_(scene, run) {}
 
 void ContactPieceAdjoint::start() {
   anchors_.clear();
@@ -19,7 +19,8 @@ void ContactPieceAdjoint::take(const Piece& piece, const PieceInputs& inputs) {
   inputs_ = &inputs;
   number_ = piece.step;
   if (dense_step_ != nullptr) {
-    dense_.take(*dense_step_, inputs.tau(), inputs.servo());
+    if (!dense_) dense_ = std::make_unique<DenseStepAdjoint>(*scene_, take_branch_);
+    dense_->take(*dense_step_, inputs.tau(), inputs.servo());
     return;
   }
   adjoint_.take(*step_, inputs.tau(), inputs.servo());
@@ -105,7 +106,7 @@ void ContactPieceAdjoint::pass(VecX& lq, VecX& lp, double& ltime, RunGradient& r
 void ContactPieceAdjoint::pass_dense(VecX& lq, VecX& lp, double& ltime, RunGradient& result) {
   const DenseStepRecord& s = *dense_step_;
   result.begin_step();
-  if (!dense_.solve(lq, lp, dense_gradient_, result.parameters))
+  if (!dense_->solve(lq, lp, dense_gradient_, result.parameters))
     throw NoDerivative({"step", -1, s.t}, "The derivative of a step was not solved",
                        "adjoint equations with a solution", "none", "Use a smaller dt");
   lq = dense_gradient_.q;

@@ -2,6 +2,8 @@
 // contacts stick. The transpose of ContactPieces.
 #pragma once
 
+#include <memory>
+
 #include "sensitivity/contact_step_adjoint.hpp"
 #include "sensitivity/dense_step_adjoint.hpp"
 #include "sensitivity/piece_inputs.hpp"
@@ -44,7 +46,8 @@ class ContactPieceAdjoint {
   const Scene* scene_;
   const RecordedRun* run_;
   ContactStepAdjoint adjoint_;
-  DenseStepAdjoint dense_;
+  std::unique_ptr<DenseStepAdjoint> dense_;  // made for the first dense step
+  bool take_branch_;
   ReleaseForce release_;
   const ContactStepRecord* step_ = nullptr;
   const DenseStepRecord* dense_step_ = nullptr;  // one of both

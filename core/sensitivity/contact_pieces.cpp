@@ -5,9 +5,10 @@
 namespace contactvi {
 
 ContactPieces::ContactPieces(const Scene& scene, const RecordedRun& run, bool take_branch)
-    : run_(&run),
+    : scene_(&scene),
+      run_(&run),
       tangent_(scene),
-      dense_(scene, take_branch),
+      take_branch_(take_branch),
       release_(scene, run),
       joint_anchors_(static_cast<Eigen::Index>(scene.tree.elements.friction_dofs.size()), 0) {}
 
@@ -41,7 +42,8 @@ void ContactPieces::take(const Piece& piece, const PieceInputs& inputs) {
   dense_step_ = piece.dense;
   inputs_ = &inputs;
   if (dense_step_ != nullptr) {
-    dense_.take(*dense_step_, inputs.tau(), inputs.servo());
+    if (!dense_) dense_ = std::make_unique<DenseStepTangent>(*scene_, take_branch_);
+    dense_->take(*dense_step_, inputs.tau(), inputs.servo());
     return;
   }
   for (const ContactStepRecord::Contact& c : step_->contacts)
@@ -114,7 +116,7 @@ void ContactPieces::move_dense(const RunDirections& d, RunColumns& columns) {
       if (d.e.size() > 0) direction.e[i] = d.e(c.point.guard, k);
     }
     direction.parameters = d.parameter(k);
-    dense_.solve(direction, columns.q.col(k), columns.p.col(k));
+    dense_->solve(direction, columns.q.col(k), columns.p.col(k));
     columns.time[k] += direction.h;
   }
 }

@@ -2,6 +2,8 @@
 // which are part of the state there.
 #pragma once
 
+#include <memory>
+
 #include "sensitivity/contact_step_tangent.hpp"
 #include "sensitivity/dense_step_tangent.hpp"
 #include "sensitivity/piece_inputs.hpp"
@@ -41,7 +43,7 @@ class ContactPieces {
   void move(const RunDirections& directions, RunColumns& columns);
   // Of the piece that was taken, a dense step.
   DenseStepReport dense_report() const {
-    return {dense_step_->t, dense_.error(), dense_.margin(), dense_.approximate()};
+    return {dense_step_->t, dense_->error(), dense_->margin(), dense_->approximate()};
   }
   // After all that happens at its end: what sticks from there on, as ContactStep::commit() has it.
   void keep_anchors(const RunColumns& columns);
@@ -57,9 +59,11 @@ class ContactPieces {
   void move_dense(const RunDirections& directions, RunColumns& columns);
   VecX friction_change(const RunDirections& directions, Eigen::Index column) const;
 
+  const Scene* scene_;
   const RecordedRun* run_;
   ContactStepTangent tangent_;
-  DenseStepTangent dense_;
+  std::unique_ptr<DenseStepTangent> dense_;  // made for the first dense step
+  bool take_branch_;
   ReleaseForce release_;
   const ContactStepRecord* step_ = nullptr;
   const DenseStepRecord* dense_step_ = nullptr;  // one of both
