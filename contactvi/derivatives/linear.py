@@ -17,6 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi import inputs
+from contactvi.derivatives.constrained_dynamics import constrained_accelerations
 from contactvi.errors import NotDifferentiable, SimulationError
 from contactvi.options import Options
 from contactvi.scene.scene import Scene
@@ -252,12 +253,15 @@ def forward_dynamics_derivatives(
     Springs, dampers, servos, wrenches and functions of the user act as in a run. Arguments as those of
     `step_derivatives`; no actuator has a limit here.
 
+    Under constraints the acceleration is that which keeps their second derivatives in time at zero, also where the
+    state does not satisfy them. Columns along changes that satisfy them to first order are those of the motion.
+
     Raises:
         InputError: for a bad state. DerivativeError: a function of the user has no derivatives.
-        NotDifferentiable: a contact or limit touches, or there are constraints or joint friction.
+        NotDifferentiable: a contact or limit touches, or there are screws or joint friction.
     """
     compiled, time = compile_scene(scene), inputs.real("t", t)
-    _check_unconstrained(compiled)
+    _check_frictionless(compiled)
     states, core = compiled.states, compiled.core
     at = states.configuration(q, "q")
     w = states.velocity(v, "v")
@@ -269,6 +273,11 @@ def forward_dynamics_derivatives(
     own, f_q, f_v = _core.linear_forces(core, at, w, None if rows is None else rows[0], time)
     model = compiled.built.model
     data = model.createData()
+    rows_of_constraints = compiled.built.elements.constraints
+    if rows_of_constraints:
+        return ForwardDynamics(
+            *constrained_accelerations(model, rows_of_constraints, at, w, time, force + own, f_q, f_v)
+        )
     pin.computeABADerivatives(model, data, at, w, force + own)
     inverse = np.triu(data.Minv) + np.triu(data.Minv, 1).T
     a_q = np.array(data.ddq_dq) + inverse @ f_q
@@ -276,14 +285,13 @@ def forward_dynamics_derivatives(
     return ForwardDynamics(np.array(data.ddq), a_q, a_v, inverse)
 
 
-def _check_unconstrained(compiled: CompiledScene) -> None:
+def _check_frictionless(compiled: CompiledScene) -> None:
     """Raise for scenes of whose accelerations no derivative is known."""
     compiled.check_differentiable()
-    if compiled.built.constrained:
-        names = [row.name for row in compiled.constraint_rows]
+    if np.any(compiled.built.arrays.joint_friction > 0.0):
         raise NotDifferentiable(
-            "Accelerations under constraints or joint friction have no derivatives that are known", reason="constraint",
-            expected="forces that are smooth in the state", got=", ".join(names) or "joint friction",
+            "Accelerations under joint friction have no derivatives that are known", reason="constraint",
+            expected="forces that are smooth in the state", got="joint friction",
             remedy="Linearise a step: contactvi.linearize(...)",
         )  # fmt: skip
 
