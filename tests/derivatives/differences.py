@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import pinocchio as pin
 
@@ -78,3 +80,22 @@ def transpose_error(traj: cvi.Trajectory, wrt: list[str], seed: int = 0) -> floa
         size = float(np.abs(expected).max())  # zero where a friction that sticks does not depend on its coefficient
         worst = max(worst, float(np.abs(got - expected).max()) / (size if size > 0.0 else 1.0))
     return worst
+
+
+def compare_parameters(
+    traj: cvi.Trajectory, run_of: Callable[[np.ndarray], cvi.Trajectory], x: np.ndarray, names: Sequence[str],
+    columns: Sequence[int],
+) -> None:  # fmt: skip
+    """Compare a run's derivatives by parameters of its scene, a column of each, with those of runs with other ones."""
+    S = traj.sensitivity(names)
+    exact = np.column_stack([S.of(name)[-1][:, k] for name, k in zip(names, columns, strict=True)])
+
+    def end(x: np.ndarray) -> np.ndarray:
+        run = run_of(x)
+        return np.concatenate([run.q[-1], run.v[-1]])
+
+    for k in range(len(x)):
+        step = 1e-4 * max(abs(x[k]), 0.1)
+        numbers = sum(weight / step * end(x + count * step * np.eye(len(x))[k]) for count, weight in FOURTH)
+        scale = max(np.abs(numbers).max(), 1e-2)
+        assert np.abs(exact[:, k] - numbers).max() <= 1e-7 * scale, names[k]

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from derivatives.differences import FOURTH, constrained_differences, transpose_error
+from derivatives.differences import FOURTH, compare_parameters, constrained_differences, transpose_error
 from helpers import constrained_scenes as scenes
 from helpers.sprung_arm import COLUMNS, NAMES, SPRUNG_ARM, sprung_arm
 
@@ -141,18 +141,7 @@ def test_parameters_of_the_scene(e, mu, duration):
     options = {"duration": duration, "dt": 0.005, "target": [0.3]}
     traj = cvi.simulate(scene, q, v, record="gradient", **options)
     assert len(traj.events) >= 1
-    S = traj.sensitivity(NAMES)
-    exact = np.column_stack([S.of(name)[-1][:, k] for name, k in zip(NAMES, COLUMNS, strict=True)])
-
-    def end(x: np.ndarray) -> np.ndarray:
-        run = cvi.simulate(scene_of(x), q, v, **options)
-        return np.concatenate([run.q[-1], run.v[-1]])
-
-    for k in range(len(x)):
-        step = 1e-4 * max(abs(x[k]), 0.1)
-        numbers = sum(weight / step * end(x + count * step * np.eye(len(x))[k]) for count, weight in FOURTH)
-        scale = max(np.abs(numbers).max(), 1e-2)
-        assert np.abs(exact[:, k] - numbers).max() <= 1e-7 * scale, NAMES[k]
+    compare_parameters(traj, lambda x: cvi.simulate(scene_of(x), q, v, **options), x, NAMES, COLUMNS)
     assert transpose_error(traj, [*NAMES, "q0", "v0"]) <= 1e-11
 
 
