@@ -60,30 +60,17 @@ LinearStep linearize_contact_step(const Scene& scene, const VecX& q0, const VecX
   engine_to_public(tree, end.q, end.x);
   ContactStepTangent tangent(scene);
   tangent.take(record, inputs.tau, servo);
-  LinearStep result{end.q, end.x, MatX(2 * n, 2 * n), MatX(2 * n, n), VecX(2 * n)};
+  LinearStep result;
+  result.q1 = end.q;
+  result.x1 = end.x;
   VecX dq(n), dx(n);
-  ContactStepDirection direction;
-  const auto fill = [&](auto&& column) {
+  const auto to_engine = [&](VecX& q, VecX& p) { to_engine_direction(tree, momenta, start.view(), q, p); };
+  fill_columns<ContactStepDirection>(result, n, to_engine, [&](const ContactStepDirection& direction, auto&& column) {
     tangent.solve(direction, dq, dx);
     to_public_direction(tree, momenta, masses, end.view(), dq, dx);
     column.head(n) = dq;
     column.tail(n) = dx;
-  };
-  for (int k = 0; k < 2 * n; ++k) {
-    direction.q = VecX::Zero(n);
-    direction.p = VecX::Zero(n);
-    (k < n ? direction.q[k] : direction.p[k - n]) = 1.0;
-    to_engine_direction(tree, momenta, start.view(), direction.q, direction.p);
-    fill(result.A.col(k));
-  }
-  direction = ContactStepDirection();
-  for (int k = 0; k < n; ++k) {
-    direction.tau = VecX::Unit(n, k);
-    fill(result.B.col(k));
-  }
-  direction = ContactStepDirection();
-  direction.h = 1.0;
-  fill(result.h);
+  });
   return result;
 }
 

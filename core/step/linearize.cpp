@@ -82,38 +82,18 @@ void StepLinearizer::solve_columns() {
   const Tree& tree = *tree_;
   const int n = tree.nv;
   PublicStep& step = *step_;
-  LinearStep& result = result_;
   StepTangent tangent(tree, stages_);
   step.give(tangent);
-  result.A.resize(2 * n, 2 * n);
-  result.B.resize(2 * n, n);
-  result.h.resize(2 * n);
-  StepDirection direction;
   VecX dq(n), dx(n);
-  const auto solve = [&](auto&& column) {
+  const auto to_engine = [&](VecX& q, VecX& p) { to_engine_direction(tree, tangent, step.start(), q, p); };
+  fill_columns<StepDirection>(result_, n, to_engine, [&](const StepDirection& direction, auto&& column) {
     if (!tangent.solve(direction, dq, dx))
       throw Refusal("The derivative of the step was not solved", "tangent equations with a solution", "none",
                     "Use a smaller dt");
     to_public_direction(tree, tangent, step.equations(), step.end(), dq, dx);
     column.head(n) = dq;
     column.tail(n) = dx;
-  };
-  for (int k = 0; k < 2 * n; ++k) {
-    direction.q = VecX::Zero(n);
-    direction.p = VecX::Zero(n);
-    (k < n ? direction.q[k] : direction.p[k - n]) = 1.0;
-    to_engine_direction(tree, tangent, step.start(), direction.q, direction.p);
-    solve(result.A.col(k));
-  }
-  direction = StepDirection();
-  for (int k = 0; k < n; ++k) {
-    direction.tau = VecX::Zero(n);
-    direction.tau[k] = 1.0;
-    solve(result.B.col(k));
-  }
-  direction = StepDirection();
-  direction.h = 1.0;
-  solve(result.h);
+  });
 }
 
 double StepLinearizer::lost_velocity() {

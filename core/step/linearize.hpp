@@ -16,6 +16,31 @@ struct LinearStep {
   VecX h;       // d(q1, x1)/dh, (2 nv,)
 };
 
+// Fills A, B and h column by column. Direction: a change of q, p, tau and h; to_engine(q, p) turns a public change of
+// the start into the engine's, solve(direction, column) fills the change of the end.
+template <class Direction, class ToEngine, class Solve>
+void fill_columns(LinearStep& result, int n, const ToEngine& to_engine, const Solve& solve) {
+  result.A.resize(2 * n, 2 * n);
+  result.B.resize(2 * n, n);
+  result.h.resize(2 * n);
+  Direction direction;
+  for (int k = 0; k < 2 * n; ++k) {
+    direction.q = VecX::Zero(n);
+    direction.p = VecX::Zero(n);
+    (k < n ? direction.q[k] : direction.p[k - n]) = 1.0;
+    to_engine(direction.q, direction.p);
+    solve(direction, result.A.col(k));
+  }
+  direction = Direction();
+  for (int k = 0; k < n; ++k) {
+    direction.tau = VecX::Unit(n, k);
+    solve(direction, result.B.col(k));
+  }
+  direction = Direction();
+  direction.h = 1.0;
+  solve(direction, result.h);
+}
+
 // Linearises one step after the other of a tree.
 class StepLinearizer {
  public:
