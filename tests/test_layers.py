@@ -38,7 +38,12 @@ PYTHON_FOLDERS: Folders = {
     "verify": ("reproduce", "simultaneous"),
     "commands": ("bench", "reproduce", "verify", "public"),
     "public": ("simulation", "simultaneous", "derivatives"),  # contactvi/__init__.py, which names what is public
+    "control": ("derivatives",),
+    "crocoddyl": ("control",),
+    "adapters": ("control",),
 }
+# Modules beside the folders that connect contactvi to another package; nothing else uses them.
+ADAPTERS = {"jax", "torch", "trep"}
 
 CPP_FOLDERS: Folders = {
     "base": (),
@@ -142,7 +147,7 @@ def python_unit(parts: tuple[str, ...], root: Path) -> str:
     if parts[:1] == ("_core",):
         return "_core"
     if parts and (root / f"{parts[0]}.py").is_file():
-        return f"base.{parts[0]}"
+        return f"{'adapters' if parts[0] in ADAPTERS else 'base'}.{parts[0]}"
     for count in range(len(parts), 0, -1):
         place = root.joinpath(*parts[:count])
         if count > 1 and place.with_suffix(".py").is_file():

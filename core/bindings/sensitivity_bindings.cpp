@@ -6,6 +6,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
 #include <map>
@@ -268,12 +269,18 @@ class Recorded {
     }
   }
 
+  // The step that ends at t or contains it.
+  long step_before(double t) const {
+    return std::max(0L, static_cast<long>(std::ceil((t - run_.t0) / run_.dt - kSameTime)) - 1);
+  }
+
   void add_pieces(const Dict& s) {
     const VecX t = get<VecX>(s, "t"), h = get<VecX>(s, "h"), persistent = get<VecX>(s, "persistent");
     const Rows q = get<Rows>(s, "q"), p = get<Rows>(s, "p"), rates = get<Rows>(s, "rates");
     const int n = scene_.tree.nv, stages = run_.stages;
     if (rates.cols() != n * stages) throw Error("rates: wrong shape");
     std::size_t impact = 0;
+    const long last_step = t.size() == 0 ? 0 : step_before(t[t.size() - 1] + h[t.size() - 1]);
     at_start_ = t.size() > 0 && !run_.impacts.empty() && run_.impacts[0].time <= t[0];
     for (Eigen::Index i = 0; i < t.size(); ++i) {
       Piece piece;
@@ -285,7 +292,8 @@ class Recorded {
       for (int k = 0; k < stages; ++k) rate.col(k) = rates.row(i).segment(k * n, n).transpose();
       piece.velocities = stage_velocities(scene_.tree, rate, h[i]);
       piece.persistent = persistent[i] != 0.0;
-      piece.step = static_cast<long>(std::floor((t[i] - run_.t0) / run_.dt + kSameTime));
+      // What is left after an impact in the last instant of the run begins at its end, to rounding.
+      piece.step = std::min(last_step, static_cast<long>(std::floor((t[i] - run_.t0) / run_.dt + kSameTime)));
       const double end = t[i] + h[i], rounding = 1e-15 * std::abs(end);
       piece.first_impact = static_cast<int>(impact);
       while (impact < run_.impacts.size() && run_.impacts[impact].time <= end + rounding) ++impact;
