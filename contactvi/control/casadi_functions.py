@@ -151,4 +151,8 @@ class _Values(_Function):
 
 
 def _values(owner: CasadiProblem, n: int, m: int) -> _Values:
-    return _Values(owner, lambda at: [at.cost, at.constraints.reshape(m, 1)], "run", ([(n, 1)], [(1, 1), (m, 1)]), {})
+    def parts(at: Evaluation) -> list[Any]:
+        at.gradient, at.jacobian  # noqa: B018  (solvers step back from values that fail, and end at derivatives)
+        return [at.cost, at.constraints.reshape(m, 1)]
+
+    return _Values(owner, parts, "run", ([(n, 1)], [(1, 1), (m, 1)]), {})
