@@ -33,6 +33,7 @@ def gradient(
             - "q0" (nv,), tangent; "v0" (nv,); "control" (steps, nv), the forces of every step;
             - "target", "target_velocity" (steps, n): references of the n servos in every step;
             - "restitution", "friction" (1,): of all pairs that have some; "restitution:a|b" (1,): of one pair;
+              "restitution:joint" (1,): of both limits of a joint;
             - "gravity" (3,);
             - "mass:joint" (1,): of the body that a joint moves, at a constant centre of mass and rotational inertia
               about it; "inertia:joint" (10,): mass, first moment, rotational inertia about the joint's frame (xx xy xz

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from contactvi.derivatives.constrained_starts import ConstrainedStarts, tangent
 from contactvi.errors import ContactviError, NotDifferentiable
 from contactvi.scene.element_rows import dof_names
+from contactvi.scene.parameter_values import LIMITS
 from contactvi.simulation.run import Run
 from contactvi.status import StatusCode
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
@@ -147,17 +148,18 @@ class PerturbedRuns:
             joints = [int(k) for k in np.flatnonzero(built.arrays.limits)]
             for k in joints:
                 value = float(built.arrays.limit_restitution[k])
-                sides = ("lower limit", "upper limit")
-                found += [((self._compiled.joint_names[k], side), value) for side in sides]
+                found += [((self._compiled.joint_names[k], side), value) for side in LIMITS]
         if not pair:
             return found
         wanted = tuple(part.strip() for part in pair.split("|"))
+        if len(wanted) == 1:
+            return [row for row in found if row[0] in [(pair, side) for side in LIMITS]]
         return [row for row in found if wanted in (row[0], row[0][::-1])]
 
     def _with_coefficient(self, kind: str, by: float) -> CompiledScene:
         twin, word = self._scene.copy(), kind.partition(":")[0]
         for names, value in self._coefficients(kind):
-            if names[1] in ("lower limit", "upper limit"):
+            if names[1] in LIMITS:
                 twin.set_joint(names[0], restitution=value + by)
             elif word == "restitution":
                 twin.set_contact(*names, restitution=value + by)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import coal
@@ -146,6 +146,24 @@ def shape_part(
         report.bodies.append(BodyRow(name, name, model.inertias[joint].mass))
     report.geometries.append(GeometryRow(name, name, describe(shape)))
     return part
+
+
+def with_inertia(part: Part, joint: str, body: pin.Inertia) -> Part:
+    """Return the part with another inertia of what a joint (with the prefix) moves; the given one stays as it is.
+
+    In the report the bodies of the joint share its mass as before.
+    """
+    index = part.joint_names().index(joint) + 1
+    model = pin.Model(part.model)
+    before = float(model.inertias[index].mass)
+    model.inertias[index] = body
+    rows = [row for row in part.report.bodies if row.joint == joint]
+    shares = {row.name: row.mass / before if before > 0.0 else 1.0 / len(rows) for row in rows}
+    bodies = [
+        replace(row, mass=float(body.mass) * shares[row.name]) if row.joint == joint else row
+        for row in part.report.bodies
+    ]
+    return replace(part, model=model, report=replace(part.report, bodies=bodies))
 
 
 def _check_inertia(name: str, inertia: pin.Inertia) -> None:

@@ -21,7 +21,7 @@ from contactvi.importing.part import Part
 from contactvi.inputs import pose, real, shape_of, short, unit_quaternion, vector
 
 SPRUNG = (*ONE_DOF, "spherical", "translation")
-_PARTS = {"free": (3, 3), "planar": (2, 1)}  # linear and angular degrees of freedom
+PARTS_OF_FREEDOM = {"free": (3, 3), "planar": (2, 1)}  # linear and angular degrees of freedom
 
 
 class Servo(NamedTuple):
@@ -47,7 +47,7 @@ class JointSettings:
     restitution: float | None = None
     friction: bool | float | None = None
     spring: np.ndarray | None = None
-    armature: float | None = None
+    armature: float | np.ndarray | None = None
     gear_ratio: float | None = None
     rotor_inertia: float | None = None
     servo: Servo | None = None
@@ -192,7 +192,7 @@ def joint_settings(model: pin.Model, name: str, **values: Any) -> JointSettings:
             setattr(result, key, _from_file_or_number(model, name, key, values[key]))
     for key in ("armature", "rotor_inertia", "gear_ratio"):
         if key in values:
-            if kind in _PARTS:
+            if kind in PARTS_OF_FREEDOM:
                 _refuse_kind(f"Argument {key}", name, key, "a joint that is not free or planar", kind)
             setattr(result, key, real(f"{key} of {name!r}", values[key], 0.0 if key != "gear_ratio" else -np.inf))
     return result
@@ -284,9 +284,9 @@ def file_limit(model: pin.Model, dof: int, key: str) -> float:
 
 def _damping(name: str, kind: str, nv: int, damping: Any) -> np.ndarray:
     """Return the damping of each dof from one number, or (linear, angular) for free and planar joints."""
-    if kind in _PARTS and shape_of(damping) == (2,):
+    if kind in PARTS_OF_FREEDOM and shape_of(damping) == (2,):
         linear, angular = (real(f"damping of {name!r}", d, 0.0) for d in damping)
-        return np.repeat([linear, angular], _PARTS[kind])
+        return np.repeat([linear, angular], PARTS_OF_FREEDOM[kind])
     return np.full(nv, real(f"damping of {name!r}", damping, 0.0))
 
 

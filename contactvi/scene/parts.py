@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 import pinocchio as pin
 
-from contactvi.importing.part import Part, take_names
+from contactvi.importing.part import Part, take_names, with_inertia
 from contactvi.scene.assembly import Assembly, assemble, assemble_visual
 from contactvi.scene.selection import Names, PartHandle
 
@@ -86,6 +86,19 @@ class PartList:
                 found[part.prefix + name] = q, v
             at_q, at_v = at_q + part.model.nq, at_v + part.model.nv
         return found
+
+    def set_gravity(self, gravity: np.ndarray) -> None:
+        """Set the acceleration of free fall."""
+        self.gravity, self._assembly = gravity.copy(), None
+
+    def set_inertia(self, joint: str, body: pin.Inertia) -> None:
+        """Set the inertia of what a joint moves, in a new part that stands in the place of the old one.
+
+        Other lists may hold the old one. Names and pictures stay.
+        """
+        at = next(k for k, part in enumerate(self.parts) if joint in part.joint_names())
+        self.parts[at] = with_inertia(self.parts[at], joint, body)
+        self._assembly = None
 
     def copy(self) -> PartList:
         """Return a list with these parts, to which parts can be added apart from this one."""

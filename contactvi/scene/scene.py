@@ -34,6 +34,7 @@ from contactvi.scene.joints import (
     servo_settings,
 )
 from contactvi.scene.pairs import ContactRules, within_models
+from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
 from contactvi.scene.parts import Handle, PartList
 from contactvi.scene.report import scene_report
 from contactvi.scene.selection import BodyHandle, Names, PartHandle, Selector
@@ -730,6 +731,38 @@ class Scene:
         if not built.elements.constraints:
             return velocity
         return closure.consistent_velocity(built.engine, built.elements.constraints, start, velocity, time)
+
+    # --- parameters by the names of derivatives -----------------------------------------------------------------------
+
+    def parameter(self, name: str) -> np.ndarray:
+        """Return the value of a parameter by the name that contactvi.gradient gives it, of the gradient's shape.
+
+        "gravity" (3,); "mass:joint", "stiffness:joint" (1,); "inertia:joint" (10,): mass, first moment, rotational
+        inertia about the joint's frame (xx xy xz yy yz zz); "armature:joint", with what the rotor adds,
+        "damping:joint", "rest:joint", "kp:joint", "kd:joint" (dofs,); "restitution", "friction" (1,) of all contacts
+        that have some, where it is one value; "restitution:a|b", "friction:a|b" (1,) of a pair of shapes;
+        "restitution:joint" (1,) of the limits of a joint.
+
+        Raises:
+            InputError: an unknown name; something that the joint has not; contacts of different values.
+        """
+        return ParameterValues(self.built()).of(name)
+
+    def with_parameters(self, values: Mapping[str, Any]) -> Scene:
+        """Return a copy with other values of parameters, by the names of `parameter`; this scene stays as it is.
+
+        A mass is set at a constant centre of mass and rotational inertia about it.
+
+        Args:
+            values: name -> value of the shape that `parameter` returns, or one number.
+
+        Raises:
+            InputError: as `parameter`; a value of the wrong shape or that no scene has; two names of one number.
+        """
+        twin = self.copy()
+        ParameterEditor(ParameterValues(self.built()), twin._parts, twin._contact, twin._joints).set(values)
+        twin._built = None
+        return twin
 
     # --- copies and plain data ----------------------------------------------------------------------------------------
 

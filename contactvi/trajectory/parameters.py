@@ -11,19 +11,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, did_you_mean
+from contactvi.scene.parameter_values import NAMES as NAMES
+from contactvi.scene.parameter_values import is_parameter as is_parameter
 
 Array = NDArray[np.float64]
 Direction = dict[str, Array]
 
-OF_JOINTS = ("mass", "inertia", "armature", "stiffness", "damping", "rest", "kp", "kd")
-NAMES = ("gravity", *(f"{kind}:joint" for kind in OF_JOINTS))
 CONSERVED = ("gravity", "mass", "inertia", "armature", "stiffness", "rest")  # what the energy of a motion depends on
-
-
-def is_parameter(name: str) -> bool:
-    """Return whether this is a name of parameters: "gravity", or of a joint."""
-    kind, _, joint = name.partition(":")
-    return name == "gravity" or (kind in OF_JOINTS and bool(joint))
 
 
 def directions_of(model: pin.Model, name: str) -> list[Direction]:

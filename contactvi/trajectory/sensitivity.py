@@ -19,6 +19,7 @@ from contactvi.inputs import array, check_choice, real_numbers, short
 from contactvi.options import Options
 from contactvi.records.events import EventLog
 from contactvi.records.inputs import RunInputs
+from contactvi.scene.parameter_values import LIMITS
 from contactvi.trajectory import parameters
 from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.polynomials import Segments
@@ -138,7 +139,8 @@ class Sensitivity:
             - "gravity" (3), "mass:joint" (1), "inertia:joint" (10), "armature:joint", "stiffness:joint",
               "damping:joint", "rest:joint", "kp:joint", "kd:joint": as for contactvi.gradient;
             - "restitution", "friction": a number added to those of all pairs, and of all limits, that have some (1);
-              "restitution:a|b", "friction:a|b": of the pair of these shapes, or of a joint and its limit (1).
+              "restitution:a|b", "friction:a|b": of the pair of these shapes, or of a joint and its limit (1);
+              "restitution:joint": of both limits of a joint (1).
         on_kink: "raise", or "taken": where several contacts were hit at one instant, the derivative of the order in
             which the run took them; where points of a dense step share a load in a way that decides about the motion,
             that with impulses of least norm, which is not the run's (`report.approximate`).
@@ -360,6 +362,8 @@ class Laws:
             return rows
         wanted = tuple(part.strip() for part in pair.split("|"))
         found = [k for k, label in enumerate(self._labels) if wanted in (label, label[::-1])]
+        if len(wanted) == 1 and entry == "e":  # both limits of a joint, which have one restitution
+            found = [k for k, label in enumerate(self._labels) if label in [(pair, side) for side in LIMITS]]
         if not found:
             names = ["|".join(label) for label in self._labels]
             raise InputError(
