@@ -43,25 +43,59 @@ def gradient(
     traj: Recorded, compiled: CompiledScene, cost: Cost, wrt: Sequence[str] | str, *, on_kink: str = "raise"
 ) -> tuple[float | None, dict[str, Array]]:
     """Return (J, gradients by name); arguments as those of contactvi.gradient, and the scene of the run."""
-    check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
-    names = wanted(wrt)
-    run = recorded_run(traj, compiled)
-    picks = [_Pick(traj, compiled, Laws(traj, run, compiled), name) for name in names]
+    adjoint = AdjointRun(traj, compiled, wrt, on_kink=on_kink)
     value, lq, lv = cost_gradients(traj, compiled, cost)
-    approximate = _check_direction(traj, run, compiled, names, on_kink == "taken")
-    found = run.adjoint(list(map(float, traj.t)), lq, lv, np.zeros(0), number_of_steps(traj), on_kink == "taken")
-    if "fact" in found:
-        raise not_differentiable(traj, found)
-    if "released" in found and any(parameters.is_parameter(name) for name in names):
-        raise not_differentiable(traj, found["released"])
+    approximate = adjoint.check()
+    found = adjoint.gradients(lq, lv)
     if approximate:
-        warnings.warn(
-            f"The gradient is approximate: {len(approximate)} dense steps, the first at t = {approximate[0].time:.9g} s"
-            f" ({approximate[0].reason}). Trajectory.sensitivity(...).report has them all",
-            ApproximateDerivativeWarning,
-            stacklevel=4,
-        )
-    return value, {pick.name: pick.of(found) for pick in picks}
+        warn_of_approximate(approximate, stacklevel=4)
+    return value, found
+
+
+class AdjointRun:
+    """A run with the map from gradients at its nodes to those in the names asked for.
+
+    Args:
+        traj: a run with record="gradient". compiled: its scene.
+        wrt, on_kink: as those of contactvi.gradient.
+
+    Raises:
+        InputError, NotDifferentiable: as contactvi.gradient.
+    """
+
+    def __init__(
+        self, traj: Recorded, compiled: CompiledScene, wrt: Sequence[str] | str, *, on_kink: str = "raise"
+    ) -> None:
+        check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
+        self._traj, self._compiled, self._taken = traj, compiled, on_kink == "taken"
+        self._names = wanted(wrt)
+        self._run = recorded_run(traj, compiled)
+        laws = Laws(traj, self._run, compiled)
+        self._picks = [_Pick(traj, compiled, laws, name) for name in self._names]
+
+    def check(self) -> list[DenseStepSensitivity]:
+        """Return the dense steps whose derivative is approximate; NotDifferentiable where there is none."""
+        return _check_direction(self._traj, self._run, self._compiled, self._names, self._taken)
+
+    def gradients(self, lq: Array, lv: Array) -> dict[str, Array]:
+        """Return gradients by name from those at the nodes in q (tangent) and v, shapes (N, nv)."""
+        times = list(map(float, self._traj.t))
+        found = self._run.adjoint(times, lq, lv, np.zeros(0), number_of_steps(self._traj), self._taken)
+        if "fact" in found:
+            raise not_differentiable(self._traj, found)
+        if "released" in found and any(parameters.is_parameter(name) for name in self._names):
+            raise not_differentiable(self._traj, found["released"])
+        return {pick.name: pick.of(found) for pick in self._picks}
+
+
+def warn_of_approximate(steps: Sequence[DenseStepSensitivity], stacklevel: int) -> None:
+    """Warn with ApproximateDerivativeWarning that dense steps of a gradient are approximate."""
+    warnings.warn(
+        f"The gradient is approximate: {len(steps)} dense steps, the first at t = {steps[0].time:.9g} s"
+        f" ({steps[0].reason}). Trajectory.sensitivity(...).report has them all",
+        ApproximateDerivativeWarning,
+        stacklevel=stacklevel + 1,
+    )
 
 
 def number_of_steps(traj: Recorded) -> int:

@@ -1,0 +1,1 @@
+"""Optimal control: runs as parts of problems that others solve."""
