@@ -21,7 +21,7 @@ from contactvi.inputs import array, check_choice, mapping, positive, real_number
 from contactvi.options import ContactSteps, ImpactMap, MhcReference, Support, Zeno
 from contactvi.simulation.simulation import simulate
 from contactvi.trajectory.compiled import compile_scene
-from contactvi.trajectory.gradient import AdjointRun, warn_of_approximate
+from contactvi.trajectory.gradient import RunGradients
 from contactvi.trajectory.sensitivity import ON_KINK
 from contactvi.trajectory.trajectory import Trajectory
 
@@ -102,7 +102,7 @@ class Rollouts:
         given = inputs_of(scene, q0, v0, control, target, parameters)
         self.batch: Batch = batch_of(scene, {name: _shape(name, value) for name, value in given.items()}, steps)
         self._inputs = {name: _filled(name, value, self.batch.full[name]) for name, value in given.items()}
-        self._adjoints: dict[tuple[str, ...], list[AdjointRun]] = {}
+        self._adjoints: dict[tuple[str, ...], list[RunGradients]] = {}
         scenes = self._scenes(scene)
         self._compiled = [compile_scene(scene) for scene in scenes]  # as they are now
         self.runs: tuple[Trajectory, ...] = tuple(
@@ -179,7 +179,7 @@ class Rollouts:
         _ = run.v  # computed here, in a thread, and kept
         return run
 
-    def _adjoints_of(self, names: tuple[str, ...]) -> list[AdjointRun]:
+    def _adjoints_of(self, names: tuple[str, ...]) -> list[RunGradients]:
         """Return the adjoints of all runs, which are made once."""
         wanted = [name for name in names if name != "target"]
         if "target" in names:
@@ -189,20 +189,17 @@ class Rollouts:
         if names in self._adjoints:
             return self._adjoints[names]
 
-        def made(k: int, _: object) -> tuple[AdjointRun, Any]:
-            adjoint = AdjointRun(self.runs[k], self._compiled[k], wanted, on_kink=self._on_kink)
-            return adjoint, adjoint.check()
+        def made(k: int, _: object) -> RunGradients:
+            return RunGradients(self.runs[k], self._compiled[k], wanted, self._on_kink)
 
-        found = self._workers.each(len(self.runs), made)
-        approximate = [steps for _, steps in found if steps]
-        if approximate:
-            warn_of_approximate(approximate[0], stacklevel=4)
-        self._adjoints[names] = [adjoint for adjoint, _ in found]
+        self._adjoints[names] = self._workers.each(len(self.runs), made)
+        for adjoint in self._adjoints[names]:
+            adjoint.warn(stacklevel=4)
         return self._adjoints[names]
 
-    def _gradient(self, adjoint: AdjointRun, k: int, gq: Array, gv: Array) -> dict[str, Array]:
+    def _gradient(self, adjoint: RunGradients, k: int, gq: Array, gv: Array) -> dict[str, Array]:
         model, q = self._compiled[k].built.model, self.q[k]
-        found = adjoint.gradients(in_tangents(model, q, gq), gv)
+        found = adjoint.of(in_tangents(model, q, gq), gv)
         if "q0" in found:
             found["q0"] = in_numbers(model, q[0], found["q0"])
         if "target_velocity" in found:

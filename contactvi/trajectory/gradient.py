@@ -43,59 +43,47 @@ def gradient(
     traj: Recorded, compiled: CompiledScene, cost: Cost, wrt: Sequence[str] | str, *, on_kink: str = "raise"
 ) -> tuple[float | None, dict[str, Array]]:
     """Return (J, gradients by name); arguments as those of contactvi.gradient, and the scene of the run."""
-    adjoint = AdjointRun(traj, compiled, wrt, on_kink=on_kink)
+    gradients = RunGradients(traj, compiled, wrt, on_kink)
     value, lq, lv = cost_gradients(traj, compiled, cost)
-    approximate = adjoint.check()
-    found = adjoint.gradients(lq, lv)
-    if approximate:
-        warn_of_approximate(approximate, stacklevel=4)
-    return value, found
+    gradients.warn(stacklevel=4)
+    return value, gradients.of(lq, lv)
 
 
-class AdjointRun:
-    """A run with the map from gradients at its nodes to those in the names asked for.
+class RunGradients:
+    """The gradients of costs of one run with respect to some names, one pass backward for each cost.
 
-    Args:
-        traj: a run with record="gradient". compiled: its scene.
-        wrt, on_kink: as those of contactvi.gradient.
-
-    Raises:
-        InputError, NotDifferentiable: as contactvi.gradient.
+    Args as those of contactvi.gradient, and the scene of the run.
     """
 
-    def __init__(
-        self, traj: Recorded, compiled: CompiledScene, wrt: Sequence[str] | str, *, on_kink: str = "raise"
-    ) -> None:
+    def __init__(self, traj: Recorded, compiled: CompiledScene, wrt: Sequence[str] | str, on_kink: str) -> None:
         check_choice("on_kink", on_kink, ON_KINK, "Unknown answer to a kink")
-        self._traj, self._compiled, self._taken = traj, compiled, on_kink == "taken"
-        self._names = wanted(wrt)
+        self._traj, self._taken, names = traj, on_kink == "taken", wanted(wrt)
         self._run = recorded_run(traj, compiled)
         laws = Laws(traj, self._run, compiled)
-        self._picks = [_Pick(traj, compiled, laws, name) for name in self._names]
+        self._picks = [_Pick(traj, compiled, laws, name) for name in names]
+        self._by_parameters = any(parameters.is_parameter(name) for name in names)
+        self._approximate = _check_direction(traj, self._run, compiled, names, self._taken)
 
-    def check(self) -> list[DenseStepSensitivity]:
-        """Return the dense steps whose derivative is approximate; NotDifferentiable where there is none."""
-        return _check_direction(self._traj, self._run, self._compiled, self._names, self._taken)
-
-    def gradients(self, lq: Array, lv: Array) -> dict[str, Array]:
-        """Return gradients by name from those at the nodes in q (tangent) and v, shapes (N, nv)."""
-        times = list(map(float, self._traj.t))
-        found = self._run.adjoint(times, lq, lv, np.zeros(0), number_of_steps(self._traj), self._taken)
+    def of(self, lq: Array, lv: Array) -> dict[str, Array]:
+        """Return the gradient by name of a cost with gradients (N, nv) in q and v at the nodes."""
+        traj = self._traj
+        found = self._run.adjoint(list(map(float, traj.t)), lq, lv, np.zeros(0), number_of_steps(traj), self._taken)
         if "fact" in found:
-            raise not_differentiable(self._traj, found)
-        if "released" in found and any(parameters.is_parameter(name) for name in self._names):
-            raise not_differentiable(self._traj, found["released"])
+            raise not_differentiable(traj, found)
+        if "released" in found and self._by_parameters:
+            raise not_differentiable(traj, found["released"])
         return {pick.name: pick.of(found) for pick in self._picks}
 
-
-def warn_of_approximate(steps: Sequence[DenseStepSensitivity], stacklevel: int) -> None:
-    """Warn with ApproximateDerivativeWarning that dense steps of a gradient are approximate."""
-    warnings.warn(
-        f"The gradient is approximate: {len(steps)} dense steps, the first at t = {steps[0].time:.9g} s"
-        f" ({steps[0].reason}). Trajectory.sensitivity(...).report has them all",
-        ApproximateDerivativeWarning,
-        stacklevel=stacklevel + 1,
-    )
+    def warn(self, stacklevel: int) -> None:
+        """Warn where the run has dense steps whose derivative is approximate."""
+        steps = self._approximate
+        if steps:
+            warnings.warn(
+                f"The gradient is approximate: {len(steps)} dense steps, the first at t = {steps[0].time:.9g} s"
+                f" ({steps[0].reason}). Trajectory.sensitivity(...).report has them all",
+                ApproximateDerivativeWarning,
+                stacklevel=stacklevel + 1,
+            )
 
 
 def number_of_steps(traj: Recorded) -> int:

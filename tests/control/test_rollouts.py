@@ -15,6 +15,7 @@ import contactvi as cvi
 from contactvi.control.rollouts import Rollouts
 from contactvi.control.tangents import in_numbers, in_tangents
 from contactvi.control.threads import Workers
+from derivatives.test_dense_sensitivity import DENSE, dropped
 from helpers.rollout_scenes import SETTINGS, STEPS, Start, at_wall, servo_arm, starts, thrown_ball, thrown_box
 
 
@@ -220,6 +221,18 @@ def test_a_run_without_derivative_is_named():
     batch = Rollouts(scene, q, np.zeros(6), steps=20, dt=0.01, order=4)
     with pytest.raises(cvi.NotDifferentiable, match="Run 0 of the batch"):
         batch.gradients(*weights(batch))
+
+
+def test_approximate_derivatives_are_warned_of():
+    """As by cvi.gradient: boxes that fall flat on each other share the load in no one way. Refused but for "taken"."""
+    scene, q, v = dropped()
+    refused, taken = (
+        Rollouts(scene, q, v, steps=20, dt=5e-3, on_kink=on_kink, **DENSE) for on_kink in ("raise", "taken")
+    )
+    with pytest.raises(cvi.NotDifferentiable, match="share"):
+        refused.gradients(*weights(refused))
+    with pytest.warns(cvi.ApproximateDerivativeWarning):
+        taken.gradients(*weights(taken))
 
 
 def test_a_failure_ends_the_other_threads():
