@@ -58,6 +58,11 @@ class ContactviError(Exception):
         )  # lines of a file stay as they are
         return f"{self.what.rstrip('.')}: expected {self.expected}, got {self.got}. {self.remedy}{end}"
 
+    def put_in(self, place: str) -> None:
+        """Put in front of the fact where it is, for example "Run 3 of the batch"."""
+        self.what = f"{place}: {self.what}"
+        self.args = (self._message(),)
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (type(self), self.args, self.__dict__)
 

@@ -10,8 +10,12 @@ import sys
 
 import pytest
 
+from helpers.extras import extra
+
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+PAGES = ("README.md", "docs/guide.md", "docs/optimal_control.md")  # whose code is run
+NEEDS = {"identify_torch": "torch"}  # examples and the packages that they need, which the test extra does not bring
 
 pytestmark = pytest.mark.skipif(not EXAMPLES, reason="the tests were copied without the examples")
 
@@ -31,13 +35,28 @@ def run(arguments: list[str], folder: pathlib.Path) -> str:
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
 def test_example_runs(path, tmp_path):
+    if path.stem in NEEDS:
+        extra(NEEDS[path.stem])
     assert run([str(path)], tmp_path).strip()
     assert len(path.read_text().splitlines()) <= 100
 
 
+@pytest.mark.parametrize("name", NEEDS)
+def test_an_example_names_the_package_it_needs(name, tmp_path):
+    """Where it is missing, as here: a file of its name that cannot be imported stands before it."""
+    (tmp_path / f"{NEEDS[name]}.py").write_text("raise ImportError('missing')")
+    path = os.pathsep.join([str(tmp_path), *(p for p in sys.path if p)])
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "examples" / f"{name}.py")], env=dict(os.environ, PYTHONPATH=path),
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.strip() == f'This example needs {NEEDS[name]}: pip install "contactvi[{NEEDS[name]}]"'
+
+
 def marked_code() -> dict[str, str]:
-    """The Python blocks of the README and the guide that follow a line <!-- run: NAME -->, by that name."""
-    pages = [(ROOT / page).read_text() for page in ("README.md", "docs/guide.md")]
+    """The Python blocks of the pages that follow a line <!-- run: NAME -->, by that name."""
+    pages = [(ROOT / page).read_text() for page in PAGES]
     found = [
         block for page in pages for block in re.findall(r"<!-- run: (\S+) -->\n```python\n(.*?)```", page, re.DOTALL)
     ]
@@ -53,8 +72,8 @@ def run_marked(name: str, folder: pathlib.Path, more: str = "") -> list[str]:
 
 
 def test_every_python_block_is_run():
-    """Those of the README and the guide all carry a mark, and every mark has a test below."""
-    pages = "".join((ROOT / page).read_text() for page in ("README.md", "docs/guide.md"))
+    """Those of the pages all carry a mark, and every mark has a test below."""
+    pages = "".join((ROOT / page).read_text() for page in PAGES)
     assert pages.count("```python") == len(marked_code())
     tested = set(re.findall(r'run_marked\("([a-z-]+)"', pathlib.Path(__file__).read_text()))
     assert tested == set(marked_code())
@@ -143,3 +162,15 @@ def test_guide_code_of_a_heap_runs(tmp_path):
 def test_guide_code_of_simultaneous_impacts_runs(tmp_path):
     printed = run_marked("simultaneous", tmp_path, "\nprint(found.unique, found.certificate.certified)")
     assert printed[-1] == "True True"
+
+
+def test_code_of_rollouts_in_torch_runs(tmp_path):
+    """Forces are found that bring the pendulum to a place after it has hit the wall."""
+    extra("torch")
+    first, last = map(float, run_marked("rollout-torch", tmp_path)[0].split(" -> "))
+    assert last < 0.02 * first
+
+
+def test_code_of_rollouts_in_jax_runs(tmp_path):
+    extra("jax")
+    assert run_marked("rollout-jax", tmp_path)[0] == "(3, 2) (3, 1)"

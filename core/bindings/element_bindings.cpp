@@ -111,7 +111,7 @@ Result guarded(const UserFunction& function, const Result& otherwise, Call call)
     UserErrors::keep(error);
   } catch (const std::exception&) {  // the function returned something of a wrong type
   }
-  function.kept->failed = true;
+  function.kept->fail();
   return otherwise;
 }
 

@@ -1,4 +1,4 @@
-// Derivatives of recorded runs, in public coordinates.
+// Derivatives of recorded runs, in public coordinates, solved without the interpreter lock.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/function.h>
 #include <nanobind/stl/optional.h>
@@ -101,6 +101,7 @@ class Recorded {
       throw Error("parameters: expected one direction per column");
     RunDerivative found;
     try {
+      const nb::gil_scoped_release release;  // functions of the user take the lock for their calls
       check_start();
       RunTangent tangent(scene_, run_, take_branch);
       found = tangent.solve(d, times);
@@ -165,6 +166,7 @@ class Recorded {
     };
     std::optional<RunCurvature> found;
     try {
+      const nb::gil_scoped_release release;  // the function of the cost takes the lock, too
       check_start();
       RunHessian second(scene_, run_);
       found = second.solve({times, lq, lv, VecX()}, call, w);
@@ -199,6 +201,7 @@ class Recorded {
       if (piece.step >= steps) throw Error("steps: fewer than those of the run");
     std::optional<RunGradient> found;
     try {
+      const nb::gil_scoped_release release;
       check_start();
       RunAdjoint adjoint(scene_, run_, take_branch);
       found = adjoint.solve({times, lq, lv, events}, steps);

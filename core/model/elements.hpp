@@ -69,10 +69,19 @@ struct Constraint {
   std::string name = {};
 };
 
-// Owner of the users' functions that elements call. It is not constant as the rest of a scene is.
-struct UserCalls {
+// Owner of the users' functions that elements call. Whether one of them has failed, after which a run ends at once, is
+// known per thread, because runs of one scene in several threads do not end each other.
+class UserCalls {
+ public:
   virtual ~UserCalls() = default;
-  bool failed = false;  // whether one of the functions has failed: a run then ends at once
+  bool failed() const { return failed_ == this; }
+  void fail() const { failed_ = this; }
+  void forget_failure() const {
+    if (failed()) failed_ = nullptr;
+  }
+
+ private:
+  inline static thread_local const UserCalls* failed_ = nullptr;
 };
 
 struct Elements {
@@ -95,10 +104,10 @@ struct Elements {
     return !(joint_potentials.empty() && path_springs.empty() && wrenches.empty() && forces.empty() &&
              potentials.empty());
   }
-  bool user_failed() const { return functions && functions->failed; }
+  bool user_failed() const { return functions && functions->failed(); }
   // Calls from now on count anew.
   void forget_failure() const {
-    if (functions) functions->failed = false;
+    if (functions) functions->forget_failure();
   }
   // Whether every step needs impulses, with contacts or without.
   bool constrained() const { return !constraints.empty() || !friction_dofs.empty(); }
