@@ -130,11 +130,11 @@ class DiscreteSystem(StateVectors):
         return self._input.copy()
 
     def set(self, xk: ArrayLike, uk: ArrayLike, k: int) -> None:
-        """Put the system to the state xk with the input uk at time[k], and make the step.
+        """Put the system to the state xk with the input uk at time[k]; the step is made when something is asked for.
 
         Raises:
-            InputError, PenetrationError, ConstraintError: for what is no start of a run.
-            SimulationError: the step could not be made.
+            InputError: for arguments of the wrong shape or range. f() and the derivatives raise PenetrationError and
+                ConstraintError where x is no start of a run, SimulationError where the step cannot be made.
         """
         if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not 0 <= k < self.kf():
             raise InputError(
@@ -152,8 +152,7 @@ class DiscreteSystem(StateVectors):
 
     def f(self) -> Array:
         """Return the next state (nX,)."""
-        step = self._made()
-        return np.concatenate([step.q1, step.x1])
+        return np.concatenate(self._made().end)
 
     def fdx(self) -> Array:
         """Return the derivative of f by the state, shape (ndX, ndX)."""

@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Twists = tuple[Array, Array, Array]  # value (6,), first (6, nv) and second (6, nv, nv) derivatives
+Twists = tuple[Array, Array, Array]  # m twists (6, m), first (6, nv, m) and second (6, nv, nv, m) derivatives in q
 
 
 class MassDerivatives:
@@ -29,6 +29,7 @@ class MassDerivatives:
         self._rest = np.zeros(int(model.nv))
         pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
         self._joints = [self._joint(k) for k in range(1, int(model.njoints))]
+        self._inertias = [np.array(model.inertias[k].matrix()) for k in range(1, int(model.njoints))]
 
     def _joint(self, k: int) -> tuple[int, int, slice, Array, Array]:
         """Return a joint, its parent, its dofs, its subspace S (6, dofs) and ad of its columns (dofs, 6, 6)."""
@@ -54,34 +55,35 @@ class MassDerivatives:
         y^T M w is the sum over the bodies of V_y^T I V_w with their inertias I and the twists V that y and w give them.
         """
         pin.forwardKinematics(self._model, self._data, q)
-        one, two = self._twists(y), self._twists(w)
         total = np.zeros((len(y), len(y)))
-        for k, *_ in self._joints:
-            inertia = np.array(self._model.inertias[k].matrix())
-            (a, a1, a2), (b, b1, b2) = one[k], two[k]
-            mixed = a1.T @ inertia @ b1
-            total += mixed + mixed.T + np.tensordot(inertia @ b, a2, 1) + np.tensordot(inertia @ a, b2, 1)
+        for inertia, (value, first, second) in zip(
+            self._inertias, self._twists(np.stack([y, w], axis=-1)), strict=True
+        ):
+            a, b = inertia @ value[:, 0], inertia @ value[:, 1]
+            mixed = first[:, :, 0].T @ inertia @ first[:, :, 1]
+            total += mixed + mixed.T + np.tensordot(b, second[..., 0], 1) + np.tensordot(a, second[..., 1], 1)
         return total
 
     def _twists(self, w: Array) -> list[Twists]:
-        """Return the twists of all bodies, each in its own frame, with their derivatives in q.
+        """Return the twists of all bodies that the columns of w (nv, m) give them, in their own frames, see Twists.
 
         A joint turned on by d moves its body's frame by exp(S d), which changes a twist X V of its parent to
         (1 - ad(S d) + ad(S d)^2 / 2 - ...) X V; what the joint adds to it, S w, stays.
         """
-        n = len(w)
-        found: list[Twists] = [(np.zeros(6), np.zeros((6, n)), np.zeros((6, n, n)))]
+        n, m = w.shape
+        found: list[Twists] = [(np.zeros((6, m)), np.zeros((6, n, m)), np.zeros((6, n, n, m)))]
         for k, parent, dofs, S, crosses in self._joints:
             X = np.array(self._data.liMi[k].actionInverse)
-            value, first, second = (np.tensordot(X, part, 1) for part in found[parent])
-            turned = np.einsum("kij,ja->ika", crosses, first)
-            second[:, dofs, :] -= turned
+            value, first, second = ((X @ part.reshape(6, -1)).reshape(part.shape) for part in found[parent])
+            turned = np.tensordot(crosses, first, 1).swapaxes(0, 1)
+            second[:, dofs] -= turned
             second[:, :, dofs] -= turned.swapaxes(1, 2)
-            twice = np.einsum("kij,ljm,m->ikl", crosses, crosses, value)
+            once = np.tensordot(crosses, value, 1).swapaxes(0, 1)
+            twice = np.tensordot(crosses, once, 1).swapaxes(0, 1)
             second[:, dofs, dofs] += 0.5 * (twice + twice.swapaxes(1, 2))
-            first[:, dofs] -= np.einsum("kij,j->ik", crosses, value)
+            first[:, dofs] -= once
             found.append((value + S @ w[dofs], first, second))
-        return found
+        return found[1:]
 
 
 def _cross(twist: Any) -> Array:

@@ -7,6 +7,7 @@ vectors, and second derivatives those of d -> f(q (+) d, ...) in the same coordi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -21,6 +22,8 @@ from contactvi.scene.scene import Scene
 from contactvi.simulation.messages import remedy
 from contactvi.simulation.simulator import Simulator
 from contactvi.trajectory.compiled import compile_scene
+from contactvi.trajectory.hessian import check_exact
+from contactvi.trajectory.sensitivity import not_differentiable, recorded_run
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -44,9 +47,9 @@ class StepMap:
         chosen: dict[str, Any] = {**options, "order": order, "record": "gradient"}
         self.simulator = Simulator(scene, dt, **chosen)
         self.dt = self.simulator.options.fixed_dt
-        compiled = compile_scene(scene)
-        self.core, self.nv = compiled.core, compiled.states.nv
-        self.mass = MassDerivatives(compiled.built.model)
+        self.compiled = compile_scene(scene)
+        self.core, self.nv = self.compiled.core, self.compiled.states.nv
+        self.mass = MassDerivatives(self.compiled.built.model)
 
     def at(self, q: Array, x: Array, tau: Array, target: Any, t: float) -> Step:
         """Return the step from (q, x) at t [s] with the forces tau (nv,) and the targets of servos of a run."""
@@ -54,10 +57,10 @@ class StepMap:
 
 
 class Step:
-    """One step of a StepMap.
+    """One step of a StepMap, made when its end or a derivative is asked for.
 
     Attributes:
-        q, v: where it starts. q1, x1: where it ends; x1 is the velocity or the momentum there.
+        q, v: where it starts.
 
     Raises:
         InputError, PenetrationError, ConstraintError: for a start that no run accepts.
@@ -68,8 +71,12 @@ class Step:
         self._steps, self._tau, self._target, self._t = steps, tau, target, t
         self.q = q
         self.v = np.asarray(steps.core.velocity(q[None], x[None]))[0] if steps.momentum else x
+
+    @cached_property
+    def end(self) -> tuple[Array, Array]:
+        """The configuration at the end, shape (nq,), and the velocity or the momentum there, (nv,)."""
         simulator = self._run()
-        self.q1, self.x1 = simulator.q, simulator.p if steps.momentum else simulator.v
+        return simulator.q, simulator.p if self._steps.momentum else simulator.v
 
     def _run(self) -> Simulator:
         simulator = self._steps.simulator
@@ -104,7 +111,7 @@ class Step:
         A, B = made.matrix[-1, :, : 2 * steps.nv], made.matrix[-1, :, 2 * steps.nv :]
         if not steps.momentum:
             return A, B
-        end = self._momentum(self.q1, self.trajectory.v[-1])
+        end = self._momentum(self.end[0], self.trajectory.v[-1])
         return end @ A @ self._velocity(), end @ B
 
     def second(self, z: Array, acts: Array) -> Array:
@@ -134,34 +141,39 @@ class Step:
 
     def _products(self, z: Array, acts: Array) -> tuple[Array, Array]:
         """Return the second derivative in (q, v, u), and the first one in v (nv,), of z^T (q1, x1)."""
-        nv, traj = self._steps.nv, self.trajectory
+        nv, traj, compiled = self._steps.nv, self.trajectory, self._steps.compiled
+        check_exact(compiled, ("q0", "v0", "control"))
+        run, times = recorded_run(traj, compiled), [float(t) for t in traj.t]
+        lq, lv, hessp = self._end(z)
         count = 2 * nv + acts.shape[1]
-        cost, hessp = self._end(z)
         rows, slope = np.zeros((count, count)), np.zeros(nv)
         for k, unit in enumerate(np.eye(count)):
-            w = {"q0": unit[:nv], "v0": unit[nv : 2 * nv], "control": (acts @ unit[2 * nv :])[None]}
-            found = traj.hessian_vector(cost, w, hessp=hessp)
-            rows[k] = np.concatenate(
-                [found.product["q0"], found.product["v0"], acts.T @ np.asarray(found.product["control"])[0]]
-            )
-            slope = found.gradient["v0"]
+            w = {"q": unit[:nv], "v": unit[nv : 2 * nv], "tau": (acts @ unit[2 * nv :])[None]}
+            found = run.hessian(times, lq, lv, w, hessp)
+            if "fact" in found:
+                raise not_differentiable(traj, found)
+            product, slope = found["product"], np.asarray(found["gradient"]["v"])
+            rows[k] = np.concatenate([product["q"], product["v"], acts.T @ np.asarray(product["tau"])[0]])
         return 0.5 * (rows + rows.T), slope
 
-    def _end(self, z: Array) -> tuple[tuple[Array, Array], Any]:
-        """Return the gradients of z^T (q1, x1) in q1 and v1, and what gives its second derivative there."""
+    def _end(self, z: Array) -> tuple[Array, Array, Callable[[Array, Array], tuple[Array, Array]]]:
+        """Return the gradients of z^T (q1, x1) at the nodes, and what changes them along changes of states."""
         nv, mass = self._steps.nv, self._steps.mass
-        z_q, z_x = z[:nv], z[nv:]
+        lq, lv = np.zeros((2, len(self.trajectory.t), nv))
+        lq[-1], lv[-1] = z[:nv], z[nv:]
         if not self._steps.momentum:
-            return (z_q, z_x), "linear"
-        q1, v1 = self.q1, np.asarray(self.trajectory.v[-1])
-        M, C, K = mass.mass(q1), mass.first(q1, z_x), mass.second(q1, z_x, v1)
+            return lq, lv, lambda dq, dv: (np.zeros_like(dq), np.zeros_like(dv))
+        q1, v1, z_p = self.end[0], np.asarray(self.trajectory.v[-1]), z[nv:]
+        M, C, K = mass.mass(q1), mass.first(q1, z_p), mass.second(q1, z_p, v1)
+        lq[-1] += mass.first(q1, v1).T @ z_p
+        lv[-1] = M @ z_p
 
-        def hessp(t: Array, q: Array, v: Array, dq: Array, dv: Array) -> tuple[Array, Array]:
-            both = np.zeros_like(dq), np.zeros_like(dv)
-            both[0][-1], both[1][-1] = K @ dq[-1] + C.T @ dv[-1], C @ dq[-1]
-            return both
+        def hessp(dq: Array, dv: Array) -> tuple[Array, Array]:
+            change_q, change_v = np.zeros_like(dq), np.zeros_like(dv)
+            change_q[-1], change_v[-1] = K @ dq[-1] + C.T @ dv[-1], C @ dq[-1]
+            return change_q, change_v
 
-        return (z_q + mass.first(q1, v1).T @ z_x, M @ z_x), hessp
+        return lq, lv, hessp
 
     def _momentum(self, q: Array, v: Array) -> Array:
         """Return the derivative of (q, p) by (q, v), p = M(q) v, shape (2 nv, 2 nv)."""
