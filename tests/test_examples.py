@@ -37,7 +37,7 @@ def test_example_runs(path, tmp_path):
 
 def marked_code() -> dict[str, str]:
     """The Python blocks of the README and the guide that follow a line <!-- run: NAME -->, by that name."""
-    pages = [(ROOT / page).read_text() for page in ("README.md", "docs/guide.md")]
+    pages = [(ROOT / page).read_text() for page in ("README.md", "docs/guide.md", "docs/coming_from_trep.md")]
     found = [
         block for page in pages for block in re.findall(r"<!-- run: (\S+) -->\n```python\n(.*?)```", page, re.DOTALL)
     ]
@@ -54,7 +54,7 @@ def run_marked(name: str, folder: pathlib.Path, more: str = "") -> list[str]:
 
 def test_every_python_block_is_run():
     """Those of the README and the guide all carry a mark, and every mark has a test below."""
-    pages = "".join((ROOT / page).read_text() for page in ("README.md", "docs/guide.md"))
+    pages = "".join((ROOT / page).read_text() for page in ("README.md", "docs/guide.md", "docs/coming_from_trep.md"))
     assert pages.count("```python") == len(marked_code())
     tested = set(re.findall(r'run_marked\("([a-z-]+)"', pathlib.Path(__file__).read_text()))
     assert tested == set(marked_code())
@@ -143,3 +143,8 @@ def test_guide_code_of_a_heap_runs(tmp_path):
 def test_guide_code_of_simultaneous_impacts_runs(tmp_path):
     printed = run_marked("simultaneous", tmp_path, "\nprint(found.unique, found.certificate.certified)")
     assert printed[-1] == "True True"
+
+
+def test_code_of_the_page_on_trep_runs(tmp_path):
+    """Shapes of f, fdx, fdu and fdxdx of a cart with one force."""
+    assert run_marked("trep", tmp_path) == ["(4,) (4, 4) (4, 1) (4, 4)"]
