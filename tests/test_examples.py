@@ -14,7 +14,7 @@ from helpers.extras import extra
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-PAGES = ("README.md", "docs/guide.md", "docs/optimal_control.md")  # whose code is run
+PAGES = ("README.md", "docs/guide.md", "docs/optimal_control.md", "docs/coming_from_trep.md")  # whose code is run
 NEEDS = {"identify_torch": "torch"}  # examples and the packages that they need, which the test extra does not bring
 
 pytestmark = pytest.mark.skipif(not EXAMPLES, reason="the tests were copied without the examples")
@@ -164,6 +164,13 @@ def test_guide_code_of_simultaneous_impacts_runs(tmp_path):
     assert printed[-1] == "True True"
 
 
+def test_code_of_problems_runs(tmp_path):
+    """SLSQP and IPOPT find the same least effort."""
+    printed = run_marked("problem", tmp_path)
+    assert float(printed[0].split()[0]) == pytest.approx(float(printed[-1].split()[0]), rel=1e-6)
+    assert "Solve_Succeeded" in printed[-1]
+
+
 def test_code_of_rollouts_in_torch_runs(tmp_path):
     """Forces are found that bring the pendulum to a place after it has hit the wall."""
     extra("torch")
@@ -174,3 +181,8 @@ def test_code_of_rollouts_in_torch_runs(tmp_path):
 def test_code_of_rollouts_in_jax_runs(tmp_path):
     extra("jax")
     assert run_marked("rollout-jax", tmp_path)[0] == "(3, 2) (3, 1)"
+
+
+def test_code_of_the_page_on_trep_runs(tmp_path):
+    """Shapes of f, fdx, fdu and fdxdx of a cart with one force."""
+    assert run_marked("trep", tmp_path) == ["(4,) (4, 4) (4, 1) (4, 4)"]

@@ -66,10 +66,11 @@ class ConstrainedStarts:
 
 
 def tangent(model: pin.Model, a: Array, b: Array) -> Array:
-    """Return the tangent vector from a to b, which are close.
+    """Return the tangent vector from a to b, with which Pinocchio's `integrate` leads from a to b.
 
-    Pinocchio's has 1e-8 of noise where q holds (cos, sin); there the angle is taken by arctan2, and the displacement
-    of a planar joint in the axes of a, whose derivative at zero is the same.
+    Pinocchio's own has 1e-8 of noise where q holds (cos, sin), from an arc cosine; there the angle w is taken by
+    arctan2. A planar joint moves by an arc: in the axes of a, its chord is V(w) times the tangent, and
+    V(w)^-1 = (c, w/2; -w/2, c) with c = (w/2) / tan(w/2).
     """
     found = np.array(pin.difference(model, a, b))
     for k in range(1, model.njoints):
@@ -79,7 +80,11 @@ def tangent(model: pin.Model, a: Array, b: Array) -> Array:
             continue
         at = i + 2 * planar
         c0, s0, c1, s1 = *a[at : at + 2], *b[at : at + 2]
-        found[iv + 2 * planar] = np.arctan2(c0 * s1 - s0 * c1, c0 * c1 + s0 * s1)
+        angle = np.arctan2(c0 * s1 - s0 * c1, c0 * c1 + s0 * s1)
+        found[iv + 2 * planar] = angle
         if planar:
-            found[iv : iv + 2] = np.array([[c0, s0], [-s0, c0]]) @ (b[i : i + 2] - a[i : i + 2])
+            half = 0.5 * angle
+            c = half / np.tan(half) if half else 1.0
+            chord = np.array([[c0, s0], [-s0, c0]]) @ (b[i : i + 2] - a[i : i + 2])
+            found[iv : iv + 2] = np.array([[c, half], [-half, c]]) @ chord
     return found

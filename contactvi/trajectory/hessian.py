@@ -91,7 +91,7 @@ def _exact(
     traj: Recorded, compiled: CompiledScene, cost: Cost, direction: _Direction, names: Sequence[str],
     second: _CostHessian,
 ) -> HessianVector:  # fmt: skip
-    _check_exact(compiled, (*direction.names, *names))
+    check_exact(compiled, (*direction.names, *names))
     run = recorded_run(traj, compiled)
     value, lq, lv = cost_gradients(traj, compiled, cost)
     found = run.hessian(list(map(float, traj.t)), lq, lv, direction.exact(), second)
@@ -101,7 +101,7 @@ def _exact(
     return HessianVector(product, {name: direction.rows(name, found["gradient"]) for name in names}, value, None)
 
 
-def _check_exact(compiled: CompiledScene, names: Sequence[str]) -> None:
+def check_exact(compiled: CompiledScene, names: Sequence[str]) -> None:
     """Raise for what has first derivatives alone."""
     for name in names:
         if name not in EXACT:
