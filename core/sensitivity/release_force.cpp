@@ -137,12 +137,15 @@ double ReleaseForce::force(const VecX& q, const VecX& p, const VecX& tau, const 
       c.segment(r, count).setZero();
       continue;
     }
-    if (count == 1 || !s.contacts[i].outcome.slips) continue;
-    const Eigen::Vector2d w = W_.middleCols(r + 1, 2).transpose() * v_;
+    // What sticks up to its release begins to slip before it: its friction goes to zero with the normal force.
+    const bool slips = s.contacts[i].outcome.slips, ends = static_cast<int>(i) == s.ended;
+    if (count == 1 || !(slips || ends)) continue;
     A.middleRows(r + 1, 2).setZero();
     A.block<2, 2>(r + 1, r + 1).setIdentity();
-    A.block<2, 1>(r + 1, r) = mu[i] * w.normalized();
     c.segment<2>(r + 1).setZero();
+    if (!slips) continue;
+    const Eigen::Vector2d w = W_.middleCols(r + 1, 2).transpose() * v_;
+    A.block<2, 1>(r + 1, r) = mu[i] * w.normalized();
   }
   system_.compute(A, equations);
   const int row = s.contacts[s.ended].row;

@@ -2,9 +2,10 @@
 // there; its zero is the time of the release.
 //
 // With the contacts that carry load, and stick or slip: G f + W^T a + dW^T v + d2phi/dt2 = 0 in the rows of the
-// constraints, of the normals and of what sticks, f_t = -mu f_n d of what slips; a is the acceleration without contacts
-// and dW the change of the rows along v (ContactTangent, ConstraintTangent). Its derivative would need the third
-// derivatives of gaps and constraints: it is taken by fourth-order differences, which are right to 1e-10.
+// constraints, of the normals and of what sticks, f_t = -mu f_n d of what slips, f_t = 0 of the contact that sticks and
+// is released; a is the acceleration without contacts and dW the change of the rows along v (ContactTangent,
+// ConstraintTangent). Its derivative would need the third derivatives of gaps and constraints: it is taken by
+// fourth-order differences, which are right to 1e-10.
 #pragma once
 
 #include "geometry/contact_tangent.hpp"

@@ -259,6 +259,36 @@ def refused(start: Start, **options) -> cvi.NotDifferentiable:
     return found.value
 
 
+def tray() -> cvi.Scene:
+    """A ball lies beside the middle of a tray, which servos lift and tilt about an axis 0.1 m below it."""
+    model, place = pin.Model(), pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1]))
+    lift = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
+    pitch = model.addJoint(lift, pin.JointModelRY(), pin.SE3.Identity(), "pitch")
+    model.appendBodyToJoint(pitch, pin.Inertia.FromBox(1.0, 0.2, 0.2, 0.02), place)
+    shapes = pin.GeometryModel()
+    shapes.addGeometryObject(pin.GeometryObject("plate", pitch, place, pin.hppfcl.Box(0.2, 0.2, 0.02)))
+    scene = cvi.Scene.from_pinocchio(model, shapes, name="tray")
+    scene.set_joint("tray", limits=False)
+    scene.set_servo("lift", 9e3, 130.0, effort=float("inf"))
+    scene.set_servo("pitch", 30.0, 0.5, effort=float("inf"))
+    scene.add_sphere("ball", 0.03, mass=0.1, placement=(0.05, 0.0, 0.14))
+    scene.set_contact(restitution=0.0, friction=2.0)
+    return scene
+
+
+def test_what_sticks_up_to_its_release():
+    """Friction that carries a load goes to zero with the normal force: the ball slips before the tray lets it go."""
+    options = {"duration": 0.2, "dt": 1e-3, "order": 2, "contact_mode": "events"}
+    wave = np.sin(4.0 * np.pi * (np.arange(200) + 0.5) * 1e-3) ** 3
+    target = np.column_stack([0.05 * wave, -0.4 * wave])
+    traj = cvi.simulate(tray(), record="gradient", target=target, **options)
+    assert [c.change for c in traj.contact_changes][-2:] == ["stick", "release"]
+    assert transpose_error(traj, ["control"]) <= 1e-11
+    check = cvi.check_gradient(tray(), wrt="control", target=target, **options)
+    assert check.ok
+    assert [column.believe for column in check.columns].count("both") >= 7
+
+
 def test_what_has_no_derivative_says_why():
     scene, q, v = ball_on_ball(0.0)
     leaves = cvi.simulate(scene, q, v, record="gradient", duration=0.6, dt=0.01)
