@@ -22,5 +22,25 @@ except ImportError as error:
 
 from contactvi.crocoddyl.action import ActionData, ActionModel, Failure
 from contactvi.crocoddyl.problems import merge_nodes_at_impacts, replay, solve, warm_start
+from contactvi.crocoddyl.residuals import (
+    ResidualModelCentroidalMomentum,
+    ResidualModelCoMPosition,
+    ResidualModelFramePlacement,
+    ResidualModelFrameTranslation,
+    ResidualModelFrameVelocity,
+)
 
-__all__ = ["ActionData", "ActionModel", "Failure", "merge_nodes_at_impacts", "replay", "solve", "warm_start"]
+__all__ = [
+    "ActionData",
+    "ActionModel",
+    "Failure",
+    "ResidualModelCentroidalMomentum",
+    "ResidualModelCoMPosition",
+    "ResidualModelFramePlacement",
+    "ResidualModelFrameTranslation",
+    "ResidualModelFrameVelocity",
+    "merge_nodes_at_impacts",
+    "replay",
+    "solve",
+    "warm_start",
+]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from contactvi.control.drives import Drives
 from contactvi.control.interval import Interval
+from contactvi.crocoddyl.residuals import BUILT_WITH, reads_pinocchio
 from contactvi.errors import InputError
 from contactvi.inputs import check_choice, short
 from contactvi.trajectory.trajectory import Trajectory
@@ -39,8 +40,11 @@ class ActionData(crocoddyl.ActionDataAbstract):
 
     def __init__(self, model: ActionModel) -> None:
         crocoddyl.ActionDataAbstract.__init__(self, model)
-        self.pinocchio = model.interval.model.createData()
-        self.shared = crocoddyl.DataCollectorMultibody(self.pinocchio)
+        # Costs can be added to a sum at any time: they are looked at when they get their data.
+        residuals = [] if model.costs is None else [item.data().cost.residual for item in model.costs.costs]
+        _check_memory(residuals)
+        own = model.interval.model.createData() if any(map(reads_pinocchio, residuals)) else None
+        self.pinocchio, self.shared = own, _collector(own)
         self.costs: Any = None if model.costs is None else model.costs.createData(self.shared)
         self.trajectory: Trajectory | None = None
         self.at: tuple[Array, Array] | None = None  # the x and u of the last calc
@@ -59,9 +63,9 @@ class ActionModel(crocoddyl.ActionModelAbstract):
     Args:
         scene: the scene. Actuators must have no limits in it; bounds on u are the solver's (Box-FDDP).
         dt: step [s]. steps: steps in the interval.
-        costs: crocoddyl.CostModelSum with nu entries of u; its state is that of the action. Residuals of the state, of
-            the control and of frames, centre of mass and momentum are usable as they are; those of contact forces of
-            crocoddyl's own dynamics are not.
+        costs: crocoddyl.CostModelSum with nu entries of u; its state is that of the action. Residuals of the state and of
+            the control are crocoddyl's; those of frames, centre of mass and momentum are those of this package, under
+            the same names, as long as crocoddyl's wheels are built with another version of Pinocchio.
         torques, targets: what u does (contactvi.control.Drives). By default u are the generalized forces of all joints.
         bounds: "model", the efforts and positions of the model, or (lower, upper), each a number or of shape (nu,);
             None: no bounds. Only solvers with bounds (Box-FDDP, Box-DDP) use them.
@@ -148,8 +152,9 @@ class ActionModel(crocoddyl.ActionModelAbstract):
     def _cost(self, data: ActionData, q: Array, v: Array, x: Array, u: Array | None) -> float:
         if self.costs is None:
             return 0.0
-        pin.computeAllTerms(self.interval.model, data.pinocchio, q, v)
-        pin.updateFramePlacements(self.interval.model, data.pinocchio)
+        if data.pinocchio is not None:
+            pin.computeAllTerms(self.interval.model, data.pinocchio, q, v)
+            pin.updateFramePlacements(self.interval.model, data.pinocchio)
         self.costs.calc(data.costs, *([x] if u is None else [x, u]))
         return float(data.costs.cost)
 
@@ -157,12 +162,31 @@ class ActionModel(crocoddyl.ActionModelAbstract):
         if self.costs is None:
             return
         self._cost(data, q, v, x, u)
-        pin.computeRNEADerivatives(self.interval.model, data.pinocchio, q, v, np.zeros(self.interval.nv))
+        if data.pinocchio is not None:
+            pin.computeRNEADerivatives(self.interval.model, data.pinocchio, q, v, np.zeros(self.interval.nv))
         self.costs.calcDiff(data.costs, *([x] if u is None else [x, u]))
         scale, costs = 1.0 if u is None else self.interval.span, data.costs
         data.Lx, data.Lxx = scale * costs.Lx, scale * costs.Lxx
         if u is not None:
             data.Lu, data.Luu, data.Lxu = scale * costs.Lu, scale * costs.Luu, scale * costs.Lxu
+
+
+def _check_memory(residuals: list[Any]) -> None:
+    """Raise InputError for residuals that would end the process."""
+    for residual in residuals:
+        name = type(residual).__name__
+        if reads_pinocchio(residual) and BUILT_WITH.get(crocoddyl.__version__, pin.__version__) != pin.__version__:
+            raise InputError(
+                f"crocoddyl's {name} reads the memory of another version of Pinocchio", name="costs",
+                expected=f"residuals for Pinocchio {pin.__version__}",
+                got=f"one built with {BUILT_WITH[crocoddyl.__version__]}",
+                remedy=f"Use contactvi.crocoddyl.{name}, which takes the same arguments, or one of your own in Python",
+            )  # fmt: skip
+
+
+def _collector(data: pin.Data | None) -> Any:
+    """Return what gives the residuals of crocoddyl's own the data of Pinocchio, where there are any."""
+    return crocoddyl.DataCollectorAbstract() if data is None else crocoddyl.DataCollectorMultibody(data)
 
 
 def _check_costs(costs: Any, interval: Interval, nu: int) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -10,24 +12,20 @@ from scipy.optimize import minimize
 import contactvi as cvi
 
 crocoddyl = pytest.importorskip("crocoddyl")
+import contactvi.crocoddyl as ours  # noqa: E402
 from contactvi.control.drives import Drives  # noqa: E402
 from contactvi.crocoddyl import ActionModel, merge_nodes_at_impacts, replay, solve, warm_start  # noqa: E402
 
+MODELS = Path(__file__).resolve().parents[2] / "models"
 FOURTH = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))
 X0 = np.array([0.35, 0.25, 0.0, 0.0])
 GOAL = np.array([0.3, 0.1, 0.0, 0.0])
 
 
 def wall(restitution=0.7):
-    scene = cvi.load_scene(cvi_models() / "double_pendulum_wall.toml")
+    scene = cvi.load_scene(MODELS / "double_pendulum_wall.toml")
     scene.set_contact(restitution=restitution)
     return scene
-
-
-def cvi_models():
-    from pathlib import Path
-
-    return Path(__file__).resolve().parents[2] / "models"
 
 
 def ball(height=0.3):
@@ -124,13 +122,13 @@ def test_residuals_of_crocoddyl():
     residuals = {
         "x": crocoddyl.ResidualModelState(state, 0.1 * np.ones(12), 6),
         "u": crocoddyl.ResidualModelControl(state, np.ones(6)),
-        "placement": crocoddyl.ResidualModelFramePlacement(state, frame, place, 6),
-        "translation": crocoddyl.ResidualModelFrameTranslation(state, frame, place.translation, 6),
-        "velocity": crocoddyl.ResidualModelFrameVelocity(
+        "placement": ours.ResidualModelFramePlacement(state, frame, place, 6),
+        "translation": ours.ResidualModelFrameTranslation(state, frame, place.translation, 6),
+        "velocity": ours.ResidualModelFrameVelocity(
             state, frame, pin.Motion(np.arange(6.0)), pin.LOCAL_WORLD_ALIGNED, 6
         ),
-        "com": crocoddyl.ResidualModelCoMPosition(state, np.array([0.1, 0.2, 0.3]), 6),
-        "momentum": crocoddyl.ResidualModelCentroidalMomentum(state, np.arange(6.0), 6),
+        "com": ours.ResidualModelCoMPosition(state, np.array([0.1, 0.2, 0.3]), 6),
+        "momentum": ours.ResidualModelCentroidalMomentum(state, np.arange(6.0), 6),
     }
     for name, residual in residuals.items():
         action = ActionModel(scene, 0.01, order=2, costs=sum_of(state, 6, **{name: (2.0, residual)}))
@@ -142,6 +140,29 @@ def test_residuals_of_crocoddyl():
         if name != "u":
             assert data.cost * 0.01 == pytest.approx(running, rel=1e-12)
             assert np.allclose(data.Lx * 0.01, slope, rtol=1e-12)
+
+
+def test_residuals_that_read_other_memory_are_refused():
+    """Those of crocoddyl's wheels read the data of the Pinocchio that these were built with."""
+    scene = wall()
+    state = crocoddyl.StateMultibody(scene.model)
+    costs = sum_of(state, 2, com=(1.0, crocoddyl.ResidualModelCoMPosition(state, np.zeros(3), 2)))
+    model = ActionModel(scene, 0.02, costs=costs)
+    if pin.__version__ == ours.residuals.BUILT_WITH.get(crocoddyl.__version__):
+        pytest.skip("the installed crocoddyl and Pinocchio go together")
+    with pytest.raises(cvi.InputError, match="contactvi.crocoddyl.ResidualModelCoMPosition"):
+        model.createData()
+
+
+def test_states_of_crocoddyl_are_those_of_pinocchio():
+    """Of its wheels they read the model alone, which is the same."""
+    model = pin.buildSampleModelHumanoid()
+    state, rng = crocoddyl.StateMultibody(model), np.random.default_rng(0)
+    q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
+    x, dx = np.concatenate([q, rng.standard_normal(model.nv)]), rng.standard_normal(2 * model.nv)
+    end = state.integrate(x, dx)
+    assert np.array_equal(end[: model.nq], pin.integrate(model, q, dx[: model.nv]))
+    assert np.array_equal(state.diff(x, end)[: model.nv], pin.difference(model, q, end[: model.nq]))
 
 
 def test_servo_targets_as_inputs():
