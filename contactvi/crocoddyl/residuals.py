@@ -1,7 +1,7 @@
 """Residuals of frames, the centre of mass and momentum for crocoddyl's costs, computed by the installed Pinocchio.
 
-They take the arguments of crocoddyl's residuals of these names. Those themselves read Pinocchio's data in memory, and end
-the process where crocoddyl was built with another version of Pinocchio than the installed one.
+They take the arguments of crocoddyl's residuals of these names. Those themselves read Pinocchio's data in memory, and
+end the process where crocoddyl was built with another version of Pinocchio than the installed one.
 """
 
 from __future__ import annotations
@@ -112,7 +112,17 @@ class ResidualModelFrameVelocity(Residual):
 
     def slope(self, data: pin.Data, q: Array, v: Array) -> Array:
         pin.computeForwardKinematicsDerivatives(self.model, data, q, v, np.zeros(self.model.nv))
-        return np.hstack(pin.getFrameVelocityDerivatives(self.model, data, self.id, self.type))
+        by_q, by_v = pin.getFrameVelocityDerivatives(self.model, data, self.id, pin.LOCAL)
+        pin.updateFramePlacement(self.model, data, self.id)
+        if self.type == pin.LOCAL:
+            return np.hstack([by_q, by_v])
+        # Of Ad_M w, w the twist in the frame and xi the change of M in it: Ad_M (dw - ad_w xi). The world's axes at the
+        # frame's origin turn with it alone.
+        change, place = np.array(by_v), pin.SE3(data.oMf[self.id])
+        if self.type == pin.LOCAL_WORLD_ALIGNED:
+            change[:3], place.translation = 0.0, np.zeros(3)
+        twist = pin.getFrameVelocity(self.model, data, self.id, pin.LOCAL)
+        return np.asarray(place.action @ np.hstack([by_q - twist.action @ change, by_v]))
 
 
 class ResidualModelCoMPosition(Residual):

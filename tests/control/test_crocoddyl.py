@@ -127,6 +127,8 @@ def test_residuals_of_crocoddyl():
         "velocity": ours.ResidualModelFrameVelocity(
             state, frame, pin.Motion(np.arange(6.0)), pin.LOCAL_WORLD_ALIGNED, 6
         ),
+        "twist in the world": ours.ResidualModelFrameVelocity(state, frame, pin.Motion(np.arange(6.0)), pin.WORLD, 6),
+        "twist in the frame": ours.ResidualModelFrameVelocity(state, frame, pin.Motion(np.arange(6.0)), pin.LOCAL, 6),
         "com": ours.ResidualModelCoMPosition(state, np.array([0.1, 0.2, 0.3]), 6),
         "momentum": ours.ResidualModelCentroidalMomentum(state, np.arange(6.0), 6),
     }
