@@ -224,17 +224,6 @@ class SimulationError(ContactviError):
         super().__init__(what, **texts)
 
 
-class MissingPackageError(ContactviError, ImportError):
-    """A package of an extra is not installed; `package` is its name, `extra` that of the extra."""
-
-    def __init__(self, package: str, extra: str) -> None:
-        self.package, self.extra = package, extra
-        super().__init__(
-            f"contactvi.{extra} needs the package {package}", expected=f"{package}, installed", got="none",
-            remedy=f'pip install "contactvi[{extra}]"',
-        )  # fmt: skip
-
-
 class EngineError(ContactviError, RuntimeError):
     """What the engine itself refuses, or a fault inside of it. It is made by the compiled module."""
 

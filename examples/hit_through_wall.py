@@ -1,6 +1,6 @@
 """A double pendulum reaches a state through one and through two impacts at a wall: crocoddyl's FDDP over exact steps.
 
-The torques of forty intervals are found twice, from two starts. How often the tip hits the wall, and when, is given
+The torques of 24 intervals are found twice, from two starts. How often the tip hits the wall, and when, is given
 nowhere: it follows from the motion. Of the two local optima the one with two impacts is cheaper.
 
 python examples/hit_through_wall.py [PICTURE.png]
@@ -16,12 +16,12 @@ import numpy as np
 import contactvi as cvi
 from contactvi.crocoddyl import ActionModel, merge_nodes_at_impacts, replay, solve
 
-SPAN, NODES = 2.0, 40  # [s]
-START, GOAL = np.array([0.35, 0.25, 0.0, 0.0]), np.array([0.3, 0.1, 0.0, 0.0])  # q [rad], v [rad/s]
-STARTS = {1: (-6.0, 4.0), 2: (-6.0, 0.0)}  # number of impacts: shoulder torques from 0 and from .6 to 1.2 s [N m]
+SPAN, NODES = 1.6, 24  # [s]
+START, GOAL = np.array([0.2, 0.1, -1.5, -1.0]), np.array([0.3, 0.1, 0.0, 0.0])  # q [rad], v [rad/s]
+STARTS = {1: (-4.0, 6.0), 2: (0.0, 0.0)}  # impacts: torques of the shoulder at first, and from .5 to 1 s [N m]
 
 scene = cvi.load_scene(Path(__file__).resolve().parents[1] / "models/double_pendulum_wall.toml")
-scene.set_contact(restitution=0.7)
+scene.set_contact(restitution=0.9)
 state = crocoddyl.StateMultibody(scene.model)
 running, terminal = crocoddyl.CostModelSum(state, 2), crocoddyl.CostModelSum(state, 2)
 running.addCost("torques", crocoddyl.CostModelResidual(state, crocoddyl.ResidualModelControl(state, 2)), 1e-2)
@@ -57,14 +57,16 @@ def slope_error(problem, us, step=1e-4) -> float:
 found = {}
 for impacts, (first, second) in STARTS.items():
     problem = crocoddyl.ShootingProblem(START, [action] * NODES, end)
-    us = [np.array([first if k < 12 else second if k < 24 else 0.0, 0.0]) for k in range(NODES)]
+    us = [np.array([first if k < 7.2 else second if k < 14.4 else 0.0, 0.0]) for k in range(NODES)]
     at_start, history, evaluations, begin = cost(problem, us), [], 0, time.perf_counter()
     for _ in range(6):
         solver, log = crocoddyl.SolverFDDP(problem), crocoddyl.CallbackLogger()
         solver.th_stop = 1e-13
         solver.setCallbacks([log])
         solve(solver, us)
-        us, history = list(solver.us), history + [float(c) for c in log.costs]
+        costs = [float(c) for c in log.costs]
+        assert all(b <= a * (1.0 + 1e-12) for a, b in zip(costs, costs[1:], strict=False))  # it never rises
+        us, history = list(solver.us), history + costs
         evaluations += sum(1 - int(np.log2(step)) for step in log.steps if step > 0)  # crocoddyl halves its steps
         if np.abs(gradient(problem, us)).max() <= 1e-6:
             break
@@ -78,7 +80,6 @@ for impacts, (first, second) in STARTS.items():
     assert len(run.events) == impacts
     assert largest <= 1e-6
     assert error <= 1e-7
-    assert all(a >= b for a, b in zip(history, history[1:], strict=False)), "the line search accepts no rise"
 assert found[2][1] < 0.3 * found[1][1]  # two impacts are cheaper
 
 if len(sys.argv) > 1:

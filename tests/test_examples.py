@@ -167,7 +167,8 @@ def test_guide_code_of_simultaneous_impacts_runs(tmp_path):
 def test_code_of_problems_runs(tmp_path):
     """SLSQP and IPOPT find the same least effort."""
     printed = run_marked("problem", tmp_path)
-    assert float(printed[0].split()[0]) == pytest.approx(float(printed[-1].split()[0]), rel=1e-6)
+    first, second = (float(line.split()[0].strip("[]")) for line in (printed[0], printed[-1]))
+    assert first == pytest.approx(second, rel=1e-6)
     assert "Solve_Succeeded" in printed[-1]
 
 

@@ -13,12 +13,15 @@ given nodes and of no given number, and its derivatives are exact through them::
     replay(problem, solver.us).to_html("run.html")
 """
 
-from contactvi.errors import MissingPackageError
+from contactvi.errors import ContactviError
 
 try:
     import crocoddyl  # noqa: F401
 except ImportError as error:
-    raise MissingPackageError("crocoddyl", "crocoddyl") from error
+    raise ContactviError(
+        "crocoddyl is not installed", expected="the package crocoddyl", got="none",
+        remedy='pip install "contactvi[crocoddyl]"',
+    ) from error  # fmt: skip
 
 from contactvi.crocoddyl.action import ActionData, ActionModel, Failure
 from contactvi.crocoddyl.problems import merge_nodes_at_impacts, replay, solve, warm_start

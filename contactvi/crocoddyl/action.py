@@ -64,8 +64,8 @@ class ActionModel(crocoddyl.ActionModelAbstract):
         scene: the scene. Actuators must have no limits in it; bounds on u are the solver's (Box-FDDP).
         dt: step [s]. steps: steps in the interval.
         costs: crocoddyl.CostModelSum with nu entries of u; its state is that of the action. Residuals of the state and
-            of the control are crocoddyl's; those of frames, centre of mass and momentum are those of this package, under
-            the same names, as long as crocoddyl's wheels are built with another version of Pinocchio.
+            of the control are crocoddyl's; those of frames, centre of mass and momentum are this package's, under the
+            same names, as long as crocoddyl's wheels are built with another version of Pinocchio.
         torques, targets: what u does (contactvi.control.Drives). By default u are the generalized forces of all joints.
         bounds: "model", the efforts and positions of the model, or (lower, upper), each a number or of shape (nu,);
             None: no bounds. Only solvers with bounds (Box-FDDP, Box-DDP) use them.

@@ -37,8 +37,12 @@ class Residual(crocoddyl.ResidualModelAbstract):
     """What the residuals here share.
 
     Attributes:
-        model: the state's pin.Model.
+        model: the state's pin.Model. value: (data, q, v) -> the residual, shape (size,). slope: the same -> its
+            derivative, shape (size, 2 nv), in tangent vectors at q and velocities.
     """
+
+    value: Any
+    slope: Any
 
     def __init__(self, state: Any, size: int, nu: int | None, *, velocity: bool = False) -> None:
         count = state.nv if nu is None else nu
@@ -53,14 +57,6 @@ class Residual(crocoddyl.ResidualModelAbstract):
 
     def calcDiff(self, data: ResidualData, x: Array, u: Array | None = None) -> None:
         data.Rx = self.slope(data.pinocchio, np.array(x[: self.state.nq]), np.array(x[self.state.nq :]))
-
-    def value(self, data: pin.Data, q: Array, v: Array) -> Array:
-        """Return the residual at (q, v)."""
-        raise NotImplementedError
-
-    def slope(self, data: pin.Data, q: Array, v: Array) -> Array:
-        """Return its derivative, shape (size, 2 nv), in tangent vectors at q and velocities."""
-        raise NotImplementedError
 
     def _of_q(self, slope: Array) -> Array:
         return np.hstack([slope, np.zeros_like(slope)])
