@@ -88,7 +88,7 @@ if len(sys.argv) > 1:
     figure, axes = plt.subplots(1, 2, figsize=(9, 3), sharey=True, layout="constrained")
     for axis, (impacts, (run, least, _)) in zip(axes, found.items(), strict=True):
         t = np.linspace(0.0, SPAN, 400)
-        axis.plot(t, [run.at(s)[0] for s in t], label=["shoulder", "elbow"])
+        axis.plot(t, run.at(t).q, label=["shoulder", "elbow"])
         for event in run.events:
             axis.axvline(event.time, color="gray", linestyle=":")
         axis.plot([SPAN, SPAN], GOAL[:2], "k.", label="goal")

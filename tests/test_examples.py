@@ -164,6 +164,13 @@ def test_guide_code_of_simultaneous_impacts_runs(tmp_path):
     assert printed[-1] == "True True"
 
 
+def test_code_of_crocoddyl_runs(tmp_path):
+    """Through one impact, whose time is free."""
+    solved, impact = run_marked("fddp", tmp_path)
+    assert solved.startswith("True")
+    assert impact.startswith("1 ")
+
+
 def test_code_of_problems_runs(tmp_path):
     """SLSQP and IPOPT find the same least effort."""
     printed = run_marked("problem", tmp_path)

@@ -48,7 +48,7 @@ class Problem:
         cost: function (t, q, v) -> (J, dJ/dq, dJ/dv) as for contactvi.gradient, or None.
         input_cost: function u (rows, nu) -> (J, dJ/du), such as `quadratic(weights)`.
         parameter_cost: function of {name: value} -> (J, {name: gradient}); those without a gradient have none.
-        constraints: `Constraint`s.
+        constraints: a sequence of `Constraint`.
         bounds: {block: (lower, upper)}, each a number, or numbers that fit the block; blocks are "inputs" (also
             "limits": those of effort and position of the model), "q0", "v0" and the names of parameters.
             Restitution is within [0, 1], friction, stiffness, damping, armature and gains are not negative anyway.

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def solve(
-    solver: Any, us: Sequence[Array], xs: Sequence[Array] | None = None, iterations: int = 100, *,
+    solver: Any, us: Sequence[Array] | Array, xs: Sequence[Array] | None = None, iterations: int = 100, *,
     regularization: float | None = None,
 ) -> bool:  # fmt: skip
     """Let a solver solve its problem from inputs us, and raise the errors that it cannot pass on; return its answer.
@@ -45,7 +45,7 @@ def solve(
     return solved
 
 
-def merge_nodes_at_impacts(problem: Any, us: Sequence[Array], within: float = 1e-3) -> tuple[Any, list[Array]]:
+def merge_nodes_at_impacts(problem: Any, us: Sequence[Array] | Array, within: float = 1e-3) -> tuple[Any, list[Array]]:
     """Return a problem in which no impact of the run with us is at a node, and its inputs.
 
     Where an impact passes a node, the derivative of the motion jumps if the input does, and the feedback of DDP's
@@ -90,7 +90,7 @@ def warm_start(model: ActionModel, traj: Trajectory) -> tuple[list[Array], list[
     return list(xs), list(us)
 
 
-def replay(problem: Any, us: Sequence[Array]) -> Trajectory:
+def replay(problem: Any, us: Sequence[Array] | Array) -> Trajectory:
     """Return the run that a problem of one scene makes with us, as one trajectory, for playback and measurements.
 
     The problem's states are those of the run where its intervals join. A run that goes on through a node knows more

@@ -34,6 +34,7 @@ class Shooting:
     def __call__(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         self.evaluations += 1
         J, slope = cvi.gradient(self.run(x), self.cost, "target")
+        assert J is not None
         return J + 5e-4 * float(x @ x), (self.basis.T @ slope["target"] * UNIT).ravel() + 1e-3 * x
 
 

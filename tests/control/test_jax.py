@@ -19,8 +19,10 @@ jax, test_util, jnp = extra("jax"), extra("jax.test_util"), extra("jax.numpy")
 
 @pytest.fixture(autouse=True)
 def _double_precision():
-    with jax.enable_x64(True):
-        yield
+    """Of all threads: jax.enable_x64 is that of one, and JAX calls back for large arrays from others."""
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
 
 
 def check(function: Any, inputs: tuple[Any, ...], eps: float, tolerance: float) -> None:
