@@ -233,6 +233,15 @@ def interrupted(problem: Problem, after: int) -> Problem:
     return problem
 
 
+@pytest.fixture
+def _heard():
+    """Ctrl-C is heard, also where the tests run in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_heard")
 @pytest.mark.parametrize("solver", ["L-BFGS-B", "ipopt"])
 def test_ctrl_c_comes_through(solver):
     problem = interrupted(at_the_wall(), 5)
@@ -242,7 +251,7 @@ def test_ctrl_c_comes_through(solver):
     assert problem.runs == 5
 
 
-def test_without_casadi():
+def test_without_casadi(tmp_path):
     code = (
         "import sys; sys.modules['casadi'] = None\n"
         "import contactvi as cvi, contactvi.control as c\n"
@@ -251,7 +260,7 @@ def test_without_casadi():
         "try: p.nlp()\n"
         "except cvi.ContactviError as e: print(e)\n"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert 'pip install "contactvi[casadi]"' in found.stdout
 
 

@@ -138,7 +138,7 @@ def test_a_run_that_fails_is_named():
         rollout(scene, tensor(several), v, steps=5, dt=0.01)
 
 
-def test_a_tensor_that_is_left_at_the_end_says_nothing():
+def test_a_tensor_that_is_left_at_the_end_says_nothing(tmp_path):
     """Its runs are let go of before the engine's module looks for what was lost."""
     code = """
 import contactvi as cvi, torch
@@ -147,5 +147,5 @@ scene = cvi.Scene()
 scene.add_sphere("ball", 0.1)
 q, v = rollout(scene, torch.tensor(scene.neutral(), requires_grad=True), [0.0] * 6, steps=5, dt=0.01)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
