@@ -74,6 +74,14 @@ def _restored(kind: type[ContactviError], args: tuple[Any, ...], fields: dict[st
     return error
 
 
+def missing_package(package: str, extra: str) -> ContactviError:
+    """Return the error for a package that is not installed, which an extra of contactvi brings."""
+    return ContactviError(
+        f"{package} is not installed", expected=f"the package {extra}", got="none",
+        remedy=f'pip install "contactvi[{extra}]"',
+    )  # fmt: skip
+
+
 class InputError(ContactviError, ValueError):
     """A bad argument: wrong shape, wrong range, not finite, unknown option. `name` is the argument."""
 

@@ -14,7 +14,7 @@ import numpy as np
 from contactvi.control.batches import batch_of
 from contactvi.control.folded import FoldedGradients, FoldedRollouts
 from contactvi.control.rollouts import RolloutOptions, inputs_of, settings_of
-from contactvi.errors import ContactviError, InputError
+from contactvi.errors import InputError, missing_package
 from contactvi.trajectory.compiled import compile_scene
 
 if TYPE_CHECKING:
@@ -64,10 +64,7 @@ def _jax() -> Any:
     try:
         import jax
     except ImportError as error:
-        raise ContactviError(
-            "JAX is missing", expected="the package jax", got=str(error),
-            remedy='Install it: pip install "contactvi[jax]"',
-        ) from error  # fmt: skip
+        raise missing_package("JAX", "jax") from error
     if not jax.config.jax_enable_x64:
         raise InputError(
             "Runs are computed in double precision", name="jax_enable_x64", expected="JAX with double precision",

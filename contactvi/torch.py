@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from contactvi.control.batches import batch_of
 from contactvi.control.rollouts import RolloutOptions, Rollouts, inputs_of, rollouts_of, settings_of
-from contactvi.errors import ContactviError, InputError
+from contactvi.errors import ContactviError, InputError, missing_package
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -91,10 +91,7 @@ def _torch() -> Any:
     try:
         import torch
     except ImportError as error:
-        raise ContactviError(
-            "PyTorch is missing", expected="the package torch", got=str(error),
-            remedy='Install it: pip install "contactvi[torch]"',
-        ) from error  # fmt: skip
+        raise missing_package("PyTorch", "torch") from error
     return torch
 
 

@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 
 from contactvi.control.evaluation import Evaluation, Failure, Solvable
 from contactvi.control.variables import checked_point
-from contactvi.errors import ContactviError
+from contactvi.errors import ContactviError, missing_package
 
 try:
     import casadi
 except ImportError as _error:
-    raise ContactviError(
-        "CasADi is not installed", expected="the package casadi", got="none",
-        remedy='pip install "contactvi[casadi]"',
-    ) from _error  # fmt: skip
+    raise missing_package("CasADi", "casadi") from _error
 
 Array = NDArray[np.float64]
 # Second derivatives of constraints are not known. The six steps of memory of IPOPT's default are few where inputs cost

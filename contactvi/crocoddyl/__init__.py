@@ -13,15 +13,12 @@ given nodes and of no given number, and its derivatives are exact through them::
     replay(problem, solver.us).to_html("run.html")
 """
 
-from contactvi.errors import ContactviError
+from contactvi.errors import missing_package
 
 try:
     import crocoddyl  # noqa: F401
 except ImportError as error:
-    raise ContactviError(
-        "crocoddyl is not installed", expected="the package crocoddyl", got="none",
-        remedy='pip install "contactvi[crocoddyl]"',
-    ) from error  # fmt: skip
+    raise missing_package("crocoddyl", "crocoddyl") from error
 
 from contactvi.crocoddyl.action import ActionData, ActionModel, Failure
 from contactvi.crocoddyl.problems import merge_nodes_at_impacts, replay, solve, warm_start
