@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi.control.inputs import select_joints
 from contactvi.errors import InputError
 from contactvi.importing.checks import has_limits
-from contactvi.inputs import short
 from contactvi.scene.joints import file_limit
 from contactvi.scene.scene import Scene
 
@@ -114,18 +114,8 @@ class Drives:
 
 def _selected(scene: Scene, selectors: Any, argument: str) -> list[str]:
     """Return the names of the selected joints in the order of v."""
-    one = isinstance(selectors, str) or not isinstance(selectors, Sequence)
-    found: list[str] = []
-    for selector in [selectors] if one else selectors:
-        for name in scene.names.select_joints(selector, argument):
-            if name in found:
-                raise InputError(
-                    f"Joint {name!r} is named twice", name=argument, expected="joints that differ",
-                    got=short(selectors), remedy="Leave one of them out",
-                )  # fmt: skip
-            found.append(str(name))
     model = scene.model
-    return sorted(found, key=lambda name: int(model.idx_vs[model.getJointId(name)]))
+    return sorted(select_joints(scene, argument, selectors), key=lambda name: int(model.idx_vs[model.getJointId(name)]))
 
 
 def _label(model: Any, name: str, dof: int) -> str:
