@@ -61,7 +61,6 @@ class RunGradients:
         self._run = recorded_run(traj, compiled)
         laws = Laws(traj, self._run, compiled)
         self._picks = [_Pick(traj, compiled, laws, name) for name in names]
-        self._by_parameters = any(parameters.is_parameter(name) for name in names)
         self._approximate = _check_direction(traj, self._run, compiled, names, self._taken)
 
     def of(self, lq: Array, lv: Array) -> dict[str, Array]:
@@ -70,8 +69,6 @@ class RunGradients:
         found = self._run.adjoint(list(map(float, traj.t)), lq, lv, np.zeros(0), number_of_steps(traj), self._taken)
         if "fact" in found:
             raise not_differentiable(traj, found)
-        if "released" in found and self._by_parameters:
-            raise not_differentiable(traj, found["released"])
         return {pick.name: pick.of(found) for pick in self._picks}
 
     def warn(self, stacklevel: int) -> None:

@@ -219,12 +219,6 @@ class Recorded {
     d["e"] = found->e;
     d["mu"] = found->mu;
     d["parameters"] = parameters_of(scene_.tree, found->parameters);
-    if (found->released < 0) return d;
-    try {
-      refuse_parameters_of_release(found->released, found->released_at);
-    } catch (const NoDerivative& reason) {
-      d["released"] = obstacle_of(scene_, reason);
-    }
     return d;
   }
 

@@ -146,24 +146,21 @@ void ContactPieceAdjoint::pass_release(double lforce, VecX& lq, VecX& lp, RunGra
   const auto along = [&](const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu) {
     return lforce * release_.change(dq, dp, dtau, dmu);
   };
+  VecX momentum(n), force(n);
   for (Eigen::Index k = 0; k < n; ++k) {
     const VecX unit = VecX::Unit(n, k);
     lq[k] += along(unit, none, empty, empty);
-    lp[k] += along(none, unit, empty, empty);
-    const double ltau = along(none, none, unit, empty);
-    result.tau(number_, k) += ltau;
-    if (const Servo* servo = inputs_->servo(); servo != nullptr) {
-      result.q_ref(number_, k) += servo->kp[k] * ltau;
-      result.v_ref(number_, k) += servo->kd[k] * ltau;
-    }
+    momentum[k] = along(none, unit, empty, empty);
+    force[k] = along(none, none, unit, empty);
   }
+  lp += momentum;
+  result.begin_step();
+  release_.add_parameters(momentum, force, result.parameters);
+  result.end_step(number_, force);
   for (Eigen::Index i = 0; i < contacts; ++i) {
     const PersistentContact& before = s.contacts[i].before;
     if (before.mu > 0.0) result.mu[before.point.guard] += along(none, none, empty, VecX::Unit(contacts, i));
   }
-  if (result.released >= 0) return;
-  result.released = s.contacts[s.ended].before.point.guard;
-  result.released_at = s.t + s.h;
 }
 
 }  // namespace contactvi

@@ -133,13 +133,6 @@ VecX ContactPieces::friction_change(const RunDirections& d, Eigen::Index column)
   return dmu;
 }
 
-void refuse_parameters_of_release(int guard, double time) {
-  throw NoDerivative({"parameter", guard, time},
-                     "The time of the release of a contact has no derivative by the scene's parameters that is known",
-                     "q0, v0, control, restitution or friction", "a parameter of the scene",
-                     "End the run before the contact is released");
-}
-
 void check_contact_end(const ContactStepRecord& step, double rate) {
   if (std::abs(rate) > 0.0) return;
   throw NoDerivative({step.ending == ContactStepEnd::kRelease ? "release" : "stick", -1, step.t + step.h},
@@ -153,8 +146,6 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
   VecX fq(columns.q.rows()), fp(columns.q.rows()), later(d.count);
   solve_length(fq, fp);
   double rate = tangent_.slip_change();
-  if (releases && !d.parameters.empty())
-    refuse_parameters_of_release(step_->contacts[step_->ended].before.point.guard, step_->t + step_->h);
   if (releases) {
     release_.take(*step_, inputs_->tau(), inputs_->servo());
     rate = release_.rate(fq, fp);
@@ -162,8 +153,9 @@ void ContactPieces::end(const RunDirections& d, RunColumns& columns) {
   check_contact_end(*step_, rate);
   for (Eigen::Index k = 0; k < d.count; ++k) {
     const VecX tau = d.tau.size() > 0 ? VecX(d.tau.col(k)) : VecX();
-    const double change =
-        releases ? release_.change(columns.q.col(k), columns.p.col(k), tau, friction_change(d, k)) : slip_[k];
+    double change = slip_[k];
+    if (releases) change = release_.change(columns.q.col(k), columns.p.col(k), tau, friction_change(d, k));
+    if (releases && d.parameter(k) != nullptr) change += release_.change(*d.parameter(k));
     later[k] = -change / rate;
   }
   columns.move_on(later, fq, fp);

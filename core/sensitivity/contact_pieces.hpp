@@ -24,8 +24,6 @@ struct DenseStepReport {
 void check_contact_piece(const RecordedRun& run, const Piece& piece);
 // Throws NoDerivative where what ends a step, a slip or a force, does not change with time.
 void check_contact_end(const ContactStepRecord& step, double rate);
-// Throws NoDerivative: the parameters of the scene have none where a contact is released.
-[[noreturn]] void refuse_parameters_of_release(int guard, double time);
 // Throws NoDerivative for a contact that sticks without having come to stick in the run.
 [[noreturn]] void refuse_sticking_start(const ContactPoint& point, double time);
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "model/coordinates.hpp"
 #include "step/energy.hpp"
 
 namespace contactvi {
@@ -35,6 +36,7 @@ ReleaseForce::ReleaseForce(const Scene& scene, const RecordedRun& run)
       guards_(scene, run.contact_points),
       tangent_(scene),
       constraints_(scene.tree),
+      parameters_(scene.tree),
       v_(scene.tree.nv),
       a_(scene.tree.nv) {}
 
@@ -59,6 +61,10 @@ void ReleaseForce::take(const ContactStepRecord& step, const VecX& tau, const Se
     const bool clear = loaded_[i] != 0 ? forces_[r] > kZero * size_ : accelerations_[r] > kZero * size_ * A_(r, r);
     if (static_cast<int>(i) != step.ended && !clear) refuse("another contact on the border of its load");
   }
+  VecX acceleration = W_ * forces_;
+  masses_.solve_mass(acceleration);
+  acceleration += a_;
+  parameters_.take(step.q1, v_, acceleration, servo);
 }
 
 // The force of the contact that is released. Others that are about to be released carry no load: the one that pulls
@@ -181,6 +187,19 @@ double ReleaseForce::change(const VecX& dq, const VecX& dp, const VecX& dtau, co
     total += weight * force(q, s.p1 + by * dp, tau, mu);
   }
   return total / (12.0 * step);
+}
+
+double ReleaseForce::change(const StepParameters& parameters) {
+  VecX dp, dtau;
+  parameters_.change(parameters, dp, dtau);
+  engine_to_public(scene_->tree, record_->q1, dtau);
+  return change(VecX::Zero(dp.size()), dp, dtau, VecX());
+}
+
+void ReleaseForce::add_parameters(const VecX& lp, const VecX& ltau, StepParameters& sums) {
+  VecX lforce = ltau;
+  public_to_engine(scene_->tree, record_->q1, lforce);
+  parameters_.add_gradient(lp, lforce, sums);
 }
 
 double ReleaseForce::rate(const VecX& fq, const VecX& fp) {

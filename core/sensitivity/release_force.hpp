@@ -11,6 +11,7 @@
 #include "geometry/contact_tangent.hpp"
 #include "geometry/guard.hpp"
 #include "model/constraint_tangent.hpp"
+#include "sensitivity/motion_parameters.hpp"
 #include "sensitivity/recorded_run.hpp"
 #include "sensitivity/shared_load.hpp"
 #include "step/integrator.hpp"
@@ -23,9 +24,13 @@ class ReleaseForce {
 
   // Takes a step that ends with a release; it and its inputs are to stay alive. Throws NoDerivative.
   void take(const ContactStepRecord& step, const VecX& tau, const Servo* servo);
-  // The derivative of the force [N] along a change of (q1, p1), of the inputs and of the coefficients of friction of
+  // The derivative of the force [N] along a change of (q1, p1), and of the inputs and the coefficients of friction of
   // the contacts, which may be empty.
   double change(const VecX& dq, const VecX& dp, const VecX& dtau, const VecX& dmu);
+  // That along a change of the parameters of the scene.
+  double change(const StepParameters& parameters);
+  // Adds its gradient in the parameters to sums, from that in p1 and the one in the inputs.
+  void add_parameters(const VecX& lp, const VecX& ltau, StepParameters& sums);
   // Its derivative by time, along the motion with the rates fq, fp of (q1, p1): prescribed motions go on.
   double rate(const VecX& fq, const VecX& fp);
 
@@ -41,6 +46,7 @@ class ReleaseForce {
   Guards guards_;
   ContactTangent tangent_;
   ConstraintTangent constraints_;
+  MotionParameters parameters_;
   const ContactStepRecord* record_ = nullptr;
   const VecX* tau_ = nullptr;
   std::vector<char> loaded_;  // which contacts carry load

@@ -12,10 +12,6 @@ struct RunGradient {
   MatX q_ref, v_ref;  // in the references of the servos, (steps, nv)
   VecX e, mu;         // in restitution and friction, (guards,)
   StepParameters parameters;
-  // The latest time at which a contact is released, and its guard; -1: none is. The times of releases have no
-  // derivative in the parameters that is known, and `parameters` is without it.
-  double released_at = 0.0;
-  int released = -1;
 
   // What `parameters` has of the references of servos is that of one step: cleared before it, and entered in its row
   // after it, with the gradient in its inputs.
