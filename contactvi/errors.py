@@ -250,7 +250,7 @@ class NotDifferentiable(ContactviError):
       "restitution" that was lowered, "map" (an implicit map without an answer), "start" (at the first instant), "time"
       (a force that changes with it);
     - of a persistent contact: "release", "stick", "redundant" points that share a load, "node" (an event at the end of
-      a step), "inside" of a step, "dense" steps, "parameter" of the scene;
+      a step), "inside" of a step, "dense" steps;
     - "second": there is a first derivative, but no second one that is known.
     """
 

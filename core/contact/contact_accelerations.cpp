@@ -20,11 +20,17 @@ constexpr double kStill = 1e-11;   // of the speeds: a joint that sticks
 constexpr double kFalling = 0.35;  // of the larger force: one extrapolated to less may reach zero soon
 }  // namespace
 
+// What the force does within a step shows in its two impulses where the geometry changes it: to leading order they are
+// then the forces at one third and two thirds of the step. What springs and inputs change is evaluated at the midpoint
+// alone, and shows in the mean forces of this step and of the one before; of the first step of a contact it is not
+// known.
 bool ContactStep::may_release() const {
-  for (const ContactOutcome& out : outcomes_) {
-    const double first = out.position_impulse[0], second = out.velocity_impulse[0];
-    // To leading order the two impulses are the forces at one third and two thirds of the step.
-    if (2.0 * second - first < kFalling * std::max(first, second) || !(first > 0.0)) return true;
+  const auto falls = [](double first, double second) {
+    return 2.0 * second - first < kFalling * std::max(first, second) || !(first > 0.0);
+  };
+  for (std::size_t i = 0; i < outcomes_.size(); ++i) {
+    const double first = outcomes_[i].position_impulse[0], second = outcomes_[i].velocity_impulse[0];
+    if (falls(first, second) || falls(contacts_[i].force[0], (first + second) / h_)) return true;
   }
   return false;
 }
