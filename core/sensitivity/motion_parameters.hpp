@@ -2,9 +2,9 @@
 //
 // With the momentum P(q, v) and the gradient G of the Lagrangian, dP/dt + [v, P] = G + forces, where [v, P] = omega x P
 // on spherical joints and zero on others. All of them are linear in the parameters: at a fixed (q, p) a change of the
-// parameters acts like one of p by -dP, and one of the generalized force by dG + dforces - d(dP/dt + [v, P]), all at the
-// velocity v and the acceleration a that belong to (q, p) with all forces. dP/dt is taken by fourth-order differences
-// along the motion.
+// parameters acts like one of p by -dP, and one of the generalized force by dG + dforces - d(dP/dt + [v, P]), all at
+// the velocity v and the acceleration a that belong to (q, p) with all forces. dP/dt is taken by fourth-order
+// differences along the motion.
 #pragma once
 
 #include "step/step_parameters.hpp"

@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 
 import contactvi as cvi
 
-DT, KNOTS = 2e-3, 10  # [s]; numbers per joint
+DT, KNOTS = 1e-3, 10  # [s]; numbers per joint
 UNIT = np.array([0.02] + [0.05] * 18)  # what a variable of 1 adds to a target: lift [m], others [rad]; 5 at most
 
 
