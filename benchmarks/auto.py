@@ -1,0 +1,108 @@
+"""dt = "auto" beside the best fixed setting, which a newcomer does not know, on the scenes of peers/compare.py.
+
+    python benchmarks/auto.py [--tols 1e-3 1e-6 1e-8] [--scenes S1 talos] [--repeats 5]
+
+For each scene and tol: the fastest of a grid of fixed settings (orders 8 and 16, dt, tolerance of the stage equations)
+whose error is at most tol, the time of dt="auto" over that, the sweeps (evaluations of all stages) of its last run over
+those, its error over tol, and its estimate of the error over the error. Errors are the largest over the samples of
+tenths of a second, against the references of benchmarks/peers/scenes.py. Times are the fastest of the repeats, all in
+one process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent / "peers"))
+
+import peer_contactvi
+import scenes
+from compare import job_of
+
+import contactvi as cvi
+
+PARTS = {8: (1, 2, 3, 5, 8, 12, 20, 40), 16: (0.5, 1, 1.5, 2, 3, 4, 6, 8, 12)}  # steps per tenth of a second
+STAGE_TOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+
+
+class Case:
+    """A scene as a user runs it, and its reference."""
+
+    def __init__(self, name: str, folder: Path) -> None:
+        self.model = scenes.make(name)
+        self.job = job_of(self.model, folder)
+        self.scene = peer_contactvi.build(self.job)
+        self.start = peer_contactvi.start(self.scene, self.job)
+        self.reference = scenes.reference(self.model)[0]
+
+    def run(self, setting: dict[str, Any]) -> tuple[cvi.Trajectory, float]:
+        """Return the run and its error; infinite where it ended early."""
+        q0, v0, at_q, _ = self.start
+        options = peer_contactvi.options(self.job, setting)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            traj = cvi.simulate(self.scene, q0, v0, self.job["duration"], **options)
+        q = traj.q[1:, at_q]
+        return traj, self.model.distance(q, self.reference) if q.shape == self.reference.shape else np.inf
+
+    def seconds(self, setting: dict[str, Any], repeats: int) -> float:
+        """Return the time of a call of simulate [s]."""
+        best = np.inf
+        for _ in range(repeats):
+            begin = time.perf_counter()
+            self.run(setting)
+            best = min(best, time.perf_counter() - begin)
+        return best
+
+
+def fixed(case: Case, tols: list[float], repeats: int) -> dict[float, tuple[float, int, dict[str, Any]]]:
+    """Return for each tol the time, the sweeps and the setting of the fastest fixed one that meets it."""
+    found = []
+    for order, parts in PARTS.items():
+        for part in parts:
+            for tol in STAGE_TOLS:
+                setting = {"order": order, "dt": 0.1 / part, "tol": tol, "impact": "ctec"}
+                try:
+                    traj, error = case.run(setting)
+                except cvi.ContactviError:
+                    continue
+                found.append((traj.stats.sweeps * (1 + order / 8), error, traj.stats.sweeps, setting))
+    best = {}
+    for tol in tols:
+        good = sorted((row for row in found if row[1] <= tol), key=lambda row: row[0])[:4]
+        if good:
+            best[tol] = min(((case.seconds(row[3], repeats), row[2], row[3]) for row in good), key=lambda row: row[0])
+    return best
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tols", type=float, nargs="+", default=[1e-3, 1e-6, 1e-8])
+    parser.add_argument("--scenes", nargs="+", default=[name for name in scenes.NAMES if name != "S2_n100"])
+    parser.add_argument("--repeats", type=int, default=5)
+    given = parser.parse_args()
+    print(f"{'scene':8} {'tol':>7} {'fixed ms':>9} {'auto ms':>9} {'ratio':>6} {'sweeps':>7} {'error/tol':>10}"
+          f" {'estimate/error':>15}  best fixed setting")  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        for name in given.scenes:
+            case = Case(name, Path(folder))
+            for tol, (seconds, sweeps, setting) in fixed(case, given.tols, given.repeats).items():
+                auto = {"dt": "auto", "tol": tol, "impact": "ctec"}
+                traj, error = case.run(auto)
+                took = case.seconds(auto, given.repeats)
+                shown = f"order {setting['order']}, dt {setting['dt']:.4g}, tol {setting['tol']:.0e}"
+                print(f"{name:8} {tol:7.0e} {1e3 * seconds:9.3f} {1e3 * took:9.3f} {took / seconds:6.2f}"
+                      f" {traj.stats.sweeps / sweeps:7.2f} {error / tol:10.3f} {traj.error_estimate / error:15.2f}  "
+                      + shown, flush=True)  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
