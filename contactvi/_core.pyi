@@ -536,9 +536,9 @@ class Simulator:
         Make steps without the interpreter lock; return nodes, events, statistics and status.
         """
 
-    def run_auto(self, duration: float, level: float, progress: Callable[[float, int], object] | None = None) -> dict[str, Any]:
+    def run_auto(self, duration: float, level: float, progress: Callable[[float, int], object] | None = None, plan: tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float] | None = None) -> dict[str, Any]:
         """
-        Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out.
+        Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. plan: times and lengths of the steps of another run [s], and the part of them that the steps of this one are.
         """
 
     def save(self) -> Snapshot:

@@ -1,10 +1,11 @@
 """dt = "auto": runs a scene with steps that make q as accurate as asked, and measures how accurate it is.
 
-The engine keeps the step h constant between two impacts, so that what its stage polynomials leave out of the motion
-stays below a level [m, rad]. With s stages that goes with h^s, and the error of the run with h^2s, so with the square
-of the level. The factor in front depends on the motion and is measured by a companion: a run with a coarser level. Its
-distance from the run is the difference of the two errors, whose ratio follows from the lengths of their steps. Where
-the error is above tol the level is lowered by this law and the run is made again; the run before is then the companion.
+A first run, the companion, chooses its steps, so that what the stage polynomials leave out of the motion stays below a
+level [m, rad]; between two impacts they only become shorter. With s stages that goes with h^s, and the error of the run
+with h^2s, so with the square of the level. The factor in front depends on the motion and is measured: the steps of the
+next run, at a finer level, are those of the companion times one factor, so that its error is the same part of the
+companion's everywhere, and the distance of the two tells how large both are. Where the error is above tol the level is
+lowered by this law and the run is made again; the run before is then the companion.
 
 Steps with persistent contacts are midpoint steps of one length, whatever the order. They are as long as the level times
 a constant, so that their error goes with the square of the level too and the same comparison measures it.
@@ -48,8 +49,8 @@ _RUNS = 6  # at most, besides the first companion
 _START = 0.3  # level = _START sqrt(tol) to begin with
 _SEEN = 0.1  # errors / level^2 of many motions lie about this
 _COMPANION = 30.0  # times the error of the run, by the law
-_AIM = 0.3  # of tol: where the level is set to
-_LEAST = 10.0  # ratio of the errors of two runs; then their distance is the error of the coarser one
+_AIM = 0.1  # of tol: where the level is set to
+_LEAST = 10.0  # ratio of the errors of two runs: more is not taken for granted, though the law says so
 _DISTINCT = 1.3  # ratio of errors, by the law, below which the steps of a flight are too much alike to compare
 _MATTERS = 0.01  # share of a flight in the error, by the law, below which that does not matter
 _FINER, _MOST = 0.6, 8.0  # length of finer steps / the shortest step; number of them / that of the steps
@@ -150,7 +151,7 @@ class _Search:
         """Return the run and its estimated error; an interrupted run as it is, with NaN."""
         tol = self._options.tol
         level = _clip(_START * math.sqrt(tol))
-        companion, estimate = self._run(level * math.sqrt(_COMPANION), slack=_COMPANION), math.nan
+        companion, estimate = self._run(level * math.sqrt(_COMPANION)), math.nan
         for _ in range(_RUNS):
             if _final(companion) or not len(companion.segments["t"]):  # it ended where it started
                 return companion, math.nan
@@ -172,25 +173,27 @@ class _Search:
         self.last.status = Status.interrupted(float(self.last.t[-1][-1]))
         return _Found(math.nan, self.last, self._engine)
 
-    def _run(self, level: float, coarser: _Found | None = None, slack: float = 1.0) -> _Found:
+    def _run(self, level: float, coarser: _Found | None = None) -> _Found:
         """Run at a level.
 
+        The tolerance of the stage equations goes with the square of the level, as the error of the steps does, so that
+        both show in the distance of two runs.
+
         Args:
-            coarser: a run with longer steps. Its law gives the step to begin with, which is shorter in any case.
-            slack: factor on the tolerance of the stage equations, so that their error shows in a distance too.
+            coarser: a run with longer steps. The steps are parts of its own, all the same part by the law.
         """
-        guess = None
-        if coarser is not None and len(coarser.steps):
-            law = (coarser.level / level) ** (1.0 / self._stages)
-            count = self._options.span / coarser.steps[0]
-            guess = self._options.span / math.ceil(max(count * law, count + 1.0) - 1e-6)
+        plan, bound = None, level
+        if coarser is not None and coarser.record.adaptive_steps is not None:
+            steps, bound = coarser.record.adaptive_steps, coarser.level
+            plan = (steps["t"], steps["dt"], (level / bound) ** (1.0 / self._stages))
         dt_contact = self._contact_dt(level)
-        simulator = engine.make(self._compiled, self._options, guess, slack, dt_contact)
+        slack = (level / _clip(_START * math.sqrt(self._options.tol))) ** 2
+        simulator = engine.make(self._compiled, self._options, None, slack, dt_contact)
         self.last, refused = engine.start(simulator, self._compiled, self._options, *self._start)
         if refused is not None:
             raise refused
         self._engine = simulator
-        engine.advance_auto(simulator, self.last, self._options.span, level, self._progress)
+        engine.advance_auto(simulator, self.last, self._options.span, bound, plan, self._progress)
         self.seconds += self.last.stats.seconds
         return _Found(level, self.last, simulator, dt_contact)
 
@@ -208,12 +211,12 @@ class _Search:
             # Runs that end where impacts accumulate are compared up to there.
             same = companion.record.status.code == found.record.status.code
             return max(floor, _distance(companion.record, found.record, ended=True)) if same else math.inf
-        share = _share(companion, found, 2 * self._stages + 1)
+        share = max(_share(companion, found, 2 * self._stages + 1), _ratio(companion, found))
         if not math.isfinite(share):
             return max(floor, self._against_finer(found))
         distance = _distance(companion.record, found.record)
         lawful = distance < _LOST * size if not math.isfinite(expected) else distance < _FOLLOWS * expected
-        return max(floor, distance * max(share, 1.0 / _COMPANION) if lawful else distance)
+        return max(floor, distance * max(share, 1.0 / _LEAST) if lawful else distance)
 
     def _floor(self, found: _Found) -> tuple[float, float]:
         """Return what the error of a run is not below, and the size of its motion."""
@@ -247,6 +250,11 @@ class _Search:
         return _distance(record, found.record)
 
 
+def _ratio(companion: _Found, found: _Found) -> float:
+    """Return error / (companion's error - error) by the levels alone."""
+    return 1.0 / ((companion.level / found.level) ** 2 - 1.0)
+
+
 def _share(companion: _Found, found: _Found, power: int) -> float:
     """Return error / (companion's error - error) by the lengths h of the segments: an error is their sum of h^power.
 
@@ -257,11 +265,7 @@ def _share(companion: _Found, found: _Found, power: int) -> float:
     """
     steps = found.record.adaptive_steps
     if steps is None or not len(steps["t"]) or found.record.impacts != companion.record.impacts:
-        return (
-            1.0 / ((companion.level / found.level) ** 2 - 1.0)
-            if found.in_contact and companion.in_contact
-            else math.inf
-        )
+        return _ratio(companion, found) if found.in_contact and companion.in_contact else math.inf
     sums = []
     for run in (found, companion):
         t, h, persistent = (run.segments[name] for name in ("t", "h", "persistent"))

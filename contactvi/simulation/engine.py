@@ -101,10 +101,16 @@ def advance(
 
 
 def advance_auto(
-    engine: _core.Simulator, record: Record, duration: float, level: float, progress: Progress | None
-) -> Status:
-    """Run for a duration [s] with steps chosen for a level [m, rad] and record them; errors as those of `advance`."""
-    return _take(record, cast(EngineResult, engine.run_auto(duration, level, progress)))
+    engine: _core.Simulator, record: Record, duration: float, level: float, plan: tuple[Array, Array, float] | None,
+    progress: Progress | None,
+) -> Status:  # fmt: skip
+    """Run for a duration [s] with steps chosen for a level [m, rad] and record them; errors as those of `advance`.
+
+    Args:
+        plan: times from which on another run has had steps of some lengths [s], these lengths, and the part of them
+            that the steps of this run are.
+    """
+    return _take(record, cast(EngineResult, engine.run_auto(duration, level, progress, plan)))
 
 
 def _take(record: Record, result: EngineResult) -> Status:

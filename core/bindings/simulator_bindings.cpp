@@ -2,6 +2,7 @@
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 
 #include <chrono>
 #include <optional>
@@ -242,11 +243,19 @@ struct Kept {
   const Scene* scene;
 };
 
-Dict run_auto(World& sim, double duration, double level, const std::optional<ProgressCallback>& progress) {
+Dict run_auto(World& sim, double duration, double level, const std::optional<ProgressCallback>& progress,
+              const std::optional<std::tuple<VecX, VecX, double>>& plan) {
   if (!(duration > 0.0) || !(level > 0.0)) throw Error("duration and level must be > 0");
   if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
+  std::optional<StepPlan> steps;
+  if (plan) {
+    const auto& [t, dt, part] = *plan;
+    if (t.size() == 0 || t.size() != dt.size() || !(part > 0.0) || !(dt.minCoeff() > 0.0))
+      throw Error("plan: expected times, lengths > 0 and a part > 0");
+    steps = StepPlan{t, dt, part};
+  }
   return run(sim, progress, [&](const Progress& callback, Recording& recording) {
-    return sim.run_auto(duration, level, callback, recording);
+    return sim.run_auto(duration, level, steps ? &*steps : nullptr, callback, recording);
   });
 }
 
@@ -344,8 +353,9 @@ void expose_simulator(nb::module_& m) {
       .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
            "target"_a = nb::none(),
            "Make steps without the interpreter lock; return nodes, events, statistics and status.")
-      .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(),
-           "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out.")
+      .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(), "plan"_a = nb::none(),
+           "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. plan:"
+           " times and lengths of the steps of another run [s], and the part of them that the steps of this one are.")
       .def(
           "save", [](World& sim) { return Kept{sim.save(), &sim.scene()}; }, "Return a snapshot to go back to.")
       .def(

@@ -1,8 +1,8 @@
 // Simulator::run_auto: adaptive steps, of equal length between one impact and the next.
 //
-// The long-time behaviour of a variational integrator rests on a constant step. The step therefore changes only at
-// impacts, which break the smooth motion anyway; where it turns out to be too long, all steps since the last impact are
-// redone with a shorter one.
+// The long-time behaviour of a variational integrator rests on a constant step. The step therefore grows only at
+// impacts, which break the smooth motion anyway. Where it turns out to be too long it becomes shorter, and stays so up
+// to the next impact; at least half of the steps that were made stay.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -22,6 +22,7 @@ constexpr int kProbes = 16;
 constexpr double kEasyIterations = 9.0, kManyIterations = 20.0;
 constexpr double kBelowFailure = 0.75;   // of a step that did not converge: the longest one from then on
 constexpr double kShortestStep = 1e-12;  // of the duration
+constexpr double kSameTime = 1e-9;       // of the duration: times of a plan that differ by less are one
 // Numbers that the nodes and polynomials of a run may have, 4 GB of them. The accuracy is measured with a second run
 // and with copies of both, about four times as much. Longer runs would end where the memory of the machine does.
 constexpr double kMostNumbers = 536870912.0;
@@ -54,78 +55,104 @@ bool Simulator::end_with_too_many_steps(double time, double h) {
   return end(StatusCode::kTooManySteps, time, message.str());
 }
 
-// Steps of one length: to the end of the step with the next impact, or to the end of the run.
-bool Simulator::run_adaptive_steps(double end, double level, Recording& recording) {
-  const Snapshot start = snapshot();
-  const Recording::Mark mark = recording.mark();
+// Steps of one length: to the end of the step with the next impact, to where the length turns out to be too long or
+// that of the plan changes, or to the end of the run.
+bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* plan, Recording& recording) {
   const VecX no_force;
-  const double s = options_.stages, duration = end - start.run.time;
-  int probes = recording.adaptive_t.empty() ? kProbes : 0;
-  double largest = 0.0, most_iterations = 0.0;
-  for (;;) {
-    const double count = std::clamp(std::ceil(duration / state_.adaptive_dt - 1e-9), 1.0, 1e15), h = duration / count;
-    // Only an impact may change the length again.
-    if (guards_.count() == 0 && count > most_steps()) return end_with_too_many_steps(start.run.time, h);
-    bool rejected = false;
-    largest = most_iterations = 0.0;
+  const double s = options_.stages, began = state_.time;
+  if (plan != nullptr) end = take_plan(*plan, end);
+  const double duration = end - began;
+  const long impacts = state_.impacts;
+  int probes = recording.adaptive_t.empty() && plan == nullptr ? kProbes : 0;
+  double largest = 0.0, most_iterations = 0.0, h = 0.0, count = 0.0;
+  const auto set_length = [&] {
+    count = std::clamp(std::ceil(duration / state_.adaptive_dt - 1e-9), 1.0, 1e15);
+    h = duration / count;
     state_.control.free.longest = h;
-    for (long k = 0; k < static_cast<long>(count) && !rejected; ++k) {
-      truncation_.largest = 0.0;
-      const double step_start = start.run.time + static_cast<double>(k) * h;
-      const long before = integrator_.counters.stage_iterations;
-      const bool solved = advance_interval(step_start, h, no_force, recording);
-      const double stage_iterations = static_cast<double>(integrator_.counters.stage_iterations - before);
-      most_iterations = std::max(most_iterations, stage_iterations);
-      const bool retry =
-          state_.status.code == StatusCode::kNewtonFailed || state_.status.code == StatusCode::kEventUnresolved;
-      if (!solved && !retry) return false;
-      const double seen = solved ? truncation_.largest : std::numeric_limits<double>::infinity();
-      largest = std::max(largest, seen);
-      const bool shortest = h < kShortestStep * duration;
-      if (!solved && shortest) return false;
-      if (seen > level && !shortest) {
-        // The truncation is of the order h^s; a step that did not converge is halved.
-        const double factor = solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5;
-        state_.adaptive_dt = factor * h;
-        if (!solved) truncation_.longest_dt = kBelowFailure * h;
-        rejected = true;
-        break;
-      }
-      if (k == 0 && probes-- > 0 && count > 1.0 && stage_iterations <= kEasyIterations &&
-          kProbeGrowth * h <= truncation_.longest_dt && seen < level * std::pow(1.0 / kProbeGrowth, s)) {
-        state_.adaptive_dt = kProbeGrowth * h;
-        rejected = true;
-        break;
-      }
-      ++state_.step;
-      state_.time = k + 1 == static_cast<long>(count) ? end : step_start + h;
-      record_node(state_.time, recording);
-      if (!report_progress(state_.time)) return false;
-      if (static_cast<double>(recording.t.size()) > most_steps()) return end_with_too_many_steps(state_.time, h);
-      if (state_.impacts > start.run.impacts) break;
+    largest = most_iterations = 0.0;
+  };
+  set_length();
+  // To which the run goes back where a step is too long: at least half of the steps stay.
+  Snapshot start = snapshot();
+  Recording::Mark mark = recording.mark();
+  long kept = 0;
+  bool shortened = false;
+  for (long k = 0; k < static_cast<long>(count);) {
+    // Only an impact may change the length again.
+    if (guards_.count() == 0 && count > most_steps()) return end_with_too_many_steps(began, h);
+    if (k >= 2 * kept && k > kept) {
+      start = snapshot();
+      mark = recording.mark();
+      kept = k;
     }
-    if (!rejected) {
-      recording.adaptive_t.push_back(start.run.time);
-      recording.adaptive_dt.push_back(h);
-      double growth = kSafety * std::pow(level / std::max(largest, 1e-300), 1.0 / s);
-      // Steps close to the longest length that converges take so many iterations that shorter ones are cheaper.
-      if (most_iterations > kEasyIterations)
-        growth = std::min(growth, most_iterations > kManyIterations ? 1.0 / kProbeGrowth : 1.0);
-      state_.adaptive_dt =
-          std::min(truncation_.longest_dt, h * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth));
-      return true;
+    truncation_.largest = 0.0;
+    const double step_start = began + static_cast<double>(k) * h;
+    const long before = integrator_.counters.stage_iterations;
+    const bool solved = advance_interval(step_start, h, no_force, recording);
+    const double stage_iterations = static_cast<double>(integrator_.counters.stage_iterations - before);
+    const bool retry =
+        state_.status.code == StatusCode::kNewtonFailed || state_.status.code == StatusCode::kEventUnresolved;
+    if (!solved && !retry) return false;
+    const double seen = solved ? truncation_.largest : std::numeric_limits<double>::infinity();
+    const bool shortest = h < kShortestStep * duration;
+    if (!solved && shortest) return false;
+    double other = h;  // the length that the step should have had
+    if (seen > level && !shortest) {
+      // The truncation is of the order h^s; a step that did not converge is halved.
+      other = h * (solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5);
+      if (!solved) truncation_.longest_dt = kBelowFailure * h;
+    } else if (k == 0 && probes-- > 0 && count > 1.0 && stage_iterations <= kEasyIterations &&
+               kProbeGrowth * h <= truncation_.longest_dt && seen < level * std::pow(1.0 / kProbeGrowth, s)) {
+      other = kProbeGrowth * h;
     }
-    redo_from(start, mark, recording);
+    if (other != h) {
+      state_.adaptive_dt = other;
+      redo_from(start, mark, recording);
+      shortened = kept > 0;
+      if (shortened) break;
+      k = 0;
+      set_length();
+      continue;
+    }
+    largest = std::max(largest, seen);
+    most_iterations = std::max(most_iterations, stage_iterations);
+    ++k;
+    ++state_.step;
+    state_.time = k == static_cast<long>(count) ? end : step_start + h;
+    record_node(state_.time, recording);
+    if (!report_progress(state_.time)) return false;
+    if (static_cast<double>(recording.t.size()) > most_steps()) return end_with_too_many_steps(state_.time, h);
+    if (state_.impacts > impacts) break;
   }
+  recording.adaptive_t.push_back(began);
+  recording.adaptive_dt.push_back(h);
+  if (shortened || plan != nullptr) return true;
+  double growth = kSafety * std::pow(level / std::max(largest, 1e-300), 1.0 / s);
+  // Steps close to the longest length that converges take so many iterations that shorter ones are cheaper.
+  if (most_iterations > kEasyIterations)
+    growth = std::min(growth, most_iterations > kManyIterations ? 1.0 / kProbeGrowth : 1.0);
+  state_.adaptive_dt = std::min(truncation_.longest_dt, h * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth));
+  return true;
 }
 
-Status Simulator::run_auto(double duration, double level, const Progress& progress, Recording& recording) {
+// Sets the length of the steps from now on, and returns where it changes, at the latest at the end [s].
+double Simulator::take_plan(const StepPlan& plan, double end) {
+  const double now = state_.time + kSameTime * (end - plan.t[0]);
+  const double* first = plan.t.data();
+  const double* next = std::upper_bound(first, first + plan.t.size(), now);
+  const Eigen::Index i = std::max<Eigen::Index>(next - first, 1) - 1;
+  state_.adaptive_dt = plan.part * plan.dt[i];
+  return i + 1 < plan.t.size() ? std::min(plan.t[i + 1], end) : end;
+}
+
+Status Simulator::run_auto(double duration, double level, const StepPlan* plan, const Progress& progress,
+                           Recording& recording) {
   const double end = state_.time + duration;
   start_recording(progress, recording);
   truncation_.bound = level;
   truncation_.longest_dt = std::numeric_limits<double>::infinity();
   bool ok = true;
-  while (ok && state_.time < end) ok = run_adaptive_steps(end, level, recording);
+  while (ok && state_.time < end) ok = run_adaptive_steps(end, level, plan, recording);
   truncation_.bound = 0.0;
   state_.control.free.longest = options_.dt;
   state_.start_time = state_.time - static_cast<double>(state_.step) * options_.dt;  // for steps of dt that may follow

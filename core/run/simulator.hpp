@@ -13,6 +13,12 @@
 
 namespace contactvi {
 
+// Lengths of steps from times on [s], of a run with dt="auto"; another run takes steps of these lengths times `part`.
+struct StepPlan {
+  VecX t, dt;
+  double part;
+};
+
 struct SimulatorOptions {
   double dt = 1e-3;    // [s]
   double tol = 1e-12;  // of the discrete Euler-Lagrange residual, relative
@@ -49,7 +55,8 @@ class Simulator {
   // Runs for `duration` [s] with steps of equal length between one impact and the next, such that the highest mode of
   // the stage velocities moves nothing by more than `level` [m; rad] per step (Integrator::truncation). Where it does,
   // the steps since the last impact are redone with a shorter length. Every step's end is a node.
-  Status run_auto(double duration, double level, const Progress& progress, Recording& recording);
+  // plan: the steps of another run, parts of which are those of this one; null: none.
+  Status run_auto(double duration, double level, const StepPlan* plan, const Progress& progress, Recording& recording);
 
   double time() const { return state_.time; }
   const VecX& q() const { return state_.q; }
@@ -135,7 +142,8 @@ class Simulator {
   void resume_free_motion();
 
   // adaptive_step.cpp and snapshot.cpp.
-  bool run_adaptive_steps(double end, double level, Recording& recording);
+  bool run_adaptive_steps(double end, double level, const StepPlan* plan, Recording& recording);
+  double take_plan(const StepPlan& plan, double end);
   double most_steps() const;
   bool end_with_too_many_steps(double time, double h);
   void redo_from(const Snapshot& start, const Recording::Mark& mark, Recording& recording);

@@ -25,7 +25,7 @@ class World {
   Status advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
                  Recording& recording);
   // Advances all trees together from then on.
-  Status run_auto(double duration, double level, const Progress& progress, Recording& recording);
+  Status run_auto(double duration, double level, const StepPlan* plan, const Progress& progress, Recording& recording);
 
   double time() const { return state().time; }
   const VecX& q() const { return state().q; }

@@ -86,10 +86,10 @@ def test_the_accuracy_asked_for_is_met(name, tol, exact):
     assert traj.options.order == 16
     assert error(traj, exact[name]) <= tol
     assert traj.error_estimate <= tol
-    # An estimate, from two runs: it may miss, but not by an order. (At 1e-3 the engine's level is capped, steps are
-    # as long as their stage iterations converge, and the law of the error is not yet seen: only the promise counts.)
+    # An estimate, from two runs: it may miss, but not by far. (At 1e-3 the engine's level is capped, steps are as long
+    # as their stage iterations converge, and the law of the error is not yet seen: only the promise counts.)
     if tol < 1e-3:
-        assert traj.error_estimate >= 0.1 * error(traj, exact[name]) - 1e-12
+        assert traj.error_estimate >= error(traj, exact[name]) / 3.0 - 1e-12
 
 
 @pytest.mark.parametrize("order", [4, 8, 12])
@@ -136,6 +136,16 @@ def test_mhc_and_limits():
     assert np.ptp(traj.modified_energy - traj.energy) == 0.0
     slider = cvi.simulate(slider_scene(0.9), duration=0.6)
     assert {event.kind for event in slider.events} == {"limit"}
+
+
+@pytest.mark.parametrize("tol", [1e-5, 1e-6, 1e-7])
+def test_motion_that_multiplies_errors(tol):
+    """Ten seconds of a double pendulum multiply what is left of the stage equations, too, by about 1e4."""
+    scene = swinging()
+    scene.q0 = np.array([1.5, 1.0])
+    close = cvi.simulate(scene, duration=10.0, dt=0.005, order=16, tol=1e-14)
+    traj = cvi.simulate(scene, duration=10.0, tol=tol)
+    assert error(traj, close) / 3.0 <= traj.error_estimate <= tol
 
 
 def test_what_cannot_be_met_is_said():
