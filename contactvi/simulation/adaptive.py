@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import AccuracyWarning, PenetrationError
 from contactvi.interrupts import CtrlC
-from contactvi.options import Options
+from contactvi.options import STAGE_TOLS, Options
 from contactvi.simulation import engine
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.recorder import Record
@@ -188,6 +188,7 @@ class _Search:
             plan = (steps["t"], steps["dt"], (level / bound) ** (1.0 / self._stages))
         dt_contact = self._contact_dt(level)
         slack = (level / _clip(_START * math.sqrt(self._options.tol))) ** 2
+        slack = max(slack, STAGE_TOLS[0] / self._options.stage_tol)
         simulator = engine.make(self._compiled, self._options, None, slack, dt_contact)
         self.last, refused = engine.start(simulator, self._compiled, self._options, *self._start)
         if refused is not None:
