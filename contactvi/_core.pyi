@@ -541,6 +541,25 @@ class Simulator:
         Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. plan: times and lengths of the steps of another run [s], and the part of them that the steps of this one are.
         """
 
+    def step(self, tau: object | None = None, target: object | None = None) -> object:
+        """
+        Make one step, recorded for take(); return the time [s]. None: not made, with these inputs or now. False: made, and take() is to be looked at.
+        """
+
+    def take(self) -> object:
+        """
+        Return what step() has recorded since the last take(), as advance() does; None: nothing.
+        """
+
+    def limit_record(self, nodes: int) -> None:
+        """
+        Set how many nodes step() records before it returns False; 0: nothing of the step before is kept.
+        """
+
+    @property
+    def before(self) -> object:
+        """t, q and p at the start of the last step(); None after another call."""
+
     def save(self) -> Snapshot:
         """Return a snapshot to go back to."""
 

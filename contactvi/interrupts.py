@@ -38,6 +38,10 @@ class CtrlC:
         if self.pressed:
             raise KeyboardInterrupt
 
+    def pressed_alone(self) -> bool:
+        """Return whether it has ended and a signal waits for `check`; within another `held_back` that one checks."""
+        return self._waiting is not None and signal.getsignal(signal.SIGINT) is self._handler
+
     def settle(self) -> bool:
         """Return whether Ctrl-C was pressed, after a last check."""
         with suppress(KeyboardInterrupt):

@@ -17,6 +17,7 @@ from contactvi.run_settings import (
     contact_step,
     integrator_order,
     kept_dense,
+    kept_record,
     tolerances,
 )
 
@@ -26,13 +27,12 @@ MhcReference = Literal["local", "global"]
 Zeno = Literal["hold", "end"]
 Support = Literal["sequence", "stiff"]
 ContactSteps = Literal["auto", "events", "steps"]
-Kept = Literal["states", "gradient"]
+Kept = Literal["states", "gradient"] | int
 IMPACT_MAPS: tuple[ImpactMap, ...] = get_args(ImpactMap)
 MHC_REFERENCES: tuple[MhcReference, ...] = get_args(MhcReference)
 ZENO: tuple[Zeno, ...] = get_args(Zeno)
 SUPPORTS: tuple[Support, ...] = get_args(Support)
 CONTACT_MODES: tuple[ContactSteps, ...] = get_args(ContactSteps)
-KEPT: tuple[Kept, ...] = get_args(Kept)
 DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
 STAGE_TOLS = (1e-15, 1e-10)  # with "auto": the first is what rounding allows
@@ -120,7 +120,8 @@ class Options:
             no dense step is taken, and "steps" is refused.
         record: "states", or "gradient": also what the derivatives of the run need (Trajectory.sensitivity), the
             polynomials of the steps and the inputs. Steps of one length only; what has no derivative is refused before
-            the run where it is known then.
+            the run where it is known then. Of a Simulator also False: nothing but the present state and its last step,
+            and a number n >= 1: the last n steps; not with a ledger and "dtec".
 
     Raises:
         InputError: for a value that is not of the type or in the range given above.
@@ -157,12 +158,9 @@ class Options:
         )
         if self.tol >= 1.0:
             raise InputError(
-                "tol is too large",
-                name="tol",
-                expected="a number below 1",
-                got=self.tol,
+                "tol is too large", name="tol", expected="a number below 1", got=self.tol,
                 remedy="Use tol=1e-6 with dt='auto', or leave tol out",
-            )
+            )  # fmt: skip
         _set(self, "dt_contact", contact_step(self.dt_contact, self.dt))
         _set(self, "record_contacts", flag("record_contacts", self.record_contacts))
         for name in ("record_every", "max_impacts_per_step", "max_iterations", "contact_points"):
@@ -172,7 +170,7 @@ class Options:
         check_choice("zeno", self.zeno, ZENO, "Unknown answer to accumulating impacts")
         check_choice("support", self.support, SUPPORTS, "Unknown reading of a support")
         check_choice("contact_mode", self.contact_mode, CONTACT_MODES, "Unknown kind of steps in contact")
-        check_choice("record", self.record, KEPT, "Unknown kind of record")
+        _set(self, "record", kept_record(self.record, self.ledger is not None, self.impact == "dtec"))
         _set(self, "order", integrator_order(self.order, self.auto))
         _set(self, "ledger", tolerances(self.ledger))
         if self.duration is not None:
@@ -205,6 +203,11 @@ class Options:
         return isinstance(self.dt, str) and self.dt == AUTO
 
     @property
+    def last_steps(self) -> int | None:
+        """Of how many steps the record is kept; None: all, 0: nothing but the last one."""
+        return None if isinstance(self.record, str) else int(self.record)
+
+    @property
     def fixed_dt(self) -> float:
         """The time step [s] of a run with steps of one length; raises InputError for "auto"."""
         return self.require_fixed()
@@ -213,12 +216,9 @@ class Options:
         """Return `fixed_dt` or raise its error."""
         if isinstance(self.dt, str):
             raise InputError(
-                "This needs steps of one length",
-                name="dt",
-                expected="a time in seconds",
-                got=repr(self.dt),
+                "This needs steps of one length", name="dt", expected="a time in seconds", got=repr(self.dt),
                 remedy="Give dt=..., for example dt=1e-3",
-            )
+            )  # fmt: skip
         return self.dt
 
     @property
@@ -235,12 +235,9 @@ class Options:
         """The simulated time [s]; raises InputError where there is none."""
         if self.duration is None:
             raise InputError(
-                "The run has no duration",
-                name="duration",
-                expected="a time in seconds",
-                got="none",
+                "The run has no duration", name="duration", expected="a time in seconds", got="none",
                 remedy="Give duration=..., or set it in the scene file",
-            )
+            )  # fmt: skip
         return self.duration
 
     @property

@@ -157,3 +157,30 @@ def check_whole(duration: float, dt: float) -> None:
         got=f"{duration!r} / {dt!r} = {ratio:.12g}",
         remedy=f"Use duration={near * dt:.12g}, or dt={duration / near:.12g}",
     )
+
+
+def kept_record(record: Any, watched: bool, dtec: bool) -> str | int:
+    """Return what of a run is kept: "states", "gradient", or the number of last steps; False: none.
+
+    Raises:
+        InputError: for anything else, and where the record of a run is looked through as it grows: with a ledger
+            (`watched`), and with "dtec", which looks for stalled bouncing.
+    """
+    if record is True:
+        return "states"
+    if isinstance(record, str) and record in ("states", "gradient"):
+        return record
+    whole = isinstance(record, numbers.Integral) and not isinstance(record, str)
+    if not whole or not (record is False or 1 <= int(record) <= MOST_STEPS):
+        raise InputError(
+            "Unknown kind of record", name="record",
+            expected="'states', 'gradient', False, or a number of last steps >= 1", got=short(record),
+            remedy="Use record=False to keep nothing but the present state, record=1000 for the last 1000 steps",
+        )  # fmt: skip
+    if watched or dtec:
+        raise InputError(
+            "The record of this run is looked through as it grows", name="record",
+            expected=f"'states' with {'a ledger' if watched else 'dtec'}", got=repr(record),
+            remedy="Leave record out",
+        )  # fmt: skip
+    return False if record is False else int(record)

@@ -159,6 +159,11 @@ class GrowingForces:
         for name in ("_t", "_work", "_reactions"):
             setattr(self, name, [np.concatenate(getattr(self, name))[:count]])
 
+    def forget(self, count: int) -> None:
+        """Forget the first `count` nodes."""
+        for name in ("_t", "_work", "_reactions"):
+            setattr(self, name, [np.concatenate(getattr(self, name))[count:]])
+
     def joined(self, first: int = 0) -> Forces:
         """Return work and reactions of the blocks from `first` on."""
         t, work, reactions = (

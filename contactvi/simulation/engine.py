@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike
 
 from contactvi import _core, inputs
 from contactvi.errors import ContactviError, PenetrationError, SimulationError
+from contactvi.interrupts import held_back
 from contactvi.options import Options
 from contactvi.simulation.messages import remedy
-from contactvi.simulation.recorder import Array, Record
+from contactvi.simulation.recorder import BLOCK, Array, Record
 from contactvi.simulation.results import EngineResult, EngineStatus
 from contactvi.status import Status, StatusCode
 from contactvi.trajectory.compiled import CompiledScene
@@ -51,7 +52,12 @@ def make(
     settings.record_contacts = options.record_contacts
     settings.gradient = options.record == "gradient"
     settings.contact_steps = _core.ContactSteps["EVENTS" if options.auto else options.contact_mode.upper()]
-    return _core.Simulator(compiled.core, settings)
+    engine = _core.Simulator(compiled.core, settings)
+    if options.last_steps is not None:
+        engine.limit_record(0 if options.last_steps == 0 else max(options.last_steps, BLOCK))
+    elif options.record_every > 1:
+        engine.limit_record(BLOCK)  # its record has the nodes of all steps
+    return engine
 
 
 def start(
@@ -98,6 +104,19 @@ def advance(
     every = record.options.record_every
     result = engine.advance(steps, forces, every, progress, targets)
     return _take(record, cast(EngineResult, result))
+
+
+def take(engine: _core.Simulator, record: Record) -> Status | None:
+    """Record the single steps that the engine has kept since this was called last; return the status, None without any.
+
+    Errors of functions of the user are raised. Ctrl-C waits until all is recorded.
+    """
+    with held_back() as ctrl_c:
+        result = engine.take()
+        status = None if result is None else _take(record, cast(EngineResult, result))
+    if ctrl_c.pressed_alone():
+        ctrl_c.check()
+    return status
 
 
 def advance_auto(

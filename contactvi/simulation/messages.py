@@ -7,6 +7,7 @@ from contactvi.simulation.compatibility import NO_ANSWER_DTEC
 from contactvi.simulation.results import EngineStatus
 from contactvi.status import StatusCode
 
+REACHED = "the run reached its end"
 REMEDY = {
     StatusCode.ZENO: "Use zeno='hold' and impact='ctec' or 'mhc': the run then goes on with a persistent contact",
     StatusCode.NEWTON_FAILED: "Use a smaller dt",
@@ -36,7 +37,7 @@ def describe(code: StatusCode, result: EngineStatus, names: tuple[str, str] | No
     pair = "" if names is None else f"{names[0]!r} and {names[1]!r}"
     limit = GuardKind(result["guard_kind"].value) == GuardKind.LIMIT
     if code == StatusCode.SUCCESS:
-        return "the run reached its end"
+        return REACHED
     if code == StatusCode.INTERRUPTED:
         return "stopped by the user"
     if code == StatusCode.ZENO and names is not None:

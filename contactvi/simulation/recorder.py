@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+BLOCK = 1000  # single steps that are recorded at once, where not all of them stay in the record
+_BLOCKS = ("events", "segments", "contacts", "changes", "phases", "dense_steps")
+
+
 class Record:
     """Grows by what each call of the engine returns. t, q, p and events are lists of blocks, one per call."""
 
@@ -55,7 +59,10 @@ class Record:
     def collect(self, result: EngineResult) -> Status:
         """Take over what the engine did: nodes that `record_every` wants, events, segments, counts, status."""
         t = result["t"]
+        if self.options.last_steps == 0:
+            self._forget(result)
         keep = t > self.t[-1][-1]
+        self.forced |= result["forced"]
         if self.options.record_every > 1:
             step = np.rint((t - self.start) / self.options.fixed_dt)
             keep &= step % self.options.record_every == 0
@@ -84,7 +91,40 @@ class Record:
         self.stats = Stats.of(result["stats"], self.stats.seconds)
         status = self.end(result)
         self.reached = result["time"]
+        last = self.options.last_steps
+        if last and sum(map(len, self.t)) > 2 * (last + BLOCK):
+            self.keep_last(last)
         return status
+
+    def _forget(self, result: EngineResult) -> None:
+        """Forget all that was recorded; a result of the engine starts the record again with its first node."""
+        self.t, self.q, self.p = [result["t"][:1]], [result["q"][:1]], [result["p"][:1]]
+        for name in _BLOCKS:
+            setattr(self, name, [])
+        self.forces = GrowingForces(float(self.t[0][0]), self.compiled.constraint_rows)
+
+    def keep_last(self, steps: int) -> None:
+        """Forget what was recorded before the last steps."""
+        t, q, p = self.nodes()
+        first = int(np.searchsorted(t, self.reached - (steps + 0.5) * self.options.fixed_dt))
+        if first == 0:
+            return
+        self.t, self.q, self.p = [t[first:]], [q[first:]], [p[first:]]
+        self.forces.forget(first)
+        begin = float(t[first])
+        phases = self.phases_joined()
+        if phases is not None:
+            here = int(np.searchsorted(phases["t"], begin, side="right")) - 1
+            kept = {name: values[max(here, 0) :].copy() for name, values in phases.items()}
+            kept["t"][0] = max(kept["t"][0], begin)
+            self.phases = [kept]
+        for name in ("events", "changes"):
+            setattr(self, name, [_rows(part, part["time"] > begin) for part in getattr(self, name)])
+        for name in ("segments", "contacts", "dense_steps"):
+            parts = [_rows(part, part["t"] + 0.5 * part["h"] > begin) for part in getattr(self, name)]
+            setattr(self, name, parts)
+        for name in ("events", "changes", "segments", "contacts", "dense_steps"):
+            setattr(self, name, [part for part in getattr(self, name) if len(next(iter(part.values())))])
 
     def _collect_phases(self, phases: Columns | None) -> None:
         """Take over of which kind steps are: a call without any phase is free, and ends that of the call before."""

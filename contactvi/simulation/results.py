@@ -70,6 +70,7 @@ class EngineResult(EngineStatus):
         reactions: mean forces of the constraints since the node before, (N, rows).
         dense: one row per dense step, columns as in contactvi.records.dense_steps.
         kept_steps: those with persistent contacts, with record="gradient".
+        forced: of single steps, whether some input was not zero.
         error: what a callback or a function of the user raised.
     """
 
@@ -87,4 +88,5 @@ class EngineResult(EngineStatus):
     adaptive_steps: Columns | None
     kept_steps: _core.KeptContactSteps | None
     stats: EngineCounts
+    forced: bool
     error: BaseException | None

@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,9 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.errors import ConstraintError, SimulationError
 from contactvi.options import Options
 from contactvi.records.contacts import Contact, ContactLog
+from contactvi.records.events import EventLog
 from contactvi.simulation import engine
 from contactvi.simulation.compatibility import Stall, check_unforced
 from contactvi.simulation.engine import Progress
+from contactvi.simulation.messages import REACHED
 from contactvi.simulation.recorder import Record
 from contactvi.simulation.targets import Targets
 from contactvi.simulation.tolerances import LedgerWatch
@@ -34,6 +36,7 @@ Array = NDArray[np.float64]
 PROGRESS_PERIOD = 0.1  # s of wall time between two calls of a progress callback, as in the engine
 _BLOCK = 500  # steps between two checks of what was recorded, for a ledger with tolerances and for DTEC
 _ROUNDING = 1e-9  # of a step: an impact at its end may be a digit later than the step
+_SUCCESS = StatusCode.SUCCESS
 _NO_WAY_ON = (StatusCode.NEWTON_FAILED, StatusCode.EVENT_UNRESOLVED, StatusCode.CONSTRAINT)
 
 
@@ -52,7 +55,6 @@ class Run:
     """A run that has started.
 
     Attributes:
-        record: what the engine has done so far.
         refused: the error of a start that the engine refuses, else None; such a run makes no steps.
         unreachable: why the run ended where constraints could not be met, else None.
     """
@@ -75,15 +77,47 @@ class Run:
         if options.record == "gradient":
             compiled.check_differentiable()
         self._engine = engine.make(compiled, options)
-        self.record, self.refused = engine.start(self._engine, compiled, options, q0, v0, t)
+        self._quick = self._steps_quickly()
+        self.start(q0, v0, t)
+
+    def start(self, q0: ArrayLike | None = None, v0: ArrayLike | None = None, t: float = 0.0) -> None:
+        """Start again with the same engine, whose steps have the digits of those of a new one; as at first."""
+        compiled, options = self._compiled, self.options
+        self._record, self.refused = engine.start(self._engine, compiled, options, q0, v0, t)
         self.unreachable: ConstraintError | None = None
         self._watch = LedgerWatch(options.ledger) if options.ledger else None
         inelastic = options.impact == "dtec" and compiled.loses_energy
         self._stall = Stall(options.fixed_dt) if inelastic else None
         self._seen = (0, 0, 0, 0)  # blocks of nodes, events, contacts and dense steps that were inspected
-        q, p = self.record.q[0][0], self.record.p[0][0]
+        q, p = self._record.q[0][0], self._record.p[0][0]
         self._targets = Targets(compiled, q)
-        self._before: tuple[float, Array, Array] | None = (float(self.record.t[0][0]), q, p)
+        self._before: tuple[float, Array, Array] | None = (self._record.start, q, p)
+
+    def _steps_quickly(self) -> bool:
+        """Return whether the engine may record single steps until they are asked for.
+
+        Not where each step is looked at: with tolerances of a ledger, "dtec", inputs that are kept for derivatives or
+        that the map refuses, and mean reactions over several steps.
+        """
+        options = self.options
+        looked_at = bool(options.ledger) or options.impact == "dtec" or options.record == "gradient"
+        refuses = options.impact == "mhc" and options.mhc_reference == "global"
+        return not (looked_at or refuses or (options.record_every > 1 and self._compiled.constraint_rows))
+
+    @property
+    def record(self) -> Record:
+        """What the engine has done so far."""
+        self._collect()
+        return self._record
+
+    @property
+    def status(self) -> Status:
+        """The status after the last step."""
+        return self._record.status
+
+    def _collect(self) -> Status | None:
+        """Record the single steps that the engine has kept; return the status, None where there are none."""
+        return engine.take(self._engine, self._record)
 
     @classmethod
     def of(cls, snapshot: Snapshot) -> Run:
@@ -91,6 +125,7 @@ class Run:
         run = cls.__new__(cls)
         run._compiled, run.options = snapshot.scene, snapshot.options
         run._engine = engine.make(snapshot.scene, snapshot.options)
+        run._quick = run._steps_quickly()
         run.refused = None
         run.load(snapshot)
         return run
@@ -127,13 +162,27 @@ class Run:
         self, steps: int, forces: Array | None, targets: Array | None, progress: Progress | None = None
     ) -> Status:
         """Make steps with forces (steps, nv) and targets of servos (steps, 2 nv), or None; return the status."""
-        status = self._make_steps(steps, forces, targets, progress)
+        return self._explained(self._make_steps(steps, forces, targets, progress))
+
+    def quick_step(self, tau: Any, targets: Array | None) -> Status | None:
+        """Make one step with the force tau, which is not checked yet; None: nothing was done, `step` has to do it."""
+        if not self._quick or self._record.status.code is not _SUCCESS:
+            return None
+        reached = self._engine.step(tau, targets)
+        if isinstance(reached, float):
+            status = self._record.status = Status(_SUCCESS, REACHED, reached)
+            return status
+        status_then = None if reached is None else self._collect()
+        return None if status_then is None else self._explained(status_then)
+
+    def _explained(self, status: Status) -> Status:
+        """Return the status of the last steps, with the constraints that were in the way where the run ended."""
         if status.code in _NO_WAY_ON and self._compiled.constraint_rows:
             self.unreachable = self._compiled.unreachable(self.q, status.time + self.options.fixed_dt)
             if self.unreachable is not None:
                 names = ", ".join(repr(name) for name in self.unreachable.constraints)
                 text = f"{status.message}: there is no way on for the constraints {names}"
-                status = self.record.status = Status(status.code, text, status.time)
+                status = self._record.status = Status(status.code, text, status.time)
         return status
 
     def step(self, forces: Array | None, targets: Array | None, progress: Progress | None = None) -> Status:
@@ -205,8 +254,9 @@ class Run:
             SimulationError: before the first step.
         """
         record = self.record
-        if self._before is not None and self._before[0] < self.t:
-            t, q, p = self._before
+        before = self._start_of_step()
+        if before is not None and before[0] < self.t:
+            t, q, p = before
         else:
             times, states, momenta = record.nodes(max(0, len(record.t) - 2))
             earlier = np.flatnonzero(times < self.t)
@@ -219,6 +269,10 @@ class Run:
                 )
             t, q, p = float(times[earlier[-1]]), states[earlier[-1]], momenta[earlier[-1]]
         return t, q, np.asarray(self._compiled.core.velocity(q[None], p[None]))[0]
+
+    def _start_of_step(self) -> tuple[float, Array, Array] | None:
+        """Return t, q and p before the last call; None where it made several steps."""
+        return cast("tuple[float, Array, Array] | None", self._engine.before) or self._before
 
     def contacts_since(self, start: float) -> ContactLog:
         """Return the contacts from `start` [s] until now: steps by their middle, impacts in (start, now]."""
@@ -248,17 +302,27 @@ class Run:
 
     def save(self) -> Snapshot:
         """Return all of the present state, with what was recorded."""
-        rest = (self._watch, self._stall, self._seen, self._targets, self._before)
+        rest = (self._watch, self._stall, self._seen, self._targets, self._start_of_step())
         return Snapshot(self._compiled, self.options, self._engine.save(), self.record.copy(), copy.deepcopy(rest))
 
     def load(self, snapshot: Snapshot) -> None:
         """Go back to the state of a snapshot of this scene and these options; what follows is equal to the bit."""
         self._engine.load(snapshot.engine)
-        self.record, self.unreachable = snapshot.record.copy(), None
+        self._record, self.unreachable = snapshot.record.copy(), None
         self._watch, self._stall, self._seen, self._targets, self._before = copy.deepcopy(snapshot.rest)
+
+    def events(self) -> EventLog:
+        """Return the impacts that were recorded."""
+        self._shorten()
+        return self.record.log()
+
+    def _shorten(self) -> None:
+        if self.options.last_steps:
+            self.record.keep_last(self.options.last_steps)
 
     def trajectory(self) -> Trajectory:
         """Return what was recorded, the present state included."""
+        self._shorten()
         return self.record.trajectory(self._engine)
 
     def interrupt(self) -> Status:

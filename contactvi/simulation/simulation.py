@@ -99,6 +99,11 @@ def simulate(
     }  # fmt: skip
     throw = flag("throw", throw)
     settings = settings_of(scene, chosen, forced=control is not None or target is not None)
+    if settings.last_steps is not None:
+        raise InputError(
+            "A run that returns its trajectory records it", name="record", expected="'states' or 'gradient'",
+            got=repr(settings.record or False), remedy="Leave record out, or step with a Simulator",
+        )  # fmt: skip
     span = settings.span
     compiled = compile_scene(scene)
     if settings.auto:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.errors import InputError, SimulationError
+from contactvi.errors import ConstraintError, InputError, SceneError, SimulationError
 from contactvi.inputs import MOST_STEPS, callback, short
 from contactvi.interrupts import held_back
 from contactvi.options import Options, SteppingOptions, merged
@@ -58,6 +58,10 @@ class Simulator:
 
     One call at a time: while it steps, other threads and its own callbacks get a SimulationError (callbacks may read t,
     q and v). Threads take a `copy` each.
+
+    Everything is recorded by default. record=n keeps the last n steps, and record=False nothing but the present state
+    and the last step: contacts, reaction, last_step and last_contacts have them, trajectory() and events raise a
+    SimulationError. The motion has the same digits with each.
     """
 
     def __init__(self, scene: Scene, dt: float | None = None, **options: Unpack[SteppingOptions]) -> None:
@@ -71,6 +75,7 @@ class Simulator:
         check_map(self._scene, settings)
         check_elements(self._scene, settings)
         self._run: Run | None = None
+        self._follows = bool(self._scene.built.servo_joints)
         self._lock, self._user = threading.Lock(), 0
 
     @cached_property
@@ -87,9 +92,23 @@ class Simulator:
         """
         with self._unused():
             self._user = threading.get_ident()
-            self._run = Run(self._scene, self.options, q0, v0, t)
-            if self._run.refused is not None:
-                raise self._run.refused
+            run = self._run
+            if run is None:
+                run = self._run = Run(self._scene, self.options, q0, v0, t)
+            else:
+                self._restart(run, q0, v0, t)
+            if run.refused is not None:
+                raise run.refused
+
+    def _restart(self, run: Run, q0: ArrayLike | None, v0: ArrayLike | None, t: float) -> None:
+        """Start a run again; where the start is refused by a check it stays what it was."""
+        try:
+            run.start(q0, v0, t)
+        except (InputError, SceneError, ConstraintError):
+            raise
+        except BaseException:  # of a function of the user, or Ctrl-C: the engine may have started already
+            self._run = None
+            raise
 
     def step(self, tau: ArrayLike | None = None, target: Any = None) -> Status:
         """Make one step; return the status.
@@ -102,6 +121,13 @@ class Simulator:
             SimulationError: when there is nothing to step: before `reset`, and after a run has ended with a status
                 other than SUCCESS.
         """
+        with self._unused():
+            self._user = threading.get_ident()
+            run = self._run
+            if run is not None and target is None and not self._follows:
+                status = run.quick_step(tau, None)
+                if status is not None:
+                    return status
         return self._advance(1, None if tau is None else self._scene.states.force(tau)[None], target)
 
     def run(
@@ -161,17 +187,25 @@ class Simulator:
     @property
     def status(self) -> Status | None:
         """The status after the last step; None before `reset`."""
-        return None if self._run is None else self._run.record.status
+        return None if self._run is None else self._run.status
 
     @property
     def impacts(self) -> int:
         """Number of impacts since `reset`."""
-        return 0 if self._run is None else self._run.record.impacts
+        if self._run is None:
+            return 0
+        record = self._run.record
+        return record.impacts if self.options.last_steps is None else record.stats.impacts
 
     @property
     def events(self) -> EventLog:
-        """The impacts since `reset`."""
-        return self._started().record.log()
+        """The impacts since `reset`; with record=n those of the last n steps.
+
+        Raises:
+            SimulationError: with record=False.
+        """
+        self._require_record("events")
+        return self._started().events()
 
     @property
     def contacts(self) -> list[Contact]:
@@ -213,6 +247,7 @@ class Simulator:
         """Return a simulator in the same state that goes on by itself."""
         twin = Simulator.__new__(Simulator)
         twin.options, twin._scene, twin._run = self.options, self._scene, None
+        twin._follows = self._follows
         twin._lock, twin._user = threading.Lock(), 0
         if self._run is not None:
             twin._run = Run.of(self.save())
@@ -240,12 +275,26 @@ class Simulator:
         return run.contacts_since(run.last_step()[0])
 
     def trajectory(self) -> Trajectory:
-        """Return what was recorded since `reset`, the present state included."""
+        """Return what was recorded since `reset`, the present state included; with record=n the last n steps.
+
+        Raises:
+            SimulationError: with record=False.
+        """
+        self._require_record("trajectory()")
         return self._started().trajectory()
 
     def interrupt(self) -> Status:
         """End the run where it is with the status INTERRUPTED."""
         return self._started().interrupt()
+
+    def _require_record(self, what: str) -> None:
+        if self.options.last_steps == 0:
+            raise SimulationError(
+                f"{what} needs a record, and this simulator keeps none",
+                expected="a simulator that records its steps",
+                got="record=False",
+                remedy="Use record=1000 for the last 1000 steps, or leave record out",
+            )
 
     def _unused(self) -> threading.Lock:
         """Return the lock of the simulator, for one call; raise SimulationError while another one has it.

@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include "model/coordinates.hpp"
+
 namespace nb = nanobind;
 
 namespace contactvi {
@@ -12,6 +14,75 @@ PublicGuard public_guard(const Scene& s, int guard) {
   if (guard < 0 || s.is_pair(guard)) return {GuardKind::kContact, guard};
   const JointLimit& limit = s.tree.limits[guard - s.pairs.size()];
   return {GuardKind::kLimit, 2 * limit.source_joint + (limit.upper ? 1 : 0)};
+}
+
+VecX public_momentum(const Tree& tree, const VecX& q, VecX p) {
+  engine_to_public(tree, q, p);
+  return p;
+}
+
+Dict impact_rows(const Scene& s, const std::vector<ImpactRecord>& impacts) {
+  const Eigen::Index n = static_cast<Eigen::Index>(impacts.size());
+  VecX time(n), impulse(n), gamma_minus(n), gamma_plus(n), G_c(n), gap(n), restitution(n), jump(n), before(n), after(n);
+  VecX friction(n), loss(n);
+  IntVec kind(n), index(n), iterations(n), step(n), method(n), fallback(n), points(n);
+  Rows point(n, 3), normal(n, 3), impulse_vector(n, 3), q(n, s.tree.nq), p_minus(n, s.tree.nv), p_plus(n, s.tree.nv);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const ImpactRecord& r = impacts[i];
+    const PublicGuard guard = public_guard(s, r.guard);
+    kind[i] = static_cast<int>(guard.kind);
+    index[i] = guard.index;
+    time[i] = r.time;
+    impulse[i] = r.impulse;
+    gamma_minus[i] = r.gamma_minus;
+    gamma_plus[i] = r.gamma_plus;
+    G_c[i] = r.G_c;
+    gap[i] = r.gap;
+    restitution[i] = r.restitution;
+    friction[i] = r.friction;
+    loss[i] = r.loss;
+    points[i] = r.points;
+    impulse_vector.row(i) = r.impulse_vector;
+    iterations[i] = r.iterations;
+    step[i] = r.step;
+    method[i] = static_cast<int>(r.method);
+    fallback[i] = static_cast<int>(r.fallback);
+    jump[i] = r.jump;
+    before[i] = r.before;
+    after[i] = r.after;
+    point.row(i) = r.point;
+    normal.row(i) = r.normal;
+    q.row(i) = r.q;
+    p_minus.row(i) = public_momentum(s.tree, r.q, r.p_minus);
+    p_plus.row(i) = public_momentum(s.tree, r.q, r.p_plus);
+  }
+  Dict d;
+  d["time"] = hand_over(std::move(time));
+  d["kind"] = kind;
+  d["index"] = index;
+  d["point"] = hand_over(std::move(point));
+  d["normal"] = hand_over(std::move(normal));
+  d["impulse"] = hand_over(std::move(impulse));
+  d["gamma_minus"] = hand_over(std::move(gamma_minus));
+  d["gamma_plus"] = hand_over(std::move(gamma_plus));
+  d["G_c"] = hand_over(std::move(G_c));
+  d["gap"] = hand_over(std::move(gap));
+  d["restitution"] = hand_over(std::move(restitution));
+  d["friction"] = hand_over(std::move(friction));
+  d["loss"] = hand_over(std::move(loss));
+  d["points"] = points;
+  d["impulse_vector"] = hand_over(std::move(impulse_vector));
+  d["iterations"] = iterations;
+  d["step"] = step;
+  d["method"] = method;
+  d["fallback"] = fallback;
+  d["jump"] = hand_over(std::move(jump));
+  d["before"] = hand_over(std::move(before));
+  d["after"] = hand_over(std::move(after));
+  d["q"] = hand_over(std::move(q));
+  d["p_minus"] = hand_over(std::move(p_minus));
+  d["p_plus"] = hand_over(std::move(p_plus));
+  return d;
 }
 
 std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows) {

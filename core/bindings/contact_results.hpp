@@ -5,6 +5,7 @@
 
 #include <optional>
 #include <utility>
+#include <vector>
 
 #include "bindings/arrays.hpp"
 #include "run/run_state.hpp"
@@ -21,6 +22,10 @@ struct PublicGuard {
 };
 PublicGuard public_guard(const Scene& s, int guard);
 
+// A momentum or velocity in public coordinates.
+VecX public_momentum(const Tree& tree, const VecX& q, VecX p);
+
+Dict impact_rows(const Scene& s, const std::vector<ImpactRecord>& impacts);
 // Each is None where there is nothing to report. The lists are moved from.
 std::optional<Dict> contact_rows(const Scene& s, ContactRows& rows);
 std::optional<Dict> contact_changes(const Scene& s, const std::vector<ChangeRecord>& changes);

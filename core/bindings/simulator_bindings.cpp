@@ -13,7 +13,7 @@
 #include "bindings/kept_contact_steps.hpp"
 #include "bindings/user_calls.hpp"
 #include "model/coordinates.hpp"
-#include "run/world.hpp"
+#include "run/stepped_world.hpp"
 #include "sensitivity/contact_step_numbers.hpp"
 
 namespace nb = nanobind;
@@ -24,75 +24,6 @@ namespace contactvi {
 namespace {
 
 using ProgressCallback = nb::typed<nb::callable, nb::object(double, long)>;
-
-VecX converted(const Tree& tree, const VecX& q, VecX p) {
-  engine_to_public(tree, q, p);
-  return p;
-}
-
-Dict events(const Scene& s, const std::vector<ImpactRecord>& impacts) {
-  const Eigen::Index n = static_cast<Eigen::Index>(impacts.size());
-  VecX time(n), impulse(n), gamma_minus(n), gamma_plus(n), G_c(n), gap(n), restitution(n), jump(n), before(n), after(n);
-  VecX friction(n), loss(n);
-  IntVec kind(n), index(n), iterations(n), step(n), method(n), fallback(n), points(n);
-  Rows point(n, 3), normal(n, 3), impulse_vector(n, 3), q(n, s.tree.nq), p_minus(n, s.tree.nv), p_plus(n, s.tree.nv);
-  for (Eigen::Index i = 0; i < n; ++i) {
-    const ImpactRecord& r = impacts[i];
-    const PublicGuard guard = public_guard(s, r.guard);
-    kind[i] = static_cast<int>(guard.kind);
-    index[i] = guard.index;
-    time[i] = r.time;
-    impulse[i] = r.impulse;
-    gamma_minus[i] = r.gamma_minus;
-    gamma_plus[i] = r.gamma_plus;
-    G_c[i] = r.G_c;
-    gap[i] = r.gap;
-    restitution[i] = r.restitution;
-    friction[i] = r.friction;
-    loss[i] = r.loss;
-    points[i] = r.points;
-    impulse_vector.row(i) = r.impulse_vector;
-    iterations[i] = r.iterations;
-    step[i] = r.step;
-    method[i] = static_cast<int>(r.method);
-    fallback[i] = static_cast<int>(r.fallback);
-    jump[i] = r.jump;
-    before[i] = r.before;
-    after[i] = r.after;
-    point.row(i) = r.point;
-    normal.row(i) = r.normal;
-    q.row(i) = r.q;
-    p_minus.row(i) = converted(s.tree, r.q, r.p_minus);
-    p_plus.row(i) = converted(s.tree, r.q, r.p_plus);
-  }
-  Dict d;
-  d["time"] = hand_over(std::move(time));
-  d["kind"] = kind;
-  d["index"] = index;
-  d["point"] = hand_over(std::move(point));
-  d["normal"] = hand_over(std::move(normal));
-  d["impulse"] = hand_over(std::move(impulse));
-  d["gamma_minus"] = hand_over(std::move(gamma_minus));
-  d["gamma_plus"] = hand_over(std::move(gamma_plus));
-  d["G_c"] = hand_over(std::move(G_c));
-  d["gap"] = hand_over(std::move(gap));
-  d["restitution"] = hand_over(std::move(restitution));
-  d["friction"] = hand_over(std::move(friction));
-  d["loss"] = hand_over(std::move(loss));
-  d["points"] = points;
-  d["impulse_vector"] = hand_over(std::move(impulse_vector));
-  d["iterations"] = iterations;
-  d["step"] = step;
-  d["method"] = method;
-  d["fallback"] = fallback;
-  d["jump"] = hand_over(std::move(jump));
-  d["before"] = hand_over(std::move(before));
-  d["after"] = hand_over(std::move(after));
-  d["q"] = hand_over(std::move(q));
-  d["p_minus"] = hand_over(std::move(p_minus));
-  d["p_plus"] = hand_over(std::move(p_plus));
-  return d;
-}
 
 void add_status(const Scene& s, const Status& status, nb::dict& d) {
   const PublicGuard guard = public_guard(s, status.guard);
@@ -177,19 +108,11 @@ Dict segments(const Tree& tree, int stages, Segments& s) {
   return d;
 }
 
-// Entries of which there is nothing are None, because an array costs as much time as a step of a small model.
-template <class Run>
-Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) {
+// What the world has recorded and where it stands after it. Entries of which there is nothing are None, because an
+// array costs as much time as a step of a small model.
+Dict results(World& sim, SteppedWorld::Record record) {
   const Scene& s = sim.scene();
-  Recording recording;
-  const Progress callback = wrap(progress);
-  const auto start = std::chrono::steady_clock::now();
-  Status status;
-  {
-    nb::gil_scoped_release release;
-    status = call(callback, recording);
-  }
-  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  Recording& recording = record.recording;
   Dict d;
   // The error that interrupted the run is handed over as data, so that the partial result is not lost with it.
   d["error"] = nb::none();
@@ -202,7 +125,7 @@ Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) 
   d["t"] = hand_over(std::move(recording.t));
   d["q"] = hand_over(std::move(recording.q), n, s.tree.nq);
   d["p"] = hand_over(std::move(recording.p), n, s.tree.nv);
-  d["events"] = recording.impacts.empty() ? nb::object(nb::none()) : nb::object(events(s, recording.impacts));
+  d["events"] = recording.impacts.empty() ? nb::object(nb::none()) : nb::object(impact_rows(s, recording.impacts));
   d["segments"] = sim.options().dense ? nb::object(segments(s.tree, sim.options().stages, recording.segments))
                                       : nb::object(nb::none());
   d["adaptive_steps"] = nb::none();
@@ -219,12 +142,66 @@ Dict run(World& sim, const std::optional<ProgressCallback>& progress, Run call) 
   KeptContactSteps kept{sim.take_contact_steps(), sim.take_impact_blocks(), sim.take_dense_steps()};
   const bool none = kept.steps.empty() && kept.blocks.empty() && kept.dense.empty();
   d["kept_steps"] = none ? nb::object(nb::none()) : nb::cast(std::move(kept));
-  d["stats"] = stats(sim, seconds);
-  add_status(s, status, d);
+  d["stats"] = stats(sim, record.seconds);
+  add_status(s, record.status, d);
+  d["forced"] = record.forced;
   return d;
 }
 
-Dict advance(World& sim, long steps, const std::optional<Rows>& tau, long record_every,
+template <class Run>
+Dict run(SteppedWorld& sim, const std::optional<ProgressCallback>& progress, Run call) {
+  SteppedWorld::Record record;
+  const Progress callback = wrap(progress);
+  sim.forget_steps();
+  const auto start = std::chrono::steady_clock::now();
+  {
+    nb::gil_scoped_release release;
+    record.status = call(callback, record.recording);
+  }
+  record.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  return results(sim, std::move(record));
+}
+
+// The numbers of a C-contiguous array of `size` doubles in one row. False: it is something else; None has no numbers.
+bool numbers_of_array(nb::handle array, std::size_t size, const double*& numbers) {
+  numbers = nullptr;
+  if (array.is_none()) return true;
+  nb::ndarray<const double, nb::c_contig, nb::device::cpu> given;
+  if (!nb::try_cast(array, given, false) || given.size() != size || given.ndim() == 0) return false;
+  numbers = given.data();  // of the array, which the caller holds
+  return given.shape(given.ndim() - 1) == size;
+}
+
+// The time after one more step, which is recorded for take(). None: nothing was done, because another call is under way
+// or an input is not a plain array of ordinary numbers. False: the step was made and take() has something to look at.
+nb::object step(SteppedWorld& sim, nb::handle tau, nb::handle target) {
+  static const Progress signals = wrap(std::nullopt);
+  const std::size_t nv = static_cast<std::size_t>(sim.scene().tree.nv);
+  const double *force = nullptr, *reference = nullptr;
+  if (sim.stepping() || !numbers_of_array(tau, nv, force) || !numbers_of_array(target, 2 * nv, reference) ||
+      !sim.set_step_inputs(force, reference))
+    return nb::none();
+  SteppedWorld::Outcome outcome;
+  {
+    nb::gil_scoped_release release;
+    outcome = sim.step_once(signals);
+  }
+  if (outcome != SteppedWorld::Outcome::kOrdinary || UserErrors::any()) return nb::bool_(false);
+  return nb::float_(sim.time());
+}
+
+nb::object take(SteppedWorld& sim) {
+  if (sim.stepping() || !sim.has_record()) return nb::none();
+  return results(sim, sim.take_record());
+}
+
+nb::object before(const SteppedWorld& sim) {
+  const SteppedWorld::Before& at = sim.before();
+  if (!at.known) return nb::none();
+  return nb::make_tuple(at.time, hand_over(VecX(at.q)), hand_over(public_momentum(sim.scene().tree, at.q, at.p)));
+}
+
+Dict advance(SteppedWorld& sim, long steps, const std::optional<Rows>& tau, long record_every,
              const std::optional<ProgressCallback>& progress, const std::optional<Rows>& target) {
   if (tau && (tau->rows() != steps || tau->cols() != sim.scene().tree.nv))
     throw Error("tau: expected shape (steps, nv)");
@@ -243,7 +220,7 @@ struct Kept {
   const Scene* scene;
 };
 
-Dict run_auto(World& sim, double duration, double level, const std::optional<ProgressCallback>& progress,
+Dict run_auto(SteppedWorld& sim, double duration, double level, const std::optional<ProgressCallback>& progress,
               const std::optional<std::tuple<VecX, VecX, double>>& plan) {
   if (!(duration > 0.0) || !(level > 0.0)) throw Error("duration and level must be > 0");
   if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
@@ -259,24 +236,25 @@ Dict run_auto(World& sim, double duration, double level, const std::optional<Pro
   });
 }
 
-Dict reset(World& sim, const VecX& q, const VecX& v, double t) {
+Dict reset(SteppedWorld& sim, const VecX& q, const VecX& v, double t) {
   const Scene& s = sim.scene();
   if (q.size() != s.tree.nq || v.size() != s.tree.nv) throw Error("expected shapes (nq,) and (nv,)");
   VecX w = v;
   public_to_engine(s.tree, q, w);
   Dict d;
+  sim.forget_steps();
   const Status status = sim.reset(q, w, t);
   UserErrors::raise();
   add_status(s, status, d);
   return d;
 }
 
-Array1 current_velocity(World& sim) {
+Array1 current_velocity(SteppedWorld& sim) {
   const Tree& tree = sim.scene().tree;
   Integrator integrator(tree, 1, 1e-12, 1);
   VecX v(tree.nv);
   if (!integrator.node_velocity(sim.q(), sim.p(), v)) throw Error("the mass matrix is not positive definite");
-  return hand_over(converted(tree, sim.q(), v));
+  return hand_over(public_momentum(tree, sim.q(), v));
 }
 
 // A simulator keeps its scene alive. The garbage collector has to know, because functions of the user that the scene
@@ -284,7 +262,7 @@ Array1 current_velocity(World& sim) {
 int traverse(PyObject* self, visitproc visit, void* arg) {
   Py_VISIT(Py_TYPE(self));
   if (!nb::inst_ready(self)) return 0;
-  const nb::object scene = nb::find(nb::inst_ptr<World>(self)->scene());
+  const nb::object scene = nb::find(nb::inst_ptr<SteppedWorld>(self)->scene());
   Py_VISIT(scene.ptr());
   return 0;
 }
@@ -346,7 +324,7 @@ void expose_simulator(nb::module_& m) {
           "dense_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.dense)); },
           "Return the dense steps as numbers, for files.");
   nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.");
-  nb::class_<World>(m, "Simulator", nb::type_slots(simulator_slots))
+  nb::class_<SteppedWorld>(m, "Simulator", nb::type_slots(simulator_slots))
       .def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())
       .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0,
            "Put the system to (q, v) at t [s]; return the fields of the status.")
@@ -356,21 +334,31 @@ void expose_simulator(nb::module_& m) {
       .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(), "plan"_a = nb::none(),
            "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. plan:"
            " times and lengths of the steps of another run [s], and the part of them that the steps of this one are.")
+      .def("step", &step, "tau"_a = nb::none(), "target"_a = nb::none(),
+           "Make one step, recorded for take(); return the time [s]. None: not made, with these inputs or now. False: "
+           "made, and take() is to be looked at.")
+      .def("take", &take, "Return what step() has recorded since the last take(), as advance() does; None: nothing.")
+      .def("limit_record", &SteppedWorld::limit_record, "nodes"_a,
+           "Set how many nodes step() records before it returns False; 0: nothing of the step before is kept.")
+      .def_prop_ro("before", &before, "t, q and p at the start of the last step(); None after another call.")
       .def(
-          "save", [](World& sim) { return Kept{sim.save(), &sim.scene()}; }, "Return a snapshot to go back to.")
+          "save", [](SteppedWorld& sim) { return Kept{sim.save(), &sim.scene()}; }, "Return a snapshot to go back to.")
       .def(
           "load",
-          [](World& sim, const Kept& kept) {
+          [](SteppedWorld& sim, const Kept& kept) {
             if (kept.scene != &sim.scene()) throw Error("the snapshot is of another scene");
+            sim.forget_steps();
             sim.restore(*kept.snapshot);
           },
           "snapshot"_a, "Go back to a snapshot; what follows is equal to the bit.")
-      .def_prop_ro("islands", &World::islands, "Number of islands now; 0 where all bodies are advanced together.")
-      .def_prop_ro("t", &World::time)
       .def_prop_ro(
-          "q", [](const World& sim) { return hand_over(VecX(sim.q())); }, nb::rv_policy::automatic)
+          "islands", [](const SteppedWorld& sim) { return sim.islands(); },
+          "Number of islands now; 0 where all bodies are advanced together.")
+      .def_prop_ro("t", [](const SteppedWorld& sim) { return sim.time(); })
       .def_prop_ro(
-          "p", [](const World& sim) { return hand_over(converted(sim.scene().tree, sim.q(), sim.p())); },
+          "q", [](const SteppedWorld& sim) { return hand_over(VecX(sim.q())); }, nb::rv_policy::automatic)
+      .def_prop_ro(
+          "p", [](const SteppedWorld& sim) { return hand_over(public_momentum(sim.scene().tree, sim.q(), sim.p())); },
           nb::rv_policy::automatic)
       .def_prop_ro("v", &current_velocity, nb::rv_policy::automatic);
 }

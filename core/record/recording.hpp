@@ -134,6 +134,12 @@ struct Recording {
     phase_dt.clear();
     phase_kind.clear();
   }
+  // Forgets everything, and keeps its memory.
+  void restart() {
+    cut({0, 0, 0, 0, 0, 0, 0});
+    adaptive_t.clear();
+    adaptive_dt.clear();
+  }
   // The amount recorded so far, to which cut() returns.
   struct Mark {
     std::size_t nodes, impacts, segments, contacts, changes, phases, dense;

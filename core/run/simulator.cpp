@@ -36,8 +36,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       options_(options),
       law_(&impact_law(options.impact)),
       dissipative_(dissipates(scene.tree)),
-      does_work_(dissipative_ || scene.tree.elements.any_force() || scene.tree.elements.constrained() ||
-                 scene.tree.elements.servo_kp.size() > 0),
+      does_work_(scene_does_work()),
       integrator_(scene.tree, options.stages, options.tol, options.max_iterations),
       guards_(scene, options.contact_points),
       finder_(scene, integrator_, guards_),
@@ -55,10 +54,16 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
       q1_(scene.tree.nq),
       p1_(scene.tree.nv),
       v_(scene.tree.nv),
-      rates_(scene.tree.nv, options.stages) {
+      rates_(scene.tree.nv, options.stages),
+      fresh_(memory()) {
   state_.q.setZero(scene.tree.nq);
   state_.p.setZero(scene.tree.nv);
   if (options.gradient) dense_step_.keep_records();
+}
+
+bool Simulator::scene_does_work() const {
+  const Elements& e = scene_->tree.elements;
+  return dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0;
 }
 
 bool Simulator::end(StatusCode code, double time, std::string message, int guard) {

@@ -73,6 +73,11 @@ class Simulator {
   std::vector<DenseStepRecord> take_dense_steps() { return std::exchange(kept_dense_steps_, {}); }
   std::vector<ImpactBlockRecord> take_impact_blocks() { return sequence_.take_blocks(); }
 
+  // Makes it what it was when it was made: the next reset() starts a run with the same digits as a new simulator.
+  void renew();
+  // Forgets that inputs have done work.
+  void forget_inputs();
+
   // For bodies that are one island of a larger scene (run/world.hpp).
   // The engine's memory as it is before any run, with which every island starts.
   EngineMemory memory();
@@ -183,6 +188,9 @@ class Simulator {
 
   bool end(StatusCode code, double time, std::string message, int guard = -1);
 
+  // Whether anything but gravity and springs does work, inputs left aside.
+  bool scene_does_work() const;
+
   const Scene* scene_;
   SimulatorOptions options_;
   const ImpactLaw* law_;
@@ -205,6 +213,7 @@ class Simulator {
   MatX rates_;  // chart rates at the stages of the step just solved
   std::vector<ContactStepRecord> kept_steps_;
   std::vector<DenseStepRecord> kept_dense_steps_;
+  EngineMemory fresh_;                  // as it is before any run
   const Progress* progress_ = nullptr;  // of the present call of advance or run_auto
   std::chrono::steady_clock::time_point last_report_;
 };

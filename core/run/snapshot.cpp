@@ -40,4 +40,17 @@ void Simulator::restore(const Snapshot& s) {
   contact_step_.counters = s.counters.contact;
 }
 
+void Simulator::renew() {
+  state_ = RunState();
+  recall(fresh_);
+  reset_counters();
+  forget_inputs();
+  truncation_ = Truncation();
+  take_contact_steps();
+  take_dense_steps();
+  take_impact_blocks();
+}
+
+void Simulator::forget_inputs() { does_work_ = scene_does_work(); }
+
 }  // namespace contactvi

@@ -56,6 +56,7 @@ void WorkAccount::take(WorkAccount& part, const std::vector<int>& rows) {
 
 void WorkAccount::record_node(double t, Recording& recording) {
   if (!does_work_) return;
+  recording.work.resize(4 * (recording.t.size() - 1), 0.0);  // nodes from before the first input have none
   recording.work.insert(recording.work.end(), {input_, damping_, joint_friction_, driven_});
   if (t > node_time_) {
     mean_reactions_ = reactions_ / (t - node_time_);

@@ -29,7 +29,7 @@ class WorkAccount {
   // Adds what another account has counted since it was last taken; rows: its constraint rows in this one's numbers.
   void take(WorkAccount& part, const std::vector<int>& rows);
   void clear();
-  // Appends the entries of a node at t [s].
+  // Appends the entries of the node at t [s] that was recorded last.
   void record_node(double t, Recording& recording);
 
  private:

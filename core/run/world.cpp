@@ -79,9 +79,12 @@ bool World::may_divide() const {
 
 Status World::reset(const VecX& q, const VecX& v, double t) {
   divided_ = false;
-  if (!may_divide()) return whole_.reset(q, v, t);
-  const Status status = whole_.start(q, v, t);
-  if (status.ok()) divide(v);
+  const VecX q0 = q, v0 = v;  // the arguments may be those of the state
+  whole_.renew();
+  for (auto& [trees, island] : pool_) island->engine().forget_inputs();
+  if (!may_divide()) return whole_.reset(q0, v0, t);
+  const Status status = whole_.start(q0, v0, t);
+  if (status.ok()) divide(v0);
   return status;
 }
 
