@@ -128,13 +128,8 @@ class Run:
     ) -> Status:
         """Make steps with forces (steps, nv) and targets of servos (steps, 2 nv), or None; return the status."""
         status = self._make_steps(steps, forces, targets, progress)
-        if status.code in _NO_WAY_ON and self._compiled.constraint_rows:
-            self.unreachable = self._compiled.unreachable(self.q, status.time + self.options.fixed_dt)
-            if self.unreachable is not None:
-                names = ", ".join(repr(name) for name in self.unreachable.constraints)
-                text = f"{status.message}: there is no way on for the constraints {names}"
-                status = self.record.status = Status(status.code, text, status.time)
-        return status
+        self.unreachable = name_unreachable(self.record, self.q) if status.code in _NO_WAY_ON else None
+        return self.record.status
 
     def step(self, forces: Array | None, targets: Array | None, progress: Progress | None = None) -> Status:
         """Make one step; as `advance`. To hold Ctrl-C back would take longer than the step.
@@ -265,3 +260,19 @@ class Run:
         """End the run where it is with the status INTERRUPTED."""
         self.record.status = Status.interrupted(self.t)
         return self.record.status
+
+
+def name_unreachable(record: Record, q: Array) -> ConstraintError | None:
+    """Return the error of constraints that cannot be met where a run ended, at q (nq,), and name them in its status.
+
+    None where they can be met, where there are none, and where the run ended for another reason.
+    """
+    status, compiled = record.status, record.compiled
+    if status.code not in _NO_WAY_ON or not compiled.constraint_rows:
+        return None
+    found = compiled.unreachable(q, status.time + record.options.fixed_dt)
+    if found is not None:
+        names = ", ".join(repr(name) for name in found.constraints)
+        text = f"{status.message}: there is no way on for the constraints {names}"
+        record.status = Status(status.code, text, status.time)
+    return found
