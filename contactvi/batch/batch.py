@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from contactvi.batch.blocks import Block, joined
+from contactvi.batch.executors import blocks_by
 from contactvi.batch.plan import Plan, Report, plan_of
 from contactvi.batch.results import BatchResult
 from contactvi.batch.runs import blocks_of
-from contactvi.errors import DenseStepWarning
+from contactvi.batch.storage import StoredBatch, save_batch
+from contactvi.errors import DenseStepWarning, InputError
 from contactvi.inputs import callback, check_choice
-from contactvi.options import Dt, FurtherOptions, ImpactMap, Options
+from contactvi.options import Dt, FurtherOptions, ImpactMap
 from contactvi.simulation.simulator import settings_of
-from contactvi.threads import Workers
+from contactvi.threads import Workers, cores
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -52,9 +57,11 @@ def simulate_batch(
     target: Any = None,
     keep: Keep | None = None,
     workers: int | None = None,
+    executor: Executor | None = None,
     progress: bool | Callable[[int, int], object] = False,
+    path: str | os.PathLike[str] | None = None,
     **options: Unpack[BatchOptions],
-) -> BatchResult:
+) -> BatchResult | StoredBatch:
     """Run a scene from many starts, with many parameters or inputs, in several threads.
 
     Every run has the bits that `simulate` gives it alone, whatever the number of threads. A run that fails does not end
@@ -69,13 +76,21 @@ def simulate_batch(
         control: as in `simulate` for all runs, or (runs, steps, nv). A function is called by all threads.
         target: as in `simulate` for all runs, or (runs, steps, n).
         keep: "ends": the last states; "nodes": those at all nodes; "runs": all of the runs, as `Trajectory`. None:
-            "nodes" where the steps have one length and these states take at most 256 MB, else "ends".
-        workers: number of threads; None: one for each core that the process may use.
+            "nodes" where their number is known before the runs and these states take at most 256 MB, or go to a file;
+            else "ends".
+        workers: number of threads; None: one for each core that the process may use. With an executor, how many chunks
+            of runs are under way at once; None: four for each core.
+        executor: a concurrent.futures.Executor that makes the runs in chunks of about a second, such as a
+            ProcessPoolExecutor or dask's `Client.get_executor()`; what is sent there has to be picklable. A chunk that
+            is lost with its worker is sent again, three times at most.
+        path: write the results to this file while runs end, and return a `StoredBatch`, which reads what is asked for.
+            The file is there when all runs have ended; only a regular file is replaced.
         progress: True shows a progress bar; or a function called as progress(runs made, runs) now and then.
         **options: duration, dt, order, ...: as in `simulate`.
 
     Raises:
         InputError: for arguments whose shapes do not fit, and for bad options. Errors of single runs are in the result.
+        ContactviError: the executor lost a chunk of runs again and again.
         KeyboardInterrupt: on Ctrl-C, which ends the runs under way within a tenth of a second.
 
     Warns:
@@ -85,33 +100,44 @@ def simulate_batch(
     _ = settings.span
     inputs = {"q0": q0s, "v0": v0s, "control": control, "target": target}
     plan = plan_of(scene, settings, "ends" if keep is None else _checked(keep), inputs, parameters)
-    if keep is None and _few_nodes(plan):
-        plan = plan_of(scene, settings, "nodes", inputs, parameters)
-    number = Workers(workers).number
+    if keep is None and plan.nodes is not None:
+        full = replace(plan, keep="nodes")
+        plan = full if path is not None or full.runs * full.bytes_of_a_run <= MOST_BYTES else plan
+    if plan.keep == "runs" and (path is not None or executor is not None):
+        raise InputError(
+            "Whole runs are kept in this process only", name="keep", expected="'ends' or 'nodes' with path or executor",
+            got="'runs'", remedy="Use keep='nodes', and make the few runs that are looked at again with simulate",
+        )  # fmt: skip
+    number = Workers(workers).number if executor is None or workers is not None else 4 * cores()
     with ExitStack() as stack:
         report = _report(plan.runs, progress, stack)
-        blocks = list(blocks_of(plan, number, report))
-        if report is not None:
-            report(plan.runs)
-    whole = joined(blocks)
-    _warn_of_dense_steps(settings, whole)
-    return BatchResult(plan.keep, whole)
+        made = blocks_of(plan, number, report) if executor is None else blocks_by(executor, plan, number, report)
+        blocks = _finished(made, plan, report)
+        if path is not None:
+            return save_batch(path, plan, blocks)
+        return BatchResult(plan.keep, joined(list(blocks)))
+
+
+def _finished(blocks: Iterator[Block], plan: Plan, report: Report | None) -> Iterator[Block]:
+    """Yield blocks; report their end, and warn of dense steps in them."""
+    some = 0
+    for block in blocks:
+        some += int(np.count_nonzero(block.columns["dense_steps"]))
+        yield block
+    if report is not None:
+        report(plan.runs)
+    if some and plan.options.contact_mode == "auto":
+        warnings.warn(
+            f"Dense contact: {some} of {plan.runs} runs took dense steps, in which impacts have no times; see"
+            " result.dense_steps. contact_mode='events' refuses such steps, 'steps' asks for them",
+            DenseStepWarning,
+            stacklevel=4,
+        )
 
 
 def _checked(keep: Any) -> str:
     check_choice("keep", keep, KEEPS, "Unknown part of the runs to keep")
     return str(keep)
-
-
-def _few_nodes(plan: Plan) -> bool:
-    options, model = plan.options, plan.scene.model
-    if options.sample_dt is not None:
-        nodes = options.span / options.sample_dt
-    elif options.auto:
-        return False
-    else:
-        nodes = options.steps / options.record_every
-    return bool(plan.runs * (nodes + 2.0) * (model.nq + model.nv + 1) * 8.0 <= MOST_BYTES)
 
 
 def _report(runs: int, progress: Any, stack: ExitStack) -> Report | None:
@@ -123,14 +149,3 @@ def _report(runs: int, progress: Any, stack: ExitStack) -> Report | None:
         return lambda made: bar(made, f"{made}/{runs} runs")
     called = None if isinstance(progress, bool) else callback("progress", progress)
     return None if called is None else lambda made: called(made, runs)
-
-
-def _warn_of_dense_steps(options: Options, block: Block) -> None:
-    some = int(np.count_nonzero(block.columns["dense_steps"]))
-    if some and options.contact_mode == "auto":
-        warnings.warn(
-            f"Dense contact: {some} of {len(block)} runs took dense steps, in which impacts have no times; see"
-            " result.dense_steps. contact_mode='events' refuses such steps, 'steps' asks for them",
-            DenseStepWarning,
-            stacklevel=3,
-        )

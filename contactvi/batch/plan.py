@@ -17,6 +17,7 @@ from contactvi.scene.scene import Scene
 from contactvi.trajectory.compiled import compile_scene
 
 Array = NDArray[np.float64]
+Report = Callable[[int], object]  # is told how many runs were made
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,20 @@ class Plan:
     shared: Mapping[str, Any]
     parameters: Mapping[str, Array]
     common: Mapping[str, Any]
+
+    @property
+    def bytes_of_a_run(self) -> float:
+        """About the memory of the states that are kept of a run; with "auto" and without samples that of the ends."""
+        nodes = 1.0 if self.keep == "ends" else (self.nodes or 1.0)
+        return float(nodes * (self.scene.model.nq + self.scene.model.nv + 1) * 8.0)
+
+    @property
+    def nodes(self) -> float | None:
+        """Number of nodes of a run that reaches its end, at most; None where it is not known before the run."""
+        options = self.options
+        if options.sample_dt is not None:
+            return options.span / options.sample_dt + 2.0
+        return None if options.auto else options.steps / options.record_every + 2.0
 
     def part(self, first: int, last: int) -> Plan:
         """Return the runs from first to last - 1."""
@@ -113,6 +128,3 @@ def _numbers(name: str, value: Any) -> Array:
             got=short(value), remedy="Give plain numbers in a list or a NumPy array, in rows of one length",
         )  # fmt: skip
     return found
-
-
-Report = Callable[[int], object]

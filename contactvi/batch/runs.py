@@ -22,6 +22,7 @@ from contactvi.trajectory.trajectory import Trajectory
 # Runs that are prepared at once: their inputs, scenes and results lie in memory together, and the threads wait for the
 # longest of the last runs of a block, which with two threads is about half a run in this many.
 BLOCK = 256
+BLOCK_BYTES = 2**26  # of the states of a block, so that blocks of long runs have fewer of them
 
 
 def blocks_of(
@@ -29,9 +30,15 @@ def blocks_of(
 ) -> Iterator[Block]:
     """Yield the results of the runs of a plan in their order; report(runs made) is called now and then."""
     known = SceneCache(plan.options) if scenes is None else scenes
-    for first in range(0, plan.runs, BLOCK):
-        part = plan.part(first, min(first + BLOCK, plan.runs))
+    length = runs_of_block(plan)
+    for first in range(0, plan.runs, length):
+        part = plan.part(first, min(first + length, plan.runs))
         yield block_of(part, workers, known, None if report is None else _after(first, report))
+
+
+def runs_of_block(plan: Plan) -> int:
+    """Return how many runs are made together."""
+    return max(1, min(BLOCK, int(BLOCK_BYTES / plan.bytes_of_a_run)))
 
 
 def block_of(plan: Plan, workers: int, scenes: SceneCache, report: Report | None = None) -> Block:
@@ -51,7 +58,7 @@ def _run_in_python(plan: Plan, scenes: SceneCache, workers: int, report: Report 
 
     def one(k: int, check: Callable[[], None]) -> _Made:
         nonlocal made
-        found = _run(plan, k, scenes, lock, check)
+        found = _run(plan, k, scenes, check)
         with lock:
             made += 1
             if report is not None:
@@ -76,11 +83,10 @@ class _Made:
             self.nodes = traj.t[nodes], traj.q[nodes], traj.v[nodes]
 
 
-def _run(plan: Plan, k: int, scenes: SceneCache, lock: threading.Lock, check: Callable[[], None]) -> _Made:
+def _run(plan: Plan, k: int, scenes: SceneCache, check: Callable[[], None]) -> _Made:
     options, ends = plan.options, plan.keep == "ends"
     try:
-        with lock:
-            compiled = scenes.of(plan, k)
+        compiled = scenes.of(plan, k)
         control = plan.input("control", k)
         if control is not None and not callable(control):
             control = compiled.states.forces(control, options.steps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 
 from contactvi.batch.plan import Plan
@@ -16,21 +17,25 @@ class SceneCache:
     """Compiled scenes by the values of the parameters, checked with the options of the runs."""
 
     def __init__(self, options: Options) -> None:
-        self._options = options
+        self._options, self._lock = options, threading.Lock()
         self._known: OrderedDict[bytes, CompiledScene] = OrderedDict()
 
     def of(self, plan: Plan, k: int) -> CompiledScene:
         """Return the scene of run k; ContactviError where there is none, or where it cannot be run."""
         key = plan.key(k)
-        if key not in self._known:
-            compiled = compile_scene(plan.scene_of(k))
-            if not self._options.auto:
-                check_map(compiled, self._options)
-                check_elements(compiled, self._options)
-                if self._options.record == "gradient":
-                    compiled.check_differentiable()
-            self._known[key] = compiled
-            if len(self._known) > _MOST:
-                self._known.popitem(last=False)
-        self._known.move_to_end(key)
-        return self._known[key]
+        with self._lock:
+            if key not in self._known:
+                self._known[key] = self._compiled(plan, k)
+                if len(self._known) > _MOST:
+                    self._known.popitem(last=False)
+            self._known.move_to_end(key)
+            return self._known[key]
+
+    def _compiled(self, plan: Plan, k: int) -> CompiledScene:
+        compiled, options = compile_scene(plan.scene_of(k)), self._options
+        if not options.auto:
+            check_map(compiled, options)
+            check_elements(compiled, options)
+            if options.record == "gradient":
+                compiled.check_differentiable()
+        return compiled

@@ -11,8 +11,8 @@ namespace contactvi {
 VecX converted(const Tree& tree, const VecX& q, VecX p);
 // Enters the fields of a status.
 void add_status(const Scene& s, const Status& status, nanobind::dict& d);
-// All that a call of the engine did, besides "error". The recording is moved from. Entries of which there is nothing are
-// None, because an array costs as much time as a step of a small model.
+// All that a call of the engine did, besides "error". The recording is moved from. Entries of which there is nothing
+// are None, because an array costs as much time as a step of a small model.
 Dict run_results(const Scene& s, const SimulatorOptions& options, Recording& recording, const RunState& state,
                  const EngineCounters& counters, KeptContactSteps kept, const Status& status, double seconds);
 

@@ -1,8 +1,8 @@
 // Many runs with steps of one length, made in several threads.
 //
 // Every run has an engine of its own, which is made for it: what happens in a run, to the last bit, depends neither on
-// the number of threads nor on the runs before it. The threads take the next run from a counter, and results stand where
-// their starts stand.
+// the number of threads nor on the runs before it. The threads take the next run from a counter, and results stand
+// where their starts stand.
 #pragma once
 
 #include <atomic>

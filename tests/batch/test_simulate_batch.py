@@ -14,10 +14,6 @@ from helpers.rollout_scenes import SETTINGS, STEPS, at_wall, servo_arm, starts, 
 DURATION = 0.7
 
 
-def alone(scene: cvi.Scene, k: int, q: Any = None, v: Any = None, **options: Any) -> cvi.Trajectory:
-    return cvi.simulate(scene, None if q is None else q[k], None if v is None else v[k], **options)
-
-
 def assert_same(found: cvi.Trajectory, other: cvi.Trajectory) -> None:
     for name in ("t", "q", "p", "v"):
         assert getattr(found, name).tobytes() == getattr(other, name).tobytes(), name
@@ -125,8 +121,7 @@ def test_bad_runs_do_not_end_the_others():
         assert last.tobytes() == good.q[-1].tobytes()
         for k in result.errors:
             with pytest.raises(cvi.ContactviError) as single:
-                own = scene.with_parameters({"mass:ball": mass[k]})
-                cvi.simulate(own, qs[k], vs[k], dt=0.01, duration=0.5)
+                cvi.simulate(scene.with_parameters({"mass:ball": mass[k]}), qs[k], vs[k], dt=0.01, duration=0.5)
             assert type(result.errors[k]) is single.type
             assert str(result.errors[k]) == str(single.value)
         assert result.status[2].code == cvi.StatusCode.PENETRATION
