@@ -120,6 +120,8 @@ class StoredBatch:
                 for start, count in self._places:
                     if start < last and start + count > first:
                         block = _read(archive, start, count)
+                        if any(len(values) != count for values in block.columns.values()):
+                            _refuse(self.path, "columns of different lengths")
                         parts.append(block.rows(range(max(first - start, 0), min(last - start, count))))
         except _UNREADABLE as error:
             if isinstance(error, ContactviError):
@@ -141,8 +143,6 @@ def _take(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
 
 def _read(archive: zipfile.ZipFile, first: int, count: int) -> Block:
     columns = {name: _take(archive, f"{first}/{count}/{name}") for name in COLUMNS}
-    if any(len(values) != count for values in columns.values()):
-        raise ValueError("columns of different lengths")
     texts = json.loads(str(_take(archive, f"{first}/{count}/texts")[()]))
     messages = {int(k): str(text) for k, text in texts["messages"].items()}
     return Block(columns, messages, {int(k): _error(fields) for k, fields in texts["errors"].items()})

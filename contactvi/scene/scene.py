@@ -26,6 +26,7 @@ from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import (
     JointSettings,
     JointTable,
+    Servo,
     dofs_of,
     joint_settings,
     joint_value,
@@ -812,7 +813,7 @@ class Scene:
         for name, goal in goals.items():
             servo = self._joints.of(name).servo
             assert servo is not None
-            self._joints.update({name: JointSettings(servo=servo._replace(target=goal))})
+            self._joints.update({name: JointSettings(servo=Servo(servo.kp, servo.kd, servo.effort, goal))})
 
     # --- helpers ------------------------------------------------------------------------------------------------------
 
