@@ -1,5 +1,9 @@
 # The public names and where they live. contactvi/__init__.py reads this file and loads each on first use.
 from . import errors as errors
+from .batch.batch import simulate_batch as simulate_batch
+from .batch.results import BatchResult as BatchResult
+from .batch.storage import StoredBatch as StoredBatch
+from .batch.storage import load_batch as load_batch
 from .derivatives.gradient import gradient as gradient
 from .derivatives.gradient_check import GradientCheck as GradientCheck
 from .derivatives.gradient_check import check_gradient as check_gradient

@@ -166,6 +166,10 @@ class Scene:
     def npairs(self) -> int: ...
 
     @property
+    def calls_functions(self) -> bool:
+        """Whether it calls functions of the user."""
+
+    @property
     def rounding(self) -> list[float]:
         """Rounding radius [m] of each pair's shapes, 0 where they are sharp."""
 
@@ -581,6 +585,44 @@ class Simulator:
 
     @property
     def v(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]: ...
+
+class BatchKeep(enum.Enum):
+    """What is kept of the runs of a batch."""
+
+    ENDS = 0
+
+    NODES = 1
+
+    RUNS = 2
+
+class BatchInputs:
+    """Inputs of the steps of a run, which several runs may share."""
+
+    def __init__(self, rows: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> None: ...
+
+class Batch:
+    """Many runs with steps of one length, in several threads."""
+
+    def __init__(self, options: SimulatorOptions, steps: int, record_every: int, keep: BatchKeep) -> None: ...
+
+    def add(self, scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], tau: BatchInputs | None = None, target: BatchInputs | None = None) -> None:
+        """Add a run from (q, v); the scene calls no function of the user."""
+
+    def run(self, threads: int, progress: Callable[[int], object] | None = None) -> None:
+        """
+        Make all runs without the interpreter lock; progress(runs made) is called now and then.
+        """
+
+    def table(self, nq: int, nv: int) -> dict[str, Any]:
+        """Return states and counts of all runs as arrays, once."""
+
+    def status(self, k: int) -> dict[str, Any]:
+        """Return the fields of the status of a run."""
+
+    def result(self, k: int) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))], Annotated[NDArray[numpy.float64], dict(shape=(None,))], dict[str, Any]]:
+        """
+        Return momenta at start and end, q at the end, and the results of a run, once.
+        """
 
 def contact_points(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int, margin: float, max_points: int = 4) -> dict[str, Any]:
     """

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from contactvi.control.batches import batch_of
+from contactvi.batch.shapes import batch_of
 from contactvi.control.folded import FoldedGradients, FoldedRollouts
 from contactvi.control.rollouts import RolloutOptions, inputs_of, settings_of
 from contactvi.errors import InputError, missing_package

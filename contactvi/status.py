@@ -13,8 +13,8 @@ from contactvi.aliases import alias, renamed_arguments
 class StatusCode(IntEnum):
     """How a run ended.
 
-    The numbers are those of the engine's status codes and of stored runs. LEDGER is the only one that the engine does
-    not know: a tolerance of the ledger was exceeded.
+    The numbers are those of the engine's status codes and of stored runs. Two of them the engine does not know: LEDGER,
+    a tolerance of the ledger was exceeded; and REFUSED, a run of a batch whose inputs cannot be used.
     """
 
     SUCCESS = 0
@@ -28,6 +28,7 @@ class StatusCode(IntEnum):
     LEDGER = 8
     CONSTRAINT = 9
     TOO_MANY_STEPS = 10
+    REFUSED = 11
 
 
 @dataclass(frozen=True)

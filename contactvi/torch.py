@@ -11,7 +11,7 @@ import weakref
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from contactvi.control.batches import batch_of
+from contactvi.batch.shapes import batch_of
 from contactvi.control.rollouts import RolloutOptions, Rollouts, inputs_of, rollouts_of, settings_of
 from contactvi.errors import ContactviError, InputError, missing_package
 

@@ -31,14 +31,20 @@ PYTHON_FOLDERS: Folders = {
     "playback": ("scene", "records"),
     "trajectory": ("playback",),
     "simulation": ("trajectory",),
+    "batch": ("simulation",),
     "simultaneous": ("trajectory", "_core"),
     "bench": ("simulation",),
     "derivatives": ("simulation",),
     "reproduce": ("simulation",),
     "verify": ("reproduce", "simultaneous"),
     "commands": ("bench", "reproduce", "verify", "public"),
-    "public": ("simulation", "simultaneous", "derivatives"),  # contactvi/__init__.py, which names what is public
-    "control": ("derivatives",),
+    "public": (
+        "simulation",
+        "simultaneous",
+        "derivatives",
+        "batch",
+    ),  # contactvi/__init__.py, which names what is public
+    "control": ("derivatives", "batch"),
     "crocoddyl": ("control",),
     "adapters": ("control",),
 }
@@ -66,6 +72,7 @@ USERS_OF_THE_ENGINE = {
     "scene.engine",
     "scene.build",
     "simulation.engine",
+    "batch.engine",
     "simulation.compatibility",
     "derivatives.linear",
     "trajectory.sensitivity",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.control.batches import Batch
+from contactvi.batch.shapes import Batch
 from contactvi.control.rollouts import Rollouts, rollouts_of
 from contactvi.trajectory.compiled import CompiledScene
 
@@ -29,7 +29,7 @@ class FoldedRollouts:
 
     Attributes:
         compiled: the scene as it was.
-        names: of the inputs. single, full: their shapes, as in contactvi.control.batches.
+        names: of the inputs. single, full: their shapes, as in contactvi.batch.shapes.
         runs: number of runs of the batch. steps: of every run.
         workers, on_kink: as for Rollouts. settings: (name, value) of dt and the options.
     """

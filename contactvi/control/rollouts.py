@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.control.batches import OF_RUNS, Batch, batch_of
+from contactvi.batch.shapes import OF_RUNS, Batch, batch_of
 from contactvi.control.tangents import in_numbers, in_tangents
-from contactvi.control.threads import Workers
 from contactvi.errors import InputError, did_you_mean
 from contactvi.inputs import array, check_choice, mapping, positive, real_numbers, shape_of
 from contactvi.options import ContactSteps, ImpactMap, MhcReference, Support, Zeno
 from contactvi.simulation.simulation import simulate
+from contactvi.threads import Workers
 from contactvi.trajectory.compiled import compile_scene
 from contactvi.trajectory.gradient import RunGradients
 from contactvi.trajectory.sensitivity import ON_KINK
@@ -72,7 +72,7 @@ class Rollouts:
         **options: order, tol, impact, contact_mode, ...: those of `simulate` that a batch of runs may have.
 
     Attributes:
-        batch: the shapes of the inputs (contactvi.control.batches).
+        batch: the shapes of the inputs (contactvi.batch.shapes).
         runs: the runs, made with record="gradient".
         q: configurations at all nodes, (B, steps + 1, nq). v: velocities there, (B, steps + 1, nv).
 

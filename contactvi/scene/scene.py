@@ -24,7 +24,9 @@ from contactvi.scene.build import Built, build
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import (
+    JointSettings,
     JointTable,
+    Servo,
     dofs_of,
     joint_settings,
     joint_value,
@@ -784,6 +786,11 @@ class Scene:
         twin.q0, twin.v0, twin.settings = copy.deepcopy((self.q0, self.v0, self.settings), memo)
         return twin
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickle keeps: the data of to_dict, and what these leave out because Python functions gave it."""
+        goals = {name: goal for name, goal in self.built().arrays.targets.items() if not goal.storable}
+        return _restored, (type(self), self.to_dict(), self._elements, goals)
+
     def to_dict(self) -> dict[str, Any]:
         """Return a complete description in plain data (contactvi.scene.data); from_dict makes a scene of it again."""
         data = scene_to_dict(self.built(), self._contact, self._elements, self.parts)
@@ -799,6 +806,14 @@ class Scene:
         scene._contact, scene._joints, scene._elements = stored.contact, stored.joints, stored.elements
         scene.q0, scene.v0, scene.settings = stored.q0, stored.v0, stored.settings
         return scene
+
+    def restore(self, elements: ElementList, goals: Mapping[str, Any]) -> None:
+        """Give a scene from data the elements and the motions of servos that data do not hold (for pickle)."""
+        self._elements = elements
+        for name, goal in goals.items():
+            servo = self._joints.of(name).servo
+            assert servo is not None
+            self._joints.update({name: JointSettings(servo=Servo(servo.kp, servo.kd, servo.effort, goal))})
 
     # --- helpers ------------------------------------------------------------------------------------------------------
 
@@ -858,6 +873,13 @@ class Scene:
     def _state(self, q: Any) -> np.ndarray:
         built = self.built()
         return built.start.copy() if q is None else States(built.model).configuration(q, "q")
+
+
+def _restored(kind: type[Scene], data: Mapping[str, Any], elements: ElementList, goals: Mapping[str, Any]) -> Scene:
+    """Return a scene from what pickle kept; goals: motions of servos by joint name."""
+    scene = kind.from_dict(data)
+    scene.restore(elements, goals)
+    return scene
 
 
 def _several(fixed: Sequence[Selector] | Selector) -> Sequence[Selector]:

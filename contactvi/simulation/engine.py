@@ -29,7 +29,19 @@ def make(
     slack: float = 1.0,
     dt_contact: float | None = None,
 ) -> _core.Simulator:
-    """Return a new simulator of the engine.
+    """Return a new simulator of the engine; the arguments as those of `engine_options`."""
+    engine = _core.Simulator(compiled.core, engine_options(options, first_dt, slack, dt_contact))
+    if options.last_steps is not None:
+        engine.limit_record(0 if options.last_steps == 0 else max(options.last_steps, BLOCK))
+    elif options.record_every > 1:
+        engine.limit_record(BLOCK)  # its record has the nodes of all steps
+    return engine
+
+
+def engine_options(
+    options: Options, first_dt: float | None = None, slack: float = 1.0, dt_contact: float | None = None
+) -> _core.SimulatorOptions:
+    """Return the options of the engine's simulator.
 
     Args:
         first_dt: of "auto", the step to begin with [s].
@@ -52,12 +64,7 @@ def make(
     settings.record_contacts = options.record_contacts
     settings.gradient = options.record == "gradient"
     settings.contact_steps = _core.ContactSteps["EVENTS" if options.auto else options.contact_mode.upper()]
-    engine = _core.Simulator(compiled.core, settings)
-    if options.last_steps is not None:
-        engine.limit_record(0 if options.last_steps == 0 else max(options.last_steps, BLOCK))
-    elif options.record_every > 1:
-        engine.limit_record(BLOCK)  # its record has the nodes of all steps
-    return engine
+    return settings
 
 
 def start(
@@ -86,7 +93,7 @@ def start(
     if result["code"] == _core.StatusCode.SUCCESS:
         return record, None
     status = record.end(result, begin)
-    return record, _refusal(status, record.names(result), result["depth"])
+    return record, refusal(status, record.names(result), result["depth"])
 
 
 def advance(
@@ -143,7 +150,8 @@ def _take(record: Record, result: EngineResult) -> Status:
     return status
 
 
-def _refusal(status: Status, pair: tuple[str, str] | None, depth: float) -> ContactviError:
+def refusal(status: Status, pair: tuple[str, str] | None, depth: float) -> ContactviError:
+    """Return the error of a start that the engine refuses; depth of a penetration [m; rad]."""
     what = f"The start is refused: {status.message}"
     if status.code != StatusCode.PENETRATION:
         return SimulationError(

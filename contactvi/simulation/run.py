@@ -177,13 +177,9 @@ class Run:
 
     def _explained(self, status: Status) -> Status:
         """Return the status of the last steps, with the constraints that were in the way where the run ended."""
-        if status.code in _NO_WAY_ON and self._compiled.constraint_rows:
-            self.unreachable = self._compiled.unreachable(self.q, status.time + self.options.fixed_dt)
-            if self.unreachable is not None:
-                names = ", ".join(repr(name) for name in self.unreachable.constraints)
-                text = f"{status.message}: there is no way on for the constraints {names}"
-                status = self._record.status = Status(status.code, text, status.time)
-        return status
+        if status.code in _NO_WAY_ON:
+            self.unreachable = name_unreachable(self._record, self.q)
+        return self._record.status
 
     def step(self, forces: Array | None, targets: Array | None, progress: Progress | None = None) -> Status:
         """Make one step; as `advance`. To hold Ctrl-C back would take longer than the step.
@@ -329,3 +325,19 @@ class Run:
         """End the run where it is with the status INTERRUPTED."""
         self.record.status = Status.interrupted(self.t)
         return self.record.status
+
+
+def name_unreachable(record: Record, q: Array) -> ConstraintError | None:
+    """Return the error of constraints that cannot be met where a run ended, at q (nq,), and name them in its status.
+
+    None where they can be met, where there are none, and where the run ended for another reason.
+    """
+    status, compiled = record.status, record.compiled
+    if status.code not in _NO_WAY_ON or not compiled.constraint_rows:
+        return None
+    found = compiled.unreachable(q, status.time + record.options.fixed_dt)
+    if found is not None:
+        names = ", ".join(repr(name) for name in found.constraints)
+        text = f"{status.message}: there is no way on for the constraints {names}"
+        record.status = Status(status.code, text, status.time)
+    return found

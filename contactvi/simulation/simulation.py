@@ -118,26 +118,31 @@ def simulate(
             from contactvi.progress import RunProgress
 
             with RunProgress(span) as bar:
-                traj = _run(compiled, settings, q0, v0, inputs, target, bar, throw, ctrl_c)
+                traj = run_compiled(compiled, settings, q0, v0, inputs, target, bar, throw, ctrl_c)
         else:
-            traj = _run(compiled, settings, q0, v0, inputs, target, called, throw, ctrl_c)
+            traj = run_compiled(compiled, settings, q0, v0, inputs, target, called, throw, ctrl_c)
         dense = settings.contact_mode == "auto" and len(traj.dense_steps) > 0
         if ctrl_c.settle() and traj.status.ok:  # between the end of the run and now
             traj.status = Status.interrupted(traj.status.time)
         if throw and not traj.status.ok:
-            broken = traj.status.code == StatusCode.LEDGER
-            fact = "exceeds a tolerance of its ledger" if broken else "ended before its time"
-            raise SimulationError(
-                f"The run {fact} with the status {traj.status.code.name}: {traj.status.message}",
-                expected=f"t = {span if settings.auto else steps * settings.fixed_dt:.9g} s",
-                got=f"t = {traj.status.time:.9g} s",
-                remedy=remedy(traj.status.code, settings.contact_mode),
-                status=traj.status,
-                trajectory=traj,
-            )
+            raise ended_early(settings, traj.status, traj)
         if dense:
             _warn_of_dense_steps(traj)
         return traj
+
+
+def ended_early(options: Options, status: Status, traj: Trajectory | None) -> SimulationError:
+    """Return the error of a run that ended before its time; traj: what was computed, None where it was not kept."""
+    broken = status.code == StatusCode.LEDGER
+    fact = "exceeds a tolerance of its ledger" if broken else "ended before its time"
+    return SimulationError(
+        f"The run {fact} with the status {status.code.name}: {status.message}",
+        expected=f"t = {options.span if options.auto else options.steps * options.fixed_dt:.9g} s",
+        got=f"t = {status.time:.9g} s",
+        remedy=remedy(status.code, options.contact_mode),
+        status=status,
+        trajectory=traj,
+    )
 
 
 def _warn_of_dense_steps(traj: Trajectory) -> None:
@@ -167,7 +172,7 @@ def _check_auto(compiled: CompiledScene, inputs: str | None) -> None:
         )  # fmt: skip
 
 
-def _run(
+def run_compiled(
     compiled: CompiledScene,
     options: Options,
     q0: ArrayLike | None,
@@ -178,6 +183,10 @@ def _run(
     throw: bool,
     ctrl_c: CtrlC,
 ) -> Trajectory:
+    """Run a scene with inputs that are checked; the arguments as those of `simulate`, and so are the errors.
+
+    Only a run that ends before its time without an error of its own is returned with its status whatever `throw` is.
+    """
     if options.auto:
         return adaptive.run(compiled, options, q0, v0, progress, throw, ctrl_c)
     check_map(compiled, options)
@@ -195,20 +204,21 @@ def _run(
     except KeyboardInterrupt:
         run.interrupt()
     if throw and run.unreachable is not None:
-        raise _unreachable(run.unreachable, run.trajectory())
+        traj = run.trajectory()
+        raise no_way_on(run.unreachable, traj.status, traj)
     return run.trajectory()
 
 
-def _unreachable(found: ConstraintError, traj: Trajectory) -> ConstraintError:
-    """Return the error of a run that came to where its constraints cannot be met."""
+def no_way_on(found: ConstraintError, status: Status, traj: Trajectory | None) -> ConstraintError:
+    """Return the error of a run that came to where its constraints cannot be met; traj as in `ended_early`."""
     names = ", ".join(repr(name) for name in found.constraints)
     return ConstraintError(
-        f"The run came to where there is no way on for the constraints {names}, at t = {traj.status.time:.9g} s",
+        f"The run came to where there is no way on for the constraints {names}, at t = {status.time:.9g} s",
         residuals=found.residuals,
         expected="loops that stay closed, lengths and motions that can be reached",
         got=found.got,
         remedy="Mend the prescribed motions and lengths; error.trajectory is what was computed",
-        status=traj.status,
+        status=status,
         trajectory=traj,
     )
 

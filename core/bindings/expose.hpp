@@ -11,6 +11,7 @@ void expose_enums(nanobind::module_& m);
 void expose_scene(nanobind::module_& m);
 void expose_elements(nanobind::class_<Scene>& scene);
 void expose_simulator(nanobind::module_& m);
+void expose_batch(nanobind::module_& m);
 void expose_cone(nanobind::module_& m);
 void expose_dense(nanobind::module_& m);
 void expose_derivatives(nanobind::module_& m);

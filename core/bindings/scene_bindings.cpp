@@ -235,6 +235,9 @@ void expose_scene(nb::module_& m) {
       .def_prop_ro("njoints", [](const Scene& s) { return s.tree.body_of_source.size(); })
       .def_prop_ro("npairs", [](const Scene& s) { return s.pairs.size(); })
       .def_prop_ro(
+          "calls_functions", [](const Scene& s) { return s.tree.elements.functions != nullptr; },
+          "Whether it calls functions of the user.")
+      .def_prop_ro(
           "rounding",
           [](const Scene& s) {
             std::vector<double> r;

@@ -10,7 +10,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"
-#include "bindings/kept_contact_steps.hpp"
+#include "bindings/run_results.hpp"
 #include "bindings/user_calls.hpp"
 #include "model/coordinates.hpp"
 #include "run/stepped_world.hpp"
@@ -24,34 +24,6 @@ namespace contactvi {
 namespace {
 
 using ProgressCallback = nb::typed<nb::callable, nb::object(double, long)>;
-
-void add_status(const Scene& s, const Status& status, nb::dict& d) {
-  const PublicGuard guard = public_guard(s, status.guard);
-  d["code"] = status.code;
-  d["message"] = status.message;
-  d["time"] = status.time;
-  d["guard_kind"] = guard.kind;
-  d["guard_index"] = guard.index;
-  d["accumulation_time"] = status.accumulation_time;
-  d["depth"] = status.depth;
-}
-
-Dict stats(const World& sim, double seconds) {
-  Dict d;
-  d["steps"] = sim.state().step;
-  const EngineCounters counters = sim.counters();
-  d["stage_iterations"] = counters.steps.stage_iterations;
-  d["halved"] = sim.state().control.halved;
-  d["rejected"] = sim.state().rejected;
-  d["factorizations"] = counters.steps.factorizations;
-  d["guards_evaluated"] = counters.guards.evaluated;
-  d["guards_skipped"] = counters.guards.skipped;
-  d["impacts"] = sim.state().impacts;
-  d["seconds"] = seconds;
-  d["saturated"] = sim.state().actuators.saturated;
-  add_contact_stats(counters.contact, sim.state(), d);
-  return d;
-}
 
 // False where a signal handler of Python raised, whose error is kept: while it is set, no function of the user can be
 // called.
@@ -82,68 +54,15 @@ Progress wrap(const std::optional<ProgressCallback>& callback) {
   };
 }
 
-// Turns momenta into public coordinates, row after row, at the configurations of q.
-void make_public(const Tree& tree, const std::vector<double>& q, std::vector<double>& p) {
-  if (tree.split.empty()) return;
-  VecX qi(tree.nq), pi(tree.nv);
-  for (std::size_t i = 0; i * tree.nv < p.size(); ++i) {
-    Eigen::Map<VecX> row(p.data() + i * tree.nv, tree.nv);
-    qi = Eigen::Map<const VecX>(q.data() + i * tree.nq, tree.nq);
-    pi = row;
-    engine_to_public(tree, qi, pi);
-    row = pi;
-  }
-}
-
-Dict segments(const Tree& tree, int stages, Segments& s) {
-  const std::size_t n = s.t.size();
-  Dict d;
-  d["t"] = hand_over(std::move(s.t));
-  d["h"] = hand_over(std::move(s.h));
-  d["q"] = hand_over(std::move(s.q), n, tree.nq);
-  d["p"] = hand_over(std::move(s.p), n, tree.nv);
-  d["p1"] = hand_over(std::move(s.p1), n, tree.nv);
-  d["persistent"] = hand_over(std::move(s.persistent));
-  d["rates"] = hand_over(std::move(s.rates), n, static_cast<std::size_t>(tree.nv) * stages);
-  return d;
-}
-
-// What the world has recorded and where it stands after it. Entries of which there is nothing are None, because an
-// array costs as much time as a step of a small model.
+// What the world has recorded and where it stands after it.
 Dict results(World& sim, SteppedWorld::Record record) {
-  const Scene& s = sim.scene();
-  Recording& recording = record.recording;
-  Dict d;
-  // The error that interrupted the run is handed over as data, so that the partial result is not lost with it.
-  d["error"] = nb::none();
-  if (UserErrors::any()) d["error"] = UserErrors::take();
-  const std::size_t n = recording.t.size(), rows = static_cast<std::size_t>(s.tree.elements.constraint_rows);
-  recording.work.resize(4 * n, 0.0);  // it is empty where nothing does work
-  d["work"] = hand_over(std::move(recording.work), n, 4);
-  d["reactions"] = rows == 0 ? nb::object(nb::none()) : nb::cast(hand_over(std::move(recording.reactions), n, rows));
-  make_public(s.tree, recording.q, recording.p);
-  d["t"] = hand_over(std::move(recording.t));
-  d["q"] = hand_over(std::move(recording.q), n, s.tree.nq);
-  d["p"] = hand_over(std::move(recording.p), n, s.tree.nv);
-  d["events"] = recording.impacts.empty() ? nb::object(nb::none()) : nb::object(impact_rows(s, recording.impacts));
-  d["segments"] = sim.options().dense ? nb::object(segments(s.tree, sim.options().stages, recording.segments))
-                                      : nb::object(nb::none());
-  d["adaptive_steps"] = nb::none();
-  if (!recording.adaptive_t.empty()) {
-    Dict steps;
-    steps["t"] = hand_over(std::move(recording.adaptive_t));
-    steps["dt"] = hand_over(std::move(recording.adaptive_dt));
-    d["adaptive_steps"] = steps;
-  }
-  d["contacts"] = contact_rows(s, recording.contacts);
-  d["changes"] = contact_changes(s, recording.changes);
-  d["phases"] = step_phases(recording);
-  d["dense"] = dense_steps(s, recording);
   KeptContactSteps kept{sim.take_contact_steps(), sim.take_impact_blocks(), sim.take_dense_steps()};
-  const bool none = kept.steps.empty() && kept.blocks.empty() && kept.dense.empty();
-  d["kept_steps"] = none ? nb::object(nb::none()) : nb::cast(std::move(kept));
-  d["stats"] = stats(sim, record.seconds);
-  add_status(s, record.status, d);
+  // The error that interrupted the run is handed over as data, so that the partial result is not lost with it.
+  nb::object error = nb::none();
+  if (UserErrors::any()) error = UserErrors::take();
+  Dict d = run_results(sim.scene(), sim.options(), record.recording, sim.state(), sim.counters(), std::move(kept),
+                       record.status, record.seconds);
+  d["error"] = error;
   d["forced"] = record.forced;
   return d;
 }

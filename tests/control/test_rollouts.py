@@ -14,7 +14,7 @@ import pytest
 import contactvi as cvi
 from contactvi.control.rollouts import Rollouts
 from contactvi.control.tangents import in_numbers, in_tangents
-from contactvi.control.threads import Workers
+from contactvi.threads import Workers
 from derivatives.test_dense_sensitivity import DENSE, dropped
 from helpers.rollout_scenes import SETTINGS, STEPS, Start, at_wall, servo_arm, starts, thrown_ball, thrown_box
 

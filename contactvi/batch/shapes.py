@@ -58,8 +58,8 @@ def batch_of(scene: Scene, shapes: Mapping[str, Shape], steps: int | None) -> Ba
     """
     number = _steps(shapes, steps)
     single = {name: _of_one_run(scene, name, shape, number) for name, shape in shapes.items()}
-    leading = {name: _leading(name, shape, single[name]) for name, shape in shapes.items()}
-    size = _size(leading)
+    leading = {name: leading_of(name, shape, single[name]) for name, shape in shapes.items()}
+    size = size_of(leading)
     full = {
         name: shape if name not in OF_RUNS and leading[name] in (None, 1) else (size or 1, *shape)
         for name, shape in single.items()
@@ -104,7 +104,7 @@ def _of_one_run(scene: Scene, name: str, shape: Shape, steps: int) -> Shape:
     return known[name] if name in known else tuple(scene.parameter(name).shape)
 
 
-def _leading(name: str, shape: Shape, single: Shape) -> int | None:
+def leading_of(name: str, shape: Shape, single: Shape) -> int | None:
     """Return the leading dimension of an input, None where it has none; one number may stand for shape (1,)."""
     if shape == single or (name not in OF_RUNS and math.prod(single) == 1 and shape == ()):
         return None
@@ -116,7 +116,7 @@ def _leading(name: str, shape: Shape, single: Shape) -> int | None:
     )  # fmt: skip
 
 
-def _size(leading: Mapping[str, int | None]) -> int | None:
+def size_of(leading: Mapping[str, int | None]) -> int | None:
     """Return the number of runs; a leading dimension of 1 is the same in all of them."""
     given = {name: size for name, size in leading.items() if size is not None}
     several = {name: size for name, size in given.items() if size != 1}

@@ -1,0 +1,125 @@
+"""Runs per second of contactvi.simulate_batch, beside MuJoCo's rollout on the same model, with one and two threads.
+
+    python benchmarks/batch.py [--runs 400] [--threads 1 2] [-o FILE.json]
+
+Both start from the same states, make steps of 1 ms, and keep the states at all of them. The model of MuJoCo is made
+from the scene (contactvi/bench/mujoco_peer.py): contacts there are springs and dampers as stiff as they may be, and impacts
+have no times. So the two do not solve one problem, and their error is told beside their speed: the median over some
+runs of the distance of q at the end [m, rad] from contactvi with steps of 1/16 ms. Times are the fastest of three.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from mujoco import rollout
+
+import contactvi as cvi
+from contactvi.bench.mujoco_peer import MujocoPeer
+from contactvi.states import States
+
+MODELS = Path(__file__).resolve().parents[1] / "models"
+DT, COMPARED = 1e-3, 16  # [s], runs whose error is measured
+CASES = {  # scene: durations [s]
+    "allegro_ball.toml": (0.1, 0.3, 0.4, 0.6),
+    "double_pendulum_wall.toml": (1.0, 5.0),
+}
+
+
+def starts(scene: cvi.Scene, runs: int) -> tuple[np.ndarray, np.ndarray]:
+    """The start of the scene with other velocities, (runs, nq), (runs, nv)."""
+    q = scene.neutral() if scene.q0 is None else scene.q0
+    return np.tile(q, (runs, 1)), 0.05 * np.random.default_rng(0).standard_normal((runs, scene.nv))
+
+
+def fastest(call: Callable[[], object]) -> float:
+    seconds = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        call()
+        seconds.append(time.perf_counter() - begin)
+    return min(seconds)
+
+
+def error(scene: cvi.Scene, found: np.ndarray, true: np.ndarray) -> float:
+    return float(np.median(States(scene.model).distance(found, true)))
+
+
+def mujoco_states(peer: MujocoPeer, qs: np.ndarray, vs: np.ndarray) -> np.ndarray:
+    """The starts as MuJoCo's full states, (runs, size)."""
+    mujoco, full = peer.mujoco, peer.mujoco.mjtState.mjSTATE_FULLPHYSICS
+    states = np.zeros((len(qs), mujoco.mj_stateSize(peer.model, full)))
+    for state, q, v in zip(states, qs, vs, strict=True):
+        mujoco.mj_getState(peer.model, peer.data(q, v), state, full)
+    return states
+
+
+def measure(name: str, duration: float, runs: int, threads: list[int]) -> list[dict[str, object]]:
+    scene = cvi.load_scene(MODELS / name)
+    qs, vs = starts(scene, runs)
+    steps = round(duration / DT)
+    fine = cvi.simulate_batch(
+        scene, qs[:COMPARED], vs[:COMPARED], dt=DT / 16.0, duration=duration, keep="ends", max_iterations=100
+    ).q
+    rows: list[dict[str, object]] = []
+    own = {}
+    for count in threads:
+
+        def batch(workers: int = count) -> None:
+            own["result"] = cvi.simulate_batch(scene, qs, vs, dt=DT, duration=duration, keep="nodes", workers=workers)
+
+        seconds = fastest(batch)
+        off = error(scene, own["result"].q[:COMPARED, -1], fine)
+        rows.append({"scene": name, "duration": duration, "tool": "contactvi", "threads": count,
+                     "seconds": seconds, "runs": runs, "error": off})  # fmt: skip
+    peer = MujocoPeer(scene, DT)
+    states = mujoco_states(peer, qs, vs)
+    for count in threads:
+        datas = [peer.mujoco.MjData(peer.model) for _ in range(count)]
+        with rollout.Rollout(nthread=0 if count == 1 else count) as pool:
+            found = {}
+
+            def roll(pool: rollout.Rollout = pool, datas: list = datas, found: dict = found) -> None:
+                found["states"], _ = pool.rollout(peer.model, datas, states, nstep=steps)
+
+            seconds = fastest(roll)
+            ends = found["states"][:COMPARED, -1, 1 : 1 + peer.model.nq]  # time stands first
+            off = error(scene, np.array([peer.configuration(qpos) for qpos in ends]), fine)
+        rows.append({"scene": name, "duration": duration, "tool": "mujoco.rollout", "threads": count,
+                     "seconds": seconds, "runs": runs, "error": off})  # fmt: skip
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=400)
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("-o", "--output", type=Path)
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore", cvi.DenseStepWarning)
+    everything = []
+    for name, durations in CASES.items():
+        for duration in durations:
+            rows = measure(name, duration, arguments.runs, arguments.threads)
+            everything += rows
+            for row in rows:
+                rate = row["runs"] / row["seconds"]
+                first = next(other for other in rows if other["tool"] == row["tool"])
+                print(
+                    f"{name} {duration:g} s, {row['tool']}, {row['threads']} threads: {rate:.0f} runs/s "
+                    f"({1e3 / rate:.3g} ms a run), {first['seconds'] / row['seconds']:.2f} times the first, "
+                    f"error {row['error']:.2g}",
+                    flush=True,
+                )
+    if arguments.output:
+        arguments.output.write_text(json.dumps(everything, indent=1))
+
+
+if __name__ == "__main__":
+    main()

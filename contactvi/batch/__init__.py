@@ -1,0 +1,1 @@
+"""Batches: many runs of one scene, in threads of the engine or by an executor, in memory or in a file."""

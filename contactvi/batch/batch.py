@@ -1,0 +1,151 @@
+"""`simulate_batch`: many runs of one scene."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from contactvi.batch.blocks import Block, joined
+from contactvi.batch.executors import blocks_by
+from contactvi.batch.plan import Plan, Report, plan_of
+from contactvi.batch.results import BatchResult
+from contactvi.batch.runs import blocks_of
+from contactvi.batch.storage import StoredBatch, save_batch
+from contactvi.errors import DenseStepWarning, InputError
+from contactvi.inputs import callback, check_choice
+from contactvi.options import Dt, FurtherOptions, ImpactMap
+from contactvi.simulation.simulator import settings_of
+from contactvi.threads import Workers, cores
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from contactvi.scene.scene import Scene
+
+Keep = Literal["ends", "nodes", "runs"]
+KEEPS = ("ends", "nodes", "runs")
+MOST_BYTES = 2**28  # of the states at all nodes: above, only the ends are kept unless more is asked for
+
+
+class BatchOptions(FurtherOptions, total=False):
+    """The options of the runs of a batch; `Options` describes them."""
+
+    duration: float | None
+    dt: Dt | None
+    impact: ImpactMap | None
+    order: int | None
+    tol: float | None
+    sample_dt: float | None
+    ledger: Mapping[str, float] | None
+
+
+def simulate_batch(
+    scene: Scene,
+    q0s: ArrayLike | None = None,
+    v0s: ArrayLike | None = None,
+    *,
+    parameters: Mapping[str, ArrayLike] | None = None,
+    control: Any = None,
+    target: Any = None,
+    keep: Keep | None = None,
+    workers: int | None = None,
+    executor: Executor | None = None,
+    progress: bool | Callable[[int, int], object] = False,
+    path: str | os.PathLike[str] | None = None,
+    **options: Unpack[BatchOptions],
+) -> BatchResult | StoredBatch:
+    """Run a scene from many starts, with many parameters or inputs, in several threads.
+
+    Every run has the bits that `simulate` gives it alone, whatever the number of threads. A run that fails does not end
+    the others: `result.status` and `result.errors` tell how each ended.
+
+    Args:
+        scene: the scene of all runs.
+        q0s: starts, Pinocchio's numbers, (runs, nq), or (nq,) for all; None: as in `simulate`.
+        v0s: their velocities, (runs, nv) or (nv,); None: as in `simulate`.
+        parameters: values by the names of `Scene.parameter`, with a leading dimension (runs, ...), or one for all: such
+            as {"friction": (runs, 1), "mass:ball": (runs, 1)}.
+        control: as in `simulate` for all runs, or (runs, steps, nv). A function is called by all threads.
+        target: as in `simulate` for all runs, or (runs, steps, n).
+        keep: "ends": the last states; "nodes": those at all nodes; "runs": all of the runs, as `Trajectory`. None:
+            "nodes" where their number is known before the runs and these states take at most 256 MB, or go to a file;
+            else "ends".
+        workers: number of threads; None: one for each core that the process may use. With an executor, how many chunks
+            of runs are under way at once; None: four for each core.
+        executor: a concurrent.futures.Executor that makes the runs in chunks of about a second, such as a
+            ProcessPoolExecutor or dask's `Client.get_executor()`; what is sent there has to be picklable. A chunk that
+            is lost with its worker is sent again, three times at most.
+        path: write the results to this file while runs end, and return a `StoredBatch`, which reads what is asked for.
+            The file is there when all runs have ended; only a regular file is replaced.
+        progress: True shows a progress bar; or a function called as progress(runs made, runs) now and then.
+        **options: duration, dt, order, ...: as in `simulate`.
+
+    Raises:
+        InputError: for arguments whose shapes do not fit, and for bad options. Errors of single runs are in the result.
+        ContactviError: the executor lost a chunk of runs again and again.
+        KeyboardInterrupt: on Ctrl-C, which ends the runs under way within a tenth of a second.
+
+    Warns:
+        DenseStepWarning: once, where runs with contact_mode="auto" took dense steps.
+    """
+    settings = settings_of(scene, dict(options), forced=control is not None or target is not None)
+    _ = settings.span
+    inputs = {"q0": q0s, "v0": v0s, "control": control, "target": target}
+    plan = plan_of(scene, settings, "ends" if keep is None else _checked(keep), inputs, parameters)
+    if keep is None and plan.nodes is not None:
+        full = replace(plan, keep="nodes")
+        plan = full if path is not None or full.runs * full.bytes_of_a_run <= MOST_BYTES else plan
+    if plan.keep == "runs" and (path is not None or executor is not None):
+        raise InputError(
+            "Whole runs are kept in this process only", name="keep", expected="'ends' or 'nodes' with path or executor",
+            got="'runs'", remedy="Use keep='nodes', and make the few runs that are looked at again with simulate",
+        )  # fmt: skip
+    number = Workers(workers).number if executor is None or workers is not None else 4 * cores()
+    with ExitStack() as stack:
+        report = _report(plan.runs, progress, stack)
+        made = blocks_of(plan, number, report) if executor is None else blocks_by(executor, plan, number, report)
+        blocks = _finished(made, plan, report)
+        if path is not None:
+            return save_batch(path, plan, blocks)
+        return BatchResult(plan.keep, joined(list(blocks)))
+
+
+def _finished(blocks: Iterator[Block], plan: Plan, report: Report | None) -> Iterator[Block]:
+    """Yield blocks; report their end, and warn of dense steps in them."""
+    some = 0
+    for block in blocks:
+        some += int(np.count_nonzero(block.columns["dense_steps"]))
+        yield block
+    if report is not None:
+        report(plan.runs)
+    if some and plan.options.contact_mode == "auto":
+        warnings.warn(
+            f"Dense contact: {some} of {plan.runs} runs took dense steps, in which impacts have no times; see"
+            " result.dense_steps. contact_mode='events' refuses such steps, 'steps' asks for them",
+            DenseStepWarning,
+            stacklevel=4,
+        )
+
+
+def _checked(keep: Any) -> str:
+    check_choice("keep", keep, KEEPS, "Unknown part of the runs to keep")
+    return str(keep)
+
+
+def _report(runs: int, progress: Any, stack: ExitStack) -> Report | None:
+    """Return the function that is told how many runs were made."""
+    if progress is True:
+        from contactvi.progress import JobProgress
+
+        bar = stack.enter_context(JobProgress(total=runs))
+        return lambda made: bar(made, f"{made}/{runs} runs")
+    called = None if isinstance(progress, bool) else callback("progress", progress)
+    return None if called is None else lambda made: called(made, runs)

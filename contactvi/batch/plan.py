@@ -1,0 +1,130 @@
+"""What the runs of a batch are made of: the scene, the options, and the inputs of every run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi.batch.shapes import leading_of, size_of
+from contactvi.errors import InputError
+from contactvi.inputs import check_signature, mapping, real_numbers, shape_of, short
+from contactvi.options import Options
+from contactvi.scene.scene import Scene
+from contactvi.trajectory.compiled import compile_scene
+
+Array = NDArray[np.float64]
+Report = Callable[[int], object]  # is told how many runs were made
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The runs of a batch; the numbers in it are not checked, because a bad run does not end the others.
+
+    Attributes:
+        scene: of all runs. options: of all runs.
+        keep: "ends", "nodes" or "runs".
+        runs: number of runs.
+        rows: by name, inputs with a row for each run: "q0", "v0", "control", "target".
+        shared: by name, inputs that are the same in all runs.
+        parameters: values of parameters by name, with a row for each run. common: those that are the same in all runs.
+    """
+
+    scene: Scene
+    options: Options
+    keep: str
+    runs: int
+    rows: Mapping[str, Array]
+    shared: Mapping[str, Any]
+    parameters: Mapping[str, Array]
+    common: Mapping[str, Any]
+
+    @property
+    def bytes_of_a_run(self) -> float:
+        """About the memory of the states that are kept of a run; with "auto" and without samples that of the ends."""
+        nodes = 1.0 if self.keep == "ends" else (self.nodes or 1.0)
+        return float(nodes * (self.scene.model.nq + self.scene.model.nv + 1) * 8.0)
+
+    @property
+    def nodes(self) -> float | None:
+        """Number of nodes of a run that reaches its end, at most; None where it is not known before the run."""
+        options = self.options
+        if options.sample_dt is not None:
+            return options.span / options.sample_dt + 2.0
+        return None if options.auto else options.steps / options.record_every + 2.0
+
+    def part(self, first: int, last: int) -> Plan:
+        """Return the runs from first to last - 1."""
+        rows, own = (
+            {name: values[first:last] for name, values in group.items()} for group in (self.rows, self.parameters)
+        )
+        return replace(self, runs=last - first, rows=rows, parameters=own)
+
+    def input(self, name: str, k: int) -> Any:
+        """Return an input of run k; None where it was not given."""
+        return self.rows[name][k] if name in self.rows else self.shared.get(name)
+
+    def key(self, k: int) -> bytes:
+        """Return what is equal for runs of equal parameters."""
+        return b"".join(np.ascontiguousarray(values[k]).tobytes() for values in self.parameters.values())
+
+    def scene_of(self, k: int) -> Scene:
+        """Return the scene of run k; InputError for parameters that no scene has."""
+        values = {name: rows[k] for name, rows in self.parameters.items()}
+        return self.scene.with_parameters({**self.common, **values}) if values or self.common else self.scene
+
+
+def plan_of(
+    scene: Scene, options: Options, keep: str, inputs: Mapping[str, Any], parameters: Mapping[str, Any] | None
+) -> Plan:
+    """Return the plan of a batch.
+
+    Args:
+        inputs: "q0", "v0", "control" and "target", None where they are not given.
+
+    Raises:
+        InputError: for shapes that do not fit the scene, or each other.
+    """
+    states = compile_scene(scene).states
+    steps = 0 if options.auto else options.steps
+    single = {"q0": (states.nq,), "v0": (states.nv,), "control": (steps, states.nv)}
+    given = {name: value for name, value in inputs.items() if value is not None}
+    values = dict(mapping("parameters", {} if parameters is None else parameters, "name: value"))
+    single |= {name: tuple(scene.parameter(name).shape) for name in values}
+    shared = {name: given.pop(name) for name in ("control", "target") if _is_function(given.get(name))}
+    if callable(shared.get("control")):
+        check_signature("control", shared["control"], ("t", "q", "v"))
+    if "target" in given and np.ndim(_numbers("target", given["target"])) < 3:
+        shared["target"] = given.pop("target")  # of the shapes that a single run takes
+    arrays = {name: _numbers(name, value) for name, value in {**given, **values}.items()}
+    if "target" in arrays:
+        single["target"] = arrays["target"].shape[1:]
+    leading = {name: leading_of(name, shape_of(value), single[name]) for name, value in arrays.items()}
+    runs = size_of(leading) or 1
+    several = {name: np.broadcast_to(value, (runs, *single[name])) for name, value in arrays.items() if leading[name]}
+    once = {name: value for name, value in arrays.items() if not leading[name]}
+    return Plan(
+        scene, options, keep, runs,
+        {name: value for name, value in several.items() if name in given},
+        shared | {name: value for name, value in once.items() if name in given},
+        {name: value for name, value in several.items() if name in values},
+        {name: value for name, value in once.items() if name in values},
+    )  # fmt: skip
+
+
+def _is_function(value: Any) -> bool:
+    return callable(value) or isinstance(value, Mapping)
+
+
+def _numbers(name: str, value: Any) -> Array:
+    """Return real numbers as an array; they may be NaN, which is the fault of their run alone."""
+    found = real_numbers(value)
+    if found is None:
+        raise InputError(
+            f"{name} is not an array of numbers", name=name, expected="one run, or one row for each run",
+            got=short(value), remedy="Give plain numbers in a list or a NumPy array, in rows of one length",
+        )  # fmt: skip
+    return found

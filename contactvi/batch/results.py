@@ -1,0 +1,116 @@
+"""The result of a batch of runs: arrays over the runs, statuses, errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi.batch.blocks import Block
+from contactvi.errors import ContactviError, InputError
+from contactvi.inputs import short
+from contactvi.status import Status, StatusCode
+
+if TYPE_CHECKING:
+    from contactvi.trajectory.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+_ENDED = "the run reached its end"
+
+
+class BatchStatus(Sequence[Status]):
+    """How the runs of a batch ended: a sequence of `Status`, without one object for each of them."""
+
+    def __init__(self, codes: NDArray[np.int64], times: Array, messages: Mapping[int, str]) -> None:
+        self.codes, self.times, self._messages = codes, times, messages
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+    @overload
+    def __getitem__(self, k: int) -> Status: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[Status]: ...
+    def __getitem__(self, k: int | slice) -> Status | list[Status]:
+        if isinstance(k, slice):
+            return [self[row] for row in range(*k.indices(len(self)))]
+        row = range(len(self))[k]
+        return Status(StatusCode(int(self.codes[row])), self._messages.get(row, _ENDED), float(self.times[row]))
+
+
+class BatchResult:
+    """The runs of a batch, in the order of their starts.
+
+    Attributes:
+        keep: "ends": t (runs,), q (runs, nq) and v (runs, nv) are those of the ends of the runs. "nodes" and "runs": at
+            the nodes, t (runs, nodes), q (runs, nodes, nq), v (runs, nodes, nv), as those of `Trajectory`; after the
+            end of a run that has fewer nodes than others they are NaN. A run that was refused has NaN everywhere.
+        nodes: number of nodes of each run, (runs,).
+        status: how each run ended, a sequence of `Status`; `ok` the same as an array of truth values (runs,).
+        errors: index of the run -> the error that `simulate` would have raised.
+        impacts, dense_steps: of each run, (runs,). seconds: inside the engine [s], (runs,).
+        error_estimate: with dt="auto" as `Trajectory.error_estimate`, else NaN, (runs,).
+    """
+
+    def __init__(self, keep: str, block: Block) -> None:
+        self.keep, self._block = keep, block
+        columns = block.columns
+        ends = 0 if keep == "ends" else slice(None)
+        self.t: Array = columns["t"][:, ends, 0]
+        self.q: Array = columns["q"][:, ends]
+        self.v: Array = columns["v"][:, ends]
+        self.nodes: NDArray[np.int64] = columns["nodes"]
+        self.impacts: NDArray[np.int64] = columns["impacts"]
+        self.dense_steps: NDArray[np.int64] = columns["dense_steps"]
+        self.seconds: Array = columns["seconds"]
+        self.error_estimate: Array = columns["error_estimate"]
+        self.status = BatchStatus(columns["code"], columns["time"], block.messages)
+        self.errors: dict[int, ContactviError] = dict(sorted(block.errors.items()))
+        self._kept: dict[int, Trajectory] = {}
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """Whether each run reached its end, (runs,)."""
+        return np.asarray(self.status.codes == StatusCode.SUCCESS)
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def __repr__(self) -> str:
+        return f"<BatchResult: {len(self)} runs, {int(self.ok.sum())} ok, keep={self.keep!r}>"
+
+    @overload
+    def __getitem__(self, k: int) -> Trajectory: ...
+    @overload
+    def __getitem__(self, k: slice | Sequence[int] | NDArray[Any]) -> BatchResult: ...
+    def __getitem__(self, k: int | slice | Sequence[int] | NDArray[Any]) -> Trajectory | BatchResult:
+        """Return a run (with keep="runs"), or the result of some of the runs: a slice, indices, truth values.
+
+        Raises:
+            InputError: for one run where runs were not kept. IndexError: there is no such run. The error of the run,
+                where nothing was computed.
+        """
+        if not isinstance(k, (int, np.integer)):
+            return BatchResult(self.keep, self._block.rows([int(i) for i in np.arange(len(self))[k]]))
+        row = range(len(self))[int(k)]
+        if self._block.trajectories is None:
+            raise InputError(
+                "The runs of this batch were not kept", name="keep", expected="'runs'", got=repr(self.keep),
+                remedy=f"Give keep='runs' to simulate_batch, or take result.q[{short(k)}]",
+            )  # fmt: skip
+        if row not in self._kept:
+            traj = self._block.trajectories[row]()
+            if traj is None:
+                raise self.errors[row]
+            self._kept[row] = traj
+        return self._kept[row]
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        return (self[k] for k in range(len(self)))
+
+    @property
+    def block(self) -> Block:
+        """The arrays as they are stored."""
+        return self._block

@@ -1,0 +1,174 @@
+"""The file of a batch: a zip of npy arrays, written block after block while runs end, and read in parts.
+
+===================== ==================================================================================
+entry                 meaning
+===================== ==================================================================================
+header                JSON text: format, schema, version, keep, runs, options (contactvi.Options)
+FIRST/COUNT/NAME      a column of contactvi.batch.blocks of the runs FIRST to FIRST + COUNT - 1
+FIRST/COUNT/texts     JSON text: {"messages": {run: text}, "errors": {run: {type, what, ...}}}, runs from 0
+===================== ==================================================================================
+
+Nothing in it is compressed or pickled, and nothing is executed on loading.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import IO, Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi import errors
+from contactvi.batch.blocks import COLUMNS, Block, joined
+from contactvi.batch.plan import Plan
+from contactvi.batch.results import BatchResult
+from contactvi.errors import ContactviError, InputError, SceneError
+from contactvi.files import as_a_path, checked_path, write_atomic
+from contactvi.inputs import short
+from contactvi.options import Options
+from contactvi.version import version
+
+FORMAT = "contactvi-batch"
+SCHEMA = 1
+_UNREADABLE = (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error,
+               NotImplementedError, RuntimeError, MemoryError)  # fmt: skip
+
+
+def save_batch(path: str | os.PathLike[str], plan: Plan, blocks: Iterable[Block]) -> StoredBatch:
+    """Write blocks to a file as they come; return the file."""
+
+    def write(file: IO[bytes]) -> None:
+        with zipfile.ZipFile(file, "w") as archive:
+            header = {
+                "format": FORMAT, "schema": SCHEMA, "version": version(), "keep": plan.keep, "runs": plan.runs,
+                "options": plan.options.to_dict(),
+            }  # fmt: skip
+            _put(archive, "header", np.array(json.dumps(header)))
+            first = 0
+            for block in blocks:
+                for name in COLUMNS:
+                    _put(archive, f"{first}/{len(block)}/{name}", block.columns[name])
+                _put(archive, f"{first}/{len(block)}/texts", np.array(json.dumps(_texts(block))))
+                first += len(block)
+
+    return StoredBatch(write_atomic(path, write))
+
+
+def load_batch(path: str | os.PathLike[str]) -> StoredBatch:
+    """Open the file of a batch (`simulate_batch(path=)`); `[a:b]` reads these runs and no others.
+
+    Raises:
+        SceneError: for a file that is missing, damaged, or of another format.
+    """
+    return StoredBatch(checked_path(path))
+
+
+class StoredBatch:
+    """The runs of a batch in a file; a slice of it reads these runs, as a `BatchResult`.
+
+    Attributes:
+        path: of the file. keep: "ends" or "nodes". options: of the runs.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        with as_a_path(path):
+            if not path.is_file():
+                _refuse(path, "there is no such file")
+        try:
+            with zipfile.ZipFile(path) as archive:
+                header = json.loads(str(_take(archive, "header")))
+                if header.get("format") != FORMAT or header.get("schema") != SCHEMA:
+                    _refuse(path, "a file of another format or schema")
+                places = {tuple(map(int, name.split("/")[:2])) for name in archive.namelist() if "/" in name}
+                self.keep, self._runs = str(header["keep"]), int(header["runs"])
+                self.options = Options.from_dict(header["options"])
+        except _UNREADABLE as error:
+            _refuse(path, f"{type(error).__name__}: {error}", error)
+        self._places = sorted(places)
+        ends = [0, *(first + count for first, count in self._places)]
+        if [first for first, _ in self._places] != ends[:-1] or ends[-1] != self._runs:
+            _refuse(path, "blocks of runs that are not one after the other")
+
+    def __len__(self) -> int:
+        return self._runs
+
+    def __repr__(self) -> str:
+        return f"<StoredBatch: {len(self)} runs in {self.path}, keep={self.keep!r}>"
+
+    def __getitem__(self, k: slice) -> BatchResult:
+        """Return the result of some of the runs.
+
+        Raises:
+            InputError: no slice with a step of 1, or an empty one. SceneError: the file is damaged.
+        """
+        first, last, step = k.indices(self._runs) if isinstance(k, slice) else (0, 0, 0)
+        if step != 1 or last <= first:
+            raise InputError(
+                "These are no runs of the file", name="k", expected=f"a slice within 0:{self._runs}", got=short(k),
+                remedy="Take batch[a:b], and single rows from its arrays",
+            )  # fmt: skip
+        parts = []
+        try:
+            with zipfile.ZipFile(self.path) as archive:
+                for start, count in self._places:
+                    if start < last and start + count > first:
+                        block = _read(archive, start, count)
+                        if any(len(values) != count for values in block.columns.values()):
+                            _refuse(self.path, "columns of different lengths")
+                        parts.append(block.rows(range(max(first - start, 0), min(last - start, count))))
+        except _UNREADABLE as error:
+            if isinstance(error, ContactviError):
+                raise
+            _refuse(self.path, f"{type(error).__name__}: {error}", error)
+        return BatchResult(self.keep, joined(parts))
+
+
+def _put(archive: zipfile.ZipFile, name: str, values: NDArray[Any]) -> None:
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+        np.lib.format.write_array(entry, np.asarray(values), allow_pickle=False)
+
+
+def _take(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    with archive.open(f"{name}.npy") as entry:
+        found: NDArray[Any] = np.lib.format.read_array(entry, allow_pickle=False)
+        return found
+
+
+def _read(archive: zipfile.ZipFile, first: int, count: int) -> Block:
+    columns = {name: _take(archive, f"{first}/{count}/{name}") for name in COLUMNS}
+    texts = json.loads(str(_take(archive, f"{first}/{count}/texts")[()]))
+    messages = {int(k): str(text) for k, text in texts["messages"].items()}
+    return Block(columns, messages, {int(k): _error(fields) for k, fields in texts["errors"].items()})
+
+
+def _texts(block: Block) -> dict[str, Any]:
+    return {
+        "messages": block.messages,
+        "errors": {
+            k: {"type": type(error).__name__, "what": error.what, "expected": str(error.expected),
+                "got": str(error.got), "remedy": error.remedy}
+            for k, error in block.errors.items()
+        },
+    }  # fmt: skip
+
+
+def _error(fields: dict[str, str]) -> ContactviError:
+    """Return an error with the texts of the one that was stored."""
+    kind = getattr(errors, fields["type"], ContactviError)
+    kind = kind if isinstance(kind, type) and issubclass(kind, ContactviError) else ContactviError
+    texts = {name: fields[name] for name in ("expected", "got", "remedy")}
+    return kind(fields["what"], **texts)
+
+
+def _refuse(path: Path, got: str, error: Exception | None = None) -> NoReturn:
+    raise SceneError(
+        f"{path} cannot be read", path=path, expected="the file of a batch of runs", got=got,
+        remedy="Correct the path, or write the file again: simulate_batch(..., path=path)",
+    ) from error  # fmt: skip

@@ -1,0 +1,135 @@
+#include "run/batch.hpp"
+
+#include <chrono>
+#include <condition_variable>
+#include <limits>
+#include <mutex>
+#include <thread>
+
+#include "model/coordinates.hpp"
+#include "step/integrator.hpp"
+
+namespace contactvi {
+
+namespace {
+
+constexpr std::chrono::milliseconds kPollPeriod(50);
+
+// Appends states to an outcome, with the velocity that belongs to a momentum.
+class States {
+ public:
+  States(const Tree& tree, BatchOutcome& to) : tree_(tree), integrator_(tree, 1, 1e-12, 1), w_(tree.nv), to_(to) {}
+
+  void add(double t, const VecX& q, VecX p) {
+    // By way of public coordinates, as the velocities of single runs are computed: equal bits.
+    engine_to_public(tree_, q, p);
+    public_to_engine(tree_, q, p);
+    if (!integrator_.node_velocity(q, p, w_)) w_.setConstant(std::numeric_limits<double>::quiet_NaN());
+    engine_to_public(tree_, q, w_);
+    to_.t.push_back(t);
+    to_.q.insert(to_.q.end(), q.data(), q.data() + tree_.nq);
+    to_.v.insert(to_.v.end(), w_.data(), w_.data() + tree_.nv);
+  }
+
+ private:
+  const Tree& tree_;
+  Integrator integrator_;
+  VecX w_;
+  BatchOutcome& to_;
+};
+
+}  // namespace
+
+void Batch::run(int threads, const std::function<bool(std::size_t)>& poll) {
+  outcomes_ = std::vector<BatchOutcome>(starts_.size());
+  next_ = made_ = 0;
+  stop_ = false;
+  std::mutex mutex;
+  std::condition_variable ended;
+  std::size_t running = std::min<std::size_t>(threads, starts_.size());
+  std::vector<std::thread> workers;
+  const auto work = [&] {
+    take_runs();
+    const std::lock_guard lock(mutex);
+    --running;
+    ended.notify_one();
+  };
+  for (std::size_t k = 0, count = running; k < count; ++k) {
+    try {
+      workers.emplace_back(work);
+    } catch (const std::system_error&) {  // the process may have no more threads: those that there are do the work
+      const std::lock_guard lock(mutex);
+      running -= count - k;
+      if (workers.empty()) throw;
+      break;
+    }
+  }
+  std::unique_lock lock(mutex);
+  while (!ended.wait_for(lock, kPollPeriod, [&] { return running == 0; })) {
+    lock.unlock();
+    if (!stop_ && !poll(made_)) stop_ = true;
+    lock.lock();
+  }
+  lock.unlock();
+  for (std::thread& worker : workers) worker.join();
+}
+
+void Batch::take_runs() {
+  for (std::size_t k = next_++; k < starts_.size() && !stop_; k = next_++) {
+    try {
+      make(starts_[k], outcomes_[k]);
+    } catch (...) {
+      outcomes_[k].failure = std::current_exception();
+    }
+    outcomes_[k].made = true;
+    ++made_;
+  }
+}
+
+void Batch::make(const BatchStart& start, BatchOutcome& outcome) {
+  World world(*start.scene, options_);
+  outcome.start = outcome.status = world.reset(start.q, start.v, 0.0);
+  outcome.start_p = world.p();
+  Recording recording;
+  if (outcome.start.ok()) {
+    static const MatX none;
+    const MatX& tau = start.tau ? *start.tau : none;
+    const MatX& target = start.target ? *start.target : none;
+    const Progress progress = [this](double, long) { return !stop_; };
+    const auto first = std::chrono::steady_clock::now();
+    outcome.status = world.advance(steps_, tau, target, record_every_, progress, recording);
+    outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - first).count();
+  }
+  keep_nodes(start, world, recording, outcome);
+  outcome.impacts = static_cast<long>(recording.impacts.size());
+  outcome.dense_steps = world.state().dense_steps;
+  if (keep_ != BatchKeep::kRuns) return;
+  outcome.state = world.state();
+  outcome.counters = world.counters();
+  outcome.recording = std::move(recording);
+  outcome.contact_steps = world.take_contact_steps();
+  outcome.impact_blocks = world.take_impact_blocks();
+  outcome.kept_dense_steps = world.take_dense_steps();
+}
+
+// Whether a node of the engine is one of the run: every record_every steps.
+bool Batch::is_node(double t) const {
+  return record_every_ == 1 || std::fmod(std::nearbyint(t / options_.dt), static_cast<double>(record_every_)) == 0.0;
+}
+
+void Batch::keep_nodes(const BatchStart& start, const World& world, const Recording& recording,
+                       BatchOutcome& outcome) const {
+  const Tree& tree = start.scene->tree;
+  States states(tree, outcome);
+  if (!outcome.start.ok()) return states.add(0.0, start.q, outcome.start_p);
+  if (keep_ == BatchKeep::kEnds) return states.add(outcome.status.time, world.q(), world.p());
+  states.add(0.0, start.q, outcome.start_p);
+  for (std::size_t k = 0; k < recording.t.size(); ++k) {
+    if (recording.t[k] <= outcome.t.back() || !is_node(recording.t[k])) continue;
+    states.add(recording.t[k], Eigen::Map<const VecX>(recording.q.data() + k * tree.nq, tree.nq),
+               Eigen::Map<const VecX>(recording.p.data() + k * tree.nv, tree.nv));
+  }
+  if (outcome.status.time > outcome.t.back()) states.add(outcome.status.time, world.q(), world.p());
+}
+
+}  // namespace contactvi

@@ -1,0 +1,76 @@
+// Many runs with steps of one length, made in several threads.
+//
+// Every run has an engine of its own, which is made for it: what happens in a run, to the last bit, depends neither on
+// the number of threads nor on the runs before it. The threads take the next run from a counter, and results stand
+// where their starts stand.
+#pragma once
+
+#include <atomic>
+#include <exception>
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include "run/world.hpp"
+
+namespace contactvi {
+
+// A start in engine coordinates, and the inputs of its run as in Simulator::advance; runs may share them.
+struct BatchStart {
+  const Scene* scene;
+  VecX q, v;
+  std::shared_ptr<const MatX> tau, target;
+};
+
+// What is kept of a run besides its end: nothing, the states at its nodes, or all that was recorded.
+enum class BatchKeep : int { kEnds = 0, kNodes = 1, kRuns = 2 };
+
+struct BatchOutcome {
+  bool made = false;           // it was run to its end, or to a failure
+  std::exception_ptr failure;  // what the engine refused, or a fault of the program
+  Status start, status;        // of the start, and of the run that began there
+  VecX start_p;                // momentum, engine coordinates
+  // Times [s] and public q (N, nq), v (N, nv) at the nodes, row after row; without nodes those at the end.
+  std::vector<double> t, q, v;
+  long impacts = 0, dense_steps = 0;
+  double seconds = 0.0;
+  // Of runs that are kept.
+  RunState state;
+  EngineCounters counters;
+  Recording recording;
+  std::vector<ContactStepRecord> contact_steps;
+  std::vector<ImpactBlockRecord> impact_blocks;
+  std::vector<DenseStepRecord> kept_dense_steps;
+};
+
+class Batch {
+ public:
+  Batch(const SimulatorOptions& options, long steps, long record_every, BatchKeep keep)
+      : options_(options), steps_(steps), record_every_(record_every), keep_(keep) {}
+
+  void add(BatchStart start) { starts_.push_back(std::move(start)); }
+  // Makes all runs. `poll` is called in this thread with the number of runs made, about twenty times a second; where it
+  // returns false the runs end: those under way with the status kInterrupted, and others are not made.
+  void run(int threads, const std::function<bool(std::size_t)>& poll);
+
+  std::size_t size() const { return starts_.size(); }
+  const BatchStart& start(std::size_t k) const { return starts_[k]; }
+  BatchOutcome& outcome(std::size_t k) { return outcomes_[k]; }
+  const SimulatorOptions& options() const { return options_; }
+
+ private:
+  void take_runs();
+  void make(const BatchStart& start, BatchOutcome& outcome);
+  void keep_nodes(const BatchStart& start, const World& world, const Recording& recording, BatchOutcome& outcome) const;
+  bool is_node(double t) const;
+
+  SimulatorOptions options_;
+  long steps_, record_every_;
+  BatchKeep keep_;
+  std::vector<BatchStart> starts_;
+  std::vector<BatchOutcome> outcomes_;
+  std::atomic<std::size_t> next_{0}, made_{0};
+  std::atomic<bool> stop_{false};
+};
+
+}  // namespace contactvi
