@@ -3,9 +3,10 @@
     python benchmarks/batch.py [--runs 400] [--threads 1 2] [-o FILE.json]
 
 Both start from the same states, make steps of 1 ms, and keep the states at all of them. The model of MuJoCo is made
-from the scene (contactvi/bench/mujoco_peer.py): contacts there are springs and dampers as stiff as they may be, and impacts
-have no times. So the two do not solve one problem, and their error is told beside their speed: the median over some
-runs of the distance of q at the end [m, rad] from contactvi with steps of 1/16 ms. Times are the fastest of three.
+from the scene (contactvi/bench/mujoco_peer.py): contacts there are springs and dampers as stiff as they may be, and
+impacts have no times. So the two do not solve one problem, and their error is told beside their speed: the median
+over some runs of the distance of q at the end [m, rad] from contactvi with steps of 1/16 ms. Times are the fastest of
+three.
 """
 
 from __future__ import annotations

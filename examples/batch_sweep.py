@@ -29,7 +29,7 @@ restitution, friction = np.meshgrid(np.linspace(0.05, 0.8, side), np.linspace(0.
 starts = max(1, arguments.runs // side**2)
 restitution, friction = (np.repeat(x.ravel(), starts)[:, None] for x in (restitution, friction))
 q0s = np.tile(scene.q0, (len(friction), 1))
-q0s[:, ball][:, :2] += np.random.default_rng(0).uniform(-0.015, 0.015, (len(q0s), 2))  # [m] on the palm
+q0s[:, ball][:, :2] += np.random.default_rng(0).uniform(-0.04, 0.04, (len(q0s), 2))  # [m] on the palm
 
 begin = time.perf_counter()
 with warnings.catch_warnings():

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+import time
 import warnings
 from typing import Any
 
@@ -164,6 +168,26 @@ def test_progress_counts_the_runs_and_may_end_them():
 
     with pytest.raises(KeyboardInterrupt):
         cvi.simulate_batch(scene, starts(q, 2), v, dt=1e-6, duration=100.0, record_every=1000, progress=stop)
+
+
+def test_ctrl_c_ends_the_runs_under_way():
+    scene, q, v = at_wall()
+    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    begin = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        cvi.simulate_batch(scene, starts(q, 4), v, dt=1e-6, duration=1000.0, record_every=100_000, workers=2)
+    timer.join()
+    assert time.perf_counter() - begin < 60.0  # alone they would take many minutes
+
+
+def test_all_runs_refused():
+    scene, q, v = at_wall()
+    result = cvi.simulate_batch(scene, np.full((3, 2), np.nan), v, dt=0.01, duration=0.1)
+    assert sorted(result.errors) == [0, 1, 2]
+    assert result.q.shape[0] == 3
+    assert np.isnan(result.q).all()
+    assert not result.ok.any()
 
 
 BAD: list[tuple[dict[str, Any], str]] = [
