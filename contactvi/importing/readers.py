@@ -30,6 +30,7 @@ from contactvi.importing.checks import (
 )
 from contactvi.importing.constraints import mimic_constraints
 from contactvi.importing.hulls import describe, prepare_geometry
+from contactvi.importing.meshes import collision_geometry, visual_geometry
 from contactvi.importing.mjcf.compiler import Source, compile_file, import_mujoco
 from contactvi.importing.mjcf.model import SOLREF, Choices, MjcfFile, part_of
 from contactvi.importing.part import Part, plate_of
@@ -80,7 +81,7 @@ def import_urdf(
             model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml, pin.JointModelFreeFlyer(), ROOT_JOINT))
         else:
             model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml))
-        collision = _parse(file, lambda: _geometry(model, urdf.xml, pin.GeometryType.COLLISION))
+        collision = _parse(file, lambda: collision_geometry(model, urdf.xml))
         _add_armature(model, armature, report, prefix)
         found = Srdf([], {}) if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report)
         part = Part(
@@ -90,7 +91,7 @@ def import_urdf(
             collision=collision,
             start=neutral(model),
             report=report,
-            load_visual=lambda: _visual(file, lambda: _geometry(model, urdf.xml, pin.GeometryType.VISUAL), collision),
+            load_visual=lambda: _visual(file, lambda: visual_geometry(model, urdf.xml), collision),
             prefix=prefix,
             placement=pin.SE3.Identity() if base == "free" else placement,
             disabled=found.pairs,
@@ -102,13 +103,6 @@ def import_urdf(
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
     _configurations(part, found.states)
     return part
-
-
-def _geometry(model: pin.Model, xml: str, kind: pin.GeometryType) -> pin.GeometryModel:
-    """Return the shapes of a URDF, in a model that is freed: one that Pinocchio makes itself never is."""
-    result = pin.GeometryModel()
-    pin.buildGeomFromUrdfString(model, xml, kind, result)
-    return result
 
 
 def _add_armature(model: pin.Model, armature: Any, report: PartReport, prefix: str) -> None:
