@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fnmatch
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -374,7 +375,12 @@ def _name_bodies(model: pin.Model) -> None:
 
 
 def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, source: str) -> None:
-    names = [geometry.name for geometry in collision.geometryObjects]
+    counts = Counter(geometry.name for geometry in collision.geometryObjects)
+    bodies: dict[int, int] = {}  # the first body frame of each joint
+    joint_of = [int(frame.parentJoint) for frame in model.frames]
+    for k, frame in enumerate(model.frames):
+        if frame.type == pin.FrameType.BODY:
+            bodies.setdefault(joint_of[k], k)
     for geometry in collision.geometryObjects:
         name = geometry.name
         if geometry.parentJoint >= model.njoints:
@@ -385,7 +391,7 @@ def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, sour
                 got=geometry.parentJoint,
                 remedy="Set geometry.parentJoint to a joint of this model, or build both from the same file",
             )
-        if names.count(name) > 1:
+        if counts[name] > 1:
             raise SceneError(
                 f"{source}: two geometries are called {name!r}",
                 body=name,
@@ -393,11 +399,9 @@ def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, sour
                 got=name,
                 remedy="Rename one of them: geometry.name",
             )
-        frame = geometry.parentFrame
-        if frame >= model.nframes or model.frames[frame].parentJoint != geometry.parentJoint:
-            body, joint = pin.FrameType.BODY, geometry.parentJoint
-            frames = [k for k, f in enumerate(model.frames) if f.type == body and f.parentJoint == joint]
-            geometry.parentFrame = frames[0] if frames and joint else 0
+        at, joint = geometry.parentFrame, geometry.parentJoint
+        if at >= len(joint_of) or joint_of[at] != joint:
+            geometry.parentFrame = bodies.get(joint, 0) if joint else 0
 
 
 def _check_geometry_place(geometry: pin.GeometryObject, source: str) -> None:
