@@ -382,6 +382,11 @@ class RecordedRun:
         Gradients in q, v and tau from those at times, and their second derivatives along a direction (q, v: (nv,), tau: (steps, nv)); hessian(dq, dv) returns those of the cost at the nodes. Or the reason why there is none.
         """
 
+def hull_vertices(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]:
+    """
+    Ascending indices of the points (n, 3), finite, that are vertices of their convex hull; none without a hull.
+    """
+
 def instruction_sets() -> list[str]:
     """Builds of the stage kernel that this processor runs, best last."""
 

@@ -26,7 +26,7 @@ PYTHON_FOLDERS: Folders = {
     "base": (),
     "elements": ("base",),
     "records": ("base",),
-    "importing": ("elements",),
+    "importing": ("elements", "_core"),
     "scene": ("importing", "_core"),
     "playback": ("scene", "records"),
     "trajectory": ("playback",),
@@ -69,6 +69,7 @@ CPP_FOLDERS: Folders = {
 # A saved run is read and shown without the compiled engine: only these modules load it when they run. The types of its
 # stub may be named anywhere, under TYPE_CHECKING.
 USERS_OF_THE_ENGINE = {
+    "importing.hulls",
     "scene.engine",
     "scene.build",
     "simulation.engine",

@@ -5,6 +5,8 @@ A model that cannot be simulated raises an error; data that merely look wrong ar
 
 from __future__ import annotations
 
+import contextlib
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import SceneError, UnsupportedJointError
+from contactvi.importing.kinematics import mass_matrix
 from contactvi.importing.report import BodyRow, JointRow, PartReport, number
 from contactvi.inputs import LARGEST
 
@@ -34,7 +37,7 @@ _ALIGNED = {"revolute": "R", "continuous": "RUB", "prismatic": "P", "helical": "
 MANY_DOFS = {"planar": "Planar", "translation": "Translation", "spherical": "Spherical", "free": "FreeFlyer"}
 ONE_DOF = ("revolute", "continuous", "prismatic", "helical")
 PLACING = ("free", "planar", "translation", "prismatic")  # root joints whose start values place a whole tree
-MOST_DOFS = 400  # of one model: pin.Data takes 70 bytes times their cube, 4 GB for so many
+MOST_DOFS = 4000  # of one model: its mass matrix is checked by its eigenvalues, which take 8 s for so many
 SINGULAR = 1e-12  # eigenvalue of the scaled mass matrix below which a motion has no inertia
 NO_LIMIT = 1e300  # Pinocchio writes both inf and the largest double for "no limit".
 FILE_FRICTION = "joint friction"  # beginning of the note on the friction that a file gives a joint
@@ -117,8 +120,8 @@ def check_joints(model: pin.Model, report: PartReport, source: str) -> None:
             remedy=remedy,
         )
     names = list(model.names)
-    for name in names:
-        if names.count(name) > 1:
+    for name, count in Counter(names).items():
+        if count > 1:
             raise SceneError(
                 f"{source}: two joints are called {name!r}",
                 joint=name,
@@ -263,7 +266,7 @@ def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str 
         return np.zeros(0)
     # The pose is generic: at a special one even a good model may be singular, and a bad one regular.
     generic = pin.integrate(model, q, 0.3 * np.sin(1.0 + np.arange(model.nv)))
-    diagonal, least, worst = _least_inertia(model, generic)
+    diagonal, least, worst = _least_inertia(model, generic, SINGULAR)
     if least < SINGULAR:
         name = dof_joint(model, worst)
         raise SceneError(
@@ -274,7 +277,7 @@ def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str 
             remedy="Give its link an <inertial>, make the joint fixed, or give it an armature: "
             f"add_urdf(..., armature={{{name!r}: 1e-4}})",
         )
-    _, here, worst = _least_inertia(model, q)
+    _, here, worst = _least_inertia(model, q, NEARLY_SINGULAR)
     if here < NEARLY_SINGULAR:
         name = dof_joint(model, worst)
         text = (
@@ -285,16 +288,25 @@ def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str 
     return diagonal
 
 
-def _least_inertia(model: pin.Model, q: np.ndarray) -> tuple[np.ndarray, float, int]:
-    """Return the diagonal of M(q), the least eigenvalue of M scaled to a unit diagonal, and the dof that moves most."""
-    upper = np.triu(pin.crba(model, model.createData(), q))
-    mass = upper + np.triu(upper, 1).T
+def _least_inertia(model: pin.Model, q: np.ndarray, enough: float) -> tuple[np.ndarray, float, int]:
+    """Return the diagonal of M(q), the least eigenvalue of M scaled to a unit diagonal, and the dof that moves most.
+
+    Where the eigenvalue is above `enough`, a lower bound above it may stand for it, and any dof.
+    """
+    mass = mass_matrix(model, q)
     diagonal = np.diag(mass).copy()
     worst = int(np.argmin(diagonal))
     if diagonal[worst] < np.finfo(float).tiny:  # below it doubles have lost digits, and M^-1 overflows
         return diagonal, 0.0, worst
     scale = 1.0 / np.sqrt(diagonal)
-    values, vectors = np.linalg.eigh(mass * scale[:, None] * scale)  # the product of two scales alone may overflow
+    scaled = mass * scale[:, None] * scale  # the product of two scales alone may overflow
+    # The norm of the inverse is at least its largest eigenvalue, and takes a tenth of the time of eigenvalues. The
+    # factor 2 is far more than its rounding: 1e-16 over the eigenvalue.
+    with contextlib.suppress(np.linalg.LinAlgError):
+        bound = 1.0 / float(np.linalg.norm(np.linalg.inv(scaled)))
+        if bound > 2.0 * enough:
+            return diagonal, bound, worst
+    values, vectors = np.linalg.eigh(scaled)
     return diagonal, float(values[0]), int(np.argmax(np.abs(vectors[:, 0])))
 
 

@@ -1,7 +1,7 @@
 """Collision shapes the engine can use: convex primitives as they are, meshes as their convex hulls.
 
 A triangle soup has no inside and no penetration depth (coal), so every mesh becomes its hull. The hull is first found
-with SciPy, which raises on flat or broken meshes where coal 3.0's buildConvexHull ends the process.
+with qhull alone, which reports flat and broken meshes where coal 3.0's buildConvexHull ends the process.
 """
 
 from __future__ import annotations
@@ -68,16 +68,13 @@ def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
 
 def _outer_points(points: np.ndarray, name: str) -> np.ndarray:
     """Return the vertices of the hull of points (n, 3)."""
-    from scipy.spatial import ConvexHull, QhullError  # most scenes load no mesh, and SciPy takes long to import
+    from contactvi import _core  # here: saved runs are read and shown without the engine
 
     remedy = "Replace the mesh by a box or repair it"
     if len(points) < 4 or not np.all(np.isfinite(points)):
         what = "fewer than 4 vertices" if len(points) < 4 else "vertices that are not finite"
         raise SceneError(f"Mesh of geometry {name!r}", body=name, expected="a solid", got=what, remedy=remedy)
-    try:
-        outer = np.asarray(points[ConvexHull(points).vertices])
-    except (QhullError, ValueError):
-        outer = points[:0]
+    outer = points[_core.hull_vertices(np.ascontiguousarray(points))]
     if not thickness(outer) > THINNEST:
         raise SceneError(
             f"Mesh of geometry {name!r}",

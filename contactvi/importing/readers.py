@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fnmatch
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,7 @@ from contactvi.importing.checks import (
 )
 from contactvi.importing.constraints import mimic_constraints
 from contactvi.importing.hulls import describe, prepare_geometry
+from contactvi.importing.meshes import collision_geometry, visual_geometry
 from contactvi.importing.mjcf.compiler import Source, compile_file, import_mujoco
 from contactvi.importing.mjcf.model import SOLREF, Choices, MjcfFile, part_of
 from contactvi.importing.part import Part, plate_of
@@ -80,7 +82,7 @@ def import_urdf(
             model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml, pin.JointModelFreeFlyer(), ROOT_JOINT))
         else:
             model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml))
-        collision = _parse(file, lambda: _geometry(model, urdf.xml, pin.GeometryType.COLLISION))
+        collision = _parse(file, lambda: collision_geometry(model, urdf.xml))
         _add_armature(model, armature, report, prefix)
         found = Srdf([], {}) if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report)
         part = Part(
@@ -90,7 +92,7 @@ def import_urdf(
             collision=collision,
             start=neutral(model),
             report=report,
-            load_visual=lambda: _visual(file, lambda: _geometry(model, urdf.xml, pin.GeometryType.VISUAL), collision),
+            load_visual=lambda: _visual(file, lambda: visual_geometry(model, urdf.xml), collision),
             prefix=prefix,
             placement=pin.SE3.Identity() if base == "free" else placement,
             disabled=found.pairs,
@@ -102,13 +104,6 @@ def import_urdf(
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
     _configurations(part, found.states)
     return part
-
-
-def _geometry(model: pin.Model, xml: str, kind: pin.GeometryType) -> pin.GeometryModel:
-    """Return the shapes of a URDF, in a model that is freed: one that Pinocchio makes itself never is."""
-    result = pin.GeometryModel()
-    pin.buildGeomFromUrdfString(model, xml, kind, result)
-    return result
 
 
 def _add_armature(model: pin.Model, armature: Any, report: PartReport, prefix: str) -> None:
@@ -380,7 +375,12 @@ def _name_bodies(model: pin.Model) -> None:
 
 
 def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, source: str) -> None:
-    names = [geometry.name for geometry in collision.geometryObjects]
+    counts = Counter(geometry.name for geometry in collision.geometryObjects)
+    bodies: dict[int, int] = {}  # the first body frame of each joint
+    joint_of = [int(frame.parentJoint) for frame in model.frames]
+    for k, frame in enumerate(model.frames):
+        if frame.type == pin.FrameType.BODY:
+            bodies.setdefault(joint_of[k], k)
     for geometry in collision.geometryObjects:
         name = geometry.name
         if geometry.parentJoint >= model.njoints:
@@ -391,7 +391,7 @@ def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, sour
                 got=geometry.parentJoint,
                 remedy="Set geometry.parentJoint to a joint of this model, or build both from the same file",
             )
-        if names.count(name) > 1:
+        if counts[name] > 1:
             raise SceneError(
                 f"{source}: two geometries are called {name!r}",
                 body=name,
@@ -399,11 +399,9 @@ def _check_geometry_parents(model: pin.Model, collision: pin.GeometryModel, sour
                 got=name,
                 remedy="Rename one of them: geometry.name",
             )
-        frame = geometry.parentFrame
-        if frame >= model.nframes or model.frames[frame].parentJoint != geometry.parentJoint:
-            body, joint = pin.FrameType.BODY, geometry.parentJoint
-            frames = [k for k, f in enumerate(model.frames) if f.type == body and f.parentJoint == joint]
-            geometry.parentFrame = frames[0] if frames and joint else 0
+        at, joint = geometry.parentFrame, geometry.parentJoint
+        if at >= len(joint_of) or joint_of[at] != joint:
+            geometry.parentFrame = bodies.get(joint, 0) if joint else 0
 
 
 def _check_geometry_place(geometry: pin.GeometryObject, source: str) -> None:

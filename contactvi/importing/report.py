@@ -87,16 +87,21 @@ class PartReport:
     geometries: list[GeometryRow] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        self._noted = set(self.notes)
+
     def note(self, use: Use, topic: str, name: str, text: str) -> None:
         """Add a finding once."""
         found = Note(use, topic, name, text)
-        if found not in self.notes:
+        if found not in self._noted:
+            self._noted.add(found)
             self.notes.append(found)
 
     def prefix_names(self, prefix: str) -> None:
         """Put a prefix before the names in the findings so far, for which readers use the names of the file."""
         topics = ("joint", "body", "geom", "visual", "equality", "actuator", "tendon", "keyframe")
         self.notes = [replace(n, name=prefix + n.name) if n.topic in topics else n for n in self.notes]
+        self._noted = set(self.notes)
 
     def without(self, use: Use, names: Container[str], start: str) -> PartReport:
         """Return a copy without the findings about `names` whose text begins with `start`, which no longer hold."""

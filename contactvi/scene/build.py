@@ -95,17 +95,16 @@ def build(parts: PartList, contact: ContactRules, joints: JointTable, elements: 
         importlib.import_module("contactvi._core")
     index = parts.names.geometries
     disabled, enabled = ([(index[a], index[b]) for a, b in pairs] for pairs in (contact.disabled, contact.enabled))
-    removed = choose_pairs(assembly, parts.parts, disabled, enabled)
-    geometry_names = list(index)
-    pairs = [(geometry_names[p.first], geometry_names[p.second]) for p in collision.collisionPairs]
+    chosen, removed = choose_pairs(assembly, parts.parts, disabled, enabled)
+    names = list(index)
     return Built(
         model,
         collision,
         start,
         arrays,
-        pairs,
+        list(zip(*np.array(names, dtype=object)[chosen.T].tolist(), strict=True)),
         removed,
-        contact.restitution.values(pairs),
-        contact.friction.values(pairs),
+        contact.restitution.values(names, chosen),
+        contact.friction.values(names, chosen),
         resolve(elements, model, start),
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from contactvi.elements import elements as kinds
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import at, checked_wrench
 from contactvi.errors import InputError, UserFunctionError
+from contactvi.importing.kinematics import joint_placements
 from contactvi.inputs import real
 
 Frame = tuple[int, np.ndarray, np.ndarray]
@@ -127,8 +129,11 @@ class _Placed:
 
     def __init__(self, model: pin.Model, start: np.ndarray) -> None:
         self.model, self.start = model, start
-        self.data = model.createData()
-        pin.forwardKinematics(model, self.data, start)
+
+    @cached_property
+    def joints(self) -> list[pin.SE3]:
+        """Where the joints are."""
+        return joint_placements(self.model, self.start)
 
     def body(self, name: str) -> Frame:
         if name == kinds.WORLD:
@@ -149,7 +154,7 @@ class _Placed:
     def world(self, name: str) -> pin.SE3:
         """Return where a body is at neutral."""
         joint, R, p = self.body(name)
-        return self.data.oMi[joint] * pin.SE3(R, p)
+        return self.joints[joint] * pin.SE3(R, p)
 
     def length(self, points: Sequence[tuple[str, Any]]) -> float:
         places = [self.world(body).act(np.asarray(xyz)) for body, xyz in points]

@@ -22,6 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.importing.checks import joint_kind
+from contactvi.importing.kinematics import joint_placements
 from contactvi.importing.part import Part
 from contactvi.importing.report import ADJACENT, BY_FILE, BY_USER, HALFSPACES, NOT_GIVEN, OVERLAP, RemovedPair
 from contactvi.scene.assembly import Assembly
@@ -91,9 +92,23 @@ class Rule:
         else:
             self.set_pair(first, second, value)
 
-    def values(self, pairs: Iterable[tuple[str, str]]) -> np.ndarray:
-        """Return the values of many pairs, shape (npairs,)."""
-        return np.array([self.value(a, b) for a, b in pairs], dtype=float)
+    def values(self, names: Sequence[str], pairs: np.ndarray) -> np.ndarray:
+        """Return the values of pairs (npairs, 2), indices of `names` in ascending order, shape (npairs,)."""
+        index, count = {name: k for k, name in enumerate(names)}, len(names)
+        codes = pairs[:, 0] * count + pairs[:, 1]
+        result = np.full(len(pairs), self.default)
+        # From what counts least to what counts most.
+        for single, pair in ((self.file_single, self.file_pair), (self.single, self.pair)):
+            own = np.array([single.get(name, np.nan) for name in names] or [np.nan], dtype=float)
+            sides = np.fmin(*own[pairs.T])  # that of one side where the other has none
+            result = np.where(np.isnan(sides), result, sides)
+            for (a, b), value in pair.items():
+                if a in index and b in index:
+                    i, j = sorted((index[a], index[b]))
+                    at = np.searchsorted(codes, i * count + j)
+                    if at < len(codes) and codes[at] == i * count + j:
+                        result[at] = value
+        return result
 
 
 @dataclass
@@ -141,8 +156,10 @@ def choose_pairs(
     parts: Sequence[Part],
     disabled: Iterable[tuple[int, int]] = (),
     enabled: Iterable[tuple[int, int]] = (),
-) -> list[RemovedPair]:
-    """Set the collision pairs of the assembled geometry and return the pairs that are not tested.
+) -> tuple[np.ndarray, list[RemovedPair]]:
+    """Set the collision pairs of the assembled geometry; return their indices, and the pairs that are not tested.
+
+    The indices, shape (npairs, 2), are ascending as the pairs of the geometry are.
 
     Args:
         disabled, enabled: pairs of geometry indices switched off or on by the user, against every other reason.
@@ -181,7 +198,7 @@ def choose_pairs(
         mask[pair] = True
     drop(mask, OVERLAP, details)
     geometry.setCollisionPairs(keep | forced)
-    return removed
+    return np.argwhere(keep | forced), removed
 
 
 def _same_part(assembly: Assembly) -> np.ndarray:
@@ -279,23 +296,56 @@ def _disabled_by_file(assembly: Assembly, parts: Sequence[Part]) -> tuple[np.nda
 
 def _overlaps(assembly: Assembly, parts: Sequence[Part], candidates: np.ndarray) -> dict[tuple[int, int], str]:
     """Return the candidate pairs that overlap at the neutral pose, with their depth as text."""
-    model, geometry = assembly.model, assembly.collision
+    geometry = assembly.collision
     joints = np.array([g.parentJoint for g in geometry.geometryObjects], dtype=int)
     root, placed = assembly.root_of_joint[joints], assembly.placed[joints]
     own_pose = (root[:, None] == root[None, :]) | ~(placed[:, None] | placed[None, :])
     base, on_slide = (joints == 0) & ~_scenery(assembly, parts), _slides(assembly)[root]
     lifted = base[:, None] & on_slide[None, :]
     own_pose |= _same_part(assembly) & (lifted | lifted.T)
-    geometry.setCollisionPairs(candidates & own_pose)
+    places = _geometry_placements(assembly)
+    geometry.setCollisionPairs(candidates & own_pose & _near(assembly, places))
     if not len(geometry.collisionPairs):
         return {}
-    data, shapes = model.createData(), geometry.createData()
+    shapes = geometry.createData()
+    for k, place in enumerate(places):
+        shapes.oMg[k] = place
     for request in shapes.collisionRequests:
         request.enable_contact = True  # The depth stays zero otherwise.
-    pin.computeCollisions(model, data, geometry, shapes, assembly.start, False)
+    pin.computeCollisions(geometry, shapes, False)
     found = {}
     for pair, result in zip(geometry.collisionPairs, shapes.collisionResults, strict=True):
         depth = -result.getContact(0).penetration_depth if result.isCollision() else 0.0
         if depth > TOUCHING:
             found[int(pair.first), int(pair.second)] = f"{1e3 * depth:.3g} mm deep"
     return found
+
+
+def _geometry_placements(assembly: Assembly) -> list[pin.SE3]:
+    """Return where the geometries are at the neutral pose."""
+    joints = joint_placements(assembly.model, assembly.start)
+    return [joints[geometry.parentJoint] * geometry.placement for geometry in assembly.collision.geometryObjects]
+
+
+def _near(assembly: Assembly, places: Sequence[pin.SE3]) -> np.ndarray:
+    """Return the mask of pairs whose boxes along the world's axes overlap: only such shapes can.
+
+    Coal keeps a request and a result for each pair, a thousand times the memory of an entry of this mask.
+    """
+    low, high = np.zeros((2, len(places), 3))
+    for k, (geometry, place) in enumerate(zip(assembly.collision.geometryObjects, places, strict=True)):
+        shape = geometry.geometry
+        if isinstance(shape, coal.Halfspace):
+            low[k], high[k] = -np.inf, np.inf
+            continue
+        if not isinstance(shape, coal.Convex):  # Hulls have their boxes, which take a look at all vertices.
+            shape = shape.clone()  # It may be the user's.
+            shape.computeLocalAABB()
+        box = shape.aabb_local
+        center, half = 0.5 * (box.max_ + box.min_), 0.5 * (box.max_ - box.min_)
+        center, half = place.act(center), np.abs(place.rotation) @ half
+        low[k], high[k] = center - half, center + half
+    near = np.ones((len(places),) * 2, dtype=bool)
+    for k in range(3):
+        near &= (low[:, None, k] <= high[None, :, k]) & (low[None, :, k] <= high[:, None, k])
+    return near

@@ -16,6 +16,7 @@ void expose_cone(nanobind::module_& m);
 void expose_dense(nanobind::module_& m);
 void expose_derivatives(nanobind::module_& m);
 void expose_sensitivity(nanobind::module_& m);
+void expose_hull(nanobind::module_& m);
 void expose_kernel(nanobind::module_& m);
 void expose_manifold(nanobind::module_& m);
 void expose_reference(nanobind::module_& m);

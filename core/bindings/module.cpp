@@ -34,6 +34,7 @@ NB_MODULE(_core, m) {
   contactvi::expose_dense(m);
   contactvi::expose_derivatives(m);
   contactvi::expose_sensitivity(m);
+  contactvi::expose_hull(m);
   contactvi::expose_kernel(m);
   contactvi::expose_simulator(m);
   contactvi::expose_batch(m);

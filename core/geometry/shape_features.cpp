@@ -9,6 +9,7 @@
 #include <numeric>
 
 #include "base/disjoint_sets.hpp"
+#include "base/parallel.hpp"
 #include "base/refusal.hpp"
 #include "geometry/planar_hull.hpp"
 
@@ -363,15 +364,23 @@ void add_shape_features(Scene& scene) {
   for (const Pair& pair : scene.pairs)
     for (const auto& [one, other] : {std::pair(pair.a, pair.b), std::pair(pair.b, pair.a)})
       if (scene.geometries[one].sharp->getNodeType() == coal::GEOM_ELLIPSOID) meets_ellipsoid[other] = true;
+  // In the order in which the pairs need them; a shape may be needed sharp and rounded.
+  std::vector<std::pair<int, bool>> needed;
+  std::vector<bool> taken(2 * scene.geometries.size(), false);
   for (const Pair& pair : scene.pairs)
     for (int i : {pair.a, pair.b}) {
-      Geometry& g = scene.geometries[i];
+      const Geometry& g = scene.geometries[i];
       const bool rounded = pair.rounded && g.rounded;
-      std::shared_ptr<const ShapeFeatures>& features = rounded ? g.rounded_features : g.sharp_features;
-      if (!features)
-        features = std::make_shared<const ShapeFeatures>(
-            make_shape_features(g, rounded ? *g.rounded : *g.sharp, meets_ellipsoid[i]));
+      if (taken[2 * i + rounded] || (rounded ? g.rounded_features : g.sharp_features)) continue;
+      taken[2 * i + rounded] = true;
+      needed.emplace_back(i, rounded);
     }
+  in_parallel(static_cast<int>(needed.size()), [&](int k) {
+    const auto [i, rounded] = needed[k];
+    Geometry& g = scene.geometries[i];
+    (rounded ? g.rounded_features : g.sharp_features) = std::make_shared<const ShapeFeatures>(
+        make_shape_features(g, rounded ? *g.rounded : *g.sharp, meets_ellipsoid[i]));
+  });
 }
 
 double outside_of(const ShapeFeatures& o, const ShapeFeatures::Face& face, const Vec3& x) {

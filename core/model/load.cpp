@@ -10,6 +10,7 @@
 
 #include <cmath>
 
+#include "base/parallel.hpp"
 #include "base/refusal.hpp"
 #include "model/archive.hpp"
 #include "model/scene.hpp"
@@ -264,8 +265,7 @@ Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree
   return g;
 }
 
-void ensure_rounded(Geometry& g) {
-  if (g.rounded || needs_no_rounding(g.sharp->getNodeType())) return;
+void add_rounded(Geometry& g) {
   double radius = kRoundingRadius;
   std::shared_ptr<coal::CollisionGeometry> core = shrunk_shape(*g.sharp, radius);
   if (!core) throw Error("a collision shape could not be rounded");
@@ -273,6 +273,19 @@ void ensure_rounded(Geometry& g) {
   core->computeLocalAABB();
   g.rounded = core;
   g.rounding = radius;
+}
+
+// Rounds the shapes that a rounded pair has.
+void round_shapes(Scene& scene) {
+  std::vector<bool> taken(scene.geometries.size(), false);
+  std::vector<int> chosen;
+  for (const Pair& pair : scene.pairs)
+    for (int i : {pair.a, pair.b})
+      if (pair.rounded && !taken[i]) {
+        taken[i] = true;
+        chosen.push_back(i);
+      }
+  in_parallel(static_cast<int>(chosen.size()), [&](int k) { add_rounded(scene.geometries[chosen[k]]); });
 }
 
 }  // namespace
@@ -309,14 +322,11 @@ Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, 
                     "'" + objects[pair.a].name + "' and '" + objects[pair.b].name + "'",
                     "Take the pair out: scene.disable_pair(a, b)");
     }
-    if (!needs_no_rounding(a.sharp->getNodeType()) && !needs_no_rounding(b.sharp->getNodeType())) {
-      ensure_rounded(a);
-      ensure_rounded(b);
-      pair.rounded = true;
-    }
+    pair.rounded = !needs_no_rounding(a.sharp->getNodeType()) && !needs_no_rounding(b.sharp->getNodeType());
     set_iteration(a.sharp->getNodeType(), b.sharp->getNodeType(), pair);
     scene.pairs.push_back(pair);
   }
+  round_shapes(scene);
   return scene;
 }
 
