@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from contactvi.batch.blocks import Block, joined
 from contactvi.batch.executors import blocks_by
-from contactvi.batch.plan import Plan, Report, plan_of
+from contactvi.batch.plan import Report, plan_of
 from contactvi.batch.results import BatchResult
 from contactvi.batch.runs import blocks_of
 from contactvi.batch.storage import StoredBatch, save_batch
@@ -112,27 +112,26 @@ def simulate_batch(
     with ExitStack() as stack:
         report = _report(plan.runs, progress, stack)
         made = blocks_of(plan, number, report) if executor is None else blocks_by(executor, plan, number, report)
-        blocks = _finished(made, plan, report)
-        if path is not None:
-            return save_batch(path, plan, blocks)
-        return BatchResult(plan.keep, joined(list(blocks)))
-
-
-def _finished(blocks: Iterator[Block], plan: Plan, report: Report | None) -> Iterator[Block]:
-    """Yield blocks; report their end, and warn of dense steps in them."""
-    some = 0
-    for block in blocks:
-        some += int(np.count_nonzero(block.columns["dense_steps"]))
-        yield block
-    if report is not None:
-        report(plan.runs)
-    if some and plan.options.contact_mode == "auto":
+        dense: list[int] = []
+        blocks = _watched(made, dense)
+        result = BatchResult(plan.keep, joined(list(blocks))) if path is None else save_batch(path, plan, blocks)
+        if report is not None:
+            report(plan.runs)
+    if sum(dense) and settings.contact_mode == "auto":
         warnings.warn(
-            f"Dense contact: {some} of {plan.runs} runs took dense steps, in which impacts have no times; see"
+            f"Dense contact: {sum(dense)} of {plan.runs} runs took dense steps, in which impacts have no times; see"
             " result.dense_steps. contact_mode='events' refuses such steps, 'steps' asks for them",
             DenseStepWarning,
-            stacklevel=4,
+            stacklevel=2,
         )
+    return result
+
+
+def _watched(blocks: Iterator[Block], dense: list[int]) -> Iterator[Block]:
+    """Yield blocks, and note how many runs of each took dense steps."""
+    for block in blocks:
+        dense.append(int(np.count_nonzero(block.columns["dense_steps"])))
+        yield block
 
 
 def _checked(keep: Any) -> str:
