@@ -3,7 +3,7 @@
 A sweep by one call of contactvi.simulate_batch, in as many threads as there are cores. By default 180 short runs;
 10 000 of them with --runs 10000 take some minutes.
 
-python examples/batch_sweep.py [--runs 180] [--picture PICTURE.png]
+python examples/batch_sweep.py [PICTURE.png] [--runs 180]
 """
 
 import argparse
@@ -17,8 +17,8 @@ import numpy as np
 import contactvi as cvi
 
 parser = argparse.ArgumentParser()
+parser.add_argument("picture", nargs="?")
 parser.add_argument("--runs", type=int, default=180)
-parser.add_argument("--picture", default="batch_sweep.png")
 arguments = parser.parse_args()
 DURATION, DT = 0.8, 1e-3  # [s]
 
@@ -47,11 +47,12 @@ for k, error in list(result.errors.items())[:3]:
     print(f"run {k}: {error}")
 
 share = held.reshape(side, side, starts).mean(axis=2)
-figure, axes = plt.subplots(figsize=(5, 4), layout="constrained")
-image = axes.imshow(share.T, origin="lower", extent=(0.05, 0.8, 0.1, 1.0), aspect="auto", vmin=0.0, vmax=1.0)
-axes.set(xlabel="restitution", ylabel="friction", title="share of balls that the hand holds")
-figure.colorbar(image)
-figure.savefig(arguments.picture, dpi=150)
+if arguments.picture:
+    figure, axes = plt.subplots(figsize=(5, 4), layout="constrained")
+    image = axes.imshow(share.T, origin="lower", extent=(0.05, 0.8, 0.1, 1.0), aspect="auto", vmin=0.0, vmax=1.0)
+    axes.set(xlabel="restitution", ylabel="friction", title="share of balls that the hand holds")
+    figure.colorbar(image)
+    figure.savefig(arguments.picture, dpi=150)
 
 k = int(np.flatnonzero(result.ok)[0])  # a run of the batch is the run alone, to the bit
 own = scene.with_parameters({"restitution": restitution[k], "friction": friction[k]})
