@@ -196,7 +196,10 @@ def _run(
         run.interrupt()
     if throw and run.unreachable is not None:
         raise _unreachable(run.unreachable, run.trajectory())
-    return run.trajectory()
+    traj = run.trajectory()
+    if traj.status.ok:
+        run.release()
+    return traj
 
 
 def _unreachable(found: ConstraintError, traj: Trajectory) -> ConstraintError:
