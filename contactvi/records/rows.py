@@ -105,9 +105,14 @@ class Items(Sequence[Item]):
 
 def joined(parts: Sequence[Arrays], fields: Fields) -> dict[str, NDArray[Any]]:
     """Return the rows of several parts, one after the other."""
+    if not parts:
+        return {name: np.zeros((0, width) if width else 0, dtype=kind) for name, (width, kind) in fields.items()}
     found: dict[str, NDArray[Any]] = {}
     for name, (width, kind) in fields.items():
         shape = (-1, width) if width else (-1,)
+        if len(parts) == 1:
+            found[name] = np.array(parts[0][name], dtype=kind).reshape(shape)
+            continue
         columns = [np.zeros((0, width) if width else 0), *(np.asarray(part[name]).reshape(shape) for part in parts)]
         found[name] = np.concatenate(columns).astype(kind)
     return found

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import cast
+from contextlib import suppress
+from typing import Any, cast
 
 from numpy.typing import ArrayLike
 
@@ -19,6 +20,7 @@ from contactvi.trajectory.compiled import CompiledScene
 
 Progress = Callable[[float, int], object]
 
+_MOST_WAITING = 4  # engines of a scene with other settings that wait for a run
 _FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects before the first impact
 
 
@@ -29,7 +31,14 @@ def make(
     slack: float = 1.0,
     dt_contact: float | None = None,
 ) -> _core.Simulator:
-    """Return a new simulator of the engine; the arguments as those of `engine_options`."""
+    """Return a simulator of the engine, to be started by `start`: a new one, or one that a run has released.
+
+    The arguments are those of `engine_options`.
+    """
+    waiting = compiled.engines.get(_key(options, first_dt, slack, dt_contact))
+    if waiting:
+        with suppress(IndexError):  # another thread may have taken it
+            return waiting.pop()
     engine = _core.Simulator(compiled.core, engine_options(options, first_dt, slack, dt_contact))
     if options.last_steps is not None:
         engine.limit_record(0 if options.last_steps == 0 else max(options.last_steps, BLOCK))
@@ -49,15 +58,12 @@ def engine_options(
         dt_contact: longest step in contact [s], by default that of the options.
     """
     settings = _core.SimulatorOptions()
-    settings.dt = (first_dt or _FIRST_DT) if options.auto else options.fixed_dt
-    settings.tol = options.stage_tol * slack
-    settings.order = options.order
+    settings.dt, settings.tol, settings.dt_contact, settings.order = _key(options, first_dt, slack, dt_contact)[:4]
     settings.impact = _core.ImpactMap[options.impact.upper()]
     settings.mhc_reference = _core.MhcReference[options.mhc_reference.upper()]
     settings.max_iterations = options.max_iterations
     settings.max_impacts_per_step = options.max_impacts_per_step
     settings.dense = options.dense
-    settings.dt_contact = options.contact_dt if dt_contact is None else dt_contact
     settings.end_at_zeno = options.zeno == "end"
     settings.stiff_support = options.support == "stiff"
     settings.contact_points = options.contact_points
@@ -65,6 +71,27 @@ def engine_options(
     settings.gradient = options.record == "gradient"
     settings.contact_steps = _core.ContactSteps["EVENTS" if options.auto else options.contact_mode.upper()]
     return settings
+
+
+def release(engine: _core.Simulator, compiled: CompiledScene, options: Options) -> None:
+    """Give an engine of `make`, made from the options alone, to later runs of the scene; it starts them by a reset."""
+    waiting = compiled.engines
+    if len(waiting) >= _MOST_WAITING:
+        waiting.clear()
+    waiting[_key(options)] = [engine]
+
+
+def _key(
+    options: Options, first_dt: float | None = None, slack: float = 1.0, dt_contact: float | None = None
+) -> tuple[Any, ...]:
+    """Return all that an engine is made from: dt [s], tolerance, step in contact [s], order, and the options."""
+    dt = (first_dt or _FIRST_DT) if options.auto else options.fixed_dt
+    contact = options.contact_dt if dt_contact is None else dt_contact
+    return (
+        dt, options.stage_tol * slack, contact, options.order, options.auto, options.impact, options.mhc_reference,
+        options.max_iterations, options.max_impacts_per_step, options.dense, options.zeno, options.support,
+        options.contact_points, options.record_contacts, options.contact_mode, options.record, options.record_every,
+    )  # fmt: skip
 
 
 def start(

@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 
 BLOCK = 1000  # single steps that are recorded at once, where not all of them stay in the record
 _BLOCKS = ("events", "segments", "contacts", "changes", "phases", "dense_steps")
+_NOTHING_DONE = Stats()
 
 
 class Record:
@@ -50,7 +51,7 @@ class Record:
         self.dense_steps: list[Columns] = []
         self.adaptive_steps: Columns | None = None
         self.reached = t
-        self.stats = Stats()
+        self.stats = _NOTHING_DONE
         self.forced = compiled.forced
         self.forces = GrowingForces(t, compiled.constraint_rows)
         self.inputs = GrowingInputs() if options.record == "gradient" else None

@@ -77,7 +77,7 @@ class Run:
         if options.record == "gradient":
             compiled.check_differentiable()
         self._engine = engine.make(compiled, options)
-        self._quick = self._steps_quickly()
+        self._quick, self._stepped = self._steps_quickly(), False
         self.start(q0, v0, t)
 
     def start(self, q0: ArrayLike | None = None, v0: ArrayLike | None = None, t: float = 0.0) -> None:
@@ -117,7 +117,10 @@ class Run:
 
     def _collect(self) -> Status | None:
         """Record the single steps that the engine has kept; return the status, None where there are none."""
-        return engine.take(self._engine, self._record)
+        if not self._stepped or (status := engine.take(self._engine, self._record)) is None:
+            return None
+        self._stepped = False
+        return status
 
     @classmethod
     def of(cls, snapshot: Snapshot) -> Run:
@@ -125,7 +128,7 @@ class Run:
         run = cls.__new__(cls)
         run._compiled, run.options = snapshot.scene, snapshot.options
         run._engine = engine.make(snapshot.scene, snapshot.options)
-        run._quick = run._steps_quickly()
+        run._quick, run._stepped = run._steps_quickly(), False
         run.refused = None
         run.load(snapshot)
         return run
@@ -168,6 +171,7 @@ class Run:
         """Make one step with the force tau, which is not checked yet; None: nothing was done, `step` has to do it."""
         if not self._quick or self._record.status.code is not _SUCCESS:
             return None
+        self._stepped = True
         reached = self._engine.step(tau, targets)
         if isinstance(reached, float):
             status = self._record.status = Status(_SUCCESS, REACHED, reached)
@@ -295,6 +299,10 @@ class Run:
             if change.change == "release" and change.time >= now - slack
         }
         return [log[int(k)] for k in current if (log[int(k)].pair, log[int(k)].point) not in ended]
+
+    def release(self) -> None:
+        """Give the engine to later runs of the scene; this run makes no more steps."""
+        engine.release(self._engine, self._compiled, self.options)
 
     def save(self) -> Snapshot:
         """Return all of the present state, with what was recorded."""

@@ -206,7 +206,10 @@ def run_compiled(
     if throw and run.unreachable is not None:
         traj = run.trajectory()
         raise no_way_on(run.unreachable, traj.status, traj)
-    return run.trajectory()
+    traj = run.trajectory()
+    if traj.status.ok:
+        run.release()
+    return traj
 
 
 def no_way_on(found: ConstraintError, status: Status, traj: Trajectory | None) -> ConstraintError:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,7 +42,16 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
             elements of scenes.
     """
     fixed = forced or checked_scene(scene).built().needs_fixed_step is not None
-    return Options.from_dict(merged(scene.settings, chosen, fixed))
+    settings = merged(scene.settings, chosen, fixed)
+    if not all(value is None or type(value) in (str, int, float, bool) for value in settings.values()):
+        return Options.from_dict(settings)
+    return _checked(tuple((name, type(value), value) for name, value in settings.items()))
+
+
+@lru_cache(maxsize=64)
+def _checked(settings: tuple[tuple[str, type, Any], ...]) -> Options:
+    """Return the options with these plain values, checked once; types tell 1 from True."""
+    return Options.from_dict({name: value for name, _, value in settings})
 
 
 class Simulator:

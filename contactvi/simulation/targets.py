@@ -35,8 +35,10 @@ class Targets:
     """The references of a run that starts at q0 (nq,), as rows of (2 nv,): positions by dof, then velocities."""
 
     def __init__(self, compiled: CompiledScene, q0: Array) -> None:
-        model = compiled.built.model
         self.joints = compiled.built.servo_joints
+        if not self.joints:
+            return
+        model = compiled.built.model
         ids = [model.getJointId(name) for name in self.joints]
         self._dofs = np.array([model.idx_vs[i] for i in ids], dtype=int)
         self._hold = np.array([_place(model, i, q0) for i in ids], dtype=float)

@@ -77,7 +77,8 @@ def test_nothing_that_was_computed_is_lost(dt, control):
     lost: list[str] = []
     unnoticed: list[str] = []
     kept = 0
-    for at in range(0, presser.lines, max(1, presser.lines // 400)):
+    stride = max(1, presser.lines // 400)
+    for at in range(0, presser.lines, stride):
         traj = None
         with Presser(at) as press:
             try:
@@ -97,7 +98,7 @@ def test_nothing_that_was_computed_is_lost(dt, control):
             assert count in (1, len(whole.t)) or control is not None, press.place
             np.testing.assert_array_equal(traj.q, whole.q[:count])
             assert len(traj.events) == sum(event.time <= traj.t[-1] for event in whole.events), press.place
-    assert len(unnoticed) <= 6, unnoticed
+    assert stride * len(unnoticed) <= 12, unnoticed  # the lines after the last look at Ctrl-C
     assert kept > 0.5 * (kept + len(lost))
     # Before the run there is nothing to keep: options and the compilation of the scene.
     files = {place.split(":")[0] for place in lost}

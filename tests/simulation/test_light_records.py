@@ -246,3 +246,18 @@ def test_bad_forces_are_refused_by_name():
     assert sim.t == 0.0
     assert sim.step([0.0] * 6).ok
     assert sim.step(np.zeros(6, dtype=np.float32)).ok
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_runs_that_use_an_engine_again_have_the_bits_of_the_first(name):
+    """`simulate` keeps its engine with the scene; inputs, contacts and other options before change nothing."""
+    make, chosen = SCENES[name]
+    options = {"dt": 5e-3, **chosen}
+    scene, fresh = make(), make()
+    q, v = fast_start(scene)
+    tau = np.array([0.05 * np.sin(0.1 * k + np.arange(len(v))) for k in range(100)])
+    cvi.simulate(scene, q, v, duration=100 * options["dt"], control=tau, **options)
+    cvi.simulate(scene, q, -v, duration=50 * options["dt"], **{**options, "record_contacts": False})
+    again = cvi.simulate(scene, q, v, duration=STEPS * options["dt"], **options)
+    assert_equal(again, cvi.simulate(fresh, q, v, duration=STEPS * options["dt"], **options))
+    assert_equal(again, cvi.simulate(scene, q, v, duration=STEPS * options["dt"], **options))
