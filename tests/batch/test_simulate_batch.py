@@ -180,12 +180,17 @@ def test_progress_counts_the_runs_and_may_end_them():
 
 def test_ctrl_c_ends_the_runs_under_way():
     scene, q, v = at_wall()
+    # A shell starts background jobs with SIGINT ignored; Python then has no handler of its own.
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
     begin = time.perf_counter()
-    with pytest.raises(KeyboardInterrupt):
-        cvi.simulate_batch(scene, starts(q, 4), v, dt=1e-6, duration=1000.0, record_every=100_000, workers=2)
-    timer.join()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            cvi.simulate_batch(scene, starts(q, 4), v, dt=1e-6, duration=1000.0, record_every=100_000, workers=2)
+    finally:
+        timer.join()
+        signal.signal(signal.SIGINT, handler)
     assert time.perf_counter() - begin < 60.0  # alone they would take many minutes
 
 
