@@ -28,7 +28,7 @@ side = max(2, round((arguments.runs / 5) ** (1 / 2)))  # values of restitution a
 restitution, friction = np.meshgrid(np.linspace(0.05, 0.8, side), np.linspace(0.1, 1.0, side), indexing="ij")
 starts = max(1, arguments.runs // side**2)
 restitution, friction = (np.repeat(x.ravel(), starts)[:, None] for x in (restitution, friction))
-q0s = np.tile(scene.q0, (len(friction), 1))
+q0s = np.tile(np.asarray(scene.q0), (len(friction), 1))
 q0s[:, ball][:, :2] += np.random.default_rng(0).uniform(-0.04, 0.04, (len(q0s), 2))  # [m] on the palm
 
 begin = time.perf_counter()
@@ -38,6 +38,7 @@ with warnings.catch_warnings():
         scene, q0s, scene.v0, parameters={"restitution": restitution, "friction": friction}, dt=DT, duration=DURATION,
         keep="ends", progress=True,
     )  # fmt: skip
+assert isinstance(result, cvi.BatchResult)
 seconds = time.perf_counter() - begin
 held = result.ok & (result.q[:, ball][:, 2] > 0.0)  # [m] above the wrist: a ball that is lost falls far below
 print(

@@ -9,7 +9,6 @@ python examples/hopper_design.py [PICTURE.png]  # pip install "contactvi[casadi]
 import sys
 import time
 
-import coal
 import matplotlib.pyplot as plt
 import numpy as np
 import pinocchio as pin
@@ -31,7 +30,7 @@ def hopper() -> cvi.Scene:
     model.appendBodyToJoint(body, pin.Inertia.FromBox(BODY, 0.2, 0.2, 0.1), pin.SE3.Identity())
     model.appendBodyToJoint(leg, pin.Inertia.FromSphere(FOOT, 0.04), pin.SE3.Identity())
     shapes = pin.GeometryModel()
-    shapes.addGeometryObject(pin.GeometryObject("foot", leg, pin.SE3.Identity(), coal.Sphere(0.04)))
+    shapes.addGeometryObject(pin.GeometryObject("foot", leg, pin.SE3.Identity(), pin.hppfcl.Sphere(0.04)))
     scene = cvi.Scene.from_pinocchio(model, shapes, name="hopper")
     scene.add_halfspace(name="ground")
     scene.set_contact(restitution=0.0)

@@ -89,6 +89,12 @@ def test_readme_code_runs(tmp_path):
     assert (tmp_path / "run.html").stat().st_size > 0
 
 
+def test_guide_code_of_a_batch_runs(tmp_path):
+    printed = run_marked("batch", tmp_path)
+    assert printed[0].startswith("<BatchResult: 200 runs, 194 ok")
+    assert "overlap" in printed[1]
+
+
 def test_guide_code_of_the_first_run_runs(tmp_path):
     printed = run_marked("first-use", tmp_path)
     assert "palm_link_0" in printed[-1]  # the ball hits the palm
