@@ -8,12 +8,20 @@ import os
 import socket
 import stat
 import tempfile
+import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
 
 from contactvi.errors import ContactviError, InputError, SceneError
+
+# What NumPy and zipfile raise for an archive that is damaged, truncated or something else altogether: of an unknown
+# compression NotImplementedError, of one with a password RuntimeError.
+UNREADABLE = (
+    OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError,
+    MemoryError,
+)  # fmt: skip
 
 
 def write_atomic(path: str | os.PathLike[str], write: Callable[[IO[bytes]], object]) -> Path:

@@ -11,17 +11,20 @@ from numpy.typing import NDArray
 from contactvi.batch.blocks import Block
 from contactvi.errors import ContactviError, InputError
 from contactvi.inputs import short
+from contactvi.records.rows import Items
+from contactvi.simulation.messages import REACHED
 from contactvi.status import Status, StatusCode
 
 if TYPE_CHECKING:
     from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
-_ENDED = "the run reached its end"
 
 
-class BatchStatus(Sequence[Status]):
+class BatchStatus(Items[Status]):
     """How the runs of a batch ended: a sequence of `Status`, without one object for each of them."""
+
+    _word = "run"
 
     def __init__(self, codes: NDArray[np.int64], times: Array, messages: Mapping[int, str]) -> None:
         self.codes, self.times, self._messages = codes, times, messages
@@ -29,15 +32,8 @@ class BatchStatus(Sequence[Status]):
     def __len__(self) -> int:
         return len(self.codes)
 
-    @overload
-    def __getitem__(self, k: int) -> Status: ...
-    @overload
-    def __getitem__(self, k: slice) -> list[Status]: ...
-    def __getitem__(self, k: int | slice) -> Status | list[Status]:
-        if isinstance(k, slice):
-            return [self[row] for row in range(*k.indices(len(self)))]
-        row = range(len(self))[k]
-        return Status(StatusCode(int(self.codes[row])), self._messages.get(row, _ENDED), float(self.times[row]))
+    def _item(self, i: int) -> Status:
+        return Status(StatusCode(int(self.codes[i])), self._messages.get(i, REACHED), float(self.times[i]))
 
 
 class BatchResult:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import IO, Any, NoReturn
@@ -29,15 +28,13 @@ from contactvi.batch.blocks import COLUMNS, Block, joined
 from contactvi.batch.plan import Plan
 from contactvi.batch.results import BatchResult
 from contactvi.errors import ContactviError, InputError, SceneError
-from contactvi.files import as_a_path, checked_path, write_atomic
+from contactvi.files import UNREADABLE, as_a_path, checked_path, write_atomic
 from contactvi.inputs import short
 from contactvi.options import Options
 from contactvi.version import version
 
 FORMAT = "contactvi-batch"
 SCHEMA = 1
-_UNREADABLE = (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error,
-               NotImplementedError, RuntimeError, MemoryError)  # fmt: skip
 
 
 def save_batch(path: str | os.PathLike[str], plan: Plan, blocks: Iterable[Block]) -> StoredBatch:
@@ -89,7 +86,7 @@ class StoredBatch:
                 places = {tuple(map(int, name.split("/")[:2])) for name in archive.namelist() if "/" in name}
                 self.keep, self._runs = str(header["keep"]), int(header["runs"])
                 self.options = Options.from_dict(header["options"])
-        except _UNREADABLE as error:
+        except (*UNREADABLE, TypeError) as error:
             _refuse(path, f"{type(error).__name__}: {error}", error)
         self._places = sorted(places)
         ends = [0, *(first + count for first, count in self._places)]
@@ -123,7 +120,7 @@ class StoredBatch:
                         if any(len(values) != count for values in block.columns.values()):
                             _refuse(self.path, "columns of different lengths")
                         parts.append(block.rows(range(max(first - start, 0), min(last - start, count))))
-        except _UNREADABLE as error:
+        except (*UNREADABLE, TypeError) as error:
             if isinstance(error, ContactviError):
                 raise
             _refuse(self.path, f"{type(error).__name__}: {error}", error)

@@ -120,7 +120,6 @@ import json
 import os
 import pickle
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -128,7 +127,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import ContactviError, SceneError
-from contactvi.files import as_a_path, checked_path, write_atomic
+from contactvi.files import UNREADABLE, as_a_path, checked_path, write_atomic
 from contactvi.options import Options
 from contactvi.playback.visuals import Visual
 from contactvi.records.contacts import ChangeLog, ContactLog
@@ -153,19 +152,6 @@ _NODES: dict[str, str | None] = {
     "potential_energy": None,
     "modified_energy": None,
 }
-# What NumPy and zipfile raise for a file that is damaged, truncated or something else altogether.
-_UNREADABLE = (
-    OSError,
-    ValueError,
-    EOFError,
-    KeyError,
-    zipfile.BadZipFile,
-    zlib.error,
-    pickle.UnpicklingError,
-    NotImplementedError,
-    RuntimeError,  # an archive with a password
-    MemoryError,
-)
 
 
 class Run(Protocol):
@@ -260,7 +246,7 @@ def load(path: str | os.PathLike[str]) -> dict[str, Any]:
             refuse(path, "one array, not an npz")
         with file:
             entries = {name: file[name] for name in file.files}
-    except _UNREADABLE as error:
+    except (*UNREADABLE, pickle.UnpicklingError) as error:
         refuse(path, f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'unreadable'}", error)
     header = _read_header(path, entries)
     try:
