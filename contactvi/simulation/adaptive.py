@@ -49,7 +49,7 @@ _RUNS = 6  # at most, besides the first companion
 _START = 0.3  # level = _START sqrt(tol) to begin with
 _SEEN = 0.1  # errors / level^2 of many motions lie about this
 _COMPANION = 30.0  # times the error of the run, by the law
-_AIM = 0.1  # of tol: where the level is set to
+_AIM = 0.1  # of tol: where the level is set to, so low that one run more seldom follows
 _LEAST = 10.0  # ratio of the errors of two runs: more is not taken for granted, though the law says so
 _DISTINCT = 1.3  # ratio of errors, by the law, below which the steps of a flight are too much alike to compare
 _MATTERS = 0.01  # share of a flight in the error, by the law, below which that does not matter
@@ -189,7 +189,7 @@ class _Search:
         dt_contact = self._contact_dt(level)
         slack = (level / _clip(_START * math.sqrt(self._options.tol))) ** 2
         slack = max(slack, STAGE_TOLS[0] / self._options.stage_tol)
-        simulator = engine.make(self._compiled, self._options, None, slack, dt_contact)
+        simulator = engine.make(self._compiled, self._options, slack, dt_contact)
         self.last, refused = engine.start(simulator, self._compiled, self._options, *self._start)
         if refused is not None:
             raise refused

@@ -21,25 +21,19 @@ from contactvi.trajectory.compiled import CompiledScene
 Progress = Callable[[float, int], object]
 
 _MOST_WAITING = 4  # engines of a scene with other settings that wait for a run
-_FIRST_DT = 0.02  # [s] with "auto" the engine's first guess, which it corrects before the first impact
+# What `make` takes of the options.
+_OF_THE_ENGINE = (
+    "fixed_dt", "stage_tol", "order", "impact", "mhc_reference", "max_iterations", "max_impacts_per_step", "dense",
+    "contact_dt", "zeno", "support", "contact_points", "record_contacts", "record", "contact_mode", "record_every",
+)  # fmt: skip
+_FIRST_DT = 0.02  # [s] with "auto" the first guess of the engine, which it corrects before the first impact
 
 
 def make(
-    compiled: CompiledScene,
-    options: Options,
-    first_dt: float | None = None,
-    slack: float = 1.0,
-    dt_contact: float | None = None,
+    compiled: CompiledScene, options: Options, slack: float = 1.0, dt_contact: float | None = None
 ) -> _core.Simulator:
-    """Return a simulator of the engine, to be started by `start`: a new one, or one that a run has released.
-
-    The arguments are those of `engine_options`.
-    """
-    waiting = compiled.engines.get(_key(options, first_dt, slack, dt_contact))
-    if waiting:
-        with suppress(IndexError):  # another thread may have taken it
-            return waiting.pop()
-    engine = _core.Simulator(compiled.core, engine_options(options, first_dt, slack, dt_contact))
+    """Return a new simulator of the engine, to be started by `start`; the arguments as those of `engine_options`."""
+    engine = _core.Simulator(compiled.core, engine_options(options, slack, dt_contact))
     if options.last_steps is not None:
         engine.limit_record(0 if options.last_steps == 0 else max(options.last_steps, BLOCK))
     elif options.record_every > 1:
@@ -47,23 +41,23 @@ def make(
     return engine
 
 
-def engine_options(
-    options: Options, first_dt: float | None = None, slack: float = 1.0, dt_contact: float | None = None
-) -> _core.SimulatorOptions:
+def engine_options(options: Options, slack: float = 1.0, dt_contact: float | None = None) -> _core.SimulatorOptions:
     """Return the options of the engine's simulator.
 
     Args:
-        first_dt: of "auto", the step to begin with [s].
         slack: factor on the tolerance of the stage equations.
         dt_contact: longest step in contact [s], by default that of the options.
     """
     settings = _core.SimulatorOptions()
-    settings.dt, settings.tol, settings.dt_contact, settings.order = _key(options, first_dt, slack, dt_contact)[:4]
+    settings.dt = _FIRST_DT if options.auto else options.fixed_dt
+    settings.tol = options.stage_tol * slack
+    settings.order = options.order
     settings.impact = _core.ImpactMap[options.impact.upper()]
     settings.mhc_reference = _core.MhcReference[options.mhc_reference.upper()]
     settings.max_iterations = options.max_iterations
     settings.max_impacts_per_step = options.max_impacts_per_step
     settings.dense = options.dense
+    settings.dt_contact = options.contact_dt if dt_contact is None else dt_contact
     settings.end_at_zeno = options.zeno == "end"
     settings.stiff_support = options.support == "stiff"
     settings.contact_points = options.contact_points
@@ -73,25 +67,25 @@ def engine_options(
     return settings
 
 
+def reuse(compiled: CompiledScene, options: Options) -> _core.Simulator:
+    """Return a simulator that a run with these options, which has steps of one length, has released, or a new one."""
+    waiting = compiled.engines.get(_key(options))
+    if waiting:
+        with suppress(IndexError):  # another thread may have taken it
+            return waiting.pop()
+    return make(compiled, options)
+
+
 def release(engine: _core.Simulator, compiled: CompiledScene, options: Options) -> None:
-    """Give an engine of `make`, made from the options alone, to later runs of the scene; it starts them by a reset."""
+    """Give an engine of `reuse` to later runs of the scene; it starts them by a reset."""
     waiting = compiled.engines
     if len(waiting) >= _MOST_WAITING:
         waiting.clear()
     waiting[_key(options)] = [engine]
 
 
-def _key(
-    options: Options, first_dt: float | None = None, slack: float = 1.0, dt_contact: float | None = None
-) -> tuple[Any, ...]:
-    """Return all that an engine is made from: dt [s], tolerance, step in contact [s], order, and the options."""
-    dt = (first_dt or _FIRST_DT) if options.auto else options.fixed_dt
-    contact = options.contact_dt if dt_contact is None else dt_contact
-    return (
-        dt, options.stage_tol * slack, contact, options.order, options.auto, options.impact, options.mhc_reference,
-        options.max_iterations, options.max_impacts_per_step, options.dense, options.zeno, options.support,
-        options.contact_points, options.record_contacts, options.contact_mode, options.record, options.record_every,
-    )  # fmt: skip
+def _key(options: Options) -> tuple[Any, ...]:
+    return tuple(getattr(options, name) for name in _OF_THE_ENGINE)
 
 
 def start(

@@ -76,7 +76,7 @@ class Run:
         self._compiled, self.options = compiled, options
         if options.record == "gradient":
             compiled.check_differentiable()
-        self._engine = engine.make(compiled, options)
+        self._engine = engine.reuse(compiled, options)
         self._quick, self._stepped = self._steps_quickly(), False
         self.start(q0, v0, t)
 
@@ -127,7 +127,7 @@ class Run:
         """Return a run that goes on from a snapshot."""
         run = cls.__new__(cls)
         run._compiled, run.options = snapshot.scene, snapshot.options
-        run._engine = engine.make(snapshot.scene, snapshot.options)
+        run._engine = engine.reuse(snapshot.scene, snapshot.options)
         run._quick, run._stepped = run._steps_quickly(), False
         run.refused = None
         run.load(snapshot)
