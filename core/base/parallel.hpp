@@ -10,6 +10,18 @@
 
 namespace contactvi {
 
+// Starts so many threads that call work(), or as many as the process may start.
+template <class Work>
+std::vector<std::thread> start_threads(int count, const Work& work) {
+  std::vector<std::thread> threads;
+  try {
+    for (int k = 0; k < count; ++k) threads.emplace_back(work);
+  } catch (const std::system_error&) {
+    // It may start no more of them.
+  }
+  return threads;
+}
+
 // Calls work(i) for all i in [0, count), on as many threads as the machine has processors. Each call writes only what
 // is its own, so that results are the same for any number of threads. Throws the exception of the least i that threw.
 template <class Work>
@@ -26,12 +38,7 @@ void in_parallel(int count, const Work& work) {
     }
   };
   const int helpers = std::min<int>(count, static_cast<int>(std::thread::hardware_concurrency())) - 1;
-  std::vector<std::thread> threads;
-  try {
-    for (int k = 0; k < helpers; ++k) threads.emplace_back(run);
-  } catch (const std::system_error&) {
-    // The process may start no more threads; those there are, with this one, do all of the work.
-  }
+  std::vector<std::thread> threads = start_threads(helpers, run);
   run();
   for (std::thread& thread : threads) thread.join();
   for (const std::exception_ptr& error : thrown)

@@ -78,7 +78,7 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
   long kept = 0;
   bool shortened = false;
   for (long k = 0; k < static_cast<long>(count);) {
-    // Only an impact may change the length again.
+    // Without guards the length does not grow again.
     if (guards_.count() == 0 && count > most_steps()) return end_with_too_many_steps(began, h);
     if (k >= 2 * kept && k > kept) {
       start = snapshot();

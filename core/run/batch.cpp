@@ -6,6 +6,7 @@
 #include <mutex>
 #include <thread>
 
+#include "base/parallel.hpp"
 #include "model/coordinates.hpp"
 #include "step/integrator.hpp"
 
@@ -46,26 +47,18 @@ void Batch::run(int threads, const std::function<bool(std::size_t)>& poll) {
   stop_ = false;
   std::mutex mutex;
   std::condition_variable ended;
-  std::size_t running = std::min<std::size_t>(threads, starts_.size());
-  std::vector<std::thread> workers;
+  std::size_t done = 0;
   const auto work = [&] {
     take_runs();
     const std::lock_guard lock(mutex);
-    --running;
+    ++done;
     ended.notify_one();
   };
-  for (std::size_t k = 0, count = running; k < count; ++k) {
-    try {
-      workers.emplace_back(work);
-    } catch (const std::system_error&) {  // the process may have no more threads: those that there are do the work
-      const std::lock_guard lock(mutex);
-      running -= count - k;
-      if (workers.empty()) throw;
-      break;
-    }
-  }
+  std::vector<std::thread> workers =
+      start_threads(static_cast<int>(std::min<std::size_t>(threads, starts_.size())), work);
+  if (workers.empty()) take_runs();  // the process may start no threads
   std::unique_lock lock(mutex);
-  while (!ended.wait_for(lock, kPollPeriod, [&] { return running == 0; })) {
+  while (!ended.wait_for(lock, kPollPeriod, [&] { return done == workers.size(); })) {
     lock.unlock();
     if (!stop_ && !poll(made_)) stop_ = true;
     lock.lock();
