@@ -148,9 +148,9 @@ class ConstraintKind(enum.Enum):
     PRESCRIBED = 5
 
 class Scene:
-    def __init__(self, model: bytes, geometry: bytes, pair_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stiffness: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], damping: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limit_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair_friction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None) -> None:
+    def __init__(self, model: bytes, geometry: bytes, pair_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stiffness: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], damping: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limit_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair_friction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, rounded_hulls: object | None = None) -> None:
         """
-        From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data.
+        From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data; rounded_hulls: keeps rounded hulls from one process to the next, has find and keep.
         """
 
     @property

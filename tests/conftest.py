@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import os
 import shutil
+import tempfile
 
 import pytest
+
+_CACHE = tempfile.TemporaryDirectory(prefix="contactvi-tests-")
+
+
+def pytest_configure() -> None:
+    """Keep the tests away from the user's cache; processes that test side by side share one."""
+    os.environ.setdefault("CONTACTVI_TESTS_CACHE", _CACHE.name)
+    os.environ["CONTACTVI_CACHE"] = os.environ["CONTACTVI_TESTS_CACHE"]
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

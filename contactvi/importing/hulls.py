@@ -6,14 +6,12 @@ with qhull alone, which reports flat and broken meshes where coal 3.0's buildCon
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import coal
 import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import SceneError
-from contactvi.importing.report import PartReport, number
+from contactvi.importing.report import number
 
 # Coal counts neighbours of a vertex up to 255. The engine rounds hulls, which may add to the faces around a vertex.
 MOST_NEIGHBOURS = 100
@@ -117,15 +115,13 @@ def _finished(hull: coal.Convex) -> coal.Convex:
     return hull
 
 
-def prepare_geometry(geometry: pin.GeometryObject, report: PartReport) -> str:
-    """Put a usable shape into a collision geometry and return what was done to it ("" = nothing).
+def check_shape(geometry: pin.GeometryObject) -> str:
+    """Return what there is to say of a collision shape that is no mesh ("" = nothing).
 
     Raises:
         SceneError: a shape the engine cannot use, or a size that is not positive and finite.
     """
     shape = geometry.geometry
-    if isinstance(shape, coal.BVHModelBase):
-        return _hull_mesh(geometry, report)
     if isinstance(shape, coal.Halfspace):
         if not np.all(np.isfinite([*shape.n, shape.d])) or abs(np.linalg.norm(shape.n) - 1.0) > 1e-9:
             raise SceneError(
@@ -167,25 +163,6 @@ def prepare_geometry(geometry: pin.GeometryObject, report: PartReport) -> str:
         got=kind,
         remedy=remedies.get(kind, "Replace it by convex shapes"),
     )
-
-
-def _hull_mesh(geometry: pin.GeometryObject, report: PartReport) -> str:
-    mesh = geometry.geometry
-    file = f" ({Path(geometry.meshPath).name})" if geometry.meshPath else ""
-    hull, grid = hull_of_points(mesh.vertices(), geometry.name + file)
-    volume, filled = hull.computeVolume(), abs(mesh.computeVolume())  # It is negative for a mirrored mesh.
-    geometry.geometry = hull
-    # The volume of an open or badly oriented surface means nothing, and then there is no ratio.
-    ratio = volume / filled if 0.0 < filled <= volume * (1.0 + 1e-9) else np.nan
-    text = f"mesh of {mesh.num_vertices} vertices -> hull of {hull.num_points}"
-    if np.isfinite(ratio):
-        text += f", volume x {number(ratio)}"
-    if grid > 0.0:
-        text += f", thinned to a grid of {number(grid)} m"
-    report.note("changed", "mesh", geometry.name, "replaced by its convex hull")
-    if np.isfinite(ratio) and ratio > 2.0:
-        report.note("suspicious", "mesh", geometry.name, "the hull has more than twice the volume of the mesh")
-    return text
 
 
 def shape_sizes(shape: coal.CollisionGeometry) -> dict[str, float]:

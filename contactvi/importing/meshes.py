@@ -2,46 +2,34 @@
 
 Pinocchio's reader makes a tree of oriented boxes over the triangles of each mesh, which takes longer than the rest of
 the import and is never used: a mesh is soon replaced by its hull. So the reader gets a sphere in the place of each
-mesh, and the mesh is read with the quickest tree, once for all links that use it.
+mesh, and the mesh is read with the quickest tree, once for all links that use it, where its hull is not in the cache.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import coal
-import numpy as np
 import pinocchio as pin
 
-
-@dataclass(frozen=True)
-class MeshFile:
-    """A mesh file and the factors (x, y, z) of its coordinates."""
-
-    path: str
-    scale: tuple[float, float, float]
-
-    def read(self) -> coal.BVHModelBase:
-        """Return the mesh; its numbers are those that Pinocchio's reader finds. Raises what coal raises."""
-        return coal.MeshLoader(coal.BV_AABB).load(self.path, np.array(self.scale))
+from contactvi.importing.mesh_hulls import MeshFile, MeshHulls
 
 
-def collision_geometry(model: pin.Model, xml: str) -> pin.GeometryModel:
-    """Return the collision shapes of a URDF that read_urdf has checked; raises what Pinocchio and coal raise."""
+def collision_geometry(model: pin.Model, xml: str, hulls: MeshHulls) -> pin.GeometryModel:
+    """Return the collision shapes of a URDF that read_urdf has checked; raises what Pinocchio and coal raise.
+
+    Args:
+        hulls: gives the shapes of mesh files.
+    """
     root = ElementTree.fromstring(xml)
     files = [_take_mesh(shape, holder, k) for k, (shape, holder) in enumerate(_meshes(root))]
     geometry = pin.GeometryModel()  # that which Pinocchio makes itself is never freed
     text = ElementTree.tostring(root, encoding="unicode")
     pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION, geometry)
-    read: dict[MeshFile, coal.BVHModelBase] = {}
     for item in geometry.geometryObjects:
         shape = item.geometry
         if isinstance(shape, coal.Sphere) and shape.radius < 0.0:
-            file = files[round(-shape.radius) - 1]
-            if file not in read:
-                read[file] = file.read()
-            item.geometry, item.meshPath, item.meshScale = read[file], file.path, np.array(file.scale)
+            hulls.take(item, files[round(-shape.radius) - 1])
     return geometry
 
 

@@ -30,7 +30,8 @@ from contactvi.importing.checks import (
     joint_kind,
 )
 from contactvi.importing.constraints import mimic_constraints
-from contactvi.importing.hulls import describe, prepare_geometry
+from contactvi.importing.hulls import describe
+from contactvi.importing.mesh_hulls import MeshHulls, prepare_geometry
 from contactvi.importing.meshes import collision_geometry, visual_geometry
 from contactvi.importing.mjcf.compiler import Source, compile_file, import_mujoco
 from contactvi.importing.mjcf.model import SOLREF, Choices, MjcfFile, part_of
@@ -73,7 +74,7 @@ def import_urdf(
     for entry in listed("package_dirs", package_dirs, "folders"):
         checked_path(entry, "package_dirs")
     file = resolve_path(path, folder, package_dirs)
-    report = PartReport(f"{prefix}{file.stem}: URDF {file}, base {base}")
+    report, hulls = PartReport(f"{prefix}{file.stem}: URDF {file}, base {base}"), MeshHulls()
     with _reported(report, file):
         urdf = read_urdf(file, package_dirs, report, mimic)
         report.prefix_names(prefix)
@@ -82,7 +83,7 @@ def import_urdf(
             model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml, pin.JointModelFreeFlyer(), ROOT_JOINT))
         else:
             model = _parse(file, lambda: pin.buildModelFromXML(urdf.xml))
-        collision = _parse(file, lambda: collision_geometry(model, urdf.xml))
+        collision = _parse(file, lambda: collision_geometry(model, urdf.xml, hulls))
         _add_armature(model, armature, report, prefix)
         found = Srdf([], {}) if srdf is None else read_srdf(resolve_path(srdf, folder, package_dirs), model, report)
         part = Part(
@@ -98,7 +99,7 @@ def import_urdf(
             disabled=found.pairs,
             mimics=urdf.mimics,
         )
-        _finish(part, file.name)
+        _finish(part, file.name, hulls)
         part.data.elements += mimic_constraints(part, urdf.mimics, mimic)
     if base == "free":
         part.start[:7] = pin.SE3ToXYZQUAT(placement)
@@ -167,7 +168,7 @@ def import_mjcf(
         )
         report.prefix_names(prefix)
         report.title = f"{part.name}: MJCF {opened.path}"
-        _finish(part, opened.path.name)
+        _finish(part, opened.path.name, MeshHulls())
     return part
 
 
@@ -216,7 +217,7 @@ def import_pinocchio(
             load_visual=lambda: visual,
             given_pairs=given or None,
         )
-        _finish(part, title)
+        _finish(part, title, MeshHulls())
     return part
 
 
@@ -332,7 +333,7 @@ def _parse(file: Path, build: Callable[[], Any]) -> Any:
         ) from error
 
 
-def _finish(part: Part, source: str) -> None:
+def _finish(part: Part, source: str, hulls: MeshHulls) -> None:
     """Check the model, replace its meshes by hulls and fill the report."""
     model, report = part.model, part.report
     check_size(model, source)
@@ -344,7 +345,7 @@ def _finish(part: Part, source: str) -> None:
         body = part.prefix + model.frames[frame].name if frame else "universe"
         kind = describe(geometry.geometry)
         try:
-            done = prepare_geometry(geometry, report)
+            done = prepare_geometry(geometry, report, hulls)
         except SceneError as error:
             error.path = error.path or geometry.meshPath or None
             report.geometries.append(GeometryRow(part.prefix + geometry.name, body, kind, "refused"))

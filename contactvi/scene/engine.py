@@ -15,6 +15,7 @@ from contactvi.elements.user_functions import checked_force, checked_force_deriv
 from contactvi.errors import EngineError, SceneError
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
+from contactvi.scene.rounded_hulls import RoundedHulls
 
 if TYPE_CHECKING:
     from contactvi import _core
@@ -53,6 +54,7 @@ def make_engine_scene(
             arrays.limits,
             arrays.limit_restitution,
             friction,
+            RoundedHulls(),
         )
         _set_joints(scene, arrays)
         _add_elements(scene, elements)

@@ -13,6 +13,7 @@
 #include "geometry/prepare.hpp"
 #include "model/coordinates.hpp"
 #include "model/flat_model.hpp"
+#include "model/rounding.hpp"
 #include "step/energy.hpp"
 #include "step/integrator.hpp"
 
@@ -40,12 +41,40 @@ void need_states(const Scene& s, const Rows& q, const Rows& w) {
   need(q.cols() == s.tree.nq && w.cols() == s.tree.nv && q.rows() == w.rows(), "expected shapes (N, nq) and (N, nv)");
 }
 
+// Rounded hulls that an object of Python keeps: its find(vertices, faces, radius) returns (vertices, faces, radius) or
+// None, its keep(vertices, faces, radius, vertices, faces, radius) takes a hull and its shrunk one.
+class KeptRoundedHulls : public RoundedHulls {
+ public:
+  explicit KeptRoundedHulls(nb::object keeper) : keeper_(std::move(keeper)) {}
+
+  std::optional<ShrunkHull> find(const Polytope& hull, double radius) override {
+    const nb::object found = keeper_.attr("find")(nb::cast(hull.vertices), nb::cast(hull.faces), radius);
+    if (found.is_none()) return std::nullopt;
+    using Vertices = decltype(Polytope::vertices);
+    using Faces = decltype(Polytope::faces);
+    const auto [vertices, faces, shrunk] = nb::cast<std::tuple<Vertices, Faces, double>>(found);
+    need(faces.size() > 0 && faces.minCoeff() >= 0 && faces.maxCoeff() < vertices.rows() && shrunk >= 0.0,
+         "expected the vertices and triangles of a hull, and a radius");
+    return ShrunkHull{{vertices, faces}, shrunk};
+  }
+
+  void keep(const Polytope& hull, double radius, const ShrunkHull& made) override {
+    keeper_.attr("keep")(nb::cast(hull.vertices), nb::cast(hull.faces), radius, nb::cast(made.hull.vertices),
+                         nb::cast(made.hull.faces), made.radius);
+  }
+
+ private:
+  nb::object keeper_;
+};
+
 Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
                  const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
-                 const std::optional<VecX>& pair_friction) {
+                 const std::optional<VecX>& pair_friction, const nb::object& rounded_hulls) {
   const VecX friction = pair_friction ? *pair_friction : VecX(VecX::Zero(pair_restitution.size()));
+  KeptRoundedHulls known(rounded_hulls);
   Scene scene = load_scene({model.c_str(), model.size()}, {geometry.c_str(), geometry.size()},
-                           {pair_restitution, friction, stiffness, rest, damping, limits, limit_restitution});
+                           {pair_restitution, friction, stiffness, rest, damping, limits, limit_restitution},
+                           rounded_hulls.is_none() ? nullptr : &known);
   prepare_geometry(scene);
   return scene;
 }
@@ -222,14 +251,15 @@ void expose_scene(nb::module_& m) {
           "__init__",
           [](Scene* self, nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
              const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
-             std::optional<VecX> pair_friction) {
+             std::optional<VecX> pair_friction, nb::object rounded_hulls) {
             instruction_set();  // a wrong name in the environment is refused before anything is computed
             new (self) Scene(make_scene(model, geometry, pair_restitution, stiffness, rest, damping, limits,
-                                        limit_restitution, pair_friction));
+                                        limit_restitution, pair_friction, rounded_hulls));
           },
           "model"_a, "geometry"_a, "pair_restitution"_a, "stiffness"_a, "rest"_a, "damping"_a, "limits"_a,
-          "limit_restitution"_a, "pair_friction"_a = nb::none(),
-          "From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data.")
+          "limit_restitution"_a, "pair_friction"_a = nb::none(), "rounded_hulls"_a = nb::none(),
+          "From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data; "
+          "rounded_hulls: keeps rounded hulls from one process to the next, has find and keep.")
       .def_prop_ro("nq", [](const Scene& s) { return s.tree.nq; })
       .def_prop_ro("nv", [](const Scene& s) { return s.tree.nv; })
       .def_prop_ro("njoints", [](const Scene& s) { return s.tree.body_of_source.size(); })

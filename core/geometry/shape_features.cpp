@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <limits>
-#include <map>
 #include <numeric>
 
 #include "base/disjoint_sets.hpp"
@@ -172,6 +171,13 @@ void join_plates(ShapeFeatures& o) {
   }
 }
 
+// The edge between two vertices, -1 if there is none yet.
+int edge_between(const ShapeFeatures& o, int i, int j) {
+  for (int e : o.vertex_edges[i])
+    if (o.edges[e].v0 == j || o.edges[e].v1 == j) return e;
+  return -1;
+}
+
 // Faces, sides and edges of a polytope whose corners index points of the body frame.
 void add_polygons(ShapeFeatures& o, const Points& points, const std::vector<Polygon>& polygons) {
   std::vector<int> number(points.size(), -1);
@@ -184,7 +190,6 @@ void add_polygons(ShapeFeatures& o, const Points& points, const std::vector<Poly
   }
   o.vertex_edges.resize(o.vertices.size());
   o.vertex_faces.resize(o.vertices.size());
-  std::map<std::pair<int, int>, int> edge_of;
   for (const Polygon& p : polygons) {
     const int f = static_cast<int>(o.faces.size()), n = static_cast<int>(p.corners.size());
     o.faces.push_back({p.normal, p.offset, static_cast<int>(o.ring.size()), n, Vec3::Zero(), 0.0, 0});
@@ -196,15 +201,15 @@ void add_polygons(ShapeFeatures& o, const Points& points, const std::vector<Poly
       o.side.push_back(along.cross(p.normal).normalized());
       o.side_offset.push_back(o.side.back().dot(o.vertices[i]));
       o.vertex_faces[i].push_back(f);
-      const auto [at, is_new] = edge_of.emplace(std::minmax(i, j), static_cast<int>(o.edges.size()));
-      o.ring_edge.push_back(at->second);
-      if (is_new) {
+      const int known = edge_between(o, i, j), edge = known < 0 ? static_cast<int>(o.edges.size()) : known;
+      o.ring_edge.push_back(edge);
+      if (known < 0) {
         // The corners of f are in anticlockwise order, so f is at the left of the edge.
         o.edges.push_back({i, j, o.vertices[i], along.normalized(), along.norm(), f, -1, 0.0});
-        o.vertex_edges[i].push_back(at->second);
-        o.vertex_edges[j].push_back(at->second);
+        o.vertex_edges[i].push_back(edge);
+        o.vertex_edges[j].push_back(edge);
       } else {
-        o.edges[at->second].right = f;
+        o.edges[edge].right = f;
       }
     }
   }

@@ -10,17 +10,14 @@
 
 #include <cmath>
 
-#include "base/parallel.hpp"
 #include "base/refusal.hpp"
 #include "model/archive.hpp"
+#include "model/rounding.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
 
 namespace {
-
-// Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less (rounding.cpp).
-constexpr double kRoundingRadius = 1e-3;
 
 template <class T>
 void unpack(T& object, std::string_view bytes, const char* what) {
@@ -265,34 +262,25 @@ Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree
   return g;
 }
 
-void add_rounded(Geometry& g) {
-  double radius = kRoundingRadius;
-  std::shared_ptr<coal::CollisionGeometry> core = shrunk_shape(*g.sharp, radius);
-  if (!core) throw Error("a collision shape could not be rounded");
-  static_cast<coal::ShapeBase&>(*core).setSweptSphereRadius(radius);
-  core->computeLocalAABB();
-  g.rounded = core;
-  g.rounding = radius;
-}
-
-// Rounds the shapes that a rounded pair has.
-void round_shapes(Scene& scene) {
+// The shapes that a rounded pair has.
+std::vector<Geometry*> rounded_shapes(Scene& scene) {
   std::vector<bool> taken(scene.geometries.size(), false);
-  std::vector<int> chosen;
+  std::vector<Geometry*> chosen;
   for (const Pair& pair : scene.pairs)
     for (int i : {pair.a, pair.b})
       if (pair.rounded && !taken[i]) {
         taken[i] = true;
-        chosen.push_back(i);
+        chosen.push_back(&scene.geometries[i]);
       }
-  in_parallel(static_cast<int>(chosen.size()), [&](int k) { add_rounded(scene.geometries[chosen[k]]); });
+  return chosen;
 }
 
 }  // namespace
 
 void read_model(std::string_view bytes, pinocchio::Model& model) { unpack(model, bytes, "model"); }
 
-Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, const SceneParameters& parameters) {
+Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, const SceneParameters& parameters,
+                 RoundedHulls* known) {
   pinocchio::Model model;
   unpack(model, model_bytes, "model");
   Scene scene;
@@ -326,7 +314,7 @@ Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, 
     set_iteration(a.sharp->getNodeType(), b.sharp->getNodeType(), pair);
     scene.pairs.push_back(pair);
   }
-  round_shapes(scene);
+  round_shapes(rounded_shapes(scene), known);
   return scene;
 }
 

@@ -1,13 +1,15 @@
-// Rounded copies of sharp shapes: shrunk by r, then swept by a sphere of radius r.
-//
 // Two sharp polytopes nearer than about 1e-6 m get wrong normals from GJK and EPA (measured: 83 % of random box
 // pairs); swept ones never reach EPA, because their cores stay 2 r apart when the surfaces touch.
+#include "model/rounding.hpp"
+
 #include <coal/shape/convex.h>
 #include <coal/shape/geometric_shapes.h>
 
 #include <algorithm>
 #include <cmath>
 
+#include "base/error.hpp"
+#include "base/parallel.hpp"
 #include "base/refusal.hpp"
 #include "model/scene.hpp"
 
@@ -18,6 +20,8 @@ namespace {
 using Hull = coal::Convex<coal::Triangle>;
 using Points = std::shared_ptr<std::vector<coal::Vec3s>>;
 
+// Radius by which shapes of GJK pairs are rounded [m]; thinner shapes take less.
+constexpr double kRoundingRadius = 1e-3;
 constexpr double kSliver =
     1e-18;  // [m^2] twice the area below which a triangle has no normal (of the dual hull [1/m^2])
 
@@ -69,7 +73,57 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& r
       coal::ConvexBase::convexHull(vertices, static_cast<unsigned>(vertices->size()), true, "Qt"));
 }
 
+Polytope polytope_of(const Hull& hull) {
+  Polytope result;
+  result.vertices.resize(hull.num_points, 3);
+  for (unsigned i = 0; i < hull.num_points; ++i) result.vertices.row(i) = (*hull.points)[i];
+  result.faces.resize(hull.num_polygons, 3);
+  for (unsigned i = 0; i < hull.num_polygons; ++i)
+    for (int k = 0; k < 3; ++k) result.faces(i, k) = static_cast<int>((*hull.polygons)[i][k]);
+  return result;
+}
+
+std::shared_ptr<coal::CollisionGeometry> hull_of(const Polytope& polytope) {
+  auto points = std::make_shared<std::vector<coal::Vec3s>>();
+  for (Eigen::Index i = 0; i < polytope.vertices.rows(); ++i) points->push_back(polytope.vertices.row(i));
+  auto triangles = std::make_shared<std::vector<coal::Triangle>>();
+  for (Eigen::Index i = 0; i < polytope.faces.rows(); ++i)
+    triangles->emplace_back(polytope.faces(i, 0), polytope.faces(i, 1), polytope.faces(i, 2));
+  return std::make_shared<Hull>(points, static_cast<unsigned>(points->size()), triangles,
+                                static_cast<unsigned>(triangles->size()));
+}
+
+void set_rounded(Geometry& g, const std::shared_ptr<coal::CollisionGeometry>& core, double radius) {
+  if (!core) throw Error("a collision shape could not be rounded");
+  static_cast<coal::ShapeBase&>(*core).setSweptSphereRadius(radius);
+  core->computeLocalAABB();
+  g.rounded = core;
+  g.rounding = radius;
+}
+
 }  // namespace
+
+void round_shapes(const std::vector<Geometry*>& geometries, RoundedHulls* known) {
+  std::vector<Geometry*> left;
+  for (Geometry* g : geometries) {
+    const auto* hull = known ? dynamic_cast<const Hull*>(g->sharp.get()) : nullptr;
+    const auto found = hull ? known->find(polytope_of(*hull), kRoundingRadius) : std::nullopt;
+    if (found)
+      set_rounded(*g, hull_of(found->hull), found->radius);
+    else
+      left.push_back(g);
+  }
+  in_parallel(static_cast<int>(left.size()), [&](int k) {
+    double radius = kRoundingRadius;
+    const auto core = shrunk_shape(*left[k]->sharp, radius);
+    set_rounded(*left[k], core, radius);
+  });
+  if (!known) return;
+  for (const Geometry* g : left)
+    if (const auto* hull = dynamic_cast<const Hull*>(g->sharp.get()))
+      if (const auto* core = dynamic_cast<const Hull*>(g->rounded.get()))
+        known->keep(polytope_of(*hull), kRoundingRadius, {polytope_of(*core), g->rounding});
+}
 
 std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeometry& shape, double& radius) {
   if (const auto* box = dynamic_cast<const coal::Box*>(&shape)) {

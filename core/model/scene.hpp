@@ -16,6 +16,7 @@ namespace contactvi {
 
 struct ShapeFeatures;
 class PairTable;
+class RoundedHulls;
 
 struct Geometry {
   int body;   // engine joint that moves it, -1: world
@@ -73,11 +74,9 @@ struct SceneParameters {
 };
 
 // The scene of the binary archives of a pin.Model and a pin.GeometryModel. Throws Error for joints, shapes or orders
-// that the engine does not support.
-Scene load_scene(std::string_view model, std::string_view geometry, const SceneParameters& parameters);
-
-// The shape shrunk by at most radius, to be swept by a sphere of that radius; null for shapes that need none. Lowers
-// radius where the shape is too thin for it.
-std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeometry& shape, double& radius);
+// that the engine does not support. Of `known`, which may be null, come rounded hulls that were made before; it is
+// handed those that are made now.
+Scene load_scene(std::string_view model, std::string_view geometry, const SceneParameters& parameters,
+                 RoundedHulls* known);
 
 }  // namespace contactvi
