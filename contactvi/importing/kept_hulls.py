@@ -28,18 +28,13 @@ def find_hull(name: str) -> KeptHull | None:
     if arrays is None or len(arrays) != 3:
         return None
     vertices, faces, numbers = arrays
-    usable = (
-        vertices.dtype == np.float64
-        and faces.dtype == np.int32
-        and numbers.dtype == np.float64
-        and vertices.ndim == faces.ndim == 2
-        and vertices.shape[1] == faces.shape[1] == 3
-        and min(len(vertices), len(faces)) >= 4
-        and bool(np.all(np.isfinite(vertices.astype(float))))
-        and int(faces.min()) >= 0
-        and int(faces.max()) < len(vertices)
-    )
-    return KeptHull(vertices, faces, numbers) if usable else None
+    if (vertices.dtype, faces.dtype, numbers.dtype) != (np.float64, np.int32, np.float64):
+        return None
+    if any(array.ndim != 2 or array.shape[1] != 3 or len(array) < 4 for array in (vertices, faces)):
+        return None
+    hull = KeptHull(vertices.astype(float, copy=False), faces.astype(np.int32, copy=False), numbers.astype(float))
+    usable = np.all(np.isfinite(hull.vertices)) and hull.faces.min() >= 0 and hull.faces.max() < len(hull.vertices)
+    return hull if usable else None
 
 
 def keep_hull(name: str, hull: KeptHull) -> None:
