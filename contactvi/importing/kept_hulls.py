@@ -28,7 +28,7 @@ def find_hull(name: str) -> KeptHull | None:
     if arrays is None or len(arrays) != 3:
         return None
     vertices, faces, numbers = arrays
-    if (vertices.dtype, faces.dtype, numbers.dtype) != (np.float64, np.int32, np.float64):
+    if [array.dtype.name for array in arrays] != ["float64", "int32", "float64"]:
         return None
     if any(array.ndim != 2 or array.shape[1] != 3 or len(array) < 4 for array in (vertices, faces)):
         return None
