@@ -400,6 +400,11 @@ def kernel_seconds(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape
     Seconds per stage of evaluate, factor, solve, f(q, p) and sweep, fastest of several blocks; for benchmarks.
     """
 
+def solve_masses(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], right: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]:
+    """
+    M(q)^-1 times the columns of right, shape (nv, m), in engine coordinates, for tests.
+    """
+
 class SimulatorOptions:
     """Settings of a simulator; each has a default."""
 
@@ -600,6 +605,31 @@ class BatchKeep(enum.Enum):
 
     RUNS = 2
 
+class SceneNumber(enum.Enum):
+    """What a number of a scene is that differs from run to run."""
+
+    GRAVITY = 0
+
+    RESTITUTION = 1
+
+    FRICTION = 2
+
+    LIMIT_RESTITUTION = 3
+
+    STIFFNESS = 4
+
+    REST = 5
+
+    ARMATURE = 6
+
+    DAMPING = 7
+
+    KP = 8
+
+    KD = 9
+
+    BODY = 10
+
 class BatchInputs:
     """Inputs of the steps of a run, which several runs may share."""
 
@@ -608,10 +638,20 @@ class BatchInputs:
 class Batch:
     """Many runs with steps of one length, in several threads."""
 
-    def __init__(self, options: SimulatorOptions, steps: int, record_every: int, keep: BatchKeep) -> None: ...
+    def __init__(self, options: SimulatorOptions, steps: int, record_every: int, keep: BatchKeep, most_lost: float) -> None: ...
 
-    def add(self, scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], tau: BatchInputs | None = None, target: BatchInputs | None = None) -> None:
-        """Add a run from (q, v); the scene calls no function of the user."""
+    def set_changes(self, scene: Scene, places: Sequence[tuple[SceneNumber, int, int]]) -> None:
+        """
+        Tell what the numbers of the rows of changes are: (kind, index in the scene, column).
+        """
+
+    def set_start(self, snapshot: Snapshot) -> None:
+        """Let all runs go on from a snapshot of their scene."""
+
+    def add(self, scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], tau: BatchInputs | None = None, target: BatchInputs | None = None, changes: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None) -> None:
+        """
+        Add a run from (q, v), with a row of numbers that differ from those of the scene; the scene calls no function of the user.
+        """
 
     def run(self, threads: int, progress: Callable[[int], object] | None = None) -> None:
         """

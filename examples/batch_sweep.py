@@ -1,7 +1,7 @@
 """A ball falls into the Allegro hand: where does it end, over restitution, friction and start?
 
-A sweep by one call of contactvi.simulate_batch, in as many threads as there are cores. By default 180 short runs;
-10 000 of them with --runs 10000 take some minutes.
+A sweep by one call of contactvi.simulate_batch, in as many threads as there are cores. By default 180 runs; 10 000 of
+them (--runs 10000) take some minutes.
 
 python examples/batch_sweep.py [PICTURE.png] [--runs 180]
 """
@@ -24,7 +24,7 @@ DURATION, DT = 0.8, 1e-3  # [s]
 
 scene = cvi.load_scene(Path(__file__).resolve().parents[1] / "models/allegro_ball.toml")
 ball = scene.q_index("ball")
-side = max(2, round((arguments.runs / 5) ** (1 / 2)))  # values of restitution and of friction, starts of each
+side = max(2, round(arguments.runs**0.35))  # values of restitution and of friction, starts of each
 restitution, friction = np.meshgrid(np.linspace(0.05, 0.8, side), np.linspace(0.1, 1.0, side), indexing="ij")
 starts = max(1, arguments.runs // side**2)
 restitution, friction = (np.repeat(x.ravel(), starts)[:, None] for x in (restitution, friction))
@@ -47,13 +47,16 @@ print(
 for k, error in list(result.errors.items())[:3]:
     print(f"run {k}: {error}")
 
-share = held.reshape(side, side, starts).mean(axis=2)
 if arguments.picture:
-    figure, axes = plt.subplots(figsize=(5, 4), layout="constrained")
-    image = axes.imshow(share.T, origin="lower", extent=(0.05, 0.8, 0.1, 1.0), aspect="auto", vmin=0.0, vmax=1.0)
-    axes.set(xlabel="restitution", ylabel="friction", title="share of balls that the hand holds")
-    figure.colorbar(image)
-    figure.savefig(arguments.picture, dpi=150)
+    figure, axes = plt.subplots(1, 2, figsize=(8, 3.4), layout="constrained", sharey=True)
+    shown = {"share of the balls that the hand holds": held, "impacts of a run": result.impacts}
+    for panel, (title, values) in zip(axes, shown.items(), strict=True):
+        mean = values.reshape(side, side, starts).mean(axis=2)
+        image = panel.imshow(mean.T, origin="lower", extent=(0.05, 0.8, 0.1, 1.0), aspect="auto")
+        panel.set(xlabel="restitution", title=title)
+        figure.colorbar(image)
+    axes[0].set(ylabel="friction")
+    figure.savefig(arguments.picture, dpi=100)
 
 k = int(np.flatnonzero(result.ok)[0])  # a run of the batch is the run alone, to the bit
 own = scene.with_parameters({"restitution": restitution[k], "friction": friction[k]})

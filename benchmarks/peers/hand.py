@@ -30,6 +30,7 @@ KP, KD, FRICTION, DURATION = 0.5, 0.01, 0.7, 1.0
 BALL = {"radius": 0.03, "mass": 0.1}
 BALL_START = (PALM_UP @ [0.05, -0.02, 0.0]).tolist()
 TOUCHES_AT = 0.035  # s: nothing touches before
+SQUEEZE = 0.5  # s at the end, over which the normal forces of all contacts are summed and averaged
 
 
 def model() -> pin.Model:

@@ -1,4 +1,5 @@
-"""S7 in contactvi. setting: order, dt, dt_contact. Timed: simulate() as a user calls it, all contact forces kept.
+"""S7 in contactvi. setting: order, dt, dt_contact, squeeze (whether it is counted: see hand.py). Timed: simulate() as a
+user calls it, all contact forces kept.
 
 The PD controller is the engine's servo where this version has one, else a spring and a damper of the joints, which is
 the same law without the effort limit.
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 
+import hand
 import numpy as np
 from worker import Run, steps_per_sample
 
@@ -56,7 +58,7 @@ def _to_world(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 def prepare(job: dict, setting: dict) -> Run:
     options = dict(setting)
-    start = options.pop("start", job["start"])
+    start, squeeze = options.pop("start", job["start"]), options.pop("squeeze", False)
     scene, control = build(job)
     at, every = _places(scene, job), steps_per_sample(job, setting["dt"])
     q0, v0 = scene.neutral(), np.zeros(scene.nv)
@@ -68,6 +70,9 @@ def prepare(job: dict, setting: dict) -> Run:
         counts = {name: getattr(traj.stats, name) for name in COUNTS}
         counts["gap_error"] = -float(traj.contacts.array("gap").min(initial=0.0))  # of every step
         counts["servo"] = SERVO
+        if squeeze:
+            late = (traj.contacts.h > 0.0) & (traj.contacts.t >= job["duration"] - hand.SQUEEZE - 1e-9)
+            counts["squeeze"] = float(traj.contacts.normal_impulse[late].sum()) / hand.SQUEEZE
         q, v = traj.q[1:], traj.v[1:]
         return np.hstack([q[:, at], q[:, 16:19]]), np.hstack([v[:, at], _to_world(q[:, 16:], v[:, 16:])]), counts
 

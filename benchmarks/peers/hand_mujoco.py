@@ -1,4 +1,5 @@
-"""S7 in MuJoCo. setting: integrator, dt, cone, stiff (the contact's time constant is 2 dt, else as MuJoCo has it).
+"""S7 in MuJoCo. setting: integrator, dt, cone, stiff (the contact's time constant is 2 dt, else as MuJoCo has it),
+squeeze (whether the contact forces are summed, as in hand.py; such a run is not for timing).
 
 The controllers are position actuators with kp and kv (implicitfast takes the kv implicitly, Euler does not); ball
 against hand only, by contact bits.
@@ -37,6 +38,18 @@ def build(job: dict, setting: dict) -> mujoco.MjModel:
     return model
 
 
+SQUEEZE = 0.5  # s, as in hand.py, which needs packages that this interpreter may lack
+
+
+def total_normal_force(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Of all contacts in the step just made [N]."""
+    force, total = np.zeros(6), 0.0
+    for k in range(data.ncon):
+        mujoco.mj_contactForce(model, data, k, force)
+        total += float(force[0])
+    return total
+
+
 def prepare(job: dict, setting: dict) -> Run:
     model = build(job, setting)
     data = mujoco.MjData(model)
@@ -54,11 +67,19 @@ def prepare(job: dict, setting: dict) -> Run:
         data.ctrl[:] = job["goal"]
         q: list[np.ndarray] = []
         v: list[np.ndarray] = []
+        late = []
         for _ in range(samples):
-            mujoco.mj_step(model, data, steps)
+            if setting.get("squeeze"):
+                for _ in range(steps):
+                    mujoco.mj_step(model, data)
+                    if data.time > job["duration"] - SQUEEZE + 0.5 * setting["dt"]:
+                        late.append(total_normal_force(model, data))
+            else:
+                mujoco.mj_step(model, data, steps)
             mujoco.mju_rotVecQuat(spin, data.qvel[ball_v + 3 :], data.qpos[ball_q + 3 :])
             q.append(np.concatenate([data.qpos[at_q], data.qpos[ball_q : ball_q + 3]]))
             v.append(np.concatenate([data.qvel[at_v], data.qvel[ball_v : ball_v + 3], spin]))
-        return q, v, {"contacts": int(data.ncon)}
+        counts = {"contacts": int(data.ncon)}
+        return q, v, {**counts, "squeeze": float(np.mean(late))} if late else counts
 
     return run

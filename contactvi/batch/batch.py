@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike
 
 from contactvi.batch.blocks import Block, joined
 from contactvi.batch.executors import blocks_by
-from contactvi.batch.plan import Report, plan_of
+from contactvi.batch.plan import Report, plan_from, plan_of
 from contactvi.batch.results import BatchResult
 from contactvi.batch.runs import blocks_of
 from contactvi.batch.storage import StoredBatch, save_batch
 from contactvi.errors import DenseStepWarning, InputError
 from contactvi.inputs import callback, check_choice
 from contactvi.options import Dt, FurtherOptions, ImpactMap
-from contactvi.simulation.simulator import settings_of
+from contactvi.simulation.simulator import Simulator, settings_of
 from contactvi.threads import Workers, cores
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class BatchOptions(FurtherOptions, total=False):
 
 
 def simulate_batch(
-    scene: Scene,
+    scene: Scene | Simulator,
     q0s: ArrayLike | None = None,
     v0s: ArrayLike | None = None,
     *,
@@ -68,7 +68,9 @@ def simulate_batch(
     the others: `result.status` and `result.errors` tell how each ended.
 
     Args:
-        scene: the scene of all runs.
+        scene: the scene of all runs; or a `Simulator`, from whose present state all runs go on, with its contacts,
+            options and what its servos follow, while it stays as it is: for sampling-based control, with the control or
+            target of every run and a duration. Runs have the bits of those that a copy of it makes (sim.copy().run).
         q0s: starts, Pinocchio's numbers, (runs, nq), or (nq,) for all; None: as in `simulate`.
         v0s: their velocities, (runs, nv) or (nv,); None: as in `simulate`.
         parameters: values by the names of `Scene.parameter`, with a leading dimension (runs, ...), or one for all: such
@@ -96,10 +98,16 @@ def simulate_batch(
     Warns:
         DenseStepWarning: once, where runs with contact_mode="auto" took dense steps.
     """
-    settings = settings_of(scene, dict(options), forced=control is not None or target is not None)
-    _ = settings.span
     inputs = {"q0": q0s, "v0": v0s, "control": control, "target": target}
-    plan = plan_of(scene, settings, "ends" if keep is None else _checked(keep), inputs, parameters)
+    kept = "ends" if keep is None else _checked(keep)
+    if isinstance(scene, Simulator):
+        starts = {"q0s": q0s, "v0s": v0s, "parameters": parameters, "executor": executor}
+        plan = plan_from(scene, dict(options), kept, inputs, starts)
+        settings = plan.options
+    else:
+        settings = settings_of(scene, dict(options), forced=control is not None or target is not None)
+        _ = settings.span
+        plan = plan_of(scene, settings, kept, inputs, parameters)
     if keep is None and plan.nodes is not None:
         full = replace(plan, keep="nodes")
         plan = full if path is not None or full.runs * full.bytes_of_a_run <= MOST_BYTES else plan

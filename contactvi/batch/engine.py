@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -19,19 +20,21 @@ from contactvi.simulation.recorder import Record
 from contactvi.simulation.results import EngineResult, EngineStatus
 from contactvi.simulation.run import name_unreachable
 from contactvi.simulation.simulation import ended_early, no_way_on
+from contactvi.simulation.simulator import Simulator
 from contactvi.simulation.targets import Targets
 from contactvi.status import Status, StatusCode
-from contactvi.trajectory.compiled import CompiledScene
+from contactvi.trajectory.compiled import MOST_LOST, CompiledScene
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
 
 class Started(NamedTuple):
-    """A run whose inputs can be used: its scene and start, what acts in its steps."""
+    """A run whose inputs can be used: what returns its scene, its start, what acts in its steps."""
 
-    compiled: CompiledScene
+    scene: Callable[[], CompiledScene]
     q: Array
+    v: Array
     forces: Array | None
     targets: Array | None
 
@@ -47,7 +50,8 @@ def possible(plan: Plan, compiled: CompiledScene) -> bool:
     """Return whether the engine can make these runs without Python: nothing in it is called or asked in between."""
     options = plan.options
     watched = options.auto or options.ledger is not None or options.sample_dt is not None
-    stalls = options.impact == "dtec" and compiled.loses_energy
+    bounces = any(name.startswith("restitution") for name in (*plan.parameters, *plan.common))
+    stalls = options.impact == "dtec" and (compiled.loses_energy or bounces)
     return not (watched or stalls or compiled.core.calls_functions or callable(plan.shared.get("control")))
 
 
@@ -55,17 +59,27 @@ def run(plan: Plan, scenes: SceneCache, workers: int, report: Report | None) -> 
     """Make the runs of a plan for which this is `possible`."""
     keep = _core.BatchKeep[plan.keep.upper()]
     options = plan.options
-    batch = _core.Batch(engine.engine_options(options), options.steps, options.record_every, keep)
+    batch = _core.Batch(engine.engine_options(options), options.steps, options.record_every, keep, MOST_LOST)
+    changed = scenes.changed(plan)
+    if changed is not None:
+        places = [(_core.SceneNumber[kind], i, column) for kind, i, column in changed.places.places]
+        batch.set_changes(changed.compiled.core, places)
+    inputs = _Inputs(plan) if plan.start is None else _InputsFrom(plan, plan.start)
+    if isinstance(inputs, _InputsFrom):
+        batch.set_start(inputs.snapshot.engine)
     started: dict[int, tuple[int, Started]] = {}  # by run: its number in the batch
     errors: dict[int, ContactviError] = {}
-    inputs = _Inputs(plan)
     for k in range(plan.runs):
         try:
-            found, v = inputs.start(k, scenes.of(plan, k))
+            copied = changed is not None and bool(changed.usable[k])
+            compiled = changed.compiled if changed is not None and copied else scenes.of(plan, k)
+            row = changed.rows[k] if changed is not None and copied else None
+            found = inputs.start(k, compiled, partial(scenes.of, plan, k))
         except ContactviError as error:
             errors[k] = error
             continue
-        batch.add(found.compiled.core, found.q, v, inputs.matrix("control", found.forces), inputs.last_targets)
+        forces = inputs.matrix("control", found.forces)
+        batch.add(compiled.core, found.q, found.v, forces, inputs.last_targets, row)
         started[k] = (len(started), found)
     batch.run(workers, report)
     block = _block(plan, batch, started)
@@ -89,17 +103,26 @@ class _Inputs:
         self._forces: Array | None = None
         self.last_targets: _core.BatchInputs | None = None
 
-    def start(self, k: int, compiled: CompiledScene) -> tuple[Started, Array]:
-        """Return the start of run k and its velocity (nv,); raise ContactviError where it cannot be used."""
+    def start(self, k: int, compiled: CompiledScene, scene: Callable[[], CompiledScene]) -> Started:
+        """Return the start of run k; raise ContactviError where it cannot be used.
+
+        Args:
+            compiled: the scene of the run, but for numbers that the engine changes in a copy. scene: returns that of
+                the run itself.
+        """
         plan, states = self._plan, compiled.states
         q0, v0 = plan.input("q0", k), plan.input("v0", k)
         q = states.configuration(compiled.q0 if q0 is None else q0)
         given = compiled.v0 if v0 is None else v0
         v = compiled.start_velocity(q, 0.0) if given is None else states.velocity(given)
-        compiled.check_start(q, v, 0.0)
+        try:
+            compiled.check_on_constraints(q, v, 0.0)
+        except ContactviError:
+            scene().check_start(q, v, 0.0)  # a mass matrix that is singular is told first
+            raise
         forces = self._control(k, compiled)
-        targets = self._targets(k, compiled, q)
-        return Started(compiled, q, forces, targets), v
+        targets = self._targets(k, Targets(compiled, q), 0.0)
+        return Started(scene, q, v, forces, targets)
 
     def matrix(self, name: str, values: Array | None) -> _core.BatchInputs | None:
         """Return inputs for the engine, the same ones where all runs share them."""
@@ -121,17 +144,31 @@ class _Inputs:
             check_unforced(options)
         return self._forces
 
-    def _targets(self, k: int, compiled: CompiledScene, q: Array) -> Array | None:
+    def _targets(self, k: int, of: Targets, start: float) -> Array | None:
         self.last_targets = None
         target, options = self._plan.input("target", k), self._plan.options
-        if target is None and not compiled.built.servo_joints:
+        if target is None and not of.joints:
             return None
-        of = Targets(compiled, q)
         of.check_count(options.steps)
-        rows = of.rows(target, options.fixed_dt * np.arange(options.steps, dtype=np.float64))
+        rows = of.rows(target, start + options.fixed_dt * np.arange(options.steps, dtype=np.float64))
         assert rows is not None
         self.last_targets = _core.BatchInputs(rows)
         return rows
+
+
+class _InputsFrom(_Inputs):
+    """The inputs of runs that go on from the present state of a simulator."""
+
+    def __init__(self, plan: Plan, simulator: Simulator) -> None:
+        super().__init__(plan)
+        self.snapshot = simulator.save()
+        self._q, self._v, self._t = simulator.q, simulator.v, simulator.t
+
+    def start(self, k: int, compiled: CompiledScene, scene: Callable[[], CompiledScene]) -> Started:
+        """Return the start of run k; raise ContactviError where its inputs cannot be used."""
+        assert compiled.core is self.snapshot.scene.core
+        targets = self._targets(k, self.snapshot.targets, self._t)
+        return Started(scene, self._q, self._v, self._control(k, compiled), targets)
 
 
 def _block(plan: Plan, batch: _core.Batch, started: dict[int, tuple[int, Started]]) -> Block:
@@ -164,7 +201,10 @@ def _error(plan: Plan, batch: _core.Batch, row: int, found: Started, last: Array
     """Return the error of a run that ended before its time, with its status; last: its last configuration (1, nq)."""
     status = batch.status(row)
     result = cast(EngineStatus, status)
-    record = Record(found.compiled, plan.options, 0.0, found.q, np.zeros(found.compiled.states.nv))
+    compiled = found.scene()
+    if status["massless"]:
+        compiled.check_start(found.q, found.v, 0.0)  # raises what the engine found
+    record = Record(compiled, plan.options, 0.0, found.q, np.zeros(compiled.states.nv))
     if status["refused"]:
         ended = record.end(result, 0.0)
         return engine.refusal(ended, record.names(result), result["depth"]), ended
@@ -179,7 +219,7 @@ def _error(plan: Plan, batch: _core.Batch, row: int, found: Started, last: Array
 def _trajectory(plan: Plan, batch: _core.Batch, row: int, found: Started) -> Trajectory:
     """Return a run that was kept, as `simulate` would have made it."""
     start_p, end_q, end_p, result = batch.result(row)
-    record = Record(found.compiled, plan.options, 0.0, found.q, np.asarray(start_p))
+    record = Record(found.scene(), plan.options, 0.0, found.q, np.asarray(start_p))
     if found.forces is not None and np.any(found.forces):
         record.forced = True
     if record.inputs is not None:

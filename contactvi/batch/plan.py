@@ -14,6 +14,7 @@ from contactvi.errors import InputError
 from contactvi.inputs import check_signature, mapping, real_numbers, shape_of, short
 from contactvi.options import Options
 from contactvi.scene.scene import Scene
+from contactvi.simulation.simulator import Simulator
 from contactvi.trajectory.compiled import compile_scene
 
 Array = NDArray[np.float64]
@@ -31,6 +32,7 @@ class Plan:
         rows: by name, inputs with a row for each run: "q0", "v0", "control", "target".
         shared: by name, inputs that are the same in all runs.
         parameters: values of parameters by name, with a row for each run. common: those that are the same in all runs.
+        start: from whose present state all runs go on; None: from q0 and v0.
     """
 
     scene: Scene
@@ -41,6 +43,7 @@ class Plan:
     shared: Mapping[str, Any]
     parameters: Mapping[str, Array]
     common: Mapping[str, Any]
+    start: Simulator | None = None
 
     @property
     def bytes_of_a_run(self) -> float:
@@ -113,6 +116,35 @@ def plan_of(
         {name: value for name, value in several.items() if name in values},
         {name: value for name, value in once.items() if name in values},
     )  # fmt: skip
+
+
+def plan_from(
+    simulator: Simulator, options: Mapping[str, Any], keep: str, inputs: Mapping[str, Any], others: Mapping[str, Any]
+) -> Plan:
+    """Return the plan of a batch whose runs go on from the present state of a simulator.
+
+    Args:
+        options: that were given; inputs: as for plan_of. others: arguments that such a batch has not, by name.
+
+    Raises:
+        InputError: for what such runs have not, and as plan_of. SimulationError: the simulator was not started.
+    """
+    status = simulator.status
+    given = [name for name, value in {**others, **options}.items() if value is not None and name != "duration"]
+    functions = callable(inputs["control"]) or compile_scene(simulator.scene).core.calls_functions
+    ended = status is not None and not status.ok
+    if given or keep == "runs" or functions or ended or simulator.options.impact == "dtec":
+        got = given[0] if given else "keep='runs'" if keep == "runs" else "functions" if functions else repr(
+            status.code.name if status is not None and ended else "dtec"
+        )  # fmt: skip
+        raise InputError(
+            "Runs cannot go on like this from the state of a simulator", name=given[0] if given else "scene",
+            expected="control and target as arrays, duration, keep='ends' or 'nodes', a run that can go on", got=got,
+            remedy="Leave it out, or go on with sim.copy().run(...)",
+        )  # fmt: skip
+    settings = replace(simulator.options, duration=options.get("duration"), record="states")
+    _ = settings.span
+    return replace(plan_of(simulator.scene, settings, keep, inputs, None), start=simulator)
 
 
 def _is_function(value: Any) -> bool:

@@ -75,7 +75,7 @@ class FoldedRollouts:
         made = self._made(values, own)
         outer = np.broadcast_shapes(own, *(end.shape[:-3] for end in ends))
         lq, lv = (np.broadcast_to(end, outer + shape) for end, shape in zip(ends, self.shapes, strict=True))
-        numbers = np.arange(len(made.runs)).reshape(*own, self.runs)
+        numbers = np.arange(made.batch.runs).reshape(*own, self.runs)
         of = np.broadcast_to(numbers, (*outer, self.runs)).ravel()
         rows = made.gradients(lq.reshape(-1, *lq.shape[-2:]), lv.reshape(-1, *lv.shape[-2:]), names, of)
         return tuple(self._gathered(name, rows[name], outer) for name in names)

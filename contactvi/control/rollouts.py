@@ -7,20 +7,26 @@ several threads, with equal bits whatever their number.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypedDict
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi.batch.blocks import joined
+from contactvi.batch.plan import Plan
+from contactvi.batch.runs import blocks_of
+from contactvi.batch.scenes import SceneCache
 from contactvi.batch.shapes import OF_RUNS, Batch, batch_of
 from contactvi.control.tangents import in_numbers, in_tangents
 from contactvi.errors import InputError, did_you_mean
 from contactvi.inputs import array, check_choice, mapping, positive, real_numbers, shape_of
 from contactvi.options import ContactSteps, ImpactMap, MhcReference, Support, Zeno
-from contactvi.simulation.simulation import simulate
+from contactvi.simulation.simulation import warn_of_dense_steps
+from contactvi.simulation.simulator import settings_of as run_settings_of
 from contactvi.threads import Workers
-from contactvi.trajectory.compiled import compile_scene
+from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.gradient import RunGradients
 from contactvi.trajectory.sensitivity import ON_KINK
 from contactvi.trajectory.trajectory import Trajectory
@@ -73,7 +79,6 @@ class Rollouts:
 
     Attributes:
         batch: the shapes of the inputs (contactvi.batch.shapes).
-        runs: the runs, made with record="gradient".
         q: configurations at all nodes, (B, steps + 1, nq). v: velocities there, (B, steps + 1, nv).
 
     Raises:
@@ -103,13 +108,13 @@ class Rollouts:
         self.batch: Batch = batch_of(scene, {name: _shape(name, value) for name, value in given.items()}, steps)
         self._inputs = {name: _filled(name, value, self.batch.full[name]) for name, value in given.items()}
         self._adjoints: dict[tuple[str, ...], list[RunGradients]] = {}
-        scenes = self._scenes(scene)
-        self._compiled = [compile_scene(scene) for scene in scenes]  # as they are now
-        self.runs: tuple[Trajectory, ...] = tuple(
-            self._workers.each(self.batch.runs, lambda k, check: self._run(scenes[k], k, check))
-        )
-        self.q: Array = np.stack([run.q for run in self.runs])
-        self.v: Array = np.stack([run.v for run in self.runs])
+        self._plan = self._planned(compile_scene(scene).scene())  # as it is now
+        self._scenes = SceneCache(self._plan.options)
+        self._block = joined(list(blocks_of(self._plan, self._workers.number, None, self._scenes)))
+        self._raise_errors()
+        self.q: Array = self._block.columns["q"]
+        self.v: Array = self._block.columns["v"]
+        self._warn_of_dense_steps()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -151,33 +156,49 @@ class Rollouts:
         shapes = self.batch.single
         return {name: np.reshape([row[name] for row in found], (len(picked), *shapes[name])) for name in names}
 
+    @cached_property
+    def runs(self) -> tuple[Trajectory, ...]:
+        """The runs, with what they recorded."""
+        trajectories = self._block.trajectories or []
+        return tuple(cast(Trajectory, of()) for of in trajectories)
+
     def forget(self) -> None:
         """Let go of the runs: there are no gradients afterwards."""
         self.runs = ()
-        self._compiled.clear()
+        self._compiled = []
         self._adjoints.clear()
+        for name in ("_plan", "_scenes", "_block"):
+            vars(self).pop(name, None)
 
-    def _scenes(self, scene: Scene) -> list[Scene]:
-        """Return the scene of every run; one for all where they have the same parameters."""
+    @cached_property
+    def _compiled(self) -> list[CompiledScene]:
+        """The scene of every run; one for all where they have the same parameters."""
+        return [self._scenes.of(self._plan, k) for k in range(self.batch.runs)]
+
+    def _planned(self, scene: Scene) -> Plan:
+        """Return the runs as a batch of them takes them."""
+        steps = self.batch.steps
+        chosen = {**self._settings, "duration": steps * self._settings["dt"], "record": "gradient", "record_every": 1}
+        rows = {name: value for name, value in self._inputs.items() if name in OF_RUNS}
         values = {name: value for name, value in self._inputs.items() if name not in OF_RUNS}
         own = [name for name in values if self.batch.full[name] != self.batch.single[name]]
-
-        def changed(k: int, _: object) -> Scene:
-            return scene.with_parameters({name: row[k] if name in own else row for name, row in values.items()})
-
-        if own:
-            return Workers(1).each(self.batch.runs, changed)
-        return [changed(0, None) if values else scene] * self.batch.runs
-
-    def _run(self, scene: Scene, k: int, check: Callable[[], None]) -> Trajectory:
-        control, target = (self._inputs[name][k] if name in self._inputs else None for name in ("control", "target"))
-        run = simulate(
-            scene, self._inputs["q0"][k], self._inputs["v0"][k], control=control, target=target,
-            progress=lambda t, impacts: check(), duration=self.batch.steps * self._settings["dt"], record="gradient",
-            record_every=1, **self._settings,
+        return Plan(
+            scene, run_settings_of(scene, chosen, forced=True), "runs", self.batch.runs, rows, {},
+            {name: values[name] for name in own}, {name: value for name, value in values.items() if name not in own},
         )  # fmt: skip
-        _ = run.v  # computed here, in a thread, and kept
-        return run
+
+    def _raise_errors(self) -> None:
+        """Raise the error of the first run that did not reach its end."""
+        for k in sorted(self._block.errors):
+            error = self._block.errors[k]
+            if self.batch.runs > 1:
+                error.put_in(f"Run {k} of the batch")
+            raise error
+
+    def _warn_of_dense_steps(self) -> None:
+        if self._plan.options.contact_mode == "auto" and self._block.trajectories is not None:
+            for k in np.flatnonzero(self._block.columns["dense_steps"]):
+                warn_of_dense_steps(self.runs[k], stacklevel=4)
 
     def _adjoints_of(self, names: tuple[str, ...]) -> list[RunGradients]:
         """Return the adjoints of all runs, which are made once."""

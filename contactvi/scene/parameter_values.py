@@ -8,7 +8,7 @@ that is set here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, NoReturn
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from contactvi.errors import InputError, did_you_mean
 from contactvi.importing.checks import joint_kind
-from contactvi.inputs import array, mapping, real, real_numbers, short
+from contactvi.inputs import LARGEST, array, mapping, real, real_numbers, short
 from contactvi.scene.build import Built
 from contactvi.scene.joints import PARTS_OF_FREEDOM, SPRUNG, JointSettings, JointTable, Servo
 from contactvi.scene.pairs import ContactRules
@@ -171,7 +171,7 @@ class ParameterEditor:
             InputError: an unknown name, a value of the wrong shape or out of range, two names for one number.
         """
         found = {name: self._checked(name, value) for name, value in mapping("values", given, "name: value").items()}
-        _check_distinct(found)
+        check_distinct(found)
         changes = [self._change(name, value) for name, value in found.items()]
         for change in changes:
             change()
@@ -241,19 +241,60 @@ def numbers_of(body: pin.Inertia) -> Array:
 
 
 def about_centre(numbers: Array) -> Array:
-    """Return the rotational inertia about the centre of mass, shape (3, 3), of the ten numbers."""
-    about = np.zeros((3, 3))
-    about[np.triu_indices(3)] = numbers[4:]
-    about += np.triu(about, 1).T
-    m, moment = numbers[0], numbers[1:4]
-    return about - (moment @ moment * np.eye(3) - np.outer(moment, moment)) / m if m > 0.0 else about
+    """Return the rotational inertia about the centre of mass, (..., 3, 3), of ten numbers (..., 10).
+
+    It is computed number by number, so that many bodies at once have the bits of single ones.
+    """
+    xx, xy, xz, yy, yz, zz = np.moveaxis(numbers[..., 4:], -1, 0)
+    about = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(*numbers.shape[:-1], 3, 3)
+    m, moment = numbers[..., 0], numbers[..., 1:4]
+    x, y, z = np.moveaxis(moment, -1, 0)
+    square = np.asarray(x * x + y * y + z * z)[..., None, None]
+    moved = square * np.eye(3) - moment[..., :, None] * moment[..., None, :]
+    positive = (m > 0.0)[..., None, None]
+    return np.asarray(about - np.where(positive, moved, 0.0) / np.where(positive, m[..., None, None], 1.0))
+
+
+def is_body(numbers: Array) -> NDArray[np.bool_]:
+    """Return whether ten numbers (..., 10) are those of a body: a mass, moments of inertia that are not negative."""
+    least = np.linalg.eigvalsh(about_centre(numbers))[..., 0]
+    return np.asarray((numbers[..., 0] > 0.0) & ~(least < -_ROUNDING * np.abs(numbers[..., 4:]).max(axis=-1)))
+
+
+def body_numbers(kind: str, present: pin.Inertia, values: Array) -> Array:
+    """Return mass, centre of mass (3) and inertia about it (xx xy xz yy yz zz) of bodies, (runs, 10).
+
+    Args:
+        kind: "mass" or "inertia". present: the body as it is.
+        values: of this parameter, (runs, 1) or (runs, 10); NaN is returned for those of no body.
+    """
+    upper = np.triu_indices(3)
+    if kind == "mass":
+        own = np.concatenate([np.asarray(present.lever), np.asarray(present.inertia)[upper]])
+        return np.concatenate([values, np.tile(own, (len(values), 1))], axis=1)
+    mass, about = values[:, :1], about_centre(values)[:, upper[0], upper[1]]
+    found = np.concatenate([mass, values[:, 1:4] / np.where(mass > 0.0, mass, 1.0), about], axis=1)
+    return np.where(is_body(values)[:, None], found, np.nan)
+
+
+def in_range(name: str, values: Array) -> NDArray[np.bool_]:
+    """Return which values (runs, width) of a parameter a scene may have, with the servos that it has, (runs,)."""
+    kind, _, of = name.partition(":")
+    found = np.abs(values) <= LARGEST
+    if kind == "mass" or kind in ("kp", "kd") or (kind in OF_CONTACTS and not of):
+        found &= values > 0.0
+    elif kind in _NOT_NEGATIVE:
+        found &= values >= 0.0
+    if kind == "restitution":
+        found &= values <= 1.0
+    return np.asarray(found.all(axis=1))
 
 
 def inertia_of(name: str, numbers: Array) -> pin.Inertia:
     """Return the inertia of the ten numbers; InputError where they are those of no body."""
     about = about_centre(numbers)
     least = float(np.linalg.eigvalsh(about)[0])
-    if numbers[0] <= 0.0 or least < -_ROUNDING * float(np.abs(numbers[4:]).max()):
+    if not is_body(numbers):
         raise InputError(
             f"{name} is that of no body", name=name,
             expected="a mass > 0, and a rotational inertia about the centre of mass without negative eigenvalue",
@@ -263,7 +304,7 @@ def inertia_of(name: str, numbers: Array) -> pin.Inertia:
     return pin.Inertia(float(numbers[0]), numbers[1:4] / numbers[0], about)
 
 
-def _check_distinct(found: Mapping[str, Array]) -> None:
+def check_distinct(found: Collection[str]) -> None:
     """Raise InputError where two names set one number."""
     for name in found:
         kind, _, of = name.partition(":")

@@ -50,6 +50,12 @@ class Snapshot:
     record: Record
     rest: Any
 
+    @property
+    def targets(self) -> Targets:
+        """What the servos follow by default."""
+        found: Targets = self.rest[3]
+        return found
+
 
 class Run:
     """A run that has started.

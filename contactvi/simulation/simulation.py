@@ -127,7 +127,7 @@ def simulate(
         if throw and not traj.status.ok:
             raise ended_early(settings, traj.status, traj)
         if dense:
-            _warn_of_dense_steps(traj)
+            warn_of_dense_steps(traj)
         return traj
 
 
@@ -145,14 +145,14 @@ def ended_early(options: Options, status: Status, traj: Trajectory | None) -> Si
     )
 
 
-def _warn_of_dense_steps(traj: Trajectory) -> None:
-    """Warn that a run took dense steps; the warning is that of the line that called `simulate`."""
+def warn_of_dense_steps(traj: Trajectory, stacklevel: int = 3) -> None:
+    """Warn that a run took dense steps; by default the warning is that of the line that called the caller."""
     steps, span = traj.dense_steps, float(traj.status.time - traj.t[0])
     warnings.warn(
         f"Dense contact: {len(steps)} dense steps for {steps.span:.4g} s of {span:.4g} s, in which impacts have no"
         f" times; {steps.worst()}. contact_mode='events' refuses such steps, 'steps' asks for them",
         DenseStepWarning,
-        stacklevel=3,
+        stacklevel=stacklevel,
     )
 
 

@@ -141,6 +141,10 @@ class CompiledScene:
             DerivativeError: the derivatives of the user's functions are wrong.
         """
         self._check_mass(q)
+        self.check_on_constraints(q, v, t)
+
+    def check_on_constraints(self, q: NDArray[np.float64], v: NDArray[np.float64], t: float) -> None:
+        """Look whether (q, v) is on the constraints at t [s], and at the user's derivatives; raises as check_start."""
         rows = self.built.elements.constraints
         if rows:
             loops.check_configuration(self.core, rows, q, t)

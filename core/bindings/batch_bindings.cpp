@@ -2,12 +2,17 @@
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
 #include <limits>
 #include <optional>
+#include <tuple>
+#include <vector>
 
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"
+#include "bindings/kept_state.hpp"
 #include "bindings/run_results.hpp"
 #include "model/coordinates.hpp"
 #include "run/batch.hpp"
@@ -26,14 +31,24 @@ struct Inputs {
   std::shared_ptr<const MatX> values;
 };
 
-void add(Batch& batch, const Scene& scene, const VecX& q, const VecX& v, const Inputs* tau, const Inputs* target) {
+void add(Batch& batch, const Scene& scene, const VecX& q, const VecX& v, const Inputs* tau, const Inputs* target,
+         const std::optional<VecX>& changes) {
   if (q.size() != scene.tree.nq || v.size() != scene.tree.nv) throw Error("expected shapes (nq,) and (nv,)");
   if (scene.tree.elements.functions) throw Error("functions of the user need the interpreter lock");
   if (tau && tau->values->cols() != scene.tree.nv) throw Error("tau: expected shape (steps, nv)");
   if (target && target->values->cols() != 2 * scene.tree.nv) throw Error("target: expected shape (steps, 2 nv)");
+  if (changes && changes->size() < batch.changes().columns()) throw Error("changes: expected a number for each place");
   VecX w = v;
   public_to_engine(scene.tree, q, w);
-  batch.add({&scene, q, w, tau ? tau->values : nullptr, target ? target->values : nullptr});
+  batch.add({&scene, q, w, tau ? tau->values : nullptr, target ? target->values : nullptr, changes.value_or(VecX())});
+}
+
+using Places = std::vector<std::tuple<SceneNumber, int, int>>;
+
+void set_changes(Batch& batch, const Scene& scene, const Places& places) {
+  SceneChanges changes;
+  for (const auto& [kind, index, column] : places) changes.add(scene, kind, index, column);
+  batch.set_changes(std::move(changes));
 }
 
 void run(Batch& batch, int threads, const std::optional<BatchProgress>& progress) {
@@ -110,6 +125,7 @@ Dict status(Batch& batch, std::size_t k) {
   Dict d;
   add_status(*batch.start(k).scene, o.status, d);
   d["refused"] = !o.start.ok();
+  d["massless"] = o.massless;
   return d;
 }
 
@@ -132,15 +148,34 @@ void expose_batch(nb::module_& m) {
       .value("ENDS", BatchKeep::kEnds)
       .value("NODES", BatchKeep::kNodes)
       .value("RUNS", BatchKeep::kRuns);
+  nb::enum_<SceneNumber>(m, "SceneNumber", "What a number of a scene is that differs from run to run.")
+      .value("GRAVITY", SceneNumber::kGravity)
+      .value("RESTITUTION", SceneNumber::kRestitution)
+      .value("FRICTION", SceneNumber::kFriction)
+      .value("LIMIT_RESTITUTION", SceneNumber::kLimitRestitution)
+      .value("STIFFNESS", SceneNumber::kStiffness)
+      .value("REST", SceneNumber::kRest)
+      .value("ARMATURE", SceneNumber::kArmature)
+      .value("DAMPING", SceneNumber::kDamping)
+      .value("KP", SceneNumber::kKp)
+      .value("KD", SceneNumber::kKd)
+      .value("BODY", SceneNumber::kBody);
   nb::class_<Inputs>(m, "BatchInputs", "Inputs of the steps of a run, which several runs may share.")
       .def(
           "__init__", [](Inputs* self, const Rows& rows) { new (self) Inputs{std::make_shared<const MatX>(rows)}; },
           "rows"_a);
   nb::class_<Batch>(m, "Batch", "Many runs with steps of one length, in several threads.")
-      .def(nb::init<const SimulatorOptions&, long, long, BatchKeep>(), "options"_a, "steps"_a, "record_every"_a,
-           "keep"_a)
-      .def("add", &add, "scene"_a, "q"_a, "v"_a, "tau"_a = nb::none(), "target"_a = nb::none(), nb::keep_alive<1, 2>(),
-           "Add a run from (q, v); the scene calls no function of the user.")
+      .def(nb::init<const SimulatorOptions&, long, long, BatchKeep, double>(), "options"_a, "steps"_a, "record_every"_a,
+           "keep"_a, "most_lost"_a)
+      .def("set_changes", &set_changes, "scene"_a, "places"_a,
+           "Tell what the numbers of the rows of changes are: (kind, index in the scene, column).")
+      .def(
+          "set_start", [](Batch& batch, const Kept& kept) { batch.set_start(kept.snapshot); }, "snapshot"_a,
+          "Let all runs go on from a snapshot of their scene.")
+      .def("add", &add, "scene"_a, "q"_a, "v"_a, "tau"_a = nb::none(), "target"_a = nb::none(),
+           "changes"_a = nb::none(), nb::keep_alive<1, 2>(),
+           "Add a run from (q, v), with a row of numbers that differ from those of the scene; the scene calls no "
+           "function of the user.")
       .def("run", &run, "threads"_a, "progress"_a = nb::none(),
            "Make all runs without the interpreter lock; progress(runs made) is called now and then.")
       .def("table", &table, "nq"_a, "nv"_a, "Return states and counts of all runs as arrays, once.")

@@ -11,6 +11,7 @@
 #include "bindings/expose.hpp"
 #include "model/coordinates.hpp"
 #include "model/scene.hpp"
+#include "step/column_solver.hpp"
 #include "step/integrator.hpp"
 
 namespace nb = nanobind;
@@ -81,6 +82,18 @@ Seconds kernel_seconds(const Scene& s, const VecX& q, const VecX& v, int stages,
   return d;
 }
 
+// M(q)^-1 X of the engine's mass matrix, all columns side by side.
+MatX solve_masses(const Scene& s, const VecX& q, MatX X) {
+  if (q.size() != s.tree.nq || X.rows() != s.tree.nv) throw Error("expected shapes (nq,) and (nv, m)");
+  const FlatModel model(s.tree);
+  Stages node(s.tree, model, 1);
+  node.at(q);
+  node.place();
+  node.factor();
+  ColumnSolver(s.tree, model).solve(node, X);
+  return X;
+}
+
 }  // namespace
 
 void expose_kernel(nb::module_& m) {
@@ -90,6 +103,8 @@ void expose_kernel(nb::module_& m) {
   m.def("kernel_seconds", &kernel_seconds, "scene"_a, "q"_a, "v"_a, "stages"_a, "instruction_set"_a = "",
         "calls"_a = 2000, "repeats"_a = 5,
         "Seconds per stage of evaluate, factor, solve, f(q, p) and sweep, fastest of several blocks; for benchmarks.");
+  m.def("solve_masses", &solve_masses, "scene"_a, "q"_a, "right"_a,
+        "M(q)^-1 times the columns of right, shape (nv, m), in engine coordinates, for tests.");
 }
 
 }  // namespace contactvi

@@ -10,6 +10,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"
+#include "bindings/kept_state.hpp"
 #include "bindings/run_results.hpp"
 #include "bindings/user_calls.hpp"
 #include "model/coordinates.hpp"
@@ -132,12 +133,6 @@ Dict advance(SteppedWorld& sim, long steps, const std::optional<Rows>& tau, long
     return sim.advance(steps, force, reference, record_every, callback, recording);
   });
 }
-
-// A snapshot belongs to a scene, and is refused by simulators of another one.
-struct Kept {
-  std::shared_ptr<const World::Saved> snapshot;
-  const Scene* scene;
-};
 
 Dict run_auto(SteppedWorld& sim, double duration, double level, const std::optional<ProgressCallback>& progress,
               const std::optional<std::tuple<VecX, VecX, double>>& plan) {

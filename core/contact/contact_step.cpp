@@ -34,6 +34,7 @@ ContactStep::ContactStep(const Scene& scene, Guards& guards, const Manifolds& ma
       v_(scene.tree.nv),
       p_start_(scene.tree.nv),
       p_minus_(scene.tree.nv),
+      p_given_(VecX::Zero(scene.tree.nv)),
       q1_(scene.tree.nq),
       p1_(scene.tree.nv),
       v1_(scene.tree.nv),
@@ -99,7 +100,7 @@ void ContactStep::evaluate(const PersistentContact& persistent, Contact& contact
   if (persistent.point.kind == PointKind::kWitness || persistent.point.kind == PointKind::kLimit) {
     guards_->evaluate_witness(persistent.point.guard, contact);
   } else {
-    manifolds_->evaluate(persistent.point, guards_->placements(), contact);
+    manifolds_->evaluate(persistent.point, guards_->placements(persistent.point.guard), contact);
   }
 }
 
@@ -108,12 +109,13 @@ Vec3 ContactStep::tangent_at(const PersistentContact& persistent, const Contact&
   if (persistent.mu == 0.0) return Vec3::Zero();
   if (persistent.point.kind != PointKind::kVertex) return carried_tangent(t1, before.normal, contact.normal);
   const int body = persistent.point.plane_body;
-  return body < 0 ? persistent.tangent : Vec3(guards_->placements().R_W[body] * persistent.tangent);
+  return body < 0 ? persistent.tangent
+                  : Vec3(guards_->placements(persistent.point.guard).R_W[body] * persistent.tangent);
 }
 
 // Position of the point in the plane's body frame [m].
 Vec3 ContactStep::position_on_plane(const ContactPoint& point) const {
-  const Placements& at = guards_->placements();
+  const Placements& at = guards_->placements(point.guard);
   const Vec3 c = point.point_body < 0 ? point.center_B
                                       : Vec3(at.p_W[point.point_body] + at.R_W[point.point_body] * point.center_B);
   if (point.plane_body < 0) return c;
@@ -132,7 +134,7 @@ void ContactStep::start_node(const VecCRef& q0) {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const PersistentContact& persistent = contacts_[i];
     evaluate(persistent, node0_.at[i]);
-    node0_.side[i] = Manifolds::side_of_rim(persistent.point, guards_->placements());
+    node0_.side[i] = Manifolds::side_of_rim(persistent.point, guards_->placements(persistent.point.guard));
     node0_.t1[i] = persistent.mu == 0.0 ? Vec3(Vec3::Zero())
                    : persistent.point.kind == PointKind::kVertex
                        ? tangent_at(persistent, node0_.at[i], node0_.at[i], persistent.tangent)
@@ -151,7 +153,7 @@ void ContactStep::end_node(const VecX& q1, double t1) {
   for (std::size_t i = 0; i < contacts_.size(); ++i) {
     const PersistentContact& persistent = contacts_[i];
     evaluate(persistent, node1_.at[i]);
-    node1_.side[i] = Manifolds::side_of_rim(persistent.point, guards_->placements());
+    node1_.side[i] = Manifolds::side_of_rim(persistent.point, guards_->placements(persistent.point.guard));
     node1_.t1[i] = tangent_at(persistent, node1_.at[i], node0_.at[i], node0_.t1[i]);
     guards_->rows(persistent.point.guard, node1_.at[i], node1_.t1[i], node1_.W.middleCols(row_[i], persistent.rows()));
   }
@@ -311,6 +313,7 @@ bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const Ve
     }
     guess_ = v_start_ = v1_;
   }
+  p_given_ = p0;
   start_joint_friction(v_start_);
   h_ = h;
   ++counters.steps;
@@ -328,6 +331,13 @@ bool ContactStep::solve_part(const StepPath& path, double alpha, const VecCRef& 
 void ContactStep::finish(VecRef q1, VecRef p1) {
   q1 = q1_;
   p1 = p1_;
+}
+
+bool ContactStep::node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) {
+  const bool at_start = node0_.known && q == node0_.q && p == p_given_;
+  if (!at_start) return integrator_.node_velocity(q, p, v);
+  v = v_start_;
+  return true;
 }
 
 const MatX& ContactStep::rates() {

@@ -61,9 +61,8 @@ class ContactStep final : public Stepper {
   void forget() override {}
   const char* why() const override { return why_; }
   const MatX& rates() override;
-  bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override {
-    return integrator_.node_velocity(q, p, v);
-  }
+  // The velocity at the start of the step is known.
+  bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override;
 
   // Sets the reason for which the caller rejects the step just solved.
   void reject(const char* why) { why_ = why; }
@@ -220,8 +219,8 @@ class ContactStep final : public Stepper {
   std::vector<double> paradox_;  // A of each contact (ContactOutcome), 1 where it does not apply
   std::vector<Vec3>
       reference_positions_;  // positions of material points in the plane's body frame, from which slip counts
-  VecX y_, lambda_, lambda_end_, b_, change_, v_, p_start_, p_minus_, q1_, p1_, v1_, dv_;
-  MatX DinvW_, S_, G_, MinvW_, G_end_, G_sub_, rates_;
+  VecX y_, lambda_, lambda_end_, b_, change_, v_, p_start_, p_minus_, p_given_, q1_, p1_, v1_, dv_;
+  MatX DinvW_, S_, G_, MinvW_, right_sides_, G_end_, G_sub_, rates_;
   VecX b_sub_, x_, rest_;
   std::vector<ConeContact> force_cones_;
   VecX w_end_, guess_, q_side_, v_side_, acceleration_;

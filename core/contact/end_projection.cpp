@@ -20,10 +20,11 @@ bool ContactStep::velocity_impulses() {
   integrator_.finish(q1_, p_minus_);
   end_node(q1_, integrator_.time() + h_);
   integrator_.place_node(q1_);
-  MinvW_ = node1_.W;
-  integrator_.solve_masses(MinvW_);
-  v1_ = p_minus_;
-  integrator_.solve_mass(v1_);
+  right_sides_.resize(p_minus_.size(), rows_ + 1);
+  right_sides_ << node1_.W, p_minus_;
+  integrator_.solve_masses(right_sides_);
+  MinvW_ = right_sides_.leftCols(rows_);
+  v1_ = right_sides_.col(rows_);
   if (!v1_.allFinite()) {
     why_ = "a number is not finite";
     return false;

@@ -31,6 +31,7 @@ Guards::Guards(const Scene& scene, int contact_points)
       broad_phase_(scene) {}
 
 void Guards::place(const VecCRef& q) {
+  if ((q.array() == q_.array()).all()) return;
   q_ = q;
   ++configuration_;
 }

@@ -58,6 +58,11 @@ class Guards {
     place_bodies();
     return placements_;
   }
+  // As placements, where only the two bodies of a pair matter.
+  const Placements& placements(int guard) {
+    if (guard < pairs_) place_pair(guard);
+    return placements_;
+  }
   Manifolds& manifolds() { return manifolds_; }
   // Sets the persistent contacts of a guard. The pointers must stay valid.
   void set_persistent(int guard, std::vector<const ContactPoint*> points);

@@ -9,6 +9,7 @@ using namespace contactvi;
 #include "lane_dynamics.hpp"
 #include "lane_factor.hpp"
 #include "lane_solve.hpp"
+#include "lane_columns.hpp"
 #include "lane_newton.hpp"
 #include "lane_iteration.hpp"
 // clang-format on

@@ -131,8 +131,8 @@ struct Motion {
 };
 
 // From the frame before the joint into the body's, for 1-dof joints.
-template <class V>
-LANE_INLINE V3<V> into_body(const LaneJoint& j, const V* at, V3<V> a) {
+template <class V, class S>
+LANE_INLINE V3<V> into_body(const LaneJoint& j, const S* at, V3<V> a) {
   if (j.has_gamma) a = into_z(j.cos_gamma, j.sin_gamma, a);
   a = into_alpha(j, a);
   return into_z(at[0], at[1], a);
@@ -208,8 +208,8 @@ struct Load {
   V3<V> n, f, c;
 };
 
-template <class V>
-LANE_INLINE V3<V> out_of_body(const LaneJoint& j, const V* at, V3<V> a) {
+template <class V, class S>
+LANE_INLINE V3<V> out_of_body(const LaneJoint& j, const S* at, V3<V> a) {
   a = out_of_z(at[0], at[1], a);
   a = out_of_alpha(j, a);
   return j.has_gamma ? out_of_z(j.cos_gamma, j.sin_gamma, a) : a;

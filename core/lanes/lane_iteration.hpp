@@ -313,6 +313,7 @@ void subtract_product(int rows, int inner, int width, const double* A, int strid
 
 template <class V>
 constexpr LaneKernel lane_kernel() {
-  return {Lane<V>::count, evaluate<V>, place_stages<V>, factor_stages<V>,    solve_stages<V>,    iterate<V>,
-          rates<V>,       combine<V>,  tangent<V>,      evaluate_tangent<V>, evaluate_second<V>, subtract_product<V>};
+  return {Lane<V>::count,      evaluate<V>,        place_stages<V>,    factor_stages<V>, solve_stages<V>,
+          solve_columns<V>,    iterate<V>,         rates<V>,           combine<V>,       tangent<V>,
+          evaluate_tangent<V>, evaluate_second<V>, subtract_product<V>};
 }

@@ -7,12 +7,13 @@ struct Force {
   V3<V> n, f;
 };
 
-template <class V>
-LANE_INLINE Force<V> force_to_parent(const LaneJoint& j, const V* at, Force<V> a) {
+// S: V, or double where all lanes share the kinematics.
+template <class V, class S>
+LANE_INLINE Force<V> force_to_parent(const LaneJoint& j, const S* at, Force<V> a) {
   if (j.type == kLaneBall) {
     a = {times_matrix(at, a.n), times_matrix(at, a.f)};
   } else if (j.type == kLaneTranslate) {
-    a.n = a.n + cross(get3(at), a.f);
+    a.n = a.n + offset_cross<V>(at, a.f);
     if (j.has_rotation) a = {times_matrix(j.C, a.n), times_matrix(j.C, a.f)};
   } else {
     if (j.type != kLaneTurn) {
@@ -54,8 +55,8 @@ inline void solve_backward(const Group<V>& g) {
 }
 
 // w and v of inherit(), without gravity.
-template <class V>
-LANE_INLINE void velocity_into_body(const LaneJoint& j, const V* at, V3<V>& w, V3<V>& v) {
+template <class V, class S>
+LANE_INLINE void velocity_into_body(const LaneJoint& j, const S* at, V3<V>& w, V3<V>& v) {
   v = v - cross(j.r, w);
   if (j.type == kLaneBall) {
     w = times_transpose(at, w);
@@ -65,7 +66,7 @@ LANE_INLINE void velocity_into_body(const LaneJoint& j, const V* at, V3<V>& w, V
       w = times_transpose(j.C, w);
       v = times_transpose(j.C, v);
     }
-    v = v + cross(w, get3(at));
+    v = v - offset_cross<V>(at, w);
   } else {
     w = into_body(j, at, w);
     v = into_body(j, at, v);

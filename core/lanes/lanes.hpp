@@ -91,6 +91,15 @@ struct LaneWork {
   void* context;
 };
 
+// Right sides side by side, for the factor of a kernel with one lane.
+struct LaneColumns {
+  int width;          // columns in memory, a multiple of the lanes
+  double* X;          // [dof * width + column], aligned to 64 bytes
+  double* work;       // 6 (joints + slots) lanes of vectors, aligned to 64 bytes
+  const int* joints;  // whole trees, in the tree's order: only their dofs are read and written
+  int count;
+};
+
 enum LaneFlags {
   kLaneFactor = 1,        // the factor is made anew,
   kLaneNewton = 2,        // that of the Newton matrix, not of the mass matrix alone
@@ -106,6 +115,8 @@ struct LaneKernel {
   void (*place)(const LaneTree*, const LaneWork*);
   void (*factor)(const LaneTree*, const LaneWork*);
   void (*solve)(const LaneTree*, const LaneWork*);  // dv <- (M + diagonal)^-1 dv
+  // X <- (M + diagonal)^-1 X with the factor in the storage of a kernel with one lane.
+  void (*solve_columns)(const LaneTree*, const double* storage, const LaneColumns*);
   // X from the rates, P and G there, residual p0 + hA G - P, correction dv by the stored factor, v += dv.
   void (*iterate)(const LaneTree*, const LaneWork*, int flags);
   void (*rates)(const LaneTree*, const LaneWork*);  // balls: X' from v and X

@@ -243,7 +243,11 @@ void ForceField::newton_terms(double t, const VecCRef& q, const VecCRef& v, doub
 }
 
 double total_potential(const Tree& tree, ForceField& field, const Placements& at, const VecCRef& q) {
-  return gravity_potential(tree, at) + spring_potential(tree, q) + field.potential(q);
+  return total_potential(tree, field, gravity_potential(tree, at), q);
+}
+
+double total_potential(const Tree& tree, ForceField& field, double gravity, const VecCRef& q) {
+  return gravity + spring_potential(tree, q) + field.potential(q);
 }
 
 }  // namespace contactvi

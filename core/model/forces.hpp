@@ -47,5 +47,7 @@ class ForceField {
 
 // Potential energy of gravity, the joints' springs and the elements [J]; at: the placements at q.
 double total_potential(const Tree& tree, ForceField& field, const Placements& at, const VecCRef& q);
+// The same where that of gravity at q is known.
+double total_potential(const Tree& tree, ForceField& field, double gravity, const VecCRef& q);
 
 }  // namespace contactvi

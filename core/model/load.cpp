@@ -60,8 +60,7 @@ class Builder {
     tree_.body_of_source.assign(n, -1);
     tree_.R_body_source.assign(n, Mat3::Identity());
     for (int i = 1; i < n; ++i) add(i);
-    tree_.has_damping = !tree_.damping.isZero(0);
-    for (const Joint& joint : tree_.joints) tree_.has_springs |= joint.stiffness != 0;
+    find_springs_and_damping(tree_);
     number_dofs();
   }
 
@@ -86,11 +85,7 @@ class Builder {
     joint.name = model_.names[source];
     if (last) {
       const auto& Y = model_.inertias[source];
-      const Mat3 about_com = A.transpose() * Y.inertia().matrix() * A;
-      const Vec3 c = A.transpose() * Y.lever();
-      joint.mass = Y.mass();
-      joint.first_moment = Y.mass() * c;
-      joint.inertia = about_com + Y.mass() * (c.squaredNorm() * Mat3::Identity() - c * c.transpose());
+      set_body(joint, Y.mass(), Y.lever(), Y.inertia().matrix(), A);
       tree_.body_of_source[source] = static_cast<int>(tree_.joints.size());
       // R_body_source takes coordinates in the public model's joint frame to the engine's body frame.
       tree_.R_body_source[source] = A.transpose();

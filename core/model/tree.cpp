@@ -4,6 +4,20 @@
 
 namespace contactvi {
 
+void set_body(Joint& joint, double mass, const Vec3& centre, const Mat3& about_com, const Mat3& A) {
+  const Mat3 turned = A.transpose() * about_com * A;
+  const Vec3 c = A.transpose() * centre;
+  joint.mass = mass;
+  joint.first_moment = mass * c;
+  joint.inertia = turned + mass * (c.squaredNorm() * Mat3::Identity() - c * c.transpose());
+}
+
+void find_springs_and_damping(Tree& tree) {
+  tree.has_damping = !tree.damping.isZero(0);
+  tree.has_springs = false;
+  for (const Joint& joint : tree.joints) tree.has_springs |= joint.stiffness != 0;
+}
+
 void integrate_joint(const Joint& joint, const VecCRef& q, const double* w, VecRef q1) {
   const int iq = joint.iq;
   switch (joint.type) {

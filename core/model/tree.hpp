@@ -75,6 +75,12 @@ struct Tree {
   std::vector<Mat3> R_body_source;
 };
 
+// Sets mass, first moment and inertia of the body of a joint, from those in a frame that A turns the body frame into:
+// x = A x_body; the centre of mass and the rotational inertia about it.
+void set_body(Joint& joint, double mass, const Vec3& centre, const Mat3& about_com, const Mat3& A);
+// Sets has_springs and has_damping.
+void find_springs_and_damping(Tree& tree);
+
 // q1 = q (+) factor w: addition on vector joints, rotation on (cos, sin) and quaternions, which are renormalised. q1
 // may be q. For one joint w has the numbers of that joint alone.
 void integrate_joint(const Joint& joint, const VecCRef& q, const double* w, VecRef q1);

@@ -39,6 +39,21 @@ class States {
   BatchOutcome& to_;
 };
 
+// The largest part of a velocity w = sin(1), sin(2), ... that is lost when it becomes a momentum and a velocity again.
+double lost_velocity(const Tree& tree, const VecX& q) {
+  if (tree.nv == 0) return 0.0;
+  Integrator integrator(tree, 1, 1e-12, 1);
+  VecX w(tree.nv), p(tree.nv), unused(tree.nv), back(tree.nv);
+  for (int k = 0; k < tree.nv; ++k) w[k] = std::sin(1.0 + k);
+  back = w;
+  public_to_engine(tree, q, back);
+  integrator.dynamics(q, back, p, unused);
+  if (!integrator.node_velocity(q, p, back)) return std::numeric_limits<double>::infinity();
+  engine_to_public(tree, q, back);
+  const double lost = (back - w).cwiseAbs().maxCoeff();
+  return std::isfinite(lost) ? lost : std::numeric_limits<double>::infinity();
+}
+
 }  // namespace
 
 void Batch::run(int threads, const std::function<bool(std::size_t)>& poll) {
@@ -80,9 +95,17 @@ void Batch::take_runs() {
 }
 
 void Batch::make(const BatchStart& start, BatchOutcome& outcome) {
-  World world(*start.scene, options_);
-  outcome.start = outcome.status = world.reset(start.q, start.v, 0.0);
-  outcome.start_p = world.p();
+  if (start.changes.size() == 0) return make(*start.scene, start, outcome);
+  Scene changed = *start.scene;
+  changes_.apply(start.changes, changed);
+  make(changed, start, outcome);
+}
+
+void Batch::make(const Scene& scene, const BatchStart& start, BatchOutcome& outcome) {
+  outcome.massless = lost_velocity(scene.tree, start.q) > most_lost_;
+  if (outcome.massless) return;
+  World world(scene, options_);
+  begin(start, world, outcome);
   Recording recording;
   if (outcome.start.ok()) {
     static const MatX none;
@@ -93,7 +116,7 @@ void Batch::make(const BatchStart& start, BatchOutcome& outcome) {
     outcome.status = world.advance(steps_, tau, target, record_every_, progress, recording);
     outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - first).count();
   }
-  keep_nodes(start, world, recording, outcome);
+  keep_nodes(scene.tree, start, world, recording, outcome);
   outcome.impacts = static_cast<long>(recording.impacts.size());
   outcome.dense_steps = world.state().dense_steps;
   if (keep_ != BatchKeep::kRuns) return;
@@ -105,18 +128,27 @@ void Batch::make(const BatchStart& start, BatchOutcome& outcome) {
   outcome.kept_dense_steps = world.take_dense_steps();
 }
 
+void Batch::begin(const BatchStart& start, World& world, BatchOutcome& outcome) const {
+  if (saved_) {
+    world.restore(*saved_);
+    outcome.start_time = outcome.status.time = world.time();
+  } else {
+    outcome.start = outcome.status = world.reset(start.q, start.v, 0.0);
+  }
+  outcome.start_p = world.p();
+}
+
 // Whether a node of the engine is one of the run: every record_every steps.
 bool Batch::is_node(double t) const {
   return record_every_ == 1 || std::fmod(std::nearbyint(t / options_.dt), static_cast<double>(record_every_)) == 0.0;
 }
 
-void Batch::keep_nodes(const BatchStart& start, const World& world, const Recording& recording,
+void Batch::keep_nodes(const Tree& tree, const BatchStart& start, const World& world, const Recording& recording,
                        BatchOutcome& outcome) const {
-  const Tree& tree = start.scene->tree;
   States states(tree, outcome);
   if (!outcome.start.ok()) return states.add(0.0, start.q, outcome.start_p);
   if (keep_ == BatchKeep::kEnds) return states.add(outcome.status.time, world.q(), world.p());
-  states.add(0.0, start.q, outcome.start_p);
+  states.add(outcome.start_time, start.q, outcome.start_p);
   for (std::size_t k = 0; k < recording.t.size(); ++k) {
     if (recording.t[k] <= outcome.t.back() || !is_node(recording.t[k])) continue;
     states.add(recording.t[k], Eigen::Map<const VecX>(recording.q.data() + k * tree.nq, tree.nq),

@@ -11,15 +11,18 @@
 #include <memory>
 #include <vector>
 
+#include "model/scene_changes.hpp"
 #include "run/world.hpp"
 
 namespace contactvi {
 
-// A start in engine coordinates, and the inputs of its run as in Simulator::advance; runs may share them.
+// A start in engine coordinates, and the inputs of its run as in Simulator::advance; runs may share them. A run whose
+// row of changes is not empty has a copy of the scene with these numbers.
 struct BatchStart {
   const Scene* scene;
   VecX q, v;
   std::shared_ptr<const MatX> tau, target;
+  VecX changes;
 };
 
 // What is kept of a run besides its end: nothing, the states at its nodes, or all that was recorded.
@@ -28,7 +31,9 @@ enum class BatchKeep : int { kEnds = 0, kNodes = 1, kRuns = 2 };
 struct BatchOutcome {
   bool made = false;           // it was run to its end, or to a failure
   std::exception_ptr failure;  // what the engine refused, or a fault of the program
+  bool massless = false;       // not made, because velocities do not come back from their momenta at the start
   Status start, status;        // of the start, and of the run that began there
+  double start_time = 0.0;     // [s]
   VecX start_p;                // momentum, engine coordinates
   // Times [s] and public q (N, nq), v (N, nv) at the nodes, row after row; without nodes those at the end.
   std::vector<double> t, q, v;
@@ -45,8 +50,15 @@ struct BatchOutcome {
 
 class Batch {
  public:
-  Batch(const SimulatorOptions& options, long steps, long record_every, BatchKeep keep)
-      : options_(options), steps_(steps), record_every_(record_every), keep_(keep) {}
+  // most_lost: of a velocity of size 1 that becomes a momentum and a velocity again.
+  Batch(const SimulatorOptions& options, long steps, long record_every, BatchKeep keep, double most_lost)
+      : options_(options), steps_(steps), record_every_(record_every), keep_(keep), most_lost_(most_lost) {}
+
+  // What the numbers of the rows of changes are.
+  void set_changes(SceneChanges changes) { changes_ = std::move(changes); }
+  const SceneChanges& changes() const { return changes_; }
+  // All runs go on from a state of their scene, which has no changes, instead of their starts.
+  void set_start(std::shared_ptr<const World::Saved> saved) { saved_ = std::move(saved); }
 
   void add(BatchStart start) { starts_.push_back(std::move(start)); }
   // Makes all runs. `poll` is called in this thread with the number of runs made, about twenty times a second; where it
@@ -61,12 +73,18 @@ class Batch {
  private:
   void take_runs();
   void make(const BatchStart& start, BatchOutcome& outcome);
-  void keep_nodes(const BatchStart& start, const World& world, const Recording& recording, BatchOutcome& outcome) const;
+  void make(const Scene& scene, const BatchStart& start, BatchOutcome& outcome);
+  void begin(const BatchStart& start, World& world, BatchOutcome& outcome) const;
+  void keep_nodes(const Tree& tree, const BatchStart& start, const World& world, const Recording& recording,
+                  BatchOutcome& outcome) const;
   bool is_node(double t) const;
 
   SimulatorOptions options_;
   long steps_, record_every_;
   BatchKeep keep_;
+  double most_lost_;
+  SceneChanges changes_;
+  std::shared_ptr<const World::Saved> saved_;
   std::vector<BatchStart> starts_;
   std::vector<BatchOutcome> outcomes_;
   std::atomic<std::size_t> next_{0}, made_{0};

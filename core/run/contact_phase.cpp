@@ -111,8 +111,13 @@ bool Simulator::gains_energy() {
 
 // Of gravity, springs and force fields [J].
 double Simulator::potential(const VecX& q) {
-  guards_.place(q);
-  return total_potential(scene_->tree, integrator_.field(), guards_.placements(), q);
+  // The end of one step is the start of the next.
+  if (q.size() != gravity_q_.size() || q != gravity_q_) {
+    guards_.place(q);
+    gravity_ = gravity_potential(scene_->tree, guards_.placements());
+    gravity_q_ = q;
+  }
+  return total_potential(scene_->tree, integrator_.field(), gravity_, q);
 }
 
 // A guard that closes in its gap but not in its speed, event after event, does so by rounding of the gap: a short step

@@ -100,6 +100,7 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
   integrator_.set_time(t);
   contact_step_.contacts().clear();
   contact_step_.restart();
+  gravity_q_.resize(0);
   if (options_.contact_steps == ContactSteps::kDense && allows_dense_steps()) state_.dense.begin();
   dense_step_.restart();
   contact_step_.set_time(t);

@@ -209,6 +209,8 @@ class Simulator {
   ContactChangeFinder changes_;
   Truncation truncation_;
   VecX q1_, p1_, v_;
+  VecX gravity_q_;        // the last configuration whose potential in gravity was found,
+  double gravity_ = 0.0;  // and that potential [J]
   bool follows_motion_ = false;
   MatX rates_;  // chart rates at the stages of the step just solved
   std::vector<ContactStepRecord> kept_steps_;

@@ -25,7 +25,7 @@ double ImpulseStep::iterate(const VecCRef& p, bool factor, bool first) {
 }
 
 void ImpulseStep::solve_step_matrix(Eigen::Ref<MatX> X) {
-  solve_columns(stages_, X);
+  columns_.solve(stages_, X);
   if (stiff_.any()) stiff_.correct(X);
 }
 

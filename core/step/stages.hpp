@@ -71,6 +71,7 @@ class Stages {
   const double* G() const { return G_; }
   double* dv() { return dv_; }
   const double* dv() const { return dv_; }
+  const double* storage() const { return storage_; }     // the factors among it
   const double* residual() const { return magnitude_; }  // that dv was solved from, after an iteration
   const double* v() const { return v_; }
   const double* X() const { return X_; }

@@ -12,6 +12,7 @@ StepEquations::StepEquations(const Tree& tree, int stages)
       stages_(tree, model_, stages),
       node_(tree, model_, 1),
       stiff_(tree, stages_),
+      columns_(tree, model_),
       q0_(tree.nq),
       p0_(tree.nv),
       carry_q_(VecX::Zero(tree.nq)),
@@ -195,18 +196,6 @@ void StepEquations::solve_mass(VecRef x) {
   for (int d = 0; d < tree_->nv; ++d) node_.dv()[d] = x[d];
   node_.solve();
   for (int d = 0; d < tree_->nv; ++d) x[d] = node_.dv()[d];
-}
-
-// One column per lane: the factor of a single stage lies in all of them.
-void StepEquations::solve_columns(Stages& stages, Eigen::Ref<MatX> X) {
-  const int S = stages.padded(), count = static_cast<int>(X.cols());
-  for (int first = 0; first < count; first += S) {
-    for (int d = 0; d < tree_->nv; ++d)
-      for (int i = 0; i < S; ++i) stages.dv()[d * S + i] = X(d, std::min(first + i, count - 1));
-    stages.solve();
-    for (int d = 0; d < tree_->nv; ++d)
-      for (int i = 0; i < S && first + i < count; ++i) X(d, first + i) = stages.dv()[d * S + i];
-  }
 }
 
 void StepEquations::dynamics(const VecCRef& q, const VecCRef& v, VecRef P, VecRef G) {

@@ -6,6 +6,7 @@
 #pragma once
 
 #include "model/placement.hpp"
+#include "step/column_solver.hpp"
 #include "step/stages.hpp"
 #include "step/stiff_terms.hpp"
 
@@ -57,8 +58,8 @@ class StepEquations {
   void place_node(const VecCRef& q);
   // x <- M^-1 x at the q of the last node_velocity or place_node.
   void solve_mass(VecRef x);
-  // X <- M^-1 X there, shape (nv, m), as many columns at once as there are lanes.
-  void solve_masses(Eigen::Ref<MatX> X) { solve_columns(node_, X); }
+  // X <- M^-1 X there, shape (nv, m).
+  void solve_masses(Eigen::Ref<MatX> X) { columns_.solve(node_, X); }
   // P = M v and G = dT/dq - dV/dq of gravity, shapes (nv,).
   void dynamics(const VecCRef& q, const VecCRef& v, VecRef P, VecRef G);
 
@@ -76,12 +77,12 @@ class StepEquations {
   void clear_turns();
   // One iteration of the kernel on the stage equations (LaneFlags), with the stiff elements' share in its correction.
   void iterate_stages(int flags);
-  void solve_columns(Stages& stages, Eigen::Ref<MatX> X);
 
   const Tree* tree_;
   FlatModel model_;
   Stages stages_, node_;
   StiffTerms stiff_;
+  ColumnSolver columns_;
   VecX q0_, p0_;
   double time_ = 0.0, h_ = 0.0;
   bool part_ = false;  // a part of a step: its sums are not continued

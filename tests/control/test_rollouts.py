@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from contactvi.batch.scenes import SceneCache
 from contactvi.control.rollouts import Rollouts
 from contactvi.control.tangents import in_numbers, in_tangents
 from contactvi.threads import Workers
@@ -248,3 +249,17 @@ def test_a_failure_ends_the_other_threads():
 
     with pytest.raises(cvi.errors.InputError, match="Run 0 of the batch: No"):
         Workers(2).each(2, call)
+
+
+def test_runs_without_gradients_build_no_scene(monkeypatch):
+    """The engine's threads make them, with the bits of single runs of scenes that have their parameters."""
+    scene, q, v = thrown_box()
+    mass = np.array([[1.0], [1.3], [1.7]])
+    with monkeypatch.context() as patch:
+        patch.setattr(SceneCache, "_compiled", None)
+        made = Rollouts(scene, q, v, steps=STEPS, parameters={"mass:box": mass}, **SETTINGS)
+    for k in range(3):
+        own = scene.with_parameters({"mass:box": mass[k]})
+        run = cvi.simulate(own, q, v, duration=STEPS * SETTINGS["dt"], record="gradient", **SETTINGS)
+        assert made.q[k].tobytes() == run.q.tobytes()
+        assert made.v[k].tobytes() == run.v.tobytes()

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from batteries.models import CASES, case
@@ -131,6 +132,40 @@ def test_runs_are_bitwise_equal(sets, name, order):
         result = run.advance(100, None, 1, None)
         assert result["code"] == 0, result["message"]
         return {k: result[k] for k in ("t", "q", "p")}
+
+    assert_bitwise_equal(on_each(sets, run))
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "joint_helical_x", "allegro"])
+def test_columns_are_solved_with_the_mass_matrix(name):
+    """M^-1 M = 1; the coordinates of these models are those of the engine."""
+    from contactvi import _core
+
+    model = case(name).model()
+    q, _ = case(name).state(model)
+    mass = pin.crba(model, model.createData(), q)
+    mass = np.triu(mass) + np.triu(mass, 1).T
+    assert np.abs(_core.solve_masses(core_scene(model), q, mass) - np.eye(model.nv)).max() <= 1e-10
+
+
+@pytest.mark.parametrize("name", ["free_body", "joint_planar", "joint_helical_x", "forest", "allegro"])
+def test_columns_do_not_depend_on_each_other(sets, name):
+    """Any number of columns, some of which act on a few trees only, has the bits of each column by itself."""
+    from contactvi import _core
+
+    model = case(name).model()
+    q, _ = case(name).state(model)
+    scene = core_scene(model)
+    random = np.random.default_rng(2)
+    right = random.uniform(-1.0, 1.0, (model.nv, 19))
+    right[:, ::3] *= random.uniform(0.0, 1.0, model.nv)[:, None] < 0.2
+
+    def run():
+        out = {f"{m}": _core.solve_masses(scene, q, right[:, :m]) for m in (1, 2, 4, 5, 8, 9, 19)}
+        alone = np.hstack([_core.solve_masses(scene, q, right[:, [k]]) for k in range(19)])
+        for m, found in out.items():
+            assert np.array_equal(found, alone[:, : int(m)])
+        return out
 
     assert_bitwise_equal(on_each(sets, run))
 

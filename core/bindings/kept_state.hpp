@@ -1,0 +1,16 @@
+// A state of a simulator that Python keeps.
+#pragma once
+
+#include <memory>
+
+#include "run/world.hpp"
+
+namespace contactvi {
+
+// A snapshot belongs to a scene, and is refused by simulators of another one.
+struct Kept {
+  std::shared_ptr<const World::Saved> snapshot;
+  const Scene* scene;
+};
+
+}  // namespace contactvi

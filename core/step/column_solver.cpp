@@ -1,0 +1,63 @@
+#include "step/column_solver.hpp"
+
+#include <algorithm>
+
+namespace contactvi {
+
+namespace {
+constexpr int kWidest = 8;  // columns that are solved at once
+constexpr int kFew = 4;     // columns for which the kernel of few stages has lanes enough
+}  // namespace
+
+ColumnSolver::ColumnSolver(const Tree& tree, const FlatModel& model)
+    : tree_(&tree),
+      model_(&model),
+      few_(&lane_kernel(kFew)),
+      many_(&lane_kernel(kMaxStages)),
+      X_(static_cast<std::size_t>(tree.nv) * kWidest),
+      work_(6 * (tree.joints.size() + std::max(1, model.lanes.slots)) * kWidest),
+      moving_(tree.joints.size(), 0) {
+  root_.reserve(tree.joints.size());
+  joints_.reserve(tree.joints.size());
+  for (std::size_t i = 0; i < tree.joints.size(); ++i)
+    root_.push_back(tree.joints[i].parent < 0 ? static_cast<int>(i) : root_[tree.joints[i].parent]);
+}
+
+void ColumnSolver::solve(const Stages& stages, Eigen::Ref<MatX> X) {
+  const Eigen::Index count = X.cols();
+  for (Eigen::Index first = 0; first < count; first += kWidest)
+    solve_some(stages, X.middleCols(first, std::min<Eigen::Index>(kWidest, count - first)));
+}
+
+// The trees on which a right side acts: all others stay where they are.
+void ColumnSolver::list_joints(const Eigen::Ref<MatX>& X) {
+  joints_.clear();
+  std::fill(moving_.begin(), moving_.end(), 0);
+  for (std::size_t i = 0; i < root_.size(); ++i) {
+    const Joint& joint = tree_->joints[i];
+    if (!moving_[root_[i]] && (X.middleRows(joint.iv, joint.nv).array() != 0.0).any()) moving_[root_[i]] = 1;
+  }
+  for (std::size_t i = 0; i < root_.size(); ++i)
+    if (moving_[root_[i]]) joints_.push_back(static_cast<int>(i));
+}
+
+void ColumnSolver::solve_some(const Stages& stages, Eigen::Ref<MatX> X) {
+  const int count = static_cast<int>(X.cols());
+  const LaneKernel& kernel = count == 1 ? stages.kernel() : count <= kFew ? *few_ : *many_;
+  const int width = (count + kernel.lanes - 1) / kernel.lanes * kernel.lanes;
+  list_joints(X);
+  for (int i : joints_) {
+    const Joint& joint = tree_->joints[i];
+    for (int d = joint.iv; d < joint.iv + joint.nv; ++d)
+      for (int k = 0; k < width; ++k) X_[static_cast<std::size_t>(d * width + k)] = k < count ? X(d, k) : 0.0;
+  }
+  const LaneColumns columns = {width, X_.data(), work_.data(), joints_.data(), static_cast<int>(joints_.size())};
+  kernel.solve_columns(&model_->lanes, stages.storage(), &columns);
+  for (int i : joints_) {
+    const Joint& joint = tree_->joints[i];
+    for (int d = joint.iv; d < joint.iv + joint.nv; ++d)
+      for (int k = 0; k < count; ++k) X(d, k) = X_[static_cast<std::size_t>(d * width + k)];
+  }
+}
+
+}  // namespace contactvi
