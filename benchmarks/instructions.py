@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import ctypes
-import importlib.metadata
 import json
 import os
 import platform
@@ -43,7 +42,7 @@ STORED = HERE / "instructions.json"
 WITHIN = 0.03
 HAND = "allegro_hand_description/urdf/allegro_right_hand.urdf"
 INSTRUCTION_SET = "avx2"
-LIBRARIES = ("libpinocchio", "libcoal", "cmeel-eigen")  # what the engine is linked with or made of
+REQUIRES = HERE.parent / "pyproject.toml"  # where the exact versions stand of what the engine is made of
 START, STOP = "START_INSTRUMENTATION", "STOP_INSTRUMENTATION"
 Counts = dict[str, int]
 Setting = dict[str, str]
@@ -150,6 +149,16 @@ def measure(names: list[str]) -> Counts:
         return dict(zip(names, pool.map(lambda name: count(name, folder, switch), names), strict=True))
 
 
+def libraries(project: str) -> str:
+    """Return the libraries that the engine is built with, and their exact versions, from the text of pyproject.toml.
+
+    The wheel's metadata have no requirements of the build, and the environment of a user does not hold all of them.
+    """
+    required = re.search(r"^requires = \[(.*?)^\]", project, re.MULTILINE | re.DOTALL)
+    found = re.findall(r'"([\w-]+)(?:\[\w+\])?==([\w.]+)"', required[1] if required else "")
+    return ", ".join(f"{name} {version}" for name, version in found)
+
+
 def setting() -> Setting:
     """Return what counts depend on besides the code."""
     text = Path(_core.__file__).read_bytes()
@@ -158,7 +167,7 @@ def setting() -> Setting:
     return {
         "compiler": ", ".join(compilers), "machine": platform.machine(), "libc": " ".join(platform.libc_ver()),
         "instruction set": INSTRUCTION_SET, "valgrind": valgrind,
-        "libraries": ", ".join(f"{name} {importlib.metadata.version(name)}" for name in LIBRARIES),
+        "libraries": libraries(REQUIRES.read_text()),
         "python": ".".join(platform.python_version_tuple()[:2]),
     }  # fmt: skip
 

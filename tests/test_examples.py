@@ -197,6 +197,11 @@ def test_code_of_rollouts_in_jax_runs(tmp_path):
     assert run_marked("rollout-jax", tmp_path)[0] == "(3, 2) (3, 1)"
 
 
+def test_code_of_an_executor_for_ray_runs(tmp_path):
+    extra("ray")
+    assert run_marked("ray", tmp_path)[-1] == "True True"
+
+
 def test_code_of_the_page_on_trep_runs(tmp_path):
     """Shapes of f, fdx, fdu and fdxdx of a cart with one force."""
     assert run_marked("trep", tmp_path) == ["(4,) (4, 4) (4, 1) (4, 4)"]
