@@ -38,7 +38,6 @@ with warnings.catch_warnings():
         scene, q0s, scene.v0, parameters={"restitution": restitution, "friction": friction}, dt=DT, duration=DURATION,
         keep="ends", progress=True,
     )  # fmt: skip
-assert isinstance(result, cvi.BatchResult)
 seconds = time.perf_counter() - begin
 held = result.ok & (result.q[:, ball][:, 2] > 0.0)  # [m] above the wrist: a ball that is lost falls far below
 print(

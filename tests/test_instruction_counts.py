@@ -57,6 +57,6 @@ def test_every_scene_has_a_stored_count(instructions):
 
 def test_the_libraries_are_those_that_the_build_requires(instructions):
     """In whatever environment: a user's does not hold what was needed to build."""
-    text = '[build-system]\nrequires = [\n    "scikit-build-core>=1.1,<2",\n    "libcoal[build]==3.0.3",\n]\nname = "x==1"\n'
+    text = '[build-system]\nrequires = [\n    "a>=1.1,<2",\n    "libcoal[build]==3.0.3",\n]\nname = "x==1"\n'
     assert instructions.libraries(text) == "libcoal 3.0.3"
     assert "cmeel-eigen 3." in instructions.libraries(instructions.REQUIRES.read_text())

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,6 +45,42 @@ class BatchOptions(FurtherOptions, total=False):
     tol: float | None
     sample_dt: float | None
     ledger: Mapping[str, float] | None
+
+
+@overload
+def simulate_batch(
+    scene: Scene | Simulator,
+    q0s: ArrayLike | None = ...,
+    v0s: ArrayLike | None = ...,
+    *,
+    parameters: Mapping[str, ArrayLike] | None = ...,
+    control: Any = ...,
+    target: Any = ...,
+    keep: Keep | None = ...,
+    workers: int | None = ...,
+    executor: Executor | None = ...,
+    progress: bool | Callable[[int, int], object] = ...,
+    path: None = ...,
+    **options: Unpack[BatchOptions],
+) -> BatchResult: ...
+
+
+@overload
+def simulate_batch(
+    scene: Scene | Simulator,
+    q0s: ArrayLike | None = ...,
+    v0s: ArrayLike | None = ...,
+    *,
+    parameters: Mapping[str, ArrayLike] | None = ...,
+    control: Any = ...,
+    target: Any = ...,
+    keep: Keep | None = ...,
+    workers: int | None = ...,
+    executor: Executor | None = ...,
+    progress: bool | Callable[[int, int], object] = ...,
+    path: str | os.PathLike[str],
+    **options: Unpack[BatchOptions],
+) -> StoredBatch: ...
 
 
 def simulate_batch(
