@@ -14,7 +14,11 @@ from helpers.extras import extra
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-PAGES = ("README.md", "docs/guide.md", "docs/optimal_control.md", "docs/coming_from_trep.md")  # whose code is run
+# Pages whose code is run.
+PAGES = (
+    "README.md", "docs/guide.md", "docs/optimal_control.md", "docs/coming_from_trep.md", "docs/coming_from_mujoco.md",
+    "docs/coming_from_pinocchio.md",
+)  # fmt: skip
 NEEDS = {"identify_torch": "torch"}  # examples and the packages that they need, which the test extra does not bring
 
 pytestmark = pytest.mark.skipif(not EXAMPLES, reason="the tests were copied without the examples")
@@ -200,6 +204,21 @@ def test_code_of_rollouts_in_jax_runs(tmp_path):
 def test_code_of_an_executor_for_ray_runs(tmp_path):
     extra("ray")
     assert run_marked("ray", tmp_path)[-1] == "True True"
+
+
+def test_code_of_the_page_on_mujoco_runs(tmp_path):
+    """Both have one mass matrix; the arm hits the floor, stays on it, and does not sink in."""
+    printed = run_marked("from-mujoco", tmp_path)
+    assert float(printed[0]) < 1e-14
+    assert "begin" in printed[1]
+    assert float(printed[2]) > -1e-10
+
+
+def test_code_of_the_page_on_pinocchio_runs(tmp_path):
+    """Momentum to rounding, and energy to the accuracy that was asked for, of 5 J."""
+    momentum, energy = run_marked("from-pinocchio", tmp_path)
+    assert abs(float(momentum.strip("[]"))) < 1e-14
+    assert float(energy) < 1e-7
 
 
 def test_code_of_the_page_on_trep_runs(tmp_path):
