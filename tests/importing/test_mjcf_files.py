@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import mujoco
@@ -31,7 +32,8 @@ def cases() -> list:
 def test_the_packages_are_there():
     names = [label(path) for path in mjcf_files.files()]
     assert sum("mujoco/assets" in name for name in names) >= 14
-    assert sum("control/suite" in name for name in names) >= 18
+    if sys.version_info < (3, 13):  # dm_control needs labmaze, which has no wheel for later ones
+        assert sum("control/suite" in name for name in names) >= 18
 
 
 @pytest.mark.parametrize("path", cases())
