@@ -63,7 +63,7 @@ def engine_options(options: Options, slack: float = 1.0, dt_contact: float | Non
     settings.contact_points = options.contact_points
     settings.record_contacts = options.record_contacts
     settings.gradient = options.record == "gradient"
-    settings.contact_steps = _core.ContactSteps["EVENTS" if options.auto else options.contact_mode.upper()]
+    settings.contact_steps = _core.ContactSteps[options.contact_mode.upper()]
     return settings
 
 

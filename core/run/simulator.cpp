@@ -216,6 +216,7 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
 // Solves the smooth step of length h from the state into (q1_, p1_). False where it was not solved; with last_try or
 // after an error of a user's function the run has ended then.
 bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool last_try) {
+  const long before = integrator_.counters.stage_iterations;
   bool solved = integrator_.solve(state_.q, state_.p, h, tau);
   while (solved && actuation_.saturate_servos(integrator_)) {
     integrator_.forget();
@@ -233,6 +234,7 @@ bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool l
     const double seen = integrator_.truncation();
     const bool resolved = seen > integrator_.resolution();
     truncation_.largest = std::max(truncation_.largest, resolved ? seen : std::min(seen, truncation_.bound));
+    truncation_.iterations = std::max(truncation_.iterations, integrator_.counters.stage_iterations - before);
   }
   integrator_.finish(q1_, p1_);
   if (guards_.count() > 0 || follows_motion_ || options_.dense) rates_ = integrator_.rates();
