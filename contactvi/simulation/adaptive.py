@@ -64,6 +64,7 @@ _CONTACT = 3.0  # [s/m] step in contact / level to begin with: about 1e-3 s for 
 _CONTACT_DT = (1e-6, 2e-2)  # [s] shortest and longest one
 _CONTACT_AIM = 0.3  # as _AIM, where a finer run costs in proportion
 _UNSURE = 3.0  # as _LEAST, where no third run has confirmed the law
+_STRAYS = 2  # pairs of runs on the same motion that do not follow the law: then it is given up
 _HALF = 0.5  # part of the steps of a run with which it is looked whether the law holds
 # Contact iterations of all runs together over those of one run with steps of 1e-3 s (of dt_contact, if that is shorter):
 # with the events and the smooth steps a call then takes up to ten times as long as that run, which is what asking for a
@@ -81,14 +82,17 @@ class _Judged:
         by_law: what it is if the law holds.
         apart: distances at the times compared.
         ratio: error / (companion's error - error), by the law.
-        confirmed: whether this pair and the one before follow the law.
-        strays: how many pairs, up to this one, do not follow it.
+        follows: whether the two runs follow the same motion, with contacts.
+        lawful: whether their distance follows the law, too; confirmed: so did that of the pair before.
+        strays: how many pairs, up to this one, follow the same motion and not the law.
     """
 
     estimate: float
     by_law: float
     apart: Array
     ratio: float
+    follows: bool = False
+    lawful: bool = False
     confirmed: bool = False
     strays: int = 0
 
@@ -250,23 +254,23 @@ class _Search:
         """Return what the steps of the next run are of those of this one; 1 where there is to be none, with a reason."""
         if not self._allowed:
             self._allowed = _BUDGET * self._cost(found, self._budget_step() / found.dt_contact)
-        tol = self._options.tol
-        wanted = math.sqrt(_CONTACT_AIM * tol / judged.by_law) if judged.by_law > 0.0 else _HALF
-        lawful = not judged.strays and math.isfinite(wanted)
-        for part in (min(wanted, _HALF),) * lawful + (_HALF,) * (not judged.confirmed and judged.strays < 2):
+        wanted = math.sqrt(_CONTACT_AIM * self._options.tol / judged.by_law) if judged.by_law > 0.0 else _HALF
+        parts = [min(wanted, _HALF)] if judged.lawful else []
+        if not judged.confirmed and judged.strays < _STRAYS:
+            parts.append(_HALF)
+        for part in parts:
             if self._iterations + self._cost(found, part) <= self._allowed:
                 return part
-        if lawful:
+        if judged.lawful:
             self.reason = (
-                f"Contact steps of {wanted * found.dt_contact:.1g} s would reach it, at"
+                f"By what was seen contact steps of {wanted * found.dt_contact:.1g} s would reach it, at"
                 f" {self._cost(found, wanted) / self._allowed * _BUDGET:.0f} times the cost of steps of"
                 f" {self._budget_step():.1g} s: ask for them by dt_contact, or for a larger tol or a shorter duration"
             )
         else:
             self.reason = (
-                f"Shorter contact steps than {found.dt_contact:.1g} s do not bring runs together as they should: the"
-                " motion multiplies errors, or is another one after each contact. Ask for a shorter duration or a larger"
-                " tol"
+                f"Contact steps shorter than {found.dt_contact:.1g} s do not bring runs together as they should: the"
+                " motion multiplies errors, or is another one after a contact. Ask for a shorter duration or a larger tol"
             )
         return 1.0
 
@@ -325,21 +329,23 @@ def _judge_contact(
     """Judge a run with persistent contacts: a pair of runs follows the law if it does so at all times compared.
 
     Without a law shorter steps bring runs no nearer; with it the next distance is by `fall` smaller. A distance above
-    the geometric mean of the two belongs to the first.
+    the geometric mean of the two belongs to the first. A pair that has lost each other tells nothing about the next.
     """
     apart = auto_runs.distances(companion, found)
-    distance, known = largest(apart), before is not None and len(before.apart) == len(apart)
-    lawful = distance < _LOST * size and math.isfinite(ratio) and not (found.took_dense_steps or companion.took_dense_steps)
-    if lawful and before is not None and known:
-        fall = before.ratio / (1.0 + ratio)  # (e_k - e_k+1) / (e_k-1 - e_k), with ratio = e_k+1 / (e_k - e_k+1)
+    distance, dense = largest(apart), found.took_dense_steps or companion.took_dense_steps
+    follows = distance < _LOST * size
+    lawful, confirmed = follows and math.isfinite(ratio) and not dense, False
+    if lawful and before is not None:
+        fall = before.ratio / (1.0 + ratio)  # of e_1 - e_2 to e_0 - e_1: ratio is e_2 / (e_1 - e_2), and before e_1 / (...)
         lawful = bool((apart <= math.sqrt(min(fall, 1.0)) * _envelope(before.apart) + floor).all())
-    confirmed = lawful and before is not None and known and not before.strays
+        confirmed = lawful and before.lawful
+    least = _LEAST if confirmed else _UNSURE if before is None else 1.0
+    estimate = distance * max(min(ratio, 1.0), 1.0 / least) if lawful else distance
+    if before is not None and not lawful:  # how far two runs of such a motion are apart is a matter of chance
+        estimate = max(estimate, min(largest(before.apart), _UNSURE * distance))
+    strays = (before.strays if before is not None else 0) + int(follows and not lawful)
     by_law = distance * max(ratio, 1.0 / _LEAST)
-    estimate = distance * max(ratio, 1.0 / (_LEAST if confirmed else _UNSURE)) if lawful else distance
-    if not lawful and before is not None and largest(before.apart) < _LOST * size:
-        estimate = max(estimate, largest(before.apart))
-    strays = 0 if lawful else 1 + (before.strays if before is not None else 0)
-    return _Judged(max(floor, estimate), by_law, apart, ratio, confirmed, strays)
+    return _Judged(max(floor, estimate), by_law, apart, ratio, follows, lawful, confirmed, strays)
 
 
 def _envelope(apart: Array) -> Array:
