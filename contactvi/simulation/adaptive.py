@@ -48,12 +48,14 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_SAME = 2  # runs of each call with equal options that have the same settings
 _RUNS = 6  # at most, besides the first companion
 _START = 0.3  # level = _START sqrt(tol) to begin with
 _SEEN = 0.1  # errors / level^2 of many motions lie about this
 _COMPANION = 30.0  # times the error of the run, by the law
 _AIM = 0.1  # of tol: where the level is set to, so low that one run more seldom follows
 _LEAST = 10.0  # ratio of the errors of two runs: more is not taken for granted, though the law says so
+_CONFIRMED = 100.0  # as _LEAST, where the pair of runs before and this one follow the law
 _FINER, _MOST = 0.6, 8.0  # length of finer steps / the shortest step; number of them / that of the steps
 _FOLLOWS = 5.0  # times what the law expects: a larger distance does not follow it
 _LOST = 0.1  # of the size of the motion: two runs this far apart no longer follow the same motion
@@ -82,8 +84,8 @@ class _Judged:
         by_law: what it is if the law holds.
         apart: distances at the times compared.
         ratio: error / (companion's error - error), by the law.
-        follows: whether the two runs follow the same motion, with contacts.
-        lawful: whether their distance follows the law, too; confirmed: so did that of the pair before.
+        lawful: whether the distance follows the law; confirmed: so did that of the pair before.
+        follows: with contacts, whether the two runs follow the same motion at all.
         strays: how many pairs, up to this one, follow the same motion and not the law.
     """
 
@@ -130,6 +132,8 @@ def run(
     if options.ledger:
         _check_ledger(record)
     traj = record.trajectory(found.engine, estimate)
+    if record.status.ok:
+        search.release()
     if record.status.ok and not estimate <= options.tol:
         warnings.warn(
             f"The accuracy asked of q was not reached: tol = {options.tol:.3g}, estimated error {estimate:.3g}."
@@ -151,13 +155,15 @@ class _Search:
         v0: ArrayLike | None,
         progress: Callable[[float, int], object] | None,
     ) -> None:
-        self._compiled, self._options, self._start, self._progress = compiled, options, (q0, v0), progress
+        self._compiled, self._options, self._progress = compiled, options, progress
+        self._start = engine.checked_start(compiled, q0, v0)
         self._stages = options.order // 2
         self._level = _clip(_START * math.sqrt(options.tol))  # of the first run after the companion
         self.seconds = 0.0
         self.reason = "Chaotic motion limits it: ask for a shorter duration or a larger tol"
         self.last: Record
         self._engine: _core.Simulator | None = None
+        self._engines: list[tuple[_core.Simulator, float, float]] = []  # of the first runs, with their settings
         self._iterations = 0  # in contact, of all runs
         self._allowed = 0.0  # of these
 
@@ -186,6 +192,11 @@ class _Search:
         assert judged is not None
         return found, judged.estimate
 
+    def release(self) -> None:
+        """Give the engines of the first runs, whose settings depend on the options alone, to later calls."""
+        for simulator, slack, dt_contact in self._engines:
+            engine.release(simulator, self._compiled, self._options, slack, dt_contact)
+
     def stopped(self) -> AutoRun:
         """Return the last run as it is, with the status INTERRUPTED; raise KeyboardInterrupt before there is one."""
         if self._engine is None:
@@ -207,14 +218,16 @@ class _Search:
             steps, bound = coarser.record.adaptive_steps, coarser.level
             plan = (steps["t"], steps["dt"], (level / bound) ** (1.0 / self._stages))
         slack = max((level / self._level) ** 2, STAGE_TOLS[0] / self._options.stage_tol)
-        simulator = engine.make(self._compiled, self._options, slack, dt_contact)
-        self.last, refused = engine.start(simulator, self._compiled, self._options, *self._start)
+        simulator = engine.reuse(self._compiled, self._options, slack, dt_contact)
+        self.last, refused = engine.start_checked(simulator, self._compiled, self._options, *self._start)
         if refused is not None:
             raise refused
         self._engine = simulator
         engine.advance_auto(simulator, self.last, self._options.span, bound, plan, self._progress)
         self.seconds += self.last.stats.seconds
         self._iterations += self.last.stats.contact_iterations
+        if len(self._engines) < _SAME and self.last.status.ok:
+            self._engines.append((simulator, slack, dt_contact))
         return AutoRun(level, dt_contact, self.last, simulator)
 
     def _first_contact_step(self) -> float:
@@ -241,13 +254,22 @@ class _Search:
         apart = auto_runs.distances(companion, found)
         distance = largest(apart)
         lawful = distance < _LOST * size if before is None else distance < _FOLLOWS * before.estimate
-        by_law = distance * max(ratio, 1.0 / _LEAST)
-        return _Judged(max(floor, by_law if lawful else distance), by_law, apart, ratio)
+        confirmed = lawful and before is not None and before.lawful
+        least = _LEAST
+        if before is not None and confirmed:
+            # Steps too long for the law to hold make the error fall more slowly: as it did from the run before last.
+            fell = math.log(largest(before.apart) / distance) / -math.log(before.ratio) if distance > 0.0 else 1.0
+            ratio, least = ratio ** min(max(fell, 0.0), 1.0), _CONFIRMED
+        by_law = distance * max(ratio, 1.0 / least)
+        estimate = by_law if lawful else distance
+        return _Judged(max(floor, estimate), by_law, apart, ratio, lawful=lawful, confirmed=confirmed)
 
     def _smooth_part(self, found: AutoRun, judged: _Judged) -> float:
         """Return what the level of the next run is of that of this one; 1 where it cannot be lowered."""
         share = _AIM * self._options.tol / judged.estimate
-        part = math.sqrt(min(share, 1.0 / _LEAST) if share > 0.0 else 1.0 / _COMPANION)
+        # An error that is smaller than what is taken for granted would take one run more to be seen.
+        share = min(max(share, 1.0 / _CONFIRMED), 1.0 / _LEAST) if share > 0.0 else 1.0 / _COMPANION
+        part = math.sqrt(share)
         return _clip(found.level * part) / found.level
 
     def _contact_part(self, found: AutoRun, judged: _Judged) -> float:
@@ -309,7 +331,7 @@ class _Search:
         )  # fmt: skip
         finer = min(_FINER * found.dt_contact, fixed.fixed_dt)
         simulator = engine.make(self._compiled, fixed, slack=1.0 / _COMPANION, dt_contact=finer)
-        record, _ = engine.start(simulator, self._compiled, fixed, *self._start)
+        record, _ = engine.start_checked(simulator, self._compiled, fixed, *self._start)
         engine.advance(simulator, record, count, None, self._progress)
         self.seconds += record.stats.seconds
         if record.status.code == StatusCode.INTERRUPTED:

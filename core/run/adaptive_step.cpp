@@ -17,7 +17,9 @@ namespace contactvi {
 namespace {
 constexpr double kSafety = 0.9;
 constexpr double kLargestGrowth = 2.0;  // of the step at an impact
-constexpr double kProbeGrowth = 1.6;    // of the step while the first one of a run is sought
+// Of the step while the first one of a run is sought, at least, and at most while it takes few iterations: a step far
+// from the right length shows that only roughly.
+constexpr double kProbeGrowth = 1.6, kLargestProbe = 4.0;
 constexpr int kProbes = 16;
 // Stage iterations per step: with more than the first number no longer step follows, with more than the second one the
 // step is too long.
@@ -101,6 +103,7 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
         state_.status.code == StatusCode::kNewtonFailed || state_.status.code == StatusCode::kEventUnresolved;
     if (!solved && !retry) return false;
     const double seen = solved ? truncation_.largest : std::numeric_limits<double>::infinity();
+    const double iterations = static_cast<double>(truncation_.iterations);
     const bool shortest = smooth < kShortestStep * duration;
     if (!solved && shortest) return false;
     bool again = seen > level && !shortest;
@@ -110,10 +113,11 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
       // The truncation is of the order h^s; a step that did not converge is halved.
       state_.adaptive_dt = smooth * (solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5);
       if (!solved) truncation_.longest_dt = kBelowFailure * h;
-    } else if (k == 0 && probes-- > 0 && count > 1.0 && static_cast<double>(truncation_.iterations) <= kEasyIterations &&
-               kProbeGrowth * h <= truncation_.longest_dt && seen < level * std::pow(1.0 / kProbeGrowth, s)) {
-      state_.adaptive_dt = kProbeGrowth * h;
-      again = true;
+    } else if (k == 0 && probes-- > 0 && count > 1.0 && iterations <= kEasyIterations) {
+      const double largest_probe = 2.0 * iterations <= kEasyIterations ? kLargestProbe : kProbeGrowth;
+      const double growth = std::min(kSafety * std::pow(level / std::max(seen, 1e-300), 1.0 / s), largest_probe);
+      again = growth >= kProbeGrowth && growth * h <= truncation_.longest_dt;
+      if (again) state_.adaptive_dt = growth * h;
     }
     if (again) {
       redo_from(start, mark, recording);
