@@ -255,20 +255,14 @@ class _Search:
         distance = largest(apart)
         lawful = distance < _LOST * size if before is None else distance < _FOLLOWS * before.estimate
         confirmed = lawful and before is not None and before.lawful
-        least = _LEAST
-        if before is not None and confirmed:
-            # Steps too long for the law to hold make the error fall more slowly: as it did from the run before last.
-            fell = math.log(largest(before.apart) / distance) / -math.log(before.ratio) if distance > 0.0 else 1.0
-            ratio, least = ratio ** min(max(fell, 0.0), 1.0), _CONFIRMED
-        by_law = distance * max(ratio, 1.0 / least)
+        by_law = distance * max(ratio, 1.0 / _LEAST)
         estimate = by_law if lawful else distance
         return _Judged(max(floor, estimate), by_law, apart, ratio, lawful=lawful, confirmed=confirmed)
 
     def _smooth_part(self, found: AutoRun, judged: _Judged) -> float:
         """Return what the level of the next run is of that of this one; 1 where it cannot be lowered."""
         share = _AIM * self._options.tol / judged.estimate
-        # An error that is smaller than what is taken for granted would take one run more to be seen.
-        share = min(max(share, 1.0 / _CONFIRMED), 1.0 / _LEAST) if share > 0.0 else 1.0 / _COMPANION
+        share = min(share, 1.0 / _LEAST) if share > 0.0 else 1.0 / _COMPANION
         part = math.sqrt(share)
         return _clip(found.level * part) / found.level
 
