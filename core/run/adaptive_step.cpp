@@ -69,6 +69,7 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
   if (plan != nullptr) end = take_plan(*plan, end, persistent);
   const double duration = end - began;
   const long impacts = state_.impacts;
+  const double adaptive_dt = state_.adaptive_dt, longest_dt = truncation_.longest_dt;
   int probes = persistent || !recording.adaptive_t.empty() || plan != nullptr ? 0 : kProbes;
   double largest = 0.0, h = 0.0, smooth = 0.0, count = 0.0;
   long most_iterations = 0;
@@ -113,7 +114,7 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
       // The truncation is of the order h^s; a step that did not converge is halved.
       state_.adaptive_dt = smooth * (solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5);
       if (!solved) truncation_.longest_dt = kBelowFailure * h;
-    } else if (k == 0 && probes-- > 0 && count > 1.0 && iterations <= kEasyIterations) {
+    } else if (k == 0 && probes-- > 0 && count > 1.0 && state_.impacts == impacts && iterations <= kEasyIterations) {
       const double largest_probe = 2.0 * iterations <= kEasyIterations ? kLargestProbe : kProbeGrowth;
       const double growth = std::min(kSafety * std::pow(level / std::max(seen, 1e-300), 1.0 / s), largest_probe);
       again = growth >= kProbeGrowth && growth * h <= truncation_.longest_dt;
@@ -143,6 +144,11 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
   }
   recording.adaptive_t.push_back(began);
   recording.adaptive_dt.push_back(h);
+  if (state_.dense.active) {  // Events made the steps short, which are left to dense steps now.
+    state_.adaptive_dt = adaptive_dt;
+    truncation_.longest_dt = longest_dt;
+    return true;
+  }
   if (!shortened && plan == nullptr) grow_adaptive_step(h, largest, level, most_iterations);
   return true;
 }

@@ -268,6 +268,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   state_.dense.events.fade(length);
   contact_step_.allow_rescues(most_rescues(length));
   const bool dense_allowed = allows_dense_steps();
+  const long impacts = state_.impacts;
   if (state_.dense.active && dense_may_end()) end_dense_phase();
   if (!state_.dense.active) ++state_.dense.since_return;
   law_->start_step(state_.q, state_.p, state_.reference);
@@ -284,7 +285,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     const bool going =
         contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
     state_.dense.events.changes += static_cast<double>(recording.changes.size() - changes);
-    if (dense_allowed && (going ? events_accumulate(length) : dense_steps_go_on()))
+    if (dense_allowed && (going ? events_accumulate(length) : !may_be_shortened(length, impacts) && dense_steps_go_on()))
       begin_dense_phase();
     else if (!going)
       return false;
@@ -294,6 +295,14 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   if (!in_range(state_.q, state_.p))
     return end(StatusCode::kNotFinite, start + length, "the state is not finite, or its energy overflows");
   return true;
+}
+
+// Whether an adaptive step of this length that was not solved is to be made again shorter before dense steps go on: down
+// to the length of contact steps, and where nothing has touched in it. impacts: how many there were before it.
+bool Simulator::may_be_shortened(double length, long impacts) const {
+  const bool untouched = contact_step_.empty() && state_.impacts == impacts;
+  return truncation_.bound > 0.0 && (length > contact_dt() * (1.0 + 1e-9) ||
+                                     (untouched && state_.status.code == StatusCode::kNewtonFailed));
 }
 
 // One smooth step without contact, to the end of the interval or to an event in it.

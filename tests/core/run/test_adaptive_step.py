@@ -69,11 +69,11 @@ def test_the_end_is_exact(order, duration):
 def test_what_is_thrown_away_is_counted():
     """A first step that is too short costs probes only, one that is too long a repetition; the results agree."""
     runs = {first: run_b("ctec", 8, 3.0, first) for first in (1e-5, 0.02, 100.0)}
-    for first, result in runs.items():
+    for result in runs.values():
         stats = result["stats"]
         assert result["code"] == SUCCESS
         assert stats["steps"] == len(result["t"]) - 1
-        assert stats["rejected"] > 0 or first == 0.02  # which is about right
+        assert stats["rejected"] > 0
         assert stats["rejected"] <= 3 * stats["steps"]
         assert len(result["segments"]["t"]) == stats["steps"] + stats["impacts"]  # none of a step thrown away
         assert stats["impacts"] == len(result["events"]["time"]) == 2
