@@ -1,4 +1,4 @@
-"""The runs that dt = "auto" compares: how far two of them are apart, and what part of that is the error of the finer."""
+"""The runs that dt = "auto" compares: how far two are apart, and what part of that is the error of the finer one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from contactvi.trajectory import polynomials
 
 Array = NDArray[np.float64]
 
-DISTINCT = 1.3  # ratio of errors, by the law, below which the steps of a flight are too much alike to compare
+_DISTINCT = 1.3  # ratio of errors, by the law, below which the steps of a flight are too much alike to compare
 _MATTERS = 0.01  # share of a flight in the error, by the law, below which that does not matter
 _TIMES, _CONTACT_TIMES = 6, 24  # at which two runs are compared; in contact each pair of them is held to the law
 _STARTS = 3  # flights whose first step is looked at
@@ -101,7 +101,7 @@ def share(companion: AutoRun, found: AutoRun, power: int) -> float:
         sums.append(np.bincount(flight, weights, minlength=found.record.impacts + 1))
     own, other = sums
     whole = float(own.sum())
-    if ((other < DISTINCT * own) & (own > _MATTERS * whole)).any():
+    if ((other < _DISTINCT * own) & (own > _MATTERS * whole)).any():
         return math.inf
     return whole / (float(other.sum()) - whole)
 

@@ -129,9 +129,10 @@ void expose_dense(nb::module_& m) {
   m.def("dense", &dense, "scene"_a, "segments"_a, "times"_a, "order"_a, "exact"_a = false,
         "States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by "
         "the steps of the lengths in between (of runs without inputs).");
-  m.def("halved_steps", &halved_steps, "scene"_a, "q"_a, "p"_a, "h"_a, "tol"_a, "order"_a,
-        "Configurations (N, nq) after smooth steps of the lengths h (N,), each in one piece, and each in two halves, from"
-        " q (N, nq) and p (N, nv) in the engine's coordinates; NaN where they are not solved.");
+  m.def(
+      "halved_steps", &halved_steps, "scene"_a, "q"_a, "p"_a, "h"_a, "tol"_a, "order"_a,
+      "Configurations (N, nq) after smooth steps of the lengths h (N,), each in one piece, and each in two halves, from"
+      " q (N, nq) and p (N, nv) in the engine's coordinates; NaN where they are not solved.");
 }
 
 }  // namespace contactvi

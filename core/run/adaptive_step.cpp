@@ -162,6 +162,14 @@ void Simulator::grow_adaptive_step(double h, double largest, double level, long 
   state_.adaptive_dt = std::min(truncation_.longest_dt, h * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth));
 }
 
+// Whether an adaptive step of this length that was not solved is to be made again shorter before dense steps go on: down
+// to the length of contact steps, and where nothing has touched in it. impacts: how many there were before it.
+bool Simulator::may_be_shortened(double length, long impacts) const {
+  const bool untouched = contact_step_.empty() && state_.impacts == impacts;
+  return truncation_.bound > 0.0 &&
+         (length > contact_dt() * (1.0 + 1e-9) || (untouched && state_.status.code == StatusCode::kNewtonFailed));
+}
+
 // Sets the length of the smooth steps from now on, and returns where it changes, at the latest at the end [s]. Contact
 // steps go on there as they are.
 double Simulator::take_plan(const StepPlan& plan, double end, bool persistent) {

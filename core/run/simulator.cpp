@@ -285,7 +285,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     const bool going =
         contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
     state_.dense.events.changes += static_cast<double>(recording.changes.size() - changes);
-    if (dense_allowed && (going ? events_accumulate(length) : !may_be_shortened(length, impacts) && dense_steps_go_on()))
+    const bool shortened = !going && may_be_shortened(length, impacts);
+    if (dense_allowed && !shortened && (going ? events_accumulate(length) : dense_steps_go_on()))
       begin_dense_phase();
     else if (!going)
       return false;
@@ -295,14 +296,6 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   if (!in_range(state_.q, state_.p))
     return end(StatusCode::kNotFinite, start + length, "the state is not finite, or its energy overflows");
   return true;
-}
-
-// Whether an adaptive step of this length that was not solved is to be made again shorter before dense steps go on: down
-// to the length of contact steps, and where nothing has touched in it. impacts: how many there were before it.
-bool Simulator::may_be_shortened(double length, long impacts) const {
-  const bool untouched = contact_step_.empty() && state_.impacts == impacts;
-  return truncation_.bound > 0.0 && (length > contact_dt() * (1.0 + 1e-9) ||
-                                     (untouched && state_.status.code == StatusCode::kNewtonFailed));
 }
 
 // One smooth step without contact, to the end of the interval or to an event in it.

@@ -131,7 +131,6 @@ class Simulator {
   // Functions that return a bool return false where the run has ended; the status of the state then gives the reason.
   // Other meanings are documented with the function.
   bool advance_interval(double start, double length, const VecX& tau, Recording& recording);
-  bool may_be_shortened(double length, long impacts) const;
   bool advance_free(Interval& interval, long halved, Recording& recording);
   bool take_event(Interval& interval, double h, bool shorter, Recording& recording);
   bool solve_smooth_step(double time, double h, const VecX& tau, bool last_try);
@@ -152,6 +151,7 @@ class Simulator {
 
   // adaptive_step.cpp and snapshot.cpp.
   bool run_adaptive_steps(double end, double level, const StepPlan* plan, Recording& recording);
+  bool may_be_shortened(double length, long impacts) const;
   void grow_adaptive_step(double h, double largest, double level, long most_iterations);
   double take_plan(const StepPlan& plan, double end, bool persistent);
   double most_steps() const;
