@@ -5,8 +5,8 @@
 For each scene and tol: the fastest of a grid of fixed settings (orders 8 and 16, dt, tolerance of the stage equations)
 whose error is at most tol, the time of dt="auto" over that, the sweeps (evaluations of all stages) of its last run over
 those, its error over tol, and its estimate of the error over the error. Errors are the largest over the samples of
-tenths of a second, against the references of benchmarks/peers/scenes.py. Times are the fastest of the repeats, all in
-one process.
+tenths of a second, against the references of benchmarks/peers/scenes.py. Times are CPU times of this process, the
+least of the repeats.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ class Case:
         """Return the time of a call of simulate [s]."""
         best = np.inf
         for _ in range(repeats):
-            begin = time.perf_counter()
+            begin = time.process_time()
             self.run(setting)
-            best = min(best, time.perf_counter() - begin)
+            best = min(best, time.process_time() - begin)
         return best
 
 

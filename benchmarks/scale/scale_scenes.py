@@ -5,7 +5,8 @@
 - idle: an Allegro hand that swings limply, and spheres that lie on the ground two metres from it and further.
 - flight: boxes that tumble upwards, at least 20 cm apart, above a ground that they do not reach.
 - gas: elastic spheres without gravity in a room of which they fill a tenth.
-- robot: a robot of example-robot-data in its stance, 15 cm above the ground; servos hold its joints there.
+- robot: a robot of example-robot-data in its stance, 15 cm above the ground; servos hold its joints there, or it is
+  limp.
 - arm: a limp arm that falls from its neutral configuration, against its limits.
 """
 
@@ -53,6 +54,7 @@ ARMS = {
     "panda": "panda_description/urdf/panda.urdf",
     "kinova": "kinova_description/robots/kinova.urdf",
     "xarm7": "xarm_description/urdf/xarm7.urdf",
+    "so100": "so_arm_description/urdf/so100.urdf",
 }
 # Servos: kp = M_jj RATE^2, on the legs also STIFFNESS times weight x height of the base, so that they carry it; kd / kp
 # is the critical damping of an arm's joint.
@@ -157,7 +159,7 @@ def gas(count: int) -> Setup:
 
 
 # --- robots -----------------------------------------------------------------------------------------------------------
-def robot(name: str) -> Setup:
+def robot(name: str, held: bool = True) -> Setup:
     urdf, srdf = ROBOTS[name]
     notes: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -177,7 +179,8 @@ def robot(name: str) -> Setup:
             notes.append(f"leans by {angle} rad")
         disable_overlapping(scene, q0, notes)
         q0[2] = DROP - ground_gaps(scene, q0).min()
-        set_servos(scene, q0)
+        if held:
+            set_servos(scene, q0)
         scene.core()  # Meshes are read now, while the file is there.
     return Setup(scene, q0, np.zeros(scene.nv), gap=engine_gap(scene), free=False, notes=notes)
 

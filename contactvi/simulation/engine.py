@@ -23,7 +23,7 @@ Progress = Callable[[float, int], object]
 _MOST_WAITING = 4  # engines of a scene with other settings that wait for a run
 # What `make` takes of the options.
 _OF_THE_ENGINE = (
-    "fixed_dt", "stage_tol", "order", "impact", "mhc_reference", "max_iterations", "max_impacts_per_step", "dense",
+    "dt", "stage_tol", "order", "impact", "mhc_reference", "max_iterations", "max_impacts_per_step", "dense",
     "contact_dt", "zeno", "support", "contact_points", "record_contacts", "record", "contact_mode", "record_every",
 )  # fmt: skip
 _FIRST_DT = 0.02  # [s] with "auto" the first guess of the engine, which it corrects before the first impact
@@ -63,29 +63,37 @@ def engine_options(options: Options, slack: float = 1.0, dt_contact: float | Non
     settings.contact_points = options.contact_points
     settings.record_contacts = options.record_contacts
     settings.gradient = options.record == "gradient"
-    settings.contact_steps = _core.ContactSteps["EVENTS" if options.auto else options.contact_mode.upper()]
+    settings.contact_steps = _core.ContactSteps[options.contact_mode.upper()]
     return settings
 
 
-def reuse(compiled: CompiledScene, options: Options) -> _core.Simulator:
-    """Return a simulator that a run with these options, which has steps of one length, has released, or a new one."""
-    waiting = compiled.engines.get(_key(options))
+def reuse(
+    compiled: CompiledScene, options: Options, slack: float = 1.0, dt_contact: float | None = None
+) -> _core.Simulator:
+    """Return a simulator that a run with these options has released, or a new one; the arguments as those of `make`."""
+    waiting = compiled.engines.get(_key(options, slack, dt_contact))
     if waiting:
         with suppress(IndexError):  # another thread may have taken it
             return waiting.pop()
-    return make(compiled, options)
+    return make(compiled, options, slack, dt_contact)
 
 
-def release(engine: _core.Simulator, compiled: CompiledScene, options: Options) -> None:
+def release(
+    engine: _core.Simulator,
+    compiled: CompiledScene,
+    options: Options,
+    slack: float = 1.0,
+    dt_contact: float | None = None,
+) -> None:
     """Give an engine of `reuse` to later runs of the scene; it starts them by a reset."""
     waiting = compiled.engines
     if len(waiting) >= _MOST_WAITING:
         waiting.clear()
-    waiting[_key(options)] = [engine]
+    waiting[_key(options, slack, dt_contact)] = [engine]
 
 
-def _key(options: Options) -> tuple[Any, ...]:
-    return tuple(getattr(options, name) for name in _OF_THE_ENGINE)
+def _key(options: Options, slack: float, dt_contact: float | None) -> tuple[Any, ...]:
+    return (slack, dt_contact, *(getattr(options, name) for name in _OF_THE_ENGINE))
 
 
 def start(
@@ -103,12 +111,26 @@ def start(
     Raises:
         InputError: for a bad state.
     """
+    return start_checked(engine, compiled, options, *checked_start(compiled, q0, v0, t))
+
+
+def checked_start(
+    compiled: CompiledScene, q0: ArrayLike | None, v0: ArrayLike | None, t: float = 0.0
+) -> tuple[Array, Array, float]:
+    """Return q0, v0 and t as arrays and a number; the arguments and errors as those of `start`."""
     states = compiled.states
     q = states.configuration(compiled.q0 if q0 is None else q0)
     begin = t if type(t) is float and t == 0.0 else float(inputs.array("t", t, (), "the start time in seconds"))
     given = compiled.v0 if v0 is None else v0
     v = compiled.start_velocity(q, begin) if given is None else states.velocity(given)
     compiled.check_start(q, v, begin)
+    return q, v, begin
+
+
+def start_checked(
+    engine: _core.Simulator, compiled: CompiledScene, options: Options, q: Array, v: Array, begin: float
+) -> tuple[Record, ContactviError | None]:
+    """Put the engine to a start that `checked_start` has returned; the result as that of `start`."""
     result = cast(EngineStatus, engine.reset(q, v, begin))
     record = Record(compiled, options, begin, q, engine.p)
     if result["code"] == _core.StatusCode.SUCCESS:

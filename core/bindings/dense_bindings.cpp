@@ -3,6 +3,8 @@
 #include <nanobind/stl/tuple.h>
 
 #include <algorithm>
+#include <array>
+#include <limits>
 
 #include "base/error.hpp"
 #include "bindings/arrays.hpp"
@@ -35,6 +37,7 @@ bool set_path(Integrator& integrator, const Pieces& pieces, Eigen::Index i, int 
   return true;
 }
 
+constexpr int kMostParts = 16, kMostIterations = 100;
 constexpr double kAtNode = 1e-9;  // fraction of a segment; nearer to an end the polynomial is the node
 
 // Finds the state at the fraction tau of a segment by a step from its start to there, which is as accurate as a node.
@@ -80,12 +83,56 @@ std::tuple<Array2, Array2> dense(const Scene& s, const Dict& segments, const Vec
   return {hand_over(std::move(q)), hand_over(std::move(v))};
 }
 
+// Advances a state (engine coordinates) by h in parts, in the fewest powers of two up to kMostParts that are solved.
+bool solve_in_parts(Integrator& integrator, double h, VecX& q, VecX& p) {
+  const VecX q0 = q, p0 = p;
+  VecX q1(q.size()), p1(p.size());
+  for (int parts = 1; parts <= kMostParts; parts *= 2) {
+    q = q0;
+    p = p0;
+    int solved = 0;
+    for (integrator.forget(); solved < parts && integrator.solve(q, p, h / parts, VecX()); ++solved) {
+      integrator.finish(q1, p1);
+      q = q1;
+      p = p1;
+      integrator.forget();
+    }
+    if (solved == parts) return true;
+  }
+  return false;
+}
+
+std::tuple<Array2, Array2> halved_steps(const Scene& s, const Rows& q, const Rows& p, const VecX& h, double tol,
+                                        int order) {
+  const Tree& tree = s.tree;
+  if (order < 2 || order > 2 * kMaxStages || q.cols() != tree.nq || p.cols() != tree.nv || p.rows() != q.rows() ||
+      h.size() != q.rows())
+    throw Error("expected starts (N, nq), (N, nv) and lengths (N,)");
+  Integrator integrator(tree, order / 2, tol, kMostIterations);
+  std::array<Rows, 2> ends{Rows(q.rows(), tree.nq), Rows(q.rows(), tree.nq)};
+  for (Eigen::Index k = 0; k < q.rows(); ++k) {
+    for (int parts : {1, 2}) {
+      VecX qi = q.row(k), pi = p.row(k);
+      bool solved = true;
+      for (int part = 0; part < parts; ++part) solved = solved && solve_in_parts(integrator, h[k] / parts, qi, pi);
+      if (!solved) qi.setConstant(std::numeric_limits<double>::quiet_NaN());
+      engine_to_public(tree, qi, pi);
+      ends[static_cast<std::size_t>(parts - 1)].row(k) = qi;
+    }
+  }
+  return {hand_over(std::move(ends[0])), hand_over(std::move(ends[1]))};
+}
+
 }  // namespace
 
 void expose_dense(nb::module_& m) {
   m.def("dense", &dense, "scene"_a, "segments"_a, "times"_a, "order"_a, "exact"_a = false,
         "States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by "
         "the steps of the lengths in between (of runs without inputs).");
+  m.def(
+      "halved_steps", &halved_steps, "scene"_a, "q"_a, "p"_a, "h"_a, "tol"_a, "order"_a,
+      "Configurations (N, nq) after smooth steps of the lengths h (N,), each in one piece, and each in two halves, from"
+      " q (N, nq) and p (N, nv) in the engine's coordinates; NaN where they are not solved.");
 }
 
 }  // namespace contactvi

@@ -1,8 +1,10 @@
-// Simulator::run_auto: adaptive steps, of equal length between one impact and the next.
+// Simulator::run_auto: adaptive steps, of equal length between one impact and the next, and between the begin and the
+// end of persistent contact.
 //
 // The long-time behaviour of a variational integrator rests on a constant step. The step therefore grows only at
 // impacts, which break the smooth motion anyway. Where it turns out to be too long it becomes shorter, and stays so up
-// to the next impact; at least half of the steps that were made stay.
+// to the next impact; at least half of the steps that were made stay. While contacts persist the steps are as long as
+// contact steps may be, and the length of the smooth ones is kept for the flight that follows.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -15,7 +17,9 @@ namespace contactvi {
 namespace {
 constexpr double kSafety = 0.9;
 constexpr double kLargestGrowth = 2.0;  // of the step at an impact
-constexpr double kProbeGrowth = 1.6;    // of the step while the first one of a run is sought
+// Of the step while the first one of a run is sought, at least, and at most while it takes few iterations: a step far
+// from the right length shows that only roughly.
+constexpr double kProbeGrowth = 1.6, kLargestProbe = 4.0;
 constexpr int kProbes = 16;
 // Stage iterations per step: with more than the first number no longer step follows, with more than the second one the
 // step is too long.
@@ -55,21 +59,28 @@ bool Simulator::end_with_too_many_steps(double time, double h) {
   return end(StatusCode::kTooManySteps, time, message.str());
 }
 
-// Steps of one length: to the end of the step with the next impact, to where the length turns out to be too long or
-// that of the plan changes, or to the end of the run.
+// Steps of one length: to the end of the step with the next impact, or in which persistent contact begins or ends; to
+// where the length turns out to be too long or that of the plan changes; or to the end of the run.
 bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* plan, Recording& recording) {
   const VecX no_force;
   const double s = options_.stages, began = state_.time;
-  if (plan != nullptr) end = take_plan(*plan, end);
+  const auto in_contact = [this] { return !contact_step_.empty() || state_.dense.active; };
+  const bool persistent = in_contact();
+  if (plan != nullptr) end = take_plan(*plan, end, persistent);
   const double duration = end - began;
   const long impacts = state_.impacts;
-  int probes = recording.adaptive_t.empty() && plan == nullptr ? kProbes : 0;
-  double largest = 0.0, most_iterations = 0.0, h = 0.0, count = 0.0;
+  const double adaptive_dt = state_.adaptive_dt, longest_dt = truncation_.longest_dt;
+  int probes = persistent || !recording.adaptive_t.empty() || plan != nullptr ? 0 : kProbes;
+  double largest = 0.0, h = 0.0, smooth = 0.0, count = 0.0;
+  long most_iterations = 0;
   const auto set_length = [&] {
-    count = std::clamp(std::ceil(duration / state_.adaptive_dt - 1e-9), 1.0, 1e15);
+    const double nominal = persistent ? std::min(contact_dt(), truncation_.longest_contact) : state_.adaptive_dt;
+    count = std::clamp(std::ceil(duration / nominal - 1e-9), 1.0, 1e15);
     h = duration / count;
-    state_.control.free.longest = h;
-    largest = most_iterations = 0.0;
+    smooth = std::min(h, state_.adaptive_dt);  // the longest smooth step of an interval
+    state_.control.free.longest = smooth;
+    largest = 0.0;
+    most_iterations = 0;
   };
   set_length();
   // To which the run goes back where a step is too long: at least half of the steps stay.
@@ -86,27 +97,30 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
       kept = k;
     }
     truncation_.largest = 0.0;
+    truncation_.iterations = 0;
     const double step_start = began + static_cast<double>(k) * h;
-    const long before = integrator_.counters.stage_iterations;
     const bool solved = advance_interval(step_start, h, no_force, recording);
-    const double stage_iterations = static_cast<double>(integrator_.counters.stage_iterations - before);
     const bool retry =
         state_.status.code == StatusCode::kNewtonFailed || state_.status.code == StatusCode::kEventUnresolved;
     if (!solved && !retry) return false;
     const double seen = solved ? truncation_.largest : std::numeric_limits<double>::infinity();
-    const bool shortest = h < kShortestStep * duration;
+    const double iterations = static_cast<double>(truncation_.iterations);
+    const bool shortest = smooth < kShortestStep * duration;
     if (!solved && shortest) return false;
-    double other = h;  // the length that the step should have had
-    if (seen > level && !shortest) {
+    bool again = seen > level && !shortest;
+    if (again && persistent && !solved) {
+      truncation_.longest_contact = 0.5 * h;
+    } else if (again) {
       // The truncation is of the order h^s; a step that did not converge is halved.
-      other = h * (solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5);
+      state_.adaptive_dt = smooth * (solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5);
       if (!solved) truncation_.longest_dt = kBelowFailure * h;
-    } else if (k == 0 && probes-- > 0 && count > 1.0 && stage_iterations <= kEasyIterations &&
-               kProbeGrowth * h <= truncation_.longest_dt && seen < level * std::pow(1.0 / kProbeGrowth, s)) {
-      other = kProbeGrowth * h;
+    } else if (k == 0 && probes-- > 0 && count > 1.0 && state_.impacts == impacts && iterations <= kEasyIterations) {
+      const double largest_probe = 2.0 * iterations <= kEasyIterations ? kLargestProbe : kProbeGrowth;
+      const double growth = std::min(kSafety * std::pow(level / std::max(seen, 1e-300), 1.0 / s), largest_probe);
+      again = growth >= kProbeGrowth && growth * h <= truncation_.longest_dt;
+      if (again) state_.adaptive_dt = growth * h;
     }
-    if (other != h) {
-      state_.adaptive_dt = other;
+    if (again) {
       redo_from(start, mark, recording);
       shortened = kept > 0;
       if (shortened) break;
@@ -115,34 +129,56 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
       continue;
     }
     largest = std::max(largest, seen);
-    most_iterations = std::max(most_iterations, stage_iterations);
+    most_iterations = std::max(most_iterations, truncation_.iterations);
     ++k;
     ++state_.step;
     state_.time = k == static_cast<long>(count) ? end : step_start + h;
     record_node(state_.time, recording);
     if (!report_progress(state_.time)) return false;
     if (static_cast<double>(recording.t.size()) > most_steps()) return end_with_too_many_steps(state_.time, h);
-    if (state_.impacts > impacts) break;
+    if (persistent != in_contact() || (!persistent && state_.impacts > impacts)) break;
+  }
+  if (persistent) {
+    if (!shortened) truncation_.longest_contact = std::numeric_limits<double>::infinity();
+    return true;
   }
   recording.adaptive_t.push_back(began);
   recording.adaptive_dt.push_back(h);
-  if (shortened || plan != nullptr) return true;
-  double growth = kSafety * std::pow(level / std::max(largest, 1e-300), 1.0 / s);
-  // Steps close to the longest length that converges take so many iterations that shorter ones are cheaper.
-  if (most_iterations > kEasyIterations)
-    growth = std::min(growth, most_iterations > kManyIterations ? 1.0 / kProbeGrowth : 1.0);
-  state_.adaptive_dt = std::min(truncation_.longest_dt, h * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth));
+  if (state_.dense.active) {  // Events made the steps short, which are left to dense steps now.
+    state_.adaptive_dt = adaptive_dt;
+    truncation_.longest_dt = longest_dt;
+    return true;
+  }
+  if (!shortened && plan == nullptr) grow_adaptive_step(h, largest, level, most_iterations);
   return true;
 }
 
-// Sets the length of the steps from now on, and returns where it changes, at the latest at the end [s].
-double Simulator::take_plan(const StepPlan& plan, double end) {
+// Sets the length of the smooth steps after an impact, from what was seen in those before it, of length h [s].
+void Simulator::grow_adaptive_step(double h, double largest, double level, long most_iterations) {
+  double growth = kSafety * std::pow(level / std::max(largest, 1e-300), 1.0 / static_cast<double>(options_.stages));
+  const double iterations = static_cast<double>(most_iterations);
+  // Steps close to the longest length that converges take so many iterations that shorter ones are cheaper.
+  if (iterations > kEasyIterations) growth = std::min(growth, iterations > kManyIterations ? 1.0 / kProbeGrowth : 1.0);
+  state_.adaptive_dt = std::min(truncation_.longest_dt, h * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth));
+}
+
+// Whether an adaptive step of this length that was not solved is to be made again shorter before dense steps go on: down
+// to the length of contact steps, and where nothing has touched in it. impacts: how many there were before it.
+bool Simulator::may_be_shortened(double length, long impacts) const {
+  const bool untouched = contact_step_.empty() && state_.impacts == impacts;
+  return truncation_.bound > 0.0 &&
+         (length > contact_dt() * (1.0 + 1e-9) || (untouched && state_.status.code == StatusCode::kNewtonFailed));
+}
+
+// Sets the length of the smooth steps from now on, and returns where it changes, at the latest at the end [s]. Contact
+// steps go on there as they are.
+double Simulator::take_plan(const StepPlan& plan, double end, bool persistent) {
   const double now = state_.time + kSameTime * (end - plan.t[0]);
   const double* first = plan.t.data();
   const double* next = std::upper_bound(first, first + plan.t.size(), now);
   const Eigen::Index i = std::max<Eigen::Index>(next - first, 1) - 1;
   state_.adaptive_dt = plan.part * plan.dt[i];
-  return i + 1 < plan.t.size() ? std::min(plan.t[i + 1], end) : end;
+  return i + 1 < plan.t.size() && !persistent ? std::min(plan.t[i + 1], end) : end;
 }
 
 Status Simulator::run_auto(double duration, double level, const StepPlan* plan, const Progress& progress,
@@ -150,7 +186,7 @@ Status Simulator::run_auto(double duration, double level, const StepPlan* plan, 
   const double end = state_.time + duration;
   start_recording(progress, recording);
   truncation_.bound = level;
-  truncation_.longest_dt = std::numeric_limits<double>::infinity();
+  truncation_.longest_dt = truncation_.longest_contact = std::numeric_limits<double>::infinity();
   bool ok = true;
   while (ok && state_.time < end) ok = run_adaptive_steps(end, level, plan, recording);
   truncation_.bound = 0.0;

@@ -43,8 +43,7 @@ double times(double length) { return std::max(1.0, length / kCounted); }
 
 // Whether the run may take dense steps at all.
 bool Simulator::allows_dense_steps() const {
-  return options_.contact_steps != ContactSteps::kEvents && dense_step_.available() && truncation_.bound == 0.0 &&
-         allows_persistent_contact();
+  return options_.contact_steps != ContactSteps::kEvents && dense_step_.available() && allows_persistent_contact();
 }
 
 int Simulator::persistent_rows() const {
@@ -67,7 +66,8 @@ bool Simulator::events_accumulate(double length) const {
   const double contacts =
       static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
   const double small = std::min(1.0, kSmall / std::max(1, scene_->tree.nv));
-  const double more = times(length) * small * small;
+  // With adaptive steps a smooth step, in which events begin to accumulate, says nothing about how many there may be.
+  const double more = times(truncation_.bound > 0.0 ? std::min(length, contact_dt()) : length) * small * small;
   const EventCount& count = state_.dense.events;
   return count.coupled_impacts > more * (kCoupledImpacts + kImpactsPerContact * contacts) ||
          count.changes > more * (kChanges + kChangesPerContact * contacts) ||

@@ -216,6 +216,7 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
 // Solves the smooth step of length h from the state into (q1_, p1_). False where it was not solved; with last_try or
 // after an error of a user's function the run has ended then.
 bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool last_try) {
+  const long before = integrator_.counters.stage_iterations;
   bool solved = integrator_.solve(state_.q, state_.p, h, tau);
   while (solved && actuation_.saturate_servos(integrator_)) {
     integrator_.forget();
@@ -233,6 +234,7 @@ bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool l
     const double seen = integrator_.truncation();
     const bool resolved = seen > integrator_.resolution();
     truncation_.largest = std::max(truncation_.largest, resolved ? seen : std::min(seen, truncation_.bound));
+    truncation_.iterations = std::max(truncation_.iterations, integrator_.counters.stage_iterations - before);
   }
   integrator_.finish(q1_, p1_);
   if (guards_.count() > 0 || follows_motion_ || options_.dense) rates_ = integrator_.rates();
@@ -266,6 +268,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   state_.dense.events.fade(length);
   contact_step_.allow_rescues(most_rescues(length));
   const bool dense_allowed = allows_dense_steps();
+  const long impacts = state_.impacts;
   if (state_.dense.active && dense_may_end()) end_dense_phase();
   if (!state_.dense.active) ++state_.dense.since_return;
   law_->start_step(state_.q, state_.p, state_.reference);
@@ -282,7 +285,8 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     const bool going =
         contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
     state_.dense.events.changes += static_cast<double>(recording.changes.size() - changes);
-    if (dense_allowed && (going ? events_accumulate(length) : dense_steps_go_on()))
+    const bool shortened = !going && may_be_shortened(length, impacts);
+    if (dense_allowed && !shortened && (going ? events_accumulate(length) : dense_steps_go_on()))
       begin_dense_phase();
     else if (!going)
       return false;

@@ -54,7 +54,8 @@ class Simulator {
                  Recording& recording);
   // Runs for `duration` [s] with steps of equal length between one impact and the next, such that the highest mode of
   // the stage velocities moves nothing by more than `level` [m; rad] per step (Integrator::truncation). Where it does,
-  // the steps since the last impact are redone with a shorter length. Every step's end is a node.
+  // the steps since the last impact are redone with a shorter length. While contacts persist the steps have the length
+  // of contact steps. Every step's end is a node.
   // plan: the steps of another run, parts of which are those of this one; null: none.
   Status run_auto(double duration, double level, const StepPlan* plan, const Progress& progress, Recording& recording);
 
@@ -119,10 +120,12 @@ class Simulator {
     // Of how many steps of at most this length [s] the rest consists; one that is longer by rounding is no further one.
     double parts(double nominal) const { return std::max(1.0, std::ceil(remaining / nominal - 1e-9)); }
   };
-  // Of run_auto: the bound on the truncation (0 in advance), the largest one in the interval [m; rad], and the longest
-  // step that converges [s].
+  // Of run_auto: the bound on the truncation (0 in advance), the largest one in the interval [m; rad], the longest
+  // smooth step that converges and the longest contact step that could be solved [s], and the most stage iterations of a
+  // smooth step of the interval.
   struct Truncation {
-    double bound = 0, largest = 0, longest_dt = 0;
+    double bound = 0, largest = 0, longest_dt = 0, longest_contact = 0;
+    long iterations = 0;
   };
 
   // Functions that return a bool return false where the run has ended; the status of the state then gives the reason.
@@ -148,7 +151,9 @@ class Simulator {
 
   // adaptive_step.cpp and snapshot.cpp.
   bool run_adaptive_steps(double end, double level, const StepPlan* plan, Recording& recording);
-  double take_plan(const StepPlan& plan, double end);
+  bool may_be_shortened(double length, long impacts) const;
+  void grow_adaptive_step(double h, double largest, double level, long most_iterations);
+  double take_plan(const StepPlan& plan, double end, bool persistent);
   double most_steps() const;
   bool end_with_too_many_steps(double time, double h);
   void redo_from(const Snapshot& start, const Recording::Mark& mark, Recording& recording);

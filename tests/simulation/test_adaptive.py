@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from contactvi.simulation.auto_contact import BUDGET
 from contactvi.states import States
 from helpers.run_scenes import FIRST_IMPACT, ball_file, ball_scene, slider_scene
 
@@ -339,3 +340,67 @@ def test_scene_file(tmp_path):
     path.write_text(path.read_text().replace("dt = 0.01", 'dt = "auto"\norder = 8\ntol = 1e-7\nsample_dt = 0.1'))
     traj = cvi.simulate(cvi.load_scene(path))
     assert (traj.options.dt, traj.options.order, traj.options.tol, len(traj)) == ("auto", 8, 1e-7, 11)
+
+
+# -- with persistent contact ------------------------------------------------------------------------------------------
+
+
+def tipping(duration: float = 0.08) -> tuple[cvi.Scene, np.ndarray, float]:
+    """A box that turns about its lower edge, which friction holds; its start velocity and a duration."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    half = np.array([0.1, 0.08, 0.15])
+    turned = pin.rpy.rpyToMatrix(0.0, 0.5, 0.0)
+    corners = turned @ np.array([[x, 0.0, z] for x in (-half[0], half[0]) for z in (-half[2], half[2])]).T
+    scene.add_box("box", tuple(2.0 * half), placement=pin.SE3(turned, np.array([0.0, 0.0, -corners[2].min()])))
+    scene.set_contact(restitution=0.0, friction=0.8)
+    v = np.zeros(6)
+    v[4] = 1.5
+    v[:3] = -np.cross(v[3:], [half[0], 0.0, -half[2]])
+    return scene, v, duration
+
+
+def contact_error(traj: cvi.Trajectory, scene: cvi.Scene, v: np.ndarray, duration: float) -> float:
+    """Largest error of q over the nodes, from contact steps of 1e-5 s."""
+    options = {"order": 16, "tol": 1e-13, "dt_contact": 1e-5, "contact_mode": "events"}
+    close = cvi.simulate(scene, None, v, duration, dt=1e-3, **options)
+    return error(traj, close)
+
+
+@pytest.mark.parametrize("tol", [1e-4, 1e-6])
+def test_contact_steps_meet_the_accuracy_asked_for(tol):
+    scene, v, duration = tipping()
+    traj = cvi.simulate(scene, None, v, duration, dt="auto", tol=tol)
+    assert "persistent" in traj.phases["kind"]
+    found = contact_error(traj, scene, v, duration)
+    assert found / 3.0 - 1e-12 <= traj.error_estimate <= tol
+    assert found <= tol
+
+
+def test_contact_steps_stop_at_the_budget():
+    """A tol that would take far more steps: the best run within the budget, an honest estimate, and what to do."""
+    scene, v, duration = tipping()
+    plain = cvi.simulate(scene, None, v, duration, dt=1e-3)
+    with pytest.warns(cvi.AccuracyWarning, match=r"contact steps of .* s would reach it.*ask for them by dt_contact"):
+        traj = cvi.simulate(scene, None, v, duration, dt="auto", tol=1e-11)
+    assert traj.stats.contact_iterations <= BUDGET * plain.stats.contact_iterations
+    found = contact_error(traj, scene, v, duration)
+    assert found / 3.0 <= traj.error_estimate <= 30.0 * found
+
+
+def test_shorter_contact_steps_where_they_are_asked_for():
+    scene, v, duration = tipping()
+    with pytest.warns(cvi.AccuracyWarning):
+        coarse = cvi.simulate(scene, None, v, duration, dt="auto", tol=1e-9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", cvi.AccuracyWarning)
+        fine = cvi.simulate(scene, None, v, duration, dt="auto", tol=1e-9, dt_contact=2e-4)
+    assert fine.error_estimate <= 0.1 * coarse.error_estimate
+
+
+def test_events_do_not_shorten_the_steps_after_them():
+    """Twenty impacts in a second: a flight takes steps as long as before, not a part of them after each."""
+    scene, q0 = falling_ball(0.9, 0.01)
+    traj = cvi.simulate(scene, q0, duration=1.0, dt="auto", zeno="hold")
+    assert len(traj.events) >= 10
+    assert traj.stats.steps - traj.stats.contact_steps <= 3 * len(traj.events)
