@@ -35,7 +35,7 @@ class States {
     const auto count = static_cast<Eigen::Index>(to_.t.size());
     const Eigen::Map<const MatX> q(to_.q.data(), tree_.nq, count);
     Eigen::Map<MatX> v(to_.v.data(), tree_.nv, count);
-    NodeLanes(tree_).velocities(q, v);
+    NodeLanes(tree_).find_velocities(q, v);
     for (Eigen::Index k = 0; k < count; ++k) engine_to_public(tree_, q.col(k), v.col(k));
   }
 

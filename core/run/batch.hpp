@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "model/scene_changes.hpp"
-#include "run/side_by_side.hpp"
 #include "run/world.hpp"
 
 namespace contactvi {

@@ -2,12 +2,24 @@
 
 #include <algorithm>
 #include <boost/context/protected_fixedsize_stack.hpp>
+#include <utility>
 
 namespace contactvi {
 
 namespace {
+
 // [bytes] of a stack, as the first thread of a process has it; only what is used of it takes memory.
 constexpr std::size_t kStackSize = std::size_t{8} << 20;
+
+// The lanes among these that fit, which are made where there are none.
+template <class Lanes, class Model>
+Lanes& fitting(std::vector<std::unique_ptr<Lanes>>& all, const Model& model) {
+  for (const auto& lanes : all)
+    if (lanes->fits(model)) return *lanes;
+  all.push_back(std::make_unique<Lanes>(model));
+  return *all.back();
+}
+
 }  // namespace
 
 void SideBySide::run(int stacks, const std::function<void()>& work) {
@@ -21,14 +33,13 @@ void SideBySide::run(int stacks, const std::function<void()>& work) {
           return std::move(stack.back);
         });
   for (bool any = true; any;) {
-    any = false;
     for (Stack& stack : stacks_) {
-      if (stack.step != nullptr || !stack.work) continue;
+      if (stack.waits() || !stack.work) continue;
       now_ = &stack;
       stack.work = std::move(stack.work).resume();
     }
-    for (const Stack& stack : stacks_) any |= stack.step != nullptr;
-    if (any) iterate_most();
+    any = std::any_of(stacks_.begin(), stacks_.end(), [](const Stack& stack) { return stack.waits(); });
+    if (any) serve_most();
   }
   stacks_.clear();
 }
@@ -39,38 +50,55 @@ long SideBySide::shared_iterations() const {
   return sum;
 }
 
-LaneIterations& SideBySide::lanes_of(const Integrator& step) {
-  for (const auto& lanes : lanes_)
-    if (lanes->fits(step)) return *lanes;
-  lanes_.push_back(std::make_unique<LaneIterations>(step));
-  return *lanes_.back();
-}
+LaneIterations& SideBySide::lanes_of(const Integrator& step) { return fitting(lanes_, step); }
 
-void SideBySide::iterate(Integrator& step, LaneIterations& lanes) {
+StageLanes& SideBySide::node_lanes_of(const FlatModel& model) { return fitting(node_lanes_, model); }
+
+// To the other runs, until what this one waits for has been done.
+void SideBySide::wait(const void* lanes) {
   Stack& stack = *now_;
-  stack.step = &step;
-  stack.lanes = &lanes;
+  stack.lanes = lanes;
   stack.back = std::move(stack.back).resume();
 }
 
-// All runs that are not at their end wait: the iterations that most of them wait for are made.
-void SideBySide::iterate_most() {
-  LaneIterations* most = nullptr;
+void SideBySide::iterate(Integrator& step, LaneIterations& lanes) {
+  now_->step = &step;
+  wait(&lanes);
+}
+
+bool SideBySide::solve_masses(Stages& node, StageLanes& lanes) {
+  Stack& stack = *now_;
+  stack.node = &node;
+  wait(&lanes);
+  return stack.done;
+}
+
+// All runs that are not at their end wait: what most of them wait for is done.
+void SideBySide::serve_most() {
+  const Stack* most = nullptr;
   std::ptrdiff_t count = 0;
   for (const Stack& stack : stacks_) {
-    if (stack.step == nullptr) continue;
-    const std::ptrdiff_t waiting = std::count_if(stacks_.begin(), stacks_.end(), [&](const Stack& other) {
-      return other.step != nullptr && other.lanes == stack.lanes;
-    });
-    if (waiting > count) {
-      most = stack.lanes;
-      count = waiting;
-    }
+    if (!stack.waits()) continue;
+    const auto same = [&](const Stack& other) { return other.waits() && other.lanes == stack.lanes; };
+    const std::ptrdiff_t waiting = std::count_if(stacks_.begin(), stacks_.end(), same);
+    if (waiting > count) most = &stack;
+    count = std::max(count, waiting);
   }
+  const void* lanes = most->lanes;
   steps_.clear();
-  for (Stack& stack : stacks_)
-    if (stack.step != nullptr && stack.lanes == most) steps_.push_back(std::exchange(stack.step, nullptr));
-  most->iterate(steps_);
+  nodes_.clear();
+  for (Stack& stack : stacks_) {
+    if (!stack.waits() || stack.lanes != lanes) continue;
+    if (stack.step != nullptr) steps_.push_back(stack.step);
+    if (stack.node != nullptr) nodes_.push_back(stack.node);
+    stack.step = nullptr;
+    stack.node = nullptr;
+    stack.done = count > 1;
+  }
+  for (const auto& each : lanes_)
+    if (each.get() == lanes) each->iterate(steps_);
+  for (const auto& each : node_lanes_)
+    if (each.get() == lanes && count > 1) each->solve_masses(nodes_);
 }
 
 }  // namespace contactvi

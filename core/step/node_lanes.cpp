@@ -5,35 +5,39 @@
 
 namespace contactvi {
 
-namespace {
+void put_node(const VecCRef& q, const VecCRef& p, Stages& node) {
+  node.at(q);
+  for (Eigen::Index d = 0; d < p.size(); ++d) node.dv()[d] = p[d];
+}
 
-void velocity_of(const Stages& node, VecRef p) {
+bool get_velocity(const Stages& node, const VecCRef& p, VecRef v) {
   double energy = 0.0;
-  for (Eigen::Index d = 0; d < p.size(); ++d) energy += node.dv()[d] * p[d];
-  for (Eigen::Index d = 0; d < p.size(); ++d)
-    p[d] = energy >= 0.0 ? node.dv()[d] : std::numeric_limits<double>::quiet_NaN();
+  for (Eigen::Index d = 0; d < p.size(); ++d) {
+    const double speed = node.dv()[d];
+    energy += speed * p[d];
+    v[d] = speed;  // which may stand in the place of p
+  }
+  return energy >= 0.0;  // false for NaN
 }
 
-}  // namespace
+NodeLanes::NodeLanes(const Tree& tree) : tree_(&tree), model_(tree), lanes_(model_) {}
 
-NodeLanes::NodeLanes(const Tree& tree) : model_(tree), lanes_(model_) {
-  for (int lane = 0; lane < StageLanes::most_runs(); ++lane)
-    nodes_.push_back(std::make_unique<Stages>(tree, model_, 1));
-}
-
-void NodeLanes::velocities(const Eigen::Ref<const MatX>& q, Eigen::Ref<MatX> p) {
-  const auto most = static_cast<Eigen::Index>(nodes_.size());
+void NodeLanes::find_velocities(const Eigen::Ref<const MatX>& q, Eigen::Ref<MatX> p) {
+  const Eigen::Index most = StageLanes::most_runs();
   for (Eigen::Index first = 0; first < q.cols(); first += most) {
+    const Eigen::Index count = std::min(most, q.cols() - first);
     used_.clear();
-    for (Eigen::Index k = first; k < std::min(q.cols(), first + most); ++k) {
-      Stages& node = *nodes_[k - first];
-      node.at(q.col(k));
-      std::copy_n(p.col(k).data(), p.rows(), node.dv());
-      used_.push_back(&node);
+    for (Eigen::Index lane = 0; lane < count; ++lane) {
+      if (lane == static_cast<Eigen::Index>(nodes_.size()))
+        nodes_.push_back(std::make_unique<Stages>(*tree_, model_, 1));
+      put_node(q.col(first + lane), p.col(first + lane), *nodes_[lane]);
+      used_.push_back(nodes_[lane].get());
     }
     lanes_.solve_masses(used_);
-    for (std::size_t lane = 0; lane < used_.size(); ++lane)
-      velocity_of(*used_[lane], p.col(first + static_cast<Eigen::Index>(lane)));
+    for (Eigen::Index lane = 0; lane < count; ++lane) {
+      auto v = p.col(first + lane);
+      if (!get_velocity(*used_[lane], v, v)) v.setConstant(std::numeric_limits<double>::quiet_NaN());
+    }
   }
 }
 
