@@ -663,6 +663,12 @@ class Batch:
         Make all runs without the interpreter lock; progress(runs made) is called now and then.
         """
 
+    @property
+    def shared_iterations(self) -> int:
+        """
+        Stage iterations that runs have made together, each counted once for every run in it.
+        """
+
     def table(self, nq: int, nv: int) -> dict[str, Any]:
         """Return states and counts of all runs as arrays, once."""
 

@@ -46,7 +46,8 @@ class BatchResult:
         nodes: number of nodes of each run, (runs,).
         status: how each run ended, a sequence of `Status`; `ok` the same as an array of truth values (runs,).
         errors: index of the run -> the error that `simulate` would have raised.
-        impacts, dense_steps: of each run, (runs,). seconds: inside the engine [s], (runs,).
+        impacts, dense_steps: of each run, (runs,). seconds: inside the engine [s], (runs,); runs that are made side by
+            side in one thread share the time that it takes.
         error_estimate: with dt="auto" as `Trajectory.error_estimate`, else NaN, (runs,).
     """
 

@@ -178,6 +178,8 @@ void expose_batch(nb::module_& m) {
            "function of the user.")
       .def("run", &run, "threads"_a, "progress"_a = nb::none(),
            "Make all runs without the interpreter lock; progress(runs made) is called now and then.")
+      .def_prop_ro("shared_iterations", &Batch::shared_iterations,
+                   "Stage iterations that runs have made together, each counted once for every run in it.")
       .def("table", &table, "nq"_a, "nv"_a, "Return states and counts of all runs as arrays, once.")
       .def("status", &status, "k"_a, "Return the fields of the status of a run.")
       .def("result", &result, "k"_a, "Return momenta at start and end, q at the end, and the results of a run, once.");

@@ -5,8 +5,10 @@
 // moment and mass of j's subtree in frame j. Storage of a joint, in vectors: 1 dof: cos, sin, shift; balls: R;
 // translations: q; then velocity (w, v) and gravity g of its body, then the factor (lane_factor.hpp).
 
+// The lanes of one group, which are stages of one step.
 template <class V>
-struct Group {  // the lanes of one group
+struct Group {
+  typedef V Lanes;
   const LaneTree* tree;
   const LaneWork* work;
   V* storage;
@@ -15,14 +17,25 @@ struct Group {  // the lanes of one group
 
   V at(const double* array, int dof) const { return Memory<V>::get(*work, array + dof * work->S + offset); }
   void put(double* array, int dof, V x) const { Memory<V>::put(*work, array + dof * work->S + offset, x); }
-  // A number that all lanes share.
-  typename Memory<V>::Number number(const double* at) const { return Memory<V>::number(*work, at); }
+  // A number of the step, which all of its stages share.
+  typename Memory<V>::Number number(const double* array, int index) const {
+    return Memory<V>::number(*work, array + index);
+  }
+  double length() const { return work->h; }
   V3<V> at3(const double* array, int dof) const { return {at(array, dof), at(array, dof + 1), at(array, dof + 2)}; }
   void put3(double* array, int dof, V3<V> x) const {
     put(array, dof, x.x);
     put(array, dof + 1, x.y);
     put(array, dof + 2, x.z);
   }
+};
+
+// The lanes of one group, each of which is the only stage of the step of another run: what stages share is different in
+// each of them. Functions of a Group that need no such number take it as one.
+template <class V>
+struct RunGroup : Group<V> {
+  V number(const double* array, int index) const { return this->at(array, index); }
+  V length() const { return number(this->work->run_h, 0); }
 };
 
 template <class V>
@@ -90,16 +103,17 @@ LANE_INLINE void ball_rotation(const S* B, V3<V> X, V* R) {
 }
 
 // The joint's own displacement at X.
-template <class V>
-LANE_INLINE void place_joint(const Group<V>& g, const LaneJoint& j) {
+template <class G>
+LANE_INLINE void place_joint(const G& g, const LaneJoint& j) {
+  typedef typename G::Lanes V;
   const LaneWork& w = *g.work;
   V* at = g.storage + j.at;
   switch (j.type) {
     case kLaneTurn:
-      sine_cosine(g.number(w.base + j.dof) + g.at(w.X, j.dof), at[1], at[0]);
+      sine_cosine(g.number(w.base, j.dof) + g.at(w.X, j.dof), at[1], at[0]);
       break;
     case kLaneScrew: {
-      const V angle = g.number(w.base + j.dof) + g.at(w.X, j.dof);
+      const V angle = g.number(w.base, j.dof) + g.at(w.X, j.dof);
       sine_cosine(angle, at[1], at[0]);
       at[2] = j.pitch * (angle - j.turn);  // the frame's constant turn displaces nothing
       break;
@@ -107,21 +121,21 @@ LANE_INLINE void place_joint(const Group<V>& g, const LaneJoint& j) {
     case kLaneSlide:
       at[0] = Lane<V>::all(j.cos_fixed);
       at[1] = Lane<V>::all(j.sin_fixed);
-      at[2] = g.number(w.base + j.dof) + g.at(w.X, j.dof);
+      at[2] = g.number(w.base, j.dof) + g.at(w.X, j.dof);
       break;
     case kLaneTranslate:
-      for (int d = 0; d < 3; ++d) at[d] = g.number(w.base + j.dof + d) + g.at(w.X, j.dof + d);
+      for (int d = 0; d < 3; ++d) at[d] = g.number(w.base, j.dof + d) + g.at(w.X, j.dof + d);
       break;
     default: {
-      typename Memory<V>::Number B[9];
-      for (int k = 0; k < 9; ++k) B[k] = g.number(w.ball_base + 9 * j.ball + k);
+      decltype(g.number(w.ball_base, 0)) B[9];
+      for (int k = 0; k < 9; ++k) B[k] = g.number(w.ball_base, 9 * j.ball + k);
       ball_rotation(B, g.at3(w.X, j.dof), at);
     }
   }
 }
 
-template <class V>
-inline void place_all(const Group<V>& g) {
+template <class G>
+inline void place_all(const G& g) {
   for (int i = 0; i < g.tree->joints; ++i) place_joint(g, g.tree->joint[i]);
 }
 
@@ -165,8 +179,9 @@ LANE_INLINE Motion<V> start_at_world(const LaneJoint& j, const V* at) {
   return {none, none, into_z(at[0], at[1], gravity)};
 }
 
-template <class V>
-inline void forward(const Group<V>& g) {
+template <class G>
+inline void forward(const G& g) {
+  typedef typename G::Lanes V;
   const LaneWork& w = *g.work;
   for (int i = 0; i < g.tree->joints; ++i) {
     const LaneJoint& j = g.tree->joint[i];
@@ -240,28 +255,29 @@ LANE_INLINE Load<V> to_parent(const LaneJoint& j, const V* at, Load<V> l) {
 }
 
 // Stores the force in one coordinate, from gravity, motion and linear forces, and if measure the sizes of its terms.
-template <bool measure, class V>
-LANE_INLINE void put_force(const Group<V>& g, int dof, V gravity, V motion, V momentum) {
+template <bool measure, class G, class V>
+LANE_INLINE void put_force(const G& g, int dof, V gravity, V motion, V momentum) {
   const LaneWork& w = *g.work;
   V force = gravity - motion, size;
   if constexpr (measure) size = absolute(gravity) + absolute(motion);
   if (w.stiffness) {
-    const V spring = g.number(w.stiffness + dof) * (g.number(w.deflection + dof) + g.at(w.X, dof));
-    const V drag = g.number(w.damping + dof) * g.at(w.v, dof);
+    const V spring = g.number(w.stiffness, dof) * (g.number(w.deflection, dof) + g.at(w.X, dof));
+    const V drag = g.number(w.damping, dof) * g.at(w.v, dof);
     force = force - spring - drag;
     if constexpr (measure) size = size + absolute(spring) + absolute(drag);
   }
   if (w.tau) {
-    force = force + g.number(w.tau + dof);
-    if constexpr (measure) size = size + absolute(Lane<V>::all(w.tau[dof]));
+    const auto tau = g.number(w.tau, dof);
+    force = force + tau;
+    if constexpr (measure) size = size + absolute(tau);
   }
   g.put(w.P, dof, momentum);
   g.put(w.G, dof, force);
   if constexpr (measure) g.put(w.magnitude, dof, size);
 }
 
-template <bool measure, class V>
-LANE_INLINE void put_joint_force(const Group<V>& g, const LaneJoint& j, const Motion<V>& m, const Load<V>& l) {
+template <bool measure, class G, class V>
+LANE_INLINE void put_joint_force(const G& g, const LaneJoint& j, const Motion<V>& m, const Load<V>& l) {
   const LaneWork& w = *g.work;
   const V zero = Lane<V>::all(0.0);
   const bool root = j.parent < 0;
@@ -300,8 +316,9 @@ LANE_INLINE void put_joint_force(const Group<V>& g, const LaneJoint& j, const Mo
 
 // full: the sizes of the forces' terms are measured, and the subtree momenta are stored after the factors, for
 // lane_newton.hpp.
-template <bool full, class V>
-inline void backward(const Group<V>& g) {
+template <bool full, class G>
+inline void backward(const G& g) {
+  typedef typename G::Lanes V;
   for (int i = g.tree->joints - 1; i >= 0; --i) {
     const LaneJoint& j = g.tree->joint[i];
     const V* at = g.storage + j.at;

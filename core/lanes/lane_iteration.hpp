@@ -15,28 +15,43 @@ LANE_INLINE Group<V> group(const LaneTree* tree, const LaneWork* work, int index
 }
 
 template <class V>
+LANE_INLINE RunGroup<V> run_group(const LaneTree* tree, const LaneWork* work, int index) {
+  return {group<V>(tree, work, index)};
+}
+
+template <class V>
 LANE_INLINE int groups(const LaneWork* work) {
   return work->S / Lane<V>::count;
 }
 
 // sum_j in[dof][j] hA[j][i]
 template <class V>
-LANE_INLINE V stage_sum(const LaneWork& w, const double* in, int dof, int offset) {
+LANE_INLINE V stage_sum(const Group<V>& g, const double* in, int dof) {
   typedef Memory<V> M;
+  const LaneWork& w = *g.work;
   const double* row = in + dof * w.S;
-  V sum = M::number(w, row) * M::get(w, w.hA + offset);
-  for (int j = 1; j < w.s; ++j) sum = sum + M::number(w, row + j) * M::get(w, w.hA + j * w.S + offset);
+  V sum = M::number(w, row) * M::get(w, w.hA + g.offset);
+  for (int j = 1; j < w.s; ++j) sum = sum + M::number(w, row + j) * M::get(w, w.hA + j * w.S + g.offset);
   return sum;
+}
+template <class V>
+LANE_INLINE V stage_sum(const RunGroup<V>& g, const double* in, int dof) {
+  return g.at(in, dof) * g.at(g.work->hA, 0);
 }
 
 // sum_j hb[j] in[dof][j]
 template <class V>
-LANE_INLINE typename Memory<V>::Number end_sum(const LaneWork& w, const double* in, int dof) {
+LANE_INLINE typename Memory<V>::Number end_sum(const Group<V>& g, const double* in, int dof) {
   typedef Memory<V> M;
+  const LaneWork& w = *g.work;
   const double* row = in + dof * w.S;
   typename M::Number sum = M::number(w, w.hb) * M::number(w, row);
   for (int j = 1; j < w.s; ++j) sum = sum + M::number(w, w.hb + j) * M::number(w, row + j);
   return sum;
+}
+template <class V>
+LANE_INLINE V end_sum(const RunGroup<V>& g, const double* in, int dof) {
+  return g.at(g.work->hb, 0) * g.at(in, dof);
 }
 
 template <class V>
@@ -56,8 +71,9 @@ void rates(const LaneTree* tree, const LaneWork* work) {
 }
 
 // X = hA X'. On balls, if measure, the change of X counts as an error, in energies of the joint.
-template <bool measure, class V>
-inline void displace(const Group<V>& g, int flags) {
+template <bool measure, class G>
+inline void displace(const G& g, int flags) {
+  typedef typename G::Lanes V;
   const LaneWork& w = *g.work;
   V moved = Lane<V>::all(0.0);
   for (int i = 0; i < g.tree->joints; ++i) {
@@ -65,18 +81,19 @@ inline void displace(const Group<V>& g, int flags) {
     if (j.type == kLaneBall) {
       [[maybe_unused]] const V3<V> old = g.at3(w.X, j.dof);
       V3<V> X;
-      X.x = stage_sum<V>(w, w.rate, j.dof, g.offset);
-      X.y = stage_sum<V>(w, w.rate, j.dof + 1, g.offset);
-      X.z = stage_sum<V>(w, w.rate, j.dof + 2, g.offset);
+      X.x = stage_sum(g, w.rate, j.dof);
+      X.y = stage_sum(g, w.rate, j.dof + 1);
+      X.z = stage_sum(g, w.rate, j.dof + 2);
       g.put3(w.X, j.dof, X);
       if constexpr (measure) {
         const V3<V> change = X - old, rate = g.at3(w.v, j.dof), p = g.at3(w.P, j.dof);
         if (!(flags & kLaneFirst))
-          moved = moved + absolute(dot(p, rate)) * dot(change, change) / (dot(rate, rate) * (w.h * w.h) + 1e-300);
+          moved = moved +
+                  absolute(dot(p, rate)) * dot(change, change) / (dot(rate, rate) * (g.length() * g.length()) + 1e-300);
       }
     } else {
       for (int d = 0; d < (j.type == kLaneTranslate ? 3 : 1); ++d)
-        g.put(w.X, j.dof + d, stage_sum<V>(w, w.rate, j.dof + d, g.offset));
+        g.put(w.X, j.dof + d, stage_sum(g, w.rate, j.dof + d));
     }
   }
   if constexpr (measure) store<V>(w.error + g.offset, moved);
@@ -98,46 +115,48 @@ inline void ball_rates(const Group<V>& g) {
   }
 }
 
-template <class V>
-LANE_INLINE V3<typename Memory<V>::Number> end_sum3(const LaneWork& w, const double* in, int dof) {
-  return {end_sum<V>(w, in, dof), end_sum<V>(w, in, dof + 1), end_sum<V>(w, in, dof + 2)};
+template <class G>
+LANE_INLINE auto end_sum3(const G& g, const double* in, int dof) -> V3<decltype(end_sum(g, in, dof))> {
+  return {end_sum(g, in, dof), end_sum(g, in, dof + 1), end_sum(g, in, dof + 2)};
 }
 
 // Chart momentum of a ball at the start of the step.
-template <class V>
-LANE_INLINE V3<typename Memory<V>::Number> ball_start(const LaneWork& w, int dof) {
-  typedef typename Memory<V>::Number N;
-  const double* p = w.p0 + dof;
-  const V3<N> p0 = {Memory<V>::number(w, p), Memory<V>::number(w, p + 1), Memory<V>::number(w, p + 2)};
-  const V3<N> X1 = end_sum3<V>(w, w.rate, dof);
+template <class G>
+LANE_INLINE auto ball_start(const G& g, int dof) -> decltype(end_sum3(g, g.work->px, dof)) {
+  typedef decltype(end_sum(g, g.work->px, dof)) N;
+  const LaneWork& w = *g.work;
+  const V3<N> p0 = {g.number(w.p0, dof), g.number(w.p0, dof + 1), g.number(w.p0, dof + 2)};
+  const V3<N> X1 = end_sum3(g, w.rate, dof);
   const Rotation<N> back = rotation(times(-1.0, X1)), k = rotation(X1);
-  const V3<N> p1 = exp_apply(back, p0 + end_sum3<V>(w, w.Y, dof));
-  return jacobian_transpose(k, p1) - end_sum3<V>(w, w.px, dof);
+  const V3<N> p1 = exp_apply(back, p0 + end_sum3(g, w.Y, dof));
+  return jacobian_transpose(k, p1) - end_sum3(g, w.px, dof);
 }
 
-template <class V>
-inline void residuals(const Group<V>& g) {
+template <class G>
+inline void residuals(const G& g) {
+  typedef typename G::Lanes V;
   const LaneWork& w = *g.work;
   for (int i = 0; i < g.tree->joints; ++i) {
     const LaneJoint& j = g.tree->joint[i];
     if (j.type == kLaneBall) {
-      const V3<typename Memory<V>::Number> start = ball_start<V>(w, j.dof);
+      const auto start = ball_start(g, j.dof);
       V3<V> px;
-      px.x = start.x + stage_sum<V>(w, w.px, j.dof, g.offset);
-      px.y = start.y + stage_sum<V>(w, w.px, j.dof + 1, g.offset);
-      px.z = start.z + stage_sum<V>(w, w.px, j.dof + 2, g.offset);
+      px.x = start.x + stage_sum(g, w.px, j.dof);
+      px.y = start.y + stage_sum(g, w.px, j.dof + 1);
+      px.z = start.z + stage_sum(g, w.px, j.dof + 2);
       const V3<V> p = jacobian_inverse_transpose(rotation(g.at3(w.X, j.dof)), px);
       g.put3(w.dv, j.dof, p - g.at3(w.P, j.dof));
     } else {
       for (int d = j.dof; d < j.dof + (j.type == kLaneTranslate ? 3 : 1); ++d)
-        g.put(w.dv, d, (g.number(w.p0 + d) + stage_sum<V>(w, w.G, d, g.offset)) - g.at(w.P, d));
+        g.put(w.dv, d, (g.number(w.p0, d) + stage_sum(g, w.G, d)) - g.at(w.P, d));
     }
   }
 }
 
 // Energies of the impulses of the single forces, sum (h |force|)^2 / D: what differs by less is rounding, not motion.
-template <class V>
-inline void measure_impulses(const Group<V>& g) {
+template <class G>
+inline void measure_impulses(const G& g) {
+  typedef typename G::Lanes V;
   const LaneWork& w = *g.work;
   V sum = Lane<V>::all(0.0);
   for (int i = 0; i < g.tree->joints; ++i) {
@@ -145,15 +164,16 @@ inline void measure_impulses(const Group<V>& g) {
     const V* factor = g.storage + j.at + j.velocity + 9;
     const int three[3] = {18, 21, 23};
     for (int d = 0; d < (has_three(j) ? 3 : 1); ++d) {
-      const V impulse = w.h * g.at(w.magnitude, j.dof + d);
+      const V impulse = g.length() * g.at(w.magnitude, j.dof + d);
       sum = sum + impulse * impulse * factor[has_three(j) ? three[d] : 6];
     }
   }
   store<V>(w.impulse_energy + g.offset, sum);
 }
 
-template <class V>
-inline void correct(const Group<V>& g, int flags) {
+template <class G>
+inline void correct(const G& g, int flags) {
+  typedef typename G::Lanes V;
   const LaneWork& w = *g.work;
   if (flags & kLaneFactor) {
     // The impulses' energies need M's factor, which a Newton step needs for nothing else.
@@ -183,17 +203,18 @@ inline void correct(const Group<V>& g, int flags) {
   store<V>(w.kinetic + g.offset, kinetic);
 }
 
-template <class V>
-void iterate(const LaneTree* tree, const LaneWork* work, int flags) {
+// make(k): the group k of lanes.
+template <class V, class Make>
+LANE_INLINE void iterate_groups(const LaneTree* tree, const LaneWork* work, int flags, Make make) {
   const int count = groups<V>(work);
   if (tree->balls > 0) {
     // X' depends on X: iterated once more, so that its error does not slow down the iterations on v.
     rates<V>(tree, work);
-    for (int k = 0; k < count; ++k) displace<true>(group<V>(tree, work, k), kLaneFirst);
+    for (int k = 0; k < count; ++k) displace<true>(make(k), kLaneFirst);
     rates<V>(tree, work);
   }
   for (int k = 0; k < count; ++k) {
-    const Group<V> g = group<V>(tree, work, k);
+    const auto g = make(k);
     displace<true>(g, tree->balls > 0 ? flags & ~kLaneFirst : flags);
     forward(g);
     if (flags & kLaneFactor) {
@@ -206,9 +227,30 @@ void iterate(const LaneTree* tree, const LaneWork* work, int flags) {
   if (tree->balls > 0)
     for (int k = 0; k < count; ++k) ball_rates(group<V>(tree, work, k));
   for (int k = 0; k < count; ++k) {
-    const Group<V> g = group<V>(tree, work, k);
+    const auto g = make(k);
     residuals(g);
     correct(g, flags);
+  }
+}
+
+template <class V>
+void iterate(const LaneTree* tree, const LaneWork* work, int flags) {
+  iterate_groups<V>(tree, work, flags, [=](int k) { return group<V>(tree, work, k); });
+}
+
+template <class V>
+void iterate_runs(const LaneTree* tree, const LaneWork* work, int flags) {
+  iterate_groups<V>(tree, work, flags, [=](int k) { return run_group<V>(tree, work, k); });
+}
+
+template <class V>
+void solve_runs(const LaneTree* tree, const LaneWork* work) {
+  for (int k = 0; k < groups<V>(work); ++k) {
+    const RunGroup<V> g = run_group<V>(tree, work, k);
+    place_all(g);
+    factor_group(g);
+    solve_backward(g);
+    solve_forward(g);
   }
 }
 
@@ -313,7 +355,8 @@ void subtract_product(int rows, int inner, int width, const double* A, int strid
 
 template <class V>
 constexpr LaneKernel lane_kernel() {
-  return {Lane<V>::count,      evaluate<V>,        place_stages<V>,    factor_stages<V>, solve_stages<V>,
-          solve_columns<V>,    iterate<V>,         rates<V>,           combine<V>,       tangent<V>,
-          evaluate_tangent<V>, evaluate_second<V>, subtract_product<V>};
+  return {Lane<V>::count,      evaluate<V>,      place_stages<V>,     factor_stages<V>,
+          solve_stages<V>,     solve_columns<V>, iterate<V>,          rates<V>,
+          combine<V>,          tangent<V>,       evaluate_tangent<V>, evaluate_second<V>,
+          subtract_product<V>, iterate_runs<V>,  solve_runs<V>};
 }

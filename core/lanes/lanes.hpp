@@ -7,6 +7,10 @@
 // Arrays over dofs and stages are [dof * S + stage], S the stage count padded to the lanes, 64-byte aligned. Padding
 // lanes repeat the last stage, so nothing in them divides by zero. Sums over stages run over the real ones in order,
 // and the compiler may not fuse (-ffp-contract=off): every instruction set gives the same bits.
+//
+// The functions of runs take lanes that are the only stages of steps of different runs. There what the stages of a step
+// share (its length, its start, its linear forces) has a number for each lane, and stands in the arrays as the numbers
+// per dof and stage do. No lane sees another one: each gets the bits that its run has alone.
 #pragma once
 
 namespace contactvi {
@@ -61,6 +65,7 @@ struct LaneWork {
   // [i]: h times the diagonals that replace A in the Newton matrix, and on balls 1/2 (A - 1).
   const double *he, *he_turn;
   double h;
+  const double* run_h;  // in place of h, per lane, in the functions of runs
   // Start of the step, per dof.
   const double* base;       // angle (its frame's constant turn included) or displacement
   const double* ball_base;  // [ball * 9]: B, row-major
@@ -133,6 +138,10 @@ struct LaneKernel {
   // be Y. At most 8 inner ones; a width that is a multiple of 8; X and Y aligned to 64 bytes.
   void (*subtract_product)(int rows, int inner, int width, const double* A, int stride, const double* X, double* Y,
                            bool anew);
+  // iterate() for runs with one stage each.
+  void (*iterate_runs)(const LaneTree*, const LaneWork*, int flags);
+  // dv <- (M + diagonal)^-1 dv at the given X, for runs.
+  void (*solve_runs)(const LaneTree*, const LaneWork*);
 };
 
 }  // namespace contactvi

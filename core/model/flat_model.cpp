@@ -257,4 +257,6 @@ bool set_instruction_set(const char* name) {
 
 const LaneKernel& lane_kernel(int stages) { return of(*chosen(), stages); }
 
+const LaneKernel& run_kernel() { return chosen()->kernels[1]; }
+
 }  // namespace contactvi

@@ -16,6 +16,26 @@ double bound(const VecX& limits, int dof) { return limits.size() > 0 ? limits[do
 Actuation::Actuation(const Tree& tree, ActuatorState& state, Integrator& free, ContactStep& contact, DenseStep& dense)
     : tree_(&tree), state_(&state), free_(&free), contact_(&contact), dense_(&dense), v_(tree.nv) {}
 
+Actuation::Shared::Shared(const Tree& tree, NodeCompany& with)
+    : company(&with), model(tree), lanes(&with.node_lanes_of(model)), node(tree, model, 1) {}
+
+void Actuation::join(NodeCompany& company) {
+  const Elements& e = tree_->elements;
+  if (e.servo_kp.size() + e.effort.size() + e.speed.size() > 0) shared_ = std::make_unique<Shared>(*tree_, company);
+}
+
+// v_ at a state.
+void Actuation::find_velocity(const VecX& q, const VecX& p) {
+  if (shared_) {
+    put_node(q, p, shared_->node);
+    if (shared_->company->solve_masses(shared_->node, *shared_->lanes)) {
+      get_velocity(shared_->node, p, v_);
+      return;
+    }
+  }
+  free_->node_velocity(q, p, v_);
+}
+
 void Actuation::start() {
   state_->saturated = 0;
   state_->servo.any = false;
@@ -56,7 +76,7 @@ void Actuation::limit(const VecX& q, const VecX& p) {
     servo.kd = e.servo_kd;
     servo.feed.setZero(tree.nv);
   }
-  free_->node_velocity(q, p, v_);
+  find_velocity(q, p);
   for (const Joint& joint : tree.joints) {
     const int d = joint.iv;
     if (joint.nv != 1) continue;

@@ -4,6 +4,7 @@
 #include "contact/contact_step.hpp"
 #include "contact/dense_step.hpp"
 #include "step/integrator.hpp"
+#include "step/node_lanes.hpp"
 
 namespace contactvi {
 
@@ -18,6 +19,9 @@ class Actuation {
  public:
   // The servo of `state` acts in the steps of all three, from the first limit() on.
   Actuation(const Tree& tree, ActuatorState& state, Integrator& free, ContactStep& contact, DenseStep& dense);
+
+  // The velocities at the starts of steps are found side by side with those of other runs from now on.
+  void join(NodeCompany& company);
 
   void start();
   // Sets the input and, if target has rows, the references of the servos (its row k) for the next control step that
@@ -35,7 +39,16 @@ class Actuation {
   void apply_servo();
 
  private:
+  // Of a run with company: the lanes for its velocities, and the state in them.
+  struct Shared {
+    NodeCompany* company;
+    FlatModel model;
+    StageLanes* lanes;
+    Stages node;
+    Shared(const Tree& tree, NodeCompany& with);
+  };
   double effort_limit(int d) const;
+  void find_velocity(const VecX& q, const VecX& p);
 
   const Tree* tree_;
   ActuatorState* state_;
@@ -43,6 +56,7 @@ class Actuation {
   ContactStep* contact_;
   DenseStep* dense_;
   VecX v_;
+  std::unique_ptr<Shared> shared_;
 };
 
 }  // namespace contactvi

@@ -9,6 +9,7 @@
 #include "base/parallel.hpp"
 #include "model/coordinates.hpp"
 #include "step/integrator.hpp"
+#include "step/node_lanes.hpp"
 
 namespace contactvi {
 
@@ -16,26 +17,30 @@ namespace {
 
 constexpr std::chrono::milliseconds kPollPeriod(50);
 
-// Appends states to an outcome, with the velocity that belongs to a momentum.
+// Appends states to an outcome, with the velocities that belong to their momenta.
 class States {
  public:
-  States(const Tree& tree, BatchOutcome& to) : tree_(tree), integrator_(tree, 1, 1e-12, 1), w_(tree.nv), to_(to) {}
+  States(const Tree& tree, BatchOutcome& to) : tree_(tree), to_(to) {}
 
   void add(double t, const VecX& q, VecX p) {
     // By way of public coordinates, as the velocities of single runs are computed: equal bits.
     engine_to_public(tree_, q, p);
     public_to_engine(tree_, q, p);
-    if (!integrator_.node_velocity(q, p, w_)) w_.setConstant(std::numeric_limits<double>::quiet_NaN());
-    engine_to_public(tree_, q, w_);
     to_.t.push_back(t);
     to_.q.insert(to_.q.end(), q.data(), q.data() + tree_.nq);
-    to_.v.insert(to_.v.end(), w_.data(), w_.data() + tree_.nv);
+    to_.v.insert(to_.v.end(), p.data(), p.data() + tree_.nv);
+  }
+  // After the last one.
+  void find_velocities() {
+    const auto count = static_cast<Eigen::Index>(to_.t.size());
+    const Eigen::Map<const MatX> q(to_.q.data(), tree_.nq, count);
+    Eigen::Map<MatX> v(to_.v.data(), tree_.nv, count);
+    NodeLanes(tree_).find_velocities(q, v);
+    for (Eigen::Index k = 0; k < count; ++k) engine_to_public(tree_, q.col(k), v.col(k));
   }
 
  private:
   const Tree& tree_;
-  Integrator integrator_;
-  VecX w_;
   BatchOutcome& to_;
 };
 
@@ -59,19 +64,20 @@ double lost_velocity(const Tree& tree, const VecX& q) {
 void Batch::run(int threads, const std::function<bool(std::size_t)>& poll) {
   outcomes_ = std::vector<BatchOutcome>(starts_.size());
   next_ = made_ = 0;
+  shared_ = 0;
   stop_ = false;
   std::mutex mutex;
   std::condition_variable ended;
   std::size_t done = 0;
+  const int most = static_cast<int>(std::min<std::size_t>(threads, starts_.size()));
   const auto work = [&] {
-    take_runs();
+    take_runs_side_by_side(most);
     const std::lock_guard lock(mutex);
     ++done;
     ended.notify_one();
   };
-  std::vector<std::thread> workers =
-      start_threads(static_cast<int>(std::min<std::size_t>(threads, starts_.size())), work);
-  if (workers.empty()) take_runs();  // the process may start no threads
+  std::vector<std::thread> workers = start_threads(most, work);
+  if (workers.empty()) take_runs_side_by_side(1);  // the process may start no threads
   std::unique_lock lock(mutex);
   while (!ended.wait_for(lock, kPollPeriod, [&] { return done == workers.size(); })) {
     lock.unlock();
@@ -82,10 +88,20 @@ void Batch::run(int threads, const std::function<bool(std::size_t)>& poll) {
   for (std::thread& worker : workers) worker.join();
 }
 
-void Batch::take_runs() {
+// In one of so many threads, none of which takes runs that another one could make at the same time.
+void Batch::take_runs_side_by_side(int threads) {
+  const std::size_t share = (starts_.size() + threads - 1) / std::max(1, threads);
+  const int stacks = static_cast<int>(std::min<std::size_t>(SideBySide::most_runs(options_.stages), share));
+  if (stacks <= 1) return take_runs(nullptr);
+  SideBySide company;
+  company.run(stacks, [&] { take_runs(&company); });
+  shared_ += company.shared_iterations();
+}
+
+void Batch::take_runs(SideBySide* company) {
   for (std::size_t k = next_++; k < starts_.size() && !stop_; k = next_++) {
     try {
-      make(starts_[k], outcomes_[k]);
+      make(starts_[k], company, outcomes_[k]);
     } catch (...) {
       outcomes_[k].failure = std::current_exception();
     }
@@ -94,17 +110,18 @@ void Batch::take_runs() {
   }
 }
 
-void Batch::make(const BatchStart& start, BatchOutcome& outcome) {
-  if (start.changes.size() == 0) return make(*start.scene, start, outcome);
+void Batch::make(const BatchStart& start, SideBySide* company, BatchOutcome& outcome) {
+  if (start.changes.size() == 0) return make(*start.scene, start, company, outcome);
   Scene changed = *start.scene;
   changes_.apply(start.changes, changed);
-  make(changed, start, outcome);
+  make(changed, start, company, outcome);
 }
 
-void Batch::make(const Scene& scene, const BatchStart& start, BatchOutcome& outcome) {
+void Batch::make(const Scene& scene, const BatchStart& start, SideBySide* company, BatchOutcome& outcome) {
   outcome.massless = lost_velocity(scene.tree, start.q) > most_lost_;
   if (outcome.massless) return;
   World world(scene, options_);
+  if (company != nullptr) world.join(*company);
   begin(start, world, outcome);
   Recording recording;
   if (outcome.start.ok()) {
@@ -114,7 +131,8 @@ void Batch::make(const Scene& scene, const BatchStart& start, BatchOutcome& outc
     const Progress progress = [this](double, long) { return !stop_; };
     const auto first = std::chrono::steady_clock::now();
     outcome.status = world.advance(steps_, tau, target, record_every_, progress, recording);
-    outcome.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - first).count();
+    const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - first;
+    outcome.seconds = taken.count() / (company != nullptr ? company->stacks() : 1);
   }
   keep_nodes(scene.tree, start, world, recording, outcome);
   outcome.impacts = static_cast<long>(recording.impacts.size());
@@ -146,15 +164,20 @@ bool Batch::is_node(double t) const {
 void Batch::keep_nodes(const Tree& tree, const BatchStart& start, const World& world, const Recording& recording,
                        BatchOutcome& outcome) const {
   States states(tree, outcome);
-  if (!outcome.start.ok()) return states.add(0.0, start.q, outcome.start_p);
-  if (keep_ == BatchKeep::kEnds) return states.add(outcome.status.time, world.q(), world.p());
-  states.add(outcome.start_time, start.q, outcome.start_p);
-  for (std::size_t k = 0; k < recording.t.size(); ++k) {
-    if (recording.t[k] <= outcome.t.back() || !is_node(recording.t[k])) continue;
-    states.add(recording.t[k], Eigen::Map<const VecX>(recording.q.data() + k * tree.nq, tree.nq),
-               Eigen::Map<const VecX>(recording.p.data() + k * tree.nv, tree.nv));
+  if (!outcome.start.ok()) {
+    states.add(0.0, start.q, outcome.start_p);
+  } else if (keep_ == BatchKeep::kEnds) {
+    states.add(outcome.status.time, world.q(), world.p());
+  } else {
+    states.add(outcome.start_time, start.q, outcome.start_p);
+    for (std::size_t k = 0; k < recording.t.size(); ++k) {
+      if (recording.t[k] <= outcome.t.back() || !is_node(recording.t[k])) continue;
+      states.add(recording.t[k], Eigen::Map<const VecX>(recording.q.data() + k * tree.nq, tree.nq),
+                 Eigen::Map<const VecX>(recording.p.data() + k * tree.nv, tree.nv));
+    }
+    if (outcome.status.time > outcome.t.back()) states.add(outcome.status.time, world.q(), world.p());
   }
-  if (outcome.status.time > outcome.t.back()) states.add(outcome.status.time, world.q(), world.p());
+  states.find_velocities();
 }
 
 }  // namespace contactvi

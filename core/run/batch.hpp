@@ -38,7 +38,7 @@ struct BatchOutcome {
   // Times [s] and public q (N, nq), v (N, nv) at the nodes, row after row; without nodes those at the end.
   std::vector<double> t, q, v;
   long impacts = 0, dense_steps = 0;
-  double seconds = 0.0;
+  double seconds = 0.0;  // of the thread; those that are made side by side share it
   // Of runs that are kept.
   RunState state;
   EngineCounters counters;
@@ -69,11 +69,14 @@ class Batch {
   const BatchStart& start(std::size_t k) const { return starts_[k]; }
   BatchOutcome& outcome(std::size_t k) { return outcomes_[k]; }
   const SimulatorOptions& options() const { return options_; }
+  // Stage iterations that runs have made together, each counted once for every run in it.
+  long shared_iterations() const { return shared_; }
 
  private:
-  void take_runs();
-  void make(const BatchStart& start, BatchOutcome& outcome);
-  void make(const Scene& scene, const BatchStart& start, BatchOutcome& outcome);
+  void take_runs_side_by_side(int threads);
+  void take_runs(SideBySide* company);
+  void make(const BatchStart& start, SideBySide* company, BatchOutcome& outcome);
+  void make(const Scene& scene, const BatchStart& start, SideBySide* company, BatchOutcome& outcome);
   void begin(const BatchStart& start, World& world, BatchOutcome& outcome) const;
   void keep_nodes(const Tree& tree, const BatchStart& start, const World& world, const Recording& recording,
                   BatchOutcome& outcome) const;
@@ -88,6 +91,7 @@ class Batch {
   std::vector<BatchStart> starts_;
   std::vector<BatchOutcome> outcomes_;
   std::atomic<std::size_t> next_{0}, made_{0};
+  std::atomic<long> shared_{0};
   std::atomic<bool> stop_{false};
 };
 

@@ -61,6 +61,11 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
   if (options.gradient) dense_step_.keep_records();
 }
 
+void Simulator::join(SideBySide& company) {
+  integrator_.join(&company);
+  actuation_.join(company);
+}
+
 bool Simulator::scene_does_work() const {
   const Elements& e = scene_->tree.elements;
   return dissipative_ || e.any_force() || e.constrained() || e.servo_kp.size() > 0;

@@ -10,6 +10,7 @@
 #include "run/contact_change.hpp"
 #include "run/contact_set.hpp"
 #include "run/run_state.hpp"
+#include "run/side_by_side.hpp"
 
 namespace contactvi {
 
@@ -107,6 +108,8 @@ class Simulator {
   // Whether a guard is closed, within tolerance, or has just opened.
   bool touches(int guard) const { return finder_.touching(guard); }
   Integrator& integrator() { return integrator_; }
+  // Its smooth steps are solved side by side with those of other runs from now on.
+  void join(SideBySide& company);
 
   // A run that goes on after restore() has the same digits.
   std::shared_ptr<const Snapshot> save();

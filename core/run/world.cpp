@@ -77,6 +77,13 @@ bool World::may_divide() const {
   return options_.islands && trees_.count() > 1 && !impact_law(options_.impact).implicit() && !options_.dense;
 }
 
+void World::join(SideBySide& company) {
+  company_ = &company;
+  whole_.join(company);
+  for (auto& [trees, island] : pool_)
+    if (&island->engine() != &whole_) island->engine().join(company);
+}
+
 Status World::reset(const VecX& q, const VecX& v, double t) {
   divided_ = false;
   const VecX q0 = q, v0 = v;  // the arguments may be those of the state
@@ -150,6 +157,7 @@ Island& World::island_of(const std::vector<int>& trees) {
                 ? std::make_unique<Island>(*scene_, trees_, trees, whole_)
                 : std::make_unique<Island>(*scene_, trees_, trees, options_);
     found->engine().follow_motion();
+    if (company_ != nullptr && &found->engine() != &whole_) found->engine().join(*company_);
   }
   found->last_used = state_.step;
   return *found;

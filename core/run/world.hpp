@@ -11,6 +11,7 @@
 
 #include "run/island.hpp"
 #include "run/island_graph.hpp"
+#include "run/side_by_side.hpp"
 
 namespace contactvi {
 
@@ -19,6 +20,9 @@ class World {
   World(const Scene& scene, const SimulatorOptions& options);
   World(const World&) = delete;
   World& operator=(const World&) = delete;
+
+  // From now on its smooth steps are solved side by side with those of other runs.
+  void join(SideBySide& company);
 
   // As those of Simulator, which they are where the scene has one static tree.
   Status reset(const VecX& q, const VecX& v, double t);
@@ -92,6 +96,7 @@ class World {
   std::vector<Island*> islands_, to_run_;
   std::vector<int> island_of_tree_;
   DisjointSets sets_;
+  SideBySide* company_ = nullptr;
   EngineCounters forgotten_;  // of islands that are in the pool no more
   VecX tau_, q_ref_, v_ref_, q1_, p1_;
   std::vector<Entry> entries_;

@@ -7,103 +7,40 @@
 namespace contactvi {
 
 namespace {
-constexpr double kRefactor = 3e-3;  // relative error above which the factor is made again
-// Errors below which iterations without progress have met rounding: after two of them, and after four.
-constexpr double kStagnantSoon = 2e-13, kStagnantLate = 1e-11;
-constexpr double kProgress = 0.7;          // ratio of errors that counts as progress of an iteration
-constexpr int kMostStagnant = 8;           // iterations without progress after which the start values are given up
 constexpr double kFarTurn = 3.5;           // [rad] turn of a spherical joint in one step up to which its chart is good
 constexpr double kCloseTolerance = 1e-15;  // relative error of steps on which an event or an impact depends: rounding
-constexpr double kBestContraction = 1e-2;  // no better contraction is believed
-// Contraction from which on the Newton matrix pays, and stages up to which it does: measured on chains of 10 to 100
-// links and the Allegro hand, it saves iterations with 4 stages and more too, but not time (benchmarks/README.md).
-constexpr double kSlow = 0.3;
-constexpr int kNewtonStages = 3;
-constexpr double kVerySlow = 0.5;           // contraction from which on acceleration pays,
-constexpr double kAccelerationError = 0.3;  // where the error is below this
-constexpr double kFarEnergy = 30.0;         // growth of the energy over a solve: the solution found is not the motion
 }  // namespace
 
 Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterations)
     : StepEquations(tree, stages),
-      tol_(tol),
-      max_iterations_(max_iterations),
+      iteration_(tol, max_iterations),
       start_(tree.nv, stages_),
       acceleration_(tree.nv, stages_),
       v0_(tree.nv) {}
 
-double Integrator::relative_error() const {
-  double worst = 0.0;
-  for (int i = 0; i < stages_.count(); ++i) {
-    const double error = std::abs(stages_.error(i));
-    const double scale = std::max({std::abs(stages_.kinetic(i)), stages_.impulse_energy(i), error});
-    const double relative = error > 0.0 ? error / scale : error;
-    if (std::isnan(relative)) return relative;
-    worst = std::max(worst, relative);
-  }
-  return std::sqrt(worst);
-}
-
-// Largest energy of a stage: of its motion, or of the impulses that its forces give one by one.
-double Integrator::largest_energy() const {
-  double largest = 0.0;
-  for (int i = 0; i < stages_.count(); ++i)
-    largest = std::max({largest, std::abs(stages_.kinetic(i)), stages_.impulse_energy(i)});
-  return largest;
-}
-
-// Whether the iteration that left this error, theta times the one before, was the last that the step needs.
-bool Integrator::converged(double error, double theta, bool accelerated) const {
-  if (error <= tol_) return true;
-  // One ratio of errors may be too good by chance, and after an acceleration it tells hardly anything.
-  const double believed = std::max(theta, accelerated ? 0.5 : kBestContraction);
-  return theta >= 0.0 && theta < 1.0 && error * believed / (1.0 - believed) <= tol_;
-}
-
 bool Integrator::solve_stages() {
   solved_ = false;
-  double previous = -1.0, theta = -1.0, best = std::numeric_limits<double>::infinity(), first_energy = 0.0;
-  int stagnant = 0;  // iterations without progress
-  bool newton = newton_, accelerated = false;
+  iteration_.begin(newton_);
   acceleration_.clear();
   clear_turns();
-  bool factor = true;
-  for (int k = 0; k < max_iterations_; ++k) {
-    iterate_stages((factor ? kLaneFactor : 0) | (k == 0 ? kLaneFirst : 0) | (newton ? kLaneNewton : 0));
-    ++stage_iterations_;
-    const double error = relative_error();
-    if (!std::isfinite(error)) {
-      why_ = "a number is not finite";
-      newton_ = false;
-      return false;
-    }
-    theta = previous > 0.0 ? error / previous : -1.0;
-    residual_ = error;
-    if (k == 0) first_energy = largest_energy();
-    // The equations of long steps have solutions far from the motion too: the iterations are on their way to one.
-    if (largest_energy() > kFarEnergy * first_energy) break;
-    if (converged(error, theta, accelerated)) {
-      newton_ = newton;
-      return solved_ = true;
-    }
-    stagnant = error < kProgress * best ? 0 : stagnant + 1;
-    best = std::min(best, error);
-    // Near the solution, iterations that gain nothing any more have met rounding; further off they lead nowhere.
-    if ((stagnant >= 2 && error < kStagnantSoon) || (stagnant >= 4 && error < kStagnantLate && !accelerated))
-      return solved_ = true;
-    if (stagnant >= (accelerated ? 2 * kMostStagnant : kMostStagnant)) break;
-    const bool slow = k >= 2 && theta > kSlow, turn = slow && !newton && stages_.count() <= kNewtonStages;
-    if (factor && accelerated) acceleration_.clear();  // its residuals belong to another matrix
-    newton = newton || turn;
-    factor = turn || (error > kRefactor && !accelerated);
-    if ((slow && theta > kVerySlow && !turn && error < kAccelerationError) || accelerated) {
-      acceleration_.apply(stages_);
-      accelerated = true;
-    }
-    previous = error;
+  if (lanes_ != nullptr) company_->iterate(*this, *lanes_);
+  while (iteration_.goes_on()) {
+    iterate_stages(iteration_.flags());
+    judge_iteration();
+    if (iteration_.accelerates()) accelerate();
   }
-  why_ = "the stage iterations do not converge";
-  return false;
+  residual_ = iteration_.error();
+  if (iteration_.converged()) newton_ = iteration_.newton();
+  if (!iteration_.finite()) newton_ = false;
+  solved_ = iteration_.solved();
+  if (!solved_) why_ = iteration_.finite() ? "the stage iterations do not converge" : "a number is not finite";
+  return solved_;
+}
+
+void Integrator::judge_iteration() {
+  ++stage_iterations_;
+  iteration_.judge(stages_);
+  if (iteration_.forgets_acceleration()) acceleration_.clear();
 }
 
 bool Integrator::turns_too_far() {
@@ -122,10 +59,10 @@ bool Integrator::turns_too_far() {
 }
 
 bool Integrator::solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
-  const double tol = tol_;
-  tol_ = std::min(tol_, kCloseTolerance);
+  const double tol = iteration_.tol();
+  iteration_.set_tol(std::min(tol, kCloseTolerance));
   const bool solved = solve(q0, p0, h, tau);
-  tol_ = tol;
+  iteration_.set_tol(tol);
   return solved;
 }
 
@@ -202,10 +139,10 @@ bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q
   }
   for (int i = s; i < S; ++i)
     for (int d = 0; d < tree_->nv; ++d) stages_.v()[d * S + i] = v0_[d];
-  const double tol = tol_;
-  tol_ = std::min(tol_, kCloseTolerance);
+  const double tol = iteration_.tol();
+  iteration_.set_tol(std::min(tol, kCloseTolerance));
   const bool solved = solve_stages() || (node_velocity(q0_, p0_, v0_) && (start_constant(v0_), solve_stages()));
-  tol_ = tol;
+  iteration_.set_tol(tol);
   return solved && !turns_too_far();
 }
 
@@ -220,6 +157,13 @@ void Integrator::forget() {
   carry_q_.setZero();
   carry_p_.setZero();
   start_.forget();
+}
+
+void Integrator::join(LaneCompany* company) {
+  company_ = company;
+  // The factor of stiff elements is not the kernel's alone.
+  const bool shares = company != nullptr && stages_.count() == 1 && !stiff_.any();
+  lanes_ = shares ? &company->lanes_of(*this) : nullptr;
 }
 
 void Integrator::start_anew() {

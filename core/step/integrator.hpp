@@ -6,7 +6,9 @@
 #pragma once
 
 #include "step/anderson.hpp"
+#include "step/lane_company.hpp"
 #include "step/path.hpp"
+#include "step/stage_iteration.hpp"
 #include "step/start_values.hpp"
 #include "step/step_equations.hpp"
 #include "step/stepper.hpp"
@@ -24,7 +26,7 @@ class Integrator final : public Stepper, public StepEquations {
   // when the iterations do not converge from any start values; why() gives the reason.
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
   // Displacement that the solution of the stage equations resolves in the step just solved [m; rad].
-  double resolution() const { return tol_ * stage_motion(); }
+  double resolution() const { return iteration_.tol() * stage_motion(); }
   // Solves it to rounding: impact maps form differences of such steps.
   bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   // Solves the part alpha of a step whose path is known, to rounding.
@@ -39,6 +41,8 @@ class Integrator final : public Stepper, public StepEquations {
   void accept();
   // The next step starts elsewhere.
   void forget() override;
+  // Steps with one stage are solved side by side with those of other runs from now on; null: alone.
+  void join(LaneCompany* company);
   // Nothing that was solved before counts any more: not even how well its iterations contracted.
   void start_anew();
   // What the next step starts from besides the state: with it a run goes on later with the same digits.
@@ -57,15 +61,16 @@ class Integrator final : public Stepper, public StepEquations {
   const char* why() const override { return why_; }
 
  private:
+  friend class LaneIterations;  // makes the iterations of several steps
   bool solve_stages();
-  bool converged(double error, double theta, bool accelerated) const;
-  double relative_error() const;
-  double largest_energy() const;
+  void judge_iteration();
+  void accelerate() { acceleration_.apply(stages_); }
   bool start_by_ramp(const VecX& tau);
   bool turns_too_far();
 
-  double tol_;
-  int max_iterations_;
+  StageIteration iteration_;
+  LaneCompany* company_ = nullptr;
+  LaneIterations* lanes_ = nullptr;  // of the company
   StartValues start_;
   AndersonAcceleration acceleration_;
   VecX v0_;

@@ -105,6 +105,7 @@ class Stages {
   friend class LocalTangent;
   friend class StepHessian;
   friend class PublicHessian;
+  friend class StageLanes;
   void allocate(int directions);
   void set_base(const VecCRef& q0);
   // The derivatives of the base along a tangent vector dq, (nv,), so far after it in the arrays.

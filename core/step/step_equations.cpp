@@ -52,8 +52,12 @@ void StepEquations::iterate_stages(int flags) {
     if (factor) stiff_.factor(stages_, q0_);
     stiff_.correct(stages_);
   }
+  count_iteration(flags);
+}
+
+void StepEquations::count_iteration(int flags) {
   ++counters.stage_iterations;
-  counters.factorizations += factor;
+  counters.factorizations += (flags & kLaneFactor) != 0;
 }
 
 void StepEquations::finish(VecRef q1, VecRef p1) {

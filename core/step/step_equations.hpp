@@ -77,6 +77,7 @@ class StepEquations {
   void clear_turns();
   // One iteration of the kernel on the stage equations (LaneFlags), with the stiff elements' share in its correction.
   void iterate_stages(int flags);
+  void count_iteration(int flags);
 
   const Tree* tree_;
   FlatModel model_;
