@@ -400,6 +400,11 @@ def kernel_seconds(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape
     Seconds per stage of evaluate, factor, solve, f(q, p) and sweep, fastest of several blocks; for benchmarks.
     """
 
+def iterate_kernel(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stages: int, iterations: int, factors: int) -> None:
+    """
+    Make so many stage iterations at (q, v), the first of them with a factor; for benchmarks.
+    """
+
 def solve_masses(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], right: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]:
     """
     M(q)^-1 times the columns of right, shape (nv, m), in engine coordinates, for tests.
