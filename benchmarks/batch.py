@@ -17,6 +17,7 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from mujoco import rollout
@@ -95,6 +96,20 @@ def measure(name: str, duration: float, runs: int, threads: list[int]) -> list[d
         rows.append({"scene": name, "duration": duration, "tool": "mujoco.rollout", "threads": count,
                      "seconds": seconds, "runs": runs, "error": off})  # fmt: skip
     return rows
+
+
+class Ratios(NamedTuple):
+    """Of the rows of `measure`: runs per second of two threads over one; time of one thread over MuJoCo's rollout's."""
+
+    threads: float
+    peer: float
+
+
+def ratios(rows: list[dict[str, object]]) -> Ratios:
+    """Compare the rows of one scene and duration, measured with one and two threads."""
+    seconds = {(row["tool"], row["threads"]): float(row["seconds"]) for row in rows}
+    own = seconds["contactvi", 1]
+    return Ratios(own / seconds["contactvi", 2], own / seconds["mujoco.rollout", 1])
 
 
 def main() -> None:

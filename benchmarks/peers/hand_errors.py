@@ -23,6 +23,7 @@ from bars import describe
 from compare import call, interpreter, versions
 
 PLACE, FORCE = 2e-4, 0.01  # the bars: [m], relative
+BARS = (("place 0.2 mm", "place", PLACE), ("force 1 %", "force", FORCE))  # name, measure, bar
 LIMIT = 2e-5  # s
 STEPS = (2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)  # s
 KINDS: dict[str, dict[str, Any]] = {
@@ -87,7 +88,7 @@ def tables(rows: list[Row], duration: float) -> list[str]:
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
     lines += ["", "dt [s]: ms per s.", "", "| bar | " + " | ".join(KINDS) + " |", "|---" * (1 + len(KINDS)) + "|"]
-    for name, measure, bar in (("place 0.2 mm", "place", PLACE), ("force 1 %", "force", FORCE)):
+    for name, measure, bar in BARS:
         best = [fastest([r for r in rows if r["kind"] == kind], measure, bar) for kind in KINDS]
         cells = [f"{r['setting']['dt']:g}: {1e3 * r['seconds'] / duration:.3g}" if r else "not met" for r in best]
         lines.append("| " + " | ".join([name, *cells]) + " |")

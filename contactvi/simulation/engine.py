@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from operator import attrgetter
 from typing import Any, cast
 
 from numpy.typing import ArrayLike
@@ -84,8 +85,12 @@ def release(engine: _core.Simulator, compiled: CompiledScene, options: Options) 
     waiting[_key(options)] = [engine]
 
 
+_values = attrgetter(*_OF_THE_ENGINE)
+
+
 def _key(options: Options) -> tuple[Any, ...]:
-    return tuple(getattr(options, name) for name in _OF_THE_ENGINE)
+    found: tuple[Any, ...] = _values(options)
+    return found
 
 
 def start(
@@ -108,7 +113,7 @@ def start(
     begin = t if type(t) is float and t == 0.0 else float(inputs.array("t", t, (), "the start time in seconds"))
     given = compiled.v0 if v0 is None else v0
     v = compiled.start_velocity(q, begin) if given is None else states.velocity(given)
-    compiled.check_start(q, v, begin)
+    compiled.check_start(q, v, begin, engine)
     result = cast(EngineStatus, engine.reset(q, v, begin))
     record = Record(compiled, options, begin, q, engine.p)
     if result["code"] == _core.StatusCode.SUCCESS:

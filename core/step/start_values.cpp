@@ -60,6 +60,16 @@ void StartValues::weigh(double h) {
 
 void StartValues::extrapolate(double h, Stages& stages) {
   weigh(h);
+  if (S_ == 1) {  // one number per dof: the sums at once, term by term in the same order
+    const int steps = nodes_used();
+    double* v = stages.v();
+    for (int d = 0; d < nv_; ++d) {
+      double sum = history_[0].data()[d] * weight_[0].data()[0];
+      for (int m = 1; m < steps; ++m) sum = sum + history_[m].data()[d] * weight_[m].data()[0];
+      v[d] = sum;
+    }
+    return;
+  }
   for (int m = 0; m < nodes_used(); ++m)
     stages.kernel().combine(nv_, s_, S_, weight_[m].data(), history_[m].data(), stages.v(), m > 0);
 }

@@ -59,6 +59,20 @@ void StepEquations::iterate_stages(int flags) {
 void StepEquations::finish(VecRef q1, VecRef p1) {
   if (model_.lanes.balls > 0) stages_.rates();
   const double carried = part_ ? 0.0 : 1.0;  // the digits carried are those of the next whole step
+  const int s = stages_.count(), S = stages_.padded();
+  const double *G = stages_.G(), *v = stages_.v(), *hb = stages_.hb();
+  const auto sum = [s, S, hb](const double* array, int dof) {
+    const double* row = array + static_cast<std::size_t>(dof) * S;
+    double total = hb[0] * row[0];
+    for (int j = 1; j < s; ++j) total += hb[j] * row[j];
+    return total;
+  };
+  // base + step, and what the sum loses of the step.
+  const auto add = [](double base, double step, double& to, double& lost) {
+    const double total = base + step;
+    lost = step - (total - base);
+    to = total;
+  };
   for (const Joint& joint : tree_->joints) {
     const int iq = joint.iq, iv = joint.iv;
     if (joint.type == JointType::kSpherical) {
@@ -70,26 +84,18 @@ void StepEquations::finish(VecRef q1, VecRef p1) {
       p1.segment<3>(iv) = end;
       continue;
     }
-    for (int d = 0; d < joint.nv; ++d) {
-      const double impulse = stages_.sum(stages_.G(), iv + d) + carried * carry_p_[iv + d];
-      const double p = p0_[iv + d] + impulse;
-      next_carry_p_[iv + d] = impulse - (p - p0_[iv + d]);
-      p1[iv + d] = p;
-    }
+    for (int d = iv; d < iv + joint.nv; ++d)
+      add(p0_[d], sum(G, d) + carried * carry_p_[d], p1[d], next_carry_p_[d]);
     if (joint.type == JointType::kContinuous) {
-      const double angle = stages_.sum(stages_.v(), iv), c = std::cos(angle), s = std::sin(angle);
+      const double angle = sum(v, iv), c = std::cos(angle), s = std::sin(angle);
       const double c1 = q0_[iq] * c - q0_[iq + 1] * s, s1 = q0_[iq] * s + q0_[iq + 1] * c;
       const double scale = 1 / std::sqrt(c1 * c1 + s1 * s1);
       q1[iq] = scale * c1;
       q1[iq + 1] = scale * s1;
       continue;
     }
-    for (int d = 0; d < joint.nv; ++d) {
-      const double change = stages_.sum(stages_.v(), iv + d) + carried * carry_q_[iq + d];
-      const double q = q0_[iq + d] + change;
-      next_carry_q_[iq + d] = change - (q - q0_[iq + d]);
-      q1[iq + d] = q;
-    }
+    for (int d = 0; d < joint.nv; ++d)
+      add(q0_[iq + d], sum(v, iv + d) + carried * carry_q_[iq + d], q1[iq + d], next_carry_q_[iq + d]);
   }
 }
 
