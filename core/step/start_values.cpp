@@ -60,13 +60,14 @@ void StartValues::weigh(double h) {
 
 void StartValues::extrapolate(double h, Stages& stages) {
   weigh(h);
-  if (S_ == 1) {  // one number per dof: the sums at once, term by term in the same order
-    const int steps = nodes_used();
-    double* v = stages.v();
-    for (int d = 0; d < nv_; ++d) {
-      double sum = history_[0].data()[d] * weight_[0].data()[0];
-      for (int m = 1; m < steps; ++m) sum = sum + history_[m].data()[d] * weight_[m].data()[0];
-      v[d] = sum;
+  if (S_ == 1) {  // one number per dof: what combine does, without a call for each step
+    double* __restrict v = stages.v();
+    for (int m = 0; m < nodes_used(); ++m) {
+      const double weight = weight_[m].data()[0], *__restrict before = history_[m].data();
+      if (m == 0)
+        for (int d = 0; d < nv_; ++d) v[d] = before[d] * weight;
+      else
+        for (int d = 0; d < nv_; ++d) v[d] = v[d] + before[d] * weight;
     }
     return;
   }

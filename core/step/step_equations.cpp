@@ -6,6 +6,29 @@
 
 namespace contactvi {
 
+namespace {
+
+// to = base + step, and what that sum loses of the step.
+inline void add_carried(double base, double step, double& to, double& lost) {
+  const double total = base + step;
+  lost = step - (total - base);
+  to = total;
+}
+
+// The momenta at the end of a step, of all dofs as if none were of a spherical joint.
+void add_impulses(const Stages& stages, const VecX& p0, const VecX& carry, double carried, double* p1, double* lost) {
+  const double* G = stages.G();
+  if (stages.padded() == 1) {  // one number per dof: no sums
+    const double weight = stages.hb()[0];
+    for (Eigen::Index d = 0; d < p0.size(); ++d) add_carried(p0[d], weight * G[d] + carried * carry[d], p1[d], lost[d]);
+    return;
+  }
+  for (int d = 0; d < static_cast<int>(p0.size()); ++d)
+    add_carried(p0[d], stages.sum(G, d) + carried * carry[d], p1[d], lost[d]);
+}
+
+}  // namespace
+
 StepEquations::StepEquations(const Tree& tree, int stages)
     : tree_(&tree),
       model_(tree),
@@ -59,20 +82,10 @@ void StepEquations::iterate_stages(int flags) {
 void StepEquations::finish(VecRef q1, VecRef p1) {
   if (model_.lanes.balls > 0) stages_.rates();
   const double carried = part_ ? 0.0 : 1.0;  // the digits carried are those of the next whole step
-  const int s = stages_.count(), S = stages_.padded();
-  const double *G = stages_.G(), *v = stages_.v(), *hb = stages_.hb();
-  const auto sum = [s, S, hb](const double* array, int dof) {
-    const double* row = array + static_cast<std::size_t>(dof) * S;
-    double total = hb[0] * row[0];
-    for (int j = 1; j < s; ++j) total += hb[j] * row[j];
-    return total;
-  };
-  // base + step, and what the sum loses of the step.
-  const auto add = [](double base, double step, double& to, double& lost) {
-    const double total = base + step;
-    lost = step - (total - base);
-    to = total;
-  };
+  add_impulses(stages_, p0_, carry_p_, carried, p1.data(), next_carry_p_.data());
+  const double* v = stages_.v();
+  const bool single = stages_.padded() == 1;
+  const double weight = stages_.hb()[0];
   for (const Joint& joint : tree_->joints) {
     const int iq = joint.iq, iv = joint.iv;
     if (joint.type == JointType::kSpherical) {
@@ -82,20 +95,21 @@ void StepEquations::finish(VecRef q1, VecRef p1) {
       const Vec3 end = stages_.ball_end(joint, p0_);
       q1.segment<4>(iq) = (start * so3_exp(X1)).normalized().coeffs();
       p1.segment<3>(iv) = end;
+      next_carry_p_.segment<3>(iv).setZero();
       continue;
     }
-    for (int d = iv; d < iv + joint.nv; ++d)
-      add(p0_[d], sum(G, d) + carried * carry_p_[d], p1[d], next_carry_p_[d]);
     if (joint.type == JointType::kContinuous) {
-      const double angle = sum(v, iv), c = std::cos(angle), s = std::sin(angle);
+      const double angle = stages_.sum(v, iv), c = std::cos(angle), s = std::sin(angle);
       const double c1 = q0_[iq] * c - q0_[iq + 1] * s, s1 = q0_[iq] * s + q0_[iq + 1] * c;
       const double scale = 1 / std::sqrt(c1 * c1 + s1 * s1);
       q1[iq] = scale * c1;
       q1[iq + 1] = scale * s1;
       continue;
     }
-    for (int d = 0; d < joint.nv; ++d)
-      add(q0_[iq + d], sum(v, iv + d) + carried * carry_q_[iq + d], q1[iq + d], next_carry_q_[iq + d]);
+    for (int d = 0; d < joint.nv; ++d) {
+      const double change = single ? weight * v[iv + d] : stages_.sum(v, iv + d);
+      add_carried(q0_[iq + d], change + carried * carry_q_[iq + d], q1[iq + d], next_carry_q_[iq + d]);
+    }
   }
 }
 
