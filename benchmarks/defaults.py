@@ -40,7 +40,7 @@ class Line:
 
     @property
     def verdict(self) -> str:
-        """"met", "MISSED", or nothing without a bar."""
+        """Either "met" or "MISSED"; nothing without a bar."""
         if self.bar is None:
             return ""
         return "met" if (self.value >= self.bar if self.least else self.value <= self.bar) else "MISSED"
@@ -48,7 +48,9 @@ class Line:
     def __str__(self) -> str:
         bar = "-" if self.bar is None else f"{'>=' if self.least else '<='} {self.bar:g}"
         unit = f" {self.unit}" if self.unit else ""
-        return f"| {self.what} | {bar}{unit if self.bar is not None else ''} | {self.value:.3g}{unit} | {self.verdict} |"
+        return (
+            f"| {self.what} | {bar}{unit if self.bar is not None else ''} | {self.value:.3g}{unit} | {self.verdict} |"
+        )
 
 
 def auto(repeats: int) -> Iterator[Line]:

@@ -15,7 +15,7 @@ Exit code 0: all counts are within 3 %, or nothing could be compared, which is p
 smaller by more than 3 % fails as well, since the next regression would hide behind it: store it with `--update`.
 
 `--overheads` prints instead what two scenes pay beside what they need, in instructions per step: the hand with pairs
-that are apart over the hand without pairs, and the hand without pairs over the same stage iterations of the bare kernel.
+that are apart over the hand without pairs, and the hand without pairs over its stage iterations by the bare kernel.
 """
 
 from __future__ import annotations
@@ -112,8 +112,8 @@ SCENES: dict[str, Callable[[], tuple[cvi.Simulator, int]]] = {
     "chain": smooth_chain, "hand": hand_falls, "apart": hand_apart, "alone": hand_alone, "cradle": cradle,
     "grasp": grasp, "heap": heap,
 }  # fmt: skip
-# Counted for the overheads alone: the stage iterations of "alone" by the bare kernel, and a call of its `run` that makes
-# no step, which a call of any number of steps pays once.
+# Counted for the overheads alone: the stage iterations of "alone" by the bare kernel, and a call of its `run` without
+# steps, whose price a call with any number of steps pays once.
 KERNEL, CALL = "kernel", "call"
 BARS = {"pairs": 0.10, "step": 0.05}  # of the overheads
 
@@ -212,7 +212,9 @@ def overheads() -> Overheads:
 
 def print_overheads() -> None:
     found = overheads()
-    print(f"hand with pairs apart {found.apart:.0f}, without pairs {found.alone:.0f}, kernel {found.kernel:.0f} per step")
+    print(
+        f"hand with pairs apart {found.apart:.0f}, without pairs {found.alone:.0f}, kernel {found.kernel:.0f} per step"
+    )
     for what, value, bar in (
         ("pairs apart over no pairs", found.pairs, BARS["pairs"]),
         ("no pairs over the bare kernel", found.step, BARS["step"]),

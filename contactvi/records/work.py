@@ -133,13 +133,12 @@ class GrowingForces:
                 self._reactions.append(np.zeros((len(times), 0)))
             self._last = float(t[-1])
             return
-        if isinstance(keep, slice):
-            keep = np.arange(len(t)) >= keep.start
+        mask = np.arange(len(t)) >= keep.start if isinstance(keep, slice) else keep
         reactions = np.asarray(result["reactions"], dtype=float)
         new = t > self._last
         spans = np.diff(np.append(self._last, t[new]))[:, None]
         impulse = self._pending + np.cumsum(reactions[new] * spans, axis=0)
-        kept = keep[new]
+        kept = mask[new]
         if kept.any():
             times = t[new][kept]
             before = np.append(self._t[-1][-1], times[:-1])

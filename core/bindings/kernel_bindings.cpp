@@ -93,8 +93,7 @@ void iterate_kernel(const Scene& s, const VecX& q, const VecX& v, int stages, lo
   const FlatModel model(s.tree);
   Stages work(s.tree, model, stages);
   set_stages(s, q, v, 1e-3, work);
-  for (long k = 0; k < iterations; ++k)
-    work.iterate(kLaneKeepVelocity | (k < factors ? kLaneFactor | kLaneFirst : 0));
+  for (long k = 0; k < iterations; ++k) work.iterate(kLaneKeepVelocity | (k < factors ? kLaneFactor | kLaneFirst : 0));
 }
 
 // M(q)^-1 X of the engine's mass matrix, all columns side by side.

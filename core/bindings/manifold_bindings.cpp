@@ -161,8 +161,7 @@ void expose_manifold(nb::module_& m) {
   m.def("contact_points_of", &points_of_features, "scene"_a, "q"_a, "pair"_a, "features"_a,
         "Points of a pair at known features, wherever they are at q; entries as those of contact_points.");
   m.def(
-      "near_pairs", &near_pairs, "scene"_a, "start"_a, "end"_a, "bound"_a, "h"_a,
-      "spans"_a = false,
+      "near_pairs", &near_pairs, "scene"_a, "start"_a, "end"_a, "bound"_a, "h"_a, "spans"_a = false,
       "For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) "
       "of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,))]. spans: steps "
       "after one in which no pair comes near may look at none.");

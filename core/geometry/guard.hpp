@@ -155,10 +155,10 @@ class Guards {
   long configuration_ = 0;        // number of the configuration q_
   long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
-  std::vector<double> linear_;  // per body: bound on its origin's displacement
+  std::vector<double> linear_;       // per body: bound on its origin's displacement
   Reach motion_, doubt_, expected_;  // expected: in a reference step of the span
-  std::vector<double> odometer_;  // per geometry
-  std::vector<double> marks_;     // per guard: odometer sum up to which it may be skipped
+  std::vector<double> odometer_;     // per geometry
+  std::vector<double> marks_;        // per guard: odometer sum up to which it may be skipped
   BroadPhase broad_phase_;
   ClearSpan span_;
 };

@@ -9,9 +9,9 @@
 namespace contactvi {
 
 namespace {
-constexpr double kReach = 1.5;      // of the motion in the last interval: that expected in the next one
+constexpr double kReach = 1.5;       // of the motion in the last interval: that expected in the next one
 constexpr double kIntervals = 16.0;  // a ball's margin lasts for about so many of them,
-constexpr double kMargin = 0.05;    // and is at least this part of its radius
+constexpr double kMargin = 0.05;     // and is at least this part of its radius
 }  // namespace
 
 IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
