@@ -131,7 +131,7 @@ def other_starts(scene: cvi.Scene) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 def reset_time(scene: cvi.Scene, repeats: int) -> float:
     """Time of a reset, each to another start [us]."""
     sim, starts = cvi.Simulator(scene, dt=DT, record=False), other_starts(scene)
-    return fastest(lambda: sim.reset(*next(starts)), 100, repeats)
+    return fastest(lambda: sim.reset(*next(starts)), 10, 10 * repeats)
 
 
 def simulate_time(scene: cvi.Scene, repeats: int) -> float:
@@ -142,7 +142,7 @@ def simulate_time(scene: cvi.Scene, repeats: int) -> float:
         q, v = next(starts)
         cvi.simulate(scene, q, v, duration=DT, dt=DT)
 
-    return fastest(once, 50, repeats)
+    return fastest(once, 5, 10 * repeats)
 
 
 def loop_times(name: str, scene: cvi.Scene, repeats: int) -> tuple[float, float]:
