@@ -25,8 +25,8 @@ class ClearSpan {
   const VecX& set_reference(const VecX& bound, double h);
   // Steps are clear while so many reference steps are used up; more is less.
   void allow(double steps) { allowed_ = steps; }
-  // Enters a step whose velocities stay within bound. False, and nothing is entered, if it may not be clear: gaps at the
-  // end have to be larger than the motion of the step.
+  // Enters a step whose velocities stay within bound. False, and nothing is entered, if it may not be clear: gaps at
+  // the end have to be larger than the motion of the step.
   bool take(const VecX& bound, double h);
   // Of the step taken last, in reference steps.
   double last() const { return last_; }
