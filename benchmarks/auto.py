@@ -16,6 +16,8 @@ import sys
 import tempfile
 import time
 import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,8 @@ from compare import job_of
 import contactvi as cvi
 
 PARTS = {8: (1, 2, 3, 5, 8, 12, 20, 40), 16: (0.5, 1, 1.5, 2, 3, 4, 6, 8, 12)}  # steps per tenth of a second
+SCENES = tuple(name for name in scenes.NAMES if name != "S2_n100")
+BAR = 2.0  # of the time of "auto" over that of the best fixed setting
 STAGE_TOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
 
@@ -83,25 +87,52 @@ def fixed(case: Case, tols: list[float], repeats: int) -> dict[float, tuple[floa
     return best
 
 
+@dataclass(frozen=True)
+class Compared:
+    """`dt="auto"` beside the best fixed setting of a scene for a tol: times [s], sweeps, error [m, rad]."""
+
+    scene: str
+    tol: float
+    fixed_seconds: float
+    auto_seconds: float
+    sweeps: float  # over those of the fixed setting
+    error: float
+    estimate: float
+    setting: dict[str, Any]
+
+    @property
+    def ratio(self) -> float:
+        """Time over that of the fixed setting."""
+        return self.auto_seconds / self.fixed_seconds
+
+
+def compare(names: Sequence[str], tols: list[float], repeats: int) -> Iterator[Compared]:
+    """Measure scene by scene and tol by tol."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name in names:
+            case = Case(name, Path(folder))
+            for tol, (seconds, sweeps, setting) in fixed(case, tols, repeats).items():
+                auto = {"dt": "auto", "tol": tol, "impact": "ctec"}
+                traj, error = case.run(auto)
+                took = case.seconds(auto, repeats)
+                share = traj.stats.sweeps / sweeps
+                yield Compared(name, tol, seconds, took, share, error, traj.error_estimate, setting)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tols", type=float, nargs="+", default=[1e-3, 1e-6, 1e-8])
-    parser.add_argument("--scenes", nargs="+", default=[name for name in scenes.NAMES if name != "S2_n100"])
+    parser.add_argument("--scenes", nargs="+", default=list(SCENES))
     parser.add_argument("--repeats", type=int, default=5)
     given = parser.parse_args()
     print(f"{'scene':8} {'tol':>7} {'fixed ms':>9} {'auto ms':>9} {'ratio':>6} {'sweeps':>7} {'error/tol':>10}"
           f" {'estimate/error':>15}  best fixed setting")  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        for name in given.scenes:
-            case = Case(name, Path(folder))
-            for tol, (seconds, sweeps, setting) in fixed(case, given.tols, given.repeats).items():
-                auto = {"dt": "auto", "tol": tol, "impact": "ctec"}
-                traj, error = case.run(auto)
-                took = case.seconds(auto, given.repeats)
-                shown = f"order {setting['order']}, dt {setting['dt']:.4g}, tol {setting['tol']:.0e}"
-                print(f"{name:8} {tol:7.0e} {1e3 * seconds:9.3f} {1e3 * took:9.3f} {took / seconds:6.2f}"
-                      f" {traj.stats.sweeps / sweeps:7.2f} {error / tol:10.3f} {traj.error_estimate / error:15.2f}  "
-                      + shown, flush=True)  # fmt: skip
+    for row in compare(given.scenes, given.tols, given.repeats):
+        setting = row.setting
+        shown = f"order {setting['order']}, dt {setting['dt']:.4g}, tol {setting['tol']:.0e}"
+        print(f"{row.scene:8} {row.tol:7.0e} {1e3 * row.fixed_seconds:9.3f} {1e3 * row.auto_seconds:9.3f}"
+              f" {row.ratio:6.2f} {row.sweeps:7.2f} {row.error / row.tol:10.3f} {row.estimate / row.error:15.2f}  "
+              + shown, flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from mujoco import rollout
@@ -177,6 +178,20 @@ def print_flights(rows: list[dict[str, object]]) -> None:
     for row in rows:
         rates = [f"{tool} {row[tool]:.0f} runs/s ({row[tool] / row['base']:.2f})" for tool in tools if tool in row]
         print(f"{row['scene']}, {FLIGHT:g} s: {', '.join(rates)}", flush=True)
+
+
+class Ratios(NamedTuple):
+    """Of the rows of `measure`: runs per second of two threads over one; time of one thread over MuJoCo's rollout's."""
+
+    threads: float
+    peer: float
+
+
+def ratios(rows: list[dict[str, object]]) -> Ratios:
+    """Compare the rows of one scene and duration, measured with one and two threads."""
+    seconds = {(row["tool"], row["threads"]): float(row["seconds"]) for row in rows}
+    own = seconds["contactvi", 1]
+    return Ratios(own / seconds["contactvi", 2], own / seconds["mujoco.rollout", 1])
 
 
 def main() -> None:

@@ -30,6 +30,7 @@ ROBOTS = {
     "centauro": DATA + "centauro_description/urdf/centauro.urdf",
 }
 STEPS, DT = 50_000, 1e-3  # steps of all links together, [s]
+FEW, MANY, RATIO = 10, 1000, 1.3  # links whose iterations are compared, per link, and the bar
 
 
 class Row(NamedTuple):
@@ -147,20 +148,31 @@ def measure(function: str, argument: str, cache: str) -> Measured:
     return found
 
 
+def least_of(row: Row, repeats: int) -> Measured:
+    """Return the least of each number of a row over several processes."""
+    return least(row.function, row.argument, repeats, row.again)
+
+
+def iteration_times(repeats: int) -> tuple[float, float]:
+    """Return the time of a stage iteration per link of few and of many links [s]."""
+    few, many = (least("links", str(count), repeats)["iteration"] for count in (FEW, MANY))
+    return few, many
+
+
 def measure_all(repeats: int) -> None:
     """Print the table."""
     for row in ROWS:
-        found = least(row.function, row.argument, repeats, row.again)
+        found = least_of(row, repeats)
         met = found["seconds"] <= row.seconds and found["megabytes"] <= row.megabytes
         print(
             f"{row.title:40s} {found['seconds']:7.3f} s (bar {row.seconds:g})  {found['megabytes']:5.0f} MB "
             f"(bar {row.megabytes:g})  {'met' if met else 'MISSED'}",
             flush=True,
         )
-    few, many = (least("links", count, repeats)["iteration"] for count in ("10", "1000"))
+    few, many = iteration_times(repeats)
     print(
-        f"per link and stage iteration: {1e9 * many:.0f} ns of 1000 links, {1e9 * few:.0f} ns of 10; "
-        f"ratio {many / few:.2f} (bar 1.3)  {'met' if many <= 1.3 * few else 'MISSED'}"
+        f"per link and stage iteration: {1e9 * many:.0f} ns of {MANY} links, {1e9 * few:.0f} ns of {FEW}; "
+        f"ratio {many / few:.2f} (bar {RATIO:g})  {'met' if many <= RATIO * few else 'MISSED'}"
     )
 
 

@@ -1,6 +1,6 @@
-"""Instructions of five scenes, beside stored counts: a change that makes the engine slower shows without any clock.
+"""Instructions of seven scenes, beside stored counts: a change that makes the engine slower shows without any clock.
 
-    python benchmarks/instructions.py [--scenes chain heap] [--update] [--repeats 2]
+    python benchmarks/instructions.py [--scenes chain heap] [--update] [--repeats 2] [--overheads]
 
 Each scene runs in a process of its own under `valgrind --tool=callgrind`, which counts the instructions of
 `Simulator.run` alone: importing, building and the first reset are not counted. Valgrind comes from the system's
@@ -13,6 +13,9 @@ the largest instruction set that valgrind knows.
 
 Exit code 0: all counts are within 3 %, or nothing could be compared, which is printed. 1: a count is not. One that is
 smaller by more than 3 % fails as well, since the next regression would hide behind it: store it with `--update`.
+
+`--overheads` prints instead what two scenes pay beside what they need, in instructions per step: the hand with pairs
+that are apart over the hand without pairs, and the hand without pairs over its stage iterations by the bare kernel.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import contactvi as cvi
@@ -40,6 +44,7 @@ from models import ROBOTS, chain, start
 HERE = Path(__file__).resolve().parent
 STORED = HERE / "instructions.json"
 WITHIN = 0.03
+DT, APART = 1e-3, 120  # of the hand: [s], steps
 HAND = "allegro_hand_description/urdf/allegro_right_hand.urdf"
 INSTRUCTION_SET = "avx2"
 REQUIRES = HERE.parent / "pyproject.toml"  # where the exact versions stand of what the engine is made of
@@ -54,12 +59,29 @@ def smooth_chain() -> tuple[cvi.Simulator, int]:
     return started(cvi.Scene.from_pinocchio(chain(10)), 500, dt=1e-3)
 
 
-def hand_apart() -> tuple[cvi.Simulator, int]:
-    """The Allegro hand that moves with its 185 own pairs apart: skipping pairs."""
+def hand(pairs: bool, steps: int) -> tuple[cvi.Simulator, int]:
+    """The Allegro hand from an almost straight pose; for APART steps no two links come nearer than 5 mm."""
     scene = cvi.Scene()
-    scene.add_urdf(ROBOTS + HAND, base="fixed", mimic=False)
+    part = scene.add_urdf(ROBOTS + HAND, base="fixed", mimic=False)
     scene.set_joint("joint_*", damping=0.0, limits=False)
-    return started(scene, 300, size=0.05, dt=1e-3)
+    if not pairs:
+        scene.disable_pair(part, part)
+    return started(scene, steps, size=0.05, dt=DT)
+
+
+def hand_falls() -> tuple[cvi.Simulator, int]:
+    """The Allegro hand that falls, with its 185 own pairs: skipping pairs, and five impacts."""
+    return hand(True, 300)
+
+
+def hand_apart() -> tuple[cvi.Simulator, int]:
+    """The part of that with all pairs apart."""
+    return hand(True, APART)
+
+
+def hand_alone() -> tuple[cvi.Simulator, int]:
+    """The same motion without pairs: what a step pays beside the stage kernel."""
+    return hand(False, APART)
 
 
 def cradle() -> tuple[cvi.Simulator, int]:
@@ -87,8 +109,13 @@ def heap() -> tuple[cvi.Simulator, int]:
 
 
 SCENES: dict[str, Callable[[], tuple[cvi.Simulator, int]]] = {
-    "chain": smooth_chain, "hand": hand_apart, "cradle": cradle, "grasp": grasp, "heap": heap,
+    "chain": smooth_chain, "hand": hand_falls, "apart": hand_apart, "alone": hand_alone, "cradle": cradle,
+    "grasp": grasp, "heap": heap,
 }  # fmt: skip
+# Counted for the overheads alone: the stage iterations of "alone" by the bare kernel, and a call of its `run` without
+# steps, whose price a call with any number of steps pays once.
+KERNEL, CALL = "kernel", "call"
+BARS = {"pairs": 0.10, "step": 0.05}  # of the overheads
 
 
 def started(scene: cvi.Scene, steps: int, size: float = 0.3, **options: float) -> tuple[cvi.Simulator, int]:
@@ -116,9 +143,17 @@ def compiled_switch(folder: Path) -> Path:
 
 def run_counted(name: str, switch: Path) -> None:
     """Run a scene in this process, which callgrind watches."""
-    sim, steps = SCENES[name]()
+    sim, steps = SCENES["alone" if name in (KERNEL, CALL) else name]()
+    steps = 0 if name == CALL else steps
     library = ctypes.CDLL(str(switch))
     begin, end = library[START.lower()], library[STOP.lower()]
+    if name == KERNEL:
+        stats = cvi.simulate(sim.scene, sim.q, sim.v, APART * DT, DT).stats
+        iterate = partial(_core.iterate_kernel, sim.scene.core(), sim.q, sim.v, sim.options.order // 2)
+        begin()
+        iterate(stats.stage_iterations, stats.factorizations)
+        end()
+        return
     begin()
     status = sim.run(steps)
     end()
@@ -147,6 +182,44 @@ def measure(names: list[str]) -> Counts:
         folder = Path(made)
         switch = compiled_switch(folder)
         return dict(zip(names, pool.map(lambda name: count(name, folder, switch), names), strict=True))
+
+
+@dataclass(frozen=True)
+class Overheads:
+    """Instructions per step of the hand: with pairs apart, without pairs, and of its stage iterations alone."""
+
+    apart: float
+    alone: float
+    kernel: float
+
+    @property
+    def pairs(self) -> float:
+        """What pairs that are apart cost, over the hand without pairs."""
+        return self.apart / self.alone - 1.0
+
+    @property
+    def step(self) -> float:
+        """What a step without pairs costs beside the bare kernel, over the kernel."""
+        return self.alone / self.kernel - 1.0
+
+
+def overheads() -> Overheads:
+    """Count the three."""
+    counts = measure(["apart", "alone", KERNEL, CALL])
+    apart, alone = (counts[name] - counts[CALL] for name in ("apart", "alone"))
+    return Overheads(apart / APART, alone / APART, counts[KERNEL] / APART)
+
+
+def print_overheads() -> None:
+    found = overheads()
+    print(
+        f"hand with pairs apart {found.apart:.0f}, without pairs {found.alone:.0f}, kernel {found.kernel:.0f} per step"
+    )
+    for what, value, bar in (
+        ("pairs apart over no pairs", found.pairs, BARS["pairs"]),
+        ("no pairs over the bare kernel", found.step, BARS["step"]),
+    ):
+        print(f"{what:30} {100 * value:+.1f} % (bar {100 * bar:.0f} %)  {'met' if value <= bar else 'MISSED'}")
 
 
 def libraries(project: str) -> str:
@@ -228,7 +301,8 @@ def main() -> int:
     parser.add_argument(
         "--repeats", type=int, default=1, help="measure so many times and print by how much they differ"
     )
-    parser.add_argument("--run", choices=SCENES, help=argparse.SUPPRESS)
+    parser.add_argument("--overheads", action="store_true", help="print what pairs and steps cost beside the kernel")
+    parser.add_argument("--run", choices=[*SCENES, KERNEL, CALL], help=argparse.SUPPRESS)
     parser.add_argument("--switch", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.run:
@@ -236,6 +310,9 @@ def main() -> int:
         return 0
     if lacks := missing():
         print(f"instruction counts SKIPPED: {lacks}")
+        return 0
+    if given.overheads:
+        print_overheads()
         return 0
     measured = [measure(given.scenes) for _ in range(given.repeats)]
     counts, with_ = measured[0], setting()

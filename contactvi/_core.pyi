@@ -176,6 +176,11 @@ class Scene:
     def velocity(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
         """v = M(q)^-1 p, shapes (N, nq), (N, nv) -> (N, nv)."""
 
+    def lost_velocity(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[int, float]:
+        """
+        (dof, share): of a velocity of size one at q (nq,) that becomes a momentum and a velocity again, where most is lost, and how much.
+        """
+
     def momentum(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
         """p = M(q) v, shapes (N, nq), (N, nv) -> (N, nv)."""
 
@@ -405,6 +410,11 @@ def kernel_seconds(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape
     Seconds per stage of evaluate, factor, solve, f(q, p) and sweep, fastest of several blocks; for benchmarks.
     """
 
+def iterate_kernel(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stages: int, iterations: int, factors: int) -> None:
+    """
+    Make so many stage iterations at (q, v), the first of them with a factor; for benchmarks.
+    """
+
 def solve_masses(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], right: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='F')]:
     """
     M(q)^-1 times the columns of right, shape (nv, m), in engine coordinates, for tests.
@@ -550,6 +560,9 @@ class Simulator:
     def reset(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> dict[str, Any]:
         """Put the system to (q, v) at t [s]; return the fields of the status."""
 
+    def lost_velocity(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[int, float]:
+        """As Scene.lost_velocity, between two calls."""
+
     def advance(self, steps: int, tau: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, record_every: int = 1, progress: Callable[[float, int], object] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None) -> dict[str, Any]:
         """
         Make steps without the interpreter lock; return nodes, events, statistics and status.
@@ -690,9 +703,9 @@ def contact_points_of(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(sh
     Points of a pair at known features, wherever they are at q; entries as those of contact_points.
     """
 
-def near_pairs(scene: Scene, start: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], end: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], bound: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float) -> list[tuple[list[int], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]:
+def near_pairs(scene: Scene, start: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], end: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], bound: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float, spans: bool = False) -> list[tuple[list[int], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]]:
     """
-    For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,))].
+    For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,))]. spans: steps after one in which no pair comes near may look at none.
     """
 
 def distance_noise(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair: int) -> float:

@@ -26,7 +26,9 @@ def renamed_arguments(**new_names: str) -> Callable[[Class], Class]:
 
         @functools.wraps(initialize)
         def accept(self: Any, *arguments: Any, **named: Any) -> None:
-            initialize(self, *arguments, **{new_names.get(name, name): value for name, value in named.items()})
+            if not new_names.keys().isdisjoint(named):
+                named = {new_names.get(name, name): value for name, value in named.items()}
+            initialize(self, *arguments, **named)
 
         cls.__init__ = accept  # type: ignore[misc]
         return cls

@@ -109,8 +109,9 @@ class Stats:
     @classmethod
     def of(cls, counts: Mapping[str, Any], seconds: float = 0.0) -> Stats:
         """Return the engine's counts; `seconds` are those of the calls before."""
-        known = {name: counts[name] for name in _FIELDS if name != "seconds"}
-        return cls(**known, seconds=counts["seconds"] + seconds)
+        found = cls.__new__(cls)
+        vars(found).update({name: counts[name] for name in _FIELDS}, seconds=counts["seconds"] + seconds)
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """Return the counts under the names of stored runs; `from_dict` reads them back."""

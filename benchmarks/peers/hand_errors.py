@@ -23,6 +23,7 @@ from bars import describe
 from compare import call, interpreter, versions
 
 PLACE, FORCE = 2e-4, 0.01  # the bars: [m], relative
+BARS = (("place 0.2 mm", "place", PLACE), ("force 1 %", "force", FORCE))  # name, measure, bar
 LIMIT = 2e-5  # s
 STEPS = (2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)  # s
 KINDS: dict[str, dict[str, Any]] = {
@@ -54,10 +55,13 @@ def errors(kind: str, job: dict[str, Any], folder: Path, timeout: float) -> list
     return found
 
 
-def clock(kind: str, job: dict[str, Any], rows: list[Row], folder: Path, args: argparse.Namespace) -> None:
+def clock(
+    kind: str, job: dict[str, Any], rows: list[Row], folder: Path, repeats: int, slow: float, timeout: float
+) -> None:
+    """One pass through the steps of a kind; of each the fastest time counts."""
     mine = [row for row in rows if row["kind"] == kind and not row["failed"]]
     timed = {**job, "settings": [row["setting"] for row in mine]}
-    results = call(kind.split(",")[0], timed, folder, args.repeats, args.slow, args.timeout)
+    results = call(kind.split(",")[0], timed, folder, repeats, slow, timeout)
     for row, result in zip(mine, results, strict=True):
         row["seconds"] = min([row["seconds"], *result["times"]])
 
@@ -84,11 +88,23 @@ def tables(rows: list[Row], duration: float) -> list[str]:
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
     lines += ["", "dt [s]: ms per s.", "", "| bar | " + " | ".join(KINDS) + " |", "|---" * (1 + len(KINDS)) + "|"]
-    for name, measure, bar in (("place 0.2 mm", "place", PLACE), ("force 1 %", "force", FORCE)):
+    for name, measure, bar in BARS:
         best = [fastest([r for r in rows if r["kind"] == kind], measure, bar) for kind in KINDS]
         cells = [f"{r['setting']['dt']:g}: {1e3 * r['seconds'] / duration:.3g}" if r else "not met" for r in best]
         lines.append("| " + " | ".join([name, *cells]) + " |")
     return lines
+
+
+def measure(passes: int, repeats: int, slow: float, timeout: float) -> tuple[list[Row], float]:
+    """Return a row per kind and step, with its errors and its time, and the duration of the run [s]."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        job = hand.job(folder)
+        rows = [row for kind in KINDS for row in errors(kind, job, folder, timeout)]
+        for _ in range(passes):
+            for kind in KINDS:
+                clock(kind, job, rows, folder, repeats, slow, timeout)
+    return rows, float(job["duration"])
 
 
 def main() -> None:
@@ -102,17 +118,11 @@ def main() -> None:
     args.output.mkdir(parents=True, exist_ok=True)
     if not interpreter("mujoco"):
         parser.error("MuJoCo is not installed (CONTACTVI_PEER_MUJOCO)")
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        job = hand.job(folder)
-        rows = [row for kind in KINDS for row in errors(kind, job, folder, args.timeout)]
-        for _ in range(args.passes):
-            for kind in KINDS:
-                clock(kind, job, rows, folder, args)
+    rows, duration = measure(args.passes, args.repeats, args.slow, args.timeout)
     head = f"{time.strftime('%Y-%m-%d')}; " + ", ".join(
         f"{k} {v}" for k, v in versions(["contactvi", "mujoco"]).items()
     )
-    text = "\n".join([head + ".", "", *tables(rows, job["duration"]), ""])
+    text = "\n".join([head + ".", "", *tables(rows, duration), ""])
     (args.output / "hand_errors.json").write_text(json.dumps(rows, indent=1))
     (args.output / "hand_errors.md").write_text(text)
     print(text)

@@ -8,7 +8,7 @@ by a number >= 0 [N s; N m s for a revolute joint], the first component of its i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -101,7 +101,12 @@ class ContactLog(StepRows, Items[Contact]):
     _fields = FIELDS
     _word = "contact"
 
-    def __init__(self, arrays: Arrays, pair_names: Sequence[tuple[str, str]], joint_names: Sequence[str]) -> None:
+    def __init__(
+        self,
+        arrays: Arrays | Callable[[], Arrays],
+        pair_names: Sequence[tuple[str, str]],
+        joint_names: Sequence[str],
+    ) -> None:
         super().__init__(arrays)
         self._names = pair_names, joint_names
 
@@ -282,7 +287,12 @@ class ChangeLog(Rows, Items[ContactChange]):
     _fields = CHANGE_FIELDS
     _word = "change"
 
-    def __init__(self, arrays: Arrays, pair_names: Sequence[tuple[str, str]], joint_names: Sequence[str]) -> None:
+    def __init__(
+        self,
+        arrays: Arrays | Callable[[], Arrays],
+        pair_names: Sequence[tuple[str, str]],
+        joint_names: Sequence[str],
+    ) -> None:
         super().__init__(arrays)
         self._names = pair_names, joint_names
 

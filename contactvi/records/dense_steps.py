@@ -22,7 +22,7 @@ Columns, one row per dense step, shapes (n,):
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -99,7 +99,7 @@ class DenseSteps(StepRows):
 
 def of_parts(parts: Sequence[Arrays]) -> DenseSteps:
     """Return the dense steps that the engine reported in several calls."""
-    return DenseSteps(joined(parts, FIELDS))
+    return DenseSteps(partial(joined, parts, FIELDS))
 
 
 def no_dense_steps() -> DenseSteps:

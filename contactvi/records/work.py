@@ -118,20 +118,27 @@ class GrowingForces:
         self._last = t  # time of the last node that was reported [s]
         self._pending = np.zeros(self._rows)  # impulse since the last node that was kept [N s, N m s]
 
-    def add(self, result: Mapping[str, Any], t: Array, keep: NDArray[np.bool_]) -> None:
-        """Take over a result of the engine with nodes t (n,) [s]; keep (n,): which of them are kept."""
-        if self._rows == 0:  # a control loop comes here in every step, so it has to be quick
-            if keep.any():
-                self._t.append(t[keep])
-                self._work.append(np.asarray(result["work"])[keep])
-                self._reactions.append(np.zeros((len(self._t[-1]), 0)))
+    def add(self, result: Mapping[str, Any], t: Array, keep: slice | NDArray[np.bool_]) -> None:
+        """Take over a result of the engine with nodes t (n,) [s]; keep: which of them are kept, a mask (n,) or a slice.
+
+        Where all but the first are, and that one is the start, they are taken over as they are.
+        """
+        if self._rows == 0:
+            times = t[keep]
+            if len(times) == len(t) - 1 and len(self._t) == 1 and len(self._t[0]) == 1:
+                self._t, self._work, self._reactions = [t], [result["work"]], [np.zeros((len(t), 0))]
+            elif len(times):
+                self._t.append(times)
+                self._work.append(result["work"][keep])
+                self._reactions.append(np.zeros((len(times), 0)))
             self._last = float(t[-1])
             return
+        mask = np.arange(len(t)) >= keep.start if isinstance(keep, slice) else keep
         reactions = np.asarray(result["reactions"], dtype=float)
         new = t > self._last
         spans = np.diff(np.append(self._last, t[new]))[:, None]
         impulse = self._pending + np.cumsum(reactions[new] * spans, axis=0)
-        kept = keep[new]
+        kept = mask[new]
         if kept.any():
             times = t[new][kept]
             before = np.append(self._t[-1][-1], times[:-1])

@@ -52,12 +52,12 @@ class Built:
             self.model, self.collision, self.restitution, self.friction, self.arrays, self.elements
         )
 
-    @property
+    @cached_property
     def constrained(self) -> bool:
         """Whether every step solves for constraint forces: there are constraints or joint friction."""
         return bool(self.elements.constraints) or bool(np.any(self.arrays.joint_friction))
 
-    @property
+    @cached_property
     def needs_fixed_step(self) -> str | None:
         """What of the scene needs steps of one length, in words; None where nothing does."""
         found, arrays = self.elements, self.arrays

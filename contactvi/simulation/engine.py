@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from operator import attrgetter
 from typing import Any, cast
 
 from numpy.typing import ArrayLike
@@ -92,8 +93,11 @@ def release(
     waiting[_key(options, slack, dt_contact)] = [engine]
 
 
+_values = attrgetter(*_OF_THE_ENGINE)
+
+
 def _key(options: Options, slack: float, dt_contact: float | None) -> tuple[Any, ...]:
-    return (slack, dt_contact, *(getattr(options, name) for name in _OF_THE_ENGINE))
+    return (slack, dt_contact, *_values(options))
 
 
 def start(
@@ -111,19 +115,27 @@ def start(
     Raises:
         InputError: for a bad state.
     """
-    return start_checked(engine, compiled, options, *checked_start(compiled, q0, v0, t))
+    return start_checked(engine, compiled, options, *checked_start(compiled, q0, v0, t, engine))
 
 
 def checked_start(
-    compiled: CompiledScene, q0: ArrayLike | None, v0: ArrayLike | None, t: float = 0.0
+    compiled: CompiledScene,
+    q0: ArrayLike | None,
+    v0: ArrayLike | None,
+    t: float = 0.0,
+    engine: _core.Simulator | None = None,
 ) -> tuple[Array, Array, float]:
-    """Return q0, v0 and t as arrays and a number; the arguments and errors as those of `start`."""
+    """Return q0, v0 and t as arrays and a number; the arguments and errors as those of `start`.
+
+    Args:
+        engine: one that waits between two runs, in which the mass matrix is looked at; None: one made for it.
+    """
     states = compiled.states
     q = states.configuration(compiled.q0 if q0 is None else q0)
     begin = t if type(t) is float and t == 0.0 else float(inputs.array("t", t, (), "the start time in seconds"))
     given = compiled.v0 if v0 is None else v0
     v = compiled.start_velocity(q, begin) if given is None else states.velocity(given)
-    compiled.check_start(q, v, begin)
+    compiled.check_start(q, v, begin, engine)
     return q, v, begin
 
 

@@ -34,10 +34,10 @@ def remedy(code: StatusCode, contact_mode: str) -> str:
 
 def describe(code: StatusCode, result: EngineStatus, names: tuple[str, str] | None, impact: str) -> str:
     """Return the engine's message with the names of its pair or limit; `impact` is the map of the run."""
-    pair = "" if names is None else f"{names[0]!r} and {names[1]!r}"
-    limit = GuardKind(result["guard_kind"].value) == GuardKind.LIMIT
     if code == StatusCode.SUCCESS:
         return REACHED
+    pair = "" if names is None else f"{names[0]!r} and {names[1]!r}"
+    limit = GuardKind(result["guard_kind"].value) == GuardKind.LIMIT
     if code == StatusCode.INTERRUPTED:
         return "stopped by the user"
     if code == StatusCode.ZENO and names is not None:

@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 BLOCK = 1000  # single steps that are recorded at once, where not all of them stay in the record
 _BLOCKS = ("events", "segments", "contacts", "changes", "phases", "dense_steps")
 _NOTHING_DONE = Stats()
+_CODES = tuple(StatusCode)  # by number
 
 
 class Record:
@@ -62,13 +63,13 @@ class Record:
         t = result["t"]
         if self.options.last_steps == 0:
             self._forget(result)
-        keep = t > self.t[-1][-1]
+        keep = self._kept(t)
         self.forced |= result["forced"]
-        if self.options.record_every > 1:
-            step = np.rint((t - self.start) / self.options.fixed_dt)
-            keep &= step % self.options.record_every == 0
-        if keep.any():
-            self.t.append(t[keep])
+        times = t[keep]
+        if len(times) == len(t) - 1 and len(self.t) == 1 and len(self.t[0]) == 1:
+            self.t, self.q, self.p = [t], [result["q"]], [result["p"]]  # the first node is the start
+        elif len(times):
+            self.t.append(times)
             self.q.append(result["q"][keep])
             self.p.append(result["p"][keep])
         self.forces.add(result, t, keep)
@@ -96,6 +97,14 @@ class Record:
         if last and sum(map(len, self.t)) > 2 * (last + BLOCK):
             self.keep_last(last)
         return status
+
+    def _kept(self, t: Array) -> slice | NDArray[np.bool_]:
+        """Return which of the nodes t (n,) [s] of a result are new and wanted: those from some place on, or a mask."""
+        last = self.t[-1][-1]
+        if self.options.record_every == 1:
+            return slice(int(t.searchsorted(last, "right")), None)
+        step = np.rint((t - self.start) / self.options.fixed_dt)
+        return np.asarray((t > last) & (step % self.options.record_every == 0))
 
     def _forget(self, result: EngineResult) -> None:
         """Forget all that was recorded; a result of the engine starts the record again with its first node."""
@@ -142,7 +151,7 @@ class Record:
 
     def end(self, result: EngineStatus, time: float | None = None) -> Status:
         """Take over the engine's status; `time` [s] replaces the time that it gives."""
-        code = StatusCode(int(result["code"]))
+        code = _CODES[int(result["code"])]
         text = describe(code, result, self.names(result), self.options.impact)
         self.status = Status(code, text, result["time"] if time is None else time)
         return self.status
@@ -175,12 +184,12 @@ class Record:
 
     def contact_log(self, first: int = 0) -> contacts.ContactLog:
         """Return the contacts of the blocks from `first` on."""
-        rows = joined(self.contacts[first:], contacts.FIELDS)
+        rows = partial(joined, self.contacts[first:], contacts.FIELDS)
         return contacts.ContactLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def change_log(self, first: int = 0) -> contacts.ChangeLog:
         """Return the changes of contacts of the blocks from `first` on."""
-        rows = joined(self.changes[first:], contacts.CHANGE_FIELDS)
+        rows = partial(joined, self.changes[first:], contacts.CHANGE_FIELDS)
         return contacts.ChangeLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def phases_joined(self) -> dict[str, Array] | None:
@@ -253,7 +262,7 @@ class Record:
             inner_q, inner_v = segments.states(self.compiled.core, times[1:-1], exact=not self.forced)
             inner_p = np.asarray(self.compiled.core.momentum(inner_q, inner_v))
             t, q, p = times, np.vstack([q[:1], inner_q, q[-1:]]), np.vstack([p[:1], inner_p, p[-1:]])
-        if len(forces.t) != len(t) or np.any(forces.t != t):
+        if forces.t is not t and not np.array_equal(forces.t, t):
             forces = forces.sampled(t)
         return Trajectory(
             self.compiled, self.options, t, q, p, self.log(), self.status, self.stats,

@@ -121,7 +121,7 @@ def simulate(
                 traj = run_compiled(compiled, settings, q0, v0, inputs, target, bar, throw, ctrl_c)
         else:
             traj = run_compiled(compiled, settings, q0, v0, inputs, target, called, throw, ctrl_c)
-        dense = settings.contact_mode == "auto" and len(traj.dense_steps) > 0
+        dense = settings.contact_mode == "auto" and traj.stats.dense_steps > 0
         if ctrl_c.settle() and traj.status.ok:  # between the end of the run and now
             traj.status = Status.interrupted(traj.status.time)
         if throw and not traj.status.ok:

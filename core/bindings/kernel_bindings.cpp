@@ -43,6 +43,19 @@ double fastest(int calls, int repeats, Call call) {
   return best;
 }
 
+// The stages at (q, v) of a step of length h [s], as a run solves them.
+void set_stages(const Scene& s, const VecX& q, const VecX& v, double h, Stages& work) {
+  VecX w = v;
+  public_to_engine(s.tree, q, w);
+  work.begin(q, VecX::Ones(s.tree.nv), h, VecX());
+  const int S = work.padded();
+  for (int d = 0; d < s.tree.nv; ++d)
+    for (int i = 0; i < S; ++i) {
+      work.v()[d * S + i] = w[d] * (1.0 + 0.01 * i);
+      work.X()[d * S + i] = 0.01 * i;
+    }
+}
+
 using Seconds = nb::typed<nb::dict, nb::str, double>;
 
 // Seconds per stage of each part of the kernel, at stages a little apart from each other.
@@ -56,20 +69,11 @@ Seconds kernel_seconds(const Scene& s, const VecX& q, const VecX& v, int stages,
   const FlatModel model(tree);
   Stages work(tree, model, stages);
   set_instruction_set(before.c_str());
-  VecX w = v;
-  public_to_engine(tree, q, w);
-  const VecX p = VecX::Ones(tree.nv);
-  work.begin(q, p, 1e-3, VecX());
-  const int S = work.padded();
-  for (int d = 0; d < tree.nv; ++d)
-    for (int i = 0; i < S; ++i) {
-      work.v()[d * S + i] = w[d] * (1.0 + 0.01 * i);
-      work.X()[d * S + i] = 0.01 * i;
-    }
+  set_stages(s, q, v, 1e-3, work);
   work.evaluate();
   work.factor();
   auto load = [&] {
-    for (int i = 0; i < tree.nv * S; ++i) work.dv()[i] = 1.0;
+    for (int i = 0; i < tree.nv * work.padded(); ++i) work.dv()[i] = 1.0;
   };
   Seconds d;
   d["evaluate"] = fastest(calls, repeats, [&] { work.evaluate(); }) / stages;
@@ -80,6 +84,16 @@ Seconds kernel_seconds(const Scene& s, const VecX& q, const VecX& v, int stages,
       fastest(calls, repeats, [&] { work.place(), work.factor(), load(), work.solve(), work.evaluate(); }) / stages;
   d["sweep"] = fastest(calls, repeats, [&] { work.iterate(kLaneKeepVelocity); }) / stages;
   return d;
+}
+
+// So many iterations of the kernel on the stage equations, the first ones with a factor, and nothing else.
+void iterate_kernel(const Scene& s, const VecX& q, const VecX& v, int stages, long iterations, long factors) {
+  if (q.size() != s.tree.nq || v.size() != s.tree.nv) throw Error("expected shapes (nq,) and (nv,)");
+  if (stages < 1 || stages > kMaxStages) throw Error("expected 1 to 8 stages");
+  const FlatModel model(s.tree);
+  Stages work(s.tree, model, stages);
+  set_stages(s, q, v, 1e-3, work);
+  for (long k = 0; k < iterations; ++k) work.iterate(kLaneKeepVelocity | (k < factors ? kLaneFactor | kLaneFirst : 0));
 }
 
 // M(q)^-1 X of the engine's mass matrix, all columns side by side.
@@ -103,6 +117,8 @@ void expose_kernel(nb::module_& m) {
   m.def("kernel_seconds", &kernel_seconds, "scene"_a, "q"_a, "v"_a, "stages"_a, "instruction_set"_a = "",
         "calls"_a = 2000, "repeats"_a = 5,
         "Seconds per stage of evaluate, factor, solve, f(q, p) and sweep, fastest of several blocks; for benchmarks.");
+  m.def("iterate_kernel", &iterate_kernel, "scene"_a, "q"_a, "v"_a, "stages"_a, "iterations"_a, "factors"_a,
+        "Make so many stage iterations at (q, v), the first of them with a factor; for benchmarks.");
   m.def("solve_masses", &solve_masses, "scene"_a, "q"_a, "right"_a,
         "M(q)^-1 times the columns of right, shape (nv, m), in engine coordinates, for tests.");
 }

@@ -111,22 +111,43 @@ double nearest_gap(const Scene& s, const VecX& q, int pair) {
   return touch.manifolds.nearest(pair, touch.at, c) ? c.gap : std::numeric_limits<double>::quiet_NaN();
 }
 
+// Whether a gap is larger at the end of the step than the motion in it, as the event search finds out.
+bool stays_open(Guards& guards, int guard) {
+  Contact contact{};
+  if (guards.skip(guard) || guards.separated_at_end(guard)) return true;
+  const double gap = guards.evaluate(guard, contact);
+  if (!(gap > guards.motion(guard))) return false;
+  guards.mark(guard, gap);
+  return true;
+}
+
 std::vector<std::pair<std::vector<int>, VecX>> near_pairs(const Scene& s, const Rows& start, const Rows& end,
-                                                          const Rows& bound, double h) {
+                                                          const Rows& bound, double h, bool spans) {
   if (start.cols() != s.tree.nq || end.cols() != s.tree.nq || bound.cols() != s.tree.nv || start.rows() != end.rows() ||
       start.rows() != bound.rows())
     throw Error("expected shapes (N, nq), (N, nq) and (N, nv)");
-  Guards guards(s);
+  Guards guards(s), step(s);
   std::vector<std::pair<std::vector<int>, VecX>> found;
   for (Eigen::Index k = 0; k < bound.rows(); ++k) {
-    guards.bound_motion(start.row(k).transpose(), bound.row(k).transpose(), h);
-    guards.place(end.row(k).transpose());
-    std::vector<int> near;
-    for (const BroadPhase::NearPair& pair : guards.near_pairs()) near.push_back(pair.guard);
+    const VecX q0 = start.row(k), q1 = end.row(k), most = bound.row(k);
+    if (k > 0 && start.row(k) != end.row(k - 1)) {  // the step before was cut
+      guards.end_span();
+      for (int g : found.back().first) guards.unmark(g);
+    }
+    step.bound_motion(q0, most, h);
     VecX motion(static_cast<Eigen::Index>(s.pairs.size()));
-    for (int g = 0; g < static_cast<int>(s.pairs.size()); ++g) motion[g] = guards.motion(g);
+    for (int g = 0; g < static_cast<int>(s.pairs.size()); ++g) motion[g] = step.motion(g);
+    std::vector<int> near;
+    if (!spans || !guards.pass(most, h)) {
+      guards.bound_motion(q0, most, h);
+      guards.place(q1);
+      for (const BroadPhase::NearPair& pair : guards.near_pairs()) near.push_back(pair.guard);
+      bool clear = true;
+      for (int g : near) clear &= !spans || stays_open(guards, g);
+      guards.commit();
+      if (spans && clear) guards.begin_span(q1, most, h);
+    }
     found.emplace_back(std::move(near), std::move(motion));
-    guards.commit();
   }
   return found;
 }
@@ -140,9 +161,10 @@ void expose_manifold(nb::module_& m) {
   m.def("contact_points_of", &points_of_features, "scene"_a, "q"_a, "pair"_a, "features"_a,
         "Points of a pair at known features, wherever they are at q; entries as those of contact_points.");
   m.def(
-      "near_pairs", &near_pairs, "scene"_a, "start"_a, "end"_a, "bound"_a, "h"_a,
+      "near_pairs", &near_pairs, "scene"_a, "start"_a, "end"_a, "bound"_a, "h"_a, "spans"_a = false,
       "For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) "
-      "of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,))].");
+      "of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,))]. spans: steps "
+      "after one in which no pair comes near may look at none.");
   m.def(
       "distance_noise",
       [](const Scene& s, const VecX& q, int pair) { return Touch(s, q, pair, 1).manifolds.noise(pair); }, "scene"_a,

@@ -1,6 +1,7 @@
 // Scene: energies, momenta, gaps and single steps, in public coordinates unless documented otherwise.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
@@ -16,6 +17,7 @@
 #include "model/rounding.hpp"
 #include "step/energy.hpp"
 #include "step/integrator.hpp"
+#include "step/lost_velocity.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -277,6 +279,17 @@ void expose_scene(nb::module_& m) {
           },
           "Rounding radius [m] of each pair's shapes, 0 where they are sharp.")
       .def("velocity", &velocity, "q"_a, "p"_a, "v = M(q)^-1 p, shapes (N, nq), (N, nv) -> (N, nv).")
+      .def(
+          "lost_velocity",
+          [](const Scene& s, const VecX& q) {
+            if (q.size() != s.tree.nq) throw Error("expected shape (nq,)");
+            Integrator integrator(s.tree, 1, 1e-12, 1);
+            const LostVelocity lost = lost_velocity(integrator, q);
+            return std::make_pair(lost.dof, lost.share);
+          },
+          "q"_a,
+          "(dof, share): of a velocity of size one at q (nq,) that becomes a momentum and a velocity again, where most "
+          "is lost, and how much.")
       .def("momentum", &momentum, "q"_a, "v"_a, "p = M(q) v, shapes (N, nq), (N, nv) -> (N, nv).")
       .def("energy", &energies, "q"_a, "p"_a, "Kinetic and potential energy [J], (N, 2).")
       .def("modified_energy", &modified_energies, "q"_a, "p"_a, "h"_a, "order"_a = 2,

@@ -1,11 +1,13 @@
 // Simulator: the event loop without the interpreter lock, results as arrays in public coordinates.
 #include <nanobind/eigen/dense.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
 #include <chrono>
 #include <optional>
+#include <utility>
 
 #include "bindings/arrays.hpp"
 #include "bindings/contact_results.hpp"
@@ -16,6 +18,7 @@
 #include "model/coordinates.hpp"
 #include "run/stepped_world.hpp"
 #include "sensitivity/contact_step_numbers.hpp"
+#include "step/lost_velocity.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -165,7 +168,7 @@ Dict reset(SteppedWorld& sim, const VecX& q, const VecX& v, double t) {
 
 Array1 current_velocity(SteppedWorld& sim) {
   const Tree& tree = sim.scene().tree;
-  Integrator integrator(tree, 1, 1e-12, 1);
+  Integrator integrator(tree, 1, 1e-12, 1);  // of its own: callbacks read the velocity in the middle of a step
   VecX v(tree.nv);
   if (!integrator.node_velocity(sim.q(), sim.p(), v)) throw Error("the mass matrix is not positive definite");
   return hand_over(public_momentum(tree, sim.q(), v));
@@ -242,6 +245,14 @@ void expose_simulator(nb::module_& m) {
       .def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())
       .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0,
            "Put the system to (q, v) at t [s]; return the fields of the status.")
+      .def(
+          "lost_velocity",
+          [](SteppedWorld& sim, const VecX& q) {
+            if (q.size() != sim.scene().tree.nq) throw Error("expected shape (nq,)");
+            const LostVelocity lost = lost_velocity(sim.equations(), q);
+            return std::make_pair(lost.dof, lost.share);
+          },
+          "q"_a, "As Scene.lost_velocity, between two calls.")
       .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
            "target"_a = nb::none(),
            "Make steps without the interpreter lock; return nodes, events, statistics and status.")

@@ -47,6 +47,12 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
   path_ = &path;
   h_ = h;
   if (!bound_step()) return fail(Search::kNewtonFailed, -1, 0);
+  if (guards_->pass(bound_, h)) {
+    forget_last();
+    guards_->counters.skipped += guards_->count();
+    remember();
+    return Search::kNone;
+  }
   guards_->bound_motion(q0, bound_, h);
   if (!collect()) return Search::kUnresolved;
   if (suspects_.empty()) {
@@ -154,11 +160,16 @@ bool EventFinder::bound_again() {
   return collect();
 }
 
-// Collects the guards that may reach zero in the step; false if a gap is not finite.
-bool EventFinder::collect() {
+// What the last search has found about guards.
+void EventFinder::forget_last() {
   active_.clear();
   pass_.clear();
   suspects_.clear();
+}
+
+// Collects the guards that may reach zero in the step; false if a gap is not finite.
+bool EventFinder::collect() {
+  forget_last();
   guards_->place(*q1_);
   const std::vector<BroadPhase::NearPair>& near = guards_->near_pairs();
   const int pairs = static_cast<int>(scene_->pairs.size());
@@ -306,6 +317,7 @@ bool EventFinder::closes_before_cut() {
 }
 
 void EventFinder::cut() {
+  guards_->end_span();  // it counts on gaps at the end of the step, as the marks do
   for (int g : pass_) guards_->unmark(g);
   memory_.h = 0.0;
 }
@@ -318,6 +330,12 @@ void EventFinder::settle() {
     if (!memory_.touching[s.guard]) guards_->mark(s.guard, s.end_gap);
   }
   guards_->commit();
+  if (active_.empty()) guards_->begin_span(*q1_, bound_, h_);
+  remember();
+}
+
+// The step is taken to its end.
+void EventFinder::remember() {
   memory_.h = h_;
   memory_.q = *q1_;
   memory_.p = *p1_;

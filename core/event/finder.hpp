@@ -36,7 +36,10 @@ class EventFinder {
   // The step of the last search was not taken to its end.
   void cut();
   // Leaves a guard out until the next step has been taken: a contact that has just separated.
-  void exempt(int guard) { memory_.exempt.push_back(guard); }
+  void exempt(int guard) {
+    guards_->end_span();
+    memory_.exempt.push_back(guard);
+  }
   // A guard that has had an impact is searched again.
   void end_exemption(int guard) {
     memory_.exempt.erase(std::remove(memory_.exempt.begin(), memory_.exempt.end(), guard), memory_.exempt.end());
@@ -56,7 +59,10 @@ class EventFinder {
 
   // Whether a guard is closed, within tolerance, at the start of the next step.
   bool touching(int guard) const { return memory_.touching[guard]; }
-  void set_touching(int guard, bool value) { memory_.touching[guard] = value; }
+  void set_touching(int guard, bool value) {
+    guards_->end_span();
+    memory_.touching[guard] = value;
+  }
   void forget_touching() { std::fill(memory_.touching.begin(), memory_.touching.end(), 0); }
   // What the next search uses of the last one.
   struct Memory {
@@ -90,6 +96,7 @@ class EventFinder {
   bool raise_path();
   bool plainly_clear();
   bool bound_again();
+  void forget_last();
   bool collect();
   bool collect(int guard);
   Search start(Suspect& s);
@@ -109,6 +116,7 @@ class EventFinder {
   void cross(Suspect& s, const Point& lo, const Point& hi, double offset);
   Search accept(int guard, const Point& at, bool stays_closed);
   void settle();
+  void remember();
   Search fail(Search why, int guard, double gap);
 
   const Scene* scene_;

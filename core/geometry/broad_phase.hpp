@@ -35,6 +35,8 @@ class BroadPhase {
   const std::vector<int>& leaving() const { return leaving_; }
   // Gives them new boxes about their places at the end of the step, where their bodies have been placed.
   void renew(const Placements& at, const std::vector<double>& odometer, const std::vector<double>& motion);
+  // What the odometer of a geometry may come to before its box has to be renewed [m].
+  double limit(int geometry) const { return limits_[geometry]; }
   // Ascending by guard.
   const std::vector<NearPair>& near_pairs() const { return near_; }
 

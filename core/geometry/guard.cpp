@@ -26,9 +26,11 @@ Guards::Guards(const Scene& scene, int contact_points)
       linear_(scene.tree.joints.size()),
       motion_(make_reach()),
       doubt_(make_reach()),
+      expected_(make_reach()),
       odometer_(scene.geometries.size()),
       marks_(count_, -1.0),
-      broad_phase_(scene) {}
+      broad_phase_(scene),
+      span_(scene.tree.nv) {}
 
 void Guards::place(const VecCRef& q) {
   if ((q.array() == q_.array()).all()) return;
@@ -55,11 +57,13 @@ void Guards::place_bodies() {
 }
 
 void Guards::restart() {
+  span_.end();
   forget_distances();
   std::fill(odometer_.begin(), odometer_.end(), 0.0);
 }
 
 void Guards::forget_distances() {
+  end_span();
   std::fill(marks_.begin(), marks_.end(), -1.0);
   std::fill(motion_.geometry.begin(), motion_.geometry.end(), 0.0);
   broad_phase_.invalidate();
@@ -99,6 +103,7 @@ double Guards::limit_gap(int guard, const VecCRef& q) const {
 }
 
 void Guards::set_persistent(int guard, std::vector<const ContactPoint*> points) {
+  end_span();
   int& number = persistent_number_[guard];
   if (number < 0 && free_lists_.empty()) {
     free_lists_.push_back(static_cast<int>(persistent_points_.size()));
@@ -210,11 +215,15 @@ Guards::Reach Guards::make_reach() const {
           std::vector<double>(scene_->tree.joints.size())};
 }
 
-void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) { propagate_reach(q, bound, h, motion_); }
+void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) {
+  end_span();
+  propagate_reach(q, bound, h, 1.0, motion_);
+}
 
-void Guards::bound_doubt(const VecCRef& q, const VecX& doubt, double h) { propagate_reach(q, doubt, h, doubt_); }
+void Guards::bound_doubt(const VecCRef& q, const VecX& doubt, double h) { propagate_reach(q, doubt, h, 1.0, doubt_); }
 
-void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, Reach& reach) {
+// Over one step, the first of so many like it.
+void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, double steps, Reach& reach) {
   const Tree& tree = scene_->tree;
   for (std::size_t k = 0; k < tree.limits.size(); ++k) reach.limit[k] = h * bound[tree.joints[tree.limits[k].joint].iv];
   if (scene_->geometries.empty()) return;
@@ -230,16 +239,16 @@ void Guards::propagate_reach(const VecCRef& q, const VecX& bound, double h, Reac
         break;
       case JointType::kPrismatic:
         linear = path;
-        arm += std::abs(q[joint.iq]) + path;
+        arm += std::abs(q[joint.iq]) + steps * path;
         break;
       case JointType::kHelical:
         angular = path;
         linear = std::abs(joint.pitch) * path;
-        arm += std::abs(joint.pitch) * (std::abs(q[joint.iq]) + path);
+        arm += std::abs(joint.pitch) * (std::abs(q[joint.iq]) + steps * path);
         break;
       case JointType::kTranslation:
         linear = h * bound.segment<3>(joint.iv).norm();
-        arm += q.segment<3>(joint.iq).norm() + linear;
+        arm += q.segment<3>(joint.iq).norm() + steps * linear;
         break;
     }
     if (joint.parent >= 0) {
@@ -314,6 +323,36 @@ void Guards::mark(int guard, double gap_at_end) {
 
 void Guards::commit() {
   for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += motion_.geometry[g];
+}
+
+// Each guard allows so many reference steps: a pair until its mark, a geometry until it may leave its fat box, a limit
+// until its gap is used up.
+void Guards::begin_span(const VecCRef& q1, const VecX& bound, double h) {
+  propagate_reach(q1, span_.set_reference(bound, h), 1.0, ClearSpan::kLongest, expected_);
+  double allowed = ClearSpan::kLongest;
+  const auto limit = [&allowed](double room, double motion) {
+    if (!(room >= allowed * motion)) allowed = room / motion;
+  };
+  for (std::size_t g = 0; g < odometer_.size(); ++g)
+    limit(broad_phase_.limit(static_cast<int>(g)) - odometer_[g], expected_.geometry[g]);
+  if (pairs_ > 0)
+    for (const BroadPhase::NearPair& pair : broad_phase_.near_pairs())
+      limit(marks_[pair.guard] - odometer_[pair.a] - odometer_[pair.b],
+            expected_.geometry[pair.a] + expected_.geometry[pair.b]);
+  for (int k = pairs_; k < count_; ++k) limit(limit_gap(k, q1), expected_.limit[k - pairs_]);
+  if (allowed > 0.0) span_.allow(allowed);
+}
+
+void Guards::end_span() {
+  if (span_.any())
+    for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += span_.used() * expected_.geometry[g];
+  span_.end();
+}
+
+Guards::Memory Guards::memory() const {
+  Memory memory{odometer_, marks_, broad_phase_.memory()};
+  for (std::size_t g = 0; g < odometer_.size(); ++g) memory.odometer[g] = odometer(static_cast<int>(g));
+  return memory;
 }
 
 }  // namespace contactvi

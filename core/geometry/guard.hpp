@@ -8,12 +8,15 @@
 // Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was
 // d when it was last evaluated is skipped until the two odometers have nearly advanced by d; then its bounding spheres
 // are compared, and the distance of its shapes is evaluated only if they may touch. Pairs that are far from each other
-// for several steps are not even looked at (broad_phase.hpp). Numbering: collision pairs first, then joint limits.
+// for several steps are not even looked at (broad_phase.hpp). Where a step finds no guard near, the ones after it look
+// at none, until the motion since then may have brought some guard near (clear_span.hpp). Numbering: collision pairs
+// first, then joint limits.
 #pragma once
 
 #include <vector>
 
 #include "geometry/broad_phase.hpp"
+#include "geometry/clear_span.hpp"
 #include "geometry/contact.hpp"
 #include "geometry/distance.hpp"
 #include "geometry/manifold.hpp"
@@ -98,8 +101,16 @@ class Guards {
   void mark(int guard, double gap_at_end);  // gap at the end of the step
   void unmark(int guard) { marks_[guard] = -1.0; }
   void commit();  // the step is taken: odometers advance
+  // Of a step that was taken to its end q1, shape (nq,), without a suspect; bound, h: as of its bound_motion. The steps
+  // after it may be passed.
+  void begin_span(const VecCRef& q1, const VecX& bound, double h);
+  // Takes a step of length h whose velocities stay within bound if no guard may be a suspect in it, without a look at
+  // any. False: that is not known, and nothing was done.
+  bool pass(const VecX& bound, double h) { return span_.take(bound, h); }
+  // Guards may have become other ones: the next step looks at them.
+  void end_span();
   // Bound on how far any point of a geometry has moved since an arbitrary instant [m].
-  double odometer(int geometry) const { return odometer_[geometry]; }
+  double odometer(int geometry) const { return odometer_[geometry] + span_.used() * expected_.geometry[geometry]; }
   // As bound_motion found it, for one geometry [m].
   double motion_of_geometry(int geometry) const { return motion_.geometry[geometry]; }
 
@@ -108,8 +119,9 @@ class Guards {
     std::vector<double> odometer, marks;
     BroadPhase::Memory broad_phase;
   };
-  Memory memory() const { return {odometer_, marks_, broad_phase_.memory()}; }
+  Memory memory() const;
   void recall(const Memory& memory) {
+    span_.end();
     odometer_ = memory.odometer;
     marks_ = memory.marks;
     broad_phase_.recall(memory.broad_phase);
@@ -123,7 +135,7 @@ class Guards {
     std::vector<double> geometry, limit, turn;
   };
   Reach make_reach() const;
-  void propagate_reach(const VecCRef& q, const VecX& bound, double h, Reach& reach);
+  void propagate_reach(const VecCRef& q, const VecX& bound, double h, double steps, Reach& reach);
   double reach_of(const Reach& reach, int guard) const;
   void place_body(int body);
   void place_pair(int guard);
@@ -143,11 +155,12 @@ class Guards {
   long configuration_ = 0;        // number of the configuration q_
   long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
-  std::vector<double> linear_;  // per body: bound on its origin's displacement
-  Reach motion_, doubt_;
-  std::vector<double> odometer_;  // per geometry
-  std::vector<double> marks_;     // per guard: odometer sum up to which it may be skipped
+  std::vector<double> linear_;       // per body: bound on its origin's displacement
+  Reach motion_, doubt_, expected_;  // expected: in a reference step of the span
+  std::vector<double> odometer_;     // per geometry
+  std::vector<double> marks_;        // per guard: odometer sum up to which it may be skipped
   BroadPhase broad_phase_;
+  ClearSpan span_;
 };
 
 }  // namespace contactvi

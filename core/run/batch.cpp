@@ -9,6 +9,7 @@
 #include "base/parallel.hpp"
 #include "model/coordinates.hpp"
 #include "step/integrator.hpp"
+#include "step/lost_velocity.hpp"
 #include "step/node_lanes.hpp"
 
 namespace contactvi {
@@ -43,21 +44,6 @@ class States {
   const Tree& tree_;
   BatchOutcome& to_;
 };
-
-// The largest part of a velocity w = sin(1), sin(2), ... that is lost when it becomes a momentum and a velocity again.
-double lost_velocity(const Tree& tree, const VecX& q) {
-  if (tree.nv == 0) return 0.0;
-  Integrator integrator(tree, 1, 1e-12, 1);
-  VecX w(tree.nv), p(tree.nv), unused(tree.nv), back(tree.nv);
-  for (int k = 0; k < tree.nv; ++k) w[k] = std::sin(1.0 + k);
-  back = w;
-  public_to_engine(tree, q, back);
-  integrator.dynamics(q, back, p, unused);
-  if (!integrator.node_velocity(q, p, back)) return std::numeric_limits<double>::infinity();
-  engine_to_public(tree, q, back);
-  const double lost = (back - w).cwiseAbs().maxCoeff();
-  return std::isfinite(lost) ? lost : std::numeric_limits<double>::infinity();
-}
 
 }  // namespace
 
@@ -118,7 +104,8 @@ void Batch::make(const BatchStart& start, SideBySide* company, BatchOutcome& out
 }
 
 void Batch::make(const Scene& scene, const BatchStart& start, SideBySide* company, BatchOutcome& outcome) {
-  outcome.massless = lost_velocity(scene.tree, start.q) > most_lost_;
+  Integrator integrator(scene.tree, 1, 1e-12, 1);
+  outcome.massless = !(lost_velocity(integrator, start.q).share <= most_lost_);
   if (outcome.massless) return;
   World world(scene, options_);
   if (company != nullptr) world.join(*company);

@@ -9,9 +9,9 @@
 namespace contactvi {
 
 namespace {
-constexpr double kReach = 1.5;      // of the motion in the last interval: that expected in the next one
-constexpr double kIntervals = 8.0;  // a ball's margin lasts for about so many of them,
-constexpr double kMargin = 0.05;    // and is at least this part of its radius
+constexpr double kReach = 1.5;       // of the motion in the last interval: that expected in the next one
+constexpr double kIntervals = 16.0;  // a ball's margin lasts for about so many of them,
+constexpr double kMargin = 0.05;     // and is at least this part of its radius
 }  // namespace
 
 IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
@@ -69,7 +69,7 @@ void IslandGraph::renew(int g, double margin) {
     list.erase(std::find_if(list.begin(), list.end(), [g](const Neighbour& m) { return m.geometry == g; }));
   }
   neighbours_[g].clear();
-  const Placements& at = guards_->placements();
+  const Placements& at = guards_->placements(partners_[g].front().guard);
   const Geometry& geometry = scene_->geometries[g];
   const Vec3 c = at.p_W[geometry.body] + at.R_W[geometry.body] * geometry.center_B;
   const int slot = slot_[g];
@@ -90,7 +90,7 @@ void IslandGraph::renew(int g, double margin) {
 
 // A lower bound on the distance of two neighbours now: that of their balls.
 double IslandGraph::clearance(const Neighbour& n, int g) {
-  const Placements& at = guards_->placements();
+  const Placements& at = guards_->placements(n.guard);
   const auto center = [&](int k) {
     const Geometry& geometry = scene_->geometries[k];
     return Vec3(at.p_W[geometry.body] + at.R_W[geometry.body] * geometry.center_B);

@@ -26,7 +26,9 @@ bool dissipates(const Tree& tree) {
 
 // Whether all numbers of a state are finite and small enough for its energy. NaN is not <= anything.
 bool in_range(const VecX& q, const VecX& p) {
-  const auto inside = [](const VecX& x) { return (x.array().abs() <= kLargest).all(); };
+  const auto inside = [](const VecX& x) {
+    return x.squaredNorm() <= kLargest * kLargest || (x.array().abs() <= kLargest).all();
+  };
   return inside(q) && inside(p);
 }
 }  // namespace

@@ -72,9 +72,10 @@ World::World(const Scene& scene, const SimulatorOptions& options)
 }
 
 // Whether islands are advanced one by one: an impulse that solves an equation of the whole step belongs to the whole
-// world, and so do the polynomials of whole steps.
+// world, and so do the polynomials of whole steps. Trees that have no events gain nothing from it.
 bool World::may_divide() const {
-  return options_.islands && trees_.count() > 1 && !impact_law(options_.impact).implicit() && !options_.dense;
+  return options_.islands && trees_.count() > 1 && scene_->guard_count() > 0 &&
+         !impact_law(options_.impact).implicit() && !options_.dense;
 }
 
 void World::join(SideBySide& company) {

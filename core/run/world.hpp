@@ -41,6 +41,8 @@ class World {
   std::vector<ContactStepRecord> take_contact_steps() { return whole_.take_contact_steps(); }
   std::vector<DenseStepRecord> take_dense_steps() { return whole_.take_dense_steps(); }
   std::vector<ImpactBlockRecord> take_impact_blocks() { return whole_.take_impact_blocks(); }
+  // Of the engine of all trees, for the mass matrix at any configuration.
+  StepEquations& equations() { return whole_.integrator(); }
   // Summed over the engines.
   EngineCounters counters() const;
   // Islands now; 0 where all trees are advanced together.

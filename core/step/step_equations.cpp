@@ -6,6 +6,29 @@
 
 namespace contactvi {
 
+namespace {
+
+// to = base + step, and what that sum loses of the step.
+inline void add_carried(double base, double step, double& to, double& lost) {
+  const double total = base + step;
+  lost = step - (total - base);
+  to = total;
+}
+
+// The momenta at the end of a step, of all dofs as if none were of a spherical joint.
+void add_impulses(const Stages& stages, const VecX& p0, const VecX& carry, double carried, double* p1, double* lost) {
+  const double* G = stages.G();
+  if (stages.padded() == 1) {  // one number per dof: no sums
+    const double weight = stages.hb()[0];
+    for (Eigen::Index d = 0; d < p0.size(); ++d) add_carried(p0[d], weight * G[d] + carried * carry[d], p1[d], lost[d]);
+    return;
+  }
+  for (int d = 0; d < static_cast<int>(p0.size()); ++d)
+    add_carried(p0[d], stages.sum(G, d) + carried * carry[d], p1[d], lost[d]);
+}
+
+}  // namespace
+
 StepEquations::StepEquations(const Tree& tree, int stages)
     : tree_(&tree),
       model_(tree),
@@ -63,6 +86,10 @@ void StepEquations::count_iteration(int flags) {
 void StepEquations::finish(VecRef q1, VecRef p1) {
   if (model_.lanes.balls > 0) stages_.rates();
   const double carried = part_ ? 0.0 : 1.0;  // the digits carried are those of the next whole step
+  add_impulses(stages_, p0_, carry_p_, carried, p1.data(), next_carry_p_.data());
+  const double* v = stages_.v();
+  const bool single = stages_.padded() == 1;
+  const double weight = stages_.hb()[0];
   for (const Joint& joint : tree_->joints) {
     const int iq = joint.iq, iv = joint.iv;
     if (joint.type == JointType::kSpherical) {
@@ -72,16 +99,11 @@ void StepEquations::finish(VecRef q1, VecRef p1) {
       const Vec3 end = stages_.ball_end(joint, p0_);
       q1.segment<4>(iq) = (start * so3_exp(X1)).normalized().coeffs();
       p1.segment<3>(iv) = end;
+      next_carry_p_.segment<3>(iv).setZero();
       continue;
     }
-    for (int d = 0; d < joint.nv; ++d) {
-      const double impulse = stages_.sum(stages_.G(), iv + d) + carried * carry_p_[iv + d];
-      const double p = p0_[iv + d] + impulse;
-      next_carry_p_[iv + d] = impulse - (p - p0_[iv + d]);
-      p1[iv + d] = p;
-    }
     if (joint.type == JointType::kContinuous) {
-      const double angle = stages_.sum(stages_.v(), iv), c = std::cos(angle), s = std::sin(angle);
+      const double angle = stages_.sum(v, iv), c = std::cos(angle), s = std::sin(angle);
       const double c1 = q0_[iq] * c - q0_[iq + 1] * s, s1 = q0_[iq] * s + q0_[iq + 1] * c;
       const double scale = 1 / std::sqrt(c1 * c1 + s1 * s1);
       q1[iq] = scale * c1;
@@ -89,10 +111,8 @@ void StepEquations::finish(VecRef q1, VecRef p1) {
       continue;
     }
     for (int d = 0; d < joint.nv; ++d) {
-      const double change = stages_.sum(stages_.v(), iv + d) + carried * carry_q_[iq + d];
-      const double q = q0_[iq + d] + change;
-      next_carry_q_[iq + d] = change - (q - q0_[iq + d]);
-      q1[iq + d] = q;
+      const double change = single ? weight * v[iv + d] : stages_.sum(v, iv + d);
+      add_carried(q0_[iq + d], change + carried * carry_q_[iq + d], q1[iq + d], next_carry_q_[iq + d]);
     }
   }
 }

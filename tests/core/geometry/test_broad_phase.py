@@ -105,9 +105,10 @@ def placed(scene: cvi.Scene, rng: np.random.Generator, room: float) -> np.ndarra
     return q
 
 
+@pytest.mark.parametrize("spans", [False, True])
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize(("h", "speed", "spin"), [(1e-3, 2.0, 5.0), (1e-3, 30.0, 100.0), (0.05, 5.0, 20.0)])
-def test_pairs_left_out_do_not_touch(seed: int, h: float, speed: float, spin: float):
+def test_pairs_left_out_do_not_touch(seed: int, h: float, speed: float, spin: float, spans: bool):
     """All gaps at many places of many steps, some of which are cut: those of pairs left out stay open, and are larger
     at the end of the step than the motion of the two bodies in it."""
     rng = np.random.default_rng([seed, int(1e4 * h), int(speed)])
@@ -125,7 +126,7 @@ def test_pairs_left_out_do_not_touch(seed: int, h: float, speed: float, spin: fl
         bound.append(bound_of(scene, v))
         looks.append([core.gaps(moved(scene, q, slower * v, x * h))[0] for x in LOOKS])
         q = end[-1] if rng.random() < 0.8 else moved(scene, q, slower * v, rng.random() * h)
-    steps = _core.near_pairs(core, np.array(start), np.array(end), np.array(bound), h)
+    steps = _core.near_pairs(core, np.array(start), np.array(end), np.array(bound), h, spans)
     left_out = 0
     for (near, motion), gaps in zip(steps, np.array(looks), strict=True):
         assert all(a < b for a, b in pairwise(near))
@@ -134,6 +135,52 @@ def test_pairs_left_out_do_not_touch(seed: int, h: float, speed: float, spin: fl
         assert np.all(gaps[:, far] > 0.0)
         assert np.all(gaps[-1, far] > motion[far])
     assert left_out > 0.2 * len(steps) * core.npairs or h > 0.01
+
+
+def slides(links: int = 3) -> tuple[pin.Model, pin.GeometryModel]:
+    """An arm on a turntable whose links slide out of each other, and a ball in the world: motion lengthens arms."""
+    import coal
+
+    model, geometry = pin.Model(), pin.GeometryModel()
+    parent = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "table")
+    model.appendBodyToJoint(parent, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    for k in range(links):
+        parent = model.addJoint(parent, pin.JointModelPX(), pin.SE3.Identity(), f"slide{k}")
+        model.appendBodyToJoint(parent, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+        geometry.addGeometryObject(pin.GeometryObject(f"tip{k}", parent, pin.SE3.Identity(), coal.Sphere(0.05)))
+    place = pin.SE3(np.eye(3), np.array([0.0, 1.5, 0.0]))
+    ball = geometry.addGeometryObject(pin.GeometryObject("ball", 0, place, coal.Sphere(0.2)))
+    for k in range(links):
+        geometry.addCollisionPair(pin.CollisionPair(k, ball))
+    return model, geometry
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_clear_spans_end_before_a_pair_comes_near(seed: int):
+    """Speeds that change all the time, from rest too, of sliding and turning joints: passed steps are clear for sure.
+
+    Many steps have to be passed, or there would be nothing to see.
+    """
+    rng = np.random.default_rng(seed)
+    scene = cvi.Scene.from_pinocchio(*slides())
+    core, h = scene.core(), 1e-2
+    q, v = np.array([rng.uniform(-3.0, 0.5), *rng.uniform(0.1, 0.3, 3)]), np.zeros(4)
+    start, end, bound = [], [], []
+    for _ in range(150):
+        new = 0.9 * v + rng.normal(size=4) * [0.3, 0.1, 0.1, 0.1]
+        start.append(q)
+        bound.append(np.maximum(np.abs(v), np.abs(new)))
+        q, v = q + 0.5 * h * (v + new), new
+        end.append(q)
+    arguments = core, np.array(start), np.array(end), np.array(bound), h
+    steps, one_by_one = _core.near_pairs(*arguments, True), _core.near_pairs(*arguments, False)
+    for k, (near, motion) in enumerate(steps):
+        far = np.setdiff1d(np.arange(core.npairs), near)
+        gaps = np.array([core.gaps(start[k] + x * (end[k] - start[k]))[0] for x in LOOKS])
+        assert np.all(gaps[:, far] > 0.0)
+        assert np.all(gaps[-1, far] > motion[far])
+    assert sum(len(near) for near, _ in steps) <= sum(len(near) for near, _ in one_by_one)
+    assert sum(not near for near, _ in steps) > 50
 
 
 def cloud(n: int, distance: float = 0.25) -> tuple[cvi.Scene, np.ndarray]:

@@ -1,0 +1,40 @@
+#include "geometry/clear_span.hpp"
+
+#include <algorithm>
+
+namespace contactvi {
+
+namespace {
+// A reference step is so much longer than the last one: speeds may grow so far before a step counts as more than one.
+constexpr double kGrowth = 1.25;
+// Of the fastest dof: what is expected of one that is at rest, or the span would end when it starts to move.
+constexpr double kLeast = 0.05;
+// Stands for one over nothing: a dof that nothing is expected of ends the span when it moves.
+constexpr double kHuge = 1e300;
+}  // namespace
+
+const VecX& ClearSpan::set_reference(const VecX& bound, double h) {
+  const double least = bound.size() > 0 ? kLeast * bound.maxCoeff() : 0.0;
+  for (Eigen::Index d = 0; d < bound.size(); ++d) {
+    path_[d] = kGrowth * h * std::max(bound[d], least);
+    inverse_[d] = path_[d] > 0.0 ? 1.0 / path_[d] : kHuge;
+  }
+  used_ = allowed_ = 0.0;
+  return path_;
+}
+
+bool ClearSpan::take(const VecX& bound, double h) {
+  if (allowed_ <= 0.0) return false;
+  double steps = 0.0;
+  for (Eigen::Index d = 0; d < bound.size(); ++d) {
+    const double part = bound[d] * inverse_[d];
+    if (!(part <= steps)) steps = part;  // NaN stays
+  }
+  steps *= h;
+  if (!(used_ + 2.0 * steps < allowed_)) return false;
+  last_ = steps;
+  used_ += steps;
+  return true;
+}
+
+}  // namespace contactvi
