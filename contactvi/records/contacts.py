@@ -32,6 +32,7 @@ FIELDS: Fields = {
     "kind": (0, np.int64),
     "index": (0, np.int64),
     "point": (0, np.int64),
+    "feature": (0, np.int64),
     "mode": (0, np.int64),
     "dense": (0, np.int64),
     "position": (3, float),
@@ -59,7 +60,7 @@ class Contact:
         t, h: start and length of the step [s]; h is 0 for an impact.
         step: its index.
         kind, pair: as of an `Event`.
-        point: number of the point within the pair, the same from step to step.
+        point: number of the point within the pair, 0, 1, 2, ... as they appear in the run, the same from step to step.
         mode: "stick", "slip" (it slid in a part of the step at least), "frictionless" or "impact".
         dense: whether the step is a dense one (contactvi.records.dense_steps).
         position: of the point at the end of the step [m], normal : unit, from the first shape to the second, both in
