@@ -106,6 +106,10 @@ class ContactLog(StepRows, Items[Contact]):
         super().__init__(arrays)
         self._names = pair_names, joint_names
 
+    def label(self, kind: int, index: int) -> tuple[str, str]:
+        """Return the names that belong to (kind, index) in the engine's numbering."""
+        return label(kind, index, *self._names)
+
     @property
     def position(self) -> Array:
         """Contact points at the ends of the steps [m], world frame, shape (m, 3)."""
@@ -139,6 +143,12 @@ class ContactLog(StepRows, Items[Contact]):
         along = np.sum(self.impulse * self._arrays["normal"], axis=1)
         return np.where(self._arrays["kind"] == GuardKind.LIMIT, self.impulse[:, 0], along)
 
+    @cached_property
+    def friction_impulse(self) -> Array:
+        """Size of the impulse across the normal [N s], shape (m,); 0 of a limit."""
+        across = self.impulse - self.normal_impulse[:, None] * self._arrays["normal"]
+        return np.where(self._arrays["kind"] == GuardKind.LIMIT, 0.0, np.linalg.norm(across, axis=1))
+
     @property
     def total_impulse(self) -> Array:
         """Of all rows on their second shapes [N s], world axes, shape (3,); of one pair: `log.of(a, b).total_impulse`.
@@ -151,7 +161,7 @@ class ContactLog(StepRows, Items[Contact]):
     def pairs(self) -> list[tuple[str, str]]:
         """The pairs that touched (for a limit the joint and which one), in the engine's order."""
         keys = np.unique(np.column_stack([self._arrays["kind"], self._arrays["index"]]), axis=0)
-        return [label(int(kind), int(index), *self._names) for kind, index in keys]
+        return [self.label(int(kind), int(index)) for kind, index in keys]
 
     def at(self, t: float) -> list[Contact]:
         """Return the contacts that act at time t [s]: those of the step around it (the later of two), and impacts."""
@@ -232,7 +242,7 @@ class ContactLog(StepRows, Items[Contact]):
 
     def _of_pair(self, pair: tuple[str, str]) -> NDArray[np.bool_]:
         keys = np.column_stack([self._arrays["kind"], self._arrays["index"]])
-        kept = [key for key in np.unique(keys, axis=0) if label(int(key[0]), int(key[1]), *self._names) == pair]
+        kept = [key for key in np.unique(keys, axis=0) if self.label(int(key[0]), int(key[1])) == pair]
         return np.asarray(np.any([np.all(keys == key, axis=1) for key in kept], axis=0))
 
     def rows(self, chosen: NDArray[Any]) -> ContactLog:
@@ -247,7 +257,7 @@ class ContactLog(StepRows, Items[Contact]):
         kind = int(row["kind"])
         return Contact(
             t=float(row["t"]), h=float(row["h"]), step=int(row["step"]), kind=KINDS[kind],
-            pair=label(kind, int(row["index"]), *self._names), point=int(row["point"]), mode=MODES[int(row["mode"])],
+            pair=self.label(kind, int(row["index"])), point=int(row["point"]), mode=MODES[int(row["mode"])],
             dense=bool(row["dense"]), position=row["position"], normal=row["normal"], impulse=self.impulse[i],
             force=self.force[i], gap=float(row["gap"]), slip=row["slip"],
         )  # fmt: skip
@@ -287,13 +297,17 @@ class ChangeLog(Rows, Items[ContactChange]):
         super().__init__(arrays)
         self._names = pair_names, joint_names
 
+    def label(self, kind: int, index: int) -> tuple[str, str]:
+        """Return the names that belong to (kind, index) in the engine's numbering."""
+        return label(kind, index, *self._names)
+
     def __repr__(self) -> str:
         return f"<ChangeLog: {len(self)} changes>"
 
     def _item(self, i: int) -> ContactChange:
         row = {name: values[i] for name, values in self._arrays.items()}
         kind = int(row["kind"])
-        pair = label(kind, int(row["index"]), *self._names)
+        pair = self.label(kind, int(row["index"]))
         change = CHANGES[int(row["change"])]
         return ContactChange(float(row["time"]), KINDS[kind], pair, int(row["point"]), change, float(row["value"]))
 

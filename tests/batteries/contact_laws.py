@@ -19,7 +19,7 @@ from contactvi.trajectory.contact_ledger import free_trees
 Array = np.ndarray
 EXPLICIT = 0  # impact map "ctec", as in EventLog
 STICK, LIMIT = 0, 1  # mode and kind, as in ContactLog
-FEATURE_BITS, CROSSING = 40, 1  # the engine's number of a point begins with its kind: 0 is coal's, 1 a crossing of edges
+FEATURE_BITS, CROSSING = 40, 1  # the number of a feature begins with its kind: 0 is coal's, 1 a crossing of edges
 # [m] accuracy of gaps: of closed forms, and of distances from coal's nearest points
 GAP, GAP_ITERATED = 1e-10, 1e-9
 CONE = 1e-8  # of the largest impulse of the step: its contact problem is solved to 1e-9 of its terms at worst

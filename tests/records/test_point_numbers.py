@@ -34,7 +34,7 @@ def test_numbers_of_drawn_rows():
         draw = [(float(t), int(rng.integers(2)), int(rng.integers(3)), int(rng.choice([0, 7, 2**41 + 1, 2**41 + 2])))
                 for t in np.sort(rng.integers(0, 20, 30))]  # fmt: skip
         is_change = rng.random(30) < 0.3
-        ordered = sorted(range(30), key=lambda k: (draw[k][0], not is_change[k], k))  # noqa: B023
+        ordered = sorted(range(30), key=lambda k: (draw[k][0], not is_change[k], k))
         expected = dict(zip(ordered, by_hand([draw[k] for k in ordered]), strict=True))
         cut = float(rng.integers(0, 20))
         numbers, got = PointNumbers(), {}
@@ -54,7 +54,8 @@ def falling_boxes(count: int = 3) -> cvi.Scene:
     scene = cvi.Scene()
     scene.add_halfspace()
     for k in range(count):
-        scene.add_box(f"box_{k}", size=(0.2, 0.2, 0.1), mass=1.0, placement=((0.03 * k, 0, 0.1 + 0.15 * k), (0.1, 0.2, 0)))
+        place = (0.03 * k, 0, 0.1 + 0.15 * k), (0.1, 0.2, 0)
+        scene.add_box(f"box_{k}", size=(0.2, 0.2, 0.1), mass=1.0, placement=place)
     scene.set_contact(restitution=0.1, friction=0.5)
     return scene
 
