@@ -14,7 +14,7 @@ def html_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str] | 
     left_out = len(heads) - _MOST_COLUMNS
     kept = slice(None) if left_out <= 0 else slice(0, _MOST_COLUMNS)
     more = [] if left_out <= 0 else [f"and {left_out} more"]
-    lines = [f"<div><strong>{escape(title)}</strong>"]
+    lines = [f"<div><strong>{escape(title)}</strong>" if title else "<div>"]
     body = [_row([*row[kept], *("" for _ in more)] if row is not None else ["…"] * (len(heads[kept]) + len(more)), "td")
             for row in rows]  # fmt: skip
     if body:
@@ -32,6 +32,13 @@ def html_fields(title: str, fields: Mapping[str, object], parts: Sequence[str] =
         lines.append(f'<tr><th style="text-align:left">{escape(name)}</th>')
         lines.append(f'<td style="text-align:left">{escape(_cut(str(value), 400))}</td></tr>')
     return "\n".join([*lines, "</tbody>", "</table>", *parts, "</div>"])
+
+
+def shown_rows(count: int, most: int) -> list[int | None]:
+    """Return the numbers of the rows that stand for so many: all, or the first and the last ones with None between."""
+    if count <= most:
+        return list(range(count))
+    return [*range(most // 2), None, *range(count - most // 2, count)]
 
 
 def folded(title: str, content: str) -> str:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from contactvi.aliases import alias
 from contactvi.errors import InputError, did_you_mean
+from contactvi.html import html_table
 from contactvi.inputs import entries, real, short
 from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
 from contactvi.records.events import label
@@ -252,6 +253,17 @@ class ContactLog(StepRows, Items[Contact]):
     def __repr__(self) -> str:
         return f"<ContactLog: {len(self)} rows of {len(self.pairs)} pairs>"
 
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the first rows and the last ones."""
+        rows = [
+            None if c is None else (
+                f"{c.t:.6g}", f"{c.h:.3g}", " | ".join(c.pair), str(c.point), c.mode, f"{c.normal_force:.6g}",
+                f"{np.linalg.norm(c.impulse):.6g}",
+            ) for c in self._shown()
+        ]  # fmt: skip
+        heads = ("t [s]", "h [s]", "pair", "point", "mode", "normal force [N]", "impulse [N s]")
+        return html_table(f"Contacts: {len(self)} rows of {len(self.pairs)} pairs", heads, rows)
+
     def _item(self, i: int) -> Contact:
         row = {name: values[i] for name, values in self._arrays.items()}
         kind = int(row["kind"])
@@ -303,6 +315,12 @@ class ChangeLog(Rows, Items[ContactChange]):
 
     def __repr__(self) -> str:
         return f"<ChangeLog: {len(self)} changes>"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the first changes and the last ones."""
+        rows = [None if c is None else (f"{c.time:.6g}", " | ".join(c.pair), str(c.point), c.change)
+                for c in self._shown()]  # fmt: skip
+        return html_table(f"Contact changes: {len(self)}", ("t [s]", "pair", "point", "change"), rows)
 
     def _item(self, i: int) -> ContactChange:
         row = {name: values[i] for name, values in self._arrays.items()}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import missing_package
-from contactvi.html import html_table
+from contactvi.html import html_table, shown_rows
 
 if TYPE_CHECKING:
     import pandas
@@ -102,11 +101,8 @@ class Table:
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the first rows and the last ones."""
         count = len(self)
-        ends = [slice(0, count)] if count <= _ROWS else [slice(0, _ROWS // 2), slice(count - _ROWS // 2, count)]
-        rows: list[list[str] | None] = [[_shown(cell) for cell in row] for row in self._rows(ends[0])]
-        if len(ends) > 1:
-            rows.append(None)
-        rows += [[_shown(cell) for cell in row] for row in itertools.chain(*map(self._rows, ends[1:]))]
+        chosen = shown_rows(count, _ROWS)
+        rows = [None if k is None else [_shown(cell) for cell in next(self._rows(slice(k, k + 1)))] for k in chosen]
         heads = [f"{name} [{self.units[name]}]" if self.units.get(name, "1") != "1" else name for name in self.columns]
         return html_table(f"{self.name}: {count} rows", heads, rows)
 

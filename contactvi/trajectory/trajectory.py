@@ -28,6 +28,7 @@ from contactvi.trajectory.contact_ledger import ContactLedger
 from contactvi.trajectory.ledger import Ledger, LedgerInputs
 from contactvi.trajectory.polynomials import Segments, State, frame_times
 from contactvi.trajectory.poses import Poses, body_poses
+from contactvi.trajectory.shown import run_html
 from contactvi.trajectory.stepping import stepping_of
 
 if TYPE_CHECKING:
@@ -147,6 +148,14 @@ class Trajectory:
             f"<Trajectory: {len(self)} nodes, t = {self.t[0]:.6g} .. {self.t[-1]:.6g} s, "
             f"{len(self.events)} events, {self.status.code.name}>"
         )
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return run_html(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what pickle and deepcopy keep: all but the engine's scene, which is built again when it is needed."""
+        return {**vars(self), "_scene": self.scene, "_core": None, "_ledger": None}
 
     @property
     def stepping(self) -> str:
