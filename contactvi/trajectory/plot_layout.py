@@ -34,7 +34,7 @@ _MOST_SWINGS = _BINS / 4  # from its least to its greatest value, of a curve tha
 _SEEN = 1e-6  # part of its size by which a curve has to change for that to be seen
 _MOST_NAMED = 10  # curves that a legend names; more get a scale of colours
 _MOST_TICKS = 20  # names beside such a scale
-_LONGEST = 34  # letters of a name
+_LONGEST = 36  # letters of a line of a legend
 
 FIRST_COLORS = tuple(TABLEAU_COLORS.values())
 
@@ -129,7 +129,7 @@ def draw_curve(axis: Axes, t: Array, y: Array, name: str | None, **style: Any) -
     np.minimum.at(low, place, shown)
     np.maximum.at(high, place, shown)
     low[np.isinf(low)], high[np.isinf(high)] = np.nan, np.nan
-    label = None if name is None else f"{shorten(name, _LONGEST - 7)} (band)"
+    label = None if name is None else f"{name} (band)"
     axis.fill_between(
         edges, np.append(low, low[-1]), np.append(high, high[-1]), step="post", color=style.get("color"), alpha=0.35,
         lw=0.5, label=label, zorder=style.get("zorder", 2),
@@ -169,10 +169,19 @@ def legend(axis: Axes, title: str = "") -> None:
     if not handles:
         return
     axis.legend(
-        handles, [shorten(name, 2 * _LONGEST) for name in names], loc="upper left", bbox_to_anchor=(1.01, 1.02),
+        handles, [_folded(name) for name in names], loc="upper left", bbox_to_anchor=(1.01, 1.02),
         borderaxespad=0.0, fontsize=_SMALL, frameon=False, title=title or None, title_fontsize=_SMALL,
         alignment="left", handlelength=1.6, markerscale=4.0,
     )  # fmt: skip
+
+
+def _folded(name: str) -> str:
+    """Return a name in lines that fit: of a long pair the second one begins a line."""
+    lines = name.split("\n")
+    if len(name) > _LONGEST and len(lines) == 1:
+        first, mark, second = name.partition(" | ")
+        lines = [first + " |", second] if mark else [name]
+    return "\n".join(shorten(line) for line in lines)
 
 
 def shorten(name: str, most: int = _LONGEST) -> str:

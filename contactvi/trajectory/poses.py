@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi.elements.elements import WORLD
 from contactvi.playback.animation import near_turns
 
 Array = NDArray[np.float64]
@@ -56,5 +57,7 @@ def body_poses(model: pin.Model, q: Array, bodies: Sequence[str]) -> tuple[Array
 
 def _frame(model: pin.Model, name: str) -> int:
     """Return the frame of a body; a geometry may hang on a frame of another type, which then counts as one."""
+    if name == WORLD:
+        return 0
     found = [k for k, frame in enumerate(model.frames) if frame.name == name]
     return next((k for k in found if model.frames[k].type == pin.FrameType.BODY), found[0])
