@@ -175,6 +175,9 @@ class EventLog(Rows, Items[Event]):
         return f"<EventLog: {len(self)} events>"
 
     def _repr_html_(self) -> str:
+        return self.html()
+
+    def html(self) -> str:
         """Return what a notebook shows: the first impacts and the last ones."""
         rows = [
             None if e is None else (

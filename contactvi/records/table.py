@@ -99,6 +99,9 @@ class Table:
         return zip(*parts, strict=True)
 
     def _repr_html_(self) -> str:
+        return self.html()
+
+    def html(self) -> str:
         """Return what a notebook shows: the first rows and the last ones."""
         count = len(self)
         chosen = shown_rows(count, _ROWS)

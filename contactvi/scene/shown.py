@@ -2,18 +2,40 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
+import numpy as np
+
+from contactvi.elements.elements import Element
 from contactvi.errors import ContactviError
 from contactvi.html import folded, html_fields, html_table, shown_rows
+from contactvi.scene.build import Built
+from contactvi.scene.selection import PartHandle
 
-if TYPE_CHECKING:
-    from contactvi.scene.scene import Scene
-
-_MOST = 12  # parts, joints, elements of a list
+_MOST = 12  # parts, elements of a list
 
 
-def scene_html(scene: Scene) -> str:
+class Shown(Protocol):
+    """What is shown; contactvi.Scene has it."""
+
+    settings: dict[str, Any]
+
+    @property
+    def parts(self) -> list[PartHandle]: ...
+    @property
+    def elements(self) -> list[Element]: ...
+    @property
+    def gravity(self) -> np.ndarray: ...
+    @property
+    def missing(self) -> list[str]: ...
+    @property
+    def nq(self) -> int: ...
+    @property
+    def nv(self) -> int: ...
+    def built(self) -> Built: ...
+
+
+def scene_html(scene: Shown) -> str:
     """Return parts, sizes and joints of a scene, and why it cannot be run if it cannot."""
     parts = scene.parts
     fields: dict[str, object] = {"gravity": "({:.6g}, {:.6g}, {:.6g}) m/s²".format(*scene.gravity)}
