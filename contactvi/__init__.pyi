@@ -36,6 +36,7 @@ from .records.contacts import ContactChange as ContactChange
 from .records.contacts import ContactLog as ContactLog
 from .records.events import Event as Event
 from .records.events import EventLog as EventLog
+from .records.table import Table as Table
 from .scene.derivative_check import check_derivatives as check_derivatives
 from .scene.scene import Scene as Scene
 from .scene.toml import load_scene as load_scene
@@ -51,7 +52,9 @@ from .status import Status as Status
 from .status import StatusCode as StatusCode
 from .trajectory.plots import plot as plot
 from .trajectory.plots import plot_forces as plot_forces
+from .trajectory.plots import plot_states as plot_states
 from .trajectory.polynomials import State as State
+from .trajectory.poses import Poses as Poses
 from .trajectory.sensitivity import DenseStepSensitivity as DenseStepSensitivity
 from .trajectory.sensitivity import EventSensitivity as EventSensitivity
 from .trajectory.sensitivity import Sensitivity as Sensitivity

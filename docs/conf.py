@@ -16,7 +16,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.mathjax",
     "sphinx-mathjax-offline",  # ships MathJax with the pages: they need no network
-    "myst_parser",
+    "myst_nb",  # MyST pages, and the notebooks of docs/notebooks
 ]
 default_role = "py:obj"  # single backticks in docstrings are code, and links where they name something here
 html_theme = "furo"
@@ -26,6 +26,13 @@ html_title = "contactvi"
 # $...$ is math; every heading down to the third level has an anchor, so that pages link as GitHub does.
 myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 3
+
+# Notebooks are stored without outputs, so that these are never those of another version: each build runs them.
+nb_execution_mode = "force"
+nb_execution_timeout = 120  # [s] of a cell
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+suppress_warnings = ["mystnb.unknown_mime_type"]
 
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False

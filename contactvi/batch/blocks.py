@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -21,6 +22,30 @@ TIMES = ("time", "seconds", "error_estimate")
 COLUMNS = (*PADDED, *COUNTS, *TIMES)
 
 
+class KeptRun:
+    """A run of a batch, made from the engine's arrays when it is first asked for; the engine gives these only once."""
+
+    def __init__(self, make: Callable[[], Trajectory | None]) -> None:
+        self._make: Callable[[], Trajectory | None] | None = make
+        self._run: Trajectory | None = None
+        self._lock = threading.Lock()
+
+    def __call__(self) -> Trajectory | None:
+        """Return the run, None where there is none; the same object each time."""
+        with self._lock:
+            if self._make is not None:
+                self._run, self._make = self._make(), None
+            return self._run
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickle and deepcopy keep: the run instead of what makes it."""
+        return _kept_run, (self(),)
+
+
+def _kept_run(run: Trajectory | None) -> KeptRun:
+    return KeptRun(lambda: run)
+
+
 @dataclass(eq=False)
 class Block:
     """Results of runs; rows belong to runs.
@@ -31,13 +56,13 @@ class Block:
             each (runs,).
         messages: of the statuses that are not SUCCESS, by run.
         errors: by run.
-        trajectories: functions that return the runs, where they are kept.
+        trajectories: the runs, where they are kept.
     """
 
     columns: dict[str, NDArray[Any]]
     messages: dict[int, str] = field(default_factory=dict)
     errors: dict[int, ContactviError] = field(default_factory=dict)
-    trajectories: list[Callable[[], Trajectory | None]] | None = None
+    trajectories: list[KeptRun] | None = None
 
     def __len__(self) -> int:
         return len(self.columns["code"])
@@ -78,7 +103,7 @@ def joined(blocks: Sequence[Block]) -> Block:
     columns = {name: np.concatenate([part[name] for part in parts]) for name in COLUMNS}
     messages: dict[int, str] = {}
     errors: dict[int, ContactviError] = {}
-    trajectories: list[Callable[[], Trajectory | None]] = []
+    trajectories: list[KeptRun] = []
     first = 0
     for block in blocks:
         messages |= {first + k: text for k, text in block.messages.items()}

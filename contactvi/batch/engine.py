@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi import _core
-from contactvi.batch.blocks import Block
+from contactvi.batch.blocks import Block, KeptRun
 from contactvi.batch.plan import Plan, Report
 from contactvi.batch.scenes import SceneCache
 from contactvi.errors import ContactviError
@@ -88,8 +88,10 @@ def run(plan: Plan, scenes: SceneCache, workers: int, report: Report | None) -> 
     _explain(plan, batch, started, block)
     if plan.keep == "runs":
         block.trajectories = [
-            partial(_trajectory, plan, batch, *started[k]) if k in started and k not in block.errors else
-            partial(_ended, block.errors.get(k)) for k in range(plan.runs)
+            KeptRun(
+                partial(_trajectory, plan, batch, *started[k]) if k in started and k not in block.errors else
+                partial(_ended, block.errors.get(k))
+            ) for k in range(plan.runs)
         ]  # fmt: skip
     return block
 

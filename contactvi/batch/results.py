@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from contactvi.batch.blocks import Block
 from contactvi.errors import ContactviError, InputError
+from contactvi.html import html_fields, html_table
 from contactvi.inputs import short
 from contactvi.records.rows import Items
 from contactvi.simulation.messages import REACHED
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
+_SHOWN = 6  # runs that ended early which a notebook shows
 
 
 class BatchStatus(Items[Status]):
@@ -65,7 +67,6 @@ class BatchResult:
         self.error_estimate: Array = columns["error_estimate"]
         self.status = BatchStatus(columns["code"], columns["time"], block.messages)
         self.errors: dict[int, ContactviError] = dict(sorted(block.errors.items()))
-        self._kept: dict[int, Trajectory] = {}
 
     @property
     def ok(self) -> NDArray[np.bool_]:
@@ -77,6 +78,23 @@ class BatchResult:
 
     def __repr__(self) -> str:
         return f"<BatchResult: {len(self)} runs, {int(self.ok.sum())} ok, keep={self.keep!r}>"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: how the runs ended, and the first that did not reach their end."""
+        ended = np.flatnonzero(~self.ok)
+        fields = {
+            "runs": f"{len(self)}, {int(self.ok.sum())} reached their end", "kept": self.keep,
+            "nodes": _range(self.nodes), "impacts": _range(self.impacts), "dense steps": _range(self.dense_steps),
+            "time of the engine": f"{float(self.seconds.sum()):.3g} s",
+        }  # fmt: skip
+        rows = [(str(k), self.status[int(k)].code.name, f"{self.status[int(k)].time:.6g}", self.status[int(k)].message)
+                for k in ended[:_SHOWN]]  # fmt: skip
+        more = f"and {len(ended) - _SHOWN} more" if len(ended) > _SHOWN else ""
+        parts = [html_table("Ended early", ("run", "status", "t [s]", "reason"), rows, more)] if rows else []
+        return html_fields("Batch of runs", fields, parts)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return BatchResult, (self.keep, self._block)
 
     @overload
     def __getitem__(self, k: int) -> Trajectory: ...
@@ -97,12 +115,10 @@ class BatchResult:
                 "The runs of this batch were not kept", name="keep", expected="'runs'", got=repr(self.keep),
                 remedy=f"Give keep='runs' to simulate_batch, or take result.q[{short(k)}]",
             )  # fmt: skip
-        if row not in self._kept:
-            traj = self._block.trajectories[row]()
-            if traj is None:
-                raise self.errors[row]
-            self._kept[row] = traj
-        return self._kept[row]
+        traj = self._block.trajectories[row]()
+        if traj is None:
+            raise self.errors[row]
+        return traj
 
     def __iter__(self) -> Iterator[Trajectory]:
         return (self[k] for k in range(len(self)))
@@ -111,3 +127,8 @@ class BatchResult:
     def block(self) -> Block:
         """The arrays as they are stored."""
         return self._block
+
+
+def _range(counts: NDArray[np.int64]) -> str:
+    low, high = (int(counts.min()), int(counts.max())) if len(counts) else (0, 0)
+    return str(low) if low == high else f"{low} to {high}"

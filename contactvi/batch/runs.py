@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
 from contactvi.batch import engine
-from contactvi.batch.blocks import Block
+from contactvi.batch.blocks import Block, KeptRun
 from contactvi.batch.plan import Plan, Report
 from contactvi.batch.scenes import SceneCache
 from contactvi.errors import ContactviError
@@ -130,9 +131,9 @@ def _block(plan: Plan, runs: list[_Made]) -> Block:
         if run.error is not None:
             block.fail(k, run.error, run.status)
     if plan.keep == "runs":
-        block.trajectories = [_getter(run.trajectory) for run in runs]
+        block.trajectories = [KeptRun(partial(_trajectory, run)) for run in runs]
     return block
 
 
-def _getter(traj: Trajectory | None) -> Callable[[], Trajectory | None]:
-    return lambda: traj
+def _trajectory(run: _Made) -> Trajectory | None:
+    return run.trajectory

@@ -1,4 +1,4 @@
-"""The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `check`, `check-gradient`.
+"""The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `export`, `check`, `check-gradient`.
 
 Exit codes: 0 done; 1 a case of verify failed, or a derivative; 2 wrong input, reported as expected, got, remedy; 3 the
 run ended early, with its files written where it has some; 4 the run has no derivative; 130 stopped by Ctrl-C.
@@ -17,6 +17,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from contactvi.commands.export import export
 from contactvi.errors import ContactviError, InputError, NotDifferentiable, SceneError, SimulationError, did_you_mean
 from contactvi.interrupts import held_back
 from contactvi.status import StatusCode
@@ -256,6 +257,9 @@ def play(
     _out.print(f"Playback: {escape(str(page))}")
     if browser and not webbrowser.open(page.resolve().as_uri(), new=2):
         _out.print("No browser was found: open the page by hand.")
+
+
+app.command()(export)
 
 
 @app.command()

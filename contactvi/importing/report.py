@@ -12,6 +12,9 @@ from collections.abc import Container, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from contactvi.html import folded, html_table, preformatted
+
+_SHOWN, _LINES = 10, 150  # findings and lines of text that a notebook shows
 Use = Literal["used", "changed", "ignored", "refused", "suspicious"]
 USES: tuple[Use, ...] = ("refused", "suspicious", "changed", "ignored", "used")
 HEADINGS: dict[str, str] = {
@@ -134,6 +137,18 @@ class ImportReport:
 
     def __str__(self) -> str:
         return self.text()
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: what is refused or suspicious, and the text when it is unfolded."""
+        counts = Counter(note.use for note in self.all_notes())
+        title = "Import report: " + ", ".join(f"{counts[use]} {use}" for use in USES if use != "used")
+        rows = [(note.use, note.topic, note.name, note.text) for note in [*self.refused, *self.suspicious]]
+        more = f"and {len(rows) - _SHOWN} more" if len(rows) > _SHOWN else ""
+        found = html_table(title, ("", "", "name", "finding"), rows[:_SHOWN], more)
+        lines = self.text(6).splitlines()
+        if len(lines) > _LINES:
+            lines = [*lines[:_LINES], f"... and {len(lines) - _LINES} more lines: print(report)"]
+        return found + folded("report", preformatted("\n".join(lines)))
 
     def text(self, most: int = 12) -> str:
         """Return the report as text; of each list of findings of one kind at most `most` are spelled out."""

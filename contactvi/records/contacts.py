@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from contactvi.aliases import alias
 from contactvi.errors import InputError, did_you_mean
+from contactvi.html import html_table
 from contactvi.inputs import entries, real, short
 from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
 from contactvi.records.events import label
@@ -32,6 +33,7 @@ FIELDS: Fields = {
     "kind": (0, np.int64),
     "index": (0, np.int64),
     "point": (0, np.int64),
+    "feature": (0, np.int64),
     "mode": (0, np.int64),
     "dense": (0, np.int64),
     "position": (3, float),
@@ -59,7 +61,7 @@ class Contact:
         t, h: start and length of the step [s]; h is 0 for an impact.
         step: its index.
         kind, pair: as of an `Event`.
-        point: number of the point within the pair, the same from step to step.
+        point: number of the point within the pair, 0, 1, 2, ... as they appear in the run, the same from step to step.
         mode: "stick", "slip" (it slid in a part of the step at least), "frictionless" or "impact".
         dense: whether the step is a dense one (contactvi.records.dense_steps).
         position: of the point at the end of the step [m], normal : unit, from the first shape to the second, both in
@@ -110,6 +112,10 @@ class ContactLog(StepRows, Items[Contact]):
         super().__init__(arrays)
         self._names = pair_names, joint_names
 
+    def label(self, kind: int, index: int) -> tuple[str, str]:
+        """Return the names that belong to (kind, index) in the engine's numbering."""
+        return label(kind, index, *self._names)
+
     @property
     def position(self) -> Array:
         """Contact points at the ends of the steps [m], world frame, shape (m, 3)."""
@@ -143,6 +149,12 @@ class ContactLog(StepRows, Items[Contact]):
         along = np.sum(self.impulse * self._arrays["normal"], axis=1)
         return np.where(self._arrays["kind"] == GuardKind.LIMIT, self.impulse[:, 0], along)
 
+    @cached_property
+    def friction_impulse(self) -> Array:
+        """Size of the impulse across the normal [N s], shape (m,); 0 of a limit."""
+        across = self.impulse - self.normal_impulse[:, None] * self._arrays["normal"]
+        return np.where(self._arrays["kind"] == GuardKind.LIMIT, 0.0, np.linalg.norm(across, axis=1))
+
     @property
     def total_impulse(self) -> Array:
         """Of all rows on their second shapes [N s], world axes, shape (3,); of one pair: `log.of(a, b).total_impulse`.
@@ -155,7 +167,7 @@ class ContactLog(StepRows, Items[Contact]):
     def pairs(self) -> list[tuple[str, str]]:
         """The pairs that touched (for a limit the joint and which one), in the engine's order."""
         keys = np.unique(np.column_stack([self._arrays["kind"], self._arrays["index"]]), axis=0)
-        return [label(int(kind), int(index), *self._names) for kind, index in keys]
+        return [self.label(int(kind), int(index)) for kind, index in keys]
 
     def at(self, t: float) -> list[Contact]:
         """Return the contacts that act at time t [s]: those of the step around it (the later of two), and impacts."""
@@ -236,7 +248,7 @@ class ContactLog(StepRows, Items[Contact]):
 
     def _of_pair(self, pair: tuple[str, str]) -> NDArray[np.bool_]:
         keys = np.column_stack([self._arrays["kind"], self._arrays["index"]])
-        kept = [key for key in np.unique(keys, axis=0) if label(int(key[0]), int(key[1]), *self._names) == pair]
+        kept = [key for key in np.unique(keys, axis=0) if self.label(int(key[0]), int(key[1])) == pair]
         return np.asarray(np.any([np.all(keys == key, axis=1) for key in kept], axis=0))
 
     def rows(self, chosen: NDArray[Any]) -> ContactLog:
@@ -246,12 +258,23 @@ class ContactLog(StepRows, Items[Contact]):
     def __repr__(self) -> str:
         return f"<ContactLog: {len(self)} rows of {len(self.pairs)} pairs>"
 
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the first rows and the last ones."""
+        rows = [
+            None if c is None else (
+                f"{c.t:.6g}", f"{c.h:.3g}", " | ".join(c.pair), str(c.point), c.mode, f"{c.normal_force:.6g}",
+                f"{np.linalg.norm(c.impulse):.6g}",
+            ) for c in self._shown()
+        ]  # fmt: skip
+        heads = ("t [s]", "h [s]", "pair", "point", "mode", "normal force [N]", "impulse [N s]")
+        return html_table(f"Contacts: {len(self)} rows of {len(self.pairs)} pairs", heads, rows)
+
     def _item(self, i: int) -> Contact:
         row = {name: values[i] for name, values in self._arrays.items()}
         kind = int(row["kind"])
         return Contact(
             t=float(row["t"]), h=float(row["h"]), step=int(row["step"]), kind=KINDS[kind],
-            pair=label(kind, int(row["index"]), *self._names), point=int(row["point"]), mode=MODES[int(row["mode"])],
+            pair=self.label(kind, int(row["index"])), point=int(row["point"]), mode=MODES[int(row["mode"])],
             dense=bool(row["dense"]), position=row["position"], normal=row["normal"], impulse=self.impulse[i],
             force=self.force[i], gap=float(row["gap"]), slip=row["slip"],
         )  # fmt: skip
@@ -296,13 +319,23 @@ class ChangeLog(Rows, Items[ContactChange]):
         super().__init__(arrays)
         self._names = pair_names, joint_names
 
+    def label(self, kind: int, index: int) -> tuple[str, str]:
+        """Return the names that belong to (kind, index) in the engine's numbering."""
+        return label(kind, index, *self._names)
+
     def __repr__(self) -> str:
         return f"<ChangeLog: {len(self)} changes>"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the first changes and the last ones."""
+        rows = [None if c is None else (f"{c.time:.6g}", " | ".join(c.pair), str(c.point), c.change)
+                for c in self._shown()]  # fmt: skip
+        return html_table(f"Contact changes: {len(self)}", ("t [s]", "pair", "point", "change"), rows)
 
     def _item(self, i: int) -> ContactChange:
         row = {name: values[i] for name, values in self._arrays.items()}
         kind = int(row["kind"])
-        pair = label(kind, int(row["index"]), *self._names)
+        pair = self.label(kind, int(row["index"]))
         change = CHANGES[int(row["change"])]
         return ContactChange(float(row["time"]), KINDS[kind], pair, int(row["point"]), change, float(row["value"]))
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi.html import html_table
 from contactvi.records.codes import FALLBACKS, KINDS, METHODS, GuardKind
 from contactvi.records.rows import Arrays, Items, Rows
 
@@ -172,6 +173,20 @@ class EventLog(Rows, Items[Event]):
 
     def __repr__(self) -> str:
         return f"<EventLog: {len(self)} events>"
+
+    def _repr_html_(self) -> str:
+        return self.html()
+
+    def html(self) -> str:
+        """Return what a notebook shows: the first impacts and the last ones."""
+        rows = [
+            None if e is None else (
+                f"{e.time:.9g}", " | ".join(e.pair), str(e.points), f"{e.impulse:.6g}", f"{e.gamma_minus:.6g}",
+                f"{e.gamma_plus:.6g}", f"{e.loss:.6g}",
+            ) for e in self._shown()
+        ]  # fmt: skip
+        heads = ("t [s]", "pair", "points", "impulse [N s]", "speed before [m/s]", "after [m/s]", "loss [J]")
+        return html_table(f"Impacts: {len(self)} ({self.method.upper()})", heads, rows)
 
     def _item(self, i: int) -> Event:
         values: dict[str, Any] = {}

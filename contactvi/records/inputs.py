@@ -34,6 +34,12 @@ class RunInputs:
     stored_blocks: Array | None = None
     stored_dense: Array | None = None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickle and deepcopy keep: contact steps as numbers, which the engine reads again."""
+        kept = self.stored()
+        numbers = (kept["contact_steps"], kept["impact_blocks"], kept["dense_steps"])
+        return RunInputs, (self.control, self.target, self.saturated, (), *numbers)
+
     def stored(self) -> dict[str, NDArray[Any]]:
         """Return what a file keeps of them, by name."""
         steps = [kept.step_numbers() for kept in self.contact_steps]

@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, did_you_mean
+from contactvi.html import shown_rows
 
 Array = NDArray[np.float64]
 Arrays = Mapping[str, NDArray[Any]]
 # name -> (width, dtype) of one row; width 0 is a scalar.
 Fields = Mapping[str, tuple[int, type]]
+_SHOWN = 8  # items of a long log that a notebook shows
 Item = TypeVar("Item", covariant=True)
 
 
@@ -56,6 +58,14 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self._arrays[next(iter(self._fields))])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what pickle and deepcopy keep: the arrays, and not what follows from them."""
+        arrays = self._arrays
+        derived = (name for name in vars(self) if isinstance(getattr(type(self), name, None), cached_property))
+        left_out = {*derived, "_source"}
+        kept = {name: value for name, value in vars(self).items() if name not in left_out}
+        return {**kept, "_source": {}, "_arrays": arrays}
 
 
 class StepRows(Rows):
@@ -101,6 +111,10 @@ class Items(Sequence[Item]):
 
     def __iter__(self) -> Iterator[Item]:
         return (self._item(i) for i in range(len(self)))
+
+    def _shown(self) -> list[Item | None]:
+        """Return the items that a notebook shows, None where some are left out."""
+        return [None if k is None else self._item(k) for k in shown_rows(len(self), _SHOWN)]
 
 
 def joined(parts: Sequence[Arrays], fields: Fields) -> dict[str, NDArray[Any]]:

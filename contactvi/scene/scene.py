@@ -40,6 +40,7 @@ from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
 from contactvi.scene.parts import Handle, PartList
 from contactvi.scene.report import scene_report
 from contactvi.scene.selection import BodyHandle, Names, PartHandle, Selector
+from contactvi.scene.shown import scene_html
 from contactvi.states import States
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -78,6 +79,13 @@ class Scene:
         # What contactvi.trajectory.compiled makes of the scene for its runs. It stands here for the garbage collector:
         # functions of the user in it may hold the scene in turn.
         self.compiled: object = None
+
+    def __repr__(self) -> str:
+        return f"<Scene: {len(self.parts)} parts, nq {self.nq}, nv {self.nv}>"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return scene_html(self)
 
     # --- parts --------------------------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ from contactvi.options import Options
 from contactvi.records import contacts, dense_steps
 from contactvi.records import events as event_log
 from contactvi.records.inputs import GrowingInputs
+from contactvi.records.point_numbers import PointNumbers
 from contactvi.records.rows import joined
 from contactvi.records.work import GrowingForces
 from contactvi.simulation.messages import describe
@@ -48,6 +49,7 @@ class Record:
         self.segments: list[Columns] = []
         self.contacts: list[Columns] = []
         self.changes: list[Columns] = []
+        self.points = PointNumbers()
         self.phases: list[Columns] = []
         self.dense_steps: list[Columns] = []
         self.adaptive_steps: Columns | None = None
@@ -73,10 +75,11 @@ class Record:
             self.q.append(result["q"][keep])
             self.p.append(result["p"][keep])
         self.forces.add(result, t, keep)
+        contacts, changes = self.points.number(result["contacts"], result["changes"])
         for part, columns in (
             (self.events, result["events"]),
-            (self.contacts, result["contacts"]),
-            (self.changes, result["changes"]),
+            (self.contacts, contacts),
+            (self.changes, changes),
             (self.segments, result["segments"]),
             (self.dense_steps, result["dense"]),
         ):
@@ -222,7 +225,7 @@ class Record:
         for name, value in vars(self).items():
             if isinstance(value, list):
                 setattr(twin, name, list(value))
-        twin.forces = self.forces.copy()
+        twin.forces, twin.points = self.forces.copy(), self.points.copy()
         twin.inputs = None if self.inputs is None else self.inputs.copy()
         return twin
 

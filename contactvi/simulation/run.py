@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.errors import ConstraintError, SimulationError
+from contactvi.errors import ConstraintError, ContactviError, SimulationError
 from contactvi.options import Options
 from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
@@ -49,6 +49,17 @@ class Snapshot:
     engine: _core.Snapshot
     record: Record
     rest: Any
+
+    def __copy__(self) -> Snapshot:
+        """Return the snapshot itself: it is constant, and a run that starts from it copies what it changes."""
+        return self
+
+    def __deepcopy__(self, memo: Any) -> Snapshot:
+        """Return the snapshot itself, as `__copy__`."""
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        raise not_picklable("snapshot")
 
     @property
     def targets(self) -> Targets:
@@ -339,6 +350,16 @@ class Run:
         """End the run where it is with the status INTERRUPTED."""
         self.record.status = Status.interrupted(self.t)
         return self.record.status
+
+
+def not_picklable(what: str) -> ContactviError:
+    """Return the error of pickling what holds a state of the engine."""
+    return ContactviError(
+        f"A {what} cannot be pickled: it holds the state of the engine",
+        expected="what another process can read",
+        got=f"a {what}",
+        remedy="Copy it in this process with copy.deepcopy; send the scene, q, v and t to another one, and reset there",
+    )
 
 
 def name_unreachable(record: Record, q: Array) -> ConstraintError | None:

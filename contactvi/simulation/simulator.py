@@ -21,7 +21,7 @@ from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.engine import Progress
-from contactvi.simulation.run import Run, Snapshot
+from contactvi.simulation.run import Run, Snapshot, not_picklable
 from contactvi.status import Status
 from contactvi.trajectory.compiled import checked_scene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
@@ -267,6 +267,9 @@ class Simulator:
 
     def __deepcopy__(self, memo: Any) -> Simulator:
         return self.copy()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        raise not_picklable("simulator")
 
     def last_step(self) -> tuple[float, Array, Array]:
         """Return time [s], q (nq,) and v (nv,) at the start of the last step.

@@ -1,17 +1,21 @@
-"""Plots of a run over time: energy, impacts and gaps, and the forces of persistent contacts."""
+"""Plots of a run over time: energy and gaps, states, and the forces of persistent contacts."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
+from contactvi.inputs import check_choice
 from contactvi.records.codes import GuardKind
+from contactvi.scene.coordinates import coordinates
+from contactvi.trajectory.force_plots import force_figure, span_of
+from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, legend, panels
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -19,10 +23,10 @@ if TYPE_CHECKING:
 
 _ENERGY, _MODIFIED, _CORRECTED, _IMPACT, _LIMIT = "#1f5fa8", "#e08a00", "#2f9e83", "#c8371b", "#7a5ab5"
 _DISCRETE = "#7d6608"
-_CHANGE = {"slip": "#c77ca3", "stick": "#56b4e9", "release": "#8c8f94", "begin": "#8c8f94"}
-_MAX_MARKS = 400  # impacts drawn as lines
 _MAX_PAIRS = 6  # gaps drawn
 _FEW_NODES = 200
+# The panels of the states: what they show, and the unit of the numbers that belong there.
+_STATES = (("position", "m"), ("angle", "rad"), ("velocity", "m/s"), ("angular velocity", "rad/s"))
 
 
 def _check(traj: object) -> None:
@@ -39,107 +43,90 @@ def _check(traj: object) -> None:
 def plot(traj: Trajectory) -> Figure:
     """Return a figure of a run: energy relative to its start, the same with losses put back, gaps of touching pairs.
 
-    The figure belongs to no window (matplotlib.figure.Figure): notebooks show it, `figure.savefig` writes it.
+    Impacts are lines, where they are many a strip whose colour is their density. The figure belongs to no window
+    (matplotlib.figure.Figure): a notebook shows it where it is the last line of a cell, `figure.savefig` writes it.
     """
     _check(traj)
     gap_time, gap_pairs, gap = traj.gaps
-    rows = 3 if len(gap_pairs) else 2
-    figure = Figure(figsize=(9.0, 2.6 * rows + 0.6), layout="constrained")
-    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
-    for axis in axes:
-        _mark_impacts(axis, traj, named=axis is axes[0])
-        axis.grid(alpha=0.25)
-        axis.margins(x=0.01)
+    state = "" if traj.status.ok else f", {traj.status.code.name} at {traj.status.time:.6g} s"
+    title = (
+        f"{traj.t[-1] - traj.t[0]:.6g} s, {traj.stepping}, {len(traj.events)} impacts "
+        f"({traj.events.method.upper()}){state}"
+    )
+    figure, axes = panels(title, span_of(traj), 3 if len(gap_pairs) else 2, _impacts(traj))
     _draw_energy(axes[0], traj)
     _draw_error(axes[1], traj)
     if len(gap_pairs):
         _draw_gaps(axes[2], gap_time, gap_pairs, gap)
-    axes[-1].set_xlabel("time [s]")
-    state = "" if traj.status.ok else f", {traj.status.code.name} at {traj.status.time:.6g} s"
-    figure.suptitle(
-        f"{traj.t[-1] - traj.t[0]:.6g} s, {traj.stepping}, {len(traj.events)} impacts "
-        f"({traj.events.method.upper()}){state}",
-        fontsize=11,
-    )
     return figure
+
+
+def plot_states(traj: Trajectory) -> Figure:
+    """Return a figure of the coordinates and velocities of a run, a panel for each unit.
+
+    Names are those of contactvi.scene.coordinates.Coordinates; more than ten in a panel get a scale of colours.
+    Quaternions, and the cosine and sine of a joint without end, are left out. The figure is one as that of `plot`.
+    """
+    _check(traj)
+    named = coordinates(traj.scene.model)
+    numbers = [*zip(named.q.items(), traj.q.T, strict=True), *zip(named.v.items(), traj.v.T, strict=True)]
+    groups = [(what, unit, [(name, y) for (name, of), y in numbers if of == unit]) for what, unit in _STATES]
+    groups = [group for group in groups if group[2]]
+    figure, axes = panels(f"States, {traj.stepping}", span_of(traj), max(1, len(groups)), _impacts(traj))
+    for axis, (what, unit, curves) in zip(axes, groups, strict=False):
+        draw_curves(axis, traj.t, curves)
+        axis.set_ylabel(f"{what} [{unit}]")
+    return figure
+
+
+def plot_forces(traj: Trajectory, by: str = "pair") -> Figure:
+    """Return a figure of the contact forces of a run. Impacts have no force.
+
+    Args:
+        by: "pair": forces along the normal and along the surface, a line per pair with the sum of its points, a mean
+            over every step with persistent contact; and how much of the friction cone each contact point uses,
+            friction / (mu normal), which is 1 where it slides. "body": the sum of all contact forces on each body
+            along the axes of the world.
+
+    Of many pairs or bodies those are drawn whose impulses are the largest, which the legend says. A run without forces
+    has empty panels. The figure is one as that of `plot`.
+    """
+    _check(traj)
+    check_choice("by", by, ("pair", "body"), "forces")
+    return force_figure(traj, by)
 
 
 def save_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
     """Write the figure of `plot` as a PNG file, whole or not at all; return its path."""
-    figure = plot(traj)
-    return write_atomic(path, lambda file: figure.savefig(file, format="png", dpi=130))
+    return _save(plot(traj), path)
 
 
-def plot_forces(traj: Trajectory) -> Figure:
-    """Return a figure of the contact forces of a run: along the normal and along the surface, a line per pair.
-
-    Each pair has the sum of its points, a mean over every step with persistent contact; impacts have no force. A run
-    without forces has an empty figure. The figure belongs to no window (matplotlib.figure.Figure).
-    """
-    _check(traj)
-    figure = Figure(figsize=(9.0, 5.8), layout="constrained")
-    axes = figure.subplots(2, 1, sharex=True)
-    forces = [(pair, *_pair_force(traj, pair)) for pair in traj.contacts.pairs]
-    forces = [entry for entry in forces if len(entry[1])]
-    forces.sort(key=lambda entry: -float(entry[2].max()))
-    for (a, b), time, normal, along in forces[:_MAX_PAIRS]:
-        for axis, values in zip(axes, (normal, along), strict=True):
-            axis.plot(time, values, lw=1.2, label=f"{a} | {b}")
-    for axis in axes:
-        _mark_changes(axis, traj, named=axis is axes[1])
-        axis.grid(alpha=0.25)
-        axis.margins(x=0.01)
-        if forces:
-            _legend(axis)
-    more = f" ({_MAX_PAIRS} of {len(forces)} pairs)" if len(forces) > _MAX_PAIRS else ""
-    axes[0].set_ylabel(f"normal force [N]{more}")
-    axes[1].set_ylabel("friction force [N]")
-    axes[1].set_xlabel("time [s]")
-    figure.suptitle(f"Contact forces, {traj.stepping}", fontsize=11)
-    return figure
+def save_state_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
+    """Write the figure of `plot_states` as a PNG file, whole or not at all; return its path."""
+    return _save(plot_states(traj), path)
 
 
-def save_force_plot(traj: Trajectory, path: str | os.PathLike[str]) -> Path:
+def save_force_plot(traj: Trajectory, path: str | os.PathLike[str], by: str = "pair") -> Path:
     """Write the figure of `plot_forces` as a PNG file, whole or not at all; return its path."""
-    figure = plot_forces(traj)
+    return _save(plot_forces(traj, by), path)
+
+
+def _save(figure: Figure, path: str | os.PathLike[str]) -> Path:
     return write_atomic(path, lambda file: figure.savefig(file, format="png", dpi=130))
 
 
-def _pair_force(traj: Trajectory, pair: tuple[str, str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return times (k,) [s] and the force of a pair along its normals and across them, (k,) [N]; gaps are NaN."""
-    log = traj.contacts.of(*pair)
-    rows = np.flatnonzero(log.has_force & (log.array("kind") == GuardKind.CONTACT))
-    if not len(rows):
-        return np.zeros(0), np.zeros(0), np.zeros(0)
-    start, group = np.unique(log.t[rows], return_inverse=True)
-    group = group.reshape(-1)
-    normal = np.bincount(group, log.normal_impulse[rows] / log.h[rows], minlength=len(start))
-    along = log.normal_impulse[rows, None] * log.array("normal")[rows]
-    across = (log.impulse[rows] - along) / log.h[rows, None]
-    total = np.zeros((len(start), 3))
-    np.add.at(total, group, across)
-    end = np.zeros(len(start))
-    end[group] = log.end[rows]
-    # Lines are broken where the pair separated, but not where a part of a step is too short to be drawn.
-    apart = 1 + np.flatnonzero(start[1:] - end[:-1] > 1e-2 * log.h.max())
-    columns = (0.5 * (start + end), normal, np.linalg.norm(total, axis=1))
-    time, *values = (np.insert(column, apart, np.nan) for column in columns)
-    return time, values[0], values[1]
-
-
-def _mark_changes(axis: Axes, traj: Trajectory, named: bool) -> None:
-    for kind, color in _CHANGE.items():
-        chosen = [change.time for change in traj.contact_changes if change.change == kind][:_MAX_MARKS]
-        for k, time in enumerate(chosen):
-            axis.axvline(time, color=color, lw=0.7, alpha=0.6, zorder=0, label=kind if named and k == 0 else None)
+def _impacts(traj: Trajectory) -> list[Instants]:
+    times, kinds = traj.events.array("time"), traj.events.array("kind")
+    found = (("impacts", GuardKind.CONTACT, _IMPACT), ("at joint limits", GuardKind.LIMIT, _LIMIT))
+    return [Instants(name, times[kinds == kind], color) for name, kind, color in found]
 
 
 def _draw_energy(axis: Axes, traj: Trajectory) -> None:
     """Draw the energy with its jumps: each impact has two points of its own, before and after."""
     t, change = _with_jumps(traj)
-    axis.plot(t, change, color=_ENERGY, lw=1.4, marker=_marker(traj), ms=4, label="H - H(0)")
+    draw_curve(axis, t, change, "H - H(0)", color=_ENERGY, lw=1.4, marker=_marker(traj), ms=4)
     axis.set_ylabel("energy change [J]")
-    _legend(axis)
+    legend(axis)
 
 
 def _draw_error(axis: Axes, traj: Trajectory) -> None:
@@ -153,28 +140,26 @@ def _draw_error(axis: Axes, traj: Trajectory) -> None:
         ("mhc", "the same of the modified H", traj.modified_energy, _MODIFIED, (0, (4, 3))),
     ]
     if own == "dtec":  # it has gaps, because where an impact cuts a step DTEC conserves the energy of the two parts
-        curves.append(("dtec", "the same of the discrete energy of whole steps", traj.discrete_energy, _DISCRETE, "-"))
+        curves.append(("dtec", "the same of E_d of whole steps", traj.discrete_energy, _DISCRETE, "-"))
     for method, name, energy, color, style in curves:
         change = energy + lost
         known = change[np.isfinite(change)]
         if not len(known):
             continue
-        kept = "kept across the parts of cut steps by DTEC" if own == "dtec" else f"conserved by {own.upper()}"
-        label, width = (f"{name} ({kept})", 1.8) if method == own else (name, 1.0)
-        axis.plot(traj.t, change - known[0], color=color, lw=width, ls=style, marker=_marker(traj), ms=4, label=label)
+        kept = "kept across the parts of\ncut steps by DTEC" if own == "dtec" else f"conserved by {own.upper()}"
+        label, width = (f"{name},\n{kept}", 1.8) if method == own else (name, 1.0)
+        draw_curve(axis, traj.t, change - known[0], label, color=color, lw=width, ls=style, marker=_marker(traj), ms=4)
     axis.set_ylabel("damping, inputs,\nintegrator [J]")
-    axis.ticklabel_format(axis="y", style="sci", scilimits=(-3, 3))
-    _legend(axis)
+    axis.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
+    legend(axis)
 
 
 def _draw_gaps(axis: Axes, time: np.ndarray, pairs: list[tuple[str, str]], gap: np.ndarray) -> None:
     order = np.argsort(gap.min(axis=0))[:_MAX_PAIRS]
-    for k in order:
-        axis.plot(time, gap[:, k], lw=1.1, label=f"{pairs[k][0]} | {pairs[k][1]}")
     axis.axhline(0.0, color="black", lw=0.8)
-    more = f" ({len(order)} of {len(pairs)} pairs that touched)" if len(pairs) > len(order) else ""
-    axis.set_ylabel(f"gap [m]{more}")
-    _legend(axis)
+    more = f"{len(order)} of {len(pairs)} pairs that touched" if len(pairs) > len(order) else ""
+    draw_curves(axis, time, [(f"{pairs[k][0]} | {pairs[k][1]}", gap[:, k]) for k in order], more)
+    axis.set_ylabel("gap [m]")
 
 
 def _marker(traj: Trajectory) -> str:
@@ -197,18 +182,3 @@ def _with_jumps(traj: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     count = np.concatenate([np.full(len(traj.t), len(time)), np.arange(len(time)), np.arange(len(time))])
     order = np.lexsort((rank, count, t))
     return t[order], values[order]
-
-
-def _mark_impacts(axis: Axes, traj: Trajectory, named: bool) -> None:
-    times, kinds = traj.events.array("time"), traj.events.array("kind")
-    for kind, color in ((GuardKind.CONTACT, _IMPACT), (GuardKind.LIMIT, _LIMIT)):
-        chosen: Any = np.unique(times[kinds == kind])
-        if len(chosen) > _MAX_MARKS:
-            chosen = chosen[np.linspace(0, len(chosen) - 1, _MAX_MARKS).astype(int)]
-        name = ("impact", "joint limit")[kind]
-        for k, time in enumerate(chosen):
-            axis.axvline(time, color=color, lw=0.7, alpha=0.45, zorder=0, label=name if named and k == 0 else None)
-
-
-def _legend(axis: Axes) -> None:
-    axis.legend(fontsize=8, loc="best", framealpha=0.85)

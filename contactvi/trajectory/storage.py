@@ -1,4 +1,4 @@
-"""The file of a run: one npz (a zip of npy arrays), schema 5. Nothing in it is pickled, nothing is executed on loading.
+"""The file of a run: one npz (a zip of npy arrays), schema 7. Nothing in it is pickled, nothing is executed on loading.
 
 N nodes, n events, c contacts, m segments, s stages (order / 2), nq and nv sizes of configuration and velocity; SI
 units; every entry is float64 unless int64 is given.
@@ -49,6 +49,7 @@ contact/step          (c,) int64     index of the step
 contact/kind          (c,) int64     as event/kind
 contact/index         (c,) int64     as event/index
 contact/point         (c,) int64     number of the point within the pair
+contact/feature       (c,) int64     the engine's number of the features that touch there (core/geometry/candidates.hpp)
 contact/mode          (c,) int64     0 stick, 1 slip, 2 frictionless, 3 impact
 contact/dense         (c,) int64     1 for a row of a dense step
 contact/position      (c, 3)         contact point at the end of the step [m], world frame
@@ -101,7 +102,7 @@ array/0, array/1 ...  any            arrays (meshes) that the header refers to
 
 The header is an object with the keys
 
-- format: "contactvi-trajectory"; schema: 6; version: of the contactvi that wrote it
+- format: "contactvi-trajectory"; schema: 7; version: of the contactvi that wrote it
 - options: the settings (contactvi.Options); status: {code, message, time}; stats: the counts (Stats.to_dict)
 - method: impact map of the run; pair_names: [[shape, shape], ...]; joint_names: [...]; gap_pairs: like pair_names
 - forced: whether the run had inputs; error_estimate: measured error of q with dt "auto" [m, rad], else NaN
@@ -142,7 +143,7 @@ from contactvi.trajectory.polynomials import Segments
 from contactvi.version import version
 
 FORMAT = "contactvi-trajectory"
-SCHEMA = 6
+SCHEMA = 7
 _NODES: dict[str, str | None] = {
     "t": None,
     "q": "q",

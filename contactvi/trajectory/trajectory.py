@@ -14,19 +14,27 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.aliases import alias, renamed_arguments
 from contactvi.errors import InputError
 from contactvi.options import Options
-from contactvi.records.codes import STEP_KINDS, GuardKind, StepKind
+from contactvi.records.codes import STEP_KINDS, GuardKind
 from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, empty_contacts
 from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 from contactvi.records.events import EventLog
 from contactvi.records.inputs import RunInputs
+from contactvi.records.table import Table
 from contactvi.records.work import ConstraintRows, Forces, Work
 from contactvi.status import Stats, Status
+from contactvi.trajectory import tables
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.contact_ledger import ContactLedger
 from contactvi.trajectory.ledger import Ledger, LedgerInputs
 from contactvi.trajectory.polynomials import Segments, State, frame_times
+from contactvi.trajectory.poses import Poses, body_poses
+from contactvi.trajectory.shown import run_html
+from contactvi.trajectory.stepping import stepping_of
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
+
     from contactvi import _core
     from contactvi.playback.visuals import Visual
     from contactvi.scene.scene import Scene
@@ -141,36 +149,18 @@ class Trajectory:
             f"{len(self.events)} events, {self.status.code.name}>"
         )
 
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        return run_html(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what pickle and deepcopy keep: all but the engine's scene, which is built again when it is needed."""
+        return {**vars(self), "_scene": self.scene, "_core": None, "_ledger": None}
+
     @property
     def stepping(self) -> str:
         """How it was stepped, in words, for example "order 2, dt = 0.01 s"."""
-        order = f"order {self.options.order}"
-        if not self.options.auto:
-            return f"{order}, dt = {self.options.fixed_dt:.6g} s{self._contact_stepping()}"
-        lengths = _lengths(np.zeros(0) if self.adaptive_steps is None else self.adaptive_steps["dt"])
-        return f"{order}, dt{lengths} (auto){self._contact_stepping()}, error of q about {self.error_estimate:.1g}"
-
-    def _contact_stepping(self) -> str:
-        """How long there were contacts and with which steps, in words; with constraints the steps alone."""
-        return self._persistent_stepping() + self._dense_stepping()
-
-    def _dense_stepping(self) -> str:
-        if not len(self.dense_steps):
-            return ""
-        return f", dense steps for {self.dense_steps.span:.4g} s of {float(self.status.time - self.t[0]):.4g} s"
-
-    def _persistent_stepping(self) -> str:
-        if self.phases is None or not np.any(self.phases["persistent"] == StepKind.PERSISTENT):
-            return ""
-        persistent = self.phases["persistent"] == StepKind.PERSISTENT
-        ends = np.append(self.phases["t"][1:], self.status.time)
-        span = float((ends - self.phases["t"])[persistent].sum())
-        constrained = bool(self.constraints) or self.scene.built().constrained
-        what = "constraints met" if constrained else f"persistent contact for {span:.4g} s"
-        lengths, same = _lengths(self.phases["dt"][persistent]), self.options.order == 2 and not self.options.auto
-        if same and np.all(self.phases["dt"][persistent] == self.options.fixed_dt):
-            return "" if constrained else f", {what}"
-        return f", {what} with order 2, dt{lengths}"
+        return stepping_of(self)
 
     @property
     def v(self) -> Array:
@@ -446,6 +436,73 @@ class Trajectory:
 
         return cls(**load(path))
 
+    def poses(self, body: Any, t: ArrayLike | None = None) -> Poses:
+        """Return where a body is at the nodes: t (n,) [s], position (n, 3) [m], quaternion (n, 4), x y z w (`Poses`).
+
+        Position and quaternion are those of the frame of the body, in the world; every body that moves is in
+        `to_pandas("poses")` and in `to_xarray`.
+
+        Args:
+            body: name of a body, or the handle of a part with one body.
+            t: times instead of the nodes [s], (n,) or one; the states there are those of `at`, with its errors.
+
+        Raises:
+            InputError: unknown body.
+        """
+        name = self.scene.names.select_body(body)
+        times, q = (self.t, self.q) if t is None else (np.atleast_1d(np.asarray(t, dtype=float)), self.at(t).q)
+        position, quaternion = body_poses(self.scene.model, np.atleast_2d(q), [name])
+        return Poses(times, position[:, 0], quaternion[:, 0])
+
+    def table(self, name: str = "states") -> Table:
+        """Return a table of the run, one of contactvi.trajectory.tables: named columns with units, without pandas.
+
+        Raises:
+            InputError: for an unknown name.
+        """
+        return tables.table(self, name)
+
+    def to_pandas(self, table: str = "states") -> pandas.DataFrame:
+        """Return a table of the run as a DataFrame, needs `pip install "contactvi[pandas]"`.
+
+        Args:
+            table: "states", "poses", "energies", with the time as index; "events", "contacts", "changes" or
+                "dense_steps", with the time as column t (contactvi.trajectory.tables). `attrs["units"]` has the units.
+
+        Raises:
+            InputError: unknown table. ContactviError: pandas is not installed.
+        """
+        return tables.table(self, table).to_pandas("t" if table in tables.OF_NODES else None)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the run as an xarray.Dataset, needs `pip install "contactvi[xarray]"`.
+
+        Variables over the time t: q (t, coordinate), v (t, dof), position (t, body, axis) [m] and quaternion (t, body,
+        component) of every moving body, and the columns of the table "energies". Those of the tables "events",
+        "contacts", "changes" and "dense_steps" are event_NAME (event), contact_NAME (contact), ..., where the run has
+        some. `attrs["units"]` of each has its unit; q_unit and v_unit are those of the coordinates and dofs.
+
+        Raises:
+            ContactviError: xarray is not installed.
+        """
+        from contactvi.trajectory.exports import to_xarray
+
+        return to_xarray(self)
+
+    def to_csv(self, folder: str | os.PathLike[str], names: Sequence[str] | None = None) -> list[Path]:
+        """Write tables of the run as folder/NAME.csv, and their units as folder/units.csv; return the paths.
+
+        Args:
+            folder: is made where there is none.
+            names: of the tables (contactvi.trajectory.tables), by default all that have rows.
+
+        Raises:
+            InputError: unknown table, or a folder or file that cannot be written.
+        """
+        from contactvi.trajectory.exports import write_csv
+
+        return write_csv(self, folder, names)
+
     def to_html(self, path: str | os.PathLike[str], **options: Any) -> Path:
         """Write a self-contained page that plays the run (contactvi.playback.page.write_html); return its path."""
         from contactvi.playback.page import write_html
@@ -467,12 +524,6 @@ class Trajectory:
             values = np.asarray(self._engine().energy(self.q, self.p), dtype=float)
             self._derived["kinetic_energy"] = values[:, 0]
             self._derived["potential_energy"] = values[:, 1]
-
-
-def _lengths(steps: Array) -> str:
-    """Return " = 0.01 s" or " = 0.01 to 0.02 s", nothing for none."""
-    low, high = (f"{x:.3g}" for x in (steps.min(initial=np.inf), steps.max(initial=0.0)))
-    return f" = {low} s" if low == high else f" = {low} to {high} s" if len(steps) else ""
 
 
 def _linear_entries(model: pin.Model) -> NDArray[np.int64]:

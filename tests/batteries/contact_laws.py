@@ -19,7 +19,7 @@ from contactvi.trajectory.contact_ledger import free_trees
 Array = np.ndarray
 EXPLICIT = 0  # impact map "ctec", as in EventLog
 STICK, LIMIT = 0, 1  # mode and kind, as in ContactLog
-FEATURE_BITS, CROSSING = 40, 1  # the number of a point begins with its kind: 0 is coal's, 1 a crossing of edges
+FEATURE_BITS, CROSSING = 40, 1  # the number of a feature begins with its kind: 0 is coal's, 1 a crossing of edges
 # [m] accuracy of gaps: of closed forms, and of distances from coal's nearest points
 GAP, GAP_ITERATED = 1e-10, 1e-9
 CONE = 1e-8  # of the largest impulse of the step: its contact problem is solved to 1e-9 of its terms at worst
@@ -151,7 +151,7 @@ def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
     gap[after[near]] = log.array("gap")[before[near]]
     opened_before[after[near]] = opened[before[near]]
     dense = log.array("dense") == 1
-    anew = after[(dense[before] | dense[after]) & (log.array("point")[after] == 0)]
+    anew = after[(dense[before] | dense[after]) & (log.array("feature")[after] == 0)]
     normal[anew], gap[anew] = np.nan, np.nan
     impact = log.h == 0.0
     normal[impact], gap[impact] = log.array("normal")[impact], log.array("gap")[impact]
@@ -176,7 +176,7 @@ def contact_laws(traj: cvi.Trajectory) -> Iterator[Finding]:
     place = np.where(overlap > GAP, PLACE_ITERATED, PLACE)
     rounding = CONE * of_the_step(log, sizes) + place * mass_of(traj) / np.where(persistent, log.h, 1.0)
     # A dense step takes the plane of a crossing of nearly parallel edges anew, and fixes it to a body.
-    crossing = (log.array("dense") == 1) & (log.array("point") >> FEATURE_BITS == CROSSING)
+    crossing = (log.array("dense") == 1) & (log.array("feature") >> FEATURE_BITS == CROSSING)
     turns = np.linalg.norm(sides[1][1] - sides[0][1], axis=1)
     for name, normal, gap, away in sides:
         turned = np.where(crossing & np.isfinite(turns) & (name == "start"), turns, 0.0)

@@ -48,6 +48,7 @@ def contact_arrays(scene: cvi.Scene) -> dict[str, np.ndarray]:
         for corner, (x, y) in enumerate(CORNERS):
             new = {
                 "t": t, "h": STEP, "step": k, "kind": 0, "index": 0, "point": corner,
+                "feature": corner,
                 "mode": 1 if speed(t + STEP) > 0.0 else 0, "dense": 0, "position": (place(t + STEP) + x, y, 0.0),
                 "normal": (0.0, 0.0, sign), "start": sign * half, "end": sign * half, "gap": 0.0,
                 "slip": (sign * speed(t + STEP), 0.0, 0.0),

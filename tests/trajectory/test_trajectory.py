@@ -325,8 +325,8 @@ def test_lines_have_a_joint_for_each_vertex(tmp_path):
 
 
 def test_other_schema(saved):
-    rewrite(saved, header=np.array(header(saved).replace('"schema": 6', '"schema": 7')))
-    with pytest.raises(cvi.SceneError, match="expected schema 6, got schema 7"):
+    rewrite(saved, header=np.array(header(saved).replace('"schema": 7', '"schema": 8')))
+    with pytest.raises(cvi.SceneError, match="expected schema 7, got schema 8"):
         cvi.Trajectory.load(saved)
 
 
@@ -336,7 +336,7 @@ def test_other_schema(saved):
         {"header": None},
         {"header": np.array("not json")},
         {"header": np.array("[1, 2]")},
-        {"header": np.array('{"format": "contactvi-trajectory", "schema": 6}')},
+        {"header": np.array('{"format": "contactvi-trajectory", "schema": 7}')},
         {"header": np.array("[" * 100_000)},
         {"header": np.zeros(3)},
         {"t": None},

@@ -1,0 +1,33 @@
+"""`contactvi export`: the tables of a stored run as CSV files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from contactvi.tables import name_table, print_table
+
+_out = Console(highlight=False, soft_wrap=True)
+
+
+def export(
+    file: Annotated[Path, typer.Argument(metavar="RUN.npz", help="File written by a run.", show_default=False)],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for the tables, by default the name of the run."),
+    ] = None,
+    table: Annotated[
+        list[str] | None,
+        typer.Option("--table", metavar="NAME", help="Only this table; repeatable. By default all that have rows."),
+    ] = None,
+) -> None:
+    """Write the tables of a run as CSV: states, poses, energies, events, contacts, changes; units.csv has units."""
+    import contactvi as cvi
+
+    traj = cvi.Trajectory.load(file)
+    written = traj.to_csv(output if output is not None else file.with_suffix(""), table or None)
+    rows = [("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)") for k, path in enumerate(written)]
+    print_table(_out, name_table(rows))

@@ -1,0 +1,162 @@
+"""The contact forces of a run as a figure: per pair with the use of the friction cones, or per body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contactvi.records.codes import CHANGES, GuardKind
+from contactvi.records.contacts import ContactLog
+from contactvi.trajectory.plot_layout import FIRST_COLORS, Instants, RunFigure, draw_curve, legend, panels
+from contactvi.trajectory.tables import friction_ratio
+from contactvi.trajectory.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+_CHANGE = {"begin": "#55585c", "stick": "#2b8cc4", "slip": "#c77ca3", "release": "#8c8f94"}
+_MOST = 6  # pairs or bodies drawn
+# Where the largest force is so many times the median of those that count, the scale is logarithmic: on a linear one
+# half of the curve would lie within a line's width of its axis. Forces count down to a part of the largest, the scale's
+# end.
+_PEAK, _LEAST = 100.0, 1e-4
+
+
+class Steps(NamedTuple):
+    """Sums over the contacts of a pair or a body, step by step: starts and lengths (k,) [s], impulses (k, n) [N s]."""
+
+    start: Array
+    h: Array
+    impulse: Array
+
+
+def span_of(traj: Trajectory) -> tuple[float, float]:
+    """Return the first and the last time of a run [s]."""
+    return float(traj.t[0]), float(traj.t[-1])
+
+
+def force_figure(traj: Trajectory, by: str) -> RunFigure:
+    """Return the figure of contactvi.plot_forces."""
+    log = traj.contacts.rows(traj.contacts.has_force & (traj.contacts.array("kind") == GuardKind.CONTACT))
+    changes = traj.contact_changes
+    kind, time = changes.array("change"), changes.array("time")
+    instants = [Instants(name, time[kind == CHANGES.index(name)], color) for name, color in _CHANGE.items()]
+    title = f"Contact forces{' on bodies' if by == 'body' else ''}, {traj.stepping}"
+    figure, axes = panels(title, span_of(traj), 3, instants)
+    if by == "body":
+        _draw_bodies(axes, traj, log)
+    else:
+        _draw_pairs(axes, traj, log)
+    return figure
+
+
+def _draw_pairs(axes: Sequence[Axes], traj: Trajectory, log: ContactLog) -> None:
+    index = log.array("index")
+    size = np.bincount(index, log.normal_impulse) if len(log) else np.zeros(0)
+    touching = np.unique(index)
+    drawn = touching[np.argsort(-size[touching], kind="stable")][:_MOST]
+    ratio = friction_ratio(traj.scene, log)
+    drawn_values: tuple[list[Array], list[Array]] = [], []
+    for k, pair in enumerate(drawn):
+        rows = np.flatnonzero(index == pair)
+        name, color = " | ".join(log.label(0, int(pair))), FIRST_COLORS[k]
+        along = log.normal_impulse[rows, None] * log.array("normal")[rows]
+        steps = _summed(log, rows, np.column_stack([log.normal_impulse[rows], log.impulse[rows] - along]))
+        force = steps.impulse / steps.h[:, None]
+        normal, across = force[:, 0], np.linalg.norm(force[:, 1:], axis=1)
+        for axis, values, kept in zip(axes, (normal, across), drawn_values, strict=False):
+            kept.append(values)
+            draw_curve(axis, *_broken(steps, values), name, color=color, lw=1.1)
+        known = np.isfinite(ratio[rows])
+        middle = (log.t + 0.5 * log.h)[rows][known]
+        axes[2].plot(middle, ratio[rows][known], ls="", marker=".", ms=1.5, color=color, label=name, rasterized=True)
+    axes[2].axhline(1.0, color="black", lw=0.8, ls="--", label="on the cone: it slides" if len(drawn) else None)
+    for axis, values in zip(axes, drawn_values, strict=False):
+        _scale(axis, values, _largest(values), signed=False)
+    axes[2].set_ylim(-0.03, 1.1 if not np.any(ratio > 1.07) else None)
+    axes[0].set_ylabel("normal force [N]")
+    axes[1].set_ylabel("friction force [N]")
+    axes[2].set_ylabel("friction / (mu normal)\nof each point")
+    for axis in axes:
+        legend(axis, _chosen(len(drawn), len(touching), "pairs"))
+
+
+def _draw_bodies(axes: Sequence[Axes], traj: Trajectory, log: ContactLog) -> None:
+    sides = _body_sides(traj)
+    index = log.array("index")
+    sums = {}
+    for body, sign in sides.items():
+        rows = np.flatnonzero(sign[index] != 0.0)
+        if len(rows):
+            sums[body] = _summed(log, rows, sign[index[rows], None] * log.impulse[rows])
+    order = sorted(sums, key=lambda body: -float(np.linalg.norm(sums[body].impulse, axis=1).sum()))
+    forces = [sums[body].impulse / sums[body].h[:, None] for body in order[:_MOST]]
+    for k, (body, force) in enumerate(zip(order, forces, strict=False)):
+        for axis, values in zip(axes, force.T, strict=True):
+            draw_curve(axis, *_broken(sums[body], values), body, color=FIRST_COLORS[k], lw=1.1)
+    largest = _largest([force.ravel() for force in forces])
+    for k, (axis, name) in enumerate(zip(axes, "xyz", strict=True)):
+        axis.set_ylabel(f"force along {name} [N]")
+        _scale(axis, [force[:, k] for force in forces], largest, signed=True)
+        legend(axis, _chosen(min(_MOST, len(order)), len(order), "bodies"))
+
+
+def _scale(axis: Axes, values: Sequence[Array], largest: float, signed: bool) -> None:
+    """Let the axis of forces have zero, or be logarithmic where peaks hide the rest; forces may have a sign.
+
+    Args:
+        largest: of all panels that are compared [N]: beside it rounding is to look like nothing.
+    """
+    force = np.concatenate([np.zeros(1), *values])
+    size = np.abs(force)[np.abs(force) > _LEAST * largest]
+    if not largest:
+        axis.text(0.5, 0.5, "no contact lasted", transform=axis.transAxes, ha="center", va="center", color="0.5")
+        return
+    peaks = len(size) > 0 and float(size.max()) > _PEAK * float(np.median(size))
+    if peaks and signed:
+        axis.set_yscale("symlog", linthresh=10.0 ** np.floor(np.log10(np.median(size))))
+    elif peaks:
+        axis.set_yscale("log")
+        axis.set_ylim(_LEAST * largest, 2.0 * largest)
+    else:
+        axis.set_ylim(float(force.min()) - 0.05 * largest * signed, float(force.max()) + 0.05 * largest)
+
+
+def _largest(forces: Sequence[Array]) -> float:
+    return max((float(np.abs(force).max(initial=0.0)) for force in forces), default=0.0)
+
+
+def _body_sides(traj: Trajectory) -> dict[str, Array]:
+    """Return of each body that can move its side of the pairs, (npairs,): +1 second, -1 first, 0 neither or both."""
+    frames, shapes = traj.scene.model.frames, traj.scene.collision_model.geometryObjects
+    pairs = [(pair.first, pair.second) for pair in traj.scene.collision_model.collisionPairs]
+    bodies = [str(frames[shape.parentFrame].name) if shape.parentJoint else "" for shape in shapes]
+    return {
+        body: np.array([(bodies[b] == body) * 1.0 - (bodies[a] == body) * 1.0 for a, b in pairs])
+        for body in dict.fromkeys(bodies) if body
+    }  # fmt: skip
+
+
+def _summed(log: ContactLog, rows: NDArray[np.int64], impulse: Array) -> Steps:
+    """Return the sums of impulses (m, n) of these rows over the points of each step."""
+    start, group = np.unique(log.t[rows], return_inverse=True)
+    group = group.reshape(-1)
+    total, h = np.zeros((len(start), impulse.shape[1])), np.zeros(len(start))
+    np.add.at(total, group, impulse)
+    h[group] = log.h[rows]
+    return Steps(start, h, total)
+
+
+def _broken(steps: Steps, values: Array) -> tuple[Array, Array]:
+    """Return the middles of the steps and values with NaN where contact was lost, but not where a part of a step is too
+    short to be drawn."""
+    apart = 1 + np.flatnonzero(steps.start[1:] - (steps.start + steps.h)[:-1] > 1e-2 * steps.h.max(initial=0.0))
+    return np.insert(steps.start + 0.5 * steps.h, apart, np.nan), np.insert(values, apart, np.nan)
+
+
+def _chosen(drawn: int, known: int, what: str) -> str:
+    return f"{drawn} of {known} {what}, by impulse" if known > drawn else ""

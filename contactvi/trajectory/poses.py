@@ -1,0 +1,63 @@
+"""Where the bodies are at the nodes of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from contactvi.elements.elements import WORLD
+from contactvi.playback.animation import near_turns
+
+Array = NDArray[np.float64]
+
+
+class Poses(NamedTuple):
+    """Poses of a body: t (n,) [s], position (n, 3) of its frame's origin [m] and quaternion (n, 4), x y z w, in the
+    world. q and -q are one rotation; the sign is that of the nearer one to the row before."""
+
+    t: Array
+    position: Array
+    quaternion: Array
+
+
+def moving_bodies(model: pin.Model) -> list[str]:
+    """Return the names of the bodies that hang on some joint, in the order of the model."""
+    frames = (frame for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint)
+    return list(dict.fromkeys(str(frame.name) for frame in frames))
+
+
+def body_poses(model: pin.Model, q: Array, bodies: Sequence[str]) -> tuple[Array, Array]:
+    """Return positions (n, len(bodies), 3) [m] and quaternions (n, len(bodies), 4) at configurations q (n, nq).
+
+    It goes through the joints one by one: a pin.Data holds tensors of the size nv^3.
+    """
+    frames = [model.frames[_frame(model, name)] for name in bodies]
+    joints = list(model.joints)
+    data = [joint.createData() for joint in joints]
+    parents, placements = list(model.parents), list(model.jointPlacements)
+    wanted = [(int(frame.parentJoint), frame.placement) for frame in frames]
+    position, quaternion = np.zeros((len(q), len(bodies), 3)), np.zeros((len(q), len(bodies), 4))
+    for row, values in enumerate(q):
+        places: list[Any] = [pin.SE3.Identity()]
+        for i in range(1, len(joints)):
+            joints[i].calc(data[i], values)
+            places.append(places[parents[i]] * (placements[i] * data[i].M))
+        for k, (joint, placement) in enumerate(wanted):
+            pose = places[joint] * placement
+            position[row, k] = pose.translation
+            quaternion[row, k] = pin.Quaternion(pose.rotation).coeffs()
+    for k in range(len(bodies)):
+        quaternion[:, k] = near_turns(quaternion[:, k])
+    return position, quaternion
+
+
+def _frame(model: pin.Model, name: str) -> int:
+    """Return the frame of a body; a geometry may hang on a frame of another type, which then counts as one."""
+    if name == WORLD:
+        return 0
+    found = [k for k, frame in enumerate(model.frames) if frame.name == name]
+    return next((k for k in found if model.frames[k].type == pin.FrameType.BODY), found[0])

@@ -1,0 +1,163 @@
+"""Plots: one time axis, instants as lines or strips, curves that stand for the numbers of the run."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+import contactvi as cvi
+from contactvi.trajectory import plot_layout
+from contactvi.trajectory.plot_layout import Instants, draw_curve, draw_curves, panels
+from helpers.contact_runs import GRAVITY, MASS, MU, STOP, sliding_box
+
+
+@pytest.fixture(scope="module")
+def box() -> cvi.Trajectory:
+    return sliding_box()
+
+
+@pytest.fixture(scope="module")
+def bouncing() -> cvi.Trajectory:
+    """A ball without losses, which hits the ground some hundred times."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", radius=0.1, mass=1.0, placement=(0, 0, 0.11))
+    scene.set_contact(restitution=1.0)
+    return cvi.simulate(scene, dt=0.01, order=4, duration=12.0)
+
+
+def labels(axis) -> list[str]:
+    found = axis.get_legend()
+    return [] if found is None else [text.get_text() for text in found.get_texts()]
+
+
+def test_the_same_time_axis_in_all_figures(box, bouncing):
+    for traj in (box, bouncing):
+        figures = [cvi.plot(traj), cvi.plot_states(traj), cvi.plot_forces(traj), cvi.plot_forces(traj, by="body")]
+        room = 0.01 * (traj.t[-1] - traj.t[0])
+        for figure in figures:
+            for axis in figure.axes:
+                box_ = axis.get_position()
+                if axis.get_shared_x_axes().get_siblings(axis) == [axis]:
+                    continue  # a scale of colours
+                assert axis.get_xlim() == pytest.approx((traj.t[0] - room, traj.t[-1] + room))
+                assert (box_.x0, box_.x1) == pytest.approx((0.11, 0.74))
+
+
+def test_few_impacts_are_lines_and_many_a_strip(bouncing, monkeypatch):
+    assert len(bouncing.events) > plot_layout._MOST_INSTANTS
+    figure = cvi.plot(bouncing)
+    strip, energy = figure.axes[:2]
+    (image,) = strip.get_images()
+    assert image.get_array().sum() == len(bouncing.events)
+    assert f"impacts: {len(bouncing.events)}" in strip.texts[0].get_text()
+    assert not [line for line in energy.lines if len(line.get_xdata()) == 2]
+    monkeypatch.setattr(plot_layout, "_MOST_INSTANTS", len(bouncing.events))
+    axis = cvi.plot(bouncing).axes[0]
+    drawn = [line.get_xdata()[0] for line in axis.lines if len(line.get_xdata()) == 2]
+    assert drawn == np.unique(bouncing.events.array("time")).tolist()
+    assert f"impacts ({len(bouncing.events)})" in labels(axis)
+
+
+def test_lines_of_instants_cover_a_tenth_of_a_panel():
+    time = np.linspace(0.0, 1.0, plot_layout._MOST_INSTANTS)
+    figure, (axis,) = panels("", (0.0, 1.0), 1, [Instants("impacts", time, "red")])
+    width = axis.get_position().width * figure.get_size_inches()[0] * 72
+    covered = sum(line.get_linewidth() for line in axis.lines)
+    assert 0.09 * width < covered <= 0.1 * width
+
+
+def test_a_curve_with_many_swings_becomes_the_band_of_its_values():
+    t = np.linspace(0.0, 1.0, 20001)
+    y = np.sin(2000.0 * t) * (1.0 + t)
+    _, (axis,) = panels("", (0.0, 1.0), 1)
+    draw_curve(axis, t, y, "swings", color="blue")
+    assert not axis.lines
+    (band,) = axis.collections
+    edges = band.get_paths()[0].vertices
+    assert edges[:, 1].max() == pytest.approx(y.max(), rel=1e-12)
+    assert edges[:, 1].min() == pytest.approx(y.min(), rel=1e-12)
+    draw_curve(axis, t, np.sin(20.0 * t), "line", color="blue")
+    draw_curve(axis, t, 20.0 + 1e-11 * y, "rounding", color="blue")  # the swings of rounding are not seen
+    assert len(axis.lines) == 2
+
+
+def test_many_curves_have_a_scale_of_colours_and_few_a_legend():
+    t = np.linspace(0.0, 1.0, 5)
+    curves = [(f"joint_{k}", t * k) for k in range(45)]
+    figure, (axis,) = panels("", (0.0, 1.0), 1)
+    draw_curves(axis, t, curves)
+    assert len(axis.lines) == 45
+    assert len({tuple(line.get_color()) for line in axis.lines}) == 45
+    names = [tick.get_text() for tick in figure.axes[1].get_yticklabels()]
+    assert names == [f"joint_{k}" for k in range(0, 45, 3)]
+    _, (axis,) = panels("", (0.0, 1.0), 1)
+    draw_curves(axis, t, curves[:10])
+    assert labels(axis) == [f"joint_{k}" for k in range(10)]
+
+
+def test_legends_lie_inside_of_the_figure(box):
+    scene = cvi.Scene()
+    scene.add_halfspace(name="a halfspace with quite a long name")
+    scene.add_box("a box whose name is longer than any legend", size=(0.1, 0.1, 0.1), mass=1.0, placement=(0, 0, 0.05))
+    traj = cvi.simulate(scene, dt=0.01, duration=0.1)
+    for figure in (cvi.plot(traj), cvi.plot_forces(traj), cvi.plot_states(traj)):
+        figure.savefig(io.BytesIO(), format="png")  # places the text
+        for axis in figure.axes:
+            if axis.get_legend() is not None:
+                assert axis.get_legend().get_window_extent().x1 <= figure.bbox.x1
+
+
+def test_forces_and_the_friction_cone(box):
+    """A quarter of the weight on each corner; on the cone while it slides, in its middle after that."""
+    normal, friction, ratio = cvi.plot_forces(box).axes[-3:]
+    curve = max(normal.lines, key=lambda line: len(line.get_xdata()))
+    assert np.nanmax(np.abs(curve.get_ydata() - MASS * GRAVITY)) < 1e-10
+    curve = max(friction.lines, key=lambda line: len(line.get_xdata()))
+    sliding = curve.get_xdata() < STOP - 0.1
+    assert curve.get_ydata()[sliding] == pytest.approx(MU * MASS * GRAVITY * np.ones(sliding.sum()), rel=1e-9)
+    dots = max(ratio.lines, key=lambda line: len(line.get_xdata()))
+    assert len(dots.get_xdata()) == len(box.contacts)
+    sliding = dots.get_xdata() < STOP - 0.1
+    assert dots.get_ydata()[sliding] == pytest.approx(np.ones(sliding.sum()), rel=1e-9)
+    assert np.abs(dots.get_ydata()[dots.get_xdata() > STOP + 0.1]).max() < 1e-12
+
+
+def test_forces_on_bodies(box):
+    along_x, _, along_z = cvi.plot_forces(box, by="body").axes[-3:]
+    curve = max(along_z.lines, key=lambda line: len(line.get_xdata()))
+    assert np.nanmax(np.abs(curve.get_ydata() - MASS * GRAVITY)) < 1e-10
+    curve = max(along_x.lines, key=lambda line: len(line.get_xdata()))
+    sliding = curve.get_xdata() < STOP - 0.1
+    assert curve.get_ydata()[sliding] == pytest.approx(-MU * MASS * GRAVITY * np.ones(sliding.sum()), rel=1e-9)
+    assert labels(along_z) == ["box"]
+    with pytest.raises(cvi.InputError, match="'pair' | 'body'"):
+        cvi.plot_forces(box, by="bodies")
+
+
+def test_states(box):
+    position, velocity, spin = cvi.plot_states(box).axes[-3:]
+    assert labels(position) == ["box.x", "box.y", "box.z"]
+    drawn = {line.get_label(): line.get_ydata() for line in position.lines}
+    assert np.array_equal(drawn["box.x"], box.q[:, 0])
+    assert velocity.get_ylabel() == "velocity [m/s]"
+    assert spin.get_ylabel() == "angular velocity [rad/s]"
+
+
+def test_a_notebook_shows_the_figure(box):
+    figure = cvi.plot(box)
+    picture = imread(io.BytesIO(figure._repr_png_()))
+    assert picture.shape[1] == 1000
+    assert 0.02 < np.mean(picture[..., :3] < 0.9) < 0.5  # something is drawn
+
+
+def test_a_run_of_one_node_can_be_drawn():
+    scene = cvi.Scene()
+    scene.add_sphere("ball", radius=0.1, mass=1.0)
+    sim = cvi.Simulator(scene, dt=0.1)
+    sim.reset()
+    for figure in (cvi.plot(sim.trajectory()), cvi.plot_states(sim.trajectory()), cvi.plot_forces(sim.trajectory())):
+        figure.savefig(io.BytesIO(), format="png")

@@ -1,0 +1,117 @@
+"""What notebooks show: short, well-formed, with all names escaped."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import contactvi as cvi
+
+MODELS = Path(__file__).resolve().parents[2] / "models"
+EVIL = "<script>alert('x')</script>&"
+
+
+class Reader(HTMLParser):
+    """Collects the tags and the text; tags that are not closed in their order are an error."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.text: list[str] = []
+        self.rows = 0
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+        self.tags.add(tag)
+        self.rows += tag == "tr"
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def read(item) -> Reader:
+    reader = Reader()
+    reader.feed(item._repr_html_())
+    reader.close()
+    assert not reader.open
+    assert "script" not in reader.tags
+    return reader
+
+
+@pytest.fixture(scope="module")
+def scene() -> cvi.Scene:
+    scene = cvi.Scene()
+    scene.add_halfspace(name=EVIL)
+    for k in range(40):
+        scene.add_sphere(f"{EVIL}{k}", radius=0.1, mass=1.0, placement=(0.5 * k, 0, 0.12))
+    scene.add_spring("world", f"{EVIL}0", stiffness=1.0, name=EVIL)
+    scene.set_contact(restitution=0.6, friction=0.4)
+    return scene
+
+
+@pytest.fixture(scope="module")
+def run(scene) -> cvi.Trajectory:
+    return cvi.simulate(scene, dt=5e-3, duration=0.5)
+
+
+def test_everything_is_short_and_escaped(scene, run):
+    v0s = np.zeros((3, scene.nv))
+    q0s = np.tile(scene.neutral(), (3, 1))
+    q0s[1:, 2] = -1.0
+    batch = cvi.simulate_batch(scene, q0s, v0s, dt=5e-3, duration=0.1, keep="ends")
+    items = [scene, scene.report, run, run.events, run.contacts, run.contact_changes, batch, run.table("contacts")]
+    for item in items:
+        reader = read(item)
+        assert "table" in reader.tags or item is items[1]  # a report without findings
+        assert reader.rows < 60
+        assert len(item._repr_html_()) < 40_000
+    for item in (scene, run.events, run.contacts, run.contact_changes, run.table("contacts")):
+        assert any(EVIL in text for text in read(item).text)
+    assert any("PENETRATION" in text for text in read(batch).text)
+
+
+def test_a_log_shows_its_first_and_last_rows(run):
+    text = read(run.events).text
+    assert f"{run.events[0].time:.9g}" in text
+    assert f"{run.events[-1].time:.9g}" in text
+    assert "…" in text
+    assert any(f"Impacts: {len(run.events)}" in part for part in text)
+
+
+def test_a_run_says_how_it_ended():
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", radius=0.1, mass=1.0, placement=(0, 0, 0.2))
+    scene.set_contact(restitution=0.5)
+    traj = cvi.simulate(scene, dt=1e-2, duration=3.0, zeno="end", throw=False)
+    assert any("ZENO" in text for text in read(traj).text)
+
+
+def test_logs_without_rows():
+    scene = cvi.Scene()
+    scene.add_sphere("ball", radius=0.1, mass=1.0)
+    traj = cvi.simulate(scene, dt=0.1, duration=0.2)
+    for item in (scene, traj, traj.events, traj.contacts, traj.contact_changes, cvi.Scene()):
+        read(item)
+
+
+def test_a_scene_that_cannot_be_run_says_why(tmp_path):
+    scene = cvi.Scene()
+    scene.add_sphere("ball", radius=0.1, mass=1.0)
+    scene.add_force(lambda q, v, t: np.zeros(6), name="lost")
+    stored = cvi.Scene.from_dict(scene.to_dict())
+    assert "lost" in read(stored).text
+
+
+def test_reports_are_unfolded_by_the_user():
+    hand = cvi.load_scene(MODELS / "allegro_ball.toml")
+    html = hand.report._repr_html_()
+    assert html.count("<details>") == 1
+    assert html.count("\n") < 200
