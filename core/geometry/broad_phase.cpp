@@ -19,9 +19,6 @@ constexpr double kLeastRoom = 0.1;
 constexpr double kMostRoom = 2.0;
 // as long as it lasts for so many steps: it must for three.
 constexpr double kFewestSteps = 4.0;
-// Where one box is renewed, those are as well that would be within so many steps, at least two: steps between them have
-// nothing to renew.
-constexpr double kTogether = 8.0;
 // Of the room: what is left for rounding.
 constexpr double kRounding = 1e-3;
 
@@ -96,14 +93,10 @@ BroadPhase::~BroadPhase() = default;
 void BroadPhase::invalidate() { std::fill(limits_.begin(), limits_.end(), -kInfinity); }
 
 bool BroadPhase::is_outdated(const std::vector<double>& odometer, const std::vector<double>& motion) {
-  const auto leaves = [&](std::size_t g, double steps) { return !(odometer[g] + steps * motion[g] <= limits_[g]); };
   leaving_.clear();
-  std::size_t first = 0;
-  while (first < limits_.size() && !leaves(first, 2.0)) ++first;
-  if (first == limits_.size()) return false;
   for (std::size_t g = 0; g < limits_.size(); ++g)
-    if (leaves(g, kTogether)) leaving_.push_back(static_cast<int>(g));
-  return true;
+    if (!(odometer[g] + 2.0 * motion[g] <= limits_[g])) leaving_.push_back(static_cast<int>(g));
+  return !leaving_.empty();
 }
 
 void BroadPhase::renew(const Placements& at, const std::vector<double>& odometer, const std::vector<double>& motion) {
