@@ -133,6 +133,21 @@ def engine_states(
     return np.asarray(q), np.asarray(v)
 
 
+def engine_halved_steps(
+    scene: EngineScene, q: np.ndarray, p: np.ndarray, h: np.ndarray, tol: float, order: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return configurations (N, nq) after smooth steps of lengths h (N,) [s] in one piece, and in two halves.
+
+    Args:
+        q, p: Starts, shapes (N, nq), (N, nv); the momentum in the engine's coordinates.
+        tol: Of the stage equations.
+    """
+    from contactvi import _core
+
+    whole, halves = _core.halved_steps(scene, q, p, h, tol, order)
+    return np.asarray(whole), np.asarray(halves)
+
+
 def engine_impacts(
     scene: EngineScene, q: np.ndarray, guards: Sequence[int], restitution: np.ndarray, margin: float, max_impacts: int
 ) -> ImpactsAt:

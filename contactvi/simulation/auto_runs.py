@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi import _core
+from contactvi.scene.engine import engine_halved_steps
 from contactvi.simulation.recorder import Record
 from contactvi.status import StatusCode
 from contactvi.trajectory import polynomials
+
+if TYPE_CHECKING:
+    from contactvi import _core
 
 Array = NDArray[np.float64]
 
@@ -122,8 +126,8 @@ def transient(found: AutoRun) -> float:
         return 0.0
     q, p, h = (segments[name][looked_at] for name in ("q", "p", "h"))
     options = record.options
-    whole, halves = _core.halved_steps(record.compiled.core, q, p, h, options.stage_tol, options.order)
-    return largest(record.compiled.states.distance(np.asarray(whole), np.asarray(halves)))
+    whole, halves = engine_halved_steps(record.compiled.core, q, p, h, options.stage_tol, options.order)
+    return largest(record.compiled.states.distance(whole, halves))
 
 
 def distances(other: AutoRun, found: AutoRun, ended: bool = False) -> Array:

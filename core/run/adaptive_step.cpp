@@ -162,8 +162,8 @@ void Simulator::grow_adaptive_step(double h, double largest, double level, long 
   state_.adaptive_dt = std::min(truncation_.longest_dt, h * std::clamp(growth, 1.0 / kLargestGrowth, kLargestGrowth));
 }
 
-// Whether an adaptive step of this length that was not solved is to be made again shorter before dense steps go on: down
-// to the length of contact steps, and where nothing has touched in it. impacts: how many there were before it.
+// Whether an adaptive step of this length that was not solved is to be made again shorter before dense steps go on:
+// down to the length of contact steps, and where nothing has touched in it. impacts: how many there were before it.
 bool Simulator::may_be_shortened(double length, long impacts) const {
   const bool untouched = contact_step_.empty() && state_.impacts == impacts;
   return truncation_.bound > 0.0 &&

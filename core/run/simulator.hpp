@@ -124,8 +124,8 @@ class Simulator {
     double parts(double nominal) const { return std::max(1.0, std::ceil(remaining / nominal - 1e-9)); }
   };
   // Of run_auto: the bound on the truncation (0 in advance), the largest one in the interval [m; rad], the longest
-  // smooth step that converges and the longest contact step that could be solved [s], and the most stage iterations of a
-  // smooth step of the interval.
+  // smooth step that converges and the longest contact step that could be solved [s], and the most stage iterations of
+  // a smooth step of the interval.
   struct Truncation {
     double bound = 0, largest = 0, longest_dt = 0, longest_contact = 0;
     long iterations = 0;
