@@ -1,4 +1,4 @@
-// Runs that are made side by side, as one of them sees them: the kernel's work on its step is done together with theirs.
+// Runs that are made side by side, as one of them sees them: the kernel does its work on their steps together.
 #pragma once
 
 namespace contactvi {

@@ -30,8 +30,8 @@ void LaneIterations::seat(std::vector<Integrator*>& steps) {
   steps.resize(kept);
 }
 
-// All lanes make a factor, and go on with it. A step that makes another one leaves, and is seated again with others that
-// do: so no factor is ever copied.
+// All lanes make a factor, and go on with it. A step that makes another one leaves, and is seated again with others
+// that do: so no factor is ever copied.
 void LaneIterations::iterate_seated(std::vector<Integrator*>& steps) {
   stages_.clear();
   for (Integrator* step : seated_) stages_.push_back(&step->stages_);
