@@ -61,7 +61,8 @@ class Contact:
         t, h: start and length of the step [s]; h is 0 for an impact.
         step: its index.
         kind, pair: as of an `Event`.
-        point: number of the point within the pair, 0, 1, 2, ... as they appear in the run, the same from step to step.
+        point: number of the point within the pair, 0, 1, 2, ... as they appear in the run, the same from step to step;
+            of a `Simulator` with record=False as they are asked for.
         mode: "stick", "slip" (it slid in a part of the step at least), "frictionless" or "impact".
         dense: whether the step is a dense one (contactvi.records.dense_steps).
         position: of the point at the end of the step [m], normal : unit, from the first shape to the second, both in
@@ -338,6 +339,11 @@ class ChangeLog(Rows, Items[ContactChange]):
         pair = self.label(kind, int(row["index"]))
         change = CHANGES[int(row["change"])]
         return ContactChange(float(row["time"]), KINDS[kind], pair, int(row["point"]), change, float(row["value"]))
+
+
+def points_of(log: ContactLog | ChangeLog, rows: NDArray[np.int64]) -> list[tuple[int, int, int]]:
+    """Return the contact points of these rows: kind, pair or limit, number of the point."""
+    return list(zip(*(log.array(name)[rows].tolist() for name in ("kind", "index", "point")), strict=True))
 
 
 def empty_contacts() -> ContactLog:

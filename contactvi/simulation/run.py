@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import ConstraintError, ContactviError, SimulationError
 from contactvi.options import Options
-from contactvi.records.contacts import Contact, ContactLog
+from contactvi.records.codes import Change
+from contactvi.records.contacts import Contact, ContactLog, points_of
 from contactvi.records.events import EventLog
 from contactvi.simulation import engine
 from contactvi.simulation.compatibility import Stall, check_unforced
@@ -310,12 +311,11 @@ class Run:
         log = record.contact_log(max(0, len(record.contacts) - 1))
         slack = _ROUNDING * self.options.fixed_dt
         current = np.flatnonzero((np.abs(log.end - now) <= slack) & (log.h > 0.0))
-        ended = {
-            (change.pair, change.point)
-            for change in record.change_log(max(0, len(record.changes) - 1))
-            if change.change == "release" and change.time >= now - slack
-        }
-        return [log[int(k)] for k in current if (log[int(k)].pair, log[int(k)].point) not in ended]
+        changes = record.change_log(max(0, len(record.changes) - 1))
+        released = (changes.array("change") == Change.RELEASE) & (changes.array("time") >= now - slack)
+        ended = set(points_of(changes, np.flatnonzero(released)))
+        points = points_of(log, current)
+        return [log[int(k)] for k, point in zip(current, points, strict=True) if point not in ended]
 
     def release(self) -> None:
         """Give the engine to later runs of the scene; this run makes no more steps."""

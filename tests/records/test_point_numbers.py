@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
-from contactvi.records.point_numbers import PointNumbers
+from contactvi.records.point_numbers import FEW, PointNumbers
 
 
 def columns(rows: list[tuple[float, int, int, int]], time: str) -> dict[str, np.ndarray]:
@@ -27,19 +27,21 @@ def by_hand(rows: list[tuple[float, int, int, int]]) -> list[int]:
     return numbers
 
 
-def test_numbers_of_drawn_rows():
+@pytest.mark.parametrize("count", [1, 30, 300])
+def test_numbers_of_drawn_rows(count):
     """Two reports of drawn rows have the numbers of one pass over all rows in the order of time, changes first."""
     rng = np.random.default_rng(5)
+    assert 30 <= FEW < 300  # few rows and many go different ways
     for _ in range(50):
         draw = [(float(t), int(rng.integers(2)), int(rng.integers(3)), int(rng.choice([0, 7, 2**41 + 1, 2**41 + 2])))
-                for t in np.sort(rng.integers(0, 20, 30))]  # fmt: skip
-        is_change = rng.random(30) < 0.3
-        ordered = sorted(range(30), key=lambda k: (draw[k][0], not is_change[k], k))
+                for t in np.sort(rng.integers(0, 20, count))]  # fmt: skip
+        is_change = rng.random(count) < 0.3
+        ordered = sorted(range(count), key=lambda k: (draw[k][0], not is_change[k], k))
         expected = dict(zip(ordered, by_hand([draw[k] for k in ordered]), strict=True))
         cut = float(rng.integers(0, 20))
         numbers, got = PointNumbers(), {}
         for part in (lambda t: t < cut, lambda t: t >= cut):  # noqa: B023
-            chosen = [[k for k in range(30) if is_change[k] == kind and part(draw[k][0])] for kind in (True, False)]
+            chosen = [[k for k in range(count) if is_change[k] == kind and part(draw[k][0])] for kind in (True, False)]
             changes, contacts = (columns([draw[k] for k in some], time)
                                  for some, time in zip(chosen, ("time", "t"), strict=True))  # fmt: skip
             contacts, changes = numbers.copy().number(contacts, changes), numbers.number(contacts, changes)
