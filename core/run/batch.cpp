@@ -80,7 +80,7 @@ void Batch::take_runs_side_by_side(int threads) {
   const int stacks = static_cast<int>(std::min<std::size_t>(SideBySide::most_runs(options_.stages), share));
   if (stacks <= 1) return take_runs(nullptr);
   SideBySide company;
-  company.run(stacks, [&] { take_runs(&company); });
+  if (!company.run(stacks, [&] { take_runs(&company); })) return take_runs(nullptr);
   shared_ += company.shared_iterations();
 }
 

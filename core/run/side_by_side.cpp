@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <boost/context/protected_fixedsize_stack.hpp>
+#include <new>
 #include <utility>
 
 namespace contactvi {
@@ -22,16 +23,9 @@ Lanes& fitting(std::vector<std::unique_ptr<Lanes>>& all, const Model& model) {
 
 }  // namespace
 
-void SideBySide::run(int stacks, const std::function<void()>& work) {
-  using boost::context::fiber;
-  stacks_.resize(stacks);
-  for (Stack& stack : stacks_)
-    stack.work =
-        fiber(std::allocator_arg, boost::context::protected_fixedsize_stack(kStackSize), [&stack, &work](fiber&& back) {
-          stack.back = std::move(back);
-          work();
-          return std::move(stack.back);
-        });
+bool SideBySide::run(int stacks, const std::function<void()>& work) {
+  make_stacks(stacks, work);
+  if (stacks_.empty()) return false;
   for (bool any = true; any;) {
     for (Stack& stack : stacks_) {
       if (stack.waits() || !stack.work) continue;
@@ -42,6 +36,26 @@ void SideBySide::run(int stacks, const std::function<void()>& work) {
     if (any) serve_most();
   }
   stacks_.clear();
+  return true;
+}
+
+// So many stacks, or as many as the process may have.
+void SideBySide::make_stacks(int count, const std::function<void()>& work) {
+  using boost::context::fiber;
+  stacks_.resize(count);
+  for (std::size_t k = 0; k < stacks_.size(); ++k) {
+    Stack& stack = stacks_[k];
+    try {
+      stack.work = fiber(std::allocator_arg, boost::context::protected_fixedsize_stack(kStackSize),
+                         [&stack, &work](fiber&& back) {
+                           stack.back = std::move(back);
+                           work();
+                           return std::move(stack.back);
+                         });
+    } catch (const std::bad_alloc&) {
+      stacks_.resize(k);
+    }
+  }
 }
 
 long SideBySide::shared_iterations() const {

@@ -20,8 +20,9 @@ class SideBySide final : public LaneCompany, public NodeCompany {
   // How many runs gain something from each other; 1: none.
   static int most_runs(int stages) { return stages == 1 ? StageLanes::most_runs() : 1; }
 
-  // Calls work() on so many stacks and returns when all calls have. work() may throw nothing.
-  void run(int stacks, const std::function<void()>& work);
+  // Calls work() on so many stacks, or on fewer where the process may have no more memory, and returns when all calls
+  // have. False, and no call, where there is not even one. work() may throw nothing.
+  bool run(int stacks, const std::function<void()>& work);
   int stacks() const { return static_cast<int>(stacks_.size()); }
   // Stage iterations that were made together with others.
   long shared_iterations() const;
@@ -42,6 +43,7 @@ class SideBySide final : public LaneCompany, public NodeCompany {
     bool done = false;            // of a node
     bool waits() const { return step != nullptr || node != nullptr; }
   };
+  void make_stacks(int count, const std::function<void()>& work);
   void wait(const void* lanes);
   void serve_most();
 
