@@ -63,23 +63,19 @@ bool NaturalMap::prepare(const ConeProblem& problem) {
   return true;
 }
 
-void NaturalMap::velocity(const ConeProblem& problem, const double* lambda, double* w) {
+void NaturalMap::velocity(const ConeProblem& problem, const double* lambda, double* w, bool sizes) {
   const int m = static_cast<int>(problem.b.size());
   double* size = size_.data();
   const double excused = problem.noise / kConeTolerance;
-  for (int k = 0; k < m; ++k) {
-    w[k] = problem.b[k];
-    size[k] = std::abs(problem.b[k]) + excused;
-  }
+  for (int k = 0; k < m; ++k) w[k] = problem.b[k];
+  for (int k = 0; k < m && sizes; ++k) size[k] = std::abs(problem.b[k]) + excused;
   for (int j = 0; j < m; ++j) {
     const double x = lambda[j];
     if (x == 0.0) continue;
     const double* g = problem.G.data() + j * problem.G.outerStride();
     const double a = std::abs(x);
-    for (int k = 0; k < m; ++k) {
-      w[k] += g[k] * x;
-      size[k] += std::abs(g[k]) * a;
-    }
+    for (int k = 0; k < m; ++k) w[k] += g[k] * x;
+    for (int k = 0; k < m && sizes; ++k) size[k] += std::abs(g[k]) * a;
   }
   if (shift_times_ == 0.0) return;
   int i = 0;

@@ -34,8 +34,8 @@ class NaturalMap {
   void set_shift(double times) { shift_times_ = times; }
   double shift(int contact) const { return shift_times_ * shift_[contact]; }
 
-  // w = b + (G + shift) lambda, and the size of the terms in each row, to which the residual is relative.
-  void velocity(const ConeProblem& problem, const double* lambda, double* w);
+  // w = b + (G + shift) lambda and, with sizes, the size of the terms in each row, to which the residual is relative.
+  void velocity(const ConeProblem& problem, const double* lambda, double* w, bool sizes = true);
   // Computes the modes, merit() and residual() at (lambda, w).
   void evaluate(const ConeProblem& problem, const double* lambda, const double* w);
 

@@ -42,7 +42,7 @@ void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const 
     double* x = next_.data() + c.row;
     const double* old = from_nothing ? kNothing : lambda + c.row;
     x[0] = mode.closed ? old[0] : mode.bound;
-    Unknown normal{i, c.row, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, 0.0};
+    Unknown normal{i, c.row, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, 0.0, 0};
     if (c.rows == 3) {
       const double friction = c.mu * x[0];
       double tau = 0.0;
@@ -51,7 +51,7 @@ void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const 
       switch (mode.tangent) {
         case TangentMode::kStick:
           for (int k : {1, 2}) {
-            Unknown& u = unknowns_[count_++] = {i, c.row, 3, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0};
+            Unknown& u = unknowns_[count_++] = {i, c.row, 3, {0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}, 0.0, k};
             u.column[k] = u.test[k] = 1.0;
             x[k] = old[k];
           }
@@ -65,7 +65,8 @@ void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const 
                                  3,
                                  {0.0, t[0], t[1]},
                                  {0.0, mode.beta * t[0], mode.beta * t[1]},
-                                 (1.0 - mode.beta) * map.tangent_scale(i)};
+                                 (1.0 - mode.beta) * map.tangent_scale(i),
+                                 -1};
           x[1] = friction * mode.e[0] + tau * t[0];
           x[2] = friction * mode.e[1] + tau * t[1];
           break;
@@ -88,6 +89,12 @@ void ConeNewton::build(const ConeProblem& problem, const NaturalMap& map, const 
   }
 }
 
+// test . w of an unknown's equation.
+inline double ConeNewton::tested(const Unknown& u, const double* w) {
+  w += u.row;
+  return u.single >= 0 ? w[u.single] : u.test[0] * w[0] + u.test[1] * w[1] + u.test[2] * w[2];
+}
+
 // Fills the matrix and the right side of the unknowns; next_w_ is the velocity at next_.
 void ConeNewton::assemble(const ConeProblem& problem, const NaturalMap& map) {
   const int m = static_cast<int>(problem.b.size());
@@ -107,15 +114,9 @@ void ConeNewton::assemble(const ConeProblem& problem, const NaturalMap& map) {
       product[u.row + k] += shift * a;
     }
     weight_[j] = std::sqrt(norm);
-    for (int i = 0; i < count_; ++i) {
-      const Unknown& e = unknowns_[i];
-      double value = e.test[0] * product[e.row];
-      if (e.rows == 3) value += e.test[1] * product[e.row + 1] + e.test[2] * product[e.row + 2];
-      linear_.at(i, j) = value;
-    }
+    for (int i = 0; i < count_; ++i) linear_.at(i, j) = tested(unknowns_[i], product);
     linear_.at(j, j) += u.diagonal;
-    double rest = u.test[0] * next_w_[u.row];
-    if (u.rows == 3) rest += u.test[1] * next_w_[u.row + 1] + u.test[2] * next_w_[u.row + 2];
+    double rest = tested(u, next_w_.data());
     if (u.diagonal != 0.0) rest += u.diagonal * delta_[j];
     delta_[j] = -rest;
   }
@@ -174,7 +175,7 @@ bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singu
     // A start may solve the problem already; where singular matrices are to be found, one is factored all the same.
     if (residual_ <= kGoal && (k > 0 || singular == Singular::kMinimumNorm)) break;
     build(problem, map, lambda, from_nothing);
-    map.velocity(problem, next_.data(), next_w_.data());
+    map.velocity(problem, next_.data(), next_w_.data(), false);
     assemble(problem, map);
     ++iterations_;
     if (!solve(singular)) {

@@ -35,8 +35,10 @@ class ConeNewton {
     int contact, row, rows;
     double column[3], test[3];
     double diagonal;
+    int single;  // the only row that is tested, by 1; -1: there are more
   };
 
+  static double tested(const Unknown& u, const double* w);
   void build(const ConeProblem& problem, const NaturalMap& map, const double* lambda, bool from_nothing);
   void assemble(const ConeProblem& problem, const NaturalMap& map);
   bool solve(Singular singular);

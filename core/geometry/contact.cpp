@@ -13,10 +13,8 @@ void gap_gradient(const Tree& tree, const Placements& at, const Contact& contact
 void contact_rows(const Tree& tree, const Placements& at, const Contact& contact, const Vec3& t1, Eigen::Ref<MatX> W) {
   W.setZero();
   const Vec3 directions[3] = {contact.normal, t1, contact.normal.cross(t1)};
-  for (int k = 0; k < static_cast<int>(W.cols()); ++k) {
-    add_point_row(tree, at, contact.body_b, contact.point_b, directions[k], 1.0, W.col(k));
-    add_point_row(tree, at, contact.body_a, contact.point_a, directions[k], -1.0, W.col(k));
-  }
+  add_point_rows(tree, at, contact.body_b, contact.point_b, directions, 1.0, W);
+  add_point_rows(tree, at, contact.body_a, contact.point_a, directions, -1.0, W);
 }
 
 Vec3 any_tangent(const Vec3& n) {

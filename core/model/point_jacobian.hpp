@@ -9,6 +9,9 @@ namespace contactvi {
 // the world frame. W: shape (nv,).
 void add_point_row(const Tree& tree, const Placements& at, int body, const Vec3& x, const Vec3& n, double sign,
                    VecRef W);
+// As add_point_row for each column of W, along the direction of the same number: the chain is walked once.
+void add_point_rows(const Tree& tree, const Placements& at, int body, const Vec3& x, const Vec3* directions,
+                    double sign, Eigen::Ref<MatX> W);
 // W += sign n^T J_omega: angular velocity of the body about n.
 void add_turn_row(const Tree& tree, const Placements& at, int body, const Vec3& n, double sign, VecRef W);
 

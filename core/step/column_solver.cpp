@@ -19,6 +19,7 @@ ColumnSolver::ColumnSolver(const Tree& tree, const FlatModel& model)
       moving_(tree.joints.size(), 0) {
   root_.reserve(tree.joints.size());
   joints_.reserve(tree.joints.size());
+  dofs_.reserve(tree.nv);
   for (std::size_t i = 0; i < tree.joints.size(); ++i)
     root_.push_back(tree.joints[i].parent < 0 ? static_cast<int>(i) : root_[tree.joints[i].parent]);
 }
@@ -32,13 +33,17 @@ void ColumnSolver::solve(const Stages& stages, Eigen::Ref<MatX> X) {
 // The trees on which a right side acts: all others stay where they are.
 void ColumnSolver::list_joints(const Eigen::Ref<MatX>& X) {
   joints_.clear();
+  dofs_.clear();
   std::fill(moving_.begin(), moving_.end(), 0);
   for (std::size_t i = 0; i < root_.size(); ++i) {
     const Joint& joint = tree_->joints[i];
     if (!moving_[root_[i]] && (X.middleRows(joint.iv, joint.nv).array() != 0.0).any()) moving_[root_[i]] = 1;
   }
-  for (std::size_t i = 0; i < root_.size(); ++i)
-    if (moving_[root_[i]]) joints_.push_back(static_cast<int>(i));
+  for (std::size_t i = 0; i < root_.size(); ++i) {
+    if (!moving_[root_[i]]) continue;
+    joints_.push_back(static_cast<int>(i));
+    for (int d = 0; d < tree_->joints[i].nv; ++d) dofs_.push_back(tree_->joints[i].iv + d);
+  }
 }
 
 void ColumnSolver::solve_some(const Stages& stages, Eigen::Ref<MatX> X) {
@@ -46,17 +51,21 @@ void ColumnSolver::solve_some(const Stages& stages, Eigen::Ref<MatX> X) {
   const LaneKernel& kernel = count == 1 ? stages.kernel() : count <= kFew ? *few_ : *many_;
   const int width = (count + kernel.lanes - 1) / kernel.lanes * kernel.lanes;
   list_joints(X);
-  for (int i : joints_) {
-    const Joint& joint = tree_->joints[i];
-    for (int d = joint.iv; d < joint.iv + joint.nv; ++d)
-      for (int k = 0; k < width; ++k) X_[static_cast<std::size_t>(d * width + k)] = k < count ? X(d, k) : 0.0;
+  for (int k = 0; k < width; ++k) {
+    double* lane = X_.data() + k;
+    if (k < count) {
+      const double* column = X.col(k).data();
+      for (int d : dofs_) lane[static_cast<std::ptrdiff_t>(d) * width] = column[d];
+    } else {
+      for (int d : dofs_) lane[static_cast<std::ptrdiff_t>(d) * width] = 0.0;
+    }
   }
   const LaneColumns columns = {width, X_.data(), work_.data(), joints_.data(), static_cast<int>(joints_.size())};
   kernel.solve_columns(&model_->lanes, stages.storage(), &columns);
-  for (int i : joints_) {
-    const Joint& joint = tree_->joints[i];
-    for (int d = joint.iv; d < joint.iv + joint.nv; ++d)
-      for (int k = 0; k < count; ++k) X(d, k) = X_[static_cast<std::size_t>(d * width + k)];
+  for (int k = 0; k < count; ++k) {
+    const double* lane = X_.data() + k;
+    double* column = X.col(k).data();
+    for (int d : dofs_) column[d] = lane[static_cast<std::ptrdiff_t>(d) * width];
   }
 }
 

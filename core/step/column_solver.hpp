@@ -26,7 +26,8 @@ class ColumnSolver {
   AlignedArray X_, work_;
   std::vector<int> root_;     // of each joint
   std::vector<char> moving_;  // per joint: whether it is the root of a tree on which a right side acts
-  std::vector<int> joints_;   // of these trees
+  std::vector<int> joints_;   // of these trees,
+  std::vector<int> dofs_;     // and their dofs
 };
 
 }  // namespace contactvi
