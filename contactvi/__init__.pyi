@@ -36,6 +36,7 @@ from .records.contacts import ContactChange as ContactChange
 from .records.contacts import ContactLog as ContactLog
 from .records.events import Event as Event
 from .records.events import EventLog as EventLog
+from .scene.contact_frames import ContactJacobian as ContactJacobian
 from .scene.derivative_check import check_derivatives as check_derivatives
 from .scene.scene import Scene as Scene
 from .scene.toml import load_scene as load_scene

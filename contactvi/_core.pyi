@@ -348,6 +348,11 @@ def linear_forces(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=
     Forces of springs, dampers, servos and elements and their derivatives: (f (nv,), f_q, f_v (nv, nv)).
     """
 
+def passive_forces(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+    """
+    Forces of springs, dampers and elements, (nv,); without servos, gravity, contacts and constraints.
+    """
+
 def gap_hessian(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], guard: int, feature: int = 0) -> tuple[float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
     """
     (gap, W (nv,), dW (nv, nv)) of a guard, or of the contact point of a pair with that feature, in engine coordinates: column k of dW is the derivative of W = d(gap)/dq along the k-th tangent vector.

@@ -133,6 +133,23 @@ def engine_states(
     return np.asarray(q), np.asarray(v)
 
 
+def engine_contact_points(scene: EngineScene, q: np.ndarray, pair: int, margin: float) -> dict[str, Any]:
+    """Return the points of a pair with gaps of at most margin [m] at q (nq,), at most four.
+
+    "feature": list of their numbers; "gap" (n,); "point_a", "point_b", "normal" (n, 3), world frame.
+    """
+    from contactvi import _core
+
+    return _core.contact_points(scene, q, pair, margin)
+
+
+def engine_passive_forces(scene: EngineScene, q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+    """Return the forces of springs, dampers and elements, (nv,), at q (nq,), v (nv,), t [s]."""
+    from contactvi import _core
+
+    return np.asarray(_core.passive_forces(scene, q, v, t))
+
+
 def engine_impacts(
     scene: EngineScene, q: np.ndarray, guards: Sequence[int], restitution: np.ndarray, margin: float, max_impacts: int
 ) -> ImpactsAt:

@@ -22,6 +22,7 @@ from contactvi.inputs import flag, mapping, pose, real, short, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
+from contactvi.scene.dynamics import SceneDynamics
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import (
     JointSettings,
@@ -45,7 +46,7 @@ from contactvi.states import States
 GRAVITY = (0.0, 0.0, -9.81)
 
 
-class Scene:
+class Scene(SceneDynamics):
     """A set of rigid bodies with joints, contact geometry, contact data, constraints and forces.
 
     Where a method takes a body, a joint or a geometry, it is named by its name, by a handle that an `add_` method
