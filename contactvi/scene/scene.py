@@ -39,6 +39,7 @@ from contactvi.scene.joints import (
 from contactvi.scene.pairs import ContactRules, within_models
 from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
 from contactvi.scene.parts import Handle, PartList
+from contactvi.scene.placing import place_on_ground
 from contactvi.scene.report import scene_report
 from contactvi.scene.selection import BodyHandle, Names, PartHandle, Selector
 from contactvi.states import States
@@ -89,12 +90,15 @@ class Scene(SceneDynamics):
         collision_model: pin.GeometryModel | None = None,
         visual_model: pin.GeometryModel | None = None,
         name: str | None = None,
+        self_collision: bool = True,
     ) -> Scene:
         """Return a scene with a copy of any pin.Model, and with its gravity.
 
         Collision pairs in `collision_model` are taken as they are; without any, the default choice is made.
+        self_collision as in add_urdf.
         """
         part = import_pinocchio(model, collision_model, visual_model, name)
+        part.self_collision = flag("self_collision", self_collision)
         scene = cls(model.gravity.linear)
         scene._add(part, PartHandle)
         return scene
@@ -112,6 +116,7 @@ class Scene(SceneDynamics):
         friction: bool = False,
         mimic: bool = True,
         armature: float | Mapping[str, float] | None = None,
+        self_collision: bool = True,
     ) -> PartHandle:
         """Add a URDF model. Meshes become convex hulls, mimic tags become constraints (see `report`).
 
@@ -129,6 +134,7 @@ class Scene(SceneDynamics):
                 of one length); else they are independent.
             armature: inertia [kg m^2 or kg] about all joints with one degree of freedom that moves no body, or
                 {name or pattern: inertia}; a joint that moves no mass needs one.
+            self_collision: whether its links may touch each other; single pairs: `enable_pair`, `disable_pair`.
 
         Raises:
             SceneError, UnsupportedJointError, InputError
@@ -139,7 +145,7 @@ class Scene(SceneDynamics):
             path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic,
             armature=armature,
         )  # fmt: skip
-        return self.add_model(part, limits, friction)
+        return self.add_model(part, limits, friction, self_collision)
 
     @classmethod
     def from_mjcf(cls, path: str | os.PathLike[str], **options: Any) -> Scene:
@@ -160,6 +166,7 @@ class Scene(SceneDynamics):
         equality: bool = True,
         actuators: bool = True,
         restitution: float | str | None = 0.0,
+        self_collision: bool = True,
     ) -> PartHandle:
         """Add an MJCF, compiled by MuJoCo (needs `pip install "contactvi[mjcf]"`). The rest as in add_urdf.
 
@@ -181,11 +188,12 @@ class Scene(SceneDynamics):
             opened, placement=where, gravity=self.gravity, prefix=prefix, equality=equality, actuators=actuators,
             restitution=restitution,
         )  # fmt: skip
-        return self.add_model(part, limits, friction)
+        return self.add_model(part, limits, friction, self_collision)
 
-    def add_model(self, part: Part, limits: Any, friction: Any = False) -> PartHandle:
-        """Add an imported model (for scene files); `limits` and `friction` as in add_urdf."""
+    def add_model(self, part: Part, limits: Any, friction: Any = False, self_collision: Any = True) -> PartHandle:
+        """Add an imported model (for scene files); `limits`, `friction` and `self_collision` as in add_urdf."""
         limits, friction = flag("limits", limits), flag("friction", friction)
+        part.self_collision = flag("self_collision", self_collision)
         handle = self._add(part, PartHandle)
         self._joints.add_part(part, limits, friction)
         self._contact.add_part(part)
@@ -295,6 +303,23 @@ class Scene(SceneDynamics):
             self._contact.disable([a], [b])
         self._built = None
         return found
+
+    def place_on_ground(self, part: Selector, q: ArrayLike | None = None, ground: Selector | None = None) -> np.ndarray:
+        """Return a configuration (nq,) with a part on the ground: its base moved along the normal of a halfspace.
+
+        Its lowest point then touches the halfspace to rounding; its base is not turned, and all else stays where it is.
+        `scene.q0 = scene.place_on_ground(robot)` makes it the start of runs.
+
+        Args:
+            part: with a free base; of a part with several, a joint of what is to be moved.
+            q: configuration, shape (nq,); None: the scene's q0, else neutral.
+            ground: the halfspace, fixed to the world, by name or handle; None: the only one that it has pairs with.
+
+        Raises:
+            InputError: the part has no free base; there is no such halfspace, or several.
+        """
+        at = self._state(self.q0 if q is None else q)
+        return place_on_ground(self.built(), self._parts.assembly.root_of_joint, self.names, part, at, ground)
 
     def enable_pair(self, a: Selector, b: Selector) -> None:
         """Put all pairs between a and b into the collision pairs, also those that the default choice leaves out."""

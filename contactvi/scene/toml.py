@@ -2,9 +2,10 @@
 
     [scene]                 gravity = [0, 0, -9.81]                 title, description: for the reader
     [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true,
-                            friction = false, mimic = true, armature = number | { joint = number }
+                            friction = false, mimic = true, armature = number | { joint = number },
+                            self_collision = true
     [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true, actuators = true,
-                            restitution = 0 | "solref"
+                            restitution = 0 | "solref", self_collision = true
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
     [[halfspace]]           normal, offset, name, color
@@ -50,6 +51,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
+from contactvi.importing.part import Part
 from contactvi.importing.paths import resolve_path, unreadable
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.inputs import flag, listed, mapping, pose, unit_quaternion, vector
@@ -83,8 +85,20 @@ _PLACE = ("xyz", "rpy")
 _BODY = ("name", "mass", "free", "color", *_PLACE)
 KEYS: dict[str, tuple[str, ...]] = {
     "scene": ("title", "description", "gravity"),
-    "urdf": ("path", "base", "package_dirs", "srdf", "prefix", "limits", "friction", "mimic", "armature", *_PLACE),
-    "mjcf": ("path", "prefix", "limits", "friction", "equality", "actuators", "restitution", *_PLACE),
+    "urdf": (
+        "path",
+        "base",
+        "package_dirs",
+        "srdf",
+        "prefix",
+        "limits",
+        "friction",
+        "mimic",
+        "armature",
+        "self_collision",
+        *_PLACE,
+    ),
+    "mjcf": ("path", "prefix", "limits", "friction", "equality", "actuators", "restitution", "self_collision", *_PLACE),
     "sphere": ("radius", *_BODY),
     "box": ("size", *_BODY),
     "capsule": ("radius", "length", *_BODY),
@@ -278,17 +292,23 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
             mimic=entry.get("mimic", True),
             armature=entry.get("armature"),
         )
-        scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
+        _add_model(scene, part, entry)
     elif section == "mjcf":
         options = {key: entry[key] for key in ("prefix", "equality", "actuators", "restitution") if key in entry}
         opened = open_mjcf(entry["path"], folder)
         part = import_mjcf(opened, placement=placement, gravity=scene.gravity, **options)
-        scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
+        _add_model(scene, part, entry)
     elif section == "halfspace":
         scene.add_halfspace(**entry)
     else:
         entry.pop("xyz", None), entry.pop("rpy", None)
         getattr(scene, f"add_{section}")(**entry, placement=placement)
+
+
+def _add_model(scene: Scene, part: Part, entry: Mapping[str, Any]) -> None:
+    scene.add_model(
+        part, entry.get("limits", True), entry.get("friction", False), entry.get("self_collision", True)
+    )  # fmt: skip
 
 
 def _add_element(scene: Scene, section: str, entry: Mapping[str, Any]) -> None:
