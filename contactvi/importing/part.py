@@ -98,14 +98,16 @@ class Part:
 
 def shape_part(
     name: str,
-    shape: coal.CollisionGeometry,
+    shapes: Sequence[coal.CollisionGeometry],
     inertia: pin.Inertia | None,
     placement: pin.SE3,
     color: Sequence[float] | None,
+    text: str = "",
 ) -> Part:
-    """Return a part with one body and one shape: free (inertia given) or fixed to the world (None).
+    """Return a part with one body and one shape or more: free (inertia given) or fixed to the world (None).
 
-    The joint of a free body, its body and its geometry all carry the body's name.
+    The joint of a free body, its body and its only geometry all carry the body's name; of several geometries each has
+    its number behind the name. text: how the shapes were made, for the report.
     """
     if not is_text(name):
         raise InputError(
@@ -131,9 +133,11 @@ def shape_part(
         pin.Frame(name, joint, joint, pin.SE3.Identity(), pin.FrameType.BODY, inertia or pin.Inertia.Zero()), False
     )
     collision = pin.GeometryModel()
-    geometry = pin.GeometryObject(name, joint, frame, pin.SE3.Identity(), shape)
-    collision.addGeometryObject(geometry)
-    report = PartReport(f"{name}: {describe(shape)}, {'free' if joint else 'fixed to the world'}")
+    names = [name] if len(shapes) == 1 else [f"{name}_{k}" for k in range(len(shapes))]
+    for own, shape in zip(names, shapes, strict=True):
+        collision.addGeometryObject(pin.GeometryObject(own, joint, frame, pin.SE3.Identity(), shape))
+    what = text or describe(shapes[0])
+    report = PartReport(f"{name}: {what}, {'free' if joint else 'fixed to the world'}")
     part = Part(
         name=name,
         kind="primitive",
@@ -146,7 +150,7 @@ def shape_part(
     )
     if joint:
         report.bodies.append(BodyRow(name, name, model.inertias[joint].mass))
-    report.geometries.append(GeometryRow(name, name, describe(shape)))
+    report.geometries += [GeometryRow(own, name, describe(shape)) for own, shape in zip(names, shapes, strict=True)]
     return part
 
 

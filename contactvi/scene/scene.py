@@ -7,15 +7,13 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from contactvi.elements import elements as kinds
 from contactvi.errors import InputError, did_you_mean
-from contactvi.importing import part as shapes
-from contactvi.importing.part import Part, shape_part
+from contactvi.importing.part import Part
 from contactvi.importing.readers import MjcfFile, import_mjcf, import_pinocchio, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
 from contactvi.inputs import flag, mapping, pose, real, short, vector
@@ -41,13 +39,14 @@ from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
 from contactvi.scene.parts import Handle, PartList
 from contactvi.scene.placing import place_on_ground
 from contactvi.scene.report import scene_report
-from contactvi.scene.selection import BodyHandle, Names, PartHandle, Selector
+from contactvi.scene.scene_shapes import SceneShapes
+from contactvi.scene.selection import Names, PartHandle, Selector
 from contactvi.states import States
 
 GRAVITY = (0.0, 0.0, -9.81)
 
 
-class Scene(SceneDynamics):
+class Scene(SceneShapes, SceneDynamics):
     """A set of rigid bodies with joints, contact geometry, contact data, constraints and forces.
 
     Where a method takes a body, a joint or a geometry, it is named by its name, by a handle that an `add_` method
@@ -199,60 +198,6 @@ class Scene(SceneDynamics):
         self._contact.add_part(part)
         self._elements.add_from_file(part.data.elements)
         return handle
-
-    def add_sphere(
-        self, name: str, radius: float, mass: float = 1.0, free: bool = True, placement: Any = None, color: Any = None
-    ) -> BodyHandle:
-        """Add a solid sphere: radius [m], mass [kg]. `free`: moves freely, else fixed to the world.
-
-        `placement` as in add_urdf (for a free body the pose that neutral() gives it), color rgba in 0..1.
-        """
-        return self._add_shape(name, shapes.sphere(name, radius, mass), free, placement, color)
-
-    def add_box(
-        self,
-        name: str,
-        size: ArrayLike,
-        mass: float = 1.0,
-        free: bool = True,
-        placement: Any = None,
-        color: Any = None,
-    ) -> BodyHandle:
-        """Add a solid box: full edge lengths [m], shape (3,). The rest as in add_sphere."""
-        return self._add_shape(name, shapes.box(name, size, mass), free, placement, color)
-
-    def add_capsule(
-        self,
-        name: str,
-        radius: float,
-        length: float,
-        mass: float = 1.0,
-        free: bool = True,
-        placement: Any = None,
-        color: Any = None,
-    ) -> BodyHandle:
-        """Add a solid capsule along z: radius, length without the caps [m]. The rest as in add_sphere."""
-        return self._add_shape(name, shapes.capsule(name, radius, length, mass), free, placement, color)
-
-    def add_cylinder(
-        self,
-        name: str,
-        radius: float,
-        length: float,
-        mass: float = 1.0,
-        free: bool = True,
-        placement: Any = None,
-        color: Any = None,
-    ) -> BodyHandle:
-        """Add a solid cylinder along z: radius, length [m]. The rest as in add_sphere."""
-        return self._add_shape(name, shapes.cylinder(name, radius, length, mass), free, placement, color)
-
-    def add_halfspace(
-        self, normal: ArrayLike = (0.0, 0.0, 1.0), offset: float = 0.0, name: str = "ground", color: Any = None
-    ) -> BodyHandle:
-        """Add the solid halfspace n . x <= offset [m], fixed to the world; n is the normal made a unit vector."""
-        shape = shapes.halfspace(normal, offset, name)
-        return self._add(shape_part(name, shape, None, pin.SE3.Identity(), color), BodyHandle)
 
     # --- contacts and joints ------------------------------------------------------------------------------------------
 
@@ -847,13 +792,6 @@ class Scene(SceneDynamics):
         handle = self._parts.add(part, kind)
         self._built = None
         return handle
-
-    def _add_shape(
-        self, name: str, body: tuple[coal.CollisionGeometry, pin.Inertia], free: bool, placement: Any, color: Any
-    ) -> BodyHandle:
-        shape, inertia = body
-        where, moves = pose("placement", placement), flag("free", free)
-        return self._add(shape_part(name, shape, inertia if moves else None, where, color), BodyHandle)
 
     def _name(self, kind: str, name: str | None) -> str:
         return self._elements.new_name(kind, name)

@@ -8,6 +8,7 @@
                             restitution = 0 | "solref", self_collision = true
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
+    [[mesh]]                name, path, mass | density, scale, decompose = false | true | number, ...
     [[halfspace]]           normal, offset, name, color
     [contact]               restitution, friction (defaults), disable = [["a", "b"]], enable = [["a", "b"]]
     [[contact.body]]        name, restitution, friction             of one body, part or geometry
@@ -103,6 +104,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "box": ("size", *_BODY),
     "capsule": ("radius", "length", *_BODY),
     "cylinder": ("radius", "length", *_BODY),
+    "mesh": ("path", "density", "scale", "decompose", *_BODY),
     "halfspace": ("normal", "offset", "name", "color"),
     "contact": ("restitution", "friction", "disable", "enable", "body", "pair"),
     "contact.body": ("name", "restitution", "friction"),
@@ -116,7 +118,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "initial.body": ("name", "quaternion", "velocity", "angular_velocity", *_PLACE),
     "run": tuple(f.name for f in fields(Options)),
 }
-LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "halfspace", "joint", *ELEMENTS)
+LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "mesh", "halfspace", "joint", *ELEMENTS)
 NEEDED = {
     "urdf": ("path",),
     "mjcf": ("path",),
@@ -124,6 +126,7 @@ NEEDED = {
     "box": ("name", "size"),
     "capsule": ("name", "radius", "length"),
     "cylinder": ("name", "radius", "length"),
+    "mesh": ("name", "path"),
     "joint": ("name",),
     "contact.body": ("name",),
     "contact.pair": ("a", "b"),
@@ -302,6 +305,8 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
         scene.add_halfspace(**entry)
     else:
         entry.pop("xyz", None), entry.pop("rpy", None)
+        if section == "mesh":
+            entry["mesh"] = resolve_path(entry.pop("path"), folder)
         getattr(scene, f"add_{section}")(**entry, placement=placement)
 
 

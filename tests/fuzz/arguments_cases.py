@@ -218,6 +218,8 @@ SCENE = (
     "s.assemble(Q, JOINT, SHARE)",
     "s.consistent_velocity(Q, V, SHARE)",
     "s.disable_overlapping(Q)",
+    "s.add_mesh(NEW, [(0, 0, 0), (1, 0, 0), (0, 1, 0), POINT], SHARE, FLAG, PLACE, density=SHARE, scale=SHARE)",
+    "s.add_mesh(NEW, FILE)",
     "s.place_on_ground(BODY, Q, ground=SHAPE)",
     "s.mass_matrix(Q)",
     "s.bias_forces(Q, V)",
