@@ -96,6 +96,18 @@ class Part:
         return [self.prefix + geometry.name for geometry in self.collision.geometryObjects]
 
 
+def check_body_name(name: Any) -> None:
+    """Raise InputError for what is no name of a body."""
+    if not is_text(name):
+        raise InputError(
+            "Name of a body",
+            name="name",
+            expected="a non-empty str in UTF-8",
+            got=repr(name),
+            remedy="Give it a name such as 'ball'",
+        )
+
+
 def shape_part(
     name: str,
     shapes: Sequence[coal.CollisionGeometry],
@@ -109,14 +121,7 @@ def shape_part(
     The joint of a free body, its body and its only geometry all carry the body's name; of several geometries each has
     its number behind the name. text: how the shapes were made, for the report.
     """
-    if not is_text(name):
-        raise InputError(
-            "Name of a body",
-            name="name",
-            expected="a non-empty str in UTF-8",
-            got=repr(name),
-            remedy="Give it a name such as 'ball'",
-        )
+    check_body_name(name)
     if inertia is not None:
         _check_inertia(name, inertia)
     rgba = None if color is None else vector(f"color of {name!r}", color, 4)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from contactvi.importing import part as shapes
 from contactvi.importing.mesh_bodies import mesh_shapes, mesh_source, solid_inertia
-from contactvi.importing.part import Part, shape_part
+from contactvi.importing.part import Part, check_body_name, shape_part
 from contactvi.inputs import flag, pose
 from contactvi.scene.parts import Handle
 from contactvi.scene.selection import BodyHandle
@@ -102,6 +102,7 @@ class SceneShapes(ABC):
         Raises:
             SceneError: no such file; a mesh without a hull; CoACD is not installed.
         """
+        check_body_name(name)
         hulls, text = mesh_shapes(name, mesh_source(name, mesh, scale), decompose)
         inertia = solid_inertia(name, hulls, mass, density)
         return self._add_shape(name, hulls, inertia, free, placement, color, text)
