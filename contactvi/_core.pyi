@@ -240,6 +240,11 @@ class Scene:
         Frames of two bodies or joints, numbers or their motion; see core/model/constraints.hpp.
         """
 
+    def add_prescribed_pose(self, joint: int, R: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], p: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], pose: Callable[[float], tuple[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]], name: str) -> None:
+        """
+        Let a frame of a body follow pose(t) -> (position, rotation, velocity, angular velocity), world frame.
+        """
+
     def set_servo(self, kp: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], kd: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], effort: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
         """
         Gains and largest torque of the servos of joints with one degree of freedom, (nv,) each.

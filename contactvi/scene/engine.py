@@ -107,6 +107,9 @@ def _add_elements(scene: EngineScene, elements: Resolved) -> None:
         ]
         scene.add_user_potential(*checked)
     for row in elements.constraints:
+        if row.pose is not None:
+            scene.add_prescribed_pose(*row.b, row.pose, row.name)
+            continue
         kind = _core.ConstraintKind[row.engine_kind.upper()]
         scene.add_constraint(kind, *row.a, *row.b, row.numbers, row.signal, row.name)
 

@@ -20,6 +20,7 @@ from contactvi.inputs import flag, mapping, pose, real, short, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
+from contactvi.scene.driven import driven_by
 from contactvi.scene.dynamics import SceneDynamics
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import (
@@ -30,7 +31,6 @@ from contactvi.scene.joints import (
     joint_settings,
     joint_value,
     joint_velocity,
-    one_dof,
     one_number,
     servo_settings,
 )
@@ -410,17 +410,27 @@ class Scene(SceneShapes, SceneDynamics):
         second = None if other is None else self._joint_with_one_number(other, "equality")
         return self._add_element(kinds.EqualityConstraint(self._name("equality", name), first, second, coefficients))
 
-    def prescribe(self, joint: Selector, motion: Any, name: str | None = None) -> str:
-        """Let a joint with one degree of freedom follow a motion exactly, whatever force it takes; return the name.
+    def prescribe(self, what: Selector, motion: Any, name: str | None = None) -> str:
+        """Let a joint, or a body, follow a motion exactly, whatever force it takes; return the name.
 
         Args:
-            motion: [rad or m], one of: a number; (times, values), through which a spline with continuous acceleration
-                goes (the run must lie within its times); a function t -> value, (value, rate) or (value, rate,
-                acceleration), of which the missing ones are found by differences; a spline of scipy.interpolate.
+            what: a joint with one degree of freedom; or a body, a free joint or a part with a free base, whose body
+                then follows a pose (6 constraints). Its joint stays, and q, v and contacts are as without the motion.
+            motion: of a joint [rad or m], one of: a number; (times, values), through which a spline with continuous
+                acceleration goes (the run must lie within its times); a function t -> value, (value, rate) or (value,
+                rate, acceleration), of which the missing ones are found by differences; a spline of scipy.interpolate.
+                Of a body, its frame in the world: a placement (as in add_urdf, or (xyz, quaternion xyzw)); (times,
+                poses), through which smooth curves of positions and rotations go; a function t -> pose, or (pose,
+                velocity) with velocity (linear, angular) in world axes (contactvi.elements.pose_signals).
+
+        `Trajectory.reactions(name)` is the force or torque of the motion; of a body the wrench on it (6,): force [N],
+        then torque about its origin [N m], in the axes that it has.
         """
-        driven = self.names.select_joint(joint)
-        one_dof(self._parts.assembly.model, driven, "A motion", "Use add_weld or add_distance for free bodies")
-        return self._add_element(kinds.PrescribedJoint(self._name("prescribe", name), driven, motion))
+        driven = driven_by(self._parts.assembly.model, self.names, what)
+        if driven.body is not None:
+            return self._add_element(kinds.PrescribedPose(self._name("prescribe", name), driven.body, motion))
+        assert driven.joint is not None
+        return self._add_element(kinds.PrescribedJoint(self._name("prescribe", name), driven.joint, motion))
 
     def add_spring(
         self,
