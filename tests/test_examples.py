@@ -98,6 +98,15 @@ def test_guide_code_holds_a_contact_force(tmp_path):
     assert float(speed) < 1e-9
 
 
+def test_guide_code_lifts_a_ball_on_a_driven_wrist(tmp_path):
+    heights, force = run_marked("driven-wrist", tmp_path)
+    before, after = map(float, heights.split())
+    assert abs(before - 0.040) < 1e-3
+    assert abs(after - before - 0.1) < 1e-3
+    up = float(force.strip("[]").split()[0])
+    assert abs(up - 10.1) < 0.1
+
+
 def test_guide_code_of_a_batch_runs(tmp_path):
     printed = run_marked("batch", tmp_path)
     assert printed[0].startswith("<BatchResult: 200 runs, 194 ok")

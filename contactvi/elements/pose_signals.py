@@ -55,7 +55,7 @@ class PoseSignal:
     Attributes:
         name: for messages.
         times, poses: of a table, (n,) and (n, 7): xyz and quaternion xyzw; None otherwise.
-        constant: its placement; None otherwise.
+        constant: its placement, (7,); None otherwise.
         function: as given by the user; None for placements and tables.
 
     Raises:
@@ -66,7 +66,7 @@ class PoseSignal:
         self.name = name
         self.times: Array | None = None
         self.poses: Array | None = None
-        self.constant: pin.SE3 | None = None
+        self.constant: Array | None = None
         self.function: Any = None
         self._last: tuple[float, FrameState | None] = (np.nan, None)
         self._call: Callable[[float], FrameState]
@@ -77,14 +77,14 @@ class PoseSignal:
         if callable(source):
             self.function, self._call = source, self._asked
         elif _is_table(source):
-            self.times, self.poses, placements = _table(source, name)
+            self.times, self.poses = _table(source, name)
             self._positions = [Signal((self.times, self.poses[:, k]), name) for k in range(3)]
-            self._turns = _turns(self.times, [place.rotation for place in placements], name)
+            self._turns = _turns(self.times, [pose(name, numbers).rotation for numbers in self.poses], name)
             self._call = self._tabled
         else:
-            self.constant = pose(name, source)
-            still = np.zeros(3)
-            state = FrameState(self.constant.translation.copy(), self.constant.rotation.copy(), still, still)
+            self.constant = _numbers(name, source)
+            place, still = pose(name, self.constant), np.zeros(3)
+            state = FrameState(place.translation.copy(), place.rotation.copy(), still, still)
             self._call = lambda t: state
 
     @property
@@ -118,7 +118,7 @@ class PoseSignal:
         """Return it as plain data: 7 numbers or {"times": [...], "poses": [...]}; None for a function."""
         if self.times is not None and self.poses is not None:
             return {"times": self.times.tolist(), "poses": self.poses.tolist()}
-        return None if self.constant is None else pin.SE3ToXYZQUAT(self.constant).tolist()
+        return None if self.constant is None else self.constant.tolist()
 
     def _tabled(self, t: float) -> FrameState:
         x, v = np.array([axis(t)[:2] for axis in self._positions]).T
@@ -203,15 +203,20 @@ def _is_table(source: Any) -> bool:
     return numbers is None or numbers.ndim != 1
 
 
-def _table(source: Any, name: str) -> tuple[Array, Array, list[pin.SE3]]:
+def _numbers(name: str, value: Any) -> Array:
+    """Return a placement as xyz and quaternion xyzw, (7,): as given where it can be, so that data keep their bits."""
+    place, given = pose(name, value), real_numbers(value)
+    return given if given is not None and given.shape == (7,) else np.array(pin.SE3ToXYZQUAT(place))
+
+
+def _table(source: Any, name: str) -> tuple[Array, Array]:
     times = real_numbers(source[0])
     if times is None or times.ndim != 1 or len(times) != len(source[1]) or len(times) < 2:
         raise InputError(
             f"Table of {name}", name=name, expected="(times, poses) of one length >= 2", got=short(source),
             remedy="Give one pose for each time, and at least two times; a constant is a plain placement",
         )  # fmt: skip
-    placements = [pose(f"{name}, pose {k}", value) for k, value in enumerate(source[1])]
-    return times, np.array([pin.SE3ToXYZQUAT(place) for place in placements]), placements
+    return times, np.array([_numbers(f"{name}, pose {k}", value) for k, value in enumerate(source[1])])
 
 
 def _turns(times: Array, rotations: Sequence[Array], name: str) -> list[tuple[Array, Array]]:

@@ -136,8 +136,9 @@ def _check_pose_signal(signal: PoseSignal, t: float, tolerance: float) -> None:
         there = signal(time + float(w[0]))
         return np.concatenate([there.position, pin.log3(there.rotation @ given.rotation.T)])
 
-    velocity = np.concatenate([given.velocity, given.angular_velocity])[:, None]
-    _compare(f"velocity of {signal.name}", moved, velocity, ["t"], tolerance)
+    for k, what in enumerate(f"{kind} velocity along {axis}" for kind in ("linear", "angular") for axis in "xyz"):
+        own = np.concatenate([given.velocity, given.angular_velocity])[k : k + 1]
+        _compare(f"{what} of {signal.name}", lambda w, k=k: np.array(moved(w)[k]), own, ["t"], tolerance)  # type: ignore[misc]
 
 
 def _compare(

@@ -30,7 +30,7 @@ def driven_by(model: pin.Model, names: Names, what: Selector) -> Driven:
     if named or what == WORLD:
         if names.select_body(what) == WORLD:
             raise InputError(
-                "The world does not move", name="what", expected="a body or a joint", got=repr(what),
+                "The world does not move", name="joint", expected="a body or a joint", got=repr(what),
                 remedy="Name the body that is to follow the motion",
             )  # fmt: skip
         return Driven(None, str(what))
@@ -42,7 +42,7 @@ def driven_by(model: pin.Model, names: Names, what: Selector) -> Driven:
     body = next((f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == index), None)
     if body is None:
         raise InputError(
-            f"Joint {joint!r} carries no body", name="what", expected="a joint with a body", got="none",
+            f"Joint {joint!r} carries no body", name="joint", expected="a joint with a body", got="none",
             remedy="Add a frame of type BODY to the model",
         )  # fmt: skip
     return Driven(None, body)

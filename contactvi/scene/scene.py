@@ -410,11 +410,11 @@ class Scene(SceneShapes, SceneDynamics):
         second = None if other is None else self._joint_with_one_number(other, "equality")
         return self._add_element(kinds.EqualityConstraint(self._name("equality", name), first, second, coefficients))
 
-    def prescribe(self, what: Selector, motion: Any, name: str | None = None) -> str:
+    def prescribe(self, joint: Selector, motion: Any, name: str | None = None) -> str:
         """Let a joint, or a body, follow a motion exactly, whatever force it takes; return the name.
 
         Args:
-            what: a joint with one degree of freedom; or a body, a free joint or a part with a free base, whose body
+            joint: with one degree of freedom; or a body, a free joint or a part with a free base, whose body
                 then follows a pose (6 constraints). Its joint stays, and q, v and contacts are as without the motion.
             motion: of a joint [rad or m], one of: a number; (times, values), through which a spline with continuous
                 acceleration goes (the run must lie within its times); a function t -> value, (value, rate) or (value,
@@ -426,7 +426,7 @@ class Scene(SceneShapes, SceneDynamics):
         `Trajectory.reactions(name)` is the force or torque of the motion; of a body the wrench on it (6,): force [N],
         then torque about its origin [N m], in the axes that it has.
         """
-        driven = driven_by(self._parts.assembly.model, self.names, what)
+        driven = driven_by(self._parts.assembly.model, self.names, joint)
         if driven.body is not None:
             return self._add_element(kinds.PrescribedPose(self._name("prescribe", name), driven.body, motion))
         assert driven.joint is not None

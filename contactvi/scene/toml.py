@@ -18,7 +18,7 @@
     [[point]], [[distance]] a, b, point_a, point_b, name; [[distance]] also length
     [[weld]], [[screw]]     a, b, name; [[weld]] xyz, rpy; [[screw]] pitch, frame_a, frame_b = { xyz, rpy }
     [[equality]]            joint, other, coefficients = [c0, c1, ...], name
-    [[prescribe]]           joint, motion, name
+    [[prescribe]]           joint (or a free body), motion, name
     [[spring]]              a, b, point_a, point_b, stiffness, rest_length, damping, tension_only, name
     [[tape_spring]]         points = [["body", [x, y, z]], ...], and the rest of [[spring]]
     [[wrench]]              body, force, torque, point, axes = "world" | "body", name
@@ -35,8 +35,8 @@ SI units and radians; rpy is roll-pitch-yaw as in URDF, a quaternion is (x, y, z
 Relative paths are relative to the file; `example-robot-data://robots/...` and `package://...` are understood. Parts are
 added in the order of the list above, then file order. Without [initial] the scene starts at rest in its neutral pose;
 springs_at_rest starts every joint that has a spring where the spring rests. Motions, lengths and targets are numbers or
-{ times = [...], values = [...] }; the elements are those of Scene.add_point and its siblings. Where entries set
-one thing twice the later one counts. An unknown key is an error.
+{ times = [...], values = [...] }, of a body 7 numbers or { times, poses }; the elements are those of Scene.add_point
+and its siblings. Where entries set one thing twice the later one counts. An unknown key is an error.
 """
 
 from __future__ import annotations
