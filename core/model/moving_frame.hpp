@@ -1,5 +1,5 @@
-// A frame that the user moves in the world. It is the signal of a weld whose body a is the world: the frame of a is then
-// this one.
+// A frame that the user moves in the world. It is the signal of a weld whose body a is the world: the frame of a is
+// then this one.
 #pragma once
 
 #include <functional>
