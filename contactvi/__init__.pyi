@@ -37,6 +37,7 @@ from .records.contacts import ContactLog as ContactLog
 from .records.events import Event as Event
 from .records.events import EventLog as EventLog
 from .records.table import Table as Table
+from .scene.contact_frames import ContactJacobian as ContactJacobian
 from .scene.derivative_check import check_derivatives as check_derivatives
 from .scene.scene import Scene as Scene
 from .scene.toml import load_scene as load_scene

@@ -245,6 +245,11 @@ class Scene:
         Frames of two bodies or joints, numbers or their motion; see core/model/constraints.hpp.
         """
 
+    def add_prescribed_pose(self, joint: int, R: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], p: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], pose: Callable[[float], tuple[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]]], name: str) -> None:
+        """
+        Let a frame of a body follow pose(t) -> (position, rotation, velocity, angular velocity), world frame.
+        """
+
     def set_servo(self, kp: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], kd: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], effort: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None:
         """
         Gains and largest torque of the servos of joints with one degree of freedom, (nv,) each.
@@ -356,6 +361,11 @@ def derivative_costs(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(sha
 def linear_forces(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, t: float = 0.0) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
     """
     Forces of springs, dampers, servos and elements and their derivatives: (f (nv,), f_q, f_v (nv, nv)).
+    """
+
+def passive_forces(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+    """
+    Forces of springs, dampers and elements, (nv,); without servos, gravity, contacts and constraints.
     """
 
 def gap_hessian(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], guard: int, feature: int = 0) -> tuple[float, Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:

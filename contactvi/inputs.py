@@ -340,7 +340,7 @@ def unit_quaternion(name: str, value: Any) -> Array:
 
 
 def pose(name: str, value: Any) -> pin.SE3:
-    """Return a placement from None, pin.SE3, xyz, (xyz, rpy), 7 numbers (xyz, quaternion xyzw) or a 4x4 matrix.
+    """Return a placement from None, pin.SE3, xyz, (xyz, rpy), (xyz, quaternion xyzw), these 7 numbers or a 4x4 matrix.
 
     Lengths in m, roll-pitch-yaw in rad as in URDF (R = Rz(yaw) Ry(pitch) Rx(roll)).
     """
@@ -350,7 +350,10 @@ def pose(name: str, value: Any) -> pin.SE3:
         _check_pose(name, value)
         return value.copy()
     if isinstance(value, Sequence) and len(value) == 2 and not isinstance(value, str):
-        xyz, rpy = vector(f"{name} xyz", value[0], 3), vector(f"{name} rpy", value[1], 3)
+        xyz = vector(f"{name} xyz", value[0], 3)
+        if shape_of(value[1]) == (4,):
+            return pin.XYZQUATToSE3(np.concatenate([xyz, unit_quaternion(name, np.asarray(value[1], dtype=float))]))
+        rpy = vector(f"{name} rpy", value[1], 3)
         return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
     shape = shape_of(value)
     if shape == (3,):

@@ -93,6 +93,24 @@ def test_readme_code_runs(tmp_path):
     assert (tmp_path / "run.html").stat().st_size > 0
 
 
+def test_guide_code_holds_a_contact_force(tmp_path):
+    (line,) = run_marked("hold-a-force", tmp_path)
+    *pair, mode, force, speed = line.split()
+    assert pair == ["('wrist_2_link_0',", "'table')"]
+    assert mode == "stick"
+    assert abs(float(force) - 20.0) < 1e-6  # the tolerance of the quadratic programme
+    assert float(speed) < 1e-9
+
+
+def test_guide_code_lifts_a_ball_on_a_driven_wrist(tmp_path):
+    heights, force = run_marked("driven-wrist", tmp_path)
+    before, after = map(float, heights.split())
+    assert abs(before - 0.040) < 1e-3
+    assert abs(after - before - 0.1) < 1e-3
+    up = float(force.strip("[]").split()[0])
+    assert abs(up - 10.1) < 0.1
+
+
 def test_guide_code_of_a_batch_runs(tmp_path):
     printed = run_marked("batch", tmp_path)
     assert printed[0].startswith("<BatchResult: 200 runs, 194 ok")

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pinocchio as pin
 
+from contactvi.elements.pose_signals import PoseSignal
 from contactvi.elements.signals import Signal
 from contactvi.errors import InputError
 from contactvi.inputs import flag, pose, real, short, vector
@@ -212,6 +213,23 @@ class PrescribedJoint(Constraint):
 
 
 @dataclass(frozen=True, eq=False)
+class PrescribedPose(Constraint):
+    """A body follows `motion`, a PoseSignal, in the world; 6 rows."""
+
+    body: str
+    motion: Any
+    kind: ClassVar[str] = "prescribe_pose"
+    engine_kind: ClassVar[str] = "pose"
+    rows: ClassVar[int] = 6
+
+    def _check(self) -> None:
+        self._put(motion=PoseSignal(self.motion, f"motion of {self.body!r}"))
+
+    def describe(self) -> str:
+        return f"constraint: {self.body!r} follows a prescribed motion in the world"
+
+
+@dataclass(frozen=True, eq=False)
 class PathSpring(Element):
     """Spring and damper along a line through points (body, xyz [m]) of at least two bodies.
 
@@ -339,7 +357,8 @@ class UserForce(Element):
 KINDS: dict[str, type[Element]] = {
     cls.kind: cls
     for cls in (
-        *(PointConstraint, DistanceConstraint, WeldConstraint, ScrewConstraint, EqualityConstraint, PrescribedJoint),
+        *(PointConstraint, DistanceConstraint, WeldConstraint, ScrewConstraint, EqualityConstraint),
+        *(PrescribedJoint, PrescribedPose),
         *(PathSpring, Wrench),
     )
 }
@@ -402,11 +421,11 @@ def _term(factor: float, power: int, name: str) -> str:
 
 
 def _storable(value: Any) -> bool:
-    return value.storable if isinstance(value, Signal) else not callable(value)
+    return value.storable if isinstance(value, (Signal, PoseSignal)) else not callable(value)
 
 
 def _data(value: Any) -> Any:
-    if isinstance(value, Signal):
+    if isinstance(value, (Signal, PoseSignal)):
         return value.to_data()
     if isinstance(value, pin.SE3):
         return value.homogeneous.tolist()

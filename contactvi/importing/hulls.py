@@ -155,6 +155,8 @@ def check_shape(geometry: pin.GeometryObject) -> str:
             )
         return ""
     remedies = {"Plane": "A plane has two sides: use coal.Halfspace, a solid with one"}
+    for bounding in ("AABB", "OBBRSS"):  # coal has no distance between a height field and a shape
+        remedies[f"HeightField{bounding}"] = "Make a convex prism of each triangle, as add_mjcf does with an hfield"
     kind = type(shape).__name__
     raise SceneError(
         f"Shape of geometry {geometry.name!r}",

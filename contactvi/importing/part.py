@@ -65,6 +65,7 @@ class Part:
         disabled: link pairs switched off by the SRDF, with its reason.
         given_pairs: collision pairs (geometry indices) given with the model; None = the default choice.
         checks_overlaps: whether given pairs that overlap in the model's own pose are left out.
+        self_collision: whether links of the model may touch each other.
         mimics: mimic tags by joint, for the report.
         data: what else the file says.
     """
@@ -81,6 +82,7 @@ class Part:
     disabled: list[tuple[str, str, str]] = field(default_factory=list)
     given_pairs: list[tuple[int, int]] | None = None
     checks_overlaps: bool = False
+    self_collision: bool = True
     mimics: Mapping[str, object] = field(default_factory=dict)
     data: FileData = field(default_factory=FileData)
 
@@ -94,17 +96,8 @@ class Part:
         return [self.prefix + geometry.name for geometry in self.collision.geometryObjects]
 
 
-def shape_part(
-    name: str,
-    shape: coal.CollisionGeometry,
-    inertia: pin.Inertia | None,
-    placement: pin.SE3,
-    color: Sequence[float] | None,
-) -> Part:
-    """Return a part with one body and one shape: free (inertia given) or fixed to the world (None).
-
-    The joint of a free body, its body and its geometry all carry the body's name.
-    """
+def check_body_name(name: Any) -> None:
+    """Raise InputError for what is no name of a body."""
     if not is_text(name):
         raise InputError(
             "Name of a body",
@@ -113,6 +106,22 @@ def shape_part(
             got=repr(name),
             remedy="Give it a name such as 'ball'",
         )
+
+
+def shape_part(
+    name: str,
+    shapes: Sequence[coal.CollisionGeometry],
+    inertia: pin.Inertia | None,
+    placement: pin.SE3,
+    color: Sequence[float] | None,
+    text: str = "",
+) -> Part:
+    """Return a part with one body and one shape or more: free (inertia given) or fixed to the world (None).
+
+    The joint of a free body, its body and its only geometry all carry the body's name; of several geometries each has
+    its number behind the name. text: how the shapes were made, for the report.
+    """
+    check_body_name(name)
     if inertia is not None:
         _check_inertia(name, inertia)
     rgba = None if color is None else vector(f"color of {name!r}", color, 4)
@@ -129,9 +138,11 @@ def shape_part(
         pin.Frame(name, joint, joint, pin.SE3.Identity(), pin.FrameType.BODY, inertia or pin.Inertia.Zero()), False
     )
     collision = pin.GeometryModel()
-    geometry = pin.GeometryObject(name, joint, frame, pin.SE3.Identity(), shape)
-    collision.addGeometryObject(geometry)
-    report = PartReport(f"{name}: {describe(shape)}, {'free' if joint else 'fixed to the world'}")
+    names = [name] if len(shapes) == 1 else [f"{name}_{k}" for k in range(len(shapes))]
+    for own, shape in zip(names, shapes, strict=True):
+        collision.addGeometryObject(pin.GeometryObject(own, joint, frame, pin.SE3.Identity(), shape))
+    what = text or describe(shapes[0])
+    report = PartReport(f"{name}: {what}, {'free' if joint else 'fixed to the world'}")
     part = Part(
         name=name,
         kind="primitive",
@@ -144,7 +155,7 @@ def shape_part(
     )
     if joint:
         report.bodies.append(BodyRow(name, name, model.inertias[joint].mass))
-    report.geometries.append(GeometryRow(name, name, describe(shape)))
+    report.geometries += [GeometryRow(own, name, describe(shape)) for own, shape in zip(names, shapes, strict=True)]
     return part
 
 

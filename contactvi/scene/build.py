@@ -21,6 +21,25 @@ from contactvi.scene.pairs import ContactRules, choose_pairs
 from contactvi.scene.parts import PartList
 
 
+@dataclass(frozen=True, eq=False)
+class LimitGaps:
+    """The joint limits that are guards.
+
+    Attributes:
+        names: (joint, "lower limit" or "upper limit").
+        at, bound, side: place in q, value [rad, m], +1 for a lower one and -1 for an upper one, shapes (n,).
+    """
+
+    names: list[tuple[str, str]]
+    at: np.ndarray
+    bound: np.ndarray
+    side: np.ndarray
+
+    def gaps(self, q: np.ndarray) -> np.ndarray:
+        """Return the distances from the limits at q (nq,), shape (n,) [rad, m]."""
+        return np.asarray(self.side * (q[self.at] - self.bound))
+
+
 @dataclass
 class Built:
     """A complete scene; it is constant.
@@ -69,6 +88,29 @@ class Built:
             "forces given in Python": bool(found.forces),
         }
         return next((what for what, is_there in reasons.items() if is_there), None)
+
+    @cached_property
+    def limits(self) -> LimitGaps:
+        """The joint limits in the engine's order."""
+        model, found = self.model, []
+        for i in map(int, np.flatnonzero(self.arrays.limits)):
+            at, name = int(model.idx_qs[i]), str(model.names[i])
+            bounds = ((model.lowerPositionLimit[at], 1.0), (model.upperPositionLimit[at], -1.0))
+            found += [(name, at, bound, side) for bound, side in bounds if np.isfinite(bound)]
+        names = [(name, "lower limit" if side > 0.0 else "upper limit") for name, _, _, side in found]
+        places = np.array([at for _, at, _, _ in found], dtype=int)
+        bounds_and_sides = np.array([row[2:] for row in found], dtype=float).reshape(-1, 2)
+        return LimitGaps(names, places, *bounds_and_sides.T)
+
+    @cached_property
+    def carriers(self) -> dict[str, int]:
+        """The joint that carries a geometry, by its name; 0 is the world."""
+        return {str(geometry.name): int(geometry.parentJoint) for geometry in self.collision.geometryObjects}
+
+    @cached_property
+    def pair_numbers(self) -> dict[tuple[str, str], int]:
+        """The place of each tested pair in `pairs`."""
+        return {pair: k for k, pair in enumerate(self.pairs)}
 
     @cached_property
     def servo_joints(self) -> list[str]:

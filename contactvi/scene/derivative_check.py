@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.elements import elements as kinds
+from contactvi.elements.pose_signals import PoseSignal
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q, entry_name
 from contactvi.errors import DerivativeError, InputError
@@ -100,6 +101,8 @@ def check_element(
         given = checked_force_derivatives(element.derivatives, f"the derivatives of {element.name!r}", dofs)(t, q, v)
         _compare(f"df_dq of {element.name!r}", lambda w: force(t, move(q, w), v), given[0], dofs, tolerance)
         _compare(f"df_dv of {element.name!r}", lambda w: force(t, q, v + w), given[1], dofs, tolerance)
+    if isinstance(element, kinds.PrescribedPose):
+        _check_pose_signal(element.motion, t, tolerance)
     for name in ("motion", "length"):
         if isinstance(getattr(element, name, None), Signal):
             _check_signal(getattr(element, name), t, tolerance)
@@ -120,6 +123,22 @@ def _check_signal(signal: Signal, t: float, tolerance: float) -> None:
                 ["t"],
                 tolerance,
             )
+
+
+def _check_pose_signal(signal: PoseSignal, t: float, tolerance: float) -> None:
+    """Check the velocity of a function that returns one."""
+    time = t + 3.0 * _STEP
+    if not signal.gives_velocity(time):
+        return
+    given = signal(time)
+
+    def moved(w: Array) -> Array:
+        there = signal(time + float(w[0]))
+        return np.concatenate([there.position, pin.log3(there.rotation @ given.rotation.T)])
+
+    for k, what in enumerate(f"{kind} velocity along {axis}" for kind in ("linear", "angular") for axis in "xyz"):
+        own = np.concatenate([given.velocity, given.angular_velocity])[k : k + 1]
+        _compare(f"{what} of {signal.name}", lambda w, k=k: np.array(moved(w)[k]), own, ["t"], tolerance)  # type: ignore[misc]
 
 
 def _compare(

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.elements import elements as kinds
+from contactvi.elements.pose_signals import PoseSignal
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import at, checked_wrench
 from contactvi.errors import InputError, UserFunctionError
@@ -37,6 +38,12 @@ class ConstraintRow:
     b: Frame
     numbers: np.ndarray
     signal: Signal | Callable[[float], Any] | None = None
+    pose: PoseSignal | None = None  # of a weld to the world: the frame of the world moves
+
+    @property
+    def driven(self) -> bool:
+        """Whether it depends on time."""
+        return self.signal is not None or self.pose is not None
 
 
 class SpringRow(NamedTuple):
@@ -96,7 +103,7 @@ def resolve(elements: Sequence[kinds.Element], model: pin.Model, start: np.ndarr
         if isinstance(element, kinds.Constraint):
             rows = _constraint(element, placed)
             result.constraints.append(rows)
-            result.time_varying |= rows.signal is not None
+            result.time_varying |= rows.driven
         elif isinstance(element, kinds.PathSpring):
             joints, points = zip(*(placed.point(body, xyz) for body, xyz in element.points), strict=True)
             length = placed.length(element.points) if element.rest_length is None else element.rest_length
@@ -170,7 +177,8 @@ def _constraint(element: kinds.Constraint, placed: _Placed) -> ConstraintRow:
     values = np.atleast_1d(np.asarray(numbers, dtype=float))
     # A joint that equals a number follows a constant motion.
     engine_kind = "prescribed" if signal is not None and element.kind == "equality" else element.engine_kind
-    return ConstraintRow(element.name, element.kind, element.rows, engine_kind, a, b, values, signal)
+    pose = element.motion if isinstance(element, kinds.PrescribedPose) else None
+    return ConstraintRow(element.name, element.kind, element.rows, engine_kind, a, b, values, signal, pose)
 
 
 def _ends(element: kinds.Constraint, placed: _Placed) -> tuple[Frame, Frame, Any, Any]:
@@ -181,6 +189,8 @@ def _ends(element: kinds.Constraint, placed: _Placed) -> tuple[Frame, Frame, Any
         return placed.joint(element.other), placed.joint(element.joint), element.coefficients, None
     if isinstance(element, kinds.PrescribedJoint):
         return placed.joint(None), placed.joint(element.joint), [], element.motion
+    if isinstance(element, kinds.PrescribedPose):
+        return placed.frame(kinds.WORLD), placed.frame(element.body), [], None
     if isinstance(element, kinds.PointConstraint):
         point_b = element.point_b
         if point_b is None:

@@ -107,6 +107,9 @@ def _add_elements(scene: EngineScene, elements: Resolved) -> None:
         ]
         scene.add_user_potential(*checked)
     for row in elements.constraints:
+        if row.pose is not None:
+            scene.add_prescribed_pose(*row.b, row.pose, row.name)
+            continue
         kind = _core.ConstraintKind[row.engine_kind.upper()]
         scene.add_constraint(kind, *row.a, *row.b, row.numbers, row.signal, row.name)
 
@@ -146,6 +149,23 @@ def engine_halved_steps(
 
     whole, halves = _core.halved_steps(scene, q, p, h, tol, order)
     return np.asarray(whole), np.asarray(halves)
+
+
+def engine_contact_points(scene: EngineScene, q: np.ndarray, pair: int, margin: float) -> dict[str, Any]:
+    """Return the points of a pair with gaps of at most margin [m] at q (nq,), at most four.
+
+    "feature": list of their numbers; "gap" (n,); "point_a", "point_b", "normal" (n, 3), world frame.
+    """
+    from contactvi import _core
+
+    return _core.contact_points(scene, q, pair, margin)
+
+
+def engine_passive_forces(scene: EngineScene, q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+    """Return the forces of springs, dampers and elements, (nv,), at q (nq,), v (nv,), t [s]."""
+    from contactvi import _core
+
+    return np.asarray(_core.passive_forces(scene, q, v, t))
 
 
 def engine_impacts(

@@ -4,6 +4,7 @@ By default every pair on two different bodies, except
 - adjacent bodies (one joint apart); the links of one robot base, fixed to the world, count as one body, while
   halfspaces, fixed primitives and shapes attached to the world itself are scenery and adjacent to nothing;
 - two halfspaces;
+- the links of one model that was added with self_collision=False, as far as they hang on one base;
 - pairs disabled by the part's SRDF or by disable_pair; an MJCF says itself which of its pairs are tested;
 - pairs that overlap at the neutral pose, when their relative pose there is the model's own: two bodies of which one
   hangs on a free, planar, translation or prismatic root joint of another tree are placed by the start of a run, where
@@ -24,7 +25,16 @@ import pinocchio as pin
 from contactvi.importing.checks import joint_kind
 from contactvi.importing.kinematics import joint_placements
 from contactvi.importing.part import Part
-from contactvi.importing.report import ADJACENT, BY_FILE, BY_USER, HALFSPACES, NOT_GIVEN, OVERLAP, RemovedPair
+from contactvi.importing.report import (
+    ADJACENT,
+    BY_FILE,
+    BY_USER,
+    HALFSPACES,
+    NOT_GIVEN,
+    OVERLAP,
+    SELF_COLLISION,
+    RemovedPair,
+)
 from contactvi.scene.assembly import Assembly
 
 RESTITUTION = 0.5  # default: neither plastic nor elastic
@@ -188,6 +198,7 @@ def choose_pairs(
     forced &= ~by_user & ~endless
     drop(endless, HALFSPACES)
     drop(by_user, BY_USER)
+    drop(_within_quiet_parts(assembly, parts), SELF_COLLISION)
     given = _given(assembly, parts)
     drop(_adjacent(assembly, parts, joints) & ~given, ADJACENT)
     drop(*_disabled_by_file(assembly, parts))
@@ -220,12 +231,29 @@ def _adjacent(assembly: Assembly, parts: Sequence[Part], joints: np.ndarray) -> 
 
 def within_models(assembly: Assembly) -> Callable[[str, str], bool]:
     """Return whether two geometries, by name, are of one model and hang on one floating root, or on its fixed base."""
-    model, carriers = assembly.model, {}
+    names = [geometry.name for geometry in assembly.collision.geometryObjects]
+    bases = dict(zip(names, _bases(assembly), strict=True))
+    return lambda a, b: bases[a] == bases[b]
+
+
+def _bases(assembly: Assembly) -> list[tuple[int, int]]:
+    """Return what each geometry hangs on: its part, and its floating root or 0 for the part's fixed base."""
+    model, found = assembly.model, []
     for geometry, part in zip(assembly.collision.geometryObjects, assembly.part_of_geometry, strict=True):
         root = int(assembly.root_of_joint[geometry.parentJoint])
         floats = root > 0 and joint_kind(model.joints[root]) in ("free", "planar", "translation")
-        carriers[geometry.name] = int(part), root if floats else 0
-    return lambda a, b: carriers[a] == carriers[b]
+        found.append((int(part), root if floats else 0))
+    return found
+
+
+def _within_quiet_parts(assembly: Assembly, parts: Sequence[Part]) -> np.ndarray:
+    """Return the mask of pairs of links of one robot, of the parts without self-collision."""
+    quiet = np.array([not part.self_collision for part in parts], dtype=bool)
+    if not quiet.any():
+        return np.zeros((len(assembly.part_of_geometry),) * 2, dtype=bool)
+    bases = np.array(_bases(assembly), dtype=int).reshape(-1, 2)
+    link = quiet[assembly.part_of_geometry] & ~_scenery(assembly, parts)
+    return np.asarray(np.all(bases[:, None] == bases[None, :], axis=2) & link[:, None] & link[None, :])
 
 
 def _slides(assembly: Assembly) -> np.ndarray:

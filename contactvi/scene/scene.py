@@ -7,21 +7,21 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from contactvi.elements import elements as kinds
 from contactvi.errors import InputError, did_you_mean
-from contactvi.importing import part as shapes
-from contactvi.importing.part import Part, shape_part
+from contactvi.importing.part import Part
 from contactvi.importing.readers import MjcfFile, import_mjcf, import_pinocchio, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
 from contactvi.inputs import flag, mapping, pose, real, short, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
+from contactvi.scene.driven import driven_by
+from contactvi.scene.dynamics import SceneDynamics
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import (
     JointSettings,
@@ -31,14 +31,15 @@ from contactvi.scene.joints import (
     joint_settings,
     joint_value,
     joint_velocity,
-    one_dof,
     one_number,
     servo_settings,
 )
 from contactvi.scene.pairs import ContactRules, within_models
 from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
 from contactvi.scene.parts import Handle, PartList
+from contactvi.scene.placing import place_on_ground
 from contactvi.scene.report import scene_report
+from contactvi.scene.scene_shapes import SceneShapes
 from contactvi.scene.selection import BodyHandle, Names, PartHandle, Selector
 from contactvi.scene.shown import scene_html
 from contactvi.states import States
@@ -46,7 +47,7 @@ from contactvi.states import States
 GRAVITY = (0.0, 0.0, -9.81)
 
 
-class Scene:
+class Scene(SceneShapes, SceneDynamics):
     """A set of rigid bodies with joints, contact geometry, contact data, constraints and forces.
 
     Where a method takes a body, a joint or a geometry, it is named by its name, by a handle that an `add_` method
@@ -96,12 +97,15 @@ class Scene:
         collision_model: pin.GeometryModel | None = None,
         visual_model: pin.GeometryModel | None = None,
         name: str | None = None,
+        self_collision: bool = True,
     ) -> Scene:
         """Return a scene with a copy of any pin.Model, and with its gravity.
 
         Collision pairs in `collision_model` are taken as they are; without any, the default choice is made.
+        self_collision as in add_urdf.
         """
         part = import_pinocchio(model, collision_model, visual_model, name)
+        part.self_collision = flag("self_collision", self_collision)
         scene = cls(model.gravity.linear)
         scene._add(part, PartHandle)
         return scene
@@ -119,6 +123,7 @@ class Scene:
         friction: bool = False,
         mimic: bool = True,
         armature: float | Mapping[str, float] | None = None,
+        self_collision: bool = True,
     ) -> PartHandle:
         """Add a URDF model. Meshes become convex hulls, mimic tags become constraints (see `report`).
 
@@ -136,6 +141,7 @@ class Scene:
                 of one length); else they are independent.
             armature: inertia [kg m^2 or kg] about all joints with one degree of freedom that moves no body, or
                 {name or pattern: inertia}; a joint that moves no mass needs one.
+            self_collision: whether its links may touch each other; single pairs: `enable_pair`, `disable_pair`.
 
         Raises:
             SceneError, UnsupportedJointError, InputError
@@ -146,7 +152,7 @@ class Scene:
             path, base=base, placement=where, package_dirs=dirs, srdf=srdf, prefix=prefix, mimic=mimic,
             armature=armature,
         )  # fmt: skip
-        return self.add_model(part, limits, friction)
+        return self.add_model(part, limits, friction, self_collision)
 
     @classmethod
     def from_mjcf(cls, path: str | os.PathLike[str], **options: Any) -> Scene:
@@ -167,6 +173,7 @@ class Scene:
         equality: bool = True,
         actuators: bool = True,
         restitution: float | str | None = 0.0,
+        self_collision: bool = True,
     ) -> PartHandle:
         """Add an MJCF, compiled by MuJoCo (needs `pip install "contactvi[mjcf]"`). The rest as in add_urdf.
 
@@ -188,70 +195,17 @@ class Scene:
             opened, placement=where, gravity=self.gravity, prefix=prefix, equality=equality, actuators=actuators,
             restitution=restitution,
         )  # fmt: skip
-        return self.add_model(part, limits, friction)
+        return self.add_model(part, limits, friction, self_collision)
 
-    def add_model(self, part: Part, limits: Any, friction: Any = False) -> PartHandle:
-        """Add an imported model (for scene files); `limits` and `friction` as in add_urdf."""
+    def add_model(self, part: Part, limits: Any, friction: Any = False, self_collision: Any = True) -> PartHandle:
+        """Add an imported model (for scene files); `limits`, `friction` and `self_collision` as in add_urdf."""
         limits, friction = flag("limits", limits), flag("friction", friction)
+        part.self_collision = flag("self_collision", self_collision)
         handle = self._add(part, PartHandle)
         self._joints.add_part(part, limits, friction)
         self._contact.add_part(part)
         self._elements.add_from_file(part.data.elements)
         return handle
-
-    def add_sphere(
-        self, name: str, radius: float, mass: float = 1.0, free: bool = True, placement: Any = None, color: Any = None
-    ) -> BodyHandle:
-        """Add a solid sphere: radius [m], mass [kg]. `free`: moves freely, else fixed to the world.
-
-        `placement` as in add_urdf (for a free body the pose that neutral() gives it), color rgba in 0..1.
-        """
-        return self._add_shape(name, shapes.sphere(name, radius, mass), free, placement, color)
-
-    def add_box(
-        self,
-        name: str,
-        size: ArrayLike,
-        mass: float = 1.0,
-        free: bool = True,
-        placement: Any = None,
-        color: Any = None,
-    ) -> BodyHandle:
-        """Add a solid box: full edge lengths [m], shape (3,). The rest as in add_sphere."""
-        return self._add_shape(name, shapes.box(name, size, mass), free, placement, color)
-
-    def add_capsule(
-        self,
-        name: str,
-        radius: float,
-        length: float,
-        mass: float = 1.0,
-        free: bool = True,
-        placement: Any = None,
-        color: Any = None,
-    ) -> BodyHandle:
-        """Add a solid capsule along z: radius, length without the caps [m]. The rest as in add_sphere."""
-        return self._add_shape(name, shapes.capsule(name, radius, length, mass), free, placement, color)
-
-    def add_cylinder(
-        self,
-        name: str,
-        radius: float,
-        length: float,
-        mass: float = 1.0,
-        free: bool = True,
-        placement: Any = None,
-        color: Any = None,
-    ) -> BodyHandle:
-        """Add a solid cylinder along z: radius, length [m]. The rest as in add_sphere."""
-        return self._add_shape(name, shapes.cylinder(name, radius, length, mass), free, placement, color)
-
-    def add_halfspace(
-        self, normal: ArrayLike = (0.0, 0.0, 1.0), offset: float = 0.0, name: str = "ground", color: Any = None
-    ) -> BodyHandle:
-        """Add the solid halfspace n . x <= offset [m], fixed to the world; n is the normal made a unit vector."""
-        shape = shapes.halfspace(normal, offset, name)
-        return self._add(shape_part(name, shape, None, pin.SE3.Identity(), color), BodyHandle)
 
     # --- contacts and joints ------------------------------------------------------------------------------------------
 
@@ -302,6 +256,23 @@ class Scene:
             self._contact.disable([a], [b])
         self._built = None
         return found
+
+    def place_on_ground(self, part: Selector, q: ArrayLike | None = None, ground: Selector | None = None) -> np.ndarray:
+        """Return a configuration (nq,) with a part on the ground: its base moved along the normal of a halfspace.
+
+        Its lowest point then touches the halfspace to rounding; its base is not turned, and all else stays where it is.
+        `scene.q0 = scene.place_on_ground(robot)` makes it the start of runs.
+
+        Args:
+            part: with a free base; of a part with several, a joint of what is to be moved.
+            q: configuration, shape (nq,); None: the scene's q0, else neutral.
+            ground: the halfspace, fixed to the world, by name or handle; None: the only one that it has pairs with.
+
+        Raises:
+            InputError: the part has no free base; there is no such halfspace, or several.
+        """
+        at = self._state(self.q0 if q is None else q)
+        return place_on_ground(self.built(), self._parts.assembly.root_of_joint, self.names, part, at, ground)
 
     def enable_pair(self, a: Selector, b: Selector) -> None:
         """Put all pairs between a and b into the collision pairs, also those that the default choice leaves out."""
@@ -448,16 +419,26 @@ class Scene:
         return self._add_element(kinds.EqualityConstraint(self._name("equality", name), first, second, coefficients))
 
     def prescribe(self, joint: Selector, motion: Any, name: str | None = None) -> str:
-        """Let a joint with one degree of freedom follow a motion exactly, whatever force it takes; return the name.
+        """Let a joint, or a body, follow a motion exactly, whatever force it takes; return the name.
 
         Args:
-            motion: [rad or m], one of: a number; (times, values), through which a spline with continuous acceleration
-                goes (the run must lie within its times); a function t -> value, (value, rate) or (value, rate,
-                acceleration), of which the missing ones are found by differences; a spline of scipy.interpolate.
+            joint: with one degree of freedom; or a body, a free joint or a part with a free base, whose body
+                then follows a pose (6 constraints). Its joint stays, and q, v and contacts are as without the motion.
+            motion: of a joint [rad or m], one of: a number; (times, values), through which a spline with continuous
+                acceleration goes (the run must lie within its times); a function t -> value, (value, rate) or (value,
+                rate, acceleration), of which the missing ones are found by differences; a spline of scipy.interpolate.
+                Of a body, its frame in the world: a placement (as in add_urdf, or (xyz, quaternion xyzw)); (times,
+                poses), through which smooth curves of positions and rotations go; a function t -> pose, or (pose,
+                velocity) with velocity (linear, angular) in world axes (contactvi.elements.pose_signals).
+
+        `Trajectory.reactions(name)` is the force or torque of the motion; of a body the wrench on it (6,): force [N],
+        then torque about its origin [N m], in the axes that it has.
         """
-        driven = self.names.select_joint(joint)
-        one_dof(self._parts.assembly.model, driven, "A motion", "Use add_weld or add_distance for free bodies")
-        return self._add_element(kinds.PrescribedJoint(self._name("prescribe", name), driven, motion))
+        driven = driven_by(self._parts.assembly.model, self.names, joint)
+        if driven.body is not None:
+            return self._add_element(kinds.PrescribedPose(self._name("prescribe", name), driven.body, motion))
+        assert driven.joint is not None
+        return self._add_element(kinds.PrescribedJoint(self._name("prescribe", name), driven.joint, motion))
 
     def add_spring(
         self,
@@ -829,13 +810,6 @@ class Scene:
         handle = self._parts.add(part, kind)
         self._built = None
         return handle
-
-    def _add_shape(
-        self, name: str, body: tuple[coal.CollisionGeometry, pin.Inertia], free: bool, placement: Any, color: Any
-    ) -> BodyHandle:
-        shape, inertia = body
-        where, moves = pose("placement", placement), flag("free", free)
-        return self._add(shape_part(name, shape, inertia if moves else None, where, color), BodyHandle)
 
     def _name(self, kind: str, name: str | None) -> str:
         return self._elements.new_name(kind, name)

@@ -2,11 +2,13 @@
 
     [scene]                 gravity = [0, 0, -9.81]                 title, description: for the reader
     [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true,
-                            friction = false, mimic = true, armature = number | { joint = number }
+                            friction = false, mimic = true, armature = number | { joint = number },
+                            self_collision = true
     [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true, actuators = true,
-                            restitution = 0 | "solref"
+                            restitution = 0 | "solref", self_collision = true
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
+    [[mesh]]                name, path, mass | density, scale, decompose = false | true | number, ...
     [[halfspace]]           normal, offset, name, color
     [contact]               restitution, friction (defaults), disable = [["a", "b"]], enable = [["a", "b"]]
     [[contact.body]]        name, restitution, friction             of one body, part or geometry
@@ -16,7 +18,7 @@
     [[point]], [[distance]] a, b, point_a, point_b, name; [[distance]] also length
     [[weld]], [[screw]]     a, b, name; [[weld]] xyz, rpy; [[screw]] pitch, frame_a, frame_b = { xyz, rpy }
     [[equality]]            joint, other, coefficients = [c0, c1, ...], name
-    [[prescribe]]           joint, motion, name
+    [[prescribe]]           joint (or a free body), motion, name
     [[spring]]              a, b, point_a, point_b, stiffness, rest_length, damping, tension_only, name
     [[tape_spring]]         points = [["body", [x, y, z]], ...], and the rest of [[spring]]
     [[wrench]]              body, force, torque, point, axes = "world" | "body", name
@@ -33,8 +35,8 @@ SI units and radians; rpy is roll-pitch-yaw as in URDF, a quaternion is (x, y, z
 Relative paths are relative to the file; `example-robot-data://robots/...` and `package://...` are understood. Parts are
 added in the order of the list above, then file order. Without [initial] the scene starts at rest in its neutral pose;
 springs_at_rest starts every joint that has a spring where the spring rests. Motions, lengths and targets are numbers or
-{ times = [...], values = [...] }; the elements are those of Scene.add_point and its siblings. Where entries set
-one thing twice the later one counts. An unknown key is an error.
+{ times = [...], values = [...] }, of a body 7 numbers or { times, poses }; the elements are those of Scene.add_point
+and its siblings. Where entries set one thing twice the later one counts. An unknown key is an error.
 """
 
 from __future__ import annotations
@@ -50,6 +52,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
+from contactvi.importing.part import Part
 from contactvi.importing.paths import resolve_path, unreadable
 from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.inputs import flag, listed, mapping, pose, unit_quaternion, vector
@@ -83,12 +86,25 @@ _PLACE = ("xyz", "rpy")
 _BODY = ("name", "mass", "free", "color", *_PLACE)
 KEYS: dict[str, tuple[str, ...]] = {
     "scene": ("title", "description", "gravity"),
-    "urdf": ("path", "base", "package_dirs", "srdf", "prefix", "limits", "friction", "mimic", "armature", *_PLACE),
-    "mjcf": ("path", "prefix", "limits", "friction", "equality", "actuators", "restitution", *_PLACE),
+    "urdf": (
+        "path",
+        "base",
+        "package_dirs",
+        "srdf",
+        "prefix",
+        "limits",
+        "friction",
+        "mimic",
+        "armature",
+        "self_collision",
+        *_PLACE,
+    ),
+    "mjcf": ("path", "prefix", "limits", "friction", "equality", "actuators", "restitution", "self_collision", *_PLACE),
     "sphere": ("radius", *_BODY),
     "box": ("size", *_BODY),
     "capsule": ("radius", "length", *_BODY),
     "cylinder": ("radius", "length", *_BODY),
+    "mesh": ("path", "density", "scale", "decompose", *_BODY),
     "halfspace": ("normal", "offset", "name", "color"),
     "contact": ("restitution", "friction", "disable", "enable", "body", "pair"),
     "contact.body": ("name", "restitution", "friction"),
@@ -102,7 +118,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "initial.body": ("name", "quaternion", "velocity", "angular_velocity", *_PLACE),
     "run": tuple(f.name for f in fields(Options)),
 }
-LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "halfspace", "joint", *ELEMENTS)
+LISTS = ("urdf", "mjcf", "sphere", "box", "capsule", "cylinder", "mesh", "halfspace", "joint", *ELEMENTS)
 NEEDED = {
     "urdf": ("path",),
     "mjcf": ("path",),
@@ -110,6 +126,7 @@ NEEDED = {
     "box": ("name", "size"),
     "capsule": ("name", "radius", "length"),
     "cylinder": ("name", "radius", "length"),
+    "mesh": ("name", "path"),
     "joint": ("name",),
     "contact.body": ("name",),
     "contact.pair": ("a", "b"),
@@ -278,17 +295,25 @@ def _add(scene: Scene, section: str, entry: dict[str, Any], file: Path) -> None:
             mimic=entry.get("mimic", True),
             armature=entry.get("armature"),
         )
-        scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
+        _add_model(scene, part, entry)
     elif section == "mjcf":
         options = {key: entry[key] for key in ("prefix", "equality", "actuators", "restitution") if key in entry}
         opened = open_mjcf(entry["path"], folder)
         part = import_mjcf(opened, placement=placement, gravity=scene.gravity, **options)
-        scene.add_model(part, entry.get("limits", True), entry.get("friction", False))
+        _add_model(scene, part, entry)
     elif section == "halfspace":
         scene.add_halfspace(**entry)
     else:
         entry.pop("xyz", None), entry.pop("rpy", None)
+        if section == "mesh":
+            entry["mesh"] = resolve_path(entry.pop("path"), folder)
         getattr(scene, f"add_{section}")(**entry, placement=placement)
+
+
+def _add_model(scene: Scene, part: Part, entry: Mapping[str, Any]) -> None:
+    scene.add_model(
+        part, entry.get("limits", True), entry.get("friction", False), entry.get("self_collision", True)
+    )  # fmt: skip
 
 
 def _add_element(scene: Scene, section: str, entry: Mapping[str, Any]) -> None:

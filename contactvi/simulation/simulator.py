@@ -21,6 +21,7 @@ from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.engine import Progress
+from contactvi.simulation.present_dynamics import PresentDynamics
 from contactvi.simulation.run import Run, Snapshot, not_picklable
 from contactvi.status import Status
 from contactvi.trajectory.compiled import checked_scene, compile_scene
@@ -29,6 +30,7 @@ from contactvi.trajectory.trajectory import Trajectory
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+    from contactvi.scene.build import Built
     from contactvi.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -54,7 +56,7 @@ def _checked(settings: tuple[tuple[str, type, Any], ...]) -> Options:
     return Options.from_dict({name: value for name, _, value in settings})
 
 
-class Simulator:
+class Simulator(PresentDynamics):
     """A scene stepped by the caller, for control loops::
 
         sim = Simulator(scene, dt=1e-3)
@@ -91,6 +93,10 @@ class Simulator:
     def scene(self) -> Scene:
         """The scene as it was when the simulator was made."""
         return self._scene.scene()
+
+    def built(self) -> Built:
+        """Return the complete scene. Treat it as constant."""
+        return self._scene.built
 
     def reset(self, q0: ArrayLike | None = None, v0: ArrayLike | None = None, t: float = 0.0) -> None:
         """Put the system to (q0, v0) at time t [s] and forget what was recorded; defaults as in `simulate`.

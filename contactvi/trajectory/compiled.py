@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.elements.elements import UserForce, UserPotential
+from contactvi.elements.elements import PrescribedPose, UserForce, UserPotential
 from contactvi.errors import (
     ConstraintError,
     DerivativeError,
     InputError,
+    NotDifferentiable,
     SceneError,
     UserFunctionError,
 )
@@ -109,7 +110,7 @@ class CompiledScene:
             "servos": bool(np.any(arrays.servo[:2])),
             "wrenches": bool(found.wrenches),
             "forces given in Python": bool(found.forces),
-            "driven constraints": any(row.signal is not None for row in found.constraints),
+            "driven constraints": any(row.driven for row in found.constraints),
         }
         return next((what for what, is_there in reasons.items() if is_there), None)
 
@@ -165,8 +166,15 @@ class CompiledScene:
 
         Raises:
             DerivativeError: a function of the user came without derivatives.
+            NotDifferentiable: a pose is prescribed.
         """
         for element in self._scene.elements:
+            if isinstance(element, PrescribedPose):
+                raise NotDifferentiable(
+                    "A run with a body whose pose is prescribed has no derivatives that are known", reason="constraint",
+                    expected="constraints whose gradients do not depend on time", got=element.name,
+                    remedy="Prescribe joints that move the body",
+                )  # fmt: skip
             given = element.derivatives if isinstance(element, UserForce) else True
             given = element.hessian if isinstance(element, UserPotential) else given
             if given is None:

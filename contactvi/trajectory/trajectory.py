@@ -256,7 +256,8 @@ class Trajectory:
         [N; N m], zero at the start: the force lambda with which J^T lambda acts on the momentum. Of a point in world
         axes on body b; of a weld force, then torque, on b at its origin, in the axes that `placement` has on a; of a
         distance the push along the line, negative for a pull; of a screw the forces along x and y, the moments about y
-        and -x and the force along z on b, in the axes of frame_a; of a prescribed or following joint what acts on it.
+        and -x and the force along z on b, in the axes of frame_a; of a prescribed or following joint what acts on it;
+        of a body with a prescribed pose force, then torque on it at its origin, in its axes.
 
         Raises:
             InputError: for an unknown name.

@@ -202,6 +202,13 @@ std::tuple<VecX, Rows, Rows> linear_forces(const Scene& s, const VecX& q, const 
   return {forces.f, Rows(forces.f_q), Rows(forces.f_v)};
 }
 
+VecX passive_forces_at(const Scene& s, const VecX& q, const VecX& v, double t) {
+  need_state(s.tree, q, v);
+  VecX f = passive_forces(s.tree, q, v, t);
+  UserErrors::raise();
+  return f;
+}
+
 // The contact of a guard at q, or that of a contact point of the pair with a known feature, ready to be differentiated.
 struct Touch {
   Touch(const Scene& scene, const VecX& q, int guard, std::int64_t feature) : guards(scene), tangent(scene) {
@@ -287,6 +294,8 @@ void expose_derivatives(nb::module_& m) {
         "each, fastest of several blocks; for benchmarks.");
   m.def("linear_forces", &linear_forces, "scene"_a, "q"_a, "v"_a, "target"_a = nb::none(), "t"_a = 0.0,
         "Forces of springs, dampers, servos and elements and their derivatives: (f (nv,), f_q, f_v (nv, nv)).");
+  m.def("passive_forces", &passive_forces_at, "scene"_a, "q"_a, "v"_a, "t"_a = 0.0,
+        "Forces of springs, dampers and elements, (nv,); without servos, gravity, contacts and constraints.");
   m.def("gap_hessian", &gap_hessian, "scene"_a, "q"_a, "guard"_a, "feature"_a = 0,
         "(gap, W (nv,), dW (nv, nv)) of a guard, or of the contact point of a pair with that feature, in engine "
         "coordinates: column k of dW is the derivative of W = d(gap)/dq along the k-th tangent vector.");

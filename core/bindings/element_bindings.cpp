@@ -17,6 +17,7 @@
 #include "bindings/user_calls.hpp"
 #include "model/constraints.hpp"
 #include "model/coordinates.hpp"
+#include "model/moving_frame.hpp"
 #include "model/scene.hpp"
 
 namespace nb = nanobind;
@@ -276,6 +277,26 @@ void add_constraint(Scene& s, ConstraintKind kind, int joint_a, const std::optio
   e.constraints.push_back(std::move(c));
 }
 
+using PoseFunction = nb::typed<nb::callable, std::tuple<Vec3, Mat3, Vec3, Vec3>(double)>;
+
+void add_prescribed_pose(Scene& s, int joint, const Mat3& R, const Vec3& p, const PoseFunction& pose,
+                         const std::string& name) {
+  Elements& e = s.tree.elements;
+  MovingFrame moving{[call = keep(s, pose)](double t) -> FrameMotion {
+    const Vec3 nan = Vec3::Constant(kNaN);
+    return guarded(call, FrameMotion{nan, Mat3::Constant(kNaN), nan, nan}, [&] {
+      const nb::object value = call(t);
+      return FrameMotion{nb::cast<Vec3>(value[0]), nb::cast<Mat3>(value[1]), nb::cast<Vec3>(value[2]),
+                         nb::cast<Vec3>(value[3])};
+    });
+  }};
+  Constraint c{
+      ConstraintKind::kWeld, {}, frame(s.tree, joint, R, p), -1, -1, {}, std::move(moving), e.constraint_rows, 0, name};
+  c.rows = constraint_rows(c.kind);
+  e.constraint_rows += c.rows;
+  e.constraints.push_back(std::move(c));
+}
+
 // phi (m,), W (nv, m) in engine coordinates and rate (m,) of all constraints.
 struct Evaluated {
   VecX phi, rate;
@@ -327,6 +348,8 @@ void expose_elements(nb::class_<Scene>& scene) {
       .def("add_constraint", &add_constraint, "kind"_a, "joint_a"_a, "R_a"_a.none(), "p_a"_a, "joint_b"_a,
            "R_b"_a.none(), "p_b"_a, "numbers"_a, "signal"_a = nb::none(), "name"_a = "",
            "Frames of two bodies or joints, numbers or their motion; see core/model/constraints.hpp.")
+      .def("add_prescribed_pose", &add_prescribed_pose, "joint"_a, "R"_a, "p"_a, "pose"_a, "name"_a,
+           "Let a frame of a body follow pose(t) -> (position, rotation, velocity, angular velocity), world frame.")
       .def("set_servo", &set_servo, "kp"_a, "kd"_a, "effort"_a,
            "Gains and largest torque of the servos of joints with one degree of freedom, (nv,) each.")
       .def("set_actuator_limits", &set_actuator_limits, "effort"_a, "velocity"_a,

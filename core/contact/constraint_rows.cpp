@@ -4,6 +4,7 @@
 
 #include "contact/contact_step.hpp"
 #include "model/constraints.hpp"
+#include "model/moving_frame.hpp"
 
 namespace contactvi {
 
@@ -123,15 +124,21 @@ bool ContactStep::constraints_met(double h, bool rates) {
   return violated_constraint_ < 0;
 }
 
-// The constraint whose prescribed motion jumps, so that its joint has moved otherwise than the rates tell; -1: none.
+// The constraint whose prescribed motion jumps, so that its joint or body has moved otherwise than the rates tell; -1:
+// none.
 int ContactStep::find_prescribed_jump(double h) const {
+  const auto jumps = [&](int first, int count) {
+    const VecX rate0 = -node0_.rate.segment(first, count), rate1 = -node1_.rate.segment(first, count);
+    const VecX moved = node1_.W.middleCols(first, count).transpose() * v_;
+    const double most = kJump * (rate0.norm() + rate1.norm()) + kJumpRounding * (1.0 + 1.0 / h);
+    return (moved - 0.5 * (rate0 + rate1)).norm() > most;
+  };
   const std::vector<Constraint>& all = scene_->tree.elements.constraints;
   for (std::size_t i = 0; i < all.size(); ++i) {
-    if (all[i].kind != ConstraintKind::kPrescribed) continue;
-    const double rate0 = -node0_.rate[all[i].row], rate1 = -node1_.rate[all[i].row];
-    const double moved = v_[scene_->tree.joints[all[i].joint_b].iv];
-    const double most = kJump * (std::abs(rate0) + std::abs(rate1)) + kJumpRounding * (1.0 + 1.0 / h);
-    if (std::abs(moved - 0.5 * (rate0 + rate1)) > most) return static_cast<int>(i);
+    const int row = all[i].row;
+    const bool joint = all[i].kind == ConstraintKind::kPrescribed && jumps(row, 1);
+    const bool frame = moving_frame(all[i]) && (jumps(row, 3) || jumps(row + 3, 3));
+    if (joint || frame) return static_cast<int>(i);
   }
   return -1;
 }

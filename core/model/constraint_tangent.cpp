@@ -1,6 +1,8 @@
 #include "model/constraint_tangent.hpp"
 
+#include "base/refusal.hpp"
 #include "base/tolerances.hpp"
+#include "model/moving_frame.hpp"
 #include "model/point_jacobian.hpp"
 
 namespace contactvi {
@@ -110,7 +112,13 @@ ConstraintTangent::ConstraintTangent(const Tree& tree)
       phi_(tree.elements.constraint_rows),
       rate_(tree.elements.constraint_rows),
       acceleration_(tree.elements.constraint_rows),
-      W_(tree.nv, tree.elements.constraint_rows) {}
+      W_(tree.nv, tree.elements.constraint_rows) {
+  for (const Constraint& c : tree.elements.constraints)
+    if (moving_frame(c))
+      throw Refusal("'" + c.name + "' has no derivatives that are known",
+                    "constraints whose gradients do not depend on time", "the prescribed pose of a body",
+                    "Prescribe the joints that move the body");
+}
 
 void ConstraintTangent::take(const VecCRef& q, double t) {
   q_ = q;

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "base/tolerances.hpp"
+#include "model/moving_frame.hpp"
 #include "model/point_jacobian.hpp"
 
 namespace contactvi {
@@ -54,19 +55,24 @@ void distance(const Constraint& c, double t, const Vec3& x_a, const Vec3& x_b, R
   ++rows.row;
 }
 
-void weld(const Constraint& c, const Mat3& R_a, const Vec3& x_a, const Mat3& R_b, const Vec3& x_b, Rows& rows) {
+// motion: of the frame of a, where that moves in the world; else null.
+void weld(const Constraint& c, const FrameMotion* motion, const Mat3& R_a, const Vec3& x_a, const Mat3& R_b,
+          const Vec3& x_b, Rows& rows) {
   // The residual is in a's axes, which turn: its rate is the relative velocity of a's point that is now at x_b.
   for (int k = 0; k < 3; ++k, ++rows.row) {
     rows.phi[rows.row] = R_a.col(k).dot(x_b - x_a);
     rows.point(c, x_b, R_a.col(k));
+    if (motion) rows.rate[rows.row] = -R_a.col(k).dot(motion->v_W + motion->omega_W.cross(x_b - x_a));
   }
   Quat turn(Mat3(R_a.transpose() * R_b));
   if (turn.w() < 0.0) turn.coeffs() = -turn.coeffs();
   // d(2 vec)/dt = (w - vec x) omega, with the angular velocity omega of b relative to a in a's axes.
   const Mat3 B = turn.w() * Mat3::Identity() - skew(turn.vec());
   for (int k = 0; k < 3; ++k, ++rows.row) {
+    const Vec3 n = R_a * B.row(k).transpose();
     rows.phi[rows.row] = 2.0 * turn.vec()[k];
-    rows.turn(c, R_a * B.row(k).transpose());
+    rows.turn(c, n);
+    if (motion) rows.rate[rows.row] = -n.dot(motion->omega_W);
   }
 }
 
@@ -153,7 +159,14 @@ void evaluate_constraints(const Tree& tree, const Placements& at, const VecCRef&
       distance(c, t, x_a, x_b, rows);
     } else {
       const Mat3 R_a = world_axes(at, c.a.body, c.a.R_B), R_b = world_axes(at, c.b.body, c.b.R_B);
-      (c.kind == ConstraintKind::kWeld ? weld : screw)(c, R_a, x_a, R_b, x_b, rows);
+      if (const MovingFrame* frame = moving_frame(c)) {
+        const FrameMotion motion = frame->at(t);
+        weld(c, &motion, motion.R_W, motion.p_W, R_b, x_b, rows);
+      } else if (c.kind == ConstraintKind::kWeld) {
+        weld(c, nullptr, R_a, x_a, R_b, x_b, rows);
+      } else {
+        screw(c, R_a, x_a, R_b, x_b, rows);
+      }
     }
   }
 }

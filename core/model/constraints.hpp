@@ -2,7 +2,7 @@
 //
 //   kPoint       x_b - x_a, world axes                                                     3 rows
 //   kDistance    |x_b - x_a| - l                                                           1
-//   kWeld        R_a^T (x_b - x_a); 2 vec of the quaternion of R_a^T R_b (w >= 0)          6
+//   kWeld        R_a^T (x_b - x_a); 2 vec of the quaternion of R_a^T R_b (w >= 0)          6 (moving_frame.hpp, too)
 //   kScrew       d_x, d_y; x_a.z_b, y_a.z_b; d_z - offset - pitch theta, d = R_a^T (x_b - x_a), theta the turn of b
 //                about z_a, with the whole turns that d_z amounts to (pitch 0: a hinge)      5
 //   kEquality    q_b - sum_k c_k q_a^k                                                     1

@@ -106,6 +106,16 @@ double StepLinearizer::lost_velocity() {
   return std::isfinite(lost) ? lost : std::numeric_limits<double>::infinity();
 }
 
+VecX passive_forces(const Tree& tree, const VecX& q, const VecX& v, double t) {
+  VecX w = v, f = VecX::Zero(tree.nv), size = VecX::Zero(tree.nv), dV = VecX::Zero(tree.nv);
+  public_to_engine(tree, q, w);
+  ForceField(tree).add(t, q, w, f, size);
+  add_spring_forces(tree, q, dV);
+  f -= dV + tree.damping.cwiseProduct(w);
+  engine_to_public(tree, q, f);
+  return f;
+}
+
 LinearForces linearize_forces(const Tree& tree, const VecX& q, const VecX& v, const StepInputs& inputs) {
   const int n = tree.nv;
   VecX w = v;

@@ -70,6 +70,9 @@ class StepLinearizer {
   LinearStep result_;
 };
 
+// Forces of springs, dampers and elements, without servos and gravity, at q, v and t [s], in public coordinates, (nv,).
+VecX passive_forces(const Tree& tree, const VecX& q, const VecX& v, double t);
+
 // Forces of springs, dampers, servos and elements at a state, without gravity, in public coordinates.
 struct LinearForces {
   VecX f;         // (nv,)

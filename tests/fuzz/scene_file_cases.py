@@ -57,6 +57,7 @@ def scene(d: Draws) -> dict[str, Any]:
             "srdf": "arm.srdf",
             "friction": True,
             "mimic": True,
+            "self_collision": False,
             "armature": d.pick((0.01, {"elbow": 0.1})),
         },
     )

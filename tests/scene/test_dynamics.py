@@ -1,0 +1,227 @@
+"""The equations of motion of a scene at a state, against Pinocchio and differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import contactvi as cvi
+from helpers.chains import JOINTS, chain, state_of
+from helpers.laws import mass_matrix, retract
+from helpers.run_scenes import HAND_URDF
+
+STEP = 1e-5  # [m, rad] of central differences: their error is O(STEP^2), that of rounding 1e-16 / STEP
+
+
+def hand_with_ball() -> tuple[cvi.Scene, np.ndarray, np.ndarray]:
+    """The Allegro hand with springs, armature and damping, on a free base, and a ball on the ground that touches."""
+    scene = cvi.Scene()
+    scene.add_urdf(HAND_URDF, base="free", placement=((0, 0, 0.5), (0.3, -1.2, 0.4)), armature=1e-3)
+    scene.add_halfspace((0.1, -0.2, 1.0), 0.02)
+    scene.add_sphere("ball", 0.03, mass=0.2, placement=(0.3, 0.2, 0.2))
+    scene.add_box("box", size=(0.1, 0.2, 0.05), mass=0.7, placement=((-0.4, 0.1, 0.3), (0.1, 0.2, 0.3)))
+    scene.set_joint("joint_*", stiffness=2.0, rest=0.3, damping=0.05)
+    scene.set_joint("ball", damping=(0.3, 0.01))
+    rng = np.random.default_rng(3)
+    q = scene.configuration({f"joint_{k}.0": rng.uniform(0.3, 0.45) for k in range(16)})
+    return scene, q, rng.standard_normal(scene.nv)
+
+
+@pytest.mark.parametrize("kind", list(JOINTS))
+def test_mass_matrix_and_bias_forces_are_pinocchios(kind):
+    scene, rng = chain(JOINTS[kind])
+    model, (q, v, _) = scene.model, state_of(scene, rng)
+    M = scene.mass_matrix(q)
+    scale = np.abs(M).max()
+    np.testing.assert_allclose(M, mass_matrix(model, q), atol=1e-13 * scale)
+    np.testing.assert_array_equal(M, M.T)
+    b = pin.nle(model, model.createData(), q, v)
+    np.testing.assert_allclose(scene.bias_forces(q, v), b, atol=1e-12 * np.abs(b).max())
+
+
+def test_armature_is_in_the_mass_matrix_and_springs_and_dampers_in_the_passive_forces():
+    scene, q, v = hand_with_ball()
+    twin = scene.copy()
+    twin.set_joint("joint_*", armature=0.0, stiffness=0.0, damping=0.0)
+    driven = [scene.v_index(name).start for name in scene.model.names if name.startswith("joint_")]
+    armature = np.zeros((scene.nv, scene.nv))
+    armature[driven, driven] = 1e-3
+    np.testing.assert_allclose(scene.mass_matrix(q) - twin.mass_matrix(q), armature, atol=1e-15)
+    np.testing.assert_array_equal(scene.bias_forces(q, v), twin.bias_forces(q, v))
+    expected = np.zeros(scene.nv)
+    for k in driven:
+        expected[k] = -2.0 * (q[k + 1] - 0.3) - 0.05 * v[k]
+    ball = scene.v_index("ball")
+    expected[ball] = -np.repeat([0.3, 0.01], 3) * v[ball]
+    np.testing.assert_allclose(scene.passive_forces(q, v), expected, atol=1e-15 * np.abs(expected).max())
+
+
+def test_the_equations_of_motion_give_the_acceleration():
+    scene, q, v = hand_with_ball()
+    scene.add_spring("world", "box", 30.0, rest_length=0.1, damping=0.4, point_b=(0.05, 0.0, 0.0))
+    scene.add_wrench("ball", force=lambda t: (np.sin(t), 0.2, 0.0), torque=(0.0, 0.0, 0.01))
+    nv = scene.nv
+    scene.add_force(lambda t, q, v: -0.1 * v * np.abs(v), lambda t, q, v: (np.zeros((nv, nv)), -0.2 * np.diag(abs(v))))
+    tau = np.random.default_rng(4).standard_normal(nv)
+    a = cvi.forward_dynamics_derivatives(scene, q, v, tau, t=0.7).a
+    left = scene.mass_matrix(q) @ a + scene.bias_forces(q, v)
+    right = tau + scene.passive_forces(q, v, 0.7)
+    np.testing.assert_allclose(left, right, atol=1e-12 * np.abs(left).max())
+
+
+def test_servos_are_no_passive_forces():
+    scene, q, v = hand_with_ball()
+    before = scene.passive_forces(q, v)
+    scene.set_servo("joint_*", kp=5.0, kd=0.1, target=0.0)
+    np.testing.assert_array_equal(scene.passive_forces(q, v), before)
+
+
+def test_gap_gradients_are_the_derivatives_of_the_gaps():
+    scene, q, _ = hand_with_ball()
+    assert len(scene.gap_names) == len(scene.gaps(q)) == len(scene.pair_names) + 2 * 16
+    core = np.asarray(scene.core().gaps(q)[0])
+    np.testing.assert_array_equal(scene.gaps(q)[: len(core)], core)
+    differences = np.array([
+        (scene.gaps(retract(scene.model, q, STEP * unit)) - scene.gaps(retract(scene.model, q, -STEP * unit)))
+        / (2.0 * STEP)
+        for unit in np.eye(scene.nv)
+    ]).T  # fmt: skip
+    W = scene.gap_gradients(q)
+    # Differences of coal's distances have 1e-15 / STEP of noise.
+    np.testing.assert_allclose(W, differences, atol=1e-8)
+
+
+def test_gaps_of_limits_by_name():
+    scene, q, _ = hand_with_ball()
+    gap, model = dict(zip(scene.gap_names, scene.gaps(q), strict=True)), scene.model
+    at = scene.q_index("joint_3.0").start
+    assert gap["joint_3.0", "lower limit"] == q[at] - model.lowerPositionLimit[at]
+    assert gap["joint_3.0", "upper limit"] == model.upperPositionLimit[at] - q[at]
+    scene.set_joint("joint_3.0", limits=False)
+    assert ("joint_3.0", "lower limit") not in scene.gap_names
+
+
+def box_on_box(turn: float = 0.0) -> tuple[cvi.Scene, np.ndarray]:
+    """A box on another one on tilted ground, touching to rounding, and where they are."""
+    scene = cvi.Scene()
+    scene.add_halfspace((0.3, 0.1, 1.0), 0.4)
+    place = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array([0.3, 0.1, 1.0])).matrix(),
+                    np.zeros(3))  # fmt: skip
+    place.translation = place.rotation @ np.array([0.1, 0.2, 0.4 + 0.05])
+    above = place * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, turn), np.array([0.02, 0.01, 0.1]))
+    scene.add_box("low", size=(0.3, 0.3, 0.1), mass=2.0, placement=place)
+    scene.add_box("high", size=(0.1, 0.1, 0.1), mass=1.0, placement=above)
+    scene.set_contact(restitution=0.0, friction=0.6)
+    return scene, scene.neutral()
+
+
+def test_contact_jacobian_is_the_velocity_of_material_points():
+    """The points of both bodies at a contact point, moved along v, part with J_C v in the axes of the frame."""
+    scene, q = box_on_box(0.3)
+    model, J = scene.model, scene.contact_jacobian(q)
+    assert [c.pair for c in J.contacts].count(("ground", "low")) == 4
+    assert [c.pair for c in J.contacts].count(("low", "high")) == 4
+    joint = {"ground": 0, "low": model.getJointId("low"), "high": model.getJointId("high")}
+    v = np.random.default_rng(1).standard_normal(scene.nv)
+
+    def place(name: str, at: np.ndarray) -> pin.SE3:
+        data = model.createData()
+        pin.forwardKinematics(model, data, at)
+        return data.oMi[joint[name]].copy()
+
+    for k, contact in enumerate(J.contacts):
+        parts = []
+        for name in contact.pair:
+            local = place(name, q).actInv(contact.position)
+            ends = [place(name, pin.integrate(model, q, s * STEP * v)).act(local) for s in (1.0, -1.0)]
+            parts.append((ends[0] - ends[1]) / (2.0 * STEP))
+        expected = contact.rotation.T @ (parts[1] - parts[0])
+        np.testing.assert_allclose(J.matrix[3 * k : 3 * k + 3] @ v, expected, atol=1e-9)
+        np.testing.assert_allclose(contact.rotation.T @ contact.rotation, np.eye(3), atol=1e-15)
+        assert np.linalg.det(contact.rotation) > 0.0
+        assert contact.friction == 0.6
+        assert abs(contact.gap) < 1e-12
+
+
+def test_normal_rows_are_gradients_of_the_gaps():
+    scene, q, _ = hand_with_ball()
+    J, gradient = (
+        scene.contact_jacobian(q, margin=0.02),
+        dict(zip(scene.gap_names, scene.gap_gradients(q), strict=True)),
+    )
+    gap = dict(zip(scene.gap_names, scene.gaps(q), strict=True))
+    assert len(J.contacts) > 5
+    single = [k for k, c in enumerate(J.contacts) if abs(c.gap - gap[c.pair]) < 1e-13]
+    assert len({J.contacts[k].pair for k in single}) == len({c.pair for c in J.contacts})  # the nearest point of each
+    for k in single:
+        np.testing.assert_allclose(J.matrix[3 * k + 2], gradient[J.contacts[k].pair], atol=1e-9)
+
+
+def test_delassus_is_of_pinocchios_mass_matrix():
+    scene, q = box_on_box(0.3)
+    J = np.asarray(scene.contact_jacobian(q))
+    expected = J @ np.linalg.solve(mass_matrix(scene.model, q), J.T)
+    np.testing.assert_allclose(scene.delassus(q), expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_rows_are_named():
+    scene, q = box_on_box()
+    J = scene.contact_jacobian(q)
+    row = J.rows[4]
+    assert (row.pair, row.point, row.axis) == (J.contacts[1].pair, J.contacts[1].point, "y")
+    block = J.of("high", "low", J.rows[-1].point)
+    np.testing.assert_array_equal(block, J.matrix[-3:])
+    assert J.of("low", "high").shape == (12, scene.nv)
+    with pytest.raises(cvi.InputError, match="No contact of these two"):
+        J.of("ground", "high")
+    with pytest.raises(cvi.InputError, match="No such point"):
+        J.of("low", "high", 123456789)
+
+
+def test_without_contacts_there_are_no_rows():
+    scene, q = box_on_box()
+    q[2] += 0.5
+    q[9] += 1.0
+    assert scene.contact_jacobian(q).matrix.shape == (0, scene.nv)
+    assert scene.delassus(q).shape == (0, 0)
+
+
+def test_the_axes_on_horizontal_ground_are_the_worlds():
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, placement=(1.0, 2.0, 0.1))
+    (contact,) = scene.contact_jacobian(scene.neutral()).contacts
+    np.testing.assert_allclose(contact.rotation, np.eye(3), atol=1e-15)
+
+
+def test_constraints_by_name():
+    scene = cvi.Scene()
+    scene.add_urdf("models/four_bar.urdf", limits=False)
+    scene.add_point("world", "rocker", (1, 0, 0), (0.7, 0, 0), name="loop")
+    scene.prescribe("hinge_crank", lambda t: 5 * t, name="motor")
+    q = scene.assemble(scene.configuration({"hinge_coupler": 0.5, "hinge_rocker": -2.3}))
+    J = scene.constraint_jacobian(q)
+    np.testing.assert_array_equal(scene.constraint_jacobian(q, name="loop"), J[:3])
+    np.testing.assert_array_equal(scene.constraint_jacobian(q, name="motor"), J[3:])
+    np.testing.assert_array_equal(J[3:], [[1.0, 0.0, 0.0]])
+    core = scene.core()
+    differences = np.array([
+        (np.asarray(core.constraint_residual(q + STEP * u)) - np.asarray(core.constraint_residual(q - STEP * u)))
+        / (2.0 * STEP) for u in np.eye(3)
+    ]).T  # fmt: skip
+    np.testing.assert_allclose(J, differences, atol=1e-9)
+    with pytest.raises(cvi.InputError, match="Unknown constraint"):
+        scene.constraint_jacobian(q, name="lop")
+
+
+def test_bad_states_are_refused():
+    scene, q = box_on_box()
+    with pytest.raises(cvi.InputError, match="wrong shape"):
+        scene.mass_matrix(q[:-1])
+    with pytest.raises(cvi.InputError, match="not a rotation"):
+        scene.gaps(2.0 * q)
+    with pytest.raises(cvi.InputError, match="wrong shape"):
+        scene.bias_forces(q, [1.0])
+    with pytest.raises(cvi.InputError, match="margin"):
+        scene.contact_jacobian(q, margin=float("nan"))
