@@ -40,7 +40,7 @@ from contactvi.scene.parts import Handle, PartList
 from contactvi.scene.placing import place_on_ground
 from contactvi.scene.report import scene_report
 from contactvi.scene.scene_shapes import SceneShapes
-from contactvi.scene.selection import BodyHandle, Names, PartHandle, Selector
+from contactvi.scene.selection import Names, PartHandle, Selector
 from contactvi.scene.shown import scene_html
 from contactvi.states import States
 
