@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from contactvi.errors import InputError, missing_package
 from contactvi.files import checked_path, write_atomic
+from contactvi.inputs import listed
 from contactvi.records.table import Table
 from contactvi.scene.coordinates import coordinates
 from contactvi.trajectory import tables
@@ -51,9 +52,9 @@ class Exports:
             InputError: unknown body.
         """
         name = self.scene.names.select_body(body)
-        times, q = (self.t, self.q) if t is None else (np.atleast_1d(np.asarray(t, dtype=float)), self.at(t).q)
-        position, quaternion = body_poses(self.scene.model, np.atleast_2d(q), [name])
-        return Poses(times, position[:, 0], quaternion[:, 0])
+        state = self if t is None else self.at(t)
+        position, quaternion = body_poses(self.scene.model, np.atleast_2d(state.q), [name])
+        return Poses(np.atleast_1d(state.t), position[:, 0], quaternion[:, 0])
 
     def table(self: _Run, name: str = "states") -> Table:
         """Return a table of the run, one of contactvi.trajectory.tables: named columns with units, without pandas.
@@ -101,15 +102,16 @@ class Exports:
         return write_csv(self, folder, names)
 
 
-def write_csv(traj: Run, folder: str | os.PathLike[str], tables: Sequence[str] | None = None) -> list[Path]:
+def write_csv(traj: Run, folder: str | os.PathLike[str], names: Sequence[str] | None = None) -> list[Path]:
     """Write tables of a run as NAME.csv, by default those with rows, and their units as units.csv; return the paths.
 
     Raises:
         InputError: unknown table, or a folder that cannot be made.
     """
+    chosen = TABLES if names is None else listed("names", names, "names of tables")
+    wanted = [table(traj, name) for name in chosen]
+    wanted = [found for found in wanted if len(found) or names is not None]
     folder = made_folder(folder)
-    wanted = [table(traj, name) for name in (TABLES if tables is None else tables)]
-    wanted = [found for found in wanted if len(found) or tables is not None]
     written = [write_atomic(folder / f"{found.name}.csv", found.write_csv) for found in wanted]
     return [*written, write_atomic(folder / "units.csv", lambda file: _write_units(file, wanted))]
 
