@@ -99,6 +99,16 @@ RUN: dict[str, tuple[Callable[[cvi.Trajectory], object], str]] = {
     "arrows": (lambda t: t.to_html("a.html", forces=np.eye(2)), "forces"),
     "plot": (lambda t: cvi.plot(3), "traj"),
     "plot_forces": (lambda t: cvi.plot_forces(3), "traj"),
+    "plot_forces by": (lambda t: cvi.plot_forces(t, by=np.eye(2)), "by"),
+    "plot_states": (lambda t: cvi.plot_states(3), "traj"),
+    "poses": (lambda t: t.poses(np.eye(2)), "body"),
+    "poses of a number": (lambda t: t.poses(3), "body"),
+    "poses at": (lambda t: t.poses("ball", "x"), "t"),
+    "table": (lambda t: t.table(np.eye(2)), "table"),
+    "to_pandas": (lambda t: t.to_pandas(None), "table"),
+    "to_csv": (lambda t: t.to_csv(3), "folder"),
+    "to_csv a table": (lambda t: t.to_csv("tables", "states"), "names"),
+    "to_csv tables": (lambda t: t.to_csv("tables", [3]), "table"),
 }
 
 

@@ -7,32 +7,111 @@ import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from contactvi.errors import InputError, missing_package
 from contactvi.files import checked_path, write_atomic
+from contactvi.inputs import listed
 from contactvi.records.table import Table
 from contactvi.scene.coordinates import coordinates
-from contactvi.trajectory.poses import body_poses, moving_bodies
+from contactvi.trajectory import tables
+from contactvi.trajectory.polynomials import State
+from contactvi.trajectory.poses import Poses, body_poses, moving_bodies
 from contactvi.trajectory.tables import QUATERNION, TABLES, Run, table
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
 
 _ROWS_OF = {"events": "event", "contacts": "contact", "changes": "change", "dense_steps": "dense_step"}
 
 
-def write_csv(traj: Run, folder: str | os.PathLike[str], tables: Sequence[str] | None = None) -> list[Path]:
+class _Run(Run, Protocol):
+    """What the exports need; contactvi.Trajectory has it."""
+
+    def at(self, t: ArrayLike) -> State: ...
+
+
+class Exports:
+    """The part of contactvi.Trajectory that gives it to other packages."""
+
+    def poses(self: _Run, body: Any, t: ArrayLike | None = None) -> Poses:
+        """Return where a body is at the nodes: t (n,) [s], position (n, 3) [m], quaternion (n, 4), x y z w (`Poses`).
+
+        Position and quaternion are those of the frame of the body, in the world; every body that moves is in
+        `to_pandas("poses")` and in `to_xarray`.
+
+        Args:
+            body: name of a body, or the handle of a part with one body.
+            t: times instead of the nodes [s], (n,) or one; the states there are those of `at`, with its errors.
+
+        Raises:
+            InputError: unknown body.
+        """
+        name = self.scene.names.select_body(body)
+        state = self if t is None else self.at(t)
+        position, quaternion = body_poses(self.scene.model, np.atleast_2d(state.q), [name])
+        return Poses(np.atleast_1d(state.t), position[:, 0], quaternion[:, 0])
+
+    def table(self: _Run, name: str = "states") -> Table:
+        """Return a table of the run, one of contactvi.trajectory.tables: named columns with units, without pandas.
+
+        Raises:
+            InputError: for an unknown name.
+        """
+        return tables.table(self, name)
+
+    def to_pandas(self: _Run, table: str = "states") -> pandas.DataFrame:
+        """Return a table of the run as a DataFrame, needs `pip install "contactvi[pandas]"`.
+
+        Args:
+            table: "states", "poses", "energies", with the time as index; "events", "contacts", "changes" or
+                "dense_steps", with the time as column t (contactvi.trajectory.tables). `attrs["units"]` has the units.
+
+        Raises:
+            InputError: unknown table. ContactviError: pandas is not installed.
+        """
+        return tables.table(self, table).to_pandas("t" if table in tables.OF_NODES else None)
+
+    def to_xarray(self: _Run) -> xarray.Dataset:
+        """Return the run as an xarray.Dataset, needs `pip install "contactvi[xarray]"`.
+
+        Variables over the time t: q (t, coordinate), v (t, dof), position (t, body, axis) [m] and quaternion (t, body,
+        component) of every moving body, and the columns of the table "energies". Those of the tables "events",
+        "contacts", "changes" and "dense_steps" are event_NAME (event), contact_NAME (contact), ..., where the run has
+        some. `attrs["units"]` of each has its unit; q_unit and v_unit are those of the coordinates and dofs.
+
+        Raises:
+            ContactviError: xarray is not installed.
+        """
+        return to_xarray(self)
+
+    def to_csv(self: _Run, folder: str | os.PathLike[str], names: Sequence[str] | None = None) -> list[Path]:
+        """Write tables of the run as folder/NAME.csv, and their units as folder/units.csv; return the paths.
+
+        Args:
+            folder: is made where there is none.
+            names: of the tables (contactvi.trajectory.tables), by default all that have rows.
+
+        Raises:
+            InputError: unknown table, or a folder or file that cannot be written.
+        """
+        return write_csv(self, folder, names)
+
+
+def write_csv(traj: Run, folder: str | os.PathLike[str], names: Sequence[str] | None = None) -> list[Path]:
     """Write tables of a run as NAME.csv, by default those with rows, and their units as units.csv; return the paths.
 
     Raises:
         InputError: unknown table, or a folder that cannot be made.
     """
+    chosen = TABLES if names is None else listed("names", names, "names of tables")
+    wanted = [table(traj, name) for name in chosen]
+    wanted = [found for found in wanted if len(found) or names is not None]
     folder = made_folder(folder)
-    wanted = [table(traj, name) for name in (TABLES if tables is None else tables)]
-    wanted = [found for found in wanted if len(found) or tables is not None]
     written = [write_atomic(folder / f"{found.name}.csv", found.write_csv) for found in wanted]
     return [*written, write_atomic(folder / "units.csv", lambda file: _write_units(file, wanted))]
 

@@ -19,22 +19,17 @@ from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, emp
 from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 from contactvi.records.events import EventLog
 from contactvi.records.inputs import RunInputs
-from contactvi.records.table import Table
 from contactvi.records.work import ConstraintRows, Forces, Work
 from contactvi.status import Stats, Status
-from contactvi.trajectory import tables
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.contact_ledger import ContactLedger
+from contactvi.trajectory.exports import Exports
 from contactvi.trajectory.ledger import Ledger, LedgerInputs
 from contactvi.trajectory.polynomials import Segments, State, frame_times
-from contactvi.trajectory.poses import Poses, body_poses
 from contactvi.trajectory.shown import run_html
 from contactvi.trajectory.stepping import stepping_of
 
 if TYPE_CHECKING:
-    import pandas
-    import xarray
-
     from contactvi import _core
     from contactvi.playback.visuals import Visual
     from contactvi.scene.scene import Scene
@@ -46,7 +41,7 @@ _MAX_GAP_SAMPLES = 2000
 
 
 @renamed_arguments(arcs="adaptive_steps")
-class Trajectory:
+class Trajectory(Exports):
     """A run: t (N,), q (N, nq), p (N, nv) at the recorded nodes, and what follows from them.
 
     q is Pinocchio's configuration, p = M(q) v the momentum of Pinocchio's tangent velocity v. v, energy and
@@ -436,73 +431,6 @@ class Trajectory:
         from contactvi.trajectory.storage import load
 
         return cls(**load(path))
-
-    def poses(self, body: Any, t: ArrayLike | None = None) -> Poses:
-        """Return where a body is at the nodes: t (n,) [s], position (n, 3) [m], quaternion (n, 4), x y z w (`Poses`).
-
-        Position and quaternion are those of the frame of the body, in the world; every body that moves is in
-        `to_pandas("poses")` and in `to_xarray`.
-
-        Args:
-            body: name of a body, or the handle of a part with one body.
-            t: times instead of the nodes [s], (n,) or one; the states there are those of `at`, with its errors.
-
-        Raises:
-            InputError: unknown body.
-        """
-        name = self.scene.names.select_body(body)
-        times, q = (self.t, self.q) if t is None else (np.atleast_1d(np.asarray(t, dtype=float)), self.at(t).q)
-        position, quaternion = body_poses(self.scene.model, np.atleast_2d(q), [name])
-        return Poses(times, position[:, 0], quaternion[:, 0])
-
-    def table(self, name: str = "states") -> Table:
-        """Return a table of the run, one of contactvi.trajectory.tables: named columns with units, without pandas.
-
-        Raises:
-            InputError: for an unknown name.
-        """
-        return tables.table(self, name)
-
-    def to_pandas(self, table: str = "states") -> pandas.DataFrame:
-        """Return a table of the run as a DataFrame, needs `pip install "contactvi[pandas]"`.
-
-        Args:
-            table: "states", "poses", "energies", with the time as index; "events", "contacts", "changes" or
-                "dense_steps", with the time as column t (contactvi.trajectory.tables). `attrs["units"]` has the units.
-
-        Raises:
-            InputError: unknown table. ContactviError: pandas is not installed.
-        """
-        return tables.table(self, table).to_pandas("t" if table in tables.OF_NODES else None)
-
-    def to_xarray(self) -> xarray.Dataset:
-        """Return the run as an xarray.Dataset, needs `pip install "contactvi[xarray]"`.
-
-        Variables over the time t: q (t, coordinate), v (t, dof), position (t, body, axis) [m] and quaternion (t, body,
-        component) of every moving body, and the columns of the table "energies". Those of the tables "events",
-        "contacts", "changes" and "dense_steps" are event_NAME (event), contact_NAME (contact), ..., where the run has
-        some. `attrs["units"]` of each has its unit; q_unit and v_unit are those of the coordinates and dofs.
-
-        Raises:
-            ContactviError: xarray is not installed.
-        """
-        from contactvi.trajectory.exports import to_xarray
-
-        return to_xarray(self)
-
-    def to_csv(self, folder: str | os.PathLike[str], names: Sequence[str] | None = None) -> list[Path]:
-        """Write tables of the run as folder/NAME.csv, and their units as folder/units.csv; return the paths.
-
-        Args:
-            folder: is made where there is none.
-            names: of the tables (contactvi.trajectory.tables), by default all that have rows.
-
-        Raises:
-            InputError: unknown table, or a folder or file that cannot be written.
-        """
-        from contactvi.trajectory.exports import write_csv
-
-        return write_csv(self, folder, names)
 
     def to_html(self, path: str | os.PathLike[str], **options: Any) -> Path:
         """Write a self-contained page that plays the run (contactvi.playback.page.write_html); return its path."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import re
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
@@ -304,6 +305,16 @@ OF_A_RUN = (
     "traj.events.array(ARRAY)",
     "cvi.plot(ITEM)",
     "cvi.plot_forces(ITEM)",
+    "cvi.plot_states(traj)",
+    "traj.poses(BODY)",
+    "traj.poses(BODY, TIME)",
+    "traj.poses(ITEM)",
+    "traj.table(NAME)",
+    "traj.table('contacts').column('normal_force')",
+    "traj.to_csv(FILE, ITEM)",
+    "traj._repr_html_()",
+    "s._repr_html_()",
+    "copy.deepcopy(traj).energy",
     "traj.contact_changes.array(ARRAY)",
     "list(traj.contact_changes)",
     "cvi.Trajectory.load(FILE)",
@@ -388,6 +399,7 @@ def prelude() -> dict[str, Any]:
         "cvi": cvi,
         "np": np,
         "pin": pin,
+        "copy": copy,
     }
     return names | {"nan": float("nan"), "inf": float("inf"), "Fraction": Fraction, "Path": Path}
 
