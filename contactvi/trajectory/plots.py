@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
-from contactvi.records.codes import GuardKind
+from contactvi.records.codes import Change, GuardKind
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 _ENERGY, _MODIFIED, _CORRECTED, _IMPACT, _LIMIT = "#1f5fa8", "#e08a00", "#2f9e83", "#c8371b", "#7a5ab5"
 _DISCRETE = "#7d6608"
 _CHANGE = {"slip": "#c77ca3", "stick": "#56b4e9", "release": "#8c8f94", "begin": "#8c8f94"}
-_MAX_MARKS = 400  # impacts drawn as lines
+_MAX_MARKS = 400  # impacts, or changes of one kind, drawn as lines
 _MAX_PAIRS = 6  # gaps drawn
 _FEW_NODES = 200
 
@@ -128,10 +129,27 @@ def _pair_force(traj: Trajectory, pair: tuple[str, str]) -> tuple[np.ndarray, np
 
 
 def _mark_changes(axis: Axes, traj: Trajectory, named: bool) -> None:
+    times, kinds = traj.contact_changes.array("time"), traj.contact_changes.array("change")
     for kind, color in _CHANGE.items():
-        chosen = [change.time for change in traj.contact_changes if change.change == kind][:_MAX_MARKS]
-        for k, time in enumerate(chosen):
-            axis.axvline(time, color=color, lw=0.7, alpha=0.6, zorder=0, label=kind if named and k == 0 else None)
+        _mark(axis, times[kinds == Change[kind.upper()]], color, 0.6, kind if named else None)
+
+
+def _mark(axis: Axes, times: np.ndarray, color: str, alpha: float, label: str | None) -> None:
+    """Draw a line over the whole height at each time, at _MAX_MARKS of them where there are more.
+
+    The lines are one artist: a legend looks for its place at every one.
+    """
+    if not len(times):
+        return
+    times = np.unique(times)
+    if len(times) > _MAX_MARKS:
+        times = times[np.linspace(0, len(times) - 1, _MAX_MARKS).astype(int)]
+    lines = np.stack([np.column_stack([times, np.full(len(times), end)]) for end in (0.0, 1.0)], axis=1)
+    marks = LineCollection(
+        list(lines), colors=color, linewidths=0.7, alpha=alpha, zorder=0, label=label or "_nolegend_",
+        transform=axis.get_xaxis_transform(),
+    )  # fmt: skip
+    axis.add_collection(marks, autolim=False)
 
 
 def _draw_energy(axis: Axes, traj: Trajectory) -> None:
@@ -202,12 +220,7 @@ def _with_jumps(traj: Trajectory) -> tuple[np.ndarray, np.ndarray]:
 def _mark_impacts(axis: Axes, traj: Trajectory, named: bool) -> None:
     times, kinds = traj.events.array("time"), traj.events.array("kind")
     for kind, color in ((GuardKind.CONTACT, _IMPACT), (GuardKind.LIMIT, _LIMIT)):
-        chosen: Any = np.unique(times[kinds == kind])
-        if len(chosen) > _MAX_MARKS:
-            chosen = chosen[np.linspace(0, len(chosen) - 1, _MAX_MARKS).astype(int)]
-        name = ("impact", "joint limit")[kind]
-        for k, time in enumerate(chosen):
-            axis.axvline(time, color=color, lw=0.7, alpha=0.45, zorder=0, label=name if named and k == 0 else None)
+        _mark(axis, times[kinds == kind], color, 0.45, ("impact", "joint limit")[kind] if named else None)
 
 
 def _legend(axis: Axes) -> None:
