@@ -24,11 +24,14 @@ from contactvi.gym.hand import HandBallEnv
 from contactvi.gym.quadruped import QuadrupedStandEnv
 from contactvi.gym.vector import ThreadedVectorEnv, make_vec
 
-for _name, _env in {"HandBall-v0": HandBallEnv, "QuadrupedStand-v0": QuadrupedStandEnv}.items():
+for _name, _env, _several in (
+    ("HandBall-v0", "hand:HandBallEnv", "vector:hand_balls"),
+    ("QuadrupedStand-v0", "quadruped:QuadrupedStandEnv", "vector:standing_quadrupeds"),
+):
     gymnasium.register(
         f"contactvi/{_name}",
-        entry_point=f"{_env.__module__}:{_env.__name__}",
-        vector_entry_point=ThreadedVectorEnv.of(_env),
+        entry_point=f"contactvi.gym.{_env}",
+        vector_entry_point=f"contactvi.gym.{_several}",
     )
 
 __all__ = ["HandBallEnv", "QuadrupedStandEnv", "SceneEnv", "ThreadedVectorEnv", "make_vec"]

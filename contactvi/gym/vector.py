@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from contactvi.errors import InputError, did_you_mean
 from contactvi.gym.environment import Observation, SceneEnv
+from contactvi.gym.hand import HandBallEnv
+from contactvi.gym.quadruped import QuadrupedStandEnv
 from contactvi.inputs import count, short
 from contactvi.threads import Workers
 
@@ -66,17 +68,6 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
         self._pool = ThreadPoolExecutor(self._workers) if self._workers > 1 else None
         self._ended: Flags = np.ones(self.num_envs, dtype=bool)  # waits for a reset
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
-
-    @classmethod
-    def of(cls, env: Callable[..., SceneEnv]) -> Callable[..., ThreadedVectorEnv]:
-        """Return what gymnasium.make_vec calls for environments of a class."""
-
-        def make(
-            num_envs: int = 1, workers: int | None = None, autoreset_mode: Any = AutoresetMode.NEXT_STEP, **kwargs: Any
-        ) -> ThreadedVectorEnv:
-            return cls(lambda: env(**kwargs), num_envs, workers=workers, autoreset_mode=autoreset_mode)
-
-        return make
 
     def reset(
         self,
@@ -191,6 +182,26 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
                 got=short(mask), remedy="Give terminated | truncated of the last step",
             )  # fmt: skip
         return values
+
+
+def hand_balls(num_envs: int = 1, **options: Any) -> ThreadedVectorEnv:
+    """Return HandBallEnv in threads; options of it and of ThreadedVectorEnv."""
+    return _in_threads(HandBallEnv, num_envs, **options)
+
+
+def standing_quadrupeds(num_envs: int = 1, **options: Any) -> ThreadedVectorEnv:
+    """Return QuadrupedStandEnv in threads; options of it and of ThreadedVectorEnv."""
+    return _in_threads(QuadrupedStandEnv, num_envs, **options)
+
+
+def _in_threads(
+    env: Callable[..., SceneEnv],
+    num_envs: int,
+    workers: int | None = None,
+    autoreset_mode: Any = AutoresetMode.NEXT_STEP,
+    **options: Any,
+) -> ThreadedVectorEnv:
+    return ThreadedVectorEnv(lambda: env(**options), num_envs, workers=workers, autoreset_mode=autoreset_mode)
 
 
 def make_vec(name: str, num_envs: int, *, workers: int | None = None, **kwargs: Any) -> ThreadedVectorEnv:

@@ -9,6 +9,7 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 import contactvi as cvi
@@ -52,6 +53,13 @@ def test_a_name_with_its_module_needs_no_import():
     code = "import gymnasium; print(gymnasium.make('contactvi.gym:contactvi/HandBall-v0').action_space)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert "Box(-1.0, 1.0, (19,), float32)" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_gymnasium_knows_of_it_can_be_stored(name):
+    spec = EnvSpec.from_json(gymnasium.make(name, duration=1.0).spec.to_json())
+    assert gymnasium.make(spec).unwrapped._frames == 50
+    assert isinstance(gymnasium.make_vec(spec, 2), contactvi.gym.ThreadedVectorEnv)
 
 
 @pytest.mark.parametrize("name", NAMES)
