@@ -207,6 +207,9 @@ class Scene:
     def gaps(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
         """(gap (npairs,), normal, point_a, point_b (npairs, 3)), world frame."""
 
+    def gaps_along(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], pairs: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
+        """Gaps of some pairs (k,) at configurations (n, nq), shape (n, k) [m]."""
+
     def gap_gradients(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
         """d(gap)/dq of all guards, pairs then limits, (nguards, nv)."""
 

@@ -292,7 +292,7 @@ def nearest(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str | Non
 
 def did_you_mean(word: str, choices: Iterable[str]) -> str:
     """Return a remedy sentence: the nearest choice if there is one, else the first few choices."""
-    names = [str(choice) for choice in choices]
+    names = list(dict.fromkeys(map(str, choices)))
     near = nearest(word, names)
     if near is not None:
         return f"Did you mean {near!r}?"

@@ -83,6 +83,7 @@ SCENE: dict[str, tuple[Callable[[cvi.Scene], object], str]] = {
     "place of words": (lambda s: s.copy().add_sphere("a", 0.1, placement=["a"] * 7), "placement"),
     "more digits than Python writes": (lambda s: cvi.Options(10**5000), "dt"),
     "order of many digits": (lambda s: cvi.Options(1e-3, order=10**5000), "order"),
+    "name of an element": (lambda s: s.copy().add_spring("ball", "world", 1.0, name="\ud800"), "name"),
     "body of many digits": (lambda s: s.copy().add_spring("ball", 10**5000, 1.0), "b"),
 }
 RUN: dict[str, tuple[Callable[[cvi.Trajectory], object], str]] = {

@@ -41,6 +41,10 @@ def test_paths_and_names_exist(page):
     for path, names in NAMED.findall(page.read_text()):
         if is_pattern(path):
             continue
+        if re.search(r"-v\d+$", path):  # no path: an environment of Gymnasium
+            known = (ROOT / "contactvi" / "gym" / "__init__.py").read_text()
+            missing += [path] * (f'"{path.removeprefix("contactvi/")}"' not in known)
+            continue
         file = ROOT / path
         if not file.exists():
             missing.append(path)

@@ -124,6 +124,17 @@ def test_guide_code_of_the_first_run_runs(tmp_path):
     assert (tmp_path / "run.html").stat().st_size > 0
 
 
+def test_guide_code_of_environments_runs(tmp_path):
+    run_marked("environments", tmp_path)
+    assert (tmp_path / "episode.html").stat().st_size > 0
+
+
+def test_guide_code_of_an_environment_of_ones_own_runs(tmp_path):
+    """The servo reaches what is wanted, but for what gravity bends it, m g l / 2 / kp at most, and two digits."""
+    reached, _, wanted, _ = run_marked("own-environment", tmp_path)[0].split()
+    assert abs(float(reached) - float(wanted)) <= 2.0 * 9.81 * 0.5 / 50.0 + 0.01
+
+
 def test_guide_code_of_the_ledger_runs(tmp_path):
     """It prints the three jumps that the guide gives."""
     energy, discrete, modified = (abs(float(x)) for x in run_marked("ledger", tmp_path)[0].split())

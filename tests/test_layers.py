@@ -46,6 +46,7 @@ PYTHON_FOLDERS: Folders = {
     ),  # contactvi/__init__.py, which names what is public
     "control": ("derivatives", "batch"),
     "crocoddyl": ("control",),
+    "gym": ("simulation",),
     "adapters": ("control",),
 }
 # Modules beside the folders that connect contactvi to another package; nothing else uses them.

@@ -6,32 +6,42 @@ run ended early, with its files written where it has some; 4 the run has no deri
 
 from __future__ import annotations
 
-import time
 import warnings
 import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
-import numpy as np
 import typer
-from rich.console import Console
 from rich.markup import escape
 
+from contactvi.commands.console import (
+    ENDED_EARLY,
+    FAILED,
+    NO_DERIVATIVE,
+    WRONG_INPUT,
+    err,
+    make_folder,
+    out,
+    print_error,
+)
 from contactvi.commands.export import export
-from contactvi.errors import ContactviError, InputError, NotDifferentiable, SceneError, SimulationError, did_you_mean
+from contactvi.commands.output import Phases, print_summary, run_title, write_files
+from contactvi.errors import ContactviError, NotDifferentiable, SceneError, SimulationError
 from contactvi.interrupts import held_back
 from contactvi.status import StatusCode
 from contactvi.tables import name_table, print_table
 from contactvi.version import version
 
-if TYPE_CHECKING:
-    from contactvi.scene.scene import Scene
-    from contactvi.trajectory.trajectory import Trajectory
-
-FAILED, WRONG_INPUT, ENDED_EARLY, NO_DERIVATIVE = 1, 2, 3, 4
-_MODEL_ENDINGS = (".urdf", ".xml", ".mjcf", ".toml")
-_out = Console(highlight=False, soft_wrap=True)
-_err = Console(stderr=True, highlight=False, soft_wrap=True)
+PackageDir = Annotated[
+    list[str] | None, typer.Option("--package-dir", help="Folder in which package:// is looked for; repeatable.")
+]
+Base = Annotated[
+    str | None, typer.Option(help="Base of a URDF: fixed or free; by default what its SRDF says, else fixed.")
+]
+Srdf = Annotated[str | None, typer.Option(help="SRDF of a URDF: its disabled collisions and group states.")]
+Configuration = Annotated[
+    str | None, typer.Option(help="Start of a model: the name of a keyframe of the MJCF or of a state of the SRDF.")
+]
 
 
 class _Commands(typer.core.TyperGroup):
@@ -57,7 +67,7 @@ app = typer.Typer(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        _out.print(f"contactvi {version()}")
+        out.print(f"contactvi {version()}")
         raise typer.Exit()
 
 
@@ -72,10 +82,13 @@ def main(
 
 @app.command()
 def run(
-    scene_file: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.", show_default=False)],
+    scene_file: Annotated[
+        str,
+        typer.Argument(metavar="FILE", help="Scene file (.toml), or a model: URDF, MJCF (.xml).", show_default=False),
+    ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder for the results, by default the name of the scene."),
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for the results, by default the name of the file."),
     ] = None,
     dt: Annotated[
         str | None,
@@ -117,32 +130,54 @@ def run(
         bool,
         typer.Option("--plot/--no-plot", help="Write energy.png, and forces.png where there was persistent contact."),
     ] = True,
+    base: Base = None,
+    configuration: Configuration = None,
+    height: Annotated[
+        float | None, typer.Option(help="Height in metres from which a model with a free base is dropped, 0.05.")
+    ] = None,
+    package_dir: PackageDir = None,
+    srdf: Srdf = None,
+    save_scene: Annotated[
+        Path | None, typer.Option(metavar="SCENE.toml", help="Write the scene file that says what a run assumes.")
+    ] = None,
 ) -> None:
-    """Run a scene file; write trajectory.npz, playback.html, energy.png, and forces.png of persistent contact."""
-    import contactvi as cvi
-    from contactvi.progress import RunProgress
-    from contactvi.simulation.simulation import settings_of
+    """Run a scene or a model; write trajectory.npz, playback.html, energy.png, and forces.png of persistent contact.
 
-    scene = cvi.load_scene(scene_file)
+    A model with a free base is dropped on a plane; one with a fixed base is held, and its joints move limp.
+    """
+    phases = Phases()
+    with phases.of("imports"):
+        import contactvi as cvi
+        from contactvi.commands.models import scene_to_run
+        from contactvi.progress import RunProgress
+        from contactvi.simulation.simulation import settings_of
+
+    title = Path(scene_file).stem
     chosen: dict[str, Any] = {
         "dt": _step(dt), "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order,
         "tol": tol, "record_every": record_every, "sample_dt": sample_dt,
         "dt_contact": dt_contact, "zeno": zeno, "support": support, "contact_mode": contact_mode,
     }  # fmt: skip
-    settings = settings_of(scene, chosen)
-    folder = output if output is not None else Path(scene_file.stem)
-    _make_folder(folder)  # before the run: a long one must not fail when its files are written
+    given = {
+        "base": base, "configuration": configuration, "height": height, "package_dirs": package_dir, "srdf": srdf,
+    }  # fmt: skip
+    with phases.of("build"):
+        scene = scene_to_run(scene_file, given, save_scene, chosen)
+        settings = settings_of(scene, chosen)
+        scene.core()
+    folder = output if output is not None else Path(title)
+    make_folder(folder)  # before the run: a long one must not fail when its files are written
     with held_back() as ctrl_c:  # what was computed is written
         try:
-            with RunProgress(settings.span, _err) as bar, warnings.catch_warnings():
+            with RunProgress(settings.span, err) as bar, warnings.catch_warnings():
                 for reported in (cvi.AccuracyWarning, cvi.DenseStepWarning):  # by the summary
                     warnings.simplefilter("ignore", reported)
-                traj = cvi.simulate(scene, progress=bar, **chosen)
+                with phases.of("run"):
+                    traj = cvi.simulate(scene, progress=bar, **chosen)
         except SimulationError as error:
             traj = error.trajectory
-        started = time.perf_counter()
-        written = _write(traj, folder, scene_file.stem, fps if html else None, plot)
-        _print_summary(traj, written, time.perf_counter() - started)
+        written = write_files(traj, folder, title, fps if html else None, plot, phases)
+        print_summary(traj, written, phases)
     if traj.status.ok:
         ctrl_c.check()
     if not traj.status.ok:
@@ -170,20 +205,20 @@ def bench(
 
     scene = cvi.load_scene(scene_file)
     folder = output if output is not None else Path(f"{scene_file.stem}-bench")
-    _make_folder(folder)
-    with JobProgress(_err, time_left=False) as bar:
+    make_folder(folder)
+    with JobProgress(err, time_left=False) as bar:
         chosen = [int(order) if order.strip().isdigit() else 0 for order in orders.split(",")]
         result = measure(scene, budget=budget, orders=chosen, progress=bar, dt=dt, duration=duration, tol=tol)
-    _out.print(bench_report.heading(result) + "\n", markup=False)
-    print_table(_out, bench_report.table(result))
+    out.print(bench_report.heading(result) + "\n", markup=False)
+    print_table(out, bench_report.table(result))
     for line in ["", *bench_report.notes(result)]:
-        _out.print(line, markup=False)
+        out.print(line, markup=False)
     written = [
         bench_report.save_csv(result, folder / "bench.csv"),
         bench_report.save_plot(result, folder / "bench.png", scene_file.stem),
     ]
     print_table(
-        _out, name_table([("advice", bench_report.advice(result)), *(("written", str(path)) for path in written)])
+        out, name_table([("advice", bench_report.advice(result)), *(("written", str(path)) for path in written)])
     )
 
 
@@ -202,12 +237,12 @@ def reproduce(
     from contactvi.reproduce.report import summary as verdicts
     from contactvi.reproduce.report import verdict
 
-    _make_folder(output)
-    with JobProgress(_err) as bar:
+    make_folder(output)
+    with JobProgress(err) as bar:
         result = reproduction.reproduce(output, quick=quick, progress=bar)
-    print_table(_out, name_table((row.key, verdict(row), row.measured) for row in result.rows))
-    _out.print(escape(verdicts(result.rows).replace("**", "")))
-    _out.print(f"Report: {escape(str(result.files[0]))}")
+    print_table(out, name_table((row.key, verdict(row), row.measured) for row in result.rows))
+    out.print(escape(verdicts(result.rows).replace("**", "")))
+    out.print(f"Report: {escape(str(result.files[0]))}")
 
 
 @app.command()
@@ -217,24 +252,31 @@ def verify(
         typer.Argument(metavar="[CASE]...", help="Names of cases, by default all.", show_default=False),
     ] = None,
     listed: Annotated[bool, typer.Option("--list", help="Print the names of the cases and stop.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the table as JSON.")] = False,
+    details: Annotated[
+        bool | None,
+        typer.Option("--details/--no-details", help="Print every number, by default of the cases that are named."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Measure the cases with known answers: expected, got, tolerance, verdict; exit code 1 unless all pass."""
+    """Measure the cases with known answers: verdict, expected, got, tolerance; exit code 1 unless all pass."""
     from contactvi.progress import JobProgress
+    from contactvi.verify import report
     from contactvi.verify import verify as verification
 
     wanted = verification.chosen(cases or [])
     if listed:
-        print_table(_out, verification.listing(wanted))
+        print_table(out, verification.listing(wanted))
         return
-    with JobProgress(_err, time_left=False) as bar:
+    with JobProgress(err, time_left=False) as bar:
         results = verification.verify(wanted, bar)
     if json:
-        _out.print(verification.as_json(results), markup=False)
+        out.print(report.as_json(results), markup=False)
     else:
-        print_table(_out, verification.table(results))
-        _out.print()
-    (_err if json else _out).print(verification.summary(results), markup=False)
+        for line in report.lines(results, bool(cases) if details is None else details):
+            out.print(line, markup=False, style="bold red" if line.lstrip().startswith(verification.FAILED) else None)
+        out.print()
+    for line in report.summary(results):
+        (err if json else out).print(line, markup=False)
     if not verification.passed(results):
         raise typer.Exit(FAILED)
 
@@ -253,10 +295,10 @@ def play(
     import contactvi as cvi
 
     traj = cvi.Trajectory.load(file)
-    page = traj.to_html(output or file.with_suffix(".html"), fps=fps, title=_title(file))
-    _out.print(f"Playback: {escape(str(page))}")
+    page = traj.to_html(output or file.with_suffix(".html"), fps=fps, title=run_title(file))
+    out.print(f"Playback: {escape(str(page))}")
     if browser and not webbrowser.open(page.resolve().as_uri(), new=2):
-        _out.print("No browser was found: open the page by hand.")
+        out.print("No browser was found: open the page by hand.")
 
 
 app.command()(export)
@@ -267,26 +309,31 @@ def check(
     model: Annotated[
         str,
         typer.Argument(
-            metavar="MODEL",
+            metavar="FILE",
             help="URDF, MJCF (.xml) or scene file (.toml); example-robot-data://robots/... works too.",
             show_default=False,
         ),
     ],
-    package_dir: Annotated[
-        list[str] | None, typer.Option("--package-dir", help="Folder in which package:// is looked for; repeatable.")
-    ] = None,
-    base: Annotated[str, typer.Option(help="Base of a URDF: fixed or free.")] = "fixed",
+    package_dir: PackageDir = None,
+    base: Base = None,
+    srdf: Srdf = None,
 ) -> None:
-    """Print which data of a model are used, changed, ignored or refused, and which look wrong."""
+    """Print which data of a model are used, changed, ignored or refused, and what `contactvi run` assumes of it."""
+    from contactvi.commands.models import choice_of, is_model, model_scene, print_assumed, read_scene
+
+    choice = choice_of({"base": base, "package_dirs": package_dir, "srdf": srdf})
     try:
-        scene = _read_model(model, package_dir or [], base)
+        scene = read_scene(model, choice)
     except SceneError as error:
         if error.report is not None:
             from contactvi.importing.report import ImportReport
 
-            _out.print(str(ImportReport([error.report])), markup=False)
+            out.print(str(ImportReport([error.report])), markup=False)
         raise
-    _out.print(str(scene.report), markup=False)
+    out.print(str(scene.report), markup=False)
+    if is_model(model) and scene.nv:
+        out.print()
+        print_assumed(model, model_scene(model, choice))
 
 
 @app.command()
@@ -318,7 +365,7 @@ def check_gradient(
         "dt": dt, "wrt": [name.strip() for name in wrt.split(",")],
     }  # fmt: skip
     try:
-        with JobProgress(_err) as bar:
+        with JobProgress(err) as bar:
             found = cvi.check_gradient(scene, columns=columns, seed=seed, on_kink=on_kink, progress=bar, **chosen)
     except SimulationError as error:
         if error.status is not None and error.status.code != StatusCode.INTERRUPTED:
@@ -326,39 +373,11 @@ def check_gradient(
             raise typer.Exit(ENDED_EARLY) from error
         raise
     for line in lines(found):
-        _out.print(line, markup=False)
-    print_table(_out, table(found))
-    _out.print(f"\n{found}", markup=False)
+        out.print(line, markup=False)
+    print_table(out, table(found))
+    out.print(f"\n{found}", markup=False)
     if not found.ok:
         raise typer.Exit(FAILED)
-
-
-def print_error(error: ContactviError) -> None:
-    """Print an error as what happened, expected, got, remedy."""
-    _err.print(f"[bold red]Error:[/] {escape(error.what)}")
-    for name in ("expected", "got", "remedy"):
-        _err.print(f"  [bold]{name + ':':<10}[/]{escape(str(getattr(error, name)))}")
-
-
-def _read_model(model: str, package_dirs: list[str], base: str) -> Scene:
-    import contactvi as cvi
-
-    ending = Path(model).suffix.lower()
-    if ending not in _MODEL_ENDINGS:
-        raise InputError(
-            f"{model!r} is not a model that can be checked",
-            name="model",
-            expected="a file ending in " + ", ".join(_MODEL_ENDINGS),
-            got=repr(ending) if ending else "no ending",
-            remedy=did_you_mean(ending, _MODEL_ENDINGS),
-        )
-    if ending == ".toml":
-        return cvi.load_scene(model)
-    if ending != ".urdf":
-        return cvi.Scene.from_mjcf(model)
-    scene = cvi.Scene()
-    scene.add_urdf(model, package_dirs=package_dirs, base=base)
-    return scene
 
 
 def _step(dt: str | None) -> float | str | None:
@@ -367,61 +386,6 @@ def _step(dt: str | None) -> float | str | None:
         return None if dt is None else float(dt)
     except ValueError:
         return dt
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"Cannot make the folder {folder}",
-            name="output",
-            expected="a folder that can be written",
-            got=error.strerror,
-            remedy="Choose another with -o",
-        ) from error
-
-
-def _write(traj: Trajectory, folder: Path, title: str, fps: float | None, plot: bool) -> list[Path]:
-    """Write the files of a run, the playback where it has a frame rate; return their paths."""
-    written = [traj.save(folder / "trajectory.npz")]
-    if fps is not None:
-        written.append(traj.to_html(folder / "playback.html", fps=fps, title=title))
-    if plot:
-        from contactvi.trajectory.plots import save_force_plot, save_plot
-
-        written.append(save_plot(traj, folder / "energy.png"))
-        if np.any(traj.contacts.h > 0.0):
-            written.append(save_force_plot(traj, folder / "forces.png"))
-    return written
-
-
-def _title(file: Path) -> str:
-    """Return a name for the playback: the file's, or its folder's where the file has the name every run has."""
-    parent = file.resolve().parent.name
-    return parent if file.stem == "trajectory" and parent else file.stem
-
-
-def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> None:
-    from contactvi.commands.summary import summary
-
-    lines = summary(traj)
-    for k, path in enumerate(written):
-        lines.append(("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)"))
-    lines.append(("", f"in {writing:.2g} s"))
-    print_table(_out, name_table(lines))
-    if traj.status.ok and traj.options.auto and not traj.error_estimate <= traj.options.tol:
-        _err.print(
-            f"[bold yellow]The accuracy asked for was not reached:[/] error of q about {traj.error_estimate:.2g}, "
-            f"tol = {traj.options.tol:.2g}"
-        )
-    if traj.options.contact_mode == "auto" and len(traj.dense_steps):
-        _err.print(
-            f"[bold yellow]Dense contact:[/] dense steps for {traj.dense_steps.span:.4g} s, in which impacts have "
-            f"no times; {traj.dense_steps.worst()}"
-        )
-    if not traj.status.ok:
-        _err.print(f"[bold yellow]The run ended early:[/] {escape(str(traj.status))}")
 
 
 if __name__ == "__main__":

@@ -101,6 +101,23 @@ def check_size(model: pin.Model, source: str) -> None:
         )
 
 
+def check_lengths(model: pin.Model, source: str) -> None:
+    """Raise SceneError for arrays of a model that do not belong to its joints: Python may replace them by any."""
+    of = {
+        "nq": ("lowerPositionLimit", "upperPositionLimit"),
+        "nv": ("damping", "armature", "rotorInertia", "rotorGearRatio"),
+        "njoints": ("names", "parents", "inertias", "jointPlacements", "idx_vs", "nvs"),
+    }
+    for size, name in ((size, name) for size, names in of.items() for name in names):
+        if len(getattr(model, name)) != getattr(model, size):
+            raise SceneError(
+                f"{source}: {name} of the model",
+                expected=f"{getattr(model, size)} entries ({size})",
+                got=f"{len(getattr(model, name))}",
+                remedy="Set its entries, not the array: model.armature[3] = 0.1",
+            )
+
+
 def check_joints(model: pin.Model, report: PartReport, source: str) -> None:
     """Raise for an unsupported joint (all are noted, the first is raised), a wrong order and duplicate names."""
     refused = [i for i in range(1, model.njoints) if joint_kind(model.joints[i]) is None]

@@ -23,6 +23,7 @@ from contactvi.files import checked_path
 from contactvi.importing.checks import (
     ONE_DOF,
     check_joints,
+    check_lengths,
     check_numbers,
     check_size,
     describe_model,
@@ -199,6 +200,7 @@ def import_pinocchio(
     visual = copy_geometry(visual_model) if visual_model is not None else collision
     report = PartReport(f"{title}: pin.Model, {model.njoints - 1} joints")
     with _reported(report):
+        check_lengths(model, title)
         for i in range(1, model.njoints):
             if np.any(model.rotorInertia[model.idx_vs[i] : model.idx_vs[i] + model.nvs[i]]):
                 text = "rotorInertia, rotorGearRatio: set_joint(rotor_inertia=, gear_ratio=) takes them"

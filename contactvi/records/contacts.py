@@ -167,8 +167,15 @@ class ContactLog(StepRows, Items[Contact]):
     @cached_property
     def pairs(self) -> list[tuple[str, str]]:
         """The pairs that touched (for a limit the joint and which one), in the engine's order."""
-        keys = np.unique(np.column_stack([self._arrays["kind"], self._arrays["index"]]), axis=0)
-        return [self.label(int(kind), int(index)) for kind, index in keys]
+        return list(self._guards[0])
+
+    @cached_property
+    def _guards(self) -> tuple[list[tuple[str, str]], NDArray[np.int64]]:
+        """The names of the guards that touched, in the engine's order, and the place of each row's among them (m,)."""
+        kind, index = self._arrays["kind"], self._arrays["index"]
+        size = 1 + int(index.max(initial=0))
+        keys, places = np.unique(kind * size + index, return_inverse=True)
+        return [self.label(int(key) // size, int(key) % size) for key in keys], places.reshape(-1)
 
     def at(self, t: float) -> list[Contact]:
         """Return the contacts that act at time t [s]: those of the step around it (the later of two), and impacts."""
@@ -248,9 +255,8 @@ class ContactLog(StepRows, Items[Contact]):
         return np.where(self._arrays["kind"] == GuardKind.CONTACT, of_pair[index], 0.0)
 
     def _of_pair(self, pair: tuple[str, str]) -> NDArray[np.bool_]:
-        keys = np.column_stack([self._arrays["kind"], self._arrays["index"]])
-        kept = [key for key in np.unique(keys, axis=0) if self.label(int(key[0]), int(key[1])) == pair]
-        return np.asarray(np.any([np.all(keys == key, axis=1) for key in kept], axis=0))
+        names, places = self._guards
+        return np.asarray(np.array([name == pair for name in names])[places])
 
     def rows(self, chosen: NDArray[Any]) -> ContactLog:
         """Return the contacts of these rows, given by their numbers or by a mask (m,)."""

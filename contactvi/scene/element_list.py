@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from contactvi.elements.elements import Element
 from contactvi.errors import InputError, did_you_mean
-from contactvi.inputs import short
+from contactvi.inputs import is_text, short
 
 
 class ElementList:
@@ -28,11 +28,11 @@ class ElementList:
         taken = {element.name for element in self.elements}
         if name is None:
             return next(f"{kind}_{k}" for k in range(1, len(taken) + 2) if f"{kind}_{k}" not in taken)
-        if not isinstance(name, str) or not name:
+        if not is_text(name):
             raise InputError(
                 "Name of an element",
                 name="name",
-                expected="a non-empty str",
+                expected="a non-empty str in UTF-8",
                 got=short(name),
                 remedy="Give name='...', or leave it out: it is then made from the kind and a number",
             )

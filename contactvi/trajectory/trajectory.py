@@ -293,9 +293,7 @@ class Trajectory(Exports):
             chosen = np.unique(np.linspace(0, len(t) - 1, min(len(t), _MAX_GAP_SAMPLES)).round().astype(int))
             values = np.zeros((len(chosen), len(index)))
             if len(index):
-                core = self._engine()
-                for row, k in enumerate(chosen):
-                    values[row] = core.gaps(q[k])[0][index]
+                values = self._engine().gaps_along(np.ascontiguousarray(q[chosen]), index.astype(np.int64))
             self._gaps = (t[chosen], [self.events.label(0, int(i)) for i in index], values)
         return self._gaps
 

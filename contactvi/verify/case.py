@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.errors import SimulationError
+from contactvi.errors import DenseStepWarning, SimulationError
 from contactvi.records.contacts import ContactChange
 from contactvi.reproduce.check import Check, same
 from contactvi.scene.scene import Scene
@@ -70,7 +71,9 @@ class Runs:
         Raises:
             SimulationError: where the case takes too long.
         """
-        traj = simulate(scene, q, v, duration, dt, throw=False, progress=self._in_time, **options)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DenseStepWarning)  # what such steps did is measured
+            traj = simulate(scene, q, v, duration, dt, throw=False, progress=self._in_time, **options)
         self.count += 1
         if traj.status.code == StatusCode.INTERRUPTED:
             raise KeyboardInterrupt

@@ -1,8 +1,7 @@
-"""`contactvi verify`: the cases with known answers, measured here, as one table with a verdict on every number."""
+"""`contactvi verify`: the cases with known answers, measured here, with a verdict on every number."""
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,13 +10,11 @@ from rich.table import Table
 
 from contactvi.errors import InputError, did_you_mean
 from contactvi.reproduce.check import Check
-from contactvi.tables import name_table, text_table
+from contactvi.tables import name_table
 from contactvi.verify import cases_contact, cases_forced, cases_impact, cases_loops, cases_several
 from contactvi.verify.case import LIMIT, Case, Runs
 
 PASSED, FAILED, NOT_APPLICABLE = "ok", "FAILED", "not applicable"
-COLUMNS = ("case", "what", "expected", "got", "tolerance", "verdict", "s", "reason of the tolerance")
-JSON_KEYS = ("what", "expected", "got", "tolerance", "reason", "ok")
 CASES: tuple[Case, ...] = (
     *cases_impact.CASES,
     *cases_several.CASES,
@@ -96,49 +93,7 @@ def passed(results: Sequence[Result]) -> bool:
     return FAILED not in verdicts and PASSED in verdicts
 
 
-def table(results: Sequence[Result]) -> Table:
-    """Return the table: a row per check, and one per case that is not applicable."""
-    rows = []
-    for result in results:
-        seconds = f"{result.seconds:.2f}"
-        if result.case.run is None:
-            rows.append([result.case.name, result.case.title, "", "", "", NOT_APPLICABLE, "", result.case.excuse])
-        for k, check in enumerate(result.checks):
-            verdict = PASSED if check.ok else FAILED
-            cells = [check.what, check.expected, check.got, check.tolerance, verdict]
-            rows.append([result.case.name, *cells, "" if k else seconds, check.reason])
-    return text_table(COLUMNS, rows, styles={PASSED: "green", FAILED: "bold red"})
-
-
-def summary(results: Sequence[Result]) -> str:
-    """Return one line: how many cases passed, which failed, which do not apply."""
-    names = {verdict: [r.case.name for r in results if r.verdict == verdict] for verdict in (FAILED, NOT_APPLICABLE)}
-    measured = len(results) - len(names[NOT_APPLICABLE])
-    checks = [check.ok is True for result in results for check in result.checks]
-    text = f"{measured - len(names[FAILED])} of {measured} cases passed, {sum(checks)} of {len(checks)} numbers"
-    text += f", in {sum(result.seconds for result in results):.1f} s"
-    for verdict, listed in names.items():
-        text += f"; {verdict}: {', '.join(listed)}" if listed else ""
-    return text
-
-
 def listing(cases: Sequence[Case] | None = None) -> Table:
     """Return a table with a row per case: its name and what it is."""
     wanted = CASES if cases is None else cases
     return name_table((case.name, case.title + (" (not applicable)" if case.excuse else "")) for case in wanted)
-
-
-def as_json(results: Sequence[Result]) -> str:
-    """Return everything as JSON: a list of cases with their checks."""
-    data = [
-        {
-            "case": result.case.name,
-            "title": result.case.title,
-            "verdict": result.verdict,
-            "reason": result.case.excuse,
-            "seconds": result.seconds,
-            "checks": [{name: getattr(check, name) for name in JSON_KEYS} for check in result.checks],
-        }
-        for result in results
-    ]
-    return json.dumps(data, indent=2)

@@ -220,6 +220,23 @@ auto gaps(const Scene& s, const VecX& q) {
   return std::make_tuple(gap, normal, a, b);
 }
 
+Array2 gaps_along(const Scene& s, const Rows& q, const IntVec& pairs) {
+  need(q.cols() == s.tree.nq, "expected shape (n, nq)");
+  const std::int64_t count = static_cast<std::int64_t>(s.pairs.size());
+  need(pairs.size() == 0 || (pairs.minCoeff() >= 0 && pairs.maxCoeff() < count), "expected indices of pairs");
+  Rows gap(q.rows(), pairs.size());
+  {
+    nb::gil_scoped_release release;
+    Guards guards(s);
+    Contact unused;
+    for (Eigen::Index k = 0; k < q.rows(); ++k) {
+      guards.place(q.row(k).transpose());
+      for (Eigen::Index i = 0; i < pairs.size(); ++i) gap(k, i) = guards.evaluate(static_cast<int>(pairs[i]), unused);
+    }
+  }
+  return hand_over(std::move(gap));
+}
+
 Rows gap_gradients(const Scene& s, const VecX& q) {
   need(q.size() == s.tree.nq, "expected shape (nq,)");
   Guards guards(s);
@@ -304,6 +321,8 @@ void expose_scene(nb::module_& m) {
           "One smooth step without contact: (q1, p1, stage velocities (s, nv) in engine coordinates, stage iterations, "
           "residual).")
       .def("gaps", &gaps, "q"_a, "(gap (npairs,), normal, point_a, point_b (npairs, 3)), world frame.")
+      .def("gaps_along", &gaps_along, "q"_a, "pairs"_a,
+           "Gaps of some pairs (k,) at configurations (n, nq), shape (n, k) [m].")
       .def("gap_gradients", &gap_gradients, "q"_a, "d(gap)/dq of all guards, pairs then limits, (nguards, nv).")
       .def("to_engine", &converted<public_to_engine>, "q"_a, "v"_a)
       .def("to_public", &converted<engine_to_public>, "q"_a, "v"_a)

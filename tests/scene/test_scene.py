@@ -129,6 +129,14 @@ class TestAssembly:
     def test_depth_first_orders_are_taken(self, parents):
         assert Scene.from_pinocchio(chain(parents)).nv == len(parents)
 
+    @pytest.mark.parametrize("name", ["lowerPositionLimit", "upperPositionLimit", "damping", "armature"])
+    def test_arrays_of_another_length_are_refused(self, name):
+        model = pin.buildSampleModelManipulator()
+        setattr(model, name, np.zeros(2))
+        with pytest.raises(SceneError, match=f"{name} of the model: expected {model.nv} entries") as caught:
+            Scene.from_pinocchio(model)
+        assert caught.value.remedy
+
     @pytest.mark.parametrize("kind", [pin.JointModelSphericalZYX, pin.JointModelUniversal, pin.JointModelEllipsoid])
     def test_unsupported_joints_are_refused_by_name(self, kind):
         with pytest.raises(UnsupportedJointError) as caught:

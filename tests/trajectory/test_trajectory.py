@@ -100,6 +100,19 @@ def test_gaps_of_the_pairs_that_touched(ball):
     np.testing.assert_array_equal(times, ball.t)
 
 
+def test_gaps_along_a_run_are_those_of_single_configurations():
+    """To the bit, in any order of pairs: a distance does not depend on those that were computed before it."""
+    scene, start = hand_scene()
+    traj = cvi.simulate(scene, start, duration=0.3, dt=1e-3)
+    core, pairs = scene.core(), np.arange(len(scene.pair_names))[::-3].copy()
+    single = np.array([core.gaps(q)[0][pairs] for q in traj.q[::20]])
+    np.testing.assert_array_equal(core.gaps_along(traj.q[::20].copy(), pairs), single)
+    assert core.gaps_along(traj.q[:2], pairs[:0]).shape == (2, 0)
+    for wrong in (traj.q[:, :-1].copy(), traj.q):
+        with pytest.raises(cvi.ContactviError):
+            core.gaps_along(wrong, np.array([len(scene.pair_names)]))
+
+
 # -- interpolation ----------------------------------------------------------------------------------------------------
 
 

@@ -10,6 +10,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.reproduce.check import Check, at_least, at_most, near, same
+from contactvi.verify import report
 from contactvi.verify import verify as verification
 from contactvi.verify.case import COMPLEMENTARITY, GAP, Case, Runs
 from helpers.run_scenes import ball_scene
@@ -46,9 +47,10 @@ def test_one_case_by_name(command, name):
     result = command("verify", name)
     assert result.exit_code == PASSED, result.stdout
     head, *rows = result.stdout.splitlines()
-    for column in verification.COLUMNS:
-        assert column in head
-    assert any(row.startswith(name) and " ok " in row for row in rows)
+    assert head.split()[:2] == ["ok", name]
+    numbers = [row for row in rows if row.startswith("  ok ")]
+    for begin in ("expected", "got", "tolerance"):
+        assert sum(row.lstrip().startswith(f"{begin}  ") for row in rows) == len(numbers) > 0
     assert "FAILED" not in result.stdout
     assert "1 of 1 cases passed" in rows[-1]
 
@@ -62,6 +64,22 @@ def test_several_cases_as_json(command):
     ]
     assert {entry["case"] for entry in data} == {"three-balls", "ball-in-bowl"}
     assert all(check["ok"] and check["reason"] for entry in data for check in entry["checks"])
+
+
+def long(_runs: Runs) -> list[Check]:
+    text = " ".join(f"{k}.123456789," for k in range(30))
+    return [same("a good one", 1, 1), Check("a bad one", text, text, "exact", "to be long", False)]
+
+
+def test_lines_are_of_a_terminal():
+    """No line is longer than WIDTH, nothing is cut; of the cases that are not named only what failed is shown."""
+    results = [verification.measure(Case("injected", "a case " * 20, long))]
+    for details in (True, False):
+        lines = list(report.lines(results, details))
+        assert max(map(len, lines)) <= report.WIDTH
+        assert ("a good one" in "\n".join(lines)) is details
+        assert sum(line.count(".123456789,") for line in lines) == 60
+    assert [len(line) <= report.WIDTH for line in report.summary(results)] == [True]
 
 
 def test_former_names_are_accepted():
@@ -99,7 +117,7 @@ def test_what_is_not_applicable_is_never_green(command):
     result = command("verify", "ball-in-bowl")
     assert result.exit_code == FAILED  # nothing was measured
     assert "0 of 0 cases passed" in result.stdout
-    row = result.stdout.splitlines()[1]
+    row = result.stdout.splitlines()[0]
     assert "not applicable" in row
     assert " ok" not in row
 

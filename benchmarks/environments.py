@@ -1,0 +1,73 @@
+"""Steps per second of the environments of contactvi.gym: in the engine's threads, one after the other, in processes.
+
+python benchmarks/environments.py [--numbers 1 8 64] [--steps 25] [--rounds 9]
+
+Episodes of equal seeds are made again and again with actions that are zero, the ways in turn. Of each step of all
+environments together the least time counts, and a number is that of steps over the sum of these times: other programs
+only make steps longer. A step of an environment is 20 ms. Processes are gymnasium's AsyncVectorEnv, one for each
+environment, with shared memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
+
+import contactvi.gym
+from contactvi.threads import cores
+
+NAMES = ("contactvi/HandBall-v0", "contactvi/QuadrupedStand-v0")
+
+
+def times(envs: VectorEnv, steps: int) -> list[float]:
+    """Return how long each step takes [s], in episodes of the same seeds."""
+    envs.reset(seed=0)
+    actions = np.zeros(envs.action_space.shape, np.float32)
+    found = []
+    for _ in range(steps):
+        began = time.perf_counter()
+        envs.step(actions)
+        found.append(time.perf_counter() - began)
+    return found
+
+
+def ways(name: str, number: int) -> dict[str, VectorEnv]:
+    def make() -> gymnasium.Env:
+        return gymnasium.make(f"contactvi.gym:{name}")
+
+    makers: dict[str, Callable[[], VectorEnv]] = {
+        "threads": lambda: contactvi.gym.make_vec(name, number),
+        "one by one": lambda: SyncVectorEnv([make] * number),
+        "processes": lambda: AsyncVectorEnv([make] * number),
+    }
+    return {way: maker() for way, maker in makers.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--numbers", type=int, nargs="+", default=[1, 8, 64])
+    parser.add_argument("--steps", type=int, default=25)
+    parser.add_argument("--rounds", type=int, default=9)
+    arguments = parser.parse_args()
+    print(f"{cores()} threads; steps per second")
+    print(f"{'environment':<28}{'number':>7}{'threads':>10}{'one by one':>12}{'processes':>11}")
+    for name in NAMES:
+        for number in arguments.numbers:
+            envs = ways(name, number)
+            best = {way: np.full(arguments.steps, np.inf) for way in envs}
+            for _ in range(arguments.rounds):
+                for way, env in envs.items():
+                    best[way] = np.minimum(best[way], times(env, arguments.steps))
+            rates = [number * arguments.steps / best[way].sum() for way in envs]
+            print(f"{name:<28}{number:>7}{rates[0]:>10.0f}{rates[1]:>12.0f}{rates[2]:>11.0f}", flush=True)
+            for env in envs.values():
+                env.close()
+
+
+if __name__ == "__main__":
+    main()

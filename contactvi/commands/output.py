@@ -1,0 +1,85 @@
+"""What `contactvi run` leaves behind: the files of a run, its summary, and how long each part took."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.markup import escape
+
+from contactvi.commands.console import err, out
+from contactvi.tables import name_table, print_table
+
+if TYPE_CHECKING:
+    from contactvi.trajectory.trajectory import Trajectory
+
+
+class Phases:
+    """The wall times of the parts of a command, by name."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def of(self, name: str) -> Iterator[None]:
+        """Add the time of the block to this part."""
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - started
+
+    def __str__(self) -> str:
+        return ", ".join(f"{name} {seconds:.2g} s" for name, seconds in self.seconds.items())
+
+
+def write_files(
+    traj: Trajectory, folder: Path, title: str, fps: float | None, plot: bool, phases: Phases
+) -> list[Path]:
+    """Write the files of a run, the playback where it has a frame rate; return their paths."""
+    with phases.of("save"):
+        written = [traj.save(folder / "trajectory.npz")]
+    if fps is not None:
+        with phases.of("playback"):
+            written.append(traj.to_html(folder / "playback.html", fps=fps, title=title))
+    if plot:
+        with phases.of("plots"):
+            from contactvi.trajectory.plots import save_force_plot, save_plot
+
+            written.append(save_plot(traj, folder / "energy.png"))
+            if np.any(traj.contacts.h > 0.0):
+                written.append(save_force_plot(traj, folder / "forces.png"))
+    return written
+
+
+def run_title(file: Path) -> str:
+    """Return a name for the playback: the file's, or its folder's where the file has the name every run has."""
+    parent = file.resolve().parent.name
+    return parent if file.stem == "trajectory" and parent else file.stem
+
+
+def print_summary(traj: Trajectory, written: list[Path], phases: Phases) -> None:
+    """Print what a run did, the files, the times of the parts of the command, and what a user has to be warned of."""
+    from contactvi.commands.summary import summary
+
+    lines = summary(traj)
+    for k, path in enumerate(written):
+        lines.append(("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)"))
+    lines.append(("took", str(phases)))
+    print_table(out, name_table(lines))
+    if traj.status.ok and traj.options.auto and not traj.error_estimate <= traj.options.tol:
+        err.print(
+            f"[bold yellow]The accuracy asked for was not reached:[/] error of q about {traj.error_estimate:.2g}, "
+            f"tol = {traj.options.tol:.2g}"
+        )
+    if traj.options.contact_mode == "auto" and len(traj.dense_steps):
+        err.print(
+            f"[bold yellow]Dense contact:[/] dense steps for {traj.dense_steps.span:.4g} s, in which impacts have "
+            f"no times; {traj.dense_steps.worst()}"
+        )
+    if not traj.status.ok:
+        err.print(f"[bold yellow]The run ended early:[/] {escape(str(traj.status))}")

@@ -1,0 +1,237 @@
+"""Many environments in one process, stepped side by side in threads: the engine computes without Python's lock."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from contactvi.errors import InputError, did_you_mean
+from contactvi.gym.environment import Observation, SceneEnv
+from contactvi.gym.hand import HandBallEnv
+from contactvi.gym.quadruped import QuadrupedStandEnv
+from contactvi.inputs import count, short
+from contactvi.threads import Workers
+
+T = TypeVar("T")
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+
+
+class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
+    """Environments stepped in threads, each with the bits that it has alone, whatever the number of threads.
+
+    Seeds, autoreset modes and infos are those of gymnasium.vector.SyncVectorEnv.
+
+    Args:
+        make: returns an environment. num_envs: how many there are.
+        workers: number of threads; None for one per core.
+        autoreset_mode: what happens to an environment whose episode has ended, by default NEXT_STEP: the next step
+            resets it, whatever its action. SAME_STEP resets it at once: infos["final_obs"], infos["final_info"].
+            DISABLED leaves it to reset(options={"reset_mask": ...}).
+
+    Attributes:
+        envs: the environments.
+
+    Raises:
+        InputError: for a bad argument.
+    """
+
+    _pool: ThreadPoolExecutor | None = None
+    envs: Sequence[SceneEnv] = ()
+
+    def __init__(
+        self,
+        make: Callable[[], SceneEnv],
+        num_envs: int,
+        *,
+        workers: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        self.num_envs = count("num_envs", num_envs)
+        self._mode = _mode(autoreset_mode)
+        self.envs = tuple(make() for _ in range(self.num_envs))
+        first = self.envs[0]
+        self.metadata = {**first.metadata, "autoreset_mode": self._mode}
+        self.render_mode = first.render_mode
+        self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._workers = min(Workers(workers).number, self.num_envs)
+        self._pool = ThreadPoolExecutor(self._workers) if self._workers > 1 else None
+        self._ended: Flags = np.ones(self.num_envs, dtype=bool)  # waits for a reset
+        self._seen = np.zeros(self.observation_space.shape or (), np.float32)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start all episodes, or those of options["reset_mask"] (n,); seeds (n,), or one: seed, seed + 1, ...
+
+        Raises:
+            InputError: for seeds or a mask of another length.
+        """
+        seeds = self._seeds(seed)
+        own = dict(options or {})
+        mask = self._mask(own.pop("reset_mask", None))
+        chosen = np.flatnonzero(mask)
+        found = self._each(chosen, lambda k: self.envs[k].reset(seed=seeds[k], options=own))
+        infos: dict[str, Any] = {}
+        for k, (seen, info) in zip(chosen, found, strict=True):
+            self._seen[k] = seen
+            infos = self._add_info(infos, info, int(k))
+        self._ended[chosen] = False
+        return self._seen.copy(), infos
+
+    def step(self, actions: Any) -> tuple[Observation, Floats, Flags, Flags, dict[str, Any]]:
+        """Make a step of every environment; actions (n, ...). Return their observations, rewards, ... and infos.
+
+        Raises:
+            InputError: for actions of another shape, and with DISABLED for an environment that has not been reset.
+        """
+        values = np.asarray(actions)
+        if values.shape[:1] != (self.num_envs,):
+            raise InputError(
+                "Actions", name="actions", expected=f"an array of shape {self.action_space.shape}",
+                got=short(actions), remedy="Take envs.action_space.sample() as an example",
+            )  # fmt: skip
+        if self._mode == AutoresetMode.DISABLED and self._ended.any():
+            raise InputError(
+                "An episode has ended", name="actions", expected="environments whose episodes go on",
+                got=f"that of environment {int(np.flatnonzero(self._ended)[0])} has ended",
+                remedy="Call reset(options={'reset_mask': mask}) with the environments that have to start again",
+            )  # fmt: skip
+        found = self._each(range(self.num_envs), lambda k: self._step(k, values[k]))
+        seen, rewards, terminated, truncated, each = zip(*found, strict=True)
+        infos: dict[str, Any] = {}
+        for k, info in enumerate(each):
+            infos = self._add_info(infos, info, k)
+        self._seen = np.stack(seen)
+        ends = np.array(terminated), np.array(truncated)
+        self._ended = np.zeros(self.num_envs, bool) if self._mode == AutoresetMode.SAME_STEP else ends[0] | ends[1]
+        return self._seen.copy(), np.array(rewards), *ends, infos
+
+    def _step(self, k: int, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Make a step of one environment, or reset it where its episode has ended."""
+        env = self.envs[k]
+        if self._ended[k]:
+            seen, info = env.reset()
+            return seen, 0.0, False, False, info
+        seen, reward, terminated, truncated, info = env.step(action)
+        if (terminated or truncated) and self._mode == AutoresetMode.SAME_STEP:
+            final = {"final_obs": seen, "final_info": info}
+            seen, info = env.reset()
+            info = {**info, **final}
+        return seen, reward, terminated, truncated, info
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Return what the environments render."""
+        return None if self.render_mode is None else tuple(env.render() for env in self.envs)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+        for env in self.envs:
+            env.close()
+
+    def _each(self, chosen: Sequence[int] | NDArray[np.int64], call: Callable[[int], T]) -> list[T]:
+        """Return call(k) for each k, made in the threads, each of which takes the next one that is left."""
+        if self._pool is None or len(chosen) <= 1:
+            return [call(int(k)) for k in chosen]
+        results: list[Any] = [None] * len(chosen)
+        left = itertools.count()
+
+        def work() -> None:
+            while (place := next(left)) < len(chosen):
+                results[place] = call(int(chosen[place]))
+
+        futures = [self._pool.submit(work) for _ in range(min(self._workers, len(chosen)))]
+        errors = [error for future in futures if (error := future.exception()) is not None]
+        if errors:
+            raise errors[0]
+        return results
+
+    def _seeds(self, seed: Any) -> list[int | None]:
+        if seed is None or isinstance(seed, (int, np.integer)):
+            return [None if seed is None else int(seed) + k for k in range(self.num_envs)]
+        seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise InputError(
+                "Seeds", name="seed", expected=f"one number, or {self.num_envs}", got=f"{len(seeds)} of them",
+                remedy="Give one seed: the environments then get seed, seed + 1, ...",
+            )  # fmt: skip
+        return seeds
+
+    def _mask(self, mask: Any) -> Flags:
+        if mask is None:
+            return np.ones(self.num_envs, bool)
+        values = np.asarray(mask)
+        if values.shape != (self.num_envs,) or values.dtype != bool or not values.any():
+            raise InputError(
+                "Mask of a reset", name="reset_mask", expected=f"{self.num_envs} booleans, one of them True",
+                got=short(mask), remedy="Give terminated | truncated of the last step",
+            )  # fmt: skip
+        return values
+
+
+def hand_balls(num_envs: int = 1, **options: Any) -> ThreadedVectorEnv:
+    """Return HandBallEnv in threads; options of it and of ThreadedVectorEnv."""
+    return _in_threads(HandBallEnv, num_envs, **options)
+
+
+def standing_quadrupeds(num_envs: int = 1, **options: Any) -> ThreadedVectorEnv:
+    """Return QuadrupedStandEnv in threads; options of it and of ThreadedVectorEnv."""
+    return _in_threads(QuadrupedStandEnv, num_envs, **options)
+
+
+def _in_threads(
+    env: Callable[..., SceneEnv],
+    num_envs: int,
+    workers: int | None = None,
+    autoreset_mode: Any = AutoresetMode.NEXT_STEP,
+    **options: Any,
+) -> ThreadedVectorEnv:
+    return ThreadedVectorEnv(lambda: env(**options), num_envs, workers=workers, autoreset_mode=autoreset_mode)
+
+
+def make_vec(name: str, num_envs: int, *, workers: int | None = None, **kwargs: Any) -> ThreadedVectorEnv:
+    """Return environments by their name, stepped in threads: as gymnasium.make_vec(name, num_envs).
+
+    Args:
+        name: "contactvi/HandBall-v0", ...
+        num_envs: how many. workers: number of threads; None for one per core.
+        **kwargs: autoreset_mode, see ThreadedVectorEnv; and those of the environment.
+
+    Raises:
+        InputError: for another name, and for bad arguments.
+    """
+    known = [key for key in gymnasium.registry if key.startswith("contactvi/")]
+    if name not in known:
+        raise InputError(
+            f"There is no environment {name!r}", name="name", expected=" | ".join(known), got=short(name),
+            remedy=did_you_mean(str(name), known),
+        )  # fmt: skip
+    found = gymnasium.make_vec(name, num_envs, vectorization_mode="vector_entry_point", workers=workers, **kwargs)
+    assert isinstance(found, ThreadedVectorEnv)
+    return found
+
+
+def _mode(mode: Any) -> AutoresetMode:
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        modes = [known.value for known in AutoresetMode]
+        raise InputError(
+            f"There is no autoreset mode {mode!r}", name="autoreset_mode", expected=" | ".join(modes), got=short(mode),
+            remedy=did_you_mean(str(mode), modes),
+        ) from None  # fmt: skip

@@ -1,0 +1,223 @@
+"""The environments of contactvi.gym: Gymnasium's own checks, seeds, rewards, endings, errors."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+
+import contactvi as cvi
+import contactvi.gym
+from contactvi.gym import hand, quadruped
+from contactvi.gym.environment import DT, FRAME, SceneEnv
+
+NAMES = ("contactvi/HandBall-v0", "contactvi/QuadrupedStand-v0")
+
+
+def make(name: str, **options: object) -> SceneEnv:
+    env = gymnasium.make(name, **options).unwrapped
+    assert isinstance(env, SceneEnv)
+    return env
+
+
+def roll(env: SceneEnv, actions: np.ndarray, seed: int | None = 3) -> list[np.ndarray]:
+    """Return all numbers of an episode."""
+    found = [env.reset(seed=seed)[0]]
+    for action in actions:
+        seen, reward, terminated, truncated, info = env.step(action)
+        found.append(np.concatenate([seen, [reward, terminated, truncated, info["impacts"]], env.simulator.q]))
+    return found
+
+
+def drawn(env: SceneEnv, count: int, seed: int = 0) -> np.ndarray:
+    shape = (count, *env.action_space.shape)
+    return np.random.default_rng(seed).uniform(-1.0, 1.0, shape).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gymnasium_has_nothing_to_say(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for mode in (None, "ansi"):
+            check_env(make(name, render_mode=mode))
+        gymnasium.make(name).reset(seed=0)
+
+
+def test_a_name_with_its_module_needs_no_import():
+    code = "import gymnasium; print(gymnasium.make('contactvi.gym:contactvi/HandBall-v0').action_space)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert "Box(-1.0, 1.0, (19,), float32)" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_gymnasium_knows_of_it_can_be_stored(name):
+    spec = EnvSpec.from_json(gymnasium.make(name, duration=1.0).spec.to_json())
+    assert gymnasium.make(spec).unwrapped._frames == 50
+    assert isinstance(gymnasium.make_vec(spec, 2), contactvi.gym.ThreadedVectorEnv)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_equal_seeds_give_equal_bits(name):
+    """Of a used environment, of a new one, and after other episodes."""
+    env = make(name)
+    actions = drawn(env, 30)
+    first = roll(env, actions)
+    roll(env, drawn(env, 7, seed=5), seed=11)
+    for again in (roll(env, actions), roll(make(name), actions)):
+        for a, b in zip(first, again, strict=True):
+            np.testing.assert_array_equal(a, b)
+    other = roll(env, actions, seed=4)
+    assert not np.array_equal(first[0], other[0])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_episode_lasts_as_long_as_it_should(name):
+    options = {"push": 0.0} if "Quadruped" in name else {}
+    env = make(name, duration=0.2, **options)
+    env.reset(seed=0)
+    zero = np.zeros(env.action_space.shape, np.float32)
+    ends = [env.step(zero)[2:] for _ in range(10)]
+    assert [truncated for _, truncated, _ in ends] == [False] * 9 + [True]
+    assert not any(terminated for terminated, _, _ in ends)
+    assert ends[-1][2]["time"] == pytest.approx(0.2, abs=1e-12)
+    assert ends[-1][2]["status"] == "SUCCESS"
+
+
+def test_the_ball_stays_where_it_is_put():
+    """The servos hold the hand and the weight of the ball; the reward is that of the distance."""
+    env = make(NAMES[0])
+    env.reset(seed=0, options={"place": (-0.05, 0.01), "wanted": (-0.05, 0.01)})
+    for _ in range(50):
+        seen, reward, *_ = env.step(np.zeros(19, np.float32))
+    assert seen[38:40] == pytest.approx([-0.05, 0.01], abs=1e-3)
+    assert reward == pytest.approx(1.0, abs=5e-3)
+    env.reset(seed=0, options={"place": (-0.05, 0.01), "wanted": (-0.05 + hand.NEAR, 0.01)})
+    assert env.step(np.zeros(19, np.float32))[1] == pytest.approx(np.exp(-1.0), abs=1e-3)
+    assert env.step(np.full(19, 1.0, np.float32))[1] < np.exp(-1.0)  # actions cost
+
+
+def test_the_ball_is_free_wherever_it_starts():
+    """It lies on the palm, and touches nothing else."""
+    env = make(NAMES[0])
+    scene = env.simulator.scene
+    pairs = np.arange(len(scene.pair_names))
+    palm = [k for k, pair in enumerate(scene.pair_names) if "palm" in pair[0] + pair[1]]
+    for x in np.linspace(hand.LOWEST[0], hand.HIGHEST[0], 5):
+        for y in np.linspace(hand.LOWEST[1], hand.HIGHEST[1], 5):
+            env.reset(options={"place": (x, y)})
+            gaps = scene.core().gaps_along(env.simulator.q[None], pairs)[0]
+            assert 0.0 <= gaps[palm].min() < 1e-4
+            assert np.delete(gaps, palm).min() > 2e-3
+
+
+def test_a_lost_ball_ends_the_episode():
+    env = make(NAMES[0])
+    env.reset(seed=0)
+    action = np.zeros(19, np.float32)
+    action[2] = 1.0  # the palm rolls to one side
+    ended = False
+    for _ in range(200):
+        _, _, ended, truncated, _ = env.step(action)
+        if ended or truncated:
+            break
+    assert ended
+    assert env.simulator.q[21] < hand.HEIGHT - hand.LOST
+
+
+def test_the_robot_stands_with_its_weight_on_its_feet():
+    env = make(NAMES[1], push=0.0)
+    env.reset(seed=0)
+    for _ in range(100):
+        seen, reward, *_ = env.step(np.zeros(12, np.float32))
+    force = sum(contact.force for contact in env.simulator.contacts)
+    assert np.abs(force[2]) == pytest.approx(2.5 * 9.81, rel=1e-2)
+    assert len({contact.pair for contact in env.simulator.contacts}) == 4
+    assert seen[1:4] == pytest.approx([0.0, 0.0, 1.0], abs=0.05)
+    assert 0.95 < reward <= 1.0
+
+
+def test_a_push_has_its_impulse():
+    """In the air, that is before the feet have touched: the momentum of the whole robot changes by the impulse."""
+    env = make(NAMES[1], push=2.0)
+    env.reset(seed=1)
+    env._plan(0)
+    env._next = 0
+    env.simulator.reset(env._stance + np.r_[0.0, 0.0, 1.0, np.zeros(16)], np.zeros(18))
+    for _ in range(quadruped.PUSH_FRAMES):
+        env.step(np.zeros(12, np.float32))
+    import pinocchio as pin
+
+    model = env.simulator.scene.model
+    momentum = pin.computeCentroidalMomentum(model, model.createData(), env.simulator.q, env.simulator.v).linear
+    wanted = env._force * quadruped.PUSH_FRAMES * FRAME * DT
+    assert 0.0 < np.linalg.norm(wanted) <= 2.0
+    assert momentum[:2] == pytest.approx(wanted, rel=2e-2)  # the force keeps its direction in the base for 20 ms
+
+
+def test_a_fall_ends_the_episode():
+    env = make(NAMES[1], push=60.0)
+    env.reset(seed=0)
+    for _ in range(250):
+        _, _, ended, _, _ = env.step(np.zeros(12, np.float32))
+        if ended:
+            break
+    assert ended
+    assert env.simulator.t < 5.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_episode_can_be_played(name, tmp_path):
+    env = make(name, record=True, render_mode="ansi")
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.zeros(env.action_space.shape, np.float32))
+    traj = env.simulator.trajectory()
+    assert traj.t[-1] == pytest.approx(5 * FRAME * DT, abs=1e-12)
+    assert traj.to_html(tmp_path / "episode.html").is_file()
+    assert env.render().startswith("t = 0.10 s")
+    with pytest.raises(cvi.SimulationError, match="record"):
+        make(name).simulator.trajectory()
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: contactvi.gym.HandBallEnv(render_mode="human"), "render mode 'human'"),
+        (lambda: contactvi.gym.HandBallEnv(duration=-1.0), "duration"),
+        (lambda: contactvi.gym.QuadrupedStandEnv(push=-1.0), "push"),
+        (lambda: make(NAMES[0]).reset(options={"place": (1.0,)}), "place"),
+    ],
+)
+def test_bad_arguments(call, says):
+    with pytest.raises(cvi.InputError, match=says):
+        call()
+
+
+@pytest.mark.parametrize("action", [np.zeros(3), np.full(19, np.nan), "a", None, np.zeros((1, 19))])
+def test_bad_actions(action):
+    env = make(NAMES[0])
+    env.reset(seed=0)
+    with pytest.raises(cvi.InputError, match="Action"):
+        env.step(action)
+
+
+def test_actions_beyond_the_range_are_cut():
+    env = make(NAMES[0])
+    ends = []
+    for action in (np.full(19, 1.0, np.float32), np.full(19, 7.0, np.float32)):
+        env.reset(seed=0)
+        ends.append(env.step(action)[0])
+    np.testing.assert_array_equal(*ends)
+
+
+def test_a_missing_gymnasium_is_told(tmp_path):
+    (tmp_path / "gymnasium.py").write_text("raise ImportError('missing')")
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import contactvi.gym"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert 'pip install "contactvi[gym]"' in done.stderr
