@@ -205,6 +205,7 @@ std::tuple<VecX, Rows, Rows> linear_forces(const Scene& s, const VecX& q, const 
 VecX passive_forces_at(const Scene& s, const VecX& q, const VecX& v, double t) {
   need_state(s.tree, q, v);
   VecX f = passive_forces(s.tree, q, v, t);
+  s.tree.elements.forget_failure();
   UserErrors::raise();
   return f;
 }

@@ -127,9 +127,10 @@ bool ContactStep::constraints_met(double h, bool rates) {
 // The constraint whose prescribed motion jumps, so that its joint or body has moved otherwise than the rates tell; -1:
 // none.
 int ContactStep::find_prescribed_jump(double h) const {
+  using Few = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 3, 1>;
   const auto jumps = [&](int first, int count) {
-    const VecX rate0 = -node0_.rate.segment(first, count), rate1 = -node1_.rate.segment(first, count);
-    const VecX moved = node1_.W.middleCols(first, count).transpose() * v_;
+    const Few rate0 = -node0_.rate.segment(first, count), rate1 = -node1_.rate.segment(first, count);
+    const Few moved = node1_.W.middleCols(first, count).transpose().lazyProduct(v_);
     const double most = kJump * (rate0.norm() + rate1.norm()) + kJumpRounding * (1.0 + 1.0 / h);
     return (moved - 0.5 * (rate0 + rate1)).norm() > most;
   };
