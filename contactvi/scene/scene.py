@@ -80,7 +80,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         self.compiled: object = None
 
     def __repr__(self) -> str:
-        return f"<Scene: {len(self.parts)} parts, nq {self.nq}, nv {self.nv}>"
+        return f"<Scene: {len(self.parts)} parts, {len(self.elements)} elements>"
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""
