@@ -627,6 +627,11 @@ class Simulator:
     @property
     def v(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]: ...
 
+def step_together(simulators: Sequence[Simulator], steps: int, tau: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, threads: int = 1) -> list[int]:
+    """
+    Make steps of several simulators in threads, without the interpreter lock, each with a row of tau (n, nv) and of target (n, 2 nv); return how many ordinary steps each has made. Where these are fewer than `steps` a further one was made, and take() is to be looked at.
+    """
+
 class BatchKeep(enum.Enum):
     """What is kept of the runs of a batch."""
 

@@ -9,7 +9,7 @@ from rich.markup import escape
 
 from contactvi.errors import ContactviError, InputError
 
-FAILED, WRONG_INPUT, ENDED_EARLY, NO_DERIVATIVE, INTERRUPTED = 1, 2, 3, 4, 130
+FAILED, WRONG_INPUT, ENDED_EARLY, NO_DERIVATIVE = 1, 2, 3, 4
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 

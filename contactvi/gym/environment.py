@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -13,6 +14,7 @@ from contactvi.errors import InputError
 from contactvi.inputs import positive, short
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulator import Simulator
+from contactvi.simulation.together import step_together
 from contactvi.status import Status
 
 Array = NDArray[np.float64]
@@ -30,8 +32,8 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
     distance. It holds for 20 ms, in which the engine makes ten steps; numbers beyond the range are cut, and those of
     observations at +-100. Episodes of equal seeds and actions have equal bits.
 
-    An episode is truncated after `duration`, and where the engine finds no way on (info["status"] says why). Each
-    `info` has "time" [s], "impacts" since the start and "status".
+    An episode is truncated after `duration`, and where the engine finds no way on. Each `info` has "time" [s] and
+    "status", "SUCCESS" or why the engine has ended the run (`StatusCode`).
 
     Args:
         scene: with servos; it is not changed.
@@ -74,6 +76,7 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         self.simulator = Simulator(scene, DT, record="states" if record else False)
         self.nominal, self._reach = nominal, reach
         self._frames = round(positive("duration", duration, "the time of an episode in seconds") / (DT * FRAME))
+        self._nv = int(scene.nv)
         self.count, self.action = 0, np.zeros(len(reach))
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(reach),), np.float32)
         self.observation_space = gymnasium.spaces.Box(-MOST, MOST, (observed,), np.float32)
@@ -116,10 +119,17 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
             InputError: for an action of another shape, or with numbers that are not finite.
             SimulationError: before `reset`, and after the engine found no way on.
         """
+        return step_all([self], [action], 1)[0]
+
+    def begin(self, action: Any) -> tuple[Array, Array]:
+        """Take an action; return what acts in the next 20 ms: generalized force (nv,), targets of the servos (n,)."""
         self.action = self._checked(action)
         force = self.push()
-        forces = None if force is None else np.tile(force, (FRAME, 1))
-        status = self.simulator.run(FRAME, forces, target=self.nominal + self._reach * self.action)
+        at = self.nominal + self._reach * self.action
+        return np.zeros(self._nv) if force is None else force, at
+
+    def end(self, status: Status) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Return what `step` returns, after the simulator has made its steps."""
         self.count += 1
         q, v = self.simulator.q, self.simulator.v
         reward, ended = self.judge(q, v)
@@ -146,7 +156,22 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
 
     def _info(self, status: Status | None) -> dict[str, Any]:
         code = "SUCCESS" if status is None else status.code.name
-        return {"time": self.simulator.t, "impacts": self.simulator.impacts, "status": code}
+        return {"time": self.simulator.t, "status": code}
+
+
+def step_all(
+    envs: Sequence[SceneEnv], actions: Sequence[Any], workers: int | None
+) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
+    """Step environments with as many servos side by side in threads; return what the `step` of each would have.
+
+    Args:
+        workers: number of threads; None for one per core.
+    """
+    inputs = [env.begin(action) for env, action in zip(envs, actions, strict=True)]
+    forces, targets = (np.array(rows) for rows in zip(*inputs, strict=True))
+    simulators = [env.simulator for env in envs]
+    statuses = step_together(simulators, FRAME, forces if forces.any() else None, targets, workers)
+    return [env.end(status) for env, status in zip(envs, statuses, strict=True)]
 
 
 def rotation(quaternion: Array) -> Array:

@@ -1,11 +1,9 @@
-"""Many environments in one process, stepped side by side in threads: the engine computes without Python's lock."""
+"""Many environments in one process, whose simulators are stepped side by side by threads of the engine."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -14,13 +12,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.gym.environment import Observation, SceneEnv
+from contactvi.gym.environment import Observation, SceneEnv, step_all
 from contactvi.gym.hand import HandBallEnv
 from contactvi.gym.quadruped import QuadrupedStandEnv
 from contactvi.inputs import count, short
 from contactvi.threads import Workers
 
-T = TypeVar("T")
+Result = tuple[Observation, float, bool, bool, dict[str, Any]]
 Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
@@ -44,7 +42,6 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
         InputError: for a bad argument.
     """
 
-    _pool: ThreadPoolExecutor | None = None
     envs: Sequence[SceneEnv] = ()
 
     def __init__(
@@ -64,8 +61,7 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
         self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._workers = min(Workers(workers).number, self.num_envs)
-        self._pool = ThreadPoolExecutor(self._workers) if self._workers > 1 else None
+        self._workers = Workers(workers).number
         self._ended: Flags = np.ones(self.num_envs, dtype=bool)  # waits for a reset
         self._seen = np.zeros(self.observation_space.shape or (), np.float32)
 
@@ -83,12 +79,11 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
         seeds = self._seeds(seed)
         own = dict(options or {})
         mask = self._mask(own.pop("reset_mask", None))
-        chosen = np.flatnonzero(mask)
-        found = self._each(chosen, lambda k: self.envs[k].reset(seed=seeds[k], options=own))
+        chosen = [k for k in range(self.num_envs) if mask[k]]
         infos: dict[str, Any] = {}
-        for k, (seen, info) in zip(chosen, found, strict=True):
-            self._seen[k] = seen
-            infos = self._add_info(infos, info, int(k))
+        for k in chosen:
+            self._seen[k], info = self.envs[k].reset(seed=seeds[k], options=own)
+            infos = self._add_info(infos, info, k)
         self._ended[chosen] = False
         return self._seen.copy(), infos
 
@@ -110,7 +105,10 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
                 got=f"that of environment {int(np.flatnonzero(self._ended)[0])} has ended",
                 remedy="Call reset(options={'reset_mask': mask}) with the environments that have to start again",
             )  # fmt: skip
-        found = self._each(range(self.num_envs), lambda k: self._step(k, values[k]))
+        going = [k for k in range(self.num_envs) if not self._ended[k]]
+        stepped = step_all([self.envs[k] for k in going], [values[k] for k in going], self._workers) if going else []
+        results = dict(zip(going, stepped, strict=True))
+        found = [self._result(k, results.get(k)) for k in range(self.num_envs)]
         seen, rewards, terminated, truncated, each = zip(*found, strict=True)
         infos: dict[str, Any] = {}
         for k, info in enumerate(each):
@@ -120,46 +118,21 @@ class ThreadedVectorEnv(VectorEnv[Observation, Observation, Any]):
         self._ended = np.zeros(self.num_envs, bool) if self._mode == AutoresetMode.SAME_STEP else ends[0] | ends[1]
         return self._seen.copy(), np.array(rewards), *ends, infos
 
-    def _step(self, k: int, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Make a step of one environment, or reset it where its episode has ended."""
-        env = self.envs[k]
-        if self._ended[k]:
-            seen, info = env.reset()
+    def _result(self, k: int, result: Result | None) -> Result:
+        """Return the result of an environment, reset where its episode has ended; None: in the step before."""
+        if result is None:
+            seen, info = self.envs[k].reset()
             return seen, 0.0, False, False, info
-        seen, reward, terminated, truncated, info = env.step(action)
+        seen, reward, terminated, truncated, info = result
         if (terminated or truncated) and self._mode == AutoresetMode.SAME_STEP:
             final = {"final_obs": seen, "final_info": info}
-            seen, info = env.reset()
+            seen, info = self.envs[k].reset()
             info = {**info, **final}
         return seen, reward, terminated, truncated, info
 
     def render(self) -> tuple[Any, ...] | None:
         """Return what the environments render."""
         return None if self.render_mode is None else tuple(env.render() for env in self.envs)
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """End the threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
-        for env in self.envs:
-            env.close()
-
-    def _each(self, chosen: Sequence[int] | NDArray[np.int64], call: Callable[[int], T]) -> list[T]:
-        """Return call(k) for each k, made in the threads, each of which takes the next one that is left."""
-        if self._pool is None or len(chosen) <= 1:
-            return [call(int(k)) for k in chosen]
-        results: list[Any] = [None] * len(chosen)
-        left = itertools.count()
-
-        def work() -> None:
-            while (place := next(left)) < len(chosen):
-                results[place] = call(int(chosen[place]))
-
-        futures = [self._pool.submit(work) for _ in range(min(self._workers, len(chosen)))]
-        errors = [error for future in futures if (error := future.exception()) is not None]
-        if errors:
-            raise errors[0]
-        return results
 
     def _seeds(self, seed: Any) -> list[int | None]:
         if seed is None or isinstance(seed, (int, np.integer)):

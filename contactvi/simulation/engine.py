@@ -168,6 +168,17 @@ def advance(
     return _take(record, cast(EngineResult, result))
 
 
+def step_together(
+    engines: list[_core.Simulator], steps: int, forces: Array | None, targets: Array | None, threads: int
+) -> list[int]:
+    """Make steps that the engines keep for `take`, with a row of forces (n, nv) and of targets (n, 2 nv) for each.
+
+    Return how many ordinary steps each has made; where these are fewer, a further one, after which `take` has something
+    to look at.
+    """
+    return list(_core.step_together(engines, steps, forces, targets, threads))
+
+
 def take(engine: _core.Simulator, record: Record) -> Status | None:
     """Record the single steps that the engine has kept since this was called last; return the status, None without any.
 

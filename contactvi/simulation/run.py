@@ -123,6 +123,11 @@ class Run:
         return not (looked_at or refuses or (options.record_every > 1 and self._compiled.constraint_rows))
 
     @property
+    def compiled(self) -> CompiledScene:
+        """The scene."""
+        return self._compiled
+
+    @property
     def record(self) -> Record:
         """What the engine has done so far."""
         self._collect()
@@ -196,6 +201,21 @@ class Run:
             return status
         status_then = None if reached is None else self._collect()
         return None if status_then is None else self._explained(status_then)
+
+    def begin_steps(self) -> _core.Simulator | None:
+        """Return the engine, which may make steps that it records until they are asked for; None where it may not."""
+        if not self._quick or self._record.status.code is not _SUCCESS:
+            return None
+        self._stepped = True
+        return self._engine
+
+    def end_steps(self, ordinary: bool) -> Status:
+        """Return the status after such steps; ordinary: the engine says that there is nothing to look at."""
+        if ordinary:
+            status = self._record.status = Status(_SUCCESS, REACHED, self._engine.t)
+            return status
+        found = self._collect()
+        return self._record.status if found is None else self._explained(found)
 
     def _explained(self, status: Status) -> Status:
         """Return the status of the last steps, with the constraints that were in the way where the run ended."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from contextlib import ExitStack
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -163,15 +164,7 @@ class Simulator(PresentDynamics):
     def _advance(self, steps: int, forces: Array | None, target: Any, progress: Progress | None = None) -> Status:
         with self._unused():
             self._user = threading.get_ident()
-            run = self._started()
-            if not run.record.status.ok:
-                raise SimulationError(
-                    f"The run has ended: {run.record.status}",
-                    status=run.record.status,
-                    remedy="Call reset(q0, v0) to start again",
-                    expected="a run that goes on",
-                    got=run.record.status.code.name,
-                )
+            run = self._going_on()
             targets = run.targets(target, steps)
             if steps == 1:
                 return run.step(forces, targets, progress)
@@ -332,6 +325,28 @@ class Simulator(PresentDynamics):
             got="a call from a callback of its own" if own else "a call from another thread",
             remedy="Give each thread a copy of its own: sim.copy()",
         )
+
+    def lend(self, held: ExitStack) -> Run:
+        """Return the run, which goes on, to be advanced by the caller (`step_together`) alone until `held` ends.
+
+        Raises:
+            SimulationError: as `step`.
+        """
+        held.enter_context(self._unused())
+        self._user = threading.get_ident()
+        return self._going_on()
+
+    def _going_on(self) -> Run:
+        run = self._started()
+        if not run.status.ok:
+            raise SimulationError(
+                f"The run has ended: {run.status}",
+                status=run.status,
+                remedy="Call reset(q0, v0) to start again",
+                expected="a run that goes on",
+                got=run.status.code.name,
+            )
+        return run
 
     def _started(self) -> Run:
         if self._lock.locked() and self._user != threading.get_ident():

@@ -22,10 +22,12 @@ std::vector<std::thread> start_threads(int count, const Work& work) {
   return threads;
 }
 
-// Calls work(i) for all i in [0, count), on as many threads as the machine has processors. Each call writes only what
-// is its own, so that results are the same for any number of threads. Throws the exception of the least i that threw.
+// Calls work(i) for all i in [0, count), on so many threads, the caller's among them; by default as many as the machine
+// has processors. Each call writes only what is its own, so that results are the same for any number of threads. Throws
+// the exception of the least i that threw.
 template <class Work>
-void in_parallel(int count, const Work& work) {
+void in_parallel(int count, const Work& work,
+                 int most = std::max(1, static_cast<int>(std::thread::hardware_concurrency()))) {
   std::vector<std::exception_ptr> thrown(count);
   std::atomic<int> next{0};
   const auto run = [&] {
@@ -37,7 +39,7 @@ void in_parallel(int count, const Work& work) {
       }
     }
   };
-  const int helpers = std::min<int>(count, static_cast<int>(std::thread::hardware_concurrency())) - 1;
+  const int helpers = std::min(count, most) - 1;
   std::vector<std::thread> threads = start_threads(helpers, run);
   run();
   for (std::thread& thread : threads) thread.join();

@@ -4,11 +4,15 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <chrono>
 #include <optional>
 #include <utility>
+#include <vector>
 
+#include "base/parallel.hpp"
 #include "bindings/arrays.hpp"
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"
@@ -111,6 +115,32 @@ nb::object step(SteppedWorld& sim, nb::handle tau, nb::handle target) {
   }
   if (outcome != SteppedWorld::Outcome::kOrdinary || UserErrors::any()) return nb::bool_(false);
   return nb::float_(sim.time());
+}
+
+// Of each simulator how many ordinary steps it has made with its rows of the inputs; where these are fewer, a further
+// one was made, and take() has something to look at.
+std::vector<long> step_together(const std::vector<SteppedWorld*>& sims, long steps, const std::optional<Rows>& tau,
+                                const std::optional<Rows>& target, int threads) {
+  if (threads < 1) throw Error("threads must be >= 1");
+  const int count = static_cast<int>(sims.size());
+  for (int k = 0; k < count; ++k) {
+    const Tree& tree = sims[k]->scene().tree;
+    if (tree.elements.functions) throw Error("functions of the user need the interpreter lock");
+    if (tau && (tau->rows() != count || tau->cols() != tree.nv)) throw Error("tau: expected shape (n, nv)");
+    if (target && (target->rows() != count || target->cols() != 2 * tree.nv))
+      throw Error("target: expected shape (n, 2 nv)");
+    if (std::count(sims.begin(), sims.end(), sims[k]) > 1) throw Error("expected different simulators");
+    if (sims[k]->stepping() ||
+        !sims[k]->set_step_inputs(tau ? tau->row(k).data() : nullptr, target ? target->row(k).data() : nullptr))
+      throw Error("expected simulators that are not in use, and forces of ordinary size");
+  }
+  std::vector<long> made(sims.size());
+  {
+    nb::gil_scoped_release release;
+    const Progress none = [](double, long) { return true; };
+    in_parallel(count, [&](int k) { made[k] = sims[k]->step_while_ordinary(steps, none); }, threads);
+  }
+  return made;
 }
 
 nb::object take(SteppedWorld& sim) {
@@ -286,6 +316,12 @@ void expose_simulator(nb::module_& m) {
           "p", [](const SteppedWorld& sim) { return hand_over(public_momentum(sim.scene().tree, sim.q(), sim.p())); },
           nb::rv_policy::automatic)
       .def_prop_ro("v", &current_velocity, nb::rv_policy::automatic);
+  m.def(
+      "step_together", &step_together, "simulators"_a, "steps"_a, "tau"_a = nb::none(), "target"_a = nb::none(),
+      "threads"_a = 1,
+      "Make steps of several simulators in threads, without the interpreter lock, each with a row of tau (n, nv) and of"
+      " target (n, 2 nv); return how many ordinary steps each has made. Where these are fewer than `steps` a further"
+      " one was made, and take() is to be looked at.");
 }
 
 }  // namespace contactvi

@@ -54,6 +54,12 @@ SteppedWorld::Outcome SteppedWorld::step_once(const Progress& progress) {
   return record_.status.ok() && !full ? Outcome::kOrdinary : Outcome::kNotable;
 }
 
+long SteppedWorld::step_while_ordinary(long most, const Progress& progress) {
+  for (long made = 0; made < most; ++made)
+    if (step_once(progress) != Outcome::kOrdinary) return made;
+  return most;
+}
+
 void SteppedWorld::forget_steps() {
   record_ = Record();
   before_.known = false;

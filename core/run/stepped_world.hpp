@@ -33,6 +33,8 @@ class SteppedWorld : public World {
   // not a number of ordinary size.
   bool set_step_inputs(const double* tau, const double* target);
   Outcome step_once(const Progress& progress);
+  // Steps with these inputs until one is notable, `most` of them at most; returns how many were ordinary.
+  long step_while_ordinary(long most, const Progress& progress);
   bool stepping() const { return stepping_; }
   bool has_record() const { return !record_.recording.t.empty(); }
   Record take_record() { return std::exchange(record_, Record()); }

@@ -31,7 +31,7 @@ def roll(env: SceneEnv, actions: np.ndarray, seed: int | None = 3) -> list[np.nd
     found = [env.reset(seed=seed)[0]]
     for action in actions:
         seen, reward, terminated, truncated, info = env.step(action)
-        found.append(np.concatenate([seen, [reward, terminated, truncated, info["impacts"]], env.simulator.q]))
+        found.append(np.concatenate([seen, [reward, terminated, truncated, info["time"]], env.simulator.q]))
     return found
 
 

@@ -432,15 +432,15 @@ xyz = [0, 0, 0.051]
 
 
 def test_the_command_line_says_that_contact_was_dense(heap, capsys):
-    from contactvi.commands import cli
+    from contactvi.commands.output import Phases, print_summary
 
-    cli._print_summary(heap, [], 0.0)
+    print_summary(heap, [], Phases())
     words = " ".join(capsys.readouterr().err.split())
     assert f"Dense contact: dense steps for {heap.dense_steps.span:.4g} s" in words
     steps = replace(heap.options, contact_mode="steps")
     heap.options, kept = steps, heap.options
     try:
-        cli._print_summary(heap, [], 0.0)
+        print_summary(heap, [], Phases())
         assert "Dense contact" not in capsys.readouterr().err
     finally:
         heap.options = kept
