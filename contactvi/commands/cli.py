@@ -1,4 +1,4 @@
-"""The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `check`, `check-gradient`.
+"""The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `render`, `check`, `check-gradient`.
 
 Exit codes: 0 done; 1 a case of verify failed, or a derivative; 2 wrong input, reported as expected, got, remedy; 3 the
 run ended early, with its files written where it has some; 4 the run has no derivative; 130 stopped by Ctrl-C.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 import warnings
-import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +16,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from contactvi.commands.pictures import CameraOption, camera_value, play, render
 from contactvi.errors import ContactviError, InputError, NotDifferentiable, SceneError, SimulationError, did_you_mean
 from contactvi.interrupts import held_back
 from contactvi.status import StatusCode
@@ -111,6 +111,7 @@ def run(
     record_every: Annotated[int | None, typer.Option(help="Keep the state every so many steps.")] = None,
     sample_dt: Annotated[float | None, typer.Option(help="Keep the state every so many seconds instead.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per simulated second of the playback.")] = 60.0,
+    camera: CameraOption = None,
     html: Annotated[bool, typer.Option("--html/--no-html", help="Write playback.html.")] = True,
     plot: Annotated[
         bool,
@@ -122,7 +123,10 @@ def run(
     from contactvi.progress import RunProgress
     from contactvi.simulation.simulation import settings_of
 
+    view = camera_value(camera)
     scene = cvi.load_scene(scene_file)
+    if view is not None:
+        scene.camera = view
     chosen: dict[str, Any] = {
         "dt": _step(dt), "duration": duration, "impact": impact, "mhc_reference": mhc_reference, "order": order,
         "tol": tol, "record_every": record_every, "sample_dt": sample_dt,
@@ -238,24 +242,8 @@ def verify(
         raise typer.Exit(FAILED)
 
 
-@app.command()
-def play(
-    file: Annotated[Path, typer.Argument(metavar="RUN.npz", help="File written by a run.", show_default=False)],
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="PAGE.html", help="Page to write, by default beside the run."),
-    ] = None,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
-    fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
-) -> None:
-    """Write the playback of a run as a page of its own and open it in the browser."""
-    import contactvi as cvi
-
-    traj = cvi.Trajectory.load(file)
-    page = traj.to_html(output or file.with_suffix(".html"), fps=fps, title=_title(file))
-    _out.print(f"Playback: {escape(str(page))}")
-    if browser and not webbrowser.open(page.resolve().as_uri(), new=2):
-        _out.print("No browser was found: open the page by hand.")
+app.command()(play)
+app.command()(render)
 
 
 @app.command()
@@ -390,12 +378,6 @@ def _write(traj: Trajectory, folder: Path, title: str, fps: float | None, plot: 
         if np.any(traj.contacts.h > 0.0):
             written.append(save_force_plot(traj, folder / "forces.png"))
     return written
-
-
-def _title(file: Path) -> str:
-    """Return a name for the playback: the file's, or its folder's where the file has the name every run has."""
-    parent = file.resolve().parent.name
-    return parent if file.stem == "trajectory" and parent else file.stem
 
 
 def _print_summary(traj: Trajectory, written: list[Path], writing: float) -> None:
