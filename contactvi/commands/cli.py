@@ -1,4 +1,4 @@
-"""The command line: `contactvi run`, `bench`, `reproduce`, `verify`, `play`, `export`, `check`, `check-gradient`.
+"""The command line: `contactvi run`, `bench`, `verify`, `reproduce`, `play`, `render`, `export`, `check` and more.
 
 Exit codes: 0 done; 1 a case of verify failed, or a derivative; 2 wrong input, reported as expected, got, remedy; 3 the
 run ended early, with its files written where it has some; 4 the run has no derivative; 130 stopped by Ctrl-C.
@@ -7,7 +7,6 @@ run ended early, with its files written where it has some; 4 the run has no deri
 from __future__ import annotations
 
 import warnings
-import webbrowser
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,7 +24,8 @@ from contactvi.commands.console import (
     print_error,
 )
 from contactvi.commands.export import export
-from contactvi.commands.output import Phases, print_summary, run_title, write_files
+from contactvi.commands.output import Phases, print_summary, write_files
+from contactvi.commands.pictures import CameraOption, camera_value, play, render
 from contactvi.errors import ContactviError, NotDifferentiable, SceneError, SimulationError
 from contactvi.interrupts import held_back
 from contactvi.status import StatusCode
@@ -125,6 +125,7 @@ def run(
     record_every: Annotated[int | None, typer.Option(help="Keep the state every so many steps.")] = None,
     sample_dt: Annotated[float | None, typer.Option(help="Keep the state every so many seconds instead.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per simulated second of the playback.")] = 60.0,
+    camera: CameraOption = None,
     html: Annotated[bool, typer.Option("--html/--no-html", help="Write playback.html.")] = True,
     plot: Annotated[
         bool,
@@ -145,6 +146,7 @@ def run(
 
     A model with a free base is dropped on a plane; one with a fixed base is held, and its joints move limp.
     """
+    view = camera_value(camera)
     phases = Phases()
     with phases.of("imports"):
         import contactvi as cvi
@@ -163,6 +165,8 @@ def run(
     }  # fmt: skip
     with phases.of("build"):
         scene = scene_to_run(scene_file, given, save_scene, chosen)
+        if view is not None:
+            scene.camera = view
         settings = settings_of(scene, chosen)
         scene.core()
     folder = output if output is not None else Path(title)
@@ -281,26 +285,8 @@ def verify(
         raise typer.Exit(FAILED)
 
 
-@app.command()
-def play(
-    file: Annotated[Path, typer.Argument(metavar="RUN.npz", help="File written by a run.", show_default=False)],
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="PAGE.html", help="Page to write, by default beside the run."),
-    ] = None,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
-    fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
-) -> None:
-    """Write the playback of a run as a page of its own and open it in the browser."""
-    import contactvi as cvi
-
-    traj = cvi.Trajectory.load(file)
-    page = traj.to_html(output or file.with_suffix(".html"), fps=fps, title=run_title(file))
-    out.print(f"Playback: {escape(str(page))}")
-    if browser and not webbrowser.open(page.resolve().as_uri(), new=2):
-        out.print("No browser was found: open the page by hand.")
-
-
+app.command()(play)
+app.command()(render)
 app.command()(export)
 
 

@@ -1,30 +1,27 @@
-"""The frames of a playback as plain arrays: when, where every body is, which impacts show.
+"""The frames of a playback as plain arrays: when, and where every body is.
 
-Knows nothing of meshcat. Times in seconds from the start of the run, positions in metres, world frame.
+Times in seconds from the start of the run, positions in metres, world frame.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.playback.visuals import Visual
-from contactvi.records.contacts import ContactLog
+from contactvi.records.contacts import ChangeLog, ContactLog
 from contactvi.records.events import EventLog
 from contactvi.scene.scene import Scene
 
 Array = NDArray[np.float64]
 
 MAX_FRAMES = 6000
-MAX_POSES = 130_000  # frames x (moving bodies and pieces of lines), 32 bytes each: about 4 MB of the page
-MAX_IMPACTS = 3000  # shown of a run, about 0.3 MB of the page
-MAX_MARKERS = 24  # impacts shown at the same time
-_MARKER_TIME = 0.25  # [s] for which an impact is visible
+MAX_POSES = 130_000  # frames x moving bodies, 37 bytes each: about 5 MB of the page
 _STILL = 1e-7  # [m], and for the entries of a quaternion [1]
 
 
@@ -34,6 +31,7 @@ class Run(Protocol):
     t: Array
     events: EventLog
     contacts: ContactLog
+    contact_changes: ChangeLog
 
     @property
     def scene(self) -> Scene: ...
@@ -57,31 +55,12 @@ class Poses:
         return len(self.position) > 1
 
 
-@dataclass
-class Marker:
-    """A contact marker that is used for one impact after the other.
-
-    Attributes:
-        start, end: times between which it shows [s], shape (k,).
-        point: (k, 3).
-        direction: unit vector of the impulse that is drawn (k, 3).
-        impulse: [N s], shape (k,).
-    """
-
-    start: list[float] = field(default_factory=list)
-    end: list[float] = field(default_factory=list)
-    point: list[Array] = field(default_factory=list)
-    direction: list[Array] = field(default_factory=list)
-    impulse: list[float] = field(default_factory=list)
-
-
 @dataclass(frozen=True)
 class Frames:
-    """Times (F,) [s] from the start of the run, poses per joint index, and the markers of the impacts."""
+    """Times (F,) [s] from the start of the run, and poses per joint index."""
 
     times: Array
     poses: dict[int, Poses]
-    markers: list[Marker]
 
 
 def frames_of(run: Run, fps: float) -> Frames:
@@ -90,10 +69,9 @@ def frames_of(run: Run, fps: float) -> Frames:
     Long runs get fewer: at most MAX_FRAMES, and MAX_POSES poses in all.
     """
     joints = sorted({joint for visual in run.visuals for joint in visual.joints})
-    pieces = sum(len(visual.vertices) - 1 for visual in run.visuals if visual.shape == "line")
-    times = frame_times(run, fps, max(1, len(joints) + pieces))
+    times = frame_times(run, fps, max(1, len(joints)))
     poses = joint_poses(run.scene.model, run.resample(times), joints)
-    return Frames(times - run.t[0], poses, markers_of(run))
+    return Frames(times - run.t[0], poses)
 
 
 def frame_times(run: Run, fps: float, bodies: int) -> Array:
@@ -109,28 +87,31 @@ def frame_times(run: Run, fps: float, bodies: int) -> Array:
     count = max(2, min(most - len(impacts), int(np.ceil((end - start) * fps)) + 1))
     grid = np.linspace(start, end, count)
     if len(impacts):
-        # Frames of the grid too close to an impact are dropped: three.js keeps times as float32.
+        # Frames of the grid very close to an impact show the same and are dropped.
         nearest = np.abs(impacts[np.clip(np.searchsorted(impacts, grid), 0, len(impacts) - 1)] - grid)
         before = np.abs(impacts[np.clip(np.searchsorted(impacts, grid) - 1, 0, len(impacts) - 1)] - grid)
         close = np.minimum(nearest, before) < 0.05 * (grid[1] - grid[0])
         close[[0, -1]] = False
         grid = grid[~close]
-    times = np.union1d(grid, impacts)
-    apart = np.concatenate([[True], np.diff(times.astype(np.float32)) > 0])
-    return np.asarray(times[apart], dtype=float)
+    return np.asarray(np.union1d(grid, impacts), dtype=float)
 
 
 def joint_poses(model: pin.Model, configurations: Array, joints: Sequence[int]) -> dict[int, Poses]:
     """Return the poses of these joint frames for every configuration; a joint that stands still has one pose."""
-    data = model.createData()
     position = np.zeros((len(joints), len(configurations), 3))
     quaternion = np.zeros((len(joints), len(configurations), 4))
-    for row, q in enumerate(configurations):
+    free = [k for k, joint in enumerate(joints) if _is_free(model, joint)]
+    for k in free:
+        position[k], quaternion[k] = _free_poses(model, joints[k], np.asarray(configurations))
+    linked = [(k, joint) for k, joint in enumerate(joints) if joint and k not in free]
+    data: Any = model.createData() if linked else None  # seconds for hundreds of bodies
+    for row, q in enumerate(configurations) if linked else ():
         pin.forwardKinematics(model, data, q)
-        for k, joint in enumerate(joints):
-            pose = data.oMi[joint]
-            position[k, row] = pose.translation
-            quaternion[k, row] = pin.Quaternion(pose.rotation).coeffs()
+        for k, joint in linked:
+            pose = pin.SE3ToXYZQUAT(data.oMi[joint])
+            position[k, row], quaternion[k, row] = pose[:3], pose[3:]
+    if 0 in joints:
+        quaternion[list(joints).index(0)] = [0.0, 0.0, 0.0, 1.0]
     poses = {}
     for k, joint in enumerate(joints):
         quaternion[k] = near_turns(quaternion[k])
@@ -140,42 +121,24 @@ def joint_poses(model: pin.Model, configurations: Array, joints: Sequence[int]) 
     return poses
 
 
+def _is_free(model: pin.Model, joint: int) -> bool:
+    return joint > 0 and model.parents[joint] == 0 and model.joints[joint].shortname() == "JointModelFreeFlyer"
+
+
+def _free_poses(model: pin.Model, joint: int, configurations: Array) -> tuple[Array, Array]:
+    """Return the poses of a free body, which its numbers in q are: heaps have many of them."""
+    place, at = model.jointPlacements[joint], model.idx_qs[joint]
+    base = pin.Quaternion(place.rotation).coeffs()
+    own = configurations[:, at + 3 : at + 7]
+    axis = base[3] * own[:, :3] + own[:, 3:] * base[:3] + np.cross(base[:3], own[:, :3])
+    turn = np.column_stack([axis, base[3] * own[:, 3] - own[:, :3] @ base[:3]])
+    return configurations[:, at : at + 3] @ place.rotation.T + place.translation, turn
+
+
 def near_turns(quaternion: Array) -> Array:
     """Return quaternions (F, 4) with the signs that make each one near its predecessor: q and -q are one rotation."""
     flip = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
     return np.concatenate([quaternion[:1], quaternion[1:] * flip[:, None]])
-
-
-def markers_of(run: Run) -> list[Marker]:
-    """Distribute the shown contacts over as few markers as show them all, at most MAX_MARKERS at a time."""
-    start, span = float(run.t[0]), float(run.t[-1] - run.t[0])
-    shown_for = min(_MARKER_TIME, max(span / 12.0, 1e-6))
-    events = run.events
-    points, normals = events.array("point"), events.array("normal")
-    drawn = (events.array("kind") == 0) & np.isfinite(points).all(axis=1) & np.isfinite(normals).all(axis=1)
-    markers: list[Marker] = []
-    shown = shown_impacts(run)
-    for k in shown[drawn[shown]]:
-        time = float(events.array("time")[k]) - start
-        free = next((marker for marker in markers if marker.end[-1] <= time), None)
-        if free is None and len(markers) < MAX_MARKERS:
-            free = Marker()
-            markers.append(free)
-        if free is None:  # all are in use: the oldest one is taken
-            free = min(markers, key=lambda marker: marker.start[-1])
-            free.end[-1] = time
-        free.start.append(time)
-        free.end.append(time + shown_for)
-        free.point.append(points[k])
-        free.direction.append(normals[k] * drawn_side(run.scene, int(events.array("index")[k])))
-        free.impulse.append(float(events.array("impulse")[k]))
-    return markers
-
-
-def shown_impacts(run: Run) -> NDArray[np.int64]:
-    """Return the indices of the events that are shown: all of them, or MAX_IMPACTS spread over the run."""
-    count = len(run.events)
-    return np.unique(np.linspace(0, count - 1, min(count, MAX_IMPACTS)).astype(np.int64))
 
 
 def drawn_side(scene: Scene, pair: int) -> float:

@@ -18,7 +18,7 @@ def view(run: Run, *, open_browser: bool = True, **options: Any) -> View:
     Args:
         run: a Trajectory.
         open_browser: open a browser window; the address is printed in any case.
-        **options: fps, title, play, forces of `contactvi.playback.page.write_html`.
+        **options: fps, title, play, forces, camera of `contactvi.playback.page.write_html`.
 
     The page is served while this process lives; a script that would end right away calls `.wait()` on the result. For
     a file that needs no process, use `Trajectory.to_html`. In a notebook the result shows itself.

@@ -16,6 +16,7 @@ dry_friction (nv), servo (3 x nv: kp, kd, effort), actuator (2 x nv: effort, vel
 elements    as Element.to_data (elements.py); a motion is a number or {times, values}. missing: names of elements and
             targets that Python functions gave, which are not stored
 q0, v0, settings
+camera      as `camera_of` takes it, or None; not in files of older versions
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from contactvi.importing.readers import copy_geometry
 from contactvi.importing.report import PartReport
 from contactvi.inputs import vector
 from contactvi.scene.build import Built
+from contactvi.scene.camera import Camera, camera_of
 from contactvi.scene.element_list import ElementList
 from contactvi.scene.joints import JointSettings, JointTable, Servo
 from contactvi.scene.pairs import ContactRules, Rule
@@ -61,6 +63,7 @@ class SceneData:
     q0: np.ndarray | None
     v0: np.ndarray | None
     settings: dict[str, Any]
+    camera: Camera | None
 
 
 def scene_to_dict(
@@ -160,6 +163,7 @@ def _read(data: Mapping[str, Any]) -> SceneData:
         q0=None if data["q0"] is None else vector("q0", data["q0"], model.nq),
         v0=None if data["v0"] is None else vector("v0", data["v0"], model.nv),
         settings=dict(data["settings"]),
+        camera=None if data.get("camera") is None else camera_of(data["camera"]),
     )
 
 

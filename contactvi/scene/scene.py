@@ -18,6 +18,7 @@ from contactvi.importing.report import ImportReport
 from contactvi.inputs import flag, mapping, pose, real, vector
 from contactvi.scene import closure
 from contactvi.scene.build import Built, build
+from contactvi.scene.camera import Camera, bodies_to_follow, camera_of, check_followed
 from contactvi.scene.data import scene_from_dict, scene_to_dict, target_name
 from contactvi.scene.dynamics import SceneDynamics
 from contactvi.scene.element_list import ElementList
@@ -75,6 +76,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         self.q0: np.ndarray | None = None
         self.v0: np.ndarray | None = None
         self.settings: dict[str, Any] = {}
+        self._camera: Camera | None = None
         # What contactvi.trajectory.compiled makes of the scene for its runs. It stands here for the garbage collector:
         # functions of the user in it may hold the scene in turn.
         self.compiled: object = None
@@ -85,6 +87,18 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""
         return scene_html(self)
+
+    @property
+    def camera(self) -> str | dict[str, Any] | None:
+        """Where pictures are taken from unless they say so, as of `Trajectory.to_html`; None: from the open side."""
+        return None if self._camera is None else self._camera.to_data()
+
+    @camera.setter
+    def camera(self, value: Any) -> None:
+        camera = None if value is None else camera_of(value)
+        if camera is not None:
+            check_followed(camera, bodies_to_follow(self))
+        self._camera = camera
 
     # --- parts --------------------------------------------------------------------------------------------------------
 
@@ -575,7 +589,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         """Return a complete description in plain data (contactvi.scene.data); from_dict makes a scene of it again."""
         data = scene_to_dict(self.built(), self._contact, self._elements, self.parts)
         start = {name: None if q is None else q.tolist() for name, q in (("q0", self.q0), ("v0", self.v0))}
-        return data | start | {"settings": dict(self.settings)}
+        return data | start | {"settings": dict(self.settings), "camera": self.camera}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Scene:
@@ -585,6 +599,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         scene._parts.add_stored(stored.part, stored.handles)
         scene._contact, scene._joints, scene._elements = stored.contact, stored.joints, stored.elements
         scene.q0, scene.v0, scene.settings = stored.q0, stored.v0, stored.settings
+        scene._camera = stored.camera
         return scene
 
     def restore(self, elements: ElementList, goals: Mapping[str, Any]) -> None:

@@ -1,6 +1,8 @@
 """Scene files: one readable TOML page with what is simulated, how it starts and how it is run.
 
     [scene]                 gravity = [0, 0, -9.81]                 title, description: for the reader
+                            camera = "auto" | "front" | "side" | "top" | { eye = [x, y, z], target = [x, y, z] } |
+                            { follow = "body" }
     [[urdf]]                path, base = "fixed" | "free", xyz, rpy, package_dirs, srdf, prefix, limits = true,
                             friction = false, mimic = true, armature = number | { joint = number },
                             self_collision = true
@@ -85,7 +87,7 @@ ELEMENTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 _PLACE = ("xyz", "rpy")
 _BODY = ("name", "mass", "free", "color", *_PLACE)
 KEYS: dict[str, tuple[str, ...]] = {
-    "scene": ("title", "description", "gravity"),
+    "scene": ("title", "description", "gravity", "camera"),
     "urdf": (
         "path",
         "base",
@@ -160,6 +162,7 @@ def load_scene(path: str | os.PathLike[str]) -> Scene:
             with _at(file, section, number):
                 _add_element(scene, section, entry)
     _set_start(scene, data, file)
+    _set_camera(scene, data, file)
     scene.settings = dict(data.get("run", {}))
     if "dt" in scene.settings:
         with _at(file, "run"):
@@ -379,6 +382,13 @@ def _set_contact(scene: Scene, contact: Mapping[str, Any], file: Path) -> None:
         with _at(file, "contact.pair", number):
             values = dict(entry)
             scene.set_contact(values.pop("a"), values.pop("b"), **values)
+
+
+def _set_camera(scene: Scene, data: Mapping[str, Any], file: Path) -> None:
+    if "camera" not in data.get("scene", {}):
+        return
+    with _at(file, "scene"):
+        scene.camera = data["scene"]["camera"]
 
 
 def _two(pair: Any, key: str) -> list[str]:

@@ -72,7 +72,7 @@ class CompiledScene:
         """Return whether the scene is still as it was."""
         kept = self._scene
         same = scene.built() is self.built and scene.q0 is kept.q0 and scene.v0 is kept.v0
-        return same and scene.settings == kept.settings
+        return same and scene.settings == kept.settings and scene.camera == kept.camera
 
     @property
     def q0(self) -> Any:

@@ -436,6 +436,12 @@ class Trajectory(Exports):
 
         return write_html(self, path, **options)
 
+    def render(self, path: str | os.PathLike[str], **options: Any) -> Path:
+        """Draw the run into a .gif, .mp4 or .png (contactvi.playback.render.render); return its path."""
+        from contactvi.playback.render import render
+
+        return render(self, path, **options)
+
     def _engine(self) -> _core.Scene:
         if self._core is None:
             self._core = self.scene.core()

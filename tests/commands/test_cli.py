@@ -9,8 +9,11 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 import contactvi as cvi
 from contactvi.progress import RunProgress, describe
+from helpers.playback_data import run_data
 from helpers.run_scenes import HAND_URDF, ball_file
 
 OK, WRONG_INPUT, ENDED_EARLY = 0, 2, 3
@@ -129,6 +132,50 @@ def test_play(command, tmp_path, monkeypatch):
     assert "other.html" in result.stdout
     assert Path("other.html").is_file()
     assert len(opened) == 1
+
+
+def test_cameras_of_the_commands(command, tmp_path):
+    """What --camera says is in the page of play, and with run in the stored run too."""
+    file = ball_file(tmp_path)
+    assert command("run", file, "-o", "out", "--camera", '{"follow": "ball"}', "--no-plot").exit_code == OK
+    assert "follow" in run_data(Path("out/playback.html").read_text())["camera"]
+    assert cvi.Trajectory.load("out/trajectory.npz").scene.camera == {"follow": "ball"}
+    assert command("play", "out/trajectory.npz", "--no-browser", "--camera", "top").exit_code == OK
+    assert run_data(Path("out/trajectory.html").read_text())["camera"]["preset"] == "top"
+
+
+@pytest.mark.parametrize(
+    ("camera", "words"),
+    [
+        ("tip", "Did you mean 'top'"),
+        ('{"follow": "bal"}', "Did you mean 'ball'"),
+        ('{"eye": [0, 0, 1]}', "Add target"),
+        ("{follow: ball}", "in single quotes"),
+    ],
+)
+def test_wrong_cameras(command, tmp_path, camera, words):
+    result = command("run", ball_file(tmp_path), "-o", "out", "--camera", camera)
+    reported(result, words)
+    assert not Path("out/trajectory.npz").exists()
+
+
+def test_wrong_input_of_render(command, tmp_path):
+    cvi.simulate(cvi.load_scene(ball_file(tmp_path)), duration=0.1).save("run.npz")
+    reported(command("render", "run.npz", "-o", "run.avi"), ".gif, .mp4, .png")
+    reported(command("render", "run.npz", "-o", "run.png"), "Give at=")
+    reported(command("render", "run.npz", "--size", "big"), "800x600")
+    reported(command("render", "none.npz"), "no such file")
+
+
+@pytest.mark.browser
+def test_render(command, tmp_path):
+    cvi.simulate(cvi.load_scene(ball_file(tmp_path)), duration=0.1).save("run.npz")
+    result = command("render", "run.npz", "--size", "64x48", "--fps", 20)
+    assert result.exit_code == OK
+    assert "run.gif" in result.stdout
+    assert Path("run.gif").read_bytes().startswith(b"GIF89a")
+    assert command("render", "run.npz", "--at", 0.05, "--size", "64x48", "--camera", "side").exit_code == OK
+    assert Path("run.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_wrong_input_of_play(command, tmp_path):

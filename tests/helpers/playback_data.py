@@ -1,39 +1,46 @@
-"""What a playback page holds, read back: drawing commands, the words, the tracks of the animation."""
+"""What a playback page holds, read back: its data, arrays unpacked."""
 
 from __future__ import annotations
 
 import base64
 import json
 import re
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import umsgpack
-
-FLOAT_ARRAY = 0x17  # meshcat's code of a Float32Array
 
 
-def commands(page: str) -> list[dict]:
-    """The meshcat commands of a page, unpacked."""
-    found = re.search(r"for \(const command of (\[.*?\])\) \{", page)
-    assert found is not None
-    return [umsgpack.unpackb(base64.b64decode(text)) for text in json.loads(found.group(1))]
+def unpacked(entry: dict[str, str]) -> np.ndarray:
+    """The numbers of an array of the page, as one row."""
+    return np.frombuffer(base64.b64decode(entry["data"]), "<" + entry["type"])
 
 
-def run_data(page: str) -> dict:
-    found = re.search(r"^const run = (.*);$", page, re.MULTILINE)
+def run_data(page: str) -> dict[str, Any]:
+    """The data of a page."""
+    found = re.search(r'<script type="application/json" id="run">(.*?)</script>', page, re.DOTALL)
     assert found is not None
     return json.loads(found.group(1))
 
 
-def tracks(page: str) -> dict[str, dict[str, dict]]:
-    """path -> track name -> track, arrays unpacked."""
-    animations = next(command["animations"] for command in commands(page) if command["type"] == "set_animation")
-    found: dict[str, dict[str, dict]] = {}
-    for item in animations:
-        assert item["clip"]["fps"] == 1  # times are seconds
-        for track in item["clip"]["tracks"]:
-            values = track["values"]
-            track["times"] = np.frombuffer(track["times"].data, np.float32)
-            track["values"] = np.frombuffer(values.data, np.float32) if isinstance(values, umsgpack.Ext) else values
-            found.setdefault(item["path"], {})[track["name"]] = track
-    return found
+@dataclass(frozen=True)
+class PageEvents:
+    """The list of events of a page: words for kinds, pairs of names, arrays (n,) and (n, 3)."""
+
+    kind: list[str]
+    pair: list[tuple[str, str]]
+    time: np.ndarray
+    impulse: np.ndarray
+    count: np.ndarray
+    point: np.ndarray
+    direction: np.ndarray
+
+    @classmethod
+    def of(cls, page: str) -> PageEvents:
+        data = run_data(page)["events"]
+        return cls(
+            [data["kinds"][k] for k in unpacked(data["kind"])],
+            [tuple(data["names"][k]) for k in unpacked(data["name"])],
+            *(unpacked(data[name]) for name in ("time", "impulse", "count")),
+            *(unpacked(data[name]).reshape(-1, 3) for name in ("point", "direction")),
+        )

@@ -7,11 +7,12 @@ import pytest
 
 import contactvi as cvi
 from contactvi.errors import SceneError
-from contactvi.playback import animation, lines, shapes, visuals
+from contactvi.playback import animation, framing, lines, visuals
+from contactvi.playback.open_side import trees_of
 from contactvi.playback.page import make_html
 from helpers.line_scenes import hung_ball
 from helpers.loop_scenes import BAR, arm_scene
-from helpers.playback_data import commands, run_data, tracks
+from helpers.playback_data import run_data
 
 SINGLE = float(np.finfo(np.float32).eps)
 
@@ -52,40 +53,16 @@ def test_ends_are_in_the_frames_of_their_bodies():
     for joint, at, path in zip((1, 3), ((0.1, 0, 0.05), (0.3, 0, 0)), lines.path_of(visual, frames.poses), strict=True):
         pose = animation.joint_poses(scene.model, traj.resample(frames.times), [joint])[joint]
         assert path == pytest.approx(pose.position + lines.rotate(pose.quaternion, np.array(at)), abs=4 * SINGLE)
-    (piece,) = lines.pieces_of(visual, frames.poses)
-    tip = lines.rotate(piece.quaternion[:1], np.array([0, 0, piece.length[0]]))
-    assert piece.start[:1] + tip == pytest.approx(lines.path_of(visual, frames.poses)[1][:1], abs=1e-12)
-
-
-def test_turns_of_the_z_axis():
-    rng = np.random.default_rng(3)
-    some = rng.normal(size=(200, 3))
-    some[:100] = [0.0, 0.0, -1.0] + 1e-9 * some[:100]  # near the one direction that has no least turn
-    some = np.concatenate([some, [[0, 0, 1], [0, 0, -1], [1, 0, 0]]])
-    some /= np.linalg.norm(some, axis=1, keepdims=True)
-    found = lines.turns(some)
-    assert np.linalg.norm(found, axis=1) == pytest.approx(np.ones(len(some)), abs=1e-15)
-    z = np.array([0.0, 0.0, 1.0])
-    turned = np.array([lines.rotate(q[None], z)[0] for q in found])
-    assert turned == pytest.approx(some, abs=1e-15)
 
 
 def test_the_page_draws_lines(ball):
-    page = make_html(ball)
-    paths = [c["path"] for c in commands(page) if c["type"] == "set_object" and "/lines/" in c["path"]]
-    assert [path.split("/")[3].split("_")[1] for path in paths] == ["tape", "tape", "string"]
-    assert any("green: springs, dark: strings and rods" in fact["text"] for fact in run_data(page)["facts"])
-    moved = {path: found for path, found in tracks(page).items() if "/lines/" in path}
-    assert len(moved) == 2  # the tape's first piece stands still
-    (string,) = (found for path, found in moved.items() if "string" in path)
-    count = len(string[".position"]["times"])
-    assert string[".position"]["values"].reshape(count, 3) == pytest.approx(np.tile([0.0, 0.0, 1.0], (count, 1)))
-    chords = 20.0 * 1e-3**2 / 8.0  # between two nodes: accelerations are below 20 m/s^2
-    assert string[".scale"]["values"].reshape(count, 3) == pytest.approx(np.ones((count, 3)), abs=chords)
-    turns = string[".quaternion"]["values"].reshape(count, 4)
-    assert np.all(np.sum(turns[1:] * turns[:-1], axis=1) > 0.9)
-    fixed = [c["matrix"] for c in commands(page) if c["type"] == "set_transform" and c["path"].endswith("tape/0")]
-    assert fixed[0][12:15] == pytest.approx([-1.0, 0.0, 0.0])
+    data = run_data(make_html(ball))
+    found = {shape["name"]: shape for shape in data["shapes"] if shape["shape"] == "line"}
+    assert set(found) == {"tape", "string"}
+    assert found["tape"]["points"] == [[-1, 0, 0], [-0.5, 0, 0.5], [0, 0, 0]]
+    names = [data["bodies"][k]["name"] for k in found["tape"]["bodies"]]
+    assert names == ["world", "world", "ball"]
+    assert any("green: springs, dark: strings and rods" in fact["text"] for fact in data["facts"])
 
 
 def test_no_lines_no_words():
@@ -95,10 +72,10 @@ def test_no_lines_no_words():
 
 def test_lines_are_in_the_picture_but_do_not_count_for_the_size_of_bodies(ball):
     frames = animation.frames_of(ball, 60.0)
-    view = shapes.fit(ball.visuals, frames)
+    view = framing.fit(ball.visuals, frames, trees_of(ball.scene.model))
     corners = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    assert np.all(np.linalg.norm(corners - view["center"], axis=1) <= view["radius"] * (1 + 1e-6))
-    assert view["size"] == pytest.approx(6.0 * 0.05)
+    assert np.all(np.linalg.norm(corners - view.center, axis=1) <= view.radius * (1 + 1e-6))
+    assert view.size == pytest.approx(6.0 * 0.05)
 
 
 def test_a_stored_run_keeps_lines_that_functions_drive(ball, tmp_path):
@@ -109,7 +86,7 @@ def test_a_stored_run_keeps_lines_that_functions_drive(ball, tmp_path):
     for name, visual in before.items():
         assert after[name].joints == visual.joints
         np.testing.assert_array_equal(after[name].vertices, visual.vertices)
-    assert make_html(loaded).count("/lines/") == make_html(ball).count("/lines/")
+    assert make_html(loaded).count('"shape": "line"') == make_html(ball).count('"shape": "line"') == 2
 
 
 @pytest.mark.parametrize("sizes", [[0.0], [0.0, 1.0, 1.0], []])

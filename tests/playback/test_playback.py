@@ -1,4 +1,4 @@
-"""The playback as data: frames, markers, shapes, camera, and the page that holds them. See also test_browser.py."""
+"""The playback as data: frames, events, shapes, camera, and the page that holds them. See also test_browser.py."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ import warnings
 import numpy as np
 import pinocchio as pin
 import pytest
-import umsgpack
 
 import contactvi as cvi
-from contactvi.playback import animation, shapes, visuals
+from contactvi.playback import animation, event_list, framing, shapes, visuals
+from contactvi.playback.event_list import KINDS, happenings
+from contactvi.playback.open_side import trees_of
 from contactvi.playback.page import make_html
-from helpers.playback_data import FLOAT_ARRAY, commands, run_data, tracks
-from helpers.run_scenes import FIRST_IMPACT, RADIUS, ball_scene, hand_scene
+from helpers.playback_data import PageEvents, run_data, unpacked
+from helpers.run_scenes import RADIUS, ball_scene, hand_scene
 
 SINGLE = float(np.finfo(np.float32).eps)
 
@@ -41,7 +42,7 @@ def hand() -> cvi.Trajectory:
 @pytest.mark.parametrize("fps", [5.0, 60.0, 1000.0])
 def test_frames_meet_start_end_and_impacts(ball, fps):
     times = animation.frame_times(ball, fps, 1)
-    assert np.all(np.diff(times.astype(np.float32)) > 0)
+    assert np.all(np.diff(times) > 0)
     assert times[0] == ball.t[0]
     assert times[-1] == ball.t[-1]
     assert set(ball.events.array("time")) <= set(times)
@@ -71,33 +72,53 @@ def test_poses_are_those_of_pinocchio(hand):
         assert np.all(np.sum(poses.quaternion[1:] * poses.quaternion[:-1], axis=1) > 0)
 
 
-def test_markers_show_around_their_impacts(ball):
-    markers = animation.markers_of(ball)
-    shown = sorted((m.start[k], m.end[k], tuple(m.point[k])) for m in markers for k in range(len(m.start)))
-    assert [start for start, _, _ in shown] == list(ball.events.array("time"))
-    for (start, end, point), event in zip(shown, ball.events, strict=True):
-        assert start < end <= start + 0.25
-        assert point == tuple(event.point)
-        assert point[2] == pytest.approx(0.0, abs=1e-12)
-    for marker in markers:
-        assert np.all(np.array(marker.start[1:]) >= np.array(marker.end[:-1]))
-        for direction in marker.direction:
-            assert direction == pytest.approx([0, 0, 1], abs=1e-12)  # what the ball gets, not the ground
+def test_poses_of_free_bodies_are_those_of_pinocchio():
+    """A free body whose joint does not stand at the world's origin, beside one that does."""
+    model = pin.Model()
+    place = pin.SE3(pin.utils.rpyToMatrix(0.3, -0.4, 0.5), np.array([1.0, 2.0, 3.0]))
+    model.addJoint(0, pin.JointModelFreeFlyer(), place, "a")
+    model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "b")
+    data = model.createData()
+    model.lowerPositionLimit, model.upperPositionLimit = -np.ones(14), np.ones(14)
+    configurations = np.array([pin.randomConfiguration(model) for _ in range(5)])
+    found = animation.joint_poses(model, configurations, [0, 1, 2])
+    for row, q in enumerate(configurations):
+        pin.forwardKinematics(model, data, q)
+        for joint in (1, 2):
+            x, y, z, w = found[joint].quaternion[row]
+            pose = pin.SE3(pin.Quaternion(w, x, y, z), found[joint].position[row])
+            assert pose.isApprox(data.oMi[joint], 1e-12)
+    assert found[0].quaternion.tolist() == [[0.0, 0.0, 0.0, 1.0]]
 
 
-def test_markers_are_reused():
-    traj = cvi.simulate(ball_scene(), duration=100.0, dt=1e-2)
-    assert len(traj.events) > 100
-    assert len(animation.markers_of(traj)) == 1
+def test_impacts_are_listed_with_what_the_free_body_gets(ball):
+    listed = happenings(ball)
+    hits = listed.kind == KINDS.index("impact")
+    assert listed.time[hits] == pytest.approx(ball.events.array("time"), abs=0.0)
+    assert listed.point[hits] == pytest.approx(ball.events.array("point"), abs=0.0)
+    assert listed.direction[hits] == pytest.approx(np.tile([0, 0, 1], (hits.sum(), 1)), abs=1e-12)
+    assert np.all(np.diff(listed.time) >= 0.0)
+    assert listed.left_out == 0
 
 
-def test_number_of_shown_impacts_is_bounded():
+def test_the_strongest_impacts_are_listed(monkeypatch):
+    traj = cvi.simulate(ball_scene(restitution=0.9), duration=3.0, dt=1e-2)
+    impulses = np.sort(traj.events.array("impulse"))
+    assert len(impulses) > 3
+    monkeypatch.setattr(event_list, "MAX_IMPACTS", 3)
+    listed = happenings(traj)
+    assert np.sort(listed.impulse) == pytest.approx(impulses[-3:], abs=0.0)
+    assert listed.left_out == len(impulses) - 3
+    page = make_html(traj)
+    assert f"{len(impulses) - 3} weaker impacts" in page
+
+
+def test_pages_of_long_runs_stay_light():
     traj = cvi.simulate(ball_scene(), duration=5000.0, dt=1e-2, record_every=1000)
-    assert len(traj.events) > animation.MAX_IMPACTS
-    assert len(animation.shown_impacts(traj)) == animation.MAX_IMPACTS
+    assert len(traj.events) > 3000
     page = make_html(traj)
     assert len(page) < 3e6
-    assert f"{animation.MAX_IMPACTS} of the impacts are shown" in page
+    assert len(PageEvents.of(page).kind) == min(len(traj.events), event_list.MAX_IMPACTS)
 
 
 # -- shapes -----------------------------------------------------------------------------------------------------------
@@ -119,11 +140,23 @@ def test_every_primitive_is_drawn(tmp_path):
     scene.add_sphere("sphere", 0.1, placement=(3, 0, 1), color=(1, 0, 0, 0.5))
     scene.add_halfspace((1, 0, 1), -1.0, name="slope")
     traj = cvi.simulate(scene, duration=0.1, dt=1e-2)
-    found = [command for command in commands(make_html(traj)) if command["type"] == "set_object"]
-    kinds = [command["object"]["geometries"][0]["type"] for command in found]
-    assert {"BoxGeometry", "CylinderGeometry", "SphereGeometry", "BufferGeometry"} <= set(kinds)
-    for name in ("box", "capsule", "cylinder", "sphere", "slope"):
-        assert any(name in command["path"] for command in found)
+    found = {shape["name"]: shape for shape in run_data(make_html(traj))["shapes"]}
+    assert {name: shape["shape"] for name, shape in found.items()} == {
+        "box": "box", "capsule": "capsule", "cylinder": "cylinder", "sphere": "sphere", "slope": "halfspace",
+    }  # fmt: skip
+    assert found["box"]["sizes"] == pytest.approx([0.05, 0.1, 0.15])
+    assert found["sphere"]["opacity"] == 0.5
+
+
+def test_black_and_white_are_drawn_nearer_to_grey():
+    def tone(color):
+        shape = visuals.Visual("a", 0, np.eye(4), "sphere", (1.0,), (*color, 1.0), np.zeros((0, 3)), np.zeros((0, 3)))
+        return shapes.color_of(shape, 0)
+
+    assert tone((0.0, 0.0, 0.0)) == "#6b6b6b"
+    assert tone((1.0, 1.0, 1.0)) == "#e0e0e0"
+    assert tone((0.5, 0.6, 0.7)) == "#8099b2"
+    assert tone((1.0, 0.0, 0.0)) == "#ff0000"
 
 
 def sphere_mesh(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -142,9 +175,32 @@ def test_heavy_meshes_are_thinned_out():
     (thin,) = visuals.thin_out([heavy], 4000)
     assert 1000 < len(thin.faces) <= 4000
     assert int(thin.faces.max()) < len(thin.vertices)
-    # A cell is about a twentieth of the size: averaging its vertices moves the surface by less.
-    assert np.abs(np.linalg.norm(thin.vertices, axis=1) - 1).max() < 0.05
+    # A cell is about a twentieth of the size, and its point lies near the planes of its faces.
+    assert np.abs(np.linalg.norm(thin.vertices, axis=1) - 1).max() < 0.01
     assert visuals.thin_out([heavy], len(faces)) == [heavy]
+
+
+def test_flat_stays_flat_and_edges_sharp_in_thinned_meshes():
+    """A cube with many triangles: the means of a cell's vertices would bevel its edges."""
+    n = 60
+    u, v = (part.reshape(-1) for part in np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n), indexing="ij"))
+    quads = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (x.reshape(-1) for x in (quads[:-1, :-1], quads[1:, :-1], quads[1:, 1:], quads[:-1, 1:]))
+    side = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+    points, faces = [], []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            faces.append(side + n * n * len(points))
+            points.append(np.roll(np.column_stack([np.full(n * n, sign), u, v]), axis, axis=1))
+    cube = visuals.Visual(
+        "a", 0, np.eye(4), "mesh", (), None,
+        np.concatenate(points).astype(np.float32), np.concatenate(faces).astype(np.uint32),
+    )  # fmt: skip
+    (thin,) = visuals.thin_out([cube], 3000)
+    assert len(thin.faces) <= 3000
+    assert np.abs(np.abs(thin.vertices).max(axis=1) - 1).max() < 1e-4  # all points are on a face of the cube
+    edges = np.sort(np.abs(thin.vertices), axis=1)[:, 1] > 1 - 1e-4
+    assert edges.sum() >= 12 * 10
 
 
 def test_round_parts_look_round_and_edges_sharp():
@@ -166,11 +222,15 @@ def test_round_parts_look_round_and_edges_sharp():
 # -- camera -----------------------------------------------------------------------------------------------------------
 
 
+def view_of(traj):
+    return framing.fit(traj.visuals, animation.frames_of(traj, 60.0), trees_of(traj.scene.model))
+
+
 def test_camera_sees_what_moves_and_not_the_ground(ball):
-    view = shapes.fit(ball.visuals, animation.frames_of(ball, 60.0))
-    assert view["radius"] < 2.0
-    assert view["center"][2] == pytest.approx((1.1 + RADIUS) / 2, abs=0.02)
-    assert np.linalg.norm(view["direction"]) == pytest.approx(1.0)
+    view = view_of(ball)
+    assert view.radius < 2.0
+    assert view.center[2] == pytest.approx((1.1 + RADIUS) / 2, abs=0.02)
+    assert np.linalg.norm(view.direction) == pytest.approx(1.0)
 
 
 def test_camera_is_on_the_open_side_of_walls():
@@ -179,8 +239,8 @@ def test_camera_is_on_the_open_side_of_walls():
         scene.add_sphere("ball", 0.1, placement=tuple(0.5 * np.array(normal, dtype=float)))
         scene.add_halfspace(normal, 0.0)
         traj = cvi.simulate(scene, duration=0.1, dt=1e-2)
-        view = shapes.fit(traj.visuals, animation.frames_of(traj, 60.0))
-        assert np.dot(view["direction"], normal) > 0
+        view = view_of(traj)
+        assert np.dot(view.direction, normal) > 0
 
 
 def test_what_flies_away_does_not_shrink_the_rest():
@@ -188,77 +248,162 @@ def test_what_flies_away_does_not_shrink_the_rest():
     scene.add_sphere("runaway", 0.1, placement=(1.0, 0.0, 1.0))
     v0 = scene.velocity({"runaway": (100.0, 0.0, 0.0)})
     traj = cvi.simulate(scene, None, v0, duration=2.0, dt=1e-2)
-    view = shapes.fit(traj.visuals, animation.frames_of(traj, 60.0))
+    view = view_of(traj)
     assert traj.q[-1].max() > 100.0
-    assert view["radius"] < 5.0
+    assert view.radius < 5.0
+
+
+def test_outline_holds_all_that_moves(hand):
+    """In every direction the outline reaches as far as the shapes do, to a percent of the picture."""
+    view, frames = view_of(hand), animation.frames_of(hand, 60.0)
+    rng = np.random.default_rng(0)
+    ball = next(visual for visual in hand.visuals if visual.name == "ball")
+    for direction in rng.normal(size=(20, 3)):
+        direction /= np.linalg.norm(direction)
+        reach = (frames.poses[ball.joint].position @ direction).max() + ball.sizes[0]
+        assert (view.outline @ direction).max() >= reach - 0.01 * view.radius
+
+
+def test_the_open_side_shows_what_lies_in_a_bowl():
+    """A ball behind a screen: from the usual side the screen hides it."""
+    for x, y in ((1.0, -0.75), (-1.0, 0.75)):
+        scene = cvi.Scene()
+        scene.add_sphere("ball", 0.1, placement=(0.0, 0.0, 0.3))
+        side = np.array([x, y]) / math.hypot(x, y)
+        scene.add_box(
+            "screen", (0.02, 1.2, 1.2), free=False,
+            placement=((0.3 * side[0], 0.3 * side[1], 0.3), (0.0, 0.0, math.atan2(y, x))),
+        )  # fmt: skip
+        traj = cvi.simulate(scene, duration=0.2, dt=1e-2)
+        toward = view_of(traj).direction
+        ahead, aside = toward[:2] @ side, np.linalg.norm([toward[:2] @ [-side[1], side[0]], toward[2]])
+        assert ahead <= 0.0 or 0.3 * aside / ahead > 0.6  # the way to the camera passes beside the screen
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------
 
 
 def test_page_holds_the_motion(ball, tmp_path):
-    page = ball.to_html(tmp_path / "run.html").read_text()
-    moved = next(found for path, found in tracks(page).items() if path.endswith("_ball"))
-    position, quaternion = moved[".position"], moved[".quaternion"]
-    times = position["times"]
-    for event in ball.events:
-        assert np.abs(times - event.time).min() <= SINGLE * event.time
-    q = ball.resample(np.clip(times.astype(float), 0, 2.5))
-    assert position["values"].reshape(-1, 3) == pytest.approx(q[:, :3], abs=8 * SINGLE)
-    turned = np.abs(np.sum(quaternion["values"].reshape(-1, 4) * q[:, 3:], axis=1))
+    data = run_data(ball.to_html(tmp_path / "run.html").read_text())
+    times = unpacked(data["times"])
+    (moved,) = [body for body in data["bodies"] if body["moves"]]
+    assert moved["name"] == "ball"
+    assert set(ball.events.array("time")) <= set(times)
+    q = ball.resample(times)
+    assert unpacked(moved["position"]).reshape(-1, 3) == pytest.approx(q[:, :3], abs=8 * SINGLE)
+    turned = np.abs(np.sum(unpacked(moved["quaternion"]).reshape(-1, 4) * q[:, 3:], axis=1))
     assert turned == pytest.approx(1.0, abs=64 * SINGLE)
 
 
 def test_page_holds_the_impacts(ball):
     page = make_html(ball)
-    data = run_data(page)
-    assert [hit["t"] for hit in data["impacts"]] == pytest.approx(ball.events.array("time"))
-    assert data["impacts"][0]["pair"] == "ball | ground"
-    assert data["duration"] == pytest.approx(2.5)
-    markers = {path: found for path, found in tracks(page).items() if "/impacts/" in path}
-    point = markers["/contactvi/impacts/0"]
-    visible = point[".visible"]
-    at_impact = np.searchsorted(visible["times"], np.float32(FIRST_IMPACT) * (1 + 2 * SINGLE)) - 1
-    assert visible["values"][at_impact]
-    assert not visible["values"][0]
-    scale = markers["/contactvi/impacts/0/arrow"][".scale"]["values"].reshape(-1, 3)
-    impulses = ball.events.array("impulse")
-    assert scale[:, 2] == pytest.approx(impulses / impulses.max(), rel=4 * SINGLE)
+    listed = PageEvents.of(page)
+    assert listed.kind == ["impact"] * len(ball.events)
+    assert listed.time == pytest.approx(ball.events.array("time"), abs=0.0)
+    assert set(listed.pair) == {("ball", "ground")}
+    assert listed.impulse == pytest.approx(ball.events.array("impulse"), rel=4 * SINGLE)
+    assert run_data(page)["duration"] == pytest.approx(2.5)
+
+
+def test_page_names_kinds_of_what_happens():
+    """A ball that bounces to rest, and one that hits a joint limit: the words are those of the records."""
+    traj = cvi.simulate(ball_scene(restitution=0.5), duration=4.0, dt=1e-2)
+    listed = PageEvents.of(make_html(traj))
+    assert {"impact", "begin", "zeno"} <= set(listed.kind)
+    ended = [change for change in traj.contact_changes if change.change == "bouncing ended"]
+    assert [time for kind, time in zip(listed.kind, listed.time, strict=True) if kind == "zeno"] == [
+        change.time for change in ended
+    ]
 
 
 @pytest.mark.parametrize("name", ["ball", "hand"])
 def test_page_is_self_contained_and_finite(name, request):
-    page = make_html(request.getfixturevalue(name), title="a </script><b> & b")
-    text = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
-    assert "<script" in page
-    assert "a &lt;/script&gt;&lt;b&gt; &amp; b" in page
+    page = make_html(request.getfixturevalue(name), title="a </script><b> & b <!--")
+    text = re.sub(r"<script[^>]*>.*?</script>", "", page, flags=re.DOTALL)
+    assert "a &lt;/script&gt;&lt;b&gt; &amp; b &lt;!--" in page
     assert not re.findall(r"(?:src|href)\s*=", text)
-    assert page.count("</script>") == 3  # the title did not end one
-    assert len(page) < 10e6
+    assert page.count("</script>") == 4  # the title did not end one
+    assert len(page) < 5e6
+    data = run_data(page)
+    assert data["title"] == "a </script><b> & b <!--"
 
     def check(item):
         if isinstance(item, dict):
+            if set(item) == {"type", "data"}:
+                assert np.all(np.isfinite(unpacked(item)))
             for value in item.values():
                 check(value)
-        elif isinstance(item, (list, tuple)):
+        elif isinstance(item, list):
             for value in item:
                 check(value)
-        elif isinstance(item, umsgpack.Ext) and item.type == FLOAT_ARRAY:
-            assert np.all(np.isfinite(np.frombuffer(item.data, np.float32)))
         elif isinstance(item, float):
             assert math.isfinite(item)
 
-    check(commands(page))
+    check(data)
 
 
 def test_names_of_the_template_are_names_like_others():
     scene = cvi.Scene()
-    scene.add_sphere("@COMMANDS@ @MESHCAT@", 0.1)
+    name = "@PLAYER@ @THREE@ </script><script>alert(1)</script>"
+    scene.add_sphere(name, 0.1)
     traj = cvi.simulate(scene, duration=0.1, dt=1e-2)
-    page = make_html(traj, title="@RUN@ @MESHCAT@")
-    assert "<title>@RUN@ @MESHCAT@</title>" in page
-    assert run_data(page)["duration"] == pytest.approx(0.1)
-    assert any("__COMMANDS___MESHCAT_" in str(command.get("path")) for command in commands(page))
+    page = make_html(traj, title="@RUN@ @SCRIPT@")
+    assert "<title>@RUN@ @SCRIPT@</title>" in page
+    assert page.count("</script>") == 4
+    data = run_data(page)
+    assert data["shapes"][0]["name"] == name
+    assert data["bodies"][0]["name"] == name
+    assert data["title"] == "@RUN@ @SCRIPT@"
+
+
+@pytest.mark.parametrize(
+    ("camera", "expected"),
+    [
+        (None, {"preset": "auto", "eye": None, "target": None}),
+        ("top", {"preset": "top", "eye": None, "target": None}),
+        ({"eye": (1, 2, 3), "target": np.zeros(3)}, {"preset": None, "eye": [1, 2, 3], "target": [0, 0, 0]}),
+        ({"follow": "ball"}, {"follow": 1}),
+    ],
+)
+def test_camera_of_the_page(ball, camera, expected):
+    data = run_data(make_html(ball, camera=camera))
+    assert data["camera"] == expected
+    if expected == {"follow": 1}:
+        assert data["bodies"][1]["name"] == "ball"
+
+
+def test_camera_of_the_scene_goes_with_the_run(tmp_path):
+    scene = ball_scene()
+    scene.camera = {"follow": "ball"}
+    traj = cvi.simulate(scene, duration=0.1, dt=1e-2)
+    loaded = cvi.Trajectory.load(traj.save(tmp_path / "run.npz"))
+    assert "follow" in run_data(make_html(loaded))["camera"]
+    scene.camera = "top"  # after a run: the next one has it
+    assert cvi.simulate(scene, duration=0.1, dt=1e-2).scene.camera == "top"
+    with pytest.raises(cvi.InputError, match="unknown body"):
+        scene.camera = {"follow": "bell"}
+    assert scene.camera == "top"
+    assert run_data(make_html(loaded, camera="side"))["camera"]["preset"] == "side"
+
+
+@pytest.mark.parametrize(
+    ("camera", "match"),
+    [
+        ("sid", "side"),
+        (3, "eye"),
+        ({"follow": "bal"}, "'ball'"),
+        ({"follow": 3}, "name of a body"),
+        ({"eye": (0, 0, 1)}, "Add target"),
+        ({"eye": (0, 0, 1), "target": (0, 0, 1)}, "Move the eye"),
+        ({"eye": (0, 0, math.nan), "target": (0, 0, 1)}, "finite"),
+        ({"folow": "ball"}, "follow"),
+        ({"eye": (0, 0, 1), "target": (0, 0, 0), "follow": "ball"}, "one of the others"),
+    ],
+)
+def test_bad_cameras(ball, camera, match):
+    with pytest.raises(cvi.InputError, match=match) as caught:
+        make_html(ball, camera=camera)
+    assert "camera" in str(caught.value).lower()
 
 
 def test_run_that_never_started_has_a_page():

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
-from contactvi.playback import force_arrows
+from contactvi.playback.contact_frames import contact_frames
 from contactvi.playback.page import make_html
 from contactvi.records import events
 from contactvi.run_settings import CONTACT_DT
@@ -152,7 +152,7 @@ def test_a_run_without_contacts():
     assert traj.contacts.total_impulse == pytest.approx(np.zeros(3), abs=0.0)
     assert traj.phases is None
     assert np.all(traj.friction_loss == 0.0)
-    assert force_arrows.forces_of(traj, traj.t) is None
+    assert contact_frames(traj, traj.t, size=0.1) is None
     assert "persistent contact" not in traj.stepping
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import contactvi as cvi
 from contactvi.errors import ContactviError, InputError, SceneError
 from contactvi.scene.toml import KEYS, load_scene
 
@@ -296,3 +297,48 @@ def test_a_model_in_the_place_of_a_scene_gets_the_scene_that_loads_it(tmp_path: 
     scene = load_scene(file)
     assert len(scene.report.parts) == 1
     assert scene.settings == {"dt": 1e-3, "duration": 1.0}
+
+
+# -- the camera -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ('camera = "top"', "top"),
+        ('camera = { follow = "ball" }', {"follow": "ball"}),
+        ("camera = { eye = [1, 2, 3], target = [0, 0, 0.5] }", {"eye": [1.0, 2.0, 3.0], "target": [0.0, 0.0, 0.5]}),
+        ("", None),
+    ],
+)
+def test_camera(tmp_path, line, expected):
+    file = tmp_path / "scene.toml"
+    file.write_text(f'[scene]\n{line}\n[[sphere]]\nname = "ball"\nradius = 0.1\n')
+    scene = cvi.load_scene(file)
+    assert scene.camera == expected
+    assert cvi.Scene.from_dict(scene.to_dict()).camera == expected
+    assert scene.copy().camera == expected
+
+
+@pytest.mark.parametrize(
+    ("line", "match"),
+    [
+        ('camera = "tp"', "Did you mean 'top'"),
+        ('camera = { follow = "bal" }', "Did you mean 'ball'"),
+        ("camera = { eye = [1, 2, 3] }", "Add target"),
+        ("camera = 3", r"scene.toml, \[scene\]"),
+    ],
+)
+def test_bad_camera(tmp_path, line, match):
+    file = tmp_path / "scene.toml"
+    file.write_text(f'[scene]\n{line}\n[[sphere]]\nname = "ball"\nradius = 0.1\n')
+    with pytest.raises(cvi.InputError, match=match):
+        cvi.load_scene(file)
+
+
+def test_descriptions_without_a_camera_are_read():
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1)
+    data = scene.to_dict()
+    del data["camera"]
+    assert cvi.Scene.from_dict(data).camera is None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
@@ -10,12 +9,14 @@ import pytest
 
 import contactvi as cvi
 from contactvi.commands.summary import summary
-from contactvi.playback import force_arrows
+from contactvi.playback import contact_frames as contact_frames_module
+from contactvi.playback.contact_frames import ROLL, contact_frames
 from contactvi.playback.page import make_html
 from contactvi.records import contacts
+from contactvi.records.codes import ContactMode
 from contactvi.trajectory import plots
-from helpers.contact_runs import GRAVITY, MASS, MU, SPAN, STOP, contact_arrays, sliding_box
-from helpers.playback_data import commands
+from helpers.contact_runs import GRAVITY, MASS, MU, SPAN, SPEED, STEP, STOP, contact_arrays, sliding_box
+from helpers.playback_data import PageEvents, run_data, unpacked
 from helpers.run_scenes import ball_scene
 
 
@@ -67,60 +68,106 @@ def test_damaged_contacts_are_refused(box, tmp_path, change):
 # -- pictures ---------------------------------------------------------------------------------------------------------
 
 
-def test_arrows_of_the_box(box):
+def test_contacts_of_the_box(box):
     times = np.linspace(0.0, SPAN, 61)
-    forces = force_arrows.forces_of(box, times)
-    assert len(forces.arrows) == 4
-    assert forces.hidden == 0
-    for arrow in forces.arrows:
-        assert arrow.time == pytest.approx(times)
-        assert all(arrow.shown)
-        # the box is free and the ground is not: what the box gets is drawn
-        assert np.array(arrow.force)[:, 2] == pytest.approx(np.full(61, 0.25 * MASS * GRAVITY), rel=1e-12)
-        assert np.all(np.array(arrow.force)[times < STOP, 0] < 0.0)
-    assert 0.25 * MASS * GRAVITY <= forces.full <= 0.25 * MASS * GRAVITY * math.hypot(1.0, MU) * (1 + 1e-12)
-    assert forces.reference == 5.0
+    found = contact_frames(box, times, size=0.4)
+    assert np.diff(found.first) == pytest.approx(np.full(61, 4))
+    # the box is free and the ground is not: what the box gets is drawn
+    assert found.force[:, 2] == pytest.approx(np.full(244, 0.25 * MASS * GRAVITY), rel=1e-12)
+    assert np.all(found.force[np.repeat(times, 4) < STOP, 0] < 0.0)
+    assert 0.25 * MASS * GRAVITY <= found.full <= 0.25 * MASS * GRAVITY * math.hypot(1.0, MU) * (1 + 1e-12)
+    slips = np.repeat(times, 4) < STOP - STEP
+    assert np.all(found.mode[slips] == ContactMode.SLIP)
+    assert np.all(found.mode[np.repeat(times, 4) > STOP] == ContactMode.STICK)
+    # Each corner moves to where it is in the next frame.
+    moved = found.next >= 0
+    assert np.flatnonzero(~moved).tolist() == list(range(240, 244))
+    steps = found.point[found.next[moved]] - found.point[moved]
+    assert np.abs(steps).max() <= SPEED * (1 / 60 + STEP)
+    assert np.all(steps[:, 1:] == 0.0)
 
 
-def test_an_arrow_is_used_again_after_a_rest(box):
-    """Corner 0 leaves after a quarter of the run, a fifth point comes later and takes its arrow."""
+def test_a_contact_is_shown_in_every_step_that_it_lasts(box):
+    """Frames finer than the steps: each shows the contacts of the step around it, the last one those of the end."""
+    times = np.linspace(0.0, SPAN, 1001)
+    found = contact_frames(box, times, size=0.4)
+    assert np.all(np.diff(found.first) == 4)
+    first = np.minimum(np.floor(times / STEP + 1e-9), 49)
+    assert found.point[found.first[:-1], 0] == pytest.approx(box.contacts.position[(4 * first).astype(int), 0])
+
+
+def test_a_part_of_a_step_that_is_too_brief_shows_the_force_before_it(box):
+    """Steps of 1e-9 s between two changes have no force of their own, and the arrow must not go out for a frame."""
     arrays = contact_arrays(box.scene)
-    rows = np.flatnonzero((arrays["point"] == 0) & (arrays["t"] > 0.25 * SPAN))
-    gone = rows[arrays["t"][rows] < 0.5 * SPAN]
-    start, end, point = arrays["start"].copy(), arrays["end"].copy(), arrays["point"].copy()
-    start[gone], end[gone] = 0.0, 0.0
-    point[rows] = 7
-    forces = force_arrows.forces_of(sliding_box(start=start, end=end, point=point), np.linspace(0.0, SPAN, 61))
-    assert len(forces.arrows) == 4
-    (arrow,) = [arrow for arrow in forces.arrows if not all(arrow.shown)]
-    k = arrow.shown.index(False)
-    assert 0.25 * SPAN <= arrow.time[k] <= 0.25 * SPAN + 0.05
-    assert np.all(arrow.point[k] == arrow.point[k - 1])
-    assert arrow.time[k + 1] >= 0.5 * SPAN
-    assert all(arrow.shown[k + 1 :])
+    brief = (arrays["step"] == 10) | (arrays["step"] == 0)
+    t, h = arrays["t"].copy(), arrays["h"].copy()
+    at = (arrays["step"] == 11) | (arrays["step"] == 1)
+    h[at] += STEP - 1e-9
+    t[at] -= STEP - 1e-9
+    h[brief] = 1e-9
+    force = 2.0 * arrays["end"] / STEP
+    end, start = force * 0.5 * h[:, None], force * 0.5 * h[:, None]
+    end[brief] = start[brief] = 1e3  # rounding, as a force of 1e12 N
+    changed = sliding_box(t=t, h=h, start=start, end=end)
+    times = np.unique(np.concatenate([np.linspace(0.0, SPAN, 101), t[brief]]))
+    found = contact_frames(changed, times, size=0.4)
+    assert np.all(np.diff(found.first) == 4)
+    assert np.linalg.norm(found.force, axis=1).max() < 6.0
+    at_brief = found.first[np.flatnonzero(times == t[brief].max())[0]]
+    assert np.linalg.norm(found.force[at_brief]) == pytest.approx(np.linalg.norm(force[4 * 9]))
 
 
-def test_more_points_than_arrows(box, monkeypatch):
-    monkeypatch.setattr(force_arrows, "MAX_ARROWS", 3)
-    forces = force_arrows.forces_of(box, box.t)
-    assert len(forces.arrows) == 3
-    assert forces.hidden > 0
-    monkeypatch.setattr(force_arrows, "MAX_KEYS", 60)
-    forces = force_arrows.forces_of(box, box.t)
-    assert sum(len(arrow.time) for arrow in forces.arrows) <= 60
+def test_a_released_point_is_gone_and_comes_back(box):
+    """Corner 0 leaves after a quarter of the run and comes back as a point of another number at half of it."""
+    arrays = contact_arrays(box.scene)
+    later = (arrays["point"] == 0) & (arrays["t"] >= 0.25 * SPAN - 1e-9)
+    away = later & (arrays["t"] < 0.5 * SPAN - 1e-9)
+    point, h = np.where(later, 7, arrays["point"]), np.where(away, 0.0, arrays["h"])
+    found = contact_frames(sliding_box(point=point, h=h), np.linspace(0.0, SPAN, 51), size=0.4)
+    assert np.diff(found.first).tolist() == [4] * 13 + [3] * 12 + [4] * 26
+    assert (found.next == -1).sum() == 1 + 4  # its last frame, and the end
+
+
+def test_many_rows_get_fewer_frames(box, monkeypatch):
+    monkeypatch.setattr(contact_frames_module, "MAX_ROWS", 60)
+    found = contact_frames(box, box.t, size=0.4)
+    assert len(found.point) <= 60
+    assert np.all(np.diff(found.first) == 4)
+
+
+def test_rolling_is_told_from_sticking():
+    """A ball and a box on a slope; the box sticks on its corners, the ball sticks at a point that travels."""
+    scene = cvi.Scene()
+    scene.add_halfspace((math.sin(0.1), 0.0, math.cos(0.1)), 0.0)
+    normal = np.array([math.sin(0.1), 0.0, math.cos(0.1)])
+    scene.add_sphere("ball", 0.1, placement=tuple(0.1 * normal))
+    turned = ((0.05 * normal + [0.0, 1.0, 0.0]).tolist(), (0.0, 0.1, 0.0))
+    scene.add_box("box", (0.2, 0.2, 0.1), placement=turned)
+    scene.set_contact(restitution=0.0, friction=0.5)
+    traj = cvi.simulate(scene, duration=0.5, dt=1e-3)
+    found = contact_frames(traj, np.linspace(0.0, 0.5, 31), size=0.1)
+    names = [traj.events.label(0, int(k)) for k in found.pair]
+    rolling = found.mode == ROLL
+    of_ball = np.array(["ball" in pair for pair in names])
+    frame = np.repeat(np.arange(31), np.diff(found.first))
+    assert np.all(rolling[of_ball & (frame > 2)])
+    assert not np.any(rolling[~of_ball])
+    assert np.all(found.mode[~of_ball] == ContactMode.STICK)
 
 
 def test_the_page_shows_forces(box):
-    page = make_html(box)
-    paths = {command["path"] for command in commands(page) if command["type"] == "set_object"}
-    assert sum(path.startswith("/contactvi/forces/") for path in paths) == 8  # shaft and head
-    assert "blue arrows: contact forces, " in page
-    animations = next(c["animations"] for c in commands(page) if c["type"] == "set_animation")
-    moved = [item["clip"]["tracks"] for item in animations if item["path"].startswith("/contactvi/forces/")]
-    assert [[track["name"] for track in tracks] for tracks in moved] == [
-        [".visible", ".position", ".quaternion", ".scale"]
-    ] * 4
-    assert "/contactvi/forces/" not in json.dumps([c.get("path", "") for c in commands(make_html(box, forces=False))])
+    data = run_data(make_html(box))["contacts"]
+    found = contact_frames(box, np.concatenate([unpacked(data["times"])]), size=0.4)
+    assert unpacked(data["point"]).reshape(-1, 3) == pytest.approx(found.point, abs=1e-6)
+    assert unpacked(data["force"]).reshape(-1, 3) == pytest.approx(found.force, rel=1e-6)
+    assert unpacked(data["first"]).tolist() == found.first.tolist()
+    assert run_data(make_html(box, forces=False))["contacts"] is None
+
+
+def test_the_page_lists_changes(box):
+    listed = PageEvents.of(make_html(box))
+    changes = [(kind, time, count) for kind, time, count in zip(listed.kind, listed.time, listed.count, strict=True)]
+    assert changes == [("begin", 0.0, 4), ("stick", STOP, 4)]  # four corners at one time are one thing
 
 
 def test_plot_of_the_forces(box, tmp_path):
@@ -159,7 +206,7 @@ def test_what_lasts_no_time_has_no_force_to_show(box):
     h[40] = 1e-9
     brief = sliding_box(h=h)
     assert np.linalg.norm(brief.contacts.force[40]) > 1e6
-    assert force_arrows.forces_of(brief, brief.t).full < 6.0
+    assert contact_frames(brief, brief.t, size=0.4).full < 6.0
     lines = [line.get_ydata() for line in plots.plot_forces(brief).axes[0].lines if len(line.get_ydata()) > 2]
     assert lines
     assert max(map(np.nanmax, lines)) < 20.0

@@ -1,0 +1,78 @@
+"""The commands that show stored runs: `contactvi play` and `contactvi render`."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.markup import escape
+
+from contactvi.commands.console import out
+from contactvi.commands.output import run_title
+
+CameraOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|JSON",
+        help='auto, front, side, top, {"eye": [x, y, z], "target": [x, y, z]} or {"follow": "body"}; '
+        "by default the scene's.",
+    ),
+]
+RunFile = Annotated[Path, typer.Argument(metavar="RUN.npz", help="File written by a run.", show_default=False)]
+
+
+def camera_value(text: str | None) -> Any:
+    """Return the camera of --camera for `to_html` and `render`. Raises InputError."""
+    from contactvi.scene.camera import camera_of_text
+
+    return None if text is None else camera_of_text(text).to_data()
+
+
+def play(
+    file: RunFile,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="PAGE.html", help="Page to write, by default beside the run."),
+    ] = None,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
+    fps: Annotated[float, typer.Option(help="Frames per simulated second.")] = 60.0,
+    camera: CameraOption = None,
+) -> None:
+    """Write the playback of a run as a page of its own and open it in the browser."""
+    import contactvi as cvi
+
+    chosen = camera_value(camera)
+    traj = cvi.Trajectory.load(file)
+    page = traj.to_html(output or file.with_suffix(".html"), fps=fps, title=run_title(file), camera=chosen)
+    out.print(f"Playback: {escape(str(page))}")
+    if browser and not webbrowser.open(page.resolve().as_uri(), new=2):
+        out.print("No browser was found: open the page by hand.")
+
+
+def render(
+    file: RunFile,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Ends with .gif, .mp4 or .png; by default RUN.gif."),
+    ] = None,
+    at: Annotated[float | None, typer.Option(help="Time of a .png in seconds.")] = None,
+    camera: CameraOption = None,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Width and height in pixels.")] = "800x600",
+    fps: Annotated[float, typer.Option(help="Frames per second of the film.")] = 25.0,
+    speed: Annotated[float, typer.Option(help="Simulated seconds per second of the film.")] = 1.0,
+    start: Annotated[float | None, typer.Option(help="Time at which the film begins, in seconds.")] = None,
+    end: Annotated[float | None, typer.Option(help="Time at which it ends.")] = None,
+    forces: Annotated[bool, typer.Option("--forces/--no-forces", help="Arrows of forces and impulses.")] = True,
+) -> None:
+    """Draw a run as a GIF, an MP4 or a PNG, by Chromium without a window; an MP4 needs ffmpeg."""
+    import contactvi as cvi
+
+    chosen = camera_value(camera)
+    traj = cvi.Trajectory.load(file)
+    target = output or file.with_suffix(".gif" if at is None else ".png")
+    written = traj.render(
+        target, camera=chosen, size=size, at=at, fps=fps, speed=speed, start=start, end=end, forces=forces
+    )
+    out.print(f"{escape(str(written))}  ({written.stat().st_size / 1e6:.2g} MB)")

@@ -1,0 +1,232 @@
+"""Pictures and films of a run for papers and pages: its playback drawn by a headless browser, as PNG, GIF or MP4."""
+
+from __future__ import annotations
+
+import importlib.resources
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+from contactvi.errors import ContactviError, InputError
+from contactvi.files import checked_path, write_atomic
+from contactvi.inputs import count, entries, positive, real, short
+from contactvi.playback.browser import find_browser, pictures
+from contactvi.playback.page import Run, make_html
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+FORMATS = (".gif", ".mp4", ".png")
+MAX_FRAMES = 5000
+MAX_SIDE = 4096  # [pixels]: twice that is the largest picture that a browser draws
+_COLORS = 255  # of a GIF
+_SAMPLES = 6  # pictures whose colours make the palette of a GIF
+_SIGNS = ((224, 67, 31), (30, 79, 191), (0, 114, 178), (230, 159, 0), (0, 158, 115))  # small, and not to be lost
+
+
+def render(
+    run: Run,
+    path: str | os.PathLike[str],
+    *,
+    camera: Any = None,
+    size: Any = (800, 600),
+    at: float | None = None,
+    fps: float = 25.0,
+    speed: float = 1.0,
+    start: float | None = None,
+    end: float | None = None,
+    forces: bool = True,
+) -> Path:
+    """Draw a run into a file; return its path. Needs Chromium or Chrome, an MP4 ffmpeg too.
+
+    Args:
+        path: ends with .gif, .mp4 or .png (the picture of one time).
+        camera: as of `contactvi.playback.page.write_html`.
+        size: width and height [pixels], whole numbers or "800x600"; even ones for an MP4.
+        at: time of a .png [s].
+        fps: frames per second of a film; a GIF shows frames for whole hundredths of a second.
+        speed: of a film, simulated seconds per second.
+        start, end: times between which a film goes [s], by default those of the run.
+        forces: show the forces of contacts, and impacts.
+
+    Raises:
+        InputError: a bad argument, another ending, or more than 5000 frames.
+        ContactviError: no browser, no ffmpeg, or one of them failed.
+    """
+    file = checked_path(path)
+    kind = _kind(file, at)
+    width, height = _size(size, kind)
+    fps, speed = positive("fps", fps, "frames per second"), positive("speed", speed, "simulated seconds per second")
+    first, last = float(run.t[0]), float(run.t[-1])
+    if kind == ".png":
+        times = np.array([real("at", at, first, last, expected=f"a time of the run, {first:g} to {last:g} s")])
+    else:
+        times = _times(first, last, start, end, fps, speed)
+    find_browser()
+    if kind == ".mp4":
+        _find_ffmpeg()
+    frames = _Frames(run, camera, forces, width, height, speed)
+    if kind == ".png":
+        (picture,) = frames.draw(times)
+        return write_atomic(file, lambda out: picture.save(out, "PNG", optimize=True))
+    if kind == ".gif":
+        return write_atomic(file, lambda out: _write_gif(out, frames, times, fps))
+    return write_atomic(file, lambda out: _write_mp4(out, frames, times, fps))
+
+
+class _Frames:
+    """The pictures of a run at given times."""
+
+    def __init__(self, run: Run, camera: Any, forces: bool, width: int, height: int, speed: float) -> None:
+        self.run, self.camera, self.forces = run, camera, forces
+        self.width, self.height, self.speed = width, height, speed
+
+    def draw(self, times: np.ndarray) -> Iterator[Image.Image]:
+        """Yield the pictures, drawn at twice the size and scaled down."""
+        from PIL import Image
+
+        job = {
+            "times": (times - float(self.run.t[0])).tolist(),
+            "width": self.width, "height": self.height, "speed": self.speed, "forces": self.forces,
+        }  # fmt: skip
+        web = importlib.resources.files("contactvi.playback").joinpath("web", "render.js").read_text(encoding="utf-8")
+        script = f"const job = {json.dumps(job, allow_nan=False)};\n{web}"
+        page = make_html(self.run, fps=200.0, play=False, forces=self.forces, camera=self.camera, script=script)
+        size = self.width, self.height
+        for data in pictures(page, len(times)):
+            with Image.open(io.BytesIO(data)) as picture:
+                yield picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+
+
+def _kind(file: Path, at: float | None) -> str:
+    kind = file.suffix.lower()
+    if kind not in FORMATS:
+        raise InputError(
+            "Format of a picture", name="path", expected="a name ending in " + ", ".join(FORMATS),
+            got=short(file.name), remedy=f"Name it {file.stem}.gif",
+        )  # fmt: skip
+    if (at is None) == (kind == ".png"):
+        remedy = "Give at=, the time of the picture" if at is None else "Leave at out, or write a .png"
+        raise InputError(
+            "Time of a picture", name="at", expected="at for a .png, and for nothing else",
+            got=f"at={at} for {kind}", remedy=remedy,
+        )  # fmt: skip
+    return kind
+
+
+def _size(size: Any, kind: str) -> tuple[int, int]:
+    """Return width and height in pixels."""
+    parts: Any = size
+    if isinstance(size, str):
+        found = re.fullmatch(r"\s*(\d{1,6})\s*[xX]\s*(\d{1,6})\s*", size)
+        parts = None if found is None else (int(found[1]), int(found[2]))
+    parts = entries(parts) or ()
+    if len(parts) != 2:
+        raise InputError(
+            "Size of a picture", name="size", expected='two numbers of pixels, or "800x600"', got=short(size),
+            remedy="Use size=(800, 600)",
+        )  # fmt: skip
+    width, height = (count("size", part) for part in parts)
+    even = kind != ".mp4" or width % 2 == height % 2 == 0
+    if max(width, height) > MAX_SIDE or min(width, height) < 16 or not even:
+        raise InputError(
+            "Size of a picture", name="size",
+            expected=f"{'even ' if not even else ''}numbers of pixels from 16 to {MAX_SIDE}",
+            got=f"{width}x{height}", remedy="Use size=(800, 600)",
+        )  # fmt: skip
+    return width, height
+
+
+def _times(first: float, last: float, start: Any, end: Any, fps: float, speed: float) -> np.ndarray:
+    """Return the times of the frames of a film [s]."""
+    expected = f"a time of the run, {first:g} to {last:g} s"
+    begin = first if start is None else real("start", start, first, last, expected=expected)
+    stop = last if end is None else real("end", end, begin, last, expected=f"a time from start to {last:g} s")
+    number = int(min((stop - begin) / speed * fps * (1.0 + 1e-9), 1e9)) + 1
+    if number > MAX_FRAMES:
+        raise InputError(
+            "A film of so many frames", name="fps", expected=f"at most {MAX_FRAMES} frames", got=f"{number}",
+            remedy="Raise speed, lower fps, or give start and end",
+        )  # fmt: skip
+    return np.asarray(np.minimum(begin + np.arange(number) * (speed / fps), stop))
+
+
+def _write_gif(out: IO[bytes], frames: _Frames, times: np.ndarray, fps: float) -> None:
+    """Write a film with one palette for all frames, so that what stands still does not flicker and takes no space."""
+    from PIL import Image
+
+    chosen = times[np.unique(np.linspace(0, len(times) - 1, _SAMPLES).astype(int))]
+    drawn = frames.draw(np.concatenate([chosen, times]))
+    palette = _sheet([next(drawn) for _ in chosen]).quantize(_COLORS, kmeans=1)
+    first, *others = (frame.quantize(_COLORS, palette=palette, dither=Image.Dither.NONE) for frame in drawn)
+    ends = np.rint(np.arange(len(times) + 1) * 100.0 / fps).astype(int)  # [1/100 s]
+    durations = np.maximum(10 * np.diff(ends), 20)  # shorter ones are shown slowly by most browsers
+    durations[-1] += 600  # [ms] before it begins again
+    first.save(
+        out, "GIF", save_all=True, append_images=others, duration=durations.tolist(), loop=0, optimize=True
+    )  # fmt: skip
+
+
+def _sheet(frames: list[Image.Image]) -> Image.Image:
+    """Return frames below each other, with a block of each colour of signs: they are too small to count alone."""
+    from PIL import Image
+
+    width, height = frames[0].size
+    sheet = Image.new("RGB", (width, height * (len(frames) + 1)), (255, 255, 255))
+    for k, frame in enumerate(frames):
+        sheet.paste(frame, (0, height * k))
+    step = max(1, height // (2 * len(_SIGNS)))
+    for k, color in enumerate(_SIGNS):
+        sheet.paste(color, (0, height * len(frames) + step * k, width // 2, height * len(frames) + step * (k + 1)))
+    return sheet
+
+
+def _find_ffmpeg() -> str:
+    found = shutil.which("ffmpeg")
+    if found is None:
+        raise ContactviError(
+            "An MP4 is written by ffmpeg, and it was not found", expected="ffmpeg in PATH", got="none",
+            remedy="Install it (Debian: apt install ffmpeg), or write a .gif",
+        )  # fmt: skip
+    return found
+
+
+def _write_mp4(out: IO[bytes], frames: _Frames, times: np.ndarray, fps: float) -> None:
+    with tempfile.TemporaryDirectory(prefix="contactvi-") as folder:
+        film = Path(folder) / "film.mp4"
+        with (Path(folder) / "log").open("w+b") as log:
+            process = subprocess.Popen(
+                [_find_ffmpeg(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
+                 "-s", f"{frames.width}x{frames.height}", "-r", f"{fps:.6g}", "-i", "-", "-an", "-c:v", "libx264",
+                 "-crf", "18", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(film)],
+                stdin=subprocess.PIPE, stdout=log, stderr=log,
+            )  # fmt: skip
+            assert process.stdin is not None
+            try:
+                for frame in frames.draw(times):
+                    process.stdin.write(frame.tobytes())
+                process.stdin.close()
+            except BrokenPipeError:
+                pass  # it has ended, and says why below
+            finally:
+                if not process.stdin.closed:
+                    process.kill()
+                code = process.wait()
+            log.seek(0)
+            said = log.read().decode("utf-8", errors="replace").strip().splitlines()
+        if code != 0 or not film.exists():
+            raise ContactviError(
+                "ffmpeg wrote no film", expected="an MP4 with H.264", got=said[-1] if said else f"exit code {code}",
+                remedy="Install an ffmpeg with libx264, or write a .gif",
+            )  # fmt: skip
+        with film.open("rb") as source:
+            shutil.copyfileobj(source, out)

@@ -1,0 +1,25 @@
+// The page of a recorded run.
+
+const run = JSON.parse(element("run").textContent);
+const outline = unpack(run.view.outline);
+run.view.outline = Array.from({length: outline.length / 3}, (_, k) => Array.from(outline.subarray(3 * k, 3 * k + 3)));
+const source = new Recording(run);
+let stage;
+try {
+  stage = new Stage(element("view"), run.view, source);
+} catch (error) {
+  document.querySelector("#head h1").textContent = "This page needs WebGL, which the browser does not offer here.";
+  throw error;
+}
+const orbit = new Orbit(stage, run.camera);
+const signs = new Signs(stage, source);
+const player = new Player(stage, orbit, signs, source);
+player.seek(source.start);
+const panels = new Panels(player, run);
+orbit.choose(run.camera);
+player.seek(source.start);
+if (run.play) { player.play(); }
+requestAnimationFrame(function tick(now) {
+  requestAnimationFrame(tick);
+  player.tick(now);
+});

@@ -1,0 +1,200 @@
+"""Pictures and films of runs: their arguments, what is missing on the machine, and in a browser what is in them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import contactvi as cvi
+from contactvi.playback import browser as headless
+from contactvi.playback import render as render_module
+from helpers.contact_runs import sliding_box
+from helpers.run_scenes import ball_scene
+
+
+@pytest.fixture(scope="module")
+def ball() -> cvi.Trajectory:
+    scene = ball_scene(restitution=0.8)
+    v0 = scene.velocity({"ball": ((0.5, -0.2, 0.0), (0.0, 3.0, 7.0))})
+    return cvi.simulate(scene, None, v0, duration=1.0, dt=1e-2)
+
+
+def program(folder: Path, name: str, text: str) -> None:
+    """Write a shell script that stands for a program."""
+    file = folder / name
+    file.write_text(f"#!/bin/sh\n{text}\n")
+    file.chmod(0o755)
+
+
+# -- without a browser -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "match"),
+    [
+        ("a.avi", {}, r"\.gif, \.mp4, \.png"),
+        ("a", {}, "Name it a.gif"),
+        ("a.png", {}, "Give at="),
+        ("a.gif", {"at": 0.5}, "Leave at out"),
+        ("a.png", {"at": 1.5}, "a time of the run, 0 to 1 s"),
+        ("a.png", {"at": "soon"}, "at is not usable"),
+        ("a.gif", {"size": "800"}, "800x600"),
+        ("a.gif", {"size": (0, 10)}, "size"),
+        ("a.gif", {"size": (8, 10)}, "from 16 to 4096"),
+        ("a.gif", {"size": "90000x20"}, "from 16 to 4096"),
+        ("a.mp4", {"size": (101, 100)}, "even"),
+        ("a.gif", {"fps": 0}, "fps"),
+        ("a.gif", {"speed": -1.0}, "speed"),
+        ("a.gif", {"start": 0.6, "end": 0.5}, "end"),
+        ("a.gif", {"speed": 1e-4}, "at most 5000 frames"),
+        ("a.gif", {"camera": "bottom"}, "camera|Camera"),
+        ("a.gif", {"forces": 1}, "forces"),
+    ],
+)
+def test_bad_arguments(ball, tmp_path, name, options, match):
+    with pytest.raises(cvi.InputError, match=match):
+        ball.render(tmp_path / name, **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_browser_is_said_with_a_remedy(ball, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(cvi.ContactviError, match="apt install chromium"):
+        ball.render(tmp_path / "a.gif")
+
+
+def test_no_ffmpeg_is_said_before_anything_is_drawn(ball, tmp_path, monkeypatch):
+    program(tmp_path, "chromium", f"touch {tmp_path}/started")
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin")
+    monkeypatch.setattr(shutil, "which", which_but("ffmpeg"))
+    with pytest.raises(cvi.ContactviError, match="apt install ffmpeg"):
+        ball.render(tmp_path / "a.mp4")
+    assert not (tmp_path / "started").exists()
+
+
+def which_but(hidden: str):
+    which = shutil.which
+    return lambda name, *rest, **more: None if name == hidden else which(name, *rest, **more)
+
+
+def test_a_browser_that_ends_is_an_error_with_its_last_words(ball, tmp_path, monkeypatch):
+    program(tmp_path, "chromium", "echo first >&2; echo 'no display' >&2; exit 3")
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin")
+    with pytest.raises(cvi.ContactviError, match="its end with code 3: no display"):
+        ball.render(tmp_path / "a.png", at=0.5)
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_a_browser_that_draws_nothing_is_given_up(ball, tmp_path, monkeypatch):
+    program(tmp_path, "chromium", f"echo $$ > {tmp_path}/id; exec sleep 600")
+    monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin")
+    monkeypatch.setattr(headless, "PATIENCE", 1.0)
+    with pytest.raises(cvi.ContactviError, match="nothing for 1 s"):
+        ball.render(tmp_path / "a.png", at=0.5)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "id").read_text()), 0)
+
+
+# -- in a browser ------------------------------------------------------------------------------------------------------
+
+
+def green(picture: np.ndarray) -> np.ndarray:
+    red, greens, blue = (picture[..., k].astype(int) for k in range(3))
+    return (greens > red + 40) & (greens > blue + 20)
+
+
+@pytest.fixture(scope="module")
+def falling() -> cvi.Trajectory:
+    """A green ball that falls from a metre beside a wall."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, color=(0.1, 0.6, 0.2, 1.0), placement=(0, 0, 1.0))
+    return cvi.simulate(scene, duration=0.4, dt=1e-2)
+
+
+@pytest.mark.browser
+def test_picture_of_one_time(falling, tmp_path):
+    heights = []
+    for time in (0.0, 0.4):
+        file = falling.render(tmp_path / "a.png", at=time, size="320x240", camera="side")
+        with Image.open(file) as image:
+            assert image.size == (320, 240)
+            shown = green(np.asarray(image.convert("RGB")))
+        assert shown.sum() > 100
+        heights.append(np.flatnonzero(shown.any(axis=1)).mean())
+    # From 1 m to 1 - g t^2 / 2 = 0.215 m: most of the picture's height.
+    assert 0.4 * 240 < heights[1] - heights[0] < 240
+    followed = falling.render(tmp_path / "b.png", at=0.4, size=(320, 240), camera={"follow": "ball"})
+    with Image.open(followed) as image:
+        rows, columns = np.nonzero(green(np.asarray(image.convert("RGB"))))
+    assert [columns.mean(), rows.mean()] == pytest.approx([160, 120], abs=6)
+
+
+@pytest.mark.browser
+def test_film(falling, tmp_path):
+    file = falling.render(tmp_path / "a.gif", size=(160, 120), camera="side", fps=15.0, speed=0.5, start=0.1, end=0.3)
+    with Image.open(file) as image:
+        assert image.n_frames == 7  # 0.2 s / 0.5 * 15 + 1
+        durations, places = [], []
+        for k in range(image.n_frames):
+            image.seek(k)
+            durations.append(image.info["duration"])
+            places.append(np.flatnonzero(green(np.asarray(image.convert("RGB"))).any(axis=1)).mean())
+    assert sum(durations[:6]) == pytest.approx(6000 / 15, abs=10)
+    assert np.all(np.diff(places) > 0)
+
+
+@pytest.mark.browser
+def test_film_by_ffmpeg_gets_the_frames(falling, tmp_path, monkeypatch):
+    """A program in the place of ffmpeg writes what it gets: raw frames of the size that it was told."""
+    program(tmp_path, "ffmpeg", f'echo "$@" > {tmp_path}/arguments; for last; do :; done; exec cat > "$last"')
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    file = falling.render(tmp_path / "a.mp4", size=(64, 48), fps=10.0, camera="side")
+    frames = np.frombuffer(file.read_bytes(), np.uint8).reshape(-1, 48, 64, 3)
+    assert len(frames) == 5
+    places = [np.flatnonzero(green(frame).any(axis=1)).mean() for frame in frames]
+    assert np.all(np.diff(places) > 0)
+    assert "-s 64x48 -r 10" in (tmp_path / "arguments").read_text()
+    program(tmp_path, "ffmpeg", "echo 'Unknown encoder libx264' >&2; exit 1")
+    with pytest.raises(cvi.ContactviError, match="Unknown encoder libx264"):
+        falling.render(tmp_path / "b.mp4", size=(64, 48), fps=10.0)
+    assert not (tmp_path / "b.mp4").exists()
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="no ffmpeg")
+def test_film_of_ffmpeg(falling, tmp_path):
+    file = falling.render(tmp_path / "a.mp4", size=(64, 48), fps=10.0)
+    assert file.read_bytes()[4:8] == b"ftyp"
+
+
+@pytest.mark.browser
+def test_pictures_show_forces_on_wish(tmp_path):
+    box, shown = sliding_box(), []
+    for forces in (True, False):
+        with Image.open(box.render(tmp_path / "a.png", at=0.5, size=(320, 240), forces=forces)) as image:
+            pixels = np.asarray(image.convert("RGB")).astype(int)
+        shown.append((np.abs(pixels - (0x1E, 0x4F, 0xBF)).max(axis=2) < 40).sum())
+    assert shown[0] > 100
+    assert shown[1] == 0
+
+
+@pytest.mark.browser
+def test_a_browser_without_webgl_is_said(falling, tmp_path, monkeypatch):
+    plain = headless.pictures
+    blind = "<script>HTMLCanvasElement.prototype.getContext = () => null;</script></head>"
+    monkeypatch.setattr(render_module, "pictures", lambda page, n: plain(page.replace("</head>", blind, 1), n))
+    with pytest.raises(cvi.ContactviError, match="WebGL"):
+        falling.render(tmp_path / "a.png", at=0.1)
+
+
+@pytest.mark.browser
+def test_what_goes_wrong_in_the_page_is_said():
+    page = "<script>fetch('failed', {method: 'POST', body: 'no WebGL'})</script>"
+    with pytest.raises(cvi.ContactviError, match="no WebGL"):
+        list(headless.pictures(page, 1))
