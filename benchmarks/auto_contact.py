@@ -19,7 +19,7 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from contactvi.states import States
 
 ROOT = Path(__file__).resolve().parents[1]
 LOOKS = 100  # times at which q is compared
+BAR = 10.0  # times as long as with dt=1e-3, at most
 LONGEST = 5e-3  # [s] smooth step of the references, of order 16
 Case = tuple[cvi.Scene, Any, Any, float]  # scene, q0, v0, duration [s]
 
@@ -87,6 +88,29 @@ def fixed(duration: float, contact: float) -> dict[str, Any]:
             "record_contacts": False}  # fmt: skip
 
 
+class Compared(NamedTuple):
+    """A scene with dt=1e-3 and with dt="auto".
+
+    Attributes:
+        plain, auto: the runs.
+        seconds, took: the times of their calls [s].
+        warned: what the second one warned of.
+    """
+
+    plain: cvi.Trajectory
+    auto: cvi.Trajectory
+    seconds: float
+    took: float
+    warned: str
+
+
+def compare(case: Case, tol: float) -> Compared:
+    run(case, dt=1e-3)
+    plain, seconds, _ = run(case, dt=1e-3)
+    auto, took, warned = run(case, dt="auto", tol=tol)
+    return Compared(plain, auto, seconds, took, warned)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tol", type=float, default=1e-6)
@@ -97,9 +121,7 @@ def main() -> None:
           f" {'reference':>9}  status, warning")  # fmt: skip
     for name in given.scenes:
         case = CASES[name]()
-        run(case, dt=1e-3)
-        plain, seconds, _ = run(case, dt=1e-3)
-        auto, took, warned = run(case, dt="auto", tol=given.tol)
+        plain, auto, seconds, took, warned = compare(case, given.tol)
         steps = auto.stats.contact_steps / max(1, plain.stats.contact_steps)
         phases = auto.phases or {"dt": np.ones(1), "kind": np.array(["free"])}
         held = np.asarray(phases["dt"])[np.asarray(phases["kind"]) == "persistent"]

@@ -61,6 +61,18 @@ def auto(repeats: int) -> Iterator[Line]:
         yield Line(f"`auto` over the best fixed setting, tol 1e-6, {row.scene}", row.ratio, bar=benchmark.BAR)
 
 
+def contact(repeats: int) -> Iterator[Line]:
+    """Time of dt="auto" with persistent contact over that of dt=1e-3, tol 1e-6; both once, they take seconds."""
+    import auto_contact
+
+    for name, make in auto_contact.CASES.items():
+        found = auto_contact.compare(make(), 1e-6)
+        kept = "a warning" if found.warned else "tol met"
+        yield Line(
+            f"`auto` over dt=1e-3 with contact, {name}, {kept}", found.took / found.seconds, "", auto_contact.BAR
+        )
+
+
 def grasp(repeats: int) -> Iterator[Line]:
     """The hand that closes around a ball beside MuJoCo, at equal steps and for equal errors."""
     import hand_errors
@@ -72,13 +84,14 @@ def grasp(repeats: int) -> Iterator[Line]:
 
     for kind in hand_errors.KINDS:
         if kind != "contactvi":
-            yield Line(f"S7 over {kind}, both dt 1e-3", seconds("contactvi", 1e-3) / seconds(kind, 1e-3))
+            ratio = seconds("contactvi", 1e-3) / seconds(kind, 1e-3)
+            yield Line(f"S7 over {kind}, both dt 1e-3", ratio, "", 1.0 if kind == "mujoco" else None)
     for name, measure, bar in hand_errors.BARS:
         ours = hand_errors.fastest([r for r in rows if r["kind"] == "contactvi"], measure, bar)
         for kind in hand_errors.KINDS:
             theirs = hand_errors.fastest([r for r in rows if r["kind"] == kind], measure, bar)
             if kind != "contactvi" and ours and theirs:
-                yield Line(f"S7, time to {name} over {kind}", ours["seconds"] / theirs["seconds"])
+                yield Line(f"S7, time to {name} over {kind}", ours["seconds"] / theirs["seconds"], "", 1.0 / 12.0)
 
 
 def steps(repeats: int) -> Iterator[Line]:
@@ -132,12 +145,16 @@ def batches(repeats: int) -> Iterator[Line]:
     for name, durations in batch.CASES.items():
         for duration in durations:
             found = batch.ratios(batch.measure(name, duration, 100 * repeats, [1, 2]))
-            yield Line(f"two threads over one, {name}, {duration:g} s", found.threads, "", least=True)
+            yield Line(f"two threads over one, {name}, {duration:g} s", found.threads, "", 1.9, least=True)
             yield Line(f"one thread beside MuJoCo's rollout, time over its, {name}, {duration:g} s", found.peer)
+    for name in batch.FLIGHTS:
+        row = batch.measure_flight(name, 20 * repeats)
+        best = max(float(str(row[own])) for own in ("avx2", "avx512") if own in row)
+        yield Line(f"runs in lanes over runs alone, {name}", best / float(str(row["base"])), "", 3.0, least=True)
 
 
 GROUPS: dict[str, Callable[[int], Iterator[Line]]] = {
-    function.__name__: function for function in (auto, grasp, steps, building, pairs, batches)
+    function.__name__: function for function in (auto, contact, grasp, steps, building, pairs, batches)
 }
 
 
