@@ -31,7 +31,8 @@ class ContactFrame:
 
     Attributes:
         pair: names of the two shapes, (first, second).
-        point: number of the point within the pair, that of `Contact.point`.
+        point: number of the point within the pair: 0, 1, 2, ... at a state of a scene; of a simulator, that of
+            `Contact.point`.
         position: middle of the two points [m], world frame, shape (3,).
         rotation: R_WC, which takes coordinates in C to world axes, shape (3, 3); its last column is the normal.
         gap: [m].
@@ -111,7 +112,7 @@ class ContactJacobian:
 
 
 class TouchingPoint(NamedTuple):
-    """A contact point as the engine tells it: its number, the nearest points of both shapes and the normal, world."""
+    """A contact point: its number within the pair, the nearest points of both shapes and the normal, world."""
 
     pair: tuple[str, str]
     point: int
@@ -134,9 +135,9 @@ def touching_points(built: Built, q: Array, gaps: Array, margin: float) -> list[
     found = []
     for index in np.flatnonzero(gaps <= margin):
         points = engine_contact_points(built.engine, q, int(index), margin)
-        for k, feature in enumerate(points["feature"]):
+        for k, gap in enumerate(points["gap"]):
             a, b, normal = (points[name][k] for name in ("point_a", "point_b", "normal"))
-            found.append(TouchingPoint(built.pairs[index], int(feature), a, b, normal, float(points["gap"][k])))
+            found.append(TouchingPoint(built.pairs[index], k, a, b, normal, float(gap)))
     return found
 
 

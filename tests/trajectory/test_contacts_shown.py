@@ -186,18 +186,14 @@ def test_plot_of_the_forces(box, tmp_path):
     plots.plot_forces(cvi.simulate(ball_scene(), duration=0.1, dt=0.01))  # without contacts: empty, no error
 
 
-def test_marks_of_many_impacts_are_one_artist():
+def test_more_impacts_are_no_more_artists():
     """A legend looks at every artist for its place, and so does the layout: pictures of many impacts took seconds."""
     scene = ball_scene(0.999)
-    few, many = (cvi.simulate(scene, duration=span, dt=0.01) for span in (2.0, 300.0))
-    assert len(many.events) > 300
+    many, more = (cvi.simulate(scene, duration=span, dt=0.01) for span in (200.0, 400.0))
+    assert len(more.events) > 1.8 * len(many.events) > 300
     for draw in (cvi.plot, cvi.plot_forces):
-        artists = [[len(axis.get_children()) for axis in draw(traj).axes] for traj in (few, many)]
+        artists = [[len(axis.get_children()) for axis in draw(traj).axes] for traj in (many, more)]
         assert artists[0] == artists[1]
-    marks = cvi.plot(few).axes[0].collections[0]
-    assert marks.get_label() == "impact"
-    times = [segment[:, 0] for segment in marks.get_segments()]
-    assert np.array(times) == pytest.approx(np.repeat(few.events.array("time"), 2).reshape(-1, 2), abs=0.0)
 
 
 def test_what_lasts_no_time_has_no_force_to_show(box):
