@@ -95,9 +95,8 @@ def test_readme_code_runs(tmp_path):
 
 def test_guide_code_of_tables_runs(tmp_path):
     """The normal forces of the corners of the box that has come to rest are its weight."""
-    printed = run_marked(
-        "tables", tmp_path, 'print(contacts[contacts["t"] > 0.9].groupby("t")["normal_force"].sum())\n'
-    )
+    more = 'print(contacts[contacts["t"] > 0.9].groupby("t")["normal_force"].sum())\n'
+    printed = run_marked("tables", tmp_path, more)
     weights = [float(line.split()[1]) for line in printed if line[:1].isdigit()]
     assert weights
     assert max(abs(weight - 2.0 * 9.81) for weight in weights) < 1e-3
