@@ -323,7 +323,9 @@ def _least_inertia(model: pin.Model, q: np.ndarray, enough: float) -> tuple[np.n
         bound = 1.0 / float(np.linalg.norm(np.linalg.inv(scaled)))
         if bound > 2.0 * enough:
             return diagonal, bound, worst
-    values, vectors = np.linalg.eigh(scaled)
+    from scipy.linalg import eigh  # takes a while to import, and few models come here
+
+    values, vectors = eigh(scaled, subset_by_index=[0, 0])  # of 1000 dofs in a fifth of the time of all of them
     return diagonal, float(values[0]), int(np.argmax(np.abs(vectors[:, 0])))
 
 
