@@ -193,7 +193,7 @@ def _events(run: Run) -> dict[str, Any]:
 def _facts(run: Run, duration: float, left_out: int) -> list[dict[str, Any]]:
     """Return what is said about the run; the first line is always seen."""
     texts = [
-        f"{duration:.6g} s simulated, {len(run.events)} impacts",
+        f"{duration:.6g} s simulated, {len(run.events)} {'impact' if len(run.events) == 1 else 'impacts'}",
         run.stepping,
         f"impact map {run.events.method.upper()}, contactvi {version()}",
     ]
