@@ -173,7 +173,14 @@ class Record:
 
     def log(self, first: int = 0) -> event_log.EventLog:
         """Return the events of the blocks from `first` on."""
-        parts, states = self.events[first:], self.compiled.states
+        return self._log(self.events[first:])
+
+    def log_since(self, time: float) -> event_log.EventLog:
+        """Return the events after a time [s]; what was recorded before is not looked at."""
+        return self._log(_after(self.events, time))
+
+    def _log(self, parts: list[Columns]) -> event_log.EventLog:
+        states = self.compiled.states
         return event_log.EventLog(
             partial(_events, self.compiled.core, parts, states.nq, states.nv),
             self.compiled.pair_names,
@@ -192,7 +199,14 @@ class Record:
 
     def change_log(self, first: int = 0) -> contacts.ChangeLog:
         """Return the changes of contacts of the blocks from `first` on."""
-        rows = partial(joined, self.changes[first:], contacts.CHANGE_FIELDS)
+        return self._change_log(self.changes[first:])
+
+    def change_log_since(self, time: float) -> contacts.ChangeLog:
+        """Return the changes of contacts after a time [s]; what was recorded before is not looked at."""
+        return self._change_log(_after(self.changes, time))
+
+    def _change_log(self, parts: list[Columns]) -> contacts.ChangeLog:
+        rows = partial(joined, parts, contacts.CHANGE_FIELDS)
         return contacts.ChangeLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def phases_joined(self) -> dict[str, Array] | None:
@@ -282,3 +296,14 @@ def _events(core: _core.Scene, parts: list[Columns], nq: int, nv: int) -> dict[s
 
 def _rows(part: Columns, chosen: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(values)[chosen] for name, values in part.items()}
+
+
+def _after(parts: list[Columns], time: float) -> list[Columns]:
+    """Return the rows after a time [s]; parts are in the order of time."""
+    found: list[Columns] = []
+    for part in reversed(parts):
+        late = np.asarray(part["time"]) > time
+        if not late.any():
+            break
+        found.append(_rows(part, late))
+    return found[::-1]

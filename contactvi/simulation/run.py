@@ -18,6 +18,7 @@ from contactvi.options import Options
 from contactvi.records.codes import Change
 from contactvi.records.contacts import Contact, ContactLog, points_of
 from contactvi.records.events import EventLog
+from contactvi.records.recent import Recent
 from contactvi.simulation import engine
 from contactvi.simulation.compatibility import Stall, check_unforced
 from contactvi.simulation.engine import Progress
@@ -327,6 +328,14 @@ class Run:
 
     def contacts_now(self) -> list[Contact]:
         """Return the persistent contacts at the end of the last step, one `Contact` per point."""
+        return list(self._contact_rows_now())
+
+    def recent(self, since: float) -> Recent:
+        """Return the present contacts, and what has happened after `since` [s]; earlier records are not looked at."""
+        record = self.record
+        return Recent(self._contact_rows_now(), record.log_since(since), record.change_log_since(since))
+
+    def _contact_rows_now(self) -> ContactLog:
         record, now = self.record, self.t
         log = record.contact_log(max(0, len(record.contacts) - 1))
         slack = _ROUNDING * self.options.fixed_dt
@@ -335,7 +344,7 @@ class Run:
         released = (changes.array("change") == Change.RELEASE) & (changes.array("time") >= now - slack)
         ended = set(points_of(changes, np.flatnonzero(released)))
         points = points_of(log, current)
-        return [log[int(k)] for k, point in zip(current, points, strict=True) if point not in ended]
+        return log.rows(np.array([k for k, point in zip(current, points, strict=True) if point not in ended], np.int64))
 
     def release(self) -> None:
         """Give the engine to later runs of the scene; this run makes no more steps."""

@@ -40,6 +40,12 @@ class Player {
 
   toggle() { if (this.playing) { this.pause(); } else { this.play(); } }
 
+  // At the end of what there is to play.
+  finish() { this.pause(); }
+
+  // Go to a time and play on from there if it plays.
+  go(time) { this.seek(time); }
+
   // Go by frames.
   step(count) {
     this.pause();
@@ -63,7 +69,7 @@ class Player {
       const time = this.time + this.speed * Math.min(now - this.last, 100) / 1000;
       this.last = now;
       this.seek(time);
-      if (time >= this.source.end) { this.pause(); }
+      if (time >= this.source.end) { this.finish(); }
     }
     this.stage.render();
   }
