@@ -147,7 +147,7 @@ class _Page:
     def __init__(self, sim: Stepped, title: str, forces: bool, camera: Any) -> None:
         self.scene: Scene = sim.scene
         self.visuals: list[Visual] = from_scene(self.scene)
-        self._forces, self._joints = forces, sorted({joint for shown in self.visuals for joint in shown.joints})
+        self._joints = sorted({joint for shown in self.visuals for joint in shown.joints})
         chosen = camera_of(camera if camera is not None else self.scene.camera or "auto")
         check_followed(chosen, bodies_of(self))
         self.writer = FrameWriter(sim, self._joints, forces)
@@ -157,7 +157,7 @@ class _Page:
         facts = ["live", *line_words(self.visuals), f"contactvi {version()}"]
         data = {
             "title": title or title_of(self.scene),
-            "live": {"size": view.size, "forces": forces, "kinds": list(KINDS)},
+            "live": {"size": view.size, "kinds": list(KINDS)},
             "first": {"t": sim.t, "pose": packed(self.writer.poses.at(sim.q), "f4")},
             "bodies": [
                 {"name": body_name(model, k), "moves": k != 0, "fixed": k == 0} for k in self._joints

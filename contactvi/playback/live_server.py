@@ -17,6 +17,7 @@ from typing import Any
 PENDING = 1 << 20  # [bytes] of what happened that wait for one page; the oldest go first
 RELOAD = 2.0  # [s] a page that is loaded again is back within this time
 _LOOK = 0.25  # [s] between two looks whether a page without news is still there
+_POLL = 0.05  # [s] between two looks whether to stop serving
 _FLUSH = 1.0  # [s] for the last frame to reach the pages
 
 
@@ -32,7 +33,7 @@ class FrameServer:
         self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _handler(page.encode("utf-8"), self))
         self._server.daemon_threads = True
         self.url = f"http://127.0.0.1:{self._server.server_address[1]}/"
-        threading.Thread(target=self._server.serve_forever, name="contactvi-live", daemon=True).start()
+        threading.Thread(target=self._server.serve_forever, args=(_POLL,), name="contactvi-live", daemon=True).start()
 
     @property
     def pages(self) -> int:

@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 @overload
 def view(run: Run, *, open_browser: bool = True, **options: Any) -> View: ...
 @overload
-def view(
-    run: Stepped, *, open_browser: bool = True, realtime: bool | float = False, **options: Any
-) -> LiveView: ...
+def view(run: Stepped, *, open_browser: bool = True, realtime: bool | float = False, **options: Any) -> LiveView: ...
 def view(run: Run | Stepped, *, open_browser: bool = True, **options: Any) -> View | LiveView:
     """Serve the playback of a run, or the live view of a simulator, and open it in the browser; return at once.
 

@@ -47,7 +47,7 @@ class LiveSource {
     this.bodies = run.bodies;
     this.shapes = run.shapes;
     this.events = new GrowingEvents(run.live.kinds);
-    this.fullForce = run.live.forces ? 1 : null;
+    this.fullForce = null;  // until there was a force
     this.modes = [];
     this.count = 0;  // of all frames that came
     this.run = null;
@@ -65,7 +65,6 @@ class LiveSource {
     this.times = [];
     this.frames = [];
     this.events.forget(Infinity);
-    this.measured = false;
   }
 
   // Take a frame as it comes, with what has happened since the one before; return whether all before it was forgotten.
@@ -99,7 +98,7 @@ class LiveSource {
     if (!frame.contacts) { return; }
     if (before && before.contacts) { this.link(before, frame); }
     for (const mode of frame.contacts.mode) { if (!this.modes.includes(mode)) { this.modes.push(mode); } }
-    if (!this.measured) { this.measureForces(); }
+    if (this.fullForce === null) { this.measureForces(); }
   }
 
   unpackContacts(data) {
@@ -149,10 +148,9 @@ class LiveSource {
         if (strength > 0) { strengths.push(strength); }
       }
     }
-    if (this.fullForce === null || !strengths.length) { return; }
+    if (!strengths.length) { return; }
     strengths.sort((a, b) => a - b);
     this.fullForce = strengths[Math.floor(0.98 * (strengths.length - 1))];
-    this.measured = true;
   }
 
   // Frame before t and the share of the way to the next one.

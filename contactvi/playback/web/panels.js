@@ -156,7 +156,10 @@ class Panels {
   }
 
   // What the legend speaks of.
-  explains() { return [this.events.strongest > 0, ...this.player.source.modes].join(); }
+  explains() {
+    const {source} = this.player;
+    return [this.events.strongest > 0, source.fullForce !== null, ...source.modes].join();
+  }
 
   // Follow a source that has grown.
   refresh() {
