@@ -13,20 +13,19 @@ if TYPE_CHECKING:
     from contactvi.scene.scene import Scene
     from contactvi.trajectory.trajectory import Trajectory
 
-DT = 1e-3  # [s] where the scene leaves the step to the run
 _PROGRESS_PERIOD = 0.1  # [s] of wall time
 _PATIENCE = 10.0  # [s] for the browser to open the page
 
 
 def live_options(scene: Scene, chosen: dict[str, Any]) -> dict[str, Any]:
     """Return the options of a live run: those chosen, with steps of one length."""
+    from contactvi.options import DEFAULT_DT
     from contactvi.simulation.simulation import settings_of
 
     if not settings_of(scene, chosen).auto:
         return chosen
-    err.print(f'The live view takes steps of one length: dt = {DT:g} s in place of "auto", which chooses them.')
-    # Of "auto", tol is the accuracy of the whole run and the order goes with long steps: neither fits this step.
-    return {**chosen, "dt": DT, "tol": None}
+    err.print(f'The live view takes steps of one length: dt = {DEFAULT_DT:g} s in place of "auto", which chooses them.')
+    return {**chosen, "dt": DEFAULT_DT, "tol": None}  # of "auto", tol is the accuracy of the whole run
 
 
 def run_live(

@@ -12,6 +12,7 @@ import socket
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from typing import Any
 
 PENDING = 1 << 20  # [bytes] of what happened that wait for one page; the oldest go first
@@ -151,10 +152,8 @@ class _Stream:
 
     def cut(self) -> None:
         """End the connection, from any thread."""
-        try:
+        with suppress(OSError):  # it has ended
             self._connection.shutdown(socket.SHUT_RDWR)
-        except OSError:  # it has ended
-            pass
 
 
 def _handler(page: bytes, server: FrameServer) -> type[http.server.BaseHTTPRequestHandler]:

@@ -1,4 +1,4 @@
-"""The live view without a browser: what a page is sent, when, and what the loop has of it. In one: test_live_browser.py."""
+"""The live view without a browser: what a page is sent, when, and what the loop has of it."""
 
 from __future__ import annotations
 
@@ -308,7 +308,7 @@ def test_real_time(factor):
             assert time.perf_counter() - start > (sim.t - t) / factor - 2e-3  # two steps of DT
 
 
-# -- pages that are slow, or gone ---------------------------------------------------------------------------------------
+# -- pages that are slow, or gone --------------------------------------------------------------------------------------
 
 
 def test_the_last_frame_wins(server):
@@ -490,6 +490,29 @@ def test_run_live_chooses_a_step_where_the_run_would(command, tmp_path):
     assert "dt = 0.001 s" in result.stderr
     options = cvi.Trajectory.load("out/trajectory.npz").options
     assert options == cvi.Options(dt=1e-3, duration=0.1)
+
+
+def test_run_live_ends_when_the_page_is_closed(command, tmp_path, monkeypatch):
+    """The browser of this test opens the page, and closes it after a while."""
+    pages: list[Page] = []
+
+    def browse() -> None:
+        wait_until(lambda: len(pages[0].messages) > 10)
+        pages[0].close()
+
+    def opened(url: str, new: int = 0) -> bool:
+        pages.append(Page(url))
+        threading.Thread(target=browse).start()
+        return True
+
+    monkeypatch.setattr("webbrowser.open", opened)
+    result = command("run", ball_file(tmp_path, duration=60.0), "--live", "-o", "out", "--no-plot", "--no-html")
+    assert result.exit_code == 0, result.stderr
+    assert "The page was closed at t =" in result.stderr
+    traj = cvi.Trajectory.load("out/trajectory.npz")
+    assert traj.status.ok
+    assert pages[0].frames[-1]["t"] < traj.t[-1] < 59.0
+    assert pages[0].frames[0]["t"] < 1.0  # the run began when the page was open
 
 
 def test_ctrl_c_ends_a_live_run_with_its_files(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -133,12 +134,13 @@ def test_the_page_forgets_what_is_old_and_starts_anew(browser, ball):
         live.wait_for_page()
         with running(ball, live):
             browser.execute_async_script(POLL, "source.count > 5")
-        # Frames as they come, many more than are kept, with the impact of each.
+        # Frames as they come, many more than are kept.
         kept = browser.execute_script("""
           const {pose} = source.frames[source.frames.length - 1], data = {data: btoa(String.fromCharCode(
             ...new Uint8Array(pose.buffer))), type: "f4"}, start = source.end;
           for (let k = 1; k <= 2 * KEPT; ++k) {
-            source.push({frame: {run: 0, t: start + k / 60, pose: data, contacts: null, impacts: k, bad: ""}, happened: []});
+            const frame = {run: 0, t: start + k / 60, pose: data, contacts: null, impacts: k, bad: ""};
+            source.push({frame, happened: []});
           }
           return [KEPT, source.times.length, source.frames.length, source.start - start];""")
         assert kept[1:3] == [kept[0], kept[0]]
@@ -149,4 +151,39 @@ def test_the_page_forgets_what_is_old_and_starts_anew(browser, ball):
             anew = poll(browser, "source.start < 1 && source.count > 3")
         assert anew["following"]
         assert anew["end"] >= anew["start"] >= 0
+    assert errors(browser) == []
+
+
+def test_contacts_forces_and_events_of_a_rolling_ball(browser):
+    """What the signs, the legend and the list say of contacts that come after the page was opened."""
+    scene = cvi.Scene()
+    scene.add_sphere("ball", RADIUS, mass=0.5, placement=(0.0, 0.0, RADIUS + 1e-3))
+    scene.add_halfspace()
+    scene.set_contact(restitution=0.0, friction=0.8)
+    sim = cvi.Simulator(scene, dt=DT)
+    sim.reset(None, scene.velocity({"ball": ((1.0, 0.0, 0.0), (0.0, 1.0 / RADIUS, 0.0))}))
+    with cvi.view(sim, open_browser=False) as live:
+        browser.get(live.url)
+        live.wait_for_page()
+        assert "force" not in browser.find_element("id", "legend").text
+        while sim.t < 0.5:  # as many frames as steps
+            sim.step()
+            live.sync()
+            time.sleep(1 / 60)
+        poll(browser, f"source.end > {sim.t - 0.1} && player.time === source.end && source.fullForce !== null")
+        press(browser, "e")
+        poll(browser, "document.querySelectorAll('#kinds input').length > 1")
+        legend = browser.find_element("id", "legend").text
+        assert "force" in legend
+        assert "roll" in legend
+        forces = browser.execute_script("return signs.forces.places.map(([p, d]) => [...p.toArray(), ...d.toArray()])")
+        assert len(forces) == 1
+        ball = browser.execute_script("return stage.bodies.find(body => body.name === 'ball').position.toArray()")
+        assert forces[0] == pytest.approx([ball[0], ball[1], 0.0, 0.0, 0.0, 1.0], abs=1e-4)  # rolling takes no friction
+        full = browser.execute_script("return source.fullForce")
+        assert full == pytest.approx(0.5 * 9.81, rel=1e-6)
+        kinds = [label.text for label in browser.find_elements("css selector", "#kinds label")]
+        assert "begin (1)" in kinds
+        words = [row.text for row in browser.find_elements("css selector", "#rows button")]
+        assert any("begin" in row and "ball" in row for row in words)
     assert errors(browser) == []

@@ -12,6 +12,7 @@ class GrowingEvents extends EventList {
   constructor(kinds) {
     super(kinds, [], Object.fromEntries(Object.keys(EVENT_FIELDS).map(name => [name, []])));
     this.places = new Map();  // of names
+    this.added = this.dropped = 0;  // how many there were
   }
 
   add(data) {
@@ -23,18 +24,16 @@ class GrowingEvents extends EventList {
     for (const name of Object.keys(EVENT_FIELDS)) {
       for (const value of unpack(data[name])) { this[name].push(name === "name" ? places[value] : value); }
     }
-    this.drop(Math.max(0, this.length - MOST_EVENTS));
+    this.added += unpack(data.time).length;
     this.measure();
   }
 
-  // Forget what was before `start` [s].
+  // Forget what was before `start` [s], and what is too much; places of events move.
   forget(start) {
     const gone = this.time.findIndex(time => time >= start);
-    this.drop(gone < 0 ? this.length : gone);
-  }
-
-  drop(count) {
+    const count = Math.max(gone < 0 ? this.length : gone, this.length - MOST_EVENTS);
     if (count === 0) { return; }
+    this.dropped += count;
     for (const [name, width] of Object.entries(EVENT_FIELDS)) { this[name].splice(0, width * count); }
     this.measure();
   }
@@ -84,7 +83,6 @@ class LiveSource {
     if (this.times.length > KEPT) {
       this.times.shift();
       this.frames.shift();
-      this.events.forget(this.start);
     }
     return anew;
   }
@@ -225,7 +223,8 @@ class LivePlayer extends Player {
       this.stage.render();
       return;
     }
-    if (!this.playing && came) { this.seek(this.time); }  // what is paused may be forgotten, and the bar grows
+    if (came && this.time < this.source.start) { this.seek(this.time); }  // what was shown is forgotten
+    if (came) { this.tell(); }  // the time bar grows
     super.tick(now);
   }
 }
@@ -246,7 +245,10 @@ function connect(player, panels) {
   };
   stream.onmessage = event => {
     state = "live";
-    if (source.push(JSON.parse(event.data))) { player.follow(); }
+    if (source.push(JSON.parse(event.data))) {
+      refresh();
+      player.follow();
+    }
   };
   stream.addEventListener("end", () => over("ended"));
   stream.onerror = () => over("the process of the simulator is gone");
@@ -256,6 +258,7 @@ function connect(player, panels) {
     if (seen === source.count) { return; }
     seen = source.count;
     source.measureForces();
+    source.events.forget(source.start);
     panels.refresh();
   }
   setInterval(refresh, 250);

@@ -165,8 +165,9 @@ class Panels {
   refresh() {
     if (this.explains() !== this.explained) { this.legend(); }
     this.legendShown();
-    this.impact = undefined;  // places of events have moved
+    this.impact = undefined;  // places of events may have moved
     this.list.refresh();
+    this.drawTicks();
   }
 
   show() {
@@ -248,8 +249,11 @@ class EventPanel {
     });
   }
 
-  // Follow a list that has grown.
+  // Follow a list that has grown; while the user presses on it the rows stay, unless they are gone.
   refresh() {
+    const {added, dropped} = this.events, [before, gone] = this.seen || [0, 0];
+    if (dropped === gone && (added === before || element("list").matches(":active"))) { return; }
+    this.seen = [added, dropped];
     this.count();
     this.now = undefined;
     this.choose();

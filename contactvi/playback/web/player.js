@@ -22,8 +22,10 @@ class Player {
     this.stage.place(this.time);
     this.impact = this.signs.show(this.time, this.speed);
     this.orbit.keep();
-    for (const listener of this.listeners) { listener(this); }
+    this.tell();
   }
+
+  tell() { for (const listener of this.listeners) { listener(this); } }
 
   play() {
     if (!(this.length > 0)) { return; }
@@ -35,7 +37,7 @@ class Player {
 
   pause() {
     this.playing = false;
-    for (const listener of this.listeners) { listener(this); }
+    this.tell();
   }
 
   toggle() { if (this.playing) { this.pause(); } else { this.play(); } }
