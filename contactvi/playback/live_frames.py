@@ -44,9 +44,6 @@ class Stepped(Protocol):
     @property
     def status(self) -> Status | None: ...
 
-    @property
-    def impacts(self) -> int: ...
-
     def step(self) -> Status: ...
 
     def recent(self, since: float) -> Recent: ...
@@ -134,13 +131,13 @@ class FrameWriter:
         frame = {
             "run": self.run,
             "t": self.t,
-            "impacts": self._sim.impacts,
+            "impacts": recent.impacts,
             "pose": packed(self.poses.at(self._sim.q), "f4"),
             "contacts": self._contacts(recent.contacts) if self._forces else None,
             "bad": "" if status is None or status.ok else str(status),
         }
         happened = None
-        if len(recent.events) or len(recent.contact_changes):
+        if recent.happened:
             new = _Happened(self._scene, recent.events, recent.contact_changes)
             happened = json.dumps(event_data(new, 0.0), allow_nan=False)
         return json.dumps(frame, allow_nan=False), happened, restart

@@ -161,6 +161,10 @@ def _handler(page: bytes, server: FrameServer) -> type[http.server.BaseHTTPReque
         disable_nagle_algorithm = True
 
         def do_GET(self) -> None:
+            if self.path == "/favicon.ico":  # browsers ask for it
+                self.send_response(204)
+                self.end_headers()
+                return
             if self.path not in ("/", "/frames"):
                 self.send_error(404)
                 return

@@ -16,8 +16,12 @@ class Recent:
         contacts: the persistent contacts at the end of the last step, one row per point.
         events: the impacts after the time that was asked for.
         contact_changes: the changes of persistent contacts after that time.
+        happened: whether there are any of these.
+        impacts: number of impacts since the reset.
     """
 
     contacts: ContactLog
     events: EventLog
     contact_changes: ChangeLog
+    happened: bool
+    impacts: int

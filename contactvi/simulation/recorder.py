@@ -14,6 +14,7 @@ from contactvi.records import contacts, dense_steps
 from contactvi.records import events as event_log
 from contactvi.records.inputs import GrowingInputs
 from contactvi.records.point_numbers import PointNumbers
+from contactvi.records.recent import Recent
 from contactvi.records.rows import joined
 from contactvi.records.work import GrowingForces
 from contactvi.simulation.messages import describe
@@ -175,10 +176,6 @@ class Record:
         """Return the events of the blocks from `first` on."""
         return self._log(self.events[first:])
 
-    def log_since(self, time: float) -> event_log.EventLog:
-        """Return the events after a time [s]; what was recorded before is not looked at."""
-        return self._log(_after(self.events, time))
-
     def _log(self, parts: list[Columns]) -> event_log.EventLog:
         states = self.compiled.states
         return event_log.EventLog(
@@ -201,9 +198,10 @@ class Record:
         """Return the changes of contacts of the blocks from `first` on."""
         return self._change_log(self.changes[first:])
 
-    def change_log_since(self, time: float) -> contacts.ChangeLog:
-        """Return the changes of contacts after a time [s]; what was recorded before is not looked at."""
-        return self._change_log(_after(self.changes, time))
+    def recent(self, since: float, present: contacts.ContactLog) -> Recent:
+        """Return the contacts that are present and what was recorded after `since` [s]; the rest is not looked at."""
+        events, changes = _after(self.events, since), _after(self.changes, since)
+        return Recent(present, self._log(events), self._change_log(changes), bool(events or changes), self.stats.impacts)
 
     def _change_log(self, parts: list[Columns]) -> contacts.ChangeLog:
         rows = partial(joined, parts, contacts.CHANGE_FIELDS)

@@ -332,8 +332,7 @@ class Run:
 
     def recent(self, since: float) -> Recent:
         """Return the present contacts, and what has happened after `since` [s]; earlier records are not looked at."""
-        record = self.record
-        return Recent(self._contact_rows_now(), record.log_since(since), record.change_log_since(since))
+        return self.record.recent(since, self._contact_rows_now())
 
     def _contact_rows_now(self) -> ContactLog:
         record, now = self.record, self.t
