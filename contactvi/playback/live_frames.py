@@ -59,7 +59,8 @@ class BodyPoses:
         places = [model.jointPlacements[joints[k]] for k in free]
         self._turn = np.array([place.rotation for place in places]).reshape(-1, 3, 3)
         self._origin = np.array([place.translation for place in places]).reshape(-1, 3)
-        self._base = np.array([pin.Quaternion(place.rotation).coeffs() for place in places]).reshape(-1, 4)
+        self._product = np.array([_product(pin.Quaternion(place.rotation).coeffs()) for place in places])
+        self._product = self._product.reshape(-1, 4, 4)
         starts = np.array([model.idx_qs[joints[k]] for k in free], dtype=np.int64)
         self._entries = starts[:, None] + np.arange(7)
         self._linked = [(k, joint) for k, joint in enumerate(joints) if joint and k not in set(free)]
@@ -71,16 +72,19 @@ class BodyPoses:
         poses[:, 6] = 1.0
         if len(self._free):
             own = q[self._entries]
-            base, turn = self._base, own[:, 3:]
             poses[self._free, :3] = np.einsum("nij,nj->ni", self._turn, own[:, :3]) + self._origin
-            axis = base[:, 3:] * turn[:, :3] + turn[:, 3:] * base[:, :3] + np.cross(base[:, :3], turn[:, :3])
-            poses[self._free, 3:6] = axis
-            poses[self._free, 6] = base[:, 3] * turn[:, 3] - np.sum(base[:, :3] * turn[:, :3], axis=1)
+            poses[self._free, 3:] = np.einsum("nij,nj->ni", self._product, own[:, 3:])
         if self._linked:
             pin.forwardKinematics(self._model, self._data, q)
             for k, joint in self._linked:
                 poses[k] = pin.SE3ToXYZQUAT(self._data.oMi[joint])
         return poses
+
+
+def _product(base: Array) -> Array:
+    """Return the matrix (4, 4) that multiplies a quaternion x y z w by `base` from the left."""
+    x, y, z, w = base
+    return np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])
 
 
 @dataclass(frozen=True)
@@ -156,13 +160,10 @@ class FrameWriter:
         for k in np.flatnonzero(log.h[rows] <= _BRIEF * self._longest).tolist():
             force[k] = self._known.get(points[k], np.zeros(3))
         self._known = dict(zip(points, force, strict=True))
+        numbers = np.column_stack([log.array("mode")[rows], index, number, pairs[:, 1:]])
         return {
-            "point": packed(log.position[rows], "f4"),
-            "force": packed(force, "f4"),
-            "mode": packed(log.array("mode")[rows], "u1"),
-            "pair": packed(index, "u4"),
-            "number": packed(number, "u4"),
-            "carriers": packed(pairs[:, 1:], "i4"),
+            "vectors": packed(np.column_stack([log.position[rows], force]), "f4"),  # point, force
+            "numbers": packed(numbers, "i4"),  # mode, pair, number of the point, places of the two bodies
         }
 
     def _pair(self, index: int) -> tuple[float, int, int]:

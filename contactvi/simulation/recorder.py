@@ -191,7 +191,17 @@ class Record:
 
     def contact_log(self, first: int = 0) -> contacts.ContactLog:
         """Return the contacts of the blocks from `first` on."""
-        rows = partial(joined, self.contacts[first:], contacts.FIELDS)
+        return self._contact_log(self.contacts[first:])
+
+    def contacts_that_end(self, time: float, slack: float) -> contacts.ContactLog:
+        """Return the contacts of the last block whose step ends at a time [s], within slack [s]; no impacts."""
+        parts = self.contacts[-1:]
+        return self._contact_log([
+            _rows(part, (np.abs(part["t"] + part["h"] - time) <= slack) & (part["h"] > 0.0)) for part in parts
+        ])  # fmt: skip
+
+    def _contact_log(self, parts: list[Columns]) -> contacts.ContactLog:
+        rows = partial(joined, parts, contacts.FIELDS)
         return contacts.ContactLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def change_log(self, first: int = 0) -> contacts.ChangeLog:
@@ -201,7 +211,8 @@ class Record:
     def recent(self, since: float, present: contacts.ContactLog) -> Recent:
         """Return the contacts that are present and what was recorded after `since` [s]; the rest is not looked at."""
         events, changes = _after(self.events, since), _after(self.changes, since)
-        return Recent(present, self._log(events), self._change_log(changes), bool(events or changes), self.stats.impacts)
+        happened = bool(events or changes)
+        return Recent(present, self._log(events), self._change_log(changes), happened, self.stats.impacts)
 
     def _change_log(self, parts: list[Columns]) -> contacts.ChangeLog:
         rows = partial(joined, parts, contacts.CHANGE_FIELDS)

@@ -336,14 +336,15 @@ class Run:
 
     def _contact_rows_now(self) -> ContactLog:
         record, now = self.record, self.t
-        log = record.contact_log(max(0, len(record.contacts) - 1))
         slack = _ROUNDING * self.options.fixed_dt
-        current = np.flatnonzero((np.abs(log.end - now) <= slack) & (log.h > 0.0))
+        log = record.contacts_that_end(now, slack)
         changes = record.change_log(max(0, len(record.changes) - 1))
         released = (changes.array("change") == Change.RELEASE) & (changes.array("time") >= now - slack)
+        if not released.any():
+            return log
         ended = set(points_of(changes, np.flatnonzero(released)))
-        points = points_of(log, current)
-        return log.rows(np.array([k for k, point in zip(current, points, strict=True) if point not in ended], np.int64))
+        points = points_of(log, np.arange(len(log)))
+        return log.rows(np.array([point not in ended for point in points], dtype=bool))
 
     def release(self) -> None:
         """Give the engine to later runs of the scene; this run makes no more steps."""

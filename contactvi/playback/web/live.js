@@ -99,9 +99,18 @@ class LiveSource {
     if (this.fullForce === null) { this.measureForces(); }
   }
 
-  unpackContacts(data) {
-    const found = Object.fromEntries(Object.entries(data).map(([name, entry]) => [name, unpack(entry)]));
-    found.next = new Int32Array(found.mode.length).fill(-1);
+  // Points and forces, three numbers each; mode, pair, number of the point and places of its two bodies.
+  unpackContacts({vectors, numbers}) {
+    const reals = unpack(vectors), whole = unpack(numbers), count = whole.length / 5;
+    const found = {point: new Float32Array(3 * count), force: new Float32Array(3 * count), mode: new Uint8Array(count),
+      pair: new Uint32Array(count), number: new Uint32Array(count), carriers: new Int32Array(2 * count),
+      next: new Int32Array(count).fill(-1)};
+    for (let row = 0; row < count; ++row) {
+      found.point.set(reals.subarray(6 * row, 6 * row + 3), 3 * row);
+      found.force.set(reals.subarray(6 * row + 3, 6 * row + 6), 3 * row);
+      [found.mode[row], found.pair[row], found.number[row]] = whole.subarray(5 * row, 5 * row + 3);
+      found.carriers.set(whole.subarray(5 * row + 3, 5 * row + 5), 2 * row);
+    }
     return found;
   }
 
