@@ -86,11 +86,15 @@ class LiveView:
         """Show the last state and stop serving. An open page keeps the frames that it has."""
         if self._closed:
             return
-        self._closed = True
         try:
             if self._server.pages:
                 self._server.publish(*self._writer.write())
         finally:
+            self._stop()
+
+    def _stop(self) -> None:
+        if not self._closed:
+            self._closed = True
             self._server.close()
 
     def __enter__(self) -> LiveView:
@@ -99,7 +103,10 @@ class LiveView:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if kind is None:
+            self.close()
+        else:
+            self._stop()  # the simulator may have no state to show
 
     def __repr__(self) -> str:
         return f"<LiveView at {self.url}>"

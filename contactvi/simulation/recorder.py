@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from contactvi.options import Options
 from contactvi.records import contacts, dense_steps
 from contactvi.records import events as event_log
+from contactvi.records.codes import Change
 from contactvi.records.inputs import GrowingInputs
 from contactvi.records.point_numbers import PointNumbers
 from contactvi.records.recent import Recent
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+ROUNDING = 1e-9  # of a step: an impact at its end may be a digit later than the step
 BLOCK = 1000  # single steps that are recorded at once, where not all of them stay in the record
 _BLOCKS = ("events", "segments", "contacts", "changes", "phases", "dense_steps")
 _NOTHING_DONE = Stats()
@@ -193,12 +195,20 @@ class Record:
         """Return the contacts of the blocks from `first` on."""
         return self._contact_log(self.contacts[first:])
 
-    def contacts_that_end(self, time: float, slack: float) -> contacts.ContactLog:
-        """Return the contacts of the last block whose step ends at a time [s], within slack [s]; no impacts."""
-        parts = self.contacts[-1:]
-        return self._contact_log([
-            _rows(part, (np.abs(part["t"] + part["h"] - time) <= slack) & (part["h"] > 0.0)) for part in parts
+    def contacts_at(self, now: float) -> contacts.ContactLog:
+        """Return the persistent contacts at the end of the last step, which is now [s]; one row per point."""
+        slack = ROUNDING * self.options.fixed_dt
+        log = self._contact_log([
+            _rows(part, (np.abs(part["t"] + part["h"] - now) <= slack) & (part["h"] > 0.0))
+            for part in self.contacts[-1:]
         ])  # fmt: skip
+        changes = self.change_log(max(0, len(self.changes) - 1))
+        released = (changes.array("change") == Change.RELEASE) & (changes.array("time") >= now - slack)
+        if not released.any():
+            return log
+        ended = set(contacts.points_of(changes, np.flatnonzero(released)))
+        points = contacts.points_of(log, np.arange(len(log)))
+        return log.rows(np.array([point not in ended for point in points], dtype=bool))
 
     def _contact_log(self, parts: list[Columns]) -> contacts.ContactLog:
         rows = partial(joined, parts, contacts.FIELDS)
@@ -208,10 +218,11 @@ class Record:
         """Return the changes of contacts of the blocks from `first` on."""
         return self._change_log(self.changes[first:])
 
-    def recent(self, since: float, present: contacts.ContactLog) -> Recent:
-        """Return the contacts that are present and what was recorded after `since` [s]; the rest is not looked at."""
+    def recent(self, since: float, now: float) -> Recent:
+        """Return the contacts now [s], and what was recorded after `since` [s]; the rest is not looked at."""
         events, changes = _after(self.events, since), _after(self.changes, since)
         happened = bool(events or changes)
+        present = self.contacts_at(now)
         return Recent(present, self._log(events), self._change_log(changes), happened, self.stats.impacts)
 
     def _change_log(self, parts: list[Columns]) -> contacts.ChangeLog:

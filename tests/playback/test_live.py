@@ -400,6 +400,26 @@ def test_closed_view_goes_on_without_pages():
         page_data(live)
 
 
+def test_an_error_in_the_loop_comes_through():
+    """Also one that leaves the simulator without a state; pages are told that it is over."""
+    sim = cvi.Simulator(ball_scene(), dt=DT)
+    sim.reset()
+    live = show(sim)
+    page = Page(live.url)
+
+    def loop() -> None:
+        with live:
+            sync_now(live, page)
+            sim._run = None
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        loop()
+    page.finish()
+    assert page.ended
+    assert not live.is_open
+
+
 def test_only_this_machine_and_only_its_paths():
     with show(simulator(ball_scene())) as live:
         assert live.url.startswith("http://127.0.0.1:")
