@@ -10,6 +10,7 @@ from contactvi.commands.console import err
 
 if TYPE_CHECKING:
     from contactvi.interrupts import CtrlC
+    from contactvi.playback.live import LiveView
     from contactvi.scene.scene import Scene
     from contactvi.trajectory.trajectory import Trajectory
 
@@ -47,10 +48,10 @@ def run_live(
     sim = Simulator(scene, **chosen)
     sim.reset()
     with view(sim, open_browser=browser, realtime=True, title=title) as live:
-        if browser and not live.wait_for_page(_PATIENCE):
-            err.print("No browser has opened the page; the run goes on.")
-        told = time.perf_counter()
         try:
+            if browser:
+                _wait_for_page(live, ctrl_c)
+            told = time.perf_counter()
             for _ in range(steps):
                 if not live.is_open or not sim.step().ok:
                     break
@@ -64,3 +65,13 @@ def run_live(
         if not live.is_open:
             err.print(f"The page was closed at t = {sim.t:.4g} s: the run ends there.")
     return sim.trajectory()
+
+
+def _wait_for_page(live: LiveView, ctrl_c: CtrlC) -> None:
+    """Wait for the browser, so that the page sees the start; raise KeyboardInterrupt after Ctrl-C."""
+    start = time.perf_counter()
+    while not live.wait_for_page(0.1):
+        ctrl_c.check()
+        if time.perf_counter() - start > _PATIENCE:
+            err.print("No browser has opened the page; the run goes on.")
+            return

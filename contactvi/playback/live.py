@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from contactvi.errors import InputError
 from contactvi.inputs import flag, short, words
-from contactvi.playback.animation import Frames, Poses
+from contactvi.playback.animation import Frames, Poses, is_free
 from contactvi.playback.arrays import packed
 from contactvi.playback.event_list import KINDS
 from contactvi.playback.framing import fit
@@ -184,10 +184,10 @@ class _Page:
         pin.forwardKinematics(model, data, q)
         trees = trees_of(model)
         fallen = np.zeros((model.njoints, 3))
-        for tree in {int(trees[k]) for k in range(1, model.njoints)}:
-            own = [k for k in range(1, model.njoints) if trees[k] == tree]
-            if any(model.parents[k] == 0 and model.joints[k].shortname() == "JointModelFreeFlyer" for k in own):
-                fallen[own] = self._fall(np.array([data.oMi[k].translation for k in own]))
+        for root in range(1, model.njoints):
+            if is_free(model, root):
+                own = np.flatnonzero(trees == root)
+                fallen[own] = self._fall(np.array([data.oMi[int(k)].translation for k in own]))
         poses = {}
         for place, joint in enumerate(self._joints):
             position, quaternion = start[place, :3], start[place, 3:]
