@@ -7,7 +7,6 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError
@@ -180,18 +179,16 @@ class _Page:
         """Return what is to be in the picture: the start, and bodies that are free fallen to the ground below."""
         model = self.scene.model
         start = self.writer.poses.at(q)
-        data: Any = model.createData()
-        pin.forwardKinematics(model, data, q)
-        trees = trees_of(model)
-        fallen = np.zeros((model.njoints, 3))
-        for root in range(1, model.njoints):
+        roots = trees_of(model)[self._joints]
+        fallen = np.zeros((len(start), 3))
+        for root in np.unique(roots).tolist():
             if is_free(model, root):
-                own = np.flatnonzero(trees == root)
-                fallen[own] = self._fall(np.array([data.oMi[int(k)].translation for k in own]))
-        poses = {}
-        for place, joint in enumerate(self._joints):
-            position, quaternion = start[place, :3], start[place, 3:]
-            poses[joint] = Poses(np.array([position, position + fallen[joint]]), np.array([quaternion, quaternion]))
+                own = roots == root
+                fallen[own] = self._fall(start[own, :3])
+        poses = {
+            joint: Poses(np.array([pose[:3], pose[:3] + way]), np.array([pose[3:], pose[3:]]))
+            for joint, pose, way in zip(self._joints, start, fallen, strict=True)
+        }
         return Frames(np.array([0.0, 1.0]), poses)
 
     def _fall(self, points: Array) -> Array:
