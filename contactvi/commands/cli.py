@@ -24,6 +24,7 @@ from contactvi.commands.console import (
     print_error,
 )
 from contactvi.commands.export import export
+from contactvi.commands.live import live_options, run_live
 from contactvi.commands.output import Phases, print_summary, write_files
 from contactvi.commands.pictures import CameraOption, camera_value, play, render
 from contactvi.errors import ContactviError, NotDifferentiable, SceneError, SimulationError
@@ -126,6 +127,8 @@ def run(
     sample_dt: Annotated[float | None, typer.Option(help="Keep the state every so many seconds instead.")] = None,
     fps: Annotated[float, typer.Option(help="Frames per simulated second of the playback.")] = 60.0,
     camera: CameraOption = None,
+    live: Annotated[bool, typer.Option("--live", help="Show the run in the browser, in real time.")] = False,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="With --live: open the page.")] = True,
     html: Annotated[bool, typer.Option("--html/--no-html", help="Write playback.html.")] = True,
     plot: Annotated[
         bool,
@@ -167,6 +170,8 @@ def run(
         scene = scene_to_run(scene_file, given, save_scene, chosen)
         if view is not None:
             scene.camera = view
+        if live:
+            chosen = live_options(scene, chosen)
         settings = settings_of(scene, chosen)
         scene.core()
     folder = output if output is not None else Path(title)
@@ -177,7 +182,10 @@ def run(
                 for reported in (cvi.AccuracyWarning, cvi.DenseStepWarning):  # by the summary
                     warnings.simplefilter("ignore", reported)
                 with phases.of("run"):
-                    traj = cvi.simulate(scene, progress=bar, **chosen)
+                    if live:
+                        traj = run_live(scene, chosen, settings.steps, title, browser, bar, ctrl_c)
+                    else:
+                        traj = cvi.simulate(scene, progress=bar, **chosen)
         except SimulationError as error:
             traj = error.trajectory
         written = write_files(traj, folder, title, fps if html else None, plot, phases)

@@ -100,7 +100,7 @@ def joint_poses(model: pin.Model, configurations: Array, joints: Sequence[int]) 
     """Return the poses of these joint frames for every configuration; a joint that stands still has one pose."""
     position = np.zeros((len(joints), len(configurations), 3))
     quaternion = np.zeros((len(joints), len(configurations), 4))
-    free = [k for k, joint in enumerate(joints) if _is_free(model, joint)]
+    free = [k for k, joint in enumerate(joints) if is_free(model, joint)]
     for k in free:
         position[k], quaternion[k] = _free_poses(model, joints[k], np.asarray(configurations))
     linked = [(k, joint) for k, joint in enumerate(joints) if joint and k not in free]
@@ -121,7 +121,8 @@ def joint_poses(model: pin.Model, configurations: Array, joints: Sequence[int]) 
     return poses
 
 
-def _is_free(model: pin.Model, joint: int) -> bool:
+def is_free(model: pin.Model, joint: int) -> bool:
+    """Return whether a joint is that of a free body in the world."""
     return joint > 0 and model.parents[joint] == 0 and model.joints[joint].shortname() == "JointModelFreeFlyer"
 
 

@@ -6,13 +6,16 @@ Points of one pair that change at one time in the same way are one entry. Run ti
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.playback.animation import Array, Run, drawn_side
+from contactvi.playback.animation import Array, drawn_side
 from contactvi.records.codes import Change, GuardKind
+from contactvi.records.contacts import ChangeLog
+from contactvi.records.events import EventLog
+from contactvi.scene.scene import Scene
 
 Indices = NDArray[np.int64]
 
@@ -24,6 +27,19 @@ _OF_CHANGE = {
 }  # fmt: skip
 MAX_IMPACTS = 10_000  # listed of a run, the strongest ones; 80 bytes each: 0.8 MB of the page
 MAX_CHANGES = 10_000  # spread over the run
+
+
+class Happened(Protocol):
+    """The part of a run in which things happen."""
+
+    @property
+    def scene(self) -> Scene: ...
+
+    @property
+    def events(self) -> EventLog: ...
+
+    @property
+    def contact_changes(self) -> ChangeLog: ...
 
 
 @dataclass(frozen=True)
@@ -60,7 +76,7 @@ class HappeningList:
         return len(self.time)
 
 
-def happenings(run: Run) -> HappeningList:
+def happenings(run: Happened) -> HappeningList:
     """Return what happens in a run: at most MAX_IMPACTS impacts and MAX_CHANGES changes."""
     impacts, changes = _impacts(run), _changes(run)
     left_out = len(run.events) - len(impacts["time"]) + changes.pop("left_out")
@@ -75,7 +91,7 @@ def happenings(run: Run) -> HappeningList:
     )  # fmt: skip
 
 
-def _impacts(run: Run) -> dict[str, Any]:
+def _impacts(run: Happened) -> dict[str, Any]:
     events = run.events
     impulse = events.array("impulse")
     rows = np.sort(np.argsort(-impulse, kind="stable")[:MAX_IMPACTS])
@@ -98,7 +114,7 @@ def _impacts(run: Run) -> dict[str, Any]:
     }
 
 
-def _changes(run: Run) -> dict[str, Any]:
+def _changes(run: Happened) -> dict[str, Any]:
     log = run.contact_changes
     # All points of a pair that begin to slide in one step are one thing that happens.
     columns = [log.array(name).astype(float) for name in ("time", "kind", "index", "change")]

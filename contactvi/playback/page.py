@@ -26,18 +26,29 @@ from contactvi.playback.animation import Frames, Poses, frames_of
 from contactvi.playback.animation import Run as AnimatedRun
 from contactvi.playback.arrays import packed
 from contactvi.playback.contact_frames import ContactFrames, contact_frames
-from contactvi.playback.event_list import KINDS, happenings
+from contactvi.playback.event_list import KINDS, Happened, happenings
 from contactvi.playback.framing import View, fit
 from contactvi.playback.open_side import trees_of
 from contactvi.playback.shapes import shape_data
-from contactvi.playback.visuals import SPRING_COLOR, STRING_COLOR
+from contactvi.playback.visuals import SPRING_COLOR, STRING_COLOR, Visual
 from contactvi.scene.camera import Camera, camera_of, check_followed
+from contactvi.scene.scene import Scene
 from contactvi.status import Status
 from contactvi.version import version
 
 Array = NDArray[np.float64]
 _LINES = {SPRING_COLOR: "green: springs", STRING_COLOR: "dark: strings and rods"}
 _SCRIPTS = ("data", "stage", "orbit", "signs", "player", "panels", "main")
+
+
+class Drawn(Protocol):
+    """What is drawn, apart from where it is."""
+
+    @property
+    def scene(self) -> Scene: ...
+
+    @property
+    def visuals(self) -> list[Visual]: ...
 
 
 class Run(AnimatedRun, Protocol):
@@ -104,20 +115,31 @@ def make_html(
     title, play, forces = words("title", title), flag("play", play), flag("forces", forces)
     chosen = camera_of(camera if camera is not None else run.scene.camera or "auto")
     check_followed(chosen, bodies_of(run))
-    title = title or _title(run)
+    title = title or title_of(run.scene)
     data = _data(run, frames_of(run, float(fps)), forces, chosen) | {"title": title, "play": play}
+    return fill_page(data, script=script)
+
+
+def fill_page(data: dict[str, Any], *, script: str = "", further: tuple[str, ...] = ()) -> str:
+    """Return the page that shows `data`.
+
+    Args:
+        script: JavaScript of the caller that runs first.
+        further: names of scripts of the folder web that the player takes beside its own.
+    """
+    names = (*_SCRIPTS[:-1], *further, _SCRIPTS[-1])
     parts = {
-        "@TITLE@": html.escape(title),
+        "@TITLE@": html.escape(data["title"]),
         "@RUN@": _escaped(data),
         "@STYLE@": _web("style.css"),
         "@THREE@": _three(),
-        "@PLAYER@": "\n".join(_web(f"{name}.js") for name in _SCRIPTS),
+        "@PLAYER@": "\n".join(_web(f"{name}.js") for name in names),
         "@SCRIPT@": script,
     }
     return re.sub("|".join(parts), lambda found: parts[found[0]], _web("page.html"))  # once: what is put in stays
 
 
-def bodies_of(run: Run) -> dict[str, int]:
+def bodies_of(run: Drawn) -> dict[str, int]:
     """Return the names by which a camera finds a body that is drawn: of joints, links and shapes -> joint."""
     model = run.scene.model
     names = {visual.name: visual.joint for visual in run.visuals if visual.shape not in ("line", "halfspace")}
@@ -132,7 +154,7 @@ def _data(run: Run, frames: Frames, forces: bool, camera: Camera) -> dict[str, A
     view = fit(run.visuals, frames, trees_of(run.scene.model))
     joints = {joint: k for k, joint in enumerate(frames.poses)}
     contacts = contact_frames(run, run.t[0] + frames.times, view.size) if forces else None
-    events = _events(run)
+    events = event_data(run, float(run.t[0]))
     return {
         "duration": float(frames.times[-1]),
         "times": packed(frames.times, "f8"),
@@ -141,16 +163,20 @@ def _data(run: Run, frames: Frames, forces: bool, camera: Camera) -> dict[str, A
         "contacts": None if contacts is None else _contacts(contacts, float(run.t[0])),
         "events": events,
         "facts": _facts(run, float(frames.times[-1]), events["left_out"]),
-        "view": _view(view),
-        "camera": _camera(run, camera, joints),
+        "view": view_data(view),
+        "camera": camera_data(run, camera, joints),
     }
 
 
-def _body(run: Run, joint: int, poses: Poses) -> dict[str, Any]:
-    model = run.scene.model
+def body_name(model: pin.Model, joint: int) -> str:
+    """Return the name that the page gives to a body: its link's, else its joint's."""
     link = next((f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint), None)
+    return "world" if joint == 0 else link or str(model.names[joint])
+
+
+def _body(run: Run, joint: int, poses: Poses) -> dict[str, Any]:
     return {
-        "name": "world" if joint == 0 else link or model.names[joint],
+        "name": body_name(run.scene.model, joint),
         "moves": poses.moves,
         "fixed": joint == 0,
         "position": packed(poses.position, "f4"),
@@ -171,12 +197,13 @@ def _contacts(found: ContactFrames, start: float) -> dict[str, Any]:
     }
 
 
-def _events(run: Run) -> dict[str, Any]:
+def event_data(run: Happened, start: float) -> dict[str, Any]:
+    """Return impacts and changes of contacts for the page, with times [s] from `start` on."""
     found = happenings(run)
     return {
         "kinds": list(KINDS),
         "names": [list(pair) for pair in found.names],
-        "time": packed(found.time - float(run.t[0]), "f8"),
+        "time": packed(found.time - start, "f8"),
         "kind": packed(found.kind, "u1"),
         "name": packed(found.name, "u2"),
         "count": packed(np.minimum(found.count, 65_535), "u2"),
@@ -197,10 +224,7 @@ def _facts(run: Run, duration: float, left_out: int) -> list[dict[str, Any]]:
         run.stepping,
         f"impact map {run.events.method.upper()}, contactvi {version()}",
     ]
-    colors = {visual.color for visual in run.visuals if visual.shape == "line"}
-    shown = [words for color, words in _LINES.items() if color in colors]
-    if shown:
-        texts.append(f"lines, {', '.join(shown)}")
+    texts += line_words(run.visuals)
     if left_out:
         texts.append(f"{left_out} weaker impacts and changes of contacts are not listed")
     facts = [{"text": text, "bad": False} for text in texts]
@@ -209,7 +233,14 @@ def _facts(run: Run, duration: float, left_out: int) -> list[dict[str, Any]]:
     return facts
 
 
-def _view(view: View) -> dict[str, Any]:
+def line_words(visuals: list[Visual]) -> list[str]:
+    """Return what the colours of lines mean, where there are lines."""
+    colors = {visual.color for visual in visuals if visual.shape == "line"}
+    shown = [words for color, words in _LINES.items() if color in colors]
+    return [f"lines, {', '.join(shown)}"] if shown else []
+
+
+def view_data(view: View) -> dict[str, Any]:
     return {
         "center": view.center.tolist(),
         "radius": view.radius,
@@ -219,16 +250,16 @@ def _view(view: View) -> dict[str, Any]:
     }
 
 
-def _camera(run: Run, camera: Camera, places: dict[int, int]) -> dict[str, Any]:
+def camera_data(run: Drawn, camera: Camera, places: dict[int, int]) -> dict[str, Any]:
     """Return the camera for the page: a followed body is a place in its list of bodies."""
     if camera.follow is None:
         return {"preset": camera.preset, "eye": camera.eye, "target": camera.target}
     return {"follow": places[bodies_of(run)[camera.follow]]}
 
 
-def _title(run: Run) -> str:
+def title_of(scene: Scene) -> str:
     """Return the names of what is in the scene, the first few of them."""
-    names = [part.name for part in run.scene.parts]
+    names = [part.name for part in scene.parts]
     return ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
 
 

@@ -6,29 +6,55 @@ import html
 import http.server
 import threading
 import webbrowser
-from typing import Any
+from typing import TYPE_CHECKING, Any, overload
 
 from contactvi.inputs import flag
+from contactvi.playback.live import LiveView
+from contactvi.playback.live_frames import Stepped
 from contactvi.playback.page import Run, make_html
 
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
 
-def view(run: Run, *, open_browser: bool = True, **options: Any) -> View:
-    """Serve the playback of a run and open it in the browser; return at once.
+
+@overload
+def view(run: Run, *, open_browser: bool = True, **options: Any) -> View: ...
+@overload
+def view(run: Stepped, *, open_browser: bool = True, realtime: bool | float = False, **options: Any) -> LiveView: ...
+def view(run: Run | Stepped, *, open_browser: bool = True, **options: Any) -> View | LiveView:
+    """Serve the playback of a run, or the live view of a simulator, and open it in the browser; return at once.
 
     Args:
-        run: a Trajectory.
+        run: a Trajectory, or a Simulator that has been reset.
         open_browser: open a browser window; the address is printed in any case.
-        **options: fps, title, play, forces, camera of `contactvi.playback.page.write_html`.
+        **options: title, forces, camera of `contactvi.playback.page.write_html`; of a Trajectory fps and play, too; of
+            a Simulator realtime: True, so that `sync` holds simulated time back to wall time, or a number of simulated
+            seconds per second.
 
     The page is served while this process lives; a script that would end right away calls `.wait()` on the result. For
     a file that needs no process, use `Trajectory.to_html`. In a notebook the result shows itself.
+
+    A simulator is shown while it runs, at each call of `sync`, at most 60 times a second::
+
+        with cvi.view(sim, realtime=True) as live:
+            while live.is_open and sim.t < 10.0:
+                sim.step()
+                live.sync()
+
+    Raises:
+        InputError: for what cannot be shown, and options that are not usable.
+        SimulationError: for a simulator without a state.
     """
     open_browser = flag("open_browser", open_browser)
-    shown = View(make_html(run, **options))
-    print(f"Playback at {shown.url}")
+    shown = LiveView(run, **options) if _is_stepped(run) else View(make_html(run, **options))
+    print(f"{'Live view' if isinstance(shown, LiveView) else 'Playback'} at {shown.url}")
     if open_browser:
         webbrowser.open(shown.url, new=2)
     return shown
+
+
+def _is_stepped(run: Run | Stepped) -> TypeIs[Stepped]:
+    return hasattr(type(run), "recent")
 
 
 class View:

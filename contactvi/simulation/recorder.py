@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from contactvi.options import Options
 from contactvi.records import contacts, dense_steps
 from contactvi.records import events as event_log
+from contactvi.records.codes import Change
 from contactvi.records.inputs import GrowingInputs
 from contactvi.records.point_numbers import PointNumbers
+from contactvi.records.recent import Recent
 from contactvi.records.rows import joined
 from contactvi.records.work import GrowingForces
 from contactvi.simulation.messages import describe
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+ROUNDING = 1e-9  # of a step: an impact at its end may be a digit later than the step
 BLOCK = 1000  # single steps that are recorded at once, where not all of them stay in the record
 _BLOCKS = ("events", "segments", "contacts", "changes", "phases", "dense_steps")
 _NOTHING_DONE = Stats()
@@ -173,7 +176,10 @@ class Record:
 
     def log(self, first: int = 0) -> event_log.EventLog:
         """Return the events of the blocks from `first` on."""
-        parts, states = self.events[first:], self.compiled.states
+        return self._log(self.events[first:])
+
+    def _log(self, parts: list[Columns]) -> event_log.EventLog:
+        states = self.compiled.states
         return event_log.EventLog(
             partial(_events, self.compiled.core, parts, states.nq, states.nv),
             self.compiled.pair_names,
@@ -187,12 +193,40 @@ class Record:
 
     def contact_log(self, first: int = 0) -> contacts.ContactLog:
         """Return the contacts of the blocks from `first` on."""
-        rows = partial(joined, self.contacts[first:], contacts.FIELDS)
+        return self._contact_log(self.contacts[first:])
+
+    def contacts_at(self, now: float) -> contacts.ContactLog:
+        """Return the persistent contacts at the end of the last step, which is now [s]; one row per point."""
+        slack = ROUNDING * self.options.fixed_dt
+        log = self._contact_log([
+            _rows(part, (np.abs(part["t"] + part["h"] - now) <= slack) & (part["h"] > 0.0))
+            for part in self.contacts[-1:]
+        ])  # fmt: skip
+        changes = self.change_log(max(0, len(self.changes) - 1))
+        released = (changes.array("change") == Change.RELEASE) & (changes.array("time") >= now - slack)
+        if not released.any():
+            return log
+        ended = set(contacts.points_of(changes, np.flatnonzero(released)))
+        points = contacts.points_of(log, np.arange(len(log)))
+        return log.rows(np.array([point not in ended for point in points], dtype=bool))
+
+    def _contact_log(self, parts: list[Columns]) -> contacts.ContactLog:
+        rows = partial(joined, parts, contacts.FIELDS)
         return contacts.ContactLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def change_log(self, first: int = 0) -> contacts.ChangeLog:
         """Return the changes of contacts of the blocks from `first` on."""
-        rows = partial(joined, self.changes[first:], contacts.CHANGE_FIELDS)
+        return self._change_log(self.changes[first:])
+
+    def recent(self, since: float, now: float) -> Recent:
+        """Return the contacts now [s], and what was recorded after `since` [s]; the rest is not looked at."""
+        events, changes = _after(self.events, since), _after(self.changes, since)
+        happened = bool(events or changes)
+        present = self.contacts_at(now)
+        return Recent(present, self._log(events), self._change_log(changes), happened, self.stats.impacts)
+
+    def _change_log(self, parts: list[Columns]) -> contacts.ChangeLog:
+        rows = partial(joined, parts, contacts.CHANGE_FIELDS)
         return contacts.ChangeLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
     def phases_joined(self) -> dict[str, Array] | None:
@@ -282,3 +316,14 @@ def _events(core: _core.Scene, parts: list[Columns], nq: int, nv: int) -> dict[s
 
 def _rows(part: Columns, chosen: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(values)[chosen] for name, values in part.items()}
+
+
+def _after(parts: list[Columns], time: float) -> list[Columns]:
+    """Return the rows after a time [s]; parts are in the order of time."""
+    found: list[Columns] = []
+    for part in reversed(parts):
+        late = np.asarray(part["time"]) > time
+        if not late.any():
+            break
+        found.append(_rows(part, late))
+    return found[::-1]

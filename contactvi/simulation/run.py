@@ -15,14 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import ConstraintError, ContactviError, SimulationError
 from contactvi.options import Options
-from contactvi.records.codes import Change
-from contactvi.records.contacts import Contact, ContactLog, points_of
+from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
+from contactvi.records.recent import Recent
 from contactvi.simulation import engine
 from contactvi.simulation.compatibility import Stall, check_unforced
 from contactvi.simulation.engine import Progress
 from contactvi.simulation.messages import REACHED
-from contactvi.simulation.recorder import Record
+from contactvi.simulation.recorder import ROUNDING, Record
 from contactvi.simulation.targets import Targets
 from contactvi.simulation.tolerances import LedgerWatch
 from contactvi.status import Status, StatusCode
@@ -36,7 +36,6 @@ Array = NDArray[np.float64]
 
 PROGRESS_PERIOD = 0.1  # s of wall time between two calls of a progress callback, as in the engine
 _BLOCK = 500  # steps between two checks of what was recorded, for a ledger with tolerances and for DTEC
-_ROUNDING = 1e-9  # of a step: an impact at its end may be a digit later than the step
 _SUCCESS = StatusCode.SUCCESS
 _NO_WAY_ON = (StatusCode.NEWTON_FAILED, StatusCode.EVENT_UNRESOLVED, StatusCode.CONSTRAINT)
 
@@ -322,20 +321,16 @@ class Run:
             if len(t) and t[0] < start:
                 break
         log = record.contact_log(first)
-        middle, slack = log.t + 0.5 * log.h, _ROUNDING * (self.t - start)
+        middle, slack = log.t + 0.5 * log.h, ROUNDING * (self.t - start)
         return log.rows((middle > start + slack) & (middle <= self.t + slack))
 
     def contacts_now(self) -> list[Contact]:
         """Return the persistent contacts at the end of the last step, one `Contact` per point."""
-        record, now = self.record, self.t
-        log = record.contact_log(max(0, len(record.contacts) - 1))
-        slack = _ROUNDING * self.options.fixed_dt
-        current = np.flatnonzero((np.abs(log.end - now) <= slack) & (log.h > 0.0))
-        changes = record.change_log(max(0, len(record.changes) - 1))
-        released = (changes.array("change") == Change.RELEASE) & (changes.array("time") >= now - slack)
-        ended = set(points_of(changes, np.flatnonzero(released)))
-        points = points_of(log, current)
-        return [log[int(k)] for k, point in zip(current, points, strict=True) if point not in ended]
+        return list(self.record.contacts_at(self.t))
+
+    def recent(self, since: float) -> Recent:
+        """Return the present contacts, and what has happened after `since` [s]; earlier records are not looked at."""
+        return self.record.recent(since, self.t)
 
     def release(self) -> None:
         """Give the engine to later runs of the scene; this run makes no more steps."""

@@ -20,6 +20,7 @@ from contactvi.interrupts import held_back
 from contactvi.options import Options, SteppingOptions, merged
 from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
+from contactvi.records.recent import Recent
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.engine import Progress
 from contactvi.simulation.present_dynamics import PresentDynamics
@@ -219,6 +220,13 @@ class Simulator(PresentDynamics):
     def contacts(self) -> list[Contact]:
         """The persistent contacts at the end of the last step: one `Contact` per point (contactvi.records.contacts)."""
         return self._started().contacts_now()
+
+    def recent(self, since: float) -> Recent:
+        """Return the present contacts, and the impacts and changes of contacts after `since` [s], as arrays.
+
+        It takes as long as what is new, not as the whole record; with record=False that is the last step alone.
+        """
+        return self._started().recent(since)
 
     def reaction(self, name: str) -> Array:
         """Return the force of a constraint, the mean over the last step, shape (rows,); see Trajectory.reactions."""

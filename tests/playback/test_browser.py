@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import math
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import contactvi as cvi
+from helpers.browser_page import POLL, errors, press, set_slider
 from helpers.contact_runs import CORNERS, MASS, MU, SPEED, STEP, place, sliding_box
 from helpers.line_scenes import hung_ball
 from helpers.run_scenes import GRAVITY, ball_scene, hand_scene
@@ -19,22 +18,6 @@ from helpers.run_scenes import GRAVITY, ball_scene, hand_scene
 pytestmark = pytest.mark.browser
 
 SINGLE = float(np.finfo(np.float32).eps)  # three.js keeps the tracks as float32
-# Software rendering: three.js needs WebGL, a test machine has no graphics card. The rest keeps Chromium to itself.
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-dev-shm-usage",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--window-size=1280,800",
-)
 POSITION = """
 const found = stage.bodies.filter(body => body.name === arguments[0]);
 if (found.length !== 1) { throw new Error(found.length + " bodies " + arguments[0]); }
@@ -48,23 +31,6 @@ return signs[arguments[0]].places.map(([point, direction, length]) =>
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory) -> Iterator:
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = shutil.which("chromium")
-    for flag in FLAGS:
-        options.add_argument(flag)
-    options.add_argument(f"--user-data-dir={tmp_path_factory.mktemp('chromium')}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
-    driver.set_script_timeout(60)
-    yield driver
-    driver.quit()
-
-
-@pytest.fixture(scope="module")
 def ball() -> cvi.Trajectory:
     scene = ball_scene(restitution=0.8)
     v0 = scene.velocity({"ball": ((0.5, -0.2, 0.0), (0.0, 3.0, 7.0))})
@@ -73,24 +39,6 @@ def ball() -> cvi.Trajectory:
 
 def open_page(browser, traj: cvi.Trajectory, folder: Path, **options) -> None:
     browser.get(traj.to_html(folder / "playback.html", **options).as_uri())
-
-
-def errors(browser) -> list[str]:
-    """Return warnings and errors of the console, without remarks about the speed of software rendering."""
-    entries = browser.get_log("browser")
-    return [
-        entry["message"]
-        for entry in entries
-        if entry["level"] in {"SEVERE", "WARNING"} and "GPU stall" not in entry["message"]
-    ]
-
-
-def set_slider(browser, time: float) -> None:
-    """Move the page's slider as a user does: its value changes, with an input event."""
-    slider = browser.find_element("id", "time")
-    browser.execute_script(
-        "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'));", slider, time
-    )
 
 
 def time_of(browser) -> float:
@@ -102,12 +50,6 @@ SET = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('
 
 def type_speed(browser, text: str) -> None:
     browser.execute_script(SET, browser.find_element("id", "speed"), text)
-
-
-def press(browser, key: str, shift: bool = False) -> None:
-    browser.execute_script(
-        "document.dispatchEvent(new KeyboardEvent('keydown', {key: arguments[0], shiftKey: arguments[1]}));", key, shift
-    )
 
 
 def camera_of(browser) -> tuple[np.ndarray, np.ndarray]:
@@ -556,15 +498,6 @@ def test_springs_and_strings_follow_their_ends(browser, tmp_path):
     green = (image[..., 1] > image[..., 0] + 40) & (image[..., 1] > image[..., 2] + 10)
     assert green.sum() > 200
     assert (image.max(axis=2) < 130)[: int(0.8 * len(image)), : image.shape[1] // 2 + 200].sum() > 200
-
-
-# Calls back with the time shown once the condition holds, at the latest after 20 s.
-POLL = """
-const done = arguments[arguments.length - 1], holds = new Function("return " + arguments[0]), start = performance.now();
-(function poll() {
-    if (holds() || performance.now() - start > 20000) done(player.time); else setTimeout(poll, 20);
-})();
-"""
 
 
 def test_page_plays_by_itself_and_stops_at_the_end(browser, ball, tmp_path):

@@ -10,7 +10,8 @@ const THREE = MeshCat.THREE;
 //   fullForce              [N] the force whose arrow has the full length; null without contacts;
 //   modes                  the numbers of the modes that occur;
 //   events                 an EventList.
-// Recording is the source of a run that is over.
+// Recording is the source of a run that is over, LiveSource (live.js) that of one that goes on: its frames, modes, events
+// and full force grow, and `live` is true.
 
 const NUMBERS = {f4: Float32Array, f8: Float64Array, i2: Int16Array, i4: Int32Array,
   u1: Uint8Array, u2: Uint16Array, u4: Uint32Array};
@@ -33,14 +34,18 @@ function lastNotAbove(values, value) {
 }
 
 class EventList {
-  constructor(data) {
-    this.kinds = data.kinds;
-    this.names = data.names;
-    for (const name of ["time", "kind", "name", "count", "impulse", "before", "after", "point", "direction", "drawn"]) {
-      this[name] = unpack(data[name]);
-    }
-    this.strongest = this.impulse.reduce((most, impulse) => Math.max(most, impulse), 0);
+  // columns: time, kind, name, count, impulse, before, after, point, direction, drawn.
+  constructor(kinds, names, columns) {
+    Object.assign(this, {kinds, names}, columns);
+    this.measure();
   }
+
+  static of(data) {
+    const columns = Object.entries(data).filter(([, entry]) => entry.data !== undefined);
+    return new EventList(data.kinds, data.names, Object.fromEntries(columns.map(([name, entry]) => [name, unpack(entry)])));
+  }
+
+  measure() { this.strongest = this.impulse.reduce((most, impulse) => Math.max(most, impulse), 0); }
 
   get length() { return this.time.length; }
 
@@ -82,7 +87,7 @@ class Recording {
     this.times = unpack(run.times);
     this.bodies = run.bodies;
     this.shapes = run.shapes;
-    this.events = new EventList(run.events);
+    this.events = EventList.of(run.events);
     this.paths = run.bodies.map(body => ({position: unpack(body.position), quaternion: unpack(body.quaternion)}));
     this.rows = this.fullForce = null;
     this.modes = [];

@@ -1,9 +1,9 @@
-// The page of a recorded run.
+// The page of a recorded run, or of a simulator that runs.
 
 const run = JSON.parse(element("run").textContent);
 const outline = unpack(run.view.outline);
 run.view.outline = Array.from({length: outline.length / 3}, (_, k) => Array.from(outline.subarray(3 * k, 3 * k + 3)));
-const source = new Recording(run);
+const source = run.live ? new LiveSource(run) : new Recording(run);
 let stage;
 try {
   stage = new Stage(element("view"), run.view, source);
@@ -13,12 +13,13 @@ try {
 }
 const orbit = new Orbit(stage, run.camera);
 const signs = new Signs(stage, source);
-const player = new Player(stage, orbit, signs, source);
+const player = new (run.live ? LivePlayer : Player)(stage, orbit, signs, source);
 player.seek(source.start);
 const panels = new Panels(player, run);
 orbit.choose(run.camera);
 player.seek(source.start);
 if (run.play) { player.play(); }
+if (run.live) { connect(player, panels); }
 requestAnimationFrame(function tick(now) {
   requestAnimationFrame(tick);
   player.tick(now);

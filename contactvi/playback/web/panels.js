@@ -26,7 +26,7 @@ class Panels {
     this.legend();
     new ResizeObserver(() => this.drawTicks()).observe(element("track"));
     player.listeners.push(() => this.show());
-    if (!(player.length > 0)) {
+    if (!(player.length > 0) && !player.source.live) {
       element("track").style.display = "none";
       for (const id of ["before", "back", "play", "forth", "after"]) { element(id).disabled = true; }
     }
@@ -62,7 +62,8 @@ class Panels {
 
   buttons() {
     const {player} = this, {signs, stage} = player;
-    element("time").max = player.source.end;
+    element("live").hidden = !player.source.live;
+    element("live").addEventListener("click", () => player.follow());
     element("time").addEventListener("input", event => {
       const time = Number(event.target.value);
       player.pause();
@@ -101,7 +102,7 @@ class Panels {
     const {player, switches} = this;
     const actions = {" ": () => player.toggle(), n: () => player.jump(1), p: () => player.jump(-1),
       ArrowLeft: event => player.step(event.shiftKey ? -10 : -1), ArrowRight: event => player.step(event.shiftKey ? 10 : 1),
-      Home: () => player.seek(player.source.start), End: () => player.seek(player.source.end),
+      Home: () => player.go(player.source.start), End: () => player.go(player.source.end),
       f: switches.forces, c: switches.points, l: switches.labels, e: switches.listed, "?": switches.keys};
     for (let k = 0; k < 5; ++k) { actions[k + 1] = () => this.chooseCamera(k); }
     document.addEventListener("keydown", event => {
@@ -117,13 +118,14 @@ class Panels {
   // What the arrows and the points mean, and how long a newton is.
   legend() {
     const {signs, source} = this.player, box = element("legend");
+    box.textContent = "";
     const row = make("div", "", box), points = make("div", "", box);
     if (source.fullForce !== null) {
       const entry = make("span", "", row);
       make("i", "", entry, {className: "arrow"}).style.background = css(FORCE_COLOR);
       this.measure = make("span", "", entry);
       const slider = make("input", "", make("label", "", row), {type: "range", id: "scale", min: -1, max: 1,
-        step: "any", value: 0, title: "Length of the arrows"});
+        step: "any", value: Math.log10(signs.scale), title: "Length of the arrows"});
       slider.setAttribute("aria-label", "Length of the arrows");
       slider.addEventListener("input", () => {
         signs.scale = 10 ** Number(slider.value);
@@ -150,11 +152,29 @@ class Panels {
     };
     this.legendShown();
     element("now").style.display = this.events.strongest > 0 ? "" : "none";
+    this.explained = this.explains();
+  }
+
+  // What the legend speaks of.
+  explains() {
+    const {source} = this.player;
+    return [this.events.strongest > 0, source.fullForce !== null, ...source.modes].join();
+  }
+
+  // Follow a source that has grown.
+  refresh() {
+    if (this.explains() !== this.explained) { this.legend(); }
+    this.legendShown();
+    this.impact = undefined;  // places of events may have moved
+    this.list.refresh();
+    this.drawTicks();
   }
 
   show() {
-    const {player} = this, end = player.source.end;
-    element("time").value = player.time;
+    const {player} = this, {start, end} = player.source, slider = element("time");
+    [slider.min, slider.max] = [start, end];
+    slider.value = player.time;
+    if (player.source.live) { element("live").setAttribute("aria-pressed", player.following); }
     const digits = Math.max(2, Math.min(6, 3 - Math.floor(Math.log10(end || 1))));
     element("clock").textContent = player.time.toFixed(digits) + " / " + Number(end.toFixed(digits)) + " s";
     const icon = player.playing ? "pause" : "play";
@@ -196,24 +216,46 @@ class EventPanel {
   constructor(player, changed) {
     Object.assign(this, {player, changed, events: player.source.events});
     this.kinds = new Set(this.events.kinds);
-    const found = new Map();
-    this.events.kind.forEach(kind => found.set(this.events.kinds[kind], 1 + (found.get(this.events.kinds[kind]) || 0)));
-    for (const [kind, count] of this.events.kinds.map(kind => [kind, found.get(kind)]).filter(([, n]) => n)) {
-      const label = make("label", "", element("kinds")), box = make("input", "", label, {type: "checkbox", checked: true});
-      make("i", "", label).style.background = EVENT_COLORS[kind];
-      make("span", `${kind === "limit" ? "at limits" : kind === "zeno" ? "Zeno" : kind} (${count})`, label);
-      box.dataset.kind = kind;
-      box.addEventListener("change", () => {
-        if (box.checked) { this.kinds.add(kind); } else { this.kinds.delete(kind); }
-        this.choose();
-      });
-    }
-    this.impacts = (found.get("impact") || 0) + (found.get("limit") || 0);
-    element("least").style.display = this.impacts ? "" : "none";
+    this.boxes = new Map();  // kind -> the words beside its box
+    this.count();
     element("threshold").value = 0.6;  // a hundredth of the strongest
     element("threshold").addEventListener("input", () => this.choose());
     element("list").addEventListener("scroll", () => this.fill());
     new ResizeObserver(() => this.fill()).observe(element("list"));
+    this.choose();
+  }
+
+  // Count the events of each kind, and give a box to each kind that occurs.
+  count() {
+    const {events} = this, counts = events.kinds.map(() => 0);
+    for (const kind of events.kind) { ++counts[kind]; }
+    events.kinds.forEach((kind, number) => {
+      if (counts[number] && !this.boxes.has(kind)) { this.addBox(kind); }
+      const word = {limit: "at limits", zeno: "Zeno"}[kind] || kind;
+      if (this.boxes.has(kind)) { this.boxes.get(kind).textContent = `${word} (${counts[number]})`; }
+    });
+    this.impacts = counts[events.kinds.indexOf("impact")] + counts[events.kinds.indexOf("limit")];
+    element("least").style.display = this.impacts ? "" : "none";
+  }
+
+  addBox(kind) {
+    const label = make("label", "", element("kinds")), box = make("input", "", label, {type: "checkbox", checked: true});
+    make("i", "", label).style.background = EVENT_COLORS[kind];
+    this.boxes.set(kind, make("span", "", label));
+    box.dataset.kind = kind;
+    box.addEventListener("change", () => {
+      if (box.checked) { this.kinds.add(kind); } else { this.kinds.delete(kind); }
+      this.choose();
+    });
+  }
+
+  // Follow a list that has grown; while the user presses on it the rows stay, unless they are gone.
+  refresh() {
+    const {added, dropped} = this.events, [before, gone] = this.seen || [0, 0];
+    if (dropped === gone && (added === before || element("list").matches(":active"))) { return; }
+    this.seen = [added, dropped];
+    this.count();
+    this.now = undefined;
     this.choose();
   }
 

@@ -22,8 +22,10 @@ class Player {
     this.stage.place(this.time);
     this.impact = this.signs.show(this.time, this.speed);
     this.orbit.keep();
-    for (const listener of this.listeners) { listener(this); }
+    this.tell();
   }
+
+  tell() { for (const listener of this.listeners) { listener(this); } }
 
   play() {
     if (!(this.length > 0)) { return; }
@@ -35,10 +37,16 @@ class Player {
 
   pause() {
     this.playing = false;
-    for (const listener of this.listeners) { listener(this); }
+    this.tell();
   }
 
   toggle() { if (this.playing) { this.pause(); } else { this.play(); } }
+
+  // At the end of what there is to play.
+  finish() { this.pause(); }
+
+  // Go to a time and play on from there if it plays.
+  go(time) { this.seek(time); }
 
   // Go by frames.
   step(count) {
@@ -63,7 +71,7 @@ class Player {
       const time = this.time + this.speed * Math.min(now - this.last, 100) / 1000;
       this.last = now;
       this.seek(time);
-      if (time >= this.source.end) { this.pause(); }
+      if (time >= this.source.end) { this.finish(); }
     }
     this.stage.render();
   }

@@ -127,7 +127,6 @@ class Signs {
     this.stage = stage;
     this.source = source;
     const size = stage.view.size;
-    this.perNewton = ARROW_LENGTH * size / (source.fullForce || 1);  // [m/N] at the scale 1
     this.scale = 1;
     this.longest = 1.5 * ARROW_LENGTH * size;  // at the scale 1: peaks are cut
     this.forces = new Arrows(stage.scene, FORCE_COLOR, 0.007 * size, 20);
@@ -137,6 +136,9 @@ class Signs {
     this.shown = {forces: true, points: true, impacts: true};
     this.least = 0;  // [N s] impacts below are not shown
   }
+
+  // [m/N] at the scale 1.
+  get perNewton() { return ARROW_LENGTH * this.stage.view.size / (this.source.fullForce || 1); }
 
   // Show what happens at t; impacts for a while of viewing time. Returns the strongest impact shown, -1 without one.
   show(t, speed) {
