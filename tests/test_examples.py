@@ -7,6 +7,7 @@ import pathlib
 import re
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -91,6 +92,16 @@ def test_readme_code_runs(tmp_path):
     assert len(corners) == 4
     assert all(abs(float(line.rstrip(" ]").split()[-1]) - 2.0 * 9.81 / 4.0) < 1e-6 for line in corners)
     assert (tmp_path / "run.html").stat().st_size > 0
+
+
+def test_guide_code_of_the_live_view_runs(tmp_path, monkeypatch):
+    """No browser is opened; simulated time keeps up with wall time and is not ahead of it."""
+    monkeypatch.setenv("BROWSER", "true")  # a command that does nothing
+    began = time.monotonic()
+    printed = run_marked("live", tmp_path, "print(sim.t)\n")
+    assert "http://127.0.0.1:" in printed[0]
+    assert 2.0 <= float(printed[-1]) < 2.001
+    assert time.monotonic() - began > 2.0
 
 
 def test_guide_code_of_tables_runs(tmp_path):

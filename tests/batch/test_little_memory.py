@@ -29,7 +29,9 @@ print(after.ok.all(), after.q.tobytes() == before.q.tobytes())
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="it limits the address space")
 @pytest.mark.parametrize("more", [48, 24, 7])
-def test_runs_share_fewer_stacks_where_there_is_no_memory_for_more(more):
+def test_runs_share_fewer_stacks_where_there_is_no_memory_for_more(more, tmp_path):
     code = LITTLE_MEMORY.format(model=MODELS / "double_pendulum_wall.toml", more=more)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment(), timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=120
+    )
     assert done.stdout.split() == ["True", "True"], done.stderr

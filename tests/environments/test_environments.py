@@ -16,6 +16,7 @@ import contactvi as cvi
 import contactvi.gym
 from contactvi.gym import hand, quadruped
 from contactvi.gym.environment import DT, FRAME, SceneEnv
+from helpers.commands import environment
 
 NAMES = ("contactvi/HandBall-v0", "contactvi/QuadrupedStand-v0")
 
@@ -49,9 +50,11 @@ def test_gymnasium_has_nothing_to_say(name):
         gymnasium.make(name).reset(seed=0)
 
 
-def test_a_name_with_its_module_needs_no_import():
+def test_a_name_with_its_module_needs_no_import(tmp_path):
     code = "import gymnasium; print(gymnasium.make('contactvi.gym:contactvi/HandBall-v0').action_space)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=120
+    )
     assert "Box(-1.0, 1.0, (19,), float32)" in done.stdout, done.stderr
 
 

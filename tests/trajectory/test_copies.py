@@ -12,6 +12,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.trajectory.tables import TABLES
+from helpers.commands import environment
 
 
 def twin_of(way: str, item):
@@ -158,5 +159,5 @@ def test_another_process_reads_a_run(tmp_path):
         "print((traj.energy.tobytes() + traj.v.tobytes() + traj.gaps[2].tobytes()).hex())"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "run.pickle")]
-    found = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = subprocess.run(command, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True)
     assert found.stdout.strip() == (traj.energy.tobytes() + traj.v.tobytes() + traj.gaps[2].tobytes()).hex()
