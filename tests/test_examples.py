@@ -253,7 +253,7 @@ def test_code_of_rollouts_in_jax_runs(tmp_path):
 
 def test_code_of_an_executor_for_ray_runs(tmp_path):
     extra("ray")
-    assert run_marked("ray", tmp_path)[-1] == "True True"
+    assert run_marked("ray-executor", tmp_path)[-1] == "True True"
 
 
 def test_code_of_the_page_on_mujoco_runs(tmp_path):
