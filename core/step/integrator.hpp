@@ -25,12 +25,17 @@ class Integrator final : public Stepper, public StepEquations {
   // Solves the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
   // when the iterations do not converge from any start values; why() gives the reason.
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
+  // Where the next step leads: velocities at its stages, (nv, stages), to start from; null: nobody knows.
+  void lead(const MatX* velocities) { lead_ = velocities; }
   // Displacement that the solution of the stage equations resolves in the step just solved [m; rad].
   double resolution() const { return iteration_.tol() * stage_motion(); }
   // Solves it to rounding: impact maps form differences of such steps.
   bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   // Solves the part alpha of a step whose path is known, to rounding.
   bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) override;
+  // As this, to a tolerance.
+  bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau,
+                  double tol);
   void finish(VecRef q1, VecRef p1) override { StepEquations::finish(q1, p1); }
   const MatX& rates() override { return StepEquations::rates(); }
   bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override {
@@ -65,6 +70,7 @@ class Integrator final : public Stepper, public StepEquations {
   bool solve_stages();
   void judge_iteration();
   void accelerate() { acceleration_.apply(stages_); }
+  void start_at(const MatX& velocities);
   bool start_by_ramp(const VecX& tau);
   bool turns_too_far();
 
@@ -72,6 +78,7 @@ class Integrator final : public Stepper, public StepEquations {
   LaneCompany* company_ = nullptr;
   LaneIterations* lanes_ = nullptr;  // of the company
   StartValues start_;
+  const MatX* lead_ = nullptr;
   AndersonAcceleration acceleration_;
   VecX v0_;
   double residual_ = 0.0;
