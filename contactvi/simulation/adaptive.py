@@ -4,16 +4,17 @@ A first run, the companion, chooses its steps, so that what the stage polynomial
 level [m, rad]; between two impacts they only become shorter. With s stages that goes with h^s, and the error of the run
 with h^2s, so with the square of the level. The factor in front depends on the motion and is measured: the steps of the
 next run, at a finer level, are those of the companion times one factor, so that its error is the same part of the
-companion's everywhere, and the distance of the two tells how large both are. Where the error is above tol the level is
-lowered by this law and the run is made again; the run before is then the companion.
+companion's everywhere, and the distance of the two tells how large both are. The stage iterations of the finer run
+start from where the coarser one has gone. Where the error is above tol the level is lowered by this law and the run is
+made again; the run before is then the companion.
 
 Steps with persistent contacts are midpoint steps of one length, whatever the order, so their error goes with the square
 of that length; each finer run has them shorter by the factor of its level, and the same comparison measures both
 errors. How far they are refined is in contactvi.simulation.auto_contact.
 
 The estimate is for the largest error of q over the nodes, norm of the tangent difference [m, rad]. It is no bound: it
-relies on the law as far as successive distances have followed it, and is the whole distance where they do not. Rounding and
-the tolerance of the stage equations are counted as a floor that no level can undercut. Two motions that separate
+relies on the law as far as successive distances have followed it, and is the whole distance where they do not. Rounding
+and the tolerance of the stage equations are counted as a floor that no level can undercut. Two motions that separate
 (chaos, another sequence of impacts) show as a large distance; a run that cannot meet tol ends with an AccuracyWarning
 that says why. Dense steps, with impacts inside of them, follow no law, and the whole distance counts.
 """

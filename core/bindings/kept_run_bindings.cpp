@@ -44,7 +44,9 @@ Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress,
   {
     nb::gil_scoped_release release;
     std::optional<Guide> before;
-    if (guide != nullptr) sim.follow(&before.emplace(sim.scene().tree, sim.options().stages, guide->run.recording));
+    if (guide != nullptr)
+      sim.follow(&before.emplace(sim.scene().tree, arrays_of(guide->run.recording.segments),
+                                 impact_times(guide->run.recording)));
     run.status = call(callback, run.recording);
     sim.follow(nullptr);
   }

@@ -36,11 +36,9 @@ std::vector<std::size_t> chosen_nodes(const std::vector<double>& t, std::size_t 
   return nodes;
 }
 
-// Advances a state by h from given stage velocities, in the fewest powers of two of parts that are solved.
-bool advance_state(Integrator& integrator, const StepPath& path, double begin, double h, VecX& q, VecX& p) {
+// Advances a state by h, in the fewest powers of two of parts that are solved, led by a run. t: of the state [s].
+bool advance_state(Integrator& integrator, Guide& guide, double t, double h, VecX& q, VecX& p) {
   const VecX q0 = q, p0 = p;
-  const GaussTable& table = gauss_table(integrator.stages());
-  MatX velocities(p.size(), integrator.stages());
   VecX q1(q.size()), p1(p.size());
   for (int parts = 1; parts <= kMostParts; parts *= 2) {
     const double length = h / parts;
@@ -48,10 +46,8 @@ bool advance_state(Integrator& integrator, const StepPath& path, double begin, d
     p = p0;
     int solved = 0;
     for (; solved < parts; ++solved) {
-      for (int i = 0; i < integrator.stages(); ++i)
-        path.velocity((begin + (solved + table.c[i]) * length) / path.h(), velocities.col(i));
       integrator.forget();
-      integrator.lead(&velocities);
+      integrator.lead(&guide, t + solved * length);
       if (!integrator.solve(q, p, length, VecX())) break;
       integrator.finish(q1, p1);
       q = q1;
@@ -63,6 +59,24 @@ bool advance_state(Integrator& integrator, const StepPath& path, double begin, d
 }
 
 }  // namespace
+
+SegmentArrays arrays_of(const Segments& s) {
+  return {static_cast<Eigen::Index>(s.t.size()),
+          s.t.data(),
+          s.h.data(),
+          s.q.data(),
+          s.p.data(),
+          s.p1.data(),
+          s.rates.data(),
+          s.persistent.data()};
+}
+
+std::vector<double> impact_times(const Recording& recording) {
+  std::vector<double> times;
+  times.reserve(recording.impacts.size());
+  for (const ImpactRecord& impact : recording.impacts) times.push_back(impact.time);
+  return times;
+}
 
 double motion_size(const Tree& tree, const KeptRun& run) {
   double size = 0.0;
@@ -143,6 +157,7 @@ double first_step_error(const Scene& scene, const SimulatorOptions& options, con
   std::sort(starts.begin(), starts.end());
   starts.erase(std::unique(starts.begin(), starts.end()), starts.end());
   SegmentPaths paths(tree, options.stages, arrays_of(s));
+  Guide guide(tree, arrays_of(s), impacts);
   Integrator integrator(tree, options.stages, options.tol, kMostIterations);
   VecX whole(tree.nq);
   double worst = 0.0;
@@ -152,8 +167,9 @@ double first_step_error(const Scene& scene, const SimulatorOptions& options, con
     const StepPath* path = paths.path(segment, integrator);
     if (path == nullptr) return kInfinity;
     VecX q = paths.q(segment), p = paths.p(segment);
-    const double half = 0.5 * paths.length(segment);
-    if (!advance_state(integrator, *path, 0.0, half, q, p) || !advance_state(integrator, *path, half, half, q, p))
+    const double half = 0.5 * paths.length(segment), middle = paths.start(segment) + half;
+    if (!advance_state(integrator, guide, middle - half, half, q, p) ||
+        !advance_state(integrator, guide, middle, half, q, p))
       return kInfinity;
     path->configuration(1.0, whole);
     worst = std::max(worst, configuration_distance(tree, whole, q));

@@ -2,6 +2,8 @@
 #pragma once
 
 #include "run/world.hpp"
+#include "step/guide.hpp"
+#include "step/segment_paths.hpp"
 
 namespace contactvi {
 
@@ -14,6 +16,11 @@ struct KeptRun {
   double seconds = 0;  // wall time
 };
 
+// The segments of a recording, as those who read them take them.
+SegmentArrays arrays_of(const Segments& segments);
+// When the impacts of a recording were [s].
+std::vector<double> impact_times(const Recording& recording);
+
 // The largest distance of a node from the first one [m, rad].
 double motion_size(const Tree& tree, const KeptRun& run);
 // Lengths of the steps with persistent contacts together [s].
@@ -21,8 +28,8 @@ double contact_time(const KeptRun& run);
 
 // |q - q'| of two runs at some nodes of the second, at most `times` of them, [m, rad]: the last one, and others that
 // are spread evenly over the nodes, or over the time. Infinite where one of the two ended much earlier, unless
-// `ended` is true: then up to the earlier end. options: of the first, whose states at these times are found as closely as
-// its nodes are.
+// `ended` is true: then up to the earlier end. options: of the first, whose states at these times are found as closely
+// as its nodes are.
 VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRun& other, const KeptRun& found,
                int times, bool over_time, bool ended);
 

@@ -9,7 +9,6 @@
 
 #include "run/contact_change.hpp"
 #include "run/contact_set.hpp"
-#include "run/guide.hpp"
 #include "run/run_state.hpp"
 #include "run/side_by_side.hpp"
 

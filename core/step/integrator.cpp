@@ -5,6 +5,8 @@
 #include <limits>
 #include <utility>
 
+#include "step/guide.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -76,10 +78,8 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   why_ = "";
   const int s = stages_.count();
   if (again && solve_stages()) return !turns_too_far();
-  if (const MatX* lead = std::exchange(lead_, nullptr)) {
-    start_at(*lead);
-    if (solve_stages()) return !turns_too_far();
-  }
+  Guide* guide = std::exchange(guide_, nullptr);
+  if (guide != nullptr && guide->lead(guide_time_, h, start_, stages_) && solve_stages()) return !turns_too_far();
   if (start_.count() > 0) {
     start_.extrapolate(h, stages_);
     if (solve_stages()) return !turns_too_far();
@@ -95,12 +95,6 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   start_constant(v0_);
   if (solve_stages()) return !turns_too_far();
   return start_by_ramp(tau) && !turns_too_far();
-}
-
-void Integrator::start_at(const MatX& velocities) {
-  const int s = stages_.count(), S = stages_.padded();
-  for (int d = 0; d < tree_->nv; ++d)
-    for (int i = 0; i < S; ++i) stages_.v()[d * S + i] = velocities(d, std::min(i, s - 1));
 }
 
 // Small steps first, each from the polynomial of the one before; together they give start values for the whole. This

@@ -15,6 +15,8 @@
 
 namespace contactvi {
 
+class Guide;
+
 class Integrator final : public Stepper, public StepEquations {
  public:
   // tol: relative error of the stage velocities, in the energy norm; at most max_iterations from each set of start
@@ -25,8 +27,11 @@ class Integrator final : public Stepper, public StepEquations {
   // Solves the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
   // when the iterations do not converge from any start values; why() gives the reason.
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
-  // Where the next step leads: velocities at its stages, (nv, stages), to start from; null: nobody knows.
-  void lead(const MatX* velocities) { lead_ = velocities; }
+  // The next solve starts from where an earlier run has gone at the time t [s], the start of the step.
+  void lead(Guide* guide, double t) {
+    guide_ = guide;
+    guide_time_ = t;
+  }
   // Displacement that the solution of the stage equations resolves in the step just solved [m; rad].
   double resolution() const { return iteration_.tol() * stage_motion(); }
   // Solves it to rounding: impact maps form differences of such steps.
@@ -70,7 +75,6 @@ class Integrator final : public Stepper, public StepEquations {
   bool solve_stages();
   void judge_iteration();
   void accelerate() { acceleration_.apply(stages_); }
-  void start_at(const MatX& velocities);
   bool start_by_ramp(const VecX& tau);
   bool turns_too_far();
 
@@ -78,7 +82,8 @@ class Integrator final : public Stepper, public StepEquations {
   LaneCompany* company_ = nullptr;
   LaneIterations* lanes_ = nullptr;  // of the company
   StartValues start_;
-  const MatX* lead_ = nullptr;
+  Guide* guide_ = nullptr;  // of the next solve
+  double guide_time_ = 0.0;
   AndersonAcceleration acceleration_;
   VecX v0_;
   double residual_ = 0.0;

@@ -1,19 +1,10 @@
-// The motion of a finished run at any time, from its segments: steps and partial steps, with the state at the start, the
-// momentum at the end and the rates at the stages of each.
+// The motion of a finished run at any time, from its segments.
 #pragma once
 
 #include "step/integrator.hpp"
+#include "step/segment_arrays.hpp"
 
 namespace contactvi {
-
-// Row after row, as the record of a run keeps them; the arrays belong to the caller. Engine coordinates.
-struct SegmentArrays {
-  Eigen::Index count;
-  const double *t, *h;       // start and length [s]
-  const double *q, *p, *p1;  // state at the start, momentum at the end
-  const double* rates;       // stage by stage
-  const double* persistent;  // 1: with persistent contacts
-};
 
 class SegmentPaths {
  public:
@@ -27,11 +18,11 @@ class SegmentPaths {
   Eigen::Map<const VecX> p(Eigen::Index i) const { return {segments_.p + i * v0_.size(), v0_.size()}; }
   // The last segment that starts at or before this time [s]; the first one for earlier times.
   Eigen::Index at(double time) const;
-  // The polynomial of a segment, raised by the velocities at its ends; valid until the next call. Null: the mass matrix
-  // is not positive definite.
+  // The polynomial of a segment, raised by the velocities at its ends; valid until the next call. Null: the mass
+  // matrix is not positive definite.
   const StepPath* path(Eigen::Index segment, StepEquations& equations);
-  // The state at a time [s] by a step from the start of its segment to there, which is as accurate as a node where it is
-  // solved to tol; from the polynomial where contacts persist, at a node, and where it is not solved.
+  // The state at a time [s] by a step from the start of its segment to there, which is as accurate as a node where it
+  // is solved to tol; from the polynomial where contacts persist, at a node, and where it is not solved.
   bool state(double time, double tol, Integrator& integrator, VecRef q, VecRef v);
   // As this, always from the polynomial.
   bool state(double time, StepEquations& equations, VecRef q, VecRef v);

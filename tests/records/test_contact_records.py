@@ -271,7 +271,8 @@ def test_segments_in_contact_are_evaluated_by_their_polynomials():
     traj = cvi.simulate(scene, start, [0, 0, 0, 3, 2, 5], duration=0.5, dt=0.01, order=4)
     segments = traj.segments
     persistent = segments.arrays["persistent"] != 0.0
-    assert persistent.any() and not persistent.all()
+    assert persistent.any()
+    assert not persistent.all()
     middles = segments.arrays["t"] + 0.37 * segments.arrays["h"]
     core = compile_scene(scene).core
     exact, smooth = segments.states(core, middles, exact=True), segments.states(core, middles)
