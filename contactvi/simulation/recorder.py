@@ -189,7 +189,7 @@ class Record:
 
     def segments_joined(self) -> dense.Segments | None:
         """Return the segments of all blocks; None where none were kept."""
-        return dense.joined(self.segments, self.options.order)
+        return dense.joined(self.segments, self.options.order, self.options.stage_tol)
 
     def contact_log(self, first: int = 0) -> contacts.ContactLog:
         """Return the contacts of the blocks from `first` on."""

@@ -78,8 +78,8 @@ class EntryReader:
             self._refuse("configurations that are not finite")
         return nodes
 
-    def segments(self, order: int) -> dense.Segments | None:
-        """Return the polynomials of the steps, None where they were not kept."""
+    def segments(self, order: int, tol: float) -> dense.Segments | None:
+        """Return the polynomials of the steps, solved to tol, None where they were not kept."""
         if "segment/t" not in self._entries:
             return None
         count = len(self.entry("segment/t", (None,)))
@@ -92,7 +92,7 @@ class EntryReader:
         rounding = 8.0 * np.finfo(float).eps * np.abs(arrays["t"][1:])
         if count == 0 or np.any(np.diff(arrays["t"]) < -rounding) or np.any(arrays["h"] <= 0):
             self._refuse("segments that do not follow each other")
-        return dense.Segments(arrays, order)
+        return dense.Segments(arrays, order, tol)
 
     def group(self, group: str, names: tuple[str, ...]) -> Entries | None:
         """Return the entries group/name, arrays of one length, None where the first of them is missing."""

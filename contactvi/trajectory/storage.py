@@ -324,7 +324,7 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
         "status": ended,
         "stats": Stats.from_dict(header["stats"]),
         "forced": bool(header["forced"]),
-        "segments": read.segments(options.order),
+        "segments": read.segments(options.order, options.stage_tol),
         "adaptive_steps": read.group("arc", ("t", "dt")),
         "error_estimate": float(header["error_estimate"]),
         "frames": read.frames(),

@@ -224,6 +224,7 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
 // after an error of a user's function the run has ended then.
 bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool last_try) {
   const long before = integrator_.counters.stage_iterations;
+  integrator_.lead(guide_, time);
   bool solved = integrator_.solve(state_.q, state_.p, h, tau);
   while (solved && actuation_.saturate_servos(integrator_)) {
     integrator_.forget();

@@ -14,9 +14,9 @@
 
 namespace contactvi {
 
-// Lengths of steps from times on [s], of a run with dt="auto"; another run takes steps of these lengths times `part`.
+// Steps of a run with dt="auto" that are parts of those of another one.
 struct StepPlan {
-  VecX t, dt;
+  const Recording& run;  // the other one
   double part;
 };
 
@@ -59,6 +59,10 @@ class Simulator {
   // of contact steps. Every step's end is a node.
   // plan: the steps of another run, parts of which are those of this one; null: none.
   Status run_auto(double duration, double level, const StepPlan* plan, const Progress& progress, Recording& recording);
+
+  // From now on smooth steps start from where another run of the same motion has gone; null: no longer. The guide stays
+  // the caller's.
+  void follow(Guide* guide) { guide_ = guide; }
 
   double time() const { return state_.time; }
   const VecX& q() const { return state_.q; }
@@ -216,6 +220,7 @@ class Simulator {
   ContactSet contacts_;
   ContactChangeFinder changes_;
   Truncation truncation_;
+  Guide* guide_ = nullptr;
   VecX q1_, p1_, v_;
   VecX gravity_q_;        // the last configuration whose potential in gravity was found,
   double gravity_ = 0.0;  // and that potential [J]

@@ -28,6 +28,8 @@ class World {
   Status reset(const VecX& q, const VecX& v, double t);
   Status advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
                  Recording& recording);
+  // As that of Simulator, where all trees are advanced together.
+  void follow(Guide* guide) { whole_.follow(guide); }
   // Advances all trees together from then on.
   Status run_auto(double duration, double level, const StepPlan* plan, const Progress& progress, Recording& recording);
 

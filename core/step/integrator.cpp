@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
+
+#include "step/guide.hpp"
 
 namespace contactvi {
 
@@ -75,6 +78,8 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   why_ = "";
   const int s = stages_.count();
   if (again && solve_stages()) return !turns_too_far();
+  Guide* guide = std::exchange(guide_, nullptr);
+  if (guide != nullptr && guide->lead(guide_time_, h, start_, stages_) && solve_stages()) return !turns_too_far();
   if (start_.count() > 0) {
     start_.extrapolate(h, stages_);
     if (solve_stages()) return !turns_too_far();
@@ -127,6 +132,11 @@ bool Integrator::start_by_ramp(const VecX& tau) {
 }
 
 bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) {
+  return solve_part(path, alpha, q0, p0, tau, std::min(iteration_.tol(), kCloseTolerance));
+}
+
+bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau,
+                            double tol) {
   const GaussTable& table = stages_.table();
   const int s = stages_.count(), S = stages_.padded();
   begin(q0, p0, alpha * path.h(), tau);
@@ -139,10 +149,10 @@ bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q
   }
   for (int i = s; i < S; ++i)
     for (int d = 0; d < tree_->nv; ++d) stages_.v()[d * S + i] = v0_[d];
-  const double tol = iteration_.tol();
-  iteration_.set_tol(std::min(tol, kCloseTolerance));
-  const bool solved = solve_stages() || (node_velocity(q0_, p0_, v0_) && (start_constant(v0_), solve_stages()));
+  const double own = iteration_.tol();
   iteration_.set_tol(tol);
+  const bool solved = solve_stages() || (node_velocity(q0_, p0_, v0_) && (start_constant(v0_), solve_stages()));
+  iteration_.set_tol(own);
   return solved && !turns_too_far();
 }
 

@@ -15,6 +15,8 @@
 
 namespace contactvi {
 
+class Guide;
+
 class Integrator final : public Stepper, public StepEquations {
  public:
   // tol: relative error of the stage velocities, in the energy norm; at most max_iterations from each set of start
@@ -25,12 +27,20 @@ class Integrator final : public Stepper, public StepEquations {
   // Solves the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
   // when the iterations do not converge from any start values; why() gives the reason.
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
+  // The next solve starts from where an earlier run has gone at the time t [s], the start of the step.
+  void lead(Guide* guide, double t) {
+    guide_ = guide;
+    guide_time_ = t;
+  }
   // Displacement that the solution of the stage equations resolves in the step just solved [m; rad].
   double resolution() const { return iteration_.tol() * stage_motion(); }
   // Solves it to rounding: impact maps form differences of such steps.
   bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   // Solves the part alpha of a step whose path is known, to rounding.
   bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) override;
+  // As this, to a tolerance.
+  bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau,
+                  double tol);
   void finish(VecRef q1, VecRef p1) override { StepEquations::finish(q1, p1); }
   const MatX& rates() override { return StepEquations::rates(); }
   bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override {
@@ -72,6 +82,8 @@ class Integrator final : public Stepper, public StepEquations {
   LaneCompany* company_ = nullptr;
   LaneIterations* lanes_ = nullptr;  // of the company
   StartValues start_;
+  Guide* guide_ = nullptr;  // of the next solve
+  double guide_time_ = 0.0;
   AndersonAcceleration acceleration_;
   VecX v0_;
   double residual_ = 0.0;

@@ -90,6 +90,18 @@ void StartValues::extrapolate_smoothed(double h, Stages& stages) {
   stages.kernel().combine(nv_, s_, S_, smoothed_.data(), history_[0].data(), stages.v(), false);
 }
 
+void StartValues::end(const GaussTable& table, VecRef v) const {
+  double weights[kMaxStages];
+  for (int j = 0; j < s_; ++j) {
+    weights[j] = 0.0;
+    for (int k = 0; k < s_; ++k) weights[j] += table.to_legendre[k][j];  // Legendre's polynomials are 1 there
+  }
+  for (int d = 0; d < nv_; ++d) {
+    v[d] = 0.0;
+    for (int j = 0; j < s_; ++j) v[d] += weights[j] * history_[0][d * S_ + j];
+  }
+}
+
 void StartValues::add_piece(const Stages& stages, double start, double length) {
   if (ramp_.empty())
     for (int k = 0; k < kPieces; ++k) ramp_.push_back({AlignedArray(history_[0].size()), 0.0, 0.0});

@@ -21,6 +21,9 @@ class StartValues {
   void extrapolate(double h, Stages& stages);
   void extrapolate_smoothed(double h, Stages& stages);
 
+  // Velocity at the end of the last step by its polynomial, (nv,).
+  void end(const GaussTable& table, VecRef v) const;
+
   // Pieces of a ramp: the start values of one step from the velocities of shorter steps that cover it.
   void clear_pieces() { pieces_ = 0; }
   void add_piece(const Stages& stages, double start, double length);
