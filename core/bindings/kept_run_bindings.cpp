@@ -35,7 +35,6 @@ using Outcome = nb::typed<nb::tuple, Own, nb::object>;
 
 template <class Run>
 Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress, const Own* guide, Run call) {
-  if (!sim.options().dense) throw Error("runs that are compared need the polynomials of their steps");
   auto own = std::make_unique<Own>(Own{KeptRun(), &sim.scene(), sim.options(), nb::find(sim.scene())});
   KeptRun& run = own->run;
   const Progress callback = wrapped(progress);
@@ -76,6 +75,13 @@ Outcome run_fixed(SteppedWorld& sim, long steps, const std::optional<ProgressCal
   });
 }
 
+// The run of one that can be compared.
+const KeptRun& compared(const Own& own) {
+  if (!own.options.dense) throw Error("runs that are compared need the polynomials of their steps");
+  if (own.run.recording.t.empty()) throw Error("the run has been handed over");
+  return own.run;
+}
+
 VecX lengths(const Own& own) {
   const std::vector<double>& dt = own.run.recording.adaptive_dt;
   return Eigen::Map<const VecX>(dt.data(), static_cast<Eigen::Index>(dt.size()));
@@ -107,16 +113,16 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
           "Length of the steps with persistent contacts together [s].")
       .def_prop_ro("lengths", &lengths, "Of the adaptive steps [s], one for every time at which the length changes.")
       .def_prop_ro(
-          "size", [](const Own& own) { return motion_size(own.scene->tree, own.run); },
+          "size", [](const Own& own) { return motion_size(own.scene->tree, compared(own)); },
           "Largest distance of a node from the first one [m, rad].")
       .def_prop_ro(
-          "first_step_error", [](const Own& own) { return first_step_error(*own.scene, own.options, own.run); },
+          "first_step_error", [](const Own& own) { return first_step_error(*own.scene, own.options, compared(own)); },
           "Largest distance between a first step of a flight and two halves of it [m, rad].")
       .def(
           "distances",
           [](const Own& found, const Own& other, int times, bool over_time, bool ended) {
             if (times < 1) throw Error("times must be >= 1");
-            return distances(*found.scene, other.options, other.run, found.run, times, over_time, ended);
+            return distances(*found.scene, other.options, compared(other), compared(found), times, over_time, ended);
           },
           "other"_a, "times"_a, "over_time"_a = false, "ended"_a = false,
           "Distances of another run from the nodes of this one, evenly over the nodes or the time; infinite where one"
@@ -124,7 +130,7 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
       .def(
           "error_share",
           [](const Own& found, const Own& companion, int power, double dt_contact) {
-            return error_share(companion.run, found.run, power, dt_contact);
+            return error_share(compared(companion), compared(found), power, dt_contact);
           },
           "companion"_a, "power"_a, "dt_contact"_a,
           "Error over what that of the companion is larger, by the lengths h of the segments and the law h^power; inf:"
@@ -133,9 +139,8 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
   simulator
       .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
            "part"_a = 1.0,
-           "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. "
-           "coarser: a"
-           " run before, of whose steps these are this part. Return (KeptRun, error of a callback or None).")
+           "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out."
+           " coarser: a run before, of whose steps these are this part. Return (KeptRun, error of a callback or None).")
       .def("run_fixed", &run_fixed, "steps"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
            "Make steps of one length. The rest as in run_auto.");
 }

@@ -117,11 +117,15 @@ def test_the_first_step_is_held_against_two_halves(tmp_path):
     assert found > 1e-4
 
 
-def test_runs_without_polynomials_are_not_kept():
+def test_what_cannot_be_compared_is_refused():
     compiled = flying_box()
-    simulator = engine.make(compiled, options(dense=False))
-    with pytest.raises(cvi.ContactviError, match="polynomials"):
-        engine.run_fixed(simulator, 2, None, None)
+    whole, bare = fixed_run(compiled, options()), fixed_run(compiled, options(dense=False))
+    for compare in (lambda: whole.distances(bare, 4), lambda: bare.error_share(whole, 17, 1e-3), lambda: bare.size):
+        with pytest.raises(cvi.ContactviError, match="polynomials"):
+            compare()
+    engine.record_of(whole, compiled, options())
+    with pytest.raises(cvi.ContactviError, match="handed over"):
+        whole.distances(whole, 4)
 
 
 # -- the law -----------------------------------------------------------------------------------------------------------
