@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "step/lane_flight.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -16,6 +18,7 @@ Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterati
       iteration_(tol, max_iterations),
       start_(tree.nv, stages_),
       acceleration_(tree.nv, stages_),
+      ahead_(tree.nv),
       v0_(tree.nv) {}
 
 bool Integrator::solve_stages() {
@@ -68,6 +71,9 @@ bool Integrator::solve_closely(const VecCRef& q0, const VecCRef& p0, double h, c
 
 bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
   // Impact maps solve one step again and again from other momenta: its own velocities are then the best start.
+  if (may_look_ahead(h, tau) && take_ahead(q0, p0, h)) return true;
+  ahead_.drop();
+  from_ahead_ = false;
   const bool again = start_.count() == 0 && solved_ && h == h_ && (q0.array() == q0_.array()).all();
   begin(q0, p0, h, tau);
   part_ = false;
@@ -75,6 +81,12 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   why_ = "";
   const int s = stages_.count();
   if (again && solve_stages()) return !turns_too_far();
+  if (may_look_ahead(h, tau) && !stages_.has_extra_forces()) {
+    asks_ahead_ = true;
+    company_->iterate(*this, *lanes_);
+    asks_ahead_ = false;
+    if (take_ahead(q0_, p0_, h)) return true;
+  }
   if (start_.count() > 0) {
     start_.extrapolate(h, stages_);
     if (solve_stages()) return !turns_too_far();
@@ -90,6 +102,44 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   start_constant(v0_);
   if (solve_stages()) return !turns_too_far();
   return start_by_ramp(tau) && !turns_too_far();
+}
+
+// Whether the steps from here on are likely to go on as the last ones did, with no inputs that may change.
+bool Integrator::may_look_ahead(double h, const VecX& tau) const {
+  return flies_ && tau.size() == 0 && !newton_ && (servo() == nullptr || !servo()->any) && start_.is_even(h);
+}
+
+// The step from this state, if it was solved in advance: all is as it would be had it been solved now, but for the
+// factor.
+bool Integrator::take_ahead(const VecCRef& q0, const VecCRef& p0, double h) {
+  if (!ahead_.is(q0, p0, h, iteration_.tol())) return false;
+  if (q0.data() != q0_.data()) q0_ = q0;
+  if (p0.data() != p0_.data()) p0_ = p0;
+  h_ = h;
+  stages_.set_time(time_);
+  const int n = tree_->nv;
+  std::copy_n(ahead_.now(StepsAhead::kV), n, stages_.v());
+  std::copy_n(ahead_.now(StepsAhead::kX), n, stages_.X());
+  std::copy_n(ahead_.now(StepsAhead::kMomentum), n, stages_.P());
+  std::copy_n(ahead_.now(StepsAhead::kForce), n, stages_.G());
+  std::copy_n(ahead_.now(StepsAhead::kCorrection), n, stages_.dv());
+  part_ = false;
+  why_ = "";
+  stage_iterations_ = ahead_.iterations();
+  counters.stage_iterations += stage_iterations_;
+  ++counters.factorizations;
+  residual_ = ahead_.error();
+  solved_ = from_ahead_ = true;
+  return true;
+}
+
+void Integrator::finish(VecRef q1, VecRef p1) {
+  if (!from_ahead_) return StepEquations::finish(q1, p1);
+  const int n = tree_->nv;
+  std::copy_n(ahead_.now(StepsAhead::kQ), n, q1.data());
+  std::copy_n(ahead_.now(StepsAhead::kP), n, p1.data());
+  std::copy_n(ahead_.now(StepsAhead::kCarryQ), n, next_carry_q_.data());
+  std::copy_n(ahead_.now(StepsAhead::kCarryP), n, next_carry_p_.data());
 }
 
 // Small steps first, each from the polynomial of the one before; together they give start values for the whole. This
@@ -129,6 +179,7 @@ bool Integrator::start_by_ramp(const VecX& tau) {
 bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) {
   const GaussTable& table = stages_.table();
   const int s = stages_.count(), S = stages_.padded();
+  from_ahead_ = false;
   begin(q0, p0, alpha * path.h(), tau);
   part_ = true;
   stage_iterations_ = 0;
@@ -151,9 +202,13 @@ void Integrator::accept() {
   carry_q_ = next_carry_q_;
   carry_p_ = next_carry_p_;
   start_.push(stages_, h_);
+  if (from_ahead_) ahead_.advance();
+  from_ahead_ = false;
 }
 
 void Integrator::forget() {
+  ahead_.drop();
+  from_ahead_ = false;
   carry_q_.setZero();
   carry_p_.setZero();
   start_.forget();
@@ -164,6 +219,8 @@ void Integrator::join(LaneCompany* company) {
   // The factor of stiff elements is not the kernel's alone.
   const bool shares = company != nullptr && stages_.count() == 1 && !stiff_.any();
   lanes_ = shares ? &company->lanes_of(*this) : nullptr;
+  flies_ = shares && !tree_->has_springs && LaneFlight::knows(*tree_);
+  ahead_.drop();
 }
 
 void Integrator::start_anew() {
@@ -173,12 +230,13 @@ void Integrator::start_anew() {
 }
 
 Integrator::Memory Integrator::memory() {
-  solved_ = false;  // the stages are not remembered
+  solved_ = from_ahead_ = false;  // the stages are not remembered
   const double* P = stages_.P();
   return {start_, carry_q_, carry_p_, std::vector<double>(P, P + tree_->nv * stages_.padded()), newton_};
 }
 
 void Integrator::recall(const Memory& memory) {
+  ahead_.drop();
   start_ = memory.start;
   carry_q_ = memory.carry_q;
   carry_p_ = memory.carry_p;

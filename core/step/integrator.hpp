@@ -12,6 +12,7 @@
 #include "step/start_values.hpp"
 #include "step/step_equations.hpp"
 #include "step/stepper.hpp"
+#include "step/steps_ahead.hpp"
 
 namespace contactvi {
 
@@ -31,7 +32,7 @@ class Integrator final : public Stepper, public StepEquations {
   bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   // Solves the part alpha of a step whose path is known, to rounding.
   bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) override;
-  void finish(VecRef q1, VecRef p1) override { StepEquations::finish(q1, p1); }
+  void finish(VecRef q1, VecRef p1) override;
   const MatX& rates() override { return StepEquations::rates(); }
   bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override {
     return StepEquations::node_velocity(q, p, v);
@@ -62,6 +63,9 @@ class Integrator final : public Stepper, public StepEquations {
 
  private:
   friend class LaneIterations;  // makes the iterations of several steps
+  friend class LaneFlight;
+  bool may_look_ahead(double h, const VecX& tau) const;
+  bool take_ahead(const VecCRef& q0, const VecCRef& p0, double h);
   bool solve_stages();
   void judge_iteration();
   void accelerate() { acceleration_.apply(stages_); }
@@ -71,6 +75,10 @@ class Integrator final : public Stepper, public StepEquations {
   StageIteration iteration_;
   LaneCompany* company_ = nullptr;
   LaneIterations* lanes_ = nullptr;  // of the company
+  StepsAhead ahead_;
+  bool flies_ = false;       // its tree is one whose steps may be solved in advance
+  bool asks_ahead_ = false;  // while it waits for that
+  bool from_ahead_ = false;  // the step just solved was
   StartValues start_;
   AndersonAcceleration acceleration_;
   VecX v0_;

@@ -35,6 +35,10 @@ void StartValues::push(const Stages& stages, double h) {
   count_ = std::min(count_ + 1, kept);
 }
 
+bool StartValues::is_even(double h) const {
+  return s_ == 1 && count_ == kSteps && std::all_of(h_, h_ + kSteps, [h](double length) { return length == h; });
+}
+
 int StartValues::nodes_used() const { return count_; }
 
 void StartValues::weigh(double h) {
