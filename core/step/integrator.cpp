@@ -16,9 +16,9 @@ constexpr double kCloseTolerance = 1e-15;  // relative error of steps on which a
 Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterations)
     : StepEquations(tree, stages),
       iteration_(tol, max_iterations),
+      ahead_(tree.nv),
       start_(tree.nv, stages_),
       acceleration_(tree.nv, stages_),
-      ahead_(tree.nv),
       v0_(tree.nv) {}
 
 bool Integrator::solve_stages() {
@@ -118,11 +118,15 @@ bool Integrator::take_ahead(const VecCRef& q0, const VecCRef& p0, double h) {
   h_ = h;
   stages_.set_time(time_);
   const int n = tree_->nv;
-  std::copy_n(ahead_.now(StepsAhead::kV), n, stages_.v());
-  std::copy_n(ahead_.now(StepsAhead::kX), n, stages_.X());
-  std::copy_n(ahead_.now(StepsAhead::kMomentum), n, stages_.P());
-  std::copy_n(ahead_.now(StepsAhead::kForce), n, stages_.G());
-  std::copy_n(ahead_.now(StepsAhead::kCorrection), n, stages_.dv());
+  const double *v = ahead_.now(StepsAhead::kV), *X = ahead_.now(StepsAhead::kX), *P = ahead_.now(StepsAhead::kMomentum),
+               *G = ahead_.now(StepsAhead::kForce), *dv = ahead_.now(StepsAhead::kCorrection);
+  for (int d = 0; d < n; ++d) {
+    stages_.v()[d] = v[d];
+    stages_.X()[d] = X[d];
+    stages_.P()[d] = P[d];
+    stages_.G()[d] = G[d];
+    stages_.dv()[d] = dv[d];
+  }
   part_ = false;
   why_ = "";
   stage_iterations_ = ahead_.iterations();
@@ -136,10 +140,14 @@ bool Integrator::take_ahead(const VecCRef& q0, const VecCRef& p0, double h) {
 void Integrator::finish(VecRef q1, VecRef p1) {
   if (!from_ahead_) return StepEquations::finish(q1, p1);
   const int n = tree_->nv;
-  std::copy_n(ahead_.now(StepsAhead::kQ), n, q1.data());
-  std::copy_n(ahead_.now(StepsAhead::kP), n, p1.data());
-  std::copy_n(ahead_.now(StepsAhead::kCarryQ), n, next_carry_q_.data());
-  std::copy_n(ahead_.now(StepsAhead::kCarryP), n, next_carry_p_.data());
+  const double *q = ahead_.now(StepsAhead::kQ), *p = ahead_.now(StepsAhead::kP),
+               *carry_q = ahead_.now(StepsAhead::kCarryQ), *carry_p = ahead_.now(StepsAhead::kCarryP);
+  for (int d = 0; d < n; ++d) {
+    q1[d] = q[d];
+    p1[d] = p[d];
+    next_carry_q_[d] = carry_q[d];
+    next_carry_p_[d] = carry_p[d];
+  }
 }
 
 // Small steps first, each from the polynomial of the one before; together they give start values for the whole. This

@@ -11,6 +11,11 @@ constexpr int kBefore = StartValues::kSteps;
 
 bool is_angle(JointType type) { return type == JointType::kRevolute || type == JointType::kHelical; }
 
+// The same number for all dofs of a lane: loops over dofs and lanes are then loops over one list.
+void fill_lane(double* to, double value, int size, int width, int lane) {
+  for (int i = lane; i < size; i += width) to[i] = value;
+}
+
 }  // namespace
 
 bool LaneFlight::knows(const Tree& tree) {
@@ -32,7 +37,7 @@ LaneFlight::LaneFlight(const FlatModel& model, StageLanes& lanes)
       winds_(nv_),
       steps_(static_cast<std::size_t>(StepsAhead::kMost * StepsAhead::kParts) * size_),
       history_(static_cast<std::size_t>(kBefore) * size_),
-      weight_(static_cast<std::size_t>(kBefore) * width_),
+      weight_(static_cast<std::size_t>(kBefore + 1) * size_),
       q_(size_),
       carry_q_(size_),
       carry_p_(size_),
@@ -80,8 +85,9 @@ void LaneFlight::board(const std::vector<Integrator*>& runs) {
     run.start_.weigh(run.h_);
     for (int m = 0; m < kBefore; ++m) {
       lanes_->put(run.start_.history_[m].data(), history_.data() + (kBefore - 1 - m) * size_, nv_, lane);
-      weight_[m * width_ + lane] = run.start_.weight_[m][0];
+      fill_lane(weight_.data() + m * size_, run.start_.weight_[m][0], size_, width_, lane);
     }
+    fill_lane(weight_.data() + kBefore * size_, run.stages_.hb()[0], size_, width_, lane);
     flies_[lane] = lane < static_cast<int>(runs.size()) ? 1 : 0;
     if (flies_[lane]) run.ahead_.begin(run.q0_, run.p0_, run.h_, run.iteration_.tol());
   }
@@ -95,10 +101,12 @@ void LaneFlight::start_values(int step) {
   }
   double* __restrict v = lanes_->v_;
   for (int m = 0; m < kBefore; ++m) {
-    const double* __restrict past = past_[m], * __restrict weight = weight_.data() + m * width_;
-    for (int d = 0; d < size_; d += width_)
-      for (int lane = 0; lane < width_; ++lane)
-        v[d + lane] = m == 0 ? past[d + lane] * weight[lane] : v[d + lane] + past[d + lane] * weight[lane];
+    const double* __restrict past = past_[m];
+    const double* __restrict weight = weight_.data() + m * size_;
+    if (m == 0)
+      for (int i = 0; i < size_; ++i) v[i] = past[i] * weight[i];
+    else
+      for (int i = 0; i < size_; ++i) v[i] = v[i] + past[i] * weight[i];
   }
 }
 
@@ -107,18 +115,19 @@ long LaneFlight::iterate(const std::vector<Integrator*>& runs, int step) {
   long made = 0;
   int flags = 0;
   pending_ = flies_;
-  const auto count = [](const std::vector<char>& lanes) { return std::count(lanes.begin(), lanes.end(), 1); };
   for (std::size_t lane = 0; lane < runs.size(); ++lane) {
     if (!flies_[lane]) continue;
     iterations_[lane] = 0;
     runs[lane]->iteration_.begin(false);
     flags = runs[lane]->iteration_.flags();
   }
-  for (auto left = count(pending_); left > 0;) {
+  const auto started = std::count(pending_.begin(), pending_.end(), 1);
+  for (auto left = started; left > 0;) {
     lanes_->iterate(flags);
     flags &= ~(kLaneFactor | kLaneFirst);
     made += left;
     const auto before = left;
+    done_.clear();
     for (int lane = 0; lane < static_cast<int>(runs.size()); ++lane) {
       if (!pending_[lane]) continue;
       StageIteration& own = runs[lane]->iteration_;
@@ -129,9 +138,13 @@ long LaneFlight::iterate(const std::vector<Integrator*>& runs, int step) {
       pending_[lane] = 0;
       flies_[lane] = own.solved() ? 1 : 0;
       --left;
-      if (flies_[lane]) keep(step, lane);
+      if (flies_[lane]) done_.push_back(lane);
     }
-    if (left == 0 && before == count(flies_)) keep_all(step);
+    if (left == 0 && before == started) {  // nothing was kept before
+      keep_all(step);
+    } else {
+      for (int lane : done_) keep(step, lane);
+    }
   }
   return made;
 }
@@ -151,16 +164,15 @@ void LaneFlight::keep_all(int step) {
 
 // StepEquations::finish, lane by lane.
 void LaneFlight::finish(int step) {
-  const double* __restrict weight = lanes_->work_.hb;
+  const double* __restrict weight = weight_.data() + kBefore * size_;
   const auto add = [&](const double* __restrict rate, double* __restrict base, double* __restrict carry,
                        double* __restrict end, double* __restrict lost) {
-    for (int d = 0; d < size_; d += width_)
-      for (int lane = 0; lane < width_; ++lane) {
-        const double change = weight[lane] * rate[d + lane] + carry[d + lane];
-        const double total = base[d + lane] + change;
-        lost[d + lane] = carry[d + lane] = change - (total - base[d + lane]);
-        end[d + lane] = base[d + lane] = total;
-      }
+    for (int i = 0; i < size_; ++i) {
+      const double change = weight[i] * rate[i] + carry[i];
+      const double total = base[i] + change;
+      lost[i] = carry[i] = change - (total - base[i]);
+      end[i] = base[i] = total;
+    }
   };
   add(at(step, StepsAhead::kForce), lanes_->p0_, carry_p_.data(), at(step, StepsAhead::kP),
       at(step, StepsAhead::kCarryP));

@@ -45,6 +45,7 @@ class LaneFlight {
   AlignedArray weight_, q_, carry_q_, carry_p_;
   std::vector<char> flies_;          // by lane: its steps are solved so far
   std::vector<char> pending_;        // by lane: this step is not
+  std::vector<int> done_;            // lanes whose step was done in the last iteration
   std::vector<int> iterations_;      // by lane, of this step
   std::vector<const double*> past_;  // velocities of this step's predecessors, newest first
 };
