@@ -32,8 +32,7 @@ LaneFlight::LaneFlight(const FlatModel& model, StageLanes& lanes)
       nv_(model.lanes.nv),
       width_(StageLanes::most_runs()),
       size_(nv_ * width_),
-      turn_(nv_),
-      turns_(nv_),
+      turn_(size_),
       winds_(nv_),
       steps_(static_cast<std::size_t>(StepsAhead::kMost * StepsAhead::kParts) * size_),
       history_(static_cast<std::size_t>(kBefore) * size_),
@@ -68,9 +67,10 @@ void LaneFlight::board(const std::vector<Integrator*>& runs) {
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
     const Joint& joint = tree.joints[i];
     for (int d = joint.iv; d < joint.iv + joint.nv; ++d) {
-      turns_[d] = is_angle(joint.type) ? 1 : 0;
       winds_[d] = joint.type == JointType::kRevolute ? 1 : 0;
-      turn_[d] = runs[0]->model_.joints[i].turn;
+      // Adding -0 changes no number.
+      const double turn = is_angle(joint.type) ? runs[0]->model_.joints[i].turn : -0.0;
+      std::fill_n(turn_.begin() + d * width_, width_, turn);
     }
   }
   std::vector<Stages*>& stages = lanes_->boarding_;
@@ -182,18 +182,16 @@ void LaneFlight::finish(int step) {
 // Stages::set_base, for angles from which no revolutions are taken off: others end the flight.
 void LaneFlight::set_base(const std::vector<Integrator*>& runs) {
   double* __restrict base = lanes_->base_;
-  const double* __restrict q = q_.data();
-  for (int d = 0; d < nv_; ++d) {
-    double* row = base + d * width_;
-    const double turn = turn_[d];
-    for (int lane = 0; lane < width_; ++lane) {
-      const double number = q[d * width_ + lane];
-      row[lane] = turns_[d] ? number + turn : number;
-    }
-    if (!winds_[d]) continue;
-    for (std::size_t lane = 0; lane < runs.size(); ++lane)
-      if (!(std::abs(row[lane]) <= Stages::kManyTurns)) flies_[lane] = 0;
+  const double* __restrict q = q_.data(), * __restrict turn = turn_.data();
+  bool far = false;
+  for (int i = 0; i < size_; ++i) {
+    base[i] = q[i] + turn[i];
+    far |= !(std::abs(base[i]) <= Stages::kManyTurns);
   }
+  if (!far) return;
+  for (int d = 0; d < nv_; ++d)
+    for (std::size_t lane = 0; lane < runs.size(); ++lane)
+      if (winds_[d] && !(std::abs(base[d * width_ + static_cast<int>(lane)]) <= Stages::kManyTurns)) flies_[lane] = 0;
 }
 
 // The solved step, to the runs that it belongs to.

@@ -37,8 +37,7 @@ class LaneFlight {
 
   StageLanes* lanes_;
   int nv_, width_, size_;     // size_ = nv_ width_
-  std::vector<double> turn_;  // of the joint's frame, which is part of the base; by dof
-  std::vector<char> turns_;   // whether it has one
+  std::vector<double> turn_;  // of the joint's frame, which is part of the base, [dof][lane]
   std::vector<char> winds_;   // whether whole revolutions are taken off its angle
   AlignedArray steps_;        // the parts of each step, [dof][lane]
   AlignedArray history_;      // velocities of the steps before, oldest first
