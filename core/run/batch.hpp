@@ -1,8 +1,8 @@
 // Many runs with steps of one length, made in several threads.
 //
 // Every run under way has an engine of its own, which is what a new one is when the run begins: what happens in a run,
-// to the last bit, depends neither on the number of threads nor on the runs before it. The threads take the next run from a counter, and results stand
-// where their starts stand.
+// to the last bit, depends neither on the number of threads nor on the runs before it. The threads take the next run
+// from a counter, and results stand where their starts stand.
 #pragma once
 
 #include <atomic>

@@ -4,13 +4,21 @@
 #include <cmath>
 #include <limits>
 
-#include "step/lane_flight.hpp"
-
 namespace contactvi {
 
 namespace {
 constexpr double kFarTurn = 3.5;           // [rad] turn of a spherical joint in one step up to which its chart is good
 constexpr double kCloseTolerance = 1e-15;  // relative error of steps on which an event or an impact depends: rounding
+
+// Whether all numbers in v are added to those in q, as LaneFlight does.
+bool adds_numbers(const Tree& tree) {
+  for (const Joint& joint : tree.joints) {
+    const bool added = joint.type == JointType::kRevolute || joint.type == JointType::kHelical ||
+                       joint.type == JointType::kPrismatic || joint.type == JointType::kTranslation;
+    if (!added || joint.iq != joint.iv) return false;
+  }
+  return true;
+}
 }  // namespace
 
 Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterations)
@@ -70,10 +78,10 @@ bool Integrator::solve_closely(const VecCRef& q0, const VecCRef& p0, double h, c
 }
 
 bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
-  // Impact maps solve one step again and again from other momenta: its own velocities are then the best start.
   if (may_look_ahead(h, tau) && take_ahead(q0, p0, h)) return true;
   ahead_.drop();
   from_ahead_ = false;
+  // Impact maps solve one step again and again from other momenta: its own velocities are then the best start.
   const bool again = start_.count() == 0 && solved_ && h == h_ && (q0.array() == q0_.array()).all();
   begin(q0, p0, h, tau);
   part_ = false;
@@ -81,7 +89,7 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   why_ = "";
   const int s = stages_.count();
   if (again && solve_stages()) return !turns_too_far();
-  if (may_look_ahead(h, tau) && !stages_.has_extra_forces()) {
+  if (may_look_ahead(h, tau) && !stages_.has_extra_forces() && ahead_.is_worth_asking()) {
     asks_ahead_ = true;
     company_->iterate(*this, *lanes_);
     asks_ahead_ = false;
@@ -227,7 +235,7 @@ void Integrator::join(LaneCompany* company) {
   // The factor of stiff elements is not the kernel's alone.
   const bool shares = company != nullptr && stages_.count() == 1 && !stiff_.any();
   lanes_ = shares ? &company->lanes_of(*this) : nullptr;
-  flies_ = shares && !tree_->has_springs && LaneFlight::knows(*tree_);
+  flies_ = shares && !tree_->has_springs && adds_numbers(*tree_);
   ahead_.drop();
 }
 

@@ -63,7 +63,8 @@ class Integrator final : public Stepper, public StepEquations {
 
  private:
   friend class LaneIterations;  // makes the iterations of several steps
-  friend class LaneFlight;
+  friend class LaneFlight;      // makes several steps of each
+  // Steps that are solved in advance, where runs are made side by side.
   bool may_look_ahead(double h, const VecX& tau) const;
   bool take_ahead(const VecCRef& q0, const VecCRef& p0, double h);
   bool solve_stages();

@@ -18,15 +18,6 @@ void fill_lane(double* to, double value, int size, int width, int lane) {
 
 }  // namespace
 
-bool LaneFlight::knows(const Tree& tree) {
-  for (const Joint& joint : tree.joints) {
-    const bool added =
-        is_angle(joint.type) || joint.type == JointType::kPrismatic || joint.type == JointType::kTranslation;
-    if (!added || joint.iq != joint.iv) return false;
-  }
-  return true;
-}
-
 LaneFlight::LaneFlight(const FlatModel& model, StageLanes& lanes)
     : lanes_(&lanes),
       nv_(model.lanes.nv),
@@ -58,6 +49,8 @@ long LaneFlight::fly(const std::vector<Integrator*>& runs) {
     set_base(runs);
     if (std::none_of(flies_.begin(), flies_.end(), [](char flies) { return flies != 0; })) break;
   }
+  for (Integrator* run : runs)
+    if (!run->ahead_.any()) run->ahead_.pause();
   return made;
 }
 

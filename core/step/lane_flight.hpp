@@ -14,8 +14,6 @@ namespace contactvi {
 
 class LaneFlight {
  public:
-  static bool knows(const Tree& tree);
-
   LaneFlight(const FlatModel& model, StageLanes& lanes);
 
   // Solves steps of runs of one kind, each from its own state on, and leaves them with the runs; returns how many stage

@@ -21,6 +21,14 @@ class StepsAhead {
 
   // How many steps are to be solved next: twice as many as the last ones if all of those were made.
   int wanted() const { return wanted_; }
+  // Whether to ask for some now. Where none could be solved, the next kMost steps are made without asking: they are
+  // likely to need more than their first factor, too.
+  bool is_worth_asking() {
+    if (pause_ == 0) return true;
+    --pause_;
+    return false;
+  }
+  void pause() { pause_ = kMost; }
   // How many are solved now, from this state; their parts have to be written.
   void begin(const VecX& q0, const VecX& p0, double h, double tol) {
     if (parts_.size() == 0) parts_ = AlignedArray(static_cast<std::size_t>(kMost * kParts) * nv_);
@@ -67,7 +75,7 @@ class StepsAhead {
   double h_ = 0.0, tol_ = 0.0;
   int iterations_[kMost] = {};
   double errors_[kMost] = {};
-  int at_ = 0, count_ = 0, wanted_ = 1;
+  int at_ = 0, count_ = 0, wanted_ = 1, pause_ = 0;
 };
 
 }  // namespace contactvi
