@@ -1,8 +1,8 @@
 // Many runs with steps of one length, made in several threads.
 //
-// Every run has an engine of its own, which is made for it: what happens in a run, to the last bit, depends neither on
-// the number of threads nor on the runs before it. The threads take the next run from a counter, and results stand
-// where their starts stand.
+// Every run under way has an engine of its own, which is what a new one is when the run begins: what happens in a run,
+// to the last bit, depends neither on the number of threads nor on the runs before it. The threads take the next run
+// from a counter, and results stand where their starts stand.
 #pragma once
 
 #include <atomic>
@@ -74,9 +74,16 @@ class Batch {
 
  private:
   void take_runs_side_by_side(int threads);
+  // What makes runs of one scene, one after the other.
+  struct Maker {
+    Maker(const Scene& scene, const SimulatorOptions& options, SideBySide* company);
+    const Scene* scene;
+    Integrator integrator;
+    World world;
+  };
   void take_runs(SideBySide* company);
-  void make(const BatchStart& start, SideBySide* company, BatchOutcome& outcome);
-  void make(const Scene& scene, const BatchStart& start, SideBySide* company, BatchOutcome& outcome);
+  void make(const BatchStart& start, SideBySide* company, std::unique_ptr<Maker>& maker, BatchOutcome& outcome);
+  void make(Maker& maker, const BatchStart& start, SideBySide* company, BatchOutcome& outcome);
   void begin(const BatchStart& start, World& world, BatchOutcome& outcome) const;
   void keep_nodes(const Tree& tree, const BatchStart& start, const World& world, const Recording& recording,
                   BatchOutcome& outcome) const;

@@ -12,6 +12,7 @@
 #include "step/start_values.hpp"
 #include "step/step_equations.hpp"
 #include "step/stepper.hpp"
+#include "step/steps_ahead.hpp"
 
 namespace contactvi {
 
@@ -41,7 +42,7 @@ class Integrator final : public Stepper, public StepEquations {
   // As this, to a tolerance.
   bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau,
                   double tol);
-  void finish(VecRef q1, VecRef p1) override { StepEquations::finish(q1, p1); }
+  void finish(VecRef q1, VecRef p1) override;
   const MatX& rates() override { return StepEquations::rates(); }
   bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override {
     return StepEquations::node_velocity(q, p, v);
@@ -72,6 +73,10 @@ class Integrator final : public Stepper, public StepEquations {
 
  private:
   friend class LaneIterations;  // makes the iterations of several steps
+  friend class LaneFlight;      // makes several steps of each
+  // Steps that are solved in advance, where runs are made side by side.
+  bool may_look_ahead(double h, const VecX& tau) const;
+  bool take_ahead(const VecCRef& q0, const VecCRef& p0, double h);
   bool solve_stages();
   void judge_iteration();
   void accelerate() { acceleration_.apply(stages_); }
@@ -81,6 +86,10 @@ class Integrator final : public Stepper, public StepEquations {
   StageIteration iteration_;
   LaneCompany* company_ = nullptr;
   LaneIterations* lanes_ = nullptr;  // of the company
+  StepsAhead ahead_;
+  bool flies_ = false;       // its tree is one whose steps may be solved in advance
+  bool asks_ahead_ = false;  // while it waits for that
+  bool from_ahead_ = false;  // the step just solved was
   StartValues start_;
   Guide* guide_ = nullptr;  // of the next solve
   double guide_time_ = 0.0;

@@ -30,9 +30,6 @@ constexpr double kDampingShare[kMaxStages][kMaxStages] = {
 // Springs as h^2 e_i, e = c^2 times this share: the iterations contract for every stiffness, the slower the stiffer.
 double spring_share(int s) { return s == 1 ? 1.0 : s == 2 ? 0.5 : 0.25; }
 
-// [rad] angle beyond which whole revolutions are taken off: the kernel's sine is accurate up to 1e6.
-constexpr double kManyTurns = 1e4;
-
 // Of the charts of spherical joints, whose displacements depend on themselves: enough for a contraction of 0.5, and
 // a change [rad] that is rounding.
 constexpr int kTurnIterations = 60;

@@ -23,6 +23,9 @@ struct Servo {
 
 class Stages {
  public:
+  // [rad] angle beyond which whole revolutions are taken off: the kernel's sine is accurate up to 1e6.
+  static constexpr double kManyTurns = 1e4;
+
   // directions: along which the kernel takes derivatives; each doubles the arrays by their shadows (LaneWork).
   Stages(const Tree& tree, const FlatModel& model, int stages, int directions = 0);
   Stages(const Stages&) = delete;
@@ -67,6 +70,7 @@ class Stages {
   double* v() { return v_; }
   double* rate() { return work_.rate; }
   double* P() { return P_; }
+  double* G() { return G_; }
   const double* P() const { return P_; }
   const double* G() const { return G_; }
   double* dv() { return dv_; }

@@ -27,12 +27,21 @@ StartValues::StartValues(int nv, const Stages& stages)
 }
 
 void StartValues::push(const Stages& stages, double h) {
-  std::rotate(history_.begin(), history_.end() - 1, history_.end());
   const int kept = static_cast<int>(history_.size());  // as many steps as the extrapolation uses
-  for (int k = kept - 1; k > 0; --k) h_[k] = h_[k - 1];
-  std::copy(stages.v(), stages.v() + history_[0].size(), history_[0].data());
+  const std::size_t size = history_[0].size();
+  const double* newer = stages.v();
+  for (int k = kept - 1; k >= 0; --k) {
+    const double* __restrict from = k > 0 ? history_[k - 1].data() : newer;
+    double* __restrict to = history_[k].data();
+    for (std::size_t i = 0; i < size; ++i) to[i] = from[i];
+    if (k > 0) h_[k] = h_[k - 1];
+  }
   h_[0] = h;
   count_ = std::min(count_ + 1, kept);
+}
+
+bool StartValues::is_even(double h) const {
+  return s_ == 1 && count_ == kSteps && std::all_of(h_, h_ + kSteps, [h](double length) { return length == h; });
 }
 
 int StartValues::nodes_used() const { return count_; }

@@ -29,8 +29,12 @@ class StartValues {
   void add_piece(const Stages& stages, double start, double length);
   void assemble(double h, Stages& stages);
 
+  static constexpr int kSteps = 4;  // kept at most
+  // Whether as many are kept as there may be, of one stage each and this length.
+  bool is_even(double h) const;
+
  private:
-  static constexpr int kSteps = 4;   // kept at most
+  friend class LaneFlight;           // extrapolates for several runs
   static constexpr int kPieces = 4;  // of a ramp
   struct Piece {
     AlignedArray v;
