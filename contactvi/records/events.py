@@ -16,6 +16,8 @@ from contactvi.records.rows import Arrays, Items, Rows
 
 _SAME_TIME = 1e-13  # relative: events so near to the start of a step happen there
 
+LIMITS = "lower limit", "upper limit"
+
 # name -> (width, dtype) of one event's entry; width 0 is a scalar, "q" and "v" the size of the configuration and of
 # the velocity. The order is that of the file format.
 FIELDS: dict[str, tuple[int | str, type]] = {
@@ -252,4 +254,4 @@ def label(kind: int, index: int, pair_names: Sequence[tuple[str, str]], joint_na
     """Return the two names of a guard in the engine's numbering: pairs, or 2 * joint + {0 lower, 1 upper}."""
     if kind == GuardKind.CONTACT:
         return pair_names[index]
-    return joint_names[index // 2], "upper limit" if index % 2 else "lower limit"
+    return joint_names[index // 2], LIMITS[index % 2]
