@@ -330,6 +330,9 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def set_servo(self, joint: Selector, kp: float, kd: float, effort: float | None = None, target: Any = None) -> None:
         """Control joints by PD in the engine: torque kp (q_ref - q) + kd (v_ref - v), at most effort.
 
+        The damping of the joint's file stays on beside kd: a joint of little inertia then comes to its target within
+        some (kd + damping) / kp seconds, which `report` names; `set_joint(joint, damping=0.0)` takes it out.
+
         Args:
             joint: joints with one degree of freedom, by name, pattern or part; continuous ones go the shorter way.
             kp, kd: [N m/rad or N/m], [N m s/rad or N s/m], >= 0, both 0 for no servo. They are implicit in the step and
