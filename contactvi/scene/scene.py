@@ -31,6 +31,7 @@ from contactvi.scene.joints import (
     joint_value,
     joint_velocity,
     servo_settings,
+    with_one_dof,
 )
 from contactvi.scene.pairs import ContactRules, within_models
 from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
@@ -323,8 +324,9 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
             rotor_inertia, gear_ratio: add rotor_inertia * gear_ratio^2 to it (1 when not given).
         """
         self._set_joints(
-            joint, stiffness=stiffness, rest=rest, damping=damping, limits=limits, restitution=restitution,
-            friction=friction, spring=spring, armature=armature, gear_ratio=gear_ratio, rotor_inertia=rotor_inertia,
+            self.names.select_joints(joint), stiffness=stiffness, rest=rest, damping=damping, limits=limits,
+            restitution=restitution, friction=friction, spring=spring, armature=armature, gear_ratio=gear_ratio,
+            rotor_inertia=rotor_inertia,
         )  # fmt: skip
 
     def set_servo(self, joint: Selector, kp: float, kd: float, effort: float | None = None, target: Any = None) -> None:
@@ -334,14 +336,16 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         some (kd + damping) / kp seconds, which `report` names; `set_joint(joint, damping=0.0)` takes it out.
 
         Args:
-            joint: joints with one degree of freedom, by name, pattern or part; continuous ones go the shorter way.
+            joint: joints with one degree of freedom, by name, pattern or part, whose other joints (a free base) have no
+                servo; continuous ones go the shorter way.
             kp, kd: [N m/rad or N/m], [N m s/rad or N s/m], >= 0, both 0 for no servo. They are implicit in the step and
                 may be stiff.
             effort: largest torque [N m or N]; None: the file's limit, float("inf"): none.
             target: reference of a run that gives none itself (`simulate(target=)`): a motion as in `prescribe`; None:
                 the start.
         """
-        model, names = self._parts.assembly.model, self.names.select_joints(joint)
+        model = self._parts.assembly.model
+        names = with_one_dof(model, self.names.select_joints(joint))
         self._joints.update({name: servo_settings(model, name, kp, kd, effort, target) for name in names})
         self._elements.supply({target_name(name) for name in names})
         self._built = None
@@ -349,12 +353,13 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def set_actuator(
         self, joint: Selector, effort: bool | float | None = None, velocity: bool | float | None = None
     ) -> None:
-        """Limit what inputs do at joints with one degree of freedom; by default nothing is limited.
+        """Limit what inputs do at joints (of a part or pattern those with one degree of freedom); by default nothing is.
 
         effort [N m or N], velocity [rad/s or m/s] : a number, True for the file's limit, False for none. The torque put
         in is cut to +-effort, and may not push a joint beyond +-velocity; that is decided at the start of each step.
         """
-        self._set_joints(joint, effort=effort, velocity=velocity)
+        model = self._parts.assembly.model
+        self._set_joints(with_one_dof(model, self.names.select_joints(joint)), effort=effort, velocity=velocity)
 
     # --- what the scene is --------------------------------------------------------------------------------------------
 
@@ -620,8 +625,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         self._built = None
         return handle
 
-    def _set_joints(self, selector: Selector, **values: Any) -> None:
-        model, names = self._parts.assembly.model, self.names.select_joints(selector)
+    def _set_joints(self, names: list[str], **values: Any) -> None:
+        model = self._parts.assembly.model
         self._joints.update({name: joint_settings(model, name, **values) for name in names})
         self._built = None
 
