@@ -353,7 +353,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def set_actuator(
         self, joint: Selector, effort: bool | float | None = None, velocity: bool | float | None = None
     ) -> None:
-        """Limit what inputs do at joints (of a part or pattern those with one degree of freedom); by default nothing is.
+        """Limit what inputs do at joints, of a part or pattern at those with one degree of freedom; none by default.
 
         effort [N m or N], velocity [rad/s or m/s] : a number, True for the file's limit, False for none. The torque put
         in is cut to +-effort, and may not push a joint beyond +-velocity; that is decided at the start of each step.

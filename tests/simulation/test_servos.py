@@ -158,7 +158,7 @@ def test_servos_of_a_part_leave_its_free_base_out():
         assert scene.servo_joints == []
         scene.set_servo(selector, kp=5.0, kd=0.1)
         scene.set_actuator(selector, effort=2.0)
-        assert scene.servo_joints == [f"joint_{k}.0" for k in range(16)]
+        assert set(scene.servo_joints) == {f"joint_{k}.0" for k in range(16)}
         assert np.isfinite(scene.built().arrays.actuator[0]).sum() == 16
     for selector in ("root_joint", ball):
         with pytest.raises(cvi.InputError, match="expected a joint with one degree of freedom, got a free joint"):
