@@ -41,14 +41,15 @@ class Choice(NamedTuple):
 
     Attributes:
         base: "fixed" or "free", of a URDF. package_dirs: where package:// is looked for. srdf: its SRDF.
-        configuration: name of the start in the model's files. height: of a drop [m].
+        configuration: name of the start in the model's files. height: of a drop [m]; HEIGHT, or
+            where the file has surroundings none.
     """
 
     base: str | None = None
     package_dirs: Sequence[str] = ()
     srdf: str | None = None
     configuration: str | None = None
-    height: float = HEIGHT
+    height: float | None = None
 
 
 @dataclass
@@ -142,7 +143,7 @@ def model_scene(path: str, choice: Choice) -> ModelScene:
     Raises:
         ContactviError: as read_scene; the engine refuses the scene; an unknown configuration.
     """
-    height = real("height", choice.height, 0.0)
+    height = None if choice.height is None else real("height", choice.height, 0.0)
     found = _read_model(path, choice)
     scene = found.scene
     if scene.nv == 0:
@@ -163,7 +164,7 @@ def model_scene(path: str, choice: Choice) -> ModelScene:
     if free:
         _lift(found, height, surroundings)
     else:
-        found.assumed.append(("ground", "none is added: the model is held"))
+        found.assumed.append(("ground", "none is added: the model is held" + _unused(height)))
     _take_out_overlaps(found)
     servos = scene.servo_joints
     held = f"servos of the file hold {len(servos)} at the start, the others are limp" if servos else "limp"
@@ -259,8 +260,14 @@ def _assume_start(found: ModelScene, choice: Choice) -> None:
     found.tables.append(("[initial]", {"configuration": choice.configuration}))
 
 
-def _lift(found: ModelScene, height: float, surroundings: bool) -> None:
-    """Raise the free trees until the lowest shape is `height` above the plane; with surroundings only if they overlap.
+def _unused(height: float | None) -> str:
+    return "" if height is None else "; --height is not used"
+
+
+def _lift(found: ModelScene, height: float | None, surroundings: bool) -> None:
+    """Raise the free trees until the lowest shape is `height` above the plane.
+
+    Without a height, with surroundings only if they overlap.
 
     The gaps to a plane change with the height, one to one.
     """
@@ -270,12 +277,13 @@ def _lift(found: ModelScene, height: float, surroundings: bool) -> None:
     near = [gap for pair, gap in zip(scene.pair_names, gaps, strict=True) if still & set(pair)]
     where = "of the file" if surroundings else "a plane at z = 0"
     if not near:
-        found.assumed.append(("ground", f"{where}; no shape of the model can touch it"))
+        found.assumed.append(("ground", f"{where}; no shape of the model can touch it{_unused(height)}"))
         return
     least = float(min(near))
-    if surroundings and least >= 0.0:
+    if height is None and surroundings and least >= 0.0:
         found.assumed.append(("ground", f"{where}, {least:.3g} m below"))
         return
+    height = HEIGHT if height is None else height
     values = {}
     assert scene.q0 is not None
     for i in range(1, scene.model.njoints):
