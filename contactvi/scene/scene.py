@@ -270,14 +270,17 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         self._built = None
         return found
 
-    def place_on_ground(self, part: Selector, q: ArrayLike | None = None, ground: Selector | None = None) -> np.ndarray:
+    def place_on_ground(
+        self, part: Selector | None = None, q: ArrayLike | None = None, ground: Selector | None = None
+    ) -> np.ndarray:
         """Return a configuration (nq,) with a part on the ground: its base moved along the normal of a halfspace.
 
         Its lowest point then touches the halfspace to rounding; its base is not turned, and all else stays where it is.
         `scene.q0 = scene.place_on_ground(robot)` makes it the start of runs.
 
         Args:
-            part: with a free base; of a part with several, a joint of what is to be moved.
+            part: with a free base; of a part with several, a joint or body of what is to be moved. None: the only one
+                in the scene that is free.
             q: configuration, shape (nq,); None: the scene's q0, else neutral.
             ground: the halfspace, fixed to the world, by name or handle; None: the only one that it has pairs with.
 
