@@ -88,7 +88,7 @@ class Interval:
             raise SimulationError(
                 f"The interval ended before its time with the status {status.code.name}: {status.message}",
                 expected=f"{self.span:.9g} s", got=f"an end at t = {status.time:.9g} s",
-                remedy=remedy(status.code, self._options.contact_mode), status=status, trajectory=run.trajectory(),
+                remedy=remedy(status.code, self._options.contact_mode, self._options.zeno, self._options.impact), status=status, trajectory=run.trajectory(),
             )  # fmt: skip
 
     def continues(self, other: Interval) -> bool:

@@ -85,7 +85,7 @@ class Step:
         if not status.ok:
             raise SimulationError(
                 f"The step was not made: {status.message}", expected=f"a step of {self._steps.dt:g} s",
-                got=status.code.name, remedy=remedy(status.code, simulator.options.contact_mode), status=status,
+                got=status.code.name, remedy=remedy(status.code, simulator.options.contact_mode, simulator.options.zeno, simulator.options.impact), status=status,
             )  # fmt: skip
         return simulator
 

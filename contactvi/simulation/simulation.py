@@ -139,7 +139,7 @@ def ended_early(options: Options, status: Status, traj: Trajectory | None) -> Si
         f"The run {fact} with the status {status.code.name}: {status.message}",
         expected=f"t = {options.span if options.auto else options.steps * options.fixed_dt:.9g} s",
         got=f"t = {status.time:.9g} s",
-        remedy=remedy(status.code, options.contact_mode),
+        remedy=remedy(status.code, options.contact_mode, options.zeno, options.impact),
         status=status,
         trajectory=traj,
     )
