@@ -158,6 +158,10 @@ def test_guide_code_of_the_first_run_runs(tmp_path):
     assert (tmp_path / "run.html").stat().st_size > 0
 
 
+def test_guide_code_of_a_named_environment_runs(tmp_path):
+    assert run_marked("own-environment-name", tmp_path) == ["ThreadedVectorEnv (4, 3)"]
+
+
 def test_guide_code_of_environments_runs(tmp_path):
     run_marked("environments", tmp_path)
     assert (tmp_path / "episode.html").stat().st_size > 0
