@@ -69,7 +69,7 @@ def simulate(
         impact: the impact map, see `Options`.
         **options: mhc_reference, record_every, dense, ...: see `Options`.
         control: generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape (steps,
-            nv), or a function (t, q, v) -> (nv,) called at the start of each step.
+            nv), one of shape (nv,) for all steps, or a function (t, q, v) -> (nv,) called at the start of each step.
         target: reference of the servos (Scene.set_servo), constant over a step: an array or a function of t, one number
             per servo joint, or a mapping joint -> motion (contactvi.simulation.targets); by default as given to
             set_servo.

@@ -377,7 +377,7 @@ def test_bad_velocity(v0):
     assert caught.value.name == "v0"
 
 
-@pytest.mark.parametrize("control", [np.zeros((99, 6)), np.zeros(6), np.full((100, 6), math.nan), "push"])
+@pytest.mark.parametrize("control", [np.zeros((99, 6)), np.zeros(5), np.full((100, 6), math.nan), "push"])
 def test_bad_control(control):
     with pytest.raises(cvi.InputError) as caught:
         cvi.simulate(ball_scene(), duration=1.0, dt=1e-2, control=control)
@@ -392,3 +392,15 @@ def test_unit_complex_numbers_are_checked():
         model.appendBodyToJoint(index, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
         with pytest.raises(cvi.InputError, match=r"pair \(cos, sin\) of joint 'wheel'"):
             cvi.simulate(cvi.Scene.from_pinocchio(model), bad, duration=1.0, dt=1e-2)
+
+
+def test_one_force_is_that_of_all_steps():
+    scene, tau = ball_scene(), np.array([0.1, 0.0, 20.0, 0.0, 0.01, 0.0])
+    expected = cvi.simulate(scene, duration=0.1, dt=1e-2, control=np.tile(tau, (10, 1)))
+    np.testing.assert_array_equal(cvi.simulate(scene, duration=0.1, dt=1e-2, control=tau).q, expected.q)
+    sim = cvi.Simulator(scene, dt=1e-2)
+    sim.reset()
+    sim.run(10, tau)
+    np.testing.assert_array_equal(sim.q, expected.q[-1])
+    with pytest.raises(cvi.InputError, match=r"control has the wrong shape: .*shape \(6,\), or one per step"):
+        cvi.simulate(scene, duration=0.1, dt=1e-2, control=tau[:3])
