@@ -7,8 +7,10 @@ the scene file, so that what was run can be changed.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +22,7 @@ import pinocchio as pin
 from rich.markup import escape
 
 from contactvi.commands.console import out
-from contactvi.errors import InputError
+from contactvi.errors import InputError, UnusedSettingWarning
 from contactvi.files import write_atomic
 from contactvi.importing.paths import resolve_path
 from contactvi.importing.xml import read_xml
@@ -240,11 +242,18 @@ def _ground_name(scene: Scene) -> str:
 
 
 def _assume_contact(found: ModelScene, is_ours: bool) -> None:
-    """Set the defaults of contacts, which an MJCF has for its own."""
-    found.scene.set_contact(restitution=RESTITUTION, friction=FRICTION)
-    found.tables.append(("[contact]", {"restitution": RESTITUTION, "friction": FRICTION}))
-    text = f"restitution {RESTITUTION:g}, friction {FRICTION:g}"
-    found.assumed.append(("contact", text if is_ours else f"as the file says; what it leaves open: {text}"))
+    """Set the defaults of contacts, where the file, an MJCF, leaves them open."""
+    keys: dict[str, Any] = {}
+    for name, value in (("restitution", RESTITUTION), ("friction", FRICTION)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UnusedSettingWarning)
+            with contextlib.suppress(UnusedSettingWarning):
+                found.scene.set_contact(**{name: value})
+                keys[name] = value
+    found.tables.append(("[contact]", keys))
+    text = ", ".join(f"{name} {value:g}" for name, value in keys.items())
+    ours = text if is_ours else f"as the file says; what it leaves open: {text}"
+    found.assumed.append(("contact", ours if keys else "as the file says"))
 
 
 def _assume_start(found: ModelScene, choice: Choice) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from contactvi.errors import InputError, did_you_mean
+from contactvi.errors import InputError, UnusedSettingWarning, did_you_mean
 from contactvi.importing.part import Part
 from contactvi.importing.readers import MjcfFile, import_mjcf, import_pinocchio, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
@@ -236,7 +237,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         of the speeds; friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
         default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
         contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
-        an MJCF says, else the default.
+        an MJCF says, else the default. Warns (UnusedSettingWarning) of a default that the MJCF of the scene leave to no
+        pair: set_contact(part, restitution=...) replaces theirs.
         """
         if a is None and b is not None:
             a, b = b, None
@@ -248,6 +250,13 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         if friction is not None:
             checked.append((self._contact.friction, real("friction", friction, 0.0)))
         for rule, value in checked:
+            if first is None and rule.overrides_default(self.names.geometries):
+                what = "restitution" if rule is self._contact.restitution else "friction"
+                warnings.warn(
+                    f"No pair of shapes uses the default {what} {value:g}: the files give their own. "
+                    f"set_contact(part, {what}={value:g}) replaces that of a part",
+                    UnusedSettingWarning, stacklevel=2,
+                )  # fmt: skip
             rule.set(first, second, value)
         self._built = None
 
