@@ -404,3 +404,24 @@ def test_one_force_is_that_of_all_steps():
     np.testing.assert_array_equal(sim.q, expected.q[-1])
     with pytest.raises(cvi.InputError, match=r"control has the wrong shape: .*shape \(6,\), or one per step"):
         cvi.simulate(scene, duration=0.1, dt=1e-2, control=tau[:3])
+
+
+@pytest.mark.parametrize("bounces", [False, True])
+def test_kept_polynomials_change_a_run_by_less_than_the_error_of_its_steps(bounces):
+    """They cut the steps of a pendulum where a ball bounces beside it, which is an error of order 2 and more."""
+    scene = cvi.Scene()
+    scene.add_urdf("models/double_pendulum.urdf", placement=(5.0, 0.0, 3.0))
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, placement=(0.0, 0.0, 0.5 if bounces else 30.0))
+    scene.set_contact(restitution=0.8)
+    q0 = scene.configuration({"joint_1": 1.0, "joint_2": 0.5})
+    apart = []
+    for dt in (1e-2, 2.5e-3):
+        run, finer = (cvi.simulate(scene, q0, duration=2.0, dt=step, order=2) for step in (dt, 0.5 * dt))
+        kept = [cvi.simulate(scene, q0, duration=2.0, dt=dt, order=2, **how).q[-1] for how in (
+            {"dense": True}, {"sample_dt": 0.1}, {"record": "gradient"})]  # fmt: skip
+        assert np.array_equal(kept[0], kept[1])
+        assert np.array_equal(kept[0], kept[2])
+        apart.append(np.abs(kept[0] - run.q[-1]).max())
+        assert apart[-1] < (np.abs(finer.q[-1] - run.q[-1]).max() if bounces else 1e-10)  # tol times the growth
+    assert not bounces or apart[1] < apart[0] / 12.0  # 16 for second order
