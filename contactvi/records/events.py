@@ -159,6 +159,12 @@ class EventLog(Rows, Items[Event]):
         """What the law takes at every event, by restitution and friction [J], shape (n,)."""
         return self._arrays["loss"]
 
+    def first_by_pair(self) -> dict[tuple[str, str], Event]:
+        """Return the first impact of every pair (of a limit: joint, which limit), in the order of time."""
+        keys = 2 * self._arrays["index"] + self._arrays["kind"]
+        events = (self[int(k)] for k in np.sort(np.unique(keys, return_index=True)[1]))
+        return {event.pair: event for event in events}
+
     def total(
         self, values: NDArray[np.float64], t: NDArray[np.float64], start: float = 0.0, dt: float = math.nan
     ) -> NDArray[np.float64]:

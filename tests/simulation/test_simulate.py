@@ -425,3 +425,17 @@ def test_kept_polynomials_change_a_run_by_less_than_the_error_of_its_steps(bounc
         apart.append(np.abs(kept[0] - run.q[-1]).max())
         assert apart[-1] < (np.abs(finer.q[-1] - run.q[-1]).max() if bounces else 1e-10)  # tol times the growth
     assert not bounces or apart[1] < apart[0] / 12.0  # 16 for second order
+
+
+def test_the_first_impact_of_every_pair():
+    scene = ball_scene(restitution=0.5)
+    scene.add_sphere("other", 0.1, placement=(3.0, 0.0, 0.4))
+    traj = cvi.simulate(scene, duration=1.0, dt=1e-2)
+    first = traj.events.first_by_pair()
+    assert len(first) == 2
+    times = [event.time for event in first.values()]
+    assert times == sorted(times)
+    for pair, event in first.items():
+        assert event.time == min(other.time for other in traj.events if other.pair == pair)
+    flight = cvi.simulate(ball_scene(), duration=0.01, dt=1e-2)
+    assert flight.events.first_by_pair() == {}
