@@ -244,12 +244,14 @@ def _ground_name(scene: Scene) -> str:
 def _assume_contact(found: ModelScene, is_ours: bool) -> None:
     """Set the defaults of contacts, where the file, an MJCF, leaves them open."""
     keys: dict[str, Any] = {}
-    for name, value in (("restitution", RESTITUTION), ("friction", FRICTION)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", UnusedSettingWarning)
-            with contextlib.suppress(UnusedSettingWarning):
-                found.scene.set_contact(**{name: value})
-                keys[name] = value
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UnusedSettingWarning)
+        with contextlib.suppress(UnusedSettingWarning):
+            found.scene.set_contact(restitution=RESTITUTION)
+            keys["restitution"] = RESTITUTION
+        with contextlib.suppress(UnusedSettingWarning):
+            found.scene.set_contact(friction=FRICTION)
+            keys["friction"] = FRICTION
     found.tables.append(("[contact]", keys))
     text = ", ".join(f"{name} {value:g}" for name, value in keys.items())
     ours = text if is_ours else f"as the file says; what it leaves open: {text}"
