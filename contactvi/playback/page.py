@@ -97,8 +97,14 @@ def make_html(
     forces: bool = True,
     camera: Any = None,
     script: str = "",
+    moment: float | None = None,
 ) -> str:
-    """Return the text of the page; arguments as in `write_html`. script: JavaScript of the caller that runs first."""
+    """Return the text of the page; arguments as in `write_html`.
+
+    Args:
+        script: JavaScript of the caller that runs first.
+        moment: time of the run [s] that is shown alone, to which the picture fits; None: all of it.
+    """
     if not isinstance(fps, (int, float)) or isinstance(fps, bool) or not 0 < fps < 1e6:
         raise InputError(
             "fps is not usable",
@@ -116,7 +122,8 @@ def make_html(
     chosen = camera_of(camera if camera is not None else run.scene.camera or "auto")
     check_followed(chosen, bodies_of(run))
     title = title or title_of(run.scene)
-    data = _data(run, frames_of(run, float(fps)), forces, chosen) | {"title": title, "play": play}
+    moment = None if moment is None else moment - float(run.t[0])
+    data = _data(run, frames_of(run, float(fps)), forces, chosen, moment) | {"title": title, "play": play}
     return fill_page(data, script=script)
 
 
@@ -149,9 +156,9 @@ def bodies_of(run: Drawn) -> dict[str, int]:
     return {name: joint for name, joint in names.items() if joint in drawn}
 
 
-def _data(run: Run, frames: Frames, forces: bool, camera: Camera) -> dict[str, Any]:
-    """Return all that the page shows."""
-    view = fit(run.visuals, frames, trees_of(run.scene.model))
+def _data(run: Run, frames: Frames, forces: bool, camera: Camera, moment: float | None) -> dict[str, Any]:
+    """Return all that the page shows; moment [s] from the start as of `fit`."""
+    view = fit(run.visuals, frames, trees_of(run.scene.model), moment)
     joints = {joint: k for k, joint in enumerate(frames.poses)}
     contacts = contact_frames(run, run.t[0] + frames.times, view.size) if forces else None
     events = event_data(run, float(run.t[0]))

@@ -27,9 +27,9 @@ def view(run: Run | Stepped, *, open_browser: bool = True, **options: Any) -> Vi
     Args:
         run: a Trajectory, or a Simulator that has been reset.
         open_browser: open a browser window; the address is printed in any case.
-        **options: title, forces, camera of `contactvi.playback.page.write_html`; of a Trajectory fps and play, too; of
-            a Simulator realtime: True, so that `sync` holds simulated time back to wall time, or a number of simulated
-            seconds per second.
+        **options: title="", forces=True, camera="auto" as of `contactvi.playback.page.write_html`; of a Trajectory
+            fps=60 and play=True, too; of a Simulator realtime: True, so that `sync` holds simulated time back to wall
+            time, or a number of simulated seconds per second.
 
     The page is served while this process lives; a script that would end right away calls `.wait()` on the result. For
     a file that needs no process, use `Trajectory.to_html`. In a notebook the result shows itself.

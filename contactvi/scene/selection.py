@@ -66,6 +66,13 @@ class Names:
             if geometry.parentJoint:
                 self.by_joint[model.names[geometry.parentJoint]].append(index)
 
+    @property
+    def shape_groups(self) -> dict[str, tuple[str, ...]]:
+        """The names of the collision geometries of every part and body; a part comes before a body of its name."""
+        names = list(self.geometries)
+        bodies = {body: tuple(names[k] for k in indices) for body, indices in self.bodies.items()}
+        return bodies | {part: handle.geometries for part, handle in self.parts.items()}
+
     def select_geometries(self, selector: Selector, argument: str) -> list[int]:
         """Return the indices of the selected collision geometries.
 

@@ -212,7 +212,8 @@ class Record:
 
     def _contact_log(self, parts: list[Columns]) -> contacts.ContactLog:
         rows = partial(joined, parts, contacts.FIELDS)
-        return contacts.ContactLog(rows, self.compiled.pair_names, self.compiled.joint_names)
+        compiled = self.compiled
+        return contacts.ContactLog(rows, compiled.pair_names, compiled.joint_names, compiled.shape_groups)
 
     def change_log(self, first: int = 0) -> contacts.ChangeLog:
         """Return the changes of contacts of the blocks from `first` on."""

@@ -150,7 +150,10 @@ class Simulator(PresentDynamics):
     def run(
         self, steps: int, tau: ArrayLike | None = None, progress: Progress | None = None, target: Any = None
     ) -> Status:
-        """Make `steps` steps, tau of shape (steps, nv) or None; return the status. Ends early as `simulate` does."""
+        """Make `steps` steps; return the status. Ends early as `simulate` does.
+
+        tau: generalized forces, shape (steps, nv), or (nv,) for all steps, or None.
+        """
         if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or not 0 <= steps <= MOST_STEPS:
             raise InputError(
                 "Number of steps",

@@ -43,6 +43,7 @@ class CompiledScene:
         states: checks of states and forces.
         pair_names: of the tested pairs, engine order.
         joint_names: of all joints, that of the world included.
+        shape_groups: names of the shapes of every part and body.
         damping: of the joints, shape (nv,).
         step_options: the options of the step that was linearised last, with what they were made from.
         engines: of simulations, by their settings, which nobody uses now.
@@ -58,6 +59,7 @@ class CompiledScene:
         self.states = States(built.model)
         self.pair_names = [(str(a), str(b)) for a, b in built.pairs]
         self.joint_names = [str(name) for name in built.model.names]
+        self.shape_groups = scene.names.shape_groups
         self.damping: NDArray[np.float64] = np.array(built.model.damping, dtype=float)
         self._derivatives_checked = False
         self.step_options: tuple[Any, Any] | None = None

@@ -164,7 +164,7 @@ class EntryReader:
         self._check_guards(arrays, names, "events")
         return event_log.EventLog(arrays, *names, method)
 
-    def contacts(self, names: Names) -> ContactLog:
+    def contacts(self, names: Names, groups: Mapping[str, tuple[str, ...]]) -> ContactLog:
         """Return the contacts of a run."""
         rows = self._rows("contact", "t", contacts.FIELDS)
         h, largest = rows["h"], np.abs(rows["start"] + rows["end"]).max(axis=1, initial=0.0)
@@ -172,7 +172,7 @@ class EntryReader:
             self._refuse("contacts with forces larger than those of any run")
         self._check_codes(rows, {"mode": len(codes.MODES)}, "contacts")
         self._check_guards(rows, names, "contacts")
-        return ContactLog(rows, *names)
+        return ContactLog(rows, *names, groups)
 
     def changes(self, names: Names) -> ChangeLog:
         """Return the changes of contacts in a run."""

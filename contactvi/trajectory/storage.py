@@ -332,7 +332,7 @@ def _build(path: Path, entries: Entries, header: dict[str, Any]) -> dict[str, An
         "gaps": read.gaps(gap_pairs),
         "visuals": visuals,
         "forces": read.forces(t, header["constraints"]),
-        "contacts": read.contacts(names),
+        "contacts": read.contacts(names, scene.names.shape_groups),
         "changes": read.changes(names),
         "phases": read.phases(),
         "dense_steps": read.dense_steps(),
