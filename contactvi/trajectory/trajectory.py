@@ -432,14 +432,18 @@ class Trajectory(Exports):
 
     def to_html(self, path: str | os.PathLike[str], **options: Any) -> Path:
         """Write a self-contained page that plays the run (contactvi.playback.page.write_html); return its path."""
+        from contactvi.playback.keywords import check_keywords
         from contactvi.playback.page import write_html
 
+        check_keywords(write_html, options, "to_html")
         return write_html(self, path, **options)
 
     def render(self, path: str | os.PathLike[str], **options: Any) -> Path:
         """Draw the run into a .gif, .mp4 or .png (contactvi.playback.render.render); return its path."""
+        from contactvi.playback.keywords import check_keywords
         from contactvi.playback.render import render
 
+        check_keywords(render, options, "render")
         return render(self, path, **options)
 
     def _engine(self) -> _core.Scene:
