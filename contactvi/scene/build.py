@@ -19,6 +19,7 @@ from contactvi.scene.joint_arrays import JointArrays, apply_settings
 from contactvi.scene.joints import JointTable
 from contactvi.scene.pairs import ContactRules, choose_pairs
 from contactvi.scene.parts import PartList
+from contactvi.scene.selection import Names
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,7 @@ class Built:
         removed: Pairs that are not tested, with the reasons.
         restitution, friction: Of the tested pairs, shapes (npairs,).
         elements: Constraints, springs and forces as the engine takes them.
+        names: What selectors mean.
     """
 
     model: pin.Model
@@ -63,6 +65,7 @@ class Built:
     restitution: np.ndarray
     friction: np.ndarray
     elements: Resolved
+    names: Names
 
     @cached_property
     def engine(self) -> EngineScene:
@@ -149,4 +152,5 @@ def build(parts: PartList, contact: ContactRules, joints: JointTable, elements: 
         contact.restitution.values(names, chosen),
         contact.friction.values(names, chosen),
         resolve(elements, model, start),
+        parts.names,
     )

@@ -30,7 +30,8 @@ OF_JOINTS = ("mass", "inertia", "armature", "stiffness", "damping", "rest", "kp"
 OF_CONTACTS = ("restitution", "friction")
 NAMES = ("gravity", *(f"{kind}:joint" for kind in OF_JOINTS))
 LIMITS = ("lower limit", "upper limit")  # what stands in the place of a pair's second shape
-_KNOWN = (*NAMES, *OF_CONTACTS, "restitution:a|b", "friction:a|b")
+CONTACT_NAMES = ("restitution", "restitution:a|b", "restitution:joint", "friction", "friction:a|b")
+_KNOWN = (*NAMES, *CONTACT_NAMES)
 _NOT_NEGATIVE = ("stiffness", "damping", "armature", "kp", "kd", "friction", "restitution")
 _ROUNDING = 64.0 * float(np.finfo(float).eps)  # of moments of inertia, in the sums over the axes
 

@@ -464,12 +464,12 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         return self.built().arrays.rest.copy()
 
     def q_index(self, joint: Selector) -> slice:
-        """Return where a joint's numbers lie in q."""
+        """Return where a joint's numbers lie in q; the handle of a part with a free base means that base."""
         found = self._one_joint(joint)
         return slice(found.idx_q, found.idx_q + found.nq)
 
     def v_index(self, joint: Selector) -> slice:
-        """Return where a joint's numbers lie in v."""
+        """Return where a joint's numbers lie in v; handles as in `q_index`."""
         found = self._one_joint(joint)
         return slice(found.idx_v, found.idx_v + found.nv)
 
@@ -486,15 +486,16 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
 
         base: (nq,), the name of one of `named_configurations`, or None, neutral.
 
-        Keys: joint names, patterns, handles. Values: rad or m; free body: xyz, (xyz, rpy), xyz + quaternion xyzw or
-        pin.SE3; spherical: quaternion xyzw; planar: x, y, angle; translation: x, y, z.
+        Keys: joint names, patterns, handles (a part with a free base: that base; else its joints). Values: rad or m;
+        free body: xyz, (xyz, rpy), xyz + quaternion xyzw or pin.SE3; spherical: quaternion xyzw; planar: x, y, angle;
+        translation: x, y, z.
         """
         model = self.model
         if isinstance(base, str):
             base = self._named(base)
         q = self.neutral() if base is None else vector("base", base, model.nq)
         for selector, value in mapping("values", values, "joint: value").items():
-            for name in self.names.select_joints(selector):
+            for name in self.names.select_placed(selector):
                 q[self.q_index(name)] = joint_value(model, name, value)
         return q
 
@@ -509,7 +510,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         q = self.neutral() if q is None else vector("q", q, model.nq)
         v = np.zeros(model.nv) if base is None else vector("base", base, model.nv)
         for selector, value in mapping("values", values, "joint: velocity").items():
-            for name in self.names.select_joints(selector):
+            for name in self.names.select_placed(selector):
                 v[self.v_index(name)] = joint_velocity(model, name, value, q)
         return v
 

@@ -224,6 +224,11 @@ class Simulator(PresentDynamics):
         """The persistent contacts at the end of the last step: one `Contact` per point (contactvi.records.contacts)."""
         return self._started().contacts_now()
 
+    @property
+    def _stepped(self) -> bool:
+        run = self._started()
+        return run.t != run.record.start
+
     def recent(self, since: float) -> Recent:
         """Return the present contacts, and the impacts and changes of contacts after `since` [s], as arrays.
 

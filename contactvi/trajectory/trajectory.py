@@ -435,8 +435,10 @@ class Trajectory(Exports):
 
         options: fps, title, play, forces, camera (contactvi.playback.page.write_html).
         """
+        from contactvi.playback.keywords import check_keywords
         from contactvi.playback.page import write_html
 
+        check_keywords(write_html, options, "to_html")
         return write_html(self, path, **options)
 
     def render(self, path: str | os.PathLike[str], **options: Any) -> Path:
@@ -445,8 +447,10 @@ class Trajectory(Exports):
         options: at (the time of a .png [s]), start, end, fps, speed (of a film), camera, size, forces
         (contactvi.playback.render.render).
         """
+        from contactvi.playback.keywords import check_keywords
         from contactvi.playback.render import render
 
+        check_keywords(render, options, "render")
         return render(self, path, **options)
 
     def _engine(self) -> _core.Scene:
