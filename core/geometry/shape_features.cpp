@@ -10,145 +10,14 @@
 #include "base/disjoint_sets.hpp"
 #include "base/parallel.hpp"
 #include "base/refusal.hpp"
-#include "geometry/planar_hull.hpp"
+#include "geometry/hull_faces.hpp"
 
 namespace contactvi {
 
 namespace {
 
-// Points closer to a plane than this part of the hull's size lie on it: meshes come in single precision, and the
-// vertices of rounded hulls are intersections of such planes.
-constexpr double kFlat = 4e-7;
-// Points closer to each other than this part of the hull's size are one.
-constexpr double kSame = 1e-9;
 // Neighbouring faces at a smaller angle [rad] belong to one flat side.
 constexpr double kPlateAngle = 1e-4;
-
-using Points = std::vector<Vec3>;
-
-struct Polygon {
-  Vec3 normal;
-  double offset;
-  std::vector<int> corners;
-};
-
-// Corners in order of the convex hull of points that lie in one plane, without those on its sides.
-std::vector<int> order_corners(const Points& points, std::vector<int> all, const Vec3& normal, double flat) {
-  Eigen::Index smallest;
-  normal.cwiseAbs().minCoeff(&smallest);
-  const Vec3 u = normal.cross(Vec3::Unit(smallest)).normalized(), v = normal.cross(u);
-  auto at = [&](int i) { return Eigen::Vector2d(points[i].dot(u), points[i].dot(v)); };
-  // A corner lies farther than `flat` to the right of the line between its neighbours.
-  auto turns = [&](int i, int j, int k) {
-    const Eigen::Vector2d a = at(i), b = at(j), c = at(k);
-    const double ex = c[0] - a[0], ey = c[1] - a[1], length = std::hypot(ex, ey);
-    const double left = length == 0.0 ? 0.0 : (ex * (b[1] - a[1]) - ey * (b[0] - a[0])) / length;
-    return left < -flat;
-  };
-  std::vector<int> hull;
-  planar_hull(all, at, turns, hull);
-  return hull;
-}
-
-// Whether one number is in all three ascending lists.
-bool share_a_face(const std::vector<int>& a, const std::vector<int>& b, const std::vector<int>& c) {
-  for (int f : a)
-    if (std::binary_search(b.begin(), b.end(), f) && std::binary_search(c.begin(), c.end(), f)) return true;
-  return false;
-}
-
-// Which points of a hull its triangles join, points at the same place being one. Finds the points in a plane that
-// touches the hull by walking from one to the next: those above any plane are joined with each other.
-class HullWalk {
- public:
-  HullWalk(const Points& points, const std::vector<coal::Triangle>& triangles, const std::vector<int>& same)
-      : points_(points), neighbors_(points.size()), walk_of_(points.size(), 0) {
-    for (const coal::Triangle& t : triangles)
-      for (int k = 0; k < 3; ++k) {
-        const int i = same[t[k]], j = same[t[(k + 1) % 3]];
-        if (i == j) continue;
-        neighbors_[i].push_back(j);
-        neighbors_[j].push_back(i);
-      }
-  }
-
-  // The points within `flat` of the plane, ascending; the three numbers are some of them.
-  void find(const Vec3& normal, double offset, double flat, std::initializer_list<int> start, std::vector<int>& found) {
-    found.clear();
-    ++walk_;
-    open_.clear();
-    for (int i : start) enter(i);
-    while (!open_.empty()) {
-      const int i = open_.back();
-      open_.pop_back();
-      const double above = normal.dot(points_[i]) - offset;
-      if (above < -flat) continue;
-      if (!(above > flat)) found.push_back(i);
-      for (int j : neighbors_[i]) enter(j);
-    }
-    std::sort(found.begin(), found.end());
-  }
-
- private:
-  void enter(int i) {
-    if (walk_of_[i] == walk_) return;
-    walk_of_[i] = walk_;
-    open_.push_back(i);
-  }
-
-  const Points& points_;
-  std::vector<std::vector<int>> neighbors_;
-  std::vector<int> walk_of_;  // the last walk that came to the point
-  std::vector<int> open_;
-  int walk_ = 0;
-};
-
-// The faces of a hull from its triangles, largest first; a face has all points in its plane.
-std::vector<Polygon> merge_triangles(const Points& points, const std::vector<coal::Triangle>& triangles, double size,
-                                     const std::vector<int>& same, double& roughness) {
-  struct Seed {
-    double area;
-    int i;
-    Vec3 normal;
-  };
-  std::vector<Seed> seeds;
-  for (std::size_t i = 0; i < triangles.size(); ++i) {
-    const coal::Triangle& t = triangles[i];
-    const Vec3 c = (points[t[1]] - points[t[0]]).cross(points[t[2]] - points[t[0]]);
-    if (c.norm() > kSame * kSame * size * size) seeds.push_back({c.norm(), static_cast<int>(i), c.normalized()});
-  }
-  std::stable_sort(seeds.begin(), seeds.end(), [](const Seed& s, const Seed& t) { return s.area > t.area; });
-  Vec3 center = Vec3::Zero();
-  for (const Vec3& p : points) center += p / static_cast<double>(points.size());
-  HullWalk walk(points, triangles, same);
-  std::vector<Polygon> faces;
-  std::vector<std::vector<int>> faces_of(points.size());  // per point: the faces found so far that have it, ascending
-  std::vector<int> all;
-  const double flat = kFlat * size;
-  for (const Seed& seed : seeds) {
-    const coal::Triangle& t = triangles[seed.i];
-    const int a = same[t[0]], b = same[t[1]], c = same[t[2]];
-    if (share_a_face(faces_of[a], faces_of[b], faces_of[c])) continue;
-    Polygon face;
-    face.normal = seed.normal.dot(points[a] - center) < 0.0 ? Vec3(-seed.normal) : seed.normal;
-    face.offset = face.normal.dot(points[a]);
-    walk.find(face.normal, face.offset, flat, {a, b, c}, all);
-    face.corners = order_corners(points, all, face.normal, flat);
-    if (face.corners.size() < 3) continue;
-    // The plane of the whole polygon (Newell) has less rounding than that of one triangle.
-    Vec3 n = Vec3::Zero();
-    for (std::size_t k = 0; k < face.corners.size(); ++k)
-      n += (points[face.corners[k]] - points[face.corners[0]])
-               .cross(points[face.corners[(k + 1) % face.corners.size()]] - points[face.corners[0]]);
-    face.normal = n.normalized();
-    face.offset = -std::numeric_limits<double>::infinity();
-    for (int i : face.corners) face.offset = std::max(face.offset, face.normal.dot(points[i]));
-    for (int i : face.corners) roughness = std::max(roughness, face.offset - face.normal.dot(points[i]));
-    for (int i : all) faces_of[i].push_back(static_cast<int>(faces.size()));
-    faces.push_back(std::move(face));
-  }
-  return faces;
-}
 
 Vec3 to_body(const Geometry& g, const Vec3& x) { return g.R_BG * x + g.p_BG; }
 
@@ -179,22 +48,32 @@ int edge_between(const ShapeFeatures& o, int i, int j) {
 }
 
 // Faces, sides and edges of a polytope whose corners index points of the body frame.
-void add_polygons(ShapeFeatures& o, const Points& points, const std::vector<Polygon>& polygons) {
-  std::vector<int> number(points.size(), -1);
-  for (const Polygon& p : polygons)
-    for (int i : p.corners) number[i] = 0;
+void add_polygons(ShapeFeatures& o, const Points& points, const Polygons& polygons) {
+  std::vector<int> number(points.size(), -1), faces_at(points.size(), 0);
+  for (int i : polygons.corners()) ++faces_at[i];
   for (std::size_t i = 0; i < points.size(); ++i) {
-    if (number[i] < 0) continue;
+    if (faces_at[i] == 0) continue;
     number[i] = static_cast<int>(o.vertices.size());
     o.vertices.push_back(points[i]);
   }
   o.vertex_edges.resize(o.vertices.size());
   o.vertex_faces.resize(o.vertices.size());
-  for (const Polygon& p : polygons) {
-    const int f = static_cast<int>(o.faces.size()), n = static_cast<int>(p.corners.size());
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (faces_at[i] == 0) continue;
+    o.vertex_edges[number[i]].reserve(faces_at[i]);  // In a closed surface as many edges as faces meet at a vertex.
+    o.vertex_faces[number[i]].reserve(faces_at[i]);
+  }
+  const std::size_t sides = polygons.corners().size();
+  o.faces.reserve(polygons.faces().size());
+  o.edges.reserve(sides / 2);
+  for (std::vector<int>* numbers : {&o.ring, &o.ring_face, &o.ring_edge}) numbers->reserve(sides);
+  o.side.reserve(sides);
+  o.side_offset.reserve(sides);
+  for (const Polygons::Face& p : polygons.faces()) {
+    const int f = static_cast<int>(o.faces.size()), n = p.count;
     o.faces.push_back({p.normal, p.offset, static_cast<int>(o.ring.size()), n, Vec3::Zero(), 0.0, 0});
     for (int k = 0; k < n; ++k) {
-      const int i = number[p.corners[k]], j = number[p.corners[(k + 1) % n]];
+      const int i = number[polygons.corner(p, k)], j = number[polygons.corner(p, (k + 1) % n)];
       const Vec3 along = o.vertices[j] - o.vertices[i];
       o.ring.push_back(i);
       o.ring_face.push_back(f);
@@ -223,77 +102,32 @@ void add_box(ShapeFeatures& o, const Geometry& g, const Vec3& half) {
   Points points;
   for (int i = 0; i < 8; ++i)
     points.push_back(to_body(g, {i & 1 ? half[0] : -half[0], i & 2 ? half[1] : -half[1], i & 4 ? half[2] : -half[2]}));
-  std::vector<Polygon> faces;
+  Polygons faces;
   for (int axis = 0; axis < 3; ++axis)
     for (int sign : {-1, 1}) {
       const int u = 1 << (axis + 1) % 3, v = 1 << (axis + 2) % 3, base = sign > 0 ? 1 << axis : 0;
       const Vec3 normal = sign * g.R_BG.col(axis);
-      std::vector<int> corners{base, base | u, base | u | v, base | v};
-      if (sign < 0) std::reverse(corners.begin(), corners.end());
-      faces.push_back({normal, half[axis] + normal.dot(g.p_BG), std::move(corners)});
+      const double offset = half[axis] + normal.dot(g.p_BG);
+      if (sign > 0)
+        faces.push(normal, offset, {base, base | u, base | u | v, base | v});
+      else
+        faces.push(normal, offset, {base | v, base | u | v, base | u, base});
     }
   add_polygons(o, points, faces);
-}
-
-// Per point the first one that is within `near` of it; the first of that one if it has one.
-std::vector<int> first_at_same_place(const Points& points, double near) {
-  const int n = static_cast<int>(points.size());
-  std::vector<int> same(n), order(n), place(n);
-  std::iota(order.begin(), order.end(), 0);
-  std::sort(order.begin(), order.end(),
-            [&](int i, int j) { return points[i][0] != points[j][0] ? points[i][0] < points[j][0] : i < j; });
-  for (int k = 0; k < n; ++k) place[order[k]] = k;
-  for (int i = 0; i < n; ++i) {
-    int first = i;
-    auto compare = [&](int k) {  // false: this point and those beyond it are too far along x
-      const int j = order[k];
-      if (std::abs(points[j][0] - points[i][0]) > near) return false;
-      if (j < first && (points[i] - points[j]).squaredNorm() <= near * near) first = j;
-      return true;
-    };
-    for (int k = place[i] - 1; k >= 0 && compare(k);) --k;
-    for (int k = place[i] + 1; k < n && compare(k);) ++k;
-    same[i] = first == i ? i : same[first];
-  }
-  return same;
-}
-
-// Each triangle as a face.
-std::vector<Polygon> single_triangles(const Points& points, const std::vector<coal::Triangle>& triangles, double size,
-                                      const std::vector<int>& same) {
-  Vec3 center = Vec3::Zero();
-  for (const Vec3& p : points) center += p / static_cast<double>(points.size());
-  std::vector<Polygon> faces;
-  for (const coal::Triangle& t : triangles) {
-    const int a = same[t[0]], b = same[t[1]], c = same[t[2]];
-    const Vec3 normal = (points[b] - points[a]).cross(points[c] - points[a]);
-    if (!(normal.norm() > kSame * kSame * size * size)) continue;
-    if (normal.dot(points[a] - center) >= 0.0) {
-      faces.push_back({normal.normalized(), normal.normalized().dot(points[a]), {a, b, c}});
-    } else {
-      faces.push_back({-normal.normalized(), -normal.normalized().dot(points[a]), {a, c, b}});
-    }
-  }
-  return faces;
 }
 
 void add_hull(ShapeFeatures& o, const Geometry& g, const coal::ConvexBase& shape, bool meets_ellipsoid) {
   const auto* hull = dynamic_cast<const coal::Convex<coal::Triangle>*>(&shape);
   if (hull == nullptr || !hull->polygons) throw Error("a convex shape has no triangles");
   Points points;
+  points.reserve(hull->num_points);
   for (unsigned i = 0; i < hull->num_points; ++i) points.push_back(to_body(g, (*hull->points)[i]));
-  Vec3 low = points[0], high = points[0];
-  for (const Vec3& p : points) {
-    low = low.cwiseMin(p);
-    high = high.cwiseMax(p);
-  }
-  const double size = (high - low).norm();
-  const std::vector<int> same = first_at_same_place(points, kSame * size);
-  add_polygons(o, points, merge_triangles(points, *hull->polygons, size, same, o.roughness));
+  const HullFaces faces(points, *hull->polygons);
+  add_polygons(o, points, faces.merged(o.roughness));
   if (!meets_ellipsoid) return;
   auto triangles = std::make_shared<ShapeFeatures>();
   triangles->radius = o.radius;
-  add_polygons(*triangles, points, single_triangles(points, *hull->polygons, size, same));
+  add_polygons(*triangles, points, faces.single());
   o.triangles = std::move(triangles);
 }
 

@@ -104,25 +104,23 @@ void set_rounded(Geometry& g, const std::shared_ptr<coal::CollisionGeometry>& co
 }  // namespace
 
 void round_shapes(const std::vector<Geometry*>& geometries, RoundedHulls* known) {
-  std::vector<Geometry*> left;
-  for (Geometry* g : geometries) {
-    const auto* hull = known ? dynamic_cast<const Hull*>(g->sharp.get()) : nullptr;
-    const auto found = hull ? known->find(polytope_of(*hull), kRoundingRadius) : std::nullopt;
-    if (found)
-      set_rounded(*g, hull_of(found->hull), found->radius);
-    else
-      left.push_back(g);
-  }
-  in_parallel(static_cast<int>(left.size()), [&](int k) {
-    double radius = kRoundingRadius;
-    const auto core = shrunk_shape(*left[k]->sharp, radius);
-    set_rounded(*left[k], core, radius);
+  std::vector<std::optional<ShrunkHull>> found(geometries.size());
+  for (std::size_t k = 0; k < geometries.size(); ++k)
+    if (const auto* hull = known ? dynamic_cast<const Hull*>(geometries[k]->sharp.get()) : nullptr)
+      found[k] = known->find(polytope_of(*hull), kRoundingRadius);
+  in_parallel(static_cast<int>(geometries.size()), [&](int k) {
+    double radius = found[k] ? found[k]->radius : kRoundingRadius;
+    const auto core = found[k] ? hull_of(found[k]->hull) : shrunk_shape(*geometries[k]->sharp, radius);
+    set_rounded(*geometries[k], core, radius);
   });
   if (!known) return;
-  for (const Geometry* g : left)
+  for (std::size_t k = 0; k < geometries.size(); ++k) {
+    const Geometry* g = geometries[k];
+    if (found[k]) continue;
     if (const auto* hull = dynamic_cast<const Hull*>(g->sharp.get()))
       if (const auto* core = dynamic_cast<const Hull*>(g->rounded.get()))
         known->keep(polytope_of(*hull), kRoundingRadius, {polytope_of(*core), g->rounding});
+  }
 }
 
 std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeometry& shape, double& radius) {
