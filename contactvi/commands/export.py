@@ -25,14 +25,12 @@ def export(
     ] = None,
     sample_dt: Annotated[
         float | None,
-        typer.Option(
-            metavar="SECONDS", help="Length of the windows of the table forces, by default the times between nodes."
-        ),
+        typer.Option(metavar="SECONDS", help="Write the table forces, too: means over windows of this length."),
     ] = None,
 ) -> None:
     """Write tables of a run as CSV, and their units as units.csv.
 
-    Tables are states, poses, energies, events, contacts, forces, changes and dense_steps.
+    Tables are states, poses, energies, events, contacts, changes and dense_steps, with --sample-dt or --table forces.
     """
     import contactvi as cvi
 

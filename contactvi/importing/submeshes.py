@@ -102,7 +102,8 @@ def _of_collada(path: Path) -> Iterator[bytes]:
     """Yield a COLLADA file for each primitive of each instance of a geometry, in the order of the file."""
     root = ElementTree.parse(path).getroot()
     space = root.tag.partition("}")[0] + "}" if root.tag.startswith("{") else ""
-    ElementTree.register_namespace("", space.strip("{}"))
+    if space:
+        ElementTree.register_namespace("", space.strip("{}"))
     instances = list(root.iter(f"{space}instance_geometry"))
     for k, instance in enumerate(instances):
         wanted = (instance.get("url") or "").removeprefix("#")

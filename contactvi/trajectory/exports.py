@@ -101,8 +101,9 @@ class Exports:
 
         Args:
             folder: is made where there is none.
-            names: of the tables (contactvi.trajectory.tables), by default all that have rows.
-            sample_dt: length of the windows of the table "forces" [s], by default the times between the nodes.
+            names: of the tables (contactvi.trajectory.tables), by default all that have rows, "forces" with sample_dt
+                alone: it has columns for every pair.
+            sample_dt: length of the windows of "forces" [s], by default the times between the nodes.
 
         Raises:
             InputError: unknown table, or a folder or file that cannot be written.
@@ -113,12 +114,13 @@ class Exports:
 def write_csv(
     traj: Run, folder: str | os.PathLike[str], names: Sequence[str] | None = None, sample_dt: float | None = None
 ) -> list[Path]:
-    """Write tables of a run as NAME.csv, by default those with rows, and their units as units.csv; return the paths.
+    """Write tables of a run as NAME.csv, and their units as units.csv; return the paths. See Trajectory.to_csv.
 
     Raises:
         InputError: unknown table, or a folder that cannot be made.
     """
-    chosen = TABLES if names is None else listed("names", names, "names of tables")
+    usual = [name for name in TABLES if name != "forces" or sample_dt is not None]
+    chosen = usual if names is None else listed("names", names, "names of tables")
     wanted = [table(traj, name, sample_dt if name == "forces" else None) for name in chosen]
     wanted = [found for found in wanted if len(found) or names is not None]
     folder = made_folder(folder)

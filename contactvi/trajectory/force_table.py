@@ -33,25 +33,26 @@ def force_table(run: Run, edges: Array | None = None) -> Table:
         edges: of the windows, increasing [s], (n + 1,); None: the nodes of the run.
     """
     log, edges = run.contacts, run.t if edges is None else edges
-    pairs = log.pairs if len(edges) > 1 else []
-    if not pairs:
+    if not len(log) or len(edges) < 2:
         return Table("forces", {"t": np.zeros(0), "h": np.zeros(0)}, {"t": "s", "h": "s"})
     columns: dict[str, Column] = {"t": edges[:-1], "h": np.diff(edges)}
     units = {"t": "s", "h": "s"}
-    for pair in pairs:
-        rows = log.of(*pair)
-        name, limit = " | ".join(pair), bool(rows.array("kind")[0] == GuardKind.LIMIT)
-        force = _impulses(rows, edges) / np.diff(edges)[:, None]
+    guards = np.stack([log.array("kind"), log.array("index")], axis=1)
+    found, of_row = np.unique(guards, axis=0, return_inverse=True)
+    order = np.argsort(of_row.reshape(-1), kind="stable")
+    ends = np.cumsum(np.bincount(of_row.reshape(-1)))
+    for (kind, index), rows in zip(found.tolist(), np.split(order, ends[:-1]), strict=True):
+        name, limit = " | ".join(log.label(kind, index)), kind == GuardKind.LIMIT
+        force = _impulses(log.t[rows], log.h[rows], log.impulse[rows], edges) / np.diff(edges)[:, None]
         axes = ("",) if limit else (".x", ".y", ".z")
         columns |= {name + axis: force[:, k] for k, axis in enumerate(axes)}
         units |= {name + axis: "N, N m" if limit else "N" for axis in axes}
     return Table("forces", columns, units)
 
 
-def _impulses(rows: ContactLog, edges: Array) -> Array:
-    """Return the impulses of rows in the windows between `edges` (n + 1,), shape (n, 3) [N s]."""
-    t, end, h, impulse = rows.t, rows.end, rows.h, rows.impulse
-    last = len(edges) - 2
+def _impulses(t: Array, h: Array, impulse: Array, edges: Array) -> Array:
+    """Return the impulses (n, 3) [N s] in the windows between `edges` (n + 1,), of rows (m,)."""
+    end, last = t + h, len(edges) - 2
     first = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, last)
     final = np.where(h > 0.0, np.clip(np.searchsorted(edges, end, side="left") - 1, first, last), first)
     found = np.zeros((last + 1, 3))

@@ -15,7 +15,7 @@ def test_tables_of_a_stored_run(command, tmp_path):
     result = command("export", "out/trajectory.npz", "-o", "tables")
     assert result.exit_code == 0
     names = sorted(path.name for path in Path("tables").iterdir())
-    assert names == ["contacts.csv", "energies.csv", "events.csv", "forces.csv", "poses.csv", "states.csv", "units.csv"]
+    assert names == ["contacts.csv", "energies.csv", "events.csv", "poses.csv", "states.csv", "units.csv"]
     assert all(f"tables/{name}" in result.stdout for name in names)
     traj = cvi.Trajectory.load("out/trajectory.npz")
     with open("tables/states.csv") as file:
@@ -38,6 +38,8 @@ def test_forces_of_windows(command, tmp_path):
     written = np.loadtxt("out/trajectory/forces.csv", delimiter=",", skiprows=1)
     assert np.array_equal(written[:, 0], 0.1 * np.arange(len(written)))
     assert np.array_equal(written[:, 4], traj.table("forces", 0.1).column("ball | ground.z"))
+    assert command("export", "out/trajectory.npz", "-o", "all", "--sample-dt", "0.1").exit_code == 0
+    assert {"forces.csv", "states.csv"} <= {path.name for path in Path("all").iterdir()}
     assert command("export", "out/trajectory.npz", "--sample-dt", "-1").exit_code == 2
 
 
