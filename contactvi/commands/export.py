@@ -24,7 +24,10 @@ def export(
         typer.Option("--table", metavar="NAME", help="Only this table; repeatable. By default all that have rows."),
     ] = None,
 ) -> None:
-    """Write the tables of a run as CSV: states, poses, energies, events, contacts, changes; units.csv has units."""
+    """Write the tables of a run as CSV; units.csv has units.
+
+    They are states, poses, energies, events, contacts, changes and dense steps (dense_steps).
+    """
     import contactvi as cvi
 
     traj = cvi.Trajectory.load(file)
