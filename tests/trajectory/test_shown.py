@@ -129,3 +129,16 @@ def test_the_two_kinds_of_impulse_have_two_names():
     assert "impulse, friction included [N s]" in contacts.text
     assert "impact" in contacts.text
     assert "nan" not in contacts.text
+
+
+def test_simulators_and_ledgers_are_a_line():
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1)
+    sim = cvi.Simulator(scene, dt=1e-3)
+    assert repr(sim) == "<Simulator: nq = 7, nv = 6, no state yet>"
+    sim.reset(t=2.0)
+    assert repr(sim) == "<Simulator: nq = 7, nv = 6, t = 2 s, SUCCESS>"
+    sim.run(10)
+    sim.step()
+    assert repr(sim) == "<Simulator: nq = 7, nv = 6, t = 2.011 s, SUCCESS>"
+    assert repr(sim.trajectory().ledger) == "<Ledger: 12 nodes, 0 impacts>"
