@@ -102,8 +102,8 @@ class ContactJacobian:
         """Return (dJ_C/dt) v, shape (3 n,) [m/s^2], rows as of `matrix`, with the velocity v (nv,).
 
         J_C a + (dJ_C/dt) v is the acceleration of the second body's point relative to the first body's, both fixed on
-        their bodies, in frames C that stand still; a = dv/dt of Pinocchio's v, as in the equations of motion. What
-        sticks with a vertex or a flat face has none. Where a round shape rolls, the place of the contact moves over it,
+        their bodies, in frames C that stand still; a = dv/dt of Pinocchio's v, as in the equations of motion. It
+        is zero where a vertex or a flat face sticks. Where a round shape rolls, the place of the contact moves over it,
         and its material point does accelerate, away from the contact: a sphere of radius r on a plane by w^2 r.
         """
         return self._fixed.bias_acceleration(States(self._built.model).velocity(v, "v"))
