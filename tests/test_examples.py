@@ -104,6 +104,17 @@ def test_guide_code_of_the_live_view_runs(tmp_path, monkeypatch):
     assert time.monotonic() - began > 2.0
 
 
+def test_guide_code_of_the_spinning_ball_runs(tmp_path):
+    """Restitution changes the height alone, in the world's axes; forward and backward agree."""
+    more = "print(*dp[:, S.columns['restitution']].ravel())\n"
+    more += "print(abs(slope['v0'] - 2.0 * (traj.q[-1, :3] - target) @ dp[:, S.columns['v0']]).max())\n"
+    *_, world, difference = run_marked("spinning-ball", tmp_path, more)
+    x, y, z = map(float, world.split())
+    assert max(abs(x), abs(y)) < 1e-12
+    assert z > 1.0
+    assert float(difference) < 1e-12
+
+
 def test_guide_code_of_tables_runs(tmp_path):
     """The normal forces of the corners of the box that has come to rest are its weight."""
     more = 'print(contacts[contacts["t"] > 0.9].groupby("t")["normal_force"].sum())\n'

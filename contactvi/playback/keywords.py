@@ -9,16 +9,10 @@ from typing import Any
 from contactvi.errors import InputError, did_you_mean
 
 
-def check_keywords(
-    function: Callable[..., Any], given: Iterable[str], caller: str, left_out: Iterable[str] = ()
-) -> None:
-    """Raise InputError for a name that is no keyword of a function, with those that are.
-
-    Args:
-        caller: what the user has called. left_out: keywords that are not the user's.
-    """
+def check_keywords(function: Callable[..., Any], given: Iterable[str], caller: str) -> None:
+    """Raise InputError for a name that is no keyword of a function, with those that are; caller: what was called."""
     parameters = inspect.signature(function).parameters.values()
-    known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in left_out]
+    known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
     for name in given:
         if name not in known:
             raise InputError(

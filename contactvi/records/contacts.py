@@ -295,11 +295,12 @@ class ContactLog(StepRows, Items[Contact]):
         """Return what a notebook shows: the first rows and the last ones."""
         rows = [
             None if c is None else (
-                f"{c.t:.6g}", f"{c.h:.3g}", " | ".join(c.pair), str(c.point), c.mode, f"{c.normal_force:.6g}",
+                f"{c.t:.6g}", f"{c.h:.3g}", " | ".join(c.pair), str(c.point), c.mode,
+                f"{c.normal_force:.6g}" if c.h > 0.0 else "",
                 f"{np.linalg.norm(c.impulse):.6g}",
             ) for c in self._shown()
         ]  # fmt: skip
-        heads = ("t [s]", "h [s]", "pair", "point", "mode", "normal force [N]", "impulse [N s]")
+        heads = ("t [s]", "h [s]", "pair", "point", "mode", "normal force [N]", "impulse, friction included [N s]")
         return html_table(f"Contacts: {len(self)} rows of {len(self.pairs)} pairs", heads, rows)
 
     def _item(self, i: int) -> Contact:

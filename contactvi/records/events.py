@@ -193,7 +193,7 @@ class EventLog(Rows, Items[Event]):
                 f"{e.gamma_plus:.6g}", f"{e.loss:.6g}",
             ) for e in self._shown()
         ]  # fmt: skip
-        heads = ("t [s]", "pair", "points", "impulse [N s]", "speed before [m/s]", "after [m/s]", "loss [J]")
+        heads = ("t [s]", "pair", "points", "normal impulse [N s]", "speed before [m/s]", "after [m/s]", "loss [J]")
         return html_table(f"Impacts: {len(self)} ({self.method.upper()})", heads, rows)
 
     def _item(self, i: int) -> Event:

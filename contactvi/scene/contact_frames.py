@@ -8,6 +8,7 @@ of the x axis: on horizontal ground C has the axes of the world.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -75,23 +76,22 @@ class ContactJacobian:
     """
 
     def __init__(self, built: Built, q: Array, points: Sequence[TouchingPoint]) -> None:
-        self._built, self._points = built, points
-        normals = np.array([point.normal for point in points]).reshape(-1, 3)
+        self._points, self._names = list(points), built.names
+        self._shapes = list(built.carriers)  # in the order of the geometries
+        numbers = [built.pair_numbers[p.pair] for p in points]
+        self._friction = [float(built.friction[number]) for number in numbers]
         places = np.array([[p.point_a for p in points], [p.point_b for p in points]]).reshape(2, -1, 3)
         joints = np.array([[built.carriers[p.pair[side]] for p in points] for side in (0, 1)], dtype=np.int64)
-        self._fixed = PointPairs(built.model, q, joints, places, frames_along(normals))
+        self._fixed = PointPairs(built.model, q, joints, places, frames_along(_normals(points)))
         self.matrix = self._fixed.jacobian()
 
     @cached_property
     def contacts(self) -> tuple[ContactFrame, ...]:
         """The points with their frames."""
-        return tuple(self._frame(*each) for each in zip(self._points, self._fixed.axes, strict=True))
-
-    def _frame(self, point: TouchingPoint, R_WC: Array) -> ContactFrame:
-        numbers, pair = self._built.pair_numbers, point.pair
-        friction = float(self._built.friction[numbers[pair if pair in numbers else pair[::-1]]])
-        middle = 0.5 * (point.point_a + point.point_b)
-        return ContactFrame(pair, point.point, middle, R_WC, point.gap, friction)
+        return tuple(
+            ContactFrame(p.pair, p.point, 0.5 * (p.point_a + p.point_b), R_WC, p.gap, friction)
+            for p, R_WC, friction in zip(self._points, self._fixed.axes, self._friction, strict=True)
+        )
 
     @property
     def rows(self) -> list[ContactRow]:
@@ -102,11 +102,12 @@ class ContactJacobian:
         """Return (dJ_C/dt) v, shape (3 n,) [m/s^2], rows as of `matrix`, with the velocity v (nv,).
 
         J_C a + (dJ_C/dt) v is the acceleration of the second body's point relative to the first body's, both fixed on
-        their bodies, in frames C that stand still; a = dv/dt of Pinocchio's v, as in the equations of motion. What
-        sticks with a vertex or a flat face has none. Where a round shape rolls, the place of the contact moves over it,
-        and its material point does accelerate, away from the contact: a sphere of radius r on a plane by w^2 r.
+        their bodies, in frames C that stand still; a = dv/dt of Pinocchio's v, as in the equations of motion. This
+        acceleration is zero where a vertex or a flat face sticks. Where a round shape rolls, the place of the contact
+        moves over it, and its material point does accelerate, away from the contact: a sphere of radius r on a plane
+        by w^2 r.
         """
-        return self._fixed.bias_acceleration(States(self._built.model).velocity(v, "v"))
+        return self._fixed.bias_acceleration(States(self._fixed.model).velocity(v, "v"))
 
     def on(self, body: Selector | Sequence[Selector]) -> ContactJacobian:
         """Return the Jacobian of the points of a body, seen from it: in each pair it is the second.
@@ -121,17 +122,20 @@ class ContactJacobian:
         Raises:
             InputError: unknown name, or a body without a shape.
         """
-        names, geometries = self._built.names, self._built.collision.geometryObjects
         several = None if isinstance(body, (str, PartHandle)) else entries(body)
         bodies: tuple[Any, ...] = (body,) if several is None else several
-        selected = [k for one in bodies for k in names.select_geometries(one, "body")]
-        own = {str(geometries[k].name) for k in selected}
-        seen = [
-            p if p.pair[1] in own else TouchingPoint(p.pair[::-1], p.point, p.point_b, p.point_a, -p.normal, p.gap)
-            for p in self._points
-            if (p.pair[0] in own) != (p.pair[1] in own)
-        ]
-        return ContactJacobian(self._built, self._fixed.q, seen)
+        selected = [k for one in bodies for k in self._names.select_geometries(one, "body")]
+        own = {self._shapes[k] for k in selected}
+        chosen = [k for k, p in enumerate(self._points) if (p.pair[0] in own) != (p.pair[1] in own)]
+        turned = np.array([self._points[k].pair[0] in own for k in chosen], dtype=bool)
+        seen = copy(self)
+        seen._points = [self._points[k].seen_from_first() if turn else self._points[k]
+                        for k, turn in zip(chosen, turned.tolist(), strict=True)]  # fmt: skip
+        seen._friction = [self._friction[k] for k in chosen]
+        seen._fixed = self._fixed.chosen(chosen, turned, frames_along(_normals(seen._points)))
+        seen.matrix = seen._fixed.jacobian()
+        seen.__dict__.pop("contacts", None)
+        return seen
 
     def of(self, a: str, b: str, point: int | None = None) -> Array:
         """Return the rows of the points of a pair of shapes, named in whichever order, or of one of its points.
@@ -176,6 +180,14 @@ class TouchingPoint(NamedTuple):
     point_b: Array
     normal: Array
     gap: float
+
+    def seen_from_first(self) -> TouchingPoint:
+        """Return the point with the two shapes in the other order."""
+        return TouchingPoint(self.pair[::-1], self.point, self.point_b, self.point_a, -self.normal, self.gap)
+
+
+def _normals(points: Sequence[TouchingPoint]) -> Array:
+    return np.array([point.normal for point in points]).reshape(-1, 3)
 
 
 def frames_along(normals: Array) -> Array:

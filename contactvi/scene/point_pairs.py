@@ -53,6 +53,12 @@ class PointPairs:
         first, second = R_CB @ acceleration
         return np.asarray((second - first).reshape(-1))
 
+    def chosen(self, at: list[int], turned: NDArray[np.bool_], axes: Array) -> PointPairs:
+        """Return some pairs, those where `turned` (m,) with the two points in the other order, in axes (m, 3, 3)."""
+        joints, points = self.joints[:, at], self.points[:, at]
+        joints[:, turned], points[:, turned] = joints[::-1, turned], points[::-1, turned]
+        return PointPairs(self.model, self.q, joints, points, axes)
+
     def _carried(self, data: pin.Data) -> tuple[list[int], NDArray[np.int64], Array, Array]:
         """Return the joints that carry points, and of each point (2, n): the place of its joint among them, where it is
         in the body, (2, n, 3), and the axes R_CB, (2, n, 3, 3)."""

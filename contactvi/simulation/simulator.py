@@ -277,6 +277,11 @@ class Simulator(PresentDynamics):
             twin._run = Run.of(self.save())
         return twin
 
+    def __repr__(self) -> str:
+        run = self._run
+        state = "no state yet" if run is None else f"t = {run.status.time:.9g} s, {run.status.code.name}"
+        return f"<Simulator: nq = {self._scene.states.nq}, nv = {self._scene.states.nv}, {state}>"
+
     def __copy__(self) -> Simulator:
         return self.copy()
 

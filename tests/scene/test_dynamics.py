@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -369,3 +372,12 @@ def test_bad_states_are_refused():
         scene.bias_forces(q, [1.0])
     with pytest.raises(cvi.InputError, match="margin"):
         scene.contact_jacobian(q, margin=float("nan"))
+
+
+def test_contact_jacobians_can_be_pickled_and_copied():
+    scene, q = box_on_box(0.3)
+    J, v = scene.contact_jacobian(q), np.ones(scene.nv)
+    for twin in (pickle.loads(pickle.dumps(J)), copy.deepcopy(J)):
+        np.testing.assert_array_equal(twin.matrix, J.matrix)
+        np.testing.assert_array_equal(twin.bias_acceleration(v), J.bias_acceleration(v))
+        np.testing.assert_array_equal(twin.on("low").matrix, J.on("low").matrix)
