@@ -105,10 +105,11 @@ class ContactStep final : public Stepper {
   double force_scale() const { return force_scale_; }
   // Slips are numbered: those of the contacts, then those of the joints with friction. slip_ends: whether slip i came
   // to rest or reversed in the step. slip_left: the slip speed at the end of the step if the friction had gone on,
-  // negative if the slip has reversed.
+  // negative if the slip has reversed, -infinity where the step tells no more than that.
   int slips() const { return static_cast<int>(contacts_.size()) + friction_rows_; }
   bool slip_ends(int i) const;
   double slip_left(int i) const;
+  double slip_at_start(int i) const;
   // Whether a contact may have separated, because its force in this step falls towards zero.
   bool may_release() const;
 

@@ -87,9 +87,8 @@ bool ContactChangeFinder::find_stick(const VecX& tau, double& alpha) {
     double high_value = 0.0, root = high;
     if (!remaining_slip(tau, high, high_value)) return false;
     if (high_value >= 0.0) continue;
-    // The slip speed at the start of the step is not known here; any positive number brackets the root.
     if (!root_by_value(
-            -high_value, high, high_value, small, kAlpha, kMaxEvaluations,
+            step_->slip_at_start(i), high, high_value, small, kAlpha, kMaxEvaluations,
             [&](double x, double& f) { return remaining_slip(tau, x, f); }, root))
       return false;
     alpha = root;
