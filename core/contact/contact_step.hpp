@@ -61,6 +61,8 @@ class ContactStep final : public Stepper {
   void forget() override {}
   const char* why() const override { return why_; }
   const MatX& rates() override;
+  // The velocity at q where that is the end of the last step, known from there; else false.
+  bool known_velocity(const VecCRef& q, VecRef v) const;
   // The velocity at the start of the step is known.
   bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override;
 
@@ -181,8 +183,9 @@ class ContactStep final : public Stepper {
   Vec3 tangent_at(const PersistentContact& persistent, const Contact& contact, const Contact& before,
                   const Vec3& t1) const;
   Vec3 position_on_plane(const ContactPoint& point) const;
-  bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
-  void set_initial_impulses(double h);
+  bool solve_from(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double scale);
+  bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v, double scale);
+  void set_initial_impulses(double h, double scale);
   void set_row_velocities(double h);
   bool counts_by_rate(const PersistentContact& persistent, double h) const;
   bool counts_by_place(const FrictionJoint& joint, double h) const;
@@ -230,6 +233,7 @@ class ContactStep final : public Stepper {
   double h_last_ = 1;
   bool follows_ = false;  // the state is the end of the last step
   double h_ = 0, nominal_h_ = 0, force_scale_ = 0;
+  double solved_h_ = 0;  // length of the part of the step under way whose solution is at hand; 0: none
   const char* why_ = "";
 };
 
