@@ -23,7 +23,10 @@ class IslandGraph {
   // Joins trees that may meet in the next interval from q.
   void join_suspects(const VecX& q, double slack, DisjointSets& sets);
   // Sets how far a geometry has moved at most in the interval under way [m].
-  void set_motion(int geometry, double distance) { motion_[geometry] = distance; }
+  void set_motion(int geometry, double distance) {
+    motion_[geometry] = distance;
+    if (!(distance <= largest_)) largest_ = distance;
+  }
   // Joins trees of different sets that may have met in the interval under way from q.
   void join_met(const VecX& q, DisjointSets& sets);
   // The interval is over.
@@ -40,6 +43,7 @@ class IslandGraph {
   void renew(int g, double margin);
   int guard_of(int a, int b) const;
   double clearance(const Neighbour& n, int g);
+  void find_room(DisjointSets& sets);
   bool may_meet(int g, Neighbour& n, double reach);
 
   const StaticTrees* trees_;
@@ -56,6 +60,11 @@ class IslandGraph {
   std::vector<int> slot_;                 // of a geometry in movable_
   std::vector<std::vector<Neighbour>> neighbours_;
   bool placed_ = false;
+  // As long as each geometry has moved, and will in the next interval, by less than room_ since that was found, no ball
+  // has to be renewed and no neighbours may meet. moved_: the sum of the largest motions of the intervals since then;
+  // largest_, last_: those of the interval under way and of the one before; all in [m].
+  double room_ = 0.0, moved_ = 0.0, largest_ = 0.0, last_ = 0.0;
+  bool clear_ = false;  // the interval under way was found to be clear
 };
 
 }  // namespace contactvi
