@@ -340,13 +340,17 @@ bool ContactStep::solve_part(const StepPath& path, double alpha, const VecCRef& 
                              const VecX& tau) {
   const double h = alpha * path.h();
   if (solved_h_ > 0.0 && h == solved_h_) return true;
-  const double scale = solved_h_ > 0.0 ? h / solved_h_ : 0.0;
-  if (scale > 0.0) {
-    // From the part that was solved last: to leading order its impulses and the change of v grow with its length.
-    guess_ = v_start_ + scale * (v_ - v_start_);
-  } else {
-    path.velocity(0.5 * alpha, guess_);
-  }
+  path.velocity(0.5 * alpha, guess_);
+  return solve_from(q0, p0, h, tau, 0.0);
+}
+
+bool ContactStep::solve_next_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0,
+                                  const VecX& tau) {
+  const double h = alpha * path.h();
+  if (solved_h_ <= 0.0 || h == solved_h_) return solve_part(path, alpha, q0, p0, tau);
+  // To leading order the impulses and the change of v grow with the length of the part.
+  const double scale = h / solved_h_;
+  guess_ = v_start_ + scale * (v_ - v_start_);
   return solve_from(q0, p0, h, tau, scale);
 }
 

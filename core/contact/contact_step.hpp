@@ -57,6 +57,8 @@ class ContactStep final : public Stepper {
   int stages() const override { return 1; }
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
   bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) override;
+  // As solve_part, from the solution of the part that was solved last: one of several that locate a change of contact.
+  bool solve_next_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau);
   void finish(VecRef q1, VecRef p1) override;
   void forget() override {}
   const char* why() const override { return why_; }
