@@ -25,7 +25,8 @@ class IslandGraph {
   // Sets how far a geometry has moved at most in the interval under way [m].
   void set_motion(int geometry, double distance) {
     motion_[geometry] = distance;
-    if (!(distance <= largest_)) largest_ = distance;
+    const double part = distance * inverse_[geometry];
+    if (!(part <= largest_)) largest_ = part;
   }
   // Joins trees of different sets that may have met in the interval under way from q.
   void join_met(const VecX& q, DisjointSets& sets);
@@ -60,10 +61,11 @@ class IslandGraph {
   std::vector<int> slot_;                 // of a geometry in movable_
   std::vector<std::vector<Neighbour>> neighbours_;
   bool placed_ = false;
-  // As long as each geometry has moved, and will in the next interval, by less than room_ since that was found, no ball
-  // has to be renewed and no neighbours may meet. moved_: the sum of the largest motions of the intervals since then;
-  // largest_, last_: those of the interval under way and of the one before; all in [m].
-  double room_ = 0.0, moved_ = 0.0, largest_ = 0.0, last_ = 0.0;
+  // A reference interval moves each geometry by the reach that it had when room_ was found, inverse_ is one over that.
+  // An interval counts as the least multiple of it that no geometry exceeds: largest_ is the one under way, last_ the
+  // one before, used_ the sum since then. While that stays below room_, no ball has to be renewed and no neighbours meet.
+  std::vector<double> inverse_;  // [1/m]
+  double room_ = 0.0, used_ = 0.0, largest_ = 0.0, last_ = 0.0;
   bool clear_ = false;  // the interval under way was found to be clear
 };
 

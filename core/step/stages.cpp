@@ -245,9 +245,7 @@ void Stages::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& t
   start_from(p0);
 }
 
-void Stages::start_from(const VecCRef& p0) {
-  for (int d = 0; d < tree_->nv; ++d) p0_[d] = p0[d];
-}
+void Stages::start_from(const VecCRef& p0) { std::copy_n(p0.data(), tree_->nv, p0_); }
 
 void Stages::at(const VecCRef& q0) {
   set_base(q0);

@@ -56,8 +56,8 @@ StepEquations::StepEquations(const Tree& tree, int stages)
       velocities_(tree.nv, stages) {}
 
 void StepEquations::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double after) {
-  if (q0.data() != q0_.data()) q0_ = q0;
-  if (p0.data() != p0_.data()) p0_ = p0;
+  if (q0.data() != q0_.data()) std::copy_n(q0.data(), tree_->nq, q0_.data());
+  if (p0.data() != p0_.data()) std::copy_n(p0.data(), tree_->nv, p0_.data());
   h_ = h;
   stages_.set_time(time_ + after);
   stages_.begin(q0_, p0_, h, tau);
