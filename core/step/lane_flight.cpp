@@ -77,7 +77,7 @@ void LaneFlight::board(const std::vector<Integrator*>& runs) {
     lanes_->put(run.carry_p_.data(), carry_p_.data(), nv_, lane);
     run.start_.weigh(run.h_);
     for (int m = 0; m < kBefore; ++m) {
-      lanes_->put(run.start_.history_[m].data(), history_.data() + (kBefore - 1 - m) * size_, nv_, lane);
+      lanes_->put(run.start_.history(m).data(), history_.data() + (kBefore - 1 - m) * size_, nv_, lane);
       fill_lane(weight_.data() + m * size_, run.start_.weight_[m][0], size_, width_, lane);
     }
     fill_lane(weight_.data() + kBefore * size_, run.stages_.hb()[0], size_, width_, lane);

@@ -28,14 +28,9 @@ StartValues::StartValues(int nv, const Stages& stages)
 
 void StartValues::push(const Stages& stages, double h) {
   const int kept = static_cast<int>(history_.size());  // as many steps as the extrapolation uses
-  const std::size_t size = history_[0].size();
-  const double* newer = stages.v();
-  for (int k = kept - 1; k >= 0; --k) {
-    const double* __restrict from = k > 0 ? history_[k - 1].data() : newer;
-    double* __restrict to = history_[k].data();
-    for (std::size_t i = 0; i < size; ++i) to[i] = from[i];
-    if (k > 0) h_[k] = h_[k - 1];
-  }
+  newest_ = (newest_ + kept - 1) % kept;
+  for (int k = kept - 1; k > 0; --k) h_[k] = h_[k - 1];
+  std::copy(stages.v(), stages.v() + history(0).size(), history(0).data());
   h_[0] = h;
   count_ = std::min(count_ + 1, kept);
 }
@@ -71,8 +66,15 @@ void StartValues::extrapolate(double h, Stages& stages) {
   weigh(h);
   if (S_ == 1) {  // one number per dof: what combine does, without a call for each step
     double* __restrict v = stages.v();
+    if (nodes_used() == kEnough) {  // the same sums, in one pass
+      const double *a = history(0).data(), *b = history(1).data(), *c = history(2).data(), *d = history(3).data();
+      const double wa = weight_[0].data()[0], wb = weight_[1].data()[0], wc = weight_[2].data()[0],
+                   wd = weight_[3].data()[0];
+      for (int k = 0; k < nv_; ++k) v[k] = a[k] * wa + b[k] * wb + c[k] * wc + d[k] * wd;
+      return;
+    }
     for (int m = 0; m < nodes_used(); ++m) {
-      const double weight = weight_[m].data()[0], *__restrict before = history_[m].data();
+      const double weight = weight_[m].data()[0], *__restrict before = history(m).data();
       if (m == 0)
         for (int d = 0; d < nv_; ++d) v[d] = before[d] * weight;
       else
@@ -81,7 +83,7 @@ void StartValues::extrapolate(double h, Stages& stages) {
     return;
   }
   for (int m = 0; m < nodes_used(); ++m)
-    stages.kernel().combine(nv_, s_, S_, weight_[m].data(), history_[m].data(), stages.v(), m > 0);
+    stages.kernel().combine(nv_, s_, S_, weight_[m].data(), history(m).data(), stages.v(), m > 0);
 }
 
 void StartValues::extrapolate_smoothed(double h, Stages& stages) {
@@ -96,7 +98,7 @@ void StartValues::extrapolate_smoothed(double h, Stages& stages) {
       smoothed_[j * S_ + i] = weight;
     }
   }
-  stages.kernel().combine(nv_, s_, S_, smoothed_.data(), history_[0].data(), stages.v(), false);
+  stages.kernel().combine(nv_, s_, S_, smoothed_.data(), history(0).data(), stages.v(), false);
 }
 
 void StartValues::end(const GaussTable& table, VecRef v) const {
@@ -107,7 +109,7 @@ void StartValues::end(const GaussTable& table, VecRef v) const {
   }
   for (int d = 0; d < nv_; ++d) {
     v[d] = 0.0;
-    for (int j = 0; j < s_; ++j) v[d] += weights[j] * history_[0][d * S_ + j];
+    for (int j = 0; j < s_; ++j) v[d] += weights[j] * history(0)[d * S_ + j];
   }
 }
 
