@@ -562,6 +562,14 @@ class KeptContactSteps:
 class Snapshot:
     """All that the rest of a run depends on."""
 
+    def __init__(self, scene: Scene, bytes: bytes) -> None:
+        """
+        From what to_bytes() of one of this scene has returned, in this process or in another one.
+        """
+
+    def to_bytes(self) -> bytes:
+        """Return it as bytes, for this version of the engine."""
+
 class Simulator:
     def __init__(self, scene: Scene, options: SimulatorOptions) -> None: ...
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import http.server
 import sys
 import threading
@@ -13,7 +12,8 @@ from contactvi.inputs import flag
 from contactvi.playback.keywords import check_keywords
 from contactvi.playback.live import LiveView
 from contactvi.playback.live_frames import Stepped
-from contactvi.playback.page import Run, make_html, write_html
+from contactvi.playback.notebook import inline
+from contactvi.playback.page import Run, fill_page, page_data, write_html
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
@@ -60,7 +60,7 @@ def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any
         shown = LiveView(run, **options)
     else:
         check_keywords(write_html, options, "The view of a run")
-        shown = View(make_html(run, **options))
+        shown = View(page_data(run, **options))
     print(f"{'Live view' if isinstance(shown, LiveView) else 'Playback'} at {shown.url}")
     if opened:
         webbrowser.open(shown.url, new=2)
@@ -80,9 +80,10 @@ def _is_stepped(run: Run | Stepped) -> TypeIs[Stepped]:
 class View:
     """A playback that is being served at `url`."""
 
-    def __init__(self, page: str) -> None:
-        self._page = page.encode("utf-8")
-        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _handler(self._page))
+    def __init__(self, data: dict[str, Any]) -> None:
+        self._data = data
+        page = fill_page(data).encode("utf-8")
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _handler(page))
         self._server.daemon_threads = True
         self.url = f"http://127.0.0.1:{self._server.server_address[1]}/"
         self._thread = threading.Thread(target=self._server.serve_forever, name="contactvi-view", daemon=True)
@@ -105,8 +106,7 @@ class View:
         return f"<View at {self.url}>"
 
     def _repr_html_(self) -> str:
-        page = html.escape(self._page.decode("utf-8"), quote=True)
-        return f'<iframe srcdoc="{page}" style="width: 100%; height: 480px; border: none"></iframe>'
+        return inline(self._data)
 
 
 def _handler(page: bytes) -> type[http.server.BaseHTTPRequestHandler]:

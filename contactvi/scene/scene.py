@@ -609,7 +609,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def to_dict(self) -> dict[str, Any]:
         """Return a complete description in plain data (contactvi.scene.data); from_dict makes a scene of it again."""
         data = scene_to_dict(self.built(), self._contact, self._elements, self.parts)
-        start = {name: None if q is None else q.tolist() for name, q in (("q0", self.q0), ("v0", self.v0))}
+        start = {name: None if x is None else np.asarray(x).tolist() for name, x in (("q0", self.q0), ("v0", self.v0))}
         return data | start | {"settings": dict(self.settings), "camera": self.camera}
 
     @classmethod

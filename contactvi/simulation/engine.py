@@ -100,6 +100,11 @@ def _key(options: Options, slack: float, dt_contact: float | None) -> tuple[Any,
     return (slack, dt_contact, *_values(options))
 
 
+def restored(compiled: CompiledScene, state: bytes) -> _core.Snapshot:
+    """Return the engine's snapshot of what its to_bytes() has given; ContactviError for that of another scene."""
+    return _core.Snapshot(compiled.core, state)
+
+
 def start(
     engine: _core.Simulator,
     compiled: CompiledScene,

@@ -66,6 +66,10 @@ class CompiledScene:
         self.engines: dict[tuple[Any, ...], list[_core.Simulator]] = {}
         self.linearizers: dict[tuple[int, float], list[_core.Linearizer]] = {}
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickle keeps: the scene, of which all else is made again."""
+        return compile_scene, (self._scene,)
+
     def scene(self) -> Scene:
         """Return a new copy of the scene as it was, for the caller to keep and edit; what is built is shared."""
         return self._scene.copy()

@@ -298,7 +298,7 @@ def _contact_steps(inputs: RunInputs, compiled: CompiledScene) -> list[_core.Kep
     steps, blocks, dense = inputs.stored_steps, inputs.stored_blocks, inputs.stored_dense
     if steps is None or blocks is None or dense is None:
         return list(inputs.contact_steps)
-    return [_core.KeptContactSteps(compiled.core, steps, blocks, dense)]
+    return [_core.KeptContactSteps(compiled.core, steps, blocks, dense), *inputs.contact_steps]
 
 
 def not_differentiable(traj: Recorded, found: dict[str, Any]) -> NotDifferentiable:

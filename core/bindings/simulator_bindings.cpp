@@ -21,6 +21,7 @@
 #include "bindings/run_results.hpp"
 #include "bindings/user_calls.hpp"
 #include "model/coordinates.hpp"
+#include "run/saved_bytes.hpp"
 #include "run/stepped_world.hpp"
 #include "sensitivity/contact_step_numbers.hpp"
 #include "step/lost_velocity.hpp"
@@ -224,7 +225,21 @@ void expose_simulator(nb::module_& m) {
       .def(
           "dense_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.dense)); },
           "Return the dense steps as numbers, for files.");
-  nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.");
+  nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.")
+      .def(
+          "__init__",
+          [](Kept* kept, const Scene& scene, nb::bytes bytes) {
+            new (kept) Kept{saved_of(scene, {bytes.c_str(), bytes.size()}), &scene};
+          },
+          "scene"_a, "bytes"_a, nb::keep_alive<1, 2>(),
+          "From what to_bytes() of one of this scene has returned, in this process or in another one.")
+      .def(
+          "to_bytes",
+          [](const Kept& kept) {
+            const std::string bytes = bytes_of(*kept.scene, *kept.snapshot);
+            return nb::bytes(bytes.data(), bytes.size());
+          },
+          "Return it as bytes, for this version of the engine.");
   nb::class_<SteppedWorld> simulator(m, "Simulator", nb::type_slots(simulator_slots));
   expose_kept_runs(m, simulator);
   simulator.def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())

@@ -58,7 +58,7 @@ class Batch {
   void set_changes(SceneChanges changes) { changes_ = std::move(changes); }
   const SceneChanges& changes() const { return changes_; }
   // All runs go on from a state of their scene, which has no changes, instead of their starts.
-  void set_start(std::shared_ptr<const World::Saved> saved) { saved_ = std::move(saved); }
+  void set_start(std::shared_ptr<const SavedWorld> saved) { saved_ = std::move(saved); }
 
   void add(BatchStart start) { starts_.push_back(std::move(start)); }
   // Makes all runs. `poll` is called in this thread with the number of runs made, about twenty times a second; where it
@@ -94,7 +94,7 @@ class Batch {
   BatchKeep keep_;
   double most_lost_;
   SceneChanges changes_;
-  std::shared_ptr<const World::Saved> saved_;
+  std::shared_ptr<const SavedWorld> saved_;
   std::vector<BatchStart> starts_;
   std::vector<BatchOutcome> outcomes_;
   std::atomic<std::size_t> next_{0}, made_{0};

@@ -15,6 +15,8 @@
 
 namespace contactvi {
 
+struct SavedWorld;
+
 class World {
  public:
   World(const Scene& scene, const SimulatorOptions& options);
@@ -50,9 +52,8 @@ class World {
   // Islands now; 0 where all trees are advanced together.
   int islands() const { return divided_ ? static_cast<int>(islands_.size()) : 0; }
 
-  struct Saved;
-  std::shared_ptr<const Saved> save();
-  void restore(const Saved& saved);
+  std::shared_ptr<const SavedWorld> save();
+  void restore(const SavedWorld& saved);
 
  private:
   // The kinds of entries that islands record, merged by time.

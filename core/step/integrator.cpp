@@ -258,16 +258,17 @@ void Integrator::start_anew() {
 
 Integrator::Memory Integrator::memory() {
   solved_ = from_ahead_ = false;  // the stages are not remembered
-  const double* P = stages_.P();
-  return {start_, carry_q_, carry_p_, std::vector<double>(P, P + tree_->nv * stages_.padded()), newton_};
+  const Eigen::Map<const MatX> P(stages_.P(), stages_.padded(), tree_->nv);
+  return {start_.history(), carry_q_, carry_p_, P.topRows(stages_.count()), newton_};
 }
 
 void Integrator::recall(const Memory& memory) {
   ahead_.drop();
-  start_ = memory.start;
+  start_.recall(memory.start);
   carry_q_ = memory.carry_q;
   carry_p_ = memory.carry_p;
-  std::copy(memory.momenta.begin(), memory.momenta.end(), stages_.P());
+  Eigen::Map<MatX> P(stages_.P(), stages_.padded(), tree_->nv);
+  for (int i = 0; i < stages_.padded(); ++i) P.row(i) = memory.momenta.row(std::min(i, stages_.count() - 1));
   newton_ = memory.newton;
   solved_ = false;
 }

@@ -58,10 +58,10 @@ class Integrator final : public Stepper, public StepEquations {
   void start_anew();
   // What the next step starts from besides the state: with it a run goes on later with the same digits.
   struct Memory {
-    StartValues start;
+    StartValues::History start;
     VecX carry_q, carry_p;
-    std::vector<double> momenta;  // at the stages: the first iteration measures with them
-    bool newton;
+    MatX momenta;  // at the stages, (stages, nv): the first iteration measures with them
+    bool newton = false;
   };
   Memory memory();
   void recall(const Memory& memory);

@@ -39,6 +39,28 @@ bool StartValues::is_even(double h) const {
   return s_ == 1 && count_ == kSteps && std::all_of(h_, h_ + kSteps, [h](double length) { return length == h; });
 }
 
+StartValues::History StartValues::history() const {
+  History kept;
+  kept.lengths.assign(h_, h_ + count_);
+  kept.velocities.reserve(static_cast<std::size_t>(count_) * nv_ * s_);
+  for (int k = 0; k < count_; ++k)
+    for (int d = 0; d < nv_; ++d) {
+      const double* stages = history(k).data() + static_cast<std::size_t>(d) * S_;
+      kept.velocities.insert(kept.velocities.end(), stages, stages + s_);
+    }
+  return kept;
+}
+
+void StartValues::recall(const History& kept) {
+  newest_ = 0;
+  count_ = static_cast<int>(kept.lengths.size());
+  std::copy(kept.lengths.begin(), kept.lengths.end(), h_);
+  const double* at = kept.velocities.data();
+  for (int k = 0; k < count_; ++k)
+    for (int d = 0; d < nv_; ++d, at += s_)
+      for (int i = 0; i < S_; ++i) history(k)[static_cast<std::size_t>(d) * S_ + i] = at[std::min(i, s_ - 1)];
+}
+
 int StartValues::nodes_used() const { return count_; }
 
 void StartValues::weigh(double h) {

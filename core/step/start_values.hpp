@@ -15,6 +15,13 @@ class StartValues {
   void push(const Stages& stages, double h);
   void forget() { count_ = 0; }
   int count() const { return count_; }
+  // All that start values depend on: the steps that were remembered, newest first.
+  struct History {
+    std::vector<double> velocities;  // [step][dof][stage], without padding: alike on all instruction sets
+    std::vector<double> lengths;     // [s]
+  };
+  History history() const;
+  void recall(const History& history);
 
   // Continues the last steps' polynomial over the next step of length h; smoothed: that of the last step without its
   // two highest modes.
