@@ -44,6 +44,7 @@ void Integrator::judge_iteration() {
 }
 
 bool Integrator::turns_too_far() {
+  if (model_.lanes.balls == 0) return false;
   for (const Joint& joint : tree_->joints) {
     if (joint.type != JointType::kSpherical) continue;
     double turn2 = 0.0;
@@ -148,8 +149,8 @@ bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q
 
 void Integrator::accept() {
   ++counters.steps;
-  carry_q_ = next_carry_q_;
-  carry_p_ = next_carry_p_;
+  carry_q_.swap(next_carry_q_);
+  carry_p_.swap(next_carry_p_);
   start_.push(stages_, h_);
 }
 

@@ -27,10 +27,10 @@ StartValues::StartValues(int nv, const Stages& stages)
 }
 
 void StartValues::push(const Stages& stages, double h) {
-  std::rotate(history_.begin(), history_.end() - 1, history_.end());
   const int kept = static_cast<int>(history_.size());  // as many steps as the extrapolation uses
+  newest_ = (newest_ + kept - 1) % kept;
   for (int k = kept - 1; k > 0; --k) h_[k] = h_[k - 1];
-  std::copy(stages.v(), stages.v() + history_[0].size(), history_[0].data());
+  std::copy(stages.v(), stages.v() + history(0).size(), history(0).data());
   h_[0] = h;
   count_ = std::min(count_ + 1, kept);
 }
@@ -62,8 +62,15 @@ void StartValues::extrapolate(double h, Stages& stages) {
   weigh(h);
   if (S_ == 1) {  // one number per dof: what combine does, without a call for each step
     double* __restrict v = stages.v();
+    if (nodes_used() == kEnough) {  // the same sums, in one pass
+      const double *a = history(0).data(), *b = history(1).data(), *c = history(2).data(), *d = history(3).data();
+      const double wa = weight_[0].data()[0], wb = weight_[1].data()[0], wc = weight_[2].data()[0],
+                   wd = weight_[3].data()[0];
+      for (int k = 0; k < nv_; ++k) v[k] = a[k] * wa + b[k] * wb + c[k] * wc + d[k] * wd;
+      return;
+    }
     for (int m = 0; m < nodes_used(); ++m) {
-      const double weight = weight_[m].data()[0], *__restrict before = history_[m].data();
+      const double weight = weight_[m].data()[0], *__restrict before = history(m).data();
       if (m == 0)
         for (int d = 0; d < nv_; ++d) v[d] = before[d] * weight;
       else
@@ -72,7 +79,7 @@ void StartValues::extrapolate(double h, Stages& stages) {
     return;
   }
   for (int m = 0; m < nodes_used(); ++m)
-    stages.kernel().combine(nv_, s_, S_, weight_[m].data(), history_[m].data(), stages.v(), m > 0);
+    stages.kernel().combine(nv_, s_, S_, weight_[m].data(), history(m).data(), stages.v(), m > 0);
 }
 
 void StartValues::extrapolate_smoothed(double h, Stages& stages) {
@@ -87,7 +94,7 @@ void StartValues::extrapolate_smoothed(double h, Stages& stages) {
       smoothed_[j * S_ + i] = weight;
     }
   }
-  stages.kernel().combine(nv_, s_, S_, smoothed_.data(), history_[0].data(), stages.v(), false);
+  stages.kernel().combine(nv_, s_, S_, smoothed_.data(), history(0).data(), stages.v(), false);
 }
 
 void StartValues::add_piece(const Stages& stages, double start, double length) {

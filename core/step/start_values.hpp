@@ -34,10 +34,12 @@ class StartValues {
     double start, length;
   };
   int nodes_used() const;
+  AlignedArray& history(int m) { return history_[(newest_ + m) % static_cast<int>(history_.size())]; }
   void weigh(double h);
 
   int nv_, s_, S_;
-  std::vector<AlignedArray> history_;  // newest first
+  std::vector<AlignedArray> history_;  // a ring; history(m): of the step so many before the newest
+  int newest_ = 0;
   double h_[kSteps] = {};
   int count_ = 0;
   std::vector<Piece> ramp_;  // empty until first used
