@@ -276,8 +276,8 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     const double theta = k > 0 ? std::max(kBest, change / last) : 1.0;
     last = change;
     const bool accepted = residual_ <= kAccept;
-    // Parts that start from another one end with errors of their own, and a root is bracketed by all of them: they are
-    // made one order smaller, or more, than the limit.
+    // Parts that start from another one have errors of their own, and a root is bracketed by several of them: they end
+    // only where the change itself is below the limit.
     const bool next_is_small = scale == 0.0 && theta < 0.5 && change * theta / (1.0 - theta) <= floor;
     if (accepted && (change <= floor || next_is_small)) return true;
     idle = change < 0.7 * best ? 0 : idle + 1;

@@ -61,9 +61,10 @@ class IslandGraph {
   std::vector<int> slot_;                 // of a geometry in movable_
   std::vector<std::vector<Neighbour>> neighbours_;
   bool placed_ = false;
-  // A reference interval moves each geometry by the reach that it had when room_ was found, inverse_ is one over that.
+  // A reference interval moves each geometry by the reach that it had when room_ was found; inverse_ is one over that.
   // An interval counts as the least multiple of it that no geometry exceeds: largest_ is the one under way, last_ the
-  // one before, used_ the sum since then. While that stays below room_, no ball has to be renewed and no neighbours meet.
+  // one before, used_ the sum since room_ was found. While that stays below room_, no ball has to be renewed and no
+  // neighbours meet.
   std::vector<double> inverse_;  // [1/m]
   double room_ = 0.0, used_ = 0.0, largest_ = 0.0, last_ = 0.0;
   bool clear_ = false;  // the interval under way was found to be clear
