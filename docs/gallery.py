@@ -72,7 +72,7 @@ class Shown(SphinxDirective):
 
     required_arguments = 1
     has_content = True
-    option_spec = {  # noqa: RUF012 (of docutils)
+    option_spec = {
         "at": float,
         "camera": json.loads,
         "run": directives.unchanged,

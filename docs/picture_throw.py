@@ -1,6 +1,6 @@
 """Make docs/hand_throw.png, seven pictures of examples/hand_throw.py. Needs what docs/picture.py needs, and CasADi.
 
-    python docs/picture_throw.py
+python docs/picture_throw.py
 """
 
 from __future__ import annotations
