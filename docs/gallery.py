@@ -5,10 +5,10 @@
     What the caption says.
     ```
 
-The directive runs a scene file, or an example, whose run is the variable `run` (by default `traj`) when it has ended; it
-draws the run at a time [s], with a camera as of `Trajectory.render` in JSON, and writes the page that plays it, to which
-the picture is a link. Without a browser the picture is the plot of the energies; the picture of an example that takes too
-long here, or needs more than the pages do, is a stored file (`stored`, a path in docs/). The caption says so.
+The directive runs a scene file, or an example, whose run is the variable `run` (by default `traj`) when it has ended;
+it draws the run at a time [s], with a camera as of `Trajectory.render` in JSON, and writes the page that plays it, to
+which the picture is a link. Without a browser the picture is the plot of the energies; the picture of an example that
+takes too long here, or needs more than the pages do, is a stored file (`stored`, a path in docs/). The caption says so.
 """
 
 from __future__ import annotations
