@@ -42,23 +42,17 @@ double root_by_rate(double low, double high, double x, double target, int max_ev
 
 // Root in (0, high] of a function that falls from low_value >= 0 at 0 to high_value < 0 at high: the Illinois method
 // (Dowell, Jarratt, "A modified regula falsi method for computing the root of an equation", BIT 11, 1971), with a
-// bisection every eighth time. A value of -infinity says only that the root is before it: as long as there is no other
-// one beyond the root, the values before it are extrapolated. Ends where 0 <= value <= small, or where the bracket is
-// narrower than width; the function has then been evaluated last at the root. value(x, fx) sets fx, and is false where
-// the function has no value: the search then ends with false.
+// bisection every eighth time. Ends where 0 <= value <= small, or where the bracket is narrower than width; the
+// function has then been evaluated last at the root. value(x, fx) sets fx, and is false where the function has no
+// value: the search then ends with false.
 template <class Value>
 bool root_by_value(double low_value, double high, double high_value, double small, double width, int max_evaluations,
                    Value value, double& root) {
   double a = 0.0, b = high, fa = low_value, fb = high_value;
-  double before = 0.0, f_before = 0.0;  // the value at the place in front of a
   root = high;
   int side = 0;
   for (int k = 0; k < max_evaluations && b - a > width; ++k) {
-    double x = 0.5 * (a + b);
-    if (fa > fb && k % 8 != 7) {
-      if (std::isfinite(fb)) x = b - fb * (b - a) / (fb - fa);
-      if (!std::isfinite(fb) && f_before > fa) x = a + fa * (a - before) / (f_before - fa);
-    }
+    double x = fa > fb && k % 8 != 7 ? b - fb * (b - a) / (fb - fa) : 0.5 * (a + b);
     if (!(x > a && x < b)) x = 0.5 * (a + b);
     double fx = 0.0;
     if (!value(x, fx)) return false;
@@ -67,10 +61,8 @@ bool root_by_value(double low_value, double high, double high_value, double smal
       b = x;
       fb = fx;
       if (side < 0) fa *= 0.5;
-      side = std::isfinite(fx) ? -1 : 0;
+      side = -1;
     } else {
-      before = a;
-      f_before = fa;
       a = x;
       fa = fx;
       if (fx <= small) return true;

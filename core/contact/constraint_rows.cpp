@@ -1,7 +1,6 @@
 // ContactStep: the rows of constraints and of joint friction.
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "contact/contact_step.hpp"
 #include "model/constraints.hpp"
@@ -89,18 +88,13 @@ bool ContactStep::slip_ends(int i) const {
 }
 
 double ContactStep::slip_left(int i) const {
-  constexpr double kTurned = -std::numeric_limits<double>::infinity();
+  constexpr double kTurned = -1e-3;
   const int n = static_cast<int>(contacts_.size());
   if (i >= n) {
     const FrictionJointOutcome& out = friction_outcomes_[i - n];
     return out.slipped && !out.turned ? out.reversed : kTurned;
   }
   return outcomes_[i].slipped && !outcomes_[i].turned ? outcomes_[i].reversed : kTurned;
-}
-
-double ContactStep::slip_at_start(int i) const {
-  const int n = static_cast<int>(contacts_.size());
-  return i < n ? contacts_[i].slip.norm() : std::abs(friction_joints_[i - n].speed);
 }
 
 // Whether the constraints are satisfied at the end of the step, with `rates` also their rates; else

@@ -107,7 +107,7 @@ bool ContactStep::persistent_forces_at(const VecCRef& q, const VecCRef& p, const
   w_end_.head(bilateral_) += node1_.rate;
   lambda_.setZero();
   lambda_end_.setZero();
-  h_ = solved_h_ = 0.0;
+  h_ = 0.0;
   for (ContactOutcome& out : outcomes_) out.slipped = false;
   set_outcomes();
   return accelerations(q1_, v1_, tau) && force_problem(value);

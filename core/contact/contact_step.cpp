@@ -211,27 +211,21 @@ bool ContactStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regu
   return residual_ <= problem.accept;
 }
 
-// Start values of the position impulses, the bounds of joint friction, and the coordinates from which the displacements
-// of these joints count. scale: length of the step by that of the part of it whose impulses are at hand; 0: none are,
-// and the forces of the last step serve.
-void ContactStep::set_initial_impulses(double h, double scale) {
-  if (scale > 0.0) {
-    lambda_ *= scale;
-  } else {
-    for (std::size_t i = 0; i < contacts_.size(); ++i)
-      lambda_.segment(row_[i], contacts_[i].rows()) = 0.5 * h * contacts_[i].force.head(contacts_[i].rows());
-    lambda_.head(bilateral_ + friction_rows_) = 0.5 * h * fixed_force_;
-  }
+// Start values of the position impulses from the forces of the last step, the bounds of joint friction, and the
+// coordinates from which the displacements of these joints count.
+void ContactStep::set_initial_impulses(double h) {
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    lambda_.segment(row_[i], contacts_[i].rows()) = 0.5 * h * contacts_[i].force.head(contacts_[i].rows());
+  lambda_.head(bilateral_ + friction_rows_) = 0.5 * h * fixed_force_;
   for (int k = 0; k < friction_rows_; ++k) cones_[k] = joint_friction_cone(k, 0.5 * h * friction_joints_[k].limit);
   for (FrictionJoint& joint : friction_joints_)
     joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? node0_.q[joint.iq] : 0.0;
 }
 
-bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v,
-                          double scale) {
+bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v) {
   start_node(q0);
   integrator_.begin(q0, h, tau, v);
-  set_initial_impulses(h, scale);
+  set_initial_impulses(h);
   double best = INFINITY;
   int idle = 0;
   double last = INFINITY;
@@ -276,10 +270,7 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     const double theta = k > 0 ? std::max(kBest, change / last) : 1.0;
     last = change;
     const bool accepted = residual_ <= kAccept;
-    // Parts that start from another one have errors of their own, and a root is bracketed by several of them: they end
-    // only where the change itself is below the limit.
-    const bool next_is_small = scale == 0.0 && theta < 0.5 && change * theta / (1.0 - theta) <= floor;
-    if (accepted && (change <= floor || next_is_small)) return true;
+    if (accepted && (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= floor))) return true;
     idle = change < 0.7 * best ? 0 : idle + 1;
     best = std::min(best, change);
     if (accepted && idle >= kIdle && best < kStalled * floor) return true;
@@ -308,21 +299,13 @@ void ContactStep::find_paradox(const VecX& v) {
   }
 }
 
-// Solves from guess_ and, with a scale, from the impulses at hand times that.
-bool ContactStep::solve_from(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double scale) {
-  why_ = "";
-  solved_h_ = 0.0;
-  h_ = h;
-  if (!iterate(q0, p0, h, tau, guess_, scale) || !velocity_impulses()) return false;
-  solved_h_ = h;
-  return true;
-}
-
 bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
+  why_ = "";
   violated_constraint_ = -1;
-  if (known_velocity(q0, v_start_)) {
-    // The velocity in the middle of the step, extrapolated from the last one.
-    guess_ = v_node_ + (h / h_last_) * (v_node_ - v_last_);
+  if (node0_.known && follows_ && (node0_.q.array() == q0.array()).all()) {
+    guess_ = v_node_ + (h / h_last_) *
+                           (v_node_ - v_last_);  // velocity in the middle of the step, extrapolated from the last step
+    v_start_ = v_node_;
   } else {
     if (!integrator_.node_velocity(q0, p0, v1_)) {
       why_ = "the mass matrix is not positive definite";
@@ -332,37 +315,22 @@ bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const Ve
   }
   p_given_ = p0;
   start_joint_friction(v_start_);
+  h_ = h;
   ++counters.steps;
-  return solve_from(q0, p0, h, tau, 0.0);
+  return iterate(q0, p0, h, tau, guess_) && velocity_impulses();
 }
 
 bool ContactStep::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0,
                              const VecX& tau) {
-  const double h = alpha * path.h();
-  if (solved_h_ > 0.0 && h == solved_h_) return true;
+  why_ = "";
+  h_ = alpha * path.h();
   path.velocity(0.5 * alpha, guess_);
-  return solve_from(q0, p0, h, tau, 0.0);
-}
-
-bool ContactStep::solve_next_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0,
-                                  const VecX& tau) {
-  const double h = alpha * path.h();
-  if (solved_h_ <= 0.0 || h == solved_h_) return solve_part(path, alpha, q0, p0, tau);
-  // To leading order the impulses and the change of v grow with the length of the part.
-  const double scale = h / solved_h_;
-  guess_ = v_start_ + scale * (v_ - v_start_);
-  return solve_from(q0, p0, h, tau, scale);
+  return iterate(q0, p0, h_, tau, guess_) && velocity_impulses();
 }
 
 void ContactStep::finish(VecRef q1, VecRef p1) {
   q1 = q1_;
   p1 = p1_;
-}
-
-bool ContactStep::known_velocity(const VecCRef& q, VecRef v) const {
-  if (!node0_.known || !follows_ || !(node0_.q.array() == q.array()).all()) return false;
-  v = v_node_;
-  return true;
 }
 
 bool ContactStep::node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) {

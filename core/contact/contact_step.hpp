@@ -57,14 +57,10 @@ class ContactStep final : public Stepper {
   int stages() const override { return 1; }
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
   bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) override;
-  // As solve_part, from the solution of the part that was solved last: one of several that locate a change of contact.
-  bool solve_next_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau);
   void finish(VecRef q1, VecRef p1) override;
   void forget() override {}
   const char* why() const override { return why_; }
   const MatX& rates() override;
-  // The velocity at q where that is the end of the last step, known from there; else false.
-  bool known_velocity(const VecCRef& q, VecRef v) const;
   // The velocity at the start of the step is known.
   bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override;
 
@@ -109,11 +105,10 @@ class ContactStep final : public Stepper {
   double force_scale() const { return force_scale_; }
   // Slips are numbered: those of the contacts, then those of the joints with friction. slip_ends: whether slip i came
   // to rest or reversed in the step. slip_left: the slip speed at the end of the step if the friction had gone on,
-  // negative if the slip has reversed, -infinity where the step tells no more than that.
+  // negative if the slip has reversed.
   int slips() const { return static_cast<int>(contacts_.size()) + friction_rows_; }
   bool slip_ends(int i) const;
   double slip_left(int i) const;
-  double slip_at_start(int i) const;
   // Whether a contact may have separated, because its force in this step falls towards zero.
   bool may_release() const;
 
@@ -185,9 +180,8 @@ class ContactStep final : public Stepper {
   Vec3 tangent_at(const PersistentContact& persistent, const Contact& contact, const Contact& before,
                   const Vec3& t1) const;
   Vec3 position_on_plane(const ContactPoint& point) const;
-  bool solve_from(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double scale);
-  bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v, double scale);
-  void set_initial_impulses(double h, double scale);
+  bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
+  void set_initial_impulses(double h);
   void set_row_velocities(double h);
   bool counts_by_rate(const PersistentContact& persistent, double h) const;
   bool counts_by_place(const FrictionJoint& joint, double h) const;
@@ -235,7 +229,6 @@ class ContactStep final : public Stepper {
   double h_last_ = 1;
   bool follows_ = false;  // the state is the end of the last step
   double h_ = 0, nominal_h_ = 0, force_scale_ = 0;
-  double solved_h_ = 0;  // length of the part of the step under way whose solution is at hand; 0: none
   const char* why_ = "";
 };
 

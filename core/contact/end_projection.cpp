@@ -247,7 +247,6 @@ void ContactStep::recall(const Memory& memory) {
   h_last_ = memory.h_last;
   nominal_h_ = memory.nominal_h;
   follows_ = memory.follows;
-  solved_h_ = 0.0;
 }
 
 bool ContactStep::rim_turns_far() const {
@@ -284,7 +283,6 @@ void ContactStep::commit() {
   v_last_ = v_;
   h_last_ = h_;
   follows_ = true;
-  solved_h_ = 0.0;
   std::swap(node0_, node1_);
   node1_.known = false;
 }

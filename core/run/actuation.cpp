@@ -76,7 +76,7 @@ void Actuation::limit(const VecX& q, const VecX& p) {
     servo.kd = e.servo_kd;
     servo.feed.setZero(tree.nv);
   }
-  if (!contact_->known_velocity(q, v_)) find_velocity(q, p);
+  find_velocity(q, p);
   for (const Joint& joint : tree.joints) {
     const int d = joint.iv;
     if (joint.nv != 1) continue;

@@ -16,8 +16,7 @@ constexpr double kForceRounding = 1e-9;  // of the largest force: contact forces
 }  // namespace
 
 bool ContactChangeFinder::release_force(const VecX& tau, double alpha, double& value) {
-  if (!step_->solve_next_part(*path_, alpha, run_->q, run_->p, tau) || !step_->persistent_forces(tau, forces_))
-    return false;
+  if (!step_->solve_part(*path_, alpha, run_->q, run_->p, tau) || !step_->persistent_forces(tau, forces_)) return false;
   value = forces_[releasing_];
   return true;
 }
@@ -68,7 +67,7 @@ bool ContactChangeFinder::find_release(const VecX& tau, double& alpha, bool& at_
 
 // Slip speed of the contact sticking_ at alpha if its friction went on beyond the end of the slip.
 bool ContactChangeFinder::remaining_slip(const VecX& tau, double alpha, double& value) {
-  if (!step_->solve_next_part(*path_, alpha, run_->q, run_->p, tau)) return false;
+  if (!step_->solve_part(*path_, alpha, run_->q, run_->p, tau)) return false;
   value = step_->slip_left(sticking_);
   return true;
 }
@@ -88,8 +87,9 @@ bool ContactChangeFinder::find_stick(const VecX& tau, double& alpha) {
     double high_value = 0.0, root = high;
     if (!remaining_slip(tau, high, high_value)) return false;
     if (high_value >= 0.0) continue;
+    // The slip speed at the start of the step is not known here; any positive number brackets the root.
     if (!root_by_value(
-            step_->slip_at_start(i), high, high_value, small, kAlpha, kMaxEvaluations,
+            -high_value, high, high_value, small, kAlpha, kMaxEvaluations,
             [&](double x, double& f) { return remaining_slip(tau, x, f); }, root))
       return false;
     alpha = root;
