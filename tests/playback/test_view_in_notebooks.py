@@ -28,7 +28,7 @@ CELLS = (
 )
 
 
-def test_it_shows_itself_and_opens_no_browser(monkeypatch):
+def test_it_shows_itself_and_opens_no_browser(monkeypatch, tmp_path):
     if not os.environ.get("CONTACTVI_TEST_INSTALLED"):
         import contactvi
 
@@ -36,7 +36,9 @@ def test_it_shows_itself_and_opens_no_browser(monkeypatch):
     notebook = nbformat.v4.new_notebook()
     notebook.cells = [nbformat.v4.new_code_cell("\n".join(line.removeprefix("    ") for line in cell.splitlines()))
                       for cell in CELLS]  # fmt: skip
-    nbclient.NotebookClient(notebook, timeout=60, kernel_name="python3").execute()
+    # Away from the source, which would hide the package that is installed.
+    away = {"metadata": {"path": str(tmp_path)}}
+    nbclient.NotebookClient(notebook, timeout=60, kernel_name="python3", resources=away).execute()
     pages = [
         output["data"]["text/html"]
         for cell in notebook.cells for output in cell.outputs if "text/html" in output.get("data", {})
