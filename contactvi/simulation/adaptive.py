@@ -53,7 +53,7 @@ _RUNS = 6  # at most, besides the first companion
 _START = 0.3  # level = _START sqrt(tol) to begin with
 _SEEN = 0.1  # errors / level^2 of many motions lie about this
 _AIM = 0.1  # of tol: where the level is set to, so low that one run more seldom follows
-_FINER, _MOST = 0.6, 8.0  # length of finer steps / the shortest step; number of them / that of the steps
+_FINER = 0.6  # length of steps over that of another run
 _UNSURE = 2.0  # on an estimate by the law with the exponent that was seen
 _FOLLOWS = 5.0  # times what the law expects: a larger distance does not follow it
 _LEVELS = (1e-8, 3e-3)  # [m, rad]; below the first errors drown in rounding, and low orders need too many steps
@@ -124,6 +124,7 @@ class _Search:
         self._stages = options.order // 2
         self._level = _clip(_START * math.sqrt(options.tol))  # of the first run after the companion
         self.seconds = 0.0
+        self._runs = 1  # the number of the next one
         self.reason = "Chaotic motion limits it: ask for a shorter duration or a larger tol"
         self.refused: Record | None = None  # the record of a start that the engine refuses
         self._last: AutoRun | None = None
@@ -172,21 +173,31 @@ class _Search:
         self._last.interrupted = True
         return self._last
 
-    def _run(self, level: float, dt_contact: float, coarser: AutoRun | None = None) -> AutoRun:
+    def _run(
+        self, level: float, dt_contact: float, coarser: AutoRun | None = None, slack: float | None = None,
+        sample: float | None = None,
+    ) -> AutoRun:  # fmt: skip
         """Run at a level, with contact steps of at most `dt_contact` [s].
-
-        The tolerance of the stage equations goes with the square of the level, as the error of the steps does, so that
-        both show in the distance of two runs.
 
         Args:
             coarser: a run with longer steps. The steps are parts of its own, all the same part by the law, and start
                 from where it has gone.
+            slack: factor on the tolerance of the stage equations. By default it goes with the square of the level, as
+                the error of the steps does, so that both show in the distance of two runs.
+            sample: steps that are not much longer end at its multiples [s]; by default those of a run with a coarser
+                one at the samples that were asked for.
         """
-        slack = max((level / self._level) ** 2, STAGE_TOLS[0] / self._options.stage_tol)
+        slack = (level / self._level) ** 2 if slack is None else slack
+        slack = max(slack, STAGE_TOLS[0] / self._options.stage_tol)
         simulator = self._started(engine.reuse(self._compiled, self._options, slack, dt_contact), self._options)
-        before = () if coarser is None else (coarser.run, (level / coarser.level) ** (1.0 / self._stages))
-        bound = level if coarser is None else coarser.level
-        found = engine.run_auto(simulator, self._options.span, bound, self._progress, *before)
+        if coarser is None:
+            found = engine.run_auto(simulator, self._options.span, level, self._progress)
+        else:
+            part = (level / coarser.level) ** (1.0 / self._stages)
+            sample = (self._options.sample_dt or 0.0) if sample is None else sample
+            found = engine.run_auto(
+                simulator, self._options.span, coarser.level, self._progress, coarser.run, part, sample, self._runs
+            )
         run = self._took(AutoRun(level, dt_contact, *found, simulator))
         if len(self._engines) < _SAME and run.ok:
             self._engines.append((simulator, slack, dt_contact))
@@ -203,6 +214,7 @@ class _Search:
     def _took(self, run: AutoRun) -> AutoRun:
         """Count what a run took."""
         self._last = run
+        self._runs += 1
         self.seconds += run.run.seconds
         self._contact.spent += run.run.contact_iterations
         return run
@@ -238,26 +250,16 @@ class _Search:
         return max(solved, _SEEN * found.level**2), size
 
     def _against_finer(self, found: AutoRun) -> Array:
-        """Return the distances of a run from one with steps of one length, all shorter than its own.
+        """Return the distances of a run from one whose steps are _FINER of its own.
 
         It serves runs that have steps in common with their companion, whose errors do not show in the distance to it.
         That happens where the stage iterations do not converge with longer steps, whatever the level.
         """
-        unknown, lengths = np.array([math.inf]), found.run.lengths
-        if not len(lengths) or found.interrupted:
-            return unknown
-        count = math.ceil(self._options.span / (_FINER * float(lengths.min())))
-        if count > _MOST * found.run.segments:
-            return unknown
-        fixed = replace(
-            self._options, dt=self._options.span / count, tol=self._options.stage_tol, ledger=None, sample_dt=None,
-            dt_contact=None,
-        )  # fmt: skip
-        finer = min(_FINER * found.dt_contact, fixed.fixed_dt)
-        simulator = self._started(engine.make(self._compiled, fixed, slack=1.0 / COMPANION, dt_contact=finer), fixed)
-        run = self._took(
-            AutoRun(math.nan, finer, *engine.run_fixed(simulator, count, self._progress, found.run), simulator)
-        )
+        if found.interrupted:
+            return np.array([math.inf])
+        slack = (found.level / self._level) ** 2 / COMPANION
+        level = found.level * _FINER**self._stages
+        run = self._run(level, max(_FINER * found.dt_contact, SHORTEST), found, slack=slack, sample=0.0)
         self._last = found
         if run.interrupted:
             raise KeyboardInterrupt

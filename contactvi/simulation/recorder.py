@@ -297,9 +297,8 @@ class Record:
         if self.options.sample_dt is not None and segments is not None:
             times = dense.sample_times(float(t[0]), float(t[-1]), self.options.sample_dt)
             times = times if len(times) > 1 else t[[0, -1]]
-            inner_q, inner_v = segments.states(self.compiled.core, times[1:-1], exact=not self.forced)
-            inner_p = np.asarray(self.compiled.core.momentum(inner_q, inner_v))
-            t, q, p = times, np.vstack([q[:1], inner_q, q[-1:]]), np.vstack([p[:1], inner_p, p[-1:]])
+            q, p = self._sampled(t, q, p, segments, times)
+            t = times
         if forces.t is not t and not np.array_equal(forces.t, t):
             forces = forces.sampled(t)
         return Trajectory(
@@ -308,6 +307,19 @@ class Record:
             contacts=self.contact_log(), changes=self.change_log(), phases=self.phases_joined(), forces=forces,
             dense_steps=self.dense_log(), inputs=None if self.inputs is None else self.inputs.joined(),
         )  # fmt: skip
+
+    def _sampled(self, t: Array, q: Array, p: Array, segments: dense.Segments, times: Array) -> tuple[Array, Array]:
+        """Return q (N, nq) and p (N, nv) at times (N,), the first and the last of which are nodes."""
+        slack = ROUNDING * (times[1] - times[0])
+        node = t.searchsorted(times - slack)
+        node[-1] = len(t) - 1
+        q, p = q[node], p[node]
+        inner = (t[node] - times > slack).nonzero()[0]
+        if len(inner):
+            core = self.compiled.core
+            q[inner], v = segments.states(core, times[inner], exact=not self.forced)
+            p[inner] = core.momentum(q[inner], v)
+        return q, p
 
 
 def _events(core: _core.Scene, parts: list[Columns], nq: int, nv: int) -> dict[str, NDArray[Any]]:

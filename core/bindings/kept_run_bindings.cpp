@@ -43,7 +43,7 @@ Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress,
   {
     nb::gil_scoped_release release;
     std::optional<Guide> before;
-    if (guide != nullptr)
+    if (guide != nullptr && Guide::pays(sim.scene().tree))
       sim.follow(&before.emplace(sim.scene().tree, arrays_of(guide->run.recording.segments),
                                  impact_times(guide->run.recording)));
     run.status = call(callback, run.recording);
@@ -58,14 +58,15 @@ Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress,
 }
 
 Outcome run_auto(SteppedWorld& sim, double duration, double level, const std::optional<ProgressCallback>& progress,
-                 const Own* coarser, double part) {
+                 const Own* coarser, double part, double sample, int after_impact) {
   if (!(duration > 0.0) || !(level > 0.0) || !(part > 0.0)) throw Error("duration, level and part must be > 0");
+  if (!(sample >= 0.0) || after_impact < 1) throw Error("sample must be >= 0, after_impact >= 1");
   if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
   std::optional<StepPlan> plan;
   if (coarser != nullptr && !coarser->run.recording.adaptive_t.empty())
     plan.emplace(StepPlan{coarser->run.recording, part});
   return keep(sim, progress, coarser, [&](const Progress& callback, Recording& recording) {
-    return sim.run_auto(duration, level, plan ? &*plan : nullptr, callback, recording);
+    return sim.run_auto(duration, {level, plan ? &*plan : nullptr, sample, after_impact}, callback, recording);
   });
 }
 
@@ -138,9 +139,12 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
       .def("results", &results, "Hand over what Simulator.advance returns, without \"error\"; the run is empty then.");
   simulator
       .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
-           "part"_a = 1.0,
+           "part"_a = 1.0, "sample"_a = 0.0, "after_impact"_a = 1,
            "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out."
-           " coarser: a run before, of whose steps these are this part. Return (KeptRun, error of a callback or None).")
+           " coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are"
+           " nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the "
+           "end"
+           " of its step. Return (KeptRun, error of a callback or None).")
       .def("run_fixed", &run_fixed, "steps"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
            "Make steps of one length. The rest as in run_auto.");
 }

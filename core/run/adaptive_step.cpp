@@ -1,5 +1,5 @@
-// Simulator::run_auto: adaptive steps, of equal length between one impact and the next, and between the begin and the
-// end of persistent contact.
+// Simulator::run_auto: adaptive steps, of equal length between one impact and the next as far as samples allow, and
+// between the begin and the end of persistent contact.
 //
 // The long-time behaviour of a variational integrator rests on a constant step. The step therefore grows only at
 // impacts, which break the smooth motion anyway. Where it turns out to be too long it becomes shorter, and stays so up
@@ -9,6 +9,8 @@
 #include <cmath>
 #include <limits>
 #include <sstream>
+#include <utility>
+#include <vector>
 
 #include "run/simulator.hpp"
 
@@ -30,6 +32,27 @@ constexpr double kSameTime = 1e-9;       // of the duration: times of a plan tha
 // Numbers that the nodes and polynomials of a run may have, 4 GB of them. The accuracy is measured with a second run
 // and with copies of both, about four times as much. Longer runs would end where the memory of the machine does.
 constexpr double kMostNumbers = 536870912.0;
+constexpr double kMostSamples = 2.0;  // in a smooth step that is not cut at each of them
+constexpr double kNearSample = 1e-9;  // of the time between two: times that differ by less are one
+
+// Where the steps from a time on, of at most `longest` [s], end at a sample, or at the end [s]. Samples between two nodes
+// cost as much as steps do, so steps up to twice as long as samples are apart are made as short as these.
+double next_sample(double sample, double origin, double time, double longest, double end) {
+  if (longest > kMostSamples * sample) return end;
+  const double next = origin + sample * (std::floor((time - origin) / sample + kNearSample) + 1.0);
+  return next > end - kNearSample * sample ? end : next;
+}
+
+// The steps of one length, from a time to the next sample or the end.
+struct Section {
+  double begin, end;  // [s]
+  double count;       // of steps
+  double h() const { return (end - begin) / count; }
+};
+
+Section section_of(double begin, double end, double longest) {
+  return {begin, end, std::clamp(std::ceil((end - begin) / longest - 1e-9), 1.0, 1e15)};
+}
 }  // namespace
 
 // Goes back to the start of the steps that are redone; what they have cost stays in the counts.
@@ -59,38 +82,41 @@ bool Simulator::end_with_too_many_steps(double time, double h) {
   return end(StatusCode::kTooManySteps, time, message.str());
 }
 
-// Steps of one length: to the end of the step with the next impact, or in which persistent contact begins or ends; to
-// where the length turns out to be too long or that of the plan changes; or to the end of the run.
-bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* plan, Recording& recording) {
+// Steps to the end of the one with the next impact, or in which persistent contact begins or ends; to where the length
+// turns out to be too long or that of the plan changes; or to the end of the run.
+bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& steps, Recording& recording) {
   const VecX no_force;
-  const double s = options_.stages, began = state_.time;
+  const double s = options_.stages, began = state_.time, level = steps.level;
   const auto in_contact = [this] { return !contact_step_.empty() || state_.dense.active; };
   const bool persistent = in_contact();
-  if (plan != nullptr) end = take_plan(*plan, end, persistent);
+  if (steps.plan != nullptr) end = take_plan(*steps.plan, end, persistent);
   const double duration = end - began;
   const long impacts = state_.impacts;
   const double adaptive_dt = state_.adaptive_dt, longest_dt = truncation_.longest_dt;
-  int probes = persistent || !recording.adaptive_t.empty() || plan != nullptr ? 0 : kProbes;
-  double largest = 0.0, h = 0.0, smooth = 0.0, count = 0.0;
+  int probes = persistent || !recording.adaptive_t.empty() || steps.plan != nullptr ? 0 : kProbes;
+  double largest = 0.0, largest_h = 0.0, smooth = 0.0;
   long most_iterations = 0;
-  const auto set_length = [&] {
-    const double nominal = persistent ? std::min(contact_dt(), truncation_.longest_contact) : state_.adaptive_dt;
-    count = std::clamp(std::ceil(duration / nominal - 1e-9), 1.0, 1e15);
-    h = duration / count;
-    smooth = std::min(h, state_.adaptive_dt);  // the longest smooth step of an interval
+  Section section;
+  std::vector<std::pair<double, double>> lengths;  // of the steps, each from a time on [s]
+  const auto enter = [&](double begin) {
+    const double longest = persistent ? std::min(contact_dt(), truncation_.longest_contact) : state_.adaptive_dt;
+    section = section_of(begin, persistent ? end : next_sample(steps.sample, origin, begin, longest, end), longest);
+    smooth = std::min(section.h(), state_.adaptive_dt);  // the longest smooth step of an interval
     state_.control.free.longest = smooth;
-    largest = 0.0;
-    most_iterations = 0;
+    const double h = section.h();
+    if (lengths.empty() || std::abs(h - lengths.back().second) > kNearSample * h) lengths.emplace_back(begin, h);
   };
-  set_length();
+  enter(began);
   // To which the run goes back where a step is too long: at least half of the steps stay.
   Snapshot start = snapshot();
   Recording::Mark mark = recording.mark();
   long kept = 0;
   bool shortened = false;
-  for (long k = 0; k < static_cast<long>(count);) {
+  double in_section = 0.0;  // steps of it that were made
+  for (long k = 0; state_.time < end;) {
+    const double h = section.h();
     // Without guards the length does not grow again.
-    if (guards_.count() == 0 && count > most_steps()) return end_with_too_many_steps(began, h);
+    if (guards_.count() == 0 && (end - section.begin) / h > most_steps()) return end_with_too_many_steps(began, h);
     if (k >= 2 * kept && k > kept) {
       start = snapshot();
       mark = recording.mark();
@@ -98,7 +124,7 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
     }
     truncation_.largest = 0.0;
     truncation_.iterations = 0;
-    const double step_start = began + static_cast<double>(k) * h;
+    const double step_start = section.begin + in_section * h;
     const bool solved = advance_interval(step_start, h, no_force, recording);
     const bool retry =
         state_.status.code == StatusCode::kNewtonFailed || state_.status.code == StatusCode::kEventUnresolved;
@@ -114,7 +140,7 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
       // The truncation is of the order h^s; a step that did not converge is halved.
       state_.adaptive_dt = smooth * (solved ? std::max(0.2, kSafety * std::pow(level / seen, 1.0 / s)) : 0.5);
       if (!solved) truncation_.longest_dt = kBelowFailure * h;
-    } else if (k == 0 && probes-- > 0 && count > 1.0 && state_.impacts == impacts && iterations <= kEasyIterations) {
+    } else if (k == 0 && probes-- > 0 && h < duration && state_.impacts == impacts && iterations <= kEasyIterations) {
       const double largest_probe = 2.0 * iterations <= kEasyIterations ? kLargestProbe : kProbeGrowth;
       const double growth = std::min(kSafety * std::pow(level / std::max(seen, 1e-300), 1.0 / s), largest_probe);
       again = growth >= kProbeGrowth && growth * h <= truncation_.longest_dt;
@@ -122,34 +148,47 @@ bool Simulator::run_adaptive_steps(double end, double level, const StepPlan* pla
     }
     if (again) {
       redo_from(start, mark, recording);
+      while (lengths.size() > 1 && lengths.back().first >= state_.time) lengths.pop_back();
       shortened = kept > 0;
       if (shortened) break;
       k = 0;
-      set_length();
+      in_section = 0.0;
+      largest = 0.0;
+      most_iterations = 0;
+      lengths.clear();
+      enter(began);
       continue;
     }
+    if (seen >= largest) largest_h = h;
     largest = std::max(largest, seen);
     most_iterations = std::max(most_iterations, truncation_.iterations);
     ++k;
     ++state_.step;
-    state_.time = k == static_cast<long>(count) ? end : step_start + h;
+    in_section += 1.0;
+    state_.time = in_section == section.count ? section.end : section.begin + in_section * h;
     record_node(state_.time, recording);
     if (!report_progress(state_.time)) return false;
     if (static_cast<double>(recording.t.size()) > most_steps()) return end_with_too_many_steps(state_.time, h);
     if (persistent != in_contact() || (!persistent && state_.impacts > impacts)) break;
+    if (in_section == section.count && section.end < end) {
+      in_section = 0.0;
+      enter(section.end);
+    }
   }
   if (persistent) {
     if (!shortened) truncation_.longest_contact = std::numeric_limits<double>::infinity();
     return true;
   }
-  recording.adaptive_t.push_back(began);
-  recording.adaptive_dt.push_back(h);
+  for (const auto& [time, h] : lengths) {
+    recording.adaptive_t.push_back(time);
+    recording.adaptive_dt.push_back(h);
+  }
   if (state_.dense.active) {  // Events made the steps short, which are left to dense steps now.
     state_.adaptive_dt = adaptive_dt;
     truncation_.longest_dt = longest_dt;
     return true;
   }
-  if (!shortened && plan == nullptr) grow_adaptive_step(h, largest, level, most_iterations);
+  if (!shortened && steps.plan == nullptr) grow_adaptive_step(largest_h, largest, level, most_iterations);
   return true;
 }
 
@@ -180,15 +219,16 @@ double Simulator::take_plan(const StepPlan& plan, double end, bool persistent) {
   return next < t.size() && !persistent ? std::min(t[next], end) : end;
 }
 
-Status Simulator::run_auto(double duration, double level, const StepPlan* plan, const Progress& progress,
-                           Recording& recording) {
-  const double end = state_.time + duration;
+Status Simulator::run_auto(double duration, const AutoSteps& steps, const Progress& progress, Recording& recording) {
+  const double origin = state_.time, end = origin + duration;
   start_recording(progress, recording);
-  truncation_.bound = level;
+  truncation_.bound = steps.level;
+  truncation_.after_impact = steps.after_impact;
   truncation_.longest_dt = truncation_.longest_contact = std::numeric_limits<double>::infinity();
   bool ok = true;
-  while (ok && state_.time < end) ok = run_adaptive_steps(end, level, plan, recording);
+  while (ok && state_.time < end) ok = run_adaptive_steps(end, origin, steps, recording);
   truncation_.bound = 0.0;
+  truncation_.after_impact = 1;
   state_.control.free.longest = options_.dt;
   state_.start_time = state_.time - static_cast<double>(state_.step) * options_.dt;  // for steps of dt that may follow
   if (ok) {

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
+#include <vector>
 
 namespace contactvi {
 
@@ -32,6 +34,22 @@ std::vector<std::size_t> chosen_nodes(const std::vector<double>& t, std::size_t 
     const double time = t[0] + (t[count - 1] - t[0]) * share * (1.0 - kSameTime);
     nodes.push_back(over_time ? static_cast<std::size_t>(std::lower_bound(t.begin(), t.end(), time) - t.begin())
                               : nearest(last * share));
+  }
+  return nodes;
+}
+
+// Nodes up to the number `count` at whose times the other run has a node too, with the numbers of both.
+std::vector<std::pair<std::size_t, std::size_t>> common_nodes(const std::vector<double>& t, std::size_t count,
+                                                              const std::vector<double>& other) {
+  std::vector<std::pair<std::size_t, std::size_t>> nodes;
+  const double slack = kSameTime * std::max(std::abs(t.front()), std::abs(t.back()));
+  for (std::size_t k = 1, m = 1; k < count && m < other.size();) {
+    if (std::abs(t[k] - other[m]) <= slack)
+      nodes.emplace_back(k++, m++);
+    else if (t[k] < other[m])
+      ++k;
+    else
+      ++m;
   }
   return nodes;
 }
@@ -102,6 +120,16 @@ VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRu
       (!ended && std::abs(t.back() - last) > kEnded * (t.back() - t.front())))
     return VecX::Constant(1, kInfinity);
   const std::size_t both = static_cast<std::size_t>(std::upper_bound(t.begin(), t.end(), last) - t.begin());
+  const auto common = common_nodes(t, both, other.recording.t);
+  if (common.size() >= static_cast<std::size_t>(times)) {
+    VecX apart(times);
+    for (int k = 0; k < times; ++k) {
+      const double share = static_cast<double>(k + 1) / times;
+      const auto [own, others] = common[nearest(share * static_cast<double>(common.size())) - 1];
+      apart[k] = configuration_distance(tree, configuration(tree, other, others), configuration(tree, found, own));
+    }
+    return apart;
+  }
   const std::vector<std::size_t> nodes = chosen_nodes(t, both, times, over_time);
   SegmentPaths paths(tree, options.stages, arrays_of(other.recording.segments));
   Integrator integrator(tree, options.stages, options.tol, options.max_iterations);
@@ -146,6 +174,7 @@ double error_share(const KeptRun& companion, const KeptRun& found, int power, do
 
 double first_step_error(const Scene& scene, const SimulatorOptions& options, const KeptRun& run) {
   const Tree& tree = scene.tree;
+  if (!tree.has_damping && !tree.elements.any_force()) return 0.0;
   const Segments& s = run.recording.segments;
   const std::vector<double> impacts = impact_times(run.recording);
   std::vector<std::size_t> starts{0};

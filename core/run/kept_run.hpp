@@ -27,7 +27,7 @@ double motion_size(const Tree& tree, const KeptRun& run);
 double contact_time(const KeptRun& run);
 
 // |q - q'| of two runs at some nodes of the second, at most `times` of them, [m, rad]: the last one, and others that
-// are spread evenly over the nodes, or over the time. Infinite where one of the two ended much earlier, unless
+// are spread evenly over the nodes, or over the time; over the nodes of both, where there are so many. Infinite where one of the two ended much earlier, unless
 // `ended` is true: then up to the earlier end. options: of the first, whose states at these times are found as closely
 // as its nodes are.
 VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRun& other, const KeptRun& found,
@@ -43,7 +43,8 @@ double error_share(const KeptRun& companion, const KeptRun& found, int power, do
 
 // The largest distance between a step and two halves of it, of the first steps of some flights [m, rad]; infinite where
 // the halves are not solved. A stiff motion that damping ends within a step or two has an error there that later nodes
-// do not show, and two runs are no comparison in their first step: up to its end both have made one.
+// do not show, and two runs are no comparison in their first step: up to its end both have made one. Zero for trees
+// without damping, whose later nodes show every error.
 double first_step_error(const Scene& scene, const SimulatorOptions& options, const KeptRun& run);
 
 }  // namespace contactvi

@@ -291,9 +291,13 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
       continue;
     }
     const std::size_t changes = recording.changes.size();
+    const long before = state_.impacts;
     const bool going =
         contact_step_.empty() ? advance_free(interval, halved, recording) : advance_contact(interval, recording);
     state_.dense.events.changes += static_cast<double>(recording.changes.size() - changes);
+    if (truncation_.after_impact > 1 && state_.impacts > before)
+      state_.control.free.longest =
+          std::min(state_.control.free.longest, interval.remaining / truncation_.after_impact);
     const bool shortened = !going && may_be_shortened(length, impacts);
     if (dense_allowed && !shortened && (going ? events_accumulate(length) : dense_steps_go_on()))
       begin_dense_phase();

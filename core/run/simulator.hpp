@@ -20,6 +20,16 @@ struct StepPlan {
   double part;
 };
 
+// How Simulator::run_auto chooses its steps.
+struct AutoSteps {
+  double level;                    // what the highest mode of the stage velocities moves at most in a step [m; rad]
+  const StepPlan* plan = nullptr;  // null: none
+  double sample = 0.0;  // smooth steps that are not much longer end at its multiples [s]; 0: at no such times
+  // Steps, at least, from an impact to the end of the step that it is in. Two runs may end that step at the same time;
+  // what comes after the impact shows no error in their distance if both make it in one step.
+  int after_impact = 1;
+};
+
 struct SimulatorOptions {
   double dt = 1e-3;    // [s]
   double tol = 1e-12;  // of the discrete Euler-Lagrange residual, relative
@@ -53,12 +63,11 @@ class Simulator {
   // are recorded every record_every steps. The run may end early: see the status.
   Status advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
                  Recording& recording);
-  // Runs for `duration` [s] with steps of equal length between one impact and the next, such that the highest mode of
-  // the stage velocities moves nothing by more than `level` [m; rad] per step (Integrator::truncation). Where it does,
-  // the steps since the last impact are redone with a shorter length. While contacts persist the steps have the length
-  // of contact steps. Every step's end is a node.
-  // plan: the steps of another run, parts of which are those of this one; null: none.
-  Status run_auto(double duration, double level, const StepPlan* plan, const Progress& progress, Recording& recording);
+  // Runs for `duration` [s] with steps of equal length between one impact and the next, as far as samples
+  // allow, such that the highest mode of the stage velocities moves nothing by more than the level per step
+  // (Integrator::truncation). Where it does, the steps since the last impact are redone with a shorter length. While
+  // contacts persist the steps have the length of contact steps. Every step's end is a node.
+  Status run_auto(double duration, const AutoSteps& steps, const Progress& progress, Recording& recording);
 
   // From now on smooth steps start from where another run of the same motion has gone; null: no longer. The guide stays
   // the caller's.
@@ -129,11 +138,12 @@ class Simulator {
     double parts(double nominal) const { return std::max(1.0, std::ceil(remaining / nominal - 1e-9)); }
   };
   // Of run_auto: the bound on the truncation (0 in advance), the largest one in the interval [m; rad], the longest
-  // smooth step that converges and the longest contact step that could be solved [s], and the most stage iterations of
-  // a smooth step of the interval.
+  // smooth step that converges and the longest contact step that could be solved [s], the most stage iterations of a
+  // smooth step of the interval, and AutoSteps::after_impact.
   struct Truncation {
     double bound = 0, largest = 0, longest_dt = 0, longest_contact = 0;
     long iterations = 0;
+    int after_impact = 1;
   };
 
   // Functions that return a bool return false where the run has ended; the status of the state then gives the reason.
@@ -158,7 +168,7 @@ class Simulator {
   void resume_free_motion();
 
   // adaptive_step.cpp and snapshot.cpp.
-  bool run_adaptive_steps(double end, double level, const StepPlan* plan, Recording& recording);
+  bool run_adaptive_steps(double end, double origin, const AutoSteps& steps, Recording& recording);
   bool may_be_shortened(double length, long impacts) const;
   void grow_adaptive_step(double h, double largest, double level, long most_iterations);
   double take_plan(const StepPlan& plan, double end, bool persistent);

@@ -349,10 +349,9 @@ Status World::advance(long steps, const MatX& tau, const MatX& target, long reco
   return state_.status;
 }
 
-Status World::run_auto(double duration, double level, const StepPlan* plan, const Progress& progress,
-                       Recording& recording) {
+Status World::run_auto(double duration, const AutoSteps& steps, const Progress& progress, Recording& recording) {
   unite();
-  return whole_.run_auto(duration, level, plan, progress, recording);
+  return whole_.run_auto(duration, steps, progress, recording);
 }
 
 EngineCounters World::counters() const {

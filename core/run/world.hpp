@@ -33,7 +33,7 @@ class World {
   // As that of Simulator, where all trees are advanced together.
   void follow(Guide* guide) { whole_.follow(guide); }
   // Advances all trees together from then on.
-  Status run_auto(double duration, double level, const StepPlan* plan, const Progress& progress, Recording& recording);
+  Status run_auto(double duration, const AutoSteps& steps, const Progress& progress, Recording& recording);
 
   double time() const { return state().time; }
   const VecX& q() const { return state().q; }

@@ -17,6 +17,9 @@ class Guide {
   // impacts: times at which the velocity of the earlier run jumps [s], in order.
   Guide(const Tree& tree, const SegmentArrays& earlier, std::vector<double> impacts);
 
+  // Whether it saves more than it costs, which is what a stage iteration of a tree with a few dofs costs.
+  static bool pays(const Tree& tree) { return tree.nv >= kLeastDofs; }
+
   // Sets the stage velocities of the step of length h [s] from t [s] on; own: the steps of this run before it. False
   // where the earlier run had no smooth motion. A step beyond the end of a flight is led by the last polynomial of the
   // flight.
@@ -35,6 +38,7 @@ class Guide {
     Eigen::Index segment = -1;
     std::vector<AlignedArray> v;  // one array, or none yet
   };
+  static constexpr int kLeastDofs = 4;
   static constexpr std::size_t kKnown = 4;  // segments kept at a time: a step lies in two of them, seldom in more
 
   Flight flight(double time) const;
