@@ -35,7 +35,7 @@ SUPPORTS: tuple[Support, ...] = get_args(Support)
 CONTACT_MODES: tuple[ContactSteps, ...] = get_args(ContactSteps)
 DEFAULT_DT = 1e-3  # [s], where no dt is given and "auto" is not possible
 STEP_TOL, AUTO_TOL = 1e-12, 1e-6
-STAGE_TOLS = (1e-15, 1e-10)  # with "auto": the first is what rounding allows
+STAGE_TOLS = (1e-15, 3e-11)  # with "auto": the first is what rounding allows
 _FIXED_ONLY = ("discrete_energy", "discrete_energy_jump", "modified_energy_jump")  # they need steps of one length
 _OF_THE_KIND = ("tol", "record_every")  # options with another meaning, or none, for the other kind of dt
 _UNSET: Any = None  # the default depends on other options; resolved in __post_init__
@@ -249,7 +249,7 @@ class Options:
     @property
     def stage_tol(self) -> float:
         """Tolerance to which the equations of a step are solved, relative, in the energy norm."""
-        return min(max(1e-5 * self.tol, STAGE_TOLS[0]), STAGE_TOLS[1]) if self.auto else self.tol
+        return min(max(3e-6 * self.tol, STAGE_TOLS[0]), STAGE_TOLS[1]) if self.auto else self.tol
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as a plain dictionary; `from_dict` reads it back."""

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import contactvi as cvi
@@ -14,69 +15,89 @@ from contactvi.options import Options
 from contactvi.simulation import adaptive, engine
 from contactvi.simulation.auto_contact import LEAST, Judged
 from contactvi.trajectory.compiled import compile_scene
+from helpers.chains import chain
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 BOX_V0 = [0.3, 0.0, 1.0, 3.0, -2.0, 5.0]
+SPAN = 0.8
 
 
-def flying_box():
+def flying_box(ball: bool = True):
     """A box that turns about all its axes while it flies, and a ball that bounces on the ground."""
     scene = cvi.Scene()
     scene.add_box("box", size=(0.1, 0.2, 0.3), placement=(0.0, 0.0, 5.0))
-    scene.add_sphere("ball", 0.1, placement=(3.0, 0.0, 0.5))
-    scene.add_halfspace()
-    scene.set_contact(restitution=0.8)
+    if ball:
+        scene.add_sphere("ball", 0.1, placement=(3.0, 0.0, 0.5))
+        scene.add_halfspace()
+        scene.set_contact(restitution=0.8)
     return compile_scene(scene)
 
 
+def swinging_chain():
+    scene, rng = chain([pin.JointModelRY() for _ in range(5)])
+    scene.v0 = rng.uniform(-1, 1, scene.nv)
+    return compile_scene(scene)
+
+
+def wall():
+    return compile_scene(cvi.load_scene(MODELS / "double_pendulum_wall.toml"))
+
+
 def options(**changed):
-    return Options(**{"dt": 0.02, "duration": 0.8, "order": 8, "tol": 1e-11, **changed})
+    return Options(**{"dt": "auto", "duration": SPAN, "order": 8, "tol": 1e-6, "dense": True, **changed})
 
 
-def fixed_run(compiled, chosen, coarser=None):
+def made(compiled, chosen=None, level=1e-4, **how):
+    """Return a run to the end at a level; how: coarser, part, sample, after_impact."""
+    chosen = chosen or options()
     simulator = engine.make(compiled, chosen)
-    start = engine.checked_start(compiled, None, [*BOX_V0, *np.zeros(6)] if compiled.states.nv == 12 else None)
-    assert engine.accepts(simulator, *start)
-    run, stopped = engine.run_fixed(simulator, chosen.steps, None, coarser)
+    v0 = [*BOX_V0, *np.zeros(compiled.states.nv - 6)] if compiled.states.nv in (6, 12) else None
+    assert engine.accepts(simulator, *engine.checked_start(compiled, None, v0))
+    run, stopped = engine.run_auto(simulator, chosen.span, level, None, **how)
     assert not stopped
     return run
 
 
-@pytest.mark.parametrize("kind", ["pendulum", "box"])
-def test_a_run_that_is_led_is_the_same_motion(kind):
-    """Through impacts and turns: the start values change nothing that the tolerance of the equations resolves."""
-    scene = MODELS / "double_pendulum_wall.toml"
-    compiled = flying_box() if kind == "box" else compile_scene(cvi.load_scene(scene))
-    chosen = options(order=16)
-    coarser = fixed_run(compiled, options(order=16, dt=0.04))
-    alone, led = fixed_run(compiled, chosen), fixed_run(compiled, chosen, coarser)
-    if kind == "pendulum":  # the box turns evenly, and the polynomial of the step before is as good
-        assert led.sweeps < 0.8 * alone.sweeps
-    first, second = (engine.record_of(run, compiled, chosen) for run in (alone, led))
-    assert first.impacts == second.impacts > 0
-    np.testing.assert_allclose(first.nodes()[1], second.nodes()[1], atol=1e-9)
+def record_of(run, compiled, chosen=None):
+    return engine.record_of(run, compiled, chosen or options())
+
+
+def test_a_run_that_is_led_takes_fewer_sweeps():
+    """Than steps as short that start from the polynomials of those before, at the same tolerance."""
+    compiled, chosen = swinging_chain(), options(order=16)
+    coarser = made(compiled, chosen)
+    led = made(compiled, chosen, coarser=coarser, part=0.8)
+    steps = led.nodes - 1
+    alone = cvi.simulate(compiled.scene(), duration=SPAN, dt=SPAN / steps, order=16, tol=chosen.stage_tol)
+    assert led.sweeps < 0.8 * alone.stats.sweeps
+    t, q, _ = record_of(led, compiled, chosen).nodes()
+    exact = cvi.simulate(compiled.scene(), duration=SPAN, dt=1e-3, order=16, tol=1e-14).at(t).q
+    np.testing.assert_allclose(q, exact, atol=1e-8)
 
 
 def test_a_run_that_leads_astray_costs_sweeps_and_nothing_else():
     """Here the run before it is one of another start."""
-    compiled, chosen = flying_box(), options()
+    compiled, chosen = flying_box(), options(order=16)
     simulator = engine.make(compiled, chosen)
     engine.accepts(simulator, compiled.q0, np.array([0, 0, 3.0, -9.0, 9.0, 2.0, 0, 0, 2.0, 0, 0, 0]), 0.0)
-    other, _ = engine.run_fixed(simulator, chosen.steps, None, None)
-    alone, led = fixed_run(compiled, chosen), fixed_run(compiled, chosen, other)
-    first, second = (engine.record_of(run, compiled, chosen) for run in (alone, led))
-    np.testing.assert_allclose(first.nodes()[1], second.nodes()[1], atol=1e-9)
+    other, _ = engine.run_auto(simulator, SPAN, 1e-4, None)
+    own = made(compiled, chosen)
+    led, astray = (made(compiled, chosen, coarser=run, part=0.5) for run in (own, other))
+    first, second = (record_of(run, compiled, chosen) for run in (led, astray))
+    assert first.impacts == second.impacts > 0
+    np.testing.assert_allclose(first.nodes()[1][-1], second.nodes()[1][-1], atol=1e-9)
 
 
 def test_distances_are_those_of_the_states():
     """At nodes of the second run, against the partial steps of the first that a trajectory makes."""
     compiled = flying_box()
-    coarse, fine = options(dt=0.08), options(dt=0.02)
-    first, second = fixed_run(compiled, coarse), fixed_run(compiled, fine)
+    first = made(compiled)
+    second = made(compiled, coarser=first, part=0.37)
     apart = second.distances(first, 8)
     size, steps = second.size, second.nodes
-    record, finer = engine.record_of(first, compiled, coarse), engine.record_of(second, compiled, fine)
+    record, finer = record_of(first, compiled), record_of(second, compiled)
     t, q, _ = finer.nodes()
+    assert len(np.intersect1d(t, record.nodes()[0])) < 8
     nodes = np.linspace(0, len(t) - 1, 9)[1:].round().astype(int)
     states, _ = record.segments_joined().states(compiled.core, t[nodes], exact=True)
     np.testing.assert_allclose(apart, compiled.states.distance(states, q[nodes]), rtol=1e-6, atol=1e-12)
@@ -84,14 +105,27 @@ def test_distances_are_those_of_the_states():
     assert steps == len(t)
 
 
+def test_distances_at_the_nodes_of_both_runs():
+    compiled = flying_box(ball=False)
+    first = made(compiled, level=1e-9)
+    second = made(compiled, coarser=first, part=0.5)
+    apart = second.distances(first, 8)
+    (t, q, _), (s, r, _) = (record_of(run, compiled).nodes() for run in (second, first))
+    np.testing.assert_allclose(t[::2], s, rtol=1e-12)
+    common = np.linspace(0, len(s) - 1, 9)[1:].round().astype(int)
+    assert len(s) > 9
+    np.testing.assert_allclose(apart, compiled.states.distance(q[2 * common], r[common]), rtol=1e-9)
+
+
 def test_a_run_that_ended_early_is_infinitely_far():
     compiled = flying_box()
-    whole, half = fixed_run(compiled, options()), fixed_run(compiled, options(duration=0.4))
+    whole, half = made(compiled), made(compiled, options(duration=0.5 * SPAN))
     assert whole.distances(half, 4).tolist() == [math.inf]
     assert np.isfinite(whole.distances(half, 4, ended=True)).all()
 
 
-def test_the_first_step_is_held_against_two_halves(tmp_path):
+@pytest.mark.parametrize("damping", [1000.0, 0.0])
+def test_the_first_step_is_held_against_two_halves(damping, tmp_path):
     """A spring that damping stops within a fraction of the step has an error there that the end does not show."""
     file = tmp_path / "slider.urdf"
     file.write_text(
@@ -102,30 +136,67 @@ def test_the_first_step_is_held_against_two_halves(tmp_path):
     )
     scene = cvi.Scene()
     scene.add_urdf(file)
-    scene.set_joint("j", damping=1000.0)
-    compiled = compile_scene(scene)
-    chosen = options(dt=0.1, duration=0.4, order=4)
-    simulator = engine.make(compiled, chosen)
-    assert engine.accepts(simulator, np.zeros(1), np.ones(1), 0.0)
-    run, _ = engine.run_fixed(simulator, chosen.steps, None, None)
-    halves = engine.make(compiled, options(dt=0.05, duration=0.1, order=4))
-    engine.accepts(halves, np.zeros(1), np.ones(1), 0.0)
-    twice, _ = engine.run_fixed(halves, 2, None, None)
+    scene.set_joint("j", damping=damping)
+    scene.v0 = np.ones(1)
+    compiled, chosen = compile_scene(scene), options(order=4)
+    run = made(compiled, chosen, level=1.0)
     found = run.first_step_error
-    whole, half = (engine.record_of(r, compiled, chosen).nodes()[1] for r in (run, twice))
-    assert found == pytest.approx(abs(whole[1, 0] - half[2, 0]), rel=1e-9)
-    assert found > 1e-4
+    t, q, _ = record_of(run, compiled, chosen).nodes()
+    halves = cvi.simulate(scene, duration=t[1], dt=0.5 * t[1], order=4, tol=chosen.stage_tol)
+    assert found == pytest.approx(abs(q[1, 0] - halves.q[2, 0]), rel=1e-6, abs=1e-14)
+    assert (found > 1e-4) == (damping > 0.0)
 
 
 def test_what_cannot_be_compared_is_refused():
     compiled = flying_box()
-    whole, bare = fixed_run(compiled, options()), fixed_run(compiled, options(dense=False))
+    whole, bare = made(compiled), made(compiled, options(dense=False))
     for compare in (lambda: whole.distances(bare, 4), lambda: bare.error_share(whole, 17, 1e-3), lambda: bare.size):
         with pytest.raises(cvi.ContactviError, match="polynomials"):
             compare()
-    engine.record_of(whole, compiled, options())
+    record_of(whole, compiled)
     with pytest.raises(cvi.ContactviError, match="handed over"):
         whole.distances(whole, 4)
+
+
+@pytest.mark.parametrize("least", [1, 2, 3])
+def test_steps_from_an_impact_to_the_end_of_its_step(least):
+    """As many as asked for; two runs that end the step at the same time show no error of a step that both have."""
+    compiled, chosen = wall(), options(duration=3.0, order=16)
+    coarser = made(compiled, chosen, level=1e-3)
+    run = made(compiled, chosen, coarser=coarser, part=0.9, after_impact=least)
+    result = run.results()
+    impacts, begins = result["events"]["time"], result["segments"]["t"]
+    assert len(impacts) == 2
+    for impact in impacts:
+        end = result["t"][result["t"].searchsorted(impact)]
+        assert np.sum((begins >= impact - 1e-12) & (begins < end - 1e-9)) >= least
+
+
+@pytest.mark.parametrize("sample", [0.2, 0.04])
+def test_steps_end_at_samples_that_are_not_much_closer(sample):
+    """Where they would be at most twice as long as samples are apart; where all are longer the samples lie inside."""
+    compiled, chosen = wall(), options(duration=3.0, order=16)
+    coarser = made(compiled, chosen, level=1e-3)
+    asked = 0.8 * coarser.lengths
+    t = made(compiled, chosen, coarser=coarser, part=0.8, sample=sample).results()["t"]
+    samples = sample * np.arange(1, round(3.0 / sample))
+    on = np.abs(t[:, None] - samples).min(axis=0) < 1e-9
+    assert (asked.max() <= 2.0 * sample) == (sample == 0.2)
+    assert (asked.min() > 2.0 * sample) == (sample == 0.04)
+    assert on.all() if sample == 0.2 else not on.any()
+
+
+def test_samples_are_the_states_at_their_times():
+    """Whether they are nodes or lie within steps."""
+    scene = cvi.load_scene(MODELS / "double_pendulum_wall.toml")
+    scene.settings = {}
+    exact = cvi.simulate(scene, duration=3.0, dt=5e-3, order=16, tol=1e-14)
+    for sample in (0.25, 0.1, 0.01):
+        traj = cvi.simulate(scene, duration=3.0, sample_dt=sample)
+        np.testing.assert_allclose(traj.t, sample * np.arange(round(3.0 / sample) + 1), atol=1e-12)
+        at = exact.at(traj.t)
+        np.testing.assert_allclose(traj.q, at.q, atol=1e-6)
+        np.testing.assert_allclose(traj.p, at.p, atol=1e-4)
 
 
 # -- the law -----------------------------------------------------------------------------------------------------------
@@ -175,4 +246,4 @@ def test_what_two_runs_share_is_a_floor():
 
 
 def test_the_kept_run_belongs_to_the_engine():
-    assert isinstance(fixed_run(flying_box(), options()), _core.KeptRun)
+    assert isinstance(made(flying_box()), _core.KeptRun)
