@@ -35,8 +35,8 @@ constexpr double kMostNumbers = 536870912.0;
 constexpr double kMostSamples = 2.0;  // in a smooth step that is not cut at each of them
 constexpr double kNearSample = 1e-9;  // of the time between two: times that differ by less are one
 
-// Where the steps from a time on, of at most `longest` [s], end at a sample, or at the end [s]. Samples between two nodes
-// cost as much as steps do, so steps up to twice as long as samples are apart are made as short as these.
+// Where the steps from a time on, of at most `longest` [s], end at a sample, or at the end [s]. Samples between two
+// nodes cost as much as steps do, so steps up to twice as long as samples are apart are made as short as these.
 double next_sample(double sample, double origin, double time, double longest, double end) {
   if (longest > kMostSamples * sample) return end;
   const double next = origin + sample * (std::floor((time - origin) / sample + kNearSample) + 1.0);
