@@ -68,9 +68,10 @@ def find(name: str) -> Arrays | None:
         with open(path, "rb") as file:
             data = file.read()
         arrays = _unpacked(data)
-        os.utime(path)  # used now: the oldest entries are the first to go
-    except UNREADABLE:
+    except (*UNREADABLE, TypeError):
         return None
+    with contextlib.suppress(OSError):  # of a folder that can only be read
+        os.utime(path)  # used now: the oldest entries are the first to go
     return arrays
 
 

@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
 from contactvi.errors import EngineError, SceneError
+from contactvi.importing.readers import copy_geometry
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 from contactvi.scene.rounded_hulls import RoundedHulls
@@ -27,6 +28,7 @@ ImpactsAt: TypeAlias = "_core.ImpactsAt"
 def make_engine_scene(
     model: pin.Model,
     collision: pin.GeometryModel,
+    pairs: np.ndarray,
     restitution: np.ndarray,
     friction: np.ndarray,
     arrays: JointArrays,
@@ -35,7 +37,8 @@ def make_engine_scene(
     """Return the engine's scene.
 
     Args:
-        model, collision: The complete model and its geometry with the tested pairs.
+        model, collision: The complete model and its geometry.
+        pairs: Geometries of the tested pairs, int32 of shape (npairs, 2).
         restitution, friction: Of the tested pairs, shapes (npairs,).
 
     Raises:
@@ -43,10 +46,12 @@ def make_engine_scene(
     """
     from contactvi import _core
 
+    # Pairs cross as numbers, and archives without a copy of them: those of a large scene take more than all else.
+    archives = _archive(model), _archive(copy_geometry(collision))
     try:
         scene = _core.Scene(
-            to_bytes(model),
-            to_bytes(collision),
+            archives[0].view(),
+            archives[1].view(),
             restitution,
             arrays.stiffness,
             arrays.rest,
@@ -55,6 +60,7 @@ def make_engine_scene(
             arrays.limit_restitution,
             friction,
             RoundedHulls(),
+            pairs,
         )
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
@@ -71,7 +77,7 @@ def make_engine_scene(
     except MemoryError:
         raise SceneError(
             "The scene does not fit into the memory",
-            expected=f"memory for {model.nv} degrees of freedom and {len(collision.collisionPairs)} pairs",
+            expected=f"memory for {model.nv} degrees of freedom and {len(pairs)} pairs",
             got="none left",
             remedy="Take pairs out with scene.disable_pair(...), or simplify the meshes",
         ) from None
@@ -185,8 +191,8 @@ def engine_impacts(
     return _core.ImpactsAt(scene, q, list(guards), restitution, margin, max_impacts)
 
 
-def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
-    """Return Pinocchio's binary archive of a model."""
+def _archive(item: pin.Model | pin.GeometryModel) -> Any:
+    """Return a buffer with Pinocchio's binary archive of a model; its view() lives as long as the buffer."""
     buffer = pin.serialization.StreamBuffer()
     item.saveToBinary(buffer)
-    return bytes(buffer.view())  # tobytes() leaks 0.3 kB a call
+    return buffer

@@ -69,13 +69,31 @@ class KeptRoundedHulls : public RoundedHulls {
   nb::object keeper_;
 };
 
-Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
-                 const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
-                 const std::optional<VecX>& pair_friction, const nb::object& rounded_hulls) {
-  const VecX friction = pair_friction ? *pair_friction : VecX(VecX::Zero(pair_restitution.size()));
+// The bytes of an object of Python that has a buffer (bytes, a memoryview), which are not copied.
+class BytesOf {
+ public:
+  explicit BytesOf(const nb::object& object) {
+    if (PyObject_GetBuffer(object.ptr(), &buffer_, PyBUF_SIMPLE) != 0) throw nb::python_error();
+  }
+  BytesOf(const BytesOf&) = delete;
+  BytesOf& operator=(const BytesOf&) = delete;
+  ~BytesOf() { PyBuffer_Release(&buffer_); }
+  std::string_view get() const {
+    return {static_cast<const char*>(buffer_.buf), static_cast<std::size_t>(buffer_.len)};
+  }
+
+ private:
+  Py_buffer buffer_;
+};
+
+Scene make_scene(const nb::object& model, const nb::object& geometry, const VecX& pair_restitution,
+                 const VecX& stiffness, const VecX& rest, const VecX& damping, const VecX& limits,
+                 const VecX& limit_restitution, const std::optional<VecX>& pair_friction,
+                 const nb::object& rounded_hulls, const std::optional<GeometryPairs>& pairs) {
+  VecX friction = pair_friction ? *pair_friction : VecX(VecX::Zero(pair_restitution.size()));
   KeptRoundedHulls known(rounded_hulls);
-  Scene scene = load_scene({model.c_str(), model.size()}, {geometry.c_str(), geometry.size()},
-                           {pair_restitution, friction, stiffness, rest, damping, limits, limit_restitution},
+  Scene scene = load_scene(BytesOf(model).get(), BytesOf(geometry).get(), pairs ? &*pairs : nullptr,
+                           {pair_restitution, std::move(friction), stiffness, rest, damping, limits, limit_restitution},
                            rounded_hulls.is_none() ? nullptr : &known);
   prepare_geometry(scene);
   return scene;
@@ -268,17 +286,19 @@ void expose_scene(nb::module_& m) {
   scene
       .def(
           "__init__",
-          [](Scene* self, nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
+          [](Scene* self, nb::object model, nb::object geometry, const VecX& pair_restitution, const VecX& stiffness,
              const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
-             std::optional<VecX> pair_friction, nb::object rounded_hulls) {
+             std::optional<VecX> pair_friction, nb::object rounded_hulls, std::optional<GeometryPairs> pairs) {
             instruction_set();  // a wrong name in the environment is refused before anything is computed
             new (self) Scene(make_scene(model, geometry, pair_restitution, stiffness, rest, damping, limits,
-                                        limit_restitution, pair_friction, rounded_hulls));
+                                        limit_restitution, pair_friction, rounded_hulls, pairs));
           },
           "model"_a, "geometry"_a, "pair_restitution"_a, "stiffness"_a, "rest"_a, "damping"_a, "limits"_a,
-          "limit_restitution"_a, "pair_friction"_a = nb::none(), "rounded_hulls"_a = nb::none(),
-          "From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data; "
-          "rounded_hulls: keeps rounded hulls from one process to the next, has find and keep.")
+          "limit_restitution"_a, "pair_friction"_a = nb::none(), "rounded_hulls"_a = nb::none(), "pairs"_a = nb::none(),
+          "From the binary archives (bytes, or anything else with a buffer) of a pin.Model and a collision "
+          "pin.GeometryModel and per joint and pair data; "
+          "rounded_hulls: keeps rounded hulls from one process to the next, has find and keep; "
+          "pairs: numbers of two geometries in each row, by default the pairs of the geometry.")
       .def_prop_ro("nq", [](const Scene& s) { return s.tree.nq; })
       .def_prop_ro("nv", [](const Scene& s) { return s.tree.nv; })
       .def_prop_ro("njoints", [](const Scene& s) { return s.tree.body_of_source.size(); })

@@ -73,10 +73,13 @@ struct SceneParameters {
   VecX limit_restitution;  // njoints
 };
 
-// The scene of the binary archives of a pin.Model and a pin.GeometryModel. Throws Error for joints, shapes or orders
-// that the engine does not support. Of `known`, which may be null, come rounded hulls that were made before; it is
-// handed those that are made now.
-Scene load_scene(std::string_view model, std::string_view geometry, const SceneParameters& parameters,
-                 RoundedHulls* known);
+// Numbers of two geometries in each row.
+using GeometryPairs = Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor>;
+
+// The scene of the binary archives of a pin.Model and a pin.GeometryModel, whose pairs are `pairs` or, if that is null,
+// those of the archive. Throws Error for joints, shapes or orders that the engine does not support. Of `known`, which
+// may be null, come rounded hulls that were made before; it is handed those that are made now.
+Scene load_scene(std::string_view model, std::string_view geometry, const GeometryPairs* pairs,
+                 const SceneParameters& parameters, RoundedHulls* known);
 
 }  // namespace contactvi
