@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <limits>
-#include <numeric>
 
 #include "base/disjoint_sets.hpp"
 #include "base/parallel.hpp"
