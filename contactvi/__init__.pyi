@@ -26,7 +26,9 @@ from .errors import NotDifferentiable as NotDifferentiable
 from .errors import PenetrationError as PenetrationError
 from .errors import SceneError as SceneError
 from .errors import SimulationError as SimulationError
+from .errors import TornMeshWarning as TornMeshWarning
 from .errors import UnsupportedJointError as UnsupportedJointError
+from .errors import UnusedSettingWarning as UnusedSettingWarning
 from .errors import UserFunctionError as UserFunctionError
 from .options import Options as Options
 from .playback.viewer import view as view

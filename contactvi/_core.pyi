@@ -323,14 +323,9 @@ def cone_seconds(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), o
     Seconds of one solve_cone, without Python, fastest of several blocks; for benchmarks.
     """
 
-def dense(scene: Scene, segments: dict[str, Any], times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int, exact: bool = False) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))]]:
+def dense(scene: Scene, segments: dict[str, Any], times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int, tol: float, exact: bool = False) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))]]:
     """
-    States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by the steps of the lengths in between (of runs without inputs).
-    """
-
-def halved_steps(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], p: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], tol: float, order: int) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))]]:
-    """
-    Configurations (N, nq) after smooth steps of the lengths h (N,), each in one piece, and each in two halves, from q (N, nq) and p (N, nv) in the engine's coordinates; NaN where they are not solved.
+    States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by steps of the lengths in between, solved to tol (of runs without inputs, and not where contacts persist).
     """
 
 def linear_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], momentum: bool, h: float, tau: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, t: float = 0.0, order: int = 2, tol: float = 1e-12, by_columns: bool = False) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:
@@ -567,8 +562,24 @@ class KeptContactSteps:
 class Snapshot:
     """All that the rest of a run depends on."""
 
+    def __init__(self, scene: Scene, bytes: bytes) -> None:
+        """
+        From what to_bytes() of one of this scene has returned, in this process or in another one.
+        """
+
+    def to_bytes(self) -> bytes:
+        """Return it as bytes, for this version of the engine."""
+
 class Simulator:
     def __init__(self, scene: Scene, options: SimulatorOptions) -> None: ...
+
+    def run_auto(self, duration: float, level: float, progress: Callable[[float, int], object] | None = None, coarser: KeptRun | None = None, part: float = 1.0) -> tuple[KeptRun, object]:
+        """
+        Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. coarser: a run before, of whose steps these are this part. Return (KeptRun, error of a callback or None).
+        """
+
+    def run_fixed(self, steps: int, progress: Callable[[float, int], object] | None = None, coarser: KeptRun | None = None) -> tuple[KeptRun, object]:
+        """Make steps of one length. The rest as in run_auto."""
 
     def reset(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> dict[str, Any]:
         """Put the system to (q, v) at t [s]; return the fields of the status."""
@@ -579,11 +590,6 @@ class Simulator:
     def advance(self, steps: int, tau: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, record_every: int = 1, progress: Callable[[float, int], object] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None) -> dict[str, Any]:
         """
         Make steps without the interpreter lock; return nodes, events, statistics and status.
-        """
-
-    def run_auto(self, duration: float, level: float, progress: Callable[[float, int], object] | None = None, plan: tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], float] | None = None) -> dict[str, Any]:
-        """
-        Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. plan: times and lengths of the steps of another run [s], and the part of them that the steps of this one are.
         """
 
     def step(self, tau: object | None = None, target: object | None = None) -> object:
@@ -626,6 +632,70 @@ class Simulator:
 
     @property
     def v(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,))]: ...
+
+class KeptRun:
+    """A run with the polynomials of its steps, kept in the engine."""
+
+    @property
+    def code(self) -> StatusCode: ...
+
+    @property
+    def time(self) -> float:
+        """Reached [s]."""
+
+    @property
+    def seconds(self) -> float:
+        """Wall time."""
+
+    @property
+    def nodes(self) -> int: ...
+
+    @property
+    def segments(self) -> int: ...
+
+    @property
+    def sweeps(self) -> int: ...
+
+    @property
+    def dense_steps(self) -> int: ...
+
+    @property
+    def contact_iterations(self) -> int: ...
+
+    @property
+    def contact_time(self) -> float:
+        """Length of the steps with persistent contacts together [s]."""
+
+    @property
+    def lengths(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """
+        Of the adaptive steps [s], one for every time at which the length changes.
+        """
+
+    @property
+    def size(self) -> float:
+        """Largest distance of a node from the first one [m, rad]."""
+
+    @property
+    def first_step_error(self) -> float:
+        """
+        Largest distance between a first step of a flight and two halves of it [m, rad].
+        """
+
+    def distances(self, other: KeptRun, times: int, over_time: bool = False, ended: bool = False) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """
+        Distances of another run from the nodes of this one, evenly over the nodes or the time; infinite where one ended much earlier, unless `ended`: then up to the earlier end.
+        """
+
+    def error_share(self, companion: KeptRun, power: int, dt_contact: float) -> float:
+        """
+        Error over what that of the companion is larger, by the lengths h of the segments and the law h^power; inf: the runs are too much alike; NaN: unknown, because contacts persist and the impacts differ.
+        """
+
+    def results(self) -> dict[str, Any]:
+        """
+        Hand over what Simulator.advance returns, without "error"; the run is empty then.
+        """
 
 def step_together(simulators: Sequence[Simulator], steps: int, tau: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')] | None = None, threads: int = 1) -> list[int]:
     """

@@ -70,7 +70,7 @@ def find(name: str) -> Arrays | None:
         arrays = _unpacked(data)
     except (*UNREADABLE, TypeError):
         return None
-    with contextlib.suppress(OSError):  # of a folder that can only be read
+    with contextlib.suppress(OSError):  # of a folder that can be read only
         os.utime(path)  # used now: the oldest entries are the first to go
     return arrays
 
@@ -112,11 +112,11 @@ def _packed(arrays: Iterable[NDArray[np.generic]]) -> bytes:
     return zlib.crc32(body).to_bytes(4, "little") + body
 
 
-def _unpacked(data: bytes) -> Arrays:
-    """Return the arrays of an entry, which are read only. Raises one of UNREADABLE where it is none."""
+def _unpacked(data: bytes) -> Arrays | None:
+    """Return the arrays of an entry, which are read only. None, or one of UNREADABLE is raised, where it is none."""
     body = memoryview(data)[4:]
     if len(body) < 4 or zlib.crc32(body) != int.from_bytes(data[:4], "little"):
-        raise ValueError("not what was written")
+        return None
     at = 4 + int.from_bytes(body[:4], "little")
     arrays: Arrays = []
     for kind, shape in json.loads(bytes(body[4:at])):
@@ -124,9 +124,7 @@ def _unpacked(data: bytes) -> Arrays:
         array = np.frombuffer(body, np.dtype(kind), count, at).reshape(shape) if count else np.empty(shape, kind)
         arrays.append(array)
         at += array.nbytes
-    if at != len(body):
-        raise ValueError("longer than its arrays")
-    return arrays
+    return arrays if at == len(body) else None
 
 
 @lru_cache(maxsize=1)

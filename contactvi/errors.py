@@ -280,6 +280,14 @@ class ApproximateDerivativeWarning(UserWarning):
     """A gradient goes through dense steps whose derivative is approximate (`Sensitivity.report` names them)."""
 
 
+class UnusedSettingWarning(UserWarning):
+    """What was set has no effect: a default of contacts that none of the shapes uses, because files give their own."""
+
+
+class TornMeshWarning(UserWarning):
+    """The file of a mesh consists of several, which were not told apart: its faces are wrong, its hull is right."""
+
+
 def nearest(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str | None:
     """Return the choice most like `word`, or None when nothing is near; `cutoff` is difflib's, from 0 to 1."""
     names = [str(choice) for choice in choices]

@@ -97,9 +97,10 @@ class Options:
             bounded, relative to what); the run ends with the status LEDGER where one is exceeded.
         max_iterations: stage iterations per attempt at a step before it is tried from other start values, or shorter.
         sample_dt: keep the states at every sample_dt [s] from the start, and the last one, instead of those at the ends
-            of steps: the steps stay what they are, the samples are taken from their polynomials.
-        dense: keep the polynomial of every step, which Trajectory.at evaluates; by default from order 4 on, and with
-            sample_dt.
+            of steps: the samples are taken from the polynomials of the steps, see dense.
+        dense: keep the polynomial of every step, which Trajectory.at evaluates; by default from order 4 on, with
+            sample_dt and with record="gradient". All bodies are then advanced together: an impact cuts the steps of
+            all. Without, bodies that cannot meet are advanced apart; results differ within the error of the steps.
         dt_contact: step with persistent contacts, and dense step [s], at most dt: of order 2 whatever the order. By
             default dt at order 2 and min(dt, 1e-3) above. With dt="auto" the run finds it ("auto", the default), and a
             number is the longest one allowed. Trajectory.phases tells which step was taken where.

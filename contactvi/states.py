@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, UserFunctionError
-from contactvi.inputs import UNIT_TOLERANCE, array
+from contactvi.inputs import UNIT_TOLERANCE, array, shape_of
 
 Array = NDArray[np.float64]
 
@@ -98,8 +98,11 @@ class States:
             ) from None
 
     def forces(self, tau: Any, steps: int, name: str = "control") -> Array:
-        """Return the generalized forces of all steps as an array of shape (steps, nv)."""
-        return array(name, tau, (steps, self.nv), "one generalized force per step")
+        """Return the generalized forces of all steps as an array of shape (steps, nv); one (nv,) is that of each."""
+        if shape_of(tau) == (self.nv,):
+            return np.tile(self.force(tau, name), (steps, 1))
+        meaning = f"one generalized force, shape ({self.nv},), or one per step"
+        return array(name, tau, (steps, self.nv), meaning)
 
 
 def _unit_part(model: pin.Model, index: int) -> slice:

@@ -1,10 +1,14 @@
 """Sphinx configuration: `pip install ".[docs]" && sphinx-build -W -b html docs build/docs`."""
 
 import re
+import sys
+from pathlib import Path
 
 from sphinx.domains.python import PyObject
 
 from contactvi.version import version as installed_version
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 project = "contactvi"
 author = "The contactvi developers"
@@ -16,6 +20,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.mathjax",
     "sphinx-mathjax-offline",  # ships MathJax with the pages: they need no network
+    "gallery",  # docs/gallery.py: draws the pictures of the gallery
     "myst_nb",  # MyST pages, and the notebooks of docs/notebooks
 ]
 default_role = "py:obj"  # single backticks in docstrings are code, and links where they name something here

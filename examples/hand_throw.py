@@ -14,11 +14,14 @@ import numpy as np
 from hand_control.scene import hand
 from hand_control.shooting import DT, Shooting, at_rest, solve, turn
 
+import contactvi as cvi
+
 SPAN = 0.8  # [s]
 APEX = 0.35, 0.12  # [s], [m]: when the ball is to be how high above its start
 
 
-def main() -> None:
+def throw() -> cvi.Trajectory:
+    """Find the motion of the hand, print what it does and return its run."""
     scene, start, held = hand((-0.045, -0.005))
     steps, top = round(SPAN / DT), round(APEX[0] / DT)
 
@@ -43,6 +46,11 @@ def main() -> None:
     assert miss < 2e-3
     assert speed < 5e-3
     assert np.linalg.norm(traj.q[-1, 19:22] - start[19:22]) < 5e-3  # and stays, for 0.4 s more
+    return traj
+
+
+def main() -> None:
+    traj = throw()
     if len(sys.argv) > 1:
         traj.to_html(sys.argv[1])
 

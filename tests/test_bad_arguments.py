@@ -95,6 +95,11 @@ RUN: dict[str, tuple[Callable[[cvi.Trajectory], object], str]] = {
     "on an array of no dimension": (lambda t: t.contacts.on(np.array(1.5)), "body"),
     "impulse on an array of no dimension": (lambda t: t.contacts.impulse_on(np.array(1.5)), "body"),
     "browser": (lambda t: cvi.view(t, open_browser=np.eye(2)), "open_browser"),
+    "option of the view": (lambda t: cvi.view(t, open_browser=False, speed=2), "speed"),
+    "option of the live view": (lambda t: cvi.view(t, open_browser=False, realtime=True), "realtime"),
+    "option of the page": (lambda t: t.to_html("a.html", speed=2), "speed"),
+    "script of the page": (lambda t: t.to_html("a.html", script="x"), "script"),
+    "option of a film": (lambda t: t.render("a.gif", rate=2), "rate"),
     "view": (lambda t: cvi.view(t.scene, open_browser=False), "run"),
     "title": (lambda t: t.to_html("a.html", title=3), "title"),
     "arrows": (lambda t: t.to_html("a.html", forces=np.eye(2)), "forces"),
@@ -208,5 +213,5 @@ def test_a_control_of_other_arguments_is_refused():
     with pytest.raises(cvi.InputError, match=r"expected a function of \(t, q, v\), got one of \(\)"):
         cvi.simulate(made, duration=0.01, dt=1e-3, control=lambda: 1)
     traj = cvi.simulate(made, duration=0.01, dt=1e-3, control=lambda *state: np.zeros(6))
-    with pytest.raises(cvi.InputError, match="have no contact in this run"):
-        traj.contacts.of(np.zeros(3), "ball")  # type: ignore[arg-type]
+    with pytest.raises(cvi.InputError, match="expected a name, several names, or a handle"):
+        traj.contacts.of(np.zeros(3), "ball")

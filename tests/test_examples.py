@@ -104,6 +104,17 @@ def test_guide_code_of_the_live_view_runs(tmp_path, monkeypatch):
     assert time.monotonic() - began > 2.0
 
 
+def test_guide_code_of_the_spinning_ball_runs(tmp_path):
+    """Restitution changes the height alone, in the world's axes; forward and backward agree."""
+    more = "print(*dp[:, S.columns['restitution']].ravel())\n"
+    more += "print(abs(slope['v0'] - 2.0 * (traj.q[-1, :3] - target) @ dp[:, S.columns['v0']]).max())\n"
+    *_, world, difference = run_marked("spinning-ball", tmp_path, more)
+    x, y, z = map(float, world.split())
+    assert max(abs(x), abs(y)) < 1e-12
+    assert z > 1.0
+    assert float(difference) < 1e-12
+
+
 def test_guide_code_of_tables_runs(tmp_path):
     """The normal forces of the corners of the box that has come to rest are its weight."""
     more = 'print(contacts[contacts["t"] > 0.9].groupby("t")["normal_force"].sum())\n'
@@ -124,12 +135,25 @@ def test_guide_code_holds_a_contact_force(tmp_path):
 
 
 def test_guide_code_lifts_a_ball_on_a_driven_wrist(tmp_path):
-    heights, force = run_marked("driven-wrist", tmp_path)
+    """Before the wrist moves, a finger without contact rests where its servos hold its weight; others hold the ball."""
+    more = """
+import pinocchio as pin
+weight = pin.computeGeneralizedGravity(scene.model, scene.model.createData(), traj.q[600])
+angles = [float(traj.q[600, scene.q_index(f"joint_{k}.0")][0]) for k in range(4)]
+print(*[0.5 * (closed[k] - angles[k]) - weight[scene.v_index(f"joint_{k}.0")][0] for k in range(4)])
+print(*sorted({contact.pair[0] for contact in traj.contacts.at(0.6)}))
+print(*traj.contacts.on(ball)[1][-1])
+"""
+    heights, force, pairs, torques, first, on_ball = run_marked("driven-wrist", tmp_path, more)
     before, after = map(float, heights.split())
-    assert abs(before - 0.040) < 1e-3
-    assert abs(after - before - 0.1) < 1e-3
+    assert abs(before - 0.041) < 1e-3
+    assert abs(after - before - 0.1) < 1e-4  # what sticks does not creep
     up = float(force.strip("[]").split()[0])
-    assert abs(up - 10.1) < 0.1
+    assert abs(up - 10.3) < 0.1
+    assert max(abs(float(unbalanced)) for unbalanced in torques.split()) < 1e-3  # [N m]; kd times 0.1 rad/s
+    assert first.split() == ["link_11.0_0", "link_7.0_0", "palm_link_0"]
+    assert all(shape in pairs for shape in first.split())
+    assert abs(float(on_ball.split()[2]) - 0.1 * 9.81) < 1e-3
 
 
 def test_guide_code_of_a_batch_runs(tmp_path):
@@ -143,6 +167,10 @@ def test_guide_code_of_the_first_run_runs(tmp_path):
     assert "palm_link_0" in printed[-1]  # the ball hits the palm
     assert (tmp_path / "run.npz").stat().st_size > 0
     assert (tmp_path / "run.html").stat().st_size > 0
+
+
+def test_guide_code_of_a_named_environment_runs(tmp_path):
+    assert run_marked("own-environment-name", tmp_path) == ["ThreadedVectorEnv (4, 3)"]
 
 
 def test_guide_code_of_environments_runs(tmp_path):

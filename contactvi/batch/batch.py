@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from contactvi.batch.blocks import Block, joined
 from contactvi.batch.executors import blocks_by
-from contactvi.batch.plan import Report, plan_from, plan_of
+from contactvi.batch.plan import Plan, Report, plan_from, plan_of
 from contactvi.batch.results import BatchResult
 from contactvi.batch.runs import blocks_of
 from contactvi.batch.storage import StoredBatch, save_batch
@@ -157,7 +157,7 @@ def simulate_batch(
         report = _report(plan.runs, progress, stack)
         made = blocks_of(plan, number, report) if executor is None else blocks_by(executor, plan, number, report)
         dense: list[int] = []
-        blocks = _watched(made, dense)
+        blocks = _watched(made, plan, dense)
         result = BatchResult(plan.keep, joined(list(blocks))) if path is None else save_batch(path, plan, blocks)
         if report is not None:
             report(plan.runs)
@@ -171,9 +171,12 @@ def simulate_batch(
     return result
 
 
-def _watched(blocks: Iterator[Block], dense: list[int]) -> Iterator[Block]:
-    """Yield blocks, and note how many runs of each took dense steps."""
+def _watched(blocks: Iterator[Block], plan: Plan, dense: list[int]) -> Iterator[Block]:
+    """Yield blocks with what was given for their runs, and note how many runs of each took dense steps."""
+    first = 0
     for block in blocks:
+        block.given = plan.part(first, first + len(block)).given
+        first += len(block)
         dense.append(int(np.count_nonzero(block.columns["dense_steps"])))
         yield block
 

@@ -57,12 +57,14 @@ class Block:
         messages: of the statuses that are not SUCCESS, by run.
         errors: by run.
         trajectories: the runs, where they are kept.
+        given: starts and parameters that were given, by name: "q0", "v0" and names of parameters, (runs, ...).
     """
 
     columns: dict[str, NDArray[Any]]
     messages: dict[int, str] = field(default_factory=dict)
     errors: dict[int, ContactviError] = field(default_factory=dict)
     trajectories: list[KeptRun] | None = None
+    given: dict[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.columns["code"])
@@ -91,6 +93,7 @@ class Block:
             messages={place[k]: text for k, text in self.messages.items() if k in place},
             errors={place[k]: error for k, error in self.errors.items() if k in place},
             trajectories=None if self.trajectories is None else [self.trajectories[k] for k in chosen],
+            given={name: values[np.asarray(chosen, dtype=int)] for name, values in self.given.items()},
         )
 
 
@@ -111,7 +114,8 @@ def joined(blocks: Sequence[Block]) -> Block:
         trajectories += block.trajectories or []
         first += len(block)
     kept = blocks[0].trajectories is not None
-    return Block(columns, messages, errors, trajectories if kept else None)
+    given = {name: np.concatenate([block.given[name] for block in blocks]) for name in blocks[0].given}
+    return Block(columns, messages, errors, trajectories if kept else None, given)
 
 
 def _padded(columns: dict[str, NDArray[Any]], nodes: int) -> dict[str, NDArray[Any]]:

@@ -66,6 +66,18 @@ class Plan:
         )
         return replace(self, runs=last - first, rows=rows, parameters=own)
 
+    @property
+    def given(self) -> dict[str, Array]:
+        """Starts and parameters of all runs as they were given, by name, (runs, ...); without those that were not."""
+        starts = {name: values for name, values in self.shared.items() if name in ("q0", "v0")} | {
+            name: values for name, values in self.rows.items() if name in ("q0", "v0")
+        }
+        once = {name: values for name, values in {**starts, **self.common}.items() if name not in self.rows}
+        several = {name: values for name, values in starts.items() if name in self.rows} | dict(self.parameters)
+        return {
+            name: np.broadcast_to(values, (self.runs, *np.shape(values))) for name, values in once.items()
+        } | several
+
     def input(self, name: str, k: int) -> Any:
         """Return an input of run k; None where it was not given."""
         return self.rows[name][k] if name in self.rows else self.shared.get(name)

@@ -13,10 +13,13 @@ from contactvi.errors import ContactviError, InputError
 from contactvi.html import html_fields, html_table
 from contactvi.inputs import short
 from contactvi.records.rows import Items
+from contactvi.records.table import Column, Table, Words
 from contactvi.simulation.messages import REACHED
 from contactvi.status import Status, StatusCode
 
 if TYPE_CHECKING:
+    import pandas
+
     from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -33,6 +36,11 @@ class BatchStatus(Items[Status]):
 
     def __len__(self) -> int:
         return len(self.codes)
+
+    def __repr__(self) -> str:
+        codes, counts = np.unique(self.codes, return_counts=True)
+        words = ", ".join(f"{count} {StatusCode(int(code)).name}" for code, count in zip(codes, counts, strict=True))
+        return f"<BatchStatus: {words or 'no runs'}>"
 
     def _item(self, i: int) -> Status:
         return Status(StatusCode(int(self.codes[i])), self._messages.get(i, REACHED), float(self.times[i]))
@@ -51,6 +59,8 @@ class BatchResult:
         impacts, dense_steps: of each run, (runs,). seconds: inside the engine [s], (runs,); runs that are made side by
             side in one thread share the time that it takes.
         error_estimate: with dt="auto" as `Trajectory.error_estimate`, else NaN, (runs,).
+        q0, v0: the starts that were given, (runs, nq) and (runs, nv); None where they were not.
+        parameters: their values that were given, by name, (runs, ...).
     """
 
     def __init__(self, keep: str, block: Block) -> None:
@@ -67,11 +77,40 @@ class BatchResult:
         self.error_estimate: Array = columns["error_estimate"]
         self.status = BatchStatus(columns["code"], columns["time"], block.messages)
         self.errors: dict[int, ContactviError] = dict(sorted(block.errors.items()))
+        self.q0: Array | None = block.given.get("q0")
+        self.v0: Array | None = block.given.get("v0")
+        self.parameters: dict[str, Array] = {
+            name: values for name, values in block.given.items() if name not in ("q0", "v0")
+        }
 
     @property
     def ok(self) -> NDArray[np.bool_]:
         """Whether each run reached its end, (runs,)."""
         return np.asarray(self.status.codes == StatusCode.SUCCESS)
+
+    @property
+    def table(self) -> Table:
+        """A row for each run: how and when it ended, what it cost, and its parameters, by components."""
+        codes = sorted(StatusCode)
+        places = np.searchsorted([int(code) for code in codes], self.status.codes)
+        columns: dict[str, Column] = {
+            "run": np.arange(len(self)), "status": Words(places, tuple(code.name for code in codes)),
+            "t": self.status.times, "impacts": self.impacts, "dense_steps": self.dense_steps, "nodes": self.nodes,
+            "seconds": self.seconds, "error_estimate": self.error_estimate,
+        }  # fmt: skip
+        for name, values in self.parameters.items():
+            rows = values.reshape(len(self), -1)
+            names = [name] if rows.shape[1] == 1 else [f"{name}[{k}]" for k in range(rows.shape[1])]
+            columns |= dict(zip(names, rows.T, strict=True))
+        return Table("runs", columns, {"t": "s", "seconds": "s"})
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return `table` as a DataFrame, with the number of the run as index, needs `pip install "contactvi[pandas]"`.
+
+        Raises:
+            ContactviError: pandas is not installed.
+        """
+        return self.table.to_pandas("run")
 
     def __len__(self) -> int:
         return len(self.nodes)

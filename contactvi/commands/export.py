@@ -23,11 +23,18 @@ def export(
         list[str] | None,
         typer.Option("--table", metavar="NAME", help="Only this table; repeatable. By default all that have rows."),
     ] = None,
+    sample_dt: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Write the table forces, too: means over windows of this length."),
+    ] = None,
 ) -> None:
-    """Write the tables of a run as CSV: states, poses, energies, events, contacts, changes; units.csv has units."""
+    """Write tables of a run as CSV, and their units as units.csv.
+
+    Tables are states, poses, energies, events, contacts, changes and dense_steps, with --sample-dt or --table forces.
+    """
     import contactvi as cvi
 
     traj = cvi.Trajectory.load(file)
-    written = traj.to_csv(output if output is not None else file.with_suffix(""), table or None)
+    written = traj.to_csv(output if output is not None else file.with_suffix(""), table or None, sample_dt)
     rows = [("" if k else "written", f"{path}  ({path.stat().st_size / 1e6:.2g} MB)") for k, path in enumerate(written)]
     print_table(_out, name_table(rows))

@@ -7,8 +7,10 @@ the scene file, so that what was run can be changed.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +22,7 @@ import pinocchio as pin
 from rich.markup import escape
 
 from contactvi.commands.console import out
-from contactvi.errors import InputError
+from contactvi.errors import InputError, UnusedSettingWarning
 from contactvi.files import write_atomic
 from contactvi.importing.paths import resolve_path
 from contactvi.importing.xml import read_xml
@@ -41,14 +43,15 @@ class Choice(NamedTuple):
 
     Attributes:
         base: "fixed" or "free", of a URDF. package_dirs: where package:// is looked for. srdf: its SRDF.
-        configuration: name of the start in the model's files. height: of a drop [m].
+        configuration: name of the start in the model's files. height: of a drop [m]; HEIGHT, or
+            where the file has surroundings none.
     """
 
     base: str | None = None
     package_dirs: Sequence[str] = ()
     srdf: str | None = None
     configuration: str | None = None
-    height: float = HEIGHT
+    height: float | None = None
 
 
 @dataclass
@@ -142,7 +145,7 @@ def model_scene(path: str, choice: Choice) -> ModelScene:
     Raises:
         ContactviError: as read_scene; the engine refuses the scene; an unknown configuration.
     """
-    height = real("height", choice.height, 0.0)
+    height = None if choice.height is None else real("height", choice.height, 0.0)
     found = _read_model(path, choice)
     scene = found.scene
     if scene.nv == 0:
@@ -163,7 +166,7 @@ def model_scene(path: str, choice: Choice) -> ModelScene:
     if free:
         _lift(found, height, surroundings)
     else:
-        found.assumed.append(("ground", "none is added: the model is held"))
+        found.assumed.append(("ground", "none is added: the model is held" + _unused(height)))
     _take_out_overlaps(found)
     servos = scene.servo_joints
     held = f"servos of the file hold {len(servos)} at the start, the others are limp" if servos else "limp"
@@ -239,11 +242,20 @@ def _ground_name(scene: Scene) -> str:
 
 
 def _assume_contact(found: ModelScene, is_ours: bool) -> None:
-    """Set the defaults of contacts, which an MJCF has for its own."""
-    found.scene.set_contact(restitution=RESTITUTION, friction=FRICTION)
-    found.tables.append(("[contact]", {"restitution": RESTITUTION, "friction": FRICTION}))
-    text = f"restitution {RESTITUTION:g}, friction {FRICTION:g}"
-    found.assumed.append(("contact", text if is_ours else f"as the file says; what it leaves open: {text}"))
+    """Set the defaults of contacts, where the file, an MJCF, leaves them open."""
+    keys: dict[str, Any] = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UnusedSettingWarning)
+        with contextlib.suppress(UnusedSettingWarning):
+            found.scene.set_contact(restitution=RESTITUTION)
+            keys["restitution"] = RESTITUTION
+        with contextlib.suppress(UnusedSettingWarning):
+            found.scene.set_contact(friction=FRICTION)
+            keys["friction"] = FRICTION
+    found.tables.append(("[contact]", keys))
+    text = ", ".join(f"{name} {value:g}" for name, value in keys.items())
+    ours = text if is_ours else f"as the file says; what it leaves open: {text}"
+    found.assumed.append(("contact", ours if keys else "as the file says"))
 
 
 def _assume_start(found: ModelScene, choice: Choice) -> None:
@@ -259,8 +271,14 @@ def _assume_start(found: ModelScene, choice: Choice) -> None:
     found.tables.append(("[initial]", {"configuration": choice.configuration}))
 
 
-def _lift(found: ModelScene, height: float, surroundings: bool) -> None:
-    """Raise the free trees until the lowest shape is `height` above the plane; with surroundings only if they overlap.
+def _unused(height: float | None) -> str:
+    return "" if height is None else "; --height is not used"
+
+
+def _lift(found: ModelScene, height: float | None, surroundings: bool) -> None:
+    """Raise the free trees until the lowest shape is `height` above the plane.
+
+    Without a height, with surroundings only if they overlap.
 
     The gaps to a plane change with the height, one to one.
     """
@@ -270,12 +288,13 @@ def _lift(found: ModelScene, height: float, surroundings: bool) -> None:
     near = [gap for pair, gap in zip(scene.pair_names, gaps, strict=True) if still & set(pair)]
     where = "of the file" if surroundings else "a plane at z = 0"
     if not near:
-        found.assumed.append(("ground", f"{where}; no shape of the model can touch it"))
+        found.assumed.append(("ground", f"{where}; no shape of the model can touch it{_unused(height)}"))
         return
     least = float(min(near))
-    if surroundings and least >= 0.0:
+    if height is None and surroundings and least >= 0.0:
         found.assumed.append(("ground", f"{where}, {least:.3g} m below"))
         return
+    height = HEIGHT if height is None else height
     values = {}
     assert scene.q0 is not None
     for i in range(1, scene.model.njoints):

@@ -85,10 +85,12 @@ class Interval:
         rows = np.broadcast_to(u, (self._steps, self._drives.nu))
         status = run.advance(self._steps, self._drives.control(rows), self._drives.references(rows, self._others))
         if not status.ok:
+            options = self._options
             raise SimulationError(
                 f"The interval ended before its time with the status {status.code.name}: {status.message}",
                 expected=f"{self.span:.9g} s", got=f"an end at t = {status.time:.9g} s",
-                remedy=remedy(status.code, self._options.contact_mode), status=status, trajectory=run.trajectory(),
+                remedy=remedy(status.code, options.contact_mode, options.zeno, options.impact), status=status,
+                trajectory=run.trajectory(),
             )  # fmt: skip
 
     def continues(self, other: Interval) -> bool:

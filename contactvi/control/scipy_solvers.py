@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import optimize
 from contactvi.control.evaluation import Evaluation, Failure, Solvable
 from contactvi.control.variables import checked_point
 from contactvi.errors import ContactviError, InputError
-from contactvi.inputs import check_choice
+from contactvi.inputs import check_choice, mapping
 
 Array = NDArray[np.float64]
 
@@ -38,14 +39,15 @@ def minimize(problem: Solvable, z0: Any, method: str | None, *, on_failure: str,
         on_failure: what a point is at which the run or its derivative fails: "raise": the error comes through;
             "infinite": its cost is infinite, from which the methods of `BACK_FROM_INFINITY` step back, and it stands in
             `failures`. At z0 it is raised in any case.
-        options: `tol`, and options of the method: maxiter=..., ...
+        options: `tol`, and options of the method: maxiter=..., ...; or as scipy takes them: options={"maxiter": ...}.
 
     Returns:
         scipy's OptimizeResult, and in it `trajectory`, the run at its x; `evaluations`, how many runs were made;
         `history`, the cost after each iteration, the one at z0 first; `failures`, a list of `Failure`.
 
     Raises:
-        InputError: a method that does not take the bounds or the constraints, or needs what the problem has not.
+        InputError: a method that does not take the bounds or the constraints, or needs what the problem has not; an
+            option that the method does not have.
     """
     check_choice("on_failure", on_failure, ON_FAILURE, "Unknown answer to a failure")
     start = problem.z0 if z0 is None else checked_point(problem.variables, z0)
@@ -53,12 +55,22 @@ def minimize(problem: Solvable, z0: Any, method: str | None, *, on_failure: str,
     chosen = _method(problem, first, method, on_failure)
     calls = _Calls(problem, first, on_failure == "infinite")
     tol = options.pop("tol", None)
+    options = {**mapping("options", options.pop("options", {}), "option: value"), **options}
     bounded = bool(np.any(np.isfinite(problem.lower)) or np.any(np.isfinite(problem.upper)))
-    result = optimize.minimize(
-        calls.cost, start, method=chosen, jac=calls.gradient, tol=tol, callback=calls.iteration, options=options,
-        bounds=optimize.Bounds(problem.lower, problem.upper) if bounded else None,
-        constraints=_constraints(first, calls, chosen), **_second(problem, first, chosen),
-    )  # fmt: skip
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "Unknown solver options", optimize.OptimizeWarning)
+        try:
+            result = optimize.minimize(
+                calls.cost, start, method=chosen, jac=calls.gradient, tol=tol, callback=calls.iteration,
+                options=options, bounds=optimize.Bounds(problem.lower, problem.upper) if bounded else None,
+                constraints=_constraints(first, calls, chosen), **_second(problem, first, chosen),
+            )  # fmt: skip
+        except optimize.OptimizeWarning as unknown:
+            raise InputError(
+                f"{chosen} does not have these options", name="options", expected=f"options of scipy's {chosen}",
+                got=str(unknown).rpartition(": ")[2],
+                remedy=f"scipy.optimize.show_options('minimize', {chosen!r}) lists them",
+            ) from None  # fmt: skip
     result.trajectory = problem.evaluate(result.x).trajectory
     result.evaluations, result.history, result.failures = problem.runs - runs + 1, calls.history, calls.failures
     return result

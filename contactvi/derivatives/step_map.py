@@ -83,9 +83,11 @@ class Step:
         simulator.reset(self.q, self.v, self._t)
         status = simulator.step(self._tau, self._target)
         if not status.ok:
+            options = simulator.options
             raise SimulationError(
                 f"The step was not made: {status.message}", expected=f"a step of {self._steps.dt:g} s",
-                got=status.code.name, remedy=remedy(status.code, simulator.options.contact_mode), status=status,
+                got=status.code.name, remedy=remedy(status.code, options.contact_mode, options.zeno, options.impact),
+                status=status,
             )  # fmt: skip
         return simulator
 

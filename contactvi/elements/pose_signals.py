@@ -5,7 +5,7 @@ A pose signal is given as
 - a placement: constant;
 - a table (times, poses): positions go along the cubic spline through them, as those of a `Signal`, rotations along a
   cubic spline on SO(3), both twice continuously differentiable. From one pose to the next it turns the shorter way;
-  poses less than half a turn apart are needed. It is not defined outside its times;
+  poses less than half a turn apart are needed. It ends as the table of a `Signal` does;
 - a function t -> pose, or (pose, velocity). A velocity that is missing follows from differences of five points, up to
   0.2 ms around t; of a smooth function it is good to about 1e-11 of its size.
 

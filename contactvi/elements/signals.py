@@ -4,7 +4,9 @@ A signal is given as
 
 - a number: constant;
 - a table (times, values): the cubic spline through it, twice continuously differentiable, not-a-knot at its ends; two
-  or three times give the polynomial through them. It is not defined outside its times;
+  or three times give the polynomial through them. Its first and last polynomials go on for 1 ms beyond its times, so
+  that a run over exactly these times has the accelerations at both ends; farther outside it is not defined. Between
+  times that are far apart for what the values do, the spline overshoots them;
 - a function t -> value, (value, rate) or (value, rate, acceleration). What is missing follows from differences of five
   points, up to 2 ms around t: of a smooth function the rate is then good to about 1e-11 of its size, and the
   acceleration to 1e-9. Rate and acceleration should be given where they are known;
@@ -32,6 +34,7 @@ _RATE_STEP, _ACCELERATION_STEP = 1e-4, 1e-3  # [s] distances of the points of di
 _JUMP = 100.0  # ratio of one slope to the sum of the others from which a function jumps
 _SLOW = 1e-3  # [rad/s, m/s] slope below which no function is said to jump
 _PARTS = ("value", "rate", "acceleration")
+BEYOND = 1e-3  # [s] by which a table goes on: over which the engine takes differences at a node
 _SLACK = 1e-9  # relative to the span of a table; a run's last time is off by rounding
 
 
@@ -106,7 +109,7 @@ class Signal:
     def _tabled(self, t: float) -> tuple[float, float, float]:
         assert self.times is not None
         low, high = float(self.times[0]), float(self.times[-1])
-        slack = _SLACK * (high - low)
+        slack = BEYOND + _SLACK * (high - low)
         if not low - slack <= t <= high + slack:
             raise UserFunctionError(
                 f"{self.name} is asked for outside its table{at(t)}",

@@ -1,4 +1,4 @@
-"""What the environments have in common: a scene whose servos follow the actions, observed every 20 ms."""
+"""What the environments have in common: a scene driven by actions, the targets of servos or torques."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError
-from contactvi.inputs import positive, short
+from contactvi.inputs import array, check_choice, count, positive, short
 from contactvi.scene.scene import Scene
 from contactvi.simulation.simulator import Simulator
 from contactvi.simulation.together import step_together
@@ -20,27 +20,31 @@ from contactvi.status import Status
 Array = NDArray[np.float64]
 Observation = NDArray[np.float32]
 
+ACTIONS = ("target", "torque")
 DT, FRAME = 2e-3, 10  # of a step [s], steps between two actions
 MOST = 100.0  # of what is observed [m, m/s, rad, rad/s]: spaces have to be bounded
 RENDER_MODES = ["ansi"]
 
 
 class SceneEnv(gymnasium.Env[Observation, Observation]):
-    """A scene with servos as an environment of Gymnasium.
+    """A scene as an environment of Gymnasium.
 
     An action has a number in [-1, 1] for each servo: how far its target is from a nominal one, over the largest such
-    distance. It holds for 20 ms, in which the engine makes ten steps; numbers beyond the range are cut, and those of
-    observations at +-100. Episodes of equal seeds and actions have equal bits.
+    distance. With actions="torque" it has one for each joint with one degree of freedom, in the order of v: how far
+    the torque is from a nominal one. It holds for a frame of some steps, by default 20 ms in ten; numbers beyond the
+    range are cut, and those of observations at +-100. Episodes of equal seeds and actions have equal bits.
 
     An episode is truncated after `duration`, and where the engine finds no way on. Each `info` has "time" [s] and
     "status", "SUCCESS" or why the engine has ended the run (`StatusCode`).
 
     Args:
-        scene: with servos; it is not changed.
-        nominal: targets of the servos where the action is zero, shape (n,) [rad or m].
-        reach: largest distances of the targets from them, shape (n,).
+        scene: with servos where actions are their targets; it is not changed.
+        nominal: targets of the servos where the action is zero, shape (n,) [rad or m], or torques [N m or N].
+        reach: largest distances of the targets, or torques, from them, shape (n,).
         observed: how many numbers an observation has.
         duration: of an episode [s].
+        actions: "target" of the servos (`Scene.servo_joints`), or "torque".
+        dt: of a step [s]. frame: number of steps between two actions.
         record: what the simulator records (`Options.record`); True: all of an episode, so that
             `env.unwrapped.simulator.trajectory()` has it, for example to_html("episode.html").
         render_mode: None, or "ansi": a line of text. A picture of a scene takes longer than many steps of it: record an
@@ -49,6 +53,7 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
     Attributes:
         simulator: the scene as it is now.
         nominal: as given; an episode may have its own.
+        frame: as given.
 
     Raises:
         InputError: for a bad argument.
@@ -66,6 +71,9 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         duration: float,
         record: bool = False,
         render_mode: str | None = None,
+        actions: str = "target",
+        dt: float = DT,
+        frame: int = FRAME,
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise InputError(
@@ -73,9 +81,15 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
                 got=short(render_mode), remedy="Use record=True and env.unwrapped.simulator.trajectory().to_html(path)",
             )  # fmt: skip
         self.render_mode = render_mode
-        self.simulator = Simulator(scene, DT, record="states" if record else False)
-        self.nominal, self._reach = nominal, reach
-        self._frames = round(positive("duration", duration, "the time of an episode in seconds") / (DT * FRAME))
+        check_choice("actions", actions, ACTIONS, "What actions are")
+        self.simulator = Simulator(scene, dt, record="states" if record else False)
+        self.frame, self._pushed = count("frame", frame), actions == "torque"
+        names, self._dofs = _driven(scene, self._pushed)
+        self.nominal = array("nominal", nominal, (len(names),), f"a number for each of {', '.join(names)}")
+        self._reach = reach = array("reach", reach, (len(names),), f"a number for each of {', '.join(names)}")
+        span = dt * self.frame
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / span))}
+        self._frames = round(positive("duration", duration, "the time of an episode in seconds") / span)
         self._nv = int(scene.nv)
         self.count, self.action = 0, np.zeros(len(reach))
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(reach),), np.float32)
@@ -93,10 +107,10 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
 
     @abstractmethod
     def judge(self, q: Array, v: Array) -> tuple[float, bool]:
-        """Return the reward of the last 20 ms, at whose end the state is q, v, and whether the episode has ended."""
+        """Return the reward of the last frame, at whose end the state is q, v, and whether the episode has ended."""
 
     def push(self) -> Array | None:
-        """Return the generalized force in the next 20 ms, shape (nv,), or None."""
+        """Return the generalized force in the next frame, shape (nv,), or None."""
         return None
 
     # --- what Gymnasium asks for --------------------------------------------------------------------------------------
@@ -113,7 +127,7 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         return self._seen(q, v), self._info(self.simulator.status)
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Go on by 20 ms; return observation, reward, terminated, truncated, info.
+        """Go on by a frame; return observation, reward, terminated, truncated, info.
 
         Raises:
             InputError: for an action of another shape, or with numbers that are not finite.
@@ -121,12 +135,19 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         """
         return step_all([self], [action], 1)[0]
 
-    def begin(self, action: Any) -> tuple[Array, Array]:
-        """Take an action; return what acts in the next 20 ms: generalized force (nv,), targets of the servos (n,)."""
+    def begin(self, action: Any) -> tuple[Array, Array | None]:
+        """Take an action; return what acts in the next frame: generalized force (nv,), targets of the servos (n,).
+
+        None where the servos go where they go by default, as actions are torques.
+        """
         self.action = self._checked(action)
-        force = self.push()
+        given = self.push()
+        force = np.zeros(self._nv) if given is None else array("push", given, (self._nv,), "one generalized force")
         at = self.nominal + self._reach * self.action
-        return np.zeros(self._nv) if force is None else force, at
+        if not self._pushed:
+            return force, at
+        force[self._dofs] += at
+        return force, None
 
     def end(self, status: Status) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Return what `step` returns, after the simulator has made its steps."""
@@ -152,25 +173,53 @@ class SceneEnv(gymnasium.Env[Observation, Observation]):
         return np.clip(values.astype(np.float64), -1.0, 1.0)
 
     def _seen(self, q: Array, v: Array) -> Observation:
-        return np.clip(self.observe(q, v), -MOST, MOST).astype(np.float32)
+        shape = self.observation_space.shape or ()
+        seen = array("observe", self.observe(q, v), shape, "what observe returns, as many numbers as observed= says",
+                     f"Return {shape[0]} numbers from observe, or give another number as observed=")  # fmt: skip
+        return np.clip(seen, -MOST, MOST).astype(np.float32)
 
     def _info(self, status: Status | None) -> dict[str, Any]:
         code = "SUCCESS" if status is None else status.code.name
         return {"time": self.simulator.t, "status": code}
 
 
+def _driven(scene: Scene, pushed: bool) -> tuple[list[str], list[int]]:
+    """Return the joints that actions drive and their places in v; InputError where there are none."""
+    model = scene.model
+    single = [str(model.names[i]) for i in range(1, model.njoints) if model.nvs[i] == 1]
+    names = single if pushed else scene.servo_joints
+    if not names:
+        raise InputError(
+            "The scene has nothing that an action drives", name="scene",
+            expected="joints with one degree of freedom" if pushed else "a scene with servos", got="none",
+            remedy="Add a robot" if pushed else 'Call scene.set_servo(joint, kp, kd) first, or use actions="torque"',
+        )  # fmt: skip
+    return names, [int(model.idx_vs[model.getJointId(name)]) for name in names]
+
+
 def step_all(
     envs: Sequence[SceneEnv], actions: Sequence[Any], workers: int | None
 ) -> list[tuple[Observation, float, bool, bool, dict[str, Any]]]:
-    """Step environments with as many servos side by side in threads; return what the `step` of each would have.
+    """Step environments of one kind side by side in threads; return what the `step` of each would have.
 
     Args:
         workers: number of threads; None for one per core.
+
+    Raises:
+        InputError: an action of another shape, or frames of unlike length.
     """
+    frames = sorted({env.frame for env in envs})
+    if len(frames) > 1:
+        raise InputError(
+            "Environments of unlike frames", name="frame", expected="as many steps in each",
+            got=" and ".join(map(str, frames)), remedy="Step those of one kind together",
+        )  # fmt: skip
     inputs = [env.begin(action) for env, action in zip(envs, actions, strict=True)]
-    forces, targets = (np.array(rows) for rows in zip(*inputs, strict=True))
+    forces = np.array([force for force, _ in inputs])
+    followed = [target for _, target in inputs if target is not None]
+    targets = np.array(followed) if followed else None
     simulators = [env.simulator for env in envs]
-    statuses = step_together(simulators, FRAME, forces if forces.any() else None, targets, workers)
+    statuses = step_together(simulators, frames[0], forces if forces.any() else None, targets, workers)
     return [env.end(status) for env, status in zip(envs, statuses, strict=True)]
 
 

@@ -21,6 +21,7 @@ from contactvi.importing.hulls import faces_of, hull_of_points
 from contactvi.importing.mesh_hulls import MeshFile, MeshHulls
 from contactvi.importing.paths import resolve_path, unreadable
 from contactvi.importing.report import number
+from contactvi.importing.submeshes import surface_of
 from contactvi.inputs import real, real_numbers, short
 
 Array = NDArray[np.float64]
@@ -38,9 +39,7 @@ class MeshSource(NamedTuple):
     def arrays(self, name: str) -> tuple[Array, NDArray[np.int64]]:
         """Return vertices and triangles. Raises InputError for points without triangles, SceneError for a bad file."""
         if self.file is not None:
-            mesh = _read(self.file)
-            faces = [mesh.tri_indices(k) for k in range(mesh.num_tris)]
-            return np.array(mesh.vertices()), np.array([[t[0], t[1], t[2]] for t in faces], dtype=int).reshape(-1, 3)
+            return surface_of(_read(self.file), self.file.path, np.array(self.file.scale))
         if self.faces is None or self.vertices is None:
             raise InputError(
                 f"The mesh of {name!r} has no faces", name="mesh", expected="a closed surface to be decomposed",

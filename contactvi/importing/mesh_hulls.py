@@ -17,6 +17,7 @@ from contactvi import cache
 from contactvi.importing.hulls import check_shape, faces_of, hull_from_faces, hull_of_points
 from contactvi.importing.kept_hulls import KeptHull, find_hull, keep_hull
 from contactvi.importing.report import PartReport, number
+from contactvi.importing.submeshes import volume_of
 
 SELF_CONTAINED = (".stl", ".obj", ".ply", ".dae")  # formats whose vertices stand in the file itself
 
@@ -38,7 +39,7 @@ class MeshFile:
         if path.suffix.lower() not in SELF_CONTAINED:
             return None
         try:
-            return cache.key("hull of a file", path.suffix.lower(), path.read_bytes(), *self.scale)
+            return cache.key("hull of a mesh file", path.suffix.lower(), path.read_bytes(), *self.scale)
         except OSError:
             return None  # its reader says what is wrong
 
@@ -107,8 +108,9 @@ class MeshHulls:
         if not isinstance(mesh, coal.BVHModelBase):
             return None
         if file is None:
-            return _hull_of(mesh, geometry.name, _key_of(mesh))
-        self._hulls[file] = _hull_of(mesh, f"{geometry.name} ({Path(file.path).name})", self._keys[file])
+            return _hull_of(mesh, geometry.name, _key_of(mesh), float(mesh.computeVolume()))
+        volume = volume_of(mesh, file.path, np.array(file.scale))
+        self._hulls[file] = _hull_of(mesh, f"{geometry.name} ({Path(file.path).name})", self._keys[file], volume)
         return self._hulls[file]
 
 
@@ -141,12 +143,12 @@ def _key_of(mesh: coal.BVHModelBase) -> str:
     return cache.key("hull of a mesh", np.array(mesh.vertices()).tobytes(), float(mesh.computeVolume()))
 
 
-def _hull_of(mesh: coal.BVHModelBase, name: str, key: str | None) -> MeshHull:
+def _hull_of(mesh: coal.BVHModelBase, name: str, key: str | None, volume: float) -> MeshHull:
     found = MeshHull.found(key) if key is not None else None
     if found is not None:
         return found
     shape, grid = hull_of_points(mesh.vertices(), name)
-    made = MeshHull(shape, grid, int(mesh.num_vertices), float(mesh.computeVolume()))
+    made = MeshHull(shape, grid, int(mesh.num_vertices), volume)
     if key is not None:
         made.keep(key)
     return made

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.playback.animation import Frames
+from contactvi.playback.animation import Frames, Poses
 from contactvi.playback.lines import path_of, rotate
 from contactvi.playback.open_side import open_side
 from contactvi.playback.visuals import Visual
@@ -41,12 +41,19 @@ class View:
     outline: Array
 
 
-def fit(visuals: list[Visual], frames: Frames, trees: Indices) -> View:
-    """Return the frame of the picture of a run; `trees` as of `trees_of`."""
+def fit(visuals: list[Visual], frames: Frames, trees: Indices, moment: float | None = None) -> View:
+    """Return the frame of the picture of a run; `trees` as of `trees_of`.
+
+    Args:
+        moment: time [s] from the start of the run that the picture shows alone; None: all of the run.
+    """
     solid = [visual for visual in visuals if visual.shape != "halfspace"]
     spots = [_Spot.of(visual, frames) for visual in solid] or [_Spot(np.zeros((1, 1, 3)), 1.0)]
     home, far = _home(spots)
-    near = [spot for spot in (spot.within(home, far) for spot in spots) if len(spot.points)]
+    if moment is not None:
+        frames = _at(frames, moment)
+        spots = [_Spot.of(visual, frames) for visual in solid] or spots
+    near = [spot for spot in (spot.within(home, far) for spot in spots) if len(spot.points)] or spots
     low, high = _box(near)
     center = 0.5 * (low + high)
     radius = max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
@@ -57,6 +64,15 @@ def fit(visuals: list[Visual], frames: Frames, trees: Indices) -> View:
         direction=open_side(visuals, frames, trees, high - low, center, radius),
         outline=_outline(near),
     )
+
+
+def _at(frames: Frames, moment: float) -> Frames:
+    """Return the frame nearest to a time, twice, so that what moves is still told from what does not."""
+    row = [int(np.argmin(np.abs(frames.times - moment)))] * 2
+    return Frames(frames.times[row], {
+        joint: Poses(poses.position[row], poses.quaternion[row]) if poses.moves else poses
+        for joint, poses in frames.poses.items()
+    })  # fmt: skip
 
 
 def _outline(spots: list[_Spot]) -> Array:

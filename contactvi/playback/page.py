@@ -6,6 +6,7 @@ What is put into the page is put in in one pass and escaped; arrays are numbers 
 from __future__ import annotations
 
 import functools
+import hashlib
 import html
 import importlib.resources
 import importlib.util
@@ -88,7 +89,12 @@ def write_html(
     return write_atomic(path, lambda file: file.write(text.encode("utf-8")))
 
 
-def make_html(
+def make_html(run: Run, *, script: str = "", **options: Any) -> str:
+    """Return the text of the page; options as in `page_data`. script: JavaScript of the caller that runs first."""
+    return fill_page(page_data(run, **options), script=script)
+
+
+def page_data(
     run: Run,
     *,
     fps: float = 60.0,
@@ -96,9 +102,13 @@ def make_html(
     play: bool = True,
     forces: bool = True,
     camera: Any = None,
-    script: str = "",
-) -> str:
-    """Return the text of the page; arguments as in `write_html`. script: JavaScript of the caller that runs first."""
+    moment: float | None = None,
+) -> dict[str, Any]:
+    """Return what the page of a run shows; arguments and errors as those of `write_html`.
+
+    Args:
+        moment: time of the run [s] that is shown alone, to which the picture fits; None: all of it.
+    """
     if not isinstance(fps, (int, float)) or isinstance(fps, bool) or not 0 < fps < 1e6:
         raise InputError(
             "fps is not usable",
@@ -116,8 +126,8 @@ def make_html(
     chosen = camera_of(camera if camera is not None else run.scene.camera or "auto")
     check_followed(chosen, bodies_of(run))
     title = title or title_of(run.scene)
-    data = _data(run, frames_of(run, float(fps)), forces, chosen) | {"title": title, "play": play}
-    return fill_page(data, script=script)
+    moment = None if moment is None else moment - float(run.t[0])
+    return _data(run, frames_of(run, float(fps)), forces, chosen, moment) | {"title": title, "play": play}
 
 
 def fill_page(data: dict[str, Any], *, script: str = "", further: tuple[str, ...] = ()) -> str:
@@ -127,16 +137,41 @@ def fill_page(data: dict[str, Any], *, script: str = "", further: tuple[str, ...
         script: JavaScript of the caller that runs first.
         further: names of scripts of the folder web that the player takes beside its own.
     """
-    names = (*_SCRIPTS[:-1], *further, _SCRIPTS[-1])
+    player = "\n".join(f'<script class="player">\n{text}\n</script>' for text in _player(further))
+    return _filled(data, script, player)
+
+
+def carrying_page(data: dict[str, Any]) -> str:
+    """Return the page of a cell of a notebook from which the pages of other cells take the player."""
+    return fill_page(data, script=_web("carry.js").replace("@KEY@", _player_key()))
+
+
+def taking_page(data: dict[str, Any]) -> str:
+    """Return the page of a cell of a notebook that takes the player from another one, and is small."""
+    return _filled(data, "", f"<script>\n{_web('take.js').replace('@KEY@', _player_key())}</script>")
+
+
+def _filled(data: dict[str, Any], script: str, player: str) -> str:
     parts = {
         "@TITLE@": html.escape(data["title"]),
         "@RUN@": _escaped(data),
         "@STYLE@": _web("style.css"),
-        "@THREE@": _three(),
-        "@PLAYER@": "\n".join(_web(f"{name}.js") for name in names),
+        "@PLAYER@": player,
         "@SCRIPT@": script,
     }
     return re.sub("|".join(parts), lambda found: parts[found[0]], _web("page.html"))  # once: what is put in stays
+
+
+def _player(further: tuple[str, ...] = ()) -> tuple[str, str]:
+    """Return the scripts of a page: three.js and the player."""
+    names = (*_SCRIPTS[:-1], *further, _SCRIPTS[-1])
+    return _three(), "\n".join(_web(f"{name}.js") for name in names)
+
+
+@functools.lru_cache(maxsize=1)
+def _player_key() -> str:
+    """Return the name of the player in the page of a notebook, another one for each version of it."""
+    return "contactvi_player_" + hashlib.sha256("".join(_player()).encode()).hexdigest()[:16]
 
 
 def bodies_of(run: Drawn) -> dict[str, int]:
@@ -149,9 +184,9 @@ def bodies_of(run: Drawn) -> dict[str, int]:
     return {name: joint for name, joint in names.items() if joint in drawn}
 
 
-def _data(run: Run, frames: Frames, forces: bool, camera: Camera) -> dict[str, Any]:
-    """Return all that the page shows."""
-    view = fit(run.visuals, frames, trees_of(run.scene.model))
+def _data(run: Run, frames: Frames, forces: bool, camera: Camera, moment: float | None) -> dict[str, Any]:
+    """Return all that the page shows; moment [s] from the start as of `fit`."""
+    view = fit(run.visuals, frames, trees_of(run.scene.model), moment)
     joints = {joint: k for k, joint in enumerate(frames.poses)}
     contacts = contact_frames(run, run.t[0] + frames.times, view.size) if forces else None
     events = event_data(run, float(run.t[0]))

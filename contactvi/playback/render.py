@@ -50,7 +50,8 @@ def render(
 
     Args:
         path: ends with .gif, .mp4 or .png (the picture of one time).
-        camera: as of `contactvi.playback.page.write_html`.
+        camera: "auto", "front", ... as of `contactvi.playback.page.write_html`; a .png fits to what there is
+            at its time, a film to all of the run.
         size: width and height [pixels], whole numbers or "800x600"; even ones for an MP4.
         at: time of a .png [s].
         fps: frames per second of a film; a GIF shows frames for whole hundredths of a second.
@@ -74,7 +75,8 @@ def render(
     find_browser()
     if kind == ".mp4":
         _find_ffmpeg()
-    frames = _Frames(run, camera, forces, width, height, speed)
+    moment = float(times[0]) if kind == ".png" else None
+    frames = _Frames(run, camera, forces, width, height, speed, moment)
     if kind == ".png":
         (picture,) = frames.draw(times)
         return write_atomic(file, lambda out: picture.save(out, "PNG", optimize=True))
@@ -86,8 +88,10 @@ def render(
 class _Frames:
     """The pictures of a run at given times."""
 
-    def __init__(self, run: Run, camera: Any, forces: bool, width: int, height: int, speed: float) -> None:
-        self.run, self.camera, self.forces = run, camera, forces
+    def __init__(
+        self, run: Run, camera: Any, forces: bool, width: int, height: int, speed: float, moment: float | None
+    ) -> None:
+        self.run, self.camera, self.forces, self.moment = run, camera, forces, moment
         self.width, self.height, self.speed = width, height, speed
 
     def draw(self, times: np.ndarray) -> Iterator[Image.Image]:
@@ -100,7 +104,9 @@ class _Frames:
         }  # fmt: skip
         web = importlib.resources.files("contactvi.playback").joinpath("web", "render.js").read_text(encoding="utf-8")
         script = f"const job = {json.dumps(job, allow_nan=False)};\n{web}"
-        page = make_html(self.run, fps=200.0, play=False, forces=self.forces, camera=self.camera, script=script)
+        page = make_html(
+            self.run, fps=200.0, play=False, forces=self.forces, camera=self.camera, script=script, moment=self.moment
+        )
         size = self.width, self.height
         for data in pictures(page, len(times)):
             with Image.open(io.BytesIO(data)) as picture:

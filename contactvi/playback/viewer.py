@@ -2,37 +2,42 @@
 
 from __future__ import annotations
 
-import html
 import http.server
+import sys
 import threading
 import webbrowser
 from typing import TYPE_CHECKING, Any, overload
 
 from contactvi.inputs import flag
+from contactvi.playback.keywords import check_keywords
 from contactvi.playback.live import LiveView
 from contactvi.playback.live_frames import Stepped
-from contactvi.playback.page import Run, make_html
+from contactvi.playback.notebook import inline
+from contactvi.playback.page import Run, fill_page, page_data, write_html
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
 
 @overload
-def view(run: Run, *, open_browser: bool = True, **options: Any) -> View: ...
+def view(run: Run, *, open_browser: bool | None = None, **options: Any) -> View: ...
 @overload
-def view(run: Stepped, *, open_browser: bool = True, realtime: bool | float = False, **options: Any) -> LiveView: ...
-def view(run: Run | Stepped, *, open_browser: bool = True, **options: Any) -> View | LiveView:
+def view(
+    run: Stepped, *, open_browser: bool | None = None, realtime: bool | float = False, **options: Any
+) -> LiveView: ...
+def view(run: Run | Stepped, *, open_browser: bool | None = None, **options: Any) -> View | LiveView:
     """Serve the playback of a run, or the live view of a simulator, and open it in the browser; return at once.
 
     Args:
         run: a Trajectory, or a Simulator that has been reset.
-        open_browser: open a browser window; the address is printed in any case.
-        **options: title, forces, camera of `contactvi.playback.page.write_html`; of a Trajectory fps and play, too; of
-            a Simulator realtime: True, so that `sync` holds simulated time back to wall time, or a number of simulated
-            seconds per second.
+        open_browser: open a browser window; None: yes, but not in a notebook, where the result shows itself as the last
+            line of a cell. The address is printed in any case.
+        **options: title="", forces=True, camera="auto" as of `contactvi.playback.page.write_html`; of a Trajectory
+            fps=60 and play=True, too; of a Simulator realtime: True, so that `sync` holds simulated time back to wall
+            time, or a number of simulated seconds per second.
 
     The page is served while this process lives; a script that would end right away calls `.wait()` on the result. For
-    a file that needs no process, use `Trajectory.to_html`. In a notebook the result shows itself.
+    a file that needs no process, use `Trajectory.to_html`.
 
     A simulator is shown while it runs, at each call of `sync`, at most 60 times a second::
 
@@ -41,16 +46,31 @@ def view(run: Run | Stepped, *, open_browser: bool = True, **options: Any) -> Vi
                 sim.step()
                 live.sync()
 
+    The simulator is the loop's: while it steps, reading its t, q or v in another thread raises a SimulationError. What
+    another thread is to see the loop stores for it after a step.
+
     Raises:
-        InputError: for what cannot be shown, and options that are not usable.
+        InputError: for what cannot be shown, and options that are unknown or not usable.
         SimulationError: for a simulator without a state.
     """
-    open_browser = flag("open_browser", open_browser)
-    shown = LiveView(run, **options) if _is_stepped(run) else View(make_html(run, **options))
+    opened = not _in_notebook() if open_browser is None else flag("open_browser", open_browser)
+    shown: View | LiveView
+    if _is_stepped(run):
+        check_keywords(LiveView, options, "The live view")
+        shown = LiveView(run, **options)
+    else:
+        check_keywords(write_html, options, "The view of a run")
+        shown = View(page_data(run, **options))
     print(f"{'Live view' if isinstance(shown, LiveView) else 'Playback'} at {shown.url}")
-    if open_browser:
+    if opened:
         webbrowser.open(shown.url, new=2)
     return shown
+
+
+def _in_notebook() -> bool:
+    """Return whether this process is the kernel of a notebook."""
+    interactive = sys.modules.get("IPython")
+    return interactive is not None and hasattr(interactive.get_ipython(), "kernel")
 
 
 def _is_stepped(run: Run | Stepped) -> TypeIs[Stepped]:
@@ -60,9 +80,10 @@ def _is_stepped(run: Run | Stepped) -> TypeIs[Stepped]:
 class View:
     """A playback that is being served at `url`."""
 
-    def __init__(self, page: str) -> None:
-        self._page = page.encode("utf-8")
-        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _handler(self._page))
+    def __init__(self, data: dict[str, Any]) -> None:
+        self._data = data
+        page = fill_page(data).encode("utf-8")
+        self._server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _handler(page))
         self._server.daemon_threads = True
         self.url = f"http://127.0.0.1:{self._server.server_address[1]}/"
         self._thread = threading.Thread(target=self._server.serve_forever, name="contactvi-view", daemon=True)
@@ -85,8 +106,7 @@ class View:
         return f"<View at {self.url}>"
 
     def _repr_html_(self) -> str:
-        page = html.escape(self._page.decode("utf-8"), quote=True)
-        return f'<iframe srcdoc="{page}" style="width: 100%; height: 480px; border: none"></iframe>'
+        return inline(self._data)
 
 
 def _handler(page: bytes) -> type[http.server.BaseHTTPRequestHandler]:

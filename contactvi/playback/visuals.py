@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi.elements.elements import PathSpring
 from contactvi.errors import SceneError
+from contactvi.importing.submeshes import surface_of
 from contactvi.inputs import is_rigid
 
 if TYPE_CHECKING:
@@ -191,8 +192,8 @@ def from_geometry(shape: pin.GeometryObject) -> Visual | None:
         name, sizes = "halfspace", (*(float(x) for x in solid.n), float(solid.d))
     elif kind.startswith("BVHModel"):
         name, sizes = "mesh", ()
-        vertices = np.array(solid.vertices(), dtype=np.float32)
-        faces = np.array([_corners(solid.tri_indices(k)) for k in range(solid.num_tris)], dtype=np.uint32)
+        points, corners = surface_of(solid, str(shape.meshPath), np.array(shape.meshScale))
+        vertices, faces = points.astype(np.float32), corners.astype(np.uint32)
     elif kind == "Convex":
         name, sizes = "mesh", ()
         vertices = np.array(solid.points(), dtype=np.float32)

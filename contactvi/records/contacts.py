@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contactvi.aliases import alias
-from contactvi.errors import InputError, did_you_mean
+from contactvi.errors import InputError
 from contactvi.html import html_table
-from contactvi.inputs import entries, real, short
+from contactvi.inputs import real
 from contactvi.records.codes import CHANGES, KINDS, MODES, GuardKind
-from contactvi.records.events import label
+from contactvi.records.events import LIMITS, label
+from contactvi.records.force_sums import BRIEF, mean_forces
 from contactvi.records.rows import Array, Arrays, Fields, Items, Rows, StepRows, joined
+from contactvi.records.shape_names import Groups, ShapeNames, matching_pairs
 
-_BRIEF = 1e-3  # of the longest step
 # The order is that of the file format.
 FIELDS: Fields = {
     "t": (0, float),
@@ -109,9 +110,12 @@ class ContactLog(StepRows, Items[Contact]):
         arrays: Arrays | Callable[[], Arrays],
         pair_names: Sequence[tuple[str, str]],
         joint_names: Sequence[str],
+        groups: Groups | None = None,
     ) -> None:
+        """Take arrays as in FIELDS, or a function that makes them, the names, and the shapes of parts and bodies."""
         super().__init__(arrays)
         self._names = pair_names, joint_names
+        self._groups = {} if groups is None else groups
 
     def label(self, kind: int, index: int) -> tuple[str, str]:
         """Return the names that belong to (kind, index) in the engine's numbering."""
@@ -140,7 +144,7 @@ class ContactLog(StepRows, Items[Contact]):
         Impacts are not, nor are parts of steps between two changes that are shorter than a thousandth of the longest
         step: an impulse of the size of rounding, divided by almost no time, is no force.
         """
-        return np.asarray(self.h > _BRIEF * self.h.max(initial=0.0))
+        return np.asarray(self.h > BRIEF * self.h.max(initial=0.0))
 
     lasting = alias("has_force")
 
@@ -196,57 +200,82 @@ class ContactLog(StepRows, Items[Contact]):
         near = starts[np.minimum(np.searchsorted(starts, self.end - slack), len(starts) - 1)]
         return np.asarray(np.where(np.abs(near - self.end) <= slack, near, self.end))
 
-    def of(self, a: str, b: str) -> ContactLog:
-        """Return the contacts of one pair of names, in whichever order (of a limit: joint, "lower limit").
+    def of(self, a: Any, b: Any) -> ContactLog:
+        """Return the contacts between two bodies, in whichever order (of a limit: joint, "lower limit").
 
-        The impulses stay those on the second shape of the pair as `pairs` names it. Raises InputError for two names
-        that never touched.
+        Args:
+            a, b: each a shape, body, part, pattern, several names or a handle, as in `on`; or the two names of one of
+                `pairs`. The impulses stay those on the second shapes of the pairs as `pairs` names them.
+
+        Raises:
+            InputError: a name that is unknown, or two that never touched.
         """
-        known = isinstance(a, str) and isinstance(b, str)
-        for pair in self.pairs if known else ():
-            if (a, b) in (pair, pair[::-1]):
-                return self.rows(self._of_pair(pair))
-        raise InputError(
-            f"{a!r} and {b!r} have no contact in this run",
-            name="pair",
-            expected="one of contacts.pairs",
-            got=f"({a!r}, {b!r})",
-            remedy=did_you_mean(f"{a} {b}", [" ".join(pair) for pair in self.pairs]),
-        )
+        return self.rows(self._between(a, b)[self._guards[1]])
 
-    def force_of(self, a: str, b: str) -> tuple[Array, Array]:
-        """Return (t (k,) [s], force (k, 3) [N]) of a pair over its steps in persistent contact.
+    def force_of(self, a: Any, b: Any) -> tuple[Array, Array]:
+        """Return (t (k,) [s], force (k, 3) [N]) between two bodies while they are in persistent contact.
 
-        Times are the middles of the steps, and the force of a step is the sum of its points. It acts on the second
-        shape of the pair as `pairs` names it; for a limit it is the first component.
+        Names, times and forces are as in `of` and `on`. The force acts on the second shape of the pair as `pairs` names
+        it; of several pairs on the side of the first one's second shape. For a limit it is the first component.
         """
-        rows = self.of(a, b)
-        rows = rows.rows(rows.h > 0.0)
-        return _summed(rows, rows.force)
+        chosen = self._between(a, b)
+        rows = chosen[self._guards[1]] & (self.h > 0.0)
+        pairs = [pair for pair, its in zip(self.pairs, chosen, strict=True) if its]
+        if len(pairs) == 1:
+            return self._mean(rows, np.ones(int(rows.sum())))
+        sides = [self._shapes.of(name) for name in (a, b)]
+        return self._mean(rows, self._signs(sides[pairs[0][1] in sides[1]])[rows])
 
     def on(self, body: Any) -> tuple[Array, Array]:
         """Return (t (k,) [s], force (k, 3) [N]): the sum of all contact forces on a body, step by step.
 
         Args:
-            body: name of a shape, several of them, or a handle of the scene, whose shapes count as one body. Times are
-                the middles of the steps in which it had persistent contact.
+            body: name of a part, body or shape, a pattern over these, several of them, or a handle of the scene; its
+                shapes count as one body.
+
+        Times are the middles of the steps in which it had persistent contact; forces are means over the time of contact
+        in them. Parts of a step that end at changes of contacts are taken together, and steps whose contact is shorter
+        than a thousandth of the longest are left out (as by `has_force`).
+
+        Raises:
+            InputError: a name that no tested pair has.
         """
-        shapes = set(_shapes(body))
-        signs = self._signs(shapes)
-        if not signs.any() and not shapes & {name for pair in self._names[0] for name in pair}:
-            known = sorted({name for pair in self._names[0] for name in pair})
-            raise InputError(
-                f"No shape called {body!r}", name="body", expected="a shape of the tested pairs", got=repr(body),
-                remedy=did_you_mean(str(body), known),
-            )  # fmt: skip
+        signs = self._signs(self._shapes.of(body))
         chosen = (signs != 0.0) & (self.h > 0.0)
-        rows = self.rows(chosen)
-        return _summed(rows, signs[chosen, None] * rows.force)
+        return self._mean(chosen, signs[chosen])
 
     def impulse_on(self, body: Any) -> Array:
-        """Return the sum of all contact impulses on a body, impacts included [N s], world axes; `body` as in `on`."""
-        signs = self._signs(set(_shapes(body)))[:, None]
+        """Return the sum of all contact impulses on a body, impacts included [N s], world axes, shape (3,).
+
+        `body` and errors are as in `on`.
+        """
+        signs = self._signs(self._shapes.of(body))[:, None]
         return np.asarray(np.where(signs != 0.0, signs * self.impulse, 0.0).sum(axis=0))
+
+    @property
+    def _shapes(self) -> ShapeNames:
+        return ShapeNames(self._names[0], self._groups)
+
+    def _between(self, a: Any, b: Any) -> NDArray[np.bool_]:
+        """Return which of `pairs` are meant, shape (len(pairs),)."""
+        words = isinstance(a, str) and isinstance(b, str)
+        found = np.array([words and (a, b) in (pair, pair[::-1]) for pair in self.pairs], dtype=bool)
+        if not found.any() and not (words and {a, b} & set(LIMITS)):
+            shapes = self._shapes
+            found = np.array(matching_pairs(self.pairs, shapes.of(a, "pair"), shapes.of(b, "pair")), dtype=bool)
+        if found.any():
+            return found
+        touched = ", ".join(f"({first!r}, {second!r})" for first, second in self.pairs[:6])
+        raise InputError(
+            f"{a!s} and {b!s} have no contact in this run", name="pair", expected="two bodies that touched",
+            got=f"({a!s}, {b!s})",
+            remedy=f"Look at contacts.pairs: {touched}" + (", ..." if len(self.pairs) > 6 else "")
+            if self.pairs else "Nothing touched in this run",
+        )  # fmt: skip
+
+    def _mean(self, chosen: NDArray[np.bool_], signs: Array) -> tuple[Array, Array]:
+        step = self._arrays["step"][chosen]
+        return mean_forces(self.t[chosen], self.h[chosen], step, signs[:, None] * self.impulse[chosen])
 
     def _signs(self, shapes: set[str]) -> Array:
         """+1 where the second shape is one of these, -1 where the first is, 0 where both or none are, shape (m,)."""
@@ -254,13 +283,10 @@ class ContactLog(StepRows, Items[Contact]):
         index = np.where(self._arrays["kind"] == GuardKind.CONTACT, self._arrays["index"], 0)
         return np.where(self._arrays["kind"] == GuardKind.CONTACT, of_pair[index], 0.0)
 
-    def _of_pair(self, pair: tuple[str, str]) -> NDArray[np.bool_]:
-        names, places = self._guards
-        return np.asarray(np.array([name == pair for name in names])[places])
-
     def rows(self, chosen: NDArray[Any]) -> ContactLog:
         """Return the contacts of these rows, given by their numbers or by a mask (m,)."""
-        return ContactLog({name: values[chosen] for name, values in self._arrays.items()}, *self._names)
+        arrays = {name: values[chosen] for name, values in self._arrays.items()}
+        return ContactLog(arrays, *self._names, self._groups)
 
     def __repr__(self) -> str:
         return f"<ContactLog: {len(self)} rows of {len(self.pairs)} pairs>"
@@ -269,11 +295,12 @@ class ContactLog(StepRows, Items[Contact]):
         """Return what a notebook shows: the first rows and the last ones."""
         rows = [
             None if c is None else (
-                f"{c.t:.6g}", f"{c.h:.3g}", " | ".join(c.pair), str(c.point), c.mode, f"{c.normal_force:.6g}",
+                f"{c.t:.6g}", f"{c.h:.3g}", " | ".join(c.pair), str(c.point), c.mode,
+                f"{c.normal_force:.6g}" if c.h > 0.0 else "",
                 f"{np.linalg.norm(c.impulse):.6g}",
             ) for c in self._shown()
         ]  # fmt: skip
-        heads = ("t [s]", "h [s]", "pair", "point", "mode", "normal force [N]", "impulse [N s]")
+        heads = ("t [s]", "h [s]", "pair", "point", "mode", "normal force [N]", "impulse, friction included [N s]")
         return html_table(f"Contacts: {len(self)} rows of {len(self.pairs)} pairs", heads, rows)
 
     def _item(self, i: int) -> Contact:
@@ -360,26 +387,3 @@ def empty_contacts() -> ContactLog:
 def empty_changes() -> ChangeLog:
     """Return a log without changes."""
     return ChangeLog(joined((), CHANGE_FIELDS), (), ())
-
-
-def _summed(rows: ContactLog, force: Array) -> tuple[Array, Array]:
-    """Return the middles of the steps (k,) and the sums of the forces (k, 3) of the rows of one step."""
-    middle, group = np.unique(rows.t + 0.5 * rows.h, return_inverse=True)
-    total = np.zeros((len(middle), 3))
-    np.add.at(total, group.reshape(-1), force)
-    return middle, total
-
-
-def _shapes(body: Any) -> tuple[str, ...]:
-    if isinstance(body, str):
-        return (body,)
-    shapes = entries(getattr(body, "geometries", body))
-    if shapes is None or not all(isinstance(shape, str) for shape in shapes):
-        raise InputError(
-            "Argument body",
-            name="body",
-            expected="a name, several names, or a handle of the scene",
-            got=short(body),
-            remedy="Give the name of a body or shape, or what scene.add_... returned",
-        )
-    return shapes

@@ -16,6 +16,8 @@ from contactvi.records.rows import Arrays, Items, Rows
 
 _SAME_TIME = 1e-13  # relative: events so near to the start of a step happen there
 
+LIMITS = "lower limit", "upper limit"
+
 # name -> (width, dtype) of one event's entry; width 0 is a scalar, "q" and "v" the size of the configuration and of
 # the velocity. The order is that of the file format.
 FIELDS: dict[str, tuple[int | str, type]] = {
@@ -157,6 +159,12 @@ class EventLog(Rows, Items[Event]):
         """What the law takes at every event, by restitution and friction [J], shape (n,)."""
         return self._arrays["loss"]
 
+    def first_by_pair(self) -> dict[tuple[str, str], Event]:
+        """Return the first impact of every pair (of a limit: joint, which limit), in the order of time."""
+        keys = 2 * self._arrays["index"] + self._arrays["kind"]
+        events = (self[int(k)] for k in np.sort(np.unique(keys, return_index=True)[1]))
+        return {event.pair: event for event in events}
+
     def total(
         self, values: NDArray[np.float64], t: NDArray[np.float64], start: float = 0.0, dt: float = math.nan
     ) -> NDArray[np.float64]:
@@ -185,7 +193,7 @@ class EventLog(Rows, Items[Event]):
                 f"{e.gamma_plus:.6g}", f"{e.loss:.6g}",
             ) for e in self._shown()
         ]  # fmt: skip
-        heads = ("t [s]", "pair", "points", "impulse [N s]", "speed before [m/s]", "after [m/s]", "loss [J]")
+        heads = ("t [s]", "pair", "points", "normal impulse [N s]", "speed before [m/s]", "after [m/s]", "loss [J]")
         return html_table(f"Impacts: {len(self)} ({self.method.upper()})", heads, rows)
 
     def _item(self, i: int) -> Event:
@@ -252,4 +260,4 @@ def label(kind: int, index: int, pair_names: Sequence[tuple[str, str]], joint_na
     """Return the two names of a guard in the engine's numbering: pairs, or 2 * joint + {0 lower, 1 upper}."""
     if kind == GuardKind.CONTACT:
         return pair_names[index]
-    return joint_names[index // 2], "upper limit" if index % 2 else "lower limit"
+    return joint_names[index // 2], LIMITS[index % 2]

@@ -22,8 +22,9 @@ class RunInputs:
         saturated: actuators at their limits, summed over steps.
         contact_steps: those with persistent contacts and dense ones, one contactvi._core.KeptContactSteps per call of
             the engine.
-        stored_steps, stored_blocks, stored_dense: the same of a run from a file, as numbers, shapes (i,), (j,) and
-            (k,): the steps, the impacts of several points, and the dense steps; None where `contact_steps` holds them.
+        stored_steps, stored_blocks, stored_dense: those of earlier calls, read from a file or a pickle, as numbers,
+            shapes (i,), (j,) and (k,): the steps, the impacts of several points, and the dense steps; None where
+            `contact_steps` holds all.
     """
 
     control: Array | None
@@ -42,13 +43,10 @@ class RunInputs:
 
     def stored(self) -> dict[str, NDArray[Any]]:
         """Return what a file keeps of them, by name."""
-        steps = [kept.step_numbers() for kept in self.contact_steps]
-        blocks = [kept.block_numbers() for kept in self.contact_steps]
-        dense = [kept.dense_numbers() for kept in self.contact_steps]
         found: dict[str, NDArray[Any]] = {"saturated": np.array(self.saturated, dtype=np.int64)}
-        found["contact_steps"] = np.concatenate(steps or [_or_none(self.stored_steps)])
-        found["impact_blocks"] = np.concatenate(blocks or [_or_none(self.stored_blocks)])
-        found["dense_steps"] = np.concatenate(dense or [_or_none(self.stored_dense)])
+        earlier = (self.stored_steps, self.stored_blocks, self.stored_dense)
+        names = ("contact_steps", "impact_blocks", "dense_steps")
+        found.update(zip(names, _numbers(earlier, self.contact_steps), strict=True))
         for name, values in (("control", self.control), ("target", self.target)):
             if values is not None:
                 found[name] = np.asarray(values, dtype=float)
@@ -66,6 +64,11 @@ class GrowingInputs:
         self.saturated = 0
         self._blocks: list[tuple[int, Array | None, Array | None]] = []
         self._contact_steps: list[Any] = []
+        self._earlier: tuple[Array | None, Array | None, Array | None] = (None, None, None)  # of a pickle, as numbers
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what pickle keeps: contact steps as numbers."""
+        return {**vars(self), "_contact_steps": [], "_earlier": _numbers(self._earlier, self._contact_steps)}
 
     def add(self, steps: int, control: Array | None, target: Array | None) -> None:
         """Take over the inputs of a call of so many steps."""
@@ -79,7 +82,7 @@ class GrowingInputs:
         """Return a copy, which grows on its own."""
         twin = GrowingInputs()
         twin._blocks, twin.saturated = list(self._blocks), self.saturated
-        twin._contact_steps = list(self._contact_steps)
+        twin._contact_steps, twin._earlier = list(self._contact_steps), self._earlier
         return twin
 
     def joined(self) -> RunInputs:
@@ -88,7 +91,7 @@ class GrowingInputs:
         control, target = (
             _joined(counts, parts) for parts in ([b[1] for b in self._blocks], [b[2] for b in self._blocks])
         )
-        return RunInputs(control, target, self.saturated, tuple(self._contact_steps))
+        return RunInputs(control, target, self.saturated, tuple(self._contact_steps), *self._earlier)
 
 
 def _joined(counts: Sequence[int], parts: Sequence[Array | None]) -> Array | None:
@@ -101,5 +104,12 @@ def _joined(counts: Sequence[int], parts: Sequence[Array | None]) -> Array | Non
     )  # fmt: skip
 
 
-def _or_none(numbers: Array | None) -> Array:
-    return np.zeros(0) if numbers is None else numbers
+def _numbers(earlier: Sequence[Array | None], calls: Sequence[Any]) -> tuple[Array, Array, Array]:
+    """Return contact steps, impacts of several points and dense steps as numbers: those given so, then of the calls."""
+    steps, blocks, dense = ([] if numbers is None else [numbers] for numbers in earlier)
+    for kept in calls:
+        steps.append(kept.step_numbers())
+        blocks.append(kept.block_numbers())
+        dense.append(kept.dense_numbers())
+    found = [np.concatenate(parts) if parts else np.zeros(0) for parts in (steps, blocks, dense)]
+    return found[0], found[1], found[2]

@@ -94,6 +94,8 @@ class Forces:
 
         Work between two nodes is shared in proportion to time, to O(dt^2), and reactions are means.
         """
+        if not self.values.any() and not self.reactions.size:
+            return Forces(t, np.zeros((len(t), self.values.shape[1])), np.zeros((len(t), 0)), self.constraints)
         spans = np.diff(self.t, prepend=self.t[:1])[:, None]
         impulse = np.cumsum(self.reactions * spans, axis=0)
         work, impulse = (

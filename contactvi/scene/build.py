@@ -20,6 +20,7 @@ from contactvi.scene.joints import JointTable
 from contactvi.scene.pair_names import PairNames
 from contactvi.scene.pairs import ContactRules, choose_pairs
 from contactvi.scene.parts import PartList
+from contactvi.scene.selection import Names
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,7 @@ class Built:
         removed: Pairs that are not tested, with the reasons.
         restitution, friction: Of the tested pairs, shapes (npairs,).
         elements: Constraints, springs and forces as the engine takes them.
+        names: What selectors mean.
     """
 
     model: pin.Model
@@ -64,6 +66,7 @@ class Built:
     restitution: np.ndarray
     friction: np.ndarray
     elements: Resolved
+    names: Names
 
     @cached_property
     def engine(self) -> EngineScene:
@@ -150,4 +153,5 @@ def build(parts: PartList, contact: ContactRules, joints: JointTable, elements: 
         contact.restitution.values(names, chosen),
         contact.friction.values(names, chosen),
         resolve(elements, model, start),
+        parts.names,
     )

@@ -10,7 +10,7 @@ from contactvi.elements.elements import WORLD
 from contactvi.errors import InputError
 from contactvi.importing.checks import joint_kind
 from contactvi.scene.joints import one_dof
-from contactvi.scene.selection import Names, PartHandle, Selector
+from contactvi.scene.selection import Names, Selector
 
 
 class Driven(NamedTuple):
@@ -34,7 +34,7 @@ def driven_by(model: pin.Model, names: Names, what: Selector) -> Driven:
                 remedy="Name the body that is to follow the motion",
             )  # fmt: skip
         return Driven(None, str(what))
-    joint = _base(model, names, what) or names.select_joint(what)
+    joint = names.select_joint(what)
     index = model.getJointId(joint)
     if joint_kind(model.joints[index]) != "free":
         one_dof(model, joint, "A motion", "Name its body, or a free base: they follow poses")
@@ -46,12 +46,3 @@ def driven_by(model: pin.Model, names: Names, what: Selector) -> Driven:
             remedy="Add a frame of type BODY to the model",
         )  # fmt: skip
     return Driven(None, body)
-
-
-def _base(model: pin.Model, names: Names, what: Selector) -> str | None:
-    """Return the free joint on which all of a part hangs; None for other selectors and parts."""
-    part = what if isinstance(what, PartHandle) else names.parts.get(what) if isinstance(what, str) else None
-    if part is None or len(part.joints) < 2:
-        return None
-    free = [name for name in part.joints if joint_kind(model.joints[model.getJointId(name)]) == "free"]
-    return str(free[0]) if len(free) == 1 and free[0] == part.joints[0] else None

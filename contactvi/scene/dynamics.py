@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.errors import InputError, SceneError, did_you_mean
 from contactvi.inputs import real
 from contactvi.scene.build import Built
-from contactvi.scene.contact_frames import ContactJacobian, TouchingPoint, contact_jacobian, touching_points
+from contactvi.scene.contact_frames import ContactJacobian, TouchingPoint, touching_points
 from contactvi.scene.engine import engine_passive_forces
 from contactvi.states import States
 
@@ -186,7 +186,7 @@ class SceneDynamics(ABC):
             q: configuration, shape (nq,). margin: [m].
         """
         built, at = self.built(), self._q(q)
-        return contact_jacobian(built, at, touching(built, at, real("margin", margin)))
+        return ContactJacobian(built, at, touching(built, at, real("margin", margin)))
 
     def delassus(self, q: ArrayLike, margin: float = MARGIN) -> Array:
         """Return J_C M^-1 J_C^T, shape (3 n, 3 n) [1/kg]: what contact impulses add to the relative velocities.

@@ -129,32 +129,23 @@ def _set_actuation(scene: EngineScene, arrays: JointArrays) -> None:
 
 
 def engine_states(
-    scene: EngineScene, segments: Mapping[str, np.ndarray], times: np.ndarray, order: int, exact: bool
+    scene: EngineScene,
+    segments: Mapping[str, np.ndarray],
+    times: np.ndarray,
+    order: int,
+    tol: float,
+    exact: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return q (N, nq), v (N, nv) at times [s] from segments of a run (contactvi.trajectory.polynomials).
 
     Args:
-        exact: By partial steps, for runs without inputs; else from the polynomials.
+        tol: Of the stage equations of partial steps.
+        exact: By partial steps, for runs without inputs, where no contact persists; else from the polynomials.
     """
     from contactvi import _core
 
-    q, v = _core.dense(scene, dict(segments), times, order, exact)
+    q, v = _core.dense(scene, dict(segments), times, order, tol, exact)
     return np.asarray(q), np.asarray(v)
-
-
-def engine_halved_steps(
-    scene: EngineScene, q: np.ndarray, p: np.ndarray, h: np.ndarray, tol: float, order: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return configurations (N, nq) after smooth steps of lengths h (N,) [s] in one piece, and in two halves.
-
-    Args:
-        q, p: Starts, shapes (N, nq), (N, nv); the momentum in the engine's coordinates.
-        tol: Of the stage equations.
-    """
-    from contactvi import _core
-
-    whole, halves = _core.halved_steps(scene, q, p, h, tol, order)
-    return np.asarray(whole), np.asarray(halves)
 
 
 def engine_contact_points(scene: EngineScene, q: np.ndarray, pair: int, margin: float) -> dict[str, Any]:

@@ -93,6 +93,11 @@ class Rule:
                 return min(sides)
         return self.default
 
+    def overrides_default(self, names: Iterable[str]) -> bool:
+        """Return whether no two of these geometries, of which files gave some a value, leave theirs to the default."""
+        own = self.single.keys() | self.file_single.keys()
+        return bool(self.file_single) and sum(name not in own for name in names) < 2
+
     def set(self, first: Sequence[str] | None, second: Sequence[str] | None, value: float) -> None:
         """Set the default, the value of geometries (`first`), or that between `first` and `second`."""
         if first is None:

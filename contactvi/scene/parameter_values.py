@@ -2,8 +2,9 @@
 
 "gravity" (3,); of a joint, as kind:joint, "mass" (1,), "inertia" (10,), "stiffness" (1,) and "armature", "damping",
 "rest", "kp", "kd" (dofs,); of contacts "restitution" and "friction" (1,), "restitution:a|b" of one pair and
-"restitution:joint" of the limits of a joint. The derivative with respect to a name is that with respect to the value
-that is set here.
+"restitution:joint" of the limits of a joint. A plain "restitution" or "friction" is that of all contacts that have
+some, and of all where none has; 0 takes it from them. The derivative with respect to a name is that with respect to the
+value that is set here; of a plain one that of the contacts that have some.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ OF_JOINTS = ("mass", "inertia", "armature", "stiffness", "damping", "rest", "kp"
 OF_CONTACTS = ("restitution", "friction")
 NAMES = ("gravity", *(f"{kind}:joint" for kind in OF_JOINTS))
 LIMITS = ("lower limit", "upper limit")  # what stands in the place of a pair's second shape
-_KNOWN = (*NAMES, *OF_CONTACTS, "restitution:a|b", "friction:a|b")
+CONTACT_NAMES = ("restitution", "restitution:a|b", "restitution:joint", "friction", "friction:a|b")
+_KNOWN = (*NAMES, *CONTACT_NAMES)
 _NOT_NEGATIVE = ("stiffness", "damping", "armature", "kp", "kd", "friction", "restitution")
 _ROUNDING = 64.0 * float(np.finfo(float).eps)  # of moments of inertia, in the sums over the axes
 
@@ -99,7 +101,8 @@ class ParameterValues:
     def contacts(self, name: str) -> list[tuple[tuple[str, str], float]]:
         """Return pairs of names, of shapes or of a joint and its limit, and the values of what a name stands for.
 
-        Without a pair these are all pairs that have some, and all limits. InputError where a name stands for nothing.
+        Without a pair these are all pairs that have some, and all limits; where none has some, all pairs and limits.
+        InputError where a name stands for nothing.
         """
         kind, _, pair = name.partition(":")
         built, model = self._built, self._built.model
@@ -108,7 +111,8 @@ class ParameterValues:
         limits = [i for i in range(1, model.njoints) if built.arrays.limits[i] and kind == "restitution"]
         stops = [((self._joints[i], side), float(built.arrays.limit_restitution[i])) for i in limits for side in LIMITS]
         if not pair:
-            chosen = [row for row in found if row[1] > 0.0] + stops
+            some = [row for row in found if row[1] > 0.0]
+            chosen = some + stops if any(value > 0.0 for _, value in some + stops) else found + stops
         elif "|" in pair:
             sides = tuple(part.strip() for part in pair.split("|"))
             chosen = [row for row in found if sides in (row[0], row[0][::-1])]
@@ -120,10 +124,11 @@ class ParameterValues:
             chosen = [row for row in stops if row[0][0] == pair]
         if not chosen:
             known = ["|".join(names) for names, _ in found] + sorted({names[0] for names, _ in stops})
-            remedy = did_you_mean(pair, known) if pair else f"Name a pair: '{kind}:{known[0]}'" if known else "Add one"
+            remedy = did_you_mean(pair, known) if pair else "Add what it may touch, or enable_pair"
             raise InputError(
-                "No contact of the scene has this name" if pair else f"No contact has {kind}", name=name,
-                expected=f"{kind}: and one of {', '.join(known[:12])}", got=name, remedy=remedy,
+                "No contact of the scene has this name" if pair else "The scene has no contacts", name=name,
+                expected=f"{kind}: and one of {', '.join(known[:12])}" if known else "pairs of shapes that may touch",
+                got=name, remedy=remedy,
             )  # fmt: skip
         return chosen
 
@@ -181,13 +186,11 @@ class ParameterEditor:
         numbers = real_numbers(value)
         scalar = numbers is not None and numbers.ndim == 0 and len(present) == 1
         result = array(name, [value] if scalar else value, present.shape, "the value of this parameter")
-        kind, _, of = name.partition(":")
-        some = kind in OF_CONTACTS and not of
-        meaning = "a number > 0: contacts that have none do not count; or name a pair" if some else None
+        kind = name.partition(":")[0]
         if kind == "mass" or kind in _NOT_NEGATIVE:
             high = 1.0 if kind == "restitution" else np.inf
             for number in result:
-                real(name, float(number), 0.0, high, open_low=some or kind == "mass", expected=meaning)
+                real(name, float(number), 0.0, high, open_low=kind == "mass")
         return result
 
     def _change(self, name: str, value: Array) -> Callable[[], None]:
@@ -279,9 +282,9 @@ def body_numbers(kind: str, present: pin.Inertia, values: Array) -> Array:
 
 def in_range(name: str, values: Array) -> NDArray[np.bool_]:
     """Return which values (runs, width) of a parameter a scene may have, with the servos that it has, (runs,)."""
-    kind, _, of = name.partition(":")
+    kind = name.partition(":")[0]
     found = np.abs(values) <= LARGEST
-    if kind == "mass" or kind in ("kp", "kd") or (kind in OF_CONTACTS and not of):
+    if kind == "mass" or kind in ("kp", "kd"):
         found &= values > 0.0
     elif kind in _NOT_NEGATIVE:
         found &= values >= 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import coal
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError
@@ -17,12 +18,13 @@ _ROUNDS = 3  # The gap is linear in the displacement: the first round places the
 
 
 def place_on_ground(
-    built: Built, roots: NDArray[np.int64], names: Names, part: Selector, q: Array, ground: Selector | None
+    built: Built, roots: NDArray[np.int64], names: Names, part: Selector | None, q: Array, ground: Selector | None
 ) -> Array:
     """Return q (nq,) with the tree that carries `part` moved along the normal of a halfspace, so that it touches it.
 
     Args:
         roots: first joint on the way from the world to each joint, shape (njoints,).
+        part: a part, joint or body; None: the only tree that is free.
         ground: the halfspace, by name or handle; None: the only one that the part has pairs with.
 
     Raises:
@@ -40,8 +42,9 @@ def place_on_ground(
         if not meets:
             fact = "has no ground to stand on"
             remedy = "Add one: scene.add_halfspace(), or put its pairs back: scene.enable_pair(part, ground)"
+        what = "What is free" if part is None else repr(_called(part))
         raise InputError(
-            f"{_called(part)!r} {fact}", name="ground", got=", ".join(map(repr, meets)) or "none",
+            f"{what} {fact}", name="ground", got=", ".join(map(repr, meets)) or "none",
             expected="one halfspace, fixed to the world, that the part has pairs with", remedy=remedy,
         )  # fmt: skip
     ((name, pairs),) = meets.items()
@@ -55,25 +58,31 @@ def place_on_ground(
     return q
 
 
-def _free_root(built: Built, roots: NDArray[np.int64], names: Names, part: Selector) -> int:
+def _free_root(built: Built, roots: NDArray[np.int64], names: Names, part: Selector | None) -> int:
     """Return the root joint of a part; raise InputError where it is not one that moves freely."""
     model = built.model
-    found = sorted({int(roots[model.getJointId(name)]) for name in _joints(names, part)})
+    joints = range(1, model.njoints) if part is None else _joints(built, names, part)
+    found = sorted({int(roots[joint]) for joint in joints if joint})
     free = [root for root in found if joint_kind(model.joints[root]) in ("free", "translation")]
+    found = free if part is None else found
     if len(found) == 1 and free:
         return found[0]
     raise InputError(
+        "The part that is to be placed is not given" if part is None else
         f"{_called(part)!r} cannot be placed on the ground", name="part", expected="a part with one free base",
         got="none" if not free else f"bases {', '.join(repr(model.names[root]) for root in found)}",
-        remedy="Add it with base='free' (a primitive with free=True), or name one joint of what is to be moved",
+        remedy="Add it with base='free' (a primitive with free=True), or name one joint or body of what is to be moved",
     )  # fmt: skip
 
 
-def _joints(names: Names, part: Selector) -> list[str]:
-    """Return the joints of a part, which may have none."""
+def _joints(built: Built, names: Names, part: Selector) -> list[int]:
+    """Return the joints of a part, which may have none, of a pattern or of a body: that which carries it."""
+    model = built.model
     if len(getattr(part, "joints", (part,))) == 0 or (part in names.parts and not names.parts[str(part)].joints):
         return []
-    return names.select_joints(part, "part")
+    if isinstance(part, str) and part in names.bodies and part not in names.parts and part not in names.by_joint:
+        return [int(model.frames[model.getFrameId(part, pin.FrameType.BODY)].parentJoint)]
+    return [int(model.getJointId(name)) for name in names.select_joints(part, "part")]
 
 
 def _halfspaces(built: Built, carried: set[str]) -> dict[str, list[int]]:

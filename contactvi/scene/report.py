@@ -71,6 +71,10 @@ def _joint_notes(name: str, own: JointSettings, built: Built) -> Iterator[tuple[
     if own.servo is not None and (own.servo.kp or own.servo.kd):
         limit = float(built.arrays.servo[2, dof])
         text = "no effort limit" if np.isinf(limit) else f"effort at most {number(limit)}"
+        damping = float(built.model.damping[dof])
+        if damping > 0.0 and own.servo.kp:
+            slow = number((own.servo.kd + damping) / own.servo.kp)
+            text += f"; the joint's damping {number(damping)} acts beside kd: (kd + damping) / kp = {slow} s"
         yield "used", f"servo with kp {number(own.servo.kp)}, kd {number(own.servo.kd)}, {text}"
     for row, key in enumerate(("effort", "velocity")):
         limit = float(built.arrays.actuator[row, dof]) if built.model.nvs[built.model.getJointId(name)] == 1 else np.inf

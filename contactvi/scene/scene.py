@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from contactvi.errors import InputError, did_you_mean
+from contactvi.errors import InputError, UnusedSettingWarning, did_you_mean
 from contactvi.importing.part import Part
 from contactvi.importing.readers import MjcfFile, import_mjcf, import_pinocchio, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
@@ -31,6 +32,7 @@ from contactvi.scene.joints import (
     joint_value,
     joint_velocity,
     servo_settings,
+    with_one_dof,
 )
 from contactvi.scene.pairs import ContactRules, within_models
 from contactvi.scene.parameter_values import ParameterEditor, ParameterValues
@@ -235,7 +237,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         of the speeds; friction is isotropic and acts in impacts and in persistent contact. Without a and b: the scene's
         default (and, of restitution, that of joint limits). With a: of one body, part or geometry. With a and b: of the
         contacts between them. A pair uses its own value, else the smaller one of its two sides' values, else what
-        an MJCF says, else the default.
+        an MJCF says, else the default. Warns (UnusedSettingWarning) of a default that the MJCF of the scene leave to no
+        pair: set_contact(part, restitution=...) replaces theirs.
         """
         if a is None and b is not None:
             a, b = b, None
@@ -247,6 +250,13 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         if friction is not None:
             checked.append((self._contact.friction, real("friction", friction, 0.0)))
         for rule, value in checked:
+            if first is None and rule.overrides_default(self.names.geometries):
+                what = "restitution" if rule is self._contact.restitution else "friction"
+                warnings.warn(
+                    f"No pair of shapes uses the default {what} {value:g}: the files give their own. "
+                    f"set_contact(part, {what}={value:g}) replaces that of a part",
+                    UnusedSettingWarning, stacklevel=2,
+                )  # fmt: skip
             rule.set(first, second, value)
         self._built = None
 
@@ -269,14 +279,17 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         self._built = None
         return found
 
-    def place_on_ground(self, part: Selector, q: ArrayLike | None = None, ground: Selector | None = None) -> np.ndarray:
+    def place_on_ground(
+        self, part: Selector | None = None, q: ArrayLike | None = None, ground: Selector | None = None
+    ) -> np.ndarray:
         """Return a configuration (nq,) with a part on the ground: its base moved along the normal of a halfspace.
 
         Its lowest point then touches the halfspace to rounding; its base is not turned, and all else stays where it is.
         `scene.q0 = scene.place_on_ground(robot)` makes it the start of runs.
 
         Args:
-            part: with a free base; of a part with several, a joint of what is to be moved.
+            part: with a free base; of a part with several, a joint or body of what is to be moved. None: the only one
+                in the scene that is free.
             q: configuration, shape (nq,); None: the scene's q0, else neutral.
             ground: the halfspace, fixed to the world, by name or handle; None: the only one that it has pairs with.
 
@@ -323,22 +336,28 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
             rotor_inertia, gear_ratio: add rotor_inertia * gear_ratio^2 to it (1 when not given).
         """
         self._set_joints(
-            joint, stiffness=stiffness, rest=rest, damping=damping, limits=limits, restitution=restitution,
-            friction=friction, spring=spring, armature=armature, gear_ratio=gear_ratio, rotor_inertia=rotor_inertia,
+            self.names.select_joints(joint), stiffness=stiffness, rest=rest, damping=damping, limits=limits,
+            restitution=restitution, friction=friction, spring=spring, armature=armature, gear_ratio=gear_ratio,
+            rotor_inertia=rotor_inertia,
         )  # fmt: skip
 
     def set_servo(self, joint: Selector, kp: float, kd: float, effort: float | None = None, target: Any = None) -> None:
         """Control joints by PD in the engine: torque kp (q_ref - q) + kd (v_ref - v), at most effort.
 
+        The damping of the joint's file stays on beside kd: a joint of little inertia then comes to its target within
+        some (kd + damping) / kp seconds, which `report` names; `set_joint(joint, damping=0.0)` takes it out.
+
         Args:
-            joint: joints with one degree of freedom, by name, pattern or part; continuous ones go the shorter way.
+            joint: joints with one degree of freedom, by name, pattern or part, whose other joints (a free base) have no
+                servo; continuous ones go the shorter way.
             kp, kd: [N m/rad or N/m], [N m s/rad or N s/m], >= 0, both 0 for no servo. They are implicit in the step and
                 may be stiff.
             effort: largest torque [N m or N]; None: the file's limit, float("inf"): none.
             target: reference of a run that gives none itself (`simulate(target=)`): a motion as in `prescribe`; None:
                 the start.
         """
-        model, names = self._parts.assembly.model, self.names.select_joints(joint)
+        model = self._parts.assembly.model
+        names = with_one_dof(model, self.names.select_joints(joint))
         self._joints.update({name: servo_settings(model, name, kp, kd, effort, target) for name in names})
         self._elements.supply({target_name(name) for name in names})
         self._built = None
@@ -346,12 +365,13 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def set_actuator(
         self, joint: Selector, effort: bool | float | None = None, velocity: bool | float | None = None
     ) -> None:
-        """Limit what inputs do at joints with one degree of freedom; by default nothing is limited.
+        """Limit what inputs do at joints, of a part or pattern at those with one degree of freedom; none by default.
 
         effort [N m or N], velocity [rad/s or m/s] : a number, True for the file's limit, False for none. The torque put
         in is cut to +-effort, and may not push a joint beyond +-velocity; that is decided at the start of each step.
         """
-        self._set_joints(joint, effort=effort, velocity=velocity)
+        model = self._parts.assembly.model
+        self._set_joints(with_one_dof(model, self.names.select_joints(joint)), effort=effort, velocity=velocity)
 
     # --- what the scene is --------------------------------------------------------------------------------------------
 
@@ -444,12 +464,12 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         return self.built().arrays.rest.copy()
 
     def q_index(self, joint: Selector) -> slice:
-        """Return where a joint's numbers lie in q."""
+        """Return where a joint's numbers lie in q; the handle of a part with a free base means that base."""
         found = self._one_joint(joint)
         return slice(found.idx_q, found.idx_q + found.nq)
 
     def v_index(self, joint: Selector) -> slice:
-        """Return where a joint's numbers lie in v."""
+        """Return where a joint's numbers lie in v; handles as in `q_index`."""
         found = self._one_joint(joint)
         return slice(found.idx_v, found.idx_v + found.nv)
 
@@ -466,15 +486,16 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
 
         base: (nq,), the name of one of `named_configurations`, or None, neutral.
 
-        Keys: joint names, patterns, handles. Values: rad or m; free body: xyz, (xyz, rpy), xyz + quaternion xyzw or
-        pin.SE3; spherical: quaternion xyzw; planar: x, y, angle; translation: x, y, z.
+        Keys: joint names, patterns, handles (a part with a free base: that base; else its joints). Values: rad or m;
+        free body: xyz, (xyz, rpy), xyz + quaternion xyzw or pin.SE3; spherical: quaternion xyzw; planar: x, y, angle;
+        translation: x, y, z.
         """
         model = self.model
         if isinstance(base, str):
             base = self._named(base)
         q = self.neutral() if base is None else vector("base", base, model.nq)
         for selector, value in mapping("values", values, "joint: value").items():
-            for name in self.names.select_joints(selector):
+            for name in self.names.select_placed(selector):
                 q[self.q_index(name)] = joint_value(model, name, value)
         return q
 
@@ -489,7 +510,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         q = self.neutral() if q is None else vector("q", q, model.nq)
         v = np.zeros(model.nv) if base is None else vector("base", base, model.nv)
         for selector, value in mapping("values", values, "joint: velocity").items():
-            for name in self.names.select_joints(selector):
+            for name in self.names.select_placed(selector):
                 v[self.v_index(name)] = joint_velocity(model, name, value, q)
         return v
 
@@ -588,7 +609,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
     def to_dict(self) -> dict[str, Any]:
         """Return a complete description in plain data (contactvi.scene.data); from_dict makes a scene of it again."""
         data = scene_to_dict(self.built(), self._contact, self._elements, self.parts)
-        start = {name: None if q is None else q.tolist() for name, q in (("q0", self.q0), ("v0", self.v0))}
+        start = {name: None if x is None else np.asarray(x).tolist() for name, x in (("q0", self.q0), ("v0", self.v0))}
         return data | start | {"settings": dict(self.settings), "camera": self.camera}
 
     @classmethod
@@ -617,8 +638,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         self._built = None
         return handle
 
-    def _set_joints(self, selector: Selector, **values: Any) -> None:
-        model, names = self._parts.assembly.model, self.names.select_joints(selector)
+    def _set_joints(self, names: list[str], **values: Any) -> None:
+        model = self._parts.assembly.model
         self._joints.update({name: joint_settings(model, name, **values) for name in names})
         self._built = None
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import pinocchio as pin
 
 from contactvi.errors import InputError, did_you_mean
+from contactvi.importing.checks import joint_kind
 from contactvi.importing.mjcf.actuators import Actuator
 from contactvi.inputs import short
 
@@ -54,6 +55,10 @@ class Names:
     ) -> None:
         self.parts = dict(parts or {})
         self.joints = list(model.names)[1:]
+        self._base: dict[str, str | None] = {}  # of each joint, the free joint at the root on which it hangs
+        for name, joint, parent in list(zip(model.names, model.joints, model.parents, strict=True))[1:]:
+            free = name if joint_kind(joint) == "free" else None
+            self._base[name] = self._base[model.names[parent]] if parent else free
         self.bodies: dict[str, list[int]] = {}
         self.by_joint: dict[str, list[int]] = {name: [] for name in self.joints}
         for frame in model.frames:
@@ -65,6 +70,13 @@ class Names:
             self.bodies.setdefault(model.frames[geometry.parentFrame].name, []).append(index)
             if geometry.parentJoint:
                 self.by_joint[model.names[geometry.parentJoint]].append(index)
+
+    @property
+    def shape_groups(self) -> dict[str, tuple[str, ...]]:
+        """The names of the collision geometries of every part and body; a part comes before a body of its name."""
+        names = list(self.geometries)
+        bodies = {body: tuple(names[k] for k in indices) for body, indices in self.bodies.items()}
+        return bodies | {part: handle.geometries for part, handle in self.parts.items()}
 
     def select_geometries(self, selector: Selector, argument: str) -> list[int]:
         """Return the indices of the selected collision geometries.
@@ -162,9 +174,21 @@ class Names:
             )
         return found
 
-    def select_joint(self, selector: Selector) -> str:
-        """Return the name of the one selected joint; raise InputError for none and for several."""
+    def select_placed(self, selector: Selector) -> list[str]:
+        """Return the joints that a value belongs to: as `select_joints`, of a part on one free base that base.
+
+        Raises:
+            InputError: as `select_joints`.
+        """
         found = self.select_joints(selector)
+        is_part = isinstance(selector, PartHandle) or (selector in self.parts and selector not in self.by_joint)
+        bases = {self._base[name] for name in found} if is_part else set()
+        base = bases.pop() if len(bases) == 1 else None
+        return found if base is None else [base]
+
+    def select_joint(self, selector: Selector) -> str:
+        """Return the name of the one selected joint, as `select_placed`; raise InputError for none and for several."""
+        found = self.select_placed(selector)
         if len(found) != 1:
             raise InputError(
                 f"Joint {_called(selector)!r}",

@@ -7,7 +7,7 @@
                             friction = false, mimic = true, armature = number | { joint = number },
                             self_collision = true
     [[mjcf]]                path, xyz, rpy, prefix, limits = true, friction = false, equality = true, actuators = true,
-                            restitution = 0 | "solref", self_collision = true
+                            restitution = 0 | number | "solref", self_collision = true
     [[sphere]]              name, radius, mass, free = true, xyz, rpy, color
     [[box]]                 name, size, ...       [[capsule]], [[cylinder]]  name, radius, length, ...
     [[mesh]]                name, path, mass | density, scale, decompose = false | true | number, ...

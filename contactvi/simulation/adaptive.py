@@ -4,16 +4,17 @@ A first run, the companion, chooses its steps, so that what the stage polynomial
 level [m, rad]; between two impacts they only become shorter. With s stages that goes with h^s, and the error of the run
 with h^2s, so with the square of the level. The factor in front depends on the motion and is measured: the steps of the
 next run, at a finer level, are those of the companion times one factor, so that its error is the same part of the
-companion's everywhere, and the distance of the two tells how large both are. Where the error is above tol the level is
-lowered by this law and the run is made again; the run before is then the companion.
+companion's everywhere, and the distance of the two tells how large both are. The stage iterations of the finer run
+start from where the coarser one has gone. Where the error is above tol the level is lowered by this law and the run is
+made again; the run before is then the companion.
 
 Steps with persistent contacts are midpoint steps of one length, whatever the order, so their error goes with the square
 of that length; each finer run has them shorter by the factor of its level, and the same comparison measures both
 errors. How far they are refined is in contactvi.simulation.auto_contact.
 
 The estimate is for the largest error of q over the nodes, norm of the tangent difference [m, rad]. It is no bound: it
-takes the law for granted while successive distances follow it, and the whole distance where they do not. Rounding and
-the tolerance of the stage equations are counted as a floor that no level can undercut. Two motions that separate
+relies on the law as far as successive distances have followed it, and is the whole distance where they do not. Rounding
+and the tolerance of the stage equations are counted as a floor that no level can undercut. Two motions that separate
 (chaos, another sequence of impacts) show as a large distance; a run that cannot meet tol ends with an AccuracyWarning
 that says why. Dense steps, with impacts inside of them, follow no law, and the whole distance counts.
 """
@@ -53,6 +54,7 @@ _START = 0.3  # level = _START sqrt(tol) to begin with
 _SEEN = 0.1  # errors / level^2 of many motions lie about this
 _AIM = 0.1  # of tol: where the level is set to, so low that one run more seldom follows
 _FINER, _MOST = 0.6, 8.0  # length of finer steps / the shortest step; number of them / that of the steps
+_UNSURE = 2.0  # on an estimate by the law with the exponent that was seen
 _FOLLOWS = 5.0  # times what the law expects: a larger distance does not follow it
 _LEVELS = (1e-8, 3e-3)  # [m, rad]; below the first errors drown in rounding, and low orders need too many steps
 _EPS = float(np.finfo(float).eps)
@@ -83,8 +85,11 @@ def run(
     except PenetrationError:
         if throw:
             raise
-        return search.last.trajectory(None)
-    record = found.record
+        assert search.refused is not None
+        return search.refused.trajectory(None)
+    record = engine.record_of(found.run, compiled, kept)
+    if found.interrupted:
+        record.status = Status.interrupted(float(record.t[-1][-1]))
     record.stats = replace(record.stats, seconds=search.seconds)
     if not options.dense:  # the segments were needed for the comparison only
         record.options, record.segments = options, []
@@ -120,8 +125,8 @@ class _Search:
         self._level = _clip(_START * math.sqrt(options.tol))  # of the first run after the companion
         self.seconds = 0.0
         self.reason = "Chaotic motion limits it: ask for a shorter duration or a larger tol"
-        self.last: Record
-        self._engine: _core.Simulator | None = None
+        self.refused: Record | None = None  # the record of a start that the engine refuses
+        self._last: AutoRun | None = None
         self._engines: list[tuple[_core.Simulator, float, float]] = []  # of the first runs, with their settings
         self._contact = ContactSearch(options)
 
@@ -137,8 +142,9 @@ class _Search:
             found = self._run(level, max(companion.dt_contact * part, SHORTEST), companion)
             if found.final:
                 return found, math.nan
-            if judged is not None and companion.record.status.ok and not found.record.status.ok:
-                self.reason = f"A run with shorter steps ended early: {found.record.status}"
+            if judged is not None and companion.ok and not found.ok:
+                ended = engine.record_of(found.run, self._compiled, self._options).status
+                self.reason = f"A run with shorter steps ended early: {ended}"
                 return companion, judged.estimate
             judged = self._judge(companion, found, judged)
             if judged.estimate <= self._options.tol:
@@ -160,11 +166,11 @@ class _Search:
             engine.release(simulator, self._compiled, self._options, slack, dt_contact)
 
     def stopped(self) -> AutoRun:
-        """Return the last run as it is, with the status INTERRUPTED; raise KeyboardInterrupt before there is one."""
-        if self._engine is None:
+        """Return the last run as one that was interrupted; raise KeyboardInterrupt before there is one."""
+        if self._last is None:
             raise KeyboardInterrupt
-        self.last.status = Status.interrupted(float(self.last.t[-1][-1]))
-        return AutoRun(math.nan, math.nan, self.last, self._engine)
+        self._last.interrupted = True
+        return self._last
 
     def _run(self, level: float, dt_contact: float, coarser: AutoRun | None = None) -> AutoRun:
         """Run at a level, with contact steps of at most `dt_contact` [s].
@@ -173,32 +179,41 @@ class _Search:
         both show in the distance of two runs.
 
         Args:
-            coarser: a run with longer steps. The steps are parts of its own, all the same part by the law.
+            coarser: a run with longer steps. The steps are parts of its own, all the same part by the law, and start
+                from where it has gone.
         """
-        plan, bound = None, level
-        if coarser is not None and coarser.record.adaptive_steps is not None:
-            steps, bound = coarser.record.adaptive_steps, coarser.level
-            plan = (steps["t"], steps["dt"], (level / bound) ** (1.0 / self._stages))
         slack = max((level / self._level) ** 2, STAGE_TOLS[0] / self._options.stage_tol)
-        simulator = engine.reuse(self._compiled, self._options, slack, dt_contact)
-        self.last, refused = engine.start_checked(simulator, self._compiled, self._options, *self._start)
-        if refused is not None:
-            raise refused
-        self._engine = simulator
-        engine.advance_auto(simulator, self.last, self._options.span, bound, plan, self._progress)
-        self.seconds += self.last.stats.seconds
-        self._contact.spent += self.last.stats.contact_iterations
-        if len(self._engines) < _SAME and self.last.status.ok:
+        simulator = self._started(engine.reuse(self._compiled, self._options, slack, dt_contact), self._options)
+        before = () if coarser is None else (coarser.run, (level / coarser.level) ** (1.0 / self._stages))
+        bound = level if coarser is None else coarser.level
+        found = engine.run_auto(simulator, self._options.span, bound, self._progress, *before)
+        run = self._took(AutoRun(level, dt_contact, *found, simulator))
+        if len(self._engines) < _SAME and run.ok:
             self._engines.append((simulator, slack, dt_contact))
-        return AutoRun(level, dt_contact, self.last, simulator)
+        return run
+
+    def _started(self, simulator: _core.Simulator, options: Options) -> _core.Simulator:
+        """Return the simulator at the start; raise the error where it is refused."""
+        if not engine.accepts(simulator, *self._start):
+            self.refused, error = engine.start_checked(simulator, self._compiled, options, *self._start)
+            assert error is not None
+            raise error
+        return simulator
+
+    def _took(self, run: AutoRun) -> AutoRun:
+        """Count what a run took."""
+        self._last = run
+        self.seconds += run.run.seconds
+        self._contact.spent += run.run.contact_iterations
+        return run
 
     def _judge(self, companion: AutoRun, found: AutoRun, before: Judged | None) -> Judged:
         """Judge a run by its companion. before: what the companion was judged to be."""
         floor, size = self._floor(found)
-        floor = max(floor, auto_runs.transient(found))
-        if not found.record.status.ok:
+        floor = max(floor, found.run.first_step_error)
+        if not found.ok:
             # Runs that end where impacts accumulate are compared up to there.
-            same = companion.record.status.code == found.record.status.code
+            same = companion.code == found.code
             apart = auto_runs.distances(companion, found, ended=True) if same else np.array([math.inf])
             return _whole(apart, floor)
         power = 2 * self._stages + 1
@@ -207,12 +222,7 @@ class _Search:
             return judge_contact(companion, found, before, floor, size, ratio)
         if not math.isfinite(ratio):
             return _whole(self._against_finer(found), floor)
-        apart = auto_runs.distances(companion, found)
-        distance = largest(apart)
-        lawful = distance < LOST * size if before is None else distance < _FOLLOWS * before.estimate
-        by_law = distance * max(ratio, 1.0 / LEAST)
-        estimate = by_law if lawful else distance
-        return Judged(max(floor, estimate), by_law, apart, ratio, lawful)
+        return _by_law(auto_runs.distances(companion, found), before, ratio, floor, size)
 
     def _smooth_part(self, found: AutoRun, judged: Judged) -> float:
         """Return what the level of the next run is of that of this one; 1 where it cannot be lowered."""
@@ -223,9 +233,8 @@ class _Search:
 
     def _floor(self, found: AutoRun) -> tuple[float, float]:
         """Return what the error of a run is not below, and the size of its motion."""
-        t, q, _ = found.record.nodes()
-        size = float(self._compiled.states.distance(q[:1], q).max())
-        solved = (_EPS + self._options.stage_tol) * size * math.sqrt(len(t))
+        size = found.run.size
+        solved = (_EPS + self._options.stage_tol) * size * math.sqrt(found.run.nodes)
         return max(solved, _SEEN * found.level**2), size
 
     def _against_finer(self, found: AutoRun) -> Array:
@@ -234,24 +243,46 @@ class _Search:
         It serves runs that have steps in common with their companion, whose errors do not show in the distance to it.
         That happens where the stage iterations do not converge with longer steps, whatever the level.
         """
-        unknown = np.array([math.inf])
-        if not len(found.steps) or found.interrupted:
+        unknown, lengths = np.array([math.inf]), found.run.lengths
+        if not len(lengths) or found.interrupted:
             return unknown
-        count = math.ceil(self._options.span / (_FINER * float(found.steps.min())))
-        if count > _MOST * len(found.segments["t"]):
+        count = math.ceil(self._options.span / (_FINER * float(lengths.min())))
+        if count > _MOST * found.run.segments:
             return unknown
         fixed = replace(
             self._options, dt=self._options.span / count, tol=self._options.stage_tol, ledger=None, sample_dt=None,
             dt_contact=None,
         )  # fmt: skip
         finer = min(_FINER * found.dt_contact, fixed.fixed_dt)
-        simulator = engine.make(self._compiled, fixed, slack=1.0 / COMPANION, dt_contact=finer)
-        record, _ = engine.start_checked(simulator, self._compiled, fixed, *self._start)
-        engine.advance(simulator, record, count, None, self._progress)
-        self.seconds += record.stats.seconds
-        if record.status.code == StatusCode.INTERRUPTED:
+        simulator = self._started(engine.make(self._compiled, fixed, slack=1.0 / COMPANION, dt_contact=finer), fixed)
+        run = self._took(
+            AutoRun(math.nan, finer, *engine.run_fixed(simulator, count, self._progress, found.run), simulator)
+        )
+        self._last = found
+        if run.interrupted:
             raise KeyboardInterrupt
-        return auto_runs.distances(AutoRun(math.nan, finer, record, simulator), found)
+        return auto_runs.distances(run, found)
+
+
+def _by_law(apart: Array, before: Judged | None, ratio: float, floor: float, size: float) -> Judged:
+    """Return the judgement of a smooth run by the law of its steps, as far as that can be relied on.
+
+    The first pair of runs has shown nothing about the law: their errors are taken to differ by LEAST at most. A third
+    run shows how much of the law's exponent the motion has between the first two (less where their steps are too long
+    for the law), and the same part is expected of the last two, over at most the square of the fall that was seen.
+
+    Args:
+        before: what the companion was judged to be; the rest as in `judge_contact`.
+    """
+    distance, least, share = largest(apart), 1.0 / LEAST, ratio / (1.0 + ratio)
+    lawful = distance < LOST * size if before is None else distance < _FOLLOWS * before.estimate
+    confirmed = before is not None and lawful and before.lawful and distance > 0.0
+    if before is not None and confirmed:
+        fall = 1.0 + largest(before.apart) / distance  # of the errors of the two runs before, as it was seen
+        part = min(math.log(fall) / math.log1p(1.0 / before.ratio), 1.0)
+        share, least = _UNSURE * share**part, min(fall**-2.0, least)
+    by_law = distance * max(share, least)
+    return Judged(max(floor, by_law if lawful else distance), by_law, apart, ratio, lawful, confirmed)
 
 
 def _whole(apart: Array, floor: float) -> Judged:

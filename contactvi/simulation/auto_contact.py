@@ -105,7 +105,7 @@ class ContactSearch:
     def _cost(self, found: AutoRun, part: float) -> float:
         """Return the contact iterations of a run whose contact steps are this part of those of `found`."""
         steps = found.contact_time / found.dt_contact
-        return max(found.record.stats.contact_iterations + _PER_STEP * steps * (1.0 / part - 1.0), _PER_STEP)
+        return max(found.run.contact_iterations + _PER_STEP * steps * (1.0 / part - 1.0), _PER_STEP)
 
 
 def judge_contact(

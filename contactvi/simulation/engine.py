@@ -100,6 +100,11 @@ def _key(options: Options, slack: float, dt_contact: float | None) -> tuple[Any,
     return (slack, dt_contact, *_values(options))
 
 
+def restored(compiled: CompiledScene, state: bytes) -> _core.Snapshot:
+    """Return the engine's snapshot of what its to_bytes() has given; ContactviError for that of another scene."""
+    return _core.Snapshot(compiled.core, state)
+
+
 def start(
     engine: _core.Simulator,
     compiled: CompiledScene,
@@ -151,6 +156,11 @@ def start_checked(
     return record, refusal(status, record.names(result), result["depth"])
 
 
+def accepts(engine: _core.Simulator, q: Array, v: Array, begin: float) -> bool:
+    """Put the engine to a start that `checked_start` has returned; return whether it can step from there."""
+    return bool(engine.reset(q, v, begin)["code"] == _core.StatusCode.SUCCESS)
+
+
 def advance(
     engine: _core.Simulator,
     record: Record,
@@ -192,17 +202,41 @@ def take(engine: _core.Simulator, record: Record) -> Status | None:
     return status
 
 
-def advance_auto(
-    engine: _core.Simulator, record: Record, duration: float, level: float, plan: tuple[Array, Array, float] | None,
-    progress: Progress | None,
-) -> Status:  # fmt: skip
-    """Run for a duration [s] with steps chosen for a level [m, rad] and record them; errors as those of `advance`.
+def run_auto(
+    engine: _core.Simulator, duration: float, level: float, progress: Progress | None,
+    coarser: _core.KeptRun | None = None, part: float = 1.0,
+) -> tuple[_core.KeptRun, bool]:  # fmt: skip
+    """Run for a duration [s] with steps chosen for a level [m, rad]; errors as those of `advance`.
+
+    Return the run and whether Ctrl-C has ended it.
 
     Args:
-        plan: times from which on another run has had steps of some lengths [s], these lengths, and the part of them
-            that the steps of this run are.
+        coarser: another run of the same motion, of whose steps those of this run are this part.
     """
-    return _take(record, cast(EngineResult, engine.run_auto(duration, level, progress, plan)))
+    return _kept(*engine.run_auto(duration, level, progress, coarser, part))
+
+
+def run_fixed(
+    engine: _core.Simulator, steps: int, progress: Progress | None, coarser: _core.KeptRun | None
+) -> tuple[_core.KeptRun, bool]:
+    """Make steps of one length; the rest as in `run_auto`."""
+    return _kept(*engine.run_fixed(steps, progress, coarser))
+
+
+def _kept(run: _core.KeptRun, error: object) -> tuple[_core.KeptRun, bool]:
+    """Return the run, and whether Ctrl-C has ended it; raise any other error of a callback."""
+    if isinstance(error, BaseException) and not isinstance(error, KeyboardInterrupt):
+        raise error
+    return run, error is not None or run.code == _core.StatusCode.INTERRUPTED
+
+
+def record_of(run: _core.KeptRun, compiled: CompiledScene, options: Options) -> Record:
+    """Return the record of a run that the engine has kept; it is empty then."""
+    result = cast(EngineResult, dict(run.results(), error=None))
+    t, q, p = result["t"], result["q"], result["p"]
+    record = Record(compiled, options, float(t[0]), q[0], p[0])
+    record.collect(result)
+    return record
 
 
 def _take(record: Record, result: EngineResult) -> Status:

@@ -9,7 +9,6 @@ from contactvi.status import StatusCode
 
 REACHED = "the run reached its end"
 REMEDY = {
-    StatusCode.ZENO: "Use zeno='hold' and impact='ctec' or 'mhc': the run then goes on with a persistent contact",
     StatusCode.NEWTON_FAILED: "Use a smaller dt",
     StatusCode.NOT_FINITE: "Use a smaller dt, and look for huge forces or tiny masses",
     StatusCode.EVENT_UNRESOLVED: "Use a smaller dt",
@@ -24,8 +23,11 @@ REMEDY = {
 }
 
 
-def remedy(code: StatusCode, contact_mode: str) -> str:
-    """Return what to do about a run with this contact mode that ended so."""
+def remedy(code: StatusCode, contact_mode: str, zeno: str = "end", impact: str = "dtec") -> str:
+    """Return what to do about a run with these options that ended so."""
+    if code == StatusCode.ZENO:
+        needed = ["zeno='hold'"] * (zeno == "end") + ["impact='ctec' or 'mhc'"] * (impact == "dtec")
+        return f"Use {' and '.join(needed)}: the run then goes on with a persistent contact"
     text = REMEDY.get(code, "This is a bug: please report it with the scene")
     if contact_mode == "events" and code in (StatusCode.EVENT_UNRESOLVED, StatusCode.TOO_MANY_IMPACTS):
         return f"{text}. Where events accumulate contact_mode='auto' goes on with dense steps"

@@ -12,7 +12,7 @@ from contactvi.options import Options
 from contactvi.records.contacts import Contact
 from contactvi.scene import dynamics
 from contactvi.scene.build import Built
-from contactvi.scene.contact_frames import ContactJacobian, TouchingPoint, contact_jacobian
+from contactvi.scene.contact_frames import ContactJacobian, TouchingPoint
 
 Array = NDArray[np.float64]
 
@@ -43,6 +43,11 @@ class PresentDynamics(ABC):
     @abstractmethod
     def contacts(self) -> list[Contact]: ...
 
+    @property
+    @abstractmethod
+    def _stepped(self) -> bool:
+        """Whether a step was made since the start."""
+
     @abstractmethod
     def built(self) -> Built:
         """Return the complete scene. Treat it as constant."""
@@ -71,8 +76,8 @@ class PresentDynamics(ABC):
         """Return J_C of the present contact points, in the order of `contacts`, without those of joint limits.
 
         J_C v is the velocity of the second body relative to the first in the contact frames; f_C = R_WC^T force of a
-        `Contact`. Before the first step there are no persistent contacts; `Scene.contact_jacobian(q)` finds the
-        points that touch.
+        `Contact`. Before the first step there are no persistent contacts yet, and it is that of the points that touch,
+        as `Scene.contact_jacobian` finds and numbers them.
 
         Raises:
             InputError: with record_contacts=False.
@@ -82,12 +87,17 @@ class PresentDynamics(ABC):
                 "Contacts are not recorded", name="record_contacts", expected="True", got="False",
                 remedy="Make the simulator with record_contacts=True, or use scene.contact_jacobian(sim.q)",
             )  # fmt: skip
+        if not self._stepped:
+            return self._jacobian_of(dynamics.touching(self.built(), self.q, dynamics.MARGIN))
         points = [
             TouchingPoint(c.pair, c.point, c.position, c.position, c.normal, c.gap)
             for c in self.contacts
             if c.kind == "contact"
         ]
-        return contact_jacobian(self.built(), self.q, points)
+        return self._jacobian_of(points)
+
+    def _jacobian_of(self, points: list[TouchingPoint]) -> ContactJacobian:
+        return ContactJacobian(self.built(), self.q, points)
 
     def delassus(self) -> Array:
         """Return J_C M^-1 J_C^T of the present contacts, shape (3 n, 3 n) [1/kg]; rows as of `contact_jacobian`."""

@@ -189,7 +189,7 @@ class Record:
 
     def segments_joined(self) -> dense.Segments | None:
         """Return the segments of all blocks; None where none were kept."""
-        return dense.joined(self.segments, self.options.order)
+        return dense.joined(self.segments, self.options.order, self.options.stage_tol)
 
     def contact_log(self, first: int = 0) -> contacts.ContactLog:
         """Return the contacts of the blocks from `first` on."""
@@ -212,7 +212,8 @@ class Record:
 
     def _contact_log(self, parts: list[Columns]) -> contacts.ContactLog:
         rows = partial(joined, parts, contacts.FIELDS)
-        return contacts.ContactLog(rows, self.compiled.pair_names, self.compiled.joint_names)
+        compiled = self.compiled
+        return contacts.ContactLog(rows, compiled.pair_names, compiled.joint_names, compiled.shape_groups)
 
     def change_log(self, first: int = 0) -> contacts.ChangeLog:
         """Return the changes of contacts of the blocks from `first` on."""

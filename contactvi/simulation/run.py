@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import copy
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.errors import ConstraintError, ContactviError, SimulationError
+from contactvi.errors import ConstraintError, SimulationError
 from contactvi.options import Options
 from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
@@ -23,6 +22,7 @@ from contactvi.simulation.compatibility import Stall, check_unforced
 from contactvi.simulation.engine import Progress
 from contactvi.simulation.messages import REACHED
 from contactvi.simulation.recorder import ROUNDING, Record
+from contactvi.simulation.snapshot import Snapshot
 from contactvi.simulation.targets import Targets
 from contactvi.simulation.tolerances import LedgerWatch
 from contactvi.status import Status, StatusCode
@@ -38,34 +38,6 @@ PROGRESS_PERIOD = 0.1  # s of wall time between two calls of a progress callback
 _BLOCK = 500  # steps between two checks of what was recorded, for a ledger with tolerances and for DTEC
 _SUCCESS = StatusCode.SUCCESS
 _NO_WAY_ON = (StatusCode.NEWTON_FAILED, StatusCode.EVENT_UNRESOLVED, StatusCode.CONSTRAINT)
-
-
-@dataclass(frozen=True, eq=False)
-class Snapshot:
-    """The state of a `Simulator`, opaque; it belongs to one scene and its options."""
-
-    scene: CompiledScene
-    options: Options
-    engine: _core.Snapshot
-    record: Record
-    rest: Any
-
-    def __copy__(self) -> Snapshot:
-        """Return the snapshot itself: it is constant, and a run that starts from it copies what it changes."""
-        return self
-
-    def __deepcopy__(self, memo: Any) -> Snapshot:
-        """Return the snapshot itself, as `__copy__`."""
-        return self
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        raise not_picklable("snapshot")
-
-    @property
-    def targets(self) -> Targets:
-        """What the servos follow by default."""
-        found: Targets = self.rest[3]
-        return found
 
 
 class Run:
@@ -365,16 +337,6 @@ class Run:
         """End the run where it is with the status INTERRUPTED."""
         self.record.status = Status.interrupted(self.t)
         return self.record.status
-
-
-def not_picklable(what: str) -> ContactviError:
-    """Return the error of pickling what holds a state of the engine."""
-    return ContactviError(
-        f"A {what} cannot be pickled: it holds the state of the engine",
-        expected="what another process can read",
-        got=f"a {what}",
-        remedy="Copy it in this process with copy.deepcopy; send the scene, q, v and t to another one, and reset there",
-    )
 
 
 def name_unreachable(record: Record, q: Array) -> ConstraintError | None:

@@ -69,7 +69,7 @@ def simulate(
         impact: the impact map, see `Options`.
         **options: mhc_reference, record_every, dense, ...: see `Options`.
         control: generalized forces in Pinocchio's coordinates, constant over a step [N, N m]: an array of shape (steps,
-            nv), or a function (t, q, v) -> (nv,) called at the start of each step.
+            nv), one of shape (nv,) for all steps, or a function (t, q, v) -> (nv,) called at the start of each step.
         target: reference of the servos (Scene.set_servo), constant over a step: an array or a function of t, one number
             per servo joint, or a mapping joint -> motion (contactvi.simulation.targets); by default as given to
             set_servo.
@@ -139,7 +139,7 @@ def ended_early(options: Options, status: Status, traj: Trajectory | None) -> Si
         f"The run {fact} with the status {status.code.name}: {status.message}",
         expected=f"t = {options.span if options.auto else options.steps * options.fixed_dt:.9g} s",
         got=f"t = {status.time:.9g} s",
-        remedy=remedy(status.code, options.contact_mode),
+        remedy=remedy(status.code, options.contact_mode, options.zeno, options.impact),
         status=status,
         trajectory=traj,
     )

@@ -24,9 +24,10 @@ from contactvi.records.recent import Recent
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.engine import Progress
 from contactvi.simulation.present_dynamics import PresentDynamics
-from contactvi.simulation.run import Run, Snapshot, not_picklable
+from contactvi.simulation.run import Run
+from contactvi.simulation.snapshot import Snapshot
 from contactvi.status import Status
-from contactvi.trajectory.compiled import checked_scene, compile_scene
+from contactvi.trajectory.compiled import CompiledScene, checked_scene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -150,7 +151,10 @@ class Simulator(PresentDynamics):
     def run(
         self, steps: int, tau: ArrayLike | None = None, progress: Progress | None = None, target: Any = None
     ) -> Status:
-        """Make `steps` steps, tau of shape (steps, nv) or None; return the status. Ends early as `simulate` does."""
+        """Make `steps` steps; return the status. Ends early as `simulate` does.
+
+        tau: generalized forces, shape (steps, nv), or (nv,) for all steps, or None.
+        """
         if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or not 0 <= steps <= MOST_STEPS:
             raise InputError(
                 "Number of steps",
@@ -221,6 +225,11 @@ class Simulator(PresentDynamics):
         """The persistent contacts at the end of the last step: one `Contact` per point (contactvi.records.contacts)."""
         return self._started().contacts_now()
 
+    @property
+    def _stepped(self) -> bool:
+        run = self._started()
+        return run.t != run.record.start
+
     def recent(self, since: float) -> Recent:
         """Return the present contacts, and the impacts and changes of contacts after `since` [s], as arrays.
 
@@ -241,7 +250,8 @@ class Simulator(PresentDynamics):
     def load(self, snapshot: Snapshot) -> None:
         """Go back to a state of `save`, of this simulator or another one of the same scene and options.
 
-        What follows is equal to the bit. Raises InputError for a snapshot of another scene or other options.
+        What follows is equal to the bit. Raises InputError for a snapshot of another scene or other options; the scene
+        of one that was read from a pickle is a scene of its own (`of`).
         """
         if not isinstance(snapshot, Snapshot) or snapshot.scene is not self._scene or snapshot.options != self.options:
             got = "of another scene or other options" if isinstance(snapshot, Snapshot) else repr(snapshot)
@@ -250,7 +260,7 @@ class Simulator(PresentDynamics):
                 name="snapshot",
                 expected="one of this scene and these options",
                 got=got,
-                remedy="Load it into the simulator that saved it, or into a sim.copy() of that one",
+                remedy="Load it into the simulator that saved it or a copy of it, or take Simulator.of(snapshot)",
             )
         with self._unused():
             self._user = threading.get_ident()
@@ -259,15 +269,34 @@ class Simulator(PresentDynamics):
             else:
                 self._run.load(snapshot)
 
+    @classmethod
+    def of(cls, snapshot: Snapshot) -> Simulator:
+        """Return a simulator of the snapshot's scene and options that goes on from it, with equal bits."""
+        if not isinstance(snapshot, Snapshot):
+            raise InputError(
+                "Argument snapshot", name="snapshot", expected="what Simulator.save() returns", got=short(snapshot),
+                remedy="Make a simulator of a scene with Simulator(scene, dt)",
+            )  # fmt: skip
+        return cls._made(snapshot.scene, snapshot.options, snapshot)
+
+    @classmethod
+    def _made(cls, scene: CompiledScene, options: Options, snapshot: Snapshot | None) -> Simulator:
+        """Return a simulator from what was checked before; snapshot: None before the first reset."""
+        sim = cls.__new__(cls)
+        sim.options, sim._scene = options, scene
+        sim._follows = bool(scene.built.servo_joints)
+        sim._lock, sim._user = threading.Lock(), 0
+        sim._run = None if snapshot is None else Run.of(snapshot)
+        return sim
+
     def copy(self) -> Simulator:
         """Return a simulator in the same state that goes on by itself."""
-        twin = Simulator.__new__(Simulator)
-        twin.options, twin._scene, twin._run = self.options, self._scene, None
-        twin._follows = self._follows
-        twin._lock, twin._user = threading.Lock(), 0
-        if self._run is not None:
-            twin._run = Run.of(self.save())
-        return twin
+        return self._made(self._scene, self.options, None if self._run is None else self.save())
+
+    def __repr__(self) -> str:
+        run = self._run
+        state = "no state yet" if run is None else f"t = {run.status.time:.9g} s, {run.status.code.name}"
+        return f"<Simulator: nq = {self._scene.states.nq}, nv = {self._scene.states.nv}, {state}>"
 
     def __copy__(self) -> Simulator:
         return self.copy()
@@ -276,7 +305,8 @@ class Simulator(PresentDynamics):
         return self.copy()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        raise not_picklable("simulator")
+        """Return what pickle keeps: the scene, the options and the present state (`Snapshot`)."""
+        return type(self)._made, (self._scene, self.options, None if self._run is None else self.save())
 
     def last_step(self) -> tuple[float, Array, Array]:
         """Return time [s], q (nq,) and v (nv,) at the start of the last step.

@@ -35,6 +35,7 @@ class Targets:
     """The references of a run that starts at q0 (nq,), as rows of (2 nv,): positions by dof, then velocities."""
 
     def __init__(self, compiled: CompiledScene, q0: Array) -> None:
+        self._compiled, self._start = compiled, q0
         self.joints = compiled.built.servo_joints
         if not self.joints:
             return
@@ -43,11 +44,14 @@ class Targets:
         self._dofs = np.array([model.idx_vs[i] for i in ids], dtype=int)
         self._hold = np.array([_place(model, i, q0) for i in ids], dtype=float)
         self._nv = int(model.nv)
-        self._compiled = compiled
         self._motions = {name: motion for name, motion in compiled.built.arrays.targets.items() if name in self.joints}
 
     def __deepcopy__(self, memo: Any) -> Targets:
         return self  # nothing in it ever changes
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickle keeps: what they were made of."""
+        return Targets, (self._compiled, self._start)
 
     def check_count(self, steps: int) -> None:
         """Raise InputError where the targets of so many steps take too much memory."""

@@ -43,6 +43,7 @@ class CompiledScene:
         states: checks of states and forces.
         pair_names: of the tested pairs, engine order.
         joint_names: of all joints, that of the world included.
+        shape_groups: names of the shapes of every part and body.
         damping: of the joints, shape (nv,).
         step_options: the options of the step that was linearised last, with what they were made from.
         engines: of simulations, by their settings, which nobody uses now.
@@ -58,11 +59,16 @@ class CompiledScene:
         self.states = States(built.model)
         self.pair_names = built.pairs
         self.joint_names = [str(name) for name in built.model.names]
+        self.shape_groups = scene.names.shape_groups
         self.damping: NDArray[np.float64] = np.array(built.model.damping, dtype=float)
         self._derivatives_checked = False
         self.step_options: tuple[Any, Any] | None = None
         self.engines: dict[tuple[Any, ...], list[_core.Simulator]] = {}
         self.linearizers: dict[tuple[int, float], list[_core.Linearizer]] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickle keeps: the scene, of which all else is made again."""
+        return compile_scene, (self._scene,)
 
     def scene(self) -> Scene:
         """Return a new copy of the scene as it was, for the caller to keep and edit; what is built is shared."""

@@ -78,8 +78,8 @@ class EntryReader:
             self._refuse("configurations that are not finite")
         return nodes
 
-    def segments(self, order: int) -> dense.Segments | None:
-        """Return the polynomials of the steps, None where they were not kept."""
+    def segments(self, order: int, tol: float) -> dense.Segments | None:
+        """Return the polynomials of the steps, solved to tol, None where they were not kept."""
         if "segment/t" not in self._entries:
             return None
         count = len(self.entry("segment/t", (None,)))
@@ -92,7 +92,7 @@ class EntryReader:
         rounding = 8.0 * np.finfo(float).eps * np.abs(arrays["t"][1:])
         if count == 0 or np.any(np.diff(arrays["t"]) < -rounding) or np.any(arrays["h"] <= 0):
             self._refuse("segments that do not follow each other")
-        return dense.Segments(arrays, order)
+        return dense.Segments(arrays, order, tol)
 
     def group(self, group: str, names: tuple[str, ...]) -> Entries | None:
         """Return the entries group/name, arrays of one length, None where the first of them is missing."""
@@ -164,7 +164,7 @@ class EntryReader:
         self._check_guards(arrays, names, "events")
         return event_log.EventLog(arrays, *names, method)
 
-    def contacts(self, names: Names) -> ContactLog:
+    def contacts(self, names: Names, groups: Mapping[str, tuple[str, ...]]) -> ContactLog:
         """Return the contacts of a run."""
         rows = self._rows("contact", "t", contacts.FIELDS)
         h, largest = rows["h"], np.abs(rows["start"] + rows["end"]).max(axis=1, initial=0.0)
@@ -172,7 +172,7 @@ class EntryReader:
             self._refuse("contacts with forces larger than those of any run")
         self._check_codes(rows, {"mode": len(codes.MODES)}, "contacts")
         self._check_guards(rows, names, "contacts")
-        return ContactLog(rows, *names)
+        return ContactLog(rows, *names, groups)
 
     def changes(self, names: Names) -> ChangeLog:
         """Return the changes of contacts in a run."""

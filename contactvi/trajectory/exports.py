@@ -56,25 +56,30 @@ class Exports:
         position, quaternion = body_poses(self.scene.model, np.atleast_2d(state.q), [name])
         return Poses(np.atleast_1d(state.t), position[:, 0], quaternion[:, 0])
 
-    def table(self: _Run, name: str = "states") -> Table:
+    def table(self: _Run, name: str = "states", sample_dt: float | None = None) -> Table:
         """Return a table of the run, one of contactvi.trajectory.tables: named columns with units, without pandas.
 
-        Raises:
-            InputError: for an unknown name.
-        """
-        return tables.table(self, name)
+        Args:
+            sample_dt: length of the windows of the table "forces" [s], by default the times between the nodes.
 
-    def to_pandas(self: _Run, table: str = "states") -> pandas.DataFrame:
+        Raises:
+            InputError: for an unknown name, and for sample_dt with another table.
+        """
+        return tables.table(self, name, sample_dt)
+
+    def to_pandas(self: _Run, table: str = "states", sample_dt: float | None = None) -> pandas.DataFrame:
         """Return a table of the run as a DataFrame, needs `pip install "contactvi[pandas]"`.
 
         Args:
-            table: "states", "poses", "energies", with the time as index; "events", "contacts", "changes" or
+            table: "states", "poses", "energies", with the time as index; "events", "contacts", "forces", "changes" or
                 "dense_steps", with the time as column t (contactvi.trajectory.tables). `attrs["units"]` has the units.
+            sample_dt: as of `table`.
 
         Raises:
-            InputError: unknown table. ContactviError: pandas is not installed.
+            InputError: unknown table, or sample_dt with another one than "forces". ContactviError: pandas is not
+                installed.
         """
-        return tables.table(self, table).to_pandas("t" if table in tables.OF_NODES else None)
+        return tables.table(self, table, sample_dt).to_pandas("t" if table in tables.OF_NODES else None)
 
     def to_xarray(self: _Run) -> xarray.Dataset:
         """Return the run as an xarray.Dataset, needs `pip install "contactvi[xarray]"`.
@@ -89,27 +94,34 @@ class Exports:
         """
         return to_xarray(self)
 
-    def to_csv(self: _Run, folder: str | os.PathLike[str], names: Sequence[str] | None = None) -> list[Path]:
+    def to_csv(
+        self: _Run, folder: str | os.PathLike[str], names: Sequence[str] | None = None, sample_dt: float | None = None
+    ) -> list[Path]:
         """Write tables of the run as folder/NAME.csv, and their units as folder/units.csv; return the paths.
 
         Args:
             folder: is made where there is none.
-            names: of the tables (contactvi.trajectory.tables), by default all that have rows.
+            names: of the tables (contactvi.trajectory.tables), by default all that have rows, "forces" with sample_dt
+                alone: it has columns for every pair.
+            sample_dt: length of the windows of "forces" [s], by default the times between the nodes.
 
         Raises:
             InputError: unknown table, or a folder or file that cannot be written.
         """
-        return write_csv(self, folder, names)
+        return write_csv(self, folder, names, sample_dt)
 
 
-def write_csv(traj: Run, folder: str | os.PathLike[str], names: Sequence[str] | None = None) -> list[Path]:
-    """Write tables of a run as NAME.csv, by default those with rows, and their units as units.csv; return the paths.
+def write_csv(
+    traj: Run, folder: str | os.PathLike[str], names: Sequence[str] | None = None, sample_dt: float | None = None
+) -> list[Path]:
+    """Write tables of a run as NAME.csv, and their units as units.csv; return the paths. See Trajectory.to_csv.
 
     Raises:
         InputError: unknown table, or a folder that cannot be made.
     """
-    chosen = TABLES if names is None else listed("names", names, "names of tables")
-    wanted = [table(traj, name) for name in chosen]
+    usual = [name for name in TABLES if name != "forces" or sample_dt is not None]
+    chosen = usual if names is None else listed("names", names, "names of tables")
+    wanted = [table(traj, name, sample_dt if name == "forces" else None) for name in chosen]
     wanted = [found for found in wanted if len(found) or names is not None]
     folder = made_folder(folder)
     written = [write_atomic(folder / f"{found.name}.csv", found.write_csv) for found in wanted]

@@ -165,7 +165,7 @@ class _Pick:
             check_parameter(traj, self.name)
             self._directions = parameters.directions_of(model, self.name)
         elif self._entry is None:
-            known = (*OF_THE_RUN, *OF_PAIRS, *parameters.NAMES)
+            known = (*OF_THE_RUN, *parameters.CONTACT_NAMES, *parameters.NAMES)
             raise InputError(
                 "Nothing of the run has this name", name="wrt", expected=f"one of {', '.join(known)}", got=name,
                 remedy=did_you_mean(kind, known),

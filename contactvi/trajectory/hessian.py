@@ -192,7 +192,7 @@ class _Direction:
         shapes: dict[str, tuple[int, ...]] = {"q0": (nv,), "v0": (nv,), "control": (steps, nv)}
         shapes |= dict.fromkeys(GAINS, (steps, len(self._servos)))
         if name not in shapes:
-            known = (*EXACT, "restitution", "friction", *parameters.NAMES)
+            known = (*EXACT, *parameters.CONTACT_NAMES, *parameters.NAMES)
             raise InputError(
                 "Nothing of the run has this name", name="w", expected=f"some of {', '.join(known)}", got=name,
                 remedy=did_you_mean(kind, known),

@@ -120,6 +120,9 @@ class Ledger:
         self._damping = np.array(built.model.damping, dtype=float)
         self.t, self._q, self._p, self.events = run.t, run.q, run.p, run.events
 
+    def __repr__(self) -> str:
+        return f"<Ledger: {len(self.t)} nodes, {len(self.events)} impacts>"
+
     # -- per node ------------------------------------------------------------------------------------------------------
 
     @cached_property

@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, did_you_mean
+from contactvi.scene.parameter_values import CONTACT_NAMES as CONTACT_NAMES
 from contactvi.scene.parameter_values import NAMES as NAMES
 from contactvi.scene.parameter_values import is_parameter as is_parameter
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
+from contactvi.importing.checks import joint_kind
 from contactvi.inputs import check_choice
 from contactvi.records.codes import GuardKind
 from contactvi.scene.coordinates import coordinates
@@ -27,6 +28,7 @@ _MAX_PAIRS = 6  # gaps drawn
 _FEW_NODES = 200
 # The panels of the states: what they show, and the unit of the numbers that belong there.
 _STATES = (("position", "m"), ("angle", "rad"), ("velocity", "m/s"), ("angular velocity", "rad/s"))
+_IN_OWN_AXES = {"velocity": {"free", "planar"}, "angular velocity": {"free", "spherical"}}  # types of joints
 
 
 def _check(traj: object) -> None:
@@ -65,6 +67,7 @@ def plot_states(traj: Trajectory) -> Figure:
     """Return a figure of the coordinates and velocities of a run, a panel for each unit.
 
     Names are those of contactvi.scene.coordinates.Coordinates; more than ten in a panel get a scale of colours.
+    Velocities of free, planar and spherical joints are Pinocchio's, in the axes of their bodies, which the labels say.
     Quaternions, and the cosine and sine of a joint without end, are left out. The figure is one as that of `plot`.
     """
     _check(traj)
@@ -73,9 +76,11 @@ def plot_states(traj: Trajectory) -> Figure:
     groups = [(what, unit, [(name, y) for (name, of), y in numbers if of == unit]) for what, unit in _STATES]
     groups = [group for group in groups if group[2]]
     figure, axes = panels(f"States, {traj.stepping}", span_of(traj), max(1, len(groups)), _impacts(traj))
+    kinds = {joint_kind(joint) for joint in list(traj.scene.model.joints)[1:]}
     for axis, (what, unit, curves) in zip(axes, groups, strict=False):
         draw_curves(axis, traj.t, curves)
-        axis.set_ylabel(f"{what} [{unit}]")
+        turning = bool(kinds & _IN_OWN_AXES.get(what, set()))
+        axis.set_ylabel(f"{what} [{unit}]" + ("\n(bodies: own axes)" if turning else ""))
     return figure
 
 

@@ -52,11 +52,12 @@ class Segments:
     Attributes:
         arrays: as in FIELDS, n segments along the first axis.
         order: of the integrator.
+        tol: to which the stage equations of the steps are solved, and those of the partial steps to states in between.
     """
 
-    def __init__(self, arrays: Mapping[str, NDArray[Any]], order: int) -> None:
+    def __init__(self, arrays: Mapping[str, NDArray[Any]], order: int, tol: float) -> None:
         self.arrays = {name: np.ascontiguousarray(arrays[name], dtype=float) for name in FIELDS}
-        self.order = order
+        self.order, self.tol = order, tol
 
     def __len__(self) -> int:
         return len(self.arrays["t"])
@@ -71,30 +72,17 @@ class Segments:
                 because segments do not keep the equations of these steps either.
         """
         times = np.ascontiguousarray(times, dtype=float)
-        persistent = self.persistent_at(times) if exact else np.ones(len(times), dtype=bool)
-        if persistent.all() or not persistent.any():
-            return engine_states(core, self.arrays, times, self.order, exact and not persistent.any())
-        parts = [(chosen, engine_states(core, self.arrays, times[chosen], self.order, free))
-                 for chosen, free in ((persistent, False), (~persistent, True))]  # fmt: skip
-        q, v = (np.empty((len(times), parts[0][1][k].shape[1])) for k in (0, 1))
-        for chosen, (part_q, part_v) in parts:
-            q[chosen], v[chosen] = part_q, part_v
-        return q, v
-
-    def persistent_at(self, times: Array) -> NDArray[np.bool_]:
-        """Return which of these times [s] lie in steps with persistent contacts, shape (N,)."""
-        at = np.searchsorted(self.arrays["t"], times, side="right") - 1
-        return np.asarray(self.arrays["persistent"][np.clip(at, 0, None)] != 0.0)
+        return engine_states(core, self.arrays, times, self.order, self.tol, exact)
 
 
-def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int) -> Segments | None:
+def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int, tol: float) -> Segments | None:
     """Return the segments of consecutive parts of a run; None where there are none."""
     parts = [part for part in parts if len(part["t"])]
     if not parts:
         return None
     if len(parts) == 1:
-        return Segments(parts[0], order)
-    return Segments({name: np.concatenate([part[name] for part in parts]) for name in FIELDS}, order)
+        return Segments(parts[0], order, tol)
+    return Segments({name: np.concatenate([part[name] for part in parts]) for name in FIELDS}, order, tol)
 
 
 def sample_times(start: float, end: float, step: float) -> Array:

@@ -55,6 +55,23 @@ def body_poses(model: pin.Model, q: Array, bodies: Sequence[str]) -> tuple[Array
     return position, quaternion
 
 
+def point_jacobians(model: pin.Model, q: Array, body: str, point: Array) -> Array:
+    """Return the Jacobians (n, 3, nv) of the velocity of a point (3,) [m] of a body, given in the body's frame.
+
+    World axes; at configurations q (n, nq).
+    """
+    frame = model.frames[_frame(model, body)]
+    joint, data, rows = int(frame.parentJoint), model.createData(), np.zeros((len(q), 3, model.nv))
+    if joint == 0:
+        return rows
+    in_joint = pin.skew(frame.placement.act(point))
+    for row, values in zip(rows, q, strict=True):
+        pin.computeJointJacobians(model, data, values)
+        J = pin.getJointJacobian(model, data, joint, pin.LOCAL)
+        row[:] = data.oMi[joint].rotation @ (J[:3] - in_joint @ J[3:])
+    return rows
+
+
 def _frame(model: pin.Model, name: str) -> int:
     """Return the frame of a body; a geometry may hang on a frame of another type, which then counts as one."""
     if name == WORLD:

@@ -23,6 +23,7 @@ from contactvi.scene.parameter_values import LIMITS
 from contactvi.trajectory import parameters
 from contactvi.trajectory.compiled import CompiledScene
 from contactvi.trajectory.polynomials import Segments
+from contactvi.trajectory.poses import point_jacobians
 
 if TYPE_CHECKING:
     from contactvi import _core
@@ -170,6 +171,7 @@ class Sensitivity:
         self.t = np.array(traj.t)
         found = self._solve(self.t)
         self.matrix: Array = np.array(found["nodes"])
+        self._built = compiled.built
         self.event_times: Array = np.asarray(found["event_times"]).reshape(-1, self._directions["count"])
         self.report = self._report(found)
 
@@ -196,6 +198,22 @@ class Sensitivity:
         result = np.empty_like(found)
         result[order] = found
         return result if many else result[0]
+
+    def position(self, body: Any, point: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+        """Return the derivatives of the position of a point of a body at the nodes, world axes, (N, 3, columns).
+
+        The rows of `matrix` are tangent vectors, those of a free body in its own axes; these are in the world's.
+
+        Args:
+            body: name of a body, or the handle of a part with one body. point: in the body's frame [m], shape (3,).
+
+        Raises:
+            InputError: unknown body.
+        """
+        model = self._built.model
+        name = self._built.names.select_body(body)
+        rows = point_jacobians(model, self._traj.q, name, array("point", point, (3,), "a point of the body"))
+        return np.asarray(rows @ self.matrix[:, : model.nv])
 
     def _solve(self, times: Array) -> dict[str, Any]:
         found = self._run.tangent(self._directions, list(map(float, times)), self._taken)
@@ -280,7 +298,7 @@ def _contact_steps(inputs: RunInputs, compiled: CompiledScene) -> list[_core.Kep
     steps, blocks, dense = inputs.stored_steps, inputs.stored_blocks, inputs.stored_dense
     if steps is None or blocks is None or dense is None:
         return list(inputs.contact_steps)
-    return [_core.KeptContactSteps(compiled.core, steps, blocks, dense)]
+    return [_core.KeptContactSteps(compiled.core, steps, blocks, dense), *inputs.contact_steps]
 
 
 def not_differentiable(traj: Recorded, found: dict[str, Any]) -> NotDifferentiable:
@@ -335,7 +353,7 @@ def _part(
         return "parameters", parameters.directions_of(compiled.built.model, name)
     entry = {"q0": "q", "v0": "v", "control": "tau", "restitution": "e", "friction": "mu"}.get(kind)
     if entry is None or (pair and entry not in ("e", "mu")):
-        known = (*PLAIN, *parameters.NAMES)
+        known = ("q0", "v0", "control", *parameters.CONTACT_NAMES, *parameters.NAMES)
         raise InputError(
             "Nothing of the run has this name", name="wrt", expected=f"one of {', '.join(known)}", got=name,
             remedy=did_you_mean(kind, known),

@@ -1,4 +1,4 @@
-"""The tables of a run, with named columns: states, poses, energies, events, contacts, changes, dense steps.
+"""The tables of a run, with named columns: states, poses, energies, events, contacts, forces, changes, dense steps.
 
 ===========  =========  =====================================================================================
 table        a row is   columns, besides the time t [s]
@@ -8,6 +8,7 @@ poses        a node     position x, y, z [m] and quaternion qx, qy, qz, qw of ev
 energies     a node     kinetic, potential and modified energy, losses so far, works so far [J]
 events       an impact  as in contactvi.Event, vectors by components
 contacts     a contact  as in contactvi.Contact: of a point and a step, or of a point in an impact (h = 0)
+forces       a window   of time, from t on and of length h [s]: the mean force of each pair, impacts included
 changes      a change   as in contactvi.ContactChange
 dense_steps  a step     as in contactvi.records.dense_steps
 ===========  =========  =====================================================================================
@@ -19,6 +20,10 @@ slips sx, sy, sz [m/s] are in world axes; impulse and force act on the second sh
 are what they sound like, friction_ratio is friction_force / (mu normal_force), 1 on the friction cone. An impact has no
 force, and a point without friction no ratio: NaN. has_force tells the rows whose step is long enough for a force to
 mean something. What a limit does to its joint [N; N m] is its normal_force.
+
+t of a contact or a force is the start of its step or window, of an impact its time. Windows of forces are those between
+the nodes, or have the length that is asked for; columns are FIRST | SECOND.x, .y, .z, on the second shape in world
+axes, and JOINT | LIMIT.
 """
 
 from __future__ import annotations
@@ -29,7 +34,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.inputs import check_choice
+from contactvi.errors import InputError
+from contactvi.inputs import check_choice, real, short
 from contactvi.records.codes import CHANGES, FALLBACKS, KINDS, METHODS, MODES, GuardKind
 from contactvi.records.contacts import ChangeLog, ContactLog
 from contactvi.records.dense_steps import DenseSteps
@@ -38,6 +44,8 @@ from contactvi.records.table import Column, Table, Words
 from contactvi.records.work import WORKS, Forces
 from contactvi.scene.coordinates import coordinates
 from contactvi.scene.scene import Scene
+from contactvi.trajectory.force_table import force_table
+from contactvi.trajectory.polynomials import sample_times
 from contactvi.trajectory.poses import body_poses, moving_bodies
 
 Array = NDArray[np.float64]
@@ -78,10 +86,26 @@ class Run(Protocol):
     def friction_loss(self) -> Array: ...
 
 
-def table(traj: Run, name: str) -> Table:
-    """Return a table of a run; raise InputError for an unknown name."""
+def table(traj: Run, name: str, sample_dt: float | None = None) -> Table:
+    """Return a table of a run.
+
+    Args:
+        sample_dt: length of the windows of "forces" [s], by default the times between the nodes.
+
+    Raises:
+        InputError: an unknown name, a length that is not usable, or one for another table.
+    """
     check_choice("table", name, tuple(TABLES), "table of a run")
-    return TABLES[name](traj)
+    if sample_dt is None:
+        return TABLES[name](traj)
+    if name != "forces":
+        raise InputError(
+            f"The table {name!r} has no windows", name="sample_dt", expected="it with the table 'forces' alone",
+            got=short(sample_dt), remedy="Leave it out; simulate(sample_dt=) keeps states at such times",
+        )  # fmt: skip
+    span = float(traj.t[-1] - traj.t[0])
+    step = real("sample_dt", sample_dt, max(span * 1e-7, 1e-300), expected="seconds, at most 1e7 windows in the run")
+    return force_table(traj, sample_times(float(traj.t[0]), float(traj.t[-1]), step))
 
 
 def states(traj: Run) -> Table:
@@ -229,5 +253,5 @@ def _units(prefix: str, unit: str) -> dict[str, str]:
 OF_NODES = ("states", "poses", "energies")  # tables with a row for each node
 TABLES: dict[str, Callable[[Run], Table]] = {
     "states": states, "poses": poses, "energies": energies, "events": events, "contacts": contacts,
-    "changes": changes, "dense_steps": dense_steps,
+    "forces": force_table, "changes": changes, "dense_steps": dense_steps,
 }  # fmt: skip

@@ -431,15 +431,26 @@ class Trajectory(Exports):
         return cls(**load(path))
 
     def to_html(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Write a self-contained page that plays the run (contactvi.playback.page.write_html); return its path."""
+        """Write a self-contained page that plays the run; return its path.
+
+        options: fps, title, play, forces, camera (contactvi.playback.page.write_html).
+        """
+        from contactvi.playback.keywords import check_keywords
         from contactvi.playback.page import write_html
 
+        check_keywords(write_html, options, "to_html")
         return write_html(self, path, **options)
 
     def render(self, path: str | os.PathLike[str], **options: Any) -> Path:
-        """Draw the run into a .gif, .mp4 or .png (contactvi.playback.render.render); return its path."""
+        """Draw the run into a .gif, .mp4 or .png; return its path.
+
+        options: at (the time of a .png [s]), start, end, fps, speed (of a film), camera, size, forces
+        (contactvi.playback.render.render).
+        """
+        from contactvi.playback.keywords import check_keywords
         from contactvi.playback.render import render
 
+        check_keywords(render, options, "render")
         return render(self, path, **options)
 
     def _engine(self) -> _core.Scene:

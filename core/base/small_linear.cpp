@@ -18,7 +18,8 @@ double dot(const double* x, const double* y, int n) {
   return sum;
 }
 
-void axpy(double a, const double* x, double* y, int n) {
+// x and y do not overlap.
+void axpy(double a, const double* __restrict x, double* __restrict y, int n) {
   for (int i = 0; i < n; ++i) y[i] += a * x[i];
 }
 
@@ -50,17 +51,19 @@ double SmallLinear::largest_scale() const {
 
 bool SmallLinear::factor() {
   const int n = n_;
-  double* f = f_.data();
-  std::fill_n(scale_.data(), n, 0.0);
+  double* __restrict f = f_.data();
+  double* scale = scale_.data();
+  const double* a = a_.data();
+  std::fill_n(scale, n, 0.0);
   for (int j = 0; j < n; ++j)
-    for (int i = 0; i < n; ++i) scale_[i] = std::max(scale_[i], std::abs(a_[i + j * n]));
+    for (int i = 0; i < n; ++i) scale[i] = std::max(scale[i], std::abs(a[i + j * n]));
   const double zero = kZeroRow * largest_scale();
   for (int i = 0; i < n; ++i) {
-    if (!(scale_[i] > zero)) return false;
-    scale_[i] = 1.0 / scale_[i];
+    if (!(scale[i] > zero)) return false;
+    scale[i] = 1.0 / scale[i];
   }
   for (int j = 0; j < n; ++j)
-    for (int i = 0; i < n; ++i) f[i + j * n] = a_[i + j * n] * scale_[i];
+    for (int i = 0; i < n; ++i) f[i + j * n] = a[i + j * n] * scale[i];
   double smallest = 1.0, largest = 0.0;
   for (int k = 0; k < n; ++k) {
     double* column = f + k * n;

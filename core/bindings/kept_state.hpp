@@ -9,7 +9,7 @@ namespace contactvi {
 
 // A snapshot belongs to a scene, and is refused by simulators of another one.
 struct Kept {
-  std::shared_ptr<const World::Saved> snapshot;
+  std::shared_ptr<const SavedWorld> snapshot;
   const Scene* scene;
 };
 

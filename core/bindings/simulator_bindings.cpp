@@ -17,9 +17,11 @@
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"
 #include "bindings/kept_state.hpp"
+#include "bindings/progress.hpp"
 #include "bindings/run_results.hpp"
 #include "bindings/user_calls.hpp"
 #include "model/coordinates.hpp"
+#include "run/saved_bytes.hpp"
 #include "run/stepped_world.hpp"
 #include "sensitivity/contact_step_numbers.hpp"
 #include "step/lost_velocity.hpp"
@@ -30,37 +32,6 @@ using namespace nb::literals;
 namespace contactvi {
 
 namespace {
-
-using ProgressCallback = nb::typed<nb::callable, nb::object(double, long)>;
-
-// False where a signal handler of Python raised, whose error is kept: while it is set, no function of the user can be
-// called.
-bool no_signal() {
-  if (PyErr_CheckSignals() == 0) return !UserErrors::any();
-  nb::python_error error;
-  UserErrors::keep(error);
-  return false;
-}
-
-Progress wrap(const std::optional<ProgressCallback>& callback) {
-  if (!callback) {
-    return [](double, long) {
-      nb::gil_scoped_acquire gil;
-      return no_signal();
-    };
-  }
-  return [&callback](double t, long impacts) {
-    nb::gil_scoped_acquire gil;
-    if (!no_signal()) return false;
-    try {
-      (*callback)(t, impacts);
-    } catch (nb::python_error& error) {
-      UserErrors::keep(error);  // run() hands it over
-      return false;
-    }
-    return true;
-  };
-}
 
 // What the world has recorded and where it stands after it.
 Dict results(World& sim, SteppedWorld::Record record) {
@@ -78,7 +49,7 @@ Dict results(World& sim, SteppedWorld::Record record) {
 template <class Run>
 Dict run(SteppedWorld& sim, const std::optional<ProgressCallback>& progress, Run call) {
   SteppedWorld::Record record;
-  const Progress callback = wrap(progress);
+  const Progress callback = wrapped(progress);
   sim.forget_steps();
   const auto start = std::chrono::steady_clock::now();
   {
@@ -102,7 +73,7 @@ bool numbers_of_array(nb::handle array, std::size_t size, const double*& numbers
 // The time after one more step, which is recorded for take(). None: nothing was done, because another call is under way
 // or an input is not a plain array of ordinary numbers. False: the step was made and take() has something to look at.
 nb::object step(SteppedWorld& sim, nb::handle tau, nb::handle target) {
-  static const Progress signals = wrap(std::nullopt);
+  static const Progress signals = wrapped(std::nullopt);
   const std::size_t nv = static_cast<std::size_t>(sim.scene().tree.nv);
   const double *force = nullptr, *reference = nullptr;
   if (sim.stepping() || !numbers_of_array(tau, nv, force) || !numbers_of_array(target, 2 * nv, reference) ||
@@ -164,22 +135,6 @@ Dict advance(SteppedWorld& sim, long steps, const std::optional<Rows>& tau, long
   const MatX force = tau ? MatX(*tau) : MatX(), reference = target ? MatX(*target) : MatX();
   return run(sim, progress, [&](const Progress& callback, Recording& recording) {
     return sim.advance(steps, force, reference, record_every, callback, recording);
-  });
-}
-
-Dict run_auto(SteppedWorld& sim, double duration, double level, const std::optional<ProgressCallback>& progress,
-              const std::optional<std::tuple<VecX, VecX, double>>& plan) {
-  if (!(duration > 0.0) || !(level > 0.0)) throw Error("duration and level must be > 0");
-  if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
-  std::optional<StepPlan> steps;
-  if (plan) {
-    const auto& [t, dt, part] = *plan;
-    if (t.size() == 0 || t.size() != dt.size() || !(part > 0.0) || !(dt.minCoeff() > 0.0))
-      throw Error("plan: expected times, lengths > 0 and a part > 0");
-    steps = StepPlan{t, dt, part};
-  }
-  return run(sim, progress, [&](const Progress& callback, Recording& recording) {
-    return sim.run_auto(duration, level, steps ? &*steps : nullptr, callback, recording);
   });
 }
 
@@ -270,9 +225,24 @@ void expose_simulator(nb::module_& m) {
       .def(
           "dense_numbers", [](const KeptContactSteps& kept) { return hand_over(numbers_of(kept.dense)); },
           "Return the dense steps as numbers, for files.");
-  nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.");
-  nb::class_<SteppedWorld>(m, "Simulator", nb::type_slots(simulator_slots))
-      .def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())
+  nb::class_<Kept>(m, "Snapshot", "All that the rest of a run depends on.")
+      .def(
+          "__init__",
+          [](Kept* kept, const Scene& scene, nb::bytes bytes) {
+            new (kept) Kept{saved_of(scene, {bytes.c_str(), bytes.size()}), &scene};
+          },
+          "scene"_a, "bytes"_a, nb::keep_alive<1, 2>(),
+          "From what to_bytes() of one of this scene has returned, in this process or in another one.")
+      .def(
+          "to_bytes",
+          [](const Kept& kept) {
+            const std::string bytes = bytes_of(*kept.scene, *kept.snapshot);
+            return nb::bytes(bytes.data(), bytes.size());
+          },
+          "Return it as bytes, for this version of the engine.");
+  nb::class_<SteppedWorld> simulator(m, "Simulator", nb::type_slots(simulator_slots));
+  expose_kept_runs(m, simulator);
+  simulator.def(nb::init<const Scene&, const SimulatorOptions&>(), "scene"_a, "options"_a, nb::keep_alive<1, 2>())
       .def("reset", &reset, "q"_a, "v"_a, "t"_a = 0.0,
            "Put the system to (q, v) at t [s]; return the fields of the status.")
       .def(
@@ -286,9 +256,6 @@ void expose_simulator(nb::module_& m) {
       .def("advance", &advance, "steps"_a, "tau"_a = nb::none(), "record_every"_a = 1, "progress"_a = nb::none(),
            "target"_a = nb::none(),
            "Make steps without the interpreter lock; return nodes, events, statistics and status.")
-      .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(), "plan"_a = nb::none(),
-           "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. plan:"
-           " times and lengths of the steps of another run [s], and the part of them that the steps of this one are.")
       .def("step", &step, "tau"_a = nb::none(), "target"_a = nb::none(),
            "Make one step, recorded for take(); return the time [s]. None: not made, with these inputs or now. False: "
            "made, and take() is to be looked at.")

@@ -63,6 +63,20 @@ bool NaturalMap::prepare(const ConeProblem& problem) {
   return true;
 }
 
+namespace {
+void add_column(int m, const double* __restrict g, double x, double* __restrict w) {
+  for (int k = 0; k < m; ++k) w[k] += g[k] * x;
+}
+
+void add_column_and_size(int m, const double* __restrict g, double x, double* __restrict w, double* __restrict size) {
+  const double a = std::abs(x);
+  for (int k = 0; k < m; ++k) {
+    w[k] += g[k] * x;
+    size[k] += std::abs(g[k]) * a;
+  }
+}
+}  // namespace
+
 void NaturalMap::velocity(const ConeProblem& problem, const double* lambda, double* w, bool sizes) {
   const int m = static_cast<int>(problem.b.size());
   double* size = size_.data();
@@ -73,9 +87,10 @@ void NaturalMap::velocity(const ConeProblem& problem, const double* lambda, doub
     const double x = lambda[j];
     if (x == 0.0) continue;
     const double* g = problem.G.data() + j * problem.G.outerStride();
-    const double a = std::abs(x);
-    for (int k = 0; k < m; ++k) w[k] += g[k] * x;
-    for (int k = 0; k < m && sizes; ++k) size[k] += std::abs(g[k]) * a;
+    if (sizes)
+      add_column_and_size(m, g, x, w, size);
+    else
+      add_column(m, g, x, w);
   }
   if (shift_times_ == 0.0) return;
   int i = 0;

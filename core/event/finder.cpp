@@ -160,6 +160,13 @@ bool EventFinder::bound_again() {
   return collect();
 }
 
+void EventFinder::list_touching(std::vector<int>& guards) const {
+  guards.clear();
+  const std::vector<char>& touching = memory_.touching;
+  for (auto at = touching.begin(); (at = std::find(at, touching.end(), 1)) != touching.end(); ++at)
+    guards.push_back(static_cast<int>(at - touching.begin()));
+}
+
 // What the last search has found about guards.
 void EventFinder::forget_last() {
   active_.clear();

@@ -59,6 +59,7 @@ class EventFinder {
 
   // Whether a guard is closed, within tolerance, at the start of the next step.
   bool touching(int guard) const { return memory_.touching[guard]; }
+  void list_touching(std::vector<int>& guards) const;  // ascending
   void set_touching(int guard, bool value) {
     guards_->end_span();
     memory_.touching[guard] = value;

@@ -19,6 +19,9 @@ constexpr double kLeastRoom = 0.1;
 constexpr double kMostRoom = 2.0;
 // as long as it lasts for so many steps: it must for three.
 constexpr double kFewestSteps = 4.0;
+// Of the room that it would get: a geometry with less left gets a new box along with the others. A step that looks at
+// guards costs much more than a box.
+constexpr double kRenewed = 0.5;
 // Of the room: what is left for rounding.
 constexpr double kRounding = 1e-3;
 
@@ -96,7 +99,13 @@ bool BroadPhase::is_outdated(const std::vector<double>& odometer, const std::vec
   leaving_.clear();
   for (std::size_t g = 0; g < limits_.size(); ++g)
     if (!(odometer[g] + 2.0 * motion[g] <= limits_[g])) leaving_.push_back(static_cast<int>(g));
-  return !leaving_.empty();
+  if (leaving_.empty()) return false;
+  leaving_.clear();
+  for (std::size_t g = 0; g < limits_.size(); ++g) {
+    const double needed = std::max(2.0 * motion[g], kRenewed * room_for(scene_->geometries[g], motion[g]));
+    if (!(odometer[g] + needed <= limits_[g])) leaving_.push_back(static_cast<int>(g));
+  }
+  return true;
 }
 
 void BroadPhase::renew(const Placements& at, const std::vector<double>& odometer, const std::vector<double>& motion) {

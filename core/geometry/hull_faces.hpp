@@ -1,5 +1,5 @@
-// The flat faces of a convex hull that is given by its triangles. Coplanar triangles are one face, also where they are
-// so only in single precision.
+// The flat faces of a convex hull that is given by its triangles. Coplanar triangles are one face, also where they
+// are so only in single precision.
 #pragma once
 
 #include <coal/data_types.h>

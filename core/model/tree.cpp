@@ -1,5 +1,6 @@
 #include "model/tree.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace contactvi {
@@ -52,6 +53,23 @@ void integrate(const Tree& tree, const VecCRef& q, const VecCRef& w, double fact
     for (int d = 0; d < joint.nv; ++d) scaled[d] = factor * w[joint.iv + d];
     integrate_joint(joint, q, scaled, q1);
   }
+}
+
+double configuration_distance(const Tree& tree, const VecCRef& a, const VecCRef& b) {
+  double square = 0.0;
+  for (const Joint& joint : tree.joints) {
+    double near = 0.0;  // square of the chord
+    for (int d = joint.iq; d < joint.iq + joint.nq; ++d) near += (b[d] - a[d]) * (b[d] - a[d]);
+    if (joint.type == JointType::kContinuous || joint.type == JointType::kSpherical) {
+      const bool quaternion = joint.type == JointType::kSpherical;
+      // q and -q are one rotation, and the chord belongs to half its angle.
+      if (quaternion) near = std::min(near, std::max(0.0, 4.0 - near));
+      const double angle = (quaternion ? 4.0 : 2.0) * std::asin(std::min(1.0, 0.5 * std::sqrt(near)));
+      near = angle * angle;
+    }
+    square += near;
+  }
+  return std::sqrt(square);
 }
 
 double joint_error(const Joint& joint, const VecCRef& q, double value) {

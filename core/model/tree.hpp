@@ -86,6 +86,10 @@ void find_springs_and_damping(Tree& tree);
 void integrate_joint(const Joint& joint, const VecCRef& q, const double* w, VecRef q1);
 void integrate(const Tree& tree, const VecCRef& q, const VecCRef& w, double factor, VecRef q1);
 
+// Norm of the tangent difference of two configurations [m, rad]: positions and angles of joints, and the angles of the
+// turns between the two, which follow from chords and so lose no digits where they are small.
+double configuration_distance(const Tree& tree, const VecCRef& a, const VecCRef& b);
+
 // value - q of a joint with one degree of freedom [rad; m]; on (cos, sin) joints the shorter way round.
 double joint_error(const Joint& joint, const VecCRef& q, double value);
 

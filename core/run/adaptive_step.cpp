@@ -173,12 +173,11 @@ bool Simulator::may_be_shortened(double length, long impacts) const {
 // Sets the length of the smooth steps from now on, and returns where it changes, at the latest at the end [s]. Contact
 // steps go on there as they are.
 double Simulator::take_plan(const StepPlan& plan, double end, bool persistent) {
-  const double now = state_.time + kSameTime * (end - plan.t[0]);
-  const double* first = plan.t.data();
-  const double* next = std::upper_bound(first, first + plan.t.size(), now);
-  const Eigen::Index i = std::max<Eigen::Index>(next - first, 1) - 1;
-  state_.adaptive_dt = plan.part * plan.dt[i];
-  return i + 1 < plan.t.size() && !persistent ? std::min(plan.t[i + 1], end) : end;
+  const std::vector<double>&t = plan.run.adaptive_t, &dt = plan.run.adaptive_dt;
+  const double now = state_.time + kSameTime * (end - t[0]);
+  const std::size_t next = static_cast<std::size_t>(std::upper_bound(t.begin(), t.end(), now) - t.begin());
+  state_.adaptive_dt = plan.part * dt[std::max<std::size_t>(next, 1) - 1];
+  return next < t.size() && !persistent ? std::min(t[next], end) : end;
 }
 
 Status Simulator::run_auto(double duration, double level, const StepPlan* plan, const Progress& progress,

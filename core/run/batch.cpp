@@ -84,11 +84,18 @@ void Batch::take_runs_side_by_side(int threads) {
   shared_ += company.shared_iterations();
 }
 
+Batch::Maker::Maker(const Scene& scene, const SimulatorOptions& options, SideBySide* company)
+    : scene(&scene), integrator(scene.tree, 1, 1e-12, 1), world(scene, options) {
+  if (company != nullptr) world.join(*company);
+}
+
 void Batch::take_runs(SideBySide* company) {
+  std::unique_ptr<Maker> maker;
   for (std::size_t k = next_++; k < starts_.size() && !stop_; k = next_++) {
     try {
-      make(starts_[k], company, outcomes_[k]);
+      make(starts_[k], company, maker, outcomes_[k]);
     } catch (...) {
+      maker.reset();
       outcomes_[k].failure = std::current_exception();
     }
     outcomes_[k].made = true;
@@ -96,19 +103,22 @@ void Batch::take_runs(SideBySide* company) {
   }
 }
 
-void Batch::make(const BatchStart& start, SideBySide* company, BatchOutcome& outcome) {
-  if (start.changes.size() == 0) return make(*start.scene, start, company, outcome);
+void Batch::make(const BatchStart& start, SideBySide* company, std::unique_ptr<Maker>& maker, BatchOutcome& outcome) {
+  if (start.changes.size() == 0) {
+    if (!maker || maker->scene != start.scene) maker = std::make_unique<Maker>(*start.scene, options_, company);
+    return make(*maker, start, company, outcome);
+  }
   Scene changed = *start.scene;
   changes_.apply(start.changes, changed);
-  make(changed, start, company, outcome);
+  Maker own(changed, options_, company);
+  make(own, start, company, outcome);
 }
 
-void Batch::make(const Scene& scene, const BatchStart& start, SideBySide* company, BatchOutcome& outcome) {
-  Integrator integrator(scene.tree, 1, 1e-12, 1);
-  outcome.massless = !(lost_velocity(integrator, start.q).share <= most_lost_);
+void Batch::make(Maker& maker, const BatchStart& start, SideBySide* company, BatchOutcome& outcome) {
+  const Scene& scene = *maker.scene;
+  World& world = maker.world;
+  outcome.massless = !(lost_velocity(maker.integrator, start.q).share <= most_lost_);
   if (outcome.massless) return;
-  World world(scene, options_);
-  if (company != nullptr) world.join(*company);
   begin(start, world, outcome);
   Recording recording;
   if (outcome.start.ok()) {

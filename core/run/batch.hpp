@@ -1,8 +1,8 @@
 // Many runs with steps of one length, made in several threads.
 //
-// Every run has an engine of its own, which is made for it: what happens in a run, to the last bit, depends neither on
-// the number of threads nor on the runs before it. The threads take the next run from a counter, and results stand
-// where their starts stand.
+// Every run under way has an engine of its own, which is what a new one is when the run begins: what happens in a run,
+// to the last bit, depends neither on the number of threads nor on the runs before it. The threads take the next run
+// from a counter, and results stand where their starts stand.
 #pragma once
 
 #include <atomic>
@@ -58,7 +58,7 @@ class Batch {
   void set_changes(SceneChanges changes) { changes_ = std::move(changes); }
   const SceneChanges& changes() const { return changes_; }
   // All runs go on from a state of their scene, which has no changes, instead of their starts.
-  void set_start(std::shared_ptr<const World::Saved> saved) { saved_ = std::move(saved); }
+  void set_start(std::shared_ptr<const SavedWorld> saved) { saved_ = std::move(saved); }
 
   void add(BatchStart start) { starts_.push_back(std::move(start)); }
   // Makes all runs. `poll` is called in this thread with the number of runs made, about twenty times a second; where it
@@ -74,9 +74,16 @@ class Batch {
 
  private:
   void take_runs_side_by_side(int threads);
+  // What makes runs of one scene, one after the other.
+  struct Maker {
+    Maker(const Scene& scene, const SimulatorOptions& options, SideBySide* company);
+    const Scene* scene;
+    Integrator integrator;
+    World world;
+  };
   void take_runs(SideBySide* company);
-  void make(const BatchStart& start, SideBySide* company, BatchOutcome& outcome);
-  void make(const Scene& scene, const BatchStart& start, SideBySide* company, BatchOutcome& outcome);
+  void make(const BatchStart& start, SideBySide* company, std::unique_ptr<Maker>& maker, BatchOutcome& outcome);
+  void make(Maker& maker, const BatchStart& start, SideBySide* company, BatchOutcome& outcome);
   void begin(const BatchStart& start, World& world, BatchOutcome& outcome) const;
   void keep_nodes(const Tree& tree, const BatchStart& start, const World& world, const Recording& recording,
                   BatchOutcome& outcome) const;
@@ -87,7 +94,7 @@ class Batch {
   BatchKeep keep_;
   double most_lost_;
   SceneChanges changes_;
-  std::shared_ptr<const World::Saved> saved_;
+  std::shared_ptr<const SavedWorld> saved_;
   std::vector<BatchStart> starts_;
   std::vector<BatchOutcome> outcomes_;
   std::atomic<std::size_t> next_{0}, made_{0};

@@ -3,20 +3,26 @@
 
 namespace contactvi {
 
+namespace {
+// Most lists of most islands are empty.
+template <class List>
+void copy_list(const List& from, List& to) {
+  if (!from.empty() || !to.empty()) to = from;
+}
+}  // namespace
+
 void Simulator::hand_over(Handover& to) const {
   to.q = state_.q;
   to.p = state_.p;
   to.control = state_.control;
   to.largest_speed = state_.largest_speed;
-  to.contacts = contact_step_.contacts();
-  to.touching.clear();
-  for (int g = 0; g < guards_.count(); ++g)
-    if (finder_.touching(g)) to.touching.push_back(g);
-  to.exempt = finder_.exempted();
+  copy_list(contact_step_.contacts(), to.contacts);
+  finder_.list_touching(to.touching);
+  copy_list(finder_.exempted(), to.exempt);
   to.dense = state_.dense;
   to.dense_step = dense_step_.memory();
-  to.separated = state_.separated;
-  to.flights = state_.flights.entries();
+  copy_list(state_.separated, to.separated);
+  copy_list(state_.flights.entries(), to.flights);
   to.joint_friction.clear();
   for (const ContactStep::FrictionJoint& joint : contact_step_.friction_joints())
     to.joint_friction.push_back({joint.anchored, joint.anchor, 0.0});

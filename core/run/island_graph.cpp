@@ -4,6 +4,7 @@
 #include <coal/shape/geometric_shapes.h>
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 namespace contactvi {
@@ -11,7 +12,10 @@ namespace contactvi {
 namespace {
 constexpr double kReach = 1.5;       // of the motion in the last interval: that expected in the next one
 constexpr double kIntervals = 16.0;  // a ball's margin lasts for about so many of them,
-constexpr double kMargin = 0.05;     // and is at least this part of its radius
+constexpr double kMargin = 0.05;     // and is at least this part of its radius;
+constexpr double kLasting = 8.0;     // reaches: a bound on a distance that is shorter gives way to the exact distance
+constexpr double kHuge = 1e300;      // stands for one over nothing
+constexpr double kRenewed = 0.5;     // with less than this part of it left, one is renewed along with another one
 }  // namespace
 
 IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
@@ -39,12 +43,13 @@ IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
     movable_.push_back(static_cast<int>(g));
   }
   neighbours_.resize(n);
-  for (std::vector<double>* list : {&reach_, &motion_, &odometer_, &limit_}) list->assign(n, 0.0);
+  for (std::vector<double>* list : {&reach_, &motion_, &odometer_, &limit_, &inverse_}) list->assign(n, 0.0);
   for (std::vector<double>* list : {&x_, &y_, &z_, &ball_}) list->assign(movable_.size(), 0.0);
 }
 
 void IslandGraph::restart(const std::vector<double>& motion) {
   motion_ = motion;
+  room_ = used_ = largest_ = last_ = 0.0;
   std::fill(odometer_.begin(), odometer_.end(), 0.0);
   std::fill(limit_.begin(), limit_.end(), -1.0);
   std::fill(ball_.begin(), ball_.end(), -std::numeric_limits<double>::infinity());  // overlaps nothing
@@ -103,7 +108,7 @@ bool IslandGraph::may_meet(int g, Neighbour& n, double reach) {
   const double odometers = odometer_[g] + odometer_[n.geometry];
   if (odometers + reach < n.mark) return false;
   double distance = clearance(n, g);
-  if (distance <= reach && !(sphere_[g] && sphere_[n.geometry])) {
+  if (distance <= kLasting * reach && !(sphere_[g] && sphere_[n.geometry])) {
     Contact contact;
     distance = guards_->evaluate_witness(n.guard, contact);
   }
@@ -112,13 +117,44 @@ bool IslandGraph::may_meet(int g, Neighbour& n, double reach) {
   return false;
 }
 
+// Trees that are joined may part, whatever their geometries move: while there are such neighbours there is no room.
+void IslandGraph::find_room(DisjointSets& sets) {
+  used_ = last_ = 0.0;
+  room_ = std::numeric_limits<double>::infinity();
+  const auto limit = [this](double room) {
+    if (!(room >= room_)) room_ = room;  // NaN stays
+  };
+  for (int g : movable_) inverse_[g] = reach_[g] > 0.0 ? 1.0 / reach_[g] : kHuge;
+  for (int g : movable_) {
+    limit((limit_[g] - odometer_[g]) * inverse_[g]);
+    for (const Neighbour& n : neighbours_[g]) {
+      if (n.geometry < g) continue;
+      if (sets.joined(trees_->of_geometry(g), trees_->of_geometry(n.geometry))) {
+        room_ = 0.0;
+        return;
+      }
+      limit((n.mark - odometer_[g] - odometer_[n.geometry]) / (reach_[g] + reach_[n.geometry]));
+    }
+  }
+}
+
 void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets) {
   placed_ = false;
-  for (int g : movable_) reach_[g] = kReach * motion_[g] + slack;
+  // What counts as x reference intervals has a reach of at most kReach x + 1 of them in the next one: the slack is a
+  // part of each reach.
+  clear_ = used_ + kReach * last_ + 1.0 < room_;
+  if (clear_) return;
+  bool outdated = false;
   for (int g : movable_) {
-    if (odometer_[g] + reach_[g] <= limit_[g]) continue;
+    reach_[g] = kReach * motion_[g] + slack;
+    outdated |= !(odometer_[g] + reach_[g] <= limit_[g]);
+  }
+  if (outdated) {
     place(q);
-    renew(g, std::max(kIntervals * reach_[g], std::isfinite(radius_[g]) ? kMargin * radius_[g] : 0.0));
+    for (int g : movable_) {
+      const double margin = std::max(kIntervals * reach_[g], std::isfinite(radius_[g]) ? kMargin * radius_[g] : 0.0);
+      if (!(odometer_[g] + std::max(reach_[g], kRenewed * margin) <= limit_[g])) renew(g, margin);
+    }
   }
   for (int g : movable_) {
     for (Neighbour& n : neighbours_[g]) {
@@ -129,9 +165,12 @@ void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets)
       if (may_meet(g, n, reach)) sets.join(trees_->of_geometry(g), trees_->of_geometry(n.geometry));
     }
   }
+  find_room(sets);
 }
 
 void IslandGraph::join_met(const VecX& q, DisjointSets& sets) {
+  if (clear_ && used_ + largest_ < room_) return;
+  if (clear_) std::fill(reach_.begin(), reach_.end(), 0.0);  // all that move are looked at
   bool any = false;
   for (int g : movable_) any |= motion_[g] > reach_[g];
   if (!any) return;
@@ -149,6 +188,9 @@ void IslandGraph::join_met(const VecX& q, DisjointSets& sets) {
 
 void IslandGraph::commit() {
   for (int g : movable_) odometer_[g] += motion_[g];
+  used_ += largest_;
+  last_ = largest_;
+  largest_ = 0.0;
 }
 
 }  // namespace contactvi

@@ -23,7 +23,11 @@ class IslandGraph {
   // Joins trees that may meet in the next interval from q.
   void join_suspects(const VecX& q, double slack, DisjointSets& sets);
   // Sets how far a geometry has moved at most in the interval under way [m].
-  void set_motion(int geometry, double distance) { motion_[geometry] = distance; }
+  void set_motion(int geometry, double distance) {
+    motion_[geometry] = distance;
+    const double part = distance * inverse_[geometry];
+    if (!(part <= largest_)) largest_ = part;
+  }
   // Joins trees of different sets that may have met in the interval under way from q.
   void join_met(const VecX& q, DisjointSets& sets);
   // The interval is over.
@@ -40,6 +44,7 @@ class IslandGraph {
   void renew(int g, double margin);
   int guard_of(int a, int b) const;
   double clearance(const Neighbour& n, int g);
+  void find_room(DisjointSets& sets);
   bool may_meet(int g, Neighbour& n, double reach);
 
   const StaticTrees* trees_;
@@ -56,6 +61,13 @@ class IslandGraph {
   std::vector<int> slot_;                 // of a geometry in movable_
   std::vector<std::vector<Neighbour>> neighbours_;
   bool placed_ = false;
+  // A reference interval moves each geometry by the reach that it had when room_ was found; inverse_ is one over that.
+  // An interval counts as the least multiple of it that no geometry exceeds: largest_ is the one under way, last_ the
+  // one before, used_ the sum since room_ was found. While that stays below room_, no ball has to be renewed and no
+  // neighbours meet.
+  std::vector<double> inverse_;  // [1/m]
+  double room_ = 0.0, used_ = 0.0, largest_ = 0.0, last_ = 0.0;
+  bool clear_ = false;  // the interval under way was found to be clear
 };
 
 }  // namespace contactvi

@@ -224,6 +224,7 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
 // after an error of a user's function the run has ended then.
 bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool last_try) {
   const long before = integrator_.counters.stage_iterations;
+  integrator_.lead(guide_, time);
   bool solved = integrator_.solve(state_.q, state_.p, h, tau);
   while (solved && actuation_.saturate_servos(integrator_)) {
     integrator_.forget();
@@ -280,6 +281,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
   if (!state_.dense.active) ++state_.dense.since_return;
   law_->start_step(state_.q, state_.p, state_.reference);
   while (interval.remaining > 0.0) {
+    interval.checked = false;
     if (parts++ > 0) {
       if (!report_progress(start + interval.done)) return false;
       actuation_.limit(state_.q, state_.p);
@@ -300,7 +302,7 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     // A step that was solved from other start values after a call has failed counts, but it is the last one.
     if (user_function_failed(start + interval.done)) return false;
   }
-  if (!in_range(state_.q, state_.p))
+  if (!interval.checked && !in_range(state_.q, state_.p))
     return end(StatusCode::kNotFinite, start + length, "the state is not finite, or its energy overflows");
   return true;
 }
@@ -343,6 +345,7 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   record_segment(at, h, p1_, recording);
   state_.q.swap(q1_);
   state_.p.swap(p1_);
+  interval.checked = true;
   interval.done += h;
   interval.remaining = shorter ? interval.length - interval.done : 0.0;
   // Each part of a step that was cut counts as a step of its own.

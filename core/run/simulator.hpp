@@ -14,9 +14,9 @@
 
 namespace contactvi {
 
-// Lengths of steps from times on [s], of a run with dt="auto"; another run takes steps of these lengths times `part`.
+// Steps of a run with dt="auto" that are parts of those of another one.
 struct StepPlan {
-  VecX t, dt;
+  const Recording& run;  // the other one
   double part;
 };
 
@@ -59,6 +59,10 @@ class Simulator {
   // of contact steps. Every step's end is a node.
   // plan: the steps of another run, parts of which are those of this one; null: none.
   Status run_auto(double duration, double level, const StepPlan* plan, const Progress& progress, Recording& recording);
+
+  // From now on smooth steps start from where another run of the same motion has gone; null: no longer. The guide stays
+  // the caller's.
+  void follow(Guide* guide) { guide_ = guide; }
 
   double time() const { return state_.time; }
   const VecX& q() const { return state_.q; }
@@ -120,6 +124,7 @@ class Simulator {
   struct Interval {
     double start, length, done, remaining;
     const VecX& tau;
+    bool checked = false;  // the state is in range, as its last change was a smooth step
     // Of how many steps of at most this length [s] the rest consists; one that is longer by rounding is no further one.
     double parts(double nominal) const { return std::max(1.0, std::ceil(remaining / nominal - 1e-9)); }
   };
@@ -216,6 +221,7 @@ class Simulator {
   ContactSet contacts_;
   ContactChangeFinder changes_;
   Truncation truncation_;
+  Guide* guide_ = nullptr;
   VecX q1_, p1_, v_;
   VecX gravity_q_;        // the last configuration whose potential in gravity was found,
   double gravity_ = 0.0;  // and that potential [J]

@@ -3,68 +3,69 @@
 namespace contactvi {
 
 void WorkAccount::start(double t, int constraint_rows, bool does_work) {
-  *this = WorkAccount();
-  does_work_ = does_work;
-  reactions_.setZero(constraint_rows);
-  mean_reactions_ = reactions_;
-  node_time_ = t;
+  tally_ = WorkTally();
+  tally_.does_work = does_work;
+  tally_.reactions.setZero(constraint_rows);
+  tally_.mean_reactions = tally_.reactions;
+  tally_.node_time = t;
 }
 
 WorkAccount::FreeWork WorkAccount::of(const Integrator& integrator) const {
-  if (!does_work_) return {};
+  if (!tally_.does_work) return {};
   return {integrator.input_work(), integrator.damping_loss()};
 }
 
 void WorkAccount::add(const FreeWork& work) {
-  input_ += work.input;
-  damping_ += work.damping;
+  tally_.input += work.input;
+  tally_.damping += work.damping;
 }
 
 void WorkAccount::add(const ContactStep& step) {
-  input_ += step.input_work();
-  damping_ += step.damping_loss();
-  joint_friction_ += step.joint_friction_loss();
-  driven_ += step.driven_work();
-  if (step.constrained()) reactions_ += step.constraint_impulses();
+  tally_.input += step.input_work();
+  tally_.damping += step.damping_loss();
+  tally_.joint_friction += step.joint_friction_loss();
+  tally_.driven += step.driven_work();
+  if (step.constrained()) tally_.reactions += step.constraint_impulses();
 }
 
 void WorkAccount::add(const DenseStep& step) {
-  input_ += step.integrator().input_work();
-  damping_ += step.integrator().damping_loss();
-  joint_friction_ += step.joint_friction_loss();
+  tally_.input += step.integrator().input_work();
+  tally_.damping += step.integrator().damping_loss();
+  tally_.joint_friction += step.joint_friction_loss();
 }
 
 void WorkAccount::add(const ImpactSequence& impacts) {
-  reactions_ += impacts.constraint_impulses();
-  driven_ += impacts.driven_work();
+  tally_.reactions += impacts.constraint_impulses();
+  tally_.driven += impacts.driven_work();
 }
 
 void WorkAccount::clear() {
-  input_ = damping_ = joint_friction_ = driven_ = 0.0;
-  reactions_.setZero();
+  tally_.input = tally_.damping = tally_.joint_friction = tally_.driven = 0.0;
+  tally_.reactions.setZero();
 }
 
 void WorkAccount::take(WorkAccount& part, const std::vector<int>& rows) {
-  if (!part.does_work_) return;
-  input_ += part.input_;
-  damping_ += part.damping_;
-  joint_friction_ += part.joint_friction_;
-  driven_ += part.driven_;
-  for (std::size_t k = 0; k < rows.size(); ++k) reactions_[rows[k]] += part.reactions_[static_cast<Eigen::Index>(k)];
+  if (!part.tally_.does_work) return;
+  tally_.input += part.tally_.input;
+  tally_.damping += part.tally_.damping;
+  tally_.joint_friction += part.tally_.joint_friction;
+  tally_.driven += part.tally_.driven;
+  for (std::size_t k = 0; k < rows.size(); ++k)
+    tally_.reactions[rows[k]] += part.tally_.reactions[static_cast<Eigen::Index>(k)];
   part.clear();
 }
 
 void WorkAccount::record_node(double t, Recording& recording) {
-  if (!does_work_) return;
+  if (!tally_.does_work) return;
   recording.work.resize(4 * (recording.t.size() - 1), 0.0);  // nodes from before the first input have none
-  recording.work.insert(recording.work.end(), {input_, damping_, joint_friction_, driven_});
-  if (t > node_time_) {
-    mean_reactions_ = reactions_ / (t - node_time_);
-    reactions_.setZero();
-    node_time_ = t;
+  recording.work.insert(recording.work.end(), {tally_.input, tally_.damping, tally_.joint_friction, tally_.driven});
+  if (t > tally_.node_time) {
+    tally_.mean_reactions = tally_.reactions / (t - tally_.node_time);
+    tally_.reactions.setZero();
+    tally_.node_time = t;
   }
-  recording.reactions.insert(recording.reactions.end(), mean_reactions_.data(),
-                             mean_reactions_.data() + mean_reactions_.size());
+  recording.reactions.insert(recording.reactions.end(), tally_.mean_reactions.data(),
+                             tally_.mean_reactions.data() + tally_.mean_reactions.size());
 }
 
 }  // namespace contactvi

@@ -10,12 +10,21 @@
 
 namespace contactvi {
 
+// What has been done so far.
+struct WorkTally {
+  bool does_work = false;  // whether anything but gravity and springs does work; else nothing is counted
+  // Work [J] of inputs, servos and wrenches; dissipated by damping, by joint friction; of driven constraints.
+  double input = 0, damping = 0, joint_friction = 0, driven = 0;
+  VecX reactions, mean_reactions;  // impulses of the constraints since the last node; their mean force before it
+  double node_time = 0;            // [s]
+};
+
 class WorkAccount {
  public:
-  // does_work: whether anything but gravity and springs does work; else nothing is counted.
+  // does_work: as of WorkTally.
   void start(double t, int constraint_rows, bool does_work);
   // Inputs do work from now on.
-  void expect_inputs() { does_work_ = true; }
+  void expect_inputs() { tally_.does_work = true; }
 
   // Works of one smooth step [J], taken before the integrator solves another one.
   struct FreeWork {
@@ -32,12 +41,11 @@ class WorkAccount {
   // Appends the entries of the node at t [s] that was recorded last.
   void record_node(double t, Recording& recording);
 
+  const WorkTally& tally() const { return tally_; }
+  void recall(const WorkTally& tally) { tally_ = tally; }
+
  private:
-  bool does_work_ = false;
-  // Work [J] of inputs, servos and wrenches; dissipated by damping, by joint friction; of driven constraints.
-  double input_ = 0, damping_ = 0, joint_friction_ = 0, driven_ = 0;
-  VecX reactions_, mean_reactions_;  // impulses of the constraints since the last node; their mean force before it
-  double node_time_ = 0;             // [s]
+  WorkTally tally_;
 };
 
 }  // namespace contactvi

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "impact/impact_maps.hpp"
+#include "run/saved_world.hpp"
 #include "step/path.hpp"
 
 namespace contactvi {
@@ -35,27 +36,6 @@ void add(const Simulator& engine, EngineCounters& sum) {
 }
 
 }  // namespace
-
-// All that the rest of a run depends on.
-struct World::Saved {
-  std::shared_ptr<const Snapshot> whole;
-  bool divided = false;
-  RunState run;
-  std::vector<LooseState> loose;
-  std::vector<JointFriction> joint_friction;
-  std::vector<double> motion;
-  VecX q_ref, v_ref;
-  EngineCounters counters;
-  struct SavedIsland {
-    std::vector<int> trees;
-    std::shared_ptr<const Snapshot> engine;
-    Rest rest;
-    Recording record;  // of the step that an island at rest repeats
-    VecX tau;
-    MatX target;
-  };
-  std::vector<SavedIsland> islands;
-};
 
 World::World(const Scene& scene, const SimulatorOptions& options)
     : scene_(&scene),
@@ -384,8 +364,8 @@ EngineCounters World::counters() const {
   return sum;
 }
 
-std::shared_ptr<const World::Saved> World::save() {
-  auto saved = std::make_shared<Saved>();
+std::shared_ptr<const SavedWorld> World::save() {
+  auto saved = std::make_shared<SavedWorld>();
   saved->divided = divided_;
   if (!divided_) {
     saved->whole = whole_.save();
@@ -404,7 +384,7 @@ std::shared_ptr<const World::Saved> World::save() {
   return saved;
 }
 
-void World::restore(const Saved& saved) {
+void World::restore(const SavedWorld& saved) {
   divided_ = saved.divided;
   if (!divided_) {
     whole_.restore(*saved.whole);
@@ -417,7 +397,7 @@ void World::restore(const Saved& saved) {
   v_ref_ = saved.v_ref;
   graph_.restart(saved.motion);
   islands_.clear();
-  for (const Saved::SavedIsland& from : saved.islands) {
+  for (const SavedWorld::SavedIsland& from : saved.islands) {
     Island& island = island_of(from.trees);
     island.engine().restore(*from.engine);
     island.restore_rest(from.rest, from.record, from.tau, from.target);

@@ -15,6 +15,8 @@
 
 namespace contactvi {
 
+struct SavedWorld;
+
 class World {
  public:
   World(const Scene& scene, const SimulatorOptions& options);
@@ -28,6 +30,8 @@ class World {
   Status reset(const VecX& q, const VecX& v, double t);
   Status advance(long steps, const MatX& tau, const MatX& target, long record_every, const Progress& progress,
                  Recording& recording);
+  // As that of Simulator, where all trees are advanced together.
+  void follow(Guide* guide) { whole_.follow(guide); }
   // Advances all trees together from then on.
   Status run_auto(double duration, double level, const StepPlan* plan, const Progress& progress, Recording& recording);
 
@@ -48,9 +52,8 @@ class World {
   // Islands now; 0 where all trees are advanced together.
   int islands() const { return divided_ ? static_cast<int>(islands_.size()) : 0; }
 
-  struct Saved;
-  std::shared_ptr<const Saved> save();
-  void restore(const Saved& saved);
+  std::shared_ptr<const SavedWorld> save();
+  void restore(const SavedWorld& saved);
 
  private:
   // The kinds of entries that islands record, merged by time.

@@ -3,17 +3,31 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
+
+#include "step/guide.hpp"
 
 namespace contactvi {
 
 namespace {
 constexpr double kFarTurn = 3.5;           // [rad] turn of a spherical joint in one step up to which its chart is good
 constexpr double kCloseTolerance = 1e-15;  // relative error of steps on which an event or an impact depends: rounding
+
+// Whether all numbers in v are added to those in q, as LaneFlight does.
+bool adds_numbers(const Tree& tree) {
+  for (const Joint& joint : tree.joints) {
+    const bool added = joint.type == JointType::kRevolute || joint.type == JointType::kHelical ||
+                       joint.type == JointType::kPrismatic || joint.type == JointType::kTranslation;
+    if (!added || joint.iq != joint.iv) return false;
+  }
+  return true;
+}
 }  // namespace
 
 Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterations)
     : StepEquations(tree, stages),
       iteration_(tol, max_iterations),
+      ahead_(tree.nv),
       start_(tree.nv, stages_),
       acceleration_(tree.nv, stages_),
       v0_(tree.nv) {}
@@ -44,6 +58,7 @@ void Integrator::judge_iteration() {
 }
 
 bool Integrator::turns_too_far() {
+  if (model_.lanes.balls == 0) return false;
   for (const Joint& joint : tree_->joints) {
     if (joint.type != JointType::kSpherical) continue;
     double turn2 = 0.0;
@@ -67,6 +82,9 @@ bool Integrator::solve_closely(const VecCRef& q0, const VecCRef& p0, double h, c
 }
 
 bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
+  if (may_look_ahead(h, tau) && take_ahead(q0, p0, h)) return true;
+  ahead_.drop();
+  from_ahead_ = false;
   // Impact maps solve one step again and again from other momenta: its own velocities are then the best start.
   const bool again = start_.count() == 0 && solved_ && h == h_ && (q0.array() == q0_.array()).all();
   begin(q0, p0, h, tau);
@@ -75,6 +93,14 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   why_ = "";
   const int s = stages_.count();
   if (again && solve_stages()) return !turns_too_far();
+  Guide* guide = std::exchange(guide_, nullptr);
+  if (guide != nullptr && guide->lead(guide_time_, h, start_, stages_) && solve_stages()) return !turns_too_far();
+  if (may_look_ahead(h, tau) && !stages_.has_extra_forces() && ahead_.is_worth_asking()) {
+    asks_ahead_ = true;
+    company_->iterate(*this, *lanes_);
+    asks_ahead_ = false;
+    if (take_ahead(q0_, p0_, h)) return true;
+  }
   if (start_.count() > 0) {
     start_.extrapolate(h, stages_);
     if (solve_stages()) return !turns_too_far();
@@ -90,6 +116,52 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   start_constant(v0_);
   if (solve_stages()) return !turns_too_far();
   return start_by_ramp(tau) && !turns_too_far();
+}
+
+// Whether the steps from here on are likely to go on as the last ones did, with no inputs that may change.
+bool Integrator::may_look_ahead(double h, const VecX& tau) const {
+  return flies_ && tau.size() == 0 && !newton_ && (servo() == nullptr || !servo()->any) && start_.is_even(h);
+}
+
+// The step from this state, if it was solved in advance: all is as it would be had it been solved now, but for the
+// factor.
+bool Integrator::take_ahead(const VecCRef& q0, const VecCRef& p0, double h) {
+  if (!ahead_.is(q0, p0, h, iteration_.tol())) return false;
+  if (q0.data() != q0_.data()) q0_ = q0;
+  if (p0.data() != p0_.data()) p0_ = p0;
+  h_ = h;
+  stages_.set_time(time_);
+  const int n = tree_->nv;
+  const double *v = ahead_.now(StepsAhead::kV), *X = ahead_.now(StepsAhead::kX), *P = ahead_.now(StepsAhead::kMomentum),
+               *G = ahead_.now(StepsAhead::kForce), *dv = ahead_.now(StepsAhead::kCorrection);
+  for (int d = 0; d < n; ++d) {
+    stages_.v()[d] = v[d];
+    stages_.X()[d] = X[d];
+    stages_.P()[d] = P[d];
+    stages_.G()[d] = G[d];
+    stages_.dv()[d] = dv[d];
+  }
+  part_ = false;
+  why_ = "";
+  stage_iterations_ = ahead_.iterations();
+  counters.stage_iterations += stage_iterations_;
+  ++counters.factorizations;
+  residual_ = ahead_.error();
+  solved_ = from_ahead_ = true;
+  return true;
+}
+
+void Integrator::finish(VecRef q1, VecRef p1) {
+  if (!from_ahead_) return StepEquations::finish(q1, p1);
+  const int n = tree_->nv;
+  const double *q = ahead_.now(StepsAhead::kQ), *p = ahead_.now(StepsAhead::kP),
+               *carry_q = ahead_.now(StepsAhead::kCarryQ), *carry_p = ahead_.now(StepsAhead::kCarryP);
+  for (int d = 0; d < n; ++d) {
+    q1[d] = q[d];
+    p1[d] = p[d];
+    next_carry_q_[d] = carry_q[d];
+    next_carry_p_[d] = carry_p[d];
+  }
 }
 
 // Small steps first, each from the polynomial of the one before; together they give start values for the whole. This
@@ -127,8 +199,14 @@ bool Integrator::start_by_ramp(const VecX& tau) {
 }
 
 bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) {
+  return solve_part(path, alpha, q0, p0, tau, std::min(iteration_.tol(), kCloseTolerance));
+}
+
+bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau,
+                            double tol) {
   const GaussTable& table = stages_.table();
   const int s = stages_.count(), S = stages_.padded();
+  from_ahead_ = false;
   begin(q0, p0, alpha * path.h(), tau);
   part_ = true;
   stage_iterations_ = 0;
@@ -139,21 +217,25 @@ bool Integrator::solve_part(const StepPath& path, double alpha, const VecCRef& q
   }
   for (int i = s; i < S; ++i)
     for (int d = 0; d < tree_->nv; ++d) stages_.v()[d * S + i] = v0_[d];
-  const double tol = iteration_.tol();
-  iteration_.set_tol(std::min(tol, kCloseTolerance));
-  const bool solved = solve_stages() || (node_velocity(q0_, p0_, v0_) && (start_constant(v0_), solve_stages()));
+  const double own = iteration_.tol();
   iteration_.set_tol(tol);
+  const bool solved = solve_stages() || (node_velocity(q0_, p0_, v0_) && (start_constant(v0_), solve_stages()));
+  iteration_.set_tol(own);
   return solved && !turns_too_far();
 }
 
 void Integrator::accept() {
   ++counters.steps;
-  carry_q_ = next_carry_q_;
-  carry_p_ = next_carry_p_;
+  carry_q_.swap(next_carry_q_);
+  carry_p_.swap(next_carry_p_);
   start_.push(stages_, h_);
+  if (from_ahead_) ahead_.advance();
+  from_ahead_ = false;
 }
 
 void Integrator::forget() {
+  ahead_.drop();
+  from_ahead_ = false;
   carry_q_.setZero();
   carry_p_.setZero();
   start_.forget();
@@ -164,6 +246,8 @@ void Integrator::join(LaneCompany* company) {
   // The factor of stiff elements is not the kernel's alone.
   const bool shares = company != nullptr && stages_.count() == 1 && !stiff_.any();
   lanes_ = shares ? &company->lanes_of(*this) : nullptr;
+  flies_ = shares && !tree_->has_springs && adds_numbers(*tree_);
+  ahead_.drop();
 }
 
 void Integrator::start_anew() {
@@ -173,16 +257,18 @@ void Integrator::start_anew() {
 }
 
 Integrator::Memory Integrator::memory() {
-  solved_ = false;  // the stages are not remembered
-  const double* P = stages_.P();
-  return {start_, carry_q_, carry_p_, std::vector<double>(P, P + tree_->nv * stages_.padded()), newton_};
+  solved_ = from_ahead_ = false;  // the stages are not remembered
+  const Eigen::Map<const MatX> P(stages_.P(), stages_.padded(), tree_->nv);
+  return {start_.history(), carry_q_, carry_p_, P.topRows(stages_.count()), newton_};
 }
 
 void Integrator::recall(const Memory& memory) {
-  start_ = memory.start;
+  ahead_.drop();
+  start_.recall(memory.start);
   carry_q_ = memory.carry_q;
   carry_p_ = memory.carry_p;
-  std::copy(memory.momenta.begin(), memory.momenta.end(), stages_.P());
+  Eigen::Map<MatX> P(stages_.P(), stages_.padded(), tree_->nv);
+  for (int i = 0; i < stages_.padded(); ++i) P.row(i) = memory.momenta.row(std::min(i, stages_.count() - 1));
   newton_ = memory.newton;
   solved_ = false;
 }

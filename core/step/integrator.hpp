@@ -12,8 +12,11 @@
 #include "step/start_values.hpp"
 #include "step/step_equations.hpp"
 #include "step/stepper.hpp"
+#include "step/steps_ahead.hpp"
 
 namespace contactvi {
+
+class Guide;
 
 class Integrator final : public Stepper, public StepEquations {
  public:
@@ -25,13 +28,21 @@ class Integrator final : public Stepper, public StepEquations {
   // Solves the step of length h from (q0, p0); tau: generalized force in public coordinates, (nv,) or empty. False
   // when the iterations do not converge from any start values; why() gives the reason.
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
+  // The next solve starts from where an earlier run has gone at the time t [s], the start of the step.
+  void lead(Guide* guide, double t) {
+    guide_ = guide;
+    guide_time_ = t;
+  }
   // Displacement that the solution of the stage equations resolves in the step just solved [m; rad].
   double resolution() const { return iteration_.tol() * stage_motion(); }
   // Solves it to rounding: impact maps form differences of such steps.
   bool solve_closely(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau);
   // Solves the part alpha of a step whose path is known, to rounding.
   bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau) override;
-  void finish(VecRef q1, VecRef p1) override { StepEquations::finish(q1, p1); }
+  // As this, to a tolerance.
+  bool solve_part(const StepPath& path, double alpha, const VecCRef& q0, const VecCRef& p0, const VecX& tau,
+                  double tol);
+  void finish(VecRef q1, VecRef p1) override;
   const MatX& rates() override { return StepEquations::rates(); }
   bool node_velocity(const VecCRef& q, const VecCRef& p, VecRef v) override {
     return StepEquations::node_velocity(q, p, v);
@@ -47,10 +58,10 @@ class Integrator final : public Stepper, public StepEquations {
   void start_anew();
   // What the next step starts from besides the state: with it a run goes on later with the same digits.
   struct Memory {
-    StartValues start;
+    StartValues::History start;
     VecX carry_q, carry_p;
-    std::vector<double> momenta;  // at the stages: the first iteration measures with them
-    bool newton;
+    MatX momenta;  // at the stages, (stages, nv): the first iteration measures with them
+    bool newton = false;
   };
   Memory memory();
   void recall(const Memory& memory);
@@ -62,6 +73,10 @@ class Integrator final : public Stepper, public StepEquations {
 
  private:
   friend class LaneIterations;  // makes the iterations of several steps
+  friend class LaneFlight;      // makes several steps of each
+  // Steps that are solved in advance, where runs are made side by side.
+  bool may_look_ahead(double h, const VecX& tau) const;
+  bool take_ahead(const VecCRef& q0, const VecCRef& p0, double h);
   bool solve_stages();
   void judge_iteration();
   void accelerate() { acceleration_.apply(stages_); }
@@ -71,7 +86,13 @@ class Integrator final : public Stepper, public StepEquations {
   StageIteration iteration_;
   LaneCompany* company_ = nullptr;
   LaneIterations* lanes_ = nullptr;  // of the company
+  StepsAhead ahead_;
+  bool flies_ = false;       // its tree is one whose steps may be solved in advance
+  bool asks_ahead_ = false;  // while it waits for that
+  bool from_ahead_ = false;  // the step just solved was
   StartValues start_;
+  Guide* guide_ = nullptr;  // of the next solve
+  double guide_time_ = 0.0;
   AndersonAcceleration acceleration_;
   VecX v0_;
   double residual_ = 0.0;

@@ -5,13 +5,19 @@
 namespace contactvi {
 
 LaneIterations::Key LaneIterations::key(const Integrator& step) {
-  return {step.iteration_.flags(), StageLanes::kind(step.stages_)};
+  return {step.asks_ahead_ ? 0 : step.iteration_.flags(), StageLanes::kind(step.stages_), step.asks_ahead_};
 }
 
 void LaneIterations::iterate(std::vector<Integrator*>& steps) {
   while (!steps.empty()) {
     seat(steps);
-    if (seated_.size() > 1) iterate_seated(steps);
+    if (seated_.size() == 1) continue;
+    if (!seated_[0]->asks_ahead_) {
+      iterate_seated(steps);
+      continue;
+    }
+    if (!flight_) flight_ = std::make_unique<LaneFlight>(seated_[0]->model_, lanes_);
+    made_ += flight_->fly(seated_);
   }
 }
 

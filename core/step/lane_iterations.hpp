@@ -3,7 +3,8 @@
 
 #include <vector>
 
-#include "step/integrator.hpp"
+#include <memory>
+#include "step/lane_flight.hpp"
 #include "step/stage_lanes.hpp"
 
 namespace contactvi {
@@ -14,7 +15,7 @@ class LaneIterations {
 
   bool fits(const Integrator& step) const { return lanes_.fits(step.model_); }
   // Iterates steps that have begun, each as far as it goes alone: every decision is one of the step itself. Those that
-  // go on afterwards share their iterations with none of the others.
+  // go on afterwards share their iterations with none of the others. Those that ask for steps in advance get them.
   void iterate(std::vector<Integrator*>& steps);
   // Iterations so far, each counted once for every step in it.
   long made() const { return made_; }
@@ -22,7 +23,10 @@ class LaneIterations {
  private:
   struct Key {
     int flags, kind;
-    bool operator==(const Key& other) const { return flags == other.flags && kind == other.kind; }
+    bool ahead;  // it asks for steps in advance
+    bool operator==(const Key& other) const {
+      return flags == other.flags && kind == other.kind && ahead == other.ahead;
+    }
   };
   static Key key(const Integrator& step);
   void seat(std::vector<Integrator*>& steps);
@@ -30,6 +34,7 @@ class LaneIterations {
   bool judge(int lane);
 
   StageLanes lanes_;
+  std::unique_ptr<LaneFlight> flight_;  // made when it is first used
   long made_ = 0;
   std::vector<Integrator*> seated_;  // by lane, null: its step iterates no more with the factor that it has
   std::vector<Stages*> stages_;

@@ -16,6 +16,7 @@ constexpr double kSafety = 0.25, kCoarse = 10.0;
 
 template <class Function>
 void for_spherical(const Tree& tree, Function&& function) {
+  if (tree.nq == tree.nv) return;  // no joint has a quaternion
   for (const Joint& joint : tree.joints)
     if (joint.type == JointType::kSpherical) function(joint.iv);
 }

@@ -37,6 +37,7 @@ class StageLanes {
   void put_velocity(int lane);
 
  private:
+  friend class LaneFlight;  // makes several steps in them
   void assign(const std::vector<Stages*>& steps);
   static void add_extra(void* self);
   void add_forces();
@@ -51,7 +52,8 @@ class StageLanes {
   AlignedArray memory_;
   double *X_, *v_, *rate_, *P_, *G_, *Y_, *px_, *dv_, *magnitude_, *diagonal_;
   double *base_, *ball_base_, *p0_, *stiffness_, *deflection_, *damping_, *tau_, *per_stage_, *tableau_;
-  std::vector<Stages*> steps_;  // by lane, null: it has been fetched
+  std::vector<Stages*> steps_;     // by lane, null: it has been fetched
+  std::vector<Stages*> boarding_;  // those that are about to take lanes
 };
 
 }  // namespace contactvi

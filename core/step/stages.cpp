@@ -30,9 +30,6 @@ constexpr double kDampingShare[kMaxStages][kMaxStages] = {
 // Springs as h^2 e_i, e = c^2 times this share: the iterations contract for every stiffness, the slower the stiffer.
 double spring_share(int s) { return s == 1 ? 1.0 : s == 2 ? 0.5 : 0.25; }
 
-// [rad] angle beyond which whole revolutions are taken off: the kernel's sine is accurate up to 1e6.
-constexpr double kManyTurns = 1e4;
-
 // Of the charts of spherical joints, whose displacements depend on themselves: enough for a contraction of 0.5, and
 // a change [rad] that is rounding.
 constexpr int kTurnIterations = 60;
@@ -67,6 +64,12 @@ Stages::Stages(const Tree& tree, const FlatModel& model, int stages, int directi
       stiffness_[d] = ball ? 0.0 : joint.stiffness;
       damping_[d] = tree.damping[d];
     }
+  }
+  if (tree.nq == tree.nv) {
+    turns_.setZero(tree.nv);
+    for (std::size_t i = 0; i < tree.joints.size(); ++i)
+      if (tree.joints[i].type == JointType::kRevolute || tree.joints[i].type == JointType::kHelical)
+        turns_[tree.joints[i].iv] = model.joints[i].turn;
   }
   work_.hA = hA_;
   work_.hb = hb_;
@@ -135,7 +138,21 @@ void Stages::allocate(int directions) {
   }
 }
 
+// base = q0 + turns. False, and the base is to be made again: some number is so large that it may be an angle of many
+// revolutions.
+bool Stages::add_turns(const VecCRef& q0) {
+  const double *q = q0.data(), *turn = turns_.data();
+  double* __restrict base = base_;
+  bool large = false;
+  for (int d = 0; d < tree_->nv; ++d) {
+    base[d] = q[d] + turn[d];
+    large |= std::abs(base[d]) > kManyTurns;
+  }
+  return !large;
+}
+
 void Stages::set_base(const VecCRef& q0) {
+  if (turns_.size() > 0 && add_turns(q0)) return;
   int ball = 0;
   for (std::size_t i = 0; i < tree_->joints.size(); ++i) {
     const Joint& joint = tree_->joints[i];
@@ -225,9 +242,7 @@ void Stages::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& t
   start_from(p0);
 }
 
-void Stages::start_from(const VecCRef& p0) {
-  for (int d = 0; d < tree_->nv; ++d) p0_[d] = p0[d];
-}
+void Stages::start_from(const VecCRef& p0) { std::copy_n(p0.data(), tree_->nv, p0_); }
 
 void Stages::at(const VecCRef& q0) {
   set_base(q0);

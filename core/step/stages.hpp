@@ -23,6 +23,9 @@ struct Servo {
 
 class Stages {
  public:
+  // [rad] angle beyond which whole revolutions are taken off: the kernel's sine is accurate up to 1e6.
+  static constexpr double kManyTurns = 1e4;
+
   // directions: along which the kernel takes derivatives; each doubles the arrays by their shadows (LaneWork).
   Stages(const Tree& tree, const FlatModel& model, int stages, int directions = 0);
   Stages(const Stages&) = delete;
@@ -67,6 +70,7 @@ class Stages {
   double* v() { return v_; }
   double* rate() { return work_.rate; }
   double* P() { return P_; }
+  double* G() { return G_; }
   const double* P() const { return P_; }
   const double* G() const { return G_; }
   double* dv() { return dv_; }
@@ -108,6 +112,7 @@ class Stages {
   friend class StageLanes;
   void allocate(int directions);
   void set_base(const VecCRef& q0);
+  bool add_turns(const VecCRef& q0);
   // The derivatives of the base along a tangent vector dq, (nv,), so far after it in the arrays.
   void set_base_change(const VecCRef& dq, long shadow);
   void set_step(double h);
@@ -132,6 +137,7 @@ class Stages {
   VecX q0_, tau_, q_stage_, X_stage_, v_stage_, force_, size_;
   VecX element_input_, element_dissipation_;  // per stage
   bool has_ball_springs_ = false, has_inputs_ = false;
+  VecX turns_;  // per dof: of the lane's frame about the joint axis [rad]; empty where q has more numbers than v
   // Step lengths for which diagonal_ and the tableau hA_ were made; NaN: none.
   double diagonal_h_ = std::numeric_limits<double>::quiet_NaN(), tableau_h_ = 0.0;
 };

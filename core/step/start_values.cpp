@@ -27,12 +27,38 @@ StartValues::StartValues(int nv, const Stages& stages)
 }
 
 void StartValues::push(const Stages& stages, double h) {
-  std::rotate(history_.begin(), history_.end() - 1, history_.end());
   const int kept = static_cast<int>(history_.size());  // as many steps as the extrapolation uses
+  newest_ = (newest_ + kept - 1) % kept;
   for (int k = kept - 1; k > 0; --k) h_[k] = h_[k - 1];
-  std::copy(stages.v(), stages.v() + history_[0].size(), history_[0].data());
+  std::copy(stages.v(), stages.v() + history(0).size(), history(0).data());
   h_[0] = h;
   count_ = std::min(count_ + 1, kept);
+}
+
+bool StartValues::is_even(double h) const {
+  return s_ == 1 && count_ == kSteps && std::all_of(h_, h_ + kSteps, [h](double length) { return length == h; });
+}
+
+StartValues::History StartValues::history() const {
+  History kept;
+  kept.lengths.assign(h_, h_ + count_);
+  kept.velocities.reserve(static_cast<std::size_t>(count_) * nv_ * s_);
+  for (int k = 0; k < count_; ++k)
+    for (int d = 0; d < nv_; ++d) {
+      const double* stages = history(k).data() + static_cast<std::size_t>(d) * S_;
+      kept.velocities.insert(kept.velocities.end(), stages, stages + s_);
+    }
+  return kept;
+}
+
+void StartValues::recall(const History& kept) {
+  newest_ = 0;
+  count_ = static_cast<int>(kept.lengths.size());
+  std::copy(kept.lengths.begin(), kept.lengths.end(), h_);
+  const double* at = kept.velocities.data();
+  for (int k = 0; k < count_; ++k)
+    for (int d = 0; d < nv_; ++d, at += s_)
+      for (int i = 0; i < S_; ++i) history(k)[static_cast<std::size_t>(d) * S_ + i] = at[std::min(i, s_ - 1)];
 }
 
 int StartValues::nodes_used() const { return count_; }
@@ -62,8 +88,15 @@ void StartValues::extrapolate(double h, Stages& stages) {
   weigh(h);
   if (S_ == 1) {  // one number per dof: what combine does, without a call for each step
     double* __restrict v = stages.v();
+    if (nodes_used() == kEnough) {  // the same sums, in one pass
+      const double *a = history(0).data(), *b = history(1).data(), *c = history(2).data(), *d = history(3).data();
+      const double wa = weight_[0].data()[0], wb = weight_[1].data()[0], wc = weight_[2].data()[0],
+                   wd = weight_[3].data()[0];
+      for (int k = 0; k < nv_; ++k) v[k] = a[k] * wa + b[k] * wb + c[k] * wc + d[k] * wd;
+      return;
+    }
     for (int m = 0; m < nodes_used(); ++m) {
-      const double weight = weight_[m].data()[0], *__restrict before = history_[m].data();
+      const double weight = weight_[m].data()[0], *__restrict before = history(m).data();
       if (m == 0)
         for (int d = 0; d < nv_; ++d) v[d] = before[d] * weight;
       else
@@ -72,7 +105,7 @@ void StartValues::extrapolate(double h, Stages& stages) {
     return;
   }
   for (int m = 0; m < nodes_used(); ++m)
-    stages.kernel().combine(nv_, s_, S_, weight_[m].data(), history_[m].data(), stages.v(), m > 0);
+    stages.kernel().combine(nv_, s_, S_, weight_[m].data(), history(m).data(), stages.v(), m > 0);
 }
 
 void StartValues::extrapolate_smoothed(double h, Stages& stages) {
@@ -87,7 +120,19 @@ void StartValues::extrapolate_smoothed(double h, Stages& stages) {
       smoothed_[j * S_ + i] = weight;
     }
   }
-  stages.kernel().combine(nv_, s_, S_, smoothed_.data(), history_[0].data(), stages.v(), false);
+  stages.kernel().combine(nv_, s_, S_, smoothed_.data(), history(0).data(), stages.v(), false);
+}
+
+void StartValues::end(const GaussTable& table, VecRef v) const {
+  double weights[kMaxStages];
+  for (int j = 0; j < s_; ++j) {
+    weights[j] = 0.0;
+    for (int k = 0; k < s_; ++k) weights[j] += table.to_legendre[k][j];  // Legendre's polynomials are 1 there
+  }
+  for (int d = 0; d < nv_; ++d) {
+    v[d] = 0.0;
+    for (int j = 0; j < s_; ++j) v[d] += weights[j] * history(0)[d * S_ + j];
+  }
 }
 
 void StartValues::add_piece(const Stages& stages, double start, double length) {

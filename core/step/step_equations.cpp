@@ -8,6 +8,9 @@ namespace contactvi {
 
 namespace {
 
+// Whether every joint has as many numbers in q as in v: none is a quaternion or (cos, sin), and sums make its end.
+bool is_plain(const Tree& tree) { return tree.nq == tree.nv; }
+
 // to = base + step, and what that sum loses of the step.
 inline void add_carried(double base, double step, double& to, double& lost) {
   const double total = base + step;
@@ -15,12 +18,17 @@ inline void add_carried(double base, double step, double& to, double& lost) {
   to = total;
 }
 
+// to = base + weight rate + carried carry of n numbers.
+void add_weighted(int n, const double* base, double weight, const double* rate, double carried, const double* carry,
+                  double* __restrict to, double* __restrict lost) {
+  for (int d = 0; d < n; ++d) add_carried(base[d], weight * rate[d] + carried * carry[d], to[d], lost[d]);
+}
+
 // The momenta at the end of a step, of all dofs as if none were of a spherical joint.
 void add_impulses(const Stages& stages, const VecX& p0, const VecX& carry, double carried, double* p1, double* lost) {
   const double* G = stages.G();
   if (stages.padded() == 1) {  // one number per dof: no sums
-    const double weight = stages.hb()[0];
-    for (Eigen::Index d = 0; d < p0.size(); ++d) add_carried(p0[d], weight * G[d] + carried * carry[d], p1[d], lost[d]);
+    add_weighted(static_cast<int>(p0.size()), p0.data(), stages.hb()[0], G, carried, carry.data(), p1, lost);
     return;
   }
   for (int d = 0; d < static_cast<int>(p0.size()); ++d)
@@ -48,8 +56,8 @@ StepEquations::StepEquations(const Tree& tree, int stages)
       velocities_(tree.nv, stages) {}
 
 void StepEquations::begin(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, double after) {
-  if (q0.data() != q0_.data()) q0_ = q0;
-  if (p0.data() != p0_.data()) p0_ = p0;
+  if (q0.data() != q0_.data()) std::copy_n(q0.data(), tree_->nq, q0_.data());
+  if (p0.data() != p0_.data()) std::copy_n(p0.data(), tree_->nv, p0_.data());
   h_ = h;
   stages_.set_time(time_ + after);
   stages_.begin(q0_, p0_, h, tau);
@@ -61,6 +69,7 @@ void StepEquations::start_constant(const VecCRef& v0) {
 }
 
 void StepEquations::clear_turns() {
+  if (model_.lanes.balls == 0) return;
   for (const Joint& joint : tree_->joints) {
     if (joint.type != JointType::kSpherical) continue;
     double* X = stages_.X() + static_cast<std::size_t>(joint.iv) * stages_.padded();
@@ -90,6 +99,10 @@ void StepEquations::finish(VecRef q1, VecRef p1) {
   const double* v = stages_.v();
   const bool single = stages_.padded() == 1;
   const double weight = stages_.hb()[0];
+  if (single && is_plain(*tree_)) {
+    add_weighted(tree_->nq, q0_.data(), weight, v, carried, carry_q_.data(), q1.data(), next_carry_q_.data());
+    return;
+  }
   for (const Joint& joint : tree_->joints) {
     const int iq = joint.iq, iv = joint.iv;
     if (joint.type == JointType::kSpherical) {

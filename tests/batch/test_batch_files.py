@@ -50,7 +50,7 @@ def test_only_the_blocks_asked_for_are_read(tmp_path, monkeypatch):
     read: list[int] = []
     inner = storage._read
     monkeypatch.setattr(
-        storage, "_read", lambda archive, first, count: read.append(first) or inner(archive, first, count)
+        storage, "_read", lambda archive, first, *rest: read.append(first) or inner(archive, first, *rest)
     )
     stored[4:6]
     assert read == [3]
@@ -104,3 +104,41 @@ def test_a_batch_that_ends_leaves_the_file_that_was_there(tmp_path):
         cvi.simulate_batch(scene, q, v, dt=1e-6, duration=100.0, record_every=1000, path=tmp_path / "a", progress=stop)
     assert (tmp_path / "a").read_bytes() == before
     assert os.listdir(tmp_path) == ["a"]
+
+
+def test_a_file_has_what_was_given_and_how_runs_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(runs, "BLOCK", 3)
+    scene, q, v = at_wall()
+    qs = starts(q, 10)
+    qs[4, 0] = np.nan
+    gravity = np.column_stack([np.zeros((10, 2)), np.linspace(-9.0, -10.0, 10)])
+    values = {"gravity": gravity, "restitution": np.linspace(0.1, 0.9, 10)[:, None]}
+    names = [name for name in values if name == "gravity" or scene.pair_names]
+    chosen = {name: values[name] for name in names}
+    here = cvi.simulate_batch(scene, qs, v, parameters=chosen, **SETTINGS)
+    stored = cvi.simulate_batch(scene, qs, v, parameters=chosen, path=tmp_path / "a", **SETTINGS)
+    again = cvi.load_batch(tmp_path / "a")
+    for result, rows in ((here, slice(0, 10)), (stored[0:10], slice(0, 10)), (again[2:7], slice(2, 7)),
+                         (here[2:7], slice(2, 7))):  # fmt: skip
+        np.testing.assert_array_equal(result.q0, qs[rows])
+        np.testing.assert_array_equal(result.v0, np.tile(v, (10, 1))[rows])
+        assert list(result.parameters) == list(chosen)
+        for name, value in chosen.items():
+            np.testing.assert_array_equal(result.parameters[name], value[rows])
+    assert list(again.status) == list(here.status)
+    np.testing.assert_array_equal(again.ok, here.ok)
+    assert {k: str(e) for k, e in again.errors.items()} == {k: str(e) for k, e in here.errors.items()}
+    assert repr(here.status) == "<BatchStatus: 9 SUCCESS, 1 REFUSED>"
+    assert cvi.simulate_batch(scene, q, **SETTINGS).v0 is None
+
+
+def test_a_table_of_runs():
+    pytest.importorskip("pandas")
+    scene, q, v = at_wall()
+    gravity = np.array([[0.0, 0.0, -9.0], [0.0, 0.0, -10.0]])
+    result = cvi.simulate_batch(scene, q, v, parameters={"gravity": gravity}, **SETTINGS)
+    frame = result.to_pandas()
+    assert list(frame["status"]) == ["SUCCESS", "SUCCESS"]
+    np.testing.assert_array_equal(frame["gravity[2]"], gravity[:, 2])
+    np.testing.assert_array_equal(frame["impacts"], result.impacts)
+    np.testing.assert_array_equal(frame["t"], result.status.times)

@@ -105,6 +105,36 @@ def test_runs_have_the_bits_of_simulate(make, duration, dt, size, forced):
             assert_same(result[k], cvi.simulate(scene, q, vs[k], throw=False, **own, **settings))
 
 
+SETTINGS = {
+    "damping": {"damping": 0.02},
+    "spring": {"stiffness": 3.0, "damping": 0.01},
+    "nonlinear spring": {"spring": [1.0, 0.0, 0.5]},
+    "friction": {"friction": 0.05},
+    "limits": {"limits": (-0.6, 0.6), "restitution": 0.5},
+    "limits and damping": {"limits": (-0.6, 0.6), "restitution": 0.0, "damping": 0.02},
+}
+
+
+@pytest.mark.parametrize("forced", [False, True])
+@pytest.mark.parametrize("name", SETTINGS)
+def test_what_acts_in_the_joints_of_a_short_tree(name, forced):
+    """Of a double pendulum with a wall, whose flights are interrupted by impacts at other times in each run."""
+    scene, q, v = at_wall()
+    for joint in list(scene.model.names)[1:]:
+        scene.set_joint(str(joint), **SETTINGS[name])
+    vs = v + 1.5 * np.random.default_rng(0).standard_normal((RUNS, scene.nv))
+    settings = {"dt": 2e-3, "duration": 0.5, "order": 2}
+    inputs = rows(scene, 250, False) if forced else {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", cvi.DenseStepWarning)
+        result = cvi.simulate_batch(scene, q, vs, keep="runs", workers=1, **inputs, **settings)
+        if "limits" in name:
+            assert result.impacts.any()
+        for k in range(RUNS):
+            own = {key: values[k] for key, values in inputs.items()}
+            assert_same(result[k], cvi.simulate(scene, q, vs[k], throw=False, **own, **settings))
+
+
 def test_free_bodies_with_a_spring():
     scene = bodies()
     turns = [pin.exp3_quat(np.array([0.3, -0.5 * k, 0.8])) for k in range(3)]

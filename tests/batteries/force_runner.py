@@ -6,6 +6,7 @@ As a program: requests and answers as in runner.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 import contactvi as cvi
 from batteries import force_laws, force_scenes, runner
 from batteries.runner import Report
+from contactvi import _core
 
 SLOW = 2e-2  # [s] mean wall time of a step; twenty times that of usual steps with impacts
 
@@ -58,7 +60,7 @@ def arrays(simulator: cvi.Simulator) -> list[np.ndarray]:
 
 
 def made_again(family: str, seed: int) -> list[str]:
-    """Which of a second run, a run from a snapshot, a run of a copy and `simulate` differ from a run in any bit."""
+    """Which of a second run, runs from a snapshot, from its bytes and of a copy, and `simulate` differ in any bit."""
     drawn = force_scenes.draw(family, seed, 0.12)
     options = dict(drawn.options)
     steps = round(options.pop("duration") / options["dt"])
@@ -75,8 +77,11 @@ def made_again(family: str, seed: int) -> list[str]:
     wanted = arrays(first)
     first.load(snapshot)
     step(first, rest)
+    kept = snapshot.engine.to_bytes()
+    read = cvi.Simulator.of(replace(snapshot, engine=_core.Snapshot(snapshot.scene.core, kept)))
+    step(read, rest)
     whole = cvi.simulate(drawn.built.scene, drawn.q, drawn.v, steps * options["dt"], throw=False, **options)
-    runs = {"snapshot": arrays(first), "copy": arrays(twin), "second run": arrays(second)}
+    runs = {"snapshot": arrays(first), "bytes": arrays(read), "copy": arrays(twin), "second run": arrays(second)}
     found = [name for name, got in runs.items() if not all(map(equal, got, wanted))]
     return found + ["simulate"] * (not equal(whole.q, wanted[1]))
 

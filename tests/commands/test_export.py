@@ -31,6 +31,18 @@ def test_one_table_beside_the_run(command, tmp_path):
     assert sorted(path.name for path in folder.iterdir()) == ["changes.csv", "events.csv", "units.csv"]
 
 
+def test_forces_of_windows(command, tmp_path):
+    command("run", ball_file(tmp_path), "-o", "out", "--no-html", "--no-plot")
+    assert command("export", "out/trajectory.npz", "--table", "forces", "--sample-dt", "0.1").exit_code == 0
+    traj = cvi.Trajectory.load("out/trajectory.npz")
+    written = np.loadtxt("out/trajectory/forces.csv", delimiter=",", skiprows=1)
+    assert np.array_equal(written[:, 0], 0.1 * np.arange(len(written)))
+    assert np.array_equal(written[:, 4], traj.table("forces", 0.1).column("ball | ground.z"))
+    assert command("export", "out/trajectory.npz", "-o", "all", "--sample-dt", "0.1").exit_code == 0
+    assert {"forces.csv", "states.csv"} <= {path.name for path in Path("all").iterdir()}
+    assert command("export", "out/trajectory.npz", "--sample-dt", "-1").exit_code == 2
+
+
 def test_wrong_input(command, tmp_path):
     result = command("export", "missing.npz")
     assert result.exit_code == 2

@@ -113,6 +113,26 @@ def test_the_floor_of_an_mjcf(command, floor, height, place):
     assert "the files also have high" in text
 
 
+def test_a_height_that_is_given_is_that_above_the_floor_of_the_file(command):
+    path = write("m.xml", MJCF.format(floor=FLOOR, height=1.0))
+    text, traj = run(command, path, "--height", 0, "--duration", 0.1)
+    assert traj.q[0, 2] == pytest.approx(0.1, abs=1e-12)
+    assert "of the file, 0 m below the lowest shape" in text
+    assert len(traj.contacts.at(0.1)) == 1
+
+
+def test_a_height_that_means_nothing_is_said_to(command):
+    assert "held; --height is not used" in run(command, write("a.urdf", ARM), "--duration", 0.1, "--height", 0.1)[0]
+
+
+def test_keys_that_say_nothing_are_not_listed(command):
+    """<size nkey="5"/> makes keys without names, which are the start."""
+    text = MJCF.format(floor=FLOOR, height=1.0).replace("<worldbody>", '<size nkey="5"/><worldbody>')
+    printed, _ = run(command, write("m.xml", text), "--duration", 0.1)
+    assert "the files also have high" in printed
+    assert "key_" not in printed
+
+
 def test_a_configuration_of_the_file(command):
     _, traj = run(
         command, write("m.xml", MJCF.format(floor=FLOOR, height=1.0)), "--configuration", "high", "--duration", 0.1

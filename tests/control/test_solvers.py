@@ -273,3 +273,18 @@ def test_a_nlp_of_the_users_own():
     solver = casadi.nlpsol("solver", "ipopt", nlp.nlp, {**nlp.options, "ipopt.print_level": 0, "print_time": False})
     assert np.abs(np.array(solver(**nlp.start)["x"]).ravel() - exact_throw(0.9, T)).max() < 1e-6
     assert issubclass(PenetrationError, ContactviError)
+
+
+def test_options_of_the_method_by_keyword_or_as_scipy_takes_them():
+    """Both say the same, and what the method does not have is refused."""
+    problem = at_the_wall()
+    z = first_guess(problem)
+    plain = problem.minimize(z, "SLSQP", maxiter=2)
+    nested = problem.minimize(z, "SLSQP", options={"maxiter": 2})
+    assert plain.nit == nested.nit == 2
+    np.testing.assert_array_equal(plain.x, nested.x)
+    for options in ({"maxitre": 2}, {"options": {"maxitre": 2}}):
+        with pytest.raises(InputError, match="SLSQP does not have these options: .*maxitre"):
+            problem.minimize(z, "SLSQP", **options)
+    with pytest.raises(InputError, match="options"):
+        problem.minimize(z, "SLSQP", options=3)

@@ -66,6 +66,21 @@ def test_with_respect_to_what(traj, wrt):
     check(lambda: cvi.gradient(traj, (np.zeros(6), np.zeros(6)), wrt), "wrt")
 
 
+def test_the_names_of_contacts_are_listed(traj):
+    """All names that can be meant, with those of one pair and of one joint's limits."""
+    cost = (np.zeros(6), np.zeros(6))
+    for call in (
+        lambda: traj.sensitivity("restitutoin"),
+        lambda: cvi.gradient(traj, cost, "restitutoin"),
+        lambda: cvi.hessian_vector(traj, cost, {"restitutoin": [1.0]}, hessp=lambda *given: given),
+    ):
+        with pytest.raises(cvi.InputError, match="Nothing of the run has this name") as caught:
+            call()
+        for name in ("restitution", "restitution:a|b", "restitution:joint", "friction:a|b", "mass:joint"):
+            assert name in caught.value.expected.removeprefix("one of ").removeprefix("some of ").split(", ")
+        assert "'restitution'" in caught.value.remedy
+
+
 @pytest.mark.parametrize("wrong", [None, [], ["q0"], np.zeros(2), "v0"], ids=repr)
 def test_a_part_that_was_not_asked_for(traj, wrong):
     check(lambda: traj.sensitivity("q0").of(wrong), "name")

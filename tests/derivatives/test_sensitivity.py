@@ -184,3 +184,39 @@ def test_steps_by_hand_have_derivatives_too():
     sim.run(60, forces[30:])
     traj = cvi.simulate(scene, q, v, 0.9, 0.01, order=4, record="gradient", control=forces)
     assert np.array_equal(sim.trajectory().sensitivity().matrix[-1], traj.sensitivity().matrix[-1])
+
+
+@pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (0.05, -0.02, 0.1)])
+def test_the_position_of_a_body_is_in_the_axes_of_the_world(point):
+    """Against differences of the place of a point of a ball that spins and slips on the ground."""
+    scene, q, v = falling("sphere", mu=0.1)
+
+    def place(e: float, speed: np.ndarray) -> np.ndarray:
+        scene.set_contact(restitution=e)
+        poses = cvi.simulate(scene, q, speed, duration=0.4, dt=0.01, order=4).poses("body")
+        turn = pin.Quaternion(*poses.quaternion[-1][[3, 0, 1, 2]]).matrix()
+        return poses.position[-1] + turn @ np.array(point)
+
+    traj = cvi.simulate(scene, q, v, duration=0.4, dt=0.01, order=4, record="gradient")
+    S = traj.sensitivity(["v0", "restitution"])
+    found = S.position("body", point)
+    assert found.shape == (len(traj.t), 3, 7)
+    step = 1e-5
+    changes = [(0.0, step * unit) for unit in np.eye(6)] + [(step, np.zeros(6))]
+    differences = np.array([
+        (place(0.7 + de, v + dv) - place(0.7 - de, v - dv)) / (2.0 * step) for de, dv in changes
+    ]).T  # fmt: skip
+    np.testing.assert_allclose(found[-1], differences, atol=1e-8)
+    assert np.abs(found[-1] - S.matrix[-1, :3]).max() > 0.1  # the ball has turned: its own axes are others
+
+
+def test_the_position_of_a_link_on_a_chain():
+    scene, q, v = at_wall(0.8)
+    traj = cvi.simulate(scene, q, v, duration=1.0, dt=0.01, order=8, record="gradient")
+    S, model, k = traj.sensitivity(["q0"]), scene.model, len(traj.t) // 2
+    frame = model.getFrameId("lower")
+    J = pin.computeFrameJacobian(model, model.createData(), traj.q[k], frame, pin.LOCAL_WORLD_ALIGNED)[:3]
+    np.testing.assert_allclose(S.position("lower")[k], J @ S.of("q0")[k, :2], atol=1e-14)
+    assert not S.position("world").any()
+    with pytest.raises(cvi.InputError, match="Unknown body"):
+        S.position("middle")

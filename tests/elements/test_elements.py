@@ -180,11 +180,18 @@ def test_the_report_lists_everything():
     scene.add_force(lambda t, q, v: 0 * v, name="mine")
     scene.set_joint("j*", friction=True, spring=[1.0, 0.0, 2.0])
     scene.set_servo("j1", 10.0, 1.0)
+    scene.set_joint("j1", damping=4.0)
     scene.set_actuator("j2", effort=True)
     used = notes(scene, "used")
     for name, words in {"rod": "distance", "band": "only in tension", "push": "wrench", "mine": "Python"}.items():
         assert words in used[name]
     text = str(scene.report)
-    for words in ("joint friction of the file 0.5", "servo with kp 10", "effort limit of the file 3", "1, 0, 2"):
+    for words in (
+        "joint friction of the file 0.5",
+        "servo with kp 10",
+        "kp = 0.5 s",
+        "effort limit of the file 3",
+        "1, 0, 2",
+    ):
         assert words in text
     assert "joint friction of the file: not used" not in text

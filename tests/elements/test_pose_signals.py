@@ -103,6 +103,18 @@ def test_data_and_back():
     assert PoseSignal(screw, "motion").to_data() is None
 
 
+def test_a_table_goes_on_over_the_differences_at_its_ends():
+    """Position along a cubic, which is its own spline; farther out there is nothing."""
+    times = np.linspace(0.0, 1.0, 5)
+    table = PoseSignal((times, [(0.0, 0.0, t**3 - t, 0.0, 0.0, 0.0, 1.0) for t in times]), "motion")
+    for t in (-9e-4, 1.0 + 9e-4):
+        np.testing.assert_allclose(table(t).position, [0.0, 0.0, t**3 - t], atol=1e-15)
+        np.testing.assert_allclose(table(t).velocity, [0.0, 0.0, 3.0 * t**2 - 1.0], atol=1e-14)
+    for t in (-1.1e-3, 1.0 + 1.1e-3):
+        with pytest.raises(cvi.UserFunctionError, match="outside its table"):
+            table(t)
+
+
 def test_bad_sources_and_results():
     with pytest.raises(cvi.InputError, match="one length"):
         PoseSignal(([0.0, 1.0], [screw(0.0)]), "motion")

@@ -224,3 +224,76 @@ def test_a_missing_gymnasium_is_told(tmp_path):
     code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import contactvi.gym"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert 'pip install "contactvi[gym]"' in done.stderr
+
+
+# -- environments of one's own ----------------------------------------------------------------------------------------
+
+
+class Pendulum(SceneEnv):
+    """A pendulum without servos, or with one."""
+
+    def __init__(self, servo: bool = False, numbers: int = 2, **options: object) -> None:
+        scene = cvi.Scene()
+        scene.add_urdf("models/damped_pendulum.urdf")
+        scene.add_sphere("ball", 0.1, placement=(5.0, 0.0, 0.0))
+        if servo:
+            scene.set_servo("hinge", kp=50.0, kd=5.0)
+        self.numbers = numbers
+        options = {"nominal": np.zeros(1), "reach": np.full(1, 2.0), "observed": 2, "duration": 1.0} | options
+        super().__init__(scene, **options)  # type: ignore[arg-type]
+
+    def start(self, options):
+        return self.simulator.scene.neutral(), np.zeros(self.simulator.scene.nv)
+
+    def observe(self, q, v):
+        return np.zeros(self.numbers)
+
+    def judge(self, q, v):
+        return 0.0, False
+
+
+def test_torques_are_those_of_a_simulator():
+    env = Pendulum(actions="torque", dt=1e-3, frame=7)
+    assert env.metadata["render_fps"] == 143
+    env.reset(seed=1)
+    sim = cvi.Simulator(env.simulator.scene, dt=1e-3)
+    sim.reset(env.simulator.q, env.simulator.v)
+    for action in (0.5, -0.25):
+        env.step(np.array([action]))
+        tau = np.zeros(sim.scene.nv)
+        tau[sim.scene.v_index("hinge")] = 2.0 * action
+        sim.run(7, tau)
+        np.testing.assert_array_equal(env.simulator.q, sim.q)
+    assert env.simulator.t == pytest.approx(14e-3)
+
+
+def test_torques_in_threads_have_the_bits_of_one():
+    envs = contactvi.gym.ThreadedVectorEnv(lambda: Pendulum(actions="torque"), 3)
+    envs.reset(seed=1)
+    alone = Pendulum(actions="torque")
+    alone.reset(seed=3)
+    for k in range(5):
+        envs.step(np.array([[0.3], [0.5], [0.1 * k]]))
+        alone.step(np.array([0.1 * k]))
+    np.testing.assert_array_equal(envs.envs[2].simulator.q, alone.simulator.q)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, 'expected a scene with servos, got none.*actions="torque"'),
+        ({"servo": True, "nominal": np.zeros(3)}, "nominal has the wrong shape: .*hinge"),
+        ({"servo": True, "reach": np.zeros(3)}, "reach has the wrong shape: .*hinge"),
+        ({"servo": True, "actions": "torques"}, "Did you mean 'torque'"),
+        ({"servo": True, "frame": 0}, "frame"),
+        ({"servo": True, "dt": -1.0}, "dt"),
+    ],
+)
+def test_what_cannot_be_an_environment_is_refused_when_it_is_made(options, message):
+    with pytest.raises(cvi.InputError, match=message):
+        Pendulum(**options)
+
+
+def test_an_observation_of_another_shape_is_refused_by_name():
+    with pytest.raises(cvi.InputError, match=r"observe has the wrong shape: .*shape \(2,\), got shape \(3,\)"):
+        Pendulum(servo=True, numbers=3).reset(seed=1)

@@ -98,9 +98,9 @@ def wait_until(holds, seconds: float = 20.0) -> None:
 
 
 def sync_now(live: LiveView, page: Page) -> dict:
-    """Show the simulator when the next frame is due; return the frame."""
+    """Show the simulator when the next frame is due; return the frame, not one that was still under way."""
     before = len(page.messages)
-    while len(page.messages) == before:
+    while len(page.messages) == before or page.frames[-1]["t"] != live._sim.t:
         live.sync()
         time.sleep(0.002)
     return page.frames[-1]

@@ -253,6 +253,22 @@ def test_what_flies_away_does_not_shrink_the_rest():
     assert view.radius < 5.0
 
 
+def test_the_picture_of_a_moment_fits_to_it(ball):
+    """Of a ball that falls by a metre the picture shows the ball alone, where it is then."""
+    frames, trees = animation.frames_of(ball, 60.0), trees_of(ball.scene.model)
+    for moment in (0.0, 0.3):
+        view = framing.fit(ball.visuals, frames, trees, moment)
+        at = frames.poses[1].position[np.argmin(np.abs(frames.times - moment))]
+        np.testing.assert_allclose(view.center, at, atol=1e-12)
+        assert view.radius == pytest.approx(RADIUS * np.sqrt(3.0))
+        assert np.ptp(view.outline, axis=0).max() <= 2.0 * RADIUS + 1e-12
+    scene = ball_scene()
+    scene.add_sphere("runaway", 0.1, placement=(1.0, 0.0, 1.0))
+    traj = cvi.simulate(scene, None, scene.velocity({"runaway": (100.0, 0.0, 0.0)}), duration=2.0, dt=1e-2)
+    view = framing.fit(traj.visuals, animation.frames_of(traj, 60.0), trees_of(scene.model), 2.0)
+    assert view.radius < 5.0
+
+
 def test_outline_holds_all_that_moves(hand):
     """In every direction the outline reaches as far as the shapes do, to a percent of the picture."""
     view, frames = view_of(hand), animation.frames_of(hand, 60.0)

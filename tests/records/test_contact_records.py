@@ -17,7 +17,7 @@ from contactvi.playback.page import make_html
 from contactvi.records import events
 from contactvi.run_settings import CONTACT_DT
 from contactvi.simulation.tolerances import LedgerWatch
-from contactvi.trajectory import polynomials as dense
+from contactvi.trajectory.compiled import compile_scene
 from helpers.contact_runs import CORNERS, GRAVITY, MASS, MU, SPAN, SPEED, STEP, STOP, box_scene, sliding_box
 from helpers.run_scenes import ball_file, ball_scene, slider_scene
 
@@ -263,26 +263,23 @@ def test_what_several_points_or_friction_change_is_measured():
 # -- states between the nodes -----------------------------------------------------------------------------------------
 
 
-def test_segments_in_contact_are_evaluated_by_their_polynomials(monkeypatch):
-    asked = []
-
-    def states(core, segments, times, order, exact):
-        asked.append((times.tolist(), exact))
-        return np.column_stack([times, 0.0 * times + exact]), times[:, None]
-
-    monkeypatch.setattr(dense, "engine_states", states)
-    count = 4
-    arrays = {name: np.zeros((count, 1)) for name in ("q", "p", "p1", "rates")}
-    arrays |= {"t": np.arange(4.0), "h": np.ones(4), "persistent": np.array([0, 1.0, 1.0, 0])}
-    segments = dense.Segments(arrays, 2)
-    q, v = segments.states(None, np.array([0.5, 1.5, 2.9, 3.0, -0.1]), exact=True)
-    assert asked == [([1.5, 2.9], False), ([0.5, 3.0, -0.1], True)]
-    assert q[:, 0].tolist() == v[:, 0].tolist() == [0.5, 1.5, 2.9, 3.0, -0.1]
-    assert q[:, 1].tolist() == [1, 0, 0, 1, 1]
-    asked.clear()
-    segments.states(None, np.array([1.2]), exact=True)
-    segments.states(None, np.array([0.2, 1.2]))
-    assert asked == [([1.2], False), ([0.2, 1.2], False)]
+def test_segments_in_contact_are_evaluated_by_their_polynomials():
+    """There the exact states are those of the polynomials; in flight they are those of partial steps."""
+    scene = box_scene()
+    lying = cvi.simulate(scene, duration=0.01, dt=0.01).q[0]
+    start = lying + np.array([0, 0, 0.05, 0, 0, 0, 0])  # above the ground, turning
+    traj = cvi.simulate(scene, start, [0, 0, 0, 3, 2, 5], duration=0.5, dt=0.01, order=4)
+    segments = traj.segments
+    persistent = segments.arrays["persistent"] != 0.0
+    assert persistent.any()
+    assert not persistent.all()
+    middles = segments.arrays["t"] + 0.37 * segments.arrays["h"]
+    core = compile_scene(scene).core
+    exact, smooth = segments.states(core, middles, exact=True), segments.states(core, middles)
+    for found, polynomial in zip(exact, smooth, strict=True):
+        np.testing.assert_array_equal(found[persistent], polynomial[persistent])
+        np.testing.assert_allclose(found, polynomial, atol=1e-6)
+    assert (exact[0][~persistent] != smooth[0][~persistent]).any()
 
 
 # -- the scene --------------------------------------------------------------------------------------------------------
@@ -354,11 +351,16 @@ def test_nothing_is_kept_where_not_wanted():
 
 
 def test_endings():
-    for given in ({"zeno": "end"}, {"impact": "dtec"}):
+    maps = "impact='ctec' or 'mhc'"
+    for given, needed in (
+        ({"zeno": "end"}, "zeno='hold'"),
+        ({"zeno": "end", "impact": "dtec"}, f"zeno='hold' and {maps}"),
+        ({"impact": "dtec"}, maps),
+    ):
         with pytest.raises(cvi.SimulationError, match="accumulate") as caught:
             cvi.simulate(ball_scene(restitution=0.5), duration=3.0, dt=1e-2, **given)
         assert caught.value.status.code == cvi.StatusCode.ZENO
-        assert caught.value.remedy.startswith("Use zeno='hold' and impact='ctec' or 'mhc'")
+        assert caught.value.remedy == f"Use {needed}: the run then goes on with a persistent contact"
     assert "DTEC cannot answer there" in str(caught.value)
     slider = cvi.simulate(slider_scene(0.0), duration=1.0, dt=1e-2)
     assert slider.status.ok

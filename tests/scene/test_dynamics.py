@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -144,6 +147,145 @@ def test_contact_jacobian_is_the_velocity_of_material_points():
         assert abs(contact.gap) < 1e-12
 
 
+def moving_contacts() -> tuple[cvi.Scene, cvi.ContactJacobian, np.ndarray]:
+    """A hand near a box and a ball far from the world's origin: points on chains of joints, on free bodies, on the
+    ground; and a velocity."""
+    scene, q, v = hand_with_ball()
+    box, palm = scene.q_index("box"), scene.q_index("root_joint")
+    q[box.start : box.start + 3] = q[palm.start : palm.start + 3] + np.array([0.02, 0.03, -0.2])
+    J = scene.contact_jacobian(q, margin=0.3)
+    pairs = {c.pair for c in J.contacts}
+    assert any("box" in pair and "ground" not in pair for pair in pairs)
+    assert any("ground" in pair for pair in pairs)
+    assert sum(any(name.startswith("link_") for name in pair) for pair in pairs) > 5
+    return scene, J, v
+
+
+def fixed_points(scene: cvi.Scene, J: cvi.ContactJacobian) -> tuple[pin.Model, list[tuple[int, int]]]:
+    """The model with a frame on each of the two bodies of every point, at its nearest point."""
+    model, q, found = scene.model.copy(), J._fixed.q, []
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    for k in range(len(J.contacts)):
+        both = []
+        for side in (0, 1):
+            joint = int(J._fixed.joints[side, k])
+            local = pin.SE3(np.eye(3), data.oMi[joint].actInv(J._fixed.points[side, k]))
+            frame = pin.Frame(f"{k} {side}", joint, 0, local, pin.FrameType.OP_FRAME)
+            both.append(model.addFrame(frame))
+        found.append((both[0], both[1]))
+    return model, found
+
+
+def test_bias_acceleration_is_pinocchios():
+    """Of frames on the bodies: their classical accelerations where dv/dt = 0."""
+    scene, J, v = moving_contacts()
+    model, frames = fixed_points(scene, J)
+    data = model.createData()
+    pin.forwardKinematics(model, data, J._fixed.q, v, np.zeros(scene.nv))
+    pin.updateFramePlacements(model, data)
+
+    def acceleration(frame: int) -> np.ndarray:
+        return pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear
+
+    expected = np.concatenate([
+        c.rotation.T @ (acceleration(b) - acceleration(a)) for c, (a, b) in zip(J.contacts, frames, strict=True)
+    ])  # fmt: skip
+    scale = np.abs(expected).max()
+    assert scale > 1.0
+    np.testing.assert_allclose(J.bias_acceleration(v), expected, atol=1e-13 * scale)
+
+
+def test_bias_acceleration_is_the_change_of_the_velocity_of_fixed_points():
+    """Central differences of the points' velocities along the motion with constant v, in frames that stand still."""
+    scene, J, v = moving_contacts()
+    model, frames = fixed_points(scene, J)
+    data, ends = model.createData(), []
+    for sign in (1.0, -1.0):
+        q = pin.integrate(model, J._fixed.q, sign * STEP * v)
+        pin.forwardKinematics(model, data, q, v)
+        pin.updateFramePlacements(model, data)
+        velocity = [[pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).linear for frame in both]
+                    for both in frames]  # fmt: skip
+        ends.append([c.rotation.T @ (b - a) for c, (a, b) in zip(J.contacts, velocity, strict=True)])
+    differences = (np.array(ends[0]) - np.array(ends[1])).ravel() / (2.0 * STEP)
+    # Errors of STEP^2 times a third derivative (jerk of a turn with |w| < 10: 1e3), and of rounding.
+    np.testing.assert_allclose(J.bias_acceleration(v), differences, atol=1e-6)
+
+
+def test_with_minus_the_bias_acceleration_two_points_keep_together_to_third_order():
+    """A motion that begins with J v = 0 and J a = -bias moves them apart by O(h^3), one with a = 0 by O(h^2)."""
+    scene, J, _ = moving_contacts()
+    k = next(k for k, c in enumerate(J.contacts) if c.pair == ("link_3.0_tip_0", "box"))
+    rows, q = J.matrix[3 * k : 3 * k + 3], J._fixed.q
+    null = np.linalg.svd(rows)[2][3:].T
+    v = null @ np.random.default_rng(2).standard_normal(null.shape[1])
+    a = -np.linalg.pinv(rows) @ J.bias_acceleration(v)[3 * k : 3 * k + 3]
+    model, frames = fixed_points(scene, J)
+
+    def apart(step: np.ndarray) -> np.ndarray:
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, pin.integrate(model, q, step))
+        first, second = (data.oMf[frame].translation for frame in frames[k])
+        return second - first
+
+    def moved(h: float, change: np.ndarray) -> float:
+        return float(np.linalg.norm(apart(h * v + 0.5 * h**2 * change) - apart(0.0 * v)))
+
+    held, free = (np.array([moved(h, change) for h in (1e-3, 1e-4)]) for change in (a, 0.0 * a))
+    assert 900.0 < held[0] / held[1] < 1100.0
+    assert 90.0 < free[0] / free[1] < 110.0
+
+
+def test_a_sphere_that_rolls_has_material_points_that_accelerate_away():
+    """The point that touches has v = 0 and the acceleration w^2 r towards the centre."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    ball = scene.add_sphere("ball", 0.1, placement=(0, 0, 0.1))
+    J = scene.contact_jacobian(scene.neutral())
+    v = scene.velocity({ball: ((0.3, 0.0, 0.0), (0.0, 3.0, 0.0))})
+    np.testing.assert_allclose(J.matrix @ v, 0.0, atol=1e-15)
+    # In Pinocchio's v of a free body, dv/dt = 0 turns the velocity with the body: w x v = (0, 0, -0.9) on top of it.
+    np.testing.assert_allclose(J.bias_acceleration(v), [0.0, 0.0, 9.0 * 0.1 - 0.9], atol=1e-14)
+
+
+def test_seen_from_a_body_it_is_the_second_of_each_pair():
+    scene, q = box_on_box(0.3)
+    J, v = scene.contact_jacobian(q), np.random.default_rng(6).standard_normal(scene.nv)
+    low, high = J.on("low"), J.on("high")
+    assert {c.pair for c in low.contacts} == {("ground", "low"), ("high", "low")}
+    assert {c.pair for c in high.contacts} == {("low", "high")}
+    for from_low in low.contacts:
+        np.testing.assert_allclose(np.linalg.det(from_low.rotation), 1.0, atol=1e-14)
+        assert from_low.friction == 0.6
+    world = {(frozenset(c.pair), c.point): (c, k) for k, c in enumerate(J.contacts)}
+    for name, seen in (("low", low), ("high", high)):
+        for k, contact in enumerate(seen.contacts):
+            there, j = world[frozenset(contact.pair), contact.point]
+            sign = 1.0 if there.pair[1] == name else -1.0
+            np.testing.assert_array_equal(contact.normal, sign * there.normal)
+            for own, other in (
+                (seen.matrix @ v, J.matrix @ v),
+                (seen.bias_acceleration(v), J.bias_acceleration(v)),
+            ):
+                own_W, other_W = contact.rotation @ own[3 * k : 3 * k + 3], there.rotation @ other[3 * j : 3 * j + 3]
+                np.testing.assert_allclose(own_W, sign * other_W, atol=1e-13)
+    both = J.on(["low", "high"])
+    assert {c.pair for c in both.contacts} == {("ground", "low")}
+    with pytest.raises(cvi.InputError, match="Unknown body"):
+        J.on("middle")
+
+
+def test_a_robot_by_its_handle_or_a_link_by_its_name():
+    scene, J, _ = moving_contacts()
+    hand = next(handle for handle in scene.parts if "joint_0.0" in handle.joints)
+    of_hand = J.on(hand)
+    assert {c.pair[0] for c in of_hand.contacts} == {"box"}
+    assert {c.pair[1] for c in of_hand.contacts} <= set(hand.geometries)
+    link = of_hand.contacts[0].pair[1]
+    assert {c.pair[1] for c in J.on(link).contacts} == {link}
+
+
 def test_normal_rows_are_gradients_of_the_gaps():
     scene, q, _ = hand_with_ball()
     J, gradient = (
@@ -183,7 +325,12 @@ def test_without_contacts_there_are_no_rows():
     scene, q = box_on_box()
     q[2] += 0.5
     q[9] += 1.0
-    assert scene.contact_jacobian(q).matrix.shape == (0, scene.nv)
+    J = scene.contact_jacobian(q)
+    assert J.matrix.shape == (0, scene.nv)
+    assert J.bias_acceleration(np.ones(scene.nv)).shape == (0,)
+    assert J.on("low").matrix.shape == (0, scene.nv)
+    with pytest.raises(cvi.InputError, match="Nothing touches at this state"):
+        J.of("low", "high")
     assert scene.delassus(q).shape == (0, 0)
 
 
@@ -225,3 +372,12 @@ def test_bad_states_are_refused():
         scene.bias_forces(q, [1.0])
     with pytest.raises(cvi.InputError, match="margin"):
         scene.contact_jacobian(q, margin=float("nan"))
+
+
+def test_contact_jacobians_can_be_pickled_and_copied():
+    scene, q = box_on_box(0.3)
+    J, v = scene.contact_jacobian(q), np.ones(scene.nv)
+    for twin in (pickle.loads(pickle.dumps(J)), copy.deepcopy(J)):
+        np.testing.assert_array_equal(twin.matrix, J.matrix)
+        np.testing.assert_array_equal(twin.bias_acceleration(v), J.bias_acceleration(v))
+        np.testing.assert_array_equal(twin.on("low").matrix, J.on("low").matrix)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from itertools import combinations
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import contactvi as cvi
 from contactvi.importing.report import ADJACENT, BY_FILE, BY_USER, HALFSPACES, NOT_GIVEN, OVERLAP
 from contactvi.scene.scene import Scene
 
@@ -166,3 +168,28 @@ def test_engine_has_the_same_pairs_and_gaps_as_coal():
     assert scene.core() is core
     scene.set_contact(restitution=0.3)
     assert scene.core() is not core  # An edit makes a new one.
+
+
+def test_a_default_that_no_pair_uses_is_warned_of(tmp_path: Path):
+    """An MJCF gives its geoms restitution and friction; what is added beside them uses the default."""
+    pytest.importorskip("mujoco")
+    path = tmp_path / "balls.xml"
+    body = '<body pos="{0} 0 1"><freejoint/><geom name="g{0}" size="0.1"/></body>'
+    path.write_text(f"<mujoco><worldbody>{body.format(0)}{body.format(1)}</worldbody></mujoco>")
+    scene = cvi.Scene.from_mjcf(path)
+    with pytest.warns(
+        cvi.UnusedSettingWarning, match=r"default restitution 0.6: .*set_contact\(part, restitution=0.6\)"
+    ):
+        scene.set_contact(restitution=0.6)
+    assert not np.any(scene.pair_restitution)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene.set_contact(scene.parts[0], restitution=0.6)
+        assert np.all(scene.pair_restitution == 0.6)
+        scene.add_sphere("mine", 0.1, placement=(5, 0, 1))
+        scene.add_halfspace()
+        scene.set_contact(friction=0.4)
+        bouncing = cvi.Scene()
+        bouncing.add_mjcf(path, restitution="solref")
+        bouncing.set_contact(restitution=0.6)
+        cvi.Scene().set_contact(restitution=0.6)

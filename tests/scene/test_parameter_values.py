@@ -145,6 +145,25 @@ def test_restitution_of_all_counts_those_that_have_some():
     assert changed.parameter("restitution") == 0.8
 
 
+@pytest.mark.parametrize("kind", ["restitution", "friction"])
+@pytest.mark.parametrize("present", [0.0, 0.4])
+def test_of_all_contacts_to_zero_and_from_it(kind, present):
+    """In a single scene, and in runs of a batch, which have the bits of runs of single scenes."""
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1, placement=(0.0, 0.0, 0.4))
+    scene.add_halfspace((0.2, 0.0, 1.0))
+    scene.set_contact(**{"restitution": 0.3, "friction": 0.2, kind: present})
+    values, run = [0.0, 0.25, 0.5], {"dt": 1e-2, "duration": 0.5}
+    assert scene.parameter(kind) == present
+    batch = cvi.simulate_batch(scene, parameters={kind: np.array(values)[:, None]}, **run)
+    for k, value in enumerate(values):
+        changed = scene.with_parameters({kind: value})
+        assert changed.parameter(kind) == value
+        assert getattr(changed, f"pair_{kind}").tolist() == [value]
+        np.testing.assert_array_equal(batch.q[k], cvi.simulate(changed, **run).q)
+    assert not np.array_equal(batch.q[0], batch.q[2])
+
+
 def two_values() -> cvi.Scene:
     scene = arm()
     scene.add_sphere("ball", 0.1, placement=(3.0, 0.0, 1.0))
@@ -158,12 +177,12 @@ REFUSED = {
     "no text": (arm, {3: 1.0}, "mass:ball", "Nothing of the scene"),
     "no colon": (arm, {"mass": 1.0}, "mass:joint", "Nothing of the scene"),
     "unknown pair": (arm, {"friction:tip|grond": 1.0}, "tip|ground", "No contact of the scene"),
-    "no restitution": (sprung_bodies, {"restitution": 0.5}, "Add one", "No contact has restitution"),
+    "no contacts": (sprung_bodies, {"restitution": 0.5}, "Add what it may touch", "The scene has no contacts"),
     "two values": (two_values, {"restitution": 0.5}, "Name a pair", "no one value"),
     "one limit": (between_limits, {"restitution:slide|lower limit": 0.5}, "'restitution:slide'", "no restitution"),
     "massless": (arm, {"mass:turn": 0.0}, "above 0", "mass:turn"),
     "bouncing up": (arm, {"restitution:tip|ground": 1.2}, "[0, 1]", "restitution:tip|ground"),
-    "none at all": (arm, {"friction": 0.0}, "name a pair", "friction"),
+    "less than none": (arm, {"friction": -0.1}, ">= 0", "friction"),
     "negative": (arm, {"damping:turn": -1.0}, ">= 0", "damping:turn"),
     "not definite": (arm, {"inertia:turn": [1, 0.5, 0, 0, 0.1, 0, 0, 0.1, 0, 0.1]}, "eigenvalue", "that of no body"),
     "shape": (arm, {"gravity": 9.81}, "(3,)", "gravity"),

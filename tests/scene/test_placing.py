@@ -79,6 +79,21 @@ def test_a_base_whose_joint_is_turned():
     assert (turn * pin.XYZQUATToSE3(q)).translation @ NORMAL == pytest.approx(0.1, abs=1e-15)
 
 
+def test_a_part_may_be_named_by_its_body_or_be_the_only_free_one():
+    scene = cvi.Scene()
+    robot = scene.add_urdf(SOLO, base="free", placement=(0.0, 0.0, 3.0))
+    scene.add_box("table", size=(1, 1, 1), free=False, placement=(9, 0, 5))
+    scene.add_halfspace()
+    expected = scene.place_on_ground(robot)
+    for part in (None, "base_link", "FL_LOWER_LEG", "root_joint"):
+        np.testing.assert_array_equal(scene.place_on_ground(part), expected)
+    with pytest.raises(cvi.InputError, match="cannot be placed"):
+        scene.place_on_ground("table")
+    scene.add_sphere("ball", 0.1, placement=(5.0, 0.0, 5.0))
+    with pytest.raises(cvi.InputError, match="'root_joint', 'ball'"):
+        scene.place_on_ground()
+
+
 def test_what_cannot_be_placed_is_refused():
     scene = cvi.Scene()
     hand = scene.add_urdf(ALLEGRO, placement=(0, 0, 1))

@@ -104,6 +104,40 @@ def test_a_link_of_an_arm_and_a_table_of_poses(tmp_path):
     np.testing.assert_array_equal(rerun.q[-1], traj.q[-1])
 
 
+@pytest.mark.parametrize("moved", ["pose", "joint"])
+def test_a_run_over_exactly_its_table_with_contacts(moved, tmp_path):
+    """A tray goes along a cubic, which is its own spline: with the table the forces are those with the function."""
+    lift = [lambda t: 0.1 + 0.4 * t**2 - 0.3 * t**3, lambda t: 0.8 * t - 0.9 * t**2, lambda t: 0.8 - 1.8 * t]
+    path = tmp_path / "lift.urdf"
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    shape = '<collision><geometry><box size="1 1 0.1"/></geometry></collision>'
+    path.write_text(
+        f'<robot name="lift"><link name="base"/><link name="tray">{inertial}{shape}</link><joint name="up" '
+        'type="prismatic"><parent link="base"/><child link="tray"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    times = np.linspace(0.0, 0.4, 6)
+
+    def run(table: bool) -> tuple[np.ndarray, np.ndarray]:
+        scene = cvi.Scene()
+        if moved == "joint":
+            scene.add_urdf(path, limits=False)
+            scene.prescribe("up", (times, lift[0](times)) if table else lambda t: tuple(f(t) for f in lift))
+        else:
+            tray = scene.add_box("tray", (1.0, 1.0, 0.1), mass=1.0)
+            function = lambda t: ((0, 0, lift[0](t), 0, 0, 0, 1), ((0, 0, lift[1](t)), (0, 0, 0)))  # noqa: E731
+            scene.prescribe(tray, (times, [(0, 0, lift[0](t), 0, 0, 0, 1) for t in times]) if table else function)
+        scene.add_box("box", (0.1, 0.1, 0.1), mass=2.0, placement=(0, 0, 0.2))
+        scene.set_contact(restitution=0.0, friction=0.3)
+        return cvi.simulate(scene, scene.assemble(), duration=0.4, dt=1e-2).contacts.on("box")
+
+    (t, force), (same, expected) = run(True), run(False)
+    assert t == pytest.approx(same, abs=1e-12)
+    assert force == pytest.approx(expected, abs=1e-8)
+    middle = np.array([lift[2](x) for x in t])
+    assert force[:, 2] == pytest.approx(2.0 * (9.81 + middle), abs=1e-3)  # [N]; the second-order step
+
+
 HEIGHT, FROM, SPAN = 0.1, 0.6, 0.5  # [m], [s]
 PALM_UP = pin.rpy.rpyToMatrix(0.0, -np.pi / 2, 0.0)
 

@@ -59,6 +59,24 @@ def test_quantities_are_those_of_the_scene_at_the_present_state():
     np.testing.assert_allclose(sim.delassus(), expected, atol=1e-12 * np.abs(expected).max())
 
 
+def test_before_the_first_step_the_contacts_are_what_touches():
+    sim = resting_boxes()
+    scene, q = sim.scene, sim.q
+    for _ in range(2):  # again after a reset
+        sim.reset(q, t=1.0)
+        J, there = sim.contact_jacobian(), scene.contact_jacobian(q)
+        assert len(J.contacts) >= 6
+        np.testing.assert_array_equal(J.matrix, there.matrix)
+        assert sim.delassus().shape == (len(J.matrix), len(J.matrix))
+        sim.step()
+        after = sim.contact_jacobian()
+        assert {c.pair for c in after.contacts} == {c.pair for c in J.contacts}
+    high = scene.configuration({"high": (0.0, 0.0, 1.0)})
+    sim.reset(high)
+    lifted = sim.contact_jacobian()
+    assert "high" not in {name for c in lifted.contacts for name in c.pair}
+
+
 def test_slip_is_the_tangential_part_of_the_contact_velocity():
     scene = cvi.Scene()
     scene.add_halfspace()

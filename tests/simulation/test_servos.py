@@ -10,6 +10,7 @@ import pytest
 
 import contactvi as cvi
 from helpers.loop_scenes import arm_scene
+from helpers.run_scenes import HAND_URDF
 
 
 def servo_scene(gravity: bool = False, **options) -> cvi.Scene:
@@ -146,6 +147,24 @@ def test_actuators_limit_what_is_put_in():
     c = cvi.simulate(limited, duration=2.0, dt=1e-3, control=np.full((2000, 1), 0.5))
     assert c.v.max() < 1.0 + 2e-2  # the limit is looked at once per step
     assert c.v[-1, 0] > 0.98
+
+
+def test_servos_of_a_part_leave_its_free_base_out():
+    scene = cvi.Scene()
+    robot = scene.add_urdf(HAND_URDF, base="free", limits=False)
+    ball = scene.add_sphere("ball", 0.1)
+    for selector in (robot, "*", robot.name):
+        scene.set_servo(selector, kp=0.0, kd=0.0)
+        assert scene.servo_joints == []
+        scene.set_servo(selector, kp=5.0, kd=0.1)
+        scene.set_actuator(selector, effort=2.0)
+        assert set(scene.servo_joints) == {f"joint_{k}.0" for k in range(16)}
+        assert np.isfinite(scene.built().arrays.actuator[0]).sum() == 16
+    for selector in ("root_joint", ball):
+        with pytest.raises(cvi.InputError, match="expected a joint with one degree of freedom, got a free joint"):
+            scene.set_servo(selector, kp=5.0, kd=0.1)
+        with pytest.raises(cvi.InputError, match="expected a joint with one degree of freedom, got a free joint"):
+            scene.set_actuator(selector, effort=2.0)
 
 
 def test_stiff_servos_on_a_hand():

@@ -377,7 +377,7 @@ def test_bad_velocity(v0):
     assert caught.value.name == "v0"
 
 
-@pytest.mark.parametrize("control", [np.zeros((99, 6)), np.zeros(6), np.full((100, 6), math.nan), "push"])
+@pytest.mark.parametrize("control", [np.zeros((99, 6)), np.zeros(5), np.full((100, 6), math.nan), "push"])
 def test_bad_control(control):
     with pytest.raises(cvi.InputError) as caught:
         cvi.simulate(ball_scene(), duration=1.0, dt=1e-2, control=control)
@@ -392,3 +392,50 @@ def test_unit_complex_numbers_are_checked():
         model.appendBodyToJoint(index, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
         with pytest.raises(cvi.InputError, match=r"pair \(cos, sin\) of joint 'wheel'"):
             cvi.simulate(cvi.Scene.from_pinocchio(model), bad, duration=1.0, dt=1e-2)
+
+
+def test_one_force_is_that_of_all_steps():
+    scene, tau = ball_scene(), np.array([0.1, 0.0, 20.0, 0.0, 0.01, 0.0])
+    expected = cvi.simulate(scene, duration=0.1, dt=1e-2, control=np.tile(tau, (10, 1)))
+    np.testing.assert_array_equal(cvi.simulate(scene, duration=0.1, dt=1e-2, control=tau).q, expected.q)
+    sim = cvi.Simulator(scene, dt=1e-2)
+    sim.reset()
+    sim.run(10, tau)
+    np.testing.assert_array_equal(sim.q, expected.q[-1])
+    with pytest.raises(cvi.InputError, match=r"control has the wrong shape: .*shape \(6,\), or one per step"):
+        cvi.simulate(scene, duration=0.1, dt=1e-2, control=tau[:3])
+
+
+@pytest.mark.parametrize("bounces", [False, True])
+def test_kept_polynomials_change_a_run_by_less_than_the_error_of_its_steps(bounces):
+    """They cut the steps of a pendulum where a ball bounces beside it, which is an error of order 2 and more."""
+    scene = cvi.Scene()
+    scene.add_urdf("models/double_pendulum.urdf", placement=(5.0, 0.0, 3.0))
+    scene.add_halfspace()
+    scene.add_sphere("ball", 0.1, placement=(0.0, 0.0, 0.5 if bounces else 30.0))
+    scene.set_contact(restitution=0.8)
+    q0 = scene.configuration({"joint_1": 1.0, "joint_2": 0.5})
+    apart = []
+    for dt in (1e-2, 2.5e-3):
+        run, finer = (cvi.simulate(scene, q0, duration=2.0, dt=step, order=2) for step in (dt, 0.5 * dt))
+        kept = [cvi.simulate(scene, q0, duration=2.0, dt=dt, order=2, **how).q[-1] for how in (
+            {"dense": True}, {"sample_dt": 0.1}, {"record": "gradient"})]  # fmt: skip
+        assert np.array_equal(kept[0], kept[1])
+        assert np.array_equal(kept[0], kept[2])
+        apart.append(np.abs(kept[0] - run.q[-1]).max())
+        assert apart[-1] < (np.abs(finer.q[-1] - run.q[-1]).max() if bounces else 1e-10)  # tol times the growth
+    assert not bounces or apart[1] < apart[0] / 12.0  # 16 for second order
+
+
+def test_the_first_impact_of_every_pair():
+    scene = ball_scene(restitution=0.5)
+    scene.add_sphere("other", 0.1, placement=(3.0, 0.0, 0.4))
+    traj = cvi.simulate(scene, duration=1.0, dt=1e-2)
+    first = traj.events.first_by_pair()
+    assert len(first) == 2
+    times = [event.time for event in first.values()]
+    assert times == sorted(times)
+    for pair, event in first.items():
+        assert event.time == min(other.time for other in traj.events if other.pair == pair)
+    flight = cvi.simulate(ball_scene(), duration=0.01, dt=1e-2)
+    assert flight.events.first_by_pair() == {}

@@ -142,14 +142,6 @@ def test_snapshots_are_copied(copied):
         assert_same_motion(sim.trajectory(), expected)
 
 
-def test_what_holds_the_engine_says_that_it_cannot_be_pickled():
-    sim = cvi.Simulator(scene_of_a_box(), dt=5e-3)
-    sim.reset()
-    for item in (sim, sim.save()):
-        with pytest.raises(cvi.ContactviError, match=r"cannot be pickled.*deepcopy"):
-            pickle.dumps(item)
-
-
 def test_another_process_reads_a_run(tmp_path):
     """Values are computed there, by an engine that is built there, and have the same bits."""
     traj = run_of(scene_of_a_box())

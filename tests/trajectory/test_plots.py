@@ -143,8 +143,8 @@ def test_states(box):
     assert labels(position) == ["box.x", "box.y", "box.z"]
     drawn = {line.get_label(): line.get_ydata() for line in position.lines}
     assert np.array_equal(drawn["box.x"], box.q[:, 0])
-    assert velocity.get_ylabel() == "velocity [m/s]"
-    assert spin.get_ylabel() == "angular velocity [rad/s]"
+    assert velocity.get_ylabel() == "velocity [m/s]\n(bodies: own axes)"
+    assert spin.get_ylabel() == "angular velocity [rad/s]\n(bodies: own axes)"
 
 
 def test_a_notebook_shows_the_figure(box):
@@ -161,3 +161,17 @@ def test_a_run_of_one_node_can_be_drawn():
     sim.reset()
     for figure in (cvi.plot(sim.trajectory()), cvi.plot_states(sim.trajectory()), cvi.plot_forces(sim.trajectory())):
         figure.savefig(io.BytesIO(), format="png")
+
+
+def test_states_say_which_velocities_are_in_the_axes_of_a_body():
+    """Those of a free body are; those of joints that turn or slide have none."""
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1)
+    free = cvi.plot_states(cvi.simulate(scene, duration=0.01, dt=1e-3))
+    assert [axis.get_ylabel() for axis in free.axes][:3] == [
+        "position [m]", "velocity [m/s]\n(bodies: own axes)", "angular velocity [rad/s]\n(bodies: own axes)",
+    ]  # fmt: skip
+    arm = cvi.Scene()
+    arm.add_urdf("models/double_pendulum.urdf")
+    labels = [axis.get_ylabel() for axis in cvi.plot_states(cvi.simulate(arm, duration=0.01, dt=1e-3)).axes]
+    assert labels == ["angle [rad]", "angular velocity [rad/s]"]

@@ -115,3 +115,30 @@ def test_reports_are_unfolded_by_the_user():
     html = hand.report._repr_html_()
     assert html.count("<details>") == 1
     assert html.count("\n") < 200
+
+
+def test_the_two_kinds_of_impulse_have_two_names():
+    """Events have the normal impulse, contacts all of it; an impact has no force to show."""
+    scene = cvi.Scene()
+    scene.add_halfspace()
+    ball = scene.add_sphere("ball", 0.1, placement=(0, 0, 0.11))
+    scene.set_contact(restitution=0.0, friction=0.5)
+    traj = cvi.simulate(scene, v0=scene.velocity({ball: (1.0, 0, 0)}), duration=0.1, dt=1e-3)
+    assert "normal impulse [N s]" in read(traj.events).text
+    contacts = read(traj.contacts)
+    assert "impulse, friction included [N s]" in contacts.text
+    assert "impact" in contacts.text
+    assert "nan" not in contacts.text
+
+
+def test_simulators_and_ledgers_are_a_line():
+    scene = cvi.Scene()
+    scene.add_sphere("ball", 0.1)
+    sim = cvi.Simulator(scene, dt=1e-3)
+    assert repr(sim) == "<Simulator: nq = 7, nv = 6, no state yet>"
+    sim.reset(t=2.0)
+    assert repr(sim) == "<Simulator: nq = 7, nv = 6, t = 2 s, SUCCESS>"
+    sim.run(10)
+    sim.step()
+    assert repr(sim) == "<Simulator: nq = 7, nv = 6, t = 2.011 s, SUCCESS>"
+    assert repr(sim.trajectory().ledger) == "<Ledger: 12 nodes, 0 impacts>"

@@ -14,6 +14,7 @@ import contactvi as cvi
 from contactvi.importing.checks import joint_model
 from contactvi.scene.coordinates import coordinates
 from contactvi.trajectory.tables import OF_NODES, TABLES
+from helpers.run_scenes import slider_scene
 
 pandas = pytest.importorskip("pandas")
 xarray = pytest.importorskip("xarray")
@@ -200,7 +201,7 @@ def test_csv(run, tmp_path):
     """Numbers come back to the bit; units.csv names every column of every file."""
     written = run.to_csv(tmp_path / "tables")
     assert {path.name for path in written} == {
-        *(f"{name}.csv" for name in TABLES if name != "dense_steps"), "units.csv",
+        *(f"{name}.csv" for name in TABLES if name not in ("dense_steps", "forces")), "units.csv",
     }  # fmt: skip
     frame = pandas.read_csv(tmp_path / "tables" / "contacts.csv", dtype=str, keep_default_na=False)
     expected = run.table("contacts")
@@ -244,3 +245,55 @@ def test_errors(run, tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, package, None)
         with pytest.raises(cvi.ContactviError, match=rf"contactvi\[{package}\]"):
             call()
+
+
+@pytest.mark.parametrize("sample_dt", [None, 1e-2, 0.0137, 3.0, 1e-4])
+def test_forces_of_windows_are_their_impulses(run, sample_dt):
+    """Whatever the windows are; the impulse of each is that of the rows in it, which here a sum finds row by row."""
+    table = run.table("forces", sample_dt)
+    t, h = table.column("t"), table.column("h")
+    assert t[0] == run.t[0]
+    assert t[-1] + h[-1] == pytest.approx(run.t[-1])
+    assert len(run.contacts.pairs) == 2
+    for pair in run.contacts.pairs:
+        rows = run.contacts.of(*pair)
+        limit = rows[0].kind == "limit"
+        names = [" | ".join(pair) + axis for axis in (("",) if limit else (".x", ".y", ".z"))]
+        force = np.column_stack([table.column(name) for name in names])
+        scale = np.abs(rows.impulse).sum()
+        assert h @ force == pytest.approx(rows.impulse.sum(axis=0)[: len(names)], abs=1e-13 * scale)
+        until = t[len(t) // 2]
+        part = sum((c.impulse * (np.clip((until - c.t) / c.h, 0.0, 1.0) if c.h else float(c.t < until)) for c in rows),
+                   np.zeros(3))  # fmt: skip
+        first = t < until
+        assert h[first] @ force[first] == pytest.approx(part[: len(names)], abs=1e-12 * scale)
+
+
+def test_the_weight_of_a_box_at_rest(run):
+    frame = run.to_pandas("forces", sample_dt=0.01)
+    column = next(name for name in frame if "box" in name and "ground" in name and name.endswith(".z"))
+    rest = frame[(frame["t"] > 0.9)][column]
+    assert abs(rest).to_numpy() == pytest.approx((2.0 + 0.5) * 9.81, rel=0.05)
+
+
+def test_windows_are_of_forces_alone(run):
+    with pytest.raises(cvi.InputError, match="sample_dt"):
+        run.to_pandas("states", sample_dt=0.1)
+    for wrong in (0.0, -1.0, 1e-12, float("nan"), "fast"):
+        with pytest.raises(cvi.InputError, match="sample_dt"):
+            run.table("forces", wrong)
+    flight = cvi.Scene()
+    flight.add_sphere("ball", 0.1)
+    assert len(cvi.simulate(flight, duration=0.1, dt=1e-2).table("forces")) == 0
+
+
+def test_a_limit_in_persistent_contact_has_one_column():
+    """A slider rests on its stop, which carries its weight."""
+    run = cvi.simulate(slider_scene(0.0), dt=1e-2, duration=1.0)
+    (pair,) = run.contacts.pairs
+    table = run.table("forces", 0.1)
+    assert list(table.columns) == ["t", "h", " | ".join(pair)]
+    assert pair[1] == "lower limit"
+    force = table.column(" | ".join(pair))
+    assert force[-1] == pytest.approx(run.contacts.force_of(*pair)[1][-1, 0], rel=1e-9)
+    assert force @ table.column("h") == pytest.approx(run.contacts.normal_impulse.sum(), rel=1e-12)

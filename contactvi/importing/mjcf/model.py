@@ -91,6 +91,8 @@ def part_of(opened: MjcfFile, choices: Choices) -> Part:
     )
     for key, title in enumerate(source.names["key"]):
         qpos, qvel = np.array(m.key_qpos[key]), np.array(m.key_qvel[key])
+        if not m.key(key).name and np.array_equal(qpos, m.qpos0) and not np.any(qvel):
+            continue  # one of those that <size nkey=".."/> adds says nothing
         data.configurations[title] = configuration_of(source, qpos), velocity_of(source, qpos, qvel)
         if np.any(m.key_act[key]) or np.any(m.key_ctrl[key]):
             source.lose("keyframe", title, "its controls (ctrl, act)")

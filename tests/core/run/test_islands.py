@@ -145,6 +145,28 @@ def test_a_blow_that_runs_through_bodies_at_rest(restitution):
     assert np.abs(one["p"] - two["p"]).max() <= 1e-13
 
 
+def test_a_kick_after_a_time_in_which_nothing_was_near():
+    """As long as nothing is near nobody looks who may meet: a body that moves much further than before is noticed."""
+    scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
+    for i in range(4):
+        scene.add_box(f"b{i}", (0.1, 0.1, 0.1), mass=1.0, placement=at(0.4 * i, 0.0, 0.0))
+    scene.set_contact(restitution=0.5, friction=0.0)
+    v = 0.01 * np.random.default_rng(2).normal(size=scene.nv)
+    kick = np.zeros((50, scene.nv))
+    kick[40, scene.v_index("b0").start] = 8e5  # N: 0.4 m in the step
+    results = []
+    for islands in (True, False):
+        simulator = engine.simulator(scene.core(), 1e-3, islands=islands)
+        assert simulator.reset(scene.neutral(), v)["code"] == 0
+        results.append(simulator.advance(50, kick))
+        assert results[-1]["code"] == 0
+    one, two = results
+    assert one["events"]["time"].min() < 0.041
+    assert len(one["events"]["time"]) == len(two["events"]["time"]) >= 2
+    assert np.abs(one["events"]["time"] - two["events"]["time"]).max() <= 1e-13
+    assert np.abs(one["q"][-1] - two["q"][-1]).max() <= 1e-10  # after blows at 400 m/s
+
+
 def test_the_order_of_bodies_does_not_matter():
     count = 12
     permuted = np.random.default_rng(1).permutation(count)

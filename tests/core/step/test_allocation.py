@@ -50,7 +50,7 @@ def fixed(steps):
     return lambda: simulator.advance(steps, record_every=10**9)
 
 def auto(duration):
-    return lambda: simulator.run_auto(duration, level)
+    return lambda: simulator.run_auto(duration, level)[0].results()
 
 for name, (core, q, v) in SCENES.items():
     for order in map(int, sys.argv[1:]):

@@ -1,0 +1,79 @@
+"""Pairs of points that are fixed on two bodies each: the Jacobian of their relative velocity, and its change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PointPairs:
+    """n pairs of points fixed on bodies, at a configuration.
+
+    Attributes:
+        model: the bodies.
+        q: configuration, shape (nq,).
+        joints: joints that carry the first and the second points, shape (2, n); 0 is the world.
+        points: where the first and the second points are [m], world frame, shape (2, n, 3).
+        axes: R_WC, the axes C in which the second point's velocity relative to the first is expressed, (n, 3, 3).
+    """
+
+    model: pin.Model
+    q: Array
+    joints: NDArray[np.int64]
+    points: Array
+    axes: Array
+
+    def jacobian(self) -> Array:
+        """Return J_C, shape (3 n, nv): J_C v is the velocity of the second points relative to the first, in C."""
+        model, data = self.model, self.model.createData()
+        pin.computeJointJacobians(model, data, self.q)
+        joints, of_point, local, R_CB = self._carried(data)
+        J = np.zeros((len(joints), 6, model.nv))
+        for k, joint in enumerate(joints):
+            if joint:
+                J[k] = pin.getJointJacobian(model, data, joint, pin.LOCAL)
+        first, second = R_CB @ (J[of_point, :3] - skew(local) @ J[of_point, 3:])
+        return np.asarray((second - first).reshape(-1, model.nv))
+
+    def bias_acceleration(self, v: Array) -> Array:
+        """Return the accelerations of the second points relative to the first where dv/dt = 0, in C, (3 n,) [m/s^2]."""
+        model, data = self.model, self.model.createData()
+        pin.forwardKinematics(model, data, self.q, v, np.zeros(model.nv))
+        joints, of_point, local, R_CB = self._carried(data)
+        motion = np.array([[data.v[joint].vector, data.a[joint].vector] for joint in joints]).reshape(-1, 2, 2, 3)
+        (velocity, spin), (linear, angular) = motion[of_point].transpose(2, 3, 0, 1, 4)[..., None]
+        S, x = skew(spin[..., 0]), local[..., None]
+        acceleration = linear + skew(angular[..., 0]) @ x + S @ (velocity + S @ x)
+        first, second = R_CB @ acceleration
+        return np.asarray((second - first).reshape(-1))
+
+    def chosen(self, at: list[int], turned: NDArray[np.bool_], axes: Array) -> PointPairs:
+        """Return some pairs, those where `turned` (m,) with the two points in the other order, in axes (m, 3, 3)."""
+        joints, points = self.joints[:, at], self.points[:, at]
+        joints[:, turned], points[:, turned] = joints[::-1, turned], points[::-1, turned]
+        return PointPairs(self.model, self.q, joints, points, axes)
+
+    def _carried(self, data: pin.Data) -> tuple[list[int], NDArray[np.int64], Array, Array]:
+        """Return the joints that carry points, and of each point (2, n): the place of its joint among them, where it is
+        in the body, (2, n, 3), and the axes R_CB, (2, n, 3, 3)."""
+        joints = sorted(set(self.joints.ravel().tolist()))
+        of_point = np.searchsorted(joints, self.joints)
+        X_WB = [data.oMi[joint] for joint in joints]
+        R_WB = np.array([X.rotation for X in X_WB]).reshape(-1, 3, 3)[of_point]
+        p_WB = np.array([X.translation for X in X_WB]).reshape(-1, 3)[of_point]
+        local = ((self.points - p_WB)[..., None, :] @ R_WB)[..., 0, :]
+        return joints, of_point, local, self.axes.transpose(0, 2, 1) @ R_WB
+
+
+def skew(x: Array) -> Array:
+    """Return the matrices of the cross products with x (..., 3), shape (..., 3, 3)."""
+    S = np.zeros((*x.shape, 3))
+    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -x[..., 2], x[..., 1], -x[..., 0]
+    S[..., 1, 0], S[..., 2, 0], S[..., 2, 1] = x[..., 2], -x[..., 1], x[..., 0]
+    return S

@@ -1,0 +1,148 @@
+// Runs that are kept in the engine, to be compared and, one of them, handed over.
+#include <nanobind/eigen/dense.h>
+#include <nanobind/stl/optional.h>
+
+#include <chrono>
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include "bindings/arrays.hpp"
+#include "bindings/expose.hpp"
+#include "bindings/progress.hpp"
+#include "bindings/run_results.hpp"
+#include "bindings/user_calls.hpp"
+#include "run/kept_run.hpp"
+#include "run/stepped_world.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace contactvi {
+
+namespace {
+
+// A run with what belongs to it.
+struct Own {
+  KeptRun run;
+  const Scene* scene;
+  SimulatorOptions options;
+  nb::object owner;  // of the scene
+};
+
+// The run, and the error of a callback or a function of the user that ended it.
+using Outcome = nb::typed<nb::tuple, Own, nb::object>;
+
+template <class Run>
+Outcome keep(SteppedWorld& sim, const std::optional<ProgressCallback>& progress, const Own* guide, Run call) {
+  auto own = std::make_unique<Own>(Own{KeptRun(), &sim.scene(), sim.options(), nb::find(sim.scene())});
+  KeptRun& run = own->run;
+  const Progress callback = wrapped(progress);
+  sim.forget_steps();
+  const auto start = std::chrono::steady_clock::now();
+  {
+    nb::gil_scoped_release release;
+    std::optional<Guide> before;
+    if (guide != nullptr)
+      sim.follow(&before.emplace(sim.scene().tree, arrays_of(guide->run.recording.segments),
+                                 impact_times(guide->run.recording)));
+    run.status = call(callback, run.recording);
+    sim.follow(nullptr);
+  }
+  run.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  run.state = sim.state();
+  run.counters = sim.counters();
+  nb::object error = nb::none();
+  if (UserErrors::any()) error = UserErrors::take();
+  return Outcome(nb::make_tuple(nb::cast(own.release(), nb::rv_policy::take_ownership), error));
+}
+
+Outcome run_auto(SteppedWorld& sim, double duration, double level, const std::optional<ProgressCallback>& progress,
+                 const Own* coarser, double part) {
+  if (!(duration > 0.0) || !(level > 0.0) || !(part > 0.0)) throw Error("duration, level and part must be > 0");
+  if (sim.options().stages < 2) throw Error("an automatic step needs order >= 4");
+  std::optional<StepPlan> plan;
+  if (coarser != nullptr && !coarser->run.recording.adaptive_t.empty())
+    plan.emplace(StepPlan{coarser->run.recording, part});
+  return keep(sim, progress, coarser, [&](const Progress& callback, Recording& recording) {
+    return sim.run_auto(duration, level, plan ? &*plan : nullptr, callback, recording);
+  });
+}
+
+Outcome run_fixed(SteppedWorld& sim, long steps, const std::optional<ProgressCallback>& progress, const Own* coarser) {
+  return keep(sim, progress, coarser, [&](const Progress& callback, Recording& recording) {
+    return sim.advance(steps, MatX(), MatX(), 1, callback, recording);
+  });
+}
+
+// The run of one that can be compared.
+const KeptRun& compared(const Own& own) {
+  if (!own.options.dense) throw Error("runs that are compared need the polynomials of their steps");
+  if (own.run.recording.t.empty()) throw Error("the run has been handed over");
+  return own.run;
+}
+
+VecX lengths(const Own& own) {
+  const std::vector<double>& dt = own.run.recording.adaptive_dt;
+  return Eigen::Map<const VecX>(dt.data(), static_cast<Eigen::Index>(dt.size()));
+}
+
+Dict results(Own& own) {
+  KeptRun& run = own.run;
+  return run_results(*own.scene, own.options, run.recording, run.state, run.counters, KeptContactSteps(), run.status,
+                     run.seconds);
+}
+
+}  // namespace
+
+void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
+  const auto count = [](std::size_t n) { return static_cast<long>(n); };
+  nb::class_<Own>(m, "KeptRun", "A run with the polynomials of its steps, kept in the engine.")
+      .def_prop_ro("code", [](const Own& own) { return own.run.status.code; })
+      .def_prop_ro(
+          "time", [](const Own& own) { return own.run.status.time; }, "Reached [s].")
+      .def_prop_ro(
+          "seconds", [](const Own& own) { return own.run.seconds; }, "Wall time.")
+      .def_prop_ro("nodes", [count](const Own& own) { return count(own.run.recording.t.size()); })
+      .def_prop_ro("segments", [count](const Own& own) { return count(own.run.recording.segments.t.size()); })
+      .def_prop_ro("sweeps", [](const Own& own) { return own.run.counters.steps.stage_iterations; })
+      .def_prop_ro("dense_steps", [](const Own& own) { return own.run.state.dense_steps; })
+      .def_prop_ro("contact_iterations", [](const Own& own) { return own.run.counters.contact.contact_iterations; })
+      .def_prop_ro(
+          "contact_time", [](const Own& own) { return contact_time(own.run); },
+          "Length of the steps with persistent contacts together [s].")
+      .def_prop_ro("lengths", &lengths, "Of the adaptive steps [s], one for every time at which the length changes.")
+      .def_prop_ro(
+          "size", [](const Own& own) { return motion_size(own.scene->tree, compared(own)); },
+          "Largest distance of a node from the first one [m, rad].")
+      .def_prop_ro(
+          "first_step_error", [](const Own& own) { return first_step_error(*own.scene, own.options, compared(own)); },
+          "Largest distance between a first step of a flight and two halves of it [m, rad].")
+      .def(
+          "distances",
+          [](const Own& found, const Own& other, int times, bool over_time, bool ended) {
+            if (times < 1) throw Error("times must be >= 1");
+            return distances(*found.scene, other.options, compared(other), compared(found), times, over_time, ended);
+          },
+          "other"_a, "times"_a, "over_time"_a = false, "ended"_a = false,
+          "Distances of another run from the nodes of this one, evenly over the nodes or the time; infinite where one"
+          " ended much earlier, unless `ended`: then up to the earlier end.")
+      .def(
+          "error_share",
+          [](const Own& found, const Own& companion, int power, double dt_contact) {
+            return error_share(compared(companion), compared(found), power, dt_contact);
+          },
+          "companion"_a, "power"_a, "dt_contact"_a,
+          "Error over what that of the companion is larger, by the lengths h of the segments and the law h^power; inf:"
+          " the runs are too much alike; NaN: unknown, because contacts persist and the impacts differ.")
+      .def("results", &results, "Hand over what Simulator.advance returns, without \"error\"; the run is empty then.");
+  simulator
+      .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
+           "part"_a = 1.0,
+           "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out."
+           " coarser: a run before, of whose steps these are this part. Return (KeptRun, error of a callback or None).")
+      .def("run_fixed", &run_fixed, "steps"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
+           "Make steps of one length. The rest as in run_auto.");
+}
+
+}  // namespace contactvi

@@ -1,0 +1,81 @@
+// Steps of one stage that a run will make if nothing happens in them, solved in advance.
+//
+// They stand until the run takes another way: its next step starts elsewhere, is of another length or has forces that
+// were not foreseen. So what is foreseen decides no digit of the run.
+#pragma once
+
+#include <cstring>
+
+#include "base/aligned_array.hpp"
+#include "base/numerics.hpp"
+
+namespace contactvi {
+
+class StepsAhead {
+ public:
+  static constexpr int kMost = 16;  // steps at a time: what a run has solved in vain at its end or at an event
+  // What is kept of a step, (nv,) each: at its end, and at its stage.
+  enum Part { kQ, kP, kCarryQ, kCarryP, kV, kX, kMomentum, kForce, kCorrection, kParts };
+
+  explicit StepsAhead(int nv) : nv_(nv) {}
+
+  // How many steps are to be solved next: twice as many as the last ones if all of those were made.
+  int wanted() const { return wanted_; }
+  // Whether to ask for some now. Where none could be solved, the next kMost steps are made without asking: they are
+  // likely to need more than their first factor, too.
+  bool is_worth_asking() {
+    if (pause_ == 0) return true;
+    --pause_;
+    return false;
+  }
+  void pause() { pause_ = kMost; }
+  // How many are solved now, from this state; their parts have to be written.
+  void begin(const VecX& q0, const VecX& p0, double h, double tol) {
+    if (parts_.size() == 0) parts_ = AlignedArray(static_cast<std::size_t>(kMost * kParts) * nv_);
+    q0_ = q0;
+    p0_ = p0;
+    h_ = h;
+    tol_ = tol;
+    at_ = count_ = 0;
+  }
+  double* part(int step, Part part) { return parts_.data() + static_cast<std::size_t>(step * kParts + part) * nv_; }
+  void add(int iterations, double error) {
+    iterations_[count_] = iterations;
+    errors_[count_] = error;
+    ++count_;
+  }
+
+  bool any() const { return at_ < count_; }
+  // Whether the next one is the step of length h from this state.
+  bool is(const VecCRef& q0, const VecCRef& p0, double h, double tol) const {
+    const auto same = [](const double* a, const double* b, Eigen::Index size) {
+      return std::memcmp(a, b, sizeof(double) * static_cast<std::size_t>(size)) == 0;
+    };
+    return any() && h == h_ && tol == tol_ && same(q0.data(), q0_.data(), nv_) && same(p0.data(), p0_.data(), nv_);
+  }
+  const double* now(Part which) const { return parts_.data() + static_cast<std::size_t>(at_ * kParts + which) * nv_; }
+  int iterations() const { return iterations_[at_]; }
+  double error() const { return errors_[at_]; }
+  // The next one has been made.
+  void advance() {
+    std::memcpy(q0_.data(), now(kQ), sizeof(double) * static_cast<std::size_t>(nv_));
+    std::memcpy(p0_.data(), now(kP), sizeof(double) * static_cast<std::size_t>(nv_));
+    if (++at_ == count_) wanted_ = wanted_ < kMost ? 2 * wanted_ : kMost;
+  }
+  // The run goes another way.
+  void drop() {
+    if (any()) wanted_ = 1;
+    at_ = count_ = 0;
+  }
+
+ private:
+  int nv_;
+  AlignedArray parts_{0};
+  VecX q0_, p0_;
+  double h_ = 0.0, tol_ = 0.0;
+  int iterations_[kMost] = {};
+  double errors_[kMost] = {};
+  int at_ = 0, count_ = 0, wanted_ = 1, pause_ = 0;
+};
+
+}  // namespace contactvi
