@@ -18,6 +18,7 @@ MOST_NEIGHBOURS = 100
 # Least thickness of a mesh over its size. Below 1e-7 coal's hull ends the process; that is also the rounding of single
 # precision, in which mesh files hold their vertices.
 THINNEST = 1e-6
+_FACES = "contactvi_faces"  # attribute of hulls
 PRIMITIVES = (coal.Sphere, coal.Box, coal.Capsule, coal.Cylinder, coal.Ellipsoid)
 
 
@@ -54,7 +55,7 @@ def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
                 ) from error
             continue
         if max(len(hull.neighbors(i)) for i in range(hull.num_points)) <= MOST_NEIGHBOURS:
-            return _finished(hull), grid
+            return _with_faces(_finished(hull), faces_of(hull)), grid
     raise SceneError(
         f"Hull of geometry {name!r}",
         body=name,
@@ -97,18 +98,32 @@ def thickness(points: np.ndarray) -> float:
 def hull_from_faces(vertices: np.ndarray, faces: np.ndarray) -> coal.Convex:
     """Return the convex polytope with these vertices (n, 3) and outward triangles (m, 3)."""
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    faces = np.array(faces, dtype=int)
     points.extend(list(np.asarray(vertices, dtype=float)))
     triangle, append = coal.Triangle(), triangles.append  # which copies; making each one anew takes four times as long
-    for a, b, c in np.asarray(faces, dtype=int).tolist():
+    for a, b, c in faces.tolist():
         triangle.set(a, b, c)
         append(triangle)
-    return _finished(coal.Convex(points, triangles))
+    return _with_faces(_finished(coal.Convex(points, triangles)), faces)
 
 
 def faces_of(hull: coal.Convex) -> np.ndarray:
-    """Return the triangles of a hull as vertex indices, shape (m, 3)."""
+    """Return the triangles of a hull as vertex indices, shape (m, 3); they are read only where the hull keeps them."""
+    kept = vars(hull).get(_FACES)
+    if kept is not None:
+        return np.asarray(kept)
     polygons = [hull.polygons(k) for k in range(hull.num_polygons)]
     return np.array([[polygon[0], polygon[1], polygon[2]] for polygon in polygons], dtype=int).reshape(-1, 3)
+
+
+def _with_faces(hull: coal.Convex, faces: np.ndarray) -> coal.Convex:
+    """Return a hull that was made here, and is not changed any more, with its triangles as an attribute.
+
+    The engine needs them as an array, and coal hands them out one by one.
+    """
+    faces.flags.writeable = False
+    setattr(hull, _FACES, faces)
+    return hull
 
 
 def _finished(hull: coal.Convex) -> coal.Convex:

@@ -8,11 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import coal
 import numpy as np
 import pinocchio as pin
 
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
 from contactvi.errors import EngineError, SceneError
+from contactvi.importing.hulls import faces_of
 from contactvi.importing.readers import copy_geometry
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 
 EngineScene: TypeAlias = "_core.Scene"
 ImpactsAt: TypeAlias = "_core.ImpactsAt"
+Hull: TypeAlias = tuple[list[int], np.ndarray, np.ndarray, float]  # geometries that have it, vertices, triangles, sweep
 
 
 def make_engine_scene(
@@ -46,8 +49,10 @@ def make_engine_scene(
     """
     from contactvi import _core
 
-    # Pairs cross as numbers, and archives without a copy of them: those of a large scene take more than all else.
-    archives = _archive(model), _archive(copy_geometry(collision))
+    # Pairs and hulls cross as numbers. In an archive those of a large scene take more than all else, and coal finds the
+    # neighbours of vertices anew when it reads a hull.
+    hulls, others = _hulls_apart(collision)
+    archives = _archive(model), _archive(others)
     try:
         scene = _core.Scene(
             archives[0].view(),
@@ -61,6 +66,7 @@ def make_engine_scene(
             friction,
             RoundedHulls(),
             pairs,
+            hulls,
         )
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
@@ -180,6 +186,22 @@ def engine_impacts(
     from contactvi import _core
 
     return _core.ImpactsAt(scene, q, list(guards), restitution, margin, max_impacts)
+
+
+def _hulls_apart(collision: pin.GeometryModel) -> tuple[list[Hull], pin.GeometryModel]:
+    """Return the hulls of a geometry, and a copy of it without pairs and with a ball in the place of each hull."""
+    others, ball = copy_geometry(collision), coal.Sphere(1.0)
+    found: dict[int, tuple[coal.Convex, list[int]]] = {}
+    for k, geometry in enumerate(others.geometryObjects):
+        shape = geometry.geometry
+        if isinstance(shape, coal.Convex):
+            found.setdefault(shape.id(), (shape, []))[1].append(k)
+            geometry.geometry = ball
+    hulls = [
+        (geometries, np.array(hull.points()), faces_of(hull).astype(np.int32), hull.getSweptSphereRadius())
+        for hull, geometries in found.values()
+    ]
+    return hulls, others
 
 
 def _archive(item: pin.Model | pin.GeometryModel) -> Any:

@@ -281,6 +281,18 @@ void add_tree(Scene& scene, std::string_view model_bytes, const SceneParameters&
   Builder(model, parameters, scene).build();
 }
 
+void set_hulls(pinocchio::GeometryModel& geometry, const std::vector<GivenHull>& hulls) {
+  auto& objects = geometry.geometryObjects;
+  for (const GivenHull& given : hulls) {
+    const auto shape = shape_of(given.hull);
+    static_cast<coal::ShapeBase&>(*shape).setSweptSphereRadius(given.swept_radius);
+    for (int i : given.geometries) {
+      if (i < 0 || i >= static_cast<int>(objects.size())) throw Error("a hull of no geometry");
+      objects[i].geometry = shape;
+    }
+  }
+}
+
 GeometryPairs pairs_of(const pinocchio::GeometryModel& geometry) {
   GeometryPairs pairs(geometry.collisionPairs.size(), 2);
   for (std::size_t k = 0; k < geometry.collisionPairs.size(); ++k)
@@ -293,16 +305,17 @@ GeometryPairs pairs_of(const pinocchio::GeometryModel& geometry) {
 
 void read_model(std::string_view bytes, pinocchio::Model& model) { unpack(model, bytes, "model"); }
 
-Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, const GeometryPairs* given,
+Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, const BesideArchive& beside,
                  const SceneParameters& parameters, RoundedHulls* known) {
   Scene scene;
   add_tree(scene, model_bytes, parameters);
   if (geometry_bytes.empty()) return scene;
   pinocchio::GeometryModel geometry;
   unpack(geometry, geometry_bytes, "geometry");
+  set_hulls(geometry, beside.hulls);
   for (const auto& object : geometry.geometryObjects) scene.geometries.push_back(make_geometry(object, scene.tree));
-  const GeometryPairs own = given ? GeometryPairs() : pairs_of(geometry);
-  const GeometryPairs& pairs = given ? *given : own;
+  const GeometryPairs own = beside.pairs ? GeometryPairs() : pairs_of(geometry);
+  const GeometryPairs& pairs = beside.pairs ? *beside.pairs : own;
   const int count = static_cast<int>(scene.geometries.size());
   if (pairs.size() > 0 && (pairs.minCoeff() < 0 || pairs.maxCoeff() >= count)) throw Error("a pair of no geometries");
   if (parameters.pair_restitution.size() != pairs.rows() || parameters.pair_friction.size() != pairs.rows())
