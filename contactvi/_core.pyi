@@ -405,6 +405,14 @@ def hull_vertices(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3)
     Ascending indices of the points (n, 3), finite, that are vertices of their convex hull; none without a hull.
     """
 
+def hull_faces(hull: int) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]:
+    """Triangles (m, 3) of a coal.Convex, of which hull is the id()."""
+
+def set_hull(hull: int, vertices: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], faces: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]) -> None:
+    """
+    Gives a coal.Convex, of which hull is the id(), vertices (n, 3) and outward triangles (m, 3).
+    """
+
 def instruction_sets() -> list[str]:
     """Builds of the stage kernel that this processor runs, best last."""
 

@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
 from contactvi.errors import EngineError, SceneError
-from contactvi.importing.hulls import faces_of
+from contactvi.importing.hulls import faces_by_engine
 from contactvi.importing.readers import copy_geometry
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
@@ -198,7 +198,7 @@ def _hulls_apart(collision: pin.GeometryModel) -> tuple[list[Hull], pin.Geometry
             found.setdefault(shape.id(), (shape, []))[1].append(k)
             geometry.geometry = ball
     hulls = [
-        (geometries, np.array(hull.points()), faces_of(hull).astype(np.int32), hull.getSweptSphereRadius())
+        (geometries, np.array(hull.points()), faces_by_engine(hull), hull.getSweptSphereRadius())
         for hull, geometries in found.values()
     ]
     return hulls, others

@@ -219,9 +219,10 @@ void add_shape_features(Scene& scene) {
       const bool rounded = pair.rounded && g.rounded;
       auto& features = rounded ? g.rounded_features : g.sharp_features;
       if (features) continue;
-      features = std::make_shared<const OnDemand<ShapeFeatures>>([g, rounded, meets = meets_ellipsoid[i]] {
-        return make_shape_features(g, rounded ? *g.rounded : *g.sharp, meets);
-      });
+      features =
+          std::make_shared<const OnDemand<ShapeFeatures>>([g, rounded, meets = static_cast<bool>(meets_ellipsoid[i])] {
+            return make_shape_features(g, rounded ? *g.rounded : *g.sharp, meets);
+          });
       if (may_be_refused(rounded ? *g.rounded : *g.sharp)) features->get();
     }
 }

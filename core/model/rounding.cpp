@@ -12,6 +12,7 @@
 #include "base/error.hpp"
 #include "base/parallel.hpp"
 #include "base/refusal.hpp"
+#include "model/hull_access.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
@@ -72,16 +73,6 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& r
   }
   return std::shared_ptr<coal::CollisionGeometry>(
       coal::ConvexBase::convexHull(vertices, static_cast<unsigned>(vertices->size()), true, "Qt"));
-}
-
-Polytope polytope_of(const Hull& hull) {
-  Polytope result;
-  result.vertices.resize(hull.num_points, 3);
-  for (unsigned i = 0; i < hull.num_points; ++i) result.vertices.row(i) = (*hull.points)[i];
-  result.faces.resize(hull.num_polygons, 3);
-  for (unsigned i = 0; i < hull.num_polygons; ++i)
-    for (int k = 0; k < 3; ++k) result.faces(i, k) = static_cast<int>((*hull.polygons)[i][k]);
-  return result;
 }
 
 // A sharp shape, and its rounded copy as it is made.
