@@ -108,9 +108,9 @@ class Rule:
             self.set_pair(first, second, value)
 
     def values(self, names: Sequence[str], pairs: np.ndarray) -> np.ndarray:
-        """Return the values of pairs (npairs, 2), indices of `names` in ascending order, shape (npairs,)."""
+        """Return the values of pairs (npairs, 2), indices of `names` in ascending order, shape (npairs,), read only."""
         index, count = {name: k for k, name in enumerate(names)}, len(names)
-        result = np.full(len(pairs), self.default)
+        result = np.broadcast_to(float(self.default), len(pairs))  # one number, however many pairs there are
         if not (self.file_single or self.file_pair or self.single or self.pair):
             return result
         codes = pairs[:, 0].astype(np.int64) * count + pairs[:, 1]

@@ -90,18 +90,20 @@ class BytesOf {
 // Of each hull the geometries that have it, vertices, triangles, and the radius of the sphere by which it is swept.
 using HullRows = std::vector<std::tuple<std::vector<int>, Vertices, Faces, double>>;
 
-Scene make_scene(const nb::object& model, const nb::object& geometry, const VecX& pair_restitution,
-                 const VecX& stiffness, const VecX& rest, const VecX& damping, const VecX& limits,
-                 const VecX& limit_restitution, const std::optional<VecX>& pair_friction,
-                 const nb::object& rounded_hulls, std::optional<GeometryPairs> pairs, HullRows hulls) {
-  VecX friction = pair_friction ? *pair_friction : VecX(VecX::Zero(pair_restitution.size()));
+// Values of pairs are handed on and not copied: those of a large scene take megabytes.
+Scene make_scene(const nb::object& model, const nb::object& geometry, VecX pair_restitution, const VecX& stiffness,
+                 const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
+                 std::optional<VecX> pair_friction, const nb::object& rounded_hulls, std::optional<GeometryPairs> pairs,
+                 HullRows hulls) {
+  if (!pair_friction) pair_friction = VecX::Zero(pair_restitution.size());
   KeptRoundedHulls known(rounded_hulls);
   BesideArchive beside{std::move(pairs), {}};
   for (auto& [geometries, vertices, faces, radius] : hulls)
     beside.hulls.push_back({std::move(geometries), {std::move(vertices), std::move(faces)}, radius});
-  Scene scene = load_scene(BytesOf(model).get(), BytesOf(geometry).get(), beside,
-                           {pair_restitution, std::move(friction), stiffness, rest, damping, limits, limit_restitution},
-                           rounded_hulls.is_none() ? nullptr : &known);
+  Scene scene = load_scene(
+      BytesOf(model).get(), BytesOf(geometry).get(), beside,
+      {std::move(pair_restitution), std::move(*pair_friction), stiffness, rest, damping, limits, limit_restitution},
+      rounded_hulls.is_none() ? nullptr : &known);
   prepare_geometry(scene);
   return scene;
 }
@@ -293,14 +295,14 @@ void expose_scene(nb::module_& m) {
   scene
       .def(
           "__init__",
-          [](Scene* self, nb::object model, nb::object geometry, const VecX& pair_restitution, const VecX& stiffness,
+          [](Scene* self, nb::object model, nb::object geometry, VecX pair_restitution, const VecX& stiffness,
              const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
              std::optional<VecX> pair_friction, nb::object rounded_hulls, std::optional<GeometryPairs> pairs,
              HullRows hulls) {
             instruction_set();  // a wrong name in the environment is refused before anything is computed
-            new (self)
-                Scene(make_scene(model, geometry, pair_restitution, stiffness, rest, damping, limits, limit_restitution,
-                                 pair_friction, rounded_hulls, std::move(pairs), std::move(hulls)));
+            new (self) Scene(make_scene(model, geometry, std::move(pair_restitution), stiffness, rest, damping, limits,
+                                        limit_restitution, std::move(pair_friction), rounded_hulls, std::move(pairs),
+                                        std::move(hulls)));
           },
           "model"_a, "geometry"_a, "pair_restitution"_a, "stiffness"_a, "rest"_a, "damping"_a, "limits"_a,
           "limit_restitution"_a, "pair_friction"_a = nb::none(), "rounded_hulls"_a = nb::none(), "pairs"_a = nb::none(),
