@@ -51,8 +51,8 @@ def make_engine_scene(
 
     # Pairs and hulls cross as numbers. In an archive those of a large scene take more than all else, and coal finds the
     # neighbours of vertices anew when it reads a hull.
-    hulls, others = _hulls_apart(collision)
-    archives = _archive(model), _archive(others)
+    hulls, shapes = _shapes(collision)
+    archives = _archive(model), shapes
     try:
         scene = _core.Scene(
             archives[0].view(),
@@ -188,8 +188,8 @@ def engine_impacts(
     return _core.ImpactsAt(scene, q, list(guards), restitution, margin, max_impacts)
 
 
-def _hulls_apart(collision: pin.GeometryModel) -> tuple[list[Hull], pin.GeometryModel]:
-    """Return the hulls of a geometry, and a copy of it without pairs and with a ball in the place of each hull."""
+def _shapes(collision: pin.GeometryModel) -> tuple[list[Hull], Any]:
+    """Return the hulls of a geometry, and the archive of all without pairs, with a ball in the place of each hull."""
     others, ball = copy_geometry(collision), coal.Sphere(1.0)
     found: dict[int, tuple[coal.Convex, list[int]]] = {}
     for k, geometry in enumerate(others.geometryObjects):
@@ -201,7 +201,7 @@ def _hulls_apart(collision: pin.GeometryModel) -> tuple[list[Hull], pin.Geometry
         (geometries, np.array(hull.points()), faces_by_engine(hull), hull.getSweptSphereRadius())
         for hull, geometries in found.values()
     ]
-    return hulls, others
+    return hulls, _archive(others)
 
 
 def _archive(item: pin.Model | pin.GeometryModel) -> Any:
