@@ -148,9 +148,9 @@ class ConstraintKind(enum.Enum):
     PRESCRIBED = 5
 
 class Scene:
-    def __init__(self, model: bytes, geometry: bytes, pair_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stiffness: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], damping: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limit_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair_friction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, rounded_hulls: object | None = None) -> None:
+    def __init__(self, model: object, geometry: object, pair_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stiffness: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], damping: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limit_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair_friction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, rounded_hulls: object | None = None, pairs: Annotated[NDArray[numpy.int32], dict(shape=(None, 2), order='C')] | None = None, hulls: Sequence[tuple[Sequence[int], Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')], float]] = []) -> None:
         """
-        From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data; rounded_hulls: keeps rounded hulls from one process to the next, has find and keep.
+        From the binary archives (bytes, or anything else with a buffer) of a pin.Model and a collision pin.GeometryModel and per joint and pair data; rounded_hulls: keeps rounded hulls from one process to the next, has find and keep; pairs: numbers of two geometries in each row, by default the pairs of the geometry; hulls: in the place of shapes in the archive: numbers of geometries, vertices, triangles, swept radius.
         """
 
     @property
@@ -403,6 +403,14 @@ class RecordedRun:
 def hull_vertices(points: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')]:
     """
     Ascending indices of the points (n, 3), finite, that are vertices of their convex hull; none without a hull.
+    """
+
+def hull_faces(hull: int) -> Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]:
+    """Triangles (m, 3) of a coal.Convex, of which hull is the id()."""
+
+def set_hull(hull: int, vertices: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], faces: Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')]) -> None:
+    """
+    Gives a coal.Convex, of which hull is the id(), vertices (n, 3) and outward triangles (m, 3).
     """
 
 def instruction_sets() -> list[str]:

@@ -68,7 +68,7 @@ def find(name: str) -> Arrays | None:
         with open(path, "rb") as file:
             data = file.read()
         arrays = _unpacked(data)
-    except UNREADABLE:
+    except (*UNREADABLE, TypeError):
         return None
     with contextlib.suppress(OSError):  # of a folder that can be read only
         os.utime(path)  # used now: the oldest entries are the first to go

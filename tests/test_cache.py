@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +115,31 @@ def test_without_a_folder_nothing_is_kept(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("CONTACTVI_CACHE", str(tmp_path / "file" / "below"))  # cannot be made, for root either
     cache.keep(cache.key("test"), ARRAYS)
     assert cache.find(cache.key("test")) is None
+
+
+def test_entries_of_a_folder_that_can_only_be_read_are_used(place: Path, monkeypatch: pytest.MonkeyPatch):
+    """By patches, since root may write everywhere."""
+    name, other = cache.key("test", 1.0), cache.key("test", 2.0)
+    cache.keep(name, ARRAYS)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(os, "utime", refuse)
+    monkeypatch.setattr(cache.tempfile, "mkstemp", refuse)
+    cache.keep(other, ARRAYS)
+    assert cache.find(name) is not None
+    assert cache.find(other) is None
+
+
+@pytest.mark.parametrize("table", [b"5", b"[[1, 2]]", b'[["<f8", [3, -1]]]', b'[["|O", [2]]]', b'[["<f8", [4000]]]'])
+def test_entries_whose_table_tells_nonsense_count_as_missing(place: Path, table: bytes):
+    """With the right checksum, as of another program."""
+    name = cache.key("test", 2.0)
+    cache.keep(name, ARRAYS)
+    body = len(table).to_bytes(4, "little") + table + bytes(16)
+    (place / (name + ".hull")).write_bytes(zlib.crc32(body).to_bytes(4, "little") + body)
+    assert cache.find(name) is None
 
 
 def test_folder_by_default(monkeypatch: pytest.MonkeyPatch):

@@ -39,8 +39,7 @@ def hull_of_points(points: np.ndarray, name: str) -> tuple[coal.Convex, float]:
             _, first = np.unique(np.round(outer / grid).astype(np.int64), axis=0, return_index=True)
             thin = _outer_points(outer[np.sort(first)], name)
         vertices = coal.StdVec_Vec3s()
-        for vertex in thin:
-            vertices.append(vertex)
+        vertices.extend(list(thin))
         try:
             hull = coal.Convex.convexHull(vertices, True, "Qt")
         except RuntimeError as error:
@@ -105,10 +104,26 @@ def hull_from_faces(vertices: np.ndarray, faces: np.ndarray) -> coal.Convex:
     return _finished(coal.Convex(points, triangles))
 
 
+def hull_by_engine(vertices: np.ndarray, faces: np.ndarray) -> coal.Convex:
+    """Return an equal hull as hull_from_faces does, in a thirtieth of the time; vertices float64, faces int32."""
+    from contactvi import _core  # here: saved runs are read and shown without the engine
+
+    hull = coal.Convex()
+    _core.set_hull(hull.id(), vertices, faces)
+    return _finished(hull)
+
+
 def faces_of(hull: coal.Convex) -> np.ndarray:
     """Return the triangles of a hull as vertex indices, shape (m, 3)."""
     polygons = [hull.polygons(k) for k in range(hull.num_polygons)]
     return np.array([[polygon[0], polygon[1], polygon[2]] for polygon in polygons], dtype=int).reshape(-1, 3)
+
+
+def faces_by_engine(hull: coal.Convex) -> np.ndarray:
+    """Return the triangles of a hull as faces_of does, at once and not one by one; int32."""
+    from contactvi import _core
+
+    return np.asarray(_core.hull_faces(hull.id()))
 
 
 def _finished(hull: coal.Convex) -> coal.Convex:

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi import cache
-from contactvi.importing.hulls import check_shape, faces_of, hull_from_faces, hull_of_points
+from contactvi.importing.hulls import check_shape, faces_by_engine, hull_by_engine, hull_of_points
 from contactvi.importing.kept_hulls import KeptHull, find_hull, keep_hull
 from contactvi.importing.report import PartReport, number
 from contactvi.importing.submeshes import volume_of
@@ -65,12 +65,12 @@ class MeshHull:
         if kept is None or kept.numbers.shape != (3,):
             return None
         grid, count, volume = kept.numbers.tolist()
-        return MeshHull(hull_from_faces(kept.vertices, kept.faces), grid, int(count), volume)
+        return MeshHull(hull_by_engine(kept.vertices, kept.faces), grid, int(count), volume)
 
     def keep(self, name: str) -> None:
         """Write it into the cache."""
         numbers = np.array([self.grid, self.count, self.volume])
-        keep_hull(name, KeptHull(np.array(self.shape.points()), faces_of(self.shape).astype(np.int32), numbers))
+        keep_hull(name, KeptHull(np.array(self.shape.points()), faces_by_engine(self.shape), numbers))
 
 
 class MeshHulls:

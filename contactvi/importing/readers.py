@@ -225,9 +225,9 @@ def import_pinocchio(
 
 def copy_geometry(source: pin.GeometryModel | None) -> pin.GeometryModel:
     """Return a GeometryModel with copies of the objects (shapes shared) and without collision pairs."""
-    result = pin.GeometryModel()
-    for geometry in source.geometryObjects if source is not None else ():
-        result.addGeometryObject(geometry.copy())
+    # At once: a model that grows by one geometry after the other copies its table of pairs each time.
+    result = pin.GeometryModel() if source is None else pin.GeometryModel(source)
+    result.removeAllCollisionPairs()
     return result
 
 

@@ -63,7 +63,8 @@ def surface_of(mesh: coal.BVHModelBase, path: str, scale: Array) -> tuple[Array,
 
 def volume_of(mesh: coal.BVHModelBase, path: str, scale: Array) -> float:
     """Return the volume of a mesh from a file [m^3], that of the mended one; see `surface_of`."""
-    if not unused_vertices(*arrays_of(mesh)):
+    # An STL has no numbers of vertices: each of them is the corner of a triangle.
+    if Path(path).suffix.lower() == ".stl" or not unused_vertices(*arrays_of(mesh)):
         return float(mesh.computeVolume())
     vertices, faces = surface_of(mesh, path, scale)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -72,7 +73,7 @@ def volume_of(mesh: coal.BVHModelBase, path: str, scale: Array) -> float:
 
 def unused_vertices(vertices: Array, faces: Faces) -> int:
     """Return how many vertices are in no face."""
-    return len(vertices) - len(np.unique(faces))
+    return len(vertices) - int(np.count_nonzero(np.bincount(faces.ravel())))
 
 
 def arrays_of(mesh: coal.BVHModelBase) -> tuple[Array, Faces]:

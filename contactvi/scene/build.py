@@ -17,6 +17,7 @@ from contactvi.scene.element_rows import Resolved, resolve
 from contactvi.scene.engine import EngineScene, make_engine_scene
 from contactvi.scene.joint_arrays import JointArrays, apply_settings
 from contactvi.scene.joints import JointTable
+from contactvi.scene.pair_names import PairNames
 from contactvi.scene.pairs import ContactRules, choose_pairs
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Names
@@ -60,7 +61,7 @@ class Built:
     collision: pin.GeometryModel
     start: np.ndarray
     arrays: JointArrays
-    pairs: list[tuple[str, str]]
+    pairs: PairNames
     removed: list[RemovedPair]
     restitution: np.ndarray
     friction: np.ndarray
@@ -71,7 +72,7 @@ class Built:
     def engine(self) -> EngineScene:
         """The engine's scene (contactvi._core.Scene), made on first use; raises SceneError where it refuses."""
         return make_engine_scene(
-            self.model, self.collision, self.restitution, self.friction, self.arrays, self.elements
+            self.model, self.collision, self.pairs.numbers, self.restitution, self.friction, self.arrays, self.elements
         )
 
     @cached_property
@@ -147,7 +148,7 @@ def build(parts: PartList, contact: ContactRules, joints: JointTable, elements: 
         collision,
         start,
         arrays,
-        list(zip(*np.array(names, dtype=object)[chosen.T].tolist(), strict=True)),
+        PairNames(names, chosen),
         removed,
         contact.restitution.values(names, chosen),
         contact.friction.values(names, chosen),

@@ -8,11 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+import coal
 import numpy as np
 import pinocchio as pin
 
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
 from contactvi.errors import EngineError, SceneError
+from contactvi.importing.hulls import faces_by_engine
+from contactvi.importing.readers import copy_geometry
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 from contactvi.scene.rounded_hulls import RoundedHulls
@@ -22,11 +25,13 @@ if TYPE_CHECKING:
 
 EngineScene: TypeAlias = "_core.Scene"
 ImpactsAt: TypeAlias = "_core.ImpactsAt"
+Hull: TypeAlias = tuple[list[int], np.ndarray, np.ndarray, float]  # geometries that have it, vertices, triangles, sweep
 
 
 def make_engine_scene(
     model: pin.Model,
     collision: pin.GeometryModel,
+    pairs: np.ndarray,
     restitution: np.ndarray,
     friction: np.ndarray,
     arrays: JointArrays,
@@ -35,7 +40,8 @@ def make_engine_scene(
     """Return the engine's scene.
 
     Args:
-        model, collision: The complete model and its geometry with the tested pairs.
+        model, collision: The complete model and its geometry.
+        pairs: Geometries of the tested pairs, int32 of shape (npairs, 2).
         restitution, friction: Of the tested pairs, shapes (npairs,).
 
     Raises:
@@ -43,10 +49,14 @@ def make_engine_scene(
     """
     from contactvi import _core
 
+    # Pairs and hulls cross as numbers. In an archive those of a large scene take more than all else, and coal finds the
+    # neighbours of vertices anew when it reads a hull.
+    hulls, shapes = _shapes(collision)
+    archives = _archive(model), shapes
     try:
         scene = _core.Scene(
-            to_bytes(model),
-            to_bytes(collision),
+            archives[0].view(),
+            archives[1].view(),
             restitution,
             arrays.stiffness,
             arrays.rest,
@@ -55,6 +65,8 @@ def make_engine_scene(
             arrays.limit_restitution,
             friction,
             RoundedHulls(),
+            pairs,
+            hulls,
         )
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
@@ -71,7 +83,7 @@ def make_engine_scene(
     except MemoryError:
         raise SceneError(
             "The scene does not fit into the memory",
-            expected=f"memory for {model.nv} degrees of freedom and {len(collision.collisionPairs)} pairs",
+            expected=f"memory for {model.nv} degrees of freedom and {len(pairs)} pairs",
             got="none left",
             remedy="Take pairs out with scene.disable_pair(...), or simplify the meshes",
         ) from None
@@ -176,8 +188,24 @@ def engine_impacts(
     return _core.ImpactsAt(scene, q, list(guards), restitution, margin, max_impacts)
 
 
-def to_bytes(item: pin.Model | pin.GeometryModel) -> bytes:
-    """Return Pinocchio's binary archive of a model."""
+def _shapes(collision: pin.GeometryModel) -> tuple[list[Hull], Any]:
+    """Return the hulls of a geometry, and the archive of all without pairs, with a ball in the place of each hull."""
+    others, ball = copy_geometry(collision), coal.Sphere(1.0)
+    found: dict[int, tuple[coal.Convex, list[int]]] = {}
+    for k, geometry in enumerate(others.geometryObjects):
+        shape = geometry.geometry
+        if isinstance(shape, coal.Convex):
+            found.setdefault(shape.id(), (shape, []))[1].append(k)
+            geometry.geometry = ball
+    hulls = [
+        (geometries, np.array(hull.points()), faces_by_engine(hull), hull.getSweptSphereRadius())
+        for hull, geometries in found.values()
+    ]
+    return hulls, _archive(others)
+
+
+def _archive(item: pin.Model | pin.GeometryModel) -> Any:
+    """Return a buffer with Pinocchio's binary archive of a model; its view() lives as long as the buffer."""
     buffer = pin.serialization.StreamBuffer()
     item.saveToBinary(buffer)
-    return bytes(buffer.view())  # tobytes() leaks 0.3 kB a call
+    return buffer

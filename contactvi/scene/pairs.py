@@ -108,10 +108,12 @@ class Rule:
             self.set_pair(first, second, value)
 
     def values(self, names: Sequence[str], pairs: np.ndarray) -> np.ndarray:
-        """Return the values of pairs (npairs, 2), indices of `names` in ascending order, shape (npairs,)."""
+        """Return the values of pairs (npairs, 2), indices of `names` in ascending order, shape (npairs,), read only."""
         index, count = {name: k for k, name in enumerate(names)}, len(names)
-        codes = pairs[:, 0] * count + pairs[:, 1]
-        result = np.full(len(pairs), self.default)
+        result = np.broadcast_to(float(self.default), len(pairs))  # one number, however many pairs there are
+        if not (self.file_single or self.file_pair or self.single or self.pair):
+            return result
+        codes = pairs[:, 0].astype(np.int64) * count + pairs[:, 1]
         # From what counts least to what counts most.
         for single, pair in ((self.file_single, self.file_pair), (self.single, self.pair)):
             own = np.array([single.get(name, np.nan) for name in names] or [np.nan], dtype=float)
@@ -174,7 +176,7 @@ def choose_pairs(
 ) -> tuple[np.ndarray, list[RemovedPair]]:
     """Set the collision pairs of the assembled geometry; return their indices, and the pairs that are not tested.
 
-    The indices, shape (npairs, 2), are ascending as the pairs of the geometry are.
+    The indices, int32 of shape (npairs, 2), are ascending as the pairs of the geometry are.
 
     Args:
         disabled, enabled: pairs of geometry indices switched off or on by the user, against every other reason.
@@ -214,7 +216,7 @@ def choose_pairs(
         mask[pair] = True
     drop(mask, OVERLAP, details)
     geometry.setCollisionPairs(keep | forced)
-    return np.argwhere(keep | forced), removed
+    return np.argwhere(keep | forced).astype(np.int32), removed
 
 
 def _same_part(assembly: Assembly) -> np.ndarray:

@@ -57,7 +57,7 @@ class CompiledScene:
         self.built = built
         self._scene = scene.copy()
         self.states = States(built.model)
-        self.pair_names = [(str(a), str(b)) for a, b in built.pairs]
+        self.pair_names = built.pairs
         self.joint_names = [str(name) for name in built.model.names]
         self.shape_groups = scene.names.shape_groups
         self.damping: NDArray[np.float64] = np.array(built.model.damping, dtype=float)

@@ -2,13 +2,17 @@
 #include <nanobind/eigen/dense.h>
 #include <nanobind/ndarray.h>
 
+#include <coal/shape/convex.h>
+
 #include <algorithm>
+#include <cstdint>
 #include <limits>
 
 #include "base/error.hpp"
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
 #include "geometry/hull_vertices.hpp"
+#include "model/hull_access.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -27,11 +31,26 @@ IntVec vertices_of(const Points& points) {
   return result;
 }
 
+// The hull that a coal.Convex of Python holds, from the address that its id() tells.
+coal::Convex<coal::Triangle>& hull_at(std::uintptr_t address) {
+  return *reinterpret_cast<coal::Convex<coal::Triangle>*>(address);
+}
+
 }  // namespace
 
 void expose_hull(nb::module_& m) {
   m.def("hull_vertices", &vertices_of, "points"_a,
         "Ascending indices of the points (n, 3), finite, that are vertices of their convex hull; none without a hull.");
+  m.def(
+      "hull_faces", [](std::uintptr_t hull) { return polytope_of(hull_at(hull)).faces; }, "hull"_a,
+      "Triangles (m, 3) of a coal.Convex, of which hull is the id().");
+  m.def(
+      "set_hull",
+      [](std::uintptr_t hull, const decltype(Polytope::vertices)& vertices, const decltype(Polytope::faces)& faces) {
+        set_polytope(hull_at(hull), {vertices, faces});
+      },
+      "hull"_a, "vertices"_a, "faces"_a,
+      "Gives a coal.Convex, of which hull is the id(), vertices (n, 3) and outward triangles (m, 3).");
 }
 
 }  // namespace contactvi

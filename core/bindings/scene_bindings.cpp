@@ -43,6 +43,9 @@ void need_states(const Scene& s, const Rows& q, const Rows& w) {
   need(q.cols() == s.tree.nq && w.cols() == s.tree.nv && q.rows() == w.rows(), "expected shapes (N, nq) and (N, nv)");
 }
 
+using Vertices = decltype(Polytope::vertices);
+using Faces = decltype(Polytope::faces);
+
 // Rounded hulls that an object of Python keeps: its find(vertices, faces, radius) returns (vertices, faces, radius) or
 // None, its keep(vertices, faces, radius, vertices, faces, radius) takes a hull and its shrunk one.
 class KeptRoundedHulls : public RoundedHulls {
@@ -52,8 +55,6 @@ class KeptRoundedHulls : public RoundedHulls {
   std::optional<ShrunkHull> find(const Polytope& hull, double radius) override {
     const nb::object found = keeper_.attr("find")(nb::cast(hull.vertices), nb::cast(hull.faces), radius);
     if (found.is_none()) return std::nullopt;
-    using Vertices = decltype(Polytope::vertices);
-    using Faces = decltype(Polytope::faces);
     const auto [vertices, faces, shrunk] = nb::cast<std::tuple<Vertices, Faces, double>>(found);
     need(faces.size() > 0 && faces.minCoeff() >= 0 && faces.maxCoeff() < vertices.rows() && shrunk >= 0.0,
          "expected the vertices and triangles of a hull, and a radius");
@@ -69,14 +70,40 @@ class KeptRoundedHulls : public RoundedHulls {
   nb::object keeper_;
 };
 
-Scene make_scene(nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
+// The bytes of an object of Python that has a buffer (bytes, a memoryview), which are not copied.
+class BytesOf {
+ public:
+  explicit BytesOf(const nb::object& object) {
+    if (PyObject_GetBuffer(object.ptr(), &buffer_, PyBUF_SIMPLE) != 0) throw nb::python_error();
+  }
+  BytesOf(const BytesOf&) = delete;
+  BytesOf& operator=(const BytesOf&) = delete;
+  ~BytesOf() { PyBuffer_Release(&buffer_); }
+  std::string_view get() const {
+    return {static_cast<const char*>(buffer_.buf), static_cast<std::size_t>(buffer_.len)};
+  }
+
+ private:
+  Py_buffer buffer_;
+};
+
+// Of each hull the geometries that have it, vertices, triangles, and the radius of the sphere by which it is swept.
+using HullRows = std::vector<std::tuple<std::vector<int>, Vertices, Faces, double>>;
+
+// Values of pairs are handed on and not copied: those of a large scene take megabytes.
+Scene make_scene(const nb::object& model, const nb::object& geometry, VecX pair_restitution, const VecX& stiffness,
                  const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
-                 const std::optional<VecX>& pair_friction, const nb::object& rounded_hulls) {
-  const VecX friction = pair_friction ? *pair_friction : VecX(VecX::Zero(pair_restitution.size()));
+                 std::optional<VecX> pair_friction, const nb::object& rounded_hulls, std::optional<GeometryPairs> pairs,
+                 HullRows hulls) {
+  if (!pair_friction) pair_friction = VecX::Zero(pair_restitution.size());
   KeptRoundedHulls known(rounded_hulls);
-  Scene scene = load_scene({model.c_str(), model.size()}, {geometry.c_str(), geometry.size()},
-                           {pair_restitution, friction, stiffness, rest, damping, limits, limit_restitution},
-                           rounded_hulls.is_none() ? nullptr : &known);
+  BesideArchive beside{std::move(pairs), {}};
+  for (auto& [geometries, vertices, faces, radius] : hulls)
+    beside.hulls.push_back({std::move(geometries), {std::move(vertices), std::move(faces)}, radius});
+  Scene scene = load_scene(
+      BytesOf(model).get(), BytesOf(geometry).get(), beside,
+      {std::move(pair_restitution), std::move(*pair_friction), stiffness, rest, damping, limits, limit_restitution},
+      rounded_hulls.is_none() ? nullptr : &known);
   prepare_geometry(scene);
   return scene;
 }
@@ -268,17 +295,23 @@ void expose_scene(nb::module_& m) {
   scene
       .def(
           "__init__",
-          [](Scene* self, nb::bytes model, nb::bytes geometry, const VecX& pair_restitution, const VecX& stiffness,
+          [](Scene* self, nb::object model, nb::object geometry, VecX pair_restitution, const VecX& stiffness,
              const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
-             std::optional<VecX> pair_friction, nb::object rounded_hulls) {
+             std::optional<VecX> pair_friction, nb::object rounded_hulls, std::optional<GeometryPairs> pairs,
+             HullRows hulls) {
             instruction_set();  // a wrong name in the environment is refused before anything is computed
-            new (self) Scene(make_scene(model, geometry, pair_restitution, stiffness, rest, damping, limits,
-                                        limit_restitution, pair_friction, rounded_hulls));
+            new (self) Scene(make_scene(model, geometry, std::move(pair_restitution), stiffness, rest, damping, limits,
+                                        limit_restitution, std::move(pair_friction), rounded_hulls, std::move(pairs),
+                                        std::move(hulls)));
           },
           "model"_a, "geometry"_a, "pair_restitution"_a, "stiffness"_a, "rest"_a, "damping"_a, "limits"_a,
-          "limit_restitution"_a, "pair_friction"_a = nb::none(), "rounded_hulls"_a = nb::none(),
-          "From the binary archives of a pin.Model and a collision pin.GeometryModel and per joint and pair data; "
-          "rounded_hulls: keeps rounded hulls from one process to the next, has find and keep.")
+          "limit_restitution"_a, "pair_friction"_a = nb::none(), "rounded_hulls"_a = nb::none(), "pairs"_a = nb::none(),
+          "hulls"_a = HullRows(),
+          "From the binary archives (bytes, or anything else with a buffer) of a pin.Model and a collision "
+          "pin.GeometryModel and per joint and pair data; "
+          "rounded_hulls: keeps rounded hulls from one process to the next, has find and keep; "
+          "pairs: numbers of two geometries in each row, by default the pairs of the geometry; "
+          "hulls: in the place of shapes in the archive: numbers of geometries, vertices, triangles, swept radius.")
       .def_prop_ro("nq", [](const Scene& s) { return s.tree.nq; })
       .def_prop_ro("nv", [](const Scene& s) { return s.tree.nv; })
       .def_prop_ro("njoints", [](const Scene& s) { return s.tree.body_of_source.size(); })

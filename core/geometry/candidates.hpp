@@ -60,6 +60,7 @@ Pose pose_of(int body, const Placements& at);
 struct PairView {
   const ShapeFeatures *a, *b;
   Pose pose_a, pose_b;
+  int body_a, body_b;  // engine joints, -1: world
 };
 
 // The faces on which a and b are nearest, -1: none, and the direction from a to b there.

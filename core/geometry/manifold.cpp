@@ -249,8 +249,9 @@ double Manifolds::noise(int pair) const {
 }
 
 PairView Manifolds::view(int pair, const Placements& at) const {
-  const ShapeFeatures &a = features(pair, scene_->pairs[pair].a), &b = features(pair, scene_->pairs[pair].b);
-  return {&a, &b, pose_of(a.body, at), pose_of(b.body, at)};
+  const Pair& p = scene_->pairs[pair];
+  const int body_a = scene_->geometries[p.a].body, body_b = scene_->geometries[p.b].body;
+  return {&features(pair, p.a), &features(pair, p.b), pose_of(body_a, at), pose_of(body_b, at), body_a, body_b};
 }
 
 Sides Manifolds::sides_of_witness(const PairView& v, const Contact& witness) const {
@@ -353,8 +354,8 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
   p.feature = c.feature;
   p.kind = PointKind::kWitness;
   p.on_b = true;
-  p.point_body = v.b->body;
-  p.plane_body = v.a->body;
+  p.point_body = v.body_b;
+  p.plane_body = v.body_a;
   const Feature kind = feature_kind(c.feature);
   if (kind == Feature::kWitness) return p;
   if (kind == Feature::kEdges) {
@@ -373,8 +374,8 @@ ContactPoint Manifolds::make_point(int pair, const PairView& v, const Candidate&
   const ShapeFeatures::Face& face = parts.plane->faces[parts.face];
   p.kind = PointKind::kVertex;
   p.on_b = parts.on_b;
-  p.point_body = parts.other->body;
-  p.plane_body = parts.plane->body;
+  p.point_body = parts.on_b ? v.body_b : v.body_a;
+  p.plane_body = parts.on_b ? v.body_a : v.body_b;
   p.radius = parts.other->radius;
   p.normal_B = face.normal;
   p.offset = face.offset + parts.plane->radius;

@@ -5,10 +5,8 @@
 
 #include <algorithm>
 #include <limits>
-#include <numeric>
 
 #include "base/disjoint_sets.hpp"
-#include "base/parallel.hpp"
 #include "base/refusal.hpp"
 #include "geometry/hull_faces.hpp"
 
@@ -18,6 +16,9 @@ namespace {
 
 // Neighbouring faces at a smaller angle [rad] belong to one flat side.
 constexpr double kPlateAngle = 1e-4;
+
+// The largest number of edges and of corners of faces that a feature number (candidates.hpp) can hold.
+constexpr std::size_t kMostEdges = 1u << 19;
 
 Vec3 to_body(const Geometry& g, const Vec3& x) { return g.R_BG * x + g.p_BG; }
 
@@ -116,13 +117,19 @@ void add_box(ShapeFeatures& o, const Geometry& g, const Vec3& half) {
   add_polygons(o, points, faces);
 }
 
-void add_hull(ShapeFeatures& o, const Geometry& g, const coal::ConvexBase& shape, bool meets_ellipsoid) {
-  const auto* hull = dynamic_cast<const coal::Convex<coal::Triangle>*>(&shape);
+using Hull = coal::Convex<coal::Triangle>;
+
+const Hull& hull_of(const coal::CollisionGeometry& shape) {
+  const auto* hull = dynamic_cast<const Hull*>(&shape);
   if (hull == nullptr || !hull->polygons) throw Error("a convex shape has no triangles");
+  return *hull;
+}
+
+void add_hull(ShapeFeatures& o, const Geometry& g, const Hull& hull, bool meets_ellipsoid) {
   Points points;
-  points.reserve(hull->num_points);
-  for (unsigned i = 0; i < hull->num_points; ++i) points.push_back(to_body(g, (*hull->points)[i]));
-  const HullFaces faces(points, *hull->polygons);
+  points.reserve(hull.num_points);
+  for (unsigned i = 0; i < hull.num_points; ++i) points.push_back(to_body(g, (*hull.points)[i]));
+  const HullFaces faces(points, *hull.polygons);
   add_polygons(o, points, faces.merged(o.roughness));
   if (!meets_ellipsoid) return;
   auto triangles = std::make_shared<ShapeFeatures>();
@@ -147,7 +154,6 @@ void add_cylinder(ShapeFeatures& o, const Geometry& g, const coal::Cylinder& sha
 
 ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeometry& shape, bool meets_ellipsoid) {
   ShapeFeatures o;
-  o.body = g.body;
   o.radius = static_cast<const coal::ShapeBase&>(shape).getSweptSphereRadius();
   switch (shape.getNodeType()) {
     case coal::GEOM_SPHERE:
@@ -170,7 +176,7 @@ ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeomet
       add_cylinder(o, g, static_cast<const coal::Cylinder&>(shape));
       break;
     case coal::GEOM_CONVEX:
-      add_hull(o, g, static_cast<const coal::ConvexBase&>(shape), meets_ellipsoid);
+      add_hull(o, g, hull_of(shape), meets_ellipsoid);
       break;
     case coal::GEOM_HALFSPACE: {
       const Vec3 normal = g.R_BG * g.halfspace_normal;
@@ -188,12 +194,16 @@ ShapeFeatures make_shape_features(const Geometry& g, const coal::CollisionGeomet
   o.vertex_faces.resize(o.vertices.size());
   if (o.vertices.size() == 2) o.vertex_edges = {{0}, {0}};
   join_plates(o);
-  // This is the largest number that a feature number (candidates.hpp) can hold.
-  if (std::max(o.ring.size(), o.edges.size()) > (1u << 19))
-    throw Refusal("A convex shape has too many edges", "at most 524288",
+  if (std::max(o.ring.size(), o.edges.size()) > kMostEdges)
+    throw Refusal("A convex shape has too many edges", "at most " + std::to_string(kMostEdges),
                   std::to_string(std::max(o.ring.size(), o.edges.size())),
                   "Simplify the mesh, or replace it by a box, a ball or a capsule");
   return o;
+}
+
+// Whether a hull has so many triangles that its edges may be too many. Throws Error for one without triangles.
+bool may_be_refused(const coal::CollisionGeometry& shape) {
+  return shape.getNodeType() == coal::GEOM_CONVEX && 3 * std::size_t{hull_of(shape).num_polygons} > kMostEdges;
 }
 
 }  // namespace
@@ -203,23 +213,18 @@ void add_shape_features(Scene& scene) {
   for (const Pair& pair : scene.pairs)
     for (const auto& [one, other] : {std::pair(pair.a, pair.b), std::pair(pair.b, pair.a)})
       if (scene.geometries[one].sharp->getNodeType() == coal::GEOM_ELLIPSOID) meets_ellipsoid[other] = true;
-  // In the order in which the pairs need them; a shape may be needed sharp and rounded.
-  std::vector<std::pair<int, bool>> needed;
-  std::vector<bool> taken(2 * scene.geometries.size(), false);
   for (const Pair& pair : scene.pairs)
     for (int i : {pair.a, pair.b}) {
-      const Geometry& g = scene.geometries[i];
+      Geometry& g = scene.geometries[i];
       const bool rounded = pair.rounded && g.rounded;
-      if (taken[2 * i + rounded] || (rounded ? g.rounded_features : g.sharp_features)) continue;
-      taken[2 * i + rounded] = true;
-      needed.emplace_back(i, rounded);
+      auto& features = rounded ? g.rounded_features : g.sharp_features;
+      if (features) continue;
+      features =
+          std::make_shared<const OnDemand<ShapeFeatures>>([g, rounded, meets = static_cast<bool>(meets_ellipsoid[i])] {
+            return make_shape_features(g, rounded ? *g.rounded : *g.sharp, meets);
+          });
+      if (may_be_refused(rounded ? *g.rounded : *g.sharp)) features->get();
     }
-  in_parallel(static_cast<int>(needed.size()), [&](int k) {
-    const auto [i, rounded] = needed[k];
-    Geometry& g = scene.geometries[i];
-    (rounded ? g.rounded_features : g.sharp_features) = std::make_shared<const ShapeFeatures>(
-        make_shape_features(g, rounded ? *g.rounded : *g.sharp, meets_ellipsoid[i]));
-  });
 }
 
 double outside_of(const ShapeFeatures& o, const ShapeFeatures::Face& face, const Vec3& x) {

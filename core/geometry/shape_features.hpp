@@ -45,7 +45,7 @@ struct ShapeFeatures {
     double radius;
   };
 
-  int body = -1;         // engine joint, -1: world; all vectors are in its frame
+  // All vectors are in the frame of the geometry's body.
   double radius = 0;     // the core is swept by this
   double roughness = 0;  // how far corners of a face may lie below its plane [m]
   std::vector<Vec3> vertices;
@@ -66,12 +66,13 @@ struct ShapeFeatures {
   bool is_unbounded() const { return !faces.empty() && std::isinf(faces[0].radius); }
 };
 
-// Makes the features that the scene's pairs need and that are not made yet. Throws Error for a hull without triangles.
+// Gives the geometries the features that the scene's pairs need, where they have none. Throws Error for a hull without
+// triangles and Refusal for one with too many edges, now and not when the features are made.
 void add_shape_features(Scene& scene);
 
 // Of the shape that distances of a pair refer to: rounded or sharp.
 inline const ShapeFeatures& shape_features_of(const Geometry& geometry, bool rounded) {
-  return rounded && geometry.rounded ? *geometry.rounded_features : *geometry.sharp_features;
+  return (rounded && geometry.rounded ? geometry.rounded_features : geometry.sharp_features)->get();
 }
 
 // Those that an ellipsoid meets. It rolls from one triangle to the next, and its gap may not jump there.

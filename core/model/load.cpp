@@ -270,34 +270,59 @@ std::vector<Geometry*> rounded_shapes(Scene& scene) {
   return chosen;
 }
 
-}  // namespace
-
-void read_model(std::string_view bytes, pinocchio::Model& model) { unpack(model, bytes, "model"); }
-
-Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, const SceneParameters& parameters,
-                 RoundedHulls* known) {
+// Reads the model into the scene's tree. It is a large one, and is gone before the geometry is read.
+void add_tree(Scene& scene, std::string_view model_bytes, const SceneParameters& parameters) {
   pinocchio::Model model;
   unpack(model, model_bytes, "model");
-  Scene scene;
   if (parameters.stiffness.size() != model.njoints || parameters.limits.size() != model.njoints ||
       parameters.limit_restitution.size() != model.njoints || parameters.rest.size() != model.nq ||
       parameters.damping.size() != model.nv)
     throw Error("scene parameters do not have the sizes of the model");
   Builder(model, parameters, scene).build();
+}
+
+void set_hulls(pinocchio::GeometryModel& geometry, const std::vector<GivenHull>& hulls) {
+  auto& objects = geometry.geometryObjects;
+  for (const GivenHull& given : hulls) {
+    const auto shape = shape_of(given.hull);
+    static_cast<coal::ShapeBase&>(*shape).setSweptSphereRadius(given.swept_radius);
+    for (int i : given.geometries) {
+      if (i < 0 || i >= static_cast<int>(objects.size())) throw Error("a hull of no geometry");
+      objects[i].geometry = shape;
+    }
+  }
+}
+
+GeometryPairs pairs_of(const pinocchio::GeometryModel& geometry) {
+  GeometryPairs pairs(geometry.collisionPairs.size(), 2);
+  for (std::size_t k = 0; k < geometry.collisionPairs.size(); ++k)
+    pairs.row(k) << static_cast<int>(geometry.collisionPairs[k].first),
+        static_cast<int>(geometry.collisionPairs[k].second);
+  return pairs;
+}
+
+}  // namespace
+
+void read_model(std::string_view bytes, pinocchio::Model& model) { unpack(model, bytes, "model"); }
+
+Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, const BesideArchive& beside,
+                 const SceneParameters& parameters, RoundedHulls* known) {
+  Scene scene;
+  add_tree(scene, model_bytes, parameters);
   if (geometry_bytes.empty()) return scene;
   pinocchio::GeometryModel geometry;
   unpack(geometry, geometry_bytes, "geometry");
+  set_hulls(geometry, beside.hulls);
   for (const auto& object : geometry.geometryObjects) scene.geometries.push_back(make_geometry(object, scene.tree));
-  const Eigen::Index pairs = static_cast<Eigen::Index>(geometry.collisionPairs.size());
-  if (parameters.pair_restitution.size() != pairs || parameters.pair_friction.size() != pairs)
+  const GeometryPairs own = beside.pairs ? GeometryPairs() : pairs_of(geometry);
+  const GeometryPairs& pairs = beside.pairs ? *beside.pairs : own;
+  const int count = static_cast<int>(scene.geometries.size());
+  if (pairs.size() > 0 && (pairs.minCoeff() < 0 || pairs.maxCoeff() >= count)) throw Error("a pair of no geometries");
+  if (parameters.pair_restitution.size() != pairs.rows() || parameters.pair_friction.size() != pairs.rows())
     throw Error("one restitution and one friction per collision pair are needed");
-  for (std::size_t k = 0; k < geometry.collisionPairs.size(); ++k) {
-    Pair pair{static_cast<int>(geometry.collisionPairs[k].first),
-              static_cast<int>(geometry.collisionPairs[k].second),
-              parameters.pair_restitution[k],
-              parameters.pair_friction[k],
-              false,
-              false};
+  scene.pairs.reserve(pairs.rows());
+  for (Eigen::Index k = 0; k < pairs.rows(); ++k) {
+    Pair pair{pairs(k, 0), pairs(k, 1), parameters.pair_restitution[k], parameters.pair_friction[k], false, false};
     Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
     if (a.unbounded && b.unbounded) {
       const auto& objects = geometry.geometryObjects;

@@ -7,10 +7,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <unordered_map>
 
 #include "base/error.hpp"
 #include "base/parallel.hpp"
 #include "base/refusal.hpp"
+#include "model/hull_access.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
@@ -73,53 +75,47 @@ std::shared_ptr<coal::CollisionGeometry> shrunk_hull(const Hull& hull, double& r
       coal::ConvexBase::convexHull(vertices, static_cast<unsigned>(vertices->size()), true, "Qt"));
 }
 
-Polytope polytope_of(const Hull& hull) {
-  Polytope result;
-  result.vertices.resize(hull.num_points, 3);
-  for (unsigned i = 0; i < hull.num_points; ++i) result.vertices.row(i) = (*hull.points)[i];
-  result.faces.resize(hull.num_polygons, 3);
-  for (unsigned i = 0; i < hull.num_polygons; ++i)
-    for (int k = 0; k < 3; ++k) result.faces(i, k) = static_cast<int>((*hull.polygons)[i][k]);
-  return result;
-}
+// A sharp shape, and its rounded copy as it is made.
+struct Rounding {
+  const coal::CollisionGeometry* sharp;
+  std::optional<ShrunkHull> found;
+  std::shared_ptr<coal::CollisionGeometry> core;
+  double radius;
 
-std::shared_ptr<coal::CollisionGeometry> hull_of(const Polytope& polytope) {
-  auto points = std::make_shared<std::vector<coal::Vec3s>>();
-  for (Eigen::Index i = 0; i < polytope.vertices.rows(); ++i) points->push_back(polytope.vertices.row(i));
-  auto triangles = std::make_shared<std::vector<coal::Triangle>>();
-  for (Eigen::Index i = 0; i < polytope.faces.rows(); ++i)
-    triangles->emplace_back(polytope.faces(i, 0), polytope.faces(i, 1), polytope.faces(i, 2));
-  return std::make_shared<Hull>(points, static_cast<unsigned>(points->size()), triangles,
-                                static_cast<unsigned>(triangles->size()));
-}
+  const Hull* hull() const { return dynamic_cast<const Hull*>(sharp); }
 
-void set_rounded(Geometry& g, const std::shared_ptr<coal::CollisionGeometry>& core, double radius) {
-  if (!core) throw Error("a collision shape could not be rounded");
-  static_cast<coal::ShapeBase&>(*core).setSweptSphereRadius(radius);
-  core->computeLocalAABB();
-  g.rounded = core;
-  g.rounding = radius;
-}
+  void make() {
+    radius = found ? found->radius : kRoundingRadius;
+    core = found ? shape_of(found->hull) : shrunk_shape(*sharp, radius);
+    if (!core) throw Error("a collision shape could not be rounded");
+    static_cast<coal::ShapeBase&>(*core).setSweptSphereRadius(radius);
+    core->computeLocalAABB();
+  }
+};
 
 }  // namespace
 
 void round_shapes(const std::vector<Geometry*>& geometries, RoundedHulls* known) {
-  std::vector<std::optional<ShrunkHull>> found(geometries.size());
-  for (std::size_t k = 0; k < geometries.size(); ++k)
-    if (const auto* hull = known ? dynamic_cast<const Hull*>(geometries[k]->sharp.get()) : nullptr)
-      found[k] = known->find(polytope_of(*hull), kRoundingRadius);
-  in_parallel(static_cast<int>(geometries.size()), [&](int k) {
-    double radius = found[k] ? found[k]->radius : kRoundingRadius;
-    const auto core = found[k] ? hull_of(found[k]->hull) : shrunk_shape(*geometries[k]->sharp, radius);
-    set_rounded(*geometries[k], core, radius);
-  });
-  if (!known) return;
+  std::vector<Rounding> roundings;
+  std::vector<std::size_t> number;  // of each geometry's rounding
+  std::unordered_map<const coal::CollisionGeometry*, std::size_t> numbers;
+  for (const Geometry* g : geometries) {
+    const auto [at, is_new] = numbers.emplace(g->sharp.get(), roundings.size());
+    if (is_new) roundings.push_back({g->sharp.get(), std::nullopt, nullptr, 0.0});
+    number.push_back(at->second);
+  }
+  if (known)
+    for (Rounding& r : roundings)
+      if (const Hull* hull = r.hull()) r.found = known->find(polytope_of(*hull), kRoundingRadius);
+  in_parallel(static_cast<int>(roundings.size()), [&](int k) { roundings[k].make(); });
   for (std::size_t k = 0; k < geometries.size(); ++k) {
-    const Geometry* g = geometries[k];
-    if (found[k]) continue;
-    if (const auto* hull = dynamic_cast<const Hull*>(g->sharp.get()))
-      if (const auto* core = dynamic_cast<const Hull*>(g->rounded.get()))
-        known->keep(polytope_of(*hull), kRoundingRadius, {polytope_of(*core), g->rounding});
+    geometries[k]->rounded = roundings[number[k]].core;
+    geometries[k]->rounding = roundings[number[k]].radius;
+  }
+  if (!known) return;
+  for (const Rounding& r : roundings) {
+    const auto *hull = r.hull(), *core = dynamic_cast<const Hull*>(r.core.get());
+    if (!r.found && hull && core) known->keep(polytope_of(*hull), kRoundingRadius, {polytope_of(*core), r.radius});
   }
 }
 

@@ -1,24 +1,15 @@
 // Rounded copies of sharp shapes: shrunk by r, then swept by a sphere of radius r.
 #pragma once
 
-#include <Eigen/Core>
 #include <memory>
 #include <optional>
 #include <vector>
 
-namespace coal {
-class CollisionGeometry;
-}
+#include "model/polytope.hpp"
 
 namespace contactvi {
 
 struct Geometry;
-
-// Vertices and triangles of a convex polytope.
-struct Polytope {
-  Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor> vertices;  // [m]
-  Eigen::Matrix<int, Eigen::Dynamic, 3, Eigen::RowMajor> faces;
-};
 
 // A polytope shrunk by radius [m].
 struct ShrunkHull {
@@ -39,7 +30,8 @@ class RoundedHulls {
 // radius where the shape is too thin for it.
 std::shared_ptr<coal::CollisionGeometry> shrunk_shape(const coal::CollisionGeometry& shape, double& radius);
 
-// Makes the rounded shapes of these geometries, in several threads. `known` may be null.
+// Makes the rounded shapes of these geometries, in several threads, one for those that share their sharp shape. `known`
+// may be null.
 void round_shapes(const std::vector<Geometry*>& geometries, RoundedHulls* known);
 
 }  // namespace contactvi

@@ -2,10 +2,13 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "base/on_demand.hpp"
+#include "model/polytope.hpp"
 #include "model/tree.hpp"
 
 namespace coal {
@@ -35,9 +38,9 @@ struct Geometry {
   // Bounding box along the axes of the geometry's frame [m]; a ball has the same box whichever way it is turned.
   Vec3 box_center, box_half;
   bool is_ball;
-  // Features of the sharp and of the rounded shape, made by prepare_geometry and shared by all that simulate the scene;
-  // null where no pair needs them.
-  std::shared_ptr<const ShapeFeatures> sharp_features, rounded_features;
+  // Features of the sharp and of the rounded shape, shared by all that simulate the scene and made when a pair first
+  // comes near enough to need them; null where no pair ever does.
+  std::shared_ptr<const OnDemand<ShapeFeatures>> sharp_features, rounded_features;
 };
 
 struct Pair {
@@ -73,10 +76,26 @@ struct SceneParameters {
   VecX limit_restitution;  // njoints
 };
 
+// Numbers of two geometries in each row.
+using GeometryPairs = Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor>;
+
+// A hull that several geometries may have in the place of their shapes in the archive.
+struct GivenHull {
+  std::vector<int> geometries;
+  Polytope hull;
+  double swept_radius;  // [m]
+};
+
+// What crosses beside the archive of a geometry model: archives of many pairs are large, and hulls are read slowly.
+struct BesideArchive {
+  std::optional<GeometryPairs> pairs;  // none: those of the archive
+  std::vector<GivenHull> hulls;
+};
+
 // The scene of the binary archives of a pin.Model and a pin.GeometryModel. Throws Error for joints, shapes or orders
 // that the engine does not support. Of `known`, which may be null, come rounded hulls that were made before; it is
 // handed those that are made now.
-Scene load_scene(std::string_view model, std::string_view geometry, const SceneParameters& parameters,
-                 RoundedHulls* known);
+Scene load_scene(std::string_view model, std::string_view geometry, const BesideArchive& beside,
+                 const SceneParameters& parameters, RoundedHulls* known);
 
 }  // namespace contactvi

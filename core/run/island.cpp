@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "geometry/prepare.hpp"
-#include "geometry/shape_features.hpp"
 
 namespace contactvi {
 
@@ -31,19 +30,7 @@ void combine(const StepControl& part, StepControl& all) {
   all.without_progress = std::max(all.without_progress, part.without_progress);
 }
 
-// Shape features of the whole scene with the number that the body has in a part of it.
-void number_features(std::shared_ptr<const ShapeFeatures>& features, int body) {
-  if (!features || features->body == body) return;
-  auto own = std::make_shared<ShapeFeatures>(*features);
-  own->body = body;
-  features = std::move(own);
-}
-
 const Scene& prepared(Scene& scene) {
-  for (Geometry& geometry : scene.geometries) {
-    number_features(geometry.sharp_features, geometry.body);
-    number_features(geometry.rounded_features, geometry.body);
-  }
   prepare_geometry(scene);
   return scene;
 }
