@@ -11,6 +11,8 @@ import warnings
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 import contactvi as cvi
 from contactvi.playback import animation, event_list, framing, shapes, visuals
@@ -217,6 +219,13 @@ def test_round_parts_look_round_and_edges_sharp():
     outside = np.linalg.norm(vertices, axis=1, keepdims=True)
     middle = np.abs(vertices[:, 2]) < 0.9  # the triangles at the poles are degenerate
     assert np.sum(normals * vertices / outside, axis=1)[middle].min() > 0.99
+
+
+@pytest.mark.parametrize(("count", "links"), [(1, 0), (10, 4), (1000, 300), (1000, 800), (1000, 3000)])
+def test_connected_components_are_those_of_scipy(count, links):
+    pairs = np.random.default_rng(count + links).integers(0, count, (links, 2))
+    graph = coo_matrix((np.ones(links), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    np.testing.assert_array_equal(shapes.components(count, pairs), connected_components(graph, directed=False)[1])
 
 
 # -- camera -----------------------------------------------------------------------------------------------------------
