@@ -76,8 +76,9 @@ class BodyPoses:
             poses[self._free, 3:] = np.einsum("nij,nj->ni", self._product, own[:, 3:])
         if self._linked:
             pin.forwardKinematics(self._model, self._data, q)
+            placed = self._data.oMi
             for k, joint in self._linked:
-                poses[k] = pin.SE3ToXYZQUAT(self._data.oMi[joint])
+                poses[k] = pin.SE3ToXYZQUAT(placed[joint])
         return poses
 
 
