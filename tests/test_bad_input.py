@@ -395,6 +395,18 @@ def test_a_free_body_of_nearly_no_mass(tmp_path):
     assert caught.value.joint == "root_joint"
 
 
+def test_two_hinges_on_one_axis_with_one_body():
+    """Each hinge has the inertia of the body behind it, and turning one against the other moves nothing."""
+    model = pin.Model()
+    first = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "first")
+    second = model.addJoint(first, pin.JointModelRZ(), pin.SE3.Identity(), "second")
+    model.appendBodyToJoint(second, pin.Inertia(1.0, np.zeros(3), 2.0 * np.eye(3)), pin.SE3.Identity())
+    with pytest.raises(SceneError, match="moves no mass") as caught:
+        Scene.from_pinocchio(model, pin.GeometryModel())
+    assert "others together that moves nothing" in caught.value.got
+    assert "2 about this joint alone" in caught.value.got
+
+
 @pytest.mark.parametrize("size", [1e-200, 1e-10, 1e100, 1e153])
 def test_a_quaternion_of_any_length_is_a_rotation(tmp_path, size: float):
     """A body on a hinge, a free one and a site, each a right angle about z from what carries it."""

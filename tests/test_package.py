@@ -70,6 +70,22 @@ answer = [module for module in ("meshcat", "matplotlib") if module in sys.module
     assert run_python(code, tmp_path) == []
 
 
+def test_files_of_a_run_need_no_scipy(tmp_path):
+    """Importing it would take longer than writing the page and the record of a short run."""
+    code = """
+import sys
+import contactvi
+scene = contactvi.Scene()
+scene.add_halfspace()
+scene.add_box("box", size=(0.1, 0.1, 0.1), mass=1.0, placement=(0, 0, 0.05))
+traj = contactvi.simulate(scene, dt=0.01, duration=0.1)
+traj.save("run.npz")
+traj.to_html("run.html")
+answer = sorted({name.partition(".")[0] for name in sys.modules} & {"scipy", "meshcat", "matplotlib"})
+"""
+    assert run_python(code, tmp_path) == []
+
+
 def test_numpy_is_loaded_before_coal(tmp_path):
     """The module of coal crashes where Ctrl-C stops the import of NumPy that it makes itself."""
     code = """

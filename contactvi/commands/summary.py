@@ -123,8 +123,9 @@ def _contact_lines(traj: Trajectory) -> list[tuple[str, str]]:
         lines.append(f"gaps kept to {gap:.2g} m, gap times impulse to {complementarity:.2g} N s m")
     what = "constrained steps" if traj.scene.built().constrained else "steps in contact"
     each = 1e6 * stats.contact_seconds / stats.contact_steps
-    work = f"{stats.contact_iterations / stats.contact_steps:.3g} contact iterations and {each:.3g} us per step"
-    solver = f"{stats.cone_problems} contact problems, {stats.cone_iterations} iterations"
+    rounds = f"{stats.contact_iterations / stats.contact_steps:.3g} iterations of its contact equations"
+    work = f"{rounds} and {each:.3g} us per step"
+    solver = f"{stats.cone_problems} contact problems, {stats.cone_iterations} Newton iterations for them"
     fallbacks = f", {stats.cone_fallbacks} by another solver" if stats.cone_fallbacks else ""
     lines.append(f"{stats.contact_steps} {what}, {work}, {solver}{fallbacks}")
     return [("" if k else "contact", line) for k, line in enumerate(lines)]

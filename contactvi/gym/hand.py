@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -24,9 +25,11 @@ NEAR = 0.015  # [m] off the wanted place at which the reward is 1 / e
 _BALL, _BALL_SPEED = slice(19, 26), slice(19, 25)  # in q and in v
 
 
-@lru_cache(maxsize=1)
-def _scene() -> tuple[Scene, Array, Array, Array]:
-    """Return the scene, its joints as they are held (19,), the load on them without the ball, and their stiffness."""
+def hand_scene() -> tuple[Scene, Array, Array, Array]:
+    """Return a new scene of hand and ball, its joints as they are held (19,), the load on them, and their stiffness.
+
+    The load (19,) [N, N m] is that of the hand without the ball, the stiffness (19,) [N/m, N m/rad] that of the servos.
+    """
     robot, wrist, joint = Scene(), pin.Model(), 0
     robot.add_urdf(URDF)
     for name, kind in (("lift", pin.JointModelPZ()), ("pitch", pin.JointModelRY()), ("roll", pin.JointModelRX())):
@@ -48,6 +51,17 @@ def _scene() -> tuple[Scene, Array, Array, Array]:
     scene.set_contact(restitution=0.0, friction=0.8)
     load = np.array(pin.computeGeneralizedGravity(model, model.createData(), q))
     return scene, q[:19], load, stiffness
+
+
+def load_with_ball(load: Array, place: Sequence[float] | Array) -> Array:
+    """Return the load (19,) [N, N m] of the hand with the ball at a place (2,) [m] in its palm."""
+    return np.concatenate([load[:3] + WEIGHT * np.array([1.0, -place[0], place[1]]), load[3:]])
+
+
+@lru_cache(maxsize=1)
+def _scene() -> tuple[Scene, Array, Array, Array]:
+    """Return the scene that all environments share."""
+    return hand_scene()
 
 
 class HandBallEnv(SceneEnv):
@@ -75,9 +89,7 @@ class HandBallEnv(SceneEnv):
         drawn = self.np_random.uniform(LOWEST, HIGHEST, (2, 2))
         place = vector("place", options.get("place", drawn[0]), 2)
         self.wanted = vector("wanted", options.get("wanted", drawn[1]), 2)
-        load = self._load.copy()
-        load[:3] += WEIGHT * np.array([1.0, -place[0], place[1]])
-        self.nominal = self._held + load / self._stiffness
+        self.nominal = self._held + load_with_ball(self._load, place) / self._stiffness
         return np.concatenate([self._held, place, [HEIGHT, 0.0, 0.0, 0.0, 1.0]]), np.zeros(25)
 
     def observe(self, q: Array, v: Array) -> Array:

@@ -290,8 +290,8 @@ def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str 
             f"{report.title.partition(':')[0]}: joint {name!r} moves no mass",
             joint=name,
             expected="a positive mass or inertia behind every joint",
-            got=f"inertia {diagonal[worst]:g} about it",
-            remedy="Give its link an <inertial>, make the joint fixed, or give it an armature: "
+            got=_no_inertia(diagonal[worst], least),
+            remedy="Give the links behind it an <inertial>, make the joint fixed, or give it an armature: "
             f"add_urdf(..., armature={{{name!r}: 1e-4}})",
         )
     _, here, worst = _least_inertia(model, q, NEARLY_SINGULAR)
@@ -303,6 +303,16 @@ def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str 
         )
         report.note("suspicious", "joint", prefix + name, text)
     return diagonal
+
+
+def _no_inertia(own: float, least: float) -> str:
+    """Say what moves nothing: a joint whose own inertia is next to nothing, or a motion of several joints together."""
+    if own < np.finfo(float).tiny:  # as in _least_inertia
+        return f"inertia {own:g} about it"
+    return (
+        f"a motion of this joint and others together that moves nothing ({least:.1g} of their inertias; {own:g} about "
+        "this joint alone)"
+    )
 
 
 def _least_inertia(model: pin.Model, q: np.ndarray, enough: float) -> tuple[np.ndarray, float, int]:

@@ -1,4 +1,4 @@
-"""Placements and mass matrix of a model, without pin.Data.
+"""Placements and mass matrix of a model, without the pin.Data of all of it.
 
 A pin.Data holds tensors of the size nv^3: 1.7 GB for a chain of 300 links. What is asked once per scene is found here
 by passes over the joints, in time and memory of their number (of its square for the mass matrix).
@@ -6,7 +6,7 @@ by passes over the joints, in time and memory of their number (of its square for
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +18,39 @@ def joint_placements(model: pin.Model, q: np.ndarray) -> list[pin.SE3]:
     for i, (in_parent, _) in enumerate(_joints(model, q), 1):
         places.append(places[model.parents[i]] * in_parent)
     return places
+
+
+class JointPlaces:
+    """Where some joint frames are in the world, at one configuration after the other.
+
+    It has a model of its own with these joints and those that carry them: the pin.Data of all would have tensors of the
+    size nv^3 for bodies that are not asked for, 14 GB each where these are 200 free ones.
+    """
+
+    def __init__(self, model: pin.Model, joints: Sequence[int]) -> None:
+        """Take the joints that are asked for, some of 1, ..., njoints - 1."""
+        parents = list(model.parents)
+        needed: set[int] = set()
+        for joint in joints:
+            above = int(joint)
+            while above and above not in needed:
+                needed.add(above)
+                above = int(parents[above])
+        self._model, number, entries = pin.Model(), {0: 0}, [np.zeros(0, dtype=np.int64)]
+        for k in sorted(needed):
+            number[k] = self._model.addJoint(
+                number[int(parents[k])], model.joints[k], model.jointPlacements[k], str(model.names[k])
+            )
+            entries.append(model.idx_qs[k] + np.arange(model.nqs[k]))
+        self._wanted = [number[int(joint)] for joint in joints]
+        self._entries = np.concatenate(entries)  # of q that are those of the own model
+        self._data = self._model.createData()
+
+    def at(self, q: np.ndarray) -> np.ndarray:
+        """Return positions [m] and quaternions x y z w of the joints asked for at q (nq,), shape (joints, 7)."""
+        pin.forwardKinematics(self._model, self._data, q[self._entries])
+        places = self._data.oMi
+        return np.array([pin.SE3ToXYZQUAT(places[k]) for k in self._wanted]).reshape(-1, 7)
 
 
 def mass_matrix(model: pin.Model, q: np.ndarray) -> np.ndarray:

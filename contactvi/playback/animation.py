@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from contactvi.importing.kinematics import JointPlaces
 from contactvi.playback.visuals import Visual
 from contactvi.records.contacts import ChangeLog, ContactLog
 from contactvi.records.events import EventLog
@@ -104,20 +105,19 @@ def joint_poses(model: pin.Model, configurations: Array, joints: Sequence[int]) 
     for k in free:
         position[k], quaternion[k] = _free_poses(model, joints[k], np.asarray(configurations))
     linked = [(k, joint) for k, joint in enumerate(joints) if joint and k not in free]
-    data: Any = model.createData() if linked else None  # seconds for hundreds of bodies
-    for row, q in enumerate(configurations) if linked else ():
-        pin.forwardKinematics(model, data, q)
-        for k, joint in linked:
-            pose = pin.SE3ToXYZQUAT(data.oMi[joint])
-            position[k, row], quaternion[k, row] = pose[:3], pose[3:]
+    places = JointPlaces(model, [joint for _, joint in linked])
+    rows = [k for k, _ in linked]
+    for column, q in enumerate(configurations) if linked else ():
+        found = places.at(np.asarray(q))
+        position[rows, column], quaternion[rows, column] = found[:, :3], found[:, 3:]
     if 0 in joints:
         quaternion[list(joints).index(0)] = [0.0, 0.0, 0.0, 1.0]
     poses = {}
     for k, joint in enumerate(joints):
         quaternion[k] = near_turns(quaternion[k])
         still = max(np.ptp(position[k], axis=0).max(), np.ptp(quaternion[k], axis=0).max()) < _STILL
-        rows = slice(0, 1) if still else slice(None)
-        poses[joint] = Poses(position[k, rows], quaternion[k, rows])
+        kept = slice(0, 1) if still else slice(None)
+        poses[joint] = Poses(position[k, kept], quaternion[k, kept])
     return poses
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi.importing.kinematics import JointPlaces
 from contactvi.playback.animation import drawn_side, is_free
 from contactvi.playback.arrays import packed
 from contactvi.playback.page import event_data
@@ -53,7 +54,7 @@ class BodyPoses:
     """Where joint frames are at a configuration. Free bodies are read off it, the others need forward kinematics."""
 
     def __init__(self, model: pin.Model, joints: Sequence[int]) -> None:
-        self._model, self._count = model, len(joints)
+        self._count = len(joints)
         free = [k for k, joint in enumerate(joints) if is_free(model, joint)]
         self._free = np.array(free, dtype=np.int64)
         places = [model.jointPlacements[joints[k]] for k in free]
@@ -63,8 +64,9 @@ class BodyPoses:
         self._product = self._product.reshape(-1, 4, 4)
         starts = np.array([model.idx_qs[joints[k]] for k in free], dtype=np.int64)
         self._entries = starts[:, None] + np.arange(7)
-        self._linked = [(k, joint) for k, joint in enumerate(joints) if joint and k not in set(free)]
-        self._data: Any = model.createData() if self._linked else None
+        linked = [(k, joint) for k, joint in enumerate(joints) if joint and k not in set(free)]
+        self._links = [k for k, _ in linked]
+        self._link_places = JointPlaces(model, [joint for _, joint in linked])
 
     def at(self, q: Array) -> Array:
         """Return position [m] and quaternion x y z w of every joint at q (nq,), shape (joints, 7)."""
@@ -74,10 +76,8 @@ class BodyPoses:
             own = q[self._entries]
             poses[self._free, :3] = np.einsum("nij,nj->ni", self._turn, own[:, :3]) + self._origin
             poses[self._free, 3:] = np.einsum("nij,nj->ni", self._product, own[:, 3:])
-        if self._linked:
-            pin.forwardKinematics(self._model, self._data, q)
-            for k, joint in self._linked:
-                poses[k] = pin.SE3ToXYZQUAT(self._data.oMi[joint])
+        if self._links:
+            poses[self._links] = self._link_places.at(q)
         return poses
 
 

@@ -12,7 +12,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.playback.animation import Frames
-from contactvi.playback.lines import rotate
 from contactvi.playback.visuals import Visual
 
 Array = NDArray[np.float64]
@@ -39,8 +38,12 @@ def open_side(
     normals = [v.placement[:3, :3] @ np.array(v.sizes[:3]) for v in visuals if v.shape == "halfspace"]
     for normal in normals:
         choices = choices[choices @ normal > 0.05] if np.any(choices @ normal > 0.05) else choices
+    surfaces = [
+        (v.joint, _surface(v) @ v.placement[:3, :3].T + v.placement[:3, 3])
+        for v in visuals if v.shape not in ("halfspace", "line")
+    ]  # fmt: skip
     clouds = [
-        cloud for moment in _MOMENTS if (cloud := _scattered(visuals, frames, moment, center, radius)) is not None
+        cloud for moment in _MOMENTS if (cloud := _scattered(surfaces, frames, moment, center, radius)) is not None
     ]
     if not clouds:
         return np.asarray(choices[np.argmax(choices @ _USUAL)])
@@ -64,19 +67,20 @@ def _choices(extent: Array) -> Array:
 
 
 def _scattered(
-    visuals: list[Visual], frames: Frames, moment: float, center: Array, radius: float
+    surfaces: list[tuple[int, Array]], frames: Frames, moment: float, center: Array, radius: float
 ) -> tuple[Array, Indices, Indices] | None:
-    """Return points (n, 3) in units of the picture, their joints (n,), and which joints move; None where none does."""
+    """Return points (n, 3) in units of the picture, their joints (n,), and which joints move; None where none does.
+
+    Args:
+        surfaces: joints, and points in their frames (k, 3) [m].
+    """
     points, joints = [], []
-    for visual in visuals:
-        if visual.shape in ("halfspace", "line"):
-            continue
-        poses = frames.poses[visual.joint]
+    for joint, local in surfaces:
+        poses = frames.poses[joint]
         row = round(moment * (len(poses.position) - 1))
-        local = _surface(visual) @ visual.placement[:3, :3].T + visual.placement[:3, 3]
-        turned = rotate(np.broadcast_to(poses.quaternion[row], (len(local), 4)), local)
-        points.append((turned + poses.position[row] - center) / radius)
-        joints.append(np.full(len(local), visual.joint))
+        turn = pin.Quaternion(poses.quaternion[row]).matrix()
+        points.append((local @ turn.T + poses.position[row] - center) / radius)
+        joints.append(np.full(len(local), joint))
     moving = np.array([joint for joint, poses in frames.poses.items() if joint and poses.moves], dtype=np.int64)
     if not points or not len(moving):
         return None
@@ -97,7 +101,9 @@ def _seen(direction: Array, trees: Indices, points: Array, joints: Indices, movi
     order = np.argsort(points @ direction, kind="stable")
     owner[cell[order]] = joints[order]  # the nearest one is written last
     most = int(joints.max()) + 1
-    alone = np.bincount(np.unique(joints * _CELLS * _CELLS + cell) // (_CELLS * _CELLS), minlength=most)
+    covered = np.zeros((most, _CELLS * _CELLS), bool)  # by each joint, were it alone
+    covered[joints, cell] = True
+    alone = covered.sum(axis=1)
     visible = np.bincount(owner[owner >= 0], minlength=most)
     visible = np.append(visible, np.zeros(max(0, most - len(visible))))
     present = moving[moving < most]

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from contactvi.playback.arrays import packed
 from contactvi.playback.visuals import Visual
@@ -104,6 +102,22 @@ def _surfaces(faces: NDArray[np.int64], unit: Array) -> NDArray[np.int64]:
         mine, other = ends[:-apart][same], ends[apart:][same]
         smooth = np.einsum("ij,ij->i", unit[mine[:, 0] // 3], unit[other[:, 0] // 3]) > _CREASE
         links += [np.stack([mine[smooth, k], other[smooth, k]], axis=1) for k in (0, 1)]
-    pairs = np.concatenate(links)
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(3 * count, 3 * count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+    return components(3 * count, np.concatenate(links))
+
+
+def components(count: int, links: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number the connected components of a graph: the number of each of `count` nodes, for links (m, 2) between them.
+
+    Components are numbered in the order of their first nodes. Every node points to one of its component that is not
+    behind it; the roots at the two ends of a link are joined until all links have one (Shiloach, Vishkin 1982).
+    scipy.sparse.csgraph takes longer to import than a page takes to write.
+    """
+    root = np.arange(count)
+    while True:
+        ends = np.sort(root[links], axis=1)
+        ends = ends[ends[:, 0] != ends[:, 1]]
+        if not len(ends):
+            return np.unique(root, return_inverse=True)[1].reshape(-1).astype(np.int64)
+        np.minimum.at(root, ends[:, 1], ends[:, 0])
+        while np.any(root[root] != root):
+            root = root[root]

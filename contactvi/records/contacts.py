@@ -324,7 +324,7 @@ class ContactChange:
         point: number of the point within the pair.
         change: "begin", "release", "stick", "slip", "bouncing ended" or "inconsistent".
         value: of "bouncing ended" the time when impacts would have accumulated [s], of "inconsistent" (Painleve) A
-            [1/kg]; NaN of the others.
+            [1/kg]; 0 of the others, which have no value.
     """
 
     time: float

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FEW = 32  # rows up to which a loop takes less time than sorting arrays, as those of a step in a control loop
+FEW = 256  # rows up to which a loop takes less time than sorting arrays, by a factor of two and more
 Columns = Mapping[str, NDArray[Any]]
 
 
@@ -52,10 +52,10 @@ class PointNumbers:
     def _short(self, keys: NDArray[np.int64], time: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the numbers (m,) of points (m, 3), which appear at these times (m,) [s], at one instant in order."""
         if len(keys) <= FEW:
-            few = np.empty(len(keys), dtype=np.int64)
+            few, points = [0] * len(keys), keys.tolist()
             for k in np.argsort(time, kind="stable").tolist():
-                few[k] = self._of(*keys[k].tolist())
-            return few
+                few[k] = self._of(*points[k])
+            return np.array(few, dtype=np.int64)
         guard = keys[:, 1] * 2 + keys[:, 0]
         feature, of_feature = np.unique(keys[:, 2], return_inverse=True)
         _, of_point = np.unique(guard * len(feature) + of_feature.reshape(-1), return_inverse=True)

@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.errors import missing_package
+from contactvi.errors import InputError, did_you_mean, missing_package
 from contactvi.html import html_table, shown_rows
 
 if TYPE_CHECKING:
@@ -54,7 +54,12 @@ class Table:
         return len(first.codes if isinstance(first, Words) else first)
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return a column (n,), words spelled out."""
+        """Return a column (n,), words spelled out. Raises InputError for a name that the table does not have."""
+        if name not in self.columns:
+            raise InputError(
+                f"Unknown column of the table {self.name!r}", name="name", expected=", ".join(self.columns),
+                got=repr(name), remedy=did_you_mean(str(name), list(self.columns)),
+            )  # fmt: skip
         found = self.columns[name]
         return found.spelled() if isinstance(found, Words) else found
 

@@ -214,6 +214,12 @@ def with_one_dof(model: pin.Model, names: list[str]) -> list[str]:
     return [name for name in names if joint_kind(model.joints[model.getJointId(name)]) in ONE_DOF] or names
 
 
+def with_armature(model: pin.Model, names: list[str]) -> list[str]:
+    """Return those of several joints that may have an armature; all, for their error, where none may."""
+    kinds = {name: str(joint_kind(model.joints[model.getJointId(name)])) for name in names}
+    return [name for name in names if kinds[name] not in PARTS_OF_FREEDOM] or names
+
+
 def one_dof(model: pin.Model, name: str, what: str, remedy: str) -> None:
     """Raise InputError where a joint has more than one degree of freedom."""
     count = model.nvs[model.getJointId(name)]

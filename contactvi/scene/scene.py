@@ -32,6 +32,7 @@ from contactvi.scene.joints import (
     joint_value,
     joint_velocity,
     servo_settings,
+    with_armature,
     with_one_dof,
 )
 from contactvi.scene.pairs import ContactRules, within_models
@@ -322,6 +323,8 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
         """Set what acts in a joint, in all joints that match a pattern, or in a part's joints.
 
         Args:
+            joint: a name, pattern or part. Of several joints, friction and armature are set where they have a meaning:
+                a free base is left out.
             stiffness: [N m/rad or N/m]; for 1-dof, spherical and translation joints.
             rest: value of the joint where its springs rest (as in `configuration`); neutral when not given.
             damping: [N m s/rad or N s/m], replaces the file's; free and planar joints also take (linear, angular).
@@ -335,11 +338,23 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
                 planar joints.
             rotor_inertia, gear_ratio: add rotor_inertia * gear_ratio^2 to it (1 when not given).
         """
-        self._set_joints(
-            self.names.select_joints(joint), stiffness=stiffness, rest=rest, damping=damping, limits=limits,
-            restitution=restitution, friction=friction, spring=spring, armature=armature, gear_ratio=gear_ratio,
-            rotor_inertia=rotor_inertia,
-        )  # fmt: skip
+        model, names = self._parts.assembly.model, self.names.select_joints(joint)
+        every = {
+            "stiffness": stiffness, "rest": rest, "damping": damping, "limits": limits, "restitution": restitution,
+            "spring": spring,
+        }  # fmt: skip
+        motors = {"armature": armature, "gear_ratio": gear_ratio, "rotor_inertia": rotor_inertia}
+        chosen = (
+            (names, every),
+            (with_one_dof(model, names), {"friction": friction}),
+            (with_armature(model, names), motors),
+        )
+        settings: dict[str, JointSettings] = {}
+        for own, values in chosen:
+            for name in own:
+                settings.setdefault(name, JointSettings()).update(joint_settings(model, name, **values))
+        self._joints.update(settings)  # all or none
+        self._built = None
 
     def set_servo(self, joint: Selector, kp: float, kd: float, effort: float | None = None, target: Any = None) -> None:
         """Control joints by PD in the engine: torque kp (q_ref - q) + kd (v_ref - v), at most effort.

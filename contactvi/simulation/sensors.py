@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError
+from contactvi.importing.kinematics import JointPlaces
 from contactvi.inputs import pose
 from contactvi.records.codes import GuardKind
 from contactvi.simulation.simulator import Simulator
@@ -147,9 +148,10 @@ class ContactSensor:
 
     def _origin(self) -> Array:
         model = self._simulator.scene.model
-        data = model.createData()
-        pin.forwardKinematics(model, data, self._simulator.q)
-        return np.asarray((data.oMi[self._joint] * self._place).translation).copy()
+        if self._joint == 0:
+            return np.array(self._place.translation)
+        place = pin.XYZQUATToSE3(JointPlaces(model, [self._joint]).at(self._simulator.q)[0])
+        return np.array((place * self._place).translation)
 
 
 def _checked(simulator: Any) -> Simulator:

@@ -18,6 +18,7 @@ from contactvi.records.inputs import RunInputs
 from contactvi.records.rows import Fields, joined
 from contactvi.records.work import WORKS, ConstraintRows, Forces
 from contactvi.trajectory import polynomials as dense
+from contactvi.trajectory.gaps import Gaps
 
 Entries = dict[str, NDArray[Any]]
 Names = tuple[list[tuple[str, str]], list[str]]
@@ -142,15 +143,13 @@ class EntryReader:
             self._refuse("frames that are not finite")
         return times, values
 
-    def gaps(
-        self, pairs: list[tuple[str, str]]
-    ) -> tuple[NDArray[np.float64], list[tuple[str, str]], NDArray[np.float64]]:
-        """Return times (M,) [s], pairs and their gaps (M, len(pairs)) [m]."""
+    def gaps(self, pairs: list[tuple[str, str]]) -> Gaps:
+        """Return the gaps of these pairs over time."""
         times = self.entry("gap/time", (None,))
         values = self.entry("gap/value", (len(times), len(pairs)))
         if not np.all(np.isfinite(times)) or np.any(np.isnan(values)):
             self._refuse("gaps that are no numbers")
-        return times, pairs, values
+        return Gaps(times, pairs, values)
 
     def events(self, names: Names, method: str) -> event_log.EventLog:
         """Return the events of a run with this impact map."""
@@ -210,8 +209,6 @@ class EntryReader:
 
     def _check_finite(self, arrays: Entries, what: str) -> None:
         for name, values in arrays.items():
-            if name == "value":  # of a change of contact that has none it is NaN
-                continue
             if np.any(np.isnan(values)) or (name in _FINITE and not of_a_run(values)):
                 self._refuse(f"{what} with numbers in {name!r} that are not finite")
 

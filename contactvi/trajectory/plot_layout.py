@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.collections import LineCollection
 from matplotlib.colors import TABLEAU_COLORS, BoundaryNorm, LinearSegmentedColormap, ListedColormap, PowerNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -97,9 +98,11 @@ def panels(title: str, span: tuple[float, float], count: int, instants: Sequence
 
 
 def _draw_lines(axis: Axes, kind: Instants, named: bool) -> None:
-    for k, time in enumerate(np.unique(kind.time)):
-        name = f"{kind.name} ({len(kind.time)})" if named and k == 0 else None
-        axis.axvline(time, color=kind.color, lw=_LINE, alpha=0.5, zorder=0, label=name)
+    name = f"{kind.name} ({len(kind.time)})" if named else None
+    ends = [[(time, 0.0), (time, 1.0)] for time in np.unique(kind.time).tolist()]
+    across = axis.get_xaxis_transform()  # time [s], and heights from 0 to 1
+    lines = LineCollection(ends, colors=kind.color, linewidths=_LINE, alpha=0.5, zorder=0, label=name, transform=across)
+    axis.add_collection(lines, autolim=False)
 
 
 def _draw_strip(axis: Axes, kind: Instants, span: tuple[float, float]) -> None:

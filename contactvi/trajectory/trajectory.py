@@ -24,6 +24,7 @@ from contactvi.status import Stats, Status
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.contact_ledger import ContactLedger
 from contactvi.trajectory.exports import Exports
+from contactvi.trajectory.gaps import Gaps
 from contactvi.trajectory.ledger import Ledger, LedgerInputs
 from contactvi.trajectory.polynomials import Segments, State, frame_times
 from contactvi.trajectory.shown import run_html
@@ -89,7 +90,7 @@ class Trajectory(Exports):
         adaptive_steps: Mapping[str, Array] | None = None,
         error_estimate: float = float("nan"),
         derived: Mapping[str, Array] | None = None,
-        gaps: tuple[Array, list[tuple[str, str]], Array] | None = None,
+        gaps: Gaps | None = None,
         frames: tuple[Array, Array] | None = None,
         contacts: ContactLog | None = None,
         changes: ChangeLog | None = None,
@@ -277,8 +278,8 @@ class Trajectory(Exports):
         return self._visuals
 
     @property
-    def gaps(self) -> tuple[Array, list[tuple[str, str]], Array]:
-        """(times (M,), pairs, gaps (M, len(pairs)) [m]) of the pairs that touched, at not more than 2000 times.
+    def gaps(self) -> Gaps:
+        """Signed distances of the pairs that touched, at not more than 2000 times; unpacks as `t, pairs, gap`.
 
         The times are nodes; where these are too far apart for pictures, `frames` and impacts too.
         """
@@ -294,7 +295,7 @@ class Trajectory(Exports):
             values = np.zeros((len(chosen), len(index)))
             if len(index):
                 values = self._engine().gaps_along(np.ascontiguousarray(q[chosen]), index.astype(np.int64))
-            self._gaps = (t[chosen], [self.events.label(0, int(i)) for i in index], values)
+            self._gaps = Gaps(t[chosen], [self.events.label(0, int(i)) for i in index], values)
         return self._gaps
 
     def at(self, t: ArrayLike) -> State:

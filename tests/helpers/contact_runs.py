@@ -67,9 +67,7 @@ def sliding_box(**changes: np.ndarray) -> cvi.Trajectory:
     p = np.zeros((len(t), 6))
     p[:, 0] = MASS * speed(t)
     names = scene.pair_names, list(scene.model.names)
-    moves = [(0.0, 0, 0, corner, 0, np.nan) for corner in range(4)] + [
-        (STOP, 0, 0, corner, 2, np.nan) for corner in range(4)
-    ]
+    moves = [(0.0, 0, 0, corner, 0, 0.0) for corner in range(4)] + [(STOP, 0, 0, corner, 2, 0.0) for corner in range(4)]
     changed = dict(zip(CHANGE_FIELDS, map(np.array, zip(*moves, strict=True)), strict=True))
     flight = cvi.simulate(
         scene, q[0] + [0, 0, 1, 0, 0, 0, 0], duration=STEP, dt=STEP

@@ -11,8 +11,11 @@ import warnings
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 import contactvi as cvi
+from contactvi.importing.kinematics import JointPlaces
 from contactvi.playback import animation, event_list, framing, shapes, visuals
 from contactvi.playback.event_list import KINDS, happenings
 from contactvi.playback.open_side import trees_of
@@ -217,6 +220,30 @@ def test_round_parts_look_round_and_edges_sharp():
     outside = np.linalg.norm(vertices, axis=1, keepdims=True)
     middle = np.abs(vertices[:, 2]) < 0.9  # the triangles at the poles are degenerate
     assert np.sum(normals * vertices / outside, axis=1)[middle].min() > 0.99
+
+
+@pytest.mark.parametrize(("count", "links"), [(1, 0), (10, 4), (1000, 300), (1000, 800), (1000, 3000)])
+def test_connected_components_are_those_of_scipy(count, links):
+    pairs = np.random.default_rng(count + links).integers(0, count, (links, 2))
+    graph = coo_matrix((np.ones(links), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    np.testing.assert_array_equal(shapes.components(count, pairs), connected_components(graph, directed=False)[1])
+
+
+def test_poses_of_links_among_free_bodies():
+    """Links beside bodies that have nothing to do with them are where Pinocchio has them, in the order asked for."""
+    model, rng = pin.Model(), np.random.default_rng(3)
+    for k in range(4):
+        model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Random(), f"free{k}")
+        arm = model.addJoint(0, pin.JointModelRY(), pin.SE3.Random(), f"arm{k}")
+        ball = model.addJoint(arm, pin.JointModelSpherical(), pin.SE3.Random(), f"ball{k}")
+        model.addJoint(ball, pin.JointModelRUBZ(), pin.SE3.Random(), f"wheel{k}")
+    data, joints = model.createData(), [8, 16, 3, 2, 12]
+    places = JointPlaces(model, joints)
+    for _ in range(5):
+        q = pin.integrate(model, pin.neutral(model), rng.normal(size=model.nv))
+        pin.forwardKinematics(model, data, q)
+        expected = [pin.SE3ToXYZQUAT(data.oMi[joint]) for joint in joints]
+        np.testing.assert_array_equal(places.at(q), expected)
 
 
 # -- camera -----------------------------------------------------------------------------------------------------------

@@ -312,3 +312,20 @@ class TestCopies:
         twin.q0[2] = 2.0
         assert scene.q0[2] == 1.0
         assert copy.copy(scene).core() is twin.core() is scene.core()
+
+
+def test_friction_and_armature_of_a_part_leave_its_free_base_out():
+    model = pin.Model()
+    base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    hinge = model.addJoint(base, pin.JointModelRZ(), pin.SE3.Identity(), "hinge")
+    for joint in (base, hinge):
+        model.appendBodyToJoint(joint, pin.Inertia.Random(), pin.SE3.Identity())
+    scene = Scene.from_pinocchio(model, pin.GeometryModel())
+    scene.set_joint("*", friction=0.5, armature=0.25, damping=0.1)
+    own = {name: scene._joints.of(name) for name in ("base", "hinge")}
+    assert (own["base"].friction, own["base"].armature) == (None, None)
+    assert (own["hinge"].friction, own["hinge"].armature) == (0.5, 0.25)
+    assert np.all(own["base"].damping == 0.1)  # which a free joint has, too
+    for refused in ({"friction": 0.5}, {"armature": 0.25}):
+        with pytest.raises(InputError, match="'base'"):
+            scene.set_joint("base", **refused)

@@ -215,3 +215,18 @@ def test_words_of_the_command_line(box):
     assert "gaps kept to 0 m" in text
     assert "50 steps in contact" in text
     assert "J by sliding" in text
+
+
+def test_gaps_have_names_and_unpack(box):
+    t, pairs, gap = box.gaps
+    assert t is box.gaps.t
+    assert pairs == box.gaps.pairs
+    assert gap is box.gaps.gap
+    assert gap.shape == (len(t), len(pairs))
+    assert np.isfinite(gap).all()
+
+
+def test_changes_without_a_value_have_zero(box):
+    others = [change for change in box.contact_changes if change.change not in ("bouncing ended", "inconsistent")]
+    assert others
+    assert all(change.value == 0.0 for change in others)

@@ -11,7 +11,9 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from contactvi.errors import InputError
 from contactvi.importing.checks import joint_model
+from contactvi.records.table import Table
 from contactvi.scene.coordinates import coordinates
 from contactvi.trajectory.tables import OF_NODES, TABLES
 from helpers.run_scenes import slider_scene
@@ -297,3 +299,10 @@ def test_a_limit_in_persistent_contact_has_one_column():
     force = table.column(" | ".join(pair))
     assert force[-1] == pytest.approx(run.contacts.force_of(*pair)[1][-1, 0], rel=1e-9)
     assert force @ table.column("h") == pytest.approx(run.contacts.normal_impulse.sum(), rel=1e-12)
+
+
+def test_a_column_that_a_table_does_not_have():
+    table = Table("states", {"t": np.zeros(2), "height": np.ones(2)})
+    with pytest.raises(InputError, match="expected t, height, got 'hieght'") as caught:
+        table.column("hieght")
+    assert "height" in caught.value.remedy
