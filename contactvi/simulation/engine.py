@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from operator import attrgetter
 from typing import Any, cast
 
@@ -73,10 +72,10 @@ def reuse(
 ) -> _core.Simulator:
     """Return a simulator that a run with these options has released, or a new one; the arguments as those of `make`."""
     waiting = compiled.engines.get(_key(options, slack, dt_contact))
-    if waiting:
-        with suppress(IndexError):  # another thread may have taken it
-            return waiting.pop()
-    return make(compiled, options, slack, dt_contact)
+    try:
+        return waiting.pop() if waiting else make(compiled, options, slack, dt_contact)
+    except IndexError:  # another thread has taken it
+        return make(compiled, options, slack, dt_contact)
 
 
 def release(

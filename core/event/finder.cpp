@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 namespace contactvi {
 
@@ -97,6 +98,24 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
   return fail(Search::kUnresolved, suspects_[0].guard, 0);
 }
 
+// Whether a step begins where the last one, of the same length, has ended.
+bool EventFinder::follows(const VecX& q0, const VecX& p0, double h) const {
+  return memory_.h == h && std::equal(q0.data(), q0.data() + q0.size(), memory_.q.data()) &&
+         std::equal(p0.data(), p0.data() + p0.size(), memory_.p.data());
+}
+
+// The bound on the velocities is that of bound_step.
+bool EventFinder::passes(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h,
+                         const double* rate) {
+  if (rate == nullptr || !follows(q0, p0, h) || !guards_->pass(rate, memory_.rate.data(), h)) return false;
+  forget_last();
+  guards_->counters.skipped += guards_->count();
+  std::copy_n(rate, memory_.rate.size(), memory_.rate.data());
+  std::copy_n(q1.data(), q1.size(), memory_.q.data());
+  std::copy_n(p1.data(), p1.size(), memory_.p.data());
+  return true;
+}
+
 // Bound on the velocities of the exact path, from the polynomial and what it leaves out.
 bool EventFinder::bound_step() {
   path_->bound(bound_);
@@ -108,7 +127,7 @@ bool EventFinder::bound_step() {
   // A single stage gives the velocity v in the middle only. Velocities reach from v0 to 2 v - v0; after a step of equal
   // length v0 = (previous + v)/2 up to O(h^2).
   path_->chart_rate(0.5, v1_);
-  if (memory_.h == h_ && memory_.p == *p0_ && memory_.q == *q0_) {
+  if (follows(*q0_, *p0_, h_)) {
     W_ = v1_ - memory_.rate;
     add_size(scene_->tree, W_, 1.0, bound_);
   } else {
@@ -162,9 +181,9 @@ bool EventFinder::bound_again() {
 
 void EventFinder::list_touching(std::vector<int>& guards) const {
   guards.clear();
-  const std::vector<char>& touching = memory_.touching;
-  for (auto at = touching.begin(); (at = std::find(at, touching.end(), 1)) != touching.end(); ++at)
-    guards.push_back(static_cast<int>(at - touching.begin()));
+  const char *first = memory_.touching.data(), *end = first + memory_.touching.size(), *at = first;
+  while (at != end && (at = static_cast<const char*>(std::memchr(at, 1, end - at))) != nullptr)
+    guards.push_back(static_cast<int>(at++ - first));
 }
 
 // What the last search has found about guards.

@@ -53,6 +53,9 @@ class EventFinder {
   // some guard may reach zero. On kFound event() is filled, and the integrator holds the partial step to it.
   Search search(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const VecX& tau,
                 StepPath& path);
+  // Whether a step is known to have no event before anything is known of its path, since no guard can be near in it; it
+  // is taken then. rate: of its only stage, (nv,); null: there are several.
+  bool passes(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const double* rate);
   const Event& event() const { return event_; }
   int failed_guard() const { return failed_guard_; }
   double failed_gap() const { return failed_gap_; }
@@ -117,6 +120,7 @@ class EventFinder {
   void cross(Suspect& s, const Point& lo, const Point& hi, double offset);
   Search accept(int guard, const Point& at, bool stays_closed);
   void settle();
+  bool follows(const VecX& q0, const VecX& p0, double h) const;
   void remember();
   Search fail(Search why, int guard, double gap);
 

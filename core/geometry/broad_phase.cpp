@@ -12,15 +12,15 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // A fat box has room for so many steps like the present one: a box is renewed about every 13 steps.
-constexpr double kSteps = 16.0;
+constexpr double kSteps = 64.0;
 // And for this part of the geometry's radius, so that what hardly moves is never renewed.
 constexpr double kLeastRoom = 0.1;
 // But not for more than this part of the radius, or what is fast would be near to everything,
 constexpr double kMostRoom = 2.0;
 // as long as it lasts for so many steps: it must for three.
 constexpr double kFewestSteps = 4.0;
-// Of the room that it would get: a geometry with less left gets a new box along with the others. A step that looks at
-// guards costs much more than a box.
+// Where boxes are renewed, or a clear span has ended, those with less left than this part of the room that they would
+// get are renewed: else each would end a span of its own. More renews boxes that last, less makes spans shorter.
 constexpr double kRenewed = 0.5;
 // Of the room: what is left for rounding.
 constexpr double kRounding = 1e-3;
@@ -95,17 +95,17 @@ BroadPhase::~BroadPhase() = default;
 
 void BroadPhase::invalidate() { std::fill(limits_.begin(), limits_.end(), -kInfinity); }
 
-bool BroadPhase::is_outdated(const std::vector<double>& odometer, const std::vector<double>& motion) {
+bool BroadPhase::is_outdated(const std::vector<double>& odometer, const std::vector<double>& motion, bool early) {
   leaving_.clear();
   for (std::size_t g = 0; g < limits_.size(); ++g)
     if (!(odometer[g] + 2.0 * motion[g] <= limits_[g])) leaving_.push_back(static_cast<int>(g));
-  if (leaving_.empty()) return false;
+  if (leaving_.empty() && !early) return false;
   leaving_.clear();
   for (std::size_t g = 0; g < limits_.size(); ++g) {
     const double needed = std::max(2.0 * motion[g], kRenewed * room_for(scene_->geometries[g], motion[g]));
     if (!(odometer[g] + needed <= limits_[g])) leaving_.push_back(static_cast<int>(g));
   }
-  return true;
+  return !leaving_.empty();
 }
 
 void BroadPhase::renew(const Placements& at, const std::vector<double>& odometer, const std::vector<double>& motion) {

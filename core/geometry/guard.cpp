@@ -28,6 +28,7 @@ Guards::Guards(const Scene& scene, int contact_points)
       doubt_(make_reach()),
       expected_(make_reach()),
       odometer_(scene.geometries.size()),
+      interval_start_(scene.geometries.size()),
       marks_(count_, -1.0),
       broad_phase_(scene),
       span_(scene.tree.nv) {}
@@ -57,6 +58,7 @@ void Guards::place_bodies() {
 }
 
 void Guards::restart() {
+  keep_start();
   span_.end();
   forget_distances();
   std::fill(odometer_.begin(), odometer_.end(), 0.0);
@@ -70,7 +72,7 @@ void Guards::forget_distances() {
 }
 
 const std::vector<BroadPhase::NearPair>& Guards::near_pairs() {
-  if (pairs_ > 0 && broad_phase_.is_outdated(odometer_, motion_.geometry)) {
+  if (pairs_ > 0 && broad_phase_.is_outdated(odometer_, motion_.geometry, span_ended_)) {
     for (int g : broad_phase_.leaving()) place_body(scene_->geometries[g].body);
     broad_phase_.renew(placements_, odometer_, motion_.geometry);
   }
@@ -216,6 +218,7 @@ Guards::Reach Guards::make_reach() const {
 }
 
 void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) {
+  span_ended_ = span_.any();
   end_span();
   propagate_reach(q, bound, h, 1.0, motion_);
 }
@@ -321,13 +324,24 @@ void Guards::mark(int guard, double gap_at_end) {
   marks_[guard] = odometer_[pair.a] + odometer_[pair.b] + motion(guard) + gap_at_end;
 }
 
+// Before an odometer changes, or what a span expects.
+void Guards::keep_start() {
+  if (any_look_) return;
+  for (std::size_t g = 0; g < odometer_.size(); ++g)
+    interval_start_[g] = odometer_[g] + interval_used_ * expected_.geometry[g];
+  any_look_ = true;
+}
+
 void Guards::commit() {
+  keep_start();
   for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += motion_.geometry[g];
 }
 
 // Each guard allows so many reference steps: a pair until its mark, a geometry until it may leave its fat box, a limit
 // until its gap is used up.
 void Guards::begin_span(const VecCRef& q1, const VecX& bound, double h) {
+  keep_start();
+  ++spans_;
   propagate_reach(q1, span_.set_reference(bound, h), 1.0, ClearSpan::kLongest, expected_);
   double allowed = ClearSpan::kLongest;
   const auto limit = [&allowed](double room, double motion) {
@@ -344,6 +358,7 @@ void Guards::begin_span(const VecCRef& q1, const VecX& bound, double h) {
 }
 
 void Guards::end_span() {
+  if (span_.any()) keep_start();
   if (span_.any())
     for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += span_.used() * expected_.geometry[g];
   span_.end();

@@ -7,20 +7,26 @@ namespace {
 // Most lists of most islands are empty.
 template <class List>
 void copy_list(const List& from, List& to) {
-  if (!from.empty() || !to.empty()) to = from;
+  if (from.size() > 0 || to.size() > 0) to = from;
+}
+
+void copy_memory(const DenseStep::Memory& from, DenseStep::Memory& to) {
+  copy_list(from.impulses, to.impulses);
+  copy_list(from.joint_friction, to.joint_friction);
+  copy_list(from.closed, to.closed);
+  copy_list(from.change, to.change);
+  to.h = from.h;
 }
 }  // namespace
 
 void Simulator::hand_over(Handover& to) const {
-  to.q = state_.q;
-  to.p = state_.p;
   to.control = state_.control;
   to.largest_speed = state_.largest_speed;
   copy_list(contact_step_.contacts(), to.contacts);
   finder_.list_touching(to.touching);
   copy_list(finder_.exempted(), to.exempt);
   to.dense = state_.dense;
-  to.dense_step = dense_step_.memory();
+  copy_memory(dense_step_.memory(), to.dense_step);
   copy_list(state_.separated, to.separated);
   copy_list(state_.flights.entries(), to.flights);
   to.joint_friction.clear();

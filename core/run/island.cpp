@@ -66,7 +66,7 @@ Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> tree
 
 void Island::begin(const Scene& whole, const StaticTrees& all) {
   for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
-  odometer_.assign(numbers_->geometries.size(), 0.0);
+  offset_.assign(numbers_->geometries.size(), 0.0);
   engine_->follow_motion();
   depends_on_time_ = depends_on_time(engine_->scene().tree.elements);
   for (int d : numbers_->v) dof_tree_.push_back(all.of_joint(whole.tree.dof_joint[d]));
@@ -95,13 +95,18 @@ void Island::take(List& list, GuardOf guard_of, Put put) const {
   list.erase(list.begin() + static_cast<std::ptrdiff_t>(kept), list.end());
 }
 
-void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, std::vector<JointFriction>& friction,
-                  double t, double start_time) {
-  Handover& to = handover_;
+// Its part of a state of the whole scene.
+void Island::take_state(const VecX& q, const VecX& p, Handover& to) const {
   to.q.resize(static_cast<Eigen::Index>(numbers_->q.size()));
   to.p.resize(static_cast<Eigen::Index>(numbers_->v.size()));
   for (std::size_t i = 0; i < numbers_->q.size(); ++i) to.q[static_cast<Eigen::Index>(i)] = q[numbers_->q[i]];
   for (std::size_t i = 0; i < numbers_->v.size(); ++i) to.p[static_cast<Eigen::Index>(i)] = p[numbers_->v[i]];
+}
+
+void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, std::vector<JointFriction>& friction,
+                  double t, double start_time) {
+  Handover& to = handover_;
+  take_state(q, p, to);
   to.control = loose[trees_[0]].control;
   to.largest_speed = 0.0;
   to.contacts.clear();
@@ -222,21 +227,24 @@ void Island::undo(std::vector<LooseState>& loose, std::vector<JointFriction>& fr
 
 // Takes its part of the inputs; false: they are those of the step before.
 bool Island::set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref) {
-  before_tau_ = tau_;
-  before_target_ = target_;
   const std::vector<int>& v = numbers_->v;
-  const Eigen::Index nv = static_cast<Eigen::Index>(v.size());
-  tau_.resize(tau.size() > 0 ? nv : 0);
-  for (Eigen::Index i = 0; i < tau_.size(); ++i) tau_[i] = tau[v[i]];
+  const Eigen::Index nv = static_cast<Eigen::Index>(v.size()), given = tau.size() > 0 ? nv : 0;
+  bool changed = tau_.size() != given;
+  if (changed) tau_.resize(given);
+  const auto put = [&changed](double& to, double value) {
+    changed |= to != value;
+    to = value;
+  };
+  for (Eigen::Index i = 0; i < given; ++i) put(tau_[i], tau[v[i]]);
   if (q_ref.size() > 0 && engine_->scene().tree.elements.servo_kp.size() > 0) {
+    changed |= target_.size() == 0;
     target_.resize(1, 2 * nv);
     for (Eigen::Index i = 0; i < nv; ++i) {
-      target_(0, i) = q_ref[v[i]];
-      target_(0, nv + i) = v_ref[v[i]];
+      put(target_(0, i), q_ref[v[i]]);
+      put(target_(0, nv + i), v_ref[v[i]]);
     }
   }
-  return tau_.size() != before_tau_.size() || target_.size() != before_target_.size() || tau_ != before_tau_ ||
-         target_ != before_target_;
+  return changed;
 }
 
 // The record of the last step is that of this one, at another time.
@@ -253,7 +261,10 @@ void Island::repeat_record(long step, double t, double length) {
 }
 
 void Rest::count(const VecX& now, bool quiet) {
-  if (quiet && steps > 0 && ((now - q).cwiseAbs().array() <= kStill * q.cwiseAbs().array().max(1.0)).all()) {
+  bool still = quiet && steps > 0;
+  for (Eigen::Index i = 0; i < now.size() && still; ++i)
+    still = std::abs(now[i] - q[i]) <= kStill * std::max(std::abs(q[i]), 1.0);
+  if (still) {
     ++steps;
     return;
   }
@@ -290,16 +301,51 @@ void Island::step(long step, double t, double length, const VecX& tau, const Vec
     return;
   }
   if (own_) engine_->hand_over(before_);  // the island of all trees is never undone
-  for (std::size_t k = 0; k < odometer_.size(); ++k) odometer_[k] = engine_->guards().odometer(static_cast<int>(k));
+  engine_->guards().begin_interval();
   recording_.clear();
   ok_ = engine_->step_island(step, t, length, tau_, target_, progress, recording_);
   count_rest();
 }
 
-void Island::gather_at(long step, double t, double part, const Progress& progress, VecX& q, VecX& p) {
+// While no interval may bring it near another one, and no step of it looks at guards, one number tells that.
+void Island::measure(IslandGraph& graph) {
+  const Guards& guards = engine_->guards();
+  if (asleep()) return;
+  if (!graph.clear() || !guards.passed_all()) {
+    for (std::size_t k = 0; k < offset_.size(); ++k)
+      graph.set_motion(numbers_->geometries[k], motion(static_cast<int>(k)));
+    return;
+  }
+  if (share_span_ != guards.span() || share_room_ != graph.room_number()) {
+    share_ = 0.0;
+    for (std::size_t k = 0; k < offset_.size(); ++k)
+      share_ = std::max(share_, graph.part(numbers_->geometries[k], guards.motion_of_reference(static_cast<int>(k))));
+    share_span_ = guards.span();
+    share_room_ = graph.room_number();
+  }
+  graph.count(guards.steps_since() * share_);
+}
+
+void Island::tell_motion(IslandGraph& graph) const {
+  for (std::size_t k = 0; k < offset_.size(); ++k) {
+    const int g = numbers_->geometries[k], own = static_cast<int>(k);
+    const double moved = motion(own);
+    graph.set_place(g, offset_[k] + engine_->guards().odometer(own) - moved);
+    graph.set_motion(g, moved);
+  }
+}
+
+void Island::join_graph(const IslandGraph& graph) {
+  for (std::size_t k = 0; k < offset_.size(); ++k)
+    offset_[k] = graph.odometer(numbers_->geometries[k]) - engine_->guards().odometer(static_cast<int>(k));
+}
+
+void Island::gather_at(const VecX& q0, const VecX& p0, long step, double t, double part, const Progress& progress,
+                       VecX& q, VecX& p) {
   if (!asleep() && part > 0.0) {
     const std::shared_ptr<const Snapshot> end = engine_->save();
     Recording unused;
+    take_state(q0, p0, before_);
     engine_->take_over(before_, fresh_, t, t);
     const bool reached = engine_->step_island(step, t, part, tau_, target_, progress, unused);
     if (reached) gather(q, p);

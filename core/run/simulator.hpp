@@ -87,6 +87,7 @@ class Simulator {
   // For bodies that are one island of a larger scene (run/world.hpp).
   // The engine's memory as it is before any run, with which every island starts.
   EngineMemory memory();
+  // All but the state.
   void hand_over(Handover& to) const;
   // Starts from there at t [s] with a fresh memory, and with nothing counted.
   void take_over(const Handover& from, const EngineMemory& fresh, double t, double start_time);

@@ -36,6 +36,10 @@ class StepEquations {
   // X' and v at the stages of the step just solved, shape (nv, s).
   const MatX& rates();
   const MatX& velocities();
+  // These two where they are the same and there is one stage, nv numbers; else null.
+  const double* only_rate() const {
+    return stages_.padded() == 1 && model_.lanes.balls == 0 ? stages_.v() : nullptr;
+  }
   // Torque of the servo of dof d at stage i of the step just solved [N; N m].
   double servo_torque(int d, int i) const { return stages_.servo_torque(d, i); }
   // Size of the highest mode of the stage velocities: what the polynomial of the path hardly resolves any more [m;
