@@ -13,10 +13,12 @@ from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from signal import getsignal, signal as set_signal
+    from signal import getsignal
+    from signal import signal as set_signal
 else:
     # Those of the module signal look for an enumeration's member in every handler, which takes longer than a step.
-    from _signal import getsignal, signal as set_signal
+    from _signal import getsignal
+    from _signal import signal as set_signal
 
 
 class CtrlC:
@@ -72,7 +74,7 @@ class CtrlC:
         self._waiting = (number, frame)
 
 
-class held_back:  # noqa: N801
+class held_back:
     """Hold Ctrl-C back in a `with` block; whoever asks for it has to `settle` in the end.
 
     Within another `held_back` it is that one's. Threads other than the main one get no signals, and a process that

@@ -189,7 +189,7 @@ class Record:
         found = self.compiled.empty_logs.get(kind)
         if found is None:
             found = self.compiled.empty_logs[kind] = make([])
-        return found  # type: ignore[no-any-return]
+        return found
 
     def _log(self, parts: list[Columns]) -> event_log.EventLog:
         return self._event_log(parts) if parts else self._shared(self.options.impact, self._event_log)
@@ -205,7 +205,7 @@ class Record:
 
     def segments_joined(self) -> dense.Segments | None:
         """Return the segments of all blocks; None where none were kept."""
-        return dense.joined(self.segments, self.options.order, self.options.stage_tol)
+        return dense.joined(self.segments, self.options.order, self.options.stage_tol) if self.segments else None
 
     def contact_log(self, first: int = 0) -> contacts.ContactLog:
         """Return the contacts of the blocks from `first` on."""

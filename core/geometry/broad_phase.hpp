@@ -49,11 +49,13 @@ class BroadPhase {
   void recall(const Memory& memory);
 
  private:
+  void look_at_all(const Placements& at);
   void find_partners(int geometry, const Placements& at);
   bool may_meet(int geometry, int plane, const Placements& at) const;
   void add_near(int a, int b);
 
   const Scene* scene_;
+  bool few_;  // whether the pairs are few, and looked at without the tree
   std::shared_ptr<const PairTable> pairs_;
   std::vector<int> planes_;     // the halfspaces
   std::vector<Box> boxes_;      // per geometry: its fat box

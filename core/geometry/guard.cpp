@@ -12,6 +12,9 @@ namespace {
 // [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching and the noise of
 // coal's distances (2e-8).
 constexpr double kMeeting = 1e-7;
+// Reference steps: where the bound on the distance of one pair ends a span sooner, the exact distance is found. That
+// costs about as much as a step that looks at guards.
+constexpr double kShortSpan = 8.0;
 }  // namespace
 
 Guards::Guards(const Scene& scene, int contact_points)
@@ -349,12 +352,61 @@ void Guards::begin_span(const VecCRef& q1, const VecX& bound, double h) {
   };
   for (std::size_t g = 0; g < odometer_.size(); ++g)
     limit(broad_phase_.limit(static_cast<int>(g)) - odometer_[g], expected_.geometry[g]);
-  if (pairs_ > 0)
-    for (const BroadPhase::NearPair& pair : broad_phase_.near_pairs())
-      limit(marks_[pair.guard] - odometer_[pair.a] - odometer_[pair.b],
-            expected_.geometry[pair.a] + expected_.geometry[pair.b]);
   for (int k = pairs_; k < count_; ++k) limit(limit_gap(k, q1), expected_.limit[k - pairs_]);
+  if (!(allowed > 0.0)) return;
+  if (pairs_ > 0) {
+    place(q1);
+    const double pairs = span_of_pairs(allowed);
+    if (!(pairs >= allowed)) allowed = pairs;
+  }
   if (allowed > 0.0) span_.allow(allowed);
+}
+
+// How many reference steps the near pairs allow, where `enough` are wanted. As long as one pair alone makes them few
+// its distance is found better, once.
+double Guards::span_of_pairs(double enough) {
+  const std::vector<BroadPhase::NearPair>& near = broad_phase_.near_pairs();
+  const BroadPhase::NearPair* refined = nullptr;
+  for (std::size_t k = 0; k <= near.size(); ++k) {
+    const BroadPhase::NearPair* first = nullptr;
+    double least = enough;
+    for (const BroadPhase::NearPair& pair : near) {
+      const double steps = span_of(pair);
+      if (steps >= least) continue;
+      least = steps;
+      first = &pair;
+    }
+    if (first == nullptr || first == refined || !(least < kShortSpan) || !refine(*first)) return least;
+    refined = first;
+  }
+  return 0.0;
+}
+
+double Guards::span_of(const BroadPhase::NearPair& pair) const {
+  const double room = marks_[pair.guard] - odometer_[pair.a] - odometer_[pair.b],
+               motion = expected_.geometry[pair.a] + expected_.geometry[pair.b];
+  return room >= ClearSpan::kLongest * motion ? ClearSpan::kLongest : room / motion;
+}
+
+// Finds a better bound on the distance of a pair where the bodies are placed, after the step: that of its boxes, or the
+// distance. False: there is none.
+bool Guards::refine(const BroadPhase::NearPair& pair) {
+  if (is_persistent(pair.guard)) return false;
+  const double odometers = odometer_[pair.a] + odometer_[pair.b], before = marks_[pair.guard],
+               motion = expected_.geometry[pair.a] + expected_.geometry[pair.b];
+  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  double distance = 0.0;
+  if (!a.unbounded && !b.unbounded) {
+    place_pair(pair.guard);
+    distance = separation(box_of(a, placements_), box_of(b, placements_));
+  }
+  if (!(distance >= kShortSpan * motion)) {
+    Contact contact;
+    distance = std::max(distance, evaluate_witness(pair.guard, contact));
+  }
+  if (!(odometers + distance > before)) return false;
+  marks_[pair.guard] = odometers + distance;
+  return true;
 }
 
 void Guards::end_span() {

@@ -66,6 +66,11 @@ class Guards {
     if (guard < pairs_) place_pair(guard);
     return placements_;
   }
+  // As placements, where only the body of a geometry matters.
+  const Placements& placements_of(int geometry) {
+    place_body(scene_->geometries[geometry].body);
+    return placements_;
+  }
   Manifolds& manifolds() { return manifolds_; }
   // Sets the persistent contacts of a guard. The pointers must stay valid.
   void set_persistent(int guard, std::vector<const ContactPoint*> points);
@@ -162,6 +167,9 @@ class Guards {
   void place_bodies();
   double limit_gap(int guard, const VecCRef& q) const;
   void keep_start();
+  double span_of_pairs(double enough);
+  double span_of(const BroadPhase::NearPair& pair) const;
+  bool refine(const BroadPhase::NearPair& pair);
 
   const Scene* scene_;
   int count_, pairs_;

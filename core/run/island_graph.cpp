@@ -13,7 +13,7 @@ namespace contactvi {
 
 namespace {
 constexpr double kReach = 1.5;       // of the motion in the last interval: that expected in the next one
-constexpr double kIntervals = 64.0;  // a ball's margin lasts for about so many of them,
+constexpr double kIntervals = 16.0;  // a ball's margin lasts for about so many of them,
 constexpr double kMargin = 0.05;     // and is at least this part of its radius;
 constexpr double kHuge = 1e300;      // stands for one over nothing
 // Where balls are renewed, or clear intervals have ended, those with less than this part of their margin left are
@@ -82,7 +82,7 @@ void IslandGraph::renew(int g, double margin) {
     list.erase(own);
   }
   neighbours_[g].clear();
-  const Placements& at = guards_->placements(partners_[g].front().guard);
+  const Placements& at = guards_->placements_of(g);
   const Geometry& geometry = scene_->geometries[g];
   const Vec3 c = at.p_W[geometry.body] + at.R_W[geometry.body] * geometry.center_B;
   const int slot = slot_[g];
