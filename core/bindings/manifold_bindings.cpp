@@ -164,7 +164,8 @@ void expose_manifold(nb::module_& m) {
   m.def(
       "near_pairs", &near_pairs, "scene"_a, "start"_a, "end"_a, "bound"_a, "h"_a, "spans"_a = false,
       "For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) "
-      "of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,), whether the step looks at all)]."
+      "of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,), whether the step looks at "
+      "all)]."
       " spans: steps after one in which no pair comes near may look at none.");
   m.def(
       "distance_noise",

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 
 namespace contactvi {
 
@@ -104,10 +103,20 @@ bool EventFinder::follows(const VecX& q0, const VecX& p0, double h) const {
          std::equal(p0.data(), p0.data() + p0.size(), memory_.p.data());
 }
 
-// The bound on the velocities is that of bound_step.
-bool EventFinder::passes(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h,
-                         const double* rate) {
-  if (rate == nullptr || !follows(q0, p0, h) || !guards_->pass(rate, memory_.rate.data(), h)) return false;
+// Whether no guard can be near in a step after one like it, by the bound on the velocities of bound_step.
+bool EventFinder::is_clear(const double* rate, double h) {
+  const Tree& tree = scene_->tree;
+  if (tree.nq == tree.nv) return guards_->pass(rate, memory_.rate.data(), h);
+  const Eigen::Map<const VecX> now(rate, tree.nv);
+  bound_.setZero();
+  add_size(tree, now, 1.0, bound_);
+  W_ = now - memory_.rate;
+  add_size(tree, W_, 1.0, bound_);
+  return guards_->pass(bound_, h);
+}
+
+bool EventFinder::passes(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const double* rate) {
+  if (rate == nullptr || !follows(q0, p0, h) || !is_clear(rate, h)) return false;
   forget_last();
   guards_->counters.skipped += guards_->count();
   std::copy_n(rate, memory_.rate.size(), memory_.rate.data());
@@ -181,9 +190,9 @@ bool EventFinder::bound_again() {
 
 void EventFinder::list_touching(std::vector<int>& guards) const {
   guards.clear();
-  const char *first = memory_.touching.data(), *end = first + memory_.touching.size(), *at = first;
-  while (at != end && (at = static_cast<const char*>(std::memchr(at, 1, end - at))) != nullptr)
-    guards.push_back(static_cast<int>(at++ - first));
+  const std::vector<char>& touching = memory_.touching;
+  for (auto at = touching.begin(); (at = std::find(at, touching.end(), 1)) != touching.end(); ++at)
+    guards.push_back(static_cast<int>(at - touching.begin()));
 }
 
 // What the last search has found about guards.
@@ -249,7 +258,7 @@ Search EventFinder::start(Suspect& s) {
   if (!memory_.touching[s.guard] && a.gap <= 0.0) {
     // By rounding it touches although no impact was found. If it were deeper an impact would have been missed.
     if (a.gap < -guards_->depth_tolerance(s.guard)) return fail(Search::kUnresolved, s.guard, a.gap);
-    memory_.touching[s.guard] = 1;
+    set_touching(s.guard, true);
   }
   if (memory_.touching[s.guard]) return separate_touching(s, a);
   s.from = a;

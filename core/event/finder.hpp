@@ -62,12 +62,18 @@ class EventFinder {
 
   // Whether a guard is closed, within tolerance, at the start of the next step.
   bool touching(int guard) const { return memory_.touching[guard]; }
+  // False: no guard is.
+  bool any_touching() const { return any_touching_; }
   void list_touching(std::vector<int>& guards) const;  // ascending
   void set_touching(int guard, bool value) {
     guards_->end_span();
     memory_.touching[guard] = value;
+    any_touching_ |= value;
   }
-  void forget_touching() { std::fill(memory_.touching.begin(), memory_.touching.end(), 0); }
+  void forget_touching() {
+    std::fill(memory_.touching.begin(), memory_.touching.end(), 0);
+    any_touching_ = false;
+  }
   // What the next search uses of the last one.
   struct Memory {
     std::vector<char> touching;  // per guard: closed, within tolerance, at the start of the next step
@@ -78,7 +84,10 @@ class EventFinder {
     double h = 0.0;
   };
   const Memory& memory() const { return memory_; }
-  void recall(const Memory& memory) { memory_ = memory; }
+  void recall(const Memory& memory) {
+    memory_ = memory;
+    any_touching_ = std::find(memory_.touching.begin(), memory_.touching.end(), 1) != memory_.touching.end();
+  }
   const Stepper* stepper() const { return stepper_; }
   // Guards that might have reached zero in the last search, touching ones included: they may be hit at one time.
   const std::vector<int>& active() const { return active_; }
@@ -97,6 +106,7 @@ class EventFinder {
   };
 
   bool bound_step();
+  bool is_clear(const double* rate, double h);
   bool raise_path();
   bool plainly_clear();
   bool bound_again();
@@ -133,6 +143,7 @@ class EventFinder {
   std::vector<Suspect> suspects_;
   VecX v0_, v1_, bound_, doubt_, W_;
   Memory memory_;
+  bool any_touching_ = false;  // whether one may
   Contact contact_;
   const VecX *q0_ = nullptr, *p0_ = nullptr, *q1_ = nullptr, *p1_ = nullptr, *tau_ = nullptr;
   StepPath* path_ = nullptr;

@@ -147,7 +147,8 @@ void BroadPhase::renew(const Placements& at, const std::vector<double>& odometer
 void BroadPhase::look_at_all(const Placements& at) {
   near_.clear();
   for (std::size_t k = 0; k < scene_->pairs.size(); ++k) {
-    const int a = std::min(scene_->pairs[k].a, scene_->pairs[k].b), b = std::max(scene_->pairs[k].a, scene_->pairs[k].b);
+    const int a = std::min(scene_->pairs[k].a, scene_->pairs[k].b),
+              b = std::max(scene_->pairs[k].a, scene_->pairs[k].b);
     const bool plane_a = scene_->geometries[a].unbounded, plane_b = scene_->geometries[b].unbounded;
     const bool meet = plane_a   ? !plane_b && may_meet(b, a, at)
                       : plane_b ? may_meet(a, b, at)

@@ -113,9 +113,7 @@ class Guards {
   // any. False: that is not known, and nothing was done.
   bool pass(const VecX& bound, double h) { return span_.take(bound, h); }
   // As this, for speeds within |rate| + |rate - before|, of all dofs.
-  bool pass(const double* rate, const double* before, double h) {
-    return span_.take(scene_->tree.nv, rate, before, h);
-  }
+  bool pass(const double* rate, const double* before, double h) { return span_.take(scene_->tree.nv, rate, before, h); }
   // Guards may have become other ones: the next step looks at them.
   void end_span();
   // Bound on how far any point of a geometry has moved since an arbitrary instant [m].
@@ -129,8 +127,8 @@ class Guards {
     return odometer(geometry) - (any_look_ ? interval_start_[geometry]
                                            : odometer_[geometry] + interval_used_ * expected_.geometry[geometry]);
   }
-  // Whether no step of the interval looked at guards; then motion_since() is that of so many reference steps of the span
-  // under way, which is the number span().
+  // Whether no step of the interval looked at guards; then motion_since() is that of steps_since() reference steps of
+  // the span under way, which is the number span().
   bool passed_all() const { return !any_look_; }
   double steps_since() const { return span_.used() - interval_used_; }
   long span() const { return spans_; }
@@ -184,14 +182,14 @@ class Guards {
   long configuration_ = 0;        // number of the configuration q_
   long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
-  std::vector<double> linear_;       // per body: bound on its origin's displacement
-  Reach motion_, doubt_, expected_;  // expected: in a reference step of the span
-  std::vector<double> odometer_;     // per geometry
+  std::vector<double> linear_;          // per body: bound on its origin's displacement
+  Reach motion_, doubt_, expected_;     // expected: in a reference step of the span
+  std::vector<double> odometer_;        // per geometry
   std::vector<double> interval_start_;  // as it was where the interval began, kept where it is about to change
   double interval_used_ = 0.0;          // of the span, where the interval began
-  bool any_look_ = false;
-  long spans_ = 0;  // how many spans have begun
-  std::vector<double> marks_;        // per guard: odometer sum up to which it may be skipped
+  bool any_look_ = false;               // whether a step of the interval looked at guards
+  long spans_ = 0;                      // how many spans have begun
+  std::vector<double> marks_;           // per guard: odometer sum up to which it may be skipped
   BroadPhase broad_phase_;
   ClearSpan span_;
   bool span_ended_ = false;  // whether the step whose motion is bounded follows one of a span

@@ -109,6 +109,7 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, 
   take_state(q, p, to);
   to.control = loose[trees_[0]].control;
   to.largest_speed = 0.0;
+  to.any = true;
   to.contacts.clear();
   to.touching.clear();
   to.exempt.clear();
@@ -139,6 +140,7 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, 
   to.joint_friction.clear();
   for (int k : numbers_->friction) to.joint_friction.push_back(friction[k]);
   engine_->take_over(to, fresh_, t, start_time);
+  engine_->guards().begin_interval();
   rest_.steps = 0;
 }
 
@@ -260,27 +262,32 @@ void Island::repeat_record(long step, double t, double length) {
   }
 }
 
-void Rest::count(const VecX& now, bool quiet) {
+void Rest::count(const VecX& before, const std::vector<int>& entries, const VecX& now, bool quiet) {
   bool still = quiet && steps > 0;
-  for (Eigen::Index i = 0; i < now.size() && still; ++i)
-    still = std::abs(now[i] - q[i]) <= kStill * std::max(std::abs(q[i]), 1.0);
-  if (still) {
-    ++steps;
+  for (Eigen::Index i = 0; i < now.size() && still; ++i) {
+    const double was = steps > 1 ? q[i] : before[entries[i]];
+    still = std::abs(now[i] - was) <= kStill * std::max(std::abs(was), 1.0);
+  }
+  if (!still) {
+    steps = quiet ? 1 : 0;
     return;
   }
-  steps = quiet ? 1 : 0;
-  q = now;
+  if (steps == 1) {
+    q.resize(now.size());
+    for (Eigen::Index i = 0; i < now.size(); ++i) q[i] = before[entries[i]];
+  }
+  ++steps;
 }
 
 // Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay,
 // and no dense steps that end some time.
-void Island::count_rest() {
+void Island::count_rest(const VecX& before) {
   bool quiet = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty() &&
                !engine_->may_leave_dense_steps();
   const std::vector<double>& starts = recording_.contacts.t;
   for (double t : starts) quiet = quiet && t == starts.front();
   for (int mode : recording_.contacts.mode) quiet = quiet && mode != static_cast<int>(ContactMode::kSlips);
-  rest_.count(std::as_const(*engine_).state().q, quiet);
+  rest_.count(before, numbers_->q, std::as_const(*engine_).state().q, quiet);
 }
 
 void Island::restore_rest(const Rest& rest, const Recording& record, const VecX& tau, const MatX& target) {
@@ -290,8 +297,8 @@ void Island::restore_rest(const Rest& rest, const Recording& record, const VecX&
   target_ = target;
 }
 
-void Island::step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
-                  const Progress& progress) {
+void Island::step(const VecX& before, long step, double t, double length, const VecX& tau, const VecX& q_ref,
+                  const VecX& v_ref, const Progress& progress) {
   if (set_inputs(tau, q_ref, v_ref)) rest_.steps = 0;
   if (asleep()) {
     repeat_record(step, t, length);
@@ -304,18 +311,18 @@ void Island::step(long step, double t, double length, const VecX& tau, const Vec
   engine_->guards().begin_interval();
   recording_.clear();
   ok_ = engine_->step_island(step, t, length, tau_, target_, progress, recording_);
-  count_rest();
+  count_rest(before);
 }
 
 // While no interval may bring it near another one, and no step of it looks at guards, one number tells that.
 void Island::measure(IslandGraph& graph) {
   const Guards& guards = engine_->guards();
-  if (asleep()) return;
-  if (!graph.clear() || !guards.passed_all()) {
+  if (!graph.clear() || !(asleep() || guards.passed_all())) {
     for (std::size_t k = 0; k < offset_.size(); ++k)
       graph.set_motion(numbers_->geometries[k], motion(static_cast<int>(k)));
     return;
   }
+  if (asleep()) return;
   if (share_span_ != guards.span() || share_room_ != graph.room_number()) {
     share_ = 0.0;
     for (std::size_t k = 0; k < offset_.size(); ++k)

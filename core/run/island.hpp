@@ -35,10 +35,11 @@ struct Rest {
   static constexpr double kStill = 4.5e-16;
 
   int steps = 0;
-  VecX q;  // at the first of them
+  VecX q;  // at the end of the first of them, once there are two
 
-  // A step has ended at this configuration; quiet: nothing but rest happened in it.
-  void count(const VecX& now, bool quiet);
+  // A step has ended at this configuration, which began at those entries of `before`; quiet: nothing but rest happened
+  // in it.
+  void count(const VecX& before, const std::vector<int>& entries, const VecX& now, bool quiet);
 };
 
 class Island {
@@ -63,9 +64,9 @@ class Island {
   void dissolve(std::vector<LooseState>& loose, std::vector<JointFriction>& friction);
   void undo(std::vector<LooseState>& loose, std::vector<JointFriction>& friction);
 
-  // One control step; tau, target: of the whole scene, or empty.
-  void step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
-            const Progress& progress);
+  // One control step from the configuration `before`; tau, target: of the whole scene, or empty.
+  void step(const VecX& before, long step, double t, double length, const VecX& tau, const VecX& q_ref,
+            const VecX& v_ref, const Progress& progress);
   // Whether the last steps have moved nothing by more than rounding, so that it repeats the last one until something
   // changes: its trees, or its inputs.
   bool asleep() const { return rest_.steps >= Rest::kSteps; }
@@ -100,7 +101,7 @@ class Island {
   void take_state(const VecX& q, const VecX& p, Handover& to) const;
   bool set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref);
   void repeat_record(long step, double t, double length);
-  void count_rest();
+  void count_rest(const VecX& before);
   template <class List, class GuardOf, class Put>
   void take(List& list, GuardOf guard_of, Put put) const;
   void take_dense(std::vector<LooseState>& loose);

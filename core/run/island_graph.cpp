@@ -91,12 +91,18 @@ void IslandGraph::renew(int g, double margin) {
   z_[slot] = c[2];
   ball_[slot] = radius_[g] + margin;
   limit_[g] = odometer_[g] + margin;
-  for (std::size_t k = 0; k < movable_.size(); ++k) {
-    const double dx = x_[k] - c[0], dy = y_[k] - c[1], dz = z_[k] - c[2], r = ball_[k] + ball_[slot];
+  const double *x = x_.data(), *y = y_.data(), *z = z_.data(), *ball = ball_.data(), cx = c[0], cy = c[1], cz = c[2],
+               own = ball_[slot];
+  const int tree = trees_->of_geometry(g), count = static_cast<int>(movable_.size());
+  for (int k = 0; k < count; ++k) {
+    const double dx = x[k] - cx, dy = y[k] - cy, dz = z[k] - cz, r = ball[k] + own;
     if (!(r > 0.0 && dx * dx + dy * dy + dz * dz <= r * r)) continue;
-    const int other = movable_[k], guard = guard_of(g, other);
+    const int other = movable_[k];
+    if (trees_->of_geometry(other) == tree) continue;
+    const int guard = guard_of(g, other);
     if (guard < 0) continue;
-    const auto known = std::find_if(before_.begin(), before_.end(), [&](const Neighbour& m) { return m.guard == guard; });
+    const auto known =
+        std::find_if(before_.begin(), before_.end(), [&](const Neighbour& m) { return m.guard == guard; });
     const double mark = known != before_.end() ? known->mark : -1.0;
     neighbours_[g].push_back({other, guard, mark});
     neighbours_[other].push_back({g, guard, mark});

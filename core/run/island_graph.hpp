@@ -25,8 +25,8 @@ class IslandGraph {
   bool clear() const { return clear_; }
   // Whether nobody can have met in an interval that was found to be clear.
   bool stays_clear() const { return clear_ && used_ + largest_ < room_; }
-  // Joins trees that may meet in the next interval from q, where it is not clear. How far each geometry has moved has to
-  // be known.
+  // Joins trees that may meet in the next interval from q, where it is not clear. How far each geometry has moved has
+  // to be known.
   void join_suspects(const VecX& q, double slack, DisjointSets& sets);
   // Sets how far a geometry has moved at most in the interval under way, or in the last one [m].
   void set_motion(int geometry, double distance) {
@@ -53,7 +53,8 @@ class IslandGraph {
   // set_motion() for all, between two intervals.
   bool knows_motion() const { return knows_motion_; }
   void know_motion();
-  // How far each geometry moves in the interval under way is told after all.
+  // Whether how far each geometry moves in the interval under way is told; measure(): it is after all.
+  bool measured() const { return measured_; }
   void measure() { measured_ = true; }
   // Of the last interval, per geometry: all that the next search depends on.
   const std::vector<double>& motion() const { return motion_; }

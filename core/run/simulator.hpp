@@ -89,6 +89,8 @@ class Simulator {
   EngineMemory memory();
   // All but the state.
   void hand_over(Handover& to) const;
+  // Whether there is more to hand over than single numbers.
+  bool carries_lists() const;
   // Starts from there at t [s] with a fresh memory, and with nothing counted.
   void take_over(const Handover& from, const EngineMemory& fresh, double t, double start_time);
   // Bounds of the motion are kept even where no guard needs them.

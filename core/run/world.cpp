@@ -225,8 +225,8 @@ void World::replace_islands(double t, bool undo) {
 }
 
 void World::run(Island& island, double length) {
-  island.step(state_.step, state_.start_time + static_cast<double>(state_.step) * options_.dt, length, tau_, q_ref_,
-              v_ref_, island_progress_);
+  island.step(state_.q, state_.step, state_.start_time + static_cast<double>(state_.step) * options_.dt, length, tau_,
+              q_ref_, v_ref_, island_progress_);
   island.last_used = state_.step;
 }
 

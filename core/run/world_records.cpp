@@ -42,9 +42,11 @@ void World::add_impact(const Entry& entry, double t, double length, Recording& r
   const double x = length > 0.0 ? std::clamp((impact.time - t) / length, 0.0, 1.0) : 0.0;
   interpolate(scene_->tree, state_.q, q1_, x, impact.q);
   impact.p_minus = (1.0 - x) * state_.p + x * p1_;
-  for (Island* island : islands_)
-    if (island->constrained() && island != entry.island)
-      island->gather_at(state_.q, state_.p, state_.step, t, x * length, island_progress_, impact.q, impact.p_minus);
+  for (Island* island : islands_) {
+    if (!island->constrained() || island == entry.island) continue;
+    if (!graph_.measured()) tell_motion();  // the island makes a step more, which is not of the motion
+    island->gather_at(state_.q, state_.p, state_.step, t, x * length, island_progress_, impact.q, impact.p_minus);
+  }
   impact.p_plus = impact.p_minus;
   for (std::size_t i = 0; i < numbers.q.size(); ++i) impact.q[numbers.q[i]] = q[static_cast<Eigen::Index>(i)];
   for (std::size_t i = 0; i < numbers.v.size(); ++i) {

@@ -36,9 +36,11 @@ class StepEquations {
   // X' and v at the stages of the step just solved, shape (nv, s).
   const MatX& rates();
   const MatX& velocities();
-  // These two where they are the same and there is one stage, nv numbers; else null.
-  const double* only_rate() const {
-    return stages_.padded() == 1 && model_.lanes.balls == 0 ? stages_.v() : nullptr;
+  // X' at the only stage, nv numbers; null where there are several.
+  const double* only_rate() {
+    if (stages_.padded() > 1) return nullptr;
+    if (model_.lanes.balls > 0) stages_.rates();
+    return stages_.rate();
   }
   // Torque of the servo of dof d at stage i of the step just solved [N; N m].
   double servo_torque(int d, int i) const { return stages_.servo_torque(d, i); }
