@@ -248,6 +248,8 @@ def entries(value: Any) -> tuple[Any, ...] | None:
 def real_numbers(value: Any) -> Array | None:
     """Return a C-contiguous float array of what is given; None where it is not one of real numbers."""
     try:
+        if type(value) is np.ndarray and value.dtype == float:
+            return np.array(value, order="C")
         return None if np.iscomplexobj(value) else np.array(value, dtype=float, order="C")
     except (TypeError, ValueError, OverflowError):
         return None

@@ -8,10 +8,17 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from types import FrameType
-from typing import Any
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from signal import getsignal
+    from signal import signal as set_signal
+else:
+    # Those of the module signal look for an enumeration's member in every handler, which takes longer than a step.
+    from _signal import getsignal
+    from _signal import signal as set_signal
 
 
 class CtrlC:
@@ -40,13 +47,15 @@ class CtrlC:
 
     def pressed_alone(self) -> bool:
         """Return whether it has ended and a signal waits for `check`; within another `held_back` that one checks."""
-        return self._waiting is not None and signal.getsignal(signal.SIGINT) is self._handler
+        return self._waiting is not None and getsignal(signal.SIGINT) is self._handler
 
     def settle(self) -> bool:
         """Return whether Ctrl-C was pressed, after a last check."""
-        with suppress(KeyboardInterrupt):
+        try:
             self.check()
-        return self.pressed
+        except KeyboardInterrupt:
+            return True
+        return False
 
     def watch(self, progress: Callable[[float, int], object] | None) -> Callable[[float, int], None]:
         """Return a progress callback of a run that calls `progress` and ends the run after Ctrl-C."""
@@ -65,26 +74,31 @@ class CtrlC:
         self._waiting = (number, frame)
 
 
-@contextmanager
-def held_back() -> Iterator[CtrlC]:
-    """Hold Ctrl-C back; whoever asks for it has to `settle` in the end.
+class held_back:
+    """Hold Ctrl-C back in a `with` block; whoever asks for it has to `settle` in the end.
 
     Within another `held_back` it is that one's. Threads other than the main one get no signals, and a process that
     ignores them, or dies of them, goes on to do so.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield CtrlC()
-        return
-    former = signal.getsignal(signal.SIGINT)
-    outer = getattr(former, "__self__", None)
-    if isinstance(outer, CtrlC):
-        yield outer
-    elif former is None or isinstance(former, (int, signal.Handlers)):
-        yield CtrlC()
-    else:
+
+    _former: Any = None  # the handler to be put back
+
+    def __enter__(self) -> CtrlC:
+        if threading.current_thread() is not threading.main_thread():
+            return CtrlC()
+        former = getsignal(signal.SIGINT)
+        outer = getattr(former, "__self__", None)
+        if isinstance(outer, CtrlC):
+            return outer
+        if former is None or isinstance(former, int):
+            return CtrlC()
         ctrl_c = CtrlC(former)
-        signal.signal(signal.SIGINT, ctrl_c.receive)
-        try:
-            yield ctrl_c
-        finally:
-            signal.signal(signal.SIGINT, former)
+        self._former = former
+        set_signal(signal.SIGINT, ctrl_c.receive)
+        return ctrl_c
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._former is not None:
+            set_signal(signal.SIGINT, self._former)

@@ -110,7 +110,10 @@ class Stats:
     def of(cls, counts: Mapping[str, Any], seconds: float = 0.0) -> Stats:
         """Return the engine's counts; `seconds` are those of the calls before."""
         found = cls.__new__(cls)
-        vars(found).update({name: counts[name] for name in _FIELDS}, seconds=counts["seconds"] + seconds)
+        values = vars(found)
+        values.update(counts)
+        del values["saturated"]  # the only one that is none of these
+        values["seconds"] += seconds
         return found
 
     def to_dict(self) -> dict[str, Any]:

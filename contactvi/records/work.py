@@ -108,17 +108,22 @@ class Forces:
         return Forces(t, work, means, self.constraints)
 
 
+# Of the start of a run, which nothing writes to.
+_NO_WORK, _NO_REACTIONS = np.zeros((1, len(WORKS))), np.zeros((1, 0))
+
+
 class GrowingForces:
     """Work and reactions of a run as it grows: what the engine reports node by node, at the nodes that are kept."""
 
     def __init__(self, t: float, constraints: Sequence[ConstraintRows]) -> None:
         self.constraints = list(constraints)
-        self._rows = sum(row.rows for row in constraints)
+        self._rows = sum([row.rows for row in constraints])
         self._t: list[Array] = [np.array([t])]
-        self._work: list[Array] = [np.zeros((1, len(WORKS)))]
-        self._reactions: list[Array] = [np.zeros((1, self._rows))]
+        self._work: list[Array] = [_NO_WORK]
+        self._reactions: list[Array] = [np.zeros((1, self._rows)) if self._rows else _NO_REACTIONS]
         self._last = t  # time of the last node that was reported [s]
-        self._pending = np.zeros(self._rows)  # impulse since the last node that was kept [N s, N m s]
+        # Impulse since the last node that was kept [N s, N m s].
+        self._pending = np.zeros(self._rows) if self._rows else _NO_REACTIONS[0]
 
     def add(self, result: Mapping[str, Any], t: Array, keep: slice | NDArray[np.bool_]) -> None:
         """Take over a result of the engine with nodes t (n,) [s]; keep: which of them are kept, a mask (n,) or a slice.
@@ -175,6 +180,8 @@ class GrowingForces:
 
     def joined(self, first: int = 0) -> Forces:
         """Return work and reactions of the blocks from `first` on."""
+        if len(self._t) == 1 and first == 0:
+            return Forces(self._t[0], self._work[0], self._reactions[0], self.constraints)
         t, work, reactions = (
             parts[0] if len(parts) == 1 else np.concatenate(parts)
             for parts in (self._t[first:], self._work[first:], self._reactions[first:])

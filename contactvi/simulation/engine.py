@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from operator import attrgetter
 from typing import Any, cast
 
@@ -22,10 +21,10 @@ from contactvi.trajectory.compiled import CompiledScene
 Progress = Callable[[float, int], object]
 
 _MOST_WAITING = 4  # engines of a scene with other settings that wait for a run
-# What `make` takes of the options.
+# What `make` takes of the options, or makes it of.
 _OF_THE_ENGINE = (
-    "dt", "stage_tol", "order", "impact", "mhc_reference", "max_iterations", "max_impacts_per_step", "dense",
-    "contact_dt", "zeno", "support", "contact_points", "record_contacts", "record", "contact_mode", "record_every",
+    "dt", "tol", "order", "impact", "mhc_reference", "max_iterations", "max_impacts_per_step", "dense",
+    "dt_contact", "zeno", "support", "contact_points", "record_contacts", "record", "contact_mode", "record_every",
 )  # fmt: skip
 _FIRST_DT = 0.02  # [s] with "auto" the first guess of the engine, which it corrects before the first impact
 
@@ -73,10 +72,10 @@ def reuse(
 ) -> _core.Simulator:
     """Return a simulator that a run with these options has released, or a new one; the arguments as those of `make`."""
     waiting = compiled.engines.get(_key(options, slack, dt_contact))
-    if waiting:
-        with suppress(IndexError):  # another thread may have taken it
-            return waiting.pop()
-    return make(compiled, options, slack, dt_contact)
+    try:
+        return waiting.pop() if waiting else make(compiled, options, slack, dt_contact)
+    except IndexError:  # another thread has taken it
+        return make(compiled, options, slack, dt_contact)
 
 
 def release(

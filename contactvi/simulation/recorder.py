@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from contactvi import _core
 
 Array = NDArray[np.float64]
-
+Log = TypeVar("Log")
 
 ROUNDING = 1e-9  # of a step: an impact at its end may be a digit later than the step
 BLOCK = 1000  # single steps that are recorded at once, where not all of them stay in the record
@@ -65,8 +66,9 @@ class Record:
 
     def collect(self, result: EngineResult) -> Status:
         """Take over what the engine did: nodes that `record_every` wants, events, segments, counts, status."""
-        t = result["t"]
-        if self.options.last_steps == 0:
+        t, options = result["t"], self.options
+        last_steps = options.last_steps
+        if last_steps == 0:
             self._forget(result)
         keep = self._kept(t)
         self.forced |= result["forced"]
@@ -78,36 +80,40 @@ class Record:
             self.q.append(result["q"][keep])
             self.p.append(result["p"][keep])
         self.forces.add(result, t, keep)
-        contacts, changes = self.points.number(result["contacts"], result["changes"])
-        for part, columns in (
-            (self.events, result["events"]),
-            (self.contacts, contacts),
-            (self.changes, changes),
-            (self.segments, result["segments"]),
-            (self.dense_steps, result["dense"]),
-        ):
-            if columns is not None:
-                part.append(columns)
+        contacts, changes = result["contacts"], result["changes"]
+        if contacts is not None or changes is not None:
+            contacts, changes = self.points.number(contacts, changes)
+        if contacts is not None:
+            self.contacts.append(contacts)
+        if changes is not None:
+            self.changes.append(changes)
+        if (events := result["events"]) is not None:
+            self.events.append(events)
+        if (segments := result["segments"]) is not None:
+            self.segments.append(segments)
+        if (dense_rows := result["dense"]) is not None:
+            self.dense_steps.append(dense_rows)
         if self.inputs is not None:
             self.inputs.saturated = result["stats"]["saturated"]
             if result["kept_steps"] is not None:
                 self.inputs.add_contact_steps(result["kept_steps"])
         self._collect_phases(result["phases"])
-        if self.options.auto:
+        if options.auto:
             self.adaptive_steps = result["adaptive_steps"]
         # The engine counts from its reset, except for the seconds, which are those of this call.
         self.stats = Stats.of(result["stats"], self.stats.seconds)
         status = self.end(result)
         self.reached = result["time"]
-        last = self.options.last_steps
-        if last and sum(map(len, self.t)) > 2 * (last + BLOCK):
-            self.keep_last(last)
+        if last_steps and sum(map(len, self.t)) > 2 * (last_steps + BLOCK):
+            self.keep_last(last_steps)
         return status
 
     def _kept(self, t: Array) -> slice | NDArray[np.bool_]:
         """Return which of the nodes t (n,) [s] of a result are new and wanted: those from some place on, or a mask."""
         last = self.t[-1][-1]
         if self.options.record_every == 1:
+            if len(t) > 1 and t[0] == last < t[1]:  # as nearly always
+                return slice(1, None)
             return slice(int(t.searchsorted(last, "right")), None)
         step = np.rint((t - self.start) / self.options.fixed_dt)
         return np.asarray((t > last) & (step % self.options.record_every == 0))
@@ -178,7 +184,17 @@ class Record:
         """Return the events of the blocks from `first` on."""
         return self._log(self.events[first:])
 
+    def _shared(self, kind: str, make: Callable[[list[Columns]], Log]) -> Log:
+        """Return the log without rows of a kind, which the runs of a scene share."""
+        found = self.compiled.empty_logs.get(kind)
+        if found is None:
+            found = self.compiled.empty_logs[kind] = make([])
+        return found
+
     def _log(self, parts: list[Columns]) -> event_log.EventLog:
+        return self._event_log(parts) if parts else self._shared(self.options.impact, self._event_log)
+
+    def _event_log(self, parts: list[Columns]) -> event_log.EventLog:
         states = self.compiled.states
         return event_log.EventLog(
             partial(_events, self.compiled.core, parts, states.nq, states.nv),
@@ -189,7 +205,7 @@ class Record:
 
     def segments_joined(self) -> dense.Segments | None:
         """Return the segments of all blocks; None where none were kept."""
-        return dense.joined(self.segments, self.options.order, self.options.stage_tol)
+        return dense.joined(self.segments, self.options.order, self.options.stage_tol) if self.segments else None
 
     def contact_log(self, first: int = 0) -> contacts.ContactLog:
         """Return the contacts of the blocks from `first` on."""
@@ -211,6 +227,9 @@ class Record:
         return log.rows(np.array([point not in ended for point in points], dtype=bool))
 
     def _contact_log(self, parts: list[Columns]) -> contacts.ContactLog:
+        return self._contacts_of(parts) if parts else self._shared("contacts", self._contacts_of)
+
+    def _contacts_of(self, parts: list[Columns]) -> contacts.ContactLog:
         rows = partial(joined, parts, contacts.FIELDS)
         compiled = self.compiled
         return contacts.ContactLog(rows, compiled.pair_names, compiled.joint_names, compiled.shape_groups)
@@ -227,6 +246,9 @@ class Record:
         return Recent(present, self._log(events), self._change_log(changes), happened, self.stats.impacts)
 
     def _change_log(self, parts: list[Columns]) -> contacts.ChangeLog:
+        return self._changes_of(parts) if parts else self._shared("changes", self._changes_of)
+
+    def _changes_of(self, parts: list[Columns]) -> contacts.ChangeLog:
         rows = partial(joined, parts, contacts.CHANGE_FIELDS)
         return contacts.ChangeLog(rows, self.compiled.pair_names, self.compiled.joint_names)
 
@@ -242,7 +264,8 @@ class Record:
 
     def dense_log(self, first: int = 0) -> dense_steps.DenseSteps:
         """Return the dense steps of the blocks from `first` on."""
-        return dense_steps.of_parts(self.dense_steps[first:])
+        parts = self.dense_steps[first:]
+        return dense_steps.of_parts(parts) if parts else self._shared("dense steps", dense_steps.of_parts)
 
     @property
     def impacts(self) -> int:

@@ -190,7 +190,7 @@ class Run:
 
     def _explained(self, status: Status) -> Status:
         """Return the status of the last steps, with the constraints that were in the way where the run ended."""
-        if status.code in _NO_WAY_ON:
+        if status.code is not _SUCCESS and status.code in _NO_WAY_ON:
             self.unreachable = name_unreachable(self._record, self.q)
         return self._record.status
 

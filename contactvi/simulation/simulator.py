@@ -47,16 +47,26 @@ def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -
             elements of scenes.
     """
     fixed = forced or checked_scene(scene).built().needs_fixed_step is not None
-    settings = merged(scene.settings, chosen, fixed)
-    if not all(value is None or type(value) in (str, int, float, bool) for value in settings.values()):
-        return Options.from_dict(settings)
-    return _checked(tuple((name, type(value), value) for name, value in settings.items()))
+    file, here = _plain(scene.settings), _plain(chosen)
+    if file is None or here is None:
+        return Options.from_dict(merged(scene.settings, chosen, fixed))
+    return _checked(file, here, fixed)
+
+
+_PLAIN = {str, int, float, bool, type(None)}
+_Settings = tuple[tuple[tuple[str, Any], ...], tuple[type, ...]]
+
+
+def _plain(settings: Mapping[str, Any]) -> _Settings | None:
+    """Return settings of plain values, with their types, which tell 1 from True; None where some value is another."""
+    types = tuple(map(type, settings.values()))
+    return (tuple(settings.items()), types) if _PLAIN.issuperset(types) else None
 
 
 @lru_cache(maxsize=64)
-def _checked(settings: tuple[tuple[str, type, Any], ...]) -> Options:
-    """Return the options with these plain values, checked once; types tell 1 from True."""
-    return Options.from_dict({name: value for name, _, value in settings})
+def _checked(file: _Settings, chosen: _Settings, fixed: bool) -> Options:
+    """Return the options of these settings, checked once."""
+    return Options.from_dict(merged(dict(file[0]), dict(chosen[0]), fixed))
 
 
 class Simulator(PresentDynamics):

@@ -48,6 +48,7 @@ class CompiledScene:
         step_options: the options of the step that was linearised last, with what they were made from.
         engines: of simulations, by their settings, which nobody uses now.
         linearizers: engines that linearise steps, by order and tolerance, which nobody uses now.
+        empty_logs: logs without rows, by kind, which runs without events share.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -65,6 +66,7 @@ class CompiledScene:
         self.step_options: tuple[Any, Any] | None = None
         self.engines: dict[tuple[Any, ...], list[_core.Simulator]] = {}
         self.linearizers: dict[tuple[int, float], list[_core.Linearizer]] = {}
+        self.empty_logs: dict[str, Any] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return what pickle keeps: the scene, of which all else is made again."""
@@ -90,7 +92,7 @@ class CompiledScene:
         """Velocity with which runs start, shape (nv,); None is rest."""
         return self._scene.v0
 
-    @property
+    @cached_property
     def constraint_rows(self) -> list[ConstraintRows]:
         """The constraints in the engine's order."""
         return [ConstraintRows(row.name, row.kind, row.rows) for row in self.built.elements.constraints]

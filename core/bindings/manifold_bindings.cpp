@@ -121,24 +121,25 @@ bool stays_open(Guards& guards, int guard) {
   return true;
 }
 
-std::vector<std::pair<std::vector<int>, VecX>> near_pairs(const Scene& s, const Rows& start, const Rows& end,
-                                                          const Rows& bound, double h, bool spans) {
+std::vector<std::tuple<std::vector<int>, VecX, bool>> near_pairs(const Scene& s, const Rows& start, const Rows& end,
+                                                                 const Rows& bound, double h, bool spans) {
   if (start.cols() != s.tree.nq || end.cols() != s.tree.nq || bound.cols() != s.tree.nv || start.rows() != end.rows() ||
       start.rows() != bound.rows())
     throw Error("expected shapes (N, nq), (N, nq) and (N, nv)");
   Guards guards(s), step(s);
-  std::vector<std::pair<std::vector<int>, VecX>> found;
+  std::vector<std::tuple<std::vector<int>, VecX, bool>> found;
   for (Eigen::Index k = 0; k < bound.rows(); ++k) {
     const VecX q0 = start.row(k), q1 = end.row(k), most = bound.row(k);
     if (k > 0 && start.row(k) != end.row(k - 1)) {  // the step before was cut
       guards.end_span();
-      for (int g : found.back().first) guards.unmark(g);
+      for (int g : std::get<0>(found.back())) guards.unmark(g);
     }
     step.bound_motion(q0, most, h);
     VecX motion(static_cast<Eigen::Index>(s.pairs.size()));
     for (int g = 0; g < static_cast<int>(s.pairs.size()); ++g) motion[g] = step.motion(g);
     std::vector<int> near;
-    if (!spans || !guards.pass(most, h)) {
+    const bool looks = !spans || !guards.pass(most, h);
+    if (looks) {
       guards.bound_motion(q0, most, h);
       guards.place(q1);
       for (const BroadPhase::NearPair& pair : guards.near_pairs()) near.push_back(pair.guard);
@@ -147,7 +148,7 @@ std::vector<std::pair<std::vector<int>, VecX>> near_pairs(const Scene& s, const 
       guards.commit();
       if (spans && clear) guards.begin_span(q1, most, h);
     }
-    found.emplace_back(std::move(near), std::move(motion));
+    found.emplace_back(std::move(near), std::move(motion), looks);
   }
   return found;
 }
@@ -163,8 +164,9 @@ void expose_manifold(nb::module_& m) {
   m.def(
       "near_pairs", &near_pairs, "scene"_a, "start"_a, "end"_a, "bound"_a, "h"_a, "spans"_a = false,
       "For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) "
-      "of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,))]. spans: steps "
-      "after one in which no pair comes near may look at none.");
+      "of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,), whether the step looks at "
+      "all)]."
+      " spans: steps after one in which no pair comes near may look at none.");
   m.def(
       "distance_noise",
       [](const Scene& s, const VecX& q, int pair) { return Touch(s, q, pair, 1).manifolds.noise(pair); }, "scene"_a,

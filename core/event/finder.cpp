@@ -97,6 +97,34 @@ Search EventFinder::search(const VecX& q0, const VecX& p0, const VecX& q1, const
   return fail(Search::kUnresolved, suspects_[0].guard, 0);
 }
 
+// Whether a step begins where the last one, of the same length, has ended.
+bool EventFinder::follows(const VecX& q0, const VecX& p0, double h) const {
+  return memory_.h == h && std::equal(q0.data(), q0.data() + q0.size(), memory_.q.data()) &&
+         std::equal(p0.data(), p0.data() + p0.size(), memory_.p.data());
+}
+
+// Whether no guard can be near in a step after one like it, by the bound on the velocities of bound_step.
+bool EventFinder::is_clear(const double* rate, double h) {
+  const Tree& tree = scene_->tree;
+  if (tree.nq == tree.nv) return guards_->pass(rate, memory_.rate.data(), h);
+  const Eigen::Map<const VecX> now(rate, tree.nv);
+  bound_.setZero();
+  add_size(tree, now, 1.0, bound_);
+  W_ = now - memory_.rate;
+  add_size(tree, W_, 1.0, bound_);
+  return guards_->pass(bound_, h);
+}
+
+bool EventFinder::passes(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const double* rate) {
+  if (rate == nullptr || !follows(q0, p0, h) || !is_clear(rate, h)) return false;
+  forget_last();
+  guards_->counters.skipped += guards_->count();
+  std::copy_n(rate, memory_.rate.size(), memory_.rate.data());
+  std::copy_n(q1.data(), q1.size(), memory_.q.data());
+  std::copy_n(p1.data(), p1.size(), memory_.p.data());
+  return true;
+}
+
 // Bound on the velocities of the exact path, from the polynomial and what it leaves out.
 bool EventFinder::bound_step() {
   path_->bound(bound_);
@@ -108,7 +136,7 @@ bool EventFinder::bound_step() {
   // A single stage gives the velocity v in the middle only. Velocities reach from v0 to 2 v - v0; after a step of equal
   // length v0 = (previous + v)/2 up to O(h^2).
   path_->chart_rate(0.5, v1_);
-  if (memory_.h == h_ && memory_.p == *p0_ && memory_.q == *q0_) {
+  if (follows(*q0_, *p0_, h_)) {
     W_ = v1_ - memory_.rate;
     add_size(scene_->tree, W_, 1.0, bound_);
   } else {
@@ -230,7 +258,7 @@ Search EventFinder::start(Suspect& s) {
   if (!memory_.touching[s.guard] && a.gap <= 0.0) {
     // By rounding it touches although no impact was found. If it were deeper an impact would have been missed.
     if (a.gap < -guards_->depth_tolerance(s.guard)) return fail(Search::kUnresolved, s.guard, a.gap);
-    memory_.touching[s.guard] = 1;
+    set_touching(s.guard, true);
   }
   if (memory_.touching[s.guard]) return separate_touching(s, a);
   s.from = a;

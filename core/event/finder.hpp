@@ -53,18 +53,27 @@ class EventFinder {
   // some guard may reach zero. On kFound event() is filled, and the integrator holds the partial step to it.
   Search search(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const VecX& tau,
                 StepPath& path);
+  // Whether a step is known to have no event before anything is known of its path, since no guard can be near in it; it
+  // is taken then. rate: of its only stage, (nv,); null: there are several.
+  bool passes(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const double* rate);
   const Event& event() const { return event_; }
   int failed_guard() const { return failed_guard_; }
   double failed_gap() const { return failed_gap_; }
 
   // Whether a guard is closed, within tolerance, at the start of the next step.
   bool touching(int guard) const { return memory_.touching[guard]; }
+  // False: no guard is.
+  bool any_touching() const { return any_touching_; }
   void list_touching(std::vector<int>& guards) const;  // ascending
   void set_touching(int guard, bool value) {
     guards_->end_span();
     memory_.touching[guard] = value;
+    any_touching_ |= value;
   }
-  void forget_touching() { std::fill(memory_.touching.begin(), memory_.touching.end(), 0); }
+  void forget_touching() {
+    std::fill(memory_.touching.begin(), memory_.touching.end(), 0);
+    any_touching_ = false;
+  }
   // What the next search uses of the last one.
   struct Memory {
     std::vector<char> touching;  // per guard: closed, within tolerance, at the start of the next step
@@ -75,7 +84,10 @@ class EventFinder {
     double h = 0.0;
   };
   const Memory& memory() const { return memory_; }
-  void recall(const Memory& memory) { memory_ = memory; }
+  void recall(const Memory& memory) {
+    memory_ = memory;
+    any_touching_ = std::find(memory_.touching.begin(), memory_.touching.end(), 1) != memory_.touching.end();
+  }
   const Stepper* stepper() const { return stepper_; }
   // Guards that might have reached zero in the last search, touching ones included: they may be hit at one time.
   const std::vector<int>& active() const { return active_; }
@@ -94,6 +106,7 @@ class EventFinder {
   };
 
   bool bound_step();
+  bool is_clear(const double* rate, double h);
   bool raise_path();
   bool plainly_clear();
   bool bound_again();
@@ -117,6 +130,7 @@ class EventFinder {
   void cross(Suspect& s, const Point& lo, const Point& hi, double offset);
   Search accept(int guard, const Point& at, bool stays_closed);
   void settle();
+  bool follows(const VecX& q0, const VecX& p0, double h) const;
   void remember();
   Search fail(Search why, int guard, double gap);
 
@@ -129,6 +143,7 @@ class EventFinder {
   std::vector<Suspect> suspects_;
   VecX v0_, v1_, bound_, doubt_, W_;
   Memory memory_;
+  bool any_touching_ = false;  // whether one may
   Contact contact_;
   const VecX *q0_ = nullptr, *p0_ = nullptr, *q1_ = nullptr, *p1_ = nullptr, *tau_ = nullptr;
   StepPath* path_ = nullptr;

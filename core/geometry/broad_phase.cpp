@@ -11,16 +11,19 @@ namespace contactvi {
 namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-// A fat box has room for so many steps like the present one: a box is renewed about every 13 steps.
-constexpr double kSteps = 16.0;
+// A fat box has room for so many steps like the present one: a box is renewed about every 25 steps.
+constexpr double kSteps = 32.0;
+// Up to so many pairs are looked at one by one where a box is renewed: a box in the tree, put there and asked for its
+// partners, costs as much as some fifty of them.
+constexpr std::size_t kFewPairs = 64;
 // And for this part of the geometry's radius, so that what hardly moves is never renewed.
 constexpr double kLeastRoom = 0.1;
 // But not for more than this part of the radius, or what is fast would be near to everything,
 constexpr double kMostRoom = 2.0;
 // as long as it lasts for so many steps: it must for three.
 constexpr double kFewestSteps = 4.0;
-// Of the room that it would get: a geometry with less left gets a new box along with the others. A step that looks at
-// guards costs much more than a box.
+// Where boxes are renewed, or a clear span has ended, those with less left than this part of the room that they would
+// get are renewed: else each would end a span of its own. More renews boxes that last, less makes spans shorter.
 constexpr double kRenewed = 0.5;
 // Of the room: what is left for rounding.
 constexpr double kRounding = 1e-3;
@@ -80,6 +83,7 @@ struct BroadPhase::BoxTree {
 
 BroadPhase::BroadPhase(const Scene& scene)
     : scene_(&scene),
+      few_(scene.pairs.size() <= kFewPairs),
       pairs_(scene.pair_table ? scene.pair_table
                               : std::make_shared<const PairTable>(scene.pairs, scene.geometries.size())),
       boxes_(scene.geometries.size()),
@@ -95,24 +99,20 @@ BroadPhase::~BroadPhase() = default;
 
 void BroadPhase::invalidate() { std::fill(limits_.begin(), limits_.end(), -kInfinity); }
 
-bool BroadPhase::is_outdated(const std::vector<double>& odometer, const std::vector<double>& motion) {
+bool BroadPhase::is_outdated(const std::vector<double>& odometer, const std::vector<double>& motion, bool early) {
   leaving_.clear();
   for (std::size_t g = 0; g < limits_.size(); ++g)
     if (!(odometer[g] + 2.0 * motion[g] <= limits_[g])) leaving_.push_back(static_cast<int>(g));
-  if (leaving_.empty()) return false;
+  if (leaving_.empty() && !early) return false;
   leaving_.clear();
   for (std::size_t g = 0; g < limits_.size(); ++g) {
     const double needed = std::max(2.0 * motion[g], kRenewed * room_for(scene_->geometries[g], motion[g]));
     if (!(odometer[g] + needed <= limits_[g])) leaving_.push_back(static_cast<int>(g));
   }
-  return true;
+  return !leaving_.empty();
 }
 
 void BroadPhase::renew(const Placements& at, const std::vector<double>& odometer, const std::vector<double>& motion) {
-  for (int g : leaving_) is_leaving_[g] = 1;
-  near_.erase(std::remove_if(near_.begin(), near_.end(),
-                             [&](const NearPair& p) { return is_leaving_[p.a] != 0 || is_leaving_[p.b] != 0; }),
-              near_.end());
   for (int g : leaving_) {
     const Geometry& geometry = scene_->geometries[g];
     if (geometry.body < 0) {
@@ -128,8 +128,13 @@ void BroadPhase::renew(const Placements& at, const std::vector<double>& odometer
         boxes_[g] = {Vec3::Zero(), Vec3::Constant(kInfinity)};
       }
     }
-    if (!geometry.unbounded) tree_->enter(g, boxes_[g]);
+    if (!geometry.unbounded && !few_) tree_->enter(g, boxes_[g]);
   }
+  if (few_) return look_at_all(at);
+  for (int g : leaving_) is_leaving_[g] = 1;
+  near_.erase(std::remove_if(near_.begin(), near_.end(),
+                             [&](const NearPair& p) { return is_leaving_[p.a] != 0 || is_leaving_[p.b] != 0; }),
+              near_.end());
   added_.clear();
   for (int g : leaving_) find_partners(g, at);
   for (int g : leaving_) is_leaving_[g] = 0;
@@ -137,6 +142,19 @@ void BroadPhase::renew(const Placements& at, const std::vector<double>& odometer
   merged_.resize(near_.size() + added_.size());
   std::merge(near_.begin(), near_.end(), added_.begin(), added_.end(), merged_.begin(), is_before);
   near_.swap(merged_);
+}
+
+void BroadPhase::look_at_all(const Placements& at) {
+  near_.clear();
+  for (std::size_t k = 0; k < scene_->pairs.size(); ++k) {
+    const int a = std::min(scene_->pairs[k].a, scene_->pairs[k].b),
+              b = std::max(scene_->pairs[k].a, scene_->pairs[k].b);
+    const bool plane_a = scene_->geometries[a].unbounded, plane_b = scene_->geometries[b].unbounded;
+    const bool meet = plane_a   ? !plane_b && may_meet(b, a, at)
+                      : plane_b ? may_meet(a, b, at)
+                                : !(separation(boxes_[a], boxes_[b]) > 0.0);
+    if (meet) near_.push_back({static_cast<int>(k), a, b});
+  }
 }
 
 // Of two geometries that both have new boxes the smaller one finds the pair.
@@ -168,6 +186,7 @@ void BroadPhase::recall(const Memory& memory) {
   boxes_ = memory.boxes;
   limits_ = memory.limits;
   near_ = memory.near;
+  if (few_) return;
   tree_->clear();
   for (std::size_t g = 0; g < boxes_.size(); ++g)
     if (!scene_->geometries[g].unbounded && limits_[g] > -kInfinity) tree_->enter(static_cast<int>(g), boxes_[g]);

@@ -29,9 +29,9 @@ class BroadPhase {
   // Forgets all boxes: the bodies have been put elsewhere.
   void invalidate();
   // Whether some geometry may leave its fat box in a step that moves its points by at most motion[geometry]; then renew
-  // has to be called. odometer: per geometry, at the start of the step.
-  bool is_outdated(const std::vector<double>& odometer, const std::vector<double>& motion);
-  // The geometries that is_outdated has found, and those that would soon be found.
+  // has to be called. early: or has used up half of its box. odometer: per geometry, at the start of the step.
+  bool is_outdated(const std::vector<double>& odometer, const std::vector<double>& motion, bool early);
+  // The geometries that is_outdated has found, and those that have used up half of their boxes.
   const std::vector<int>& leaving() const { return leaving_; }
   // Gives them new boxes about their places at the end of the step, where their bodies have been placed.
   void renew(const Placements& at, const std::vector<double>& odometer, const std::vector<double>& motion);
@@ -49,11 +49,13 @@ class BroadPhase {
   void recall(const Memory& memory);
 
  private:
+  void look_at_all(const Placements& at);
   void find_partners(int geometry, const Placements& at);
   bool may_meet(int geometry, int plane, const Placements& at) const;
   void add_near(int a, int b);
 
   const Scene* scene_;
+  bool few_;  // whether the pairs are few, and looked at without the tree
   std::shared_ptr<const PairTable> pairs_;
   std::vector<int> planes_;     // the halfspaces
   std::vector<Box> boxes_;      // per geometry: its fat box

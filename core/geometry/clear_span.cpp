@@ -1,6 +1,7 @@
 #include "geometry/clear_span.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace contactvi {
 
@@ -30,7 +31,22 @@ bool ClearSpan::take(const VecX& bound, double h) {
     const double part = bound[d] * inverse_[d];
     if (!(part <= steps)) steps = part;  // NaN stays
   }
-  steps *= h;
+  return enter(steps * h);
+}
+
+bool ClearSpan::take(int n, const double* rate, const double* before, double h) {
+  if (allowed_ <= 0.0) return false;
+  const double* inverse = inverse_.data();
+  double steps = 0.0;
+  for (int d = 0; d < n; ++d) {
+    const double part = (std::abs(rate[d]) + std::abs(rate[d] - before[d])) * inverse[d];
+    if (!(part <= steps)) steps = part;  // NaN stays
+  }
+  return enter(steps * h);
+}
+
+// A step that counts as so many reference steps.
+bool ClearSpan::enter(double steps) {
   if (!(used_ + 2.0 * steps < allowed_)) return false;
   last_ = steps;
   used_ += steps;

@@ -28,6 +28,8 @@ class ClearSpan {
   // Enters a step whose velocities stay within bound. False, and nothing is entered, if it may not be clear: gaps at
   // the end have to be larger than the motion of the step.
   bool take(const VecX& bound, double h);
+  // As this, of n dofs whose speeds stay within |rate| + |rate - before|.
+  bool take(int n, const double* rate, const double* before, double h);
   // Of the step taken last, in reference steps.
   double last() const { return last_; }
   double used() const { return used_; }
@@ -35,6 +37,8 @@ class ClearSpan {
   void end() { used_ = allowed_ = 0.0; }
 
  private:
+  bool enter(double steps);
+
   VecX path_, inverse_;  // of each dof in a reference step [m; rad], and one over it
   double used_ = 0.0, allowed_ = 0.0, last_ = 0.0;
 };

@@ -12,6 +12,9 @@ namespace {
 // [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching and the noise of
 // coal's distances (2e-8).
 constexpr double kMeeting = 1e-7;
+// Reference steps: where the bound on the distance of one pair ends a span sooner, the exact distance is found. That
+// costs about as much as a step that looks at guards.
+constexpr double kShortSpan = 8.0;
 }  // namespace
 
 Guards::Guards(const Scene& scene, int contact_points)
@@ -28,6 +31,7 @@ Guards::Guards(const Scene& scene, int contact_points)
       doubt_(make_reach()),
       expected_(make_reach()),
       odometer_(scene.geometries.size()),
+      interval_start_(scene.geometries.size()),
       marks_(count_, -1.0),
       broad_phase_(scene),
       span_(scene.tree.nv) {}
@@ -57,6 +61,7 @@ void Guards::place_bodies() {
 }
 
 void Guards::restart() {
+  keep_start();
   span_.end();
   forget_distances();
   std::fill(odometer_.begin(), odometer_.end(), 0.0);
@@ -70,7 +75,7 @@ void Guards::forget_distances() {
 }
 
 const std::vector<BroadPhase::NearPair>& Guards::near_pairs() {
-  if (pairs_ > 0 && broad_phase_.is_outdated(odometer_, motion_.geometry)) {
+  if (pairs_ > 0 && broad_phase_.is_outdated(odometer_, motion_.geometry, span_ended_)) {
     for (int g : broad_phase_.leaving()) place_body(scene_->geometries[g].body);
     broad_phase_.renew(placements_, odometer_, motion_.geometry);
   }
@@ -216,6 +221,7 @@ Guards::Reach Guards::make_reach() const {
 }
 
 void Guards::bound_motion(const VecCRef& q, const VecX& bound, double h) {
+  span_ended_ = span_.any();
   end_span();
   propagate_reach(q, bound, h, 1.0, motion_);
 }
@@ -321,13 +327,24 @@ void Guards::mark(int guard, double gap_at_end) {
   marks_[guard] = odometer_[pair.a] + odometer_[pair.b] + motion(guard) + gap_at_end;
 }
 
+// Before an odometer changes, or what a span expects.
+void Guards::keep_start() {
+  if (any_look_) return;
+  for (std::size_t g = 0; g < odometer_.size(); ++g)
+    interval_start_[g] = odometer_[g] + interval_used_ * expected_.geometry[g];
+  any_look_ = true;
+}
+
 void Guards::commit() {
+  keep_start();
   for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += motion_.geometry[g];
 }
 
 // Each guard allows so many reference steps: a pair until its mark, a geometry until it may leave its fat box, a limit
 // until its gap is used up.
 void Guards::begin_span(const VecCRef& q1, const VecX& bound, double h) {
+  keep_start();
+  ++spans_;
   propagate_reach(q1, span_.set_reference(bound, h), 1.0, ClearSpan::kLongest, expected_);
   double allowed = ClearSpan::kLongest;
   const auto limit = [&allowed](double room, double motion) {
@@ -335,15 +352,65 @@ void Guards::begin_span(const VecCRef& q1, const VecX& bound, double h) {
   };
   for (std::size_t g = 0; g < odometer_.size(); ++g)
     limit(broad_phase_.limit(static_cast<int>(g)) - odometer_[g], expected_.geometry[g]);
-  if (pairs_ > 0)
-    for (const BroadPhase::NearPair& pair : broad_phase_.near_pairs())
-      limit(marks_[pair.guard] - odometer_[pair.a] - odometer_[pair.b],
-            expected_.geometry[pair.a] + expected_.geometry[pair.b]);
   for (int k = pairs_; k < count_; ++k) limit(limit_gap(k, q1), expected_.limit[k - pairs_]);
+  if (!(allowed > 0.0)) return;
+  if (pairs_ > 0) {
+    place(q1);
+    const double pairs = span_of_pairs(allowed);
+    if (!(pairs >= allowed)) allowed = pairs;
+  }
   if (allowed > 0.0) span_.allow(allowed);
 }
 
+// How many reference steps the near pairs allow, where `enough` are wanted. As long as one pair alone makes them few
+// its distance is found better, once.
+double Guards::span_of_pairs(double enough) {
+  const std::vector<BroadPhase::NearPair>& near = broad_phase_.near_pairs();
+  const BroadPhase::NearPair* refined = nullptr;
+  for (std::size_t k = 0; k <= near.size(); ++k) {
+    const BroadPhase::NearPair* first = nullptr;
+    double least = enough;
+    for (const BroadPhase::NearPair& pair : near) {
+      const double steps = span_of(pair);
+      if (steps >= least) continue;
+      least = steps;
+      first = &pair;
+    }
+    if (first == nullptr || first == refined || !(least < kShortSpan) || !refine(*first)) return least;
+    refined = first;
+  }
+  return 0.0;
+}
+
+double Guards::span_of(const BroadPhase::NearPair& pair) const {
+  const double room = marks_[pair.guard] - odometer_[pair.a] - odometer_[pair.b],
+               motion = expected_.geometry[pair.a] + expected_.geometry[pair.b];
+  return room >= ClearSpan::kLongest * motion ? ClearSpan::kLongest : room / motion;
+}
+
+// Finds a better bound on the distance of a pair where the bodies are placed, after the step: that of its boxes, or the
+// distance. False: there is none.
+bool Guards::refine(const BroadPhase::NearPair& pair) {
+  if (is_persistent(pair.guard)) return false;
+  const double odometers = odometer_[pair.a] + odometer_[pair.b], before = marks_[pair.guard],
+               motion = expected_.geometry[pair.a] + expected_.geometry[pair.b];
+  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  double distance = 0.0;
+  if (!a.unbounded && !b.unbounded) {
+    place_pair(pair.guard);
+    distance = separation(box_of(a, placements_), box_of(b, placements_));
+  }
+  if (!(distance >= kShortSpan * motion)) {
+    Contact contact;
+    distance = std::max(distance, evaluate_witness(pair.guard, contact));
+  }
+  if (!(odometers + distance > before)) return false;
+  marks_[pair.guard] = odometers + distance;
+  return true;
+}
+
 void Guards::end_span() {
+  if (span_.any()) keep_start();
   if (span_.any())
     for (std::size_t g = 0; g < odometer_.size(); ++g) odometer_[g] += span_.used() * expected_.geometry[g];
   span_.end();

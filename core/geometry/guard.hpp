@@ -66,6 +66,11 @@ class Guards {
     if (guard < pairs_) place_pair(guard);
     return placements_;
   }
+  // As placements, where only the body of a geometry matters.
+  const Placements& placements_of(int geometry) {
+    place_body(scene_->geometries[geometry].body);
+    return placements_;
+  }
   Manifolds& manifolds() { return manifolds_; }
   // Sets the persistent contacts of a guard. The pointers must stay valid.
   void set_persistent(int guard, std::vector<const ContactPoint*> points);
@@ -107,10 +112,27 @@ class Guards {
   // Takes a step of length h whose velocities stay within bound if no guard may be a suspect in it, without a look at
   // any. False: that is not known, and nothing was done.
   bool pass(const VecX& bound, double h) { return span_.take(bound, h); }
+  // As this, for speeds within |rate| + |rate - before|, of all dofs.
+  bool pass(const double* rate, const double* before, double h) { return span_.take(scene_->tree.nv, rate, before, h); }
   // Guards may have become other ones: the next step looks at them.
   void end_span();
   // Bound on how far any point of a geometry has moved since an arbitrary instant [m].
   double odometer(int geometry) const { return odometer_[geometry] + span_.used() * expected_.geometry[geometry]; }
+  // An interval begins; motion_since() is that of a geometry from here on [m].
+  void begin_interval() {
+    interval_used_ = span_.used();
+    any_look_ = false;
+  }
+  double motion_since(int geometry) const {
+    return odometer(geometry) - (any_look_ ? interval_start_[geometry]
+                                           : odometer_[geometry] + interval_used_ * expected_.geometry[geometry]);
+  }
+  // Whether no step of the interval looked at guards; then motion_since() is that of steps_since() reference steps of
+  // the span under way, which is the number span().
+  bool passed_all() const { return !any_look_; }
+  double steps_since() const { return span_.used() - interval_used_; }
+  long span() const { return spans_; }
+  double motion_of_reference(int geometry) const { return expected_.geometry[geometry]; }
   // As bound_motion found it, for one geometry [m].
   double motion_of_geometry(int geometry) const { return motion_.geometry[geometry]; }
 
@@ -121,6 +143,7 @@ class Guards {
   };
   Memory memory() const;
   void recall(const Memory& memory) {
+    keep_start();
     span_.end();
     odometer_ = memory.odometer;
     marks_ = memory.marks;
@@ -141,6 +164,10 @@ class Guards {
   void place_pair(int guard);
   void place_bodies();
   double limit_gap(int guard, const VecCRef& q) const;
+  void keep_start();
+  double span_of_pairs(double enough);
+  double span_of(const BroadPhase::NearPair& pair) const;
+  bool refine(const BroadPhase::NearPair& pair);
 
   const Scene* scene_;
   int count_, pairs_;
@@ -155,12 +182,17 @@ class Guards {
   long configuration_ = 0;        // number of the configuration q_
   long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
-  std::vector<double> linear_;       // per body: bound on its origin's displacement
-  Reach motion_, doubt_, expected_;  // expected: in a reference step of the span
-  std::vector<double> odometer_;     // per geometry
-  std::vector<double> marks_;        // per guard: odometer sum up to which it may be skipped
+  std::vector<double> linear_;          // per body: bound on its origin's displacement
+  Reach motion_, doubt_, expected_;     // expected: in a reference step of the span
+  std::vector<double> odometer_;        // per geometry
+  std::vector<double> interval_start_;  // as it was where the interval began, kept where it is about to change
+  double interval_used_ = 0.0;          // of the span, where the interval began
+  bool any_look_ = false;               // whether a step of the interval looked at guards
+  long spans_ = 0;                      // how many spans have begun
+  std::vector<double> marks_;           // per guard: odometer sum up to which it may be skipped
   BroadPhase broad_phase_;
   ClearSpan span_;
+  bool span_ended_ = false;  // whether the step whose motion is bounded follows one of a span
 };
 
 }  // namespace contactvi

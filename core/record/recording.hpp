@@ -127,13 +127,15 @@ struct Recording {
   // Forgets impacts, contacts, changes, dense steps and phases, and keeps their memory.
   void clear() {
     impacts.clear();
-    contacts.cut(0);
+    if (!contacts.t.empty()) contacts.cut(0);
     changes.clear();
     dense.clear();
     phase_t.clear();
     phase_dt.clear();
     phase_kind.clear();
   }
+  // Whether there are impacts, contacts, changes or dense steps.
+  bool any_entry() const { return !(impacts.empty() && contacts.t.empty() && changes.empty() && dense.empty()); }
   // Forgets everything, and keeps its memory.
   void restart() {
     cut({0, 0, 0, 0, 0, 0, 0});

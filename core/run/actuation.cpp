@@ -47,7 +47,7 @@ void Actuation::start() {
 void Actuation::set(const VecX& tau, const MatX& target, long k, const VecX& q, const VecX& p) {
   const Tree& tree = *tree_;
   Servo& servo = state_->servo;
-  state_->given = tau;
+  if (tau.size() > 0 || state_->given.size() > 0) state_->given = tau;
   if (tree.elements.servo_kp.size() > 0) {
     if (servo.q_ref.size() == 0) {
       servo.q_ref.setZero(tree.nv);
@@ -67,7 +67,7 @@ void Actuation::limit(const VecX& q, const VecX& p) {
   Servo& servo = state_->servo;
   const Elements& e = tree.elements;
   const bool has_servos = e.servo_kp.size() > 0, has_limits = e.effort.size() > 0 || e.speed.size() > 0;
-  limited = state_->given;
+  if (limited.size() > 0 || state_->given.size() > 0) limited = state_->given;
   if (!has_servos && !has_limits) return;
   if (has_limits && limited.size() == 0) limited.setZero(tree.nv);
   if (has_servos) {

@@ -17,6 +17,7 @@ struct EventCount {
   double contact_parts = 0;    // partial steps with persistent contacts
   int contact_halvings = 0;    // of steps with persistent contacts that were not solved, in the interval under way
 
+  bool none() const { return coupled_impacts + changes + contact_parts + contact_halvings == 0.0; }
   // An interval of this length [s] begins.
   void fade(double length);
   // Of bodies that meet.

@@ -63,6 +63,7 @@ double Simulator::most_rescues(double length) const {
 }
 
 bool Simulator::events_accumulate(double length) const {
+  if (contact_step_.contacts().empty() && state_.dense.events.none()) return contact_step_.gave_up();
   const double contacts =
       static_cast<double>(std::max<std::size_t>(contact_step_.contacts().size(), sequence_.count()));
   const double small = std::min(1.0, kSmall / std::max(1, scene_->tree.nv));

@@ -4,25 +4,32 @@
 namespace contactvi {
 
 namespace {
-// Most lists of most islands are empty.
-template <class List>
-void copy_list(const List& from, List& to) {
-  if (!from.empty() || !to.empty()) to = from;
+bool is_empty(const DenseStep::Memory& memory) {
+  return memory.impulses.empty() && memory.closed.empty() && memory.change.size() == 0 &&
+         memory.joint_friction.size() == 0;
 }
 }  // namespace
 
+bool Simulator::carries_lists() const {
+  return !(contact_step_.contacts().empty() && !finder_.any_touching() && finder_.exempted().empty() &&
+           state_.separated.empty() && state_.flights.entries().empty() && contact_step_.friction_joints().empty() &&
+           is_empty(dense_step_.memory()));
+}
+
 void Simulator::hand_over(Handover& to) const {
-  to.q = state_.q;
-  to.p = state_.p;
   to.control = state_.control;
   to.largest_speed = state_.largest_speed;
-  copy_list(contact_step_.contacts(), to.contacts);
-  finder_.list_touching(to.touching);
-  copy_list(finder_.exempted(), to.exempt);
   to.dense = state_.dense;
+  to.dense_step.h = dense_step_.memory().h;
+  const bool any = carries_lists();
+  if (!any && !to.any) return;  // those of most islands are empty
+  to.any = any;
+  to.contacts = contact_step_.contacts();
+  finder_.list_touching(to.touching);
+  to.exempt = finder_.exempted();
   to.dense_step = dense_step_.memory();
-  copy_list(state_.separated, to.separated);
-  copy_list(state_.flights.entries(), to.flights);
+  to.separated = state_.separated;
+  to.flights = state_.flights.entries();
   to.joint_friction.clear();
   for (const ContactStep::FrictionJoint& joint : contact_step_.friction_joints())
     to.joint_friction.push_back({joint.anchored, joint.anchor, 0.0});

@@ -53,7 +53,7 @@ Island::Island(const Scene& whole, const StaticTrees& all, std::vector<int> tree
 
 void Island::begin(const Scene& whole, const StaticTrees& all) {
   for (int g : numbers_->guards) guard_trees_.push_back(all.of_guard(whole, g));
-  odometer_.assign(numbers_->geometries.size(), 0.0);
+  offset_.assign(numbers_->geometries.size(), 0.0);
   engine_->follow_motion();
   depends_on_time_ = depends_on_time(engine_->scene().tree.elements);
   for (int d : numbers_->v) dof_tree_.push_back(all.of_joint(whole.tree.dof_joint[d]));
@@ -82,15 +82,21 @@ void Island::take(List& list, GuardOf guard_of, Put put) const {
   list.erase(list.begin() + static_cast<std::ptrdiff_t>(kept), list.end());
 }
 
-void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, std::vector<JointFriction>& friction,
-                  double t, double start_time) {
-  Handover& to = handover_;
+// Its part of a state of the whole scene.
+void Island::take_state(const VecX& q, const VecX& p, Handover& to) const {
   to.q.resize(static_cast<Eigen::Index>(numbers_->q.size()));
   to.p.resize(static_cast<Eigen::Index>(numbers_->v.size()));
   for (std::size_t i = 0; i < numbers_->q.size(); ++i) to.q[static_cast<Eigen::Index>(i)] = q[numbers_->q[i]];
   for (std::size_t i = 0; i < numbers_->v.size(); ++i) to.p[static_cast<Eigen::Index>(i)] = p[numbers_->v[i]];
+}
+
+void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, std::vector<JointFriction>& friction,
+                  double t, double start_time) {
+  Handover& to = handover_;
+  take_state(q, p, to);
   to.control = loose[trees_[0]].control;
   to.largest_speed = 0.0;
+  to.any = true;
   to.contacts.clear();
   to.touching.clear();
   to.exempt.clear();
@@ -121,6 +127,7 @@ void Island::form(const VecX& q, const VecX& p, std::vector<LooseState>& loose, 
   to.joint_friction.clear();
   for (int k : numbers_->friction) to.joint_friction.push_back(friction[k]);
   engine_->take_over(to, fresh_, t, start_time);
+  engine_->guards().begin_interval();
   rest_.steps = 0;
 }
 
@@ -209,21 +216,24 @@ void Island::undo(std::vector<LooseState>& loose, std::vector<JointFriction>& fr
 
 // Takes its part of the inputs; false: they are those of the step before.
 bool Island::set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref) {
-  before_tau_ = tau_;
-  before_target_ = target_;
   const std::vector<int>& v = numbers_->v;
-  const Eigen::Index nv = static_cast<Eigen::Index>(v.size());
-  tau_.resize(tau.size() > 0 ? nv : 0);
-  for (Eigen::Index i = 0; i < tau_.size(); ++i) tau_[i] = tau[v[i]];
+  const Eigen::Index nv = static_cast<Eigen::Index>(v.size()), given = tau.size() > 0 ? nv : 0;
+  bool changed = tau_.size() != given;
+  if (changed) tau_.resize(given);
+  const auto put = [&changed](double& to, double value) {
+    changed |= to != value;
+    to = value;
+  };
+  for (Eigen::Index i = 0; i < given; ++i) put(tau_[i], tau[v[i]]);
   if (q_ref.size() > 0 && engine_->scene().tree.elements.servo_kp.size() > 0) {
+    changed |= target_.size() == 0;
     target_.resize(1, 2 * nv);
     for (Eigen::Index i = 0; i < nv; ++i) {
-      target_(0, i) = q_ref[v[i]];
-      target_(0, nv + i) = v_ref[v[i]];
+      put(target_(0, i), q_ref[v[i]]);
+      put(target_(0, nv + i), v_ref[v[i]]);
     }
   }
-  return tau_.size() != before_tau_.size() || target_.size() != before_target_.size() || tau_ != before_tau_ ||
-         target_ != before_target_;
+  return changed;
 }
 
 // The record of the last step is that of this one, at another time.
@@ -239,24 +249,32 @@ void Island::repeat_record(long step, double t, double length) {
   }
 }
 
-void Rest::count(const VecX& now, bool quiet) {
-  if (quiet && steps > 0 && ((now - q).cwiseAbs().array() <= kStill * q.cwiseAbs().array().max(1.0)).all()) {
-    ++steps;
+void Rest::count(const VecX& before, const std::vector<int>& entries, const VecX& now, bool quiet) {
+  bool still = quiet && steps > 0;
+  for (Eigen::Index i = 0; i < now.size() && still; ++i) {
+    const double was = steps > 1 ? q[i] : before[entries[i]];
+    still = std::abs(now[i] - was) <= kStill * std::max(std::abs(was), 1.0);
+  }
+  if (!still) {
+    steps = quiet ? 1 : 0;
     return;
   }
-  steps = quiet ? 1 : 0;
-  q = now;
+  if (steps == 1) {
+    q.resize(now.size());
+    for (Eigen::Index i = 0; i < now.size(); ++i) q[i] = before[entries[i]];
+  }
+  ++steps;
 }
 
 // Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay,
 // and no dense steps that end some time.
-void Island::count_rest() {
+void Island::count_rest(const VecX& before) {
   bool quiet = ok_ && !depends_on_time_ && recording_.impacts.empty() && recording_.changes.empty() &&
                !engine_->may_leave_dense_steps();
   const std::vector<double>& starts = recording_.contacts.t;
   for (double t : starts) quiet = quiet && t == starts.front();
   for (int mode : recording_.contacts.mode) quiet = quiet && mode != static_cast<int>(ContactMode::kSlips);
-  rest_.count(std::as_const(*engine_).state().q, quiet);
+  rest_.count(before, numbers_->q, std::as_const(*engine_).state().q, quiet);
 }
 
 void Island::restore_rest(const Rest& rest, const Recording& record, const VecX& tau, const MatX& target) {
@@ -266,8 +284,8 @@ void Island::restore_rest(const Rest& rest, const Recording& record, const VecX&
   target_ = target;
 }
 
-void Island::step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
-                  const Progress& progress) {
+void Island::step(const VecX& before, long step, double t, double length, const VecX& tau, const VecX& q_ref,
+                  const VecX& v_ref, const Progress& progress) {
   if (set_inputs(tau, q_ref, v_ref)) rest_.steps = 0;
   if (asleep()) {
     repeat_record(step, t, length);
@@ -277,16 +295,51 @@ void Island::step(long step, double t, double length, const VecX& tau, const Vec
     return;
   }
   if (own_) engine_->hand_over(before_);  // the island of all trees is never undone
-  for (std::size_t k = 0; k < odometer_.size(); ++k) odometer_[k] = engine_->guards().odometer(static_cast<int>(k));
+  engine_->guards().begin_interval();
   recording_.clear();
   ok_ = engine_->step_island(step, t, length, tau_, target_, progress, recording_);
-  count_rest();
+  count_rest(before);
 }
 
-void Island::gather_at(long step, double t, double part, const Progress& progress, VecX& q, VecX& p) {
+// While no interval may bring it near another one, and no step of it looks at guards, one number tells that.
+void Island::measure(IslandGraph& graph) {
+  const Guards& guards = engine_->guards();
+  if (!graph.clear() || !(asleep() || guards.passed_all())) {
+    for (std::size_t k = 0; k < offset_.size(); ++k)
+      graph.set_motion(numbers_->geometries[k], motion(static_cast<int>(k)));
+    return;
+  }
+  if (asleep()) return;
+  if (share_span_ != guards.span() || share_room_ != graph.room_number()) {
+    share_ = 0.0;
+    for (std::size_t k = 0; k < offset_.size(); ++k)
+      share_ = std::max(share_, graph.part(numbers_->geometries[k], guards.motion_of_reference(static_cast<int>(k))));
+    share_span_ = guards.span();
+    share_room_ = graph.room_number();
+  }
+  graph.count(guards.steps_since() * share_);
+}
+
+void Island::tell_motion(IslandGraph& graph) const {
+  for (std::size_t k = 0; k < offset_.size(); ++k) {
+    const int g = numbers_->geometries[k], own = static_cast<int>(k);
+    const double moved = motion(own);
+    graph.set_place(g, offset_[k] + engine_->guards().odometer(own) - moved);
+    graph.set_motion(g, moved);
+  }
+}
+
+void Island::join_graph(const IslandGraph& graph) {
+  for (std::size_t k = 0; k < offset_.size(); ++k)
+    offset_[k] = graph.odometer(numbers_->geometries[k]) - engine_->guards().odometer(static_cast<int>(k));
+}
+
+void Island::gather_at(const VecX& q0, const VecX& p0, long step, double t, double part, const Progress& progress,
+                       VecX& q, VecX& p) {
   if (!asleep() && part > 0.0) {
     const std::shared_ptr<const Snapshot> end = engine_->save();
     Recording unused;
+    take_state(q0, p0, before_);
     engine_->take_over(before_, fresh_, t, t);
     const bool reached = engine_->step_island(step, t, part, tau_, target_, progress, unused);
     if (reached) gather(q, p);

@@ -4,6 +4,7 @@
 #include <memory>
 
 #include "model/static_trees.hpp"
+#include "run/island_graph.hpp"
 #include "run/simulator.hpp"
 
 namespace contactvi {
@@ -34,10 +35,11 @@ struct Rest {
   static constexpr double kStill = 4.5e-16;
 
   int steps = 0;
-  VecX q;  // at the first of them
+  VecX q;  // at the end of the first of them, once there are two
 
-  // A step has ended at this configuration; quiet: nothing but rest happened in it.
-  void count(const VecX& now, bool quiet);
+  // A step has ended at this configuration, which began at those entries of `before`; quiet: nothing but rest happened
+  // in it.
+  void count(const VecX& before, const std::vector<int>& entries, const VecX& now, bool quiet);
 };
 
 class Island {
@@ -62,9 +64,9 @@ class Island {
   void dissolve(std::vector<LooseState>& loose, std::vector<JointFriction>& friction);
   void undo(std::vector<LooseState>& loose, std::vector<JointFriction>& friction);
 
-  // One control step; tau, target: of the whole scene, or empty.
-  void step(long step, double t, double length, const VecX& tau, const VecX& q_ref, const VecX& v_ref,
-            const Progress& progress);
+  // One control step from the configuration `before`; tau, target: of the whole scene, or empty.
+  void step(const VecX& before, long step, double t, double length, const VecX& tau, const VecX& q_ref,
+            const VecX& v_ref, const Progress& progress);
   // Whether the last steps have moved nothing by more than rounding, so that it repeats the last one until something
   // changes: its trees, or its inputs.
   bool asleep() const { return rest_.steps >= Rest::kSteps; }
@@ -73,12 +75,18 @@ class Island {
   void restore_rest(const Rest& rest, const Recording& record, const VecX& tau, const MatX& target);
   const VecX& tau() const { return tau_; }
   const MatX& target() const { return target_; }
-  // Bound on the motion of its geometry `k` in that step [m].
-  double motion(int k) const { return asleep() ? 0.0 : engine_->guards().odometer(k) - odometer_[k]; }
+  // Tells the graph how far it has moved in that step.
+  void measure(IslandGraph& graph);
+  // Tells it how far each of its geometries has moved so far, and in that step.
+  void tell_motion(IslandGraph& graph) const;
+  // From here on its geometries have moved as far as the graph knows.
+  void join_graph(const IslandGraph& graph);
   // Whether a state of it has to obey constraints.
   bool constrained() const { return !numbers_->constraint_rows.empty(); }
-  // Enters the state that it had a time `part` [s] after the start t [s] of the last step in that of the whole scene.
-  void gather_at(long step, double t, double part, const Progress& progress, VecX& q, VecX& p);
+  // Enters the state that it had a time `part` [s] after the start t [s] of the last step in that of the whole scene,
+  // which was (q0, p0) there.
+  void gather_at(const VecX& q0, const VecX& p0, long step, double t, double part, const Progress& progress, VecX& q,
+                 VecX& p);
   // Enters its state in that of the whole scene.
   void gather(VecX& q, VecX& p) const;
   // Calls join(tree, tree) for those that a contact or a guard that touches keeps together.
@@ -89,9 +97,11 @@ class Island {
 
  private:
   void begin(const Scene& whole, const StaticTrees& all);
+  double motion(int k) const { return asleep() ? 0.0 : engine_->guards().motion_since(k); }
+  void take_state(const VecX& q, const VecX& p, Handover& to) const;
   bool set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref);
   void repeat_record(long step, double t, double length);
-  void count_rest();
+  void count_rest(const VecX& before);
   template <class List, class GuardOf, class Put>
   void take(List& list, GuardOf guard_of, Put put) const;
   void take_dense(std::vector<LooseState>& loose);
@@ -108,9 +118,12 @@ class Island {
   EngineMemory fresh_;
   Handover before_, handover_;
   Recording recording_;
-  std::vector<double> odometer_;
-  VecX tau_, before_tau_;
-  MatX target_, before_target_;
+  std::vector<double> offset_;  // of the graph's odometer of each geometry from that of the engine [m]
+  // How many reference intervals of the graph a reference step of the engine's guards is, and of which of these.
+  double share_ = 0.0;
+  long share_span_ = -1, share_room_ = -1;
+  VecX tau_;
+  MatX target_;
   bool ok_ = true;
   bool depends_on_time_ = false;  // some force or constraint is a function of time
   Rest rest_;

@@ -7,15 +7,19 @@
 #include <cmath>
 #include <limits>
 
+#include "geometry/box.hpp"
+
 namespace contactvi {
 
 namespace {
 constexpr double kReach = 1.5;       // of the motion in the last interval: that expected in the next one
 constexpr double kIntervals = 16.0;  // a ball's margin lasts for about so many of them,
 constexpr double kMargin = 0.05;     // and is at least this part of its radius;
-constexpr double kLasting = 8.0;     // reaches: a bound on a distance that is shorter gives way to the exact distance
 constexpr double kHuge = 1e300;      // stands for one over nothing
-constexpr double kRenewed = 0.5;     // with less than this part of it left, one is renewed along with another one
+// Where balls are renewed, or clear intervals have ended, those with less than this part of their margin left are
+// renewed: else each would end the clear intervals by itself. A bound on a distance that does not last as long as what
+// a ball is left with, kRenewed * kIntervals reaches, gives way to the exact distance.
+constexpr double kRenewed = 0.5;
 }  // namespace
 
 IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
@@ -49,6 +53,7 @@ IslandGraph::IslandGraph(const StaticTrees& trees, Guards& guards)
 
 void IslandGraph::restart(const std::vector<double>& motion) {
   motion_ = motion;
+  knows_motion_ = true;
   room_ = used_ = largest_ = last_ = 0.0;
   std::fill(odometer_.begin(), odometer_.end(), 0.0);
   std::fill(limit_.begin(), limit_.end(), -1.0);
@@ -69,12 +74,15 @@ int IslandGraph::guard_of(int a, int b) const {
 
 // Puts the ball of a geometry where that is now, and finds its neighbours anew.
 void IslandGraph::renew(int g, double margin) {
+  before_.clear();
   for (const Neighbour& n : neighbours_[g]) {
     std::vector<Neighbour>& list = neighbours_[n.geometry];
-    list.erase(std::find_if(list.begin(), list.end(), [g](const Neighbour& m) { return m.geometry == g; }));
+    const auto own = std::find_if(list.begin(), list.end(), [g](const Neighbour& m) { return m.geometry == g; });
+    before_.push_back({n.geometry, n.guard, std::max(n.mark, own->mark)});
+    list.erase(own);
   }
   neighbours_[g].clear();
-  const Placements& at = guards_->placements(partners_[g].front().guard);
+  const Placements& at = guards_->placements_of(g);
   const Geometry& geometry = scene_->geometries[g];
   const Vec3 c = at.p_W[geometry.body] + at.R_W[geometry.body] * geometry.center_B;
   const int slot = slot_[g];
@@ -83,32 +91,44 @@ void IslandGraph::renew(int g, double margin) {
   z_[slot] = c[2];
   ball_[slot] = radius_[g] + margin;
   limit_[g] = odometer_[g] + margin;
-  for (std::size_t k = 0; k < movable_.size(); ++k) {
-    const double dx = x_[k] - c[0], dy = y_[k] - c[1], dz = z_[k] - c[2], r = ball_[k] + ball_[slot];
+  const double *x = x_.data(), *y = y_.data(), *z = z_.data(), *ball = ball_.data(), cx = c[0], cy = c[1], cz = c[2],
+               own = ball_[slot];
+  const int tree = trees_->of_geometry(g), count = static_cast<int>(movable_.size());
+  for (int k = 0; k < count; ++k) {
+    const double dx = x[k] - cx, dy = y[k] - cy, dz = z[k] - cz, r = ball[k] + own;
     if (!(r > 0.0 && dx * dx + dy * dy + dz * dz <= r * r)) continue;
-    const int other = movable_[k], guard = guard_of(g, other);
+    const int other = movable_[k];
+    if (trees_->of_geometry(other) == tree) continue;
+    const int guard = guard_of(g, other);
     if (guard < 0) continue;
-    neighbours_[g].push_back({other, guard, -1.0});
-    neighbours_[other].push_back({g, guard, -1.0});
+    const auto known =
+        std::find_if(before_.begin(), before_.end(), [&](const Neighbour& m) { return m.guard == guard; });
+    const double mark = known != before_.end() ? known->mark : -1.0;
+    neighbours_[g].push_back({other, guard, mark});
+    neighbours_[other].push_back({g, guard, mark});
   }
 }
 
-// A lower bound on the distance of two neighbours now: that of their balls.
-double IslandGraph::clearance(const Neighbour& n, int g) {
+// A lower bound on the distance of two neighbours now: that of their balls, and that of their boxes where this would
+// not last for `reach`.
+double IslandGraph::clearance(const Neighbour& n, int g, double reach) {
   const Placements& at = guards_->placements(n.guard);
-  const auto center = [&](int k) {
-    const Geometry& geometry = scene_->geometries[k];
+  const Geometry &a = scene_->geometries[g], &b = scene_->geometries[n.geometry];
+  const auto center = [&](const Geometry& geometry) {
     return Vec3(at.p_W[geometry.body] + at.R_W[geometry.body] * geometry.center_B);
   };
-  return (center(g) - center(n.geometry)).norm() - radius_[g] - radius_[n.geometry];
+  const double balls = (center(a) - center(b)).norm() - radius_[g] - radius_[n.geometry];
+  if (balls > reach || a.unbounded || b.unbounded || (sphere_[g] && sphere_[n.geometry])) return balls;
+  return std::max(balls, separation(box_of(a, at), box_of(b, at)));
 }
 
 // Whether two neighbours may meet when they move by `reach` together.
 bool IslandGraph::may_meet(int g, Neighbour& n, double reach) {
   const double odometers = odometer_[g] + odometer_[n.geometry];
   if (odometers + reach < n.mark) return false;
-  double distance = clearance(n, g);
-  if (distance <= kLasting * reach && !(sphere_[g] && sphere_[n.geometry])) {
+  const double lasting = kRenewed * kIntervals * reach;
+  double distance = clearance(n, g, lasting);
+  if (distance <= lasting && !(sphere_[g] && sphere_[n.geometry])) {
     Contact contact;
     distance = guards_->evaluate_witness(n.guard, contact);
   }
@@ -119,6 +139,7 @@ bool IslandGraph::may_meet(int g, Neighbour& n, double reach) {
 
 // Trees that are joined may part, whatever their geometries move: while there are such neighbours there is no room.
 void IslandGraph::find_room(DisjointSets& sets) {
+  ++rooms_;
   used_ = last_ = 0.0;
   room_ = std::numeric_limits<double>::infinity();
   const auto limit = [this](double room) {
@@ -138,23 +159,28 @@ void IslandGraph::find_room(DisjointSets& sets) {
   }
 }
 
-void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets) {
+bool IslandGraph::find_clear() {
   placed_ = false;
+  was_clear_ = clear_;
   // What counts as x reference intervals has a reach of at most kReach x + 1 of them in the next one: the slack is a
   // part of each reach.
   clear_ = used_ + kReach * last_ + 1.0 < room_;
-  if (clear_) return;
-  bool outdated = false;
+  measured_ = !clear_;
+  return clear_;
+}
+
+void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets) {
+  bool outdated = was_clear_;
   for (int g : movable_) {
     reach_[g] = kReach * motion_[g] + slack;
     outdated |= !(odometer_[g] + reach_[g] <= limit_[g]);
   }
-  if (outdated) {
+  for (int g : movable_) {
+    if (!outdated) break;
+    const double margin = std::max(kIntervals * reach_[g], std::isfinite(radius_[g]) ? kMargin * radius_[g] : 0.0);
+    if (odometer_[g] + std::max(reach_[g], kRenewed * margin) <= limit_[g]) continue;
     place(q);
-    for (int g : movable_) {
-      const double margin = std::max(kIntervals * reach_[g], std::isfinite(radius_[g]) ? kMargin * radius_[g] : 0.0);
-      if (!(odometer_[g] + std::max(reach_[g], kRenewed * margin) <= limit_[g])) renew(g, margin);
-    }
+    renew(g, margin);
   }
   for (int g : movable_) {
     for (Neighbour& n : neighbours_[g]) {
@@ -169,7 +195,6 @@ void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets)
 }
 
 void IslandGraph::join_met(const VecX& q, DisjointSets& sets) {
-  if (clear_ && used_ + largest_ < room_) return;
   if (clear_) std::fill(reach_.begin(), reach_.end(), 0.0);  // all that move are looked at
   bool any = false;
   for (int g : movable_) any |= motion_[g] > reach_[g];
@@ -186,8 +211,16 @@ void IslandGraph::join_met(const VecX& q, DisjointSets& sets) {
   }
 }
 
-void IslandGraph::commit() {
+void IslandGraph::know_motion() {
   for (int g : movable_) odometer_[g] += motion_[g];
+  largest_ = 0.0;
+  knows_motion_ = true;
+}
+
+void IslandGraph::commit() {
+  knows_motion_ = measured_;
+  if (measured_)
+    for (int g : movable_) odometer_[g] += motion_[g];
   used_ += largest_;
   last_ = largest_;
   largest_ = 0.0;

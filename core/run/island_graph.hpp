@@ -20,18 +20,42 @@ class IslandGraph {
 
   // Forgets where everything is; motion: bound on the motion of each geometry in the next interval [m].
   void restart(const std::vector<double>& motion);
-  // Joins trees that may meet in the next interval from q.
+  // An interval begins: whether nobody can meet in it, whatever moved in the last one.
+  bool find_clear();
+  bool clear() const { return clear_; }
+  // Whether nobody can have met in an interval that was found to be clear.
+  bool stays_clear() const { return clear_ && used_ + largest_ < room_; }
+  // Joins trees that may meet in the next interval from q, where it is not clear. How far each geometry has moved has
+  // to be known.
   void join_suspects(const VecX& q, double slack, DisjointSets& sets);
-  // Sets how far a geometry has moved at most in the interval under way [m].
+  // Sets how far a geometry has moved at most in the interval under way, or in the last one [m].
   void set_motion(int geometry, double distance) {
     motion_[geometry] = distance;
-    const double part = distance * inverse_[geometry];
-    if (!(part <= largest_)) largest_ = part;
+    count(part(geometry, distance));
   }
-  // Joins trees of different sets that may have met in the interval under way from q.
+  // And until the start of that interval.
+  void set_place(int geometry, double odometer) { odometer_[geometry] = odometer; }
+  double odometer(int geometry) const { return odometer_[geometry]; }
+  // The interval under way counts as at least so many reference intervals.
+  void count(double intervals) {
+    if (!(intervals <= largest_)) largest_ = intervals;
+  }
+  // The part of a reference interval in which a geometry moves so far [m].
+  double part(int geometry, double distance) const { return distance * inverse_[geometry]; }
+  // A reference interval is another one whenever this number is.
+  long room_number() const { return rooms_; }
+  // Joins trees of different sets that may have met in the interval under way from q, where it did not stay clear. How
+  // far each geometry has moved has to be known.
   void join_met(const VecX& q, DisjointSets& sets);
   // The interval is over.
   void commit();
+  // Whether motion() is that of the last interval, and odometer() that at its end. know_motion(): after set_place() and
+  // set_motion() for all, between two intervals.
+  bool knows_motion() const { return knows_motion_; }
+  void know_motion();
+  // Whether how far each geometry moves in the interval under way is told; measure(): it is after all.
+  bool measured() const { return measured_; }
+  void measure() { measured_ = true; }
   // Of the last interval, per geometry: all that the next search depends on.
   const std::vector<double>& motion() const { return motion_; }
 
@@ -43,7 +67,7 @@ class IslandGraph {
   void place(const VecX& q);
   void renew(int g, double margin);
   int guard_of(int a, int b) const;
-  double clearance(const Neighbour& n, int g);
+  double clearance(const Neighbour& n, int g, double reach);
   void find_room(DisjointSets& sets);
   bool may_meet(int g, Neighbour& n, double reach);
 
@@ -60,6 +84,7 @@ class IslandGraph {
   std::vector<double> x_, y_, z_, ball_;  // the balls of movable_; ball_: radius with margin
   std::vector<int> slot_;                 // of a geometry in movable_
   std::vector<std::vector<Neighbour>> neighbours_;
+  std::vector<Neighbour> before_;  // workspace of renew: the neighbours so far
   bool placed_ = false;
   // A reference interval moves each geometry by the reach that it had when room_ was found; inverse_ is one over that.
   // An interval counts as the least multiple of it that no geometry exceeds: largest_ is the one under way, last_ the
@@ -67,7 +92,11 @@ class IslandGraph {
   // neighbours meet.
   std::vector<double> inverse_;  // [1/m]
   double room_ = 0.0, used_ = 0.0, largest_ = 0.0, last_ = 0.0;
-  bool clear_ = false;  // the interval under way was found to be clear
+  bool clear_ = false;      // the interval under way was found to be clear
+  bool was_clear_ = false;  // and the one before
+  bool measured_ = false;   // motion_ is, or will be, that of the interval under way
+  bool knows_motion_ = false;
+  long rooms_ = 0;  // how often room_ was found
 };
 
 }  // namespace contactvi

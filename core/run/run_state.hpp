@@ -73,6 +73,7 @@ struct Handover {
   DensePhase dense;
   DenseStep::Memory dense_step;
   std::vector<JointFriction> joint_friction;
+  bool any = true;  // whether one of the lists may have entries
 };
 
 struct EngineCounters {

@@ -245,7 +245,7 @@ bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool l
     truncation_.iterations = std::max(truncation_.iterations, integrator_.counters.stage_iterations - before);
   }
   integrator_.finish(q1_, p1_);
-  if (guards_.count() > 0 || follows_motion_ || options_.dense) rates_ = integrator_.rates();
+  if (options_.dense) rates_ = integrator_.rates();
   integrator_.accept();
   return true;
 }
@@ -332,9 +332,11 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
   const WorkAccount::FreeWork work = state_.work.of(integrator_);
   Search found = Search::kNone;
   if (guards_.count() > 0 || follows_motion_) {
-    path_.set(state_.q, h, rates_);
     finder_.set_stepper(integrator_);
-    found = finder_.search(state_.q, state_.p, q1_, p1_, h, interval.tau, path_);
+    if (!finder_.passes(state_.q, state_.p, q1_, p1_, h, integrator_.only_rate())) {
+      path_.set(state_.q, h, integrator_.rates());
+      found = finder_.search(state_.q, state_.p, q1_, p1_, h, interval.tau, path_);
+    }
   }
   if ((found == Search::kNewtonFailed || found == Search::kUnresolved) && !last_try) {
     integrator_.forget();  // solve_smooth_step has accepted the step

@@ -96,7 +96,10 @@ class Simulator {
   // For bodies that are one island of a larger scene (run/world.hpp).
   // The engine's memory as it is before any run, with which every island starts.
   EngineMemory memory();
+  // All but the state.
   void hand_over(Handover& to) const;
+  // Whether there is more to hand over than single numbers.
+  bool carries_lists() const;
   // Starts from there at t [s] with a fresh memory, and with nothing counted.
   void take_over(const Handover& from, const EngineMemory& fresh, double t, double start_time);
   // Bounds of the motion are kept even where no guard needs them.

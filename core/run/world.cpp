@@ -164,6 +164,7 @@ void World::forget_unused() {
 
 // The islands of the interval that starts at t [s].
 void World::regroup(double t) {
+  if (graph_.find_clear() && static_cast<int>(islands_.size()) == trees_.count()) return;
   sets_.reset(trees_.count());
   for (Island* island : islands_) island->each_bond([this](int a, int b) { sets_.join(a, b); });
   if (islands_.empty())  // at the start
@@ -173,7 +174,10 @@ void World::regroup(double t) {
         sets_.join(a, b);
       }
   const double fall = scene_->tree.gravity.norm() * options_.dt * options_.dt;
-  graph_.join_suspects(state_.q, 2.0 * fall, sets_);
+  if (!graph_.clear()) {
+    find_motion();
+    graph_.join_suspects(state_.q, 2.0 * fall, sets_);
+  }
   replace_islands(t, false);
 }
 
@@ -187,6 +191,7 @@ void World::replace_islands(double t, bool undo) {
   for (int tree = 0; tree < trees_.count() && same; ++tree)
     same = sets_.root(tree) == islands_[number[tree]]->trees()[0];
   if (same) return;
+  if (!undo) find_motion();
   members.resize(trees_.count());
   for (int tree = 0; tree < trees_.count(); ++tree) members[sets_.root(tree)].push_back(tree);
   std::vector<Island*> now;
@@ -210,6 +215,7 @@ void World::replace_islands(double t, bool undo) {
     now.push_back(&island);
     if (stays(trees)) continue;
     island.form(state_.q, state_.p, loose_, joint_friction_, t, state_.start_time);
+    island.join_graph(graph_);
     to_run_.push_back(&island);
   }
   islands_ = std::move(now);
@@ -219,16 +225,39 @@ void World::replace_islands(double t, bool undo) {
 }
 
 void World::run(Island& island, double length) {
-  island.step(state_.step, state_.start_time + static_cast<double>(state_.step) * options_.dt, length, tau_, q_ref_,
-              v_ref_, island_progress_);
+  island.step(state_.q, state_.step, state_.start_time + static_cast<double>(state_.step) * options_.dt, length, tau_,
+              q_ref_, v_ref_, island_progress_);
   island.last_used = state_.step;
 }
 
-// Tells the graph how far an island has moved in the interval.
-void World::measure(Island& island) {
-  const std::vector<int>& geometries = island.numbers().geometries;
-  for (std::size_t k = 0; k < geometries.size(); ++k)
-    graph_.set_motion(geometries[k], island.motion(static_cast<int>(k)));
+// Tells the graph what it was not told while intervals were clear: how far everything has moved in the interval, and
+// before.
+void World::tell_motion() {
+  for (Island* island : islands_) island->tell_motion(graph_);
+  graph_.measure();
+}
+
+// As this, of the last interval.
+void World::find_motion() {
+  if (graph_.knows_motion()) return;
+  for (Island* island : islands_) island->tell_motion(graph_);
+  graph_.know_motion();
+}
+
+// Joins the islands that may have met in the interval from t [s].
+void World::join_met(double t) {
+  if (graph_.stays_clear()) {
+    to_run_.clear();
+    return;
+  }
+  if (graph_.clear()) {
+    sets_.reset(trees_.count());
+    for (Island* island : islands_)
+      for (int tree : island->trees()) sets_.join(island->trees()[0], tree);
+    tell_motion();
+  }
+  graph_.join_met(state_.q, sets_);
+  replace_islands(t, true);
 }
 
 // All islands over the interval, those that have met together.
@@ -238,9 +267,8 @@ void World::run_interval(double length) {
   to_run_ = islands_;
   while (!to_run_.empty()) {
     for (Island* island : to_run_) run(*island, length);
-    for (Island* island : to_run_) measure(*island);
-    graph_.join_met(state_.q, sets_);
-    replace_islands(t, true);
+    for (Island* island : to_run_) island->measure(graph_);
+    join_met(t);
   }
 }
 
@@ -253,6 +281,7 @@ bool World::end_early(double length) {
         (first == nullptr || island->engine().state().status.time < first->engine().state().status.time))
       first = island;
   if (first == nullptr) return false;
+  tell_motion();
   state_.status = first->engine().state().status;
   if (state_.status.guard >= 0) state_.status.guard = first->numbers().guards[state_.status.guard];
   const double taken = std::clamp(state_.status.time - t, 0.0, length);
@@ -261,9 +290,11 @@ bool World::end_early(double length) {
     island->undo(loose_, joint_friction_);
     island->engine().forget_counts();
     island->form(state_.q, state_.p, loose_, joint_friction_, t, state_.start_time);
+    island->join_graph(graph_);
     island->recording().clear();
     if (taken > 0.0) run(*island, taken);
   }
+  tell_motion();
   return true;
 }
 
@@ -373,6 +404,7 @@ std::shared_ptr<const SavedWorld> World::save() {
   saved->run = state_;
   saved->loose = loose_;
   saved->joint_friction = joint_friction_;
+  find_motion();
   saved->motion = graph_.motion();
   saved->q_ref = q_ref_;
   saved->v_ref = v_ref_;
@@ -400,6 +432,7 @@ void World::restore(const SavedWorld& saved) {
     Island& island = island_of(from.trees);
     island.engine().restore(*from.engine);
     island.restore_rest(from.rest, from.record, from.tau, from.target);
+    island.join_graph(graph_);
     for (int tree : from.trees) island_of_tree_[tree] = static_cast<int>(islands_.size());
     islands_.push_back(&island);
   }

@@ -72,7 +72,9 @@ class World {
   void replace_islands(double t, bool undo);
   void run(Island& island, double length);
   void run_interval(double length);
-  void measure(Island& island);
+  void join_met(double t);
+  void tell_motion();
+  void find_motion();
   bool end_early(double length);
   void set_inputs(const MatX& tau, const MatX& target, long k);
   void accept(double t, double length, Recording& recording);

@@ -42,9 +42,11 @@ void World::add_impact(const Entry& entry, double t, double length, Recording& r
   const double x = length > 0.0 ? std::clamp((impact.time - t) / length, 0.0, 1.0) : 0.0;
   interpolate(scene_->tree, state_.q, q1_, x, impact.q);
   impact.p_minus = (1.0 - x) * state_.p + x * p1_;
-  for (Island* island : islands_)
-    if (island->constrained() && island != entry.island)
-      island->gather_at(state_.step, t, x * length, island_progress_, impact.q, impact.p_minus);
+  for (Island* island : islands_) {
+    if (!island->constrained() || island == entry.island) continue;
+    if (!graph_.measured()) tell_motion();  // the island makes a step more, which is not of the motion
+    island->gather_at(state_.q, state_.p, state_.step, t, x * length, island_progress_, impact.q, impact.p_minus);
+  }
   impact.p_plus = impact.p_minus;
   for (std::size_t i = 0; i < numbers.q.size(); ++i) impact.q[numbers.q[i]] = q[static_cast<Eigen::Index>(i)];
   for (std::size_t i = 0; i < numbers.v.size(); ++i) {
@@ -70,6 +72,8 @@ void World::add_contact(const Entry& entry, Recording& recording) {
 
 // The kind of the world's steps is the highest one of its islands.
 void World::merge_phases(double t, Recording& recording) {
+  const auto free = [](Island* island) { return island->recording().phase_t.empty(); };
+  if (recording.phase_t.empty() && std::all_of(islands_.begin(), islands_.end(), free)) return;
   int kind = static_cast<int>(StepKind::kFree);
   double begins = t, dt = options_.dt;
   for (Island* island : islands_) {
@@ -87,6 +91,10 @@ void World::merge_phases(double t, Recording& recording) {
 }
 
 void World::merge_recordings(double t, double length, Recording& recording) {
+  if (std::none_of(islands_.begin(), islands_.end(), [](Island* island) { return island->recording().any_entry(); })) {
+    merge_phases(t, recording);
+    return;
+  }
   merge([](const Recording& r) { return r.impacts.size(); },
         [](const Recording& r, std::size_t i) { return r.impacts[i].time; },
         [&](const Entry& entry) { add_impact(entry, t, length, recording); });

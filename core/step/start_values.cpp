@@ -29,8 +29,10 @@ StartValues::StartValues(int nv, const Stages& stages)
 void StartValues::push(const Stages& stages, double h) {
   const int kept = static_cast<int>(history_.size());  // as many steps as the extrapolation uses
   newest_ = (newest_ + kept - 1) % kept;
-  for (int k = kept - 1; k > 0; --k) h_[k] = h_[k - 1];
   std::copy(stages.v(), stages.v() + history(0).size(), history(0).data());
+  if (alike_ == kept && h == h_[0]) return;
+  alike_ = alike_ > 0 && h == h_[0] ? alike_ + 1 : 1;
+  for (int k = kept - 1; k > 0; --k) h_[k] = h_[k - 1];
   h_[0] = h;
   count_ = std::min(count_ + 1, kept);
 }
@@ -52,7 +54,7 @@ StartValues::History StartValues::history() const {
 }
 
 void StartValues::recall(const History& kept) {
-  newest_ = 0;
+  newest_ = alike_ = 0;
   count_ = static_cast<int>(kept.lengths.size());
   std::copy(kept.lengths.begin(), kept.lengths.end(), h_);
   const double* at = kept.velocities.data();
@@ -65,9 +67,13 @@ int StartValues::nodes_used() const { return count_; }
 
 void StartValues::weigh(double h) {
   const int steps = nodes_used();
+  if (weights_alike_ && h == weight_h_[kSteps] && alike_ == steps && h == h_[0] &&
+      steps == static_cast<int>(history_.size()))
+    return;
   bool same = steps == weight_count_ && h == weight_h_[kSteps];
   for (int m = 0; m < steps && same; ++m) same = h_[m] == weight_h_[m];
   if (same) return;
+  weights_alike_ = h == h_[0] && alike_ == static_cast<int>(history_.size());
   const GaussTable& table = gauss_table(s_);
   double nodes[kSteps * kMaxStages];
   double end = 0.0;

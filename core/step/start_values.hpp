@@ -13,7 +13,7 @@ class StartValues {
 
   // Remembers a step of length h that was taken; its velocities are in stages.
   void push(const Stages& stages, double h);
-  void forget() { count_ = 0; }
+  void forget() { count_ = alike_ = 0; }
   int count() const { return count_; }
   // All that start values depend on: the steps that were remembered, newest first.
   struct History {
@@ -57,12 +57,14 @@ class StartValues {
   int newest_ = 0;
   double h_[kSteps] = {};
   int count_ = 0;
+  int alike_ = 0;            // of how many of the newest steps the length is known to be that of the newest
   std::vector<Piece> ramp_;  // empty until first used
   int pieces_ = 0;
   // Weights of extrapolate() for the step lengths of its last call.
   std::vector<AlignedArray> weight_;
   double weight_h_[kSteps + 1] = {};
   int weight_count_ = 0;
+  bool weights_alike_ = false;  // all these lengths are the same, and as many as there may be
   AlignedArray smoothed_;
 };
 

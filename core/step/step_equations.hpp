@@ -36,6 +36,12 @@ class StepEquations {
   // X' and v at the stages of the step just solved, shape (nv, s).
   const MatX& rates();
   const MatX& velocities();
+  // X' at the only stage, nv numbers; null where there are several.
+  const double* only_rate() {
+    if (stages_.padded() > 1) return nullptr;
+    if (model_.lanes.balls > 0) stages_.rates();
+    return stages_.rate();
+  }
   // Torque of the servo of dof d at stage i of the step just solved [N; N m].
   double servo_torque(int d, int i) const { return stages_.servo_torque(d, i); }
   // Size of the highest mode of the stage velocities: what the polynomial of the path hardly resolves any more [m;

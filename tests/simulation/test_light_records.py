@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tracemalloc
 from collections.abc import Callable
 from typing import Any
@@ -269,3 +270,25 @@ def test_runs_that_use_an_engine_again_have_the_bits_of_the_first(name):
     again = cvi.simulate(scene, q, v, duration=STEPS * options["dt"], **options)
     assert_equal(again, cvi.simulate(fresh, q, v, duration=STEPS * options["dt"], **options))
     assert_equal(again, cvi.simulate(scene, q, v, duration=STEPS * options["dt"], **options))
+
+
+def test_runs_without_events_share_logs_that_stay_empty():
+    """A short run, one with an impact and contacts, and a short one again: with the same scene, in this order."""
+    scene = bouncing()
+    short, long, again = (cvi.simulate(scene, duration=duration, dt=1e-3) for duration in (0.01, 1.0, 0.01))
+    assert len(long.events) > 0 < len(long.contacts)
+    for traj in (short, again):
+        logs = traj.events, traj.contacts, traj.contact_changes, traj.dense_steps
+        assert [len(log) for log in logs] == [0, 0, 0, 0]
+        assert all(len(values) == 0 for log in logs for values in log.arrays.values())
+        assert traj.contacts.force.shape == (0, 3)
+    assert short.contacts.label(0, 0) == long.contacts.label(0, 0)
+    mhc = cvi.simulate(scene, duration=0.01, dt=1e-3, impact="mhc")
+    assert (short.events.method, mhc.events.method) == ("ctec", "mhc")
+
+
+def test_counts_of_a_run_are_the_fields_of_its_stats():
+    stats = cvi.simulate(pendulum(), duration=0.01, dt=1e-3).stats
+    assert vars(stats).keys() == {field.name for field in dataclasses.fields(stats)}
+    assert stats.steps == 10
+    assert stats == cvi.Stats(**vars(stats))

@@ -15,6 +15,7 @@ import pytest
 import contactvi as cvi
 from contactvi import _core
 
+FEW_PAIRS = 64  # core/geometry/broad_phase.cpp
 LOOKS = np.linspace(0.0, 1.0, 7)  # fractions of a step at which all gaps are evaluated
 
 
@@ -105,17 +106,19 @@ def placed(scene: cvi.Scene, rng: np.random.Generator, room: float) -> np.ndarra
     return q
 
 
+@pytest.mark.parametrize("bodies", [7, 12])  # few pairs, which are looked at one by one, and many
 @pytest.mark.parametrize("spans", [False, True])
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize(("h", "speed", "spin"), [(1e-3, 2.0, 5.0), (1e-3, 30.0, 100.0), (0.05, 5.0, 20.0)])
-def test_pairs_left_out_do_not_touch(seed: int, h: float, speed: float, spin: float, spans: bool):
+def test_pairs_left_out_do_not_touch(seed: int, h: float, speed: float, spin: float, spans: bool, bodies: int):
     """All gaps at many places of many steps, some of which are cut: those of pairs left out stay open, and are larger
     at the end of the step than the motion of the two bodies in it."""
     rng = np.random.default_rng([seed, int(1e4 * h), int(speed)])
     pin.seed(seed)
-    scene = drawn_scene(rng, bodies=12, links=6 if seed % 2 else 0)
+    scene = drawn_scene(rng, bodies, links=6 if seed % 2 and bodies > 7 else 0)
     core = scene.core()
-    q, v = placed(scene, rng, 2.0), velocities(scene, rng, speed, spin)
+    assert (core.npairs <= FEW_PAIRS) == (bodies == 7)
+    q, v = placed(scene, rng, 2.0 if bodies > 7 else 1.5), velocities(scene, rng, speed, spin)
     start, end, bound, looks = [], [], [], []
     for _ in range(60):
         if rng.random() < 0.1:
@@ -128,7 +131,7 @@ def test_pairs_left_out_do_not_touch(seed: int, h: float, speed: float, spin: fl
         q = end[-1] if rng.random() < 0.8 else moved(scene, q, slower * v, rng.random() * h)
     steps = _core.near_pairs(core, np.array(start), np.array(end), np.array(bound), h, spans)
     left_out = 0
-    for (near, motion), gaps in zip(steps, np.array(looks), strict=True):
+    for (near, motion, _), gaps in zip(steps, np.array(looks), strict=True):
         assert all(a < b for a, b in pairwise(near))
         far = np.setdiff1d(np.arange(core.npairs), near)
         left_out += len(far)
@@ -174,13 +177,52 @@ def test_clear_spans_end_before_a_pair_comes_near(seed: int):
         end.append(q)
     arguments = core, np.array(start), np.array(end), np.array(bound), h
     steps, one_by_one = _core.near_pairs(*arguments, True), _core.near_pairs(*arguments, False)
-    for k, (near, motion) in enumerate(steps):
+    for k, (near, motion, _) in enumerate(steps):
         far = np.setdiff1d(np.arange(core.npairs), near)
         gaps = np.array([core.gaps(start[k] + x * (end[k] - start[k]))[0] for x in LOOKS])
         assert np.all(gaps[:, far] > 0.0)
         assert np.all(gaps[-1, far] > motion[far])
-    assert sum(len(near) for near, _ in steps) <= sum(len(near) for near, _ in one_by_one)
-    assert sum(not near for near, _ in steps) > 50
+    assert sum(len(near) for near, *_ in steps) <= sum(len(near) for near, *_ in one_by_one)
+    assert sum(not looks for *_, looks in steps) > 50
+
+
+# How many steps of equal motion lie between two looks at least, where no pair is near: after a look every box has half
+# of its room left, that of 32 such steps, of which two are kept, and a step of the span counts as 1/1.25 or less.
+BETWEEN_LOOKS = int((0.5 * 32 - 2) / 1.25)
+
+
+def steps_with_a_look(scene: cvi.Scene, v: np.ndarray, h: float, count: int) -> np.ndarray:
+    """Numbers of the steps that look at guards, of a motion with constant velocity v (nv,) from the neutral place."""
+    places = [moved(scene, np.asarray(scene.neutral()), v, k * h) for k in range(count + 1)]
+    bounds = np.tile(bound_of(scene, v), (count, 1))
+    steps = _core.near_pairs(scene.core(), np.array(places[:-1]), np.array(places[1:]), bounds, h, True)
+    return np.flatnonzero([looks for *_, looks in steps])
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("bodies", [8, 16])
+def test_bodies_of_all_speeds_are_looked_at_together(seed: int, bodies: int):
+    """Boxes in a row, far apart, whose boxes are used up at different times: none ends a span soon after another."""
+    rng = np.random.default_rng(seed)
+    scene, v = cvi.Scene(gravity=(0.0, 0.0, 0.0)), []
+    for k in range(bodies):
+        size = rng.uniform(0.05, 0.2, 3)
+        scene.add_box(f"box{k}", size, placement=(100.0 * k, 0.0, 0.0))
+        v += [0.0, rng.uniform(0.05, 3.0) * np.linalg.norm(size), 0.0, 0.0, 0.0, 0.0]
+    looks = steps_with_a_look(scene, np.array(v), 1e-2, 400)
+    assert 2 < len(looks) < 400 / BETWEEN_LOOKS
+    assert np.diff(looks).min() >= BETWEEN_LOOKS
+
+
+def test_a_short_bound_on_a_distance_gives_way_to_the_distance():
+    """Thin rods side by side: their balls are 3 cm apart and would allow a few steps only, they themselves many."""
+    scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
+    for k in range(2):
+        scene.add_box(f"rod{k}", (0.02, 0.02, 1.0), placement=(1.0298 * k, 0.0, 0.0))
+    v = np.zeros(scene.nv)
+    v[[1, 7]] = 1.0  # along y, both; the bounds know no directions
+    looks = steps_with_a_look(scene, v, 1e-2, 60)
+    assert np.diff(looks).min() >= BETWEEN_LOOKS
 
 
 def cloud(n: int, distance: float = 0.25) -> tuple[cvi.Scene, np.ndarray]:

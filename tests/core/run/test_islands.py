@@ -167,6 +167,50 @@ def test_a_kick_after_a_time_in_which_nothing_was_near():
     assert np.abs(one["q"][-1] - two["q"][-1]).max() <= 1e-10  # after blows at 400 m/s
 
 
+def sliders(places: Array) -> tuple[pin.Model, pin.GeometryModel]:
+    """Balls of 1 kg on a line, which may meet each other and a wall behind them."""
+    import coal
+
+    model, geometry = pin.Model(), pin.GeometryModel()
+    model.gravity.linear = np.zeros(3)
+    for k, place in enumerate(places):
+        joint = model.addJoint(0, pin.JointModelPX(), at(place, 0.0, 0.0), f"slide{k}")
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, RADIUS), pin.SE3.Identity())
+        geometry.addGeometryObject(pin.GeometryObject(f"ball{k}", joint, pin.SE3.Identity(), coal.Sphere(RADIUS)))
+    wall = geometry.addGeometryObject(pin.GeometryObject("wall", 0, at(-5.0, 0.0, 0.0), coal.Box(0.1, 1.0, 1.0)))
+    for a in range(len(places)):
+        for b in (*range(a + 1, len(places)), wall):
+            geometry.addCollisionPair(pin.CollisionPair(a, b))
+    return model, geometry
+
+
+RADIUS = 0.05
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_push_after_steps_that_nobody_looks_at(seed):
+    """The impact is at the time that follows from the force, in the first step of it or after a hundred.
+
+    Before it all are so slow that what is expected of them is exceeded by far: both where a step of an island is taken
+    without a look at its guards, and where an interval is taken without a look at who may meet.
+    """
+    rng = np.random.default_rng(seed)
+    h, gap, quiet = 1e-3, rng.uniform(0.05, 0.5), int(rng.integers(5, 200))
+    scene = cvi.Scene.from_pinocchio(*sliders((gap + 2.0 * RADIUS) * np.arange(3)))
+    v = np.append(rng.uniform(-1e-3, 1e-3, 2), 0.0)
+    push = 2.0 * gap / h**2 * 10.0 ** rng.uniform(-4.0, 1.0)  # N: across the gap in so many steps
+    # slow t + push (t - start)^2 / 2 = gap, relative to the ball in front
+    start, slow = quiet * h, v[0] - v[1]
+    taken = (np.sqrt(slow**2 + 2.0 * push * (gap - slow * start)) - slow) / push
+    simulator = engine.simulator(scene.core(), h)
+    assert simulator.reset(scene.neutral(), v)["code"] == 0
+    assert simulator.advance(quiet, np.zeros((quiet, 3)))["code"] == 0
+    assert simulator.islands == 3
+    steps = int(np.ceil(taken / h))
+    events = simulator.advance(steps, np.tile([push, 0.0, 0.0], (steps, 1)))["events"]
+    assert abs(events["time"][0] - (start + taken)) <= 1e-12
+
+
 def test_the_order_of_bodies_does_not_matter():
     count = 12
     permuted = np.random.default_rng(1).permutation(count)
