@@ -215,8 +215,8 @@ def test_bodies_of_all_speeds_are_looked_at_together(seed: int, bodies: int):
 
 
 def test_a_short_bound_on_a_distance_gives_way_to_the_distance():
-    """Thin rods side by side, near enough for their fat boxes to meet: their balls are 6 cm apart, which would allow a step
-    or two of 3.4 cm, they themselves 1 m."""
+    """Thin rods side by side, near enough for their fat boxes to meet: their balls are 6 cm apart, which would allow a
+    step or two of 3.4 cm, they themselves 1 m."""
     scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
     for k in range(2):
         scene.add_box(f"rod{k}", (0.02, 0.02, 1.0), placement=(1.06 * k, 0.0, 0.0))
