@@ -215,12 +215,13 @@ def test_bodies_of_all_speeds_are_looked_at_together(seed: int, bodies: int):
 
 
 def test_a_short_bound_on_a_distance_gives_way_to_the_distance():
-    """Thin rods side by side: their balls are 3 cm apart and would allow a few steps only, they themselves many."""
+    """Thin rods side by side, near enough for their fat boxes to meet: their balls are 6 cm apart, which would allow a
+    step or two of 3.4 cm, they themselves 1 m."""
     scene = cvi.Scene(gravity=(0.0, 0.0, 0.0))
     for k in range(2):
-        scene.add_box(f"rod{k}", (0.02, 0.02, 1.0), placement=(1.0298 * k, 0.0, 0.0))
+        scene.add_box(f"rod{k}", (0.02, 0.02, 1.0), placement=(1.06 * k, 0.0, 0.0))
     v = np.zeros(scene.nv)
-    v[[1, 7]] = 1.0  # along y, both; the bounds know no directions
+    v[[1, 7]] = 1.7  # m/s along y, both; the bounds know no directions
     looks = steps_with_a_look(scene, v, 1e-2, 60)
     assert np.diff(looks).min() >= BETWEEN_LOOKS
 
