@@ -101,8 +101,10 @@ def examples() -> Iterator[tuple[str, Any]]:
         with tempfile.TemporaryDirectory() as folder, watched() as made:
             before, arguments, sys.argv = Path.cwd(), sys.argv, [str(path)]
             os.chdir(folder)
+            sys.path.insert(0, str(path.parent))  # as a script that is run has it
             with contextlib.redirect_stdout(io.StringIO()):
                 runpy.run_path(str(path), run_name="__main__")
+            sys.path.remove(str(path.parent))
             sys.argv = arguments
             os.chdir(before)
         yield path.stem, collected(made)
