@@ -293,21 +293,50 @@ def test_no_work_where_no_frame_is_due_or_nobody_looks(monkeypatch):
                 assert len(calls) - made <= 1
 
 
+class Clock:
+    """A clock that goes on where it is told to and where somebody sleeps: a busy machine does not move it."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds > 0.0
+        self.now += seconds
+
+
 @pytest.mark.parametrize("factor", [True, 1, 2.0, 0.5])
-def test_real_time(factor):
-    """Simulated time is not ahead of wall time; a loop that was late does not make up for it."""
+@pytest.mark.parametrize(
+    "pause, made_up_for", [(0.0, 0.0), (0.05, 0.05), (0.3, 0.0)], ids=["in time", "a little late", "late"]
+)
+def test_real_time(monkeypatch, factor, pause, made_up_for):
+    """Simulated time is not ahead of wall time; a loop makes up for a short delay and not for a long one."""
+    clock = Clock()
+    monkeypatch.setattr("contactvi.playback.live.time", clock)
     sim = simulator(ball_scene())
     with show(sim, realtime=factor) as live:
-        for pause in (0.0, 0.3):
-            live.sync()
-            time.sleep(pause)
+        live.sync()
+        clock.now += pause
+        live.sync()
+        start, t = clock.now, sim.t
+        while sim.t < t + 0.2:
             sim.step()
             live.sync()
-            start, t = time.perf_counter(), sim.t
-            while sim.t < t + 0.1:
-                sim.step()
-                live.sync()
-            assert time.perf_counter() - start > (sim.t - t) / factor - 2e-3  # two steps of DT
+        assert clock.now - start == pytest.approx((sim.t - t) / factor - made_up_for, abs=1e-9)
+
+
+def test_real_time_by_the_clock_of_the_machine():
+    """Real seconds pass. A machine that is busy can only make it longer."""
+    sim = simulator(ball_scene())
+    with show(sim, realtime=True) as live:
+        start = time.perf_counter()
+        live.sync()
+        for _ in range(100):
+            sim.step()
+            live.sync()
+        assert time.perf_counter() - start > 0.1 - 1e-4  # what a clock and a sleep round to
 
 
 # -- pages that are slow, or gone --------------------------------------------------------------------------------------
