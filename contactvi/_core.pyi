@@ -586,9 +586,6 @@ class Simulator:
         Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out. coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end of its step. Return (KeptRun, error of a callback or None).
         """
 
-    def run_fixed(self, steps: int, progress: Callable[[float, int], object] | None = None, coarser: KeptRun | None = None) -> tuple[KeptRun, object]:
-        """Make steps of one length. The rest as in run_auto."""
-
     def reset(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], t: float = 0.0) -> dict[str, Any]:
         """Put the system to (q, v) at t [s]; return the fields of the status."""
 
@@ -673,12 +670,6 @@ class KeptRun:
     @property
     def contact_time(self) -> float:
         """Length of the steps with persistent contacts together [s]."""
-
-    @property
-    def lengths(self) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
-        """
-        Of the adaptive steps [s], one for every time at which the length changes.
-        """
 
     @property
     def size(self) -> float:
@@ -818,14 +809,6 @@ def rest_gap(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None
     """
     (least gap over all features but these, slack included; that feature's gap, normal and point).
     """
-
-def rnea_seconds(model: bytes, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], calls: int = 2000, repeats: int = 5) -> float:
-    """
-    Seconds per pinocchio::rnea, fastest of several blocks; for benchmarks.
-    """
-
-def aba_seconds(model: bytes, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], calls: int = 2000, repeats: int = 5) -> float:
-    """Seconds per pinocchio::aba, fastest of several blocks; for benchmarks."""
 
 class ImpactsAt:
     def __init__(self, scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], guards: Sequence[int], restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], margin: float, max_impacts: int) -> None:

@@ -21,7 +21,6 @@ void expose_sensitivity(nanobind::module_& m);
 void expose_hull(nanobind::module_& m);
 void expose_kernel(nanobind::module_& m);
 void expose_manifold(nanobind::module_& m);
-void expose_reference(nanobind::module_& m);
 void expose_sequence(nanobind::module_& m);
 
 }  // namespace contactvi

@@ -70,22 +70,11 @@ Outcome run_auto(SteppedWorld& sim, double duration, double level, const std::op
   });
 }
 
-Outcome run_fixed(SteppedWorld& sim, long steps, const std::optional<ProgressCallback>& progress, const Own* coarser) {
-  return keep(sim, progress, coarser, [&](const Progress& callback, Recording& recording) {
-    return sim.advance(steps, MatX(), MatX(), 1, callback, recording);
-  });
-}
-
 // The run of one that can be compared.
 const KeptRun& compared(const Own& own) {
   if (!own.options.dense) throw Error("runs that are compared need the polynomials of their steps");
   if (own.run.recording.t.empty()) throw Error("the run has been handed over");
   return own.run;
-}
-
-VecX lengths(const Own& own) {
-  const std::vector<double>& dt = own.run.recording.adaptive_dt;
-  return Eigen::Map<const VecX>(dt.data(), static_cast<Eigen::Index>(dt.size()));
 }
 
 Dict results(Own& own) {
@@ -112,7 +101,6 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
       .def_prop_ro(
           "contact_time", [](const Own& own) { return contact_time(own.run); },
           "Length of the steps with persistent contacts together [s].")
-      .def_prop_ro("lengths", &lengths, "Of the adaptive steps [s], one for every time at which the length changes.")
       .def_prop_ro(
           "size", [](const Own& own) { return motion_size(own.scene->tree, compared(own)); },
           "Largest distance of a node from the first one [m, rad].")
@@ -137,16 +125,13 @@ void expose_kept_runs(nb::module_& m, nb::class_<SteppedWorld>& simulator) {
           "Error over what that of the companion is larger, by the lengths h of the segments and the law h^power; inf:"
           " the runs are too much alike; NaN: unknown, because contacts persist and the impacts differ.")
       .def("results", &results, "Hand over what Simulator.advance returns, without \"error\"; the run is empty then.");
-  simulator
-      .def("run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
-           "part"_a = 1.0, "sample"_a = 0.0, "after_impact"_a = 1,
-           "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out."
-           " coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are"
-           " nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the "
-           "end"
-           " of its step. Return (KeptRun, error of a callback or None).")
-      .def("run_fixed", &run_fixed, "steps"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
-           "Make steps of one length. The rest as in run_auto.");
+  simulator.def(
+      "run_auto", &run_auto, "duration"_a, "level"_a, "progress"_a = nb::none(), "coarser"_a = nb::none(),
+      "part"_a = 1.0, "sample"_a = 0.0, "after_impact"_a = 1,
+      "Run with a step chosen between impacts; level [m; rad] bounds what the stage polynomials leave out."
+      " coarser: a run before, of whose steps these are this part. sample: multiples of it after the start [s] are"
+      " nodes where steps are at most twice as long; 0: none. after_impact: steps at least from an impact to the end"
+      " of its step. Return (KeptRun, error of a callback or None).");
 }
 
 }  // namespace contactvi

@@ -39,6 +39,5 @@ NB_MODULE(_core, m) {
   contactvi::expose_simulator(m);
   contactvi::expose_batch(m);
   contactvi::expose_manifold(m);
-  contactvi::expose_reference(m);
   contactvi::expose_sequence(m);
 }

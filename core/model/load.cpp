@@ -11,7 +11,6 @@
 #include <cmath>
 
 #include "base/refusal.hpp"
-#include "model/archive.hpp"
 #include "model/rounding.hpp"
 #include "model/scene.hpp"
 
@@ -302,8 +301,6 @@ GeometryPairs pairs_of(const pinocchio::GeometryModel& geometry) {
 }
 
 }  // namespace
-
-void read_model(std::string_view bytes, pinocchio::Model& model) { unpack(model, bytes, "model"); }
 
 Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, const BesideArchive& beside,
                  const SceneParameters& parameters, RoundedHulls* known) {
