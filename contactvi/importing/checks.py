@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import SceneError, UnsupportedJointError
-from contactvi.importing.kinematics import mass_matrix
+from contactvi.importing.dynamics import mass_matrix
 from contactvi.importing.report import BodyRow, JointRow, PartReport, number
 from contactvi.inputs import LARGEST
 

@@ -309,7 +309,7 @@ class Clock:
 
 @pytest.mark.parametrize("factor", [True, 1, 2.0, 0.5])
 @pytest.mark.parametrize(
-    "pause, made_up_for", [(0.0, 0.0), (0.05, 0.05), (0.3, 0.0)], ids=["in time", "a little late", "late"]
+    ("pause", "made_up_for"), [(0.0, 0.0), (0.05, 0.05), (0.3, 0.0)], ids=["in time", "a little late", "late"]
 )
 def test_real_time(monkeypatch, factor, pause, made_up_for):
     """Simulated time is not ahead of wall time; a loop makes up for a short delay and not for a long one."""
