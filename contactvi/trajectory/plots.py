@@ -90,8 +90,8 @@ def plot_forces(traj: Trajectory, by: str = "pair") -> Figure:
     Args:
         by: "pair": forces along the normal and along the surface, a line per pair with the sum of its points, a mean
             over every step with persistent contact; and how much of the friction cone each contact point uses,
-            friction / (mu normal), which is 1 where it slides. "body": the sum of all contact forces on each body
-            along the axes of the world.
+            friction / (mu normal), which is 1 where it slides. "body": the sum of all contact forces on each body,
+            also on those fixed to the world, along the axes of the world.
 
     Of many pairs or bodies those are drawn whose impulses are the largest, which the legend says. A run without forces
     has empty panels. The figure is one as that of `plot`.

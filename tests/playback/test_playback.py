@@ -243,7 +243,7 @@ def test_poses_of_links_among_free_bodies():
         q = pin.integrate(model, pin.neutral(model), rng.normal(size=model.nv))
         pin.forwardKinematics(model, data, q)
         expected = [pin.SE3ToXYZQUAT(data.oMi[joint]) for joint in joints]
-        # Rounding of products of at most seven placements of the size 1.
+        # Rounding of products of three placements of the size 1.
         np.testing.assert_allclose(places.poses(q), expected, rtol=0.0, atol=1e-14)
 
 
