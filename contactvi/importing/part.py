@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from contactvi.elements.elements import Element
+from contactvi.elements.element import Element
 from contactvi.errors import InputError
 from contactvi.importing.hulls import describe
 from contactvi.importing.mjcf.actuators import Actuator

@@ -29,8 +29,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from contactvi.elements.elements import element_from_data
 from contactvi.elements.signals import Signal
+from contactvi.elements.stored import element_from_data
 from contactvi.errors import SceneError
 from contactvi.importing.checks import MANY_DOFS, ONE_DOF, joint_kind, joint_model, motion_axis
 from contactvi.importing.hulls import PRIMITIVES, faces_of, hull_from_faces, shape_sizes

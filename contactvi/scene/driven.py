@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import pinocchio as pin
 
-from contactvi.elements.elements import WORLD
+from contactvi.elements.element import WORLD
 from contactvi.errors import InputError
 from contactvi.importing.checks import joint_kind
 from contactvi.scene.joints import one_dof

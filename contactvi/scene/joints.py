@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from contactvi.elements.elements import coefficients_of
+from contactvi.elements.constraints import coefficients_of
 from contactvi.elements.signals import Signal
 from contactvi.errors import InputError
 from contactvi.importing.checks import NO_LIMIT, ONE_DOF, has_limits, joint_kind

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.elements.elements import WORLD
+from contactvi.elements.element import WORLD
 from contactvi.records.codes import CHANGES, GuardKind
 from contactvi.records.contacts import ContactLog
 from contactvi.trajectory.plot_layout import FIRST_COLORS, Instants, RunFigure, draw_curve, legend, panels

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.elements.elements import WORLD
+from contactvi.elements.element import WORLD
 from contactvi.importing.kinematics import JointChains
 from contactvi.playback.animation import near_turns
 

@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from contactvi.elements.elements import Constraint
+from contactvi.elements.constraints import Constraint
 from contactvi.inputs import pose
 from helpers import mujoco_oracle as oracle
 
