@@ -23,7 +23,7 @@ from contactvi.options import Options
 from contactvi.scene.scene import Scene
 from contactvi.simulation.compatibility import check_unforced
 from contactvi.simulation.run import Run
-from contactvi.simulation.simulator import settings_of
+from contactvi.simulation.settings import settings_of
 from contactvi.simulation.targets import Targets
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 

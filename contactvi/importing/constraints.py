@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from contactvi.elements.constraints import EqualityConstraint
 from contactvi.elements.element import Element
-from contactvi.importing.checks import joint_kind
+from contactvi.importing.joint_kinds import joint_kind
 from contactvi.importing.part import Part
 from contactvi.importing.urdf import Mimic
 

@@ -8,8 +8,9 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import SceneError
-from contactvi.importing.checks import check_joints, check_numbers, check_size, describe_model, has_limits
+from contactvi.importing.checks import check_joints, check_numbers, check_size, describe_model
 from contactvi.importing.hulls import describe
+from contactvi.importing.joint_kinds import has_limits
 from contactvi.importing.mesh_hulls import MeshHulls, prepare_geometry
 from contactvi.importing.part import Part
 from contactvi.importing.report import GeometryRow, PartReport

@@ -17,8 +17,8 @@ import pinocchio as pin
 
 from contactvi.errors import ContactviError, InputError, SceneError, did_you_mean
 from contactvi.files import checked_path
-from contactvi.importing.checks import ONE_DOF, joint_kind
 from contactvi.importing.constraints import mimic_constraints
+from contactvi.importing.joint_kinds import ONE_DOF, joint_kind
 from contactvi.importing.mesh_hulls import MeshHulls
 from contactvi.importing.meshes import collision_geometry, visual_geometry
 from contactvi.importing.mjcf.compiler import Source, compile_file, import_mujoco

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from contactvi.importing.checks import PLACING, joint_kind
+from contactvi.importing.joint_kinds import PLACING, joint_kind
 from contactvi.importing.part import Part, pictures
 
 _PER_Q = ("lowerPositionLimit", "upperPositionLimit", "positionLimitMargin")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
-from contactvi.importing.checks import joint_kind
+from contactvi.importing.joint_kinds import joint_kind
 from contactvi.inputs import check_choice
 from contactvi.records.codes import GuardKind
 from contactvi.scene.coordinates import coordinates

@@ -63,9 +63,10 @@ class RemadeSteps:
     def after(self, q: Array, p: Array, h: Array) -> tuple[Array, Array, Array, Array]:
         """Return where parts of steps h (n,) [s] from states q (n, nq), p (n, nv) at impacts end, and damping's work.
 
-        That is q, p and two arrays (n,) [J]: first its work over the whole part, h sum_j b_j P_j with the power P_j = -v_j D v_j at the Gauss stages; second
-        that between the impact and E_d, which is the mean of E over the stages: h sum_ij b_i a_ij P_j, and
-        sum_i b_i a_ij = b_j (1 - c_j). Negative h: where the step that ended there began. NaN where h is not known.
+        That is q, p and two arrays (n,) [J]: first its work over the whole part, h sum_j b_j P_j with the power
+        P_j = -v_j D v_j at the Gauss stages; second that between the impact and E_d, which is the mean of E over the
+        stages: h sum_ij b_i a_ij P_j, and sum_i b_i a_ij = b_j (1 - c_j). Negative h: where the step that ended there
+        began. NaN where h is not known.
         """
         q, p, c, b = q.copy(), p.copy(), *self._gauss
         whole, near = np.zeros(len(h)), np.zeros(len(h))

@@ -10,7 +10,8 @@ import pytest
 
 import contactvi as cvi
 from contactvi.errors import ContactviError, InputError, SceneError
-from contactvi.scene.toml import KEYS, load_scene
+from contactvi.scene.toml import load_scene
+from contactvi.scene.toml_tables import KEYS
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 EPS = np.finfo(float).eps
