@@ -34,6 +34,13 @@ def mass_matrix(built: Built, q: Array) -> Array:
     return np.asarray(0.5 * (columns + columns.T))
 
 
+def inverse_mass_matrix(built: Built, q: Array) -> Array:
+    """Return M^-1 (nv, nv) at q (nq,): the engine's, whose factors have the digits that inverting M would lose."""
+    nv = int(built.model.nv)
+    columns = np.asarray(built.engine.velocity(np.repeat(q[None], nv, axis=0), np.eye(nv)))
+    return np.asarray(0.5 * (columns + columns.T))
+
+
 def bias_forces(built: Built, q: Array, v: Array) -> Array:
     """Return b (nv,) at q (nq,), v (nv,)."""
     return dynamics.bias_forces(built.model, q, v)

@@ -405,6 +405,13 @@ def test_no_question_about_a_long_chain_makes_the_pin_data_of_its_model(monkeypa
     jacobian, radii = scene.contact_jacobian(q, margin=0.1).on("tip"), 0.03 + 0.1 * np.arange(LINKS, 0, -1)
     np.testing.assert_allclose(jacobian.matrix, [np.zeros(LINKS), radii, np.zeros(LINKS)], atol=1e-9)
     np.testing.assert_allclose(jacobian.bias_acceleration(np.eye(LINKS)[0]), [0.0, 0.0, radii[0]], atol=1e-9)
+    # Of the weights below it each link has the stiffness m g r against its own angle, the sum of those of the joints.
+    stiffness = 0.1 * 9.81 * (0.1 * np.arange(LINKS - 1, -1, -1) + 0.05)
+    sums, M = np.tri(LINKS), scene.mass_matrix(q)
+    wanted = -(sums.T * stiffness) @ sums
+    found = M @ cvi.forward_dynamics_derivatives(scene, q).a_q
+    rounding = np.finfo(float).eps * np.linalg.cond(M) * np.abs(wanted).max()
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=rounding)
     sim = cvi.Simulator(scene, dt=1e-4)
     sim.reset(q, v)
     sim.step()
