@@ -24,6 +24,20 @@ from contactvi.importing.kinematics import Joints
 Array = NDArray[np.float64]
 
 
+def _cross_tensor() -> Array:
+    """Return the tensor (6, 6, 6) whose product with a twist x is the matrix of the product of x with twists."""
+    tensor = np.zeros((6, 6, 6))
+    for k, (linear, angular) in enumerate(np.eye(6).reshape(6, 2, 3)):
+        v, w = pin.skew(linear), pin.skew(angular)
+        tensor[:, :, k] = np.block([[w, v], [np.zeros((3, 3)), w]])
+    return tensor
+
+
+# For two twists x and y, and a force f (linear, angular): (CROSS @ x) @ y = x x y, (DUAL @ f) @ x = x x* f.
+CROSS = _cross_tensor()
+DUAL = -np.einsum("fyx->yxf", CROSS)
+
+
 class PointMotion(NamedTuple):
     """Place, velocity and acceleration of a point (3,), world, and derivatives (3, nv) in q, v and a."""
 
@@ -60,10 +74,10 @@ class TreeMotion:
             self._joint[dofs] = k
             S = self._S[:, dofs] = self.places[k].action @ joint.subspace
             self._twists[k] = self._twists[below] + S @ v[dofs]
-            S_rate = self._S_rate[:, dofs] = cross(self._twists[k]) @ S
+            S_rate = self._S_rate[:, dofs] = (CROSS @ self._twists[k]) @ S
             self._accelerations[k] = self._accelerations[below] + S @ a[dofs] + S_rate @ v[dofs]
-            psi = self._psi[:, dofs] = cross(self._twists[below]) @ S
-            self._psi_rate[:, dofs] = cross(self._accelerations[below]) @ S + cross(self._twists[below]) @ psi
+            psi = self._psi[:, dofs] = (CROSS @ self._twists[below]) @ S
+            self._psi_rate[:, dofs] = (CROSS @ self._accelerations[below]) @ S + (CROSS @ self._twists[below]) @ psi
 
     def point(self, joint: int, x: Array) -> PointMotion:
         """Return the motion of a point (3,) [m] of a body, given in the frame of its joint; 0 is the world."""
@@ -74,8 +88,8 @@ class TreeMotion:
         place, V, A = self.places[joint].act(x), self._twists[joint], self._accelerations[joint]
         chain = self._chains[joint]
         S, psi = self._S[:, chain], self._psi[:, chain]
-        V_q = psi - cross(V) @ S
-        A_q = self._psi_rate[:, chain] - cross(A) @ S - cross(V) @ psi
+        V_q = psi - (CROSS @ V) @ S
+        A_q = self._psi_rate[:, chain] - (CROSS @ A) @ S - (CROSS @ V) @ psi
         A_v = V_q + self._S_rate[:, chain]
         at, w = pin.skew(place), pin.skew(V[3:])  # a spatial vector (l, w) is l - at w at the point
         velocity = V[:3] - at @ V[3:]
@@ -99,7 +113,7 @@ class TreeMotion:
         carries = self._joint[chain][:, None] <= self._joint[chain]  # whether dof i moves the subspace of dof k
         wrench = np.concatenate([force, np.cross(place, force)])  # of the force, about the origin
         # Of S_i x S_k the power with the wrench; and that of the point's own displacement along S_i.
-        power = np.einsum("ai,ak->ki", -_dual_cross(wrench) @ S, S)
+        power = np.einsum("ai,ak->ki", -(DUAL @ wrench) @ S, S)
         J = S[:3] - pin.skew(place) @ S[3:]
         T[np.ix_(chain, chain)] = np.where(carries.T, power, 0.0) + np.cross(force, S[3:], axisb=0) @ J
         return T
@@ -111,38 +125,26 @@ class TreeMotion:
         """
         model, nv, parents = self._model, int(self._model.nv), self._parents
         gravity = -np.array(model.gravity.vector)  # the world accelerates against it
-        psi_rate = self._psi_rate + cross(gravity) @ self._S
+        psi_rate = self._psi_rate + (CROSS @ gravity) @ self._S
         by_speed = self._psi + self._S_rate
         inertias, bodies = np.zeros((len(parents), 6, 6)), np.zeros((len(parents), 6, 6))
         forces = np.zeros((len(parents), 6))
         by_q, by_v = np.zeros((nv, nv)), np.zeros((nv, nv))
         for k in range(len(parents) - 1, 0, -1):
-            V, X = cross(self._twists[k]), np.array(self.places[k].actionInverse)
+            V, X = (CROSS @ self._twists[k]), np.array(self.places[k].actionInverse)
             inertia = X.T @ model.inertias[k].matrix() @ X
             momentum = inertia @ self._twists[k]
             inertias[k] += inertia
-            bodies[k] += -V.T @ inertia - inertia @ V + _dual_cross(momentum)
+            bodies[k] += -V.T @ inertia - inertia @ V + (DUAL @ momentum)
             forces[k] += inertia @ (self._accelerations[k] + gravity) - V.T @ momentum
             dofs, chain, above = self._dofs[k], self._chains[k], self._chains[parents[k]]
             S = self._S[:, dofs]
             by_q[dofs, chain] = S.T @ (inertias[k] @ psi_rate[:, chain] + bodies[k] @ self._psi[:, chain])
             by_v[dofs, chain] = S.T @ (inertias[k] @ by_speed[:, chain] + bodies[k] @ self._S[:, chain])
-            turned = inertias[k] @ psi_rate[:, dofs] + bodies[k] @ self._psi[:, dofs] + _dual_cross(forces[k]) @ S
+            turned = inertias[k] @ psi_rate[:, dofs] + bodies[k] @ self._psi[:, dofs] + (DUAL @ forces[k]) @ S
             by_q[above, dofs] = self._S[:, above].T @ turned
             by_v[above, dofs] = self._S[:, above].T @ (inertias[k] @ by_speed[:, dofs] + bodies[k] @ S)
             inertias[parents[k]] += inertias[k]
             bodies[parents[k]] += bodies[k]
             forces[parents[k]] += forces[k]
         return by_q, by_v
-
-
-def cross(twist: Array) -> Array:
-    """Return the matrix (6, 6) of the product of a twist (linear, angular) with twists."""
-    linear, angular = pin.skew(twist[:3]), pin.skew(twist[3:])
-    return np.block([[angular, linear], [np.zeros((3, 3)), angular]])
-
-
-def _dual_cross(force: Array) -> Array:
-    """Return the matrix (6, 6) of the product of twists with a force (linear, angular), x -> x x* force."""
-    linear, angular = pin.skew(force[:3]), pin.skew(force[3:])
-    return -np.block([[np.zeros((3, 3)), linear], [linear, angular]])
