@@ -128,6 +128,7 @@ def test_a_height_that_means_nothing_is_said_to(command):
     assert "held; --height is not used" in run(command, write("a.urdf", ARM), "--duration", 0.1, "--height", 0.1)[0]
 
 
+@needs_mujoco
 def test_keys_that_say_nothing_are_not_listed(command):
     """<size nkey="5"/> makes keys without names, which are the start."""
     text = MJCF.format(floor=FLOOR, height=1.0).replace("<worldbody>", '<size nkey="5"/><worldbody>')
@@ -136,6 +137,7 @@ def test_keys_that_say_nothing_are_not_listed(command):
     assert "key_" not in printed
 
 
+@needs_mujoco
 def test_a_configuration_of_the_file(command):
     _, traj = run(
         command, write("m.xml", MJCF.format(floor=FLOOR, height=1.0)), "--configuration", "high", "--duration", 0.1
