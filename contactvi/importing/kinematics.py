@@ -47,7 +47,7 @@ class Joints:
         self._joints = [(joints[k], joints[k].createData(), placements[k]) for k in numbers]
 
     def at(self, q: np.ndarray, v: np.ndarray | None = None) -> Iterator[JointState]:
-        """Yield their states at q (nq,), v (nv,); v = None: at rest. They are valid until the next call."""
+        """Yield their states at q (nq,), v (nv,); v = None: at rest."""
         for joint, data, placement in self._joints:
             if v is None:
                 joint.calc(data, q)
