@@ -17,6 +17,7 @@ import pytest
 import contactvi
 from contactvi.errors import ContactviError, InputError, SceneError
 from contactvi.scene.scene import Scene
+from helpers.extras import needs_mujoco
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
 
@@ -174,6 +175,7 @@ def test_urdf(folder: Path, case: str):
         assert caught.value.report.notes
 
 
+@needs_mujoco
 @pytest.mark.parametrize("case", MJCFS)
 def test_mjcf(folder: Path, case: str):
     text, says = MJCFS[case]
@@ -407,6 +409,7 @@ def test_two_hinges_on_one_axis_with_one_body():
     assert "2 about this joint alone" in caught.value.got
 
 
+@needs_mujoco
 @pytest.mark.parametrize("size", [1e-200, 1e-10, 1e100, 1e153])
 def test_a_quaternion_of_any_length_is_a_rotation(tmp_path, size: float):
     """A body on a hinge, a free one and a site, each a right angle about z from what carries it."""

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from helpers.extras import extra
+from helpers.extras import extra, needs_mujoco
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -284,6 +284,7 @@ def test_code_of_an_executor_for_ray_runs(tmp_path):
     assert run_marked("ray-executor", tmp_path)[-1] == "True True"
 
 
+@needs_mujoco
 def test_code_of_the_page_on_mujoco_runs(tmp_path):
     """Both have one mass matrix; the arm hits the floor, stays on it, and does not sink in."""
     printed = run_marked("from-mujoco", tmp_path)

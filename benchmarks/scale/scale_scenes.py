@@ -25,6 +25,7 @@ import pinocchio as pin
 
 import contactvi as cvi
 from contactvi.bench import heaps
+from contactvi.bench.heap_gaps import GapCheck
 from contactvi.importing.paths import example_robot_data_share, resolve_path
 
 Gap = Callable[[np.ndarray], float]
@@ -94,7 +95,7 @@ def heap(**chosen: Any) -> Setup:
 
 
 def of_heap(made: heaps.Heap) -> Setup:
-    check = heaps.GapCheck(made)
+    check = GapCheck(made)
     return Setup(*heaps.to_scene(made), gap=lambda q: check.worst(q, NEAR)[0])
 
 

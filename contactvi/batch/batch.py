@@ -22,7 +22,8 @@ from contactvi.batch.storage import StoredBatch, save_batch
 from contactvi.errors import DenseStepWarning, InputError
 from contactvi.inputs import callback, check_choice
 from contactvi.options import Dt, FurtherOptions, ImpactMap
-from contactvi.simulation.simulator import Simulator, settings_of
+from contactvi.simulation.settings import settings_of
+from contactvi.simulation.simulator import Simulator
 from contactvi.threads import Workers, cores
 
 if TYPE_CHECKING:

@@ -155,7 +155,7 @@ def run(
         import contactvi as cvi
         from contactvi.commands.models import scene_to_run
         from contactvi.progress import RunProgress
-        from contactvi.simulation.simulation import settings_of
+        from contactvi.simulation.settings import settings_of
 
     title = Path(scene_file).stem
     chosen: dict[str, Any] = {

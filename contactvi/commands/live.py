@@ -21,7 +21,7 @@ _PATIENCE = 10.0  # [s] for the browser to open the page
 def live_options(scene: Scene, chosen: dict[str, Any]) -> dict[str, Any]:
     """Return the options of a live run: those chosen, with steps of one length."""
     from contactvi.options import DEFAULT_DT
-    from contactvi.simulation.simulation import settings_of
+    from contactvi.simulation.settings import settings_of
 
     if not settings_of(scene, chosen).auto:
         return chosen

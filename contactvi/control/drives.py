@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from contactvi.control.inputs import select_joints
 from contactvi.errors import InputError
-from contactvi.importing.checks import has_limits
+from contactvi.importing.joint_kinds import has_limits
 from contactvi.scene.joints import file_limit
 from contactvi.scene.scene import Scene
 

@@ -16,7 +16,7 @@ from contactvi.scene.scene import Scene
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.messages import remedy
 from contactvi.simulation.run import Run
-from contactvi.simulation.simulator import settings_of
+from contactvi.simulation.settings import settings_of
 from contactvi.simulation.targets import Targets
 from contactvi.trajectory.compiled import compile_scene
 from contactvi.trajectory.sensitivity import ON_KINK, dense_report, not_differentiable, recorded_run

@@ -15,7 +15,8 @@ from contactvi.control.variables import Variables, checked_point
 from contactvi.errors import InputError, SimulationError
 from contactvi.inputs import callback, check_choice, short
 from contactvi.scene.scene import Scene
-from contactvi.simulation.simulation import settings_of, simulate
+from contactvi.simulation.settings import settings_of
+from contactvi.simulation.simulation import simulate
 from contactvi.simulation.targets import Targets
 from contactvi.status import StatusCode
 from contactvi.trajectory.compiled import checked_scene, compile_scene

@@ -23,8 +23,8 @@ from contactvi.control.tangents import in_numbers, in_tangents
 from contactvi.errors import InputError, did_you_mean
 from contactvi.inputs import array, check_choice, mapping, positive, real_numbers, shape_of
 from contactvi.options import ContactSteps, ImpactMap, MhcReference, Support, Zeno
+from contactvi.simulation.settings import settings_of as run_settings_of
 from contactvi.simulation.simulation import warn_of_dense_steps
-from contactvi.simulation.simulator import settings_of as run_settings_of
 from contactvi.threads import Workers
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.gradient import RunGradients

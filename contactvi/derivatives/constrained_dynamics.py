@@ -1,4 +1,4 @@
-"""Accelerations under constraints and their derivatives, from Pinocchio's derivatives of RNEA and of points.
+"""Accelerations under constraints and their derivatives, from those of a tree without constraints (tree_motion.py).
 
 With the gradients J of the constraints, the forces lambda along them and the rates of motions r(t),
 
@@ -22,7 +22,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi.derivatives.tree_motion import PointMotion, TreeMotion
 from contactvi.errors import NotDifferentiable
+from contactvi.importing.dynamics import bias_forces
 from contactvi.scene.element_rows import ConstraintRow
 
 Array = NDArray[np.float64]
@@ -48,18 +50,6 @@ class Joined(NamedTuple):
     directions: Array
 
 
-class Motion(NamedTuple):
-    """Place, velocity and acceleration of a point (3,), world, and derivatives (3, nv) in q, v and a."""
-
-    place: Array
-    velocity: Array
-    acceleration: Array
-    J: Array
-    velocity_q: Array
-    acceleration_q: Array
-    acceleration_v: Array
-
-
 class Rows(NamedTuple):
     """Rows of a constraint: J (rows, nv), acceleration J a + gamma - r (rows,) and its derivatives (rows, nv)."""
 
@@ -79,26 +69,27 @@ class Accelerations(NamedTuple):
 
 
 def constrained_accelerations(
-    model: pin.Model, constraints: Sequence[ConstraintRow], q: Array, v: Array, t: float, force: Array,
-    force_q: Array, force_v: Array,
+    model: pin.Model, inverse: Array, constraints: Sequence[ConstraintRow], q: Array, v: Array, t: float,
+    force: Array, force_q: Array, force_v: Array,
 ) -> Accelerations:  # fmt: skip
-    """Return the acceleration and its derivatives; force (nv,) and its derivatives (nv, nv): all but gravity's."""
+    """Return the acceleration and its derivatives.
+
+    Args:
+        inverse: M^-1 at q, shape (nv, nv).
+        force, force_q, force_v: all forces but gravity's (nv,), and their derivatives (nv, nv).
+    """
     for row in constraints:
         _check_known(row)
     nv = model.nv
-    data = model.createData()
-    M = np.array(pin.crba(model, data, q))
-    M = np.triu(M) + np.triu(M, 1).T
-    inverse = np.linalg.inv(M)
     still = _all_rows(model, constraints, q, v, np.zeros(nv), t)
-    free = inverse @ (force - np.array(pin.nle(model, data, q, v)))
+    free = inverse @ (force - bias_forces(model, q, v))
     solve = _Solver(inverse, still.J)
     a, forces = solve(free, -still.acceleration)
     rows = _all_rows(model, constraints, q, v, a, t)
-    pin.computeRNEADerivatives(model, data, q, v, a)
+    needed_q, needed_v = TreeMotion(model, q, v, a).force_derivatives()
     turned = _turned_forces(model, constraints, q, forces)
-    by_q = solve(inverse @ (force_q + turned - np.array(data.dtau_dq)), -rows.by_q)[0]
-    by_v = solve(inverse @ (force_v - np.array(data.dtau_dv)), -rows.by_v)[0]
+    by_q = solve(inverse @ (force_q + turned - needed_q), -rows.by_q)[0]
+    by_v = solve(inverse @ (force_v - needed_v), -rows.by_v)[0]
     return Accelerations(a, by_q, by_v, solve(inverse, np.zeros((len(forces), nv)))[0])
 
 
@@ -147,52 +138,35 @@ def _joined(row: ConstraintRow) -> list[Joined]:
     ]
 
 
-def _motion(model: pin.Model, data: pin.Data, point: Point) -> Motion:
-    """Return the motion of a point after computeForwardKinematicsDerivatives."""
-    joint, x = point
-    if joint == 0:
-        none, still = np.zeros((3, model.nv)), np.zeros(3)
-        return Motion(x, still, still, none, none, none, none)
-    at, spatial, twist = data.oMi[joint], data.a[joint], data.v[joint]
-    velocity = twist.linear + np.cross(twist.angular, x)
-    acceleration = spatial.linear + np.cross(spatial.angular, x) + np.cross(twist.angular, velocity)
-    velocity_q, acceleration_q, acceleration_v, J = pin.getPointClassicAccelerationDerivatives(
-        model, data, joint, pin.SE3(np.eye(3), x), pin.LOCAL_WORLD_ALIGNED
-    )
-    R = at.rotation
-    return Motion(at.act(x), R @ velocity, R @ acceleration, J, velocity_q, acceleration_q, acceleration_v)
-
-
-def _apart(model: pin.Model, data: pin.Data, joined: Joined) -> Motion:
+def _apart(tree: TreeMotion, joined: Joined) -> PointMotion:
     """Return the motion of b's point less that of a's."""
-    ends = _motion(model, data, joined.a), _motion(model, data, joined.b)
-    return Motion(*(b - a for a, b in zip(*ends, strict=True)))
+    ends = tree.point(*joined.a), tree.point(*joined.b)
+    return PointMotion(*(b - a for a, b in zip(*ends, strict=True)))
 
 
-def _directions(data: pin.Data, joined: Joined) -> Array:
+def _directions(tree: TreeMotion, joined: Joined) -> Array:
     """Return the directions in the world, (k, 3)."""
-    return np.array(joined.directions @ data.oMi[joined.a.joint].rotation.T)
+    return np.array(joined.directions @ tree.places[joined.a.joint].rotation.T)
 
 
 def _all_rows(model: pin.Model, constraints: Sequence[ConstraintRow], q: Array, v: Array, a: Array, t: float) -> Rows:
-    data = model.createData()
-    pin.computeForwardKinematicsDerivatives(model, data, q, v, a)
-    found = [_rows(model, data, row, q, v, a, t) for row in constraints]
+    tree = TreeMotion(model, q, v, a)
+    found = [_rows(model, tree, row, q, v, a, t) for row in constraints]
     return Rows(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def _rows(model: pin.Model, data: pin.Data, row: ConstraintRow, q: Array, v: Array, a: Array, t: float) -> Rows:
+def _rows(model: pin.Model, tree: TreeMotion, row: ConstraintRow, q: Array, v: Array, a: Array, t: float) -> Rows:
     if row.engine_kind in ("equality", "prescribed"):
         return _joint_rows(model, row, q, v, a, t)
     if row.engine_kind != "distance":
         found = []
         for joined in _joined(row):
             # Nothing moves apart, so that it does not count that the directions turn.
-            d, along = _apart(model, data, joined), _directions(data, joined)
+            d, along = _apart(tree, joined), _directions(tree, joined)
             found.append([along @ part for part in (d.J, d.acceleration, d.acceleration_q, d.acceleration_v)])
         return Rows(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
     # d . d'' + d' . d' = L'^2 + L L'', half of the second derivative of d . d.
-    d = _apart(model, data, _joined(row)[0])
+    d = _apart(tree, _joined(row)[0])
     rate = acceleration = 0.0
     length = float(np.linalg.norm(d.place))
     if row.signal is not None:
@@ -220,11 +194,8 @@ def _joint_rows(model: pin.Model, row: ConstraintRow, q: Array, v: Array, a: Arr
 
 def _turned_forces(model: pin.Model, constraints: Sequence[ConstraintRow], q: Array, forces: Array) -> Array:
     """Return d(J^T lambda)/dq at a constant lambda, shape (nv, nv)."""
-    nv, still = model.nv, np.zeros(model.nv)
-    T = np.zeros((nv, nv))
-    data = model.createData()
-    pin.computeForwardKinematicsDerivatives(model, data, q, still, still)
-    acting: list[tuple[Point, Array]] = []  # forces with fixed directions in the world
+    T, still = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
+    tree = TreeMotion(model, q, still, still)
     first = 0
     for row in constraints:
         if row.engine_kind in ("equality", "prescribed"):
@@ -235,17 +206,14 @@ def _turned_forces(model: pin.Model, constraints: Sequence[ConstraintRow], q: Ar
             continue
         for joined in _joined(row):
             if row.engine_kind == "distance":
-                d = _apart(model, data, joined)
+                d = _apart(tree, joined)
                 T += forces[first] * d.J.T @ d.J
                 force, used = forces[first] * d.place, 1
             else:
-                along = _directions(data, joined)
+                along = _directions(tree, joined)
                 used = len(along)
                 force = forces[first : first + used] @ along
-            acting += [(joined.a, -force), (joined.b, force)]
+            # With a fixed direction in the world.
+            T += tree.turned_force(*joined.b, force) - tree.turned_force(*joined.a, force)
             first += used
-    for k in range(nv):
-        pin.computeForwardKinematicsDerivatives(model, data, q, np.eye(nv)[k], still)
-        for point, force in acting:
-            T[k] += force @ _motion(model, data, point).velocity_q
     return T

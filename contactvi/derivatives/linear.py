@@ -13,17 +13,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi import inputs
 from contactvi.derivatives.constrained_dynamics import constrained_accelerations
+from contactvi.derivatives.tree_motion import TreeMotion
 from contactvi.errors import NotDifferentiable, SimulationError
+from contactvi.importing.dynamics import bias_forces
 from contactvi.options import Options
+from contactvi.scene.dynamics import inverse_mass_matrix
 from contactvi.scene.scene import Scene
 from contactvi.simulation.compatibility import check_unforced
 from contactvi.simulation.run import Run
-from contactvi.simulation.simulator import settings_of
+from contactvi.simulation.settings import settings_of
 from contactvi.simulation.targets import Targets
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 
@@ -248,7 +250,7 @@ def forward_dynamics_derivatives(
     target: Any = None,
     t: float = 0.0,
 ) -> ForwardDynamics:
-    """Return the acceleration where nothing touches and its derivatives, by Pinocchio's ABA derivatives.
+    """Return the acceleration where nothing touches and its derivatives.
 
     Springs, dampers, servos, wrenches and functions of the user act as in a run. Arguments as those of
     `step_derivatives`; no actuator has a limit here.
@@ -271,18 +273,15 @@ def forward_dynamics_derivatives(
     from contactvi import _core
 
     own, f_q, f_v = _core.linear_forces(core, at, w, None if rows is None else rows[0], time)
-    model = compiled.built.model
-    data = model.createData()
+    model, inverse = compiled.built.model, inverse_mass_matrix(compiled.built, at)
     rows_of_constraints = compiled.built.elements.constraints
     if rows_of_constraints:
         return ForwardDynamics(
-            *constrained_accelerations(model, rows_of_constraints, at, w, time, force + own, f_q, f_v)
+            *constrained_accelerations(model, inverse, rows_of_constraints, at, w, time, force + own, f_q, f_v)
         )
-    pin.computeABADerivatives(model, data, at, w, force + own)
-    inverse = np.triu(data.Minv) + np.triu(data.Minv, 1).T
-    a_q = np.array(data.ddq_dq) + inverse @ f_q
-    a_v = np.array(data.ddq_dv) + inverse @ f_v
-    return ForwardDynamics(np.array(data.ddq), a_q, a_v, inverse)
+    a = inverse @ (force + own - bias_forces(model, at, w))
+    b_q, b_v = TreeMotion(model, at, w, a).force_derivatives()
+    return ForwardDynamics(a, inverse @ (f_q - b_q), inverse @ (f_v - b_v), inverse)
 
 
 def _check_frictionless(compiled: CompiledScene) -> None:

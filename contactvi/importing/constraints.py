@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import pinocchio as pin
 
-from contactvi.elements.elements import Element, EqualityConstraint
-from contactvi.importing.checks import joint_kind
+from contactvi.elements.constraints import EqualityConstraint
+from contactvi.elements.element import Element
+from contactvi.importing.joint_kinds import joint_kind
 from contactvi.importing.part import Part
 from contactvi.importing.urdf import Mimic
 

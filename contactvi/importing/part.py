@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from contactvi.elements.elements import Element
+from contactvi.elements.element import Element
 from contactvi.errors import InputError
 from contactvi.importing.hulls import describe
 from contactvi.importing.mjcf.actuators import Actuator
@@ -272,3 +272,19 @@ def take_names(part: Part, taken: dict[str, set[str]]) -> None:
             )
     for kind, new in kinds.items():
         taken.setdefault(kind, set()).update(new)
+
+
+def copy_geometry(source: pin.GeometryModel | None) -> pin.GeometryModel:
+    """Return a GeometryModel with copies of the objects (shapes shared) and without collision pairs."""
+    # At once: a model that grows by one geometry after the other copies its table of pairs each time.
+    result = pin.GeometryModel() if source is None else pin.GeometryModel(source)
+    result.removeAllCollisionPairs()
+    return result
+
+
+def pictures(part: Part) -> list[pin.GeometryObject]:
+    """Return the part's pictures, halfspaces as plates."""
+    return [
+        plate_of(geometry) if isinstance(geometry.geometry, coal.Halfspace) else geometry.copy()
+        for geometry in part.load_visual().geometryObjects
+    ]

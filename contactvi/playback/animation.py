@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.importing.kinematics import JointPlaces
+from contactvi.importing.kinematics import JointChains
 from contactvi.playback.visuals import Visual
 from contactvi.records.contacts import ChangeLog, ContactLog
 from contactvi.records.events import EventLog
@@ -105,10 +105,10 @@ def joint_poses(model: pin.Model, configurations: Array, joints: Sequence[int]) 
     for k in free:
         position[k], quaternion[k] = _free_poses(model, joints[k], np.asarray(configurations))
     linked = [(k, joint) for k, joint in enumerate(joints) if joint and k not in free]
-    places = JointPlaces(model, [joint for _, joint in linked])
+    places = JointChains(model, [joint for _, joint in linked])
     rows = [k for k, _ in linked]
     for column, q in enumerate(configurations) if linked else ():
-        found = places.at(np.asarray(q))
+        found = places.poses(np.asarray(q))
         position[rows, column], quaternion[rows, column] = found[:, :3], found[:, 3:]
     if 0 in joints:
         quaternion[list(joints).index(0)] = [0.0, 0.0, 0.0, 1.0]

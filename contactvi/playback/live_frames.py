@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.importing.kinematics import JointPlaces
+from contactvi.importing.kinematics import JointChains
 from contactvi.playback.animation import drawn_side, is_free
 from contactvi.playback.arrays import packed
 from contactvi.playback.page import event_data
@@ -66,7 +66,7 @@ class BodyPoses:
         self._entries = starts[:, None] + np.arange(7)
         linked = [(k, joint) for k, joint in enumerate(joints) if joint and k not in set(free)]
         self._links = [k for k, _ in linked]
-        self._link_places = JointPlaces(model, [joint for _, joint in linked])
+        self._link_places = JointChains(model, [joint for _, joint in linked])
 
     def at(self, q: Array) -> Array:
         """Return position [m] and quaternion x y z w of every joint at q (nq,), shape (joints, 7)."""
@@ -77,7 +77,7 @@ class BodyPoses:
             poses[self._free, :3] = np.einsum("nij,nj->ni", self._turn, own[:, :3]) + self._origin
             poses[self._free, 3:] = np.einsum("nij,nj->ni", self._product, own[:, 3:])
         if self._links:
-            poses[self._links] = self._link_places.at(q)
+            poses[self._links] = self._link_places.poses(q)
         return poses
 
 

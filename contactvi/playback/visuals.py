@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from contactvi.elements.elements import PathSpring
+from contactvi.elements.forces import PathSpring
 from contactvi.errors import SceneError
 from contactvi.importing.submeshes import surface_of
 from contactvi.inputs import is_rigid

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from contactvi.importing.checks import PLACING, joint_kind
-from contactvi.importing.part import Part
-from contactvi.importing.readers import pictures
+from contactvi.importing.joint_kinds import PLACING, joint_kind
+from contactvi.importing.part import Part, pictures
 
 _PER_Q = ("lowerPositionLimit", "upperPositionLimit", "positionLimitMargin")
 _PER_V = (

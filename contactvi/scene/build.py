@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from contactvi.elements.elements import Element, EqualityConstraint
+from contactvi.elements.constraints import EqualityConstraint
+from contactvi.elements.element import Element
 from contactvi.importing.report import RemovedPair
 from contactvi.scene.assembly import Assembly
 from contactvi.scene.element_rows import Resolved, resolve

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import pinocchio as pin
 
-from contactvi.importing.checks import joint_kind
+from contactvi.importing.joint_kinds import joint_kind
 
 _TURN = ("qx", "qy", "qz", "qw")
 _SPIN = tuple((name, "rad/s") for name in ("wx", "wy", "wz"))

@@ -29,13 +29,12 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from contactvi.elements.elements import element_from_data
 from contactvi.elements.signals import Signal
+from contactvi.elements.stored import element_from_data
 from contactvi.errors import SceneError
-from contactvi.importing.checks import MANY_DOFS, ONE_DOF, joint_kind, joint_model, motion_axis
 from contactvi.importing.hulls import PRIMITIVES, faces_of, hull_from_faces, shape_sizes
-from contactvi.importing.part import Part
-from contactvi.importing.readers import copy_geometry
+from contactvi.importing.joint_kinds import MANY_DOFS, ONE_DOF, joint_kind, joint_model, motion_axis
+from contactvi.importing.part import Part, copy_geometry
 from contactvi.importing.report import PartReport
 from contactvi.inputs import vector
 from contactvi.scene.build import Built

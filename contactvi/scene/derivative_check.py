@@ -14,7 +14,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.elements import elements as kinds
+from contactvi.elements.constraints import PrescribedJoint, PrescribedPose
+from contactvi.elements.element import Element
+from contactvi.elements.forces import UserForce, UserPotential
 from contactvi.elements.pose_signals import PoseSignal
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q, entry_name
@@ -86,22 +88,22 @@ def check_derivatives(
 
 
 def check_element(
-    element: kinds.Element, dofs: Sequence[str], move: Move, q: Array, v: Array, t: float, tolerance: float = TOLERANCE
+    element: Element, dofs: Sequence[str], move: Move, q: Array, v: Array, t: float, tolerance: float = TOLERANCE
 ) -> None:
     """Check the derivatives of an element; dofs (nv,): names, move(q, w): q displaced by w (nv,)."""
-    if isinstance(element, kinds.UserPotential):
+    if isinstance(element, UserPotential):
         value = checked_of_q(element.value, f"value of {element.name!r}", dofs, 0)
         gradient = checked_of_q(element.gradient, f"gradient of {element.name!r}", dofs, 1)
         _compare(f"gradient of {element.name!r}", lambda w: np.array(value(move(q, w))), gradient(q), dofs, tolerance)
         if element.hessian is not None:
             hessian = checked_of_q(element.hessian, f"hessian of {element.name!r}", dofs, 2)
             _compare(f"hessian of {element.name!r}", lambda w: gradient(move(q, w)), hessian(q), dofs, tolerance)
-    elif isinstance(element, kinds.UserForce) and element.derivatives is not None:
+    elif isinstance(element, UserForce) and element.derivatives is not None:
         force = checked_force(element.function, repr(element.name), dofs)
         given = checked_force_derivatives(element.derivatives, f"the derivatives of {element.name!r}", dofs)(t, q, v)
         _compare(f"df_dq of {element.name!r}", lambda w: force(t, move(q, w), v), given[0], dofs, tolerance)
         _compare(f"df_dv of {element.name!r}", lambda w: force(t, q, v + w), given[1], dofs, tolerance)
-    if isinstance(element, kinds.PrescribedPose):
+    if isinstance(element, PrescribedPose):
         _check_pose_signal(element.motion, t, tolerance)
     for name in ("motion", "length"):
         if isinstance(getattr(element, name, None), Signal):
@@ -179,13 +181,13 @@ def _compare(
     )
 
 
-def _element(item: Any) -> kinds.Element:
+def _element(item: Any) -> Element:
     if hasattr(item, "value") and hasattr(item, "gradient"):
-        return kinds.UserPotential("potential", item.value, item.gradient, getattr(item, "hessian", None))
+        return UserPotential("potential", item.value, item.gradient, getattr(item, "hessian", None))
     if isinstance(item, (tuple, list)) and len(item) == 2 and all(callable(part) for part in item):
-        return kinds.UserForce("force", *item)
+        return UserForce("force", *item)
     if callable(item):
-        return kinds.PrescribedJoint("motion", "motion", item)
+        return PrescribedJoint("motion", "motion", item)
     raise InputError(
         "The item has no derivatives",
         name="item",

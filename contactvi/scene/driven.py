@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import pinocchio as pin
 
-from contactvi.elements.elements import WORLD
+from contactvi.elements.element import WORLD
 from contactvi.errors import InputError
-from contactvi.importing.checks import joint_kind
+from contactvi.importing.joint_kinds import joint_kind
 from contactvi.scene.joints import one_dof
 from contactvi.scene.selection import Names, Selector
 

@@ -12,10 +12,10 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import InputError, SceneError, did_you_mean
+from contactvi.importing import dynamics
 from contactvi.inputs import real
 from contactvi.scene.build import Built
 from contactvi.scene.contact_frames import ContactJacobian, TouchingPoint, touching_points
@@ -34,9 +34,16 @@ def mass_matrix(built: Built, q: Array) -> Array:
     return np.asarray(0.5 * (columns + columns.T))
 
 
+def inverse_mass_matrix(built: Built, q: Array) -> Array:
+    """Return M^-1 (nv, nv) at q (nq,): the engine's, whose factors have the digits that inverting M would lose."""
+    nv = int(built.model.nv)
+    columns = np.asarray(built.engine.velocity(np.repeat(q[None], nv, axis=0), np.eye(nv)))
+    return np.asarray(0.5 * (columns + columns.T))
+
+
 def bias_forces(built: Built, q: Array, v: Array) -> Array:
     """Return b (nv,) at q (nq,), v (nv,)."""
-    return np.array(pin.nle(built.model, built.model.createData(), q, v))
+    return dynamics.bias_forces(built.model, q, v)
 
 
 def passive_forces(built: Built, q: Array, v: Array, t: float) -> Array:

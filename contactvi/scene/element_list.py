@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable
 from dataclasses import replace
 
-from contactvi.elements.elements import Element
+from contactvi.elements.element import Element
 from contactvi.errors import InputError, did_you_mean
 from contactvi.inputs import is_text, short
 

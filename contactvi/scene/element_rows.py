@@ -14,7 +14,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from contactvi.elements import elements as kinds
+from contactvi.elements.constraints import (
+    Constraint,
+    DistanceConstraint,
+    EqualityConstraint,
+    PointConstraint,
+    PrescribedJoint,
+    PrescribedPose,
+    ScrewConstraint,
+    WeldConstraint,
+)
+from contactvi.elements.element import WORLD, Element
+from contactvi.elements.forces import PathSpring, UserForce, UserPotential, Wrench
 from contactvi.elements.pose_signals import PoseSignal
 from contactvi.elements.signals import Signal
 from contactvi.elements.user_functions import at, checked_wrench
@@ -79,8 +90,8 @@ class Resolved:
     constraints: list[ConstraintRow] = field(default_factory=list)
     springs: list[SpringRow] = field(default_factory=list)
     wrenches: list[WrenchRow] = field(default_factory=list)
-    potentials: list[kinds.UserPotential] = field(default_factory=list)
-    forces: list[kinds.UserForce] = field(default_factory=list)
+    potentials: list[UserPotential] = field(default_factory=list)
+    forces: list[UserForce] = field(default_factory=list)
     time_varying: bool = False
 
     @property
@@ -89,7 +100,7 @@ class Resolved:
         return bool(self.constraints or self.springs or self.wrenches or self.potentials or self.forces)
 
 
-def resolve(elements: Sequence[kinds.Element], model: pin.Model, start: np.ndarray) -> Resolved:
+def resolve(elements: Sequence[Element], model: pin.Model, start: np.ndarray) -> Resolved:
     """Return the elements with what is None taken from the neutral configuration `start`, shape (nq,).
 
     Raises:
@@ -100,24 +111,24 @@ def resolve(elements: Sequence[kinds.Element], model: pin.Model, start: np.ndarr
         return result
     placed = _Placed(model, start)
     for element in elements:
-        if isinstance(element, kinds.Constraint):
+        if isinstance(element, Constraint):
             rows = _constraint(element, placed)
             result.constraints.append(rows)
             result.time_varying |= rows.driven
-        elif isinstance(element, kinds.PathSpring):
+        elif isinstance(element, PathSpring):
             joints, points = zip(*(placed.point(body, xyz) for body, xyz in element.points), strict=True)
             length = placed.length(element.points) if element.rest_length is None else element.rest_length
             numbers = (element.stiffness, length, element.damping, element.tension_only)
             result.springs.append(SpringRow(list(joints), np.array(points), *numbers))
-        elif isinstance(element, kinds.Wrench):
+        elif isinstance(element, Wrench):
             joint, point = placed.point(element.body, element.point)
             axes = None if element.axes == "world" else placed.body(element.body)[1]
             wrench = checked_wrench(element.force, element.torque, element.name)
             result.wrenches.append(WrenchRow(joint, point, axes, wrench))
             result.time_varying |= not element.constant
-        elif isinstance(element, kinds.UserPotential):
+        elif isinstance(element, UserPotential):
             result.potentials.append(element)
-        elif isinstance(element, kinds.UserForce):
+        elif isinstance(element, UserForce):
             result.forces.append(element)
     return result
 
@@ -143,7 +154,7 @@ class _Placed:
         return joint_placements(self.model, self.start)
 
     def body(self, name: str) -> Frame:
-        if name == kinds.WORLD:
+        if name == WORLD:
             return 0, np.eye(3), np.zeros(3)
         frame = self.model.frames[self.model.getFrameId(name, pin.FrameType.BODY)]
         return int(frame.parentJoint), np.array(frame.placement.rotation), np.array(frame.placement.translation)
@@ -172,40 +183,40 @@ class _Placed:
         return 0 if name is None else int(self.model.getJointId(name)), np.eye(3), np.zeros(3)
 
 
-def _constraint(element: kinds.Constraint, placed: _Placed) -> ConstraintRow:
+def _constraint(element: Constraint, placed: _Placed) -> ConstraintRow:
     a, b, numbers, signal = _ends(element, placed)
     values = np.atleast_1d(np.asarray(numbers, dtype=float))
     # A joint that equals a number follows a constant motion.
     engine_kind = "prescribed" if signal is not None and element.kind == "equality" else element.engine_kind
-    pose = element.motion if isinstance(element, kinds.PrescribedPose) else None
+    pose = element.motion if isinstance(element, PrescribedPose) else None
     return ConstraintRow(element.name, element.kind, element.rows, engine_kind, a, b, values, signal, pose)
 
 
-def _ends(element: kinds.Constraint, placed: _Placed) -> tuple[Frame, Frame, Any, Any]:
+def _ends(element: Constraint, placed: _Placed) -> tuple[Frame, Frame, Any, Any]:
     """Return frames, numbers and signal of a constraint."""
-    if isinstance(element, kinds.EqualityConstraint):
+    if isinstance(element, EqualityConstraint):
         if element.other is None:
             return placed.joint(None), placed.joint(element.joint), [], Signal(element.value(0.0), element.name)
         return placed.joint(element.other), placed.joint(element.joint), element.coefficients, None
-    if isinstance(element, kinds.PrescribedJoint):
+    if isinstance(element, PrescribedJoint):
         return placed.joint(None), placed.joint(element.joint), [], element.motion
-    if isinstance(element, kinds.PrescribedPose):
-        return placed.frame(kinds.WORLD), placed.frame(element.body), [], None
-    if isinstance(element, kinds.PointConstraint):
+    if isinstance(element, PrescribedPose):
+        return placed.frame(WORLD), placed.frame(element.body), [], None
+    if isinstance(element, PointConstraint):
         point_b = element.point_b
         if point_b is None:
             point_b = placed.world(element.b).actInv(placed.world(element.a).act(element.point_a))
         return _at(placed, element.a, element.point_a), _at(placed, element.b, point_b), [], None
-    if isinstance(element, kinds.DistanceConstraint):
+    if isinstance(element, DistanceConstraint):
         ends = _at(placed, element.a, element.point_a), _at(placed, element.b, element.point_b)
         number, signal = _length(element, placed)
         return *ends, number, signal
-    if isinstance(element, kinds.WeldConstraint):
+    if isinstance(element, WeldConstraint):
         place = element.placement
         if place is None:
             place = placed.world(element.a).actInv(placed.world(element.b))
         return placed.frame(element.a, place), placed.frame(element.b), [], None
-    assert isinstance(element, kinds.ScrewConstraint)
+    assert isinstance(element, ScrewConstraint)
     frame_b = element.frame_b
     if frame_b is None:
         frame_b = placed.world(element.b).actInv(placed.world(element.a) * element.frame_a)
@@ -217,7 +228,7 @@ def _at(placed: _Placed, body: str, xyz: Any) -> Frame:
     return joint, np.eye(3), point
 
 
-def _length(element: kinds.DistanceConstraint, placed: _Placed) -> tuple[list[float], Any]:
+def _length(element: DistanceConstraint, placed: _Placed) -> tuple[list[float], Any]:
     if element.length is None:
         length = placed.length([(element.a, element.point_a), (element.b, element.point_b)])
         if length < _LEAST_LENGTH:

@@ -15,7 +15,7 @@ import pinocchio as pin
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
 from contactvi.errors import EngineError, SceneError
 from contactvi.importing.hulls import faces_by_engine
-from contactvi.importing.readers import copy_geometry
+from contactvi.importing.part import copy_geometry
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 from contactvi.scene.rounded_hulls import RoundedHulls

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from contactvi.elements.elements import EqualityConstraint
+from contactvi.elements.constraints import EqualityConstraint
 from contactvi.elements.signals import Signal
-from contactvi.importing.checks import has_limits
+from contactvi.importing.joint_kinds import has_limits
 from contactvi.scene.joints import JointSettings, JointTable, file_limit
 
 

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from contactvi.elements.elements import coefficients_of
+from contactvi.elements.constraints import coefficients_of
 from contactvi.elements.signals import Signal
 from contactvi.errors import InputError
-from contactvi.importing.checks import NO_LIMIT, ONE_DOF, has_limits, joint_kind
+from contactvi.importing.joint_kinds import NO_LIMIT, ONE_DOF, has_limits, joint_kind
 from contactvi.importing.part import Part
 from contactvi.inputs import pose, real, shape_of, short, unit_quaternion, vector
 

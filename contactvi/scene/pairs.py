@@ -22,7 +22,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from contactvi.importing.checks import joint_kind
+from contactvi.importing.joint_kinds import joint_kind
 from contactvi.importing.kinematics import joint_placements
 from contactvi.importing.part import Part
 from contactvi.importing.report import (

@@ -17,7 +17,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.importing.checks import joint_kind
+from contactvi.importing.joint_kinds import joint_kind
 from contactvi.inputs import LARGEST, array, mapping, real, real_numbers, short
 from contactvi.scene.build import Built
 from contactvi.scene.joints import PARTS_OF_FREEDOM, SPRUNG, JointSettings, JointTable, Servo

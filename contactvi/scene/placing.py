@@ -8,7 +8,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError
-from contactvi.importing.checks import joint_kind
+from contactvi.importing.joint_kinds import joint_kind
 from contactvi.scene.build import Built
 from contactvi.scene.selection import Names, Selector
 

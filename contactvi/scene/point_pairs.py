@@ -8,6 +8,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from contactvi.importing.kinematics import JointChains
+
 Array = NDArray[np.float64]
 
 
@@ -31,23 +33,19 @@ class PointPairs:
 
     def jacobian(self) -> Array:
         """Return J_C, shape (3 n, nv): J_C v is the velocity of the second points relative to the first, in C."""
-        model, data = self.model, self.model.createData()
-        pin.computeJointJacobians(model, data, self.q)
-        joints, of_point, local, R_CB = self._carried(data)
-        J = np.zeros((len(joints), 6, model.nv))
-        for k, joint in enumerate(joints):
-            if joint:
-                J[k] = pin.getJointJacobian(model, data, joint, pin.LOCAL)
+        joints, of_point = self._joints()
+        places, J = JointChains(self.model, joints).jacobians(self.q)
+        local, R_CB = self._carried(places, of_point)
         first, second = R_CB @ (J[of_point, :3] - skew(local) @ J[of_point, 3:])
-        return np.asarray((second - first).reshape(-1, model.nv))
+        return np.asarray((second - first).reshape(-1, self.model.nv))
 
     def bias_acceleration(self, v: Array) -> Array:
         """Return the accelerations of the second points relative to the first where dv/dt = 0, in C, (3 n,) [m/s^2]."""
-        model, data = self.model, self.model.createData()
-        pin.forwardKinematics(model, data, self.q, v, np.zeros(model.nv))
-        joints, of_point, local, R_CB = self._carried(data)
-        motion = np.array([[data.v[joint].vector, data.a[joint].vector] for joint in joints]).reshape(-1, 2, 2, 3)
-        (velocity, spin), (linear, angular) = motion[of_point].transpose(2, 3, 0, 1, 4)[..., None]
+        joints, of_point = self._joints()
+        found = JointChains(self.model, joints).motions(self.q, v)
+        local, R_CB = self._carried([motion.place for motion in found], of_point)
+        both = np.array([[motion.twist.vector, motion.acceleration.vector] for motion in found]).reshape(-1, 2, 2, 3)
+        (velocity, spin), (linear, angular) = both[of_point].transpose(2, 3, 0, 1, 4)[..., None]
         S, x = skew(spin[..., 0]), local[..., None]
         acceleration = linear + skew(angular[..., 0]) @ x + S @ (velocity + S @ x)
         first, second = R_CB @ acceleration
@@ -59,16 +57,17 @@ class PointPairs:
         joints[:, turned], points[:, turned] = joints[::-1, turned], points[::-1, turned]
         return PointPairs(self.model, self.q, joints, points, axes)
 
-    def _carried(self, data: pin.Data) -> tuple[list[int], NDArray[np.int64], Array, Array]:
-        """Return the joints that carry points, and of each point (2, n): the place of its joint among them, where it is
-        in the body, (2, n, 3), and the axes R_CB, (2, n, 3, 3)."""
+    def _joints(self) -> tuple[list[int], NDArray[np.int64]]:
+        """Return the joints that carry points, and of each point the place of its joint among them, (2, n)."""
         joints = sorted(set(self.joints.ravel().tolist()))
-        of_point = np.searchsorted(joints, self.joints)
-        X_WB = [data.oMi[joint] for joint in joints]
-        R_WB = np.array([X.rotation for X in X_WB]).reshape(-1, 3, 3)[of_point]
-        p_WB = np.array([X.translation for X in X_WB]).reshape(-1, 3)[of_point]
+        return joints, np.searchsorted(joints, self.joints)
+
+    def _carried(self, places: list[pin.SE3], of_point: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return where each point is in its body, (2, n, 3), and the axes R_CB, (2, n, 3, 3), by places of joints."""
+        R_WB = np.array([X.rotation for X in places]).reshape(-1, 3, 3)[of_point]
+        p_WB = np.array([X.translation for X in places]).reshape(-1, 3)[of_point]
         local = ((self.points - p_WB)[..., None, :] @ R_WB)[..., 0, :]
-        return joints, of_point, local, self.axes.transpose(0, 2, 1) @ R_WB
+        return local, self.axes.transpose(0, 2, 1) @ R_WB
 
 
 def skew(x: Array) -> Array:

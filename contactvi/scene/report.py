@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from contactvi.elements.elements import Constraint, Element
+from contactvi.elements.constraints import Constraint
+from contactvi.elements.element import Element
 from contactvi.errors import SceneError
 from contactvi.importing.checks import FILE_FRICTION
 from contactvi.importing.part import Part

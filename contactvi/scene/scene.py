@@ -13,8 +13,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from contactvi.errors import InputError, UnusedSettingWarning, did_you_mean
+from contactvi.importing.mjcf.model import MjcfFile
 from contactvi.importing.part import Part
-from contactvi.importing.readers import MjcfFile, import_mjcf, import_pinocchio, import_urdf, open_mjcf
+from contactvi.importing.pinocchio_models import import_pinocchio
+from contactvi.importing.readers import import_mjcf, import_urdf, open_mjcf
 from contactvi.importing.report import ImportReport
 from contactvi.inputs import flag, mapping, pose, real, vector
 from contactvi.scene import closure

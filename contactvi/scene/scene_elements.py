@@ -7,7 +7,17 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from contactvi.elements import elements as kinds
+from contactvi.elements.constraints import (
+    DistanceConstraint,
+    EqualityConstraint,
+    PointConstraint,
+    PrescribedJoint,
+    PrescribedPose,
+    ScrewConstraint,
+    WeldConstraint,
+)
+from contactvi.elements.element import Element
+from contactvi.elements.forces import PathSpring, UserForce, UserPotential, Wrench
 from contactvi.errors import InputError
 from contactvi.inputs import flag, short
 from contactvi.scene.build import Built
@@ -19,7 +29,7 @@ from contactvi.scene.selection import Selector
 
 
 class SceneElements:
-    """The methods of a scene that add and remove elements (contactvi.elements.elements).
+    """The methods of a scene that add and remove elements (contactvi.elements).
 
     Each returns the name of what it adds, given or its kind with a number.
     """
@@ -41,7 +51,7 @@ class SceneElements:
         point_b None: the point of b that lies at point_a in the neutral configuration.
         """
         ends = self._body(a, "a"), self._body(b, "b")
-        return self._add_element(kinds.PointConstraint(self._name("point", name), *ends, point_a, point_b))
+        return self._add_element(PointConstraint(self._name("point", name), *ends, point_a, point_b))
 
     def add_distance(
         self,
@@ -58,14 +68,12 @@ class SceneElements:
             length: [m] > 0, or a motion as in `prescribe` (a winch); None: as in the neutral configuration.
         """
         ends = self._body(a, "a"), self._body(b, "b")
-        return self._add_element(
-            kinds.DistanceConstraint(self._name("distance", name), *ends, point_a, point_b, length)
-        )
+        return self._add_element(DistanceConstraint(self._name("distance", name), *ends, point_a, point_b, length))
 
     def add_weld(self, a: Selector, b: Selector, placement: Any = None, name: str | None = None) -> str:
         """Fix body b to body a (6 constraints); return its name. placement: of b in a, as in add_urdf."""
         ends = self._body(a, "a"), self._body(b, "b")
-        return self._add_element(kinds.WeldConstraint(self._name("weld", name), *ends, placement))
+        return self._add_element(WeldConstraint(self._name("weld", name), *ends, placement))
 
     def add_screw(
         self,
@@ -85,7 +93,7 @@ class SceneElements:
                 b in the neutral configuration.
         """
         ends = self._body(a, "a"), self._body(b, "b")
-        return self._add_element(kinds.ScrewConstraint(self._name("screw", name), *ends, pitch, frame_a, frame_b))
+        return self._add_element(ScrewConstraint(self._name("screw", name), *ends, pitch, frame_a, frame_b))
 
     def add_joint_equality(
         self,
@@ -101,7 +109,7 @@ class SceneElements:
         """
         first = self._joint_with_one_number(joint, "equality")
         second = None if other is None else self._joint_with_one_number(other, "equality")
-        return self._add_element(kinds.EqualityConstraint(self._name("equality", name), first, second, coefficients))
+        return self._add_element(EqualityConstraint(self._name("equality", name), first, second, coefficients))
 
     def prescribe(self, joint: Selector, motion: Any, name: str | None = None) -> str:
         """Let a joint, or a body, follow a motion exactly, whatever force it takes; return the name.
@@ -121,9 +129,9 @@ class SceneElements:
         """
         driven = driven_by(self._parts.assembly.model, self._parts.names, joint)
         if driven.body is not None:
-            return self._add_element(kinds.PrescribedPose(self._name("prescribe", name), driven.body, motion))
+            return self._add_element(PrescribedPose(self._name("prescribe", name), driven.body, motion))
         assert driven.joint is not None
-        return self._add_element(kinds.PrescribedJoint(self._name("prescribe", name), driven.joint, motion))
+        return self._add_element(PrescribedJoint(self._name("prescribe", name), driven.joint, motion))
 
     def add_spring(
         self,
@@ -145,7 +153,7 @@ class SceneElements:
         """
         points = [(self._body(a, "a"), point_a), (self._body(b, "b"), point_b)]
         return self._add_element(
-            kinds.PathSpring(self._name("spring", name), points, stiffness, rest_length, damping, tension_only)
+            PathSpring(self._name("spring", name), points, stiffness, rest_length, damping, tension_only)
         )
 
     def add_tape_spring(
@@ -172,7 +180,7 @@ class SceneElements:
                 remedy="Write each point as (name of the body, (x, y, z)), in the axes of the body",
             ) from None
         return self._add_element(
-            kinds.PathSpring(self._name("tape_spring", name), along, stiffness, rest_length, damping, tension_only)
+            PathSpring(self._name("tape_spring", name), along, stiffness, rest_length, damping, tension_only)
         )
 
     def add_wrench(
@@ -191,7 +199,7 @@ class SceneElements:
             axes: of force and torque, "world" or "body".
         """
         return self._add_element(
-            kinds.Wrench(self._name("wrench", name), self._body(body, "body"), force, torque, point, axes)
+            Wrench(self._name("wrench", name), self._body(body, "body"), force, torque, point, axes)
         )
 
     def add_potential(
@@ -208,7 +216,7 @@ class SceneElements:
         if not callable(value) and gradient is None and hasattr(value, "value"):
             value, gradient, hessian = value.value, getattr(value, "gradient", None), getattr(value, "hessian", None)
         return self._add_element(
-            kinds.UserPotential(self._name("potential", name), value, gradient, hessian, flag("check", check))
+            UserPotential(self._name("potential", name), value, gradient, hessian, flag("check", check))
         )
 
     def add_force(self, function: Any, derivatives: Any = None, *, check: bool = True, name: str | None = None) -> str:
@@ -219,9 +227,7 @@ class SceneElements:
             derivatives: (t, q, v) -> (df_dq, df_dv), (nv, nv) each, in the tangent space; for stiff forces.
             check: as in add_potential.
         """
-        return self._add_element(
-            kinds.UserForce(self._name("force", name), function, derivatives, flag("check", check))
-        )
+        return self._add_element(UserForce(self._name("force", name), function, derivatives, flag("check", check)))
 
     def remove(self, name: str) -> None:
         """Remove an element."""
@@ -229,14 +235,14 @@ class SceneElements:
         self._built = None
 
     @property
-    def elements(self) -> list[kinds.Element]:
+    def elements(self) -> list[Element]:
         """Constraints, springs and forces, those of models' files included, in the order they were added."""
         return list(self._elements.elements)
 
     def _name(self, kind: str, name: str | None) -> str:
         return self._elements.new_name(kind, name)
 
-    def _add_element(self, element: kinds.Element) -> str:
+    def _add_element(self, element: Element) -> str:
         self._elements.add(element)
         self._built = None
         return element.name

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import pinocchio as pin
 
 from contactvi.errors import InputError, did_you_mean
-from contactvi.importing.checks import joint_kind
+from contactvi.importing.joint_kinds import joint_kind
 from contactvi.importing.mjcf.actuators import Actuator
 from contactvi.inputs import short
 

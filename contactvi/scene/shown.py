@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from contactvi.elements.elements import Element
+from contactvi.elements.element import Element
 from contactvi.errors import ContactviError
 from contactvi.html import folded, html_fields, html_table, shown_rows
 from contactvi.scene.build import Built

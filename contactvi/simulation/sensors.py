@@ -15,7 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError
-from contactvi.importing.kinematics import JointPlaces
+from contactvi.importing.kinematics import JointChains
 from contactvi.inputs import pose
 from contactvi.records.codes import GuardKind
 from contactvi.simulation.simulator import Simulator
@@ -80,9 +80,8 @@ class Imu:
     def __init__(self, simulator: Simulator, body: Any, placement: Any = None) -> None:
         self._simulator = _checked(simulator)
         self._model: pin.Model = simulator.scene.model
-        self._data = self._model.createData()
-        self._joint, self._place = _frame(simulator, body)
-        self._place = self._place * pose("placement", placement)
+        joint, place = _frame(simulator, body)
+        self._joint, self._place = JointChains(self._model, [joint]), place * pose("placement", placement)
 
     def read(self) -> ImuReading:
         """Return what it shows now. Raises SimulationError before the first step."""
@@ -97,10 +96,8 @@ class Imu:
 
     def _motion(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Return velocity and angular velocity of the sensor in world axes and its axes in the world."""
-        pin.forwardKinematics(self._model, self._data, q, v)
-        joint = self._data.oMi[self._joint]
-        twist = joint.act(self._data.v[self._joint]) if self._joint else pin.Motion.Zero()
-        place = joint * self._place
+        joint = self._joint.motions(q, v)[0]
+        twist, place = joint.place.act(joint.twist), joint.place * self._place
         return twist.linear + np.cross(twist.angular, place.translation), twist.angular.copy(), place.rotation.copy()
 
 
@@ -148,9 +145,7 @@ class ContactSensor:
 
     def _origin(self) -> Array:
         model = self._simulator.scene.model
-        if self._joint == 0:
-            return np.array(self._place.translation)
-        place = pin.XYZQUATToSE3(JointPlaces(model, [self._joint]).at(self._simulator.q)[0])
+        place = pin.XYZQUATToSE3(JointChains(model, [self._joint]).poses(self._simulator.q)[0])
         return np.array((place * self._place).translation)
 
 

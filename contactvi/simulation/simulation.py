@@ -18,7 +18,8 @@ from contactvi.simulation import adaptive
 from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.messages import remedy
 from contactvi.simulation.run import PROGRESS_PERIOD, Run
-from contactvi.simulation.simulator import Simulator, settings_of
+from contactvi.simulation.settings import settings_of
+from contactvi.simulation.simulator import Simulator
 from contactvi.status import Status, StatusCode
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
@@ -242,4 +243,4 @@ def _follow(
             progress(run.t, run.record.impacts)
 
 
-__all__ = ["Simulator", "settings_of", "simulate"]
+__all__ = ["Simulator", "simulate"]

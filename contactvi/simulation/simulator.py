@@ -6,9 +6,8 @@ Every input is checked here; the engine (contactvi._core) only gets arrays of th
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
 from contextlib import ExitStack
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from contactvi.errors import ConstraintError, InputError, SceneError, SimulationError
 from contactvi.inputs import MOST_STEPS, callback, short
 from contactvi.interrupts import held_back
-from contactvi.options import Options, SteppingOptions, merged
+from contactvi.options import Options, SteppingOptions
 from contactvi.records.contacts import Contact, ContactLog
 from contactvi.records.events import EventLog
 from contactvi.records.recent import Recent
@@ -25,6 +24,7 @@ from contactvi.simulation.compatibility import check_elements, check_map
 from contactvi.simulation.engine import Progress
 from contactvi.simulation.present_dynamics import PresentDynamics
 from contactvi.simulation.run import Run
+from contactvi.simulation.settings import settings_of
 from contactvi.simulation.snapshot import Snapshot
 from contactvi.status import Status
 from contactvi.trajectory.compiled import CompiledScene, checked_scene, compile_scene
@@ -37,36 +37,6 @@ if TYPE_CHECKING:
     from contactvi.scene.scene import Scene
 
 Array = NDArray[np.float64]
-
-
-def settings_of(scene: Scene, chosen: Mapping[str, Any], forced: bool = False) -> Options:
-    """Return the options of a run: those chosen (not None), else those of the scene's file, else the defaults.
-
-    Args:
-        forced: whether it has inputs. These decide about a dt that is given nowhere (options.merged), and so do some
-            elements of scenes.
-    """
-    fixed = forced or checked_scene(scene).built().needs_fixed_step is not None
-    file, here = _plain(scene.settings), _plain(chosen)
-    if file is None or here is None:
-        return Options.from_dict(merged(scene.settings, chosen, fixed))
-    return _checked(file, here, fixed)
-
-
-_PLAIN = {str, int, float, bool, type(None)}
-_Settings = tuple[tuple[tuple[str, Any], ...], tuple[type, ...]]
-
-
-def _plain(settings: Mapping[str, Any]) -> _Settings | None:
-    """Return settings of plain values, with their types, which tell 1 from True; None where some value is another."""
-    types = tuple(map(type, settings.values()))
-    return (tuple(settings.items()), types) if _PLAIN.issuperset(types) else None
-
-
-@lru_cache(maxsize=64)
-def _checked(file: _Settings, chosen: _Settings, fixed: bool) -> Options:
-    """Return the options of these settings, checked once."""
-    return Options.from_dict(merged(dict(file[0]), dict(chosen[0]), fixed))
 
 
 class Simulator(PresentDynamics):

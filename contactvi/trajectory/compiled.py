@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contactvi.elements.elements import PrescribedPose, UserForce, UserPotential
+from contactvi.elements.constraints import PrescribedPose
+from contactvi.elements.forces import UserForce, UserPotential
 from contactvi.errors import (
     ConstraintError,
     DerivativeError,

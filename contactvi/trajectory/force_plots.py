@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from contactvi.elements.element import WORLD
 from contactvi.records.codes import CHANGES, GuardKind
 from contactvi.records.contacts import ContactLog
 from contactvi.trajectory.plot_layout import FIRST_COLORS, Instants, RunFigure, draw_curve, legend, panels
@@ -131,14 +132,18 @@ def _largest(forces: Sequence[Array]) -> float:
 
 
 def _body_sides(traj: Trajectory) -> dict[str, Array]:
-    """Return of each body that can move its side of the pairs, (npairs,): +1 second, -1 first, 0 neither or both."""
+    """Return of each body with shapes its side of the pairs, (npairs,): +1 second, -1 first, 0 neither or both.
+
+    Bodies that can move come before those fixed to the world; what Pinocchio has in its universe is the world's.
+    """
     frames, shapes = traj.scene.model.frames, traj.scene.collision_model.geometryObjects
     pairs = [(pair.first, pair.second) for pair in traj.scene.collision_model.collisionPairs]
-    bodies = [str(frames[shape.parentFrame].name) if shape.parentJoint else "" for shape in shapes]
+    bodies = [str(frames[shape.parentFrame].name) if shape.parentFrame else WORLD for shape in shapes]
+    order = sorted(range(len(bodies)), key=lambda k: shapes[k].parentJoint == 0)
     return {
         body: np.array([(bodies[b] == body) * 1.0 - (bodies[a] == body) * 1.0 for a, b in pairs])
-        for body in dict.fromkeys(bodies) if body
-    }  # fmt: skip
+        for body in dict.fromkeys(bodies[k] for k in order)
+    }
 
 
 def _summed(log: ContactLog, rows: NDArray[np.int64], impulse: Array) -> Steps:

@@ -41,7 +41,6 @@ contacts, constraints or joint friction: the discrete energy and the modified Ha
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -59,12 +58,12 @@ from contactvi.records.events import EventLog
 from contactvi.records.work import Forces
 from contactvi.scene.build import Built
 from contactvi.trajectory.contact_ledger import ContactLedger, free_trees
+from contactvi.trajectory.remade_steps import RemadeSteps
 
 if TYPE_CHECKING:
     from contactvi import _core
 
 Array = NDArray[np.float64]
-_STEP_TOL = 1e-13  # of the steps that are made again, below that of any run
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +113,10 @@ class Ledger:
         self._forced, self._forces, self._given = run.forced, run.forces, run.energies
         self._constrained = built.constrained or bool(run.forces is not None and run.forces.constraints)
         self._dt = float("nan") if run.options.auto else run.options.fixed_dt
-        self._order = run.options.order
-        c, b = np.polynomial.legendre.leggauss(run.options.order // 2)
-        self._gauss = 0.5 * (1.0 + c), 0.5 * b
         self._damping = np.array(built.model.damping, dtype=float)
+        self._steps = RemadeSteps(
+            core, self._dt, run.options.order, self._damping, self._constrained, complete=run.energies is None
+        )
         self.t, self._q, self._p, self.events = run.t, run.q, run.p, run.events
 
     def __repr__(self) -> str:
@@ -138,7 +137,7 @@ class Ledger:
     @cached_property
     def modified_energy(self) -> Array:
         """Modified Hamiltonian of the full step [J], shape (N,); H from order 4 on and with constraints."""
-        return self._modified(self._q, self._p)
+        return self._steps.modified_energy(self._q, self._p)
 
     @cached_property
     def discrete_energy(self) -> Array:
@@ -152,7 +151,9 @@ class Ledger:
         whole[-1:] = False
         whole &= ~np.isin(index, self.events.array("step")) & ~self.persistent
         if not self._forced:
-            values[whole] = self._discrete(self._q[whole], self._p[whole], np.full(int(whole.sum()), self._dt))
+            values[whole] = self._steps.discrete_energy(
+                self._q[whole], self._p[whole], np.full(int(whole.sum()), self._dt)
+            )
         return values
 
     @cached_property
@@ -303,8 +304,8 @@ class Ledger:
         if self._forced:
             return np.full(len(self.events), np.nan)
         q, before, after = map(self.events.array, ("q", "before", "after"))
-        start = self._discrete(q, self.events.array("p_minus"), -before) + self._before[3]
-        end = self._discrete(q, self.events.array("p_plus"), after) - self._after[3]
+        start = self._steps.discrete_energy(q, self.events.array("p_minus"), -before) + self._before[3]
+        end = self._steps.discrete_energy(q, self.events.array("p_plus"), after) - self._after[3]
         chained = self._follows("step", "time", "before")
         start[chained] = end[np.flatnonzero(chained) - 1]
         return np.where(self.event_in_contact, np.nan, end - start + self.event_loss)
@@ -316,8 +317,8 @@ class Ledger:
             return np.full(len(self.events), np.nan)
         q_end, p_end, work_after, _ = self._after
         q_start, p_start, work_before, _ = self._before
-        end = self._modified(q_end, p_end) - work_after
-        start = self._modified(q_start, p_start)
+        end = self._steps.modified_energy(q_end, p_end) - work_after
+        start = self._steps.modified_energy(q_start, p_start)
         chained = self._follows("step")
         start[chained] = end[np.flatnonzero(chained) - 1]
         # Damping works until the first impact of an instant; the impacts after it have no work of their own.
@@ -384,58 +385,12 @@ class Ledger:
             same[1:] &= np.diff(self.events.array(name)) == 0
         return same
 
-    def _discrete(self, q: Array, p: Array, h: Array) -> Array:
-        """E_d of steps h (n,) from these states; H where the step has no length, NaN where its length is not known."""
-        if self._given is not None:
-            return np.full(len(q), np.nan)
-        values: Array = self._core.energy(q, p).sum(axis=1)
-        some = np.flatnonzero(h != 0.0)
-        try:
-            values[some] = self._core.discrete_energy(q[some], p[some], h[some], self._order)
-        except RuntimeError:  # an EngineError: the run had to cut such a step in two, so it cannot be made again
-            for i in some:
-                one = slice(i, i + 1)
-                with contextlib.suppress(RuntimeError):
-                    values[i] = np.nan
-                    values[i] = self._core.discrete_energy(q[one], p[one], h[one], self._order)[0]
-        return values
-
-    def _modified(self, q: Array, p: Array) -> Array:
-        if self._given is not None:
-            return np.full(len(q), np.nan)
-        if self._constrained:  # no modified Hamiltonian is known of constrained steps
-            return np.asarray(self._core.energy(q, p).sum(axis=1))
-        return np.asarray(self._core.modified_energy(q, p, self._dt, self._order))
-
     @cached_property
     def _before(self) -> tuple[Array, Array, Array, Array]:
-        """The part of the step that ends at each impact, see `_part`."""
-        return self._part(self.events.array("p_minus"), -self.events.array("before"))
+        """The part of the step that ends at each impact, see `RemadeSteps.after`."""
+        return self._steps.after(self.events.array("q"), self.events.array("p_minus"), -self.events.array("before"))
 
     @cached_property
     def _after(self) -> tuple[Array, Array, Array, Array]:
-        """The rest of the step after each impact, see `_part`."""
-        return self._part(self.events.array("p_plus"), self.events.array("after"))
-
-    def _part(self, p: Array, h: Array) -> tuple[Array, Array, Array, Array]:
-        """Return where steps h (n,) from the impacts end, q and p, and what damping does over them [J], twice.
-
-        First its work over the whole part, h sum_j b_j P_j with the power P_j = -v_j D v_j at the Gauss stages; second
-        that between the impact and E_d, which is the mean of E over the stages: h sum_ij b_i a_ij P_j, and
-        sum_i b_i a_ij = b_j (1 - c_j). Negative h: where the step that ended there began. NaN where h is not known.
-        """
-        q, p, c, b = self.events.array("q").copy(), p.copy(), *self._gauss
-        whole, near = np.zeros(len(h)), np.zeros(len(h))
-        for i in np.flatnonzero(h != 0.0):
-            if not np.isfinite(h[i]):
-                p[i] = whole[i] = near[i] = np.nan
-                continue
-            try:
-                q[i], p[i], v, *_ = self._core.step(q[i], p[i], float(h[i]), None, _STEP_TOL, self._order)
-            except RuntimeError:
-                p[i] = whole[i] = near[i] = np.nan
-                continue
-            power = -np.sum(self._damping * np.asarray(v) ** 2, axis=1)  # of the stages, (s,)
-            whole[i] = abs(h[i]) * float(b @ power)
-            near[i] = abs(h[i]) * float((b * (1.0 - c)) @ power)
-        return q, p, whole, near
+        """The rest of the step after each impact, see `RemadeSteps.after`."""
+        return self._steps.after(self.events.array("q"), self.events.array("p_plus"), self.events.array("after"))

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from contactvi.errors import InputError
 from contactvi.files import write_atomic
-from contactvi.importing.checks import joint_kind
+from contactvi.importing.joint_kinds import joint_kind
 from contactvi.inputs import check_choice
 from contactvi.records.codes import GuardKind
 from contactvi.scene.coordinates import coordinates
@@ -90,8 +90,8 @@ def plot_forces(traj: Trajectory, by: str = "pair") -> Figure:
     Args:
         by: "pair": forces along the normal and along the surface, a line per pair with the sum of its points, a mean
             over every step with persistent contact; and how much of the friction cone each contact point uses,
-            friction / (mu normal), which is 1 where it slides. "body": the sum of all contact forces on each body
-            along the axes of the world.
+            friction / (mu normal), which is 1 where it slides. "body": the sum of all contact forces on each body,
+            also on those fixed to the world, along the axes of the world.
 
     Of many pairs or bodies those are drawn whose impulses are the largest, which the legend says. A run without forces
     has empty panels. The figure is one as that of `plot`.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.elements.elements import WORLD
+from contactvi.elements.element import WORLD
+from contactvi.importing.kinematics import JointChains
 from contactvi.playback.animation import near_turns
 
 Array = NDArray[np.float64]
@@ -31,23 +32,13 @@ def moving_bodies(model: pin.Model) -> list[str]:
 
 
 def body_poses(model: pin.Model, q: Array, bodies: Sequence[str]) -> tuple[Array, Array]:
-    """Return positions (n, len(bodies), 3) [m] and quaternions (n, len(bodies), 4) at configurations q (n, nq).
-
-    It goes through the joints one by one: a pin.Data holds tensors of the size nv^3.
-    """
+    """Return positions (n, len(bodies), 3) [m] and quaternions (n, len(bodies), 4) at configurations q (n, nq)."""
     frames = [model.frames[_frame(model, name)] for name in bodies]
-    joints = list(model.joints)
-    data = [joint.createData() for joint in joints]
-    parents, placements = list(model.parents), list(model.jointPlacements)
-    wanted = [(int(frame.parentJoint), frame.placement) for frame in frames]
+    carrying = JointChains(model, [int(frame.parentJoint) for frame in frames])
     position, quaternion = np.zeros((len(q), len(bodies), 3)), np.zeros((len(q), len(bodies), 4))
     for row, values in enumerate(q):
-        places: list[Any] = [pin.SE3.Identity()]
-        for i in range(1, len(joints)):
-            joints[i].calc(data[i], values)
-            places.append(places[parents[i]] * (placements[i] * data[i].M))
-        for k, (joint, placement) in enumerate(wanted):
-            pose = places[joint] * placement
+        for k, (place, frame) in enumerate(zip(carrying.places(values), frames, strict=True)):
+            pose = place * frame.placement
             position[row, k] = pose.translation
             quaternion[row, k] = pin.Quaternion(pose.rotation).coeffs()
     for k in range(len(bodies)):
@@ -61,14 +52,11 @@ def point_jacobians(model: pin.Model, q: Array, body: str, point: Array) -> Arra
     World axes; at configurations q (n, nq).
     """
     frame = model.frames[_frame(model, body)]
-    joint, data, rows = int(frame.parentJoint), model.createData(), np.zeros((len(q), 3, model.nv))
-    if joint == 0:
-        return rows
+    joint, rows = JointChains(model, [int(frame.parentJoint)]), np.zeros((len(q), 3, model.nv))
     in_joint = pin.skew(frame.placement.act(point))
     for row, values in zip(rows, q, strict=True):
-        pin.computeJointJacobians(model, data, values)
-        J = pin.getJointJacobian(model, data, joint, pin.LOCAL)
-        row[:] = data.oMi[joint].rotation @ (J[:3] - in_joint @ J[3:])
+        (place,), (J,) = joint.jacobians(values)
+        row[:] = place.rotation @ (J[:3] - in_joint @ J[3:])
     return rows
 
 

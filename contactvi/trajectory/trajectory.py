@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.aliases import alias, renamed_arguments
 from contactvi.errors import InputError
 from contactvi.options import Options
-from contactvi.records.codes import STEP_KINDS, GuardKind
+from contactvi.records.codes import STEP_KINDS
 from contactvi.records.contacts import ChangeLog, ContactLog, empty_changes, empty_contacts
 from contactvi.records.dense_steps import DenseSteps, no_dense_steps
 from contactvi.records.events import EventLog
@@ -24,7 +23,8 @@ from contactvi.status import Stats, Status
 from contactvi.trajectory.compiled import CompiledScene, compile_scene
 from contactvi.trajectory.contact_ledger import ContactLedger
 from contactvi.trajectory.exports import Exports
-from contactvi.trajectory.gaps import Gaps
+from contactvi.trajectory.gaps import Gaps, gaps_along
+from contactvi.trajectory.interpolation import interpolated, times_within
 from contactvi.trajectory.ledger import Ledger, LedgerInputs
 from contactvi.trajectory.polynomials import Segments, State, frame_times
 from contactvi.trajectory.shown import run_html
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from contactvi.trajectory.sensitivity import Sensitivity
 
 Array = NDArray[np.float64]
-_MAX_GAP_SAMPLES = 2000
 
 
 @renamed_arguments(arcs="adaptive_steps")
@@ -284,18 +283,7 @@ class Trajectory(Exports):
         The times are nodes; where these are too far apart for pictures, `frames` and impacts too.
         """
         if self._gaps is None:
-            index = np.unique(np.concatenate([log.array("index")[log.array("kind") == GuardKind.CONTACT]
-                                              for log in (self.events, self.contacts)]))  # fmt: skip
-            t, q = self.t, self.q
-            if len(self.frames[0]):
-                t = np.concatenate([t, self.frames[0], self.events.array("time")])
-                t, first = np.unique(t, return_index=True)
-                q = np.concatenate([q, self.frames[1], self.events.array("q")])[first]
-            chosen = np.unique(np.linspace(0, len(t) - 1, min(len(t), _MAX_GAP_SAMPLES)).round().astype(int))
-            values = np.zeros((len(chosen), len(index)))
-            if len(index):
-                values = self._engine().gaps_along(np.ascontiguousarray(q[chosen]), index.astype(np.int64))
-            self._gaps = Gaps(t[chosen], [self.events.label(0, int(i)) for i in index], values)
+            self._gaps = gaps_along(self, self._engine)
         return self._gaps
 
     def at(self, t: ArrayLike) -> State:
@@ -376,18 +364,8 @@ class Trajectory(Exports):
         """
         wanted = self._within(times)
         known = np.concatenate([self.t, self.events.array("time"), self.frames[0]])
-        known, first = np.unique(known, return_index=True)
-        q = np.concatenate([self.q, self.events.array("q"), self.frames[1]])[first]
-        left = np.clip(np.searchsorted(known, wanted, side="right") - 1, 0, max(0, len(known) - 2))
-        result = np.empty((len(wanted), self.q.shape[1]))
-        linear = _linear_entries(self.scene.model)
-        for row, (time, k) in enumerate(zip(wanted, left, strict=True)):
-            right = min(k + 1, len(known) - 1)
-            span = known[right] - known[k]
-            s = min(1.0, max(0.0, (time - known[k]) / span)) if span > 0 else 0.0
-            result[row] = pin.interpolate(self.scene.model, q[k], q[right], s)
-            result[row, linear] = (1.0 - s) * q[k, linear] + s * q[right, linear]
-        return result
+        q = np.concatenate([self.q, self.events.array("q"), self.frames[1]])
+        return interpolated(self.scene.model, known, q, wanted)
 
     @property
     def frames(self) -> tuple[Array, Array]:
@@ -402,21 +380,7 @@ class Trajectory(Exports):
         return self._frames
 
     def _within(self, times: ArrayLike) -> Array:
-        """Return times [s] as an array (n,), checked to lie in the run."""
-        try:
-            wanted = np.asarray(times, dtype=float).reshape(-1)
-        except (TypeError, ValueError, OverflowError):
-            wanted = np.array([np.nan])
-        slack = 1e-9 * max(1.0, abs(float(self.t[-1])))
-        if not np.all((wanted >= self.t[0] - slack) & (wanted <= self.t[-1] + slack)):
-            raise InputError(
-                "Time outside the run",
-                name="t",
-                expected=f"a time in [{self.t[0]:.9g}, {self.t[-1]:.9g}] s",
-                got=np.array2string(wanted, threshold=4),
-                remedy="Ask for times within the run, or run it for longer",
-            )
-        return np.asarray(np.clip(wanted, self.t[0], self.t[-1]))
+        return times_within(times, float(self.t[0]), float(self.t[-1]))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the run as one npz file (contactvi.trajectory.storage), whole or not at all; return its path."""
@@ -469,12 +433,3 @@ class Trajectory(Exports):
             values = np.asarray(self._engine().energy(self.q, self.p), dtype=float)
             self._derived["kinetic_energy"] = values[:, 0]
             self._derived["potential_energy"] = values[:, 1]
-
-
-def _linear_entries(model: pin.Model) -> NDArray[np.int64]:
-    """Return the entries of q that are Cartesian positions of free and planar bodies."""
-    entries: list[int] = []
-    for joint in model.joints[1:]:
-        count = {"JointModelFreeFlyer": 3, "JointModelPlanar": 2}.get(joint.shortname(), 0)
-        entries += range(joint.idx_q, joint.idx_q + count)
-    return np.array(entries, dtype=np.int64)

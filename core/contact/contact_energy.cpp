@@ -26,14 +26,21 @@ double ContactStep::driven_work() const {
 }
 
 // The energy that a midpoint step conserves differs from H by h^2 (a.M a and T omega^2) / 12 or less, and what it
-// differs by changes in the step. Persistent contacts do no work but where they move bodies out of an overlap.
+// differs by changes in the step. Persistent contacts do no work but where they move bodies out of an overlap. Driven
+// constraints move by the mean of their speeds at both nodes, the trapezoid of which driven_work() is the work, and the
+// bodies by the step: where these differ so does what their forces do.
 double ContactStep::energy_error(const VecCRef& p0, const VecCRef& p1) const {
   const double turn = largest_turn(scene_->tree, v_, h_);
   const double kinetic = 0.5 * std::max(p0.dot(v_start_), p1.dot(v1_));
   double mass = 0.0, impulses = 0.0;
   for (const Joint& joint : scene_->tree.joints) mass += joint.mass;
   for (const ContactOutcome& out : outcomes_) impulses += out.position_impulse.norm() + out.velocity_impulse.norm();
-  return kShare * (turn * turn * kinetic + std::abs((p1 - p0).dot(v1_ - v_start_))) +
+  double trapezoid = 0.0;
+  if (bilateral_ > 0) {
+    const VecX mean = 0.5 * ((node0_.W + node1_.W).leftCols(bilateral_).transpose() * v_ + node0_.rate + node1_.rate);
+    trapezoid = std::abs((lambda_ + lambda_end_).head(bilateral_).dot(mean));
+  }
+  return trapezoid + kShare * (turn * turn * kinetic + std::abs((p1 - p0).dot(v1_ - v_start_))) +
          kGapError * (mass * scene_->tree.gravity.norm() + impulses / std::max(h_, nominal_h_));
 }
 

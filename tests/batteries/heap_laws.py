@@ -20,7 +20,8 @@ import numpy as np
 
 import contactvi as cvi
 from batteries.contact_laws import Array, Finding, contact_laws, momentum_laws, number_laws, worst
-from contactvi.bench.heaps import GapCheck, Heap, rotation_of
+from contactvi.bench.heap_gaps import GapCheck
+from contactvi.bench.heaps import Heap, rotation_of
 
 GRAVITY = 9.81
 GAP = 1e-9  # [m] that shapes may overlap

@@ -13,6 +13,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.progress import RunProgress, describe
+from helpers.extras import needs_mujoco
 from helpers.playback_data import run_data
 from helpers.run_scenes import HAND_URDF, ball_file
 
@@ -201,6 +202,7 @@ def test_check_scene_file(command, tmp_path):
     assert "ground" in result.stdout
 
 
+@needs_mujoco
 def test_check_mjcf(command):
     Path("arm.xml").write_text(
         '<mujoco><worldbody><body name="arm"><joint name="hinge" type="hinge" axis="0 1 0"/>'

@@ -10,6 +10,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.commands.models import DURATION, HEIGHT, Choice, model_scene
+from helpers.extras import needs_mujoco
 from helpers.run_scenes import GRAVITY, HAND_URDF, ball_file
 
 OK, WRONG_INPUT = 0, 2
@@ -96,6 +97,7 @@ MJCF = """<mujoco><option gravity="0 0 -5"/><worldbody>{floor}<body name="ball" 
 FLOOR = '<geom type="plane" size="1 1 1"/>'
 
 
+@needs_mujoco
 @pytest.mark.parametrize(
     ("floor", "height", "place"),
     [
@@ -113,6 +115,7 @@ def test_the_floor_of_an_mjcf(command, floor, height, place):
     assert "the files also have high" in text
 
 
+@needs_mujoco
 def test_a_height_that_is_given_is_that_above_the_floor_of_the_file(command):
     path = write("m.xml", MJCF.format(floor=FLOOR, height=1.0))
     text, traj = run(command, path, "--height", 0, "--duration", 0.1)
@@ -125,6 +128,7 @@ def test_a_height_that_means_nothing_is_said_to(command):
     assert "held; --height is not used" in run(command, write("a.urdf", ARM), "--duration", 0.1, "--height", 0.1)[0]
 
 
+@needs_mujoco
 def test_keys_that_say_nothing_are_not_listed(command):
     """<size nkey="5"/> makes keys without names, which are the start."""
     text = MJCF.format(floor=FLOOR, height=1.0).replace("<worldbody>", '<size nkey="5"/><worldbody>')
@@ -133,6 +137,7 @@ def test_keys_that_say_nothing_are_not_listed(command):
     assert "key_" not in printed
 
 
+@needs_mujoco
 def test_a_configuration_of_the_file(command):
     _, traj = run(
         command, write("m.xml", MJCF.format(floor=FLOOR, height=1.0)), "--configuration", "high", "--duration", 0.1

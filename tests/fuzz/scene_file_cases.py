@@ -11,7 +11,7 @@ import typer
 
 import contactvi as cvi
 from contactvi.commands import cli
-from contactvi.scene.toml import KEYS as TABLES
+from contactvi.scene.toml_tables import KEYS as TABLES
 from fuzz import law
 from fuzz.draws import Case, Draws, damage_bytes, damage_data, run_settings
 

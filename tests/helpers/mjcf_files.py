@@ -6,11 +6,13 @@ import math
 from importlib.util import find_spec
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 import contactvi as cvi
 from helpers import mujoco_oracle as oracle
+from helpers.extras import mujoco_module
+
+mujoco = mujoco_module()
 
 PACKAGES = ("gymnasium", "dm_control")
 # What MuJoCo itself cannot compile, or what is no model: a word of the reason.

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 import pinocchio as pin
 
 import contactvi as cvi
+from helpers.extras import mujoco_module
+
+mujoco = mujoco_module()
 
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 EVERYTHING = 1e3  # [m] a margin at which all tested pairs are in contact

@@ -1,10 +1,11 @@
-"""Placements and mass matrix without pin.Data, against Pinocchio's own."""
+"""Placements, motions, Jacobians, mass matrix and bias forces without pin.Data, against Pinocchio's own."""
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from contactvi.importing.kinematics import joint_placements, mass_matrix
+from contactvi.importing.dynamics import bias_forces, mass_matrix
+from contactvi.importing.kinematics import JointChains, joint_placements
 
 
 def models() -> dict[str, pin.Model]:
@@ -40,6 +41,34 @@ def test_as_pinocchio_finds_them(name: str):
     wanted = upper + np.triu(upper, 1).T
     size = np.sqrt(np.diag(wanted))
     np.testing.assert_allclose(mass_matrix(model, q) / size / size[:, None], wanted / size / size[:, None], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", models())
+def test_motions_jacobians_and_bias_forces_are_those_of_pinocchio(name: str):
+    model, rng = models()[name], np.random.default_rng(2)
+    model.gravity = pin.Motion(np.array([1.0, -2.0, -9.0]), np.zeros(3))
+    data = model.createData()
+    q = pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
+    v = rng.normal(size=model.nv)
+    b = np.array(pin.nle(model, data, q, v))
+    np.testing.assert_allclose(bias_forces(model, q, v), b, rtol=0.0, atol=1e-12 * np.abs(b).max(initial=0.0))
+    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    pin.computeJointJacobians(model, data, q)
+    asked = [0, *rng.permutation(np.arange(1, model.njoints))[:7]]
+    chains = JointChains(model, asked)
+    places, J = chains.jacobians(q)
+    for k, motion in enumerate(chains.motions(q, v)):
+        joint = int(asked[k])
+        assert_near(motion.place.homogeneous, data.oMi[joint].homogeneous)
+        assert_near(places[k].homogeneous, data.oMi[joint].homogeneous)
+        assert_near(motion.twist.vector, data.v[joint].vector)
+        assert_near(motion.acceleration.vector, data.a[joint].vector if joint else np.zeros(6))
+        assert_near(J[k], pin.getJointJacobian(model, data, joint, pin.LOCAL) if joint else np.zeros((6, model.nv)))
+
+
+def assert_near(mine: np.ndarray, theirs: np.ndarray) -> None:
+    """Rounding of a sum over at most 60 joints; numbers are of the size of the largest one."""
+    np.testing.assert_allclose(mine, theirs, rtol=0.0, atol=1e-12 * max(1.0, np.abs(theirs).max(initial=0.0)))
 
 
 def depth_first(model: pin.Model) -> pin.Model:

@@ -6,15 +6,17 @@ import sys
 from pathlib import Path
 
 import coal
-import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from contactvi.elements.elements import Constraint
+from contactvi.elements.constraints import Constraint
 from contactvi.inputs import pose
 from helpers import mujoco_oracle as oracle
+from helpers.extras import mujoco_module
+
+mujoco = mujoco_module()
 
 WORLD = """
 <body name="arm" pos=".1 .2 1" quat=".9 .1 .3 .2">

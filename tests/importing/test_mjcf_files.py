@@ -5,13 +5,15 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
 import contactvi as cvi
 from helpers import mjcf_files
 from helpers import mujoco_oracle as oracle
+from helpers.extras import mujoco_module
+
+mujoco = mujoco_module()
 
 # Meshes of hundreds of bodies, or minutes of contact in a second.
 LONG = ("fruitfly", "drosophila", "dog", "rodent", "humanoid_CMU")

@@ -12,6 +12,7 @@ from contactvi.errors import ContactviError, SceneError
 from contactvi.importing.paths import example_robot_data_share, resolve_path, resolve_resource
 from contactvi.scene.scene import Scene
 from contactvi.scene.toml import load_scene
+from helpers.extras import needs_mujoco
 
 PACKAGE_XML = "<package><name>{}</name></package>"
 
@@ -146,16 +147,17 @@ def test_paths_that_no_file_can_have(tmp_path: Path, monkeypatch: pytest.MonkeyP
             call()
 
 
-def test_files_that_are_too_large_are_not_read(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "load"),
+    [
+        ("big.urdf", lambda path: Scene().add_urdf(path)),
+        pytest.param("big.xml", lambda path: Scene().add_mjcf(path), marks=needs_mujoco),
+        ("big.toml", load_scene),
+    ],
+)
+def test_files_that_are_too_large_are_not_read(tmp_path, name, load):
     """A sparse file: it takes no room, and would take minutes and gigabytes to read."""
-    for name in ("big.urdf", "big.xml", "big.toml"):
-        with (tmp_path / name).open("wb") as file:
-            file.truncate(600_000_000)
-    scene = Scene()
-    for call in (
-        lambda: scene.add_urdf(tmp_path / "big.urdf"),
-        lambda: scene.add_mjcf(tmp_path / "big.xml"),
-        lambda: load_scene(tmp_path / "big.toml"),
-    ):
-        with pytest.raises(SceneError, match="too large: expected at most 500 MB, got 600 MB"):
-            call()
+    with (tmp_path / name).open("wb") as file:
+        file.truncate(600_000_000)
+    with pytest.raises(SceneError, match="too large: expected at most 500 MB, got 600 MB"):
+        load(tmp_path / name)

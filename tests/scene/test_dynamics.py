@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 import pickle
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import contactvi as cvi
+from contactvi.trajectory.poses import point_jacobians
 from helpers.chains import JOINTS, chain, state_of
 from helpers.laws import mass_matrix, retract
 from helpers.run_scenes import HAND_URDF
@@ -381,3 +383,63 @@ def test_contact_jacobians_can_be_pickled_and_copied():
         np.testing.assert_array_equal(twin.matrix, J.matrix)
         np.testing.assert_array_equal(twin.bias_acceleration(v), J.bias_acceleration(v))
         np.testing.assert_array_equal(twin.on("low").matrix, J.on("low").matrix)
+
+
+LINKS = 300  # whose pin.Data would take 1.7 GB
+
+
+def test_no_question_about_a_long_chain_makes_the_pin_data_of_its_model(monkeypatch: pytest.MonkeyPatch):
+    """Its own joints are one tree, so that no part of the model is small."""
+    model, geometry = hanging_chain(LINKS)
+    monkeypatch.setattr(pin.Model, "createData", forbidden)
+    monkeypatch.setattr(pin, "Data", forbidden)
+    scene = cvi.Scene.from_pinocchio(model, geometry, name="chain")
+    scene.add_halfspace((0.0, 0.0, 1.0), -0.1 * LINKS - 0.06)
+    q, v = scene.neutral(), np.linspace(-1.0, 1.0, scene.nv)
+    # A weight that hangs straight down, at rest, puts no moment on any joint.
+    np.testing.assert_allclose(scene.bias_forces(q), 0.0, atol=1e-9)
+    # Links that turn all at once around the uppermost joint are pulled to it: no joint has a moment of that.
+    np.testing.assert_allclose(scene.bias_forces(q, np.eye(LINKS)[0]), 0.0, atol=1e-9)
+    # The lowest point of the ball at the tip goes along y with its distance from each joint, and towards the uppermost
+    # one, around which all turns, with w^2 r.
+    jacobian, radii = scene.contact_jacobian(q, margin=0.1).on("tip"), 0.03 + 0.1 * np.arange(LINKS, 0, -1)
+    np.testing.assert_allclose(jacobian.matrix, [np.zeros(LINKS), radii, np.zeros(LINKS)], atol=1e-9)
+    np.testing.assert_allclose(jacobian.bias_acceleration(np.eye(LINKS)[0]), [0.0, 0.0, radii[0]], atol=1e-9)
+    # Of the weights below it each link has the stiffness m g r against its own angle, the sum of those of the joints.
+    stiffness = 0.1 * 9.81 * (0.1 * np.arange(LINKS - 1, -1, -1) + 0.05)
+    sums, M = np.tri(LINKS), scene.mass_matrix(q)
+    wanted = -(sums.T * stiffness) @ sums
+    found = M @ cvi.forward_dynamics_derivatives(scene, q).a_q
+    rounding = np.finfo(float).eps * np.linalg.cond(M) * np.abs(wanted).max()
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=rounding)
+    sim = cvi.Simulator(scene, dt=1e-4)
+    sim.reset(q, v)
+    sim.step()
+    reading = cvi.Imu(sim, f"link{LINKS - 1}").read()
+    np.testing.assert_allclose(reading.angular_velocity, [sim.v.sum(), 0.0, 0.0], atol=1e-9 * LINKS)
+    run = cvi.simulate(scene, q, v, duration=1e-3, dt=1e-4)
+    rows = point_jacobians(scene.model, q[None], f"link{LINKS - 1}", np.array([0.0, 0.0, -0.13]))[0]
+    np.testing.assert_allclose(rows, jacobian.matrix, atol=1e-9)
+    place = run.poses(f"link{LINKS - 1}").position
+    angles = np.cumsum(run.q, axis=1)[:, :-1]
+    np.testing.assert_allclose(place[:, 2], -0.1 * np.cos(angles).sum(axis=1), atol=1e-9)
+
+
+def hanging_chain(links: int) -> tuple[pin.Model, pin.GeometryModel]:
+    """Links of 0.1 m that hang from the world one below the other, with a ball at the tip."""
+    model, geometry = pin.Model(), pin.GeometryModel()
+    for k in range(links):
+        place = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.1 if k else 0.0]))
+        joint = model.addJoint(k, pin.JointModelRX(), place, f"j{k}")
+        model.appendBodyToJoint(joint, pin.Inertia(0.1, np.array([0, 0, -0.05]), 1e-4 * np.eye(3)), pin.SE3.Identity())
+        model.addFrame(pin.Frame(f"link{k}", joint, 0, pin.SE3.Identity(), pin.FrameType.BODY))
+    place = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.1]))
+    frame = model.nframes - 1
+    geometry.addGeometryObject(
+        pin.GeometryObject("tip", model.frames[frame].parentJoint, frame, place, coal.Sphere(0.03))
+    )
+    return model, geometry
+
+
+def forbidden(*arguments: object, **more: object) -> None:
+    raise AssertionError("the pin.Data of a model was made")

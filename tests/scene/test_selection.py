@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import contactvi as cvi
+from helpers.extras import needs_mujoco
 from helpers.run_scenes import HAND_URDF
 
 
@@ -46,6 +47,7 @@ class TestHandlesOfRobotsWithAFreeBase:
             scene.q_index(hand)
         assert "joint_0.0" in caught.value.remedy
 
+    @needs_mujoco
     def test_parts_of_several_trees_have_none(self, tmp_path: Path):
         """Of two free bodies in one file neither is the base of both."""
         (tmp_path / "two.xml").write_text(

@@ -10,7 +10,9 @@ import pytest
 
 import contactvi as cvi
 from contactvi.errors import ContactviError, InputError, SceneError
-from contactvi.scene.toml import KEYS, load_scene
+from contactvi.scene.toml import load_scene
+from contactvi.scene.toml_tables import KEYS
+from helpers.extras import needs_mujoco
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 EPS = np.finfo(float).eps
@@ -281,7 +283,7 @@ def test_no_such_scene_file(name: str):
     ("name", "text", "section"),
     [
         ("r.urdf", "<robot name='r'><link name='a'/></robot>", "urdf"),
-        ("r.xml", "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "mjcf"),
+        pytest.param("r.xml", "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "mjcf", marks=needs_mujoco),
         ("r.toml", "\n<robot name='r'><link name='a'/></robot>", "urdf"),
     ],
 )

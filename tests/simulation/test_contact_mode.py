@@ -11,6 +11,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.bench import heaps
+from contactvi.bench.heap_gaps import GapCheck
 from contactvi.commands.cli import app
 from contactvi.commands.summary import summary
 from contactvi.records import dense_steps
@@ -209,7 +210,7 @@ def test_other_points_of_a_pair_in_contact_are_located(seed, restitution, fricti
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cvi.DenseStepWarning)
         traj = cvi.simulate(scene, q, v, duration, dt=1e-3)
-    check = heaps.GapCheck(heap)
+    check = GapCheck(heap)
     deepest = min((gap for q in traj.q for gap, _ in check.below(q, -NOISE)), default=0.0)
     assert deepest >= -NOISE
     assert min(event.gap for event in traj.events) >= -NOISE

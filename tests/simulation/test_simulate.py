@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 
 import contactvi as cvi
-from contactvi.simulation.simulation import settings_of
+from contactvi.simulation.settings import settings_of
 from helpers.run_scenes import FIRST_IMPACT, GRAVITY, HEIGHT, RADIUS, ball_file, ball_scene, hand_scene, slider_scene
 
 EPS = np.finfo(float).eps

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.image import imread
@@ -134,14 +136,32 @@ def test_forces_and_the_friction_cone(box):
 
 def test_forces_on_bodies(box):
     along_x, _, along_z = cvi.plot_forces(box, by="body").axes[-3:]
-    curve = max(along_z.lines, key=lambda line: len(line.get_xdata()))
-    assert np.nanmax(np.abs(curve.get_ydata() - MASS * GRAVITY)) < 1e-10
-    curve = max(along_x.lines, key=lambda line: len(line.get_xdata()))
-    sliding = curve.get_xdata() < STOP - 0.1
-    assert curve.get_ydata()[sliding] == pytest.approx(-MU * MASS * GRAVITY * np.ones(sliding.sum()), rel=1e-9)
-    assert labels(along_z) == ["box"]
+    assert labels(along_z) == ["box", "ground"]
+    for body, sign in (("box", 1.0), ("ground", -1.0)):  # what is fixed to the world has the opposite force
+        (curve,) = (line for line in along_z.lines if line.get_label() == body)
+        assert np.nanmax(np.abs(curve.get_ydata() - sign * MASS * GRAVITY)) < 1e-10
+        (curve,) = (line for line in along_x.lines if line.get_label() == body)
+        sliding = curve.get_xdata() < STOP - 0.1
+        assert curve.get_ydata()[sliding] == pytest.approx(
+            -sign * MU * MASS * GRAVITY * np.ones(sliding.sum()), rel=1e-9
+        )
     with pytest.raises(cvi.InputError, match="'pair' | 'body'"):
         cvi.plot_forces(box, by="bodies")
+
+
+def test_forces_on_a_body_that_is_fixed_and_on_the_universe():
+    """A ball lies on a fixed table of the scene, and another one on a shape of Pinocchio's universe."""
+    model, geometry = pin.Model(), pin.GeometryModel()
+    geometry.addGeometryObject(pin.GeometryObject("floor", 0, 0, pin.SE3.Identity(), coal.Box(1.0, 1.0, 0.2)))
+    scene = cvi.Scene.from_pinocchio(model, geometry, name="room")
+    scene.add_box("table", size=(1.0, 1.0, 0.2), placement=(3.0, 0.0, 0.0), free=False)
+    for name, x, mass in (("light", 0.0, 1.0), ("heavy", 3.0, 2.0)):
+        scene.add_sphere(name, 0.1, mass=mass, placement=(x, 0.0, 0.2))
+    traj = cvi.simulate(scene, duration=0.05, dt=1e-3)
+    along_z = cvi.plot_forces(traj, by="body").axes[-1]
+    drawn = {line.get_label(): line.get_ydata() for line in along_z.lines}
+    for body, force in (("light", 1.0), ("world", -1.0), ("heavy", 2.0), ("table", -2.0)):
+        assert drawn[body] == pytest.approx(force * GRAVITY, rel=1e-9)
 
 
 def test_states(box):

@@ -12,7 +12,7 @@ import pytest
 
 import contactvi as cvi
 from contactvi.errors import InputError
-from contactvi.importing.checks import joint_model
+from contactvi.importing.joint_kinds import joint_model
 from contactvi.records.table import Table
 from contactvi.scene.coordinates import coordinates
 from contactvi.trajectory.tables import OF_NODES, TABLES

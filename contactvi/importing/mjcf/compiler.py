@@ -40,7 +40,7 @@ def import_mujoco() -> Any:
     except ImportError as error:
         raise SceneError(
             "An MJCF is read by MuJoCo's compiler, which is not installed",
-            expected="the package mujoco-core, version 4",
+            expected="the package mujoco-core, version 4, which needs Python 3.11 or later",
             got=str(error),
             remedy=REMEDY,
         ) from None

@@ -10,16 +10,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from contactvi.elements.elements import (
-    WORLD,
-    Constraint,
-    Element,
-    EqualityConstraint,
-    PathSpring,
-    PointConstraint,
-    WeldConstraint,
-    Wrench,
-)
+from contactvi.elements.constraints import Constraint, EqualityConstraint, PointConstraint, WeldConstraint
+from contactvi.elements.element import WORLD, Element
+from contactvi.elements.forces import PathSpring, Wrench
 from contactvi.importing.mjcf.compiler import Source, pose, rotation
 from contactvi.importing.mjcf.tree import Tree
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from contactvi.importing.checks import MANY_DOFS, joint_model
+from contactvi.importing.joint_kinds import MANY_DOFS, joint_model
 from contactvi.importing.mjcf.compiler import Source, pose
 
 _KINDS = {"free": "free", "ball": "spherical", "slide": "prismatic", "hinge": "revolute"}
