@@ -108,6 +108,13 @@ class Simulator {
   // 2 nv) or empty. False: it ended early, see the status.
   bool step_island(long step, double t, double length, const VecX& tau, const MatX& target, const Progress& progress,
                    Recording& recording);
+  // quiet_steps.cpp: steps that were solved in advance and in which nothing happens are made at once. foresee() tells
+  // how many of the next control steps are such ones, at most `most`; of these, pass_foreseen() makes the first `count`,
+  // the last of which starts at `last_start` [s].
+  int foresee(long most);
+  const StepsAhead& foreseen() const { return integrator_.ahead(); }
+  WorkAccount::FreeWork foreseen_work(int step);
+  void pass_foreseen(int count, double last_start);
   // Forgets what has been counted in the state since it was last taken, and what the parts have counted.
   void forget_counts();
   void reset_counters();
@@ -156,7 +163,10 @@ class Simulator {
   bool take_event(Interval& interval, double h, bool shorter, Recording& recording);
   bool solve_smooth_step(double time, double h, const VecX& tau, bool last_try);
   void start_recording(const Progress& progress, Recording& recording);
-  void record_node(double t, Recording& recording);
+  void record_node(double t, Recording& recording) { record_node(t, state_.q.data(), state_.p.data(), recording); }
+  void record_node(double t, const double* q, const double* p, Recording& recording);
+  bool flies_quietly() const;
+  long pass_quiet_steps(long left, long record_every, Recording& recording);
   void record_phase(double time, double dt, StepKind kind, Recording& recording) const;
   void record_segment(double t, double h, const VecX& p1, Recording& recording);
   bool report_progress(double time);

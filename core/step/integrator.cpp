@@ -82,7 +82,8 @@ bool Integrator::solve_closely(const VecCRef& q0, const VecCRef& p0, double h, c
 }
 
 bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
-  if (may_look_ahead(h, tau) && take_ahead(q0, p0, h)) return true;
+  const bool may_look_ahead = tau.size() == 0 && this->may_look_ahead(h);
+  if (may_look_ahead && take_ahead(q0, p0, h)) return true;
   ahead_.drop();
   from_ahead_ = false;
   // Impact maps solve one step again and again from other momenta: its own velocities are then the best start.
@@ -95,7 +96,7 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   if (again && solve_stages()) return !turns_too_far();
   Guide* guide = std::exchange(guide_, nullptr);
   if (guide != nullptr && guide->lead(guide_time_, h, start_, stages_) && solve_stages()) return !turns_too_far();
-  if (may_look_ahead(h, tau) && !stages_.has_extra_forces() && ahead_.is_worth_asking()) {
+  if (may_look_ahead && !stages_.has_extra_forces() && ahead_.is_worth_asking()) {
     asks_ahead_ = true;
     company_->iterate(*this, *lanes_);
     asks_ahead_ = false;
@@ -119,8 +120,8 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
 }
 
 // Whether the steps from here on are likely to go on as the last ones did, with no inputs that may change.
-bool Integrator::may_look_ahead(double h, const VecX& tau) const {
-  return flies_ && tau.size() == 0 && !newton_ && (servo() == nullptr || !servo()->any) && start_.is_even(h);
+bool Integrator::may_look_ahead(double h) const {
+  return flies_ && !newton_ && (servo() == nullptr || !servo()->any) && start_.is_even(h);
 }
 
 // The step from this state, if it was solved in advance: all is as it would be had it been solved now, but for the
@@ -131,31 +132,55 @@ bool Integrator::take_ahead(const VecCRef& q0, const VecCRef& p0, double h) {
   if (p0.data() != p0_.data()) p0_ = p0;
   h_ = h;
   stages_.set_time(time_);
-  const int n = tree_->nv;
-  const double *v = ahead_.now(StepsAhead::kV), *X = ahead_.now(StepsAhead::kX), *P = ahead_.now(StepsAhead::kMomentum),
-               *G = ahead_.now(StepsAhead::kForce), *dv = ahead_.now(StepsAhead::kCorrection);
-  for (int d = 0; d < n; ++d) {
-    stages_.v()[d] = v[d];
-    stages_.X()[d] = X[d];
-    stages_.P()[d] = P[d];
-    stages_.G()[d] = G[d];
-    stages_.dv()[d] = dv[d];
-  }
-  part_ = false;
-  why_ = "";
-  stage_iterations_ = ahead_.iterations();
-  counters.stage_iterations += stage_iterations_;
-  ++counters.factorizations;
-  residual_ = ahead_.error();
+  show_ahead(0);
+  count_ahead(0);
   solved_ = from_ahead_ = true;
   return true;
+}
+
+void Integrator::show_ahead(int after) {
+  const int n = tree_->nv;
+  const auto copy = [&](StepsAhead::Part part, double* to) { std::copy_n(ahead_.next(after, part), n, to); };
+  copy(StepsAhead::kV, stages_.v());
+  copy(StepsAhead::kX, stages_.X());
+  copy(StepsAhead::kMomentum, stages_.P());
+  copy(StepsAhead::kForce, stages_.G());
+  copy(StepsAhead::kCorrection, stages_.dv());
+  part_ = false;
+  why_ = "";
+}
+
+void Integrator::count_ahead(int after) {
+  stage_iterations_ = ahead_.iterations(after);
+  counters.stage_iterations += stage_iterations_;
+  ++counters.factorizations;
+  residual_ = ahead_.error(after);
+}
+
+void Integrator::accept_ahead(int after) {
+  const int n = tree_->nv;
+  h_ = ahead_.length();
+  for (int k = 0; k <= after; ++k) {
+    count_ahead(k);
+    if (after - k < StartValues::kSteps) start_.push(ahead_.next(k, StepsAhead::kV), h_);
+  }
+  show_ahead(after);
+  std::copy_n(after == 0 ? ahead_.q0().data() : ahead_.next(after - 1, StepsAhead::kQ), n, q0_.data());
+  std::copy_n(after == 0 ? ahead_.p0().data() : ahead_.next(after - 1, StepsAhead::kP), n, p0_.data());
+  std::copy_n(ahead_.next(after, StepsAhead::kCarryQ), n, carry_q_.data());
+  std::copy_n(ahead_.next(after, StepsAhead::kCarryP), n, carry_p_.data());
+  stages_.set_time(time_);
+  counters.steps += after + 1;
+  ahead_.advance(after + 1);
+  solved_ = true;
+  from_ahead_ = false;
 }
 
 void Integrator::finish(VecRef q1, VecRef p1) {
   if (!from_ahead_) return StepEquations::finish(q1, p1);
   const int n = tree_->nv;
-  const double *q = ahead_.now(StepsAhead::kQ), *p = ahead_.now(StepsAhead::kP),
-               *carry_q = ahead_.now(StepsAhead::kCarryQ), *carry_p = ahead_.now(StepsAhead::kCarryP);
+  const double *q = ahead_.next(0, StepsAhead::kQ), *p = ahead_.next(0, StepsAhead::kP),
+               *carry_q = ahead_.next(0, StepsAhead::kCarryQ), *carry_p = ahead_.next(0, StepsAhead::kCarryP);
   for (int d = 0; d < n; ++d) {
     q1[d] = q[d];
     p1[d] = p[d];
@@ -229,7 +254,7 @@ void Integrator::accept() {
   carry_q_.swap(next_carry_q_);
   carry_p_.swap(next_carry_p_);
   start_.push(stages_, h_);
-  if (from_ahead_) ahead_.advance();
+  if (from_ahead_) ahead_.advance(1);
   from_ahead_ = false;
 }
 

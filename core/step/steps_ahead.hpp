@@ -46,6 +46,7 @@ class StepsAhead {
   }
 
   bool any() const { return at_ < count_; }
+  int left() const { return count_ - at_; }
   // Whether the next one is the step of length h from this state.
   bool is(const VecCRef& q0, const VecCRef& p0, double h, double tol) const {
     const auto same = [](const double* a, const double* b, Eigen::Index size) {
@@ -53,14 +54,22 @@ class StepsAhead {
     };
     return any() && h == h_ && tol == tol_ && same(q0.data(), q0_.data(), nv_) && same(p0.data(), p0_.data(), nv_);
   }
-  const double* now(Part which) const { return parts_.data() + static_cast<std::size_t>(at_ * kParts + which) * nv_; }
-  int iterations() const { return iterations_[at_]; }
-  double error() const { return errors_[at_]; }
-  // The next one has been made.
-  void advance() {
-    std::memcpy(q0_.data(), now(kQ), sizeof(double) * static_cast<std::size_t>(nv_));
-    std::memcpy(p0_.data(), now(kP), sizeof(double) * static_cast<std::size_t>(nv_));
-    if (++at_ == count_) wanted_ = wanted_ < kMost ? 2 * wanted_ : kMost;
+  // Where the next one begins.
+  const VecX& q0() const { return q0_; }
+  const VecX& p0() const { return p0_; }
+  double length() const { return h_; }
+  // Of the step that comes so many steps after the next one.
+  const double* next(int after, Part which) const {
+    return parts_.data() + static_cast<std::size_t>((at_ + after) * kParts + which) * nv_;
+  }
+  int iterations(int after) const { return iterations_[at_ + after]; }
+  double error(int after) const { return errors_[at_ + after]; }
+  // The next ones have been made.
+  void advance(int steps) {
+    std::memcpy(q0_.data(), next(steps - 1, kQ), sizeof(double) * static_cast<std::size_t>(nv_));
+    std::memcpy(p0_.data(), next(steps - 1, kP), sizeof(double) * static_cast<std::size_t>(nv_));
+    at_ += steps;
+    if (at_ == count_) wanted_ = wanted_ < kMost ? 2 * wanted_ : kMost;
   }
   // The run goes another way.
   void drop() {
