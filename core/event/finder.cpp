@@ -126,7 +126,7 @@ int EventFinder::foresee(const VecX& q0, const VecX& p0, double h, const StepsAh
   const double* before = memory_.rate.data();
   guards_->look_ahead();
   for (int k = 0; k < most; ++k) {
-    const double* rate = steps.next(k, StepsAhead::kV);
+    const double* rate = steps.next(k, StepsAhead::kRate);
     if (!(plain ? guards_->foresee(rate, before, h) : guards_->foresee(bound_of(rate, before), h))) return k;
     before = rate;
   }
@@ -139,7 +139,7 @@ void EventFinder::pass_foreseen(const StepsAhead& steps, int count) {
   };
   forget_last();
   guards_->pass_foreseen(count);
-  copy(StepsAhead::kV, memory_.rate);
+  copy(StepsAhead::kRate, memory_.rate);
   copy(StepsAhead::kQ, memory_.q);
   copy(StepsAhead::kP, memory_.p);
 }

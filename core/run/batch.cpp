@@ -127,7 +127,8 @@ void Batch::make(Maker& maker, const BatchStart& start, SideBySide* company, Bat
     const MatX& target = start.target ? *start.target : none;
     const Progress progress = [this](double, long) { return !stop_; };
     const auto first = std::chrono::steady_clock::now();
-    outcome.status = world.advance(steps_, tau, target, record_every_, progress, recording);
+    const long record_every = keep_ == BatchKeep::kEnds ? std::max(1L, steps_) : record_every_;
+    outcome.status = world.advance(steps_, tau, target, record_every, progress, recording);
     const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - first;
     outcome.seconds = taken.count() / (company != nullptr ? company->stacks() : 1);
   }

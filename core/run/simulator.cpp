@@ -12,7 +12,7 @@ namespace contactvi {
 namespace {
 constexpr double kSeparated = 1e-13;  // of the event's speeds: a slower closing speed is rounding
 constexpr int kMostHalvings = 4000;   // of the free steps within one interval
-constexpr long kReported = 64;         // steps between two reports of progress
+constexpr long kReported = 64;        // steps between two reports of progress
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether some force dissipates energy.
@@ -56,6 +56,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
 }
 
 void Simulator::join(SideBySide& company) {
+  in_company_ = true;
   integrator_.join(&company);
   actuation_.join(company);
 }
@@ -194,13 +195,13 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
   start_recording(progress, recording);
   long asked = 0;  // the step before which progress was reported
   for (long k = 0; k < steps;) {
-    const long quiet = tau.rows() > 0 ? 0 : pass_quiet_steps(steps - k, record_every, recording);
-    k += quiet;
+    const long passed = tau.rows() > 0 ? 0 : pass_undisturbed_steps(steps - k, record_every, recording);
+    k += passed;
     if (k - asked >= kReported) {
       asked = k;
       if (!report_progress(state_.time)) return state_.status;
     }
-    if (quiet > 0) continue;
+    if (passed > 0) continue;
     if (tau.rows() > 0) force = tau.row(k).transpose();
     actuation_.set(force, target, k, state_.q, state_.p);
     const double start = state_.start_time + static_cast<double>(state_.step) * options_.dt;

@@ -22,6 +22,8 @@ inline bool in_range(const double* x, Eigen::Index count) {
 }
 
 // Whether all numbers of a state are, so that its energy is finite.
-inline bool in_range(const VecX& q, const VecX& p) { return in_range(q.data(), q.size()) && in_range(p.data(), p.size()); }
+inline bool in_range(const VecX& q, const VecX& p) {
+  return in_range(q.data(), q.size()) && in_range(p.data(), p.size());
+}
 
 }  // namespace contactvi

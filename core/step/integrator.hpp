@@ -50,11 +50,11 @@ class Integrator final : public Stepper, public StepEquations {
 
   // The step just finished is taken: the next one starts from its polynomial, and from the digits that its sums lost.
   void accept();
-  // Steps of length h that are solved in advance from this state on, in which no others than the forces of the scene
-  // act; 0: none.
-  int steps_ahead(const VecCRef& q0, const VecCRef& p0, double h) const {
-    return ahead_.is(q0, p0, h, iteration_.tol()) && may_look_ahead(h) ? ahead_.left() : 0;
-  }
+  // How far a spherical joint may turn in one step: up to there its chart is good [rad].
+  static constexpr double kFarTurn = 3.5;
+  // Steps of length h that are solved in advance from this state on, in which no other forces act than those of the
+  // scene; 0: none. Where it is likely to be of use, they are solved now.
+  int look_ahead(const VecCRef& q0, const VecCRef& p0, double h);
   const StepsAhead& ahead() const { return ahead_; }
   // Makes the one that comes so many steps after the next one the step just solved, for what is asked of that; accept:
   // and takes all steps up to it.
@@ -86,6 +86,7 @@ class Integrator final : public Stepper, public StepEquations {
   friend class LaneFlight;      // makes several steps of each
   // Steps that are solved in advance, where runs are made side by side.
   bool may_look_ahead(double h) const;
+  void ask_ahead();
   bool take_ahead(const VecCRef& q0, const VecCRef& p0, double h);
   void count_ahead(int after);
   bool solve_stages();

@@ -3,11 +3,14 @@
 #include <algorithm>
 #include <cmath>
 
+#include "step/ball_step.hpp"
+
 namespace contactvi {
 
 namespace {
 
 constexpr int kBefore = StartValues::kSteps;
+constexpr int kKept = 5, kBallKept = 7;  // arrays of a stage that are kept of a step, and on trees with balls
 
 bool is_angle(JointType type) { return type == JointType::kRevolute || type == JointType::kHelical; }
 
@@ -16,25 +19,57 @@ void fill_lane(double* to, double value, int size, int width, int lane) {
   for (int i = lane; i < size; i += width) to[i] = value;
 }
 
+Vec3 three(const double* from, int width) { return Vec3(from[0], from[width], from[2 * width]); }
+
+void put(const Vec3& x, double* to, int width) {
+  for (int d = 0; d < 3; ++d) to[d * width] = x[d];
+}
+
 }  // namespace
 
-LaneFlight::LaneFlight(const FlatModel& model, StageLanes& lanes)
+LaneFlight::LaneFlight(const Tree& tree, const FlatModel& model, StageLanes& lanes)
     : lanes_(&lanes),
-      nv_(model.lanes.nv),
+      nq_(tree.nq),
+      nv_(tree.nv),
       width_(StageLanes::most_runs()),
-      size_(nv_ * width_),
-      turn_(size_),
+      size_(nq_ * width_),
+      turn_(nv_ * width_),
       winds_(nv_),
       steps_(static_cast<std::size_t>(StepsAhead::kMost * StepsAhead::kParts) * size_),
+      turned_(size_),
       history_(static_cast<std::size_t>(kBefore) * size_),
       weight_(static_cast<std::size_t>(kBefore + 1) * size_),
       q_(size_),
       carry_q_(size_),
       carry_p_(size_),
+      error_(width_),
+      energy_(width_),
+      judge_(width_, StageIteration(0.0, 0)),
       flies_(width_),
       pending_(width_),
       iterations_(width_),
-      past_(kBefore) {}
+      past_(kBefore) {
+  find_dofs(tree, model);
+}
+
+void LaneFlight::find_dofs(const Tree& tree, const FlatModel& model) {
+  for (std::size_t i = 0; i < tree.joints.size(); ++i) {
+    const Joint& joint = tree.joints[i];
+    if (joint.type == JointType::kSpherical) {
+      balls_.push_back({joint.iq, joint.iv, static_cast<int>(balls_.size()), model.joints[i].C});
+      continue;
+    }
+    const bool follows = !plain_.empty() && plain_.back().q + plain_.back().count == joint.iq &&
+                         plain_.back().v + plain_.back().count == joint.iv;
+    if (!follows) plain_.push_back({joint.iq, joint.iv, 0});
+    plain_.back().count += joint.nv;
+    for (int d = joint.iv; d < joint.iv + joint.nv; ++d) {
+      winds_[d] = joint.type == JointType::kRevolute ? 1 : 0;
+      // Adding -0 changes no number.
+      std::fill_n(turn_.begin() + d * width_, width_, is_angle(joint.type) ? model.joints[i].turn : -0.0);
+    }
+  }
+}
 
 long LaneFlight::fly(const std::vector<Integrator*>& runs) {
   int steps = StepsAhead::kMost;
@@ -43,37 +78,34 @@ long LaneFlight::fly(const std::vector<Integrator*>& runs) {
   long made = 0;
   for (int step = 0; step < steps; ++step) {
     start_values(step);
-    made += iterate(runs, step);
+    start_balls(step);
+    made += iterate(step);
+    stop_far_turns(step);
     finish(step);
     leave(runs, step);
-    set_base(runs);
-    if (std::none_of(flies_.begin(), flies_.end(), [](char flies) { return flies != 0; })) break;
+    set_base();
+    if (none_flies()) break;
   }
   for (Integrator* run : runs)
     if (!run->ahead_.any()) run->ahead_.pause();
   return made;
 }
 
+bool LaneFlight::none_flies() const {
+  return std::none_of(flies_.begin(), flies_.end(), [](char flies) { return flies != 0; });
+}
+
 // The runs take their lanes with all that their next steps depend on.
 void LaneFlight::board(const std::vector<Integrator*>& runs) {
-  const Tree& tree = *runs[0]->tree_;
-  for (std::size_t i = 0; i < tree.joints.size(); ++i) {
-    const Joint& joint = tree.joints[i];
-    for (int d = joint.iv; d < joint.iv + joint.nv; ++d) {
-      winds_[d] = joint.type == JointType::kRevolute ? 1 : 0;
-      // Adding -0 changes no number.
-      const double turn = is_angle(joint.type) ? runs[0]->model_.joints[i].turn : -0.0;
-      std::fill_n(turn_.begin() + d * width_, width_, turn);
-    }
-  }
   std::vector<Stages*>& stages = lanes_->boarding_;
   stages.clear();
   for (Integrator* run : runs) stages.push_back(&run->stages_);
   lanes_->seat(stages);
+  count_ = static_cast<int>(runs.size());
   for (int lane = 0; lane < width_; ++lane) {
-    Integrator& run = *runs[std::min<std::size_t>(lane, runs.size() - 1)];
-    lanes_->put(run.q0_.data(), q_.data(), nv_, lane);
-    lanes_->put(run.carry_q_.data(), carry_q_.data(), nv_, lane);
+    Integrator& run = *runs[std::min(lane, count_ - 1)];
+    lanes_->put(run.q0_.data(), q_.data(), nq_, lane);
+    lanes_->put(run.carry_q_.data(), carry_q_.data(), nq_, lane);
     lanes_->put(run.carry_p_.data(), carry_p_.data(), nv_, lane);
     run.start_.weigh(run.h_);
     for (int m = 0; m < kBefore; ++m) {
@@ -81,7 +113,8 @@ void LaneFlight::board(const std::vector<Integrator*>& runs) {
       fill_lane(weight_.data() + m * size_, run.start_.weight_[m][0], size_, width_, lane);
     }
     fill_lane(weight_.data() + kBefore * size_, run.stages_.hb()[0], size_, width_, lane);
-    flies_[lane] = lane < static_cast<int>(runs.size()) ? 1 : 0;
+    judge_[lane] = run.iteration_;
+    flies_[lane] = lane < count_ ? 1 : 0;
     if (flies_[lane]) run.ahead_.begin(run.q0_, run.p0_, run.h_, run.iteration_.tol());
   }
 }
@@ -93,26 +126,31 @@ void LaneFlight::start_values(int step) {
     past_[m] = before >= 0 ? at(before, StepsAhead::kV) : history_.data() + (kBefore + before) * size_;
   }
   double* __restrict v = lanes_->v_;
-  for (int m = 0; m < kBefore; ++m) {
-    const double* __restrict past = past_[m];
-    const double* __restrict weight = weight_.data() + m * size_;
-    if (m == 0)
-      for (int i = 0; i < size_; ++i) v[i] = past[i] * weight[i];
-    else
-      for (int i = 0; i < size_; ++i) v[i] = v[i] + past[i] * weight[i];
+  const double* __restrict a = past_[0], * __restrict b = past_[1], * __restrict c = past_[2], * __restrict d = past_[3];
+  const double* __restrict wa = weight_.data(), * __restrict wb = wa + size_, * __restrict wc = wb + size_, * __restrict wd = wc + size_;
+  for (int i = 0; i < nv_ * width_; ++i) v[i] = a[i] * wa[i] + b[i] * wb[i] + c[i] * wc[i] + d[i] * wd[i];
+}
+
+// What StepEquations::clear_turns does, and the momenta with which the first iteration measures: those that the step
+// before has left in its run.
+void LaneFlight::start_balls(int step) {
+  for (const Ball& ball : balls_) {
+    std::fill_n(lanes_->X_ + ball.v * width_, 3 * width_, 0.0);
+    if (step > 0)
+      std::copy_n(at(step - 1, StepsAhead::kMomentum) + ball.v * width_, 3 * width_, lanes_->P_ + ball.v * width_);
   }
 }
 
 // Iterates all lanes until the last one is done. What a lane would have alone is kept where it is done.
-long LaneFlight::iterate(const std::vector<Integrator*>& runs, int step) {
+long LaneFlight::iterate(int step) {
   long made = 0;
   int flags = 0;
   pending_ = flies_;
-  for (std::size_t lane = 0; lane < runs.size(); ++lane) {
+  for (int lane = 0; lane < count_; ++lane) {
     if (!flies_[lane]) continue;
     iterations_[lane] = 0;
-    runs[lane]->iteration_.begin(false);
-    flags = runs[lane]->iteration_.flags();
+    judge_[lane].begin(false);
+    flags = judge_[lane].flags();
   }
   const auto started = std::count(pending_.begin(), pending_.end(), 1);
   for (auto left = started; left > 0;) {
@@ -121,11 +159,11 @@ long LaneFlight::iterate(const std::vector<Integrator*>& runs, int step) {
     made += left;
     const auto before = left;
     done_.clear();
-    for (int lane = 0; lane < static_cast<int>(runs.size()); ++lane) {
+    measure();
+    for (int lane = 0; lane < count_; ++lane) {
       if (!pending_[lane]) continue;
-      StageIteration& own = runs[lane]->iteration_;
-      lanes_->fetch_numbers(lane);
-      own.judge(runs[lane]->stages_);
+      StageIteration& own = judge_[lane];
+      own.judge(error_[lane], energy_[lane]);
       ++iterations_[lane];
       if (own.goes_on() && (own.flags() & (kLaneFactor | kLaneNewton)) == 0 && !own.accelerates()) continue;
       pending_[lane] = 0;
@@ -142,60 +180,136 @@ long LaneFlight::iterate(const std::vector<Integrator*>& runs, int step) {
   return made;
 }
 
+// The relative errors and energies of all lanes.
+void LaneFlight::measure() {
+  const double* __restrict error = lanes_->per_stage_, * __restrict kinetic = error + width_, * __restrict impulses = kinetic + width_;
+  double* __restrict relative = error_.data(), * __restrict energy = energy_.data();
+  for (int lane = 0; lane < width_; ++lane) {
+    relative[lane] = std::sqrt(StageIteration::squared_error(error[lane], kinetic[lane], impulses[lane]));
+    energy[lane] = StageIteration::largest_energy(kinetic[lane], impulses[lane]);
+  }
+}
+
+// Where an array of the stages is kept, and that of the lanes.
+double* LaneFlight::kept(int step, int which) {
+  return which < kBallKept - 1 ? at(step, static_cast<StepsAhead::Part>(StepsAhead::kV + which)) : turned_.data();
+}
+
+const double* LaneFlight::in_lanes(int which) const {
+  const double* arrays[kBallKept] = {lanes_->v_,  lanes_->X_,    lanes_->P_, lanes_->G_,
+                                     lanes_->dv_, lanes_->rate_, lanes_->Y_};
+  return arrays[which];
+}
+
 void LaneFlight::keep(int step, int lane) {
-  const double* from[] = {lanes_->v_, lanes_->X_, lanes_->P_, lanes_->G_, lanes_->dv_};
-  for (int k = 0; k < 5; ++k) {
-    double* to = at(step, static_cast<StepsAhead::Part>(StepsAhead::kV + k));
-    for (int d = lane; d < size_; d += width_) to[d] = from[k][d];
+  for (int k = 0; k < (balls_.empty() ? kKept : kBallKept); ++k) {
+    const double* from = in_lanes(k);
+    double* to = kept(step, k);
+    for (int d = lane; d < nv_ * width_; d += width_) to[d] = from[d];
   }
 }
 
 void LaneFlight::keep_all(int step) {
-  const double* from[] = {lanes_->v_, lanes_->X_, lanes_->P_, lanes_->G_, lanes_->dv_};
-  for (int k = 0; k < 5; ++k) std::copy_n(from[k], size_, at(step, static_cast<StepsAhead::Part>(StepsAhead::kV + k)));
+  for (int k = 0; k < (balls_.empty() ? kKept : kBallKept); ++k) std::copy_n(in_lanes(k), nv_ * width_, kept(step, k));
+}
+
+// Integrator::turns_too_far, with the rates of the last iteration.
+void LaneFlight::stop_far_turns(int step) {
+  const double *weight = weight_.data() + kBefore * size_, *rate = at(step, StepsAhead::kRate);
+  for (const Ball& ball : balls_)
+    for (int lane = 0; lane < count_; ++lane) {
+      if (!flies_[lane]) continue;
+      double turn2 = 0.0;
+      for (int d = 0; d < 3; ++d) {
+        const double X = weight[lane] * rate[(ball.v + d) * width_ + lane];
+        turn2 += X * X;
+      }
+      if (!(turn2 <= Integrator::kFarTurn * Integrator::kFarTurn)) flies_[lane] = 0;
+    }
 }
 
 // StepEquations::finish, lane by lane.
 void LaneFlight::finish(int step) {
   const double* __restrict weight = weight_.data() + kBefore * size_;
-  const auto add = [&](const double* __restrict rate, double* __restrict base, double* __restrict carry,
+  const auto add = [&](int count, const double* __restrict rate, double* __restrict base, double* __restrict carry,
                        double* __restrict end, double* __restrict lost) {
-    for (int i = 0; i < size_; ++i) {
+    for (int i = 0; i < count; ++i) {
       const double change = weight[i] * rate[i] + carry[i];
       const double total = base[i] + change;
       lost[i] = carry[i] = change - (total - base[i]);
       end[i] = base[i] = total;
     }
   };
-  add(at(step, StepsAhead::kForce), lanes_->p0_, carry_p_.data(), at(step, StepsAhead::kP),
-      at(step, StepsAhead::kCarryP));
-  add(at(step, StepsAhead::kV), q_.data(), carry_q_.data(), at(step, StepsAhead::kQ), at(step, StepsAhead::kCarryQ));
+  finish_balls(step);
+  for (const Plain& dofs : plain_) {
+    const int q = dofs.q * width_, v = dofs.v * width_, count = dofs.count * width_;
+    add(count, at(step, StepsAhead::kForce) + v, lanes_->p0_ + v, carry_p_.data() + v, at(step, StepsAhead::kP) + v,
+        at(step, StepsAhead::kCarryP) + v);
+    add(count, at(step, StepsAhead::kV) + v, q_.data() + q, carry_q_.data() + q, at(step, StepsAhead::kQ) + q,
+        at(step, StepsAhead::kCarryQ) + q);
+  }
+}
+
+// Sums on quaternions lose no digits that are carried.
+void LaneFlight::finish_balls(int step) {
+  if (balls_.empty()) return;
+  const double* weight = weight_.data() + kBefore * size_;
+  double* rate = at(step, StepsAhead::kRate);
+  lanes_->find_rates(at(step, StepsAhead::kX), at(step, StepsAhead::kV), rate);
+  for (const Ball& ball : balls_)
+    for (int lane = 0; lane < count_; ++lane) {
+      if (!flies_[lane]) continue;
+      const int at_q = ball.q * width_ + lane, at_v = ball.v * width_ + lane;
+      double *q = q_.data() + at_q, *p = lanes_->p0_ + at_v;
+      const Vec3 X1 = weight[lane] * three(rate + at_v, width_),
+                 impulses = weight[lane] * three(turned_.data() + at_v, width_);
+      const Vec3 p1 = end_ball_momentum(X1, three(p, width_) + impulses);
+      const Quat q1 = end_ball(Quat(q[3 * width_], q[0], q[width_], q[2 * width_]), X1);
+      for (int d = 0; d < 4; ++d) {
+        q[d * width_] = at(step, StepsAhead::kQ)[at_q + d * width_] = q1.coeffs()[d];
+        at(step, StepsAhead::kCarryQ)[at_q + d * width_] = 0.0;
+      }
+      put(p1, p, width_);
+      put(p1, at(step, StepsAhead::kP) + at_v, width_);
+      put(Vec3::Zero(), at(step, StepsAhead::kCarryP) + at_v, width_);
+    }
 }
 
 // Stages::set_base, for angles from which no revolutions are taken off: others end the flight.
-void LaneFlight::set_base(const std::vector<Integrator*>& runs) {
-  double* __restrict base = lanes_->base_;
-  const double* __restrict q = q_.data(), * __restrict turn = turn_.data();
+void LaneFlight::set_base() {
   bool far = false;
-  for (int i = 0; i < size_; ++i) {
-    base[i] = q[i] + turn[i];
-    far |= !(std::abs(base[i]) <= Stages::kManyTurns);
+  for (const Plain& dofs : plain_) {
+    double* __restrict base = lanes_->base_ + dofs.v * width_;
+    const double* __restrict q = q_.data() + dofs.q * width_, * __restrict turn = turn_.data() + dofs.v * width_;
+    for (int i = 0; i < dofs.count * width_; ++i) {
+      base[i] = q[i] + turn[i];
+      far |= !(std::abs(base[i]) <= Stages::kManyTurns);
+    }
   }
+  for (const Ball& ball : balls_)
+    for (int lane = 0; lane < count_; ++lane) {
+      if (!flies_[lane]) continue;
+      const double* q = q_.data() + ball.q * width_ + lane;
+      double base[9];
+      start_ball(ball.C, Quat(q[3 * width_], q[0], q[width_], q[2 * width_]), base);
+      for (int i = 0; i < 9; ++i) lanes_->ball_base_[(9 * ball.base + i) * width_ + lane] = base[i];
+    }
   if (!far) return;
   for (int d = 0; d < nv_; ++d)
-    for (std::size_t lane = 0; lane < runs.size(); ++lane)
-      if (winds_[d] && !(std::abs(base[d * width_ + static_cast<int>(lane)]) <= Stages::kManyTurns)) flies_[lane] = 0;
+    for (int lane = 0; lane < count_; ++lane)
+      if (winds_[d] && !(std::abs(lanes_->base_[d * width_ + lane]) <= Stages::kManyTurns)) flies_[lane] = 0;
 }
 
 // The solved step, to the runs that it belongs to.
 void LaneFlight::leave(const std::vector<Integrator*>& runs, int step) {
-  for (std::size_t lane = 0; lane < runs.size(); ++lane) {
+  const int numbers = runs[0]->ahead_.numbers();
+  for (int lane = 0; lane < count_; ++lane) {
     if (!flies_[lane]) continue;
     StepsAhead& to = runs[lane]->ahead_;
     double* row = to.part(step, StepsAhead::kQ);
     const double* from = at(step, StepsAhead::kQ) + lane;
-    for (int i = 0; i < StepsAhead::kParts * nv_; ++i) row[i] = from[i * width_];
-    to.add(iterations_[lane], runs[lane]->iteration_.error());
+    for (int i = 0; i < numbers; ++i) row[i] = from[i * width_];
+    to.add(iterations_[lane], judge_[lane].error());
   }
 }
 
