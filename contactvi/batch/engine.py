@@ -69,10 +69,12 @@ def run(plan: Plan, scenes: SceneCache, workers: int, report: Report | None) -> 
         batch.set_start(inputs.snapshot.engine)
     started: dict[int, tuple[int, Started]] = {}  # by run: its number in the batch
     errors: dict[int, ContactviError] = {}
+    only: CompiledScene | None = None  # the scene of all runs
     for k in range(plan.runs):
         try:
             copied = changed is not None and bool(changed.usable[k])
-            compiled = changed.compiled if changed is not None and copied else scenes.of(plan, k)
+            compiled = changed.compiled if changed is not None and copied else only or scenes.of(plan, k)
+            only = None if plan.parameters else compiled
             row = changed.rows[k] if changed is not None and copied else None
             found = inputs.start(k, compiled, partial(scenes.of, plan, k))
         except ContactviError as error:
@@ -190,13 +192,16 @@ def _block(plan: Plan, batch: _core.Batch, started: dict[int, tuple[int, Started
 
 def _explain(plan: Plan, batch: _core.Batch, started: dict[int, tuple[int, Started]], block: Block) -> None:
     """Enter the errors of the runs that ended before their time."""
-    for k, (row, found) in started.items():
-        if block.columns["code"][k] != StatusCode.SUCCESS or not block.columns["nodes"][k]:
-            try:
-                error, status = _error(plan, batch, row, found, block.states(k)[1][-1:])
-                block.fail(k, error, status)
-            except ContactviError as error:  # of the engine itself
-                block.refuse(k, error)
+    ended = (block.columns["code"] != StatusCode.SUCCESS) | (block.columns["nodes"] == 0)
+    for k in np.flatnonzero(ended).tolist():
+        if k not in started:
+            continue
+        row, found = started[k]
+        try:
+            error, status = _error(plan, batch, row, found, block.states(k)[1][-1:])
+            block.fail(k, error, status)
+        except ContactviError as error:  # of the engine itself
+            block.refuse(k, error)
 
 
 def _error(plan: Plan, batch: _core.Batch, row: int, found: Started, last: Array) -> tuple[ContactviError, Status]:

@@ -44,6 +44,8 @@ LaneFlight::LaneFlight(const Tree& tree, const FlatModel& model, StageLanes& lan
       carry_p_(size_),
       error_(width_),
       energy_(width_),
+      spare_(static_cast<std::size_t>(StepsAhead::kParts) * nq_),
+      rows_(width_),
       judge_(width_, StageIteration(0.0, 0)),
       flies_(width_),
       pending_(width_),
@@ -126,8 +128,8 @@ void LaneFlight::start_values(int step) {
     past_[m] = before >= 0 ? at(before, StepsAhead::kV) : history_.data() + (kBefore + before) * size_;
   }
   double* __restrict v = lanes_->v_;
-  const double* __restrict a = past_[0], * __restrict b = past_[1], * __restrict c = past_[2], * __restrict d = past_[3];
-  const double* __restrict wa = weight_.data(), * __restrict wb = wa + size_, * __restrict wc = wb + size_, * __restrict wd = wc + size_;
+  const double *a = past_[0], *b = past_[1], *c = past_[2], *d = past_[3];
+  const double *wa = weight_.data(), *wb = wa + size_, *wc = wb + size_, *wd = wc + size_;
   for (int i = 0; i < nv_ * width_; ++i) v[i] = a[i] * wa[i] + b[i] * wb[i] + c[i] * wc[i] + d[i] * wd[i];
 }
 
@@ -182,8 +184,9 @@ long LaneFlight::iterate(int step) {
 
 // The relative errors and energies of all lanes.
 void LaneFlight::measure() {
-  const double* __restrict error = lanes_->per_stage_, * __restrict kinetic = error + width_, * __restrict impulses = kinetic + width_;
-  double* __restrict relative = error_.data(), * __restrict energy = energy_.data();
+  const double *error = lanes_->per_stage_, *kinetic = error + width_, *impulses = kinetic + width_;
+  double* __restrict relative = error_.data();
+  double* __restrict energy = energy_.data();
   for (int lane = 0; lane < width_; ++lane) {
     relative[lane] = std::sqrt(StageIteration::squared_error(error[lane], kinetic[lane], impulses[lane]));
     energy[lane] = StageIteration::largest_energy(kinetic[lane], impulses[lane]);
@@ -280,7 +283,7 @@ void LaneFlight::set_base() {
   bool far = false;
   for (const Plain& dofs : plain_) {
     double* __restrict base = lanes_->base_ + dofs.v * width_;
-    const double* __restrict q = q_.data() + dofs.q * width_, * __restrict turn = turn_.data() + dofs.v * width_;
+    const double *q = q_.data() + dofs.q * width_, *turn = turn_.data() + dofs.v * width_;
     for (int i = 0; i < dofs.count * width_; ++i) {
       base[i] = q[i] + turn[i];
       far |= !(std::abs(base[i]) <= Stages::kManyTurns);
@@ -303,13 +306,23 @@ void LaneFlight::set_base() {
 // The solved step, to the runs that it belongs to.
 void LaneFlight::leave(const std::vector<Integrator*>& runs, int step) {
   const int numbers = runs[0]->ahead_.numbers();
-  for (int lane = 0; lane < count_; ++lane) {
+  for (int lane = 0; lane < width_; ++lane) {
+    rows_[lane] = spare_.data();
     if (!flies_[lane]) continue;
     StepsAhead& to = runs[lane]->ahead_;
-    double* row = to.part(step, StepsAhead::kQ);
-    const double* from = at(step, StepsAhead::kQ) + lane;
-    for (int i = 0; i < numbers; ++i) row[i] = from[i * width_];
+    rows_[lane] = to.part(step, StepsAhead::kQ);
     to.add(iterations_[lane], judge_[lane].error());
+  }
+  constexpr int together = 4;  // lanes, of which there are so many or twice that
+  for (int lane = 0; lane < width_; lane += together) {
+    const double* from = at(step, StepsAhead::kQ) + lane;
+    double *a = rows_[lane], *b = rows_[lane + 1], *c = rows_[lane + 2], *d = rows_[lane + 3];
+    for (int i = 0; i < numbers; ++i, from += width_) {
+      a[i] = from[0];
+      b[i] = from[1];
+      c[i] = from[2];
+      d[i] = from[3];
+    }
   }
 }
 

@@ -61,6 +61,8 @@ class LaneFlight {
   AlignedArray history_;      // velocities of the steps before, oldest first
   AlignedArray weight_, q_, carry_q_, carry_p_;
   AlignedArray error_, energy_;        // by lane, after an iteration
+  AlignedArray spare_;                 // a step of no run
+  std::vector<double*> rows_;          // by lane: where the step goes
   std::vector<StageIteration> judge_;  // by lane
   std::vector<char> flies_;            // by lane: its steps are solved so far
   std::vector<char> pending_;          // by lane: this step is not
