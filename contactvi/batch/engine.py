@@ -14,6 +14,7 @@ from contactvi.batch.blocks import Block, KeptRun
 from contactvi.batch.plan import Plan, Report
 from contactvi.batch.scenes import SceneCache
 from contactvi.errors import ContactviError
+from contactvi.inputs import usable
 from contactvi.simulation import engine
 from contactvi.simulation.compatibility import check_unforced
 from contactvi.simulation.recorder import Record
@@ -23,7 +24,7 @@ from contactvi.simulation.simulation import ended_early, no_way_on
 from contactvi.simulation.simulator import Simulator
 from contactvi.simulation.targets import Targets
 from contactvi.status import Status, StatusCode
-from contactvi.trajectory.compiled import MOST_LOST, CompiledScene
+from contactvi.trajectory.compiled import MOST_LOST, CompiledScene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -106,6 +107,9 @@ class _Inputs:
         self._shared: dict[str, _core.BatchInputs] = {}
         self._forces: Array | None = None
         self.last_targets: _core.BatchInputs | None = None
+        states, rows = compile_scene(plan.scene).states, plan.rows
+        self._q0s = states.configurations(rows["q0"]) if "q0" in rows else None
+        self._v0s = usable(rows["v0"]) if "v0" in rows else None
 
     def start(self, k: int, compiled: CompiledScene, scene: Callable[[], CompiledScene]) -> Started:
         """Return the start of run k; raise ContactviError where it cannot be used.
@@ -115,10 +119,17 @@ class _Inputs:
                 the run itself.
         """
         plan, states = self._plan, compiled.states
-        q0, v0 = plan.input("q0", k), plan.input("v0", k)
-        q = states.configuration(compiled.q0 if q0 is None else q0)
-        given = compiled.v0 if v0 is None else v0
-        v = compiled.start_velocity(q, 0.0) if given is None else states.velocity(given)
+        if self._q0s is None:
+            q0 = plan.input("q0", k)
+            q = states.configuration(compiled.q0 if q0 is None else q0)
+        else:
+            q = self._q0s[k]
+        if self._v0s is None:
+            v0 = plan.input("v0", k)
+            given = compiled.v0 if v0 is None else v0
+            v = compiled.start_velocity(q, 0.0) if given is None else states.velocity(given)
+        else:
+            v = self._v0s[k]
         try:
             compiled.check_on_constraints(q, v, 0.0)
         except ContactviError:

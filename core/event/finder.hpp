@@ -58,8 +58,8 @@ class EventFinder {
   // is taken then. rate: of its only stage, (nv,); null: there are several.
   bool passes(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const double* rate);
   const Event& event() const { return event_; }
-  // In how many of the steps of length h from (q0, p0) on, at most `most`, which were solved in advance, no guard can be
-  // near: they pass, one after the other. pass_foreseen() makes the last search one of that number of them.
+  // In how many of the steps of length h from (q0, p0) on, at most `most`, which were solved in advance, no guard can
+  // be near: they pass, one after the other. pass_foreseen() makes the last search one of that number of them.
   int foresee(const VecX& q0, const VecX& p0, double h, const StepsAhead& steps, int most);
   void pass_foreseen(const StepsAhead& steps, int count);
   int failed_guard() const { return failed_guard_; }

@@ -114,8 +114,8 @@ class Guards {
   bool pass(const VecX& bound, double h) { return span_.take(bound, h); }
   // As this, for speeds within |rate| + |rate - before|, of all dofs.
   bool pass(const double* rate, const double* before, double h) { return span_.take(scene_->tree.nv, rate, before, h); }
-  // Looks ahead: whether a step after those foreseen so far may be passed, too. Of them, each in an interval of its own,
-  // pass_foreseen() takes the first ones; steps_in() is what steps_since() will be in the interval of one of them.
+  // Looks ahead: whether a step after those foreseen so far may be passed, too. Each is in an interval of its own;
+  // pass_foreseen() takes the first ones, steps_in() is what steps_since() will be in the interval of one of them.
   void look_ahead() { span_.look_ahead(); }
   bool foresee(const VecX& bound, double h) { return span_.foresee(bound, h); }
   bool foresee(const double* rate, const double* before, double h) {

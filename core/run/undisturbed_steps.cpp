@@ -102,8 +102,8 @@ void Island::pass_foreseen(int count, long last_step, double last_start, const P
   engine_->pass_island(count, last_step, last_start, progress);
 }
 
-// The undisturbed ones among the next intervals, of which so many are left, where every tree is an island; returns how many
-// were made.
+// The undisturbed ones among the next intervals, of which so many are left, where every tree is an island; returns how
+// many were made.
 long World::pass_undisturbed_intervals(long left, long record_every, Recording& recording) {
   if (static_cast<int>(islands_.size()) != trees_.count()) return 0;
   long most = left;

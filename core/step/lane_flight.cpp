@@ -10,14 +10,7 @@ namespace contactvi {
 namespace {
 
 constexpr int kBefore = StartValues::kSteps;
-constexpr int kKept = 5, kBallKept = 7;  // arrays of a stage that are kept of a step, and on trees with balls
-
 bool is_angle(JointType type) { return type == JointType::kRevolute || type == JointType::kHelical; }
-
-// The same number for all dofs of a lane: loops over dofs and lanes are then loops over one list.
-void fill_lane(double* to, double value, int size, int width, int lane) {
-  for (int i = lane; i < size; i += width) to[i] = value;
-}
 
 Vec3 three(const double* from, int width) { return Vec3(from[0], from[width], from[2 * width]); }
 
@@ -37,8 +30,9 @@ LaneFlight::LaneFlight(const Tree& tree, const FlatModel& model, StageLanes& lan
       winds_(nv_),
       steps_(static_cast<std::size_t>(StepsAhead::kMost * StepsAhead::kParts) * size_),
       turned_(size_),
+      early_(static_cast<std::size_t>(kArrays) * size_),
       history_(static_cast<std::size_t>(kBefore) * size_),
-      weight_(static_cast<std::size_t>(kBefore + 1) * size_),
+      weight_(static_cast<std::size_t>(kBefore + 1) * width_),
       q_(size_),
       carry_q_(size_),
       carry_p_(size_),
@@ -49,8 +43,7 @@ LaneFlight::LaneFlight(const Tree& tree, const FlatModel& model, StageLanes& lan
       judge_(width_, StageIteration(0.0, 0)),
       flies_(width_),
       pending_(width_),
-      iterations_(width_),
-      past_(kBefore) {
+      iterations_(width_) {
   find_dofs(tree, model);
 }
 
@@ -80,8 +73,8 @@ long LaneFlight::fly(const std::vector<Integrator*>& runs) {
   long made = 0;
   for (int step = 0; step < steps; ++step) {
     start_values(step);
-    start_balls(step);
-    made += iterate(step);
+    start_stages(step);
+    made += iterate();
     stop_far_turns(step);
     finish(step);
     leave(runs, step);
@@ -112,9 +105,9 @@ void LaneFlight::board(const std::vector<Integrator*>& runs) {
     run.start_.weigh(run.h_);
     for (int m = 0; m < kBefore; ++m) {
       lanes_->put(run.start_.history(m).data(), history_.data() + (kBefore - 1 - m) * size_, nv_, lane);
-      fill_lane(weight_.data() + m * size_, run.start_.weight_[m][0], size_, width_, lane);
+      weight(m)[lane] = run.start_.weight_[m][0];
     }
-    fill_lane(weight_.data() + kBefore * size_, run.stages_.hb()[0], size_, width_, lane);
+    weight(kBefore)[lane] = run.stages_.hb()[0];
     judge_[lane] = run.iteration_;
     flies_[lane] = lane < count_ ? 1 : 0;
     if (flies_[lane]) run.ahead_.begin(run.q0_, run.p0_, run.h_, run.iteration_.tol());
@@ -123,43 +116,49 @@ void LaneFlight::board(const std::vector<Integrator*>& runs) {
 
 // The extrapolation of StartValues, in its order.
 void LaneFlight::start_values(int step) {
+  const double *past[kBefore], *weights[kBefore];
   for (int m = 0; m < kBefore; ++m) {
     const int before = step - 1 - m;
-    past_[m] = before >= 0 ? at(before, StepsAhead::kV) : history_.data() + (kBefore + before) * size_;
+    past[m] = before >= 0 ? at(before, StepsAhead::kV) : history_.data() + (kBefore + before) * size_;
+    weights[m] = weight(m);
   }
-  double* __restrict v = lanes_->v_;
-  const double *a = past_[0], *b = past_[1], *c = past_[2], *d = past_[3];
-  const double *wa = weight_.data(), *wb = wa + size_, *wc = wb + size_, *wd = wc + size_;
-  for (int i = 0; i < nv_ * width_; ++i) v[i] = a[i] * wa[i] + b[i] * wb[i] + c[i] * wc[i] + d[i] * wd[i];
+  lanes_->kernel_->extrapolate_runs(nv_, past, weights, at(step, StepsAhead::kV));
 }
 
-// What StepEquations::clear_turns does, and the momenta with which the first iteration measures: those that the step
-// before has left in its run.
-void LaneFlight::start_balls(int step) {
+// The stages of a step stand where they are kept of it. On spherical joints the first iteration starts from what
+// StepEquations::clear_turns does, and measures with the momenta that the step before has left.
+void LaneFlight::start_stages(int step) {
+  work_ = lanes_->work_;
+  work_.v = at(step, StepsAhead::kV);
+  work_.X = at(step, StepsAhead::kX);
+  work_.P = at(step, StepsAhead::kMomentum);
+  work_.G = at(step, StepsAhead::kForce);
+  work_.dv = at(step, StepsAhead::kCorrection);
+  work_.rate = balls_.empty() ? work_.v : at(step, StepsAhead::kRate);
+  work_.Y = turned_.data();
+  const double* momenta = step > 0 ? at(step - 1, StepsAhead::kMomentum) : lanes_->P_;
   for (const Ball& ball : balls_) {
-    std::fill_n(lanes_->X_ + ball.v * width_, 3 * width_, 0.0);
-    if (step > 0)
-      std::copy_n(at(step - 1, StepsAhead::kMomentum) + ball.v * width_, 3 * width_, lanes_->P_ + ball.v * width_);
+    std::fill_n(work_.X + ball.v * width_, 3 * width_, 0.0);
+    std::copy_n(momenta + ball.v * width_, 3 * width_, work_.P + ball.v * width_);
   }
 }
 
-// Iterates all lanes until the last one is done. What a lane would have alone is kept where it is done.
-long LaneFlight::iterate(int step) {
+// Iterates all lanes until the last one is done. What a lane would have alone is put aside where it is done earlier.
+long LaneFlight::iterate() {
   long made = 0;
   int flags = 0;
   pending_ = flies_;
+  early_lanes_.clear();
   for (int lane = 0; lane < count_; ++lane) {
     if (!flies_[lane]) continue;
     iterations_[lane] = 0;
     judge_[lane].begin(false);
     flags = judge_[lane].flags();
   }
-  const auto started = std::count(pending_.begin(), pending_.end(), 1);
-  for (auto left = started; left > 0;) {
-    lanes_->iterate(flags);
+  for (auto left = std::count(pending_.begin(), pending_.end(), 1); left > 0;) {
+    lanes_->kernel_->iterate_runs(&lanes_->tree_, &work_, flags);
     flags &= ~(kLaneFactor | kLaneFirst);
     made += left;
-    const auto before = left;
     done_.clear();
     measure();
     for (int lane = 0; lane < count_; ++lane) {
@@ -173,12 +172,13 @@ long LaneFlight::iterate(int step) {
       --left;
       if (flies_[lane]) done_.push_back(lane);
     }
-    if (left == 0 && before == started) {  // nothing was kept before
-      keep_all(step);
-    } else {
-      for (int lane : done_) keep(step, lane);
+    if (left == 0) break;
+    for (int lane : done_) {
+      copy_stages(lane, true);
+      early_lanes_.push_back(lane);
     }
   }
+  for (int lane : early_lanes_) copy_stages(lane, false);
   return made;
 }
 
@@ -193,32 +193,20 @@ void LaneFlight::measure() {
   }
 }
 
-// Where an array of the stages is kept, and that of the lanes.
-double* LaneFlight::kept(int step, int which) {
-  return which < kBallKept - 1 ? at(step, static_cast<StepsAhead::Part>(StepsAhead::kV + which)) : turned_.data();
-}
-
-const double* LaneFlight::in_lanes(int which) const {
-  const double* arrays[kBallKept] = {lanes_->v_,  lanes_->X_,    lanes_->P_, lanes_->G_,
-                                     lanes_->dv_, lanes_->rate_, lanes_->Y_};
-  return arrays[which];
-}
-
-void LaneFlight::keep(int step, int lane) {
-  for (int k = 0; k < (balls_.empty() ? kKept : kBallKept); ++k) {
-    const double* from = in_lanes(k);
-    double* to = kept(step, k);
+// Of one lane: puts the stages aside, or back.
+void LaneFlight::copy_stages(int lane, bool aside) {
+  double* arrays[kArrays] = {work_.v, work_.X, work_.P, work_.G, work_.dv, work_.rate, work_.Y};
+  for (int k = 0; k < (balls_.empty() ? kArrays - 2 : kArrays); ++k) {
+    double* spare = early_.data() + k * size_;
+    const double* from = aside ? arrays[k] : spare;
+    double* to = aside ? spare : arrays[k];
     for (int d = lane; d < nv_ * width_; d += width_) to[d] = from[d];
   }
 }
 
-void LaneFlight::keep_all(int step) {
-  for (int k = 0; k < (balls_.empty() ? kKept : kBallKept); ++k) std::copy_n(in_lanes(k), nv_ * width_, kept(step, k));
-}
-
 // Integrator::turns_too_far, with the rates of the last iteration.
 void LaneFlight::stop_far_turns(int step) {
-  const double *weight = weight_.data() + kBefore * size_, *rate = at(step, StepsAhead::kRate);
+  const double *weight = this->weight(kBefore), *rate = at(step, StepsAhead::kRate);
   for (const Ball& ball : balls_)
     for (int lane = 0; lane < count_; ++lane) {
       if (!flies_[lane]) continue;
@@ -233,32 +221,22 @@ void LaneFlight::stop_far_turns(int step) {
 
 // StepEquations::finish, lane by lane.
 void LaneFlight::finish(int step) {
-  const double* __restrict weight = weight_.data() + kBefore * size_;
-  const auto add = [&](int count, const double* __restrict rate, double* __restrict base, double* __restrict carry,
-                       double* __restrict end, double* __restrict lost) {
-    for (int i = 0; i < count; ++i) {
-      const double change = weight[i] * rate[i] + carry[i];
-      const double total = base[i] + change;
-      lost[i] = carry[i] = change - (total - base[i]);
-      end[i] = base[i] = total;
-    }
-  };
+  const LaneKernel& kernel = *lanes_->kernel_;
   finish_balls(step);
   for (const Plain& dofs : plain_) {
-    const int q = dofs.q * width_, v = dofs.v * width_, count = dofs.count * width_;
-    add(count, at(step, StepsAhead::kForce) + v, lanes_->p0_ + v, carry_p_.data() + v, at(step, StepsAhead::kP) + v,
-        at(step, StepsAhead::kCarryP) + v);
-    add(count, at(step, StepsAhead::kV) + v, q_.data() + q, carry_q_.data() + q, at(step, StepsAhead::kQ) + q,
-        at(step, StepsAhead::kCarryQ) + q);
+    const int q = dofs.q * width_, v = dofs.v * width_;
+    kernel.add_runs(dofs.count, weight(kBefore), work_.G + v, lanes_->p0_ + v, carry_p_.data() + v,
+                    at(step, StepsAhead::kP) + v, at(step, StepsAhead::kCarryP) + v);
+    kernel.add_runs(dofs.count, weight(kBefore), work_.v + v, q_.data() + q, carry_q_.data() + q,
+                    at(step, StepsAhead::kQ) + q, at(step, StepsAhead::kCarryQ) + q);
   }
 }
 
 // Sums on quaternions lose no digits that are carried.
 void LaneFlight::finish_balls(int step) {
   if (balls_.empty()) return;
-  const double* weight = weight_.data() + kBefore * size_;
-  double* rate = at(step, StepsAhead::kRate);
-  lanes_->find_rates(at(step, StepsAhead::kX), at(step, StepsAhead::kV), rate);
+  const double *weight = this->weight(kBefore), *rate = work_.rate;
+  lanes_->kernel_->rates(&lanes_->tree_, &work_);
   for (const Ball& ball : balls_)
     for (int lane = 0; lane < count_; ++lane) {
       if (!flies_[lane]) continue;

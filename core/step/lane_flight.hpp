@@ -32,11 +32,10 @@ class LaneFlight {
   void find_dofs(const Tree& tree, const FlatModel& model);
   void board(const std::vector<Integrator*>& runs);
   void start_values(int step);
-  void start_balls(int step);
-  long iterate(int step);
+  void start_stages(int step);
+  long iterate();
   void measure();
-  void keep(int step, int lane);
-  void keep_all(int step);
+  void copy_stages(int lane, bool aside);
   void stop_far_turns(int step);
   void finish(int step);
   void finish_balls(int step);
@@ -45,9 +44,10 @@ class LaneFlight {
   double* at(int step, StepsAhead::Part part) {
     return steps_.data() + static_cast<std::size_t>(step * StepsAhead::kParts + part) * size_;
   }
-  double* kept(int step, int which);
-  const double* in_lanes(int which) const;
+  double* weight(int m) { return weight_.data() + m * width_; }
   bool none_flies() const;
+
+  static constexpr int kArrays = 7;  // of the stages of a step; the last two on trees with balls alone
 
   StageLanes* lanes_;
   int nq_, nv_, width_, count_ = 0;  // count_: of runs
@@ -58,8 +58,11 @@ class LaneFlight {
   std::vector<char> winds_;   // whether whole revolutions are taken off its angle
   AlignedArray steps_;        // the parts of each step, [number][lane]
   AlignedArray turned_;       // of the step under way: Y of the stages
+  AlignedArray early_;        // arrays of the stages of lanes that are done before others
   AlignedArray history_;      // velocities of the steps before, oldest first
-  AlignedArray weight_, q_, carry_q_, carry_p_;
+  AlignedArray weight_;       // of the steps before in start values, and h b, [number][lane]
+  AlignedArray q_, carry_q_, carry_p_;
+  LaneWork work_;                      // of the step under way
   AlignedArray error_, energy_;        // by lane, after an iteration
   AlignedArray spare_;                 // a step of no run
   std::vector<double*> rows_;          // by lane: where the step goes
@@ -67,8 +70,8 @@ class LaneFlight {
   std::vector<char> flies_;            // by lane: its steps are solved so far
   std::vector<char> pending_;          // by lane: this step is not
   std::vector<int> done_;              // lanes whose step was done in the last iteration
+  std::vector<int> early_lanes_;       // lanes that were done in an earlier one
   std::vector<int> iterations_;        // by lane, of this step
-  std::vector<const double*> past_;    // velocities of this step's predecessors, newest first
 };
 
 }  // namespace contactvi

@@ -155,14 +155,6 @@ void StageLanes::fetch(int lane) {
   steps_[lane] = nullptr;
 }
 
-void StageLanes::find_rates(double* X, double* v, double* rate) const {
-  LaneWork work = work_;
-  work.X = X;
-  work.v = v;
-  work.rate = rate;
-  kernel_->rates(&tree_, &work);
-}
-
 void StageLanes::fetch_correction(int lane) {
   Stages& step = *steps_[lane];
   get(v_, step.v_, tree_.nv, lane);

@@ -32,8 +32,6 @@ class StageLanes {
   void fetch(int lane);
   // dv <- (M + diagonal)^-1 dv at X of so many steps, at most most_runs().
   void solve_masses(const std::vector<Stages*>& steps);
-  // The rates of velocities v at displacements X, arrays as those of the lanes.
-  void find_rates(double* X, double* v, double* rate) const;
   // For a change of the velocities between two iterations.
   void fetch_correction(int lane);
   void put_velocity(int lane);
