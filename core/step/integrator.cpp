@@ -14,8 +14,11 @@ constexpr double kCloseTolerance = 1e-15;  // relative error of steps on which a
 
 // Whether LaneFlight knows all joints.
 bool can_fly(const Tree& tree) {
-  return std::none_of(tree.joints.begin(), tree.joints.end(),
-                      [](const Joint& joint) { return joint.type == JointType::kContinuous; });
+  return std::all_of(tree.joints.begin(), tree.joints.end(), [](const Joint& joint) {
+    return joint.type == JointType::kRevolute || joint.type == JointType::kHelical ||
+           joint.type == JointType::kPrismatic || joint.type == JointType::kTranslation ||
+           joint.type == JointType::kSpherical;
+  });
 }
 }  // namespace
 
