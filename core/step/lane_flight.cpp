@@ -51,7 +51,8 @@ void LaneFlight::find_dofs(const Tree& tree, const FlatModel& model) {
   for (std::size_t i = 0; i < tree.joints.size(); ++i) {
     const Joint& joint = tree.joints[i];
     if (joint.type == JointType::kSpherical) {
-      balls_.push_back({joint.iq, joint.iv, static_cast<int>(balls_.size()), model.joints[i].C});
+      // Of the lanes, which outlast the models of the runs.
+      balls_.push_back({joint.iq, joint.iv, static_cast<int>(balls_.size()), lanes_->joints_[i].C});
       continue;
     }
     const bool follows = !plain_.empty() && plain_.back().q + plain_.back().count == joint.iq &&
