@@ -195,6 +195,19 @@ def test_runs_with_parameters_of_their_own():
         assert_same(result[k], cvi.simulate(own, q, v, **settings))
 
 
+def test_lanes_outlast_the_scenes_of_their_first_runs():
+    """Each run has a scene of its own, which ends with it; those of one mass share lanes."""
+    scene = cvi.Scene()
+    scene.add_box("box", (0.1, 0.2, 0.3), mass=1.0)
+    vs = np.random.default_rng(0).standard_normal((4 * RUNS, scene.nv))
+    mass = 1.0 + 0.5 * (np.arange(4 * RUNS) % 2)[:, None]
+    settings = {"dt": 2e-3, "duration": 0.3, "order": 2}
+    result = cvi.simulate_batch(scene, None, vs, parameters={"mass:box": mass}, keep="runs", workers=1, **settings)
+    for k in range(4 * RUNS):
+        own = scene.with_parameters({"mass:box": mass[k]})
+        assert_same(result[k], cvi.simulate(own, own.neutral(), vs[k], **settings))
+
+
 @pytest.mark.parametrize("impact", ["dtec", "mhc"])
 def test_implicit_impact_maps(impact):
     scene, q, v = at_wall()
