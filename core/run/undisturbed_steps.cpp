@@ -40,7 +40,8 @@ void Simulator::pass_foreseen(int count, double last_start) {
   const StepsAhead& steps = foreseen();
   sequence_.begin_step();
   changes_.begin_interval();
-  for (int k = 0; k < count; ++k) state_.dense.events.fade(options_.dt);
+  if (!state_.dense.events.none())
+    for (int k = 0; k < count; ++k) state_.dense.events.fade(options_.dt);
   state_.dense.since_return += count;
   contact_step_.allow_rescues(most_rescues(options_.dt));
   state_.control.flew(options_.dt);
@@ -64,10 +65,14 @@ long Simulator::pass_undisturbed_steps(long left, long record_every, Recording& 
   if (count == 0) return 0;
   const auto time = [this](long step) { return state_.start_time + static_cast<double>(step) * options_.dt; };
   if (!recording.phase_t.empty()) record_phase(time(state_.step), options_.dt, StepKind::kFree, recording);
+  const bool works = state_.work.tally().does_work;
+  long until_node = record_every - state_.step % record_every;
   for (int k = 0; k < count; ++k) {
-    state_.work.add(foreseen_work(k));
+    if (works) state_.work.add(foreseen_work(k));
     ++state_.step;
-    if (state_.step % record_every == 0 || k + 1 == left)
+    const bool node = --until_node == 0;
+    if (node) until_node = record_every;
+    if (node || k + 1 == left)
       record_node(time(state_.step), foreseen().next(k, StepsAhead::kQ), foreseen().next(k, StepsAhead::kP), recording);
   }
   state_.time = time(state_.step);
@@ -122,11 +127,14 @@ long World::pass_undisturbed_intervals(long left, long record_every, Recording& 
   graph_.pass(foreseen_, count);
   const auto time = [this](long step) { return state_.start_time + static_cast<double>(step) * options_.dt; };
   const double first = time(state_.step);
+  long until_node = record_every - state_.step % record_every;
   for (int k = 0; k < count; ++k) {
     for (Island* island : islands_) state_.work.add(island->engine().foreseen_work(k));
     ++state_.step;
     state_.time = time(state_.step);
-    const bool recorded = state_.step % record_every == 0 || k + 1 == left;
+    const bool node = --until_node == 0;
+    if (node) until_node = record_every;
+    const bool recorded = node || k + 1 == left;
     if (!recorded && k + 1 < count) continue;
     for (Island* island : islands_) island->gather_foreseen(k, state_.q, state_.p);
     if (recorded) record_node(recording);
