@@ -255,6 +255,12 @@ def real_numbers(value: Any) -> Array | None:
         return None
 
 
+def usable(rows: Array) -> Array | None:
+    """Return a C-contiguous copy of a float array whose numbers `array` takes; None where some may be none of them."""
+    result = np.array(rows, order="C")
+    return result if np.vdot(result, result) <= LARGEST * LARGEST else None
+
+
 def shape_of(value: Any) -> tuple[int, ...]:
     """Return the shape of an array of real numbers; () for what is none, such as rows of different lengths."""
     result = real_numbers(value)

@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from contactvi.errors import InputError, UserFunctionError
-from contactvi.inputs import UNIT_TOLERANCE, array, shape_of
+from contactvi.inputs import UNIT_TOLERANCE, array, shape_of, usable
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,10 @@ class States:
                 )
             values /= norm
         return result
+
+    def configurations(self, rows: Array) -> Array | None:
+        """Return (N, nq) as `configuration` returns each row; None where they have to be looked at one by one."""
+        return None if self._units else usable(rows)
 
     def distance(self, a: Array, b: Array) -> Array:
         """Return the norm of the tangent difference of configurations (N, nq) or (1, nq), shape (N,) [m, rad].

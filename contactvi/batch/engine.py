@@ -14,6 +14,7 @@ from contactvi.batch.blocks import Block, KeptRun
 from contactvi.batch.plan import Plan, Report
 from contactvi.batch.scenes import SceneCache
 from contactvi.errors import ContactviError
+from contactvi.inputs import usable
 from contactvi.simulation import engine
 from contactvi.simulation.compatibility import check_unforced
 from contactvi.simulation.recorder import Record
@@ -23,7 +24,7 @@ from contactvi.simulation.simulation import ended_early, no_way_on
 from contactvi.simulation.simulator import Simulator
 from contactvi.simulation.targets import Targets
 from contactvi.status import Status, StatusCode
-from contactvi.trajectory.compiled import MOST_LOST, CompiledScene
+from contactvi.trajectory.compiled import MOST_LOST, CompiledScene, compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -69,10 +70,12 @@ def run(plan: Plan, scenes: SceneCache, workers: int, report: Report | None) -> 
         batch.set_start(inputs.snapshot.engine)
     started: dict[int, tuple[int, Started]] = {}  # by run: its number in the batch
     errors: dict[int, ContactviError] = {}
+    only: CompiledScene | None = None  # the scene of all runs
     for k in range(plan.runs):
         try:
             copied = changed is not None and bool(changed.usable[k])
-            compiled = changed.compiled if changed is not None and copied else scenes.of(plan, k)
+            compiled = changed.compiled if changed is not None and copied else only or scenes.of(plan, k)
+            only = None if plan.parameters else compiled
             row = changed.rows[k] if changed is not None and copied else None
             found = inputs.start(k, compiled, partial(scenes.of, plan, k))
         except ContactviError as error:
@@ -104,6 +107,9 @@ class _Inputs:
         self._shared: dict[str, _core.BatchInputs] = {}
         self._forces: Array | None = None
         self.last_targets: _core.BatchInputs | None = None
+        states, rows = compile_scene(plan.scene).states, plan.rows
+        self._q0s = states.configurations(rows["q0"]) if "q0" in rows else None
+        self._v0s = usable(rows["v0"]) if "v0" in rows else None
 
     def start(self, k: int, compiled: CompiledScene, scene: Callable[[], CompiledScene]) -> Started:
         """Return the start of run k; raise ContactviError where it cannot be used.
@@ -113,10 +119,17 @@ class _Inputs:
                 the run itself.
         """
         plan, states = self._plan, compiled.states
-        q0, v0 = plan.input("q0", k), plan.input("v0", k)
-        q = states.configuration(compiled.q0 if q0 is None else q0)
-        given = compiled.v0 if v0 is None else v0
-        v = compiled.start_velocity(q, 0.0) if given is None else states.velocity(given)
+        if self._q0s is None:
+            q0 = plan.input("q0", k)
+            q = states.configuration(compiled.q0 if q0 is None else q0)
+        else:
+            q = self._q0s[k]
+        if self._v0s is None:
+            v0 = plan.input("v0", k)
+            given = compiled.v0 if v0 is None else v0
+            v = compiled.start_velocity(q, 0.0) if given is None else states.velocity(given)
+        else:
+            v = self._v0s[k]
         try:
             compiled.check_on_constraints(q, v, 0.0)
         except ContactviError:
@@ -190,13 +203,16 @@ def _block(plan: Plan, batch: _core.Batch, started: dict[int, tuple[int, Started
 
 def _explain(plan: Plan, batch: _core.Batch, started: dict[int, tuple[int, Started]], block: Block) -> None:
     """Enter the errors of the runs that ended before their time."""
-    for k, (row, found) in started.items():
-        if block.columns["code"][k] != StatusCode.SUCCESS or not block.columns["nodes"][k]:
-            try:
-                error, status = _error(plan, batch, row, found, block.states(k)[1][-1:])
-                block.fail(k, error, status)
-            except ContactviError as error:  # of the engine itself
-                block.refuse(k, error)
+    ended = (block.columns["code"] != StatusCode.SUCCESS) | (block.columns["nodes"] == 0)
+    for k in np.flatnonzero(ended).tolist():
+        if k not in started:
+            continue
+        row, found = started[k]
+        try:
+            error, status = _error(plan, batch, row, found, block.states(k)[1][-1:])
+            block.fail(k, error, status)
+        except ContactviError as error:  # of the engine itself
+            block.refuse(k, error)
 
 
 def _error(plan: Plan, batch: _core.Batch, row: int, found: Started, last: Array) -> tuple[ContactviError, Status]:

@@ -107,12 +107,41 @@ bool EventFinder::follows(const VecX& q0, const VecX& p0, double h) const {
 bool EventFinder::is_clear(const double* rate, double h) {
   const Tree& tree = scene_->tree;
   if (tree.nq == tree.nv) return guards_->pass(rate, memory_.rate.data(), h);
-  const Eigen::Map<const VecX> now(rate, tree.nv);
+  return guards_->pass(bound_of(rate, memory_.rate.data()), h);
+}
+
+const VecX& EventFinder::bound_of(const double* rate, const double* before) {
+  const Tree& tree = scene_->tree;
+  const Eigen::Map<const VecX> now(rate, tree.nv), last(before, tree.nv);
   bound_.setZero();
   add_size(tree, now, 1.0, bound_);
-  W_ = now - memory_.rate;
+  W_ = now - last;
   add_size(tree, W_, 1.0, bound_);
-  return guards_->pass(bound_, h);
+  return bound_;
+}
+
+int EventFinder::foresee(const VecX& q0, const VecX& p0, double h, const StepsAhead& steps, int most) {
+  if (!follows(q0, p0, h)) return 0;
+  const bool plain = scene_->tree.nq == scene_->tree.nv;
+  const double* before = memory_.rate.data();
+  guards_->look_ahead();
+  for (int k = 0; k < most; ++k) {
+    const double* rate = steps.next(k, StepsAhead::kRate);
+    if (!(plain ? guards_->foresee(rate, before, h) : guards_->foresee(bound_of(rate, before), h))) return k;
+    before = rate;
+  }
+  return most;
+}
+
+void EventFinder::pass_foreseen(const StepsAhead& steps, int count) {
+  const auto copy = [&](StepsAhead::Part part, VecX& to) {
+    std::copy_n(steps.next(count - 1, part), to.size(), to.data());
+  };
+  forget_last();
+  guards_->pass_foreseen(count);
+  copy(StepsAhead::kRate, memory_.rate);
+  copy(StepsAhead::kQ, memory_.q);
+  copy(StepsAhead::kP, memory_.p);
 }
 
 bool EventFinder::passes(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const double* rate) {

@@ -11,6 +11,7 @@
 
 #include "event/gap_path.hpp"
 #include "step/stepper.hpp"
+#include "step/steps_ahead.hpp"
 
 namespace contactvi {
 
@@ -57,6 +58,10 @@ class EventFinder {
   // is taken then. rate: of its only stage, (nv,); null: there are several.
   bool passes(const VecX& q0, const VecX& p0, const VecX& q1, const VecX& p1, double h, const double* rate);
   const Event& event() const { return event_; }
+  // In how many of the steps of length h from (q0, p0) on, at most `most`, which were solved in advance, no guard can
+  // be near: they pass, one after the other. pass_foreseen() makes the last search one of that number of them.
+  int foresee(const VecX& q0, const VecX& p0, double h, const StepsAhead& steps, int most);
+  void pass_foreseen(const StepsAhead& steps, int count);
   int failed_guard() const { return failed_guard_; }
   double failed_gap() const { return failed_gap_; }
 
@@ -107,6 +112,7 @@ class EventFinder {
 
   bool bound_step();
   bool is_clear(const double* rate, double h);
+  const VecX& bound_of(const double* rate, const double* before);
   bool raise_path();
   bool plainly_clear();
   bool bound_again();

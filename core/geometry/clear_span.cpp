@@ -24,25 +24,30 @@ const VecX& ClearSpan::set_reference(const VecX& bound, double h) {
   return path_;
 }
 
-bool ClearSpan::take(const VecX& bound, double h) {
-  if (allowed_ <= 0.0) return false;
+// Of a reference step with its length, per time.
+double ClearSpan::part(const VecX& bound) const {
   double steps = 0.0;
   for (Eigen::Index d = 0; d < bound.size(); ++d) {
     const double part = bound[d] * inverse_[d];
     if (!(part <= steps)) steps = part;  // NaN stays
   }
-  return enter(steps * h);
+  return steps;
 }
 
-bool ClearSpan::take(int n, const double* rate, const double* before, double h) {
-  if (allowed_ <= 0.0) return false;
+double ClearSpan::part(int n, const double* rate, const double* before) const {
   const double* inverse = inverse_.data();
   double steps = 0.0;
   for (int d = 0; d < n; ++d) {
     const double part = (std::abs(rate[d]) + std::abs(rate[d] - before[d])) * inverse[d];
     if (!(part <= steps)) steps = part;  // NaN stays
   }
-  return enter(steps * h);
+  return steps;
+}
+
+bool ClearSpan::take(const VecX& bound, double h) { return allowed_ > 0.0 && enter(part(bound) * h); }
+
+bool ClearSpan::take(int n, const double* rate, const double* before, double h) {
+  return allowed_ > 0.0 && enter(part(n, rate, before) * h);
 }
 
 // A step that counts as so many reference steps.
@@ -50,6 +55,13 @@ bool ClearSpan::enter(double steps) {
   if (!(used_ + 2.0 * steps < allowed_)) return false;
   last_ = steps;
   used_ += steps;
+  return true;
+}
+
+bool ClearSpan::enter_foreseen(double steps) {
+  const double used = foreseen_.empty() ? used_ : foreseen_.back().used;
+  if (!(allowed_ > 0.0 && used + 2.0 * steps < allowed_)) return false;
+  foreseen_.push_back({steps, used + steps});
   return true;
 }
 

@@ -8,6 +8,7 @@
 #pragma once
 
 #include <limits>
+#include <vector>
 
 #include "base/numerics.hpp"
 
@@ -30,6 +31,18 @@ class ClearSpan {
   bool take(const VecX& bound, double h);
   // As this, of n dofs whose speeds stay within |rate| + |rate - before|.
   bool take(int n, const double* rate, const double* before, double h);
+  // Looks ahead: whether a step that follows those foreseen so far may be taken, which then is one of them.
+  void look_ahead() { foreseen_.clear(); }
+  bool foresee(const VecX& bound, double h) { return enter_foreseen(part(bound) * h); }
+  bool foresee(int n, const double* rate, const double* before, double h) {
+    return enter_foreseen(part(n, rate, before) * h);
+  }
+  // Reference steps used up after so many of them, at least one.
+  double used_after(int steps) const { return foreseen_[steps - 1].used; }
+  void take_foreseen(int steps) {
+    used_ = used_after(steps);
+    last_ = foreseen_[steps - 1].steps;
+  }
   // Of the step taken last, in reference steps.
   double last() const { return last_; }
   double used() const { return used_; }
@@ -37,10 +50,17 @@ class ClearSpan {
   void end() { used_ = allowed_ = 0.0; }
 
  private:
+  struct Foreseen {
+    double steps, used;
+  };
+  double part(const VecX& bound) const;
+  double part(int n, const double* rate, const double* before) const;
   bool enter(double steps);
+  bool enter_foreseen(double steps);
 
   VecX path_, inverse_;  // of each dof in a reference step [m; rad], and one over it
   double used_ = 0.0, allowed_ = 0.0, last_ = 0.0;
+  std::vector<Foreseen> foreseen_;
 };
 
 }  // namespace contactvi

@@ -114,6 +114,20 @@ class Guards {
   bool pass(const VecX& bound, double h) { return span_.take(bound, h); }
   // As this, for speeds within |rate| + |rate - before|, of all dofs.
   bool pass(const double* rate, const double* before, double h) { return span_.take(scene_->tree.nv, rate, before, h); }
+  // Looks ahead: whether a step after those foreseen so far may be passed, too. Each is in an interval of its own;
+  // pass_foreseen() takes the first ones, steps_in() is what steps_since() will be in the interval of one of them.
+  void look_ahead() { span_.look_ahead(); }
+  bool foresee(const VecX& bound, double h) { return span_.foresee(bound, h); }
+  bool foresee(const double* rate, const double* before, double h) {
+    return span_.foresee(scene_->tree.nv, rate, before, h);
+  }
+  double steps_in(int interval) const { return span_.used_after(interval + 1) - used_before(interval); }
+  void pass_foreseen(int steps) {
+    counters.skipped += static_cast<long>(steps) * count_;
+    interval_used_ = used_before(steps - 1);
+    any_look_ = false;
+    span_.take_foreseen(steps);
+  }
   // Guards may have become other ones: the next step looks at them.
   void end_span();
   // Bound on how far any point of a geometry has moved since an arbitrary instant [m].
@@ -160,6 +174,7 @@ class Guards {
   Reach make_reach() const;
   void propagate_reach(const VecCRef& q, const VecX& bound, double h, double steps, Reach& reach);
   double reach_of(const Reach& reach, int guard) const;
+  double used_before(int interval) const { return interval > 0 ? span_.used_after(interval) : span_.used(); }
   void place_body(int body);
   void place_pair(int guard);
   void place_bodies();

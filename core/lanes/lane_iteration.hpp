@@ -354,9 +354,34 @@ void subtract_product(int rows, int inner, int width, const double* A, int strid
 }
 
 template <class V>
+void extrapolate_runs(int rows, const double* const* past, const double* const* weight, double* out) {
+  const int L = Lane<V>::count;
+  const V wa = load<V>(weight[0]), wb = load<V>(weight[1]), wc = load<V>(weight[2]), wd = load<V>(weight[3]);
+  const double *a = past[0], *b = past[1], *c = past[2], *d = past[3];
+  for (int i = 0; i < rows * L; i += L)
+    store<V>(out + i, load<V>(a + i) * wa + load<V>(b + i) * wb + load<V>(c + i) * wc + load<V>(d + i) * wd);
+}
+
+template <class V>
+void add_runs(int rows, const double* weight, const double* rate, double* base, double* carry, double* end,
+              double* lost) {
+  const int L = Lane<V>::count;
+  const V w = load<V>(weight);
+  for (int i = 0; i < rows * L; i += L) {
+    const V start = load<V>(base + i), change = w * load<V>(rate + i) + load<V>(carry + i), total = start + change;
+    const V rest = change - (total - start);
+    store<V>(carry + i, rest);
+    store<V>(lost + i, rest);
+    store<V>(base + i, total);
+    store<V>(end + i, total);
+  }
+}
+
+template <class V>
 constexpr LaneKernel lane_kernel() {
   return {Lane<V>::count,      evaluate<V>,      place_stages<V>,     factor_stages<V>,
           solve_stages<V>,     solve_columns<V>, iterate<V>,          rates<V>,
           combine<V>,          tangent<V>,       evaluate_tangent<V>, evaluate_second<V>,
-          subtract_product<V>, iterate_runs<V>,  solve_runs<V>};
+          subtract_product<V>, iterate_runs<V>,  solve_runs<V>,       extrapolate_runs<V>,
+          add_runs<V>};
 }

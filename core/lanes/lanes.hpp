@@ -142,6 +142,12 @@ struct LaneKernel {
   void (*iterate_runs)(const LaneTree*, const LaneWork*, int flags);
   // dv <- (M + diagonal)^-1 dv at the given X, for runs.
   void (*solve_runs)(const LaneTree*, const LaneWork*);
+  // For runs: numbers [row * lanes + lane], weights [lane]. out = the sum of four past ones with their weights, in that
+  // order.
+  void (*extrapolate_runs)(int rows, const double* const* past, const double* const* weight, double* out);
+  // base and end: base + (weight rate + carry); carry and lost: what that sum loses.
+  void (*add_runs)(int rows, const double* weight, const double* rate, double* base, double* carry, double* end,
+                   double* lost);
 };
 
 }  // namespace contactvi

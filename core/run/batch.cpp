@@ -31,12 +31,12 @@ class States {
     to_.q.insert(to_.q.end(), q.data(), q.data() + tree_.nq);
     to_.v.insert(to_.v.end(), p.data(), p.data() + tree_.nv);
   }
-  // After the last one.
-  void find_velocities() {
+  // After the last one; lanes: of the tree.
+  void find_velocities(NodeLanes& lanes) {
     const auto count = static_cast<Eigen::Index>(to_.t.size());
     const Eigen::Map<const MatX> q(to_.q.data(), tree_.nq, count);
     Eigen::Map<MatX> v(to_.v.data(), tree_.nv, count);
-    NodeLanes(tree_).find_velocities(q, v);
+    lanes.find_velocities(q, v);
     for (Eigen::Index k = 0; k < count; ++k) engine_to_public(tree_, q.col(k), v.col(k));
   }
 
@@ -85,7 +85,7 @@ void Batch::take_runs_side_by_side(int threads) {
 }
 
 Batch::Maker::Maker(const Scene& scene, const SimulatorOptions& options, SideBySide* company)
-    : scene(&scene), integrator(scene.tree, 1, 1e-12, 1), world(scene, options) {
+    : scene(&scene), integrator(scene.tree, 1, 1e-12, 1), nodes(scene.tree), world(scene, options) {
   if (company != nullptr) world.join(*company);
 }
 
@@ -115,7 +115,6 @@ void Batch::make(const BatchStart& start, SideBySide* company, std::unique_ptr<M
 }
 
 void Batch::make(Maker& maker, const BatchStart& start, SideBySide* company, BatchOutcome& outcome) {
-  const Scene& scene = *maker.scene;
   World& world = maker.world;
   outcome.massless = !(lost_velocity(maker.integrator, start.q).share <= most_lost_);
   if (outcome.massless) return;
@@ -127,11 +126,12 @@ void Batch::make(Maker& maker, const BatchStart& start, SideBySide* company, Bat
     const MatX& target = start.target ? *start.target : none;
     const Progress progress = [this](double, long) { return !stop_; };
     const auto first = std::chrono::steady_clock::now();
-    outcome.status = world.advance(steps_, tau, target, record_every_, progress, recording);
+    const long record_every = keep_ == BatchKeep::kEnds ? std::max(1L, steps_) : record_every_;
+    outcome.status = world.advance(steps_, tau, target, record_every, progress, recording);
     const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - first;
     outcome.seconds = taken.count() / (company != nullptr ? company->stacks() : 1);
   }
-  keep_nodes(scene.tree, start, world, recording, outcome);
+  keep_nodes(maker, start, recording, outcome);
   outcome.impacts = static_cast<long>(recording.impacts.size());
   outcome.dense_steps = world.state().dense_steps;
   if (keep_ != BatchKeep::kRuns) return;
@@ -158,8 +158,9 @@ bool Batch::is_node(double t) const {
   return record_every_ == 1 || std::fmod(std::nearbyint(t / options_.dt), static_cast<double>(record_every_)) == 0.0;
 }
 
-void Batch::keep_nodes(const Tree& tree, const BatchStart& start, const World& world, const Recording& recording,
-                       BatchOutcome& outcome) const {
+void Batch::keep_nodes(Maker& maker, const BatchStart& start, const Recording& recording, BatchOutcome& outcome) const {
+  const Tree& tree = maker.scene->tree;
+  const World& world = maker.world;
   States states(tree, outcome);
   if (!outcome.start.ok()) {
     states.add(0.0, start.q, outcome.start_p);
@@ -174,7 +175,7 @@ void Batch::keep_nodes(const Tree& tree, const BatchStart& start, const World& w
     }
     if (outcome.status.time > outcome.t.back()) states.add(outcome.status.time, world.q(), world.p());
   }
-  states.find_velocities();
+  states.find_velocities(maker.nodes);
 }
 
 }  // namespace contactvi

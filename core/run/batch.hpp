@@ -79,14 +79,14 @@ class Batch {
     Maker(const Scene& scene, const SimulatorOptions& options, SideBySide* company);
     const Scene* scene;
     Integrator integrator;
+    NodeLanes nodes;
     World world;
   };
   void take_runs(SideBySide* company);
   void make(const BatchStart& start, SideBySide* company, std::unique_ptr<Maker>& maker, BatchOutcome& outcome);
   void make(Maker& maker, const BatchStart& start, SideBySide* company, BatchOutcome& outcome);
   void begin(const BatchStart& start, World& world, BatchOutcome& outcome) const;
-  void keep_nodes(const Tree& tree, const BatchStart& start, const World& world, const Recording& recording,
-                  BatchOutcome& outcome) const;
+  void keep_nodes(Maker& maker, const BatchStart& start, const Recording& recording, BatchOutcome& outcome) const;
   bool is_node(double t) const;
 
   SimulatorOptions options_;

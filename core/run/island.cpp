@@ -249,10 +249,12 @@ void Island::repeat_record(long step, double t, double length) {
   }
 }
 
-void Rest::count(const VecX& before, const std::vector<int>& entries, const VecX& now, bool quiet) {
+// before(i): the number i at the start of the step.
+template <class Before>
+void Rest::count_with(Before before, const double* now, Eigen::Index size, bool quiet) {
   bool still = quiet && steps > 0;
-  for (Eigen::Index i = 0; i < now.size() && still; ++i) {
-    const double was = steps > 1 ? q[i] : before[entries[i]];
+  for (Eigen::Index i = 0; i < size && still; ++i) {
+    const double was = steps > 1 ? q[i] : before(i);
     still = std::abs(now[i] - was) <= kStill * std::max(std::abs(was), 1.0);
   }
   if (!still) {
@@ -260,10 +262,18 @@ void Rest::count(const VecX& before, const std::vector<int>& entries, const VecX
     return;
   }
   if (steps == 1) {
-    q.resize(now.size());
-    for (Eigen::Index i = 0; i < now.size(); ++i) q[i] = before[entries[i]];
+    q.resize(size);
+    for (Eigen::Index i = 0; i < size; ++i) q[i] = before(i);
   }
   ++steps;
+}
+
+void Rest::count(const VecX& before, const std::vector<int>& entries, const VecX& now, bool quiet) {
+  count_with([&](Eigen::Index i) { return before[entries[i]]; }, now.data(), now.size(), quiet);
+}
+
+void Rest::count_undisturbed(const double* before, const double* now, Eigen::Index size) {
+  count_with([=](Eigen::Index i) { return before[i]; }, now, size, true);
 }
 
 // Counts the step just made if it was one of rest: one step of the whole length with nothing but contacts that stay,
@@ -310,14 +320,18 @@ void Island::measure(IslandGraph& graph) {
     return;
   }
   if (asleep()) return;
-  if (share_span_ != guards.span() || share_room_ != graph.room_number()) {
-    share_ = 0.0;
-    for (std::size_t k = 0; k < offset_.size(); ++k)
-      share_ = std::max(share_, graph.part(numbers_->geometries[k], guards.motion_of_reference(static_cast<int>(k))));
-    share_span_ = guards.span();
-    share_room_ = graph.room_number();
-  }
+  find_share(graph);
   graph.count(guards.steps_since() * share_);
+}
+
+void Island::find_share(const IslandGraph& graph) {
+  const Guards& guards = engine_->guards();
+  if (share_span_ == guards.span() && share_room_ == graph.room_number()) return;
+  share_ = 0.0;
+  for (std::size_t k = 0; k < offset_.size(); ++k)
+    share_ = std::max(share_, graph.part(numbers_->geometries[k], guards.motion_of_reference(static_cast<int>(k))));
+  share_span_ = guards.span();
+  share_room_ = graph.room_number();
 }
 
 void Island::tell_motion(IslandGraph& graph) const {

@@ -40,6 +40,12 @@ struct Rest {
   // A step has ended at this configuration, which began at those entries of `before`; quiet: nothing but rest happened
   // in it.
   void count(const VecX& before, const std::vector<int>& entries, const VecX& now, bool quiet);
+  // As this, of numbers of the island; nothing but rest happened.
+  void count_undisturbed(const double* before, const double* now, Eigen::Index size);
+
+ private:
+  template <class Before>
+  void count_with(Before before, const double* now, Eigen::Index size, bool quiet);
 };
 
 class Island {
@@ -67,6 +73,13 @@ class Island {
   // One control step from the configuration `before`; tau, target: of the whole scene, or empty.
   void step(const VecX& before, long step, double t, double length, const VecX& tau, const VecX& q_ref,
             const VecX& v_ref, const Progress& progress);
+  // undisturbed_steps.cpp: steps that were solved in advance and in which nothing happens are made at once, as
+  // Simulator::foresee tells and pass_foreseen makes them. reference_intervals(): as which one of them, in the graph,
+  // an interval counts.
+  int foresee(long most, const IslandGraph& graph);
+  double reference_intervals(int interval) const { return engine_->guards().steps_in(interval) * share_; }
+  void gather_foreseen(int step, VecX& q, VecX& p) const;
+  void pass_foreseen(int count, long last_step, double last_start, const Progress& progress);
   // Whether the last steps have moved nothing by more than rounding, so that it repeats the last one until something
   // changes: its trees, or its inputs.
   bool asleep() const { return rest_.steps >= Rest::kSteps; }
@@ -97,6 +110,7 @@ class Island {
 
  private:
   void begin(const Scene& whole, const StaticTrees& all);
+  void find_share(const IslandGraph& graph);
   double motion(int k) const { return asleep() ? 0.0 : engine_->guards().motion_since(k); }
   void take_state(const VecX& q, const VecX& p, Handover& to) const;
   bool set_inputs(const VecX& tau, const VecX& q_ref, const VecX& v_ref);

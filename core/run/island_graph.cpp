@@ -12,7 +12,6 @@
 namespace contactvi {
 
 namespace {
-constexpr double kReach = 1.5;       // of the motion in the last interval: that expected in the next one
 constexpr double kIntervals = 16.0;  // a ball's margin lasts for about so many of them,
 constexpr double kMargin = 0.05;     // and is at least this part of its radius;
 constexpr double kHuge = 1e300;      // stands for one over nothing
@@ -164,9 +163,30 @@ bool IslandGraph::find_clear() {
   was_clear_ = clear_;
   // What counts as x reference intervals has a reach of at most kReach x + 1 of them in the next one: the slack is a
   // part of each reach.
-  clear_ = used_ + kReach * last_ + 1.0 < room_;
+  clear_ = is_clear(used_, last_);
   measured_ = !clear_;
   return clear_;
+}
+
+int IslandGraph::foresee(const std::vector<double>& counts) const {
+  double used = used_, last = last_;
+  int intervals = 0;
+  for (double count : counts) {
+    if (!is_clear(used, last) || !(used + count < room_)) break;
+    used += count;
+    last = count;
+    ++intervals;
+  }
+  return intervals;
+}
+
+void IslandGraph::pass(const std::vector<double>& counts, int intervals) {
+  was_clear_ = intervals > 1 || clear_;
+  clear_ = true;
+  placed_ = measured_ = knows_motion_ = false;
+  for (int k = 0; k < intervals; ++k) used_ += counts[k];
+  last_ = counts[intervals - 1];
+  largest_ = 0.0;
 }
 
 void IslandGraph::join_suspects(const VecX& q, double slack, DisjointSets& sets) {

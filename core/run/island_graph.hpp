@@ -49,6 +49,10 @@ class IslandGraph {
   void join_met(const VecX& q, DisjointSets& sets);
   // The interval is over.
   void commit();
+  // Of intervals that count as so many reference intervals each: how many of the first ones will be found to be clear
+  // and stay so. pass() makes that many of them, at least one, at the end of which no motion is told.
+  int foresee(const std::vector<double>& counts) const;
+  void pass(const std::vector<double>& counts, int intervals);
   // Whether motion() is that of the last interval, and odometer() that at its end. know_motion(): after set_place() and
   // set_motion() for all, between two intervals.
   bool knows_motion() const { return knows_motion_; }
@@ -60,6 +64,7 @@ class IslandGraph {
   const std::vector<double>& motion() const { return motion_; }
 
  private:
+  static constexpr double kReach = 1.5;  // of the motion in the last interval: that expected in the next one
   struct Neighbour {
     int geometry, guard;
     double mark;  // sum of the two odometers up to which the pair is certified; kept by the smaller of the two
@@ -70,6 +75,7 @@ class IslandGraph {
   double clearance(const Neighbour& n, int g, double reach);
   void find_room(DisjointSets& sets);
   bool may_meet(int g, Neighbour& n, double reach);
+  bool is_clear(double used, double last) const { return used + kReach * last + 1.0 < room_; }
 
   const StaticTrees* trees_;
   Guards* guards_;

@@ -5,15 +5,14 @@
 #include <limits>
 
 #include "impact/impact_maps.hpp"
+#include "run/state_range.hpp"
 
 namespace contactvi {
 
 namespace {
 constexpr double kSeparated = 1e-13;  // of the event's speeds: a slower closing speed is rounding
 constexpr int kMostHalvings = 4000;   // of the free steps within one interval
-// Of the numbers of a state: the energy of a larger one may overflow. What scenes and starts are made of is below 1e50
-// (contactvi/inputs.py), and a motion that gets here from there has no meaning.
-constexpr double kLargest = 1e100;
+constexpr long kReported = 64;        // steps between two reports of progress
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Whether some force dissipates energy.
@@ -24,13 +23,6 @@ bool dissipates(const Tree& tree) {
   return any;
 }
 
-// Whether all numbers of a state are finite and small enough for its energy. NaN is not <= anything.
-bool in_range(const VecX& q, const VecX& p) {
-  const auto inside = [](const VecX& x) {
-    return x.squaredNorm() <= kLargest * kLargest || (x.array().abs() <= kLargest).all();
-  };
-  return inside(q) && inside(p);
-}
 }  // namespace
 
 Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
@@ -64,6 +56,7 @@ Simulator::Simulator(const Scene& scene, const SimulatorOptions& options)
 }
 
 void Simulator::join(SideBySide& company) {
+  in_company_ = true;
   integrator_.join(&company);
   actuation_.join(company);
 }
@@ -149,10 +142,10 @@ Status Simulator::start(const VecX& q, const VecX& v, double t) {
   return state_.status;
 }
 
-void Simulator::record_node(double t, Recording& recording) {
+void Simulator::record_node(double t, const double* q, const double* p, Recording& recording) {
   recording.t.push_back(t);
-  recording.q.insert(recording.q.end(), state_.q.data(), state_.q.data() + state_.q.size());
-  recording.p.insert(recording.p.end(), state_.p.data(), state_.p.data() + state_.p.size());
+  recording.q.insert(recording.q.end(), q, q + state_.q.size());
+  recording.p.insert(recording.p.end(), p, p + state_.p.size());
   state_.work.record_node(t, recording);
 }
 
@@ -200,7 +193,15 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
     state_.work.expect_inputs();
   }
   start_recording(progress, recording);
-  for (long k = 0; k < steps; ++k) {
+  long asked = 0;  // the step before which progress was reported
+  for (long k = 0; k < steps;) {
+    const long passed = tau.rows() > 0 ? 0 : pass_undisturbed_steps(steps - k, record_every, recording);
+    k += passed;
+    if (k - asked >= kReported) {
+      asked = k;
+      if (!report_progress(state_.time)) return state_.status;
+    }
+    if (passed > 0) continue;
     if (tau.rows() > 0) force = tau.row(k).transpose();
     actuation_.set(force, target, k, state_.q, state_.p);
     const double start = state_.start_time + static_cast<double>(state_.step) * options_.dt;
@@ -212,9 +213,9 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
       return state_.status;
     }
     ++state_.step;
+    ++k;
     state_.time = state_.start_time + static_cast<double>(state_.step) * options_.dt;
-    if (state_.step % record_every == 0 || k + 1 == steps) record_node(state_.time, recording);
-    if (k % 64 == 63 && !report_progress(state_.time)) return state_.status;
+    if (state_.step % record_every == 0 || k == steps) record_node(state_.time, recording);
   }
   state_.status.time = state_.time;
   return state_.status;

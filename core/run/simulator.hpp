@@ -108,6 +108,14 @@ class Simulator {
   // 2 nv) or empty. False: it ended early, see the status.
   bool step_island(long step, double t, double length, const VecX& tau, const MatX& target, const Progress& progress,
                    Recording& recording);
+  // undisturbed_steps.cpp: steps that were solved in advance and in which nothing happens are made at once. foresee()
+  // tells how many of the next control steps are such ones, at most `most`; of these, pass_foreseen() makes the first
+  // `count`, the last of which starts at `last_start` [s]; pass_island() does so for an island (step_island()).
+  int foresee(long most);
+  const StepsAhead& foreseen() const { return integrator_.ahead(); }
+  WorkAccount::FreeWork foreseen_work(int step);
+  void pass_foreseen(int count, double last_start);
+  void pass_island(int count, long last_step, double last_start, const Progress& progress);
   // Forgets what has been counted in the state since it was last taken, and what the parts have counted.
   void forget_counts();
   void reset_counters();
@@ -156,7 +164,10 @@ class Simulator {
   bool take_event(Interval& interval, double h, bool shorter, Recording& recording);
   bool solve_smooth_step(double time, double h, const VecX& tau, bool last_try);
   void start_recording(const Progress& progress, Recording& recording);
-  void record_node(double t, Recording& recording);
+  void record_node(double t, Recording& recording) { record_node(t, state_.q.data(), state_.p.data(), recording); }
+  void record_node(double t, const double* q, const double* p, Recording& recording);
+  bool flies_undisturbed() const;
+  long pass_undisturbed_steps(long left, long record_every, Recording& recording);
   void record_phase(double time, double dt, StepKind kind, Recording& recording) const;
   void record_segment(double t, double h, const VecX& p1, Recording& recording);
   bool report_progress(double time);
@@ -239,7 +250,8 @@ class Simulator {
   VecX gravity_q_;        // the last configuration whose potential in gravity was found,
   double gravity_ = 0.0;  // and that potential [J]
   bool follows_motion_ = false;
-  MatX rates_;  // chart rates at the stages of the step just solved
+  bool in_company_ = false;  // whether its smooth steps are solved side by side with those of other runs
+  MatX rates_;               // chart rates at the stages of the step just solved
   std::vector<ContactStepRecord> kept_steps_;
   std::vector<DenseStepRecord> kept_dense_steps_;
   EngineMemory fresh_;                  // as it is before any run

@@ -359,7 +359,12 @@ Status World::advance(long steps, const MatX& tau, const MatX& target, long reco
   std::vector<ChangeRecord>& initial = state_.initial_changes;
   recording.changes.insert(recording.changes.end(), initial.begin(), initial.end());
   initial.clear();
+  const bool free = tau.rows() == 0 && target.rows() == 0;
   for (long k = 0; k < steps; ++k) {
+    const long passed = free ? pass_undisturbed_intervals(steps - k, record_every, recording) : 0;
+    if (passed > 0 && !report_progress()) return state_.status;
+    k += passed;
+    if (k == steps) break;
     const double t = state_.start_time + static_cast<double>(state_.step) * options_.dt;
     set_inputs(tau, target, k);
     run_interval(options_.dt);

@@ -76,6 +76,7 @@ class World {
   void tell_motion();
   void find_motion();
   bool end_early(double length);
+  long pass_undisturbed_intervals(long left, long record_every, Recording& recording);
   void set_inputs(const MatX& tau, const MatX& target, long k);
   void accept(double t, double length, Recording& recording);
   template <class Count, class Time, class Put>
@@ -107,6 +108,7 @@ class World {
   EngineCounters forgotten_;  // of islands that are in the pool no more
   VecX tau_, q_ref_, v_ref_, q1_, p1_;
   std::vector<Entry> entries_;
+  std::vector<double> foreseen_;  // of intervals in which nothing happens: as how many reference intervals they count
   const Progress* progress_ = nullptr;
   Progress island_progress_;
   std::chrono::steady_clock::time_point last_report_;

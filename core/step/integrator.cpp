@@ -10,24 +10,22 @@
 namespace contactvi {
 
 namespace {
-constexpr double kFarTurn = 3.5;           // [rad] turn of a spherical joint in one step up to which its chart is good
 constexpr double kCloseTolerance = 1e-15;  // relative error of steps on which an event or an impact depends: rounding
 
-// Whether all numbers in v are added to those in q, as LaneFlight does.
-bool adds_numbers(const Tree& tree) {
-  for (const Joint& joint : tree.joints) {
-    const bool added = joint.type == JointType::kRevolute || joint.type == JointType::kHelical ||
-                       joint.type == JointType::kPrismatic || joint.type == JointType::kTranslation;
-    if (!added || joint.iq != joint.iv) return false;
-  }
-  return true;
+// Whether LaneFlight knows all joints.
+bool can_fly(const Tree& tree) {
+  return std::all_of(tree.joints.begin(), tree.joints.end(), [](const Joint& joint) {
+    return joint.type == JointType::kRevolute || joint.type == JointType::kHelical ||
+           joint.type == JointType::kPrismatic || joint.type == JointType::kTranslation ||
+           joint.type == JointType::kSpherical;
+  });
 }
 }  // namespace
 
 Integrator::Integrator(const Tree& tree, int stages, double tol, int max_iterations)
     : StepEquations(tree, stages),
       iteration_(tol, max_iterations),
-      ahead_(tree.nv),
+      ahead_(tree.nq, tree.nv, model_.lanes.balls > 0),
       start_(tree.nv, stages_),
       acceleration_(tree.nv, stages_),
       v0_(tree.nv) {}
@@ -82,7 +80,8 @@ bool Integrator::solve_closely(const VecCRef& q0, const VecCRef& p0, double h, c
 }
 
 bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
-  if (may_look_ahead(h, tau) && take_ahead(q0, p0, h)) return true;
+  const bool may_look_ahead = tau.size() == 0 && this->may_look_ahead(h);
+  if (may_look_ahead && take_ahead(q0, p0, h)) return true;
   ahead_.drop();
   from_ahead_ = false;
   // Impact maps solve one step again and again from other momenta: its own velocities are then the best start.
@@ -95,11 +94,10 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   if (again && solve_stages()) return !turns_too_far();
   Guide* guide = std::exchange(guide_, nullptr);
   if (guide != nullptr && guide->lead(guide_time_, h, start_, stages_) && solve_stages()) return !turns_too_far();
-  if (may_look_ahead(h, tau) && !stages_.has_extra_forces() && ahead_.is_worth_asking()) {
-    asks_ahead_ = true;
-    company_->iterate(*this, *lanes_);
-    asks_ahead_ = false;
+  if (may_look_ahead) {
+    ask_ahead();
     if (take_ahead(q0_, p0_, h)) return true;
+    ahead_.count_step_alone();
   }
   if (start_.count() > 0) {
     start_.extrapolate(h, stages_);
@@ -119,8 +117,28 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
 }
 
 // Whether the steps from here on are likely to go on as the last ones did, with no inputs that may change.
-bool Integrator::may_look_ahead(double h, const VecX& tau) const {
-  return flies_ && tau.size() == 0 && !newton_ && (servo() == nullptr || !servo()->any) && start_.is_even(h);
+bool Integrator::may_look_ahead(double h) const {
+  return flies_ && !newton_ && (servo() == nullptr || !servo()->any) && start_.is_even(h);
+}
+
+// For steps in advance from the state where the step begins.
+void Integrator::ask_ahead() {
+  if (!ahead_.is_worth_asking()) return;
+  if (stages_.has_extra_forces()) return ahead_.pause();
+  asks_ahead_ = true;
+  company_->iterate(*this, *lanes_);
+  asks_ahead_ = false;
+}
+
+int Integrator::look_ahead(const VecCRef& q0, const VecCRef& p0, double h) {
+  if (!may_look_ahead(h)) return 0;
+  if (!ahead_.any() && ahead_.is_worth_asking()) {
+    static const VecX none;
+    begin(q0, p0, h, none);
+    solved_ = false;
+    ask_ahead();
+  }
+  return ahead_.is(q0, p0, h, iteration_.tol()) ? ahead_.left() : 0;
 }
 
 // The step from this state, if it was solved in advance: all is as it would be had it been solved now, but for the
@@ -131,37 +149,57 @@ bool Integrator::take_ahead(const VecCRef& q0, const VecCRef& p0, double h) {
   if (p0.data() != p0_.data()) p0_ = p0;
   h_ = h;
   stages_.set_time(time_);
-  const int n = tree_->nv;
-  const double *v = ahead_.now(StepsAhead::kV), *X = ahead_.now(StepsAhead::kX), *P = ahead_.now(StepsAhead::kMomentum),
-               *G = ahead_.now(StepsAhead::kForce), *dv = ahead_.now(StepsAhead::kCorrection);
-  for (int d = 0; d < n; ++d) {
-    stages_.v()[d] = v[d];
-    stages_.X()[d] = X[d];
-    stages_.P()[d] = P[d];
-    stages_.G()[d] = G[d];
-    stages_.dv()[d] = dv[d];
-  }
-  part_ = false;
-  why_ = "";
-  stage_iterations_ = ahead_.iterations();
-  counters.stage_iterations += stage_iterations_;
-  ++counters.factorizations;
-  residual_ = ahead_.error();
+  show_ahead(0);
+  count_ahead(0);
   solved_ = from_ahead_ = true;
   return true;
 }
 
+void Integrator::show_ahead(int after) {
+  const int n = tree_->nv;
+  const auto copy = [&](StepsAhead::Part part, double* to) { std::copy_n(ahead_.next(after, part), n, to); };
+  copy(StepsAhead::kV, stages_.v());
+  copy(StepsAhead::kX, stages_.X());
+  copy(StepsAhead::kMomentum, stages_.P());
+  copy(StepsAhead::kForce, stages_.G());
+  copy(StepsAhead::kCorrection, stages_.dv());
+  h_ = ahead_.length();
+  part_ = false;
+  why_ = "";
+}
+
+void Integrator::count_ahead(int after) {
+  stage_iterations_ = ahead_.iterations(after);
+  counters.stage_iterations += stage_iterations_;
+  ++counters.factorizations;
+  residual_ = ahead_.error(after);
+}
+
+void Integrator::accept_ahead(int after) {
+  const int nq = tree_->nq, nv = tree_->nv;
+  show_ahead(after);
+  for (int k = 0; k <= after; ++k) {
+    count_ahead(k);
+    if (after - k < StartValues::kSteps) start_.push(ahead_.next(k, StepsAhead::kV), h_);
+  }
+  std::copy_n(after == 0 ? ahead_.q0().data() : ahead_.next(after - 1, StepsAhead::kQ), nq, q0_.data());
+  std::copy_n(after == 0 ? ahead_.p0().data() : ahead_.next(after - 1, StepsAhead::kP), nv, p0_.data());
+  std::copy_n(ahead_.next(after, StepsAhead::kCarryQ), nq, carry_q_.data());
+  std::copy_n(ahead_.next(after, StepsAhead::kCarryP), nv, carry_p_.data());
+  stages_.set_time(time_);
+  counters.steps += after + 1;
+  ahead_.advance(after + 1);
+  solved_ = true;
+  from_ahead_ = false;
+}
+
 void Integrator::finish(VecRef q1, VecRef p1) {
   if (!from_ahead_) return StepEquations::finish(q1, p1);
-  const int n = tree_->nv;
-  const double *q = ahead_.now(StepsAhead::kQ), *p = ahead_.now(StepsAhead::kP),
-               *carry_q = ahead_.now(StepsAhead::kCarryQ), *carry_p = ahead_.now(StepsAhead::kCarryP);
-  for (int d = 0; d < n; ++d) {
-    q1[d] = q[d];
-    p1[d] = p[d];
-    next_carry_q_[d] = carry_q[d];
-    next_carry_p_[d] = carry_p[d];
-  }
+  const int nq = tree_->nq, nv = tree_->nv;
+  std::copy_n(ahead_.next(0, StepsAhead::kQ), nq, q1.data());
+  std::copy_n(ahead_.next(0, StepsAhead::kP), nv, p1.data());
+  std::copy_n(ahead_.next(0, StepsAhead::kCarryQ), nq, next_carry_q_.data());
+  std::copy_n(ahead_.next(0, StepsAhead::kCarryP), nv, next_carry_p_.data());
 }
 
 // Small steps first, each from the polynomial of the one before; together they give start values for the whole. This
@@ -229,7 +267,7 @@ void Integrator::accept() {
   carry_q_.swap(next_carry_q_);
   carry_p_.swap(next_carry_p_);
   start_.push(stages_, h_);
-  if (from_ahead_) ahead_.advance();
+  if (from_ahead_) ahead_.advance(1);
   from_ahead_ = false;
 }
 
@@ -246,7 +284,7 @@ void Integrator::join(LaneCompany* company) {
   // The factor of stiff elements is not the kernel's alone.
   const bool shares = company != nullptr && stages_.count() == 1 && !stiff_.any();
   lanes_ = shares ? &company->lanes_of(*this) : nullptr;
-  flies_ = shares && !tree_->has_springs && adds_numbers(*tree_);
+  flies_ = shares && !tree_->has_springs && can_fly(*tree_);
   ahead_.drop();
 }
 

@@ -50,6 +50,16 @@ class Integrator final : public Stepper, public StepEquations {
 
   // The step just finished is taken: the next one starts from its polynomial, and from the digits that its sums lost.
   void accept();
+  // How far a spherical joint may turn in one step: up to there its chart is good [rad].
+  static constexpr double kFarTurn = 3.5;
+  // Steps of length h that are solved in advance from this state on, in which no other forces act than those of the
+  // scene; 0: none. Where it is likely to be of use, they are solved now.
+  int look_ahead(const VecCRef& q0, const VecCRef& p0, double h);
+  const StepsAhead& ahead() const { return ahead_; }
+  // Makes the one that comes so many steps after the next one the step just solved, for what is asked of that; accept:
+  // and takes all steps up to it.
+  void show_ahead(int after);
+  void accept_ahead(int after);
   // The next step starts elsewhere.
   void forget() override;
   // Steps with one stage are solved side by side with those of other runs from now on; null: alone.
@@ -75,8 +85,10 @@ class Integrator final : public Stepper, public StepEquations {
   friend class LaneIterations;  // makes the iterations of several steps
   friend class LaneFlight;      // makes several steps of each
   // Steps that are solved in advance, where runs are made side by side.
-  bool may_look_ahead(double h, const VecX& tau) const;
+  bool may_look_ahead(double h) const;
+  void ask_ahead();
   bool take_ahead(const VecCRef& q0, const VecCRef& p0, double h);
+  void count_ahead(int after);
   bool solve_stages();
   void judge_iteration();
   void accelerate() { acceleration_.apply(stages_); }

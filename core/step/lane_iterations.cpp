@@ -16,7 +16,7 @@ void LaneIterations::iterate(std::vector<Integrator*>& steps) {
       iterate_seated(steps);
       continue;
     }
-    if (!flight_) flight_ = std::make_unique<LaneFlight>(seated_[0]->model_, lanes_);
+    if (!flight_) flight_ = std::make_unique<LaneFlight>(*seated_[0]->tree_, seated_[0]->model_, lanes_);
     made_ += flight_->fly(seated_);
   }
 }

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "model/coordinates.hpp"
+#include "step/ball_step.hpp"
 
 namespace contactvi {
 
@@ -177,9 +178,7 @@ void Stages::set_base(const VecCRef& q0) {
         break;
       case JointType::kSpherical: {
         const Quat quat(q0[joint.iq + 3], q0[joint.iq], q0[joint.iq + 1], q0[joint.iq + 2]);
-        Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> B(ball_base_ + 9 * ball++);
-        const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> C(j.C);
-        B.noalias() = C * quat.toRotationMatrix();
+        start_ball(j.C, quat, ball_base_ + 9 * ball++);
         break;
       }
     }
@@ -285,8 +284,7 @@ Vec3 Stages::ball_end(const Joint& joint, const VecCRef& p0) {
   const int iv = joint.iv;
   const Vec3 X1(sum(work_.rate, iv), sum(work_.rate, iv + 1), sum(work_.rate, iv + 2));
   const Vec3 total = p0.segment<3>(iv) + Vec3(sum(Y_, iv), sum(Y_, iv + 1), sum(Y_, iv + 2));
-  const So3Coefficients k = so3_coefficients(X1.squaredNorm());
-  return so3_apply(-X1, k.sin_t, k.cos_t, total);
+  return end_ball_momentum(X1, total);
 }
 
 void Stages::configuration(const VecCRef& q0, int i, VecRef q) {

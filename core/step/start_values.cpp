@@ -26,10 +26,10 @@ StartValues::StartValues(int nv, const Stages& stages)
   }
 }
 
-void StartValues::push(const Stages& stages, double h) {
+void StartValues::push(const double* velocities, double h) {
   const int kept = static_cast<int>(history_.size());  // as many steps as the extrapolation uses
   newest_ = (newest_ + kept - 1) % kept;
-  std::copy(stages.v(), stages.v() + history(0).size(), history(0).data());
+  std::copy(velocities, velocities + history(0).size(), history(0).data());
   if (alike_ == kept && h == h_[0]) return;
   alike_ = alike_ > 0 && h == h_[0] ? alike_ + 1 : 1;
   for (int k = kept - 1; k > 0; --k) h_[k] = h_[k - 1];

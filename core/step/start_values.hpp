@@ -12,7 +12,8 @@ class StartValues {
   StartValues(int nv, const Stages& stages);
 
   // Remembers a step of length h that was taken; its velocities are in stages.
-  void push(const Stages& stages, double h);
+  void push(const Stages& stages, double h) { push(stages.v(), h); }
+  void push(const double* velocities, double h);
   void forget() { count_ = alike_ = 0; }
   int count() const { return count_; }
   // All that start values depend on: the steps that were remembered, newest first.

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "step/ball_step.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -114,7 +116,7 @@ void StepEquations::finish(VecRef q1, VecRef p1) {
                     stages_.sum(stages_.rate(), iv + 2));
       const Quat start(q0_[iq + 3], q0_[iq], q0_[iq + 1], q0_[iq + 2]);
       const Vec3 end = stages_.ball_end(joint, p0_);
-      q1.segment<4>(iq) = (start * so3_exp(X1)).normalized().coeffs();
+      q1.segment<4>(iq) = end_ball(start, X1).coeffs();
       p1.segment<3>(iv) = end;
       next_carry_p_.segment<3>(iv).setZero();
       continue;

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -135,6 +136,41 @@ def test_what_acts_in_the_joints_of_a_short_tree(name, forced):
             assert_same(result[k], cvi.simulate(scene, q, vs[k], throw=False, **own, **settings))
 
 
+def falling() -> cvi.Scene:
+    """Islands that fly: bodies high above the ground, of which two meet, and a damped pendulum beside them."""
+    model, geometry = pin.Model(), pin.GeometryModel()
+    pivot, bob = (pin.SE3(np.eye(3), np.array(at)) for at in ([0.0, 2.0, 1.0], [0.0, 0.0, -0.2]))
+    model.addJoint(0, pin.JointModelRY(), pivot, "swing")
+    model.appendBodyToJoint(1, pin.Inertia(0.1, bob.translation, 1e-3 * np.eye(3)), pin.SE3.Identity())
+    geometry.addGeometryObject(pin.GeometryObject("bob", 1, bob, coal.Sphere(0.05)))
+    scene = cvi.Scene.from_pinocchio(model, geometry)
+    for k in range(3):
+        scene.add_box(f"box_{k}", (0.1, 0.2, 0.15), mass=1.0 + k, placement=(0.5 * k, 0.0, 1.0))
+    scene.add_sphere("ball", 0.1, mass=1.0, placement=(1.5, 0.0, 0.5))
+    scene.set_joint("swing", damping=0.05)
+    scene.add_halfspace()
+    return scene
+
+
+@pytest.mark.parametrize("record_every", [1, 5])
+def test_islands_that_fly(record_every):
+    scene = falling()
+    v = np.zeros(scene.nv)
+    v[1:4], v[7:10] = (0.6, 0.0, 0.0), (-0.6, 0.0, 0.0)  # the first two boxes meet
+    vs = v + 0.1 * np.random.default_rng(0).standard_normal((RUNS, scene.nv))
+    settings = {"dt": 1e-3, "duration": 0.4, "order": 2, "record_every": record_every}
+    result = cvi.simulate_batch(scene, v0s=vs, keep="runs", workers=1, **settings)
+    assert result.impacts.any()
+    for k in range(RUNS):
+        single = cvi.simulate(scene, v0=vs[k], **settings)
+        assert_same(result[k], single)
+        for kind in ("input", "damping"):
+            assert getattr(result[k].work, kind).tobytes() == getattr(single.work, kind).tobytes()
+        assert single.work.damping[-1] > 0.0
+    ends = cvi.simulate_batch(scene, v0s=vs, keep="ends", workers=1, **settings)
+    assert ends.q.tobytes() == np.ascontiguousarray(result.q[:, -1:]).tobytes()
+
+
 def test_free_bodies_with_a_spring():
     scene = bodies()
     turns = [pin.exp3_quat(np.array([0.3, -0.5 * k, 0.8])) for k in range(3)]
@@ -157,6 +193,19 @@ def test_runs_with_parameters_of_their_own():
     for k in range(RUNS):
         own = scene.with_parameters({"mass:box": mass[k], "friction": friction[k]})
         assert_same(result[k], cvi.simulate(own, q, v, **settings))
+
+
+def test_lanes_outlast_the_scenes_of_their_first_runs():
+    """Each run has a scene of its own, which ends with it; those of one mass share lanes."""
+    scene = cvi.Scene()
+    scene.add_box("box", (0.1, 0.2, 0.3), mass=1.0)
+    vs = np.random.default_rng(0).standard_normal((4 * RUNS, scene.nv))
+    mass = 1.0 + 0.5 * (np.arange(4 * RUNS) % 2)[:, None]
+    settings = {"dt": 2e-3, "duration": 0.3, "order": 2}
+    result = cvi.simulate_batch(scene, None, vs, parameters={"mass:box": mass}, keep="runs", workers=1, **settings)
+    for k in range(4 * RUNS):
+        own = scene.with_parameters({"mass:box": mass[k]})
+        assert_same(result[k], cvi.simulate(own, own.neutral(), vs[k], **settings))
 
 
 @pytest.mark.parametrize("impact", ["dtec", "mhc"])

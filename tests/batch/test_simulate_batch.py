@@ -219,3 +219,22 @@ def test_bad_arguments(given, text):
     scene, _, _ = at_wall()
     with pytest.raises(cvi.InputError, match=text):
         cvi.simulate_batch(scene, **{"dt": 0.01, "duration": 0.1, **given})
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e60])
+@pytest.mark.parametrize("name", ["q0s", "v0s"])
+def test_one_start_among_good_ones_that_is_no_number(name, bad):
+    """Starts are looked at together where all can be used, and one by one where one cannot: the others are the same."""
+    scene, q, v = at_wall()
+    starts = {"q0s": np.tile(q, (5, 1)), "v0s": v * (1.0 + 0.05 * np.arange(5)[:, None])}
+    settings = {"dt": 0.01, "duration": 0.2}
+    good = cvi.simulate_batch(scene, **starts, **settings)
+    starts[name][3, 1] = bad
+    result = cvi.simulate_batch(scene, **starts, **settings)
+    assert np.flatnonzero(~result.ok).tolist() == [3]
+    with pytest.raises(cvi.InputError) as single:
+        cvi.simulate(scene, starts["q0s"][3], starts["v0s"][3], **settings)
+    assert str(result.errors[3]) == str(single.value)
+    for k in (0, 1, 2, 4):
+        for values in ("t", "q", "v"):
+            assert getattr(result, values)[k].tobytes() == getattr(good, values)[k].tobytes()

@@ -32,14 +32,14 @@ def alone(scene, options: dict[str, Any], q, v, tau) -> dict[str, Any]:
     return run.advance(STEPS, tau, 1, None)
 
 
-def side_by_side(scene, options: dict[str, Any], starts, taus, threads: int):
+def side_by_side(scene, options: dict[str, Any], starts, taus, threads: int, every: int = 1):
     """The batch of these runs and what it kept of each."""
     from contactvi import _core
 
     settings = _core.SimulatorOptions()
     for name, value in options.items():
         setattr(settings, name, value)
-    batch = _core.Batch(settings, STEPS, 1, _core.BatchKeep.RUNS, 1e-3)
+    batch = _core.Batch(settings, STEPS, every, _core.BatchKeep.RUNS, 1e-3)
     for (q, v), tau in zip(starts, taus, strict=True):
         batch.add(scene, q, v, None if tau is None else _core.BatchInputs(tau), None, None)
     batch.run(threads, None)
@@ -111,7 +111,10 @@ def test_higher_orders_are_made_alone(instruction_set):
     assert assert_same_bits(scene, {"dt": c.h, "order": 4}, starts, [None] * RUNS) == 0.0
 
 
-@pytest.mark.parametrize("name", ["double_pendulum", "joint_prismatic_y", "joint_revolute_x"])
+FLYING = ["double_pendulum", "joint_prismatic_y", "joint_revolute_x", "joint_helical_z", "joint_spherical", "free_body"]
+
+
+@pytest.mark.parametrize("name", FLYING)
 @pytest.mark.parametrize("damped", [False, True])
 def test_long_runs_whose_steps_are_solved_in_advance(instruction_set, name, damped):
     """Many times as many steps as are solved in advance; one run of them turns so far that its angle is wound back."""
@@ -127,11 +130,31 @@ def test_long_runs_whose_steps_are_solved_in_advance(instruction_set, name, damp
     assert_same_bits(scene, {"dt": 0.2 * c.h, "order": 2}, starts[:2], [None] * 2)
 
 
-def test_a_run_leaves_what_was_solved_in_advance(instruction_set):
+@pytest.mark.parametrize("name", ["double_pendulum", "joint_spherical", "free_body"])
+def test_a_run_leaves_what_was_solved_in_advance(instruction_set, name):
     """Steps in advance of one run among quiet ones stop where that asks for more than the first factor of a step."""
-    c = case("double_pendulum")
+    c = case(name)
     model = c.model()
     scene = core_scene(model)
     starts = [c.state(model, seed) for seed in range(RUNS)]
     starts[0] = (starts[0][0], 12.0 * starts[0][1])
     assert_same_bits(scene, {"dt": 2.0 * c.h, "order": 2}, starts, [None] * RUNS)
+
+
+@pytest.mark.parametrize("name", FLYING)
+@pytest.mark.parametrize("every", [1, 7, 1000])
+def test_nodes_and_works_of_steps_that_are_made_at_once(instruction_set, name, every):
+    c = case(name)
+    model = c.model()
+    scene = core_scene(model, damping=np.linspace(0.05, 0.1, model.nv))
+    starts = [c.state(model, seed) for seed in range(RUNS)]
+    options = {"dt": 0.2 * c.h, "order": 2}
+    _, found = side_by_side(scene, options, starts, [None] * RUNS, 1, every)
+    for (q, v), own in zip(starts, found, strict=True):
+        run = simulator(scene, **options)
+        assert run.reset(q, v, 0.0)["code"] == 0
+        single = run.advance(STEPS, None, every, None)
+        assert len(single["t"]) == 2 + (STEPS - 1) // every
+        for key in ("t", "q", "p", "work"):
+            assert single[key].tobytes() == own[key].tobytes(), key
+        assert single["work"][-1].any()
