@@ -43,7 +43,7 @@ void World::add_impact(const Entry& entry, double t, double length, Recording& r
   interpolate(scene_->tree, state_.q, q1_, x, impact.q);
   impact.p_minus = (1.0 - x) * state_.p + x * p1_;
   for (Island* island : islands_) {
-    if (!island->constrained() || island == entry.island) continue;
+    if (x == 0.0 || !island->constrained() || island == entry.island) continue;
     if (!graph_.measured()) tell_motion();  // the island makes a step more, which is not of the motion
     island->gather_at(state_.q, state_.p, state_.step, t, x * length, island_progress_, impact.q, impact.p_minus);
   }

@@ -11,6 +11,7 @@ import pytest
 
 import contactvi as cvi
 from helpers.loop_scenes import BAR, arm_scene, four_bar, four_bar_start, urdf
+from helpers.violent_scenes import driven_wall
 
 PHI = 1e-10  # [m, rad] what every node has to satisfy
 
@@ -311,3 +312,17 @@ def test_sampled_and_thinned_runs_keep_their_means():
     for traj in (thin, sampled):
         assert traj.reactions("crank")[1:] == pytest.approx(wanted, rel=1e-9)
         assert traj.work.prescribed == pytest.approx(full.work.prescribed[::10], abs=1e-12)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.0123])
+def test_an_impact_finds_prescribed_bodies_of_other_islands_where_they_are(gap):
+    """Also at the start of a step, whose end the others have reached by then."""
+    scene, q, v, _ = driven_wall(0.0, 0.0)
+    q[3], q[10] = 0.05 + gap, 1.05
+    v = scene.consistent_velocity(q)
+    v[3] = -1.0
+    events = cvi.simulate(scene, q, v, 0.05, 1e-2).events
+    assert len(events) > 0
+    assert (events.array("time")[0] == 0.0) == (gap == 0.0)
+    driven = 0.5 * np.sin(3.0 * events.array("time"))
+    assert events.array("q")[:, 0] == pytest.approx(driven, abs=1e-12)
