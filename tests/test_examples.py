@@ -15,6 +15,7 @@ from helpers.extras import extra, needs_mujoco
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+SLOW = ("cart_optimization", "hand_throw", "hand_roll", "hand_mppi", "puppet_optimization")
 # Pages whose code is run.
 PAGES = (
     "README.md", "docs/guide.md", "docs/optimal_control.md", "docs/coming_from_trep.md", "docs/coming_from_mujoco.md",
@@ -38,7 +39,9 @@ def run(arguments: list[str], folder: pathlib.Path) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path", [pytest.param(p, id=p.stem, marks=[pytest.mark.slow] * (p.stem in SLOW)) for p in EXAMPLES]
+)
 def test_example_runs(path, tmp_path):
     if path.stem in NEEDS:
         extra(NEEDS[path.stem])

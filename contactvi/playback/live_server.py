@@ -12,6 +12,7 @@ import socket
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -76,8 +77,11 @@ class FrameServer:
         self._server.shutdown()
         self._server.server_close()
 
-    def serve(self, connection: socket.socket) -> None:
-        """Send frames to one page until it goes, or until all were sent."""
+    def serve(self, connection: socket.socket, answer: Callable[[], None]) -> None:
+        """Send frames to one page until it goes, or until all were sent.
+
+        A page that has got its answer is among those that see what happens: it is taken in before.
+        """
         stream = _Stream(connection)
         with self._changed:
             if self._latest is not None:
@@ -86,6 +90,7 @@ class FrameServer:
             self._left = time.monotonic()  # from now on there was one
             self._changed.notify_all()
         try:
+            answer()
             self._send_all(stream)
         except OSError:  # the page is gone
             pass
@@ -172,8 +177,7 @@ def _handler(page: bytes, server: FrameServer) -> type[http.server.BaseHTTPReque
             self.send_header("Cache-Control", "no-store")
             if self.path == "/frames":
                 self.send_header("Content-Type", "text/event-stream")
-                self.end_headers()
-                server.serve(self.connection)
+                server.serve(self.connection, self.end_headers)
                 return
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(page)))

@@ -111,6 +111,7 @@ def test_what_cannot_be_sent_is_refused():
         cvi.simulate_batch(scene, q, v, keep="runs", executor=Losing(0), **SETTINGS)
 
 
+@pytest.mark.slow
 def test_dask_goes_on_when_a_worker_is_killed():
     distributed = pytest.importorskip("distributed")
     scene, q, v = at_wall()

@@ -29,6 +29,7 @@ print(after.ok.all(), after.q.tobytes() == before.q.tobytes())
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="it limits the address space")
 @pytest.mark.parametrize("more", [48, 24, 7])
+@pytest.mark.slow
 def test_runs_share_fewer_stacks_where_there_is_no_memory_for_more(more, tmp_path):
     code = LITTLE_MEMORY.format(model=MODELS / "double_pendulum_wall.toml", more=more)
     done = subprocess.run(

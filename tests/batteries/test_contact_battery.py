@@ -62,6 +62,7 @@ def runner() -> Iterator[Runner]:
 
 @pytest.mark.parametrize("small", SMALL)
 @pytest.mark.parametrize(("impact", "reference"), contact_scenes.MAPS)
+@pytest.mark.slow
 def test_every_map_restitution_and_friction(runner, impact, reference, small):
     seed, duration = SMALL[small]
     failed = []
@@ -86,6 +87,7 @@ def drawn_settings(family: str) -> st.SearchStrategy[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.slow
 def test_random_scenes(runner, family):
     failed: list[str] = []
 
@@ -109,6 +111,7 @@ def test_random_scenes(runner, family):
 
 
 @pytest.mark.parametrize(("family", "seed", "chosen"), MENDED)
+@pytest.mark.slow
 def test_scenes_that_are_mended(runner, family, seed, chosen):
     report = runner.examine(family, seed, LIMIT, **chosen)
     assert not report.found, str(report)

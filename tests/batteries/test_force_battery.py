@@ -53,6 +53,7 @@ def test_random_scenes(family):
 
 @pytest.mark.parametrize("friction", [0.0, 0.2])
 @pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.slow
 def test_energy_is_balanced_to_the_second_order(family, friction):
     """Ratio of the errors of two steps: the median over scenes, as a single one may have another number of impacts."""
     ratios = []

@@ -207,6 +207,7 @@ def test_inputs_friction_and_restitution_are_parameters(name):
     assert np.abs(S.matrix[-1] - found[1]).max() <= 1e-7 * scale + own
 
 
+@pytest.mark.slow
 def test_from_events_to_dense_steps_and_back():
     """With more than 24 points with friction a run takes dense steps; one ball is lifted, and events are located."""
     scene = cvi.Scene()

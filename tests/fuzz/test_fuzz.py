@@ -32,6 +32,7 @@ def check(tally: campaign.Tally, count: int) -> None:
 
 
 @pytest.mark.parametrize("family", NAMES)
+@pytest.mark.slow
 def test_a_few(family: str):
     check(campaign.chunk(family, 0, CASES), CASES)
 

@@ -189,6 +189,7 @@ class TestHulls:
         assert hull.computeVolume() == pytest.approx(1.0, abs=1e-14)
 
     @pytest.mark.parametrize("count", [400, 2000])
+    @pytest.mark.slow
     def test_a_finely_divided_disc_is_thinned_where_coal_gives_up(self, count):
         angle = 2 * np.pi * np.arange(count) / count
         ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)

@@ -111,6 +111,7 @@ def test_step_is_the_discrete_legendre_transform(name, s):
 
 @by_name("joint_planar", "arm_spherical", "tree")
 @pytest.mark.parametrize(("s", "numbers"), [(2, (20, 40)), (3, (10, 20)), (4, (6, 12)), (8, (2, 3))])
+@pytest.mark.slow
 def test_step_has_order_two_s_with_springs_damping_and_input(case, s, numbers):
     model, duration = case.model(), 0.4
     system, (q, v) = system_of(model), case.state(model)
@@ -128,6 +129,7 @@ def test_step_has_order_two_s_with_springs_damping_and_input(case, s, numbers):
 
 
 @pytest.mark.parametrize(("name", "s"), [*((n, 2) for n in LIE), ("joint_planar", 8), ("joint_spherical", 6)])
+@pytest.mark.slow
 def test_step_is_symplectic(name, s):
     model = case(name).model()
     system, (q, v) = system_of(model, conservative=True), case(name).state(model)
@@ -247,6 +249,7 @@ def test_problem_b_with_one_stage_has_the_known_orders(method):
 
 @pytest.mark.parametrize("method", gauss_impacts.METHODS)
 @pytest.mark.parametrize(("s", "steps"), [(6, (0.2, 0.075))])
+@pytest.mark.slow
 def test_problem_b_keeps_order_two_s_across_impacts(method, s, steps):
     exact, errors = problem_b.run(3.0).q, []
     for h in steps:

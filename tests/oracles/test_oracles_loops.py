@@ -131,6 +131,7 @@ def test_slider_crank_released():
 
 
 @pytest.mark.parametrize("pitch", [0.004, -0.05])
+@pytest.mark.slow
 def test_nut_on_a_screw(pitch):
     """Several turns of a free body on the thread, and Pinocchio's helical joint."""
     nut, turn = ScrewNut(0.7, 2e-4, pitch), np.array([0.0, 0.0, 2.0])
@@ -260,6 +261,7 @@ def test_driven_string_keeps_l_squared_omega(length):
 
 # --- springs -----------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("ends", ["fixed", "mixed", "free"])
+@pytest.mark.slow
 def test_chain_of_springs(ends):
     n, k, m = 5, 40.0, 0.7
     chain, model = strings.SpringChain(n, k, m, ends), planar(0.0)

@@ -94,6 +94,7 @@ def test_the_ball_moves_while_the_loop_runs(browser, ball):
     assert errors(browser) == []
 
 
+@pytest.mark.slow
 def test_pause_scrub_and_live(browser, ball):
     with cvi.view(ball, open_browser=False, realtime=True) as live:
         browser.get(live.url)
@@ -154,6 +155,7 @@ def test_the_page_forgets_what_is_old_and_starts_anew(browser, ball):
     assert errors(browser) == []
 
 
+@pytest.mark.slow
 def test_contacts_forces_and_events_of_a_rolling_ball(browser):
     """What the signs, the legend and the list say of contacts that come after the page was opened."""
     scene = cvi.Scene()

@@ -47,6 +47,7 @@ def read(path: pathlib.Path) -> tuple[list[str], np.ndarray]:
     return header, np.array(lines, dtype=float)
 
 
+@pytest.mark.slow
 def test_a_quick_run_is_quick_and_complete(quick):
     result, folder, seconds, _ = quick
     assert seconds < 60.0

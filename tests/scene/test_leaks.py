@@ -26,6 +26,7 @@ def resident() -> int:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the memory of a process is read from /proc")
+@pytest.mark.slow
 def test_scenes_with_a_urdf_leave_nothing_behind(tmp_path):
     (tmp_path / "arm.urdf").write_text(URDF)
 

@@ -84,6 +84,7 @@ def test_spinning_rod_does_not_sweep_through_a_pin(angle, turns):
     assert traj.events[0].gamma_minus == pytest.approx(-turns * distance * math.cos(contact), rel=1e-11)
 
 
+@pytest.mark.slow
 def test_an_event_is_found_wherever_it_lies_in_the_step():
     """A spinning ball with an offset centre of mass, one wall, one step of any length: all places of the root."""
     inertia = pin.Inertia(0.74, np.array([0.035, -0.077, -0.073]), np.diag([0.099, 0.076, 0.097]))

@@ -122,6 +122,7 @@ def at_a_gap(two: Two, a: pin.SE3, R: np.ndarray, direction: np.ndarray, gap: fl
 
 @pytest.mark.parametrize("halves", HALVES)
 @pytest.mark.parametrize("other", OTHERS)
+@pytest.mark.slow
 def test_gaps_and_normals_are_exact(other, halves):
     half = np.array(HALVES[halves])
     make, core = OTHERS[other]

@@ -184,6 +184,7 @@ def ball_over_floor():
 
 @maps
 @pytest.mark.parametrize(("order", "restitution"), [(4, 1.0), (6, 0.7)])
+@pytest.mark.slow
 def test_spinning_ball_is_the_oracles_run(method, order, restitution):
     """Free flight on R^3 x SO(3), coupled with spin by the impacts."""
     model, shapes, q, v = ball_over_floor()

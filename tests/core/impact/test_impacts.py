@@ -240,6 +240,7 @@ def test_energy_of_an_elastic_run_does_not_drift():
 
 @pytest.mark.parametrize("h", [0.02, 0.01, 0.002])
 @pytest.mark.parametrize("restitution", [1.0, 0.7])
+@pytest.mark.slow
 def test_many_rooms(restitution, h):
     """A hundred other starts: the event loop comes through and nothing passes anything."""
     for seed in range(100, 200):

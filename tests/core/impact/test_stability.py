@@ -185,6 +185,7 @@ def test_halved_steps_get_over_a_snap(method, mhc_global, order):
 
 # --- many impacts ---------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", map_runs.METHODS)
+@pytest.mark.slow
 def test_a_hundred_thousand_impacts_of_a_ball(method, record_property):
     import contactvi as cvi
 

@@ -229,6 +229,7 @@ def foreign_symbols(source: Path, options: list[str], folder: Path) -> tuple[lis
     return weak, [name for name, kind in symbols if kind.isupper() and kind not in "UWV"]
 
 
+@pytest.mark.slow
 def test_objects_export_one_c_symbol_and_nothing_weak(tmp_path):
     """A weak symbol compiled for AVX-512 may be the one the linker keeps, and crash an older machine."""
     sources = sorted((CORE / "lanes").glob("*.cpp"))

@@ -62,6 +62,7 @@ def quantities(traj: cvi.Trajectory, nodes: np.ndarray, run: forced.Run) -> dict
 
 
 @pytest.mark.parametrize("system", SYSTEMS, ids=lambda s: s.name)
+@pytest.mark.slow
 def test_order_two_against_the_oracle(system: System):
     """Configuration, velocity, energies, works and reactions: errors fall by 4 per halving of the step."""
     scene, q0, v0 = system.start()

@@ -149,6 +149,7 @@ def test_trees_that_went_wrong(seed):
 
 
 @pytest.mark.parametrize("block", range(4))
+@pytest.mark.slow
 def test_random_trees(block):
     for seed in range(40 * block, 40 * (block + 1)):
         result = random_run(seed)
