@@ -2,7 +2,8 @@
 
     python benchmarks/step_cost.py [--steps 2000] [--models "Allegro hand"]
 
-Times are the fastest of several blocks, measured in C++ (no Python in the loop). Machines are noisy: quote the ratios.
+Times are the fastest of several blocks: contactvi's measured in C++, with no Python in the loop; those of Pinocchio of
+calls from Python, less what a call takes. Machines are noisy: quote the ratios.
 
 - Evaluation: contactvi's kernel on each instruction set, nanoseconds for one stage when 1, 4 or 8 stages are done at
   once; `_core.kernel_seconds` documents its columns.
