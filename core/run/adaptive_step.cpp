@@ -122,18 +122,24 @@ bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& s
       mark = recording.mark();
       kept = k;
     }
+    const bool shortest = smooth < kShortestStep * duration;
     truncation_.largest = 0.0;
     truncation_.iterations = 0;
+    truncation_.limited = !shortest;
+    truncation_.too_long = false;
+    const DensePhase dense = state_.dense;
     const double step_start = section.begin + in_section * h;
-    const bool solved = advance_interval(step_start, h, no_force, recording);
+    const bool made = advance_interval(step_start, h, no_force, recording), solved = made || truncation_.too_long;
+    truncation_.limited = false;
     const bool retry =
         state_.status.code == StatusCode::kNewtonFailed || state_.status.code == StatusCode::kEventUnresolved;
     if (!solved && !retry) return false;
     const double seen = solved ? truncation_.largest : std::numeric_limits<double>::infinity();
     const double iterations = static_cast<double>(truncation_.iterations);
-    const bool shortest = smooth < kShortestStep * duration;
     if (!solved && shortest) return false;
     bool again = seen > level && !shortest;
+    // A step that was given up before anything was done in it leaves the steps before it as they are.
+    const bool here = again && !made && truncation_.too_long && truncation_.first;
     if (again && persistent && !solved) {
       truncation_.longest_contact = 0.5 * h;
     } else if (again) {
@@ -147,9 +153,14 @@ bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& s
       if (again) state_.adaptive_dt = growth * h;
     }
     if (again) {
-      redo_from(start, mark, recording);
+      if (here) {
+        state_.dense = dense;
+        ++state_.rejected;
+      } else {
+        redo_from(start, mark, recording);
+      }
       while (lengths.size() > 1 && lengths.back().first >= state_.time) lengths.pop_back();
-      shortened = kept > 0;
+      shortened = here ? k > 0 : kept > 0;
       if (shortened) break;
       k = 0;
       in_section = 0.0;

@@ -25,15 +25,28 @@ Eigen::Map<const VecX> configuration(const Tree& tree, const KeptRun& run, std::
 // The whole number nearest to x, halves to the even one.
 std::size_t nearest(double x) { return static_cast<std::size_t>(std::nearbyint(x)); }
 
-// `times` nodes up to the number `count`, the last one among them.
-std::vector<std::size_t> chosen_nodes(const std::vector<double>& t, std::size_t count, int times, bool over_time) {
+// `times` nodes up to the number `count`, the last one among them: spread evenly over the time.
+std::vector<std::size_t> nodes_over_time(const std::vector<double>& t, std::size_t count, int times) {
   std::vector<std::size_t> nodes;
-  const double last = static_cast<double>(count - 1);
   for (int k = 1; k <= times; ++k) {
-    const double share = static_cast<double>(k) / times;
-    const double time = t[0] + (t[count - 1] - t[0]) * share * (1.0 - kSameTime);
-    nodes.push_back(over_time ? static_cast<std::size_t>(std::lower_bound(t.begin(), t.end(), time) - t.begin())
-                              : nearest(last * share));
+    const double time = t[0] + (t[count - 1] - t[0]) * k / times * (1.0 - kSameTime);
+    nodes.push_back(static_cast<std::size_t>(std::lower_bound(t.begin(), t.end(), time) - t.begin()));
+  }
+  return nodes;
+}
+
+// As this, one in each of as many parts with equally many nodes: that to which the other run's step is shortest, for a
+// short step takes few iterations.
+std::vector<std::size_t> nodes_in_parts(const std::vector<double>& t, std::size_t count, int times,
+                                        const SegmentPaths& other) {
+  std::vector<std::size_t> nodes;
+  const std::size_t last = count - 1;
+  for (int k = 1; k <= times; ++k) {
+    const auto end_of = [&](int part) { return nearest(static_cast<double>(last) * part / times); };
+    std::size_t best = end_of(k);
+    for (std::size_t i = end_of(k - 1) + 1; best < last && i < end_of(k); ++i)
+      if (other.step_to(t[i]) < other.step_to(t[best])) best = i;
+    nodes.push_back(best);
   }
   return nodes;
 }
@@ -130,12 +143,13 @@ VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRu
     }
     return apart;
   }
-  const std::vector<std::size_t> nodes = chosen_nodes(t, both, times, over_time);
   SegmentPaths paths(tree, options.stages, arrays_of(other.recording.segments));
+  const std::vector<std::size_t> nodes =
+      over_time ? nodes_over_time(t, both, times) : nodes_in_parts(t, both, times, paths);
   Integrator integrator(tree, options.stages, options.tol, options.max_iterations);
-  VecX apart(static_cast<Eigen::Index>(nodes.size())), q(tree.nq), v(tree.nv);
+  VecX apart(static_cast<Eigen::Index>(nodes.size())), q(tree.nq);
   for (std::size_t k = 0; k < nodes.size(); ++k) {
-    const bool known = paths.state(t[nodes[k]], options.tol, integrator, q, v);
+    const bool known = paths.configuration(t[nodes[k]], options.tol, integrator, q);
     apart[static_cast<Eigen::Index>(k)] =
         known ? configuration_distance(tree, q, configuration(tree, found, nodes[k])) : kInfinity;
   }

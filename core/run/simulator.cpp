@@ -225,14 +225,22 @@ Status Simulator::advance(long steps, const MatX& tau, const MatX& target, long 
 // after an error of a user's function the run has ended then.
 bool Simulator::solve_smooth_step(double time, double h, const VecX& tau, bool last_try) {
   const long before = integrator_.counters.stage_iterations;
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  integrator_.limit_truncation(truncation_.limited ? truncation_.bound : kInfinity);
   integrator_.lead(guide_, time);
   bool solved = integrator_.solve(state_.q, state_.p, h, tau);
   while (solved && actuation_.saturate_servos(integrator_)) {
     integrator_.forget();
     solved = integrator_.solve(state_.q, state_.p, h, tau);
   }
+  integrator_.limit_truncation(kInfinity);
   if (!solved) {
     if (user_function_failed(time)) return false;
+    truncation_.too_long = integrator_.too_long();
+    if (truncation_.too_long) {
+      truncation_.largest = std::max(truncation_.largest, integrator_.truncation());
+      return false;
+    }
     if (!last_try) return false;
     const bool finite = in_range(state_.q, state_.p);
     return end(finite ? StatusCode::kNewtonFailed : StatusCode::kNotFinite, time,
@@ -299,6 +307,10 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
     if (truncation_.after_impact > 1 && state_.impacts > before)
       state_.control.free.longest =
           std::min(state_.control.free.longest, interval.remaining / truncation_.after_impact);
+    if (truncation_.too_long) {
+      truncation_.first = parts == 1;
+      return false;
+    }
     const bool shortened = !going && may_be_shortened(length, impacts);
     if (dense_allowed && !shortened && (going ? events_accumulate(length) : dense_steps_go_on()))
       begin_dense_phase();
@@ -316,8 +328,6 @@ bool Simulator::advance_interval(double start, double length, const VecX& tau, R
 bool Simulator::advance_free(Interval& interval, long halved, Recording& recording) {
   StepControl& control = state_.control;
   const double at = interval.start + interval.done;
-  if (!recording.phase_t.empty())
-    record_phase(at, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt, StepKind::kFree, recording);
   const double longest = control.longest_free();
   const bool shorter = longest < interval.remaining * (1.0 - 1e-9);
   const double h = shorter ? longest : interval.remaining;
@@ -329,6 +339,8 @@ bool Simulator::advance_free(Interval& interval, long halved, Recording& recordi
     control.halve_free(h);
     return true;
   }
+  if (!recording.phase_t.empty())
+    record_phase(at, truncation_.bound > 0.0 ? state_.adaptive_dt : options_.dt, StepKind::kFree, recording);
   if (!stays_in_range(at)) return false;
   const WorkAccount::FreeWork work = state_.work.of(integrator_);
   Search found = Search::kNone;

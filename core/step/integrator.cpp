@@ -35,10 +35,12 @@ bool Integrator::solve_stages() {
   iteration_.begin(newton_);
   acceleration_.clear();
   clear_turns();
+  looks_at_truncation_ = limits_truncation();
   if (lanes_ != nullptr) company_->iterate(*this, *lanes_);
   while (iteration_.goes_on()) {
     iterate_stages(iteration_.flags());
     judge_iteration();
+    if (exceeds_truncation()) return false;
     if (iteration_.accelerates()) accelerate();
   }
   residual_ = iteration_.error();
@@ -47,6 +49,24 @@ bool Integrator::solve_stages() {
   solved_ = iteration_.solved();
   if (!solved_) why_ = iteration_.finite() ? "the stage iterations do not converge" : "a number is not finite";
   return solved_;
+}
+
+// Whether nothing more is to be tried: the step is solved, or it is too long.
+bool Integrator::settles() { return solve_stages() || too_long_; }
+
+// Whether the truncation is above the limit, by more than further iterations are expected to change it. Where it is
+// below the limit by as much, it is looked at again at the end only.
+bool Integrator::exceeds_truncation() {
+  const bool goes_on = iteration_.goes_on();
+  if (!(goes_on ? looks_at_truncation_ : limits_truncation() && iteration_.solved())) return false;
+  const double theta = iteration_.contraction();
+  if (goes_on && !(theta >= 0.0 && theta < 1.0)) return false;  // nothing is known yet
+  const double seen = truncation(), left = goes_on ? truncation_change() * std::max(1.0, theta / (1.0 - theta)) : 0.0;
+  looks_at_truncation_ = seen + left > truncation_limit_;
+  // Where it is lost in what the solution of the stage equations resolves, shorter steps leave out no less.
+  too_long_ = seen > truncation_limit_ + left && seen > resolution();
+  if (too_long_) why_ = "the step is too long for its stages";
+  return too_long_;
 }
 
 void Integrator::judge_iteration() {
@@ -90,10 +110,12 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   part_ = false;
   stage_iterations_ = 0;
   why_ = "";
+  too_long_ = false;
   const int s = stages_.count();
-  if (again && solve_stages()) return !turns_too_far();
+  const auto fits = [this] { return !too_long_ && !turns_too_far(); };
+  if (again && settles()) return fits();
   Guide* guide = std::exchange(guide_, nullptr);
-  if (guide != nullptr && guide->lead(guide_time_, h, start_, stages_) && solve_stages()) return !turns_too_far();
+  if (guide != nullptr && guide->lead(guide_time_, h, start_, stages_) && settles()) return fits();
   if (may_look_ahead) {
     ask_ahead();
     if (take_ahead(q0_, p0_, h)) return true;
@@ -101,10 +123,10 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
   }
   if (start_.count() > 0) {
     start_.extrapolate(h, stages_);
-    if (solve_stages()) return !turns_too_far();
+    if (settles()) return fits();
     if (s > 2) {
       start_.extrapolate_smoothed(h, stages_);
-      if (solve_stages()) return !turns_too_far();
+      if (settles()) return fits();
     }
   }
   if (!node_velocity(q0_, p0_, v0_)) {
@@ -112,8 +134,8 @@ bool Integrator::solve(const VecCRef& q0, const VecCRef& p0, double h, const Vec
     return false;
   }
   start_constant(v0_);
-  if (solve_stages()) return !turns_too_far();
-  return start_by_ramp(tau) && !turns_too_far();
+  if (settles()) return fits();
+  return start_by_ramp(tau) && fits();
 }
 
 // Whether the steps from here on are likely to go on as the last ones did, with no inputs that may change.

@@ -5,6 +5,8 @@
 // their measured contraction; or when rounding stops the contraction near the solution.
 #pragma once
 
+#include <limits>
+
 #include "step/anderson.hpp"
 #include "step/lane_company.hpp"
 #include "step/path.hpp"
@@ -33,6 +35,10 @@ class Integrator final : public Stepper, public StepEquations {
     guide_ = guide;
     guide_time_ = t;
   }
+  // From now on solve() gives a step up as soon as it is seen that its truncation is above this [m; rad].
+  void limit_truncation(double limit) { truncation_limit_ = limit; }
+  // Whether the last solve did so; truncation() is what it saw then.
+  bool too_long() const { return too_long_; }
   // Displacement that the solution of the stage equations resolves in the step just solved [m; rad].
   double resolution() const { return iteration_.tol() * stage_motion(); }
   // Solves it to rounding: impact maps form differences of such steps.
@@ -90,6 +96,9 @@ class Integrator final : public Stepper, public StepEquations {
   bool take_ahead(const VecCRef& q0, const VecCRef& p0, double h);
   void count_ahead(int after);
   bool solve_stages();
+  bool settles();
+  bool limits_truncation() const { return truncation_limit_ < std::numeric_limits<double>::infinity(); }
+  bool exceeds_truncation();
   void judge_iteration();
   void accelerate() { acceleration_.apply(stages_); }
   bool start_by_ramp(const VecX& tau);
@@ -110,6 +119,9 @@ class Integrator final : public Stepper, public StepEquations {
   double residual_ = 0.0;
   int stage_iterations_ = 0;
   bool solved_ = false;
+  double truncation_limit_ = std::numeric_limits<double>::infinity();
+  bool looks_at_truncation_ = false;  // whether it is unknown yet on which side of the limit it is
+  bool too_long_ = false;
   bool newton_ = false;  // the last step needed the Newton matrix
   const char* why_ = "";
 };

@@ -32,6 +32,9 @@ const StepPath* SegmentPaths::path(Eigen::Index segment, StepEquations& equation
   p1_ = Eigen::Map<const VecX>(segments_.p1 + segment * nv, nv);
   if (!equations.node_velocity(path_.q0(), p(segment), v0_) || !equations.node_velocity(q1_, p1_, v1_)) return nullptr;
   path_.raise(v0_, v1_);
+  path_.doubt(v0_);
+  path_.bound(v1_);
+  left_out_ = v0_.norm() / v1_.norm();  // NaN at rest
   made_ = segment;
   return &path_;
 }
@@ -49,17 +52,34 @@ bool SegmentPaths::state(double time, StepEquations& equations, VecRef q, VecRef
   return true;
 }
 
-bool SegmentPaths::state(double time, double tol, Integrator& integrator, VecRef q, VecRef v) {
+double SegmentPaths::step_to(double time) const {
+  const double tau = fraction(time, at(time));
+  return tau >= kAtNode && tau <= 1.0 - kAtNode ? tau : 0.0;
+}
+
+bool SegmentPaths::make_step_to(double time, double tol, Integrator& integrator, VecRef q) {
   const Eigen::Index segment = at(time);
-  const double tau = fraction(time, segment);
+  const double tau = step_to(time);
+  if (persistent(segment) || tau == 0.0) return false;
   const StepPath* motion = path(segment, integrator);
-  if (motion == nullptr) return false;
-  if (!persistent(segment) && tau >= kAtNode && tau <= 1.0 - kAtNode &&
-      integrator.solve_part(*motion, tau, motion->q0(), p(segment), VecX(), tol)) {
-    integrator.finish(q, p1_);
-    if (integrator.node_velocity(q, p1_, v)) return true;
-  }
-  return state(time, integrator, q, v);
+  if (motion == nullptr || left_out_ <= tol ||
+      !integrator.solve_part(*motion, tau, motion->q0(), p(segment), VecX(), tol))
+    return false;
+  integrator.finish(q, p1_);
+  return true;
+}
+
+bool SegmentPaths::state(double time, double tol, Integrator& integrator, VecRef q, VecRef v) {
+  return (make_step_to(time, tol, integrator, q) && integrator.node_velocity(q, p1_, v)) ||
+         state(time, integrator, q, v);
+}
+
+bool SegmentPaths::configuration(double time, double tol, Integrator& integrator, VecRef q) {
+  if (make_step_to(time, tol, integrator, q)) return true;
+  const Eigen::Index segment = at(time);
+  const StepPath* motion = path(segment, integrator);
+  if (motion != nullptr) motion->configuration(fraction(time, segment), q);
+  return motion != nullptr;
 }
 
 }  // namespace contactvi

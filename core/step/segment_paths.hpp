@@ -22,19 +22,27 @@ class SegmentPaths {
   // matrix is not positive definite.
   const StepPath* path(Eigen::Index segment, StepEquations& equations);
   // The state at a time [s] by a step from the start of its segment to there, which is as accurate as a node where it
-  // is solved to tol; from the polynomial where contacts persist, at a node, and where it is not solved.
+  // is solved to tol; from the polynomial where that leaves out no more than tol, where contacts persist, at a node, and
+  // where the step is not solved.
   bool state(double time, double tol, Integrator& integrator, VecRef q, VecRef v);
-  // As this, always from the polynomial.
+  // As this, q alone.
+  bool configuration(double time, double tol, Integrator& integrator, VecRef q);
+  // As the first, always from the polynomial.
   bool state(double time, StepEquations& equations, VecRef q, VecRef v);
+  // Of its segment that lies before a time [s]: the part that a step to there makes. 0 at a node, where it makes none.
+  double step_to(double time) const;
 
  private:
   double fraction(double time, Eigen::Index segment) const;
+  // The state at the end of the step to a time [s], in q and p1_. False where there is none, or none is needed.
+  bool make_step_to(double time, double tol, Integrator& integrator, VecRef q);
 
   const Tree* tree_;
   SegmentArrays segments_;
   int stages_;
   StepPath path_;
   Eigen::Index made_ = -1;  // segment of path_
+  double left_out_ = 0.0;   // of the rates by path_, relative
   VecX q1_, p1_, v0_, v1_;
 };
 

@@ -45,7 +45,8 @@ class StageIteration {
   bool converged() const { return outcome_ == Outcome::kConverged; }
   bool finite() const { return outcome_ != Outcome::kNotFinite; }
   bool newton() const { return newton_; }
-  double error() const { return error_; }  // the last one, relative
+  double error() const { return error_; }        // the last one, relative
+  double contraction() const { return theta_; }  // of the last iteration; -1: unknown
 
  private:
   enum class Outcome { kGoesOn, kConverged, kRounding, kDiverged, kNotFinite };

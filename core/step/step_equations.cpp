@@ -149,14 +149,20 @@ const MatX& StepEquations::velocities() {
   return velocities_;
 }
 
-double StepEquations::truncation() const {
-  const int s = stages_.count(), S = stages_.padded();
+// Of the numbers v of the stages, as Stages keeps them.
+double StepEquations::highest_mode(const double* v) const {
+  constexpr int kSideBySide = 4;  // dofs, whose sums do not wait for each other
+  const int s = stages_.count(), S = stages_.padded(), nv = tree_->nv;
   const double* weight = stages_.table().to_legendre[s - 1];
   double sum = 0.0;
-  for (int d = 0; d < tree_->nv; ++d) {
-    double mode = 0.0;
-    for (int j = 0; j < s; ++j) mode += weight[j] * stages_.v()[d * S + j];
-    sum += mode * mode;
+  for (int first = 0; first < nv; first += kSideBySide) {
+    const int count = std::min(kSideBySide, nv - first);
+    double mode[kSideBySide] = {};
+    const double* row[kSideBySide];
+    for (int k = 0; k < kSideBySide; ++k) row[k] = v + (first + std::min(k, count - 1)) * S;
+    for (int j = 0; j < s; ++j)
+      for (int k = 0; k < kSideBySide; ++k) mode[k] += weight[j] * row[k][j];
+    for (int k = 0; k < count; ++k) sum += mode[k] * mode[k];
   }
   return std::abs(h_) * std::sqrt(sum);
 }

@@ -46,7 +46,9 @@ class StepEquations {
   double servo_torque(int d, int i) const { return stages_.servo_torque(d, i); }
   // Size of the highest mode of the stage velocities: what the polynomial of the path hardly resolves any more [m;
   // rad].
-  double truncation() const;
+  double truncation() const { return highest_mode(stages_.v()); }
+  // What the last iteration has changed of it, at most.
+  double truncation_change() const { return highest_mode(stages_.dv()); }
   // Size of the displacements of the stages [m; rad].
   double stage_motion() const;
 
@@ -97,6 +99,7 @@ class StepEquations {
   VecX carry_q_, carry_p_, next_carry_q_, next_carry_p_;
 
  private:
+  double highest_mode(const double* v) const;
   template <class Value>
   double quadrature(Value value) const;
 

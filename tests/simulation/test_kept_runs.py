@@ -88,21 +88,40 @@ def test_a_run_that_leads_astray_costs_sweeps_and_nothing_else():
     np.testing.assert_allclose(first.nodes()[1][-1], second.nodes()[1][-1], atol=1e-9)
 
 
-def test_distances_are_those_of_the_states():
-    """At nodes of the second run, against the partial steps of the first that a trajectory makes."""
+@pytest.mark.parametrize("over_time", [False, True])
+def test_distances_are_those_of_the_states(over_time):
+    """At a node of the second run in each eighth of it, against the partial steps of the first of a trajectory."""
     compiled = flying_box()
     first = made(compiled)
     second = made(compiled, coarser=first, part=0.37)
-    apart = second.distances(first, 8)
+    apart = second.distances(first, 8, over_time)
     size, steps = second.size, second.nodes
     record, finer = record_of(first, compiled), record_of(second, compiled)
     t, q, _ = finer.nodes()
     assert len(np.intersect1d(t, record.nodes()[0])) < 8
-    nodes = np.linspace(0, len(t) - 1, 9)[1:].round().astype(int)
-    states, _ = record.segments_joined().states(compiled.core, t[nodes], exact=True)
-    np.testing.assert_allclose(apart, compiled.states.distance(states, q[nodes]), rtol=1e-6, atol=1e-12)
+    states, _ = record.segments_joined().states(compiled.core, t, exact=True)
+    at_nodes = compiled.states.distance(states, q)
+    if over_time:
+        own = at_nodes[np.searchsorted(t, SPAN / 8 * np.arange(1, 9) - 1e-12)]
+    else:  # at the node of each part to which a step of the first run is shortest
+        ends = np.linspace(0, len(t) - 1, 9).round().astype(int)
+        begins = np.append(record.segments_joined().arrays["t"], t[-1])
+        own = np.array([
+            at_nodes[low + 1 + np.argmin(_fractions(t[low + 1 : high + 1], begins))]
+            for low, high in zip(ends[:-1], ends[1:], strict=True)
+        ])  # fmt: skip
+        own[-1] = at_nodes[-1]
+    np.testing.assert_allclose(apart, own, rtol=1e-6, atol=1e-12)
+    assert apart.max() > 0.0
     assert size == pytest.approx(compiled.states.distance(q[:1], q).max(), rel=1e-12)
     assert steps == len(t)
+
+
+def _fractions(times, begins):
+    """Return which parts of the segments between some times lie before others; 0 at their ends."""
+    at = np.clip(np.searchsorted(begins, times, side="right") - 1, 0, len(begins) - 2)
+    part = (times - begins[at]) / (begins[at + 1] - begins[at])
+    return np.where((part < 1e-9) | (part > 1.0 - 1e-9), 0.0, part)
 
 
 def test_distances_at_the_nodes_of_both_runs():

@@ -7,10 +7,12 @@ import signal
 import threading
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import contactvi as cvi
 from helpers import map_runs
+from helpers.chains import chain
 from helpers.contact_models import problem_b
 from helpers.contact_models import scene as public_scene
 from helpers.run_scenes import HEIGHT, RADIUS, ball_scene, hand_scene
@@ -85,6 +87,31 @@ def test_what_is_thrown_away_is_counted():
         assert stats["impacts"] == len(result["events"]["time"]) == 2
     ends = np.array([result["q"][-1] for result in runs.values()])
     assert np.ptp(ends, axis=0).max() <= 1e-5
+
+
+@ORDERS
+def test_no_step_that_stays_is_too_long(order):
+    """The highest mode of the velocities of each whole step moves nothing by more than the level.
+
+    Steps that are given up are solved only as far as it takes to see that, and those before them stay: run over by the
+    run that they belong to, they would be there twice or not at all.
+    """
+    scene, rng = chain([pin.JointModelRY() for _ in range(5)])
+    level, s = LEVELS[order], order // 2
+    simulator = map_runs.start(scene, scene.neutral(), rng.uniform(-1, 1, 5), 0.02, "ctec", order=order, dense=True)
+    result = run_auto(simulator, 3.0, level)
+    assert result["code"] == SUCCESS
+    steps, stats = result["segments"], result["stats"]
+    nodes, weights = np.polynomial.legendre.leggauss(s)
+    mode = (2 * s - 1) / 2 * weights * np.polynomial.legendre.Legendre.basis(s - 1)(nodes)
+    rates = steps["rates"].reshape(-1, s, 5)
+    left_out = steps["h"] * np.linalg.norm(np.einsum("j,njd->nd", mode, rates), axis=1)
+    assert level * 0.1 < left_out.max() <= level
+    np.testing.assert_allclose(steps["t"] + steps["h"], result["t"][1:], rtol=1e-12)
+    lengths = result["adaptive_steps"]["dt"]
+    assert np.all(np.diff(lengths) < 0.0) and len(lengths) > 1
+    assert stats["steps"] == len(steps["t"])
+    assert 0 < stats["rejected"] <= 16 + 3 * len(lengths)  # probes, and a few steps for each length
 
 
 @ORDERS
