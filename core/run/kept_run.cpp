@@ -146,10 +146,18 @@ VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRu
   SegmentPaths paths(tree, options.stages, arrays_of(other.recording.segments));
   const std::vector<std::size_t> nodes =
       over_time ? nodes_over_time(t, both, times) : nodes_in_parts(t, both, times, paths);
+  Guide guide(tree, arrays_of(other.recording.segments), impact_times(other.recording));
   Integrator integrator(tree, options.stages, options.tol, options.max_iterations);
-  VecX apart(static_cast<Eigen::Index>(nodes.size())), q(tree.nq);
+  VecX apart(static_cast<Eigen::Index>(nodes.size())), q(tree.nq), p(tree.nv);
   for (std::size_t k = 0; k < nodes.size(); ++k) {
-    const bool known = paths.configuration(t[nodes[k]], options.tol, integrator, q);
+    const double time = t[nodes[k]];
+    const Eigen::Index segment = paths.at(time);
+    const double begin = paths.start(segment);
+    q = paths.q(segment);
+    p = paths.p(segment);
+    const bool solved = !paths.persistent(segment) && paths.step_to(time) > 0.0 &&
+                        advance_state(integrator, guide, begin, time - begin, q, p);
+    const bool known = solved || paths.state(time, integrator, q, p);  // from the polynomial
     apart[static_cast<Eigen::Index>(k)] =
         known ? configuration_distance(tree, q, configuration(tree, found, nodes[k])) : kInfinity;
   }

@@ -3,28 +3,12 @@
 #include <algorithm>
 #include <utility>
 
+#include "step/legendre_weights.hpp"
+
 namespace contactvi {
 
 namespace {
 constexpr double kBeyond = 1.0;  // of a segment: how far beyond its ends its polynomial is continued
-
-// Weights of the values at the Gauss nodes in those at x[i], i < count, of the polynomial through them:
-// weights[j * count + i] of node j.
-void weigh(const GaussTable& table, const double* x, int count, double* __restrict weights) {
-  double P[kMaxStages][kMaxStages];  // Legendre's polynomials, lane by lane
-  for (int i = 0; i < count; ++i) {
-    P[0][i] = 1.0;
-    P[1][i] = 2.0 * x[i] - 1.0;
-  }
-  for (int k = 2; k < table.s; ++k)
-    for (int i = 0; i < count; ++i) P[k][i] = ((2 * k - 1) * P[1][i] * P[k - 1][i] - (k - 1) * P[k - 2][i]) / k;
-  for (int j = 0; j < table.s; ++j) {
-    double* __restrict row = weights + j * count;
-    for (int i = 0; i < count; ++i) row[i] = table.to_legendre[0][j];
-    for (int k = 1; k < table.s; ++k)
-      for (int i = 0; i < count; ++i) row[i] += table.to_legendre[k][j] * P[k][i];
-  }
-}
 }  // namespace
 
 Guide::Guide(const Tree& tree, const SegmentArrays& earlier, std::vector<double> impacts)
@@ -97,7 +81,7 @@ bool Guide::lead(double t, double h, const StartValues& own, Stages& stages) {
   for (int first = 0; first < s;) {
     int end = first + 1;
     while (end < s && places[end].segment == places[first].segment) ++end;
-    weigh(table, x, S, weights);
+    legendre_weights(table, x, S, weights);
     const int last = end == s ? S : end;
     for (int j = 0; j < s; ++j) {
       std::fill_n(weights + j * S, first, 0.0);
@@ -109,7 +93,7 @@ bool Guide::lead(double t, double h, const StartValues& own, Stages& stages) {
   if (own.count() == 0) return true;
   own.end(table, difference_);
   double at_start[kMaxStages];
-  weigh(table, &start.x, 1, at_start);
+  legendre_weights(table, &start.x, 1, at_start);
   const double* v = velocities(start.segment, stages);
   for (int d = 0; d < nv; ++d) {
     double difference = difference_[d];

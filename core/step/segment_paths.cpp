@@ -57,29 +57,17 @@ double SegmentPaths::step_to(double time) const {
   return tau >= kAtNode && tau <= 1.0 - kAtNode ? tau : 0.0;
 }
 
-bool SegmentPaths::make_step_to(double time, double tol, Integrator& integrator, VecRef q) {
+bool SegmentPaths::state(double time, double tol, Integrator& integrator, VecRef q, VecRef v) {
   const Eigen::Index segment = at(time);
   const double tau = step_to(time);
-  if (persistent(segment) || tau == 0.0) return false;
   const StepPath* motion = path(segment, integrator);
-  if (motion == nullptr || left_out_ <= tol ||
-      !integrator.solve_part(*motion, tau, motion->q0(), p(segment), VecX(), tol))
-    return false;
-  integrator.finish(q, p1_);
-  return true;
-}
-
-bool SegmentPaths::state(double time, double tol, Integrator& integrator, VecRef q, VecRef v) {
-  return (make_step_to(time, tol, integrator, q) && integrator.node_velocity(q, p1_, v)) ||
-         state(time, integrator, q, v);
-}
-
-bool SegmentPaths::configuration(double time, double tol, Integrator& integrator, VecRef q) {
-  if (make_step_to(time, tol, integrator, q)) return true;
-  const Eigen::Index segment = at(time);
-  const StepPath* motion = path(segment, integrator);
-  if (motion != nullptr) motion->configuration(fraction(time, segment), q);
-  return motion != nullptr;
+  if (motion == nullptr) return false;
+  if (!persistent(segment) && tau > 0.0 && !(left_out_ <= tol) &&
+      integrator.solve_part(*motion, tau, motion->q0(), p(segment), VecX(), tol)) {
+    integrator.finish(q, p1_);
+    if (integrator.node_velocity(q, p1_, v)) return true;
+  }
+  return state(time, integrator, q, v);
 }
 
 }  // namespace contactvi

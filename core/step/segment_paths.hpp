@@ -25,8 +25,6 @@ class SegmentPaths {
   // is solved to tol; from the polynomial where that leaves out no more than tol, where contacts persist, at a node, and
   // where the step is not solved.
   bool state(double time, double tol, Integrator& integrator, VecRef q, VecRef v);
-  // As this, q alone.
-  bool configuration(double time, double tol, Integrator& integrator, VecRef q);
   // As the first, always from the polynomial.
   bool state(double time, StepEquations& equations, VecRef q, VecRef v);
   // Of its segment that lies before a time [s]: the part that a step to there makes. 0 at a node, where it makes none.
@@ -34,8 +32,6 @@ class SegmentPaths {
 
  private:
   double fraction(double time, Eigen::Index segment) const;
-  // The state at the end of the step to a time [s], in q and p1_. False where there is none, or none is needed.
-  bool make_step_to(double time, double tol, Integrator& integrator, VecRef q);
 
   const Tree* tree_;
   SegmentArrays segments_;

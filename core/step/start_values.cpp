@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "step/legendre_weights.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -82,10 +84,16 @@ void StartValues::weigh(double h) {
     for (int j = 0; j < s_; ++j) nodes[m * s_ + j] = end + table.c[j] * h_[m];
     weight_h_[m] = h_[m];
   }
-  for (int m = 0; m < steps; ++m)
-    for (int j = 0; j < s_; ++j)
-      for (int i = 0; i < S_; ++i)
-        weight_[m][j * S_ + i] = lagrange(nodes, steps * s_, m * s_ + j, table.c[std::min(i, s_ - 1)] * h);
+  if (steps == 1 && S_ > 1) {  // steps cut at samples have other lengths again and again
+    double x[kMaxStages];
+    for (int i = 0; i < S_; ++i) x[i] = 1.0 + table.c[std::min(i, s_ - 1)] * h / h_[0];
+    legendre_weights(table, x, S_, weight_[0].data());
+  } else {
+    for (int m = 0; m < steps; ++m)
+      for (int j = 0; j < s_; ++j)
+        for (int i = 0; i < S_; ++i)
+          weight_[m][j * S_ + i] = lagrange(nodes, steps * s_, m * s_ + j, table.c[std::min(i, s_ - 1)] * h);
+  }
   weight_h_[kSteps] = h;
   weight_count_ = steps;
 }
