@@ -87,10 +87,9 @@ def run(
             raise
         assert search.refused is not None
         return search.refused.trajectory(None)
-    record = engine.record_of(found.run, compiled, kept)
+    record = engine.record_of(found.run, compiled, kept, search.seconds)
     if found.interrupted:
         record.status = Status.interrupted(float(record.t[-1][-1]))
-    record.stats = replace(record.stats, seconds=search.seconds)
     if not options.dense:  # the segments were needed for the comparison only
         record.options, record.segments = options, []
     if options.ledger:

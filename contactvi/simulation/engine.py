@@ -225,9 +225,15 @@ def _kept(run: _core.KeptRun, error: object) -> tuple[_core.KeptRun, bool]:
     return run, error is not None or run.code == _core.StatusCode.INTERRUPTED
 
 
-def record_of(run: _core.KeptRun, compiled: CompiledScene, options: Options) -> Record:
-    """Return the record of a run that the engine has kept; it is empty then."""
+def record_of(run: _core.KeptRun, compiled: CompiledScene, options: Options, seconds: float | None = None) -> Record:
+    """Return the record of a run that the engine has kept; it is empty then.
+
+    Args:
+        seconds: wall time that the record is to have; by default that of the run.
+    """
     result = cast(EngineResult, dict(run.results(), error=None))
+    if seconds is not None:
+        result["stats"]["seconds"] = seconds
     t, q, p = result["t"], result["q"], result["p"]
     record = Record(compiled, options, float(t[0]), q[0], p[0])
     record.collect(result)

@@ -3,8 +3,9 @@
 //
 // The long-time behaviour of a variational integrator rests on a constant step. The step therefore grows only at
 // impacts, which break the smooth motion anyway. Where it turns out to be too long it becomes shorter, and stays so up
-// to the next impact; at least half of the steps that were made stay. While contacts persist the steps are as long as
-// contact steps may be, and the length of the smooth ones is kept for the flight that follows.
+// to the next impact. A step that is too long is mostly seen to be so before it is solved, and given up; where there
+// was an impact in it, or where it cannot be solved, at least half of the steps before it stay. While contacts persist
+// the steps are as long as contact steps may be, and the length of the smooth ones is kept for the flight that follows.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -107,7 +108,7 @@ bool Simulator::run_adaptive_steps(double end, double origin, const AutoSteps& s
     if (lengths.empty() || std::abs(h - lengths.back().second) > kNearSample * h) lengths.emplace_back(begin, h);
   };
   enter(began);
-  // To which the run goes back where a step is too long: at least half of the steps stay.
+  // To which the run goes back where something was done in a step that is too long: at least half of the steps stay.
   Snapshot start = snapshot();
   Recording::Mark mark = recording.mark();
   long kept = 0;

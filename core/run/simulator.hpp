@@ -65,7 +65,7 @@ class Simulator {
                  Recording& recording);
   // Runs for `duration` [s] with steps of equal length between one impact and the next, as far as samples
   // allow, such that the highest mode of the stage velocities moves nothing by more than the level per step
-  // (Integrator::truncation). Where it does, the steps since the last impact are redone with a shorter length. While
+  // (Integrator::truncation). A step in which it does is given up, and shorter ones follow up to the next impact. While
   // contacts persist the steps have the length of contact steps. Every step's end is a node.
   Status run_auto(double duration, const AutoSteps& steps, const Progress& progress, Recording& recording);
 

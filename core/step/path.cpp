@@ -46,9 +46,20 @@ void StepPath::set(const VecCRef& q0, double h, const Eigen::Ref<const MatX>& ra
   raised_ = false;
   count_ = stages_;
   const GaussTable& table = gauss_table(stages_);
-  for (int k = 0; k < stages_; ++k) {
-    coef_.col(k) = table.to_legendre[k][0] * rates.col(0);
-    for (int j = 1; j < stages_; ++j) coef_.col(k) += table.to_legendre[k][j] * rates.col(j);
+  constexpr Eigen::Index kSideBySide = 4;  // dofs, whose sums do not wait for each other
+  const Eigen::Index nv = coef_.rows();
+  for (Eigen::Index first = 0; first < nv; first += kSideBySide) {
+    const Eigen::Index count = std::min(kSideBySide, nv - first);
+    double rate[kMaxStages][kSideBySide];
+    for (int j = 0; j < stages_; ++j)
+      for (Eigen::Index d = 0; d < kSideBySide; ++d) rate[j][d] = rates(first + std::min(d, count - 1), j);
+    for (int k = 0; k < stages_; ++k) {
+      double sum[kSideBySide];
+      for (Eigen::Index d = 0; d < kSideBySide; ++d) sum[d] = table.to_legendre[k][0] * rate[0][d];
+      for (int j = 1; j < stages_; ++j)
+        for (Eigen::Index d = 0; d < kSideBySide; ++d) sum[d] += table.to_legendre[k][j] * rate[j][d];
+      for (Eigen::Index d = 0; d < count; ++d) coef_(first + d, k) = sum[d];
+    }
   }
 }
 
@@ -104,6 +115,10 @@ void StepPath::lean(const VecCRef& v0) {
 }
 
 void StepPath::displacement(double tau, VecRef X) const {
+  if (tau == 1.0) {  // the other integrals vanish
+    X = h_ * coef_.col(0);
+    return;
+  }
   double I[kMaxStages + 2];
   legendre_integrals(tau, count_, I);
   X = (h_ * I[0]) * coef_.col(0);
