@@ -22,10 +22,10 @@ class SegmentPaths {
   // matrix is not positive definite.
   const StepPath* path(Eigen::Index segment, StepEquations& equations);
   // The state at a time [s] by a step from the start of its segment to there, which is as accurate as a node where it
-  // is solved to tol; from the polynomial where that leaves out no more than tol, where contacts persist, at a node, and
-  // where the step is not solved.
+  // is solved to tol; from the polynomial where that leaves out no more than tol, where contacts persist, at a node,
+  // and where the step is not solved.
   bool state(double time, double tol, Integrator& integrator, VecRef q, VecRef v);
-  // As the first, always from the polynomial.
+  // As this, always from the polynomial.
   bool state(double time, StepEquations& equations, VecRef q, VecRef v);
   // Of its segment that lies before a time [s]: the part that a step to there makes. 0 at a node, where it makes none.
   double step_to(double time) const;

@@ -15,6 +15,7 @@ import pytest
 import contactvi as cvi
 from contactvi.playback import animation
 from contactvi.trajectory import polynomials as dense
+from contactvi.trajectory.compiled import compile_scene
 from helpers import laws
 from helpers.run_scenes import GRAVITY, HEIGHT, RADIUS, ball_scene
 
@@ -77,6 +78,27 @@ def test_order_between_the_nodes(order, exact):
     steps = np.array([0.08, 0.04, 0.02]) * (2.0 if order == 8 else 1.0)
     errors = [np.abs(pendulum(order, float(dt)).at(times).q - exact.at(times).q).max() for dt in steps]
     assert laws.orders(errors)[-1] >= order // 2 + 2 - 0.25, errors
+
+
+@pytest.mark.parametrize("tol", [1e-6, 1e-8, 1e-10])
+def test_states_to_a_tolerance(tol, exact):
+    """From partial steps, and from the polynomials of steps that leave out no more: both are as accurate as asked.
+
+    Of steps of all lengths, so that with each tolerance both are there.
+    """
+    core, most = compile_scene(exact.scene).core, 0.0
+    for dt in (0.16, 0.08, 0.04, 0.02, 0.01):
+        traj = pendulum(8, dt)
+        times = np.linspace(0.0, traj.t[-1], 102)[1:-1]
+        segments, reference = dense.Segments(traj.segments.arrays, 8, tol), exact.at(times)
+        (q, v), (bare, _) = (segments.states(core, times, exact=exactly) for exactly in (True, False))
+        speed = np.linalg.norm(exact.v, axis=1).max()
+        nodes = exact.at(traj.t)
+        off, off_v = np.abs(traj.q - nodes.q).max(), np.abs(traj.v - nodes.v).max()
+        assert np.abs(q - reference.q).max() <= tol * speed * dt + off
+        assert np.abs(v - reference.v).max() <= tol * speed + off_v
+        most = max(most, np.abs(bare - reference.q).max() / (tol * speed * dt + off))
+    assert most > 1.0  # the polynomials of the longest steps are not
 
 
 def test_velocity_is_the_derivative_of_the_configuration(exact):
