@@ -3,10 +3,12 @@
     python benchmarks/auto.py [--tols 1e-3 1e-6 1e-8] [--scenes S1 talos] [--repeats 5]
 
 For each scene and tol: the fastest of a grid of fixed settings (orders 8 and 16, dt, tolerance of the stage equations)
-whose error is at most tol, the time of dt="auto" over that, the sweeps (evaluations of all stages) of its last run over
-those, its error over tol, and its estimate of the error over the error. Errors are the largest over the samples of
-tenths of a second, against the references of benchmarks/peers/scenes.py. Times are CPU times of this process, the
-least of the repeats.
+whose error is at most tol; the time of dt="auto" over that, and what that would be if it were one call with two runs as
+long as the fixed one (floor); the same of the time in the engine, of all runs, and of the rest of the call; the sweeps
+(evaluations of all stages) of its last run over those of the fixed one; its error over tol, and its estimate of the error
+over the error. Errors are the largest over the samples of tenths of a second, against the references of
+benchmarks/peers/scenes.py. Times are CPU times of this process, the least of the repeats; those in the engine are wall
+times, which are too long where the machine does other things.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,6 +37,18 @@ PARTS = {8: (1, 2, 3, 5, 8, 12, 20, 40), 16: (0.5, 1, 1.5, 2, 3, 4, 6, 8, 12)}  
 SCENES = tuple(name for name in scenes.NAMES if name != "S2_n100")
 BAR = 2.0  # of the time of "auto" over that of the best fixed setting
 STAGE_TOLS = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+
+
+class Seconds(NamedTuple):
+    """Of a call [s]: all of it, and in the engine."""
+
+    whole: float
+    engine: float
+
+    @property
+    def rest(self) -> float:
+        """Outside of the engine [s]."""
+        return self.whole - self.engine
 
 
 class Case:
@@ -57,18 +71,18 @@ class Case:
         q = traj.q[1:, at_q]
         return traj, self.model.distance(q, self.reference) if q.shape == self.reference.shape else np.inf
 
-    def seconds(self, setting: dict[str, Any], repeats: int) -> float:
-        """Return the time of a call of simulate [s]."""
-        best = np.inf
+    def seconds(self, setting: dict[str, Any], repeats: int) -> Seconds:
+        """Return the times of a call of simulate, the least of the repeats."""
+        whole = engine = np.inf
         for _ in range(repeats):
             begin = time.process_time()
-            self.run(setting)
-            best = min(best, time.process_time() - begin)
-        return best
+            traj, _ = self.run(setting)
+            whole, engine = min(whole, time.process_time() - begin), min(engine, traj.stats.seconds)
+        return Seconds(whole, engine)
 
 
-def fixed(case: Case, tols: list[float], repeats: int) -> dict[float, tuple[float, int, dict[str, Any]]]:
-    """Return for each tol the time, the sweeps and the setting of the fastest fixed one that meets it."""
+def fixed(case: Case, tols: list[float], repeats: int) -> dict[float, tuple[Seconds, int, dict[str, Any]]]:
+    """Return for each tol the times, the sweeps and the setting of the fastest fixed one that meets it."""
     found = []
     for order, parts in PARTS.items():
         for part in parts:
@@ -83,18 +97,20 @@ def fixed(case: Case, tols: list[float], repeats: int) -> dict[float, tuple[floa
     for tol in tols:
         good = sorted((row for row in found if row[1] <= tol), key=lambda row: row[0])[:4]
         if good:
-            best[tol] = min(((case.seconds(row[3], repeats), row[2], row[3]) for row in good), key=lambda row: row[0])
+            best[tol] = min(
+                ((case.seconds(row[3], repeats), row[2], row[3]) for row in good), key=lambda row: row[0].whole
+            )
     return best
 
 
 @dataclass(frozen=True)
 class Compared:
-    """`dt="auto"` beside the best fixed setting of a scene for a tol: times [s], sweeps, error [m, rad]."""
+    """`dt="auto"` beside the best fixed setting of a scene for a tol: times, sweeps, error [m, rad]."""
 
     scene: str
     tol: float
-    fixed_seconds: float
-    auto_seconds: float
+    fixed: Seconds
+    auto: Seconds
     sweeps: float  # over those of the fixed setting
     error: float
     estimate: float
@@ -103,7 +119,12 @@ class Compared:
     @property
     def ratio(self) -> float:
         """Time over that of the fixed setting."""
-        return self.auto_seconds / self.fixed_seconds
+        return self.auto.whole / self.fixed.whole
+
+    @property
+    def floor(self) -> float:
+        """What it would be with two runs as long as the fixed one, and nothing else more."""
+        return 1.0 + self.fixed.engine / self.fixed.whole
 
 
 def compare(names: Sequence[str], tols: list[float], repeats: int) -> Iterator[Compared]:
@@ -125,14 +146,15 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=list(SCENES))
     parser.add_argument("--repeats", type=int, default=5)
     given = parser.parse_args()
-    print(f"{'scene':8} {'tol':>7} {'fixed ms':>9} {'auto ms':>9} {'ratio':>6} {'sweeps':>7} {'error/tol':>10}"
-          f" {'estimate/error':>15}  best fixed setting")  # fmt: skip
+    print(f"{'scene':8} {'tol':>7} {'fixed ms':>9} {'auto ms':>9} {'ratio':>6} {'floor':>6} {'engine':>7} {'rest':>5}"
+          f" {'sweeps':>7} {'error/tol':>10} {'estimate/error':>15}  best fixed setting")  # fmt: skip
     for row in compare(given.scenes, given.tols, given.repeats):
         setting = row.setting
         shown = f"order {setting['order']}, dt {setting['dt']:.4g}, tol {setting['tol']:.0e}"
-        print(f"{row.scene:8} {row.tol:7.0e} {1e3 * row.fixed_seconds:9.3f} {1e3 * row.auto_seconds:9.3f}"
-              f" {row.ratio:6.2f} {row.sweeps:7.2f} {row.error / row.tol:10.3f} {row.estimate / row.error:15.2f}  "
-              + shown, flush=True)  # fmt: skip
+        engine, rest = row.auto.engine / row.fixed.engine, row.auto.rest / row.fixed.rest
+        print(f"{row.scene:8} {row.tol:7.0e} {1e3 * row.fixed.whole:9.3f} {1e3 * row.auto.whole:9.3f}"
+              f" {row.ratio:6.2f} {row.floor:6.2f} {engine:7.2f} {rest:5.2f} {row.sweeps:7.2f}"
+              f" {row.error / row.tol:10.3f} {row.estimate / row.error:15.2f}  {shown}", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

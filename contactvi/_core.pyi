@@ -323,9 +323,9 @@ def cone_seconds(G: Annotated[NDArray[numpy.float64], dict(shape=(None, None), o
     Seconds of one solve_cone, without Python, fastest of several blocks; for benchmarks.
     """
 
-def dense(scene: Scene, segments: dict[str, Any], times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int, tol: float, exact: bool = False) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))]]:
+def dense(scene: Scene, segments: dict[str, Any], times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], order: int, tol: float, exact: bool = False, momenta: bool = False) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))]]:
     """
-    States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by steps of the lengths in between, solved to tol (of runs without inputs, and not where contacts persist).
+    States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by steps of the lengths in between, solved to tol (of runs without inputs, and not where contacts persist). momenta: p instead of v, exact.
     """
 
 def linear_step(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], x: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], momentum: bool, h: float, tau: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, t: float = 0.0, order: int = 2, tol: float = 1e-12, by_columns: bool = False) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]]:

@@ -141,16 +141,19 @@ def engine_states(
     order: int,
     tol: float,
     exact: bool,
+    momenta: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return q (N, nq), v (N, nv) at times [s] from segments of a run (contactvi.trajectory.polynomials).
 
     Args:
         tol: Of the stage equations of partial steps.
-        exact: By partial steps, for runs without inputs, where no contact persists; else from the polynomials.
+        exact: By partial steps, for runs without inputs, where no contact persists and where the polynomials leave out
+            more than tol; else from these.
+        momenta: p instead of v, which needs `exact`.
     """
     from contactvi import _core
 
-    q, v = _core.dense(scene, dict(segments), times, order, tol, exact)
+    q, v = _core.dense(scene, dict(segments), times, order, tol, exact, momenta)
     return np.asarray(q), np.asarray(v)
 
 

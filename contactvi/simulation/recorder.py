@@ -340,8 +340,11 @@ class Record:
         inner = (t[node] - times > slack).nonzero()[0]
         if len(inner):
             core = self.compiled.core
-            q[inner], v = segments.states(core, times[inner], exact=not self.forced)
-            p[inner] = core.momentum(q[inner], v)
+            if self.forced:
+                q[inner], v = segments.states(core, times[inner])
+                p[inner] = core.momentum(q[inner], v)
+            else:
+                q[inner], p[inner] = segments.exact_momenta(core, times[inner])
         return q, p
 
 

@@ -67,12 +67,18 @@ class Segments:
 
         Args:
             core: the engine's scene.
-            exact: find them by partial steps, which are as accurate as the nodes. Runs with inputs cannot have that,
-                because segments do not keep inputs. Steps with persistent contacts always give their polynomial,
-                because segments do not keep the equations of these steps either.
+            exact: find them by partial steps, which are as accurate as the nodes, where the polynomials leave out more
+                than `tol`. Runs with inputs cannot have that, because segments do not keep inputs. Steps with
+                persistent contacts always give their polynomial, because segments do not keep the equations of these
+                steps either.
         """
         times = np.ascontiguousarray(times, dtype=float)
         return engine_states(core, self.arrays, times, self.order, self.tol, exact)
+
+    def exact_momenta(self, core: _core.Scene, times: Array) -> tuple[Array, Array]:
+        """Return q (N, nq) and p (N, nv) at times [s], exact as those of `states`."""
+        times = np.ascontiguousarray(times, dtype=float)
+        return engine_states(core, self.arrays, times, self.order, self.tol, exact=True, momenta=True)
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]], order: int, tol: float) -> Segments | None:

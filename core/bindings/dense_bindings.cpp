@@ -21,7 +21,7 @@ namespace {
 constexpr int kMostIterations = 60;
 
 std::tuple<Array2, Array2> dense(const Scene& s, const Dict& segments, const VecX& times, int order, double tol,
-                                 bool exact) {
+                                 bool exact, bool momenta) {
   const Tree& tree = s.tree;
   const VecX t = nb::cast<VecX>(segments["t"]), h = nb::cast<VecX>(segments["h"]),
              persistent = nb::cast<VecX>(segments["persistent"]);
@@ -39,7 +39,9 @@ std::tuple<Array2, Array2> dense(const Scene& s, const Dict& segments, const Vec
   Rows found_q(times.size(), tree.nq), found_v(times.size(), tree.nv);
   VecX qi(tree.nq), vi(tree.nv);
   for (Eigen::Index k = 0; k < times.size(); ++k) {
-    if (!(exact ? paths.state(times[k], tol, integrator, qi, vi) : paths.state(times[k], integrator, qi, vi)))
+    if (!(momenta ? paths.momentum(times[k], tol, integrator, qi, vi)
+          : exact ? paths.state(times[k], tol, integrator, qi, vi)
+                  : paths.state(times[k], integrator, qi, vi)))
       throw Error("the mass matrix is not positive definite");
     engine_to_public(tree, qi, vi);
     found_q.row(k) = qi;
@@ -51,9 +53,10 @@ std::tuple<Array2, Array2> dense(const Scene& s, const Dict& segments, const Vec
 }  // namespace
 
 void expose_dense(nb::module_& m) {
-  m.def("dense", &dense, "scene"_a, "segments"_a, "times"_a, "order"_a, "tol"_a, "exact"_a = false,
+  m.def("dense", &dense, "scene"_a, "segments"_a, "times"_a, "order"_a, "tol"_a, "exact"_a = false, "momenta"_a = false,
         "States (q (N, nq), v (N, nv)) at times (N,) from the segments of a run: from their polynomials, or exact, by "
-        "steps of the lengths in between, solved to tol (of runs without inputs, and not where contacts persist).");
+        "steps of the lengths in between, solved to tol (of runs without inputs, and not where contacts persist). "
+        "momenta: p instead of v, exact.");
 }
 
 }  // namespace contactvi

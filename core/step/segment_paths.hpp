@@ -25,20 +25,28 @@ class SegmentPaths {
   // is solved to tol; from the polynomial where that leaves out no more than tol, where contacts persist, at a node,
   // and where the step is not solved.
   bool state(double time, double tol, Integrator& integrator, VecRef q, VecRef v);
-  // As this, always from the polynomial.
+  // As this, with the momentum instead of the velocity.
+  bool momentum(double time, double tol, Integrator& integrator, VecRef q, VecRef p);
+  // The state as by state(), always from the polynomial.
   bool state(double time, StepEquations& equations, VecRef q, VecRef v);
   // Of its segment that lies before a time [s]: the part that a step to there makes. 0 at a node, where it makes none.
   double step_to(double time) const;
 
  private:
   double fraction(double time, Eigen::Index segment) const;
+  void set(Eigen::Index segment);
+  void find_left_out();
+  bool is_enough(double time, double tol);
+  // The step to a time [s], whose end is in q and p; false where there is none: then the polynomial gives the state.
+  bool make_step(double time, double tol, Integrator& integrator, VecRef q, VecRef p);
+  void read(double time, VecRef q, VecRef v) const;
 
   const Tree* tree_;
   SegmentArrays segments_;
   int stages_;
   StepPath path_;
-  Eigen::Index made_ = -1;  // segment of path_
-  double left_out_ = 0.0;   // of the rates by path_, relative
+  Eigen::Index set_ = -1;  // segment of path_
+  double left_out_ = 0.0;  // of the rates by path_, relative
   VecX q1_, p1_, v0_, v1_;
 };
 

@@ -97,6 +97,9 @@ def test_states_to_a_tolerance(tol, exact):
         off, off_v = np.abs(traj.q - nodes.q).max(), np.abs(traj.v - nodes.v).max()
         assert np.abs(q - reference.q).max() <= tol * speed * dt + off
         assert np.abs(v - reference.v).max() <= tol * speed + off_v
+        again, p = segments.exact_momenta(core, times)
+        np.testing.assert_array_equal(again, q)
+        np.testing.assert_allclose(p, core.momentum(q, v), atol=1e3 * EPS * np.abs(p).max(), rtol=0.0)
         most = max(most, np.abs(bare - reference.q).max() / (tol * speed * dt + off))
     assert most > 1.0  # the polynomials of the longest steps are not
 
