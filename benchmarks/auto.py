@@ -4,9 +4,9 @@
 
 For each scene and tol: the fastest of a grid of fixed settings (orders 8 and 16, dt, tolerance of the stage equations)
 whose error is at most tol; the time of dt="auto" over that, and what that would be if it were one call with two runs as
-long as the fixed one (floor); the same of the time in the engine, of all runs, and of the rest of the call; the sweeps
-(evaluations of all stages) of its last run over those of the fixed one; its error over tol, and its estimate of the error
-over the error. Errors are the largest over the samples of tenths of a second, against the references of
+long as the fixed one (floor); the time in the engine, of all runs, over that of the fixed one; the sweeps (evaluations
+of all stages) of its last run over those of the fixed one; its error over tol, and its estimate of the error over the
+error. Errors are the largest over the samples of tenths of a second, against the references of
 benchmarks/peers/scenes.py. Times are CPU times of this process, the least of the repeats; those in the engine are wall
 times, which are too long where the machine does other things.
 """
@@ -44,11 +44,6 @@ class Seconds(NamedTuple):
 
     whole: float
     engine: float
-
-    @property
-    def rest(self) -> float:
-        """Outside of the engine [s]."""
-        return self.whole - self.engine
 
 
 class Case:
@@ -146,14 +141,13 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", default=list(SCENES))
     parser.add_argument("--repeats", type=int, default=5)
     given = parser.parse_args()
-    print(f"{'scene':8} {'tol':>7} {'fixed ms':>9} {'auto ms':>9} {'ratio':>6} {'floor':>6} {'engine':>7} {'rest':>5}"
+    print(f"{'scene':8} {'tol':>7} {'fixed ms':>9} {'auto ms':>9} {'ratio':>6} {'floor':>6} {'engine':>7}"
           f" {'sweeps':>7} {'error/tol':>10} {'estimate/error':>15}  best fixed setting")  # fmt: skip
     for row in compare(given.scenes, given.tols, given.repeats):
         setting = row.setting
         shown = f"order {setting['order']}, dt {setting['dt']:.4g}, tol {setting['tol']:.0e}"
-        engine, rest = row.auto.engine / row.fixed.engine, row.auto.rest / row.fixed.rest
         print(f"{row.scene:8} {row.tol:7.0e} {1e3 * row.fixed.whole:9.3f} {1e3 * row.auto.whole:9.3f}"
-              f" {row.ratio:6.2f} {row.floor:6.2f} {engine:7.2f} {rest:5.2f} {row.sweeps:7.2f}"
+              f" {row.ratio:6.2f} {row.floor:6.2f} {row.auto.engine / row.fixed.engine:7.2f} {row.sweeps:7.2f}"
               f" {row.error / row.tol:10.3f} {row.estimate / row.error:15.2f}  {shown}", flush=True)  # fmt: skip
 
 
