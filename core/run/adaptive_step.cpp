@@ -240,6 +240,7 @@ Status Simulator::run_auto(double duration, const AutoSteps& steps, const Progre
   bool ok = true;
   while (ok && state_.time < end) ok = run_adaptive_steps(end, origin, steps, recording);
   truncation_.bound = 0.0;
+  truncation_.too_long = false;
   truncation_.after_impact = 1;
   state_.control.free.longest = options_.dt;
   state_.start_time = state_.time - static_cast<double>(state_.step) * options_.dt;  // for steps of dt that may follow

@@ -8,7 +8,7 @@
 namespace contactvi {
 
 // Weights of the values at the Gauss nodes in those at x[i], i < count, of the polynomial through them; x:
-// fractions of the step. weights[j * count + i] of node j. A count that the compiler knows takes a third of the time.
+// fractions of the step. weights[j * count + i] of node j. A count that the compiler knows takes half of the time.
 template <class Count>
 void weigh_by_legendre(const GaussTable& table, const double* x, Count count, double* __restrict weights) {
   double P[kMaxStages][kMaxStages];  // Legendre's polynomials, lane by lane

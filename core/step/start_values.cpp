@@ -84,7 +84,7 @@ void StartValues::weigh(double h) {
     for (int j = 0; j < s_; ++j) nodes[m * s_ + j] = end + table.c[j] * h_[m];
     weight_h_[m] = h_[m];
   }
-  if (steps == 1 && S_ > 1) {  // steps cut at samples have other lengths again and again
+  if (steps == 1 && s_ > 1) {  // steps cut at samples have other lengths again and again
     double x[kMaxStages];
     for (int i = 0; i < S_; ++i) x[i] = 1.0 + table.c[std::min(i, s_ - 1)] * h / h_[0];
     legendre_weights(table, x, S_, weight_[0].data());

@@ -114,6 +114,16 @@ def test_no_step_that_stays_is_too_long(order):
     assert 0 < stats["rejected"] <= 16 + 3 * len(lengths)  # probes, and a few steps for each length
 
 
+def test_fixed_steps_after_a_step_that_was_too_long():
+    """The run ends where the shorter steps would be too many; steps of dt go on from there."""
+    scene, rng = chain([pin.JointModelRY() for _ in range(5)])
+    simulator = map_runs.start(scene, scene.neutral(), rng.uniform(-1, 1, 5), 0.02, "ctec", order=4, dense=True)
+    result = run_auto(simulator, 2e5, 1e-9)
+    assert (result["code"], len(result["t"])) == (cvi.StatusCode.TOO_MANY_STEPS, 1)
+    after = simulator.advance(3, None, 1, None)
+    assert (after["code"], len(after["t"])) == (SUCCESS, 4)
+
+
 @ORDERS
 def test_bouncing_to_the_end_as_with_fixed_steps(order):
     """e = 0.5: every impact where it belongs, then ZENO with the instant of accumulation."""
