@@ -28,9 +28,8 @@ double contact_time(const KeptRun& run);
 
 // |q - q'| of two runs at some nodes of the second, at most `times` of them, [m, rad]: the last one, and others that
 // are spread evenly over the time, or one in each of as many parts with equally many nodes; or evenly over the nodes of
-// both, where there are so many. Infinite
-// where one of the two ended much earlier, unless `ended` is true: then up to the earlier end. options: of the first,
-// whose states at these times are found as closely as its nodes are.
+// both, where there are so many. Infinite where one of the two ended much earlier, unless `ended` is true: then up to
+// the earlier end. options: of the first, whose states at these times are found as closely as its nodes are.
 VecX distances(const Scene& scene, const SimulatorOptions& options, const KeptRun& other, const KeptRun& found,
                int times, bool over_time, bool ended);
 
