@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import SceneError, UnsupportedJointError
-from contactvi.importing.dynamics import mass_matrix
+from contactvi.importing.engine_model import engine_model
 from contactvi.importing.joint_kinds import NO_LIMIT, ONE_DOF, has_limits, joint_kind, motion_axis
 from contactvi.importing.report import BodyRow, JointRow, PartReport, number
 from contactvi.inputs import LARGEST
@@ -255,7 +255,7 @@ def _least_inertia(model: pin.Model, q: np.ndarray, enough: float) -> tuple[np.n
 
     Where the eigenvalue is above `enough`, a lower bound above it may stand for it, and any dof.
     """
-    mass = mass_matrix(model, q)
+    mass = np.array(engine_model(model).mass_matrix(q))
     diagonal = np.diag(mass).copy()
     worst = int(np.argmin(diagonal))
     if diagonal[worst] < np.finfo(float).tiny:  # below it doubles have lost digits, and M^-1 overflows
