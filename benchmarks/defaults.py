@@ -108,6 +108,17 @@ def steps(repeats: int) -> Iterator[Line]:
         yield Line(f"loop: MuJoCo's time over ours, {name}", theirs / ours, "", stepping.BARS["share"], least=True)
 
 
+def dynamics(repeats: int) -> Iterator[Line]:
+    """Questions about the equations of motion, on chains."""
+    import dynamics as benchmark
+
+    for links in (6, 32):
+        found = benchmark.measure(links, repeats)
+        for name, bars in benchmark.BARS.items():
+            if links in bars:
+                yield Line(f"{name}, chain of {links} links", found[name], "us", bars[links])
+
+
 def building(repeats: int) -> Iterator[Line]:
     """Import, robots, and a chain of 1000 links."""
     import building as benchmark
@@ -154,7 +165,7 @@ def batches(repeats: int) -> Iterator[Line]:
 
 
 GROUPS: dict[str, Callable[[int], Iterator[Line]]] = {
-    function.__name__: function for function in (auto, contact, grasp, steps, building, pairs, batches)
+    function.__name__: function for function in (auto, contact, grasp, steps, dynamics, building, pairs, batches)
 }
 
 

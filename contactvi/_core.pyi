@@ -147,11 +147,88 @@ class ConstraintKind(enum.Enum):
 
     PRESCRIBED = 5
 
+class JointType(enum.Enum):
+    """The type of a joint of a model."""
+
+    REVOLUTE = 0
+
+    CONTINUOUS = 1
+
+    PRISMATIC = 2
+
+    HELICAL = 3
+
+    PLANAR = 4
+
+    TRANSLATION = 5
+
+    SPHERICAL = 6
+
+    FREE = 7
+
+class Model:
+    """The numbers of a pin.Model; velocities and forces are Pinocchio's."""
+
+    def __init__(self, gravity: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], armature: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], lower: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], upper: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> None: ...
+
+    def add_joint(self, type: JointType, parent: int, subspace: Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], R_PJ: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], p_PJ: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], mass: float, centre: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], inertia: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], name: str) -> None:
+        """
+        The next joint; subspace (6,): what a unit of the velocity of a joint with one degree of freedom is; inertia (3, 3): about the centre of mass.
+        """
+
+    @property
+    def nv(self) -> int: ...
+
+    def __getstate__(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], list[tuple[int, int, Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], float, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], str]]]: ...
+
+    def __setstate__(self, arg: tuple[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], Sequence[tuple[int, int, Annotated[NDArray[numpy.float64], dict(shape=(6), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], float, Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], str]]], /) -> None: ...
+
+    def bias_forces(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]:
+        """Coriolis, centrifugal and gravity forces, (nv,)."""
+
+    def mass_matrix(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """M(q), (nv, nv)."""
+
+    def motions(self, joints: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None))]]:
+        """
+        Of some joints (n,) the rotations (n, 3, 3) and positions (n, 3) in the world, and their twists and spatial accelerations for dv/dt = 0 in their own frames, (n, 2, 6), linear parts first.
+        """
+
+    def jacobians(self, joints: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C')], q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None))], Annotated[NDArray[numpy.float64], dict(shape=(None, None, None))]]:
+        """
+        Of some joints (n,) the rotations (n, 3, 3) and positions (n, 3) in the world, and the Jacobians of their twists in their own frames, (n, 6, nv), linear parts first.
+        """
+
+    def motion(self, q: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], a: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')]) -> TreeMotion:
+        """The motion at q (nq,), v (nv,) and a = dv/dt (nv,)."""
+
+class TreeMotion:
+    """A model at q, v and a = dv/dt: points of bodies, and derivatives."""
+
+    def rotation(self, joint: int) -> Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')]:
+        """R_WJ (3, 3)."""
+
+    def point(self, joint: int, x: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+        """
+        Place, velocity and acceleration (3,) of a point x [m] of a body, given in the frame of its joint (0: the world), its Jacobian, and the derivatives in q of its velocity and in q and v of its acceleration, (3, nv); world axes.
+        """
+
+    def turned_force(self, joint: int, x: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], force: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]:
+        """
+        d(J^T force)/dq of the Jacobian of such a point at a constant force [N], world axes, (nv, nv).
+        """
+
+    def force_derivatives(self) -> tuple[Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')]]:
+        """Derivatives in q and v of M a + b at a constant a, (nv, nv) each."""
+
 class Scene:
-    def __init__(self, model: object, geometry: object, pair_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stiffness: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], damping: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limit_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair_friction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')] | None = None, rounded_hulls: object | None = None, pairs: Annotated[NDArray[numpy.int32], dict(shape=(None, 2), order='C')] | None = None, hulls: Sequence[tuple[Sequence[int], Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C')], Annotated[NDArray[numpy.int32], dict(shape=(None, 3), order='C')], float]] = []) -> None:
+    def __init__(self, model: Model, shapes: Sequence[tuple[int, Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='F')], Annotated[NDArray[numpy.float64], dict(shape=(3), order='C')], str, int]], pairs: Annotated[NDArray[numpy.int32], dict(shape=(None, 2), order='C')], pair_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], pair_friction: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], stiffness: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rest: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], damping: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limits: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], limit_restitution: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], rounded_hulls: object | None = None) -> None:
         """
-        From the binary archives (bytes, or anything else with a buffer) of a pin.Model and a collision pin.GeometryModel and per joint and pair data; rounded_hulls: keeps rounded hulls from one process to the next, has find and keep; pairs: numbers of two geometries in each row, by default the pairs of the geometry; hulls: in the place of shapes in the archive: numbers of geometries, vertices, triangles, swept radius.
+        shapes: of each geometry its joint (0: the world), rotation and position there, name, and the id() of its shape of coal, which is copied; pairs: numbers of two geometries in each row; rounded_hulls: keeps rounded hulls from one process to the next, has find and keep.
         """
+
+    @property
+    def model(self) -> Model: ...
 
     @property
     def nq(self) -> int: ...

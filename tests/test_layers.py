@@ -70,6 +70,7 @@ CPP_FOLDERS: Folders = {
 # A saved run is read and shown without the compiled engine: only these modules load it when they run. The types of its
 # stub may be named anywhere, under TYPE_CHECKING.
 USERS_OF_THE_ENGINE = {
+    "importing.engine_model",
     "importing.hulls",
     "scene.engine",
     "scene.build",

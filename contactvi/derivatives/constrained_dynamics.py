@@ -1,4 +1,4 @@
-"""Accelerations under constraints and their derivatives, from those of a tree without constraints (tree_motion.py).
+"""Accelerations under constraints and their derivatives, from those of a tree without (core/model/tree_motion.hpp).
 
 With the gradients J of the constraints, the forces lambda along them and the rates of motions r(t),
 
@@ -15,17 +15,19 @@ constraints depend on each other lambda is that of least norm.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from contactvi.derivatives.tree_motion import PointMotion, TreeMotion
 from contactvi.errors import NotDifferentiable
-from contactvi.importing.dynamics import bias_forces
+from contactvi.scene.build import Built
+from contactvi.scene.dynamics import bias_forces
 from contactvi.scene.element_rows import ConstraintRow
+
+if TYPE_CHECKING:
+    from contactvi import _core
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,18 @@ Array = NDArray[np.float64]
 # others, as in a step.
 REDUNDANT = 1e-9
 ARM = 0.1  # [m] from the origin of a frame to the further points that hold its orientation
+
+
+class PointMotion(NamedTuple):
+    """Place, velocity and acceleration of a point (3,), world, and derivatives (3, nv) in q, v and a."""
+
+    place: Array
+    velocity: Array
+    acceleration: Array
+    J: Array
+    velocity_q: Array
+    acceleration_q: Array
+    acceleration_v: Array
 
 
 class Point(NamedTuple):
@@ -69,8 +83,7 @@ class Accelerations(NamedTuple):
 
 
 def constrained_accelerations(
-    model: pin.Model, inverse: Array, constraints: Sequence[ConstraintRow], q: Array, v: Array, t: float,
-    force: Array, force_q: Array, force_v: Array,
+    built: Built, inverse: Array, q: Array, v: Array, t: float, force: Array, force_q: Array, force_v: Array,
 ) -> Accelerations:  # fmt: skip
     """Return the acceleration and its derivatives.
 
@@ -78,16 +91,16 @@ def constrained_accelerations(
         inverse: M^-1 at q, shape (nv, nv).
         force, force_q, force_v: all forces but gravity's (nv,), and their derivatives (nv, nv).
     """
+    constraints, nv = built.elements.constraints, int(built.model.nv)
     for row in constraints:
         _check_known(row)
-    nv = model.nv
-    still = _all_rows(model, constraints, q, v, np.zeros(nv), t)
-    free = inverse @ (force - bias_forces(model, q, v))
+    still = _all_rows(built, q, v, np.zeros(nv), t)
+    free = inverse @ (force - bias_forces(built, q, v))
     solve = _Solver(inverse, still.J)
     a, forces = solve(free, -still.acceleration)
-    rows = _all_rows(model, constraints, q, v, a, t)
-    needed_q, needed_v = TreeMotion(model, q, v, a).force_derivatives()
-    turned = _turned_forces(model, constraints, q, forces)
+    rows = _all_rows(built, q, v, a, t)
+    needed_q, needed_v = map(np.asarray, built.engine.model.motion(q, v, a).force_derivatives())
+    turned = _turned_forces(built, q, forces)
     by_q = solve(inverse @ (force_q + turned - needed_q), -rows.by_q)[0]
     by_v = solve(inverse @ (force_v - needed_v), -rows.by_v)[0]
     return Accelerations(a, by_q, by_v, solve(inverse, np.zeros((len(forces), nv)))[0])
@@ -138,24 +151,24 @@ def _joined(row: ConstraintRow) -> list[Joined]:
     ]
 
 
-def _apart(tree: TreeMotion, joined: Joined) -> PointMotion:
+def _apart(tree: _core.TreeMotion, joined: Joined) -> PointMotion:
     """Return the motion of b's point less that of a's."""
     ends = tree.point(*joined.a), tree.point(*joined.b)
-    return PointMotion(*(b - a for a, b in zip(*ends, strict=True)))
+    return PointMotion(*(np.subtract(b, a) for a, b in zip(*ends, strict=True)))
 
 
-def _directions(tree: TreeMotion, joined: Joined) -> Array:
+def _directions(tree: _core.TreeMotion, joined: Joined) -> Array:
     """Return the directions in the world, (k, 3)."""
-    return np.array(joined.directions @ tree.places[joined.a.joint].rotation.T)
+    return np.array(joined.directions @ np.asarray(tree.rotation(joined.a.joint)).T)
 
 
-def _all_rows(model: pin.Model, constraints: Sequence[ConstraintRow], q: Array, v: Array, a: Array, t: float) -> Rows:
-    tree = TreeMotion(model, q, v, a)
-    found = [_rows(model, tree, row, q, v, a, t) for row in constraints]
+def _all_rows(built: Built, q: Array, v: Array, a: Array, t: float) -> Rows:
+    tree = built.engine.model.motion(q, v, a)
+    found = [_rows(built.model, tree, row, q, v, a, t) for row in built.elements.constraints]
     return Rows(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def _rows(model: pin.Model, tree: TreeMotion, row: ConstraintRow, q: Array, v: Array, a: Array, t: float) -> Rows:
+def _rows(model: pin.Model, tree: _core.TreeMotion, row: ConstraintRow, q: Array, v: Array, a: Array, t: float) -> Rows:
     if row.engine_kind in ("equality", "prescribed"):
         return _joint_rows(model, row, q, v, a, t)
     if row.engine_kind != "distance":
@@ -192,12 +205,13 @@ def _joint_rows(model: pin.Model, row: ConstraintRow, q: Array, v: Array, a: Arr
     return Rows(J, np.array([a[joint] - slope * a[other] - bend * v[other] ** 2]), by_q, by_v)
 
 
-def _turned_forces(model: pin.Model, constraints: Sequence[ConstraintRow], q: Array, forces: Array) -> Array:
+def _turned_forces(built: Built, q: Array, forces: Array) -> Array:
     """Return d(J^T lambda)/dq at a constant lambda, shape (nv, nv)."""
+    model = built.model
     T, still = np.zeros((model.nv, model.nv)), np.zeros(model.nv)
-    tree = TreeMotion(model, q, still, still)
+    tree = built.engine.model.motion(q, still, still)
     first = 0
-    for row in constraints:
+    for row in built.elements.constraints:
         if row.engine_kind in ("equality", "prescribed"):
             if row.signal is None:
                 other, at = int(model.idx_vs[row.a[0]]), float(q[model.idx_qs[row.a[0]]])
@@ -214,6 +228,6 @@ def _turned_forces(model: pin.Model, constraints: Sequence[ConstraintRow], q: Ar
                 used = len(along)
                 force = forces[first : first + used] @ along
             # With a fixed direction in the world.
-            T += tree.turned_force(*joined.b, force) - tree.turned_force(*joined.a, force)
+            T += np.subtract(tree.turned_force(*joined.b, force), tree.turned_force(*joined.a, force))
             first += used
     return T

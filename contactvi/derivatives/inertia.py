@@ -5,11 +5,14 @@ Derivatives with respect to a configuration are those of d -> M(q (+) d) at d = 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+
+from contactvi.importing.engine_model import engine_model
 
 Array = NDArray[np.float64]
 Twists = tuple[Array, Array, Array]  # m twists (6, m), first (6, nv, m) and second (6, nv, nv, m) derivatives in q
@@ -23,58 +26,46 @@ class MassDerivatives:
     """
 
     def __init__(self, model: pin.Model) -> None:
-        self._model = model.copy()
-        self._model.gravity = pin.Motion.Zero()
-        self._data = self._model.createData()
-        self._rest = np.zeros(int(model.nv))
-        pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
-        self._joints = [self._joint(k) for k in range(1, int(model.njoints))]
-        self._inertias = [np.array(model.inertias[k].matrix()) for k in range(1, int(model.njoints))]
-
-    def _joint(self, k: int) -> tuple[int, int, slice, Array, Array]:
-        """Return a joint, its parent, its dofs, its subspace S (6, dofs) and ad of its columns (dofs, 6, 6)."""
-        joint = self._model.joints[k]
-        dofs = slice(int(joint.idx_v), int(joint.idx_v) + int(joint.nv))
-        S = np.array(pin.getJointJacobian(self._model, self._data, k, pin.LOCAL))[:, dofs]
-        crosses = np.array([_cross(column) for column in S.T]).reshape(-1, 6, 6)
-        return k, int(self._model.parents[k]), dofs, S, crosses
+        weightless = model.copy()
+        weightless.gravity = pin.Motion.Zero()
+        self._engine, self._rest = engine_model(weightless), np.zeros(int(model.nv))
+        numbers = range(1, int(model.njoints))
+        self._joints = [_Joint(model, k) for k in numbers]
+        self._inertias = [np.array(model.inertias[k].matrix()) for k in numbers]
 
     def mass(self, q: Array) -> Array:
         """Return M(q), shape (nv, nv)."""
-        upper = np.triu(pin.crba(self._model, self._data, q))
-        return np.asarray(upper + np.triu(upper, 1).T)
+        return np.asarray(self._engine.mass_matrix(q))
 
     def first(self, q: Array, w: Array) -> Array:
         """Return the derivative of M(q) w in q, shape (nv, nv): without gravity the forces of the acceleration w."""
-        pin.computeRNEADerivatives(self._model, self._data, q, self._rest, w)
-        return np.array(self._data.dtau_dq)
+        return np.asarray(self._engine.motion(q, self._rest, w).force_derivatives()[0])
 
     def second(self, q: Array, y: Array, w: Array) -> Array:
         """Return the second derivative of y^T M(q) w in q, shape (nv, nv), symmetric.
 
         y^T M w is the sum over the bodies of V_y^T I V_w with their inertias I and the twists V that y and w give them.
         """
-        pin.forwardKinematics(self._model, self._data, q)
         total = np.zeros((len(y), len(y)))
-        for inertia, (value, first, second) in zip(
-            self._inertias, self._twists(np.stack([y, w], axis=-1)), strict=True
-        ):
+        twists = self._twists(q, np.stack([y, w], axis=-1))
+        for inertia, (value, first, second) in zip(self._inertias, twists, strict=True):
             a, b = inertia @ value[:, 0], inertia @ value[:, 1]
             mixed = first[:, :, 0].T @ inertia @ first[:, :, 1]
             total += mixed + mixed.T + np.tensordot(b, second[..., 0], 1) + np.tensordot(a, second[..., 1], 1)
         return total
 
-    def _twists(self, w: Array) -> list[Twists]:
-        """Return the twists of all bodies that the columns of w (nv, m) give them, in their own frames, see Twists.
+    def _twists(self, q: Array, w: Array) -> Iterator[Twists]:
+        """Yield the twists of all bodies that the columns of w (nv, m) give them at q, in their own frames, see Twists.
 
         A joint turned on by d moves its body's frame by exp(S d), which changes a twist X V of its parent to
         (1 - ad(S d) + ad(S d)^2 / 2 - ...) X V; what the joint adds to it, S w, stays.
         """
         n, m = w.shape
-        found: list[Twists] = [(np.zeros((6, m)), np.zeros((6, n, m)), np.zeros((6, n, n, m)))]
-        for k, parent, dofs, S, crosses in self._joints:
-            X = np.array(self._data.liMi[k].actionInverse)
-            value, first, second = ((X @ part.reshape(6, -1)).reshape(part.shape) for part in found[parent])
+        found: dict[int, Twists] = {0: (np.zeros((6, m)), np.zeros((6, n, m)), np.zeros((6, n, n, m)))}
+        last_child = {joint.parent: number for number, joint in enumerate(self._joints, 1)}
+        for number, joint in enumerate(self._joints, 1):
+            X, dofs, crosses = joint.from_parent(q), joint.dofs, joint.crosses
+            value, first, second = ((X @ part.reshape(6, -1)).reshape(part.shape) for part in found[joint.parent])
             turned = np.tensordot(crosses, first, 1).swapaxes(0, 1)
             second[:, dofs] -= turned
             second[:, :, dofs] -= turned.swapaxes(1, 2)
@@ -82,8 +73,35 @@ class MassDerivatives:
             twice = np.tensordot(crosses, once, 1).swapaxes(0, 1)
             second[:, dofs, dofs] += 0.5 * (twice + twice.swapaxes(1, 2))
             first[:, dofs] -= once
-            found.append((value + S @ w[dofs], first, second))
-        return found[1:]
+            if last_child[joint.parent] == number:  # an entry is of the size nv^2
+                del found[joint.parent]
+            twists = value + joint.S @ w[dofs], first, second
+            if number in last_child:
+                found[number] = twists
+            yield twists
+
+
+class _Joint:
+    """A joint of a model.
+
+    Attributes:
+        parent: number of the joint that carries it. dofs: its places in v.
+        S, crosses: its motion subspace (6, dofs) in its own frame, and ad of the columns of S, (dofs, 6, 6).
+    """
+
+    def __init__(self, model: pin.Model, number: int) -> None:
+        self._joint, self._placement = model.joints[number], model.jointPlacements[number]
+        self._data = self._joint.createData()
+        self._joint.calc(self._data, pin.neutral(model))
+        self.parent = int(model.parents[number])
+        self.dofs = slice(int(self._joint.idx_v), int(self._joint.idx_v) + int(self._joint.nv))
+        self.S = np.array(self._data.S).reshape(6, -1)
+        self.crosses = np.array([_cross(column) for column in self.S.T]).reshape(-1, 6, 6)
+
+    def from_parent(self, q: Array) -> Array:
+        """Return the matrix (6, 6) that takes twists in the parent's frame to the joint's at q (nq,)."""
+        self._joint.calc(self._data, q)
+        return np.array((self._placement * self._data.M).actionInverse)
 
 
 def _cross(twist: Any) -> Array:

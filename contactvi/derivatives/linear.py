@@ -17,11 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from contactvi import inputs
 from contactvi.derivatives.constrained_dynamics import constrained_accelerations
-from contactvi.derivatives.tree_motion import TreeMotion
 from contactvi.errors import NotDifferentiable, SimulationError
-from contactvi.importing.dynamics import bias_forces
 from contactvi.options import Options
-from contactvi.scene.dynamics import inverse_mass_matrix
+from contactvi.scene.dynamics import bias_forces, inverse_mass_matrix
 from contactvi.scene.scene import Scene
 from contactvi.simulation.compatibility import check_unforced
 from contactvi.simulation.run import Run
@@ -273,14 +271,12 @@ def forward_dynamics_derivatives(
     from contactvi import _core
 
     own, f_q, f_v = _core.linear_forces(core, at, w, None if rows is None else rows[0], time)
-    model, inverse = compiled.built.model, inverse_mass_matrix(compiled.built, at)
-    rows_of_constraints = compiled.built.elements.constraints
-    if rows_of_constraints:
-        return ForwardDynamics(
-            *constrained_accelerations(model, inverse, rows_of_constraints, at, w, time, force + own, f_q, f_v)
-        )
-    a = inverse @ (force + own - bias_forces(model, at, w))
-    b_q, b_v = TreeMotion(model, at, w, a).force_derivatives()
+    built = compiled.built
+    inverse = inverse_mass_matrix(built, at)
+    if built.elements.constraints:
+        return ForwardDynamics(*constrained_accelerations(built, inverse, at, w, time, force + own, f_q, f_v))
+    a = inverse @ (force + own - bias_forces(built, at, w))
+    b_q, b_v = map(np.asarray, built.engine.model.motion(at, w, a).force_derivatives())
     return ForwardDynamics(a, inverse @ (f_q - b_q), inverse @ (f_v - b_v), inverse)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi.errors import SceneError, UnsupportedJointError
-from contactvi.importing.dynamics import mass_matrix
+from contactvi.importing.engine_model import EngineModel, engine_model
 from contactvi.importing.joint_kinds import NO_LIMIT, ONE_DOF, has_limits, joint_kind, motion_axis
 from contactvi.importing.report import BodyRow, JointRow, PartReport, number
 from contactvi.inputs import LARGEST
@@ -218,7 +218,8 @@ def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str 
         return np.zeros(0)
     # The pose is generic: at a special one even a good model may be singular, and a bad one regular.
     generic = pin.integrate(model, q, 0.3 * np.sin(1.0 + np.arange(model.nv)))
-    diagonal, least, worst = _least_inertia(model, generic, SINGULAR)
+    own = engine_model(model)
+    diagonal, least, worst = _least_inertia(own, generic, SINGULAR)
     if least < SINGULAR:
         name = dof_joint(model, worst)
         raise SceneError(
@@ -229,7 +230,7 @@ def check_mass(model: pin.Model, q: np.ndarray, report: PartReport, prefix: str 
             remedy="Give the links behind it an <inertial>, make the joint fixed, or give it an armature: "
             f"add_urdf(..., armature={{{name!r}: 1e-4}})",
         )
-    _, here, worst = _least_inertia(model, q, NEARLY_SINGULAR)
+    _, here, worst = _least_inertia(own, q, NEARLY_SINGULAR)
     if here < NEARLY_SINGULAR:
         name = dof_joint(model, worst)
         text = (
@@ -250,12 +251,12 @@ def _no_inertia(own: float, least: float) -> str:
     )
 
 
-def _least_inertia(model: pin.Model, q: np.ndarray, enough: float) -> tuple[np.ndarray, float, int]:
+def _least_inertia(model: EngineModel, q: np.ndarray, enough: float) -> tuple[np.ndarray, float, int]:
     """Return the diagonal of M(q), the least eigenvalue of M scaled to a unit diagonal, and the dof that moves most.
 
     Where the eigenvalue is above `enough`, a lower bound above it may stand for it, and any dof.
     """
-    mass = mass_matrix(model, q)
+    mass = np.asarray(model.mass_matrix(q))
     diagonal = np.diag(mass).copy()
     worst = int(np.argmin(diagonal))
     if diagonal[worst] < np.finfo(float).tiny:  # below it doubles have lost digits, and M^-1 overflows

@@ -22,6 +22,7 @@ from contactvi.scene.pair_names import PairNames
 from contactvi.scene.pairs import ContactRules, choose_pairs
 from contactvi.scene.parts import PartList
 from contactvi.scene.selection import Names
+from contactvi.states import States
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +76,11 @@ class Built:
         return make_engine_scene(
             self.model, self.collision, self.pairs.numbers, self.restitution, self.friction, self.arrays, self.elements
         )
+
+    @cached_property
+    def states(self) -> States:
+        """Checks of states and forces."""
+        return States(self.model)
 
     @cached_property
     def constrained(self) -> bool:

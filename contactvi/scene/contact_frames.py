@@ -22,7 +22,6 @@ from contactvi.scene.build import Built
 from contactvi.scene.engine import engine_contact_points
 from contactvi.scene.point_pairs import PointPairs, skew
 from contactvi.scene.selection import PartHandle, Selector
-from contactvi.states import States
 
 Array = NDArray[np.float64]
 
@@ -82,7 +81,8 @@ class ContactJacobian:
         self._friction = [float(built.friction[number]) for number in numbers]
         places = np.array([[p.point_a for p in points], [p.point_b for p in points]]).reshape(2, -1, 3)
         joints = np.array([[built.carriers[p.pair[side]] for p in points] for side in (0, 1)], dtype=np.int64)
-        self._fixed = PointPairs(built.model, q, joints, places, frames_along(_normals(points)))
+        self._states = built.states
+        self._fixed = PointPairs(built.engine.model, q, joints, places, frames_along(_normals(points)))
         self.matrix = self._fixed.jacobian()
 
     @cached_property
@@ -107,7 +107,7 @@ class ContactJacobian:
         moves over it, and its material point does accelerate, away from the contact: a sphere of radius r on a plane
         by w^2 r.
         """
-        return self._fixed.bias_acceleration(States(self._fixed.model).velocity(v, "v"))
+        return self._fixed.bias_acceleration(self._states.velocity(v, "v"))
 
     def on(self, body: Selector | Sequence[Selector]) -> ContactJacobian:
         """Return the Jacobian of the points of a body, seen from it: in each pair it is the second.

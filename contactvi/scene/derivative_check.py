@@ -24,7 +24,6 @@ from contactvi.errors import DerivativeError, InputError
 from contactvi.inputs import real, short, vector
 from contactvi.scene.element_rows import dof_names
 from contactvi.scene.scene import Scene
-from contactvi.states import States
 
 Array = NDArray[np.float64]
 Move = Callable[[Array, Array], Array]
@@ -206,5 +205,5 @@ def _state(scene: Scene, q: Any, v: Any) -> tuple[Array, Array]:
     """Return a checked state; where none is given, one near neutral and without zeros."""
     generic = np.sin(1.0 + np.arange(scene.nv))
     near = np.asarray(pin.integrate(scene.model, scene.neutral(), GENERIC * generic))
-    configuration = near if q is None else States(scene.model).configuration(q, "q")
+    configuration = near if q is None else scene.built().states.configuration(q, "q")
     return configuration, generic if v is None else vector("v", v, scene.nv)

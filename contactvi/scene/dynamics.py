@@ -15,12 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contactvi.errors import InputError, SceneError, did_you_mean
-from contactvi.importing import dynamics
 from contactvi.inputs import real
 from contactvi.scene.build import Built
 from contactvi.scene.contact_frames import ContactJacobian, TouchingPoint, touching_points
 from contactvi.scene.engine import engine_passive_forces
-from contactvi.states import States
 
 Array = NDArray[np.float64]
 
@@ -43,7 +41,7 @@ def inverse_mass_matrix(built: Built, q: Array) -> Array:
 
 def bias_forces(built: Built, q: Array, v: Array) -> Array:
     """Return b (nv,) at q (nq,), v (nv,)."""
-    return dynamics.bias_forces(built.model, q, v)
+    return np.asarray(built.engine.model.bias_forces(q, v))
 
 
 def passive_forces(built: Built, q: Array, v: Array, t: float) -> Array:
@@ -216,7 +214,7 @@ class SceneDynamics(ABC):
         return constraint_jacobian(self.built(), self._q(q), real("t", t), name)
 
     def _q(self, q: Any) -> Array:
-        return States(self.built().model).configuration(q, "q")
+        return self.built().states.configuration(q, "q")
 
     def _v(self, v: Any) -> Array:
-        return States(self.built().model).velocity(v, "v")
+        return self.built().states.velocity(v, "v")

@@ -1,6 +1,6 @@
 """The engine's constant scene: made of a complete model, joint arrays and elements; asked for states and points.
 
-Models cross to C++ as Pinocchio's own binary archives, which are valid within one process only.
+Models cross to C++ as numbers, shapes by the addresses of coal's objects, of which the engine makes copies.
 """
 
 from __future__ import annotations
@@ -8,14 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import coal
 import numpy as np
 import pinocchio as pin
 
 from contactvi.elements.user_functions import checked_force, checked_force_derivatives, checked_of_q
 from contactvi.errors import EngineError, SceneError
-from contactvi.importing.hulls import faces_by_engine
-from contactvi.importing.part import copy_geometry
+from contactvi.importing.engine_model import engine_model
 from contactvi.scene.element_rows import Resolved
 from contactvi.scene.joint_arrays import JointArrays
 from contactvi.scene.rounded_hulls import RoundedHulls
@@ -25,7 +23,8 @@ if TYPE_CHECKING:
 
 EngineScene: TypeAlias = "_core.Scene"
 ImpactsAt: TypeAlias = "_core.ImpactsAt"
-Hull: TypeAlias = tuple[list[int], np.ndarray, np.ndarray, float]  # geometries that have it, vertices, triangles, sweep
+# The joint of a geometry, its rotation (3, 3) and position (3,) there, its name and the address of its shape.
+Shape: TypeAlias = tuple[int, np.ndarray, np.ndarray, str, int]
 
 
 def make_engine_scene(
@@ -49,31 +48,26 @@ def make_engine_scene(
     """
     from contactvi import _core
 
-    # Pairs and hulls cross as numbers. In an archive those of a large scene take more than all else, and coal finds the
-    # neighbours of vertices anew when it reads a hull.
-    hulls, shapes = _shapes(collision)
-    archives = _archive(model), shapes
     try:
         scene = _core.Scene(
-            archives[0].view(),
-            archives[1].view(),
+            engine_model(model),
+            shapes_by_address(collision),
+            pairs,
             restitution,
+            friction,
             arrays.stiffness,
             arrays.rest,
             np.asarray(model.damping),
             arrays.limits,
             arrays.limit_restitution,
-            friction,
             RoundedHulls(),
-            pairs,
-            hulls,
         )
         _set_joints(scene, arrays)
         _add_elements(scene, elements)
         _set_actuation(scene, arrays)
     except EngineError:
         raise
-    except RuntimeError as error:  # of Pinocchio or coal
+    except RuntimeError as error:  # of coal
         raise SceneError(
             "The engine refuses the scene",
             got=str(error).strip().splitlines()[-1],
@@ -191,24 +185,12 @@ def engine_impacts(
     return _core.ImpactsAt(scene, q, list(guards), restitution, margin, max_impacts)
 
 
-def _shapes(collision: pin.GeometryModel) -> tuple[list[Hull], Any]:
-    """Return the hulls of a geometry, and the archive of all without pairs, with a ball in the place of each hull."""
-    others, ball = copy_geometry(collision), coal.Sphere(1.0)
-    found: dict[int, tuple[coal.Convex, list[int]]] = {}
-    for k, geometry in enumerate(others.geometryObjects):
-        shape = geometry.geometry
-        if isinstance(shape, coal.Convex):
-            found.setdefault(shape.id(), (shape, []))[1].append(k)
-            geometry.geometry = ball
-    hulls = [
-        (geometries, np.array(hull.points()), faces_by_engine(hull), hull.getSweptSphereRadius())
-        for hull, geometries in found.values()
-    ]
-    return hulls, _archive(others)
-
-
-def _archive(item: pin.Model | pin.GeometryModel) -> Any:
-    """Return a buffer with Pinocchio's binary archive of a model; its view() lives as long as the buffer."""
-    buffer = pin.serialization.StreamBuffer()
-    item.saveToBinary(buffer)
-    return buffer
+def shapes_by_address(collision: pin.GeometryModel) -> list[Shape]:
+    """Return the geometries as the engine's scene takes them; the model has to live until it is made."""
+    return [
+        (
+            int(item.parentJoint), item.placement.rotation, item.placement.translation,
+            str(item.name), int(item.geometry.id()),
+        )
+        for item in collision.geometryObjects
+    ]  # fmt: skip

@@ -46,7 +46,6 @@ from contactvi.scene.scene_elements import SceneElements
 from contactvi.scene.scene_shapes import SceneShapes
 from contactvi.scene.selection import Names, PartHandle, Selector
 from contactvi.scene.shown import scene_html
-from contactvi.states import States
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -682,7 +681,7 @@ class Scene(SceneShapes, SceneElements, SceneDynamics):
 
     def _state(self, q: Any) -> np.ndarray:
         built = self.built()
-        return built.start.copy() if q is None else States(built.model).configuration(q, "q")
+        return built.start.copy() if q is None else built.states.configuration(q, "q")
 
 
 def _restored(kind: type[Scene], data: Mapping[str, Any], elements: ElementList, goals: Mapping[str, Any]) -> Scene:

@@ -81,7 +81,7 @@ class Imu:
         self._simulator = _checked(simulator)
         self._model: pin.Model = simulator.scene.model
         joint, place = _frame(simulator, body)
-        self._joint, self._place = JointChains(self._model, [joint]), place * pose("placement", placement)
+        self._joint, self._place = np.array([joint], dtype=np.int64), place * pose("placement", placement)
 
     def read(self) -> ImuReading:
         """Return what it shows now. Raises SimulationError before the first step."""
@@ -96,9 +96,9 @@ class Imu:
 
     def _motion(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """Return velocity and angular velocity of the sensor in world axes and its axes in the world."""
-        joint = self._joint.motions(q, v)[0]
-        twist, place = joint.place.act(joint.twist), joint.place * self._place
-        return twist.linear + np.cross(twist.angular, place.translation), twist.angular.copy(), place.rotation.copy()
+        (R,), _, (motion,) = map(np.asarray, self._simulator.scene.built().engine.model.motions(self._joint, q, v))
+        velocity, spin = motion[0].reshape(2, 3)  # of the joint's origin, in the joint's axes
+        return R @ (velocity + np.cross(spin, self._place.translation)), R @ spin, R @ self._place.rotation
 
 
 class ContactSensor:

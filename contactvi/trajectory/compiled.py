@@ -25,7 +25,6 @@ from contactvi.records.work import ConstraintRows
 from contactvi.scene import closure as loops
 from contactvi.scene.derivative_check import GENERIC, check_element, mover
 from contactvi.scene.scene import Scene
-from contactvi.states import States
 
 if TYPE_CHECKING:
     from contactvi import _core
@@ -58,7 +57,7 @@ class CompiledScene:
         self.core: _core.Scene = scene.core()
         self.built = built
         self._scene = scene.copy()
-        self.states = States(built.model)
+        self.states = built.states
         self.pair_names = built.pairs
         self.joint_names = [str(name) for name in built.model.names]
         self.shape_groups = scene.names.shape_groups

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from contactvi.elements.element import WORLD
 from contactvi.importing.kinematics import JointChains
 from contactvi.playback.animation import near_turns
+from contactvi.scene.build import Built
 
 Array = NDArray[np.float64]
 
@@ -46,17 +47,17 @@ def body_poses(model: pin.Model, q: Array, bodies: Sequence[str]) -> tuple[Array
     return position, quaternion
 
 
-def point_jacobians(model: pin.Model, q: Array, body: str, point: Array) -> Array:
+def point_jacobians(built: Built, q: Array, body: str, point: Array) -> Array:
     """Return the Jacobians (n, 3, nv) of the velocity of a point (3,) [m] of a body, given in the body's frame.
 
     World axes; at configurations q (n, nq).
     """
-    frame = model.frames[_frame(model, body)]
-    joint, rows = JointChains(model, [int(frame.parentJoint)]), np.zeros((len(q), 3, model.nv))
+    frame = built.model.frames[_frame(built.model, body)]
+    joint, rows = np.array([frame.parentJoint], dtype=np.int64), np.zeros((len(q), 3, built.model.nv))
     in_joint = pin.skew(frame.placement.act(point))
     for row, values in zip(rows, q, strict=True):
-        (place,), (J,) = joint.jacobians(values)
-        row[:] = place.rotation @ (J[:3] - in_joint @ J[3:])
+        (rotation,), _, (J,) = map(np.asarray, built.engine.model.jacobians(joint, values))
+        row[:] = rotation @ (J[:3] - in_joint @ J[3:])
     return rows
 
 

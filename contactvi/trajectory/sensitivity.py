@@ -210,10 +210,9 @@ class Sensitivity:
         Raises:
             InputError: unknown body.
         """
-        model = self._built.model
         name = self._built.names.select_body(body)
-        rows = point_jacobians(model, self._traj.q, name, array("point", point, (3,), "a point of the body"))
-        return np.asarray(rows @ self.matrix[:, : model.nv])
+        rows = point_jacobians(self._built, self._traj.q, name, array("point", point, (3,), "a point of the body"))
+        return np.asarray(rows @ self.matrix[:, : self._built.model.nv])
 
     def _solve(self, times: Array) -> dict[str, Any]:
         found = self._run.tangent(self._directions, list(map(float, times)), self._taken)

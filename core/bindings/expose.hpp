@@ -9,6 +9,7 @@ struct Scene;
 class SteppedWorld;
 
 void expose_enums(nanobind::module_& m);
+void expose_model(nanobind::module_& m);
 void expose_scene(nanobind::module_& m);
 void expose_elements(nanobind::class_<Scene>& scene);
 void expose_kept_runs(nanobind::module_& m, nanobind::class_<SteppedWorld>& simulator);

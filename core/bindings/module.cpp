@@ -29,6 +29,7 @@ NB_MODULE(_core, m) {
   nanobind::register_exception_translator(translate);
   contactvi::settle_box_support();
   contactvi::expose_enums(m);
+  contactvi::expose_model(m);
   contactvi::expose_scene(m);
   contactvi::expose_cone(m);
   contactvi::expose_dense(m);

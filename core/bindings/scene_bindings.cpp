@@ -14,6 +14,7 @@
 #include "geometry/prepare.hpp"
 #include "model/coordinates.hpp"
 #include "model/flat_model.hpp"
+#include "model/public_model.hpp"
 #include "model/rounding.hpp"
 #include "step/energy.hpp"
 #include "step/integrator.hpp"
@@ -70,42 +71,14 @@ class KeptRoundedHulls : public RoundedHulls {
   nb::object keeper_;
 };
 
-// The bytes of an object of Python that has a buffer (bytes, a memoryview), which are not copied.
-class BytesOf {
- public:
-  explicit BytesOf(const nb::object& object) {
-    if (PyObject_GetBuffer(object.ptr(), &buffer_, PyBUF_SIMPLE) != 0) throw nb::python_error();
-  }
-  BytesOf(const BytesOf&) = delete;
-  BytesOf& operator=(const BytesOf&) = delete;
-  ~BytesOf() { PyBuffer_Release(&buffer_); }
-  std::string_view get() const {
-    return {static_cast<const char*>(buffer_.buf), static_cast<std::size_t>(buffer_.len)};
-  }
+// Of each geometry its joint, its placement there, its name, and the address of its shape, the id() of coal's object.
+using ShapeRows = std::vector<std::tuple<int, Mat3, Vec3, std::string, std::uintptr_t>>;
 
- private:
-  Py_buffer buffer_;
-};
-
-// Of each hull the geometries that have it, vertices, triangles, and the radius of the sphere by which it is swept.
-using HullRows = std::vector<std::tuple<std::vector<int>, Vertices, Faces, double>>;
-
-// Values of pairs are handed on and not copied: those of a large scene take megabytes.
-Scene make_scene(const nb::object& model, const nb::object& geometry, VecX pair_restitution, const VecX& stiffness,
-                 const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
-                 std::optional<VecX> pair_friction, const nb::object& rounded_hulls, std::optional<GeometryPairs> pairs,
-                 HullRows hulls) {
-  if (!pair_friction) pair_friction = VecX::Zero(pair_restitution.size());
-  KeptRoundedHulls known(rounded_hulls);
-  BesideArchive beside{std::move(pairs), {}};
-  for (auto& [geometries, vertices, faces, radius] : hulls)
-    beside.hulls.push_back({std::move(geometries), {std::move(vertices), std::move(faces)}, radius});
-  Scene scene = load_scene(
-      BytesOf(model).get(), BytesOf(geometry).get(), beside,
-      {std::move(pair_restitution), std::move(*pair_friction), stiffness, rest, damping, limits, limit_restitution},
-      rounded_hulls.is_none() ? nullptr : &known);
-  prepare_geometry(scene);
-  return scene;
+std::vector<GivenShape> shapes_of(ShapeRows&& rows) {
+  std::vector<GivenShape> shapes;
+  for (auto& [joint, R, p, name, address] : rows)
+    shapes.push_back({joint, R, p, std::move(name), reinterpret_cast<const coal::CollisionGeometry*>(address)});
+  return shapes;
 }
 
 // Raises what a function of the user raised while the engine called it.
@@ -295,23 +268,26 @@ void expose_scene(nb::module_& m) {
   scene
       .def(
           "__init__",
-          [](Scene* self, nb::object model, nb::object geometry, VecX pair_restitution, const VecX& stiffness,
-             const VecX& rest, const VecX& damping, const VecX& limits, const VecX& limit_restitution,
-             std::optional<VecX> pair_friction, nb::object rounded_hulls, std::optional<GeometryPairs> pairs,
-             HullRows hulls) {
+          // Values of pairs are moved and not copied: those of a large scene take megabytes.
+          [](Scene* self, const PublicModel& model, ShapeRows shapes, const GeometryPairs& pairs, VecX pair_restitution,
+             VecX pair_friction, const VecX& stiffness, const VecX& rest, const VecX& damping, const VecX& limits,
+             const VecX& limit_restitution, nb::object rounded_hulls) {
             instruction_set();  // a wrong name in the environment is refused before anything is computed
-            new (self) Scene(make_scene(model, geometry, std::move(pair_restitution), stiffness, rest, damping, limits,
-                                        limit_restitution, std::move(pair_friction), rounded_hulls, std::move(pairs),
-                                        std::move(hulls)));
+            KeptRoundedHulls known(rounded_hulls);
+            Scene scene = load_scene(std::make_shared<const PublicModel>(model), shapes_of(std::move(shapes)), pairs,
+                                     {std::move(pair_restitution), std::move(pair_friction), stiffness, rest, damping,
+                                      limits, limit_restitution},
+                                     rounded_hulls.is_none() ? nullptr : &known);
+            prepare_geometry(scene);
+            new (self) Scene(std::move(scene));
           },
-          "model"_a, "geometry"_a, "pair_restitution"_a, "stiffness"_a, "rest"_a, "damping"_a, "limits"_a,
-          "limit_restitution"_a, "pair_friction"_a = nb::none(), "rounded_hulls"_a = nb::none(), "pairs"_a = nb::none(),
-          "hulls"_a = HullRows(),
-          "From the binary archives (bytes, or anything else with a buffer) of a pin.Model and a collision "
-          "pin.GeometryModel and per joint and pair data; "
-          "rounded_hulls: keeps rounded hulls from one process to the next, has find and keep; "
-          "pairs: numbers of two geometries in each row, by default the pairs of the geometry; "
-          "hulls: in the place of shapes in the archive: numbers of geometries, vertices, triangles, swept radius.")
+          "model"_a, "shapes"_a, "pairs"_a, "pair_restitution"_a, "pair_friction"_a, "stiffness"_a, "rest"_a,
+          "damping"_a, "limits"_a, "limit_restitution"_a, "rounded_hulls"_a = nb::none(),
+          "shapes: of each geometry its joint (0: the world), rotation and position there, name, and the id() of its "
+          "shape of coal, which is copied; pairs: numbers of two geometries in each row; "
+          "rounded_hulls: keeps rounded hulls from one process to the next, has find and keep.")
+      .def_prop_ro(
+          "model", [](const Scene& s) -> const PublicModel& { return *s.model; }, nb::rv_policy::reference_internal)
       .def_prop_ro("nq", [](const Scene& s) { return s.tree.nq; })
       .def_prop_ro("nv", [](const Scene& s) { return s.tree.nv; })
       .def_prop_ro("njoints", [](const Scene& s) { return s.tree.body_of_source.size(); })

@@ -1,33 +1,19 @@
-// Makes the engine's Scene from Pinocchio's archives. The only file that knows pin.Model and pin.GeometryModel.
-#include <boost/archive/binary_iarchive.hpp>
-#include <boost/iostreams/device/array.hpp>
-#include <boost/iostreams/stream_buffer.hpp>
-#include <pinocchio/geometry.hpp>
-#include <pinocchio/multibody.hpp>
-#include <pinocchio/serialization.hpp>
-
+// Makes the engine's Scene from a model in public coordinates and coal's shapes.
 #include <coal/shape/geometric_shapes.h>
 
 #include <cmath>
+#include <map>
+#include <utility>
 
 #include "base/refusal.hpp"
+#include "model/hull_access.hpp"
+#include "model/public_model.hpp"
 #include "model/rounding.hpp"
 #include "model/scene.hpp"
 
 namespace contactvi {
 
 namespace {
-
-template <class T>
-void unpack(T& object, std::string_view bytes, const char* what) {
-  try {
-    boost::iostreams::stream_buffer<boost::iostreams::basic_array_source<char>> stream(bytes.data(), bytes.size());
-    boost::archive::binary_iarchive archive(stream);
-    archive >> object;
-  } catch (const std::exception& error) {
-    throw Error(std::string("the ") + what + " archive could not be read: " + error.what());
-  }
-}
 
 // Rotation whose third column is the unit vector axis; exact for coordinate axes.
 Mat3 frame_along(const Vec3& axis) {
@@ -41,18 +27,16 @@ Mat3 frame_along(const Vec3& axis) {
   return R;
 }
 
-bool starts_with(const std::string& text, const char* prefix) { return text.rfind(prefix, 0) == 0; }
-
 class Builder {
  public:
-  Builder(const pinocchio::Model& model, const SceneParameters& parameters, Scene& scene)
+  Builder(const PublicModel& model, const SceneParameters& parameters, Scene& scene)
       : model_(model), parameters_(parameters), tree_(scene.tree) {}
 
   void build() {
-    const int n = model_.njoints;
+    const int n = static_cast<int>(model_.joints.size());
     tree_.nq = model_.nq;
     tree_.nv = model_.nv;
-    tree_.gravity = model_.gravity.linear();
+    tree_.gravity = model_.gravity;
     tree_.armature = model_.armature;
     tree_.damping = parameters_.damping;
     tree_.rest = parameters_.rest;
@@ -81,10 +65,10 @@ class Builder {
     joint.first_moment.setZero();
     joint.inertia.setZero();
     joint.stiffness = parameters_.stiffness[source];
-    joint.name = model_.names[source];
+    joint.name = model_.joints[source].name;
     if (last) {
-      const auto& Y = model_.inertias[source];
-      set_body(joint, Y.mass(), Y.lever(), Y.inertia().matrix(), A);
+      const PublicJoint& body = model_.joints[source];
+      set_body(joint, body.mass, body.centre, body.inertia, A);
       tree_.body_of_source[source] = static_cast<int>(tree_.joints.size());
       // R_body_source takes coordinates in the public model's joint frame to the engine's body frame.
       tree_.R_body_source[source] = A.transpose();
@@ -93,77 +77,73 @@ class Builder {
   }
 
   void add(int i) {
-    const auto& source = model_.joints[i];
-    const std::string name = source.shortname();
-    const int parent_source = static_cast<int>(model_.parents[i]);
-    const int parent = tree_.body_of_source[parent_source];
-    const Mat3& R_parent = tree_.R_body_source[parent_source];
-    const Mat3 R = R_parent * model_.jointPlacements[i].rotation();
-    const Vec3 p = R_parent * model_.jointPlacements[i].translation();
-    const int iq = source.idx_q(), iv = source.idx_v();
+    const PublicJoint& source = model_.joints[i];
+    const int parent = tree_.body_of_source[source.parent];
+    const Mat3& R_parent = tree_.R_body_source[source.parent];
+    const Mat3 R = R_parent * source.R_PJ;
+    const Vec3 p = R_parent * source.p_PJ;
+    const int iq = source.iq, iv = source.iv;
     const Mat3 I = Mat3::Identity();
     const Vec3 zero = Vec3::Zero();
     const int at = static_cast<int>(tree_.joints.size());
-    if (name == "JointModelFreeFlyer" || name == "JointModelPlanar") {
-      if (!model_.armature.segment(iv, source.nv()).isZero(0) || parameters_.stiffness[i] != 0)
-        throw Refusal("Joint '" + model_.names[i] + "' has an armature or a spring", "neither of them on this type",
-                      name, "Take them off with scene.set_joint, or build the joint from revolute and prismatic ones");
-      tree_.split.push_back({name == "JointModelPlanar", iq, iv});
-    }
-    if (name == "JointModelFreeFlyer") {
-      push(i, JointType::kTranslation, parent, R, p, I, iq, 3, iv, 3, 0, false);
-      push(i, JointType::kSpherical, at, I, zero, I, iq + 3, 4, iv + 3, 3, 0, true);
-    } else if (name == "JointModelPlanar") {
-      const Mat3 X = frame_along(Vec3::UnitX()), Y = frame_along(Vec3::UnitY());
-      push(i, JointType::kPrismatic, parent, R, p, X, iq, 1, iv, 1, 0, false);
-      push(i, JointType::kPrismatic, at, X.transpose(), zero, Y, iq + 1, 1, iv + 1, 1, 0, false);
-      push(i, JointType::kContinuous, at + 1, Y.transpose(), zero, I, iq + 2, 2, iv + 2, 1, 0, true);
-    } else if (name == "JointModelTranslation") {
-      push(i, JointType::kTranslation, parent, R, p, I, iq, 3, iv, 3, 0, true);
-    } else if (name == "JointModelSpherical") {
-      push(i, JointType::kSpherical, parent, R, p, I, iq, 4, iv, 3, 0, true);
-    } else {
-      add_one_dof(i, name, parent, R, p);
+    switch (source.type) {
+      case PublicJointType::kFreeFlyer:
+        split(i);
+        push(i, JointType::kTranslation, parent, R, p, I, iq, 3, iv, 3, 0, false);
+        push(i, JointType::kSpherical, at, I, zero, I, iq + 3, 4, iv + 3, 3, 0, true);
+        return;
+      case PublicJointType::kPlanar: {
+        split(i);
+        const Mat3 X = frame_along(Vec3::UnitX()), Y = frame_along(Vec3::UnitY());
+        push(i, JointType::kPrismatic, parent, R, p, X, iq, 1, iv, 1, 0, false);
+        push(i, JointType::kPrismatic, at, X.transpose(), zero, Y, iq + 1, 1, iv + 1, 1, 0, false);
+        push(i, JointType::kContinuous, at + 1, Y.transpose(), zero, I, iq + 2, 2, iv + 2, 1, 0, true);
+        return;
+      }
+      case PublicJointType::kTranslation:
+        push(i, JointType::kTranslation, parent, R, p, I, iq, 3, iv, 3, 0, true);
+        return;
+      case PublicJointType::kSpherical:
+        push(i, JointType::kSpherical, parent, R, p, I, iq, 4, iv, 3, 0, true);
+        return;
+      case PublicJointType::kRevolute:
+        return add_one_dof(i, JointType::kRevolute, parent, R, p);
+      case PublicJointType::kContinuous:
+        return add_one_dof(i, JointType::kContinuous, parent, R, p);
+      case PublicJointType::kPrismatic:
+        return add_one_dof(i, JointType::kPrismatic, parent, R, p);
+      case PublicJointType::kHelical:
+        return add_one_dof(i, JointType::kHelical, parent, R, p);
     }
   }
 
-  void add_one_dof(int i, const std::string& name, int parent, const Mat3& R, const Vec3& p) {
-    const auto& source = model_.joints[i];
-    JointType type;
-    if (starts_with(name, "JointModelRUB") || name == "JointModelRevoluteUnboundedUnaligned") {
-      type = JointType::kContinuous;
-    } else if (name == "JointModelRX" || name == "JointModelRY" || name == "JointModelRZ" ||
-               name == "JointModelRevoluteUnaligned") {
-      type = JointType::kRevolute;
-    } else if (name == "JointModelPX" || name == "JointModelPY" || name == "JointModelPZ" ||
-               name == "JointModelPrismaticUnaligned") {
-      type = JointType::kPrismatic;
-    } else if (name == "JointModelHX" || name == "JointModelHY" || name == "JointModelHZ" ||
-               name == "JointModelHelicalUnaligned") {
-      type = JointType::kHelical;
-    } else {
-      throw Refusal("Joint '" + model_.names[i] + "' has a type that the engine does not step",
-                    "revolute, continuous, prismatic, helical, planar, translation, spherical or free-flyer", name,
-                    "Replace it by a chain of revolute and prismatic joints");
-    }
-    // Axis and pitch are read from the motion subspace, which all types have in the same form.
-    pinocchio::JointData data = source.createData();
-    VecX q = VecX::Zero(model_.nq);
-    if (type == JointType::kContinuous) q[source.idx_q()] = 1;
-    source.calc(data, q);
-    const Eigen::Matrix<double, 6, 1> S = data.S().matrix().col(0);
-    const Vec3 axis = type == JointType::kPrismatic ? S.head<3>() : S.tail<3>();
-    const double pitch = type == JointType::kHelical ? S.head<3>().dot(axis) : 0.0;
-    push(i, type, parent, R, p, frame_along(axis), source.idx_q(), source.nq(), source.idx_v(), 1, pitch, true);
+  // Notes a joint that becomes several.
+  void split(int i) {
+    const PublicJoint& source = model_.joints[i];
+    const bool planar = source.type == PublicJointType::kPlanar;
+    if (!model_.armature.segment(source.iv, source.nv).isZero(0) || parameters_.stiffness[i] != 0)
+      throw Refusal("Joint '" + source.name + "' has an armature or a spring", "neither of them on this type",
+                    planar ? "planar" : "free-flyer",
+                    "Take them off with scene.set_joint, or build the joint from revolute and prismatic ones");
+    tree_.split.push_back({planar, source.iq, source.iv});
+  }
+
+  void add_one_dof(int i, JointType type, int parent, const Mat3& R, const Vec3& p) {
+    const PublicJoint& source = model_.joints[i];
+    const Vec3 along = source.subspace.head<3>();
+    const Vec3 axis = type == JointType::kPrismatic ? along : Vec3(source.subspace.tail<3>());
+    const double pitch = type == JointType::kHelical ? along.dot(axis) : 0.0;
+    push(i, type, parent, R, p, frame_along(axis), source.iq, source.nq, source.iv, 1, pitch, true);
     if (parameters_.limits[i] != 0) add_limits(i);
   }
 
   void add_limits(int i) {
-    const int iq = model_.joints[i].idx_q(), joint = tree_.body_of_source[i];
-    if (model_.joints[i].nq() != 1)
-      throw Refusal("Joint '" + model_.names[i] + "' has limits", "limits on joints with one number in q only",
-                    model_.joints[i].shortname(), "Take them off: scene.set_joint(name, limits=False)");
-    const double lower = model_.lowerPositionLimit[iq], upper = model_.upperPositionLimit[iq];
+    const PublicJoint& source = model_.joints[i];
+    const int joint = tree_.body_of_source[i];
+    if (source.nq != 1)
+      throw Refusal("Joint '" + source.name + "' has limits", "limits on joints with one number in q only",
+                    "continuous", "Take them off: scene.set_joint(name, limits=False)");
+    const double lower = model_.lower[source.iq], upper = model_.upper[source.iq];
     const double e = parameters_.limit_restitution[i];
     if (std::isfinite(lower)) tree_.limits.push_back({joint, i, false, lower, e});
     if (std::isfinite(upper)) tree_.limits.push_back({joint, i, true, upper, e});
@@ -188,7 +168,7 @@ class Builder {
     }
   }
 
-  const pinocchio::Model& model_;
+  const PublicModel& model_;
   const SceneParameters& parameters_;
   Tree& tree_;
 };
@@ -211,8 +191,20 @@ void set_iteration(coal::NODE_TYPE a, coal::NODE_TYPE b, Pair& pair) {
   pair.refined = !closed_form && (is_curved(a) || is_curved(b));
 }
 
-Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree) {
-  const coal::CollisionGeometry& shape = *object.geometry;
+// The engine's own copy of a shape.
+std::shared_ptr<coal::CollisionGeometry> copy_of(const coal::CollisionGeometry& shape) {
+  if (shape.getNodeType() != coal::GEOM_CONVEX) return std::shared_ptr<coal::CollisionGeometry>(shape.clone());
+  const auto hull = shape_of(polytope_of(shape));
+  static_cast<coal::ShapeBase&>(*hull).setSweptSphereRadius(
+      static_cast<const coal::ShapeBase&>(shape).getSweptSphereRadius());
+  return hull;
+}
+
+// Geometries that have one shape share its copy.
+using Copies = std::map<const coal::CollisionGeometry*, std::shared_ptr<coal::CollisionGeometry>>;
+
+Geometry make_geometry(const GivenShape& object, const Tree& tree, Copies& copies) {
+  const coal::CollisionGeometry& shape = *object.shape;
   switch (shape.getNodeType()) {
     case coal::GEOM_BOX:
     case coal::GEOM_SPHERE:
@@ -228,13 +220,18 @@ Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree
                     "Replace it by these shapes, or by convex hulls of its parts");
   }
   Geometry g;
-  const int source = static_cast<int>(object.parentJoint);
-  const Mat3& R_BS = tree.R_body_source[source];
-  g.body = tree.body_of_source[source];
-  g.R_BG = R_BS * object.placement.rotation();
-  g.p_BG = R_BS * object.placement.translation();
-  object.geometry->computeLocalAABB();
-  g.sharp = object.geometry;
+  if (object.joint < 0 || object.joint >= static_cast<int>(tree.body_of_source.size()))
+    throw Error("a shape on no joint");
+  const Mat3& R_BS = tree.R_body_source[object.joint];
+  g.body = tree.body_of_source[object.joint];
+  g.R_BG = R_BS * object.R_JG;
+  g.p_BG = R_BS * object.p_JG;
+  std::shared_ptr<coal::CollisionGeometry>& copy = copies[object.shape];
+  if (!copy) {
+    copy = copy_of(shape);
+    copy->computeLocalAABB();
+  }
+  g.sharp = copy;
   g.rounding = 0;
   g.unbounded = shape.getNodeType() == coal::GEOM_HALFSPACE;
   if (g.unbounded) {
@@ -247,11 +244,11 @@ Geometry make_geometry(const pinocchio::GeometryObject& object, const Tree& tree
     g.is_ball = false;
     return g;
   }
-  g.center_B = g.R_BG * shape.aabb_center + g.p_BG;
-  g.radius = shape.aabb_radius;
+  g.center_B = g.R_BG * copy->aabb_center + g.p_BG;
+  g.radius = copy->aabb_radius;
   g.reach = g.center_B.norm() + g.radius;
-  g.box_center = shape.aabb_center;
-  g.box_half = 0.5 * (shape.aabb_local.max_ - shape.aabb_local.min_);
+  g.box_center = copy->aabb_center;
+  g.box_half = 0.5 * (copy->aabb_local.max_ - copy->aabb_local.min_);
   g.is_ball = shape.getNodeType() == coal::GEOM_SPHERE;
   return g;
 }
@@ -269,64 +266,38 @@ std::vector<Geometry*> rounded_shapes(Scene& scene) {
   return chosen;
 }
 
-// Reads the model into the scene's tree. It is a large one, and is gone before the geometry is read.
-void add_tree(Scene& scene, std::string_view model_bytes, const SceneParameters& parameters) {
-  pinocchio::Model model;
-  unpack(model, model_bytes, "model");
-  if (parameters.stiffness.size() != model.njoints || parameters.limits.size() != model.njoints ||
-      parameters.limit_restitution.size() != model.njoints || parameters.rest.size() != model.nq ||
+void check_sizes(const PublicModel& model, const GeometryPairs& pairs, const SceneParameters& parameters) {
+  const auto joints = static_cast<Eigen::Index>(model.joints.size());
+  if (model.armature.size() != model.nv || model.lower.size() != model.nq)
+    throw Error("the arrays of the model are for more joints than there are");
+  if (parameters.stiffness.size() != joints || parameters.limits.size() != joints ||
+      parameters.limit_restitution.size() != joints || parameters.rest.size() != model.nq ||
       parameters.damping.size() != model.nv)
     throw Error("scene parameters do not have the sizes of the model");
-  Builder(model, parameters, scene).build();
-}
-
-void set_hulls(pinocchio::GeometryModel& geometry, const std::vector<GivenHull>& hulls) {
-  auto& objects = geometry.geometryObjects;
-  for (const GivenHull& given : hulls) {
-    const auto shape = shape_of(given.hull);
-    static_cast<coal::ShapeBase&>(*shape).setSweptSphereRadius(given.swept_radius);
-    for (int i : given.geometries) {
-      if (i < 0 || i >= static_cast<int>(objects.size())) throw Error("a hull of no geometry");
-      objects[i].geometry = shape;
-    }
-  }
-}
-
-GeometryPairs pairs_of(const pinocchio::GeometryModel& geometry) {
-  GeometryPairs pairs(geometry.collisionPairs.size(), 2);
-  for (std::size_t k = 0; k < geometry.collisionPairs.size(); ++k)
-    pairs.row(k) << static_cast<int>(geometry.collisionPairs[k].first),
-        static_cast<int>(geometry.collisionPairs[k].second);
-  return pairs;
+  if (parameters.pair_restitution.size() != pairs.rows() || parameters.pair_friction.size() != pairs.rows())
+    throw Error("one restitution and one friction per collision pair are needed");
 }
 
 }  // namespace
 
-Scene load_scene(std::string_view model_bytes, std::string_view geometry_bytes, const BesideArchive& beside,
-                 const SceneParameters& parameters, RoundedHulls* known) {
+Scene load_scene(std::shared_ptr<const PublicModel> model, const std::vector<GivenShape>& shapes,
+                 const GeometryPairs& pairs, const SceneParameters& parameters, RoundedHulls* known) {
   Scene scene;
-  add_tree(scene, model_bytes, parameters);
-  if (geometry_bytes.empty()) return scene;
-  pinocchio::GeometryModel geometry;
-  unpack(geometry, geometry_bytes, "geometry");
-  set_hulls(geometry, beside.hulls);
-  for (const auto& object : geometry.geometryObjects) scene.geometries.push_back(make_geometry(object, scene.tree));
-  const GeometryPairs own = beside.pairs ? GeometryPairs() : pairs_of(geometry);
-  const GeometryPairs& pairs = beside.pairs ? *beside.pairs : own;
+  check_sizes(*model, pairs, parameters);
+  Builder(*model, parameters, scene).build();
+  scene.model = std::move(model);
+  Copies copies;
+  for (const GivenShape& shape : shapes) scene.geometries.push_back(make_geometry(shape, scene.tree, copies));
   const int count = static_cast<int>(scene.geometries.size());
   if (pairs.size() > 0 && (pairs.minCoeff() < 0 || pairs.maxCoeff() >= count)) throw Error("a pair of no geometries");
-  if (parameters.pair_restitution.size() != pairs.rows() || parameters.pair_friction.size() != pairs.rows())
-    throw Error("one restitution and one friction per collision pair are needed");
   scene.pairs.reserve(pairs.rows());
   for (Eigen::Index k = 0; k < pairs.rows(); ++k) {
     Pair pair{pairs(k, 0), pairs(k, 1), parameters.pair_restitution[k], parameters.pair_friction[k], false, false};
     Geometry &a = scene.geometries[pair.a], &b = scene.geometries[pair.b];
-    if (a.unbounded && b.unbounded) {
-      const auto& objects = geometry.geometryObjects;
+    if (a.unbounded && b.unbounded)
       throw Refusal("Two halfspaces cannot touch each other", "at most one halfspace in a pair",
-                    "'" + objects[pair.a].name + "' and '" + objects[pair.b].name + "'",
+                    "'" + shapes[pair.a].name + "' and '" + shapes[pair.b].name + "'",
                     "Take the pair out: scene.disable_pair(a, b)");
-    }
     pair.rounded = !needs_no_rounding(a.sharp->getNodeType()) && !needs_no_rounding(b.sharp->getNodeType());
     set_iteration(a.sharp->getNodeType(), b.sharp->getNodeType(), pair);
     scene.pairs.push_back(pair);

@@ -4,11 +4,9 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "base/on_demand.hpp"
-#include "model/polytope.hpp"
 #include "model/tree.hpp"
 
 namespace coal {
@@ -17,6 +15,7 @@ class CollisionGeometry;
 
 namespace contactvi {
 
+struct PublicModel;
 struct ShapeFeatures;
 class PairTable;
 class RoundedHulls;
@@ -52,6 +51,7 @@ struct Pair {
 };
 
 struct Scene {
+  std::shared_ptr<const PublicModel> model;  // what it was made of
   Tree tree;
   std::vector<Geometry> geometries;
   std::vector<Pair> pairs;
@@ -65,7 +65,7 @@ struct Scene {
   }
 };
 
-// Data of joints and pairs that Pinocchio's archives do not carry; indices are the public model's.
+// Data of joints and pairs besides those of the model and the shapes; indices are the public model's.
 struct SceneParameters {
   VecX pair_restitution;   // npairs
   VecX pair_friction;      // npairs
@@ -79,23 +79,19 @@ struct SceneParameters {
 // Numbers of two geometries in each row.
 using GeometryPairs = Eigen::Matrix<int, Eigen::Dynamic, 2, Eigen::RowMajor>;
 
-// A hull that several geometries may have in the place of their shapes in the archive.
-struct GivenHull {
-  std::vector<int> geometries;
-  Polytope hull;
-  double swept_radius;  // [m]
+// A shape on a joint of the public model, whose owner keeps it.
+struct GivenShape {
+  int joint;  // 0: the world
+  Mat3 R_JG;
+  Vec3 p_JG;
+  std::string name;
+  const coal::CollisionGeometry* shape;
 };
 
-// What crosses beside the archive of a geometry model: archives of many pairs are large, and hulls are read slowly.
-struct BesideArchive {
-  std::optional<GeometryPairs> pairs;  // none: those of the archive
-  std::vector<GivenHull> hulls;
-};
-
-// The scene of the binary archives of a pin.Model and a pin.GeometryModel. Throws Error for joints, shapes or orders
-// that the engine does not support. Of `known`, which may be null, come rounded hulls that were made before; it is
-// handed those that are made now.
-Scene load_scene(std::string_view model, std::string_view geometry, const BesideArchive& beside,
-                 const SceneParameters& parameters, RoundedHulls* known);
+// The scene of a model, of shapes, which are copied, and of the pairs of these that may touch. Throws Error for sizes
+// that do not fit each other, Refusal for joints, shapes or pairs that the engine does not support. Of `known`, which
+// may be null, come rounded hulls that were made before; it is handed those that are made now.
+Scene load_scene(std::shared_ptr<const PublicModel> model, const std::vector<GivenShape>& shapes,
+                 const GeometryPairs& pairs, const SceneParameters& parameters, RoundedHulls* known);
 
 }  // namespace contactvi

@@ -1,6 +1,6 @@
 // The constant model: kinematic tree with the six joint types that the integrator steps, springs, damping.
 //
-// Built once by load.cpp from a Pinocchio model. Two changes of coordinates happen there and nowhere else:
+// Built once by load.cpp from the public model. Two changes of coordinates happen there and nowhere else:
 //  - a free-flyer becomes a translation followed by a spherical joint, a planar joint two prismatic ones and a
 //    continuous one (R^3 x SO(3), R^2 x SO(2)): on SE(3) exp couples spin with translation, and the flight of a
 //    spinning ball is no parabola;

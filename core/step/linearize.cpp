@@ -1,10 +1,8 @@
 #include "step/linearize.hpp"
 
-#include <cmath>
-#include <limits>
-
 #include "base/refusal.hpp"
 #include "model/coordinates.hpp"
+#include "step/lost_velocity.hpp"
 #include "step/public_tangent.hpp"
 
 namespace contactvi {
@@ -96,15 +94,7 @@ void StepLinearizer::solve_columns() {
   });
 }
 
-double StepLinearizer::lost_velocity() {
-  const int n = tree_->nv;
-  VecX w(n), p(n), G(n), again(n);
-  for (int d = 0; d < n; ++d) w[d] = std::sin(1.0 + d);
-  integrator_.dynamics(step_->q0, w, p, G);
-  integrator_.node_velocity(step_->q0, p, again);
-  const double lost = n > 0 ? (again - w).cwiseAbs().maxCoeff() : 0.0;
-  return std::isfinite(lost) ? lost : std::numeric_limits<double>::infinity();
-}
+double StepLinearizer::lost_velocity() { return contactvi::lost_velocity(integrator_, step_->q0).share; }
 
 VecX passive_forces(const Tree& tree, const VecX& q, const VecX& v, double t) {
   VecX w = v, f = VecX::Zero(tree.nv), size = VecX::Zero(tree.nv), dV = VecX::Zero(tree.nv);

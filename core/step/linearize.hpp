@@ -55,7 +55,7 @@ class StepLinearizer {
   // Of the last call.
   const PublicStep& step() const { return *step_; }
   Integrator& integrator() { return integrator_; }
-  // How much of a velocity of size 1 the mass matrix at the start loses: M^-1 (M w) - w, the largest number.
+  // How much of a velocity of size one is lost at the start (step/lost_velocity.hpp).
   double lost_velocity();
 
  private:

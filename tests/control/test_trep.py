@@ -112,11 +112,14 @@ def test_derivatives_against_differences(family, state):
         assert found.error <= 1e-7 * (found.exact_norm + 0.1), name
 
 
-def test_derivatives_of_mass_against_differences():
+def test_derivatives_of_mass_against_differences(monkeypatch: pytest.MonkeyPatch):
+    """Without a pin.Data of the model, whose tensors have the size nv^3."""
     scene, rng = tree(7)
     for name in ("j1", "j2", "j3"):
         scene.set_joint(name, armature=0.2)
     model, core = scene.model, scene.core()
+    for place, name in ((pin.Model, "createData"), (pin, "Data")):
+        monkeypatch.setattr(place, name, None)
     mass = MassDerivatives(model)
     q, y, w, d = state_of(scene, rng)[0], *rng.standard_normal((3, scene.nv))
 

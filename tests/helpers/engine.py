@@ -6,28 +6,31 @@ import numpy as np
 import pinocchio as pin
 
 
-def buffer(thing: pin.Model | pin.GeometryModel) -> bytes:
-    """Pinocchio's own binary serialization of a model or a geometry model."""
-    stream = pin.serialization.StreamBuffer()
-    thing.saveToBinary(stream)
-    return stream.tobytes()
+def scene_of_shapes(model: pin.Model, shapes: pin.GeometryModel, stiffness=None, rest=None, damping=None, limits=0.0):
+    """Engine scene of a model and all collision pairs of its shapes; impacts are elastic, without friction."""
+    from contactvi import _core
+    from contactvi.importing.engine_model import engine_model
+    from contactvi.scene.engine import shapes_by_address
+
+    n = model.njoints
+    pairs = np.array([(pair.first, pair.second) for pair in shapes.collisionPairs], dtype=np.int32).reshape(-1, 2)
+    return _core.Scene(
+        engine_model(model),
+        shapes_by_address(shapes),
+        pairs,
+        np.ones(len(pairs)),
+        np.zeros(len(pairs)),
+        np.zeros(n) if stiffness is None else np.asarray(stiffness, float),
+        pin.neutral(model) if rest is None else np.asarray(rest, float),
+        np.zeros(model.nv) if damping is None else np.asarray(damping, float),
+        np.full(n, limits),
+        np.ones(n),
+    )
 
 
 def core_scene(model: pin.Model, stiffness=None, rest=None, damping=None):
     """Engine scene of a model without geometry and limits; springs and damping as in oracles.del_step.System."""
-    from contactvi import _core
-
-    n = model.njoints
-    return _core.Scene(
-        buffer(model),
-        buffer(pin.GeometryModel()),
-        np.zeros(0),
-        np.zeros(n) if stiffness is None else np.asarray(stiffness, float),
-        pin.neutral(model) if rest is None else np.asarray(rest, float),
-        np.zeros(model.nv) if damping is None else np.asarray(damping, float),
-        np.zeros(n, dtype=bool),
-        np.ones(n),
-    )
+    return scene_of_shapes(model, pin.GeometryModel(), stiffness, rest, damping)
 
 
 def simulator(scene, dt: float, **options):

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 
 from contactvi import _core
-from helpers.engine import buffer
+from helpers.engine import scene_of_shapes
 
 WITNESS, VERTEX = _core.PointKind.WITNESS, _core.PointKind.VERTEX
 RIM, EDGE = _core.PointKind.RIM, _core.PointKind.EDGE
@@ -48,17 +48,7 @@ class Two:
             joint = self.model.addJoint(0, pin.JointModelFreeFlyer(), IDENTITY, name)
             shapes.addGeometryObject(pin.GeometryObject(name, joint, place, shape))
         shapes.addCollisionPair(pin.CollisionPair(0, 1))
-        n, nv = self.model.njoints, self.model.nv
-        self.core = _core.Scene(
-            buffer(self.model),
-            buffer(shapes),
-            np.ones(1),
-            np.zeros(n),
-            pin.neutral(self.model),
-            np.zeros(nv),
-            np.zeros(n),
-            np.ones(n),
-        )
+        self.core = scene_of_shapes(self.model, shapes)
 
     @staticmethod
     def q(a: pin.SE3, b: pin.SE3) -> np.ndarray:

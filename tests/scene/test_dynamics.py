@@ -418,7 +418,7 @@ def test_no_question_about_a_long_chain_makes_the_pin_data_of_its_model(monkeypa
     reading = cvi.Imu(sim, f"link{LINKS - 1}").read()
     np.testing.assert_allclose(reading.angular_velocity, [sim.v.sum(), 0.0, 0.0], atol=1e-9 * LINKS)
     run = cvi.simulate(scene, q, v, duration=1e-3, dt=1e-4)
-    rows = point_jacobians(scene.model, q[None], f"link{LINKS - 1}", np.array([0.0, 0.0, -0.13]))[0]
+    rows = point_jacobians(scene.built(), q[None], f"link{LINKS - 1}", np.array([0.0, 0.0, -0.13]))[0]
     np.testing.assert_allclose(rows, jacobian.matrix, atol=1e-9)
     place = run.poses(f"link{LINKS - 1}").position
     angles = np.cumsum(run.q, axis=1)[:, :-1]

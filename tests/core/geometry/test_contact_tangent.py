@@ -16,7 +16,7 @@ import pytest
 
 from contactvi import _core
 from contactvi.errors import EngineError
-from helpers.engine import buffer
+from helpers.engine import scene_of_shapes
 from helpers.touching_pairs import (
     EDGE,
     GROUND,
@@ -168,12 +168,7 @@ class Arms:
                 joint = self.model.addJoint(joint, kind, place(), f"{name}{k}")
             shapes.addGeometryObject(pin.GeometryObject(name, joint, place(), shape))
         shapes.addCollisionPair(pin.CollisionPair(0, 1))
-        n, nv = self.model.njoints, self.model.nv
-        rest = pin.neutral(self.model)
-        zero = np.zeros(n)
-        self.core = _core.Scene(
-            buffer(self.model), buffer(shapes), np.ones(1), zero, rest, np.zeros(nv), zero, np.ones(n)
-        )
+        self.core = scene_of_shapes(self.model, shapes)
         self.slide = self.model.idx_vs[self.model.getJointId("b0")]
 
     def placed(self, rng: np.random.Generator, gap: float) -> np.ndarray:
@@ -206,10 +201,7 @@ def test_bodies_of_one_joint_keep_their_gap():
     for name, x in (("a", 0.0), ("b", 0.2)):
         shapes.addGeometryObject(pin.GeometryObject(name, joint, pose(x, 0.1 * x), coal.Sphere(0.05)))
     shapes.addCollisionPair(pin.CollisionPair(0, 1))
-    zero = np.zeros(model.njoints)
-    core = _core.Scene(
-        buffer(model), buffer(shapes), np.ones(1), zero, pin.neutral(model), np.zeros(6), zero, np.ones(2)
-    )
+    core = scene_of_shapes(model, shapes)
     _, W, dW = _core.gap_hessian(core, pin.randomConfiguration(model, -np.ones(7), np.ones(7)), 0)
     assert np.abs(W).max() <= 1e-15
     assert np.abs(dW).max() <= 1e-14
@@ -352,9 +344,7 @@ def test_a_rolling_rim(under, swapped):
 def test_a_joint_limit_has_no_curvature():
     model, shapes = pin.Model(), pin.GeometryModel()
     model.addJoint(0, pin.JointModelRX(), IDENTITY, "j", np.ones(1), np.ones(1), np.array([-1.0]), np.array([1.0]))
-    core = _core.Scene(
-        buffer(model), buffer(shapes), np.zeros(0), np.zeros(2), np.zeros(1), np.zeros(1), np.ones(2), np.ones(2)
-    )
+    core = scene_of_shapes(model, shapes, limits=1.0)
     for guard, sign in ((0, 1.0), (1, -1.0)):
         gap, W, dW = _core.gap_hessian(core, np.array([0.25]), guard)
         assert gap == 1.0 + sign * 0.25

@@ -9,8 +9,9 @@ import pytest
 
 import contactvi as cvi
 from contactvi import _core
+from contactvi.importing.engine_model import engine_model
 from contactvi.importing.hulls import faces_by_engine, faces_of, hull_by_engine, hull_from_faces
-from helpers.engine import buffer
+from helpers.engine import scene_of_shapes
 from helpers.touching_pairs import hull, prism, random_hull
 
 SOLIDS = {
@@ -47,41 +48,57 @@ def test_more_neighbours_than_coal_counts_are_refused():
         hull_by_engine(np.zeros((301, 3)), faces)
 
 
-def scene_of(shapes: list[coal.CollisionGeometry], hulls: list[tuple]) -> _core.Scene:
+def scene_of(shapes: list[coal.CollisionGeometry]) -> _core.Scene:
     model, geometry = pin.Model(), pin.GeometryModel()
     for k, shape in enumerate(shapes):
         joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"body {k}")
         geometry.addGeometryObject(pin.GeometryObject(f"shape {k}", joint, pin.SE3.Identity(), shape))
     geometry.addAllCollisionPairs()
-    n, pairs = model.njoints, len(geometry.collisionPairs)
-    return _core.Scene(
-        buffer(model), buffer(geometry), np.ones(pairs), np.zeros(n), pin.neutral(model), np.zeros(model.nv),
-        np.zeros(n), np.ones(n), hulls=hulls,
-    )  # fmt: skip
+    return scene_of_shapes(model, geometry)
 
 
-def test_hulls_beside_the_archive_are_those_in_the_archive():
-    """A hull of two geometries, one that is swept by a sphere, and a ball."""
-    shared, swept, ball = hull(SOLIDS["12 points"]), hull(SOLIDS["31 points"]), coal.Sphere(0.05)
+def test_the_engine_has_its_own_copies_of_shapes():
+    """A hull of two geometries, one that is swept by a sphere, and the primitives.
+
+    They are gone when the gaps are asked for. Where no shape of a pair is rounded, because one is a ball or a capsule,
+    the gap is coal's to its tolerance, 1e-6 by default.
+    """
+    twelve, swept = hull(SOLIDS["12 points"]), hull(SOLIDS["31 points"])
     swept.setSweptSphereRadius(0.01)
-    beside = [
-        (places, np.array(shape.points()), faces_by_engine(shape), shape.getSweptSphereRadius())
-        for places, shape in (([0, 2], shared), ([1], swept))
-    ]
-    own = scene_of([shared, swept, shared, ball], [])
-    given = scene_of([ball, ball, ball, ball], beside)
-    rng = np.random.default_rng(5)
-    for _ in range(20):
-        q = np.concatenate([[*rng.normal(scale=0.2, size=3), *rng.normal(size=4)] for _ in range(4)])
-        for k in range(4):
-            q[7 * k + 3 : 7 * k + 7] /= np.linalg.norm(q[7 * k + 3 : 7 * k + 7])
-        for found, expected in zip(given.gaps(q), own.gaps(q), strict=True):
-            np.testing.assert_array_equal(found, expected)
-    assert given.rounding == own.rounding
+    shapes = [
+        twelve, swept, coal.Sphere(0.05), coal.Box(0.1, 0.2, 0.3), coal.Capsule(0.05, 0.2), coal.Cylinder(0.05, 0.2),
+        coal.Ellipsoid(0.1, 0.2, 0.3), twelve,
+    ]  # fmt: skip
+    kept = [shape.clone() for shape in shapes]
+    scene, same = scene_of(shapes), scene_of(kept)
+    shapes[2].radius = 3.0
+    del shapes, twelve, swept
+    rng, identity = np.random.default_rng(5), pin.Quaternion.Identity().coeffs()
+    q = np.concatenate([[k, *rng.uniform(-0.1, 0.1, 2), *identity] for k in range(len(kept))])
+    gaps = np.asarray(scene.gaps(q)[0])
+    np.testing.assert_array_equal(gaps, same.gaps(q)[0])
+    pairs = [(a, b) for a in range(len(kept)) for b in range(a + 1, len(kept))]
+    for (a, b), gap in zip(pairs, gaps, strict=True):
+        if {a, b} & {2, 4}:
+            places = [coal.Transform3s(np.eye(3), q[7 * k : 7 * k + 3]) for k in (a, b)]
+            wanted = coal.distance(
+                kept[a], places[0], kept[b], places[1], coal.DistanceRequest(), coal.DistanceResult()
+            )
+            assert abs(gap - wanted) <= 1e-6, (a, b)
 
 
-@pytest.mark.parametrize("places", [[-1], [1]])
-def test_hulls_of_no_geometry_are_refused(places: list[int]):
-    shape = hull(SOLIDS["cube"])
-    with pytest.raises(cvi.ContactviError, match="no geometry"):
-        scene_of([coal.Sphere(1.0)], [(places, np.array(shape.points()), faces_by_engine(shape), 0.0)])
+def test_shapes_and_pairs_that_do_not_exist_are_refused():
+    own = engine_model(pin.Model())
+    ball = coal.Sphere(0.1)
+
+    def made(joint: int, pairs: list[list[int]]) -> _core.Scene:
+        shape = (joint, np.eye(3), np.zeros(3), "ball", ball.id())
+        of_pairs, of_joints = np.ones(len(pairs)), np.zeros(1)
+        numbers = np.array(pairs, dtype=np.int32).reshape(-1, 2)
+        none = np.zeros(0)
+        return _core.Scene(own, [shape], numbers, of_pairs, of_pairs, of_joints, none, none, of_joints, of_joints)
+
+    with pytest.raises(cvi.ContactviError, match="on no joint"):
+        made(1, [])
+    with pytest.raises(cvi.ContactviError, match="no geometries"):
+        made(0, [[0, 1]])

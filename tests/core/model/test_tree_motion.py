@@ -6,7 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from contactvi.derivatives.tree_motion import TreeMotion
+from contactvi import _core
+from contactvi.derivatives.constrained_dynamics import PointMotion
+from contactvi.importing.engine_model import engine_model
 from helpers.chains import JOINTS, chain
 from helpers.trees import bushy_model
 
@@ -34,7 +36,7 @@ def test_derivatives_of_forces(name: str):
     q, v, a = state(model)
     data = model.createData()
     pin.computeRNEADerivatives(model, data, q, v, a)
-    by_q, by_v = TreeMotion(model, q, v, a).force_derivatives()
+    by_q, by_v = engine_model(model).motion(q, v, a).force_derivatives()
     assert_near(by_q, data.dtau_dq)
     assert_near(by_v, data.dtau_dv)
 
@@ -45,9 +47,10 @@ def test_motion_of_a_point(name: str):
     q, v, a = state(model)
     data, x = model.createData(), np.array([0.3, -0.2, 0.5])
     pin.computeForwardKinematicsDerivatives(model, data, q, v, a)
-    tree = TreeMotion(model, q, v, a)
+    tree = engine_model(model).motion(q, v, a)
     for joint in range(1, model.njoints):
-        found = tree.point(joint, x)
+        found = PointMotion(*tree.point(joint, x))
+        assert_near(tree.rotation(joint), data.oMi[joint].rotation)
         velocity_q, acceleration_q, acceleration_v, J = pin.getPointClassicAccelerationDerivatives(
             model, data, joint, pin.SE3(np.eye(3), x), pin.LOCAL_WORLD_ALIGNED
         )
@@ -65,15 +68,23 @@ def test_acceleration_and_turned_force_of_a_point(name: str):
     model, h = models()[name], 1e-5
     q, v, a = state(model)
     joint, x, force = model.njoints - 1, np.array([0.3, -0.2, 0.5]), np.array([1.0, -2.0, 0.5])
-    tree = TreeMotion(model, q, v, a)
+    tree = engine_model(model).motion(q, v, a)
 
-    def at(step: np.ndarray, speed: np.ndarray) -> TreeMotion:
-        return TreeMotion(model, pin.integrate(model, q, step), speed, a)
+    def at(step: np.ndarray, speed: np.ndarray) -> _core.TreeMotion:
+        return engine_model(model).motion(pin.integrate(model, q, step), speed, a)
 
     ahead, behind = at(h * v, v + h * a), at(-h * v, v - h * a)
-    rate = (ahead.point(joint, x).velocity - behind.point(joint, x).velocity) / (2.0 * h)
-    np.testing.assert_allclose(tree.point(joint, x).acceleration, rate, atol=1e-6 * np.abs(rate).max())
+    rate = (velocity(ahead, joint, x) - velocity(behind, joint, x)) / (2.0 * h)
+    np.testing.assert_allclose(tree.point(joint, x)[2], rate, atol=1e-6 * np.abs(rate).max())
     T = tree.turned_force(joint, x, force)
     for i, d in enumerate(h * np.eye(model.nv)):
-        change = (at(d, v).point(joint, x).J - at(-d, v).point(joint, x).J).T @ force / (2.0 * h)
+        change = (jacobian(at(d, v), joint, x) - jacobian(at(-d, v), joint, x)).T @ force / (2.0 * h)
         np.testing.assert_allclose(T[:, i], change, atol=1e-7)
+
+
+def velocity(tree: _core.TreeMotion, joint: int, x: np.ndarray) -> np.ndarray:
+    return PointMotion(*tree.point(joint, x)).velocity
+
+
+def jacobian(tree: _core.TreeMotion, joint: int, x: np.ndarray) -> np.ndarray:
+    return PointMotion(*tree.point(joint, x)).J
