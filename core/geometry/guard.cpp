@@ -66,12 +66,12 @@ void Guards::restart() {
   keep_start();
   span_.end();
   forget_distances();
-  distance_bounds_.forget();
   std::fill(odometer_.begin(), odometer_.end(), 0.0);
 }
 
 void Guards::forget_distances() {
   end_span();
+  distance_bounds_.forget();
   std::fill(marks_.begin(), marks_.end(), -1.0);
   std::fill(motion_.geometry.begin(), motion_.geometry.end(), 0.0);
   broad_phase_.invalidate();
