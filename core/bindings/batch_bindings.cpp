@@ -101,8 +101,8 @@ struct Unset {
   std::unique_ptr<double[]> numbers;
 };
 
-// The rows of all runs, of `width` numbers, with NaN after the end of the shorter ones; they are moved from. The threads
-// of the runs copy them.
+// The rows of all runs, of `width` numbers, with NaN after the end of the shorter ones; they are moved from. As many
+// threads as made the runs copy them.
 Array3 padded(Batch& batch, std::vector<double> BatchOutcome::* rows, std::size_t nodes, std::size_t width) {
   const std::size_t size = nodes * width;
   Unset all(batch.size() * size);

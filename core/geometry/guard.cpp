@@ -424,8 +424,8 @@ double Guards::span_of(const BroadPhase::NearPair& pair) const {
   return room >= ClearSpan::kLongest * motion ? ClearSpan::kLongest : room / motion;
 }
 
-// Finds a better bound on the distance of a pair where the bodies are placed, after the step: that of its boxes, one from
-// the last evaluation, or the distance. False: there is none.
+// Finds a better bound on the distance of a pair where the bodies are placed, after the step: that of its boxes, that
+// from its last evaluation, or the distance. False: there is none.
 bool Guards::refine(const BroadPhase::NearPair& pair) {
   if (is_persistent(pair.guard)) return false;
   const double odometers = odometer_[pair.a] + odometer_[pair.b], before = marks_[pair.guard],
