@@ -75,7 +75,7 @@ double DistanceBounds::extent(const PosedShape& posed, const Vec3& direction_W) 
     }
     case coal::GEOM_CYLINDER: {
       const auto& cylinder = static_cast<const coal::Cylinder&>(shape);
-      core = cylinder.halfLength * std::abs(d[2]) + cylinder.radius * std::hypot(d[0], d[1]);
+      core = cylinder.halfLength * std::abs(d[2]) + cylinder.radius * std::sqrt(d[0] * d[0] + d[1] * d[1]);
       break;
     }
     case coal::GEOM_ELLIPSOID:

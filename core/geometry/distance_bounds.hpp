@@ -42,7 +42,7 @@ class DistanceBounds {
   void forget();
 
  private:
-  static constexpr double kClose = 0.875;
+  static constexpr double kClose = 0.875;  // so that an evaluation lengthens no span by more than a seventh
   // In the frames of the shapes: the direction from a to b, and the ends of the shortest line.
   struct Known {
     int pair = -1;
