@@ -867,6 +867,11 @@ def contact_points_of(scene: Scene, q: Annotated[NDArray[numpy.float64], dict(sh
     Points of a pair at known features, wherever they are at q; entries as those of contact_points.
     """
 
+def distance_bounds(scene: Scene, known: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], places: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], a: int, b: int) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]:
+    """
+    Bounds (N, 3) on the distance of two geometries at places (N, nq), from that at the configuration `known`: a lower bound, the distance itself, an upper bound.
+    """
+
 def near_pairs(scene: Scene, start: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], end: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], bound: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C')], h: float, spans: bool = False) -> list[tuple[list[int], Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C')], bool]]:
     """
     For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) of the engine: [(pairs that are looked at, bound on each pair's motion (npairs,), whether the step looks at all)]. spans: steps after one in which no pair comes near may look at none.

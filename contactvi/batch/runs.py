@@ -20,9 +20,10 @@ from contactvi.threads import Workers
 from contactvi.trajectory.compiled import compile_scene
 from contactvi.trajectory.trajectory import Trajectory
 
-# Runs that are prepared at once: their inputs, scenes and results lie in memory together, and the threads wait for the
-# longest of the last runs of a block, which with two threads is about half a run in this many.
-BLOCK = 256
+# Runs that are prepared at once: their inputs, scenes and results lie in memory together. At the end of a block the
+# threads wait for the last of its runs, with more and more lanes of the kernel empty, which takes each of them about as
+# long as half of the runs in its lanes; and the results of several blocks are copied into one.
+BLOCK = 1024
 BLOCK_BYTES = 2**26  # of the states of a block, so that blocks of long runs have fewer of them
 
 
@@ -38,8 +39,10 @@ def blocks_of(
 
 
 def runs_of_block(plan: Plan) -> int:
-    """Return how many runs are made together."""
-    return max(1, min(BLOCK, int(BLOCK_BYTES / plan.bytes_of_a_run)))
+    """Return how many runs are made together: all blocks have as many, but for the last one."""
+    most = max(1, min(BLOCK, int(BLOCK_BYTES / plan.bytes_of_a_run)))
+    blocks = max(1, -(-plan.runs // most))
+    return max(1, -(-plan.runs // blocks))
 
 
 def block_of(plan: Plan, workers: int, scenes: SceneCache, report: Report | None = None) -> Block:

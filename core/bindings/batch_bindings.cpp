@@ -5,11 +5,15 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <limits>
+#include <memory>
 #include <optional>
 #include <tuple>
+#include <utility>
 #include <vector>
 
+#include "base/parallel.hpp"
 #include "bindings/contact_results.hpp"
 #include "bindings/expose.hpp"
 #include "bindings/kept_state.hpp"
@@ -90,12 +94,28 @@ nb::ndarray<nb::numpy, Number, nb::ndim<1>> column(Batch& batch, Number (*of)(co
 
 using Array3 = nb::ndarray<nb::numpy, double, nb::ndim<3>>;
 
-// The rows of all runs, of `width` numbers, with NaN after the end of the shorter ones; they are moved from.
+// Numbers that nobody has set yet: the memory is first touched where they are.
+struct Unset {
+  explicit Unset(std::size_t count) : numbers(new double[count]) {}
+  double* data() { return numbers.get(); }
+  std::unique_ptr<double[]> numbers;
+};
+
+// The rows of all runs, of `width` numbers, with NaN after the end of the shorter ones; they are moved from. As many
+// threads as made the runs copy them.
 Array3 padded(Batch& batch, std::vector<double> BatchOutcome::* rows, std::size_t nodes, std::size_t width) {
-  std::vector<double> all(batch.size() * nodes * width, std::numeric_limits<double>::quiet_NaN());
-  for (std::size_t k = 0; k < batch.size(); ++k) {
-    const std::vector<double> own = std::exchange(batch.outcome(k).*rows, {});
-    std::copy(own.begin(), own.end(), all.begin() + static_cast<std::ptrdiff_t>(k * nodes * width));
+  const std::size_t size = nodes * width;
+  Unset all(batch.size() * size);
+  {
+    nb::gil_scoped_release release;
+    in_parallel(
+        static_cast<int>(batch.size()),
+        [&](int k) {
+          const std::vector<double> own = std::exchange(batch.outcome(static_cast<std::size_t>(k)).*rows, {});
+          double* const to = all.data() + static_cast<std::size_t>(k) * size;
+          std::fill(std::copy(own.begin(), own.end(), to), to + size, std::numeric_limits<double>::quiet_NaN());
+        },
+        batch.threads());
   }
   return hand_over_as<Array3>(std::move(all), {batch.size(), nodes, width});
 }

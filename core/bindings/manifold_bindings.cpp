@@ -11,6 +11,8 @@
 #include "base/error.hpp"
 #include "bindings/arrays.hpp"
 #include "bindings/expose.hpp"
+#include "geometry/candidates.hpp"
+#include "geometry/distance_bounds.hpp"
 #include "geometry/guard.hpp"
 #include "geometry/manifold.hpp"
 
@@ -111,6 +113,38 @@ double nearest_gap(const Scene& s, const VecX& q, int pair) {
   return touch.manifolds.nearest(pair, touch.at, c) ? c.gap : std::numeric_limits<double>::quiet_NaN();
 }
 
+// A sharp shape of a scene as placed.
+PosedShape posed(const Geometry& g, const Placements& at) {
+  const Pose body = pose_of(g.body, at);
+  return {g.sharp.get(), body.R * g.R_BG, body.point(g.p_BG)};
+}
+
+// In rows, of two sharp shapes whose distance was evaluated at `known`, at each of these places: a lower bound, the
+// distance, an upper bound.
+Rows distance_bounds(const Scene& s, const VecX& known, const Rows& places, int a, int b) {
+  if (known.size() != s.tree.nq || places.cols() != s.tree.nq) throw Error("expected shapes (nq,) and (N, nq)");
+  ShapeDistance distance;
+  DistanceBounds bounds(1);
+  Placements at(s.tree);
+  Contact contact{};
+  const auto evaluate = [&](const PosedShape& x, const PosedShape& y) {
+    distance.evaluate(*x.shape, x.R, x.p, *y.shape, y.R, y.p, contact);
+    return contact.gap;
+  };
+  place(s.tree, known, at);
+  const PosedShape first = posed(s.geometries.at(a), at), second = posed(s.geometries.at(b), at);
+  evaluate(first, second);
+  bounds.keep(0, first, second, contact);
+  Rows found(places.rows(), 3);
+  for (Eigen::Index k = 0; k < places.rows(); ++k) {
+    place(s.tree, VecX(places.row(k)), at);
+    const PosedShape x = posed(s.geometries.at(a), at), y = posed(s.geometries.at(b), at);
+    const DistanceBounds::Bounds bound = bounds.find(0, x, y);
+    found.row(k) << bound.lower, evaluate(x, y), bound.upper;
+  }
+  return found;
+}
+
 // Whether a gap is larger at the end of the step than the motion in it, as the event search finds out.
 bool stays_open(Guards& guards, int guard) {
   Contact contact{};
@@ -161,6 +195,14 @@ void expose_manifold(nb::module_& m) {
         "point_a, point_b, normal (n, 3), world frame.");
   m.def("contact_points_of", &points_of_features, "scene"_a, "q"_a, "pair"_a, "features"_a,
         "Points of a pair at known features, wherever they are at q; entries as those of contact_points.");
+  m.def(
+      "distance_bounds",
+      [](const Scene& s, const VecX& known, const Rows& places, int a, int b) {
+        return hand_over(distance_bounds(s, known, places, a, b));
+      },
+      "scene"_a, "known"_a, "places"_a, "a"_a, "b"_a,
+      "Bounds (N, 3) on the distance of two geometries at places (N, nq), from that at the configuration `known`: a "
+      "lower bound, the distance itself, an upper bound.");
   m.def(
       "near_pairs", &near_pairs, "scene"_a, "start"_a, "end"_a, "bound"_a, "h"_a, "spans"_a = false,
       "For steps of length h that begin at start and were to end at end (N, nq), with velocities within bound (N, nv) "

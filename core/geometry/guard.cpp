@@ -9,6 +9,7 @@
 namespace contactvi {
 
 namespace {
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // [m] Boxes that are farther apart hold shapes that do not touch: more than the tolerance of touching and the noise of
 // coal's distances (2e-8).
 constexpr double kMeeting = 1e-7;
@@ -26,6 +27,7 @@ Guards::Guards(const Scene& scene, int contact_points)
       placements_(scene.tree),
       q_(VecX::Zero(scene.tree.nq)),
       placed_for_(scene.tree.joints.size(), -1),
+      distance_bounds_(scene.pairs.size()),
       linear_(scene.tree.joints.size()),
       motion_(make_reach()),
       doubt_(make_reach()),
@@ -69,6 +71,7 @@ void Guards::restart() {
 
 void Guards::forget_distances() {
   end_span();
+  distance_bounds_.forget();
   std::fill(marks_.begin(), marks_.end(), -1.0);
   std::fill(motion_.geometry.begin(), motion_.geometry.end(), 0.0);
   broad_phase_.invalidate();
@@ -92,6 +95,11 @@ void geometry_pose(const Geometry& g, const Placements& at, Mat3& R, Vec3& p) {
     R.noalias() = at.R_W[g.body] * g.R_BG;
     p = at.p_W[g.body] + at.R_W[g.body] * g.p_BG;
   }
+}
+
+// Whether bounds on the distance pay: against a halfspace or a ball it costs hardly more itself.
+bool has_bounds(const Geometry& a, const Geometry& b) {
+  return !(a.unbounded || b.unbounded || a.is_ball || b.is_ball);
 }
 
 Vec3 sphere_center(const Geometry& g, const Placements& at) {
@@ -152,7 +160,7 @@ void Guards::list_meeting(std::vector<int>& guards) {
 double Guards::evaluate(int guard, Contact& contact) {
   if (persistent_number_[guard] < 0) return evaluate_witness(guard, contact);
   const std::vector<const ContactPoint*>& persistent = persistent_points_[persistent_number_[guard]];
-  double gap = std::numeric_limits<double>::infinity();
+  double gap = kInfinity;
   Contact witness{};
   if (persistent[0]->kind != PointKind::kWitness && persistent[0]->kind != PointKind::kLimit) {
     evaluate_witness(guard, witness);
@@ -160,12 +168,42 @@ double Guards::evaluate(int guard, Contact& contact) {
     gap = manifolds_.next_gap(guard, placements_, persistent.data(), static_cast<int>(persistent.size()), witness,
                               contact);
   }
-  if (gap == std::numeric_limits<double>::infinity()) {
+  if (gap == kInfinity) {
     contact = {kNothingElse, Vec3::Zero(), Vec3::Zero(), Vec3::Zero(), -1, -1};
     return kNothingElse;
   }
   contact.gap = gap;
   return gap;
+}
+
+// A shape of a pair where its body is placed.
+PosedShape Guards::posed(const Pair& pair, int geometry) const {
+  const Geometry& g = scene_->geometries[geometry];
+  PosedShape posed{pair.rounded && g.rounded ? g.rounded.get() : g.sharp.get(), {}, {}};
+  geometry_pose(g, placements_, posed.R, posed.p);
+  return posed;
+}
+
+// Of a pair whose bodies are placed.
+DistanceBounds::Bounds Guards::known_bounds(int guard) {
+  const Pair& pair = scene_->pairs[guard];
+  if (!has_bounds(scene_->geometries[pair.a], scene_->geometries[pair.b])) return {-kInfinity, kInfinity};
+  return distance_bounds_.find(guard, posed(pair, pair.a), posed(pair, pair.b));
+}
+
+double Guards::distance_bound(int guard, double enough) {
+  const Pair& pair = scene_->pairs[guard];
+  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
+  double distance = -kInfinity;
+  if (!a.unbounded && !b.unbounded) {
+    place_pair(guard);
+    const DistanceBounds::Bounds known = known_bounds(guard);
+    distance = std::max(separation(box_of(a, placements_), box_of(b, placements_)), known.lower);
+    if (DistanceBounds::is_close(known)) return distance;
+  }
+  if (distance >= enough) return distance;
+  Contact contact;
+  return std::max(distance, evaluate_witness(guard, contact));
 }
 
 double Guards::evaluate_witness(int guard, Contact& contact) {
@@ -180,15 +218,12 @@ double Guards::evaluate_witness(int guard, Contact& contact) {
   place_pair(guard);
   // Coal inflates cylinders by 1e-10 of their size where they stand or lie along the normal.
   if (a.unbounded != b.unbounded && manifolds_.nearest(guard, placements_, contact)) return contact.gap;
-  Mat3 R_a, R_b;
-  Vec3 p_a, p_b;
-  geometry_pose(a, placements_, R_a, p_a);
-  geometry_pose(b, placements_, R_b, p_b);
-  distance_.evaluate(*(pair.rounded && a.rounded ? a.rounded : a.sharp), R_a, p_a,
-                     *(pair.rounded && b.rounded ? b.rounded : b.sharp), R_b, p_b, contact);
+  const PosedShape shape_a = posed(pair, pair.a), shape_b = posed(pair, pair.b);
+  distance_.evaluate(*shape_a.shape, shape_a.R, shape_a.p, *shape_b.shape, shape_b.R, shape_b.p, contact);
   contact.body_a = a.body;
   contact.body_b = b.body;
   if (pair.refined) manifolds_.refine(guard, placements_, contact);
+  if (has_bounds(a, b)) distance_bounds_.keep(guard, shape_a, shape_b, contact);
   return contact.gap;
 }
 
@@ -311,6 +346,7 @@ bool Guards::separated_at_end(int guard) {
         (R * half.halfspace_normal).dot(sphere_center(other, placements_) - p) - half.halfspace_offset - other.radius;
   } else {
     bound = (sphere_center(a, placements_) - sphere_center(b, placements_)).norm() - a.radius - b.radius;
+    if (!(bound > motion(guard)) && !is_persistent(guard)) bound = known_bounds(guard).lower;
   }
   if (!(bound > motion(guard))) return false;
   mark(guard, bound);
@@ -388,22 +424,13 @@ double Guards::span_of(const BroadPhase::NearPair& pair) const {
   return room >= ClearSpan::kLongest * motion ? ClearSpan::kLongest : room / motion;
 }
 
-// Finds a better bound on the distance of a pair where the bodies are placed, after the step: that of its boxes, or the
-// distance. False: there is none.
+// Finds a better bound on the distance of a pair where the bodies are placed, after the step: that of its boxes, that
+// from its last evaluation, or the distance. False: there is none.
 bool Guards::refine(const BroadPhase::NearPair& pair) {
   if (is_persistent(pair.guard)) return false;
   const double odometers = odometer_[pair.a] + odometer_[pair.b], before = marks_[pair.guard],
                motion = expected_.geometry[pair.a] + expected_.geometry[pair.b];
-  const Geometry &a = scene_->geometries[pair.a], &b = scene_->geometries[pair.b];
-  double distance = 0.0;
-  if (!a.unbounded && !b.unbounded) {
-    place_pair(pair.guard);
-    distance = separation(box_of(a, placements_), box_of(b, placements_));
-  }
-  if (!(distance >= kShortSpan * motion)) {
-    Contact contact;
-    distance = std::max(distance, evaluate_witness(pair.guard, contact));
-  }
+  const double distance = distance_bound(pair.guard, kShortSpan * motion);
   if (!(odometers + distance > before)) return false;
   marks_[pair.guard] = odometers + distance;
   return true;

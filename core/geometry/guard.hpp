@@ -7,7 +7,8 @@
 //
 // Skipping. Each geometry has an odometer: a bound on how far any of its points has moved. A pair whose distance was
 // d when it was last evaluated is skipped until the two odometers have nearly advanced by d; then its bounding spheres
-// are compared, and the distance of its shapes is evaluated only if they may touch. Pairs that are far from each other
+// are compared, then the extents of its shapes along the direction of the shortest line of the last evaluation
+// (distance_bounds.hpp), and their distance is evaluated only if they may touch. Pairs that are far from each other
 // for several steps are not even looked at (broad_phase.hpp). Where a step finds no guard near, the ones after it look
 // at none, until the motion since then may have brought some guard near (clear_span.hpp). Numbering: collision pairs
 // first, then joint limits.
@@ -19,6 +20,7 @@
 #include "geometry/clear_span.hpp"
 #include "geometry/contact.hpp"
 #include "geometry/distance.hpp"
+#include "geometry/distance_bounds.hpp"
 #include "geometry/manifold.hpp"
 #include "model/scene.hpp"
 
@@ -57,6 +59,9 @@ class Guards {
   const std::vector<BroadPhase::NearPair>& near_pairs();
   // The gap of the whole guard, with or without persistent contacts.
   double evaluate_witness(int guard, Contact& contact);
+  // A lower bound on the distance of a pair where the bodies are placed: `enough` or more, or not much less than the
+  // distance.
+  double distance_bound(int guard, double enough);
   const Placements& placements() {
     place_bodies();
     return placements_;
@@ -101,7 +106,7 @@ class Guards {
   // True if the odometers say that the gap stays open in the step and is larger than the step's motion at its end. A
   // guard whose gap is not is a suspect, so that suspects do not depend on when guards were last evaluated.
   bool skip(int guard) const;
-  // True if the bounding spheres at the placed end of the step say so; then also moves the pair's mark.
+  // True if cheap bounds on the distance at the placed end of the step say so; then also moves the pair's mark.
   bool separated_at_end(int guard);
   void mark(int guard, double gap_at_end);  // gap at the end of the step
   void unmark(int guard) { marks_[guard] = -1.0; }
@@ -178,6 +183,8 @@ class Guards {
   void place_body(int body);
   void place_pair(int guard);
   void place_bodies();
+  PosedShape posed(const Pair& pair, int geometry) const;
+  DistanceBounds::Bounds known_bounds(int guard);
   double limit_gap(int guard, const VecCRef& q) const;
   void keep_start();
   double span_of_pairs(double enough);
@@ -197,6 +204,7 @@ class Guards {
   long configuration_ = 0;        // number of the configuration q_
   long all_placed_for_ = -1;      // the last configuration for which all bodies were placed
   ShapeDistance distance_;
+  DistanceBounds distance_bounds_;
   std::vector<double> linear_;          // per body: bound on its origin's displacement
   Reach motion_, doubt_, expected_;     // expected: in a reference step of the span
   std::vector<double> odometer_;        // per geometry

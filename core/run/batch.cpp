@@ -49,6 +49,7 @@ class States {
 
 void Batch::run(int threads, const std::function<bool(std::size_t)>& poll) {
   outcomes_ = std::vector<BatchOutcome>(starts_.size());
+  threads_ = threads;
   next_ = made_ = 0;
   shared_ = 0;
   stop_ = false;

@@ -66,6 +66,8 @@ class Batch {
   void run(int threads, const std::function<bool(std::size_t)>& poll);
 
   std::size_t size() const { return starts_.size(); }
+  // Of the last call of run().
+  int threads() const { return threads_; }
   const BatchStart& start(std::size_t k) const { return starts_[k]; }
   BatchOutcome& outcome(std::size_t k) { return outcomes_[k]; }
   const SimulatorOptions& options() const { return options_; }
@@ -97,6 +99,7 @@ class Batch {
   std::shared_ptr<const SavedWorld> saved_;
   std::vector<BatchStart> starts_;
   std::vector<BatchOutcome> outcomes_;
+  int threads_ = 1;
   std::atomic<std::size_t> next_{0}, made_{0};
   std::atomic<long> shared_{0};
   std::atomic<bool> stop_{false};

@@ -129,7 +129,8 @@ bool IslandGraph::may_meet(int g, Neighbour& n, double reach) {
   double distance = clearance(n, g, lasting);
   if (distance <= lasting && !(sphere_[g] && sphere_[n.geometry])) {
     Contact contact;
-    distance = guards_->evaluate_witness(n.guard, contact);
+    distance = guards_->distance_bound(n.guard, lasting);
+    if (!(distance > reach)) distance = guards_->evaluate_witness(n.guard, contact);
   }
   if (!(distance > reach)) return true;
   n.mark = odometers + distance;

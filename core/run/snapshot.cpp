@@ -23,6 +23,7 @@ void Simulator::recall(const EngineMemory& memory) {
   finder_.set_stepper(memory.searched_contact_step ? static_cast<Stepper&>(contact_step_)
                                                    : static_cast<Stepper&>(integrator_));
   finder_.recall(memory.finder);
+  guards_.forget_distances();  // those of another run are found with other bounds
   guards_.recall(memory.guards);
 }
 

@@ -3,6 +3,11 @@
 namespace contactvi {
 
 void StageIteration::judge(const Stages& stages) {
+  if (stages.count() == 1) {
+    const double kinetic = stages.kinetic(0), impulses = stages.impulse_energy(0);
+    judge(std::sqrt(squared_error(stages.error(0), kinetic, impulses)), largest_energy(kinetic, impulses), true);
+    return;
+  }
   double worst = 0.0, energy = 0.0;
   for (int i = 0; i < stages.count(); ++i) {
     const double kinetic = stages.kinetic(i), impulses = stages.impulse_energy(i);

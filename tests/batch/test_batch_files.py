@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -41,6 +43,19 @@ def test_slices_of_a_file_are_the_runs(tmp_path, monkeypatch, keep):
 
 def whole_options(scene: cvi.Scene) -> cvi.Options:
     return cvi.Options.from_dict({**scene.settings, **SETTINGS})
+
+
+@pytest.mark.parametrize("count", [1, 2, 1023, 1024, 1025, 5000])
+@pytest.mark.parametrize("size", [40, 200_000, 2**27])
+def test_blocks_are_few_and_even(count: int, size: int):
+    """Results within the limits, in as few blocks as these allow, none of which is short by more than there are."""
+    of_a_run = SimpleNamespace(runs=count, bytes_of_a_run=float(size))
+    length = runs.runs_of_block(cast(Any, of_a_run))
+    most = max(1, min(runs.BLOCK, runs.BLOCK_BYTES // size))
+    blocks = -(-count // length)
+    assert 1 <= length <= most
+    assert blocks == -(-count // most)
+    assert 0 <= blocks * length - count < blocks
 
 
 def test_only_the_blocks_asked_for_are_read(tmp_path, monkeypatch):
