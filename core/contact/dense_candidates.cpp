@@ -9,6 +9,7 @@ namespace {
 constexpr double kLimitPromised = 5e-11;  // [m; rad] of joint limits, which are exact
 constexpr double kLimitJoins = 1e-11;     // [m; rad] overlap of limits from which points that became near take part
 constexpr double kSamePoint = 1e-7;       // [m] points of one feature nearer to each other are one
+constexpr double kAnyTurn = 2.0;          // above the sine of any angle: a crossing of edges becomes a plane
 }  // namespace
 
 Vec3 DenseContact::position_W() const {
@@ -113,16 +114,35 @@ bool DenseCandidates::add(const ContactPoint& point, const ContactPoint& law, co
       return false;
   DenseContact c{};
   c.point = point;
-  c.law = law;
   c.joined = joined;
   c.mu = scene_->friction(point.guard);
   c.restitution = scene_->restitution(point.guard);
-  evaluate(law, &near.witness0, c.at0);
-  c.allowed = std::min(near.allowed, allowed(c.at0.gap));
-  c.t1_0 = scene_->is_pair(point.guard) ? any_tangent(c.at0.normal) : Vec3(Vec3::Zero());
+  set_law(c, law, near);
   set_start_impulses(c, impulses);
   contacts_.push_back(c);
   return true;
+}
+
+void DenseCandidates::set_law(DenseContact& c, const ContactPoint& law, const Near& near) {
+  c.law = law;
+  evaluate(law, &near.witness0, c.at0);
+  c.allowed = std::min(near.allowed, allowed(c.at0.gap));
+  c.t1_0 = scene_->is_pair(c.point.guard) ? any_tangent(c.at0.normal) : Vec3(Vec3::Zero());
+}
+
+const DenseCandidates::Near& DenseCandidates::near_of(int guard) const {
+  return *std::find_if(near_.begin(), near_.end(), [guard](const Near& near) { return near.guard == guard; });
+}
+
+// Crossings whose lines overlap at the end of the step, where the guards are placed, beyond the ends of the edges. The
+// crossing of edges at a small angle runs along them: its gap follows no motion of a point there, and cannot be closed.
+void DenseCandidates::find_run_off(std::size_t known) {
+  run_off_.clear();
+  for (std::size_t k = 0; k < known; ++k) {
+    const DenseContact& c = contacts_[k];
+    if (c.law.kind != PointKind::kEdge || !(c.at1.gap < c.allowed - kGapPromised)) continue;
+    if (!guards_->manifolds().valid(c.law, guards_->placements())) run_off_.push_back(k);
+  }
 }
 
 void DenseCandidates::set_start_impulses(DenseContact& c, const std::vector<DenseImpulse>& impulses) const {
@@ -165,12 +185,15 @@ bool DenseCandidates::add_overlapping(const VecX& q1, std::size_t known, const s
   }
   // Limits, and points of pairs that became near since the step was solved, are among the contacts already.
   bool added = (limit_overlaps || !points_.empty()) && contacts_.size() > known;
+  find_run_off(known);
   guards_->place(q0_);
-  for (std::size_t k = 0; k < points_.size(); ++k) {
-    const int guard = points_[k].guard;
-    const auto near = std::find_if(near_.begin(), near_.end(), [&](const Near& n) { return n.guard == guard; });
-    added |= add(points_[k], laws_[k], *near, impulses, true);
+  for (std::size_t k : run_off_) {
+    DenseContact& c = contacts_[k];
+    set_law(c, guards_->manifolds().frozen(c.law, guards_->placements(), c.at0, kAnyTurn), near_of(c.point.guard));
+    added = true;
   }
+  for (std::size_t k = 0; k < points_.size(); ++k)
+    added |= add(points_[k], laws_[k], near_of(points_[k].guard), impulses, true);
   return added;
 }
 

@@ -47,7 +47,8 @@ class DenseCandidates {
   // yet. impulses: of the last step.
   void collect(const VecX& bound, const std::vector<DenseImpulse>& impulses);
   // Looks at the pairs at the end q1 of the step. Points that overlap there and are none of the first `known` contacts
-  // join. True if there were any: then the step is to be solved again with them.
+  // join, and crossings that have run off their edges there become a point of one body over a plane of the other. True
+  // if there were any: then the step is to be solved again with them.
   bool add_overlapping(const VecX& q1, std::size_t known, const std::vector<DenseImpulse>& impulses);
 
   std::vector<DenseContact>& contacts() { return contacts_; }
@@ -80,6 +81,9 @@ class DenseCandidates {
   }
   bool add(const ContactPoint& point, const ContactPoint& law, const Near& near,
            const std::vector<DenseImpulse>& impulses, bool joined = false);
+  void set_law(DenseContact& c, const ContactPoint& law, const Near& near);
+  const Near& near_of(int guard) const;
+  void find_run_off(std::size_t known);
   void set_start_impulses(DenseContact& c, const std::vector<DenseImpulse>& impulses) const;
 
   const Scene* scene_;
@@ -88,6 +92,7 @@ class DenseCandidates {
   std::vector<int> guards_to_look_at_;
   std::vector<DenseContact> contacts_;
   std::vector<ContactPoint> points_, laws_;
+  std::vector<std::size_t> run_off_;
   VecX q0_;
   double h_ = 0.0, share_ = 1.0, gap_ = 0.0, gap_noise_ = 0.0;
   double excess_ = 0.0;  // of the gap that is furthest below what is allowed

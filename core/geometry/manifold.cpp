@@ -59,6 +59,9 @@ constexpr double kNearlyFlat = 0.1;
 constexpr double kFarSlack = 5e-12;
 // Factor on the tolerances of find within which a point stays valid, so that a point just found is valid.
 constexpr double kStay = 2.0;
+// A point of a contact lies no deeper than kOverlap times the overlap of the pair and kSameOverlap [m], which is more
+// than the noise of coal's distances and the gaps of contacts that persist.
+constexpr double kOverlap = 2.0, kSameOverlap = 1e-7;
 
 // The shapes and features of a pair that a feature number names: `other` lies over face `face` of `plane`.
 struct Parts {
@@ -278,6 +281,10 @@ void Manifolds::find(int pair, const Placements& at, const Contact& witness, dou
     n = sides.n_W;
     Collect sink(margin, found_);
     list_candidates(v, sides, false, edges_, sink);
+    // A feature along whose normal the shapes overlap much more lies to the side: they part along the witness's.
+    const double deepest = kOverlap * std::min(0.0, witness.gap) - kSameOverlap;
+    found_.erase(std::remove_if(found_.begin(), found_.end(), [&](const Candidate& c) { return c.gap < deepest; }),
+                 found_.end());
     double least = kInfinity;
     for (const Candidate& c : found_) least = std::min(least, c.gap);
     // The nearest features of the pair are none of the listed ones: coal's point represents them.

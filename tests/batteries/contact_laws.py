@@ -134,11 +134,12 @@ def energy_at_impacts(traj: cvi.Trajectory) -> Iterator[Finding]:
 
 # --- contact rows -----------------------------------------------------------------------------------------------------
 def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
-    """Normals (m, 3), gaps (m,) and what the residual of a dense step may have opened them by (m,), at the starts.
+    """Normals (m, 3), gaps (m,) and what the residual of a dense step may have opened them by (m,), of first impulses.
 
     They are those of the point at the end of the row before; NaN in the first row of a point, and, where the point is
     coal's, in a dense step and after one: each such step takes the plane between the shapes anew. Impacts have one
-    normal.
+    normal. The first impulse of a dense step acts along the normal at its start and belongs to the gap at its end,
+    which it closes.
     """
     normal, gap = np.full_like(log.array("normal"), np.nan), np.full(len(log), np.nan)
     opened_before = np.zeros(len(log))
@@ -155,6 +156,7 @@ def starts(log: cvi.ContactLog, opened: Array) -> tuple[Array, Array, Array]:
     normal[anew], gap[anew] = np.nan, np.nan
     impact = log.h == 0.0
     normal[impact], gap[impact] = log.array("normal")[impact], log.array("gap")[impact]
+    gap[dense], opened_before[dense] = log.array("gap")[dense], opened[dense]
     return normal, gap, opened_before
 
 

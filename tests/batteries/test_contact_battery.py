@@ -30,6 +30,7 @@ HEAPS = 10  # seeds of stack and balls as drawn in the long run; then balls go o
 # long one, so that an entry that is mended has to go. All reach their end; nearly all are heaps, in which faces that
 # meet at a tilt of rounding make located impacts and contacts inexact before the run goes on with dense steps.
 BOUNCING = {"restitution": 1.0, "friction": 0.0, "duration": 100.0}
+DENSE = run_of("mhc", "global", restitution=1.0, friction=1.5, order=4, dt=0.02)  # many impacts, large steps
 KNOWN: list[tuple[str, int, dict[str, Any], str]] = [
     ("room", 6, {}, "an impact 1e-7 m off, a wall and a cylinder overlap by 7e-10 m"),
 ]
@@ -40,8 +41,9 @@ MENDED: list[tuple[str, int, dict[str, Any]]] = [
     ("stack", 0, {}),  # as above, and a corner that closed beside a persistent one sank by 1e-9 m
     ("stack", 4, {}),  # MHC's correction at the rounding of the energy closed one point of an impact again
     ("stack", 8, {}),  # a dense step of 2e-11 s pushed out an overlap of 1e-12 m: 0.5 J
-    # dense steps of dt, and not of dt_contact
-    ("stack", 5562, run_of("mhc", "global", restitution=1.0, friction=1.5, order=4, dt=0.02)),
+    ("stack", 5562, DENSE),  # dense steps of dt, and not of dt_contact
+    ("stack", 5557, DENSE),  # a tipping rim overlapped by 1.6e-10 m after eight of its points had joined
+    ("stack", 5631, DENSE),  # an edge that crossed others to the side: a contact with a gap of -0.13 m
 ]
 
 FAMILIES = tuple(contact_scenes.FAMILIES)

@@ -231,6 +231,20 @@ def test_least_gap_is_the_distance_and_nothing_else_penetrates(first, second):
     assert {VERTEX, EDGE} & seen
 
 
+@pytest.mark.parametrize("depth", [1e-7, 1e-5, 1e-3, 4e-3, 6e-3])
+def test_shapes_that_overlap_have_no_points_to_the_side(depth):
+    """An edge that sinks in also crosses edges of the other along a normal in which the two overlap far more."""
+    rng = np.random.default_rng(3)
+    for _ in range(150):
+        two = Two(hull(prism(int(rng.integers(3, 9)), 0.2, 0.1)), hull(prism(int(rng.integers(3, 9)), 0.2, 0.1)))
+        tilt = turn([*rng.normal(size=2), 0], rng.uniform(0.0, 0.2)) @ turn(Z, rng.uniform(0, 7))
+        b = two.touching(IDENTITY, pose(*rng.uniform(-0.2, 0.2, 2), 0.5, tilt))
+        b.translation = b.translation - depth * two.core.gaps(two.q(IDENTITY, b))[1][0]
+        found = two.points(IDENTITY, b, 0.0)
+        assert len(found["gap"]) > 0
+        assert found["gap"].min() >= 2.0 * two.gap(IDENTITY, b) - 1e-7
+
+
 def test_cylinder_on_a_box():
     R, half = 0.05, 0.1
     two = Two(coal.Box(0.2, 0.2, 0.2), coal.Cylinder(R, 2 * half))
