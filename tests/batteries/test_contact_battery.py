@@ -31,7 +31,12 @@ DENSE = run_of("mhc", "global", restitution=1.0, friction=1.5, order=4, dt=0.02)
 
 # (family, seed, what is chosen and not drawn, what goes wrong): left out of all other runs, and expected to fail in the
 # long one, so that an entry that is mended has to go.
-KNOWN: list[tuple[str, int, dict[str, Any], str]] = []
+OPEN = "the first impulse of a dense step belongs to a gap that stays open"
+KNOWN: list[tuple[str, int, dict[str, Any], str]] = [
+    ("stack", 5551, DENSE, OPEN),  # by 1e-9 N s m
+    ("stack", 5570, DENSE, OPEN),  # by 4e-12 N s m
+    ("stack", 5641, DENSE, OPEN),  # by 1e-11 N s m
+]
 
 # (family, seed, what is chosen and not drawn): each broke a law once, and no smaller scene shows it.
 MENDED: list[tuple[str, int, dict[str, Any]]] = [
