@@ -202,6 +202,15 @@ void ContactStep::set_row_velocities(double h) {
   }
 }
 
+// The forces of the rows from which a step starts that follows on no other: half of those of the last step, which belong
+// to both its impulses.
+void ContactStep::start_forces() {
+  start_forces_.resize(rows_);
+  for (std::size_t i = 0; i < contacts_.size(); ++i)
+    start_forces_.segment(row_[i], contacts_[i].rows()) = 0.5 * contacts_[i].force.head(contacts_[i].rows());
+  start_forces_.head(bilateral_ + friction_rows_) = 0.5 * fixed_force_;
+}
+
 bool ContactStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regularize) {
   const ConeResult result = solver_.solve(problem, lambda, regularize);
   ++counters.problems;
@@ -211,12 +220,10 @@ bool ContactStep::solve_cone(const ConeProblem& problem, VecX& lambda, bool regu
   return residual_ <= problem.accept;
 }
 
-// Start values of the position impulses from the forces of the last step, the bounds of joint friction, and the
+// Start values of the position impulses, the bounds of joint friction, and the
 // coordinates from which the displacements of these joints count.
 void ContactStep::set_initial_impulses(double h) {
-  for (std::size_t i = 0; i < contacts_.size(); ++i)
-    lambda_.segment(row_[i], contacts_[i].rows()) = 0.5 * h * contacts_[i].force.head(contacts_[i].rows());
-  lambda_.head(bilateral_ + friction_rows_) = 0.5 * h * fixed_force_;
+  lambda_ = h * start_forces_;
   for (int k = 0; k < friction_rows_; ++k) cones_[k] = joint_friction_cone(k, 0.5 * h * friction_joints_[k].limit);
   for (FrictionJoint& joint : friction_joints_)
     joint.reference = joint.anchored ? joint.anchor : joint.iq >= 0 ? node0_.q[joint.iq] : 0.0;
@@ -270,10 +277,16 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     const double theta = k > 0 ? std::max(kBest, change / last) : 1.0;
     last = change;
     const bool accepted = residual_ <= kAccept;
-    if (accepted && (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= floor))) return true;
+    if (accepted && (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= floor))) {
+      solved_forces_ = lambda_ / h;
+      return true;
+    }
     idle = change < 0.7 * best ? 0 : idle + 1;
     best = std::min(best, change);
-    if (accepted && idle >= kIdle && best < kStalled * floor) return true;
+    if (accepted && idle >= kIdle && best < kStalled * floor) {
+      solved_forces_ = lambda_ / h;
+      return true;
+    }
     if (idle >= 4 * kIdle) break;
   }
   why_ = "the step with persistent contacts does not converge";
@@ -302,9 +315,9 @@ void ContactStep::find_paradox(const VecX& v) {
 bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) {
   why_ = "";
   violated_constraint_ = -1;
-  if (node0_.known && follows_ && (node0_.q.array() == q0.array()).all()) {
-    guess_ = v_node_ + (h / h_last_) *
-                           (v_node_ - v_last_);  // velocity in the middle of the step, extrapolated from the last step
+  const bool follows = node0_.known && follows_ && (node0_.q.array() == q0.array()).all();
+  if (follows) {
+    velocities_.predict(h, guess_);
     v_start_ = v_node_;
   } else {
     if (!integrator_.node_velocity(q0, p0, v1_)) {
@@ -313,6 +326,11 @@ bool ContactStep::solve(const VecCRef& q0, const VecCRef& p0, double h, const Ve
     }
     guess_ = v_start_ = v1_;
   }
+  start_node(q0);
+  if (follows)
+    row_forces_.predict(h, start_forces_);
+  else
+    start_forces();
   p_given_ = p0;
   start_joint_friction(v_start_);
   h_ = h;
@@ -325,6 +343,7 @@ bool ContactStep::solve_part(const StepPath& path, double alpha, const VecCRef& 
   why_ = "";
   h_ = alpha * path.h();
   path.velocity(0.5 * alpha, guess_);
+  start_forces_ = solved_forces_;
   return iterate(q0, p0, h_, tau, guess_) && velocity_impulses();
 }
 

@@ -19,6 +19,7 @@
 
 #include <vector>
 
+#include "base/extrapolation.hpp"
 #include "base/reduction.hpp"
 #include "cone/solver.hpp"
 #include "contact/contact_step_record.hpp"
@@ -52,7 +53,11 @@ class ContactStep final : public Stepper {
   void allow_rescues(double squares) { solver_.allow_rescues(squares); }
   bool gave_up() const { return solver_.gave_up(); }
   // To be called after contacts were added or released, or if the state is not the end of the last step.
-  void invalidate() { node0_.known = follows_ = false; }
+  void invalidate() {
+    node0_.known = follows_ = false;
+    velocities_.clear();
+    row_forces_.clear();
+  }
 
   int stages() const override { return 1; }
   bool solve(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau) override;
@@ -148,8 +153,9 @@ class ContactStep final : public Stepper {
     Node node;
     std::vector<Vec3> reference_positions;
     std::vector<FrictionJoint> friction_joints;
-    VecX fixed_force, v_node, v_last, v1;
-    double h_last, nominal_h;
+    VecX fixed_force, v_node, v1;
+    Extrapolation::History velocities, row_forces;
+    double nominal_h;
     bool follows;
   };
   Memory memory() const;
@@ -181,6 +187,7 @@ class ContactStep final : public Stepper {
                   const Vec3& t1) const;
   Vec3 position_on_plane(const ContactPoint& point) const;
   bool iterate(const VecCRef& q0, const VecCRef& p0, double h, const VecX& tau, const VecX& v);
+  void start_forces();
   void set_initial_impulses(double h);
   void set_row_velocities(double h);
   bool counts_by_rate(const PersistentContact& persistent, double h) const;
@@ -225,9 +232,12 @@ class ContactStep final : public Stepper {
   std::vector<ConeContact> force_cones_;
   VecX w_end_, guess_, q_side_, v_side_, acceleration_;
   VecX v_start_;          // velocity at the start of the step just solved
-  VecX v_node_, v_last_;  // velocities of the last step: at its end, in its middle
-  double h_last_ = 1;
+  VecX v_node_;           // velocity at the end of the last step
   bool follows_ = false;  // the state is the end of the last step
+  // Of the last steps, one after the other: the velocities in their middle, and the position impulses of all rows over
+  // their length [N; N m].
+  Extrapolation velocities_, row_forces_;
+  VecX start_forces_, solved_forces_;  // of the rows: those from which iterations start, and to which they have led
   double h_ = 0, nominal_h_ = 0, force_scale_ = 0;
   const char* why_ = "";
 };

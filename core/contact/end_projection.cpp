@@ -228,8 +228,8 @@ ContactStepRecord ContactStep::record() const {
 }
 
 ContactStep::Memory ContactStep::memory() const {
-  return {contacts_, outcomes_, node0_,  reference_positions_, friction_joints_, fixed_force_, v_node_,
-          v_last_,   v1_,       h_last_, nominal_h_,           follows_};
+  return {contacts_, outcomes_, node0_, reference_positions_, friction_joints_, fixed_force_, v_node_, v1_,
+          velocities_.history(), row_forces_.history(), nominal_h_, follows_};
 }
 
 void ContactStep::recall(const Memory& memory) {
@@ -242,9 +242,9 @@ void ContactStep::recall(const Memory& memory) {
   friction_joints_ = memory.friction_joints;
   fixed_force_ = memory.fixed_force;
   v_node_ = memory.v_node;
-  v_last_ = memory.v_last;
   v1_ = memory.v1;
-  h_last_ = memory.h_last;
+  velocities_.recall(memory.velocities);
+  row_forces_.recall(memory.row_forces);
   nominal_h_ = memory.nominal_h;
   follows_ = memory.follows;
 }
@@ -280,8 +280,9 @@ void ContactStep::commit() {
   }
   fixed_force_ = (lambda_.head(bilateral_ + friction_rows_) + lambda_end_.head(bilateral_ + friction_rows_)) / h_;
   v_node_ = v1_;
-  v_last_ = v_;
-  h_last_ = h_;
+  if (velocities_.empty()) velocities_.push(v_start_, 0.0);
+  velocities_.push(v_, h_);
+  row_forces_.push(solved_forces_, h_);
   follows_ = true;
   std::swap(node0_, node1_);
   node1_.known = false;

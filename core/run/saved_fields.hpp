@@ -151,10 +151,16 @@ void fields(Archive& a, ContactStep::FrictionJoint& x) {
 }
 
 template <class Archive>
+void fields(Archive& a, Extrapolation::History& x) {
+  auto& [count, degree, lengths, values_kept] = x;
+  values(a, count, degree, lengths, values_kept);
+}
+
+template <class Archive>
 void fields(Archive& a, ContactStep::Memory& x) {
-  auto& [contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v_last, v1, h_last,
-         nominal_h, follows] = x;
-  values(a, contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v_last, v1, h_last,
+  auto& [contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, velocities,
+         row_forces, nominal_h, follows] = x;
+  values(a, contacts, outcomes, node, reference_positions, friction_joints, fixed_force, v_node, v1, velocities, row_forces,
          nominal_h, follows);
 }
 

@@ -1,0 +1,40 @@
+// Predicts the next vector of a series of which each belongs to the middle of a step: the polynomial through the last
+// ones, of the degree that would have predicted the last one best.
+//
+// High degrees pay where the motion is smooth and are worse than none right after a kink, where a contact comes to
+// rest or a force jumps; which of both it is shows in the last prediction.
+#pragma once
+
+#include "base/numerics.hpp"
+
+namespace contactvi {
+
+class Extrapolation {
+ public:
+  // What it knows. Of the vectors, the first of `count` columns is the newest one.
+  struct History {
+    int count = 0, degree = 0;
+    VecX lengths;
+    MatX values;
+  };
+
+  bool empty() const { return known_.count == 0; }
+  void clear() { known_.count = known_.degree = 0; }
+  // Adds the vector x of a step of length h > 0 that follows the one of the last call.
+  void push(const VecX& x, double h);
+  // The vector in the middle of the next step, of length h; not to be called while empty.
+  void predict(double h, VecX& x) const;
+
+  History history() const;
+  void recall(const History& history);
+
+ private:
+  static constexpr int kMost = 4;  // vectors kept
+
+  // The times of the vectors kept, from the middle of the next step of length h on [steps backwards, negative].
+  void times(double h, double* t) const;
+
+  History known_;  // arrays of kMost entries, of which `count` are used
+};
+
+}  // namespace contactvi
