@@ -42,17 +42,22 @@ double root_by_rate(double low, double high, double x, double target, int max_ev
 
 // Root in (0, high] of a function that falls from low_value >= 0 at 0 to high_value < 0 at high: the Illinois method
 // (Dowell, Jarratt, "A modified regula falsi method for computing the root of an equation", BIT 11, 1971), with a
-// bisection every eighth time. Ends where 0 <= value <= small, or where the bracket is narrower than width; the
-// function has then been evaluated last at the root. value(x, fx) sets fx, and is false where the function has no
-// value: the search then ends with false.
+// bisection every eighth time. Beyond the root the function may be -infinity, which tells the side alone: as long as
+// nothing else is known there, lines through the last two points before the root alternate with bisections. Ends where
+// 0 <= value <= small, or where the bracket is narrower than width; the function has then been evaluated last at the
+// root. value(x, fx) sets fx, and is false where the function cannot be evaluated: the search then ends with false.
 template <class Value>
 bool root_by_value(double low_value, double high, double high_value, double small, double width, int max_evaluations,
                    Value value, double& root) {
   double a = 0.0, b = high, fa = low_value, fb = high_value;
+  double before = 0.0, f_before = low_value;  // the point on the side of a that was known before it
   root = high;
   int side = 0;
   for (int k = 0; k < max_evaluations && b - a > width; ++k) {
-    double x = fa > fb && k % 8 != 7 ? b - fb * (b - a) / (fb - fa) : 0.5 * (a + b);
+    const bool known = std::isfinite(fb);
+    double x = 0.5 * (a + b);
+    if (known && fa > fb && k % 8 != 7) x = b - fb * (b - a) / (fb - fa);
+    if (!known && f_before > fa && k % 2 == 1) x = a + fa * (a - before) / (f_before - fa);
     if (!(x > a && x < b)) x = 0.5 * (a + b);
     double fx = 0.0;
     if (!value(x, fx)) return false;
@@ -63,6 +68,8 @@ bool root_by_value(double low_value, double high, double high_value, double smal
       if (side < 0) fa *= 0.5;
       side = -1;
     } else {
+      before = a;
+      f_before = fa;
       a = x;
       fa = fx;
       if (fx <= small) return true;

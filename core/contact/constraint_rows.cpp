@@ -1,6 +1,7 @@
 // ContactStep: the rows of constraints and of joint friction.
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "contact/contact_step.hpp"
 #include "model/constraints.hpp"
@@ -87,8 +88,13 @@ bool ContactStep::slip_ends(int i) const {
   return persistent.mu > 0.0 && !persistent.sticks && out.active && (!out.slips || turns);
 }
 
+double ContactStep::slip_at_start(int i) const {
+  const int n = static_cast<int>(contacts_.size());
+  return i < n ? contacts_[i].slip.norm() : std::abs(friction_joints_[i - n].speed);
+}
+
 double ContactStep::slip_left(int i) const {
-  constexpr double kTurned = -1e-3;
+  constexpr double kTurned = -std::numeric_limits<double>::infinity();
   const int n = static_cast<int>(contacts_.size());
   if (i >= n) {
     const FrictionJointOutcome& out = friction_outcomes_[i - n];

@@ -109,10 +109,11 @@ class ContactStep final : public Stepper {
   // contact if that is larger.
   double force_scale() const { return force_scale_; }
   // Slips are numbered: those of the contacts, then those of the joints with friction. slip_ends: whether slip i came
-  // to rest or reversed in the step. slip_left: the slip speed at the end of the step if the friction had gone on,
-  // negative if the slip has reversed.
+  // to rest or reversed in the step. slip_at_start: its speed there. slip_left: its speed at the end of the step if the
+  // friction had gone on, negative if the slip has reversed, -infinity where it has so for most of the step.
   int slips() const { return static_cast<int>(contacts_.size()) + friction_rows_; }
   bool slip_ends(int i) const;
+  double slip_at_start(int i) const;
   double slip_left(int i) const;
   // Whether a contact may have separated, because its force in this step falls towards zero.
   bool may_release() const;

@@ -68,6 +68,7 @@ bool ContactChangeFinder::find_release(const VecX& tau, double& alpha, bool& at_
 // Slip speed of the contact sticking_ at alpha if its friction went on beyond the end of the slip.
 bool ContactChangeFinder::remaining_slip(const VecX& tau, double alpha, double& value) {
   if (!step_->solve_part(*path_, alpha, run_->q, run_->p, tau)) return false;
+  solved_ = alpha;
   value = step_->slip_left(sticking_);
   return true;
 }
@@ -80,16 +81,16 @@ bool ContactChangeFinder::find_stick(const VecX& tau, double& alpha) {
   for (int i = 0; i < step_->slips(); ++i)
     if (step_->slip_ends(i)) ending_slips_.push_back(i);
   bool located = false;
+  solved_ = alpha;
   for (int i : ending_slips_) {
     sticking_ = i;
     // The points of a face come to rest together: only a slip that clearly ends earlier is another one.
     const double high = located ? alpha * (1.0 - kSameInstant) : alpha;
-    double high_value = 0.0, root = high;
-    if (!remaining_slip(tau, high, high_value)) return false;
+    double high_value = step_->slip_left(i), root = high;
+    if (high != solved_ && !remaining_slip(tau, high, high_value)) return false;
     if (high_value >= 0.0) continue;
-    // The slip speed at the start of the step is not known here; any positive number brackets the root.
     if (!root_by_value(
-            -high_value, high, high_value, small, kAlpha, kMaxEvaluations,
+            step_->slip_at_start(i), high, high_value, small, kAlpha, kMaxEvaluations,
             [&](double x, double& f) { return remaining_slip(tau, x, f); }, root))
       return false;
     alpha = root;
@@ -97,7 +98,7 @@ bool ContactChangeFinder::find_stick(const VecX& tau, double& alpha) {
     located = true;
   }
   if (located) ++sticks_located_;
-  return sticking_ < 0 || step_->solve_part(*path_, alpha, run_->q, run_->p, tau);
+  return alpha == solved_ || step_->solve_part(*path_, alpha, run_->q, run_->p, tau);
 }
 
 }  // namespace contactvi
