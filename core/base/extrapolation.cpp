@@ -38,12 +38,9 @@ void Extrapolation::push(const VecX& x, double h) {
   int best = 0;
   for (int count = 1; count <= known_.count; ++count) {
     lagrange_at_zero(t, count, weights);
-    double error = 0.0;
-    for (Eigen::Index d = 0; d < n; ++d) {
-      double value = 0.0;
-      for (int k = 0; k < count; ++k) value += weights[k] * known_.values(d, k);
-      error = std::max(error, std::abs(value - x[d]));
-    }
+    predicted_ = -x;
+    for (int k = 0; k < count; ++k) predicted_ += weights[k] * known_.values.col(k);
+    const double error = n > 0 ? predicted_.cwiseAbs().maxCoeff() : 0.0;
     if (count > 1 && !(error < least)) continue;
     best = count - 1;
     least = error;
@@ -65,12 +62,8 @@ void Extrapolation::predict(double h, VecX& x) const {
   times(h, t);
   const int count = known_.degree + 1;
   lagrange_at_zero(t, count, weights);
-  x.resize(known_.values.rows());
-  for (Eigen::Index d = 0; d < x.size(); ++d) {
-    double value = 0.0;
-    for (int k = 0; k < count; ++k) value += weights[k] * known_.values(d, k);
-    x[d] = value;
-  }
+  x = weights[0] * known_.values.col(0);
+  for (int k = 1; k < count; ++k) x += weights[k] * known_.values.col(k);
 }
 
 Extrapolation::History Extrapolation::history() const {

@@ -35,6 +35,7 @@ class Extrapolation {
   void times(double h, double* t) const;
 
   History known_;  // arrays of kMost entries, of which `count` are used
+  VecX predicted_;
 };
 
 }  // namespace contactvi

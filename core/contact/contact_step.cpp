@@ -273,8 +273,9 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     if (!std::isfinite(change)) break;
     const double floor = std::max(kRounding, noise) * size;
     settled = change < kSettled * size;
-    // The change of the next iteration is estimated by the contraction rate.
-    const double theta = k > 0 ? std::max(kBest, change / last) : 1.0;
+    // The change of the next iteration is estimated by the contraction rate, at first by that of an earlier step.
+    if (k > 0) contraction_ = change / last;
+    const double theta = std::max(kBest, contraction_);
     last = change;
     const bool accepted = residual_ <= kAccept;
     if (accepted && (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= floor))) {

@@ -57,6 +57,7 @@ class ContactStep final : public Stepper {
     node0_.known = follows_ = false;
     velocities_.clear();
     row_forces_.clear();
+    contraction_ = 1.0;
   }
 
   int stages() const override { return 1; }
@@ -77,6 +78,10 @@ class ContactStep final : public Stepper {
   const std::vector<ContactOutcome>& outcomes() const { return outcomes_; }
   const VecX& start_velocity() const { return v_start_; }
   const VecX& end_velocity() const { return v1_; }
+  // The velocity at a state that is the end of the last step that was accepted; null: it is another one.
+  const VecX* accepted_velocity(const VecX& q, const VecX& p) const {
+    return follows_ && node0_.known && p == p1_ && q == node0_.q ? &v_node_ : nullptr;
+  }
   // By how much the step may change the energy besides its work [J], but for rounding: see gains_energy.
   double energy_error(const VecCRef& p0, const VecCRef& p1) const;
   // Work of inputs, dissipation by damping and by joint friction, work of driven constraints [J].
@@ -156,7 +161,8 @@ class ContactStep final : public Stepper {
     std::vector<FrictionJoint> friction_joints;
     VecX fixed_force, v_node, v1;
     Extrapolation::History velocities, row_forces;
-    double nominal_h;
+    VecX p1;
+    double contraction, nominal_h;
     bool follows;
   };
   Memory memory() const;
@@ -238,6 +244,7 @@ class ContactStep final : public Stepper {
   // Of the last steps, one after the other: the velocities in their middle, and the position impulses of all rows over
   // their length [N; N m].
   Extrapolation velocities_, row_forces_;
+  double contraction_ = 1.0;  // the last one measured, of iterations on steps with these contacts; 1: unknown
   VecX start_forces_, solved_forces_;  // of the rows: those from which iterations start, and to which they have led
   double h_ = 0, nominal_h_ = 0, force_scale_ = 0;
   const char* why_ = "";

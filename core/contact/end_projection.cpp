@@ -229,7 +229,7 @@ ContactStepRecord ContactStep::record() const {
 
 ContactStep::Memory ContactStep::memory() const {
   return {contacts_, outcomes_, node0_, reference_positions_, friction_joints_, fixed_force_, v_node_, v1_,
-          velocities_.history(), row_forces_.history(), nominal_h_, follows_};
+          velocities_.history(), row_forces_.history(), p1_, contraction_, nominal_h_, follows_};
 }
 
 void ContactStep::recall(const Memory& memory) {
@@ -245,6 +245,8 @@ void ContactStep::recall(const Memory& memory) {
   v1_ = memory.v1;
   velocities_.recall(memory.velocities);
   row_forces_.recall(memory.row_forces);
+  p1_ = memory.p1;
+  contraction_ = memory.contraction;
   nominal_h_ = memory.nominal_h;
   follows_ = memory.follows;
 }

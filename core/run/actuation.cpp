@@ -26,6 +26,10 @@ void Actuation::join(NodeCompany& company) {
 
 // v_ at a state.
 void Actuation::find_velocity(const VecX& q, const VecX& p) {
+  if (const VecX* known = contact_->accepted_velocity(q, p)) {
+    v_ = *known;
+    return;
+  }
   if (shared_) {
     put_node(q, p, shared_->node);
     if (shared_->company->solve_masses(shared_->node, *shared_->lanes)) {
