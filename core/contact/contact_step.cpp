@@ -10,6 +10,7 @@ constexpr int kMaxIterations = 40;
 constexpr double kRounding = 1e-14;  // of the velocities: converged
 // [m] of gaps, of those to cylinders and ellipsoids, and of constraints; divided by the step it is a velocity
 constexpr double kGapRounding = 2e-16, kLargerRounding = 1e-15;
+constexpr double kShare = 0.1;             // of what rounding of gaps makes: iterations leave no more of the velocities
 constexpr double kPlaceRounding = 4e-15;  // [m] by which positions of sticking points disagree
 // Residual of a cone problem that counts as solved: while the iterations go on, and when they have settled. Redundant
 // rows agree only as far as the iterations have come; better impulses would press the points of a body against each
@@ -271,14 +272,14 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     integrator_.add_velocity(dv_);
     const double size = 1.0 + v_.cwiseAbs().maxCoeff(), change = std::max(stage_change, dv_.cwiseAbs().maxCoeff());
     if (!std::isfinite(change)) break;
-    const double floor = std::max(kRounding, noise) * size;
+    const double floor = std::max(kRounding, noise) * size, most_left = std::max(kRounding, kShare * noise) * size;
     settled = change < kSettled * size;
     // The change of the next iteration is estimated by the contraction rate, at first by that of an earlier step.
     if (k > 0) contraction_ = change / last;
     const double theta = std::max(kBest, contraction_);
     last = change;
     const bool accepted = residual_ <= kAccept;
-    if (accepted && (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= floor))) {
+    if (accepted && (change <= floor || (theta < 0.5 && change * theta / (1.0 - theta) <= most_left))) {
       solved_forces_ = lambda_ / h;
       return true;
     }
