@@ -286,7 +286,10 @@ def test_what_sticks_up_to_its_release():
     assert transpose_error(traj, ["control"]) <= 1e-11
     check = cvi.check_gradient(tray(), wrt="control", target=target, **options)
     assert check.ok
-    assert [column.believe for column in check.columns].count("both") >= 7
+    # Beside the largest column of the block, what differences lose of the small ones may be all that they have.
+    large = [column for column in check.columns if column.state.size >= 5e-3 * column.state.block]
+    assert len(large) == 5
+    assert {column.believe for column in large} == {"both"}
 
 
 def test_what_has_no_derivative_says_why():

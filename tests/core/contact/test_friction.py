@@ -138,6 +138,20 @@ def test_box_stops_where_and_when_it_should(h):
     assert np.abs(traj.v[-1]).max() <= 1e-10
 
 
+@pytest.mark.parametrize("part", [0.01, 0.3, 0.999])
+def test_the_end_of_a_slip_is_found_in_few_partial_steps(part):
+    """The slip speed is linear here: once a value beyond its end is known, one secant is enough wherever it ends."""
+    h, mu = 0.02, 0.3
+    scene, q, v = persistent_runs.box(mu=mu)
+    v[0] = (5 + part) * h * mu * GRAVITY
+    stats = [cvi.simulate(scene, q, v, steps * h, h).stats for steps in (5, 6)]
+    # Halvings lead to a part of the step of which the slip takes more than half; then come a secant, which ends beside
+    # the root by rounding, another one, and what is left of the step. Each partial step has up to two contact
+    # iterations, and up to three problems at its end, where friction may not go on as it was.
+    halvings = max(1.0, np.ceil(-np.log2(part)))
+    assert stats[1].cone_problems - stats[0].cone_problems <= 5 * (halvings + 4)
+
+
 @pytest.mark.parametrize("mu", [0.02, 0.2])
 @pytest.mark.parametrize("body", ["ball", "cylinder"])
 def test_round_bodies_on_a_slope(body, mu):
