@@ -95,6 +95,14 @@ inline double ConeNewton::tested(const Unknown& u, const double* w) {
   return u.single >= 0 ? w[u.single] : u.test[0] * w[0] + u.test[1] * w[1] + u.test[2] * w[2];
 }
 
+// product += a g, or, the first time, product = a g.
+inline void add_column(int m, const double* __restrict g, double a, bool first, double* __restrict product) {
+  if (first)
+    for (int i = 0; i < m; ++i) product[i] = a * g[i];
+  else
+    for (int i = 0; i < m; ++i) product[i] += a * g[i];
+}
+
 // Fills the matrix and the right side of the unknowns; next_w_ is the velocity at next_.
 void ConeNewton::assemble(const ConeProblem& problem, const NaturalMap& map) {
   const int m = static_cast<int>(problem.b.size());
@@ -102,16 +110,16 @@ void ConeNewton::assemble(const ConeProblem& problem, const NaturalMap& map) {
   for (int j = 0; j < count_; ++j) {
     const Unknown& u = unknowns_[j];
     double* product = product_.data();
-    std::fill_n(product, m, 0.0);
     double norm = 0.0;
     const double shift = map.shift(u.contact);
+    bool first = true;
     for (int k = 0; k < u.rows; ++k) {
       const double a = u.column[k];
       norm += a * a;
       if (a == 0.0) continue;
-      const double* g = problem.G.data() + (u.row + k) * problem.G.outerStride();
-      for (int i = 0; i < m; ++i) product[i] += a * g[i];
+      add_column(m, problem.G.data() + (u.row + k) * problem.G.outerStride(), a, first, product);
       product[u.row + k] += shift * a;
+      first = false;
     }
     weight_[j] = std::sqrt(norm);
     for (int i = 0; i < count_; ++i) linear_.at(i, j) = tested(unknowns_[i], product);
@@ -175,7 +183,11 @@ bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singu
     // A start may solve the problem already; where singular matrices are to be found, one is factored all the same.
     if (residual_ <= kGoal && (k > 0 || singular == Singular::kMinimumNorm)) break;
     build(problem, map, lambda, from_nothing);
-    map.velocity(problem, next_.data(), next_w_.data(), false);
+    const int m = static_cast<int>(problem.b.size());
+    if (std::equal(lambda, lambda + m, next_.data()))
+      std::copy_n(w_.data(), m, next_w_.data());
+    else
+      map.velocity(problem, next_.data(), next_w_.data(), false);
     assemble(problem, map);
     ++iterations_;
     if (!solve(singular)) {

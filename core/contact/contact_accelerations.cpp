@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "contact/contact_step.hpp"
+#include "contact/delassus.hpp"
 #include "step/energy.hpp"
 
 namespace contactvi {
@@ -102,7 +103,7 @@ bool ContactStep::persistent_forces_at(const VecCRef& q, const VecCRef& p, const
   node1_ = node0_;
   MinvW_ = node1_.W;
   integrator_.solve_masses(MinvW_);
-  G_end_.noalias() = node1_.W.transpose() * MinvW_;
+  delassus(node1_.W, MinvW_, G_end_);
   w_end_.noalias() = node1_.W.transpose() * v1_;
   w_end_.head(bilateral_) += node1_.rate;
   lambda_.setZero();

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "contact/delassus.hpp"
+
 namespace contactvi {
 
 namespace {
@@ -254,7 +256,7 @@ bool ContactStep::iterate(const VecCRef& q0, const VecCRef& p0, double h, const 
     set_row_velocities(h);
     if (!y_.allFinite()) break;
     if (!settled) {
-      G_.noalias() = S_.transpose() * DinvW_;
+      delassus(S_, DinvW_, G_);
       if (bilateral_ > 0) reduction_.set(G_, bilateral_, friction_rows_);
     }
     b_ = y_;

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "contact/contact_step.hpp"
+#include "contact/delassus.hpp"
 
 namespace contactvi {
 
@@ -29,7 +30,7 @@ bool ContactStep::velocity_impulses() {
     why_ = "a number is not finite";
     return false;
   }
-  G_end_.noalias() = node1_.W.transpose() * MinvW_;
+  delassus(node1_.W, MinvW_, G_end_);
   w_end_.noalias() = node1_.W.transpose() * v1_;
   w_end_.head(bilateral_) += node1_.rate;
   active_.clear();
