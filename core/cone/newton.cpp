@@ -183,11 +183,7 @@ bool ConeNewton::run(const ConeProblem& problem, NaturalMap& map, Singular singu
     // A start may solve the problem already; where singular matrices are to be found, one is factored all the same.
     if (residual_ <= kGoal && (k > 0 || singular == Singular::kMinimumNorm)) break;
     build(problem, map, lambda, from_nothing);
-    const int m = static_cast<int>(problem.b.size());
-    if (std::equal(lambda, lambda + m, next_.data()))
-      std::copy_n(w_.data(), m, next_w_.data());
-    else
-      map.velocity(problem, next_.data(), next_w_.data(), false);
+    map.velocity(problem, next_.data(), next_w_.data(), false);
     assemble(problem, map);
     ++iterations_;
     if (!solve(singular)) {
