@@ -173,7 +173,12 @@ bool Simulator::advance_contact(Interval& interval, Recording& recording) {
     interval.done += taken;
     interval.remaining =
         alpha >= 1.0 && h >= interval.remaining * (1.0 - 1e-12) ? 0.0 : interval.length - interval.done;
-    state_.control.progress();
+    // A step that an event cuts shorter than any that is tried leads nowhere: a contact may be released and close again
+    // for ever.
+    if (alpha >= 1.0 || taken >= StepControl::kShortest * nominal)
+      state_.control.progress();
+    else if (!state_.control.count_standstill())
+      return end(StatusCode::kTooManyImpacts, at + taken, "the persistent contacts change without end at one instant");
     law_->start_step(state_.q, state_.p, state_.reference);
   }
   const double now = interval.start + interval.done;
